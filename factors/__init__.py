@@ -1,0 +1,1 @@
+"""GTSAM factors from SP planes, laser lines and odometry."""

@@ -1,0 +1,89 @@
+"""What every reader returns: sensor data in time order, metric, right-handed, time in integer nanoseconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from spplanes._check import FloatArray
+
+
+class LogError(ValueError):
+    """A file that cannot be read as what it claims to be; the sentence names the file, and the line if there is one."""
+
+    def __init__(self, path: Path | str, problem: str, *, line: int | None = None) -> None:
+        where = f"{path}:{line}" if line is not None else f"{path}"
+        super().__init__(f"{where}: {problem}")
+        self.path, self.line, self.problem = Path(path), line, problem
+
+
+@dataclass(frozen=True, eq=False)
+class LaserScan:
+    """One revolution of a 2D laser."""
+
+    stamp_ns: int
+    """Time of the first beam, ns."""
+    sensor: str
+    """Name of the sensor in the rig."""
+    ranges: FloatArray
+    """Range per beam, shape (B,), m; NaN = no return."""
+    angles: FloatArray
+    """Bearing per beam in the sensor's scan plane (x forward, y left), shape (B,), rad."""
+
+
+@dataclass(frozen=True, eq=False)
+class CloudScan:
+    """One 3D scan in the sensor's frame."""
+
+    stamp_ns: int
+    """Time of the scan, ns."""
+    sensor: str
+    """Name of the sensor in the rig."""
+    points: FloatArray
+    """Organised, shape (S, B, 3), or unorganised, shape (N, 3), m; NaN = no return."""
+
+
+@dataclass(frozen=True, eq=False)
+class OdometryReading:
+    """Pose of the robot according to its odometry."""
+
+    stamp_ns: int
+    """Time of the reading, ns."""
+    odom_T_body: FloatArray
+    """Body in the odometry frame, shape (4, 4)."""
+
+
+Event = LaserScan | CloudScan | OdometryReading
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """A mission as the sensors told it."""
+
+    events: list[Event]
+    """In time order; of equal times odometry comes first."""
+    source: Path
+    """File or folder it was read from."""
+    notes: list[str] = field(default_factory=list)
+    """What the reader skipped or repaired, one sentence each."""
+
+    @property
+    def odometry(self) -> list[OdometryReading]:
+        """The odometry readings, in time order."""
+        return [event for event in self.events if isinstance(event, OdometryReading)]
+
+    def scans(self, sensor: str | None = None) -> list[LaserScan | CloudScan]:
+        """The scans of one sensor, or of all, in time order."""
+        return [
+            event
+            for event in self.events
+            if not isinstance(event, OdometryReading) and (sensor is None or event.sensor == sensor)
+        ]
+
+
+def planar_transform(x: float, y: float, theta: float) -> FloatArray:
+    """(4, 4) transform of a pose on the floor."""
+    c, s = np.cos(theta), np.sin(theta)
+    return np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])

@@ -1,0 +1,74 @@
+"""Input checks of the public boundary: each raises ``ValueError`` with one sentence that names the argument."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+#: A covariance may be asymmetric, or have a negative eigenvalue, by this share of its largest entry.
+COVARIANCE_TOLERANCE = 1e-9
+
+
+def as_float_array(name: str, value: ArrayLike) -> FloatArray:
+    """Return ``value`` as a C-ordered float64 array; anything that is not numeric is a ``ValueError``."""
+    try:
+        return np.ascontiguousarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: expected an array of numbers, got {type(value).__name__}") from error
+
+
+def as_shape(
+    name: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True
+) -> FloatArray:
+    """Return ``value`` as a float64 array of ``shape``, where None stands for any length."""
+    array = as_float_array(name, value)
+    matches = array.ndim == len(shape) and all(
+        want is None or want == have for want, have in zip(shape, array.shape, strict=True)
+    )
+    if not matches:
+        wanted = (
+            "("
+            + ", ".join("N" if n is None else str(n) for n in shape)
+            + ("," if len(shape) == 1 else "")
+            + ")"
+        )
+        raise ValueError(f"{name}: expected shape {wanted}, got {array.shape}")
+    if finite and not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+    return array
+
+
+def as_covariance(name: str, value: ArrayLike, size: int) -> FloatArray:
+    """Return a symmetric positive semidefinite (size, size) matrix; singular is allowed."""
+    matrix = as_shape(name, value, (size, size))
+    scale = np.abs(matrix).max()
+    if not np.allclose(matrix, matrix.T, rtol=0.0, atol=COVARIANCE_TOLERANCE * scale):
+        raise ValueError(f"{name}: expected a symmetric covariance, got one that differs from its transpose")
+    matrix = 0.5 * (matrix + matrix.T)
+    smallest = float(np.linalg.eigvalsh(matrix)[0])
+    if smallest < -COVARIANCE_TOLERANCE * scale:
+        raise ValueError(
+            f"{name}: expected a positive semidefinite covariance, got smallest eigenvalue {smallest:.3g}"
+        )
+    return matrix
+
+
+def as_transform(name: str, value: ArrayLike) -> FloatArray:
+    """Return a (4, 4) rigid transform; the rotation part must be orthonormal and right-handed to 1e-6."""
+    transform = as_shape(name, value, (4, 4))
+    rotation = transform[:3, :3]
+    if not np.allclose(transform[3], (0.0, 0.0, 0.0, 1.0), atol=1e-9):
+        raise ValueError(f"{name}: expected the last row (0, 0, 0, 1), got {transform[3].tolist()}")
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0.0:
+        raise ValueError(f"{name}: expected a right-handed rotation in the upper left (3, 3) block")
+    return transform
+
+
+def as_positive(name: str, value: float) -> float:
+    """Return ``value`` as a finite float above zero."""
+    number = float(value)
+    if not (np.isfinite(number) and number > 0.0):
+        raise ValueError(f"{name}: expected a positive finite number, got {value}")
+    return number
