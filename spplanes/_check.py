@@ -19,21 +19,14 @@ def as_float_array(name: str, value: ArrayLike) -> FloatArray:
         raise ValueError(f"{name}: expected an array of numbers, got {type(value).__name__}") from error
 
 
-def as_shape(
-    name: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True
-) -> FloatArray:
+def as_shape(name: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True) -> FloatArray:
     """Return ``value`` as a float64 array of ``shape``, where None stands for any length."""
     array = as_float_array(name, value)
     matches = array.ndim == len(shape) and all(
         want is None or want == have for want, have in zip(shape, array.shape, strict=True)
     )
     if not matches:
-        wanted = (
-            "("
-            + ", ".join("N" if n is None else str(n) for n in shape)
-            + ("," if len(shape) == 1 else "")
-            + ")"
-        )
+        wanted = "(" + ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
         raise ValueError(f"{name}: expected shape {wanted}, got {array.shape}")
     if finite and not np.isfinite(array).all():
         raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
@@ -49,9 +42,7 @@ def as_covariance(name: str, value: ArrayLike, size: int) -> FloatArray:
     matrix = 0.5 * (matrix + matrix.T)
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     if smallest < -COVARIANCE_TOLERANCE * scale:
-        raise ValueError(
-            f"{name}: expected a positive semidefinite covariance, got smallest eigenvalue {smallest:.3g}"
-        )
+        raise ValueError(f"{name}: expected a positive semidefinite covariance, got smallest eigenvalue {smallest:.3g}")
     return matrix
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 from shapely import Polygon
 
 from spplanes._check import FloatArray, as_covariance, as_transform
@@ -49,8 +48,3 @@ class Plane:
     def centre(self) -> FloatArray:
         """Weighted centre of the points, shape (3,), m."""
         return self.frame[:3, 3]
-
-    @property
-    def normal_covariance_basis(self) -> FloatArray:
-        """Derivative of the normal by (theta, psi), shape (3, 2): the columns x and -y of `frame`."""
-        return np.column_stack((self.frame[:3, 0], -self.frame[:3, 1]))
