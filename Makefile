@@ -1,0 +1,43 @@
+# Two commands do everything on a fresh clone: `make demo` and `make test`.
+PYTHON ?= python3
+VENV ?= .venv
+BIN = $(VENV)/bin
+DEMO ?= demo
+
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: demo test lint types examples docs figures benchmarks clean
+.DEFAULT_GOAL := help
+
+help:  ## list the targets
+	@grep -E '^[a-z]+:.*## ' Makefile | sed 's/:.*## /\t/'
+
+demo: $(VENV)/.ready  ## the main job on a simulated mission: a table, pictures and a page in ./demo
+	$(BIN)/spplanes demo --out $(DEMO) --overwrite
+
+test: $(VENV)/.ready-dev  ## all tests
+	$(BIN)/python -m pytest -n auto --dist loadgroup
+
+lint: $(VENV)/.ready-dev  ## ruff, lint and format
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.ready-dev  ## pyright
+	$(BIN)/pyright
+
+examples: $(VENV)/.ready-dev  ## run every example
+	for example in examples/*.py; do echo "== $$example"; $(BIN)/python $$example || exit 1; done
+
+benchmarks: $(VENV)/.ready-dev  ## ratios side by side (slow)
+	$(BIN)/python -m benchmarks
+
+clean:  ## remove the environment and everything generated
+	rm -rf $(VENV) $(DEMO) build dist .pytest_cache .ruff_cache .hypothesis
+
+$(VENV)/.ready: pyproject.toml constraints.txt tools/bootstrap.py
+	$(PYTHON) tools/bootstrap.py $(VENV)
+	@touch $@
+
+$(VENV)/.ready-dev: pyproject.toml constraints.txt tools/bootstrap.py
+	$(PYTHON) tools/bootstrap.py $(VENV) --dev
+	@touch $@ $(VENV)/.ready
