@@ -2,6 +2,7 @@
 
 from spplanes._version import __version__
 from spplanes.line import ScanLine
+from spplanes.lines import LineConfig, extract_lines
 from spplanes.plane import Plane
 
-__all__ = ["Plane", "ScanLine", "__version__"]
+__all__ = ["LineConfig", "Plane", "ScanLine", "__version__", "extract_lines"]

@@ -1,0 +1,232 @@
+"""Kernels of line extraction: order the beams, find breaks, split and merge.
+
+Along a straight line the inverse range is linear in (cos a, sin a) of the bearing a: 1/r = u cos a + v sin a with
+(u, v) = (cos alpha, sin alpha) / rho. Range noise sigma becomes sigma / r^2 of the inverse range, so the weighted least-squares
+fit of any set of beams follows from six sums (the columns of `beam_moments`), and sums add: a fit, its chi2 and the
+chi2 of a merge are O(1). The fit is first order in sigma / r; reported lines are refined by `spplanes._line_fit`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+N_SUMS = 6
+#: Below this share of m[0] m[2] the bearings of a set are one bearing and do not define a line.
+SINGULAR = 1e-13
+
+
+@njit(cache=True)
+def order_beams(ranges, angles, range_min, range_max):
+    """Indices of the returns in order of bearing from the widest gap on, (V,), the share of a turn of that gap, and the median step."""
+    n = angles.size
+    turn = np.empty(n)
+    for k in range(n):
+        turn[k] = (angles[k] - angles[0]) % (2.0 * np.pi)
+    order = np.argsort(turn, kind="mergesort")
+    steps = np.empty(n)
+    for k in range(n - 1):
+        steps[k] = turn[order[k + 1]] - turn[order[k]]
+    steps[n - 1] = turn[order[0]] + 2.0 * np.pi - turn[order[n - 1]]
+    widest = np.argmax(steps)
+    valid = np.empty(n, dtype=np.int64)
+    count = 0
+    for k in range(n):
+        beam = order[(widest + 1 + k) % n]
+        if range_min < ranges[beam] < range_max:
+            valid[count] = beam
+            count += 1
+    return valid[:count], steps[widest], np.median(steps)
+
+
+@njit(cache=True)
+def beam_moments(bearings, ranges, sigmas):
+    """Contribution of every beam to the six sums, shape (V, 6): w cc, w cs, w ss, w c q, w s q, w q q, with q = 1/r, w = r^4/sigma^2."""
+    moments = np.empty((bearings.size, N_SUMS))
+    for k in range(bearings.size):
+        c, s, r = np.cos(bearings[k]), np.sin(bearings[k]), ranges[k]
+        scale = (r / sigmas[k]) ** 2
+        moments[k, 0] = scale * r * r * c * c
+        moments[k, 1] = scale * r * r * c * s
+        moments[k, 2] = scale * r * r * s * s
+        moments[k, 3] = scale * r * c
+        moments[k, 4] = scale * r * s
+        moments[k, 5] = scale
+    return moments
+
+
+@njit(cache=True)
+def fit_sums(m):
+    """(u, v, chi2) of the best line through the beams whose sums are `m`; one bearing only: the best perpendicular."""
+    det = m[0] * m[2] - m[1] * m[1]
+    if det <= SINGULAR * (m[0] + m[2]) ** 2:
+        weight = m[0] + m[2]
+        return m[3] / weight, m[4] / weight, max(0.0, m[5] - (m[3] * m[3] + m[4] * m[4]) / weight)
+    u = (m[2] * m[3] - m[1] * m[4]) / det
+    v = (m[0] * m[4] - m[1] * m[3]) / det
+    return u, v, max(0.0, m[5] - u * m[3] - v * m[4])
+
+
+@njit(cache=True)
+def sum_range(moments, low, high):
+    """The six sums of the beams low..high-1."""
+    total = np.zeros(N_SUMS)
+    for k in range(low, high):
+        total += moments[k]
+    return total
+
+
+@njit(cache=True)
+def triple_fails(bearings, ranges, sigmas, i, j, k, gate):
+    """True when three neighbouring beams are not on one line: chi2 with 1 dof of their collinearity above `gate`."""
+    left = np.sin(bearings[k] - bearings[j])
+    middle = -np.sin(bearings[k] - bearings[i])
+    right = np.sin(bearings[j] - bearings[i])
+    error = left / ranges[i] + middle / ranges[j] + right / ranges[k]
+    variance = (
+        (left * sigmas[i] / ranges[i] ** 2) ** 2
+        + (middle * sigmas[j] / ranges[j] ** 2) ** 2
+        + (right * sigmas[k] / ranges[k] ** 2) ** 2
+    )
+    return error * error > gate * variance
+
+
+@njit(cache=True)
+def find_breaks(bearings, ranges, sigmas, max_step, gate):
+    """For each beam the kind of break before it (V,): 0 none, 1 the depth jumps, 2 beams are missing; closed ring."""
+    n = bearings.size
+    fails = np.empty(n, dtype=np.bool_)
+    for k in range(n):
+        fails[k] = triple_fails(bearings, ranges, sigmas, k - 1, k, (k + 1) % n, gate)
+    breaks = np.zeros(n, dtype=np.int8)
+    for k in range(n):
+        step = (bearings[k] - bearings[k - 1]) % (2.0 * np.pi)
+        if step > max_step:
+            breaks[k] = 2
+        elif fails[k] and fails[k - 1]:
+            breaks[k] = 1
+    return breaks
+
+
+@njit(cache=True)
+def best_split(moments, low, high, left):
+    """Where two lines explain low..high-1 best: (first beam of the second line, chi2 gained over one line).
+
+    `left` is scratch of at least `high` floats.
+    """
+    total = np.zeros(N_SUMS)
+    for k in range(low, high):
+        total += moments[k]
+        left[k] = fit_sums(total)[2]
+    whole = left[high - 1]
+    total[:] = 0.0
+    best, at = whole, low
+    for k in range(high - 1, low, -1):
+        total += moments[k]
+        cost = left[k - 1] + fit_sums(total)[2]
+        if cost < best:
+            best, at = cost, k
+    return at, whole - best
+
+
+@njit(cache=True)
+def split_gate(n, significance):
+    """Quantile of chi2 with 2 dof for the best of n places to split (Bonferroni)."""
+    return -2.0 * np.log(significance / n)
+
+
+@njit(cache=True)
+def split(moments, breaks, significance):
+    """Cut the sequence into pieces that no further cut improves significantly: the first beam of each, (M + 1,)."""
+    n = moments.shape[0]
+    is_start = np.zeros(n + 1, dtype=np.bool_)
+    is_start[0] = is_start[n] = True
+    left = np.empty(n)
+    stack = np.empty((n + 1, 2), dtype=np.int64)
+    low, depth = 0, 0
+    for k in range(1, n + 1):
+        if k == n or breaks[k] > 0:
+            is_start[low] = True
+            stack[0, 0], stack[0, 1], depth = low, k, 1
+            while depth > 0:
+                depth -= 1
+                a, b = stack[depth, 0], stack[depth, 1]
+                if b - a < 3:
+                    continue
+                at, gain = best_split(moments, a, b, left)
+                if gain > split_gate(b - a, significance):
+                    is_start[at] = True
+                    stack[depth, 0], stack[depth, 1] = a, at
+                    stack[depth + 1, 0], stack[depth + 1, 1] = at, b
+                    depth += 2
+            low = k
+    return np.nonzero(is_start)[0]
+
+
+@njit(cache=True)
+def refine(moments, breaks, starts, significance):
+    """Move the boundary of each pair of neighbouring pieces to where it is best; drop it when it gains too little."""
+    left = np.empty(moments.shape[0])
+    kept = starts.copy()
+    count = 1
+    for i in range(1, starts.size - 1):
+        low, high = kept[count - 1], starts[i + 1]
+        at, gain = starts[i], np.inf
+        if breaks[starts[i]] < 2 and high - low >= 3:
+            at, gain = best_split(moments, low, high, left)
+        if gain > split_gate(high - low, significance):
+            kept[count] = at
+            count += 1
+    kept[count] = starts[-1]
+    return kept[: count + 1]
+
+
+@njit(cache=True)
+def may_bridge(bearings, ranges, sigmas, u, v, pieces, i, j, max_through):
+    """True when line (u, v) may join pieces i and j: what lies between neither contradicts it nor outweighs the parts."""
+    through = 0
+    for k in range(pieces[i, 1], pieces[j, 0]):
+        inverse = u * np.cos(bearings[k]) + v * np.sin(bearings[k])
+        if inverse <= 0.0 or ranges[k] > 1.0 / inverse + 3.0 * sigmas[k]:
+            through += 1
+    if through > max_through:
+        return False
+    alpha = np.arctan2(v, u)
+    t = np.empty(4)
+    ends = (pieces[i, 0], pieces[i, 1] - 1, pieces[j, 0], pieces[j, 1] - 1)
+    for e in range(4):
+        offset = bearings[ends[e]] - alpha
+        if np.cos(offset) <= 0.0:
+            return False
+        t[e] = np.tan(offset)
+    return t[2] - t[1] <= min(t[1] - t[0], t[3] - t[2]) or ends[2] - ends[1] <= max_through + 1
+
+
+@njit(cache=True)
+def merge(bearings, ranges, sigmas, moments, breaks, starts, max_through, gate):
+    """Join pieces that are one line (chi2 with 2 dof): the label of each beam (V,), -1 for pieces under 3 beams."""
+    n_pieces = starts.size - 1
+    pieces = np.empty((n_pieces, 2), dtype=np.int64)
+    sums = np.empty((n_pieces, N_SUMS))
+    labels = np.full(moments.shape[0], -1, dtype=np.int64)
+    count = 0
+    for i in range(n_pieces):
+        if starts[i + 1] - starts[i] < 3:
+            continue
+        new = sum_range(moments, starts[i], starts[i + 1])
+        pieces[count, 0], pieces[count, 1] = starts[i], starts[i + 1]
+        target = count
+        for j in range(count - 1, -1, -1):
+            u, v, chi2 = fit_sums(sums[j] + new)
+            gain = chi2 - fit_sums(sums[j])[2] - fit_sums(new)[2]
+            if gain <= gate and may_bridge(bearings, ranges, sigmas, u, v, pieces, j, count, max_through):
+                target = j
+                break
+        labels[starts[i] : starts[i + 1]] = target
+        if target == count:
+            sums[count] = new
+            count += 1
+        else:
+            sums[target] += new
+            pieces[target, 1] = starts[i + 1]
+    return labels, count

@@ -1,0 +1,104 @@
+"""Line extraction from one scan of a 2D laser, with the covariance of every line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from spplanes._check import FloatArray, as_float_array, as_positive, as_shape
+from spplanes._line_extract import extract
+from spplanes.line import ScanLine
+
+
+@dataclass(frozen=True)
+class LineConfig:
+    """What counts as a line. Nothing here is a distance to be tuned to a room: the noise model decides."""
+
+    significance: float = 1e-3
+    """Error probability of the chi2 tests that split, merge, break and trim, in (0, 0.5)."""
+    min_points: int = 6
+    """Fewest beams on a line, >= 3."""
+    max_missing: int = 3
+    """Consecutive beams that may be missing, or pass through, inside a line without evidence on both sides, >= 0."""
+    max_turning: float = 1.0
+    """A line is reported when its beams rule out (3 sigma) an arc that turns by this angle, rad, in (0, pi)."""
+    max_misfit: float = 4.0
+    """Largest chi2 per degree of freedom of a line, > 1; above 1 it allows for walls that are not quite straight."""
+    range_min: float = 0.0
+    """Ranges up to this are no return, m, >= 0."""
+    range_max: float = float("inf")
+    """Ranges from this on are no return, m, > range_min."""
+
+    def __post_init__(self) -> None:
+        _check("significance", self.significance, 0.0 < self.significance < 0.5, "a probability in (0, 0.5)")
+        _check("min_points", self.min_points, self.min_points >= 3, "at least 3 beams")
+        _check("max_missing", self.max_missing, self.max_missing >= 0, "a count of beams >= 0")
+        _check("max_turning", self.max_turning, 0.0 < self.max_turning < np.pi, "an angle in (0, pi)")
+        _check("max_misfit", self.max_misfit, self.max_misfit > 1.0, "a ratio above 1")
+        _check("range_min", self.range_min, 0.0 <= self.range_min < np.inf, "a finite range >= 0")
+        _check("range_max", self.range_max, self.range_max > self.range_min, "a range above range_min")
+
+
+def _check(name: str, value: float, valid: bool, expected: str) -> None:
+    if not valid:
+        raise ValueError(f"{name}: expected {expected}, got {value}")
+
+
+def extract_lines(
+    ranges: ArrayLike, angles: ArrayLike, *, sigma: ArrayLike, config: LineConfig | None = None
+) -> list[ScanLine]:
+    """Extract the straight lines of one 2D scan.
+
+    Args:
+        ranges: shape (B,), m; NaN, infinity, 0 and below, and anything outside (range_min, range_max) is no return.
+        angles: bearings in the scan plane (x forward, y left), shape (B,), rad, in any order and spacing; any field
+            of view up to a full turn, which is treated as closed.
+        sigma: standard deviation of the range, m, one number or shape (B,). Bearings are taken as exact.
+        config: what counts as a line.
+
+    Returns:
+        The lines in order of bearing, deterministic.
+
+    Raises:
+        ValueError: shapes that differ, angles or sigma that are not finite, sigma not positive.
+    """
+    config = LineConfig() if config is None else config
+    ranges = as_shape("ranges", ranges, (None,), finite=False)
+    angles = as_shape("angles", angles, ranges.shape)
+    sigmas = _as_sigmas(sigma, ranges.size)
+    if ranges.size < 3:
+        return []
+    rows, support, counts = extract(
+        ranges, angles, sigmas, config.range_min, config.range_max, config.max_missing,
+        config.significance, config.min_points, config.max_turning, config.max_misfit,
+    )  # fmt: skip
+    lines, last = [], 0
+    for row, count in zip(rows.tolist(), counts.tolist(), strict=True):
+        lines.append(_line(row, support[last : last + count]))
+        last += count
+    return lines
+
+
+def _as_sigmas(sigma: ArrayLike, n: int) -> FloatArray:
+    """Standard deviation per beam, shape (n,)."""
+    if np.ndim(sigma) == 0:
+        return np.full(n, as_positive("sigma", float(as_float_array("sigma", sigma)[0])))
+    sigmas = as_shape("sigma", sigma, (n,))
+    if n and sigmas.min() <= 0.0:
+        raise ValueError(f"sigma: expected positive standard deviations, got {sigmas.min()}")
+    return sigmas
+
+
+def _line(row: list[float], indices: np.ndarray) -> ScanLine:
+    """The value type of a result row of the kernel."""
+    alpha, rho, v00, v01, v11, _, first, last = row
+    a, b = rho / np.cos(first - alpha), rho / np.cos(last - alpha)
+    return ScanLine(
+        alpha=float(np.arctan2(np.sin(alpha), np.cos(alpha))),
+        rho=rho,
+        covariance=np.array(((v00, v01), (v01, v11))),
+        endpoints=np.array(((a * np.cos(first), a * np.sin(first)), (b * np.cos(last), b * np.sin(last)))),
+        indices=indices,
+    )

@@ -1,0 +1,150 @@
+"""A 2D world of segments and circles, a ray caster, and the scores of extracted lines against it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spplanes import ScanLine
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """What a 2D laser sees."""
+
+    segments: np.ndarray
+    """Straight walls, shape (K, 2, 2), m."""
+    circles: np.ndarray
+    """Pillars as x, y, radius, shape (C, 3), m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """One noise-free scan."""
+
+    ranges: np.ndarray
+    """Range of each beam, shape (B,), m; NaN = nothing hit."""
+    hits: np.ndarray
+    """Segment hit by each beam, shape (B,); -1 = nothing, -2 and below = circle."""
+
+
+def cast(world: World, angles: np.ndarray, pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Truth:
+    """Intersect the beams of a laser at `pose` (x, y, theta) with the world."""
+    ray = np.column_stack((np.cos(angles + pose[2]), np.sin(angles + pose[2])))
+    distances = np.concatenate(
+        (_segment_ranges(world.segments, ray, pose[:2]), _circle_ranges(world.circles, ray, pose[:2])), axis=1
+    )
+    nearest = np.argmin(distances, axis=1)
+    ranges = distances[np.arange(angles.size), nearest]
+    n_segments = len(world.segments)
+    hits = np.where(nearest < n_segments, nearest, -2 - (nearest - n_segments))
+    return Truth(np.where(np.isfinite(ranges), ranges, np.nan), np.where(np.isfinite(ranges), hits, -1))
+
+
+def _segment_ranges(segments: np.ndarray, ray: np.ndarray, origin: tuple[float, float]) -> np.ndarray:
+    start = segments[:, 0] - origin
+    along = segments[:, 1] - segments[:, 0]
+    cross = ray[:, None, 0] * along[None, :, 1] - ray[:, None, 1] * along[None, :, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / cross
+        share = (start[None, :, 0] * ray[:, None, 1] - start[None, :, 1] * ray[:, None, 0]) / cross
+    return np.where((np.abs(cross) > 1e-12) & (distance > 1e-9) & (share >= 0) & (share <= 1), distance, np.inf)
+
+
+def _circle_ranges(circles: np.ndarray, ray: np.ndarray, origin: tuple[float, float]) -> np.ndarray:
+    centre = circles[:, :2] - origin
+    along = ray @ centre.T
+    chord = circles[:, 2] ** 2 - ((centre**2).sum(axis=1) - along**2)
+    distance = along - np.sqrt(np.maximum(chord, 0.0))
+    return np.where((chord > 0) & (distance > 0), distance, np.inf)
+
+
+def polygon(corners: list[tuple[float, float]]) -> np.ndarray:
+    """The closed polygon's sides, shape (K, 2, 2)."""
+    points = np.array(corners, dtype=float)
+    return np.stack((points, np.roll(points, -1, axis=0)), axis=1)
+
+
+def box(x: float, y: float, width: float, height: float, theta: float = 0.0) -> np.ndarray:
+    """Sides of a rectangle about (x, y), shape (4, 2, 2)."""
+    half = 0.5 * np.array([(-width, -height), (width, -height), (width, height), (-width, height)])
+    c, s = np.cos(theta), np.sin(theta)
+    return polygon([tuple(p) for p in half @ np.array([(c, s), (-s, c)]) + (x, y)])
+
+
+def random_room(rng: np.random.Generator) -> tuple[World, tuple[float, float, float]]:
+    """A room of four to six walls, some not square, with boxes and pillars in it; and a pose inside."""
+    width, height = rng.uniform(3, 10, 2)
+    slant = rng.uniform(-0.1, 0.1, 4) * min(width, height)
+    corners = [(-slant[0], 0), (width, slant[1]), (width + slant[2], height), (0, height + slant[3])]
+    if rng.random() < 0.5:
+        corners.insert(2, (width + slant[2] + rng.uniform(0.05, 0.3) * width, height * rng.uniform(0.3, 0.7)))
+    pose = (rng.uniform(0.25, 0.75) * width, rng.uniform(0.25, 0.75) * height, rng.uniform(-np.pi, np.pi))
+    return World(
+        np.concatenate([polygon(corners), *_boxes(rng, width, height, pose)]), _pillars(rng, width, height, pose)
+    ), pose
+
+
+def _clear(rng: np.random.Generator, width: float, height: float, pose: tuple[float, float, float], radius: float):
+    while True:
+        x, y = rng.uniform(0.15, 0.85) * width, rng.uniform(0.15, 0.85) * height
+        if np.hypot(x - pose[0], y - pose[1]) > radius + 0.3:
+            return x, y
+
+
+def _boxes(rng, width, height, pose) -> list[np.ndarray]:
+    boxes = []
+    for _ in range(rng.integers(0, 3)):
+        size = rng.uniform(0.3, 1.0, 2)
+        boxes.append(box(*_clear(rng, width, height, pose, 0.8), *size, rng.uniform(0, np.pi)))
+    return boxes
+
+
+def _pillars(rng, width, height, pose) -> np.ndarray:
+    pillars = []
+    for _ in range(rng.integers(0, 5)):
+        radius = rng.uniform(0.03, 0.4)
+        pillars.append((*_clear(rng, width, height, pose, radius), radius))
+    return np.array(pillars).reshape(-1, 3)
+
+
+def random_corridor(rng: np.random.Generator) -> tuple[World, tuple[float, float, float]]:
+    """A corridor with recessed doors on both sides, an end wall, chair legs; and a pose inside."""
+    length, width, recess = rng.uniform(8, 30), rng.uniform(1.5, 3), rng.uniform(0.08, 0.3)
+    walls = []
+    for side, depth in ((0.0, -recess), (width, width + recess)):
+        x = -3.0
+        while x < length:
+            wall, door = rng.uniform(1.0, 5.0), rng.uniform(0.8, 1.2)
+            points = [(x, side), (x + wall, side), (x + wall, depth), (x + wall + door, depth), (x + wall + door, side)]
+            walls += [np.array([(a, b)]) for a, b in zip(points[:-1], points[1:], strict=True)]
+            x += wall + door
+    walls.append(np.array([[(length, -1.0), (length, width + 1.0)]]))
+    pose = (rng.uniform(0, 3), rng.uniform(0.3, 0.7) * width, rng.normal(0, 0.5))
+    legs = [(rng.uniform(1, length), rng.uniform(0.1, 0.9) * width, 0.02) for _ in range(rng.integers(0, 6))]
+    legs = [leg for leg in legs if np.hypot(leg[0] - pose[0], leg[1] - pose[1]) > 0.4]
+    return World(np.concatenate(walls), np.array(legs).reshape(-1, 3)), pose
+
+
+def true_line(segment: np.ndarray, pose: tuple[float, float, float]) -> tuple[float, float]:
+    """(alpha, rho) of a wall in the frame of a laser at `pose`."""
+    along = segment[1] - segment[0]
+    normal = np.array((-along[1], along[0])) / np.hypot(*along)
+    rho = normal @ (segment[0] - pose[:2])
+    if rho < 0:
+        normal, rho = -normal, -rho
+    return np.arctan2(normal[1], normal[0]) - pose[2], rho
+
+
+def nees(line: ScanLine, truth: tuple[float, float]) -> float:
+    """Normalised error squared of (alpha, rho), 2 dof."""
+    turn = (line.alpha - truth[0] + np.pi) % (2 * np.pi) - np.pi
+    error = np.array((turn, line.rho - truth[1]))
+    return float(error @ np.linalg.solve(line.covariance, error))
+
+
+def visible_runs(hits: np.ndarray, minimum: int) -> list[np.ndarray]:
+    """Runs of at least `minimum` neighbouring beams on the same segment, as beam indices."""
+    runs = np.split(np.arange(hits.size), np.flatnonzero(np.diff(hits)) + 1)
+    return [run for run in runs if run.size >= minimum and hits[run[0]] >= 0]
