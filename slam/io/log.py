@@ -31,6 +31,8 @@ class LaserScan:
     """Range per beam, shape (B,), m; NaN = no return."""
     angles: FloatArray
     """Bearing per beam in the sensor's scan plane (x forward, y left), shape (B,), rad."""
+    world_T_body: FloatArray | None = None
+    """Pose of the robot at the scan as somebody else localised it, shape (4, 4); None: the log does not say."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,236 @@
+"""The robot as rig.yaml describes it: sensors, mounts and the noise models every stage works from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from slam.io.log import LaserScan, Log, LogError
+from slam.motion import OdometryNoise
+from spplanes._check import FloatArray, as_transform
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Triple = tuple[Finite, Finite, Finite]
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_by_name=True, validate_by_alias=True)
+
+
+class Mount(_Frozen):
+    """Where a sensor sits: body_T_sensor as position and roll, pitch, yaw, or as a 4x4 matrix, never both.
+
+    R = Rz(yaw) Ry(pitch) Rx(roll). The body frame is x forward, y left, z up, its origin on the floor.
+    """
+
+    xyz_m: Triple = (0.0, 0.0, 0.0)
+    """Position of the sensor in the body frame, m."""
+    rpy_deg: Triple = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw of the sensor in the body frame, deg."""
+    matrix: tuple[tuple[Finite, ...], ...] | None = None
+    """The whole (4, 4) transform, in place of xyz_m and rpy_deg."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_rows(cls, value: Any) -> Any:
+        return {"matrix": value} if isinstance(value, (list, tuple)) else value
+
+    @model_validator(mode="after")
+    def _check_matrix(self) -> Mount:
+        if self.matrix is not None:
+            if {"xyz_m", "rpy_deg"} & self.model_fields_set:
+                raise ValueError("expected xyz_m and rpy_deg or a 4x4 matrix, got both")
+            as_transform("body_T_sensor", [list(row) for row in self.matrix])
+        return self
+
+    def as_matrix(self) -> FloatArray:
+        """body_T_sensor, shape (4, 4)."""
+        if self.matrix is not None:
+            return np.array(self.matrix, dtype=np.float64)
+        transform = np.eye(4)
+        transform[:3, :3] = _rotation(*np.deg2rad(self.rpy_deg))
+        transform[:3, 3] = self.xyz_m
+        return transform
+
+
+def _rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3); exact zeros at quarter turns keep mounts clean."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    rotation = np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+    rotation[np.abs(rotation) < 1e-15] = 0.0
+    return rotation
+
+
+class Sensor(_Frozen):
+    """One range sensor: what it is used for, where it sits, how it errs."""
+
+    kind: Literal["line", "slice", "cloud"]
+    """line: 2D laser whose scans give lines; slice: push-broom 2D laser whose scans assemble into 3D; cloud: 3D."""
+    mount: Mount = Field(default=Mount(), alias="body_T_sensor")
+    """Pose of the sensor in the body frame; the key in the file is body_T_sensor."""
+    record: str | None = None
+    """Name of the sensor's records in a log, such as FLASER or ROBOTLASER1; None: the name of the sensor itself."""
+    first_angle_deg: Finite | None = None
+    """Bearing of the first beam, deg; None: as the log says."""
+    angle_step_deg: Finite | None = None
+    """Bearing between neighbouring beams, deg; None: as the log says."""
+    range_sigma_m: Positive
+    """Standard deviation of a range along the beam, m."""
+    bearing_sigma_rad: NotNegative = 0.0
+    """Standard deviation of a bearing, rad."""
+    quantisation_m: NotNegative = 0.0
+    """Step of the ranges, m; 0: none. Its variance, step^2 / 12, is part of `range_variance_m2`."""
+    range_max_m: Positive
+    """Ranges at or beyond this are no returns, m."""
+    surface_sigma_m: NotNegative = 0.0
+    """Systematic floor: flatness of real walls and range bias that averaging over beams does not remove, m."""
+
+    @property
+    def body_T_sensor(self) -> FloatArray:
+        """Pose of the sensor in the body frame, shape (4, 4)."""
+        return self.mount.as_matrix()
+
+    @property
+    def range_variance_m2(self) -> float:
+        """Variance of one range, noise and quantisation together, m^2."""
+        return self.range_sigma_m**2 + self.quantisation_m**2 / 12.0
+
+
+class LocalisationNoise(_Frozen):
+    """Error of the poses a log gives (poses-given mapping): stationary, Gaussian, correlated along the path.
+
+    Each of x, y and heading is an Ornstein-Uhlenbeck process of the path length: covariance sigma^2 exp(-ds / length).
+    """
+
+    xy_sigma_m: NotNegative = 0.003
+    """Standard deviation of x and of y in the world, m."""
+    heading_sigma_rad: NotNegative = 0.0005
+    """Standard deviation of the heading, about the body's own origin, rad."""
+    correlation_length_m: Positive = 2.0
+    """Path length over which the correlation falls to 1/e, m."""
+
+    def covariance(self) -> FloatArray:
+        """Covariance of the error (x, y, heading) of one pose, shape (3, 3)."""
+        return np.diag([self.xy_sigma_m**2, self.xy_sigma_m**2, self.heading_sigma_rad**2])
+
+    def location_covariance(self) -> FloatArray:
+        """The same in the order (x, y, z, phi, theta, psi), shape (6, 6), rotation about the body's own origin."""
+        return np.diag([self.xy_sigma_m**2, self.xy_sigma_m**2, 0.0, self.heading_sigma_rad**2, 0.0, 0.0])
+
+    def correlation(self, path_lengths: ArrayLike) -> FloatArray:
+        """Correlation of the errors at places along the path, shape (S, S), from path lengths (S,) in m."""
+        lengths = np.asarray(path_lengths, dtype=np.float64)
+        return np.exp(-np.abs(lengths[:, None] - lengths[None, :]) / self.correlation_length_m)
+
+
+class Rig(_Frozen):
+    """Everything about the robot that the data do not say themselves."""
+
+    sensors: dict[str, Sensor]
+    """Sensors by name; at least one."""
+    odometry: OdometryNoise = OdometryNoise()
+    """Noise model of the wheel odometry."""
+    localisation: LocalisationNoise | None = None
+    """Noise model of the poses given in the log; None: the log's poses are not for mapping."""
+
+    @field_validator("sensors")
+    @classmethod
+    def _some_sensor(cls, value: dict[str, Sensor]) -> dict[str, Sensor]:
+        if not value:
+            raise ValueError("expected at least one sensor, got none")
+        return value
+
+    def of_kind(self, kind: str) -> dict[str, Sensor]:
+        """The sensors of one kind, by name."""
+        return {name: sensor for name, sensor in self.sensors.items() if sensor.kind == kind}
+
+    def name_of_record(self, record: str) -> str | None:
+        """Name of the sensor whose records carry this name in a log; None: the rig does not have it."""
+        return next((name for name, s in self.sensors.items() if (s.record or name) == record), None)
+
+    @classmethod
+    def from_yaml(cls, path: Path | str) -> Rig:
+        """Read a rig; anything wrong is a `LogError` whose one sentence names the file and the key."""
+        path = Path(path)
+        try:
+            data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise LogError(path, f"cannot be read: {error.strerror or error}") from error
+        except UnicodeDecodeError as error:
+            raise LogError(path, "expected text in UTF-8, got other bytes") from error
+        except yaml.YAMLError as error:
+            mark = getattr(error, "problem_mark", None)
+            raise LogError(path, "expected YAML, got a syntax error", line=mark.line + 1 if mark else None) from error
+        if not isinstance(data, dict):
+            raise LogError(path, f"expected a mapping with the key 'sensors', got {type(data).__name__}")
+        try:
+            return cls.model_validate(data)
+        except ValidationError as error:
+            raise LogError(path, _first_problem(error)) from error
+
+    def to_yaml(self, path: Path | str) -> None:
+        """Write the rig so that `from_yaml` reads the same rig."""
+        data = self.model_dump(mode="json", by_alias=True, exclude_none=True)
+        for sensor in data["sensors"].values():
+            if "matrix" in sensor["body_T_sensor"]:
+                sensor["body_T_sensor"] = sensor["body_T_sensor"]["matrix"]
+        text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, allow_unicode=True)
+        Path(path).write_text(text, encoding="utf-8")
+
+
+def _first_problem(error: ValidationError) -> str:
+    """One sentence on the first thing pydantic found wrong, naming the key."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"]) or "rig"
+    if first["type"] == "extra_forbidden":
+        return f"{key}: unknown key"
+    if first["type"] == "missing":
+        return f"{key}: missing"
+    message = first["msg"].removeprefix("Value error, ")
+    return f"{key}: {message[0].lower()}{message[1:]}, got {first['input']!r:.60}"
+
+
+#: Standard deviation taken for a 2D laser nobody describes: the data sheet of a SICK LMS 200 (15 mm) at 1 cm steps.
+DEFAULT_RANGE_SIGMA_M = 0.015
+
+
+def default_rig_for(log: Log) -> Rig:
+    """A rig for a log that comes with none: every 2D laser in it lies level at the robot's centre and sees lines."""
+    names = list(dict.fromkeys(scan.sensor for scan in log.scans() if isinstance(scan, LaserScan)))
+    if not names:
+        raise LogError(log.source, "expected laser scans, got none")
+    return Rig(sensors={name: _default_laser(name, log) for name in names})
+
+
+def _default_laser(name: str, log: Log) -> Sensor:
+    ranges = np.concatenate([scan.ranges for scan in log.scans(name) if isinstance(scan, LaserScan)])
+    seen = ranges[np.isfinite(ranges)]
+    return Sensor(
+        kind="line",
+        record=name,
+        body_T_sensor=Mount(rpy_deg=(0.0, 0.0, 180.0 if name == "RLASER" else 0.0)),
+        range_sigma_m=DEFAULT_RANGE_SIGMA_M,
+        quantisation_m=_step_of(seen),
+        range_max_m=float(seen.max()) + 0.01 if seen.size else 80.0,
+    )
+
+
+def _step_of(ranges: FloatArray) -> float:
+    """The coarsest step, of those lasers use, that all ranges are multiples of, m; 0 when there is none."""
+    for step in (0.1, 0.05, 0.01, 0.005, 0.001):
+        if ranges.size and np.allclose(ranges / step, np.round(ranges / step), rtol=0.0, atol=1e-3):
+            return step
+    return 0.0

@@ -1,0 +1,183 @@
+"""Worlds made of planar patches and round bars, with the truth about every plane in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+from shapely import MultiPolygon, Polygon, box, unary_union
+
+from slam.simulation.raycast import cast_scans
+from spplanes._check import FloatArray
+from spplanes.plane import Plane
+
+#: Label of a beam that hit no plane: no return, or a round bar.
+NO_PLANE = -1
+#: A hole in a patch: (u0, v0, u1, v1) along its two edges, m.
+Hole = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Rectangles that belong to planes, and round bars that belong to none."""
+
+    planes: list[Plane]
+    """The true planes; labels are indices into this list. Covariances are zero, outlines are what can be hit."""
+    corners: FloatArray
+    """A corner of each rectangle, shape (R, 3), m."""
+    edges_u: FloatArray
+    """First edge of each rectangle, shape (R, 3), m."""
+    edges_v: FloatArray
+    """Second edge of each rectangle, orthogonal to the first, shape (R, 3), m."""
+    plane_of_rectangle: np.ndarray
+    """Index of the plane a rectangle belongs to, shape (R,), int32."""
+    feet: FloatArray
+    """One end of the axis of each bar, shape (C, 3), m."""
+    axes: FloatArray
+    """From that end to the other, shape (C, 3), m."""
+    radii: FloatArray
+    """Radius of each bar, shape (C,), m."""
+
+    def cast(self, origins: FloatArray, rays: FloatArray, scan_normals: FloatArray) -> tuple[FloatArray, np.ndarray]:
+        """Exact ranges (S, B), infinity for nothing, and plane labels (S, B) int32, -1 for no plane.
+
+        Args:
+            origins: shape (S, 3), m.
+            rays: unit directions in the world, shape (S, B, 3).
+            scan_normals: normal of each scan's plane, shape (S, 3); zero where the rays do not lie in one.
+        """
+        shapes = (self.corners, self.edges_u, self.edges_v, self.feet, self.axes, self.radii)
+        ranges, hits = cast_scans(origins, np.ascontiguousarray(rays), scan_normals, *shapes)
+        labels_of_hits = np.concatenate([self.plane_of_rectangle, np.full(self.radii.size + 1, NO_PLANE)])
+        return ranges, labels_of_hits[hits].astype(np.int32)  # hit -1, nothing, is the last entry
+
+
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    """A plane under construction: its patches as polygons in the coordinates (u, v) of its first patch."""
+
+    corner: FloatArray
+    u: FloatArray
+    v: FloatArray
+    toward: FloatArray
+    patches: list[Polygon]
+
+
+@dataclass
+class WorldBuilder:
+    """Collects patches, boxes and bars; `build` gives the world."""
+
+    _rectangles: list[tuple[FloatArray, FloatArray, FloatArray, int]] = field(default_factory=list)
+    _bars: list[tuple[FloatArray, FloatArray, float]] = field(default_factory=list)
+    _surfaces: list[_Surface] = field(default_factory=list)
+
+    def add_patch(
+        self,
+        corner: ArrayLike,
+        u: ArrayLike,
+        v: ArrayLike,
+        *,
+        toward: ArrayLike,
+        holes: Sequence[Hole] = (),
+        plane: int | None = None,
+    ) -> int:
+        """Add the rectangle corner + a u + b v less its holes, seen from the point `toward`; the index of its plane.
+
+        `u` and `v` are orthogonal edges whose lengths are those of the rectangle, m. With `plane` the rectangle
+        enlarges a plane that is there already: a floor that goes on into a niche.
+        """
+        corner, u, v = (np.asarray(x, dtype=np.float64) for x in (corner, u, v))
+        length_u, length_v = float(np.linalg.norm(u)), float(np.linalg.norm(v))
+        unit_u, unit_v = u / length_u, v / length_v
+        if plane is None:
+            plane = len(self._surfaces)
+            self._surfaces.append(_Surface(corner, unit_u, unit_v, np.asarray(toward, dtype=np.float64), []))
+        surface = self._surfaces[plane]
+        to_uv = np.column_stack([surface.u, surface.v])
+        for u0, v0, u1, v1 in _cells_without_holes(length_u, length_v, holes):
+            start, edge_u, edge_v = corner + u0 * unit_u + v0 * unit_v, (u1 - u0) * unit_u, (v1 - v0) * unit_v
+            self._rectangles.append((start, edge_u, edge_v, plane))
+            low, high = ((x - surface.corner) @ to_uv for x in (start, start + edge_u + edge_v))
+            surface.patches.append(box(*np.minimum(low, high), *np.maximum(low, high)))
+        return plane
+
+    def add_box(self, low: Sequence[float], high: Sequence[float], *, hidden: Sequence[str] = ()) -> list[int]:
+        """Add the faces of an axis-aligned box, seen from outside, but the `hidden` ones of "x-", "x+", "y-" ..."""
+        low_corner, high_corner = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+        span = np.diag(high_corner - low_corner)
+        indices = []
+        for axis, name in enumerate("xyz"):
+            u, v = span[(axis + 1) % 3], span[(axis + 2) % 3]
+            for side, corner in (("-", low_corner), ("+", low_corner + span[axis])):
+                if name + side not in hidden:
+                    outside = corner + (span[axis] if side == "+" else -span[axis])
+                    indices.append(self.add_patch(corner, u, v, toward=outside))
+        return indices
+
+    def add_bar(self, foot: ArrayLike, end: ArrayLike, radius: float) -> None:
+        """Add a round bar or pillar between two points, m. It belongs to no plane."""
+        start = np.asarray(foot, dtype=np.float64)
+        self._bars.append((start, np.asarray(end, dtype=np.float64) - start, radius))
+
+    def build(self) -> World:
+        """The world so far."""
+        corners, edges_u, edges_v, planes = zip(*self._rectangles, strict=True) if self._rectangles else ((),) * 4
+        return World(
+            planes=[_true_plane(surface) for surface in self._surfaces],
+            corners=_stack(corners),
+            edges_u=_stack(edges_u),
+            edges_v=_stack(edges_v),
+            plane_of_rectangle=np.array(planes, dtype=np.int32),
+            feet=_stack([bar[0] for bar in self._bars]),
+            axes=_stack([bar[1] for bar in self._bars]),
+            radii=np.array([bar[2] for bar in self._bars], dtype=np.float64),
+        )
+
+
+def _stack(rows: Sequence[FloatArray]) -> FloatArray:
+    return np.array(rows, dtype=np.float64).reshape(len(rows), 3)
+
+
+def _cells_without_holes(length_u: float, length_v: float, holes: Sequence[Hole]) -> list[Hole]:
+    """Cut a rectangle into rectangles (u0, v0, u1, v1) that leave its holes out: columns between hole edges."""
+    cuts = sorted({0.0, length_u, *(x for hole in holes for x in (hole[0], hole[2]))})
+    cells = []
+    for u0, u1 in pairwise(cuts):
+        blocked = sorted((h[1], h[3]) for h in holes if h[0] < u1 and h[2] > u0)
+        bottom = 0.0
+        for low, high in [*blocked, (length_v, length_v)]:
+            if low > bottom:
+                cells.append((u0, bottom, u1, low))
+            bottom = max(bottom, high)
+    return cells
+
+
+def _true_plane(surface: _Surface) -> Plane:
+    """The plane with its patch: frame at the patch's centroid, x along the longer side, z toward the viewer."""
+    patch = unary_union(surface.patches)
+    assert isinstance(patch, (Polygon, MultiPolygon))
+    u, v = surface.u, surface.v
+    middle = surface.corner + patch.centroid.x * u + patch.centroid.y * v
+    normal = np.cross(u, v)
+    normal *= 1.0 if normal @ (surface.toward - middle) > 0.0 else -1.0
+    low_u, low_v, high_u, high_v = patch.bounds
+    x_axis = u if high_u - low_u >= high_v - low_v else v
+    frame = np.eye(4)
+    frame[:3, :3] = np.column_stack([x_axis, np.cross(normal, x_axis), normal])
+    frame[:3, 3] = middle
+    uv_to_xy = frame[:3, :2].T @ np.column_stack([u, v])
+    return Plane(frame=frame, covariance=np.zeros((3, 3)), outline=_mapped(patch, uv_to_xy))
+
+
+def _mapped(patch: Polygon | MultiPolygon, matrix: FloatArray) -> Polygon:
+    """The patch in plane coordinates about its centroid; its largest piece when holes cut it in pieces."""
+    piece = max(patch.geoms, key=lambda g: g.area) if isinstance(patch, MultiPolygon) else patch
+    centroid = np.array([patch.centroid.x, patch.centroid.y])
+
+    def ring(coordinates) -> FloatArray:
+        return (np.array(coordinates) - centroid) @ matrix.T
+
+    return Polygon(ring(piece.exterior.coords), [ring(hole.coords) for hole in piece.interiors])
