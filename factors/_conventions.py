@@ -1,0 +1,77 @@
+"""Where SP planes become GTSAM planes: signs, tangent order, bases. Nowhere else.
+
+Measured on the gtsam 4.3.0 wheel and pinned in ``tests/factors/test_conventions.py``:
+
+* ``OrientedPlane3(n, D)`` holds n.x + D = 0, so D = -d of the Hesse form n.x = d used everywhere in this project.
+* ``p.retract([a, b, c])`` moves the normal along ``p.normal().basis()`` by (a, b) and sets D + c, hence d - c.
+* The error of ``LocalOrientedPlane3Factor`` is e = [B^T n_pred, D_meas - D_pred] = [B^T n_pred, d_pred - d_meas],
+  with B the basis of the *measured* normal: its third component has the sign opposite to that of ``retract``.
+* The tangent of ``Pose3`` is (rx, ry, rz, x, y, z), on the right; the SPmodel differential is
+  (x, y, z, phi, theta, psi) with rotations about z, y, x: the permutation `SP_TO_POSE3`.
+"""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+
+from factors._kernels import unit_basis
+from spplanes import Plane
+from spplanes._check import FloatArray
+
+#: ``tangent_pose3 = differential_sp[SP_TO_POSE3]``.
+SP_TO_POSE3 = np.array([5, 4, 3, 0, 1, 2])
+
+
+def oriented_plane(normal: FloatArray, d: float) -> gtsam.OrientedPlane3:
+    """GTSAM plane of the Hesse plane n.x = d; ``normal`` has shape (3,)."""
+    return gtsam.OrientedPlane3(np.array([normal[0], normal[1], normal[2], -d]))
+
+
+def hesse(landmark: gtsam.OrientedPlane3) -> tuple[FloatArray, float]:
+    """Normal, shape (3,), and distance d in n.x = d of a GTSAM plane."""
+    coefficients = landmark.planeCoefficients()
+    return coefficients[:3], -float(coefficients[3])
+
+
+def as_pose3(transform: FloatArray) -> gtsam.Pose3:
+    """GTSAM pose of a (4, 4) rigid transform."""
+    return gtsam.Pose3(transform)
+
+
+def error_to_sp(frames: FloatArray) -> FloatArray:
+    """Matrices M with p = M e, shape (N, 3, 3), for frames (N, 4, 4).
+
+    e = [B^T n_true, d_true - d_measured] is what the plane factors call error, p = (z, theta, psi) the SP perturbation
+    that takes the measured plane to the true one. From dn = theta x - psi y and d = n.o + z:
+    theta = x.B e_12, psi = -y.B e_12, z = e_3 - o.B e_12.
+    """
+    basis = np.stack([unit_basis(np.ascontiguousarray(normal)) for normal in frames[:, :3, 2]])
+    matrices = np.zeros((len(frames), 3, 3))
+    matrices[:, 0, :2] = -np.einsum("ni,nij->nj", frames[:, :3, 3], basis)
+    matrices[:, 0, 2] = 1.0
+    matrices[:, 1, :2] = np.einsum("ni,nij->nj", frames[:, :3, 0], basis)
+    matrices[:, 2, :2] = -np.einsum("ni,nij->nj", frames[:, :3, 1], basis)
+    return matrices
+
+
+def square_root_informations(frames: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Upper triangular R with |R e|^2 = p^T C^-1 p, shape (N, 3, 3); `numpy.linalg.LinAlgError` when a C is singular.
+
+    It never forms the covariance of e: the lever arm of a plane far from the sensor makes that one badly conditioned.
+    """
+    whitener = np.linalg.solve(np.linalg.cholesky(covariances), error_to_sp(frames))
+    return np.asarray(np.linalg.qr(whitener, mode="r"))
+
+
+def tangent_to_sp(frame: FloatArray) -> FloatArray:
+    """Matrix M with p = M v, shape (3, 3), v being the tangent of ``OrientedPlane3.retract``."""
+    matrix = error_to_sp(frame[None])[0].copy()
+    matrix[:, 2] *= -1.0
+    return matrix
+
+
+def plane_tangent_covariance(plane: Plane) -> FloatArray:
+    """Covariance of a plane in the tangent of its ``OrientedPlane3``, shape (3, 3)."""
+    sp_to_tangent = np.linalg.inv(tangent_to_sp(plane.frame))
+    return sp_to_tangent @ plane.covariance @ sp_to_tangent.T

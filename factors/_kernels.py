@@ -1,0 +1,145 @@
+"""The arithmetic of the custom factors: errors with their analytic derivatives, compiled.
+
+Columns of every derivative: 0-5 the observing pose (rx, ry, rz, x, y, z; on the right), 6-11 the anchor pose, 12-14 the
+landmark in the tangent of ``OrientedPlane3.retract``. Planes are rows (nx, ny, nz, d) in Hesse form, n.x = d.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def unit_basis(n):
+    """Tangent basis of a unit vector, shape (3, 2), the very one of ``gtsam.Unit3.basis()``, ties included."""
+    mx, my, mz = abs(n[0]), abs(n[1]), abs(n[2])
+    axis = np.zeros(3)
+    if mx <= my and mx <= mz:
+        axis[0] = 1.0
+    elif my <= mx and my <= mz:
+        axis[1] = 1.0
+    else:
+        axis[2] = 1.0
+    basis = np.empty((3, 2))
+    first = cross(n, axis)
+    first /= np.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
+    second = cross(n, first)
+    second /= np.sqrt(second[0] ** 2 + second[1] ** 2 + second[2] ** 2)
+    basis[:, 0] = first
+    basis[:, 1] = second
+    return basis
+
+
+@njit(cache=True)
+def cross(a, b):
+    """Cross product of two (3,) vectors."""
+    out = np.empty(3)
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+    return out
+
+
+@njit(cache=True)
+def plane_seen_from(world_T_anchor, world_T_body, coefficients):
+    """Landmark (GTSAM coefficients (4,)) of an anchor's frame seen from a body: Hesse row (4,), derivative (4, 15)."""
+    normal = coefficients[:3].copy()
+    rotation = np.empty((3, 3))
+    shift = np.empty(3)
+    for i in range(3):
+        shift[i] = 0.0
+        for k in range(3):
+            shift[i] += world_T_anchor[k, i] * (world_T_body[k, 3] - world_T_anchor[k, 3])
+        for j in range(3):
+            rotation[i, j] = (
+                world_T_anchor[0, i] * world_T_body[0, j]
+                + world_T_anchor[1, i] * world_T_body[1, j]
+                + world_T_anchor[2, i] * world_T_body[2, j]
+            )
+    basis = unit_basis(normal)
+    swing = cross(shift, normal)
+    seen = np.empty(4)
+    jacobian = np.zeros((4, 15))
+    for i in range(3):
+        seen[i] = rotation[0, i] * normal[0] + rotation[1, i] * normal[1] + rotation[2, i] * normal[2]
+        across = cross(normal, rotation[:, i])
+        for j in range(3):
+            jacobian[i, 6 + j] = across[j]
+        for j in range(2):
+            jacobian[i, 12 + j] = (
+                rotation[0, i] * basis[0, j] + rotation[1, i] * basis[1, j] + rotation[2, i] * basis[2, j]
+            )
+    seen[3] = -coefficients[3] - (normal[0] * shift[0] + normal[1] * shift[1] + normal[2] * shift[2])
+    jacobian[0, 1], jacobian[0, 2] = -seen[2], seen[1]
+    jacobian[1, 0], jacobian[1, 2] = seen[2], -seen[0]
+    jacobian[2, 0], jacobian[2, 1] = -seen[1], seen[0]
+    for j in range(3):
+        jacobian[3, 3 + j] = -seen[j]
+        jacobian[3, 6 + j] = swing[j]
+        jacobian[3, 9 + j] = normal[j]
+    for j in range(2):
+        jacobian[3, 12 + j] = -(basis[0, j] * shift[0] + basis[1, j] * shift[1] + basis[2, j] * shift[2])
+    jacobian[3, 14] = -1.0
+    return seen, jacobian
+
+
+@njit(cache=True)
+def plane_error(world_T_anchor, world_T_body, coefficients, basis, distance):
+    """Error [B^T n, d - d_measured], shape (3,), of a landmark seen from a body, and its derivative (3, 15)."""
+    seen, jacobian = plane_seen_from(world_T_anchor, world_T_body, coefficients)
+    error = np.empty(3)
+    derivative = np.empty((3, 15))
+    for i in range(2):
+        error[i] = basis[0, i] * seen[0] + basis[1, i] * seen[1] + basis[2, i] * seen[2]
+        for j in range(15):
+            derivative[i, j] = (
+                basis[0, i] * jacobian[0, j] + basis[1, i] * jacobian[1, j] + basis[2, i] * jacobian[2, j]
+            )
+    error[2] = seen[3] - distance
+    derivative[2] = jacobian[3]
+    return error, derivative
+
+
+#: Sine of the angle between a plane and the scan plane below which `line_error` stops dividing by it.
+GRAZING = 0.02
+
+
+@njit(cache=True)
+def line_error(world_T_anchor, world_T_body, coefficients, body_T_sensor, points):
+    """Distances in the scan plane from two measured points (2, 2) to where a landmark cuts it; derivative (2, 15).
+
+    With (n, d) the landmark in the sensor frame and m = (n_x, n_y), it cuts the scan plane in m.q = d; the distance of
+    a point q to that line is (d - m.q) / |m|.
+    """
+    seen, jacobian = plane_seen_from(world_T_anchor, world_T_body, coefficients)
+    in_sensor = np.empty(3)
+    derivative_in_sensor = np.empty((3, 15))
+    for i in range(2):
+        axis = body_T_sensor[:3, i]
+        in_sensor[i] = axis[0] * seen[0] + axis[1] * seen[1] + axis[2] * seen[2]
+        for j in range(15):
+            derivative_in_sensor[i, j] = axis[0] * jacobian[0, j] + axis[1] * jacobian[1, j] + axis[2] * jacobian[2, j]
+    origin = body_T_sensor[:3, 3]
+    in_sensor[2] = seen[3] - (origin[0] * seen[0] + origin[1] * seen[1] + origin[2] * seen[2])
+    for j in range(15):
+        derivative_in_sensor[2, j] = jacobian[3, j] - (
+            origin[0] * jacobian[0, j] + origin[1] * jacobian[1, j] + origin[2] * jacobian[2, j]
+        )
+    length = np.sqrt(in_sensor[0] ** 2 + in_sensor[1] ** 2)
+    error = np.empty(2)
+    derivative = np.empty((2, 15))
+    for i in range(2):
+        gap = in_sensor[2] - in_sensor[0] * points[i, 0] - in_sensor[1] * points[i, 1]
+        error[i] = gap / max(length, GRAZING)
+        for j in range(15):
+            slope = (
+                derivative_in_sensor[2, j]
+                - derivative_in_sensor[0, j] * points[i, 0]
+                - derivative_in_sensor[1, j] * points[i, 1]
+            )
+            derivative[i, j] = slope / max(length, GRAZING)
+            if length > GRAZING:
+                stretch = in_sensor[0] * derivative_in_sensor[0, j] + in_sensor[1] * derivative_in_sensor[1, j]
+                derivative[i, j] -= gap * stretch / length**3
+    return error, derivative
