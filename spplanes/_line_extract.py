@@ -6,19 +6,21 @@ import numpy as np
 from numba import njit
 
 from spplanes._line_fit import fit_beams, grow, trim, turning
-from spplanes._line_kernels import beam_moments, find_breaks, fit_sums, merge, order_beams, refine, split, sum_range
+from spplanes._line_kernels import beam_moments, find_breaks, fit_sums, merge, order_beams, refine, split
+from spplanes._line_round import find_round
 
 #: Columns of a result row: alpha, rho, var alpha, cov, var rho, chi2, first bearing, last bearing.
 N_RESULT = 8
 
 
 @njit(cache=True)
-def label_beams(bearings, ranges, sigmas, breaks, max_missing, significance):
-    """Split and merge: the label of each return (V,) and the number of labels."""
+def label_beams(bearings, ranges, sigmas, breaks, max_missing, significance, max_turning):
+    """Split, take out what is round, merge: the label of each return (V,) and the number of labels."""
     moments = beam_moments(bearings, ranges, sigmas)
-    starts = split(moments, breaks, significance)
-    starts = refine(moments, breaks, starts, significance)
-    return merge(bearings, ranges, sigmas, moments, breaks, starts, max_missing, -2.0 * np.log(significance))
+    starts = refine(moments, breaks, split(moments, breaks, significance), significance)
+    is_round = find_round(bearings, ranges, sigmas, moments, breaks, starts, significance, 0.5 * max_turning)
+    gate = -2.0 * np.log(significance)
+    return merge(bearings, ranges, sigmas, moments, starts, is_round, max_missing, gate)
 
 
 @njit(cache=True)
@@ -92,7 +94,7 @@ def extract(
     for attempt in range(2):
         a, r, s = angles[beams], ranges[beams], sigmas[beams]
         breaks = find_breaks(a, r, s, max_step, gate)
-        labels, n_labels = label_beams(a, r, s, breaks, max_missing, significance)
+        labels, n_labels = label_beams(a, r, s, breaks, max_missing, significance, max_turning)
         if attempt == 1 or widest > max_step:
             break
         cut = ring_start(labels, n_labels)

@@ -203,7 +203,7 @@ def may_bridge(bearings, ranges, sigmas, u, v, pieces, i, j, max_through):
 
 
 @njit(cache=True)
-def merge(bearings, ranges, sigmas, moments, breaks, starts, max_through, gate):
+def merge(bearings, ranges, sigmas, moments, starts, is_round, max_through, gate):
     """Join pieces that are one line (chi2 with 2 dof): the label of each beam (V,), -1 for pieces under 3 beams."""
     n_pieces = starts.size - 1
     pieces = np.empty((n_pieces, 2), dtype=np.int64)
@@ -211,7 +211,7 @@ def merge(bearings, ranges, sigmas, moments, breaks, starts, max_through, gate):
     labels = np.full(moments.shape[0], -1, dtype=np.int64)
     count = 0
     for i in range(n_pieces):
-        if starts[i + 1] - starts[i] < 3:
+        if starts[i + 1] - starts[i] < 3 or is_round[starts[i]]:
             continue
         new = sum_range(moments, starts[i], starts[i + 1])
         pieces[count, 0], pieces[count, 1] = starts[i], starts[i + 1]

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import atan2, cos, hypot, inf, nan, pi, remainder, sin
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from spplanes._check import FloatArray
+from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_covariance, as_shape, as_transform
 
 
 @dataclass(frozen=True, eq=False)
 class ScanLine:
     """A straight segment seen in one 2D scan, in the sensor's scan plane (x forward, y left, z = 0).
 
-    Parameterisation: x cos(alpha) + y sin(alpha) = rho with rho >= 0. The covariance is that of (alpha, rho).
+    Parameterisation: x cos(alpha) + y sin(alpha) = rho with rho >= 0. The covariance is that of (alpha, rho), additive.
+
+    The same line in the SPmodel is `sp_frame` and `sp_covariance`: a line is the x axis of its frame, whose origin is
+    the point of the line where shift and rotation are uncorrelated and whose y axis points to the sensor. The symmetry
+    is the shift along x; the perturbation is p = (y, phi), shift along y and rotation about z, composed on the right.
+    To first order the perturbed line is y(x) = p_y + phi x.
+
+    References:
+        Weingarten, Gruener, Siegwart, "Probabilistic Plane Fitting in 3D", ICRA 2004, section II (SPmodel).
     """
 
     alpha: float
@@ -25,4 +35,108 @@ class ScanLine:
     endpoints: FloatArray
     """First and last point of the segment, on the line, in beam order, shape (2, 2), m."""
     indices: np.ndarray
-    """Indices of the beams that support the line, shape (N,), int64, in beam order."""
+    """Indices of the beams that support the line, shape (N,), int64, in beam order (increasing bearing)."""
+    chi2: float = nan
+    """Sum of the squared normalised range residuals of the beams, N - 2 dof; NaN when it was not computed."""
+
+    def __post_init__(self) -> None:
+        if not -inf < self.alpha < inf:
+            raise ValueError(f"alpha: expected a finite angle, got {self.alpha}")
+        if not 0.0 <= self.rho < inf:
+            raise ValueError(f"rho: expected a finite distance >= 0, got {self.rho}")
+        object.__setattr__(self, "endpoints", as_shape("endpoints", self.endpoints, (2, 2)))
+        object.__setattr__(self, "covariance", _as_covariance(self.covariance))
+
+    @property
+    def normal(self) -> FloatArray:
+        """Unit normal (cos alpha, sin alpha), shape (2,); it points from the sensor to the line."""
+        return np.array((cos(self.alpha), sin(self.alpha)))
+
+    @property
+    def direction(self) -> FloatArray:
+        """Unit vector along the line in the sense of increasing bearing, shape (2,)."""
+        return np.array((-sin(self.alpha), cos(self.alpha)))
+
+    @property
+    def length(self) -> float:
+        """Distance between the end points, m."""
+        (x0, y0), (x1, y1) = self.endpoints.tolist()
+        return hypot(x1 - x0, y1 - y0)
+
+    @property
+    def sp_frame(self) -> FloatArray:
+        """sensor_T_line, shape (4, 4): x along the line, y to the sensor, origin where y and phi are uncorrelated."""
+        v_alpha, cov = self.covariance[0].tolist()
+        along = cov / v_alpha if v_alpha > 0.0 else float(self.endpoints.mean(axis=0) @ self.direction)
+        frame = np.eye(4)
+        frame[:2, 0], frame[:2, 1] = self.direction, -self.normal
+        frame[:2, 3] = self.rho * self.normal + along * self.direction
+        return frame
+
+    @property
+    def sp_covariance(self) -> FloatArray:
+        """Covariance of the SP perturbation (y, phi), shape (2, 2), m^2, m rad, rad^2."""
+        along = float(self.sp_frame[:2, 3] @ self.direction)
+        jacobian = np.array(((along, -1.0), (1.0, 0.0)))
+        return jacobian @ self.covariance @ jacobian.T
+
+    def transform(self, T: ArrayLike, covariance: ArrayLike | None = None) -> ScanLine:
+        """Return the line in another frame.
+
+        Args:
+            T: target_T_sensor, shape (4, 4), a motion in the scan plane.
+            covariance: of the pose (x, y, theta) of T, additive, shape (3, 3); independent of the line's own.
+
+        Raises:
+            ValueError: T is no rigid transform, or leaves the scan plane.
+        """
+        T = as_transform("T", T)
+        if abs(T[2, 2] - 1.0) > 1e-9 or abs(T[2, 3]) > 1e-9:
+            raise ValueError("T: expected a motion in the scan plane (rotation about z, no shift along z)")
+        x, y = float(T[0, 3]), float(T[1, 3])
+        alpha = self.alpha + atan2(T[1, 0], T[0, 0])
+        c, s = cos(alpha), sin(alpha)
+        rho, lever = self.rho + x * c + y * s, y * c - x * s
+        sign = 1.0 if rho >= 0.0 else -1.0
+        by_line = np.array(((1.0, 0.0), (sign * lever, sign)))
+        result = by_line @ self.covariance @ by_line.T
+        if covariance is not None:
+            by_pose = np.array(((0.0, 0.0, 1.0), (sign * c, sign * s, sign * lever)))
+            result += by_pose @ as_covariance("covariance", covariance, 3) @ by_pose.T
+        alpha = wrap_angle(alpha if sign > 0.0 else alpha + pi)
+        endpoints = self.endpoints @ T[:2, :2].T + T[:2, 3]
+        return ScanLine(alpha, sign * rho, result, endpoints, self.indices, self.chi2)
+
+    def mahalanobis(self, other: ScanLine) -> float:
+        """Chi2 with 2 dof that both are one infinite line, their errors independent.
+
+        (alpha, rho) and (alpha + pi, -rho) are the same line: the smaller of both readings counts.
+        """
+        turn = remainder(other.alpha - self.alpha, 2.0 * pi)
+        chi2 = _chi2(turn, other.rho - self.rho, self.covariance + other.covariance)
+        flip = np.array(((1.0, -1.0), (-1.0, 1.0)))
+        turned = _chi2(remainder(turn + pi, 2.0 * pi), -other.rho - self.rho, self.covariance + flip * other.covariance)
+        return min(chi2, turned)
+
+
+def wrap_angle(angle: float) -> float:
+    """The same angle in (-pi, pi]."""
+    wrapped = remainder(angle, 2.0 * pi)
+    return pi if wrapped == -pi else wrapped
+
+
+def _chi2(turn: float, shift: float, covariance: FloatArray) -> float:
+    (a, b), (_, c) = covariance.tolist()
+    return (c * turn * turn - 2.0 * b * turn * shift + a * shift * shift) / (a * c - b * b)
+
+
+def _as_covariance(value: ArrayLike) -> FloatArray:
+    """Symmetric positive semidefinite (2, 2); in scalars, because a scan has many lines and runs at the laser's rate."""
+    matrix = as_shape("covariance", value, (2, 2))
+    (a, b), (b2, c) = matrix.tolist()
+    tolerance = COVARIANCE_TOLERANCE * max(abs(a), abs(b), abs(c))
+    if abs(b - b2) > tolerance:
+        raise ValueError("covariance: expected a symmetric covariance, got one that differs from its transpose")
+    if min(a, c) < -tolerance or a * c - b * b < -COVARIANCE_TOLERANCE * max(abs(a * c), b * b):
+        raise ValueError(f"covariance: expected a positive semidefinite covariance, got {matrix.tolist()}")
+    return matrix

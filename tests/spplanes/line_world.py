@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -118,7 +119,7 @@ def random_corridor(rng: np.random.Generator) -> tuple[World, tuple[float, float
         while x < length:
             wall, door = rng.uniform(1.0, 5.0), rng.uniform(0.8, 1.2)
             points = [(x, side), (x + wall, side), (x + wall, depth), (x + wall + door, depth), (x + wall + door, side)]
-            walls += [np.array([(a, b)]) for a, b in zip(points[:-1], points[1:], strict=True)]
+            walls += [np.array([(a, b)]) for a, b in pairwise(points)]
             x += wall + door
     walls.append(np.array([[(length, -1.0), (length, width + 1.0)]]))
     pose = (rng.uniform(0, 3), rng.uniform(0.3, 0.7) * width, rng.normal(0, 0.5))
@@ -148,3 +149,10 @@ def visible_runs(hits: np.ndarray, minimum: int) -> list[np.ndarray]:
     """Runs of at least `minimum` neighbouring beams on the same segment, as beam indices."""
     runs = np.split(np.arange(hits.size), np.flatnonzero(np.diff(hits)) + 1)
     return [run for run in runs if run.size >= minimum and hits[run[0]] >= 0]
+
+
+def wall_of_segment(world: World) -> np.ndarray:
+    """For each segment the first one it is collinear with: pieces of one infinite line are one wall, shape (K,)."""
+    lines = np.array([true_line(segment, (1e3, 2e3, 0.0)) for segment in world.segments])
+    same = np.abs(lines[:, None] - lines[None]).max(axis=2) < 1e-7
+    return np.argmax(same, axis=1)
