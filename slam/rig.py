@@ -208,7 +208,10 @@ DEFAULT_RANGE_SIGMA_M = 0.015
 
 
 def default_rig_for(log: Log) -> Rig:
-    """A rig for a log that comes with none: every 2D laser in it lies level at the robot's centre and sees lines."""
+    """A rig for a log that comes with none: every 2D laser in it is level and sees lines.
+
+    Lasers sit where the log says, else at the robot's centre; the step of the ranges is found in the ranges.
+    """
     names = list(dict.fromkeys(scan.sensor for scan in log.scans() if isinstance(scan, LaserScan)))
     if not names:
         raise LogError(log.source, "expected laser scans, got none")
@@ -221,11 +224,20 @@ def _default_laser(name: str, log: Log) -> Sensor:
     return Sensor(
         kind="line",
         record=name,
-        body_T_sensor=Mount(rpy_deg=(0.0, 0.0, 180.0 if name == "RLASER" else 0.0)),
+        body_T_sensor=_default_mount(name, log),
         range_sigma_m=DEFAULT_RANGE_SIGMA_M,
         quantisation_m=_step_of(seen),
         range_max_m=float(seen.max()) + 0.01 if seen.size else 80.0,
     )
+
+
+def _default_mount(name: str, log: Log) -> Mount:
+    """The mount the log tells; else the robot's centre, a rear laser looking back."""
+    told = log.mounts.get(name)
+    if told is None:
+        return Mount(rpy_deg=(0.0, 0.0, 180.0 if name == "RLASER" else 0.0))
+    yaw_deg = float(np.rad2deg(np.arctan2(told[1, 0], told[0, 0])))
+    return Mount(xyz_m=(float(told[0, 3]), float(told[1, 3]), float(told[2, 3])), rpy_deg=(0.0, 0.0, yaw_deg))
 
 
 def _step_of(ranges: FloatArray) -> float:

@@ -32,7 +32,7 @@ class LaserScan:
     angles: FloatArray
     """Bearing per beam in the sensor's scan plane (x forward, y left), shape (B,), rad."""
     world_T_body: FloatArray | None = None
-    """Pose of the robot at the scan as somebody else localised it, shape (4, 4); None: the log does not say."""
+    """Pose of the robot that the record itself gives, localised or not, shape (4, 4); None: it gives none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +70,8 @@ class Log:
     """File or folder it was read from."""
     notes: list[str] = field(default_factory=list)
     """What the reader skipped or repaired, one sentence each."""
+    mounts: dict[str, FloatArray] = field(default_factory=dict)
+    """body_T_sensor (4, 4) of the sensors whose mount the log itself tells."""
 
     @property
     def odometry(self) -> list[OdometryReading]:

@@ -1,0 +1,165 @@
+"""One line of a CARMEN log to one record: counts, numbers and times checked, nothing interpreted yet."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+
+import numpy as np
+
+from spplanes._check import FloatArray
+
+#: The words after the poses of every record: time of the sensor, host, time of the logger.
+_TAIL = 3
+_LASER = re.compile(r"(FLASER|RLASER|(?:ROBOT|RAW)LASER\d)$")
+_KEYWORD = re.compile(r"[A-Z][A-Z0-9_]*$")
+#: The largest time that integer nanoseconds in 64 bits hold, s.
+LATEST_S = 9_000_000_000
+#: Laser offsets along the robot's axis that a log may state.
+OFFSET_PARAMETERS = {"robot_frontlaser_offset": "FLASER", "robot_rearlaser_offset": "RLASER"}
+
+
+@dataclass(frozen=True, eq=False)
+class LaserRecord:
+    """A scan as the log has it."""
+
+    name: str
+    """FLASER, RLASER, ROBOTLASER1 and so on."""
+    ranges: FloatArray
+    """As written, shape (B,), m."""
+    angles: FloatArray | None
+    """Bearings, shape (B,), rad; None for FLASER and RLASER, which do not say."""
+    range_max_m: float | None
+    """Maximum range the record states, m."""
+    laser_pose: FloatArray | None
+    """Pose of the laser (x, y, theta); None where there is none."""
+    robot_pose: FloatArray | None
+    """Pose of the robot (x, y, theta); for FLASER and RLASER its odometry."""
+    stamps_ns: tuple[int, int]
+    """Time of the sensor and time of the logger, ns."""
+
+
+@dataclass(frozen=True, eq=False)
+class OdomRecord:
+    """A pose of the odometry as the log has it."""
+
+    pose: FloatArray
+    """x, y, theta, m, m, rad."""
+    stamps_ns: tuple[int, int]
+    """Time of the sensor and time of the logger, ns."""
+
+
+@dataclass(frozen=True)
+class OffsetRecord:
+    """A laser's offset along the robot's axis, from a PARAM line."""
+
+    name: str
+    """Record name of the laser."""
+    offset_m: float
+    """Forward, m."""
+
+
+def parse_record(line: str) -> LaserRecord | OdomRecord | OffsetRecord | str:
+    """The record in a line that is neither empty nor a comment; its keyword where it is of no use here.
+
+    Raises:
+        ValueError: one sentence on what is wrong with the line.
+    """
+    words = line.split()
+    keyword = words[0]
+    if keyword == "ODOM":
+        return _odom(words)
+    if _LASER.match(keyword):
+        return _plain_laser(words) if keyword in ("FLASER", "RLASER") else _numbered_laser(words)
+    if keyword == "PARAM" and len(words) > 2 and words[1] in OFFSET_PARAMETERS:
+        return OffsetRecord(OFFSET_PARAMETERS[words[1]], float(_numbers(words[2:3])[0]))
+    if not _KEYWORD.match(keyword):
+        raise ValueError(f"expected a CARMEN record, got {keyword[:20]!r}")
+    return keyword
+
+
+def _odom(words: list[str]) -> OdomRecord:
+    _check_length(words, 1 + 6 + _TAIL)
+    return OdomRecord(_pose(words, 1), _stamps(words))
+
+
+def _plain_laser(words: list[str]) -> LaserRecord:
+    """FLASER n r... x y theta odom_x odom_y odom_theta t host t."""
+    n = _count(words, 1)
+    _check_length(words, 2 + n + 6 + _TAIL)
+    ranges = _numbers(words[2 : 2 + n])
+    return LaserRecord(words[0], ranges, None, None, _pose(words, 2 + n), _pose(words, 5 + n), _stamps(words))
+
+
+def _numbered_laser(words: list[str]) -> LaserRecord:
+    """ROBOTLASERk type start fov step max accuracy mode n r... m e... (laser pose, robot pose, 5 more) t host t."""
+    n = _count(words, 8)
+    m = _count(words, 9 + n) if len(words) > 9 + n else 0
+    has_pose = words[0].startswith("ROBOT")
+    _check_length(words, 10 + n + m + (11 if has_pose else 0) + _TAIL)
+    start, _, step, range_max = _numbers(words[2:6])
+    if not (np.isfinite(start) and np.isfinite(step) and step > 0.0):
+        raise ValueError(f"expected a finite start angle and a positive step, got {words[2]} and {words[4]}")
+    tail = 10 + n + m
+    return LaserRecord(
+        name=words[0],
+        ranges=_numbers(words[9 : 9 + n]),
+        angles=start + step * np.arange(n),
+        range_max_m=float(range_max) if range_max > 0.0 else None,
+        laser_pose=_pose(words, tail) if has_pose else None,
+        robot_pose=_pose(words, tail + 3) if has_pose else None,
+        stamps_ns=_stamps(words),
+    )
+
+
+def _count(words: list[str], place: int) -> int:
+    """The number of readings at a place in the line; a number the line cannot hold is refused before it is used."""
+    word = words[place] if place < len(words) else ""
+    if not word.isdecimal() or int(word[:12]) > len(words):
+        raise ValueError(f"expected as many readings as the line counts, got the count {word[:20]!r}")
+    return int(word)
+
+
+def _check_length(words: list[str], expected: int) -> None:
+    if len(words) != expected:
+        raise ValueError(f"expected {expected} words in this {words[0]} record, got {len(words)}")
+
+
+def _numbers(words: list[str]) -> FloatArray:
+    try:
+        return np.array(words, dtype=np.float64)
+    except ValueError:
+        bad = next(word for word in words if not _is_number(word))
+        raise ValueError(f"expected numbers, got {bad[:20]!r}") from None
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _pose(words: list[str], place: int) -> FloatArray:
+    pose = _numbers(words[place : place + 3])
+    if not np.isfinite(pose).all():
+        raise ValueError(f"expected a finite pose, got {' '.join(words[place : place + 3])}")
+    return pose
+
+
+def _stamps(words: list[str]) -> tuple[int, int]:
+    return _nanoseconds(words[-3]), _nanoseconds(words[-1])
+
+
+def _nanoseconds(word: str) -> int:
+    """Seconds as text to integer nanoseconds, exactly."""
+    try:
+        seconds = Decimal(word)
+        plausible = abs(seconds) <= LATEST_S
+    except InvalidOperation:
+        plausible, seconds = False, Decimal(0)
+    if not plausible:
+        raise ValueError(f"expected a time in seconds, got {word[:20]!r}")
+    return int((seconds * 1_000_000_000).to_integral_value())
