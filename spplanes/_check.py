@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -63,3 +65,21 @@ def as_positive(name: str, value: float) -> float:
     if not (np.isfinite(number) and number > 0.0):
         raise ValueError(f"{name}: expected a positive finite number, got {value}")
     return number
+
+
+def as_weights(name: str, value: ArrayLike, size: int) -> FloatArray:
+    """Return (size,) weights: finite, none negative, not all zero."""
+    weights = as_shape(name, value, (size,))
+    if (weights < 0.0).any():
+        raise ValueError(f"{name}: expected no negative weight, got {weights.min():.3g}")
+    if not weights.any():
+        raise ValueError(f"{name}: expected at least one positive weight, got only zeros")
+    return weights
+
+
+def as_rows(name: str, value: Sequence[int]) -> tuple[int, ...]:
+    """Return binding rows: ascending, distinct, out of 0..5, at least one."""
+    rows = tuple(int(row) for row in value)
+    if not rows or list(rows) != sorted(set(rows)) or rows[0] < 0 or rows[-1] > 5:
+        raise ValueError(f"{name}: expected ascending, distinct rows out of 0..5, got {rows}")
+    return rows

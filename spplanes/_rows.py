@@ -1,0 +1,171 @@
+"""Numba kernels on moment rows: the weighted moments of a point set in eleven numbers. See ``spplanes.moments``."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes._eigen import jacobi3
+
+#: Length of a moment row: n, W, cx, cy, cz, Sxx, Sxy, Sxz, Syy, Syz, Szz.
+ROW_SIZE = 11
+COUNT, WEIGHT, CENTRE, SCATTER = 0, 1, 2, 5
+
+#: Outcome of a fit, as the kernels report it.
+OK, TOO_FEW, COINCIDENT, COLLINEAR = 0, 1, 2, 3
+#: Points are collinear when their width is below this share of their length.
+COLLINEAR_RATIO = 1e-6
+#: Coordinates carry a rounding error of this share of their size; a smaller extent is none.
+ROUNDING = 1e-15
+
+
+@njit(cache=True)
+def add_point(row, p, w: float) -> None:
+    """Add point ``p``, shape (3,), with weight ``w`` to a moment row in place."""
+    row[0] += 1.0
+    if w <= 0.0:
+        return
+    total = row[1] + w
+    dx, dy, dz = p[0] - row[2], p[1] - row[3], p[2] - row[4]
+    share = w / total
+    keep = w * (row[1] / total)
+    row[1] = total
+    row[2] += share * dx
+    row[3] += share * dy
+    row[4] += share * dz
+    row[5] += keep * dx * dx
+    row[6] += keep * dx * dy
+    row[7] += keep * dx * dz
+    row[8] += keep * dy * dy
+    row[9] += keep * dy * dz
+    row[10] += keep * dz * dz
+
+
+@njit(cache=True)
+def merge_rows(a, b, out) -> None:
+    """Write the moments of the union of two disjoint point sets to ``out``, which may be ``a`` or ``b``."""
+    wa, wb = a[1], b[1]
+    total = wa + wb
+    share = wb / total if total > 0.0 else 0.0
+    dx, dy, dz = b[2] - a[2], b[3] - a[3], b[4] - a[4]
+    keep = wa * share
+    out[0] = a[0] + b[0]
+    out[1] = total
+    out[2] = a[2] + share * dx
+    out[3] = a[3] + share * dy
+    out[4] = a[4] + share * dz
+    out[5] = a[5] + b[5] + keep * dx * dx
+    out[6] = a[6] + b[6] + keep * dx * dy
+    out[7] = a[7] + b[7] + keep * dx * dz
+    out[8] = a[8] + b[8] + keep * dy * dy
+    out[9] = a[9] + b[9] + keep * dy * dz
+    out[10] = a[10] + b[10] + keep * dz * dz
+
+
+@njit(cache=True)
+def smallest_eigen(row) -> tuple[float, float, float, float]:
+    """Smallest eigenvalue of the scatter and its unit eigenvector: (value, nx, ny, nz), the sign of n left open.
+
+    With inverse-variance weights the value is the chi2 of the plane through the centre with that normal.
+    """
+    values = np.empty(3)
+    vectors = np.empty((3, 3))
+    jacobi3(row[5], row[6], row[7], row[8], row[9], row[10], values, vectors)
+    return max(values[0], 0.0), vectors[0, 0], vectors[1, 0], vectors[2, 0]
+
+
+@njit(cache=True)
+def points_row(points, weights, row) -> None:
+    """Write the moments of ``points`` (N, 3) with ``weights`` (N,) to ``row``: two passes, so nothing cancels."""
+    n = points.shape[0]
+    total = 0.0
+    sx = sy = sz = 0.0
+    ox, oy, oz = points[0, 0], points[0, 1], points[0, 2]
+    for i in range(n):
+        w = weights[i]
+        total += w
+        sx += w * (points[i, 0] - ox)
+        sy += w * (points[i, 1] - oy)
+        sz += w * (points[i, 2] - oz)
+    row[0], row[1] = n, total
+    row[2], row[3], row[4] = ox + sx / total, oy + sy / total, oz + sz / total
+    row[5:11] = 0.0
+    for i in range(n):
+        w = weights[i]
+        x, y, z = points[i, 0] - row[2], points[i, 1] - row[3], points[i, 2] - row[4]
+        row[5] += w * x * x
+        row[6] += w * x * y
+        row[7] += w * x * z
+        row[8] += w * y * y
+        row[9] += w * y * z
+        row[10] += w * z * z
+
+
+@njit(cache=True)
+def faces_viewpoint(n, c, viewpoint) -> bool:
+    """Whether normal ``n`` at centre ``c`` has the agreed sign: to the viewpoint or, where that is NaN, d >= 0."""
+    side = n[0] * (viewpoint[0] - c[0]) + n[1] * (viewpoint[1] - c[1]) + n[2] * (viewpoint[2] - c[2])
+    if side > 0.0:
+        return True
+    if side < 0.0:
+        return False
+    d = n[0] * c[0] + n[1] * c[1] + n[2] * c[2]
+    if d != 0.0:
+        return d > 0.0
+    largest = 0
+    for k in range(1, 3):
+        if abs(n[k]) > abs(n[largest]):
+            largest = k
+    return n[largest] > 0.0
+
+
+@njit(cache=True)
+def write_frame(n, x, c, frame) -> None:
+    """Write the (4, 4) frame with z axis ``n``, x axis along ``x`` (largest component positive), origin ``c``."""
+    largest = 0
+    for k in range(1, 3):
+        if abs(x[k]) > abs(x[largest]):
+            largest = k
+    sign = 1.0 if x[largest] >= 0.0 else -1.0
+    for k in range(3):
+        frame[k, 0] = sign * x[k]
+        frame[k, 2] = n[k]
+        frame[k, 3] = c[k]
+        frame[3, k] = 0.0
+    frame[3, 3] = 1.0
+    frame[0, 1] = frame[1, 2] * frame[2, 0] - frame[2, 2] * frame[1, 0]
+    frame[1, 1] = frame[2, 2] * frame[0, 0] - frame[0, 2] * frame[2, 0]
+    frame[2, 1] = frame[0, 2] * frame[1, 0] - frame[1, 2] * frame[0, 0]
+
+
+@njit(cache=True)
+def extent_status(row, middle: float, largest: float) -> int:
+    """OK, COINCIDENT or COLLINEAR, judged by the two larger eigenvalues of the scatter and by rounding."""
+    size = ROUNDING * max(abs(row[2]), abs(row[3]), abs(row[4]))
+    nothing = row[1] * size * size
+    if not largest > nothing or largest < 1e-300:
+        return COINCIDENT
+    if middle <= nothing or middle <= COLLINEAR_RATIO * COLLINEAR_RATIO * largest:
+        return COLLINEAR
+    return OK
+
+
+@njit(cache=True)
+def row_frame(row, viewpoint, frame, values) -> int:
+    """Plane frame of a moment row (PCA): writes ``frame`` (4, 4) and the eigenvalues, ascending; returns the outcome.
+
+    The normal points to ``viewpoint``, shape (3,); where that is NaN, d >= 0.
+    """
+    vectors = np.empty((3, 3))
+    jacobi3(row[5], row[6], row[7], row[8], row[9], row[10], values, vectors)
+    values[0] = max(values[0], 0.0)
+    if row[0] < 3.0:
+        return TOO_FEW
+    status = extent_status(row, values[1], values[2])
+    if status != OK:
+        return status
+    normal, centre = vectors[:, 0].copy(), row[2:5]
+    if not faces_viewpoint(normal, centre, viewpoint):
+        normal = -normal
+    write_frame(normal, vectors[:, 2].copy(), centre, frame)
+    return OK
