@@ -6,11 +6,13 @@ from spplanes.line import ScanLine
 from spplanes.lines import LineConfig, extract_lines
 from spplanes.moments import Moments
 from spplanes.plane import Plane
+from spplanes.segmentation import MapperConfig, segment_scans
 from spplanes.spmodel import Location
 
 __all__ = [
     "LineConfig",
     "Location",
+    "MapperConfig",
     "Moments",
     "Plane",
     "ScanLine",
@@ -18,4 +20,5 @@ __all__ = [
     "extract_lines",
     "fit_plane",
     "fit_planes",
+    "segment_scans",
 ]

@@ -1,0 +1,141 @@
+"""Square cells of an organised grid: moments, planarity and neighbourhood."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes.moments import ROW_SIZE, add_point
+from spplanes.segmentation._patches import eigenvalues, normal_of, variance_along
+
+
+@njit(cache=True)
+def cell_moments(points, covariance, free, size, floor_variance):
+    """Moments of the free points of every cell, weighted along the cell's own normal.
+
+    Args:
+        points: shape (S, B, 3), m.
+        covariance: shape (S, B, 1) isotropic variances or (S, B, 9), m^2.
+        free: shape (S, B) bool, points to use.
+        size: side of a cell.
+        floor_variance: added to the variance of every point, m^2.
+
+    Returns:
+        Rows, shape (R, C, 11).
+    """
+    n_rows, n_cols = (points.shape[0] + size - 1) // size, (points.shape[1] + size - 1) // size
+    rows = np.zeros((n_rows, n_cols, ROW_SIZE))
+    for ci in range(n_rows):
+        for cj in range(n_cols):
+            _one_cell(rows[ci, cj], points, covariance, free, ci * size, cj * size, size, floor_variance)
+    return rows
+
+
+@njit(cache=True)
+def _one_cell(row, points, covariance, free, i0, j0, size, floor_variance):
+    nx, ny, nz = 0.0, 0.0, 1.0
+    directional = covariance.shape[2] > 1
+    for last in (False, True):
+        if not last and not directional:
+            continue
+        row[:] = 0.0
+        for i in range(i0, min(i0 + size, points.shape[0])):
+            for j in range(j0, min(j0 + size, points.shape[1])):
+                if free[i, j]:
+                    weight = 1.0
+                    if last:
+                        weight = 1.0 / (variance_along(covariance[i, j], nx, ny, nz) + floor_variance)
+                    add_point(row, points[i, j], weight)
+        if not last:
+            nx, ny, nz = normal_of(row, eigenvalues(row)[0])
+
+
+@njit(cache=True)
+def broken_links(free, right, down, size):
+    """Number of broken links between free points inside every cell, shape (R, C)."""
+    n_rows, n_cols = (free.shape[0] + size - 1) // size, (free.shape[1] + size - 1) // size
+    broken = np.zeros((n_rows, n_cols), dtype=np.int64)
+    for i in range(free.shape[0]):
+        for j in range(free.shape[1]):
+            if not free[i, j]:
+                continue
+            if (j + 1) % size and j + 1 < free.shape[1] and free[i, j + 1] and not right[i, j]:
+                broken[i // size, j // size] += 1
+            if (i + 1) % size and i + 1 < free.shape[0] and free[i + 1, j] and not down[i, j]:
+                broken[i // size, j // size] += 1
+    return broken
+
+
+@njit(cache=True)
+def planar_cells(rows, broken, size, quantile, slack):
+    """Cells whose points fit one plane: filled, without jumps, residuals as noise explains; shape (R, C) bool."""
+    planar = np.zeros(rows.shape[:2], dtype=np.bool_)
+    for ci in range(rows.shape[0]):
+        for cj in range(rows.shape[1]):
+            row = rows[ci, cj]
+            dof = row[0] - 3.0
+            if row[0] < max(0.4 * size * size, 4.0) or broken[ci, cj] > size // 4:
+                continue
+            spread = 2.0 / (9.0 * dof)
+            limit = slack * dof * (1.0 - spread + quantile * np.sqrt(spread)) ** 3
+            planar[ci, cj] = eigenvalues(row)[0] <= limit
+    return planar
+
+
+@njit(cache=True)
+def cell_edges(node, labels, size):
+    """Pairs of neighbouring nodes: cells beside cells, and cells beside regions labelled already.
+
+    Args:
+        node: node number of every planar cell, shape (R, C), -1 = none; cells come after the regions.
+        labels: region of every point, shape (S, B), -1 = none; also the node number of the region.
+        size: side of a cell.
+
+    Returns:
+        shape (E, 2), int64.
+    """
+    n_rows, n_cols = node.shape
+    edges = np.empty((n_rows * n_cols * (2 + 4 * size), 2), dtype=np.int64)
+    count = 0
+    for ci in range(n_rows):
+        for cj in range(n_cols):
+            if node[ci, cj] < 0:
+                continue
+            if cj + 1 < n_cols and node[ci, cj + 1] >= 0:
+                edges[count, 0], edges[count, 1] = node[ci, cj], node[ci, cj + 1]
+                count += 1
+            if ci + 1 < n_rows and node[ci + 1, cj] >= 0:
+                edges[count, 0], edges[count, 1] = node[ci, cj], node[ci + 1, cj]
+                count += 1
+            count = _region_edges(edges, count, node[ci, cj], labels, ci * size, cj * size, size)
+    return edges[:count]
+
+
+@njit(cache=True)
+def _region_edges(edges, count, me, labels, i0, j0, size):
+    """Append an edge to every region that touches the frame of points around a cell; runs are counted once."""
+    n_rows, n_cols = labels.shape
+    for side in range(4):
+        last = -1
+        for k in range(size):
+            i = i0 - 1 if side == 0 else i0 + size if side == 1 else i0 + k
+            j = j0 - 1 if side == 2 else j0 + size if side == 3 else j0 + k
+            if i < 0 or j < 0 or i >= n_rows or j >= n_cols:
+                continue
+            region = labels[i, j]
+            if region >= 0 and region != last:
+                edges[count, 0], edges[count, 1] = region, me
+                count += 1
+                last = region
+    return count
+
+
+@njit(cache=True)
+def paint(labels, node, cluster_label, free, size):
+    """Give the free points of every clustered cell the label of its cluster."""
+    for i in range(labels.shape[0]):
+        for j in range(labels.shape[1]):
+            n = node[i // size, j // size]
+            if n >= 0 and free[i, j] and cluster_label[n] >= 0:
+                labels[i, j] = cluster_label[n]
+                free[i, j] = False

@@ -1,0 +1,124 @@
+"""Agglomerative hierarchical clustering (AHC) of patches into planes, with a heap and a chi2 test."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes.segmentation._patches import eigenvalues, merge_scaled
+
+
+@njit(cache=True)
+def inflation(weight, bias_variance):
+    """Scale of a patch's weights that adds a systematic error: bias_variance along z, tilt in ratio of its extent."""
+    return 1.0 / (1.0 + bias_variance * weight)
+
+
+@njit(cache=True)
+def one_plane_chi2(a, b, bias_variance, work):
+    """Chi2 (3 dof) of the hypothesis that two rows of moments are one plane.
+
+    It is the growth of the sum of squared normalised residuals when both are fitted by one plane, which to first order
+    is (b_a - b_b)^T (C_a + C_b)^-1 (b_a - b_b); it stays defined when one patch does not determine a plane.
+    """
+    scale_a, scale_b = inflation(a[1], bias_variance), inflation(b[1], bias_variance)
+    merge_scaled(work, a, scale_a, b, scale_b)
+    together = eigenvalues(work)[0]
+    return together - scale_a * eigenvalues(a)[0] - scale_b * eigenvalues(b)[0]
+
+
+@njit(cache=True)
+def find(parent, i):
+    """Root of i, with path halving."""
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@njit(cache=True)
+def _push(keys, items, size, key, item):
+    i = size
+    while i > 0:
+        up = (i - 1) >> 1
+        if keys[up] < key or (keys[up] == key and items[up] <= item):
+            break
+        keys[i], items[i] = keys[up], items[up]
+        i = up
+    keys[i], items[i] = key, item
+    return size + 1
+
+
+@njit(cache=True)
+def _pop(keys, items, size):
+    """Remove the first entry; the caller has read it."""
+    size -= 1
+    key, item = keys[size], items[size]
+    i = 0
+    while True:
+        child = 2 * i + 1
+        if child >= size:
+            break
+        other = child + 1
+        if other < size and (keys[other] < keys[child] or (keys[other] == keys[child] and items[other] < items[child])):
+            child = other
+        if keys[child] > key or (keys[child] == key and items[child] >= item):
+            break
+        keys[i], items[i] = keys[child], items[child]
+        i = child
+    keys[i], items[i] = key, item
+    return size
+
+
+@njit(cache=True)
+def merged_distance(a, b, work):
+    """Mean squared normalised distance of the points of both rows to their common plane."""
+    merge_scaled(work, a, 1.0, b, 1.0)
+    return eigenvalues(work)[0] / max(work[0] - 3.0, 1.0)
+
+
+@njit(cache=True)
+def cluster(rows, edges, bias_variance, limit):
+    """Fuse patches along edges, the pair with the smallest mean distance to its common plane first.
+
+    Args:
+        rows: moments, shape (N, 11); on return the row of a root holds the sum of its tree.
+        edges: pairs of neighbouring patches, shape (E, 2).
+        bias_variance: systematic error every patch is granted, m^2.
+        limit: largest chi2 (3 dof) at which two patches are one plane.
+
+    Returns:
+        Root of every patch, shape (N,). The keys in the heap are brought up to date when they come to its top.
+    """
+    n_edges = edges.shape[0]
+    parent = np.arange(rows.shape[0])
+    version = np.zeros(rows.shape[0], dtype=np.int64)
+    stamp = np.zeros(n_edges, dtype=np.int64)
+    keys, items = np.empty(n_edges), np.empty(n_edges, dtype=np.int64)
+    work = np.empty(rows.shape[1])
+    size = 0
+    for e in range(n_edges):
+        size = _push(keys, items, size, merged_distance(rows[edges[e, 0]], rows[edges[e, 1]], work), e)
+    while size > 0:
+        key, e = keys[0], items[0]
+        size = _pop(keys, items, size)
+        a, b = find(parent, edges[e, 0]), find(parent, edges[e, 1])
+        if a == b:
+            continue
+        if stamp[e] != version[a] + version[b]:
+            stamp[e] = version[a] + version[b]
+            fresh = merged_distance(rows[a], rows[b], work)
+            if fresh > key:
+                size = _push(keys, items, size, fresh, e)
+                continue
+        if one_plane_chi2(rows[a], rows[b], bias_variance, work) > limit:
+            continue
+        if b < a:
+            a, b = b, a
+        merge_scaled(work, rows[a], 1.0, rows[b], 1.0)
+        rows[a] = work
+        parent[b] = a
+        version[a] += version[b] + 1
+    for i in range(parent.shape[0]):
+        parent[i] = find(parent, i)
+    return parent

@@ -1,0 +1,68 @@
+"""What the segmentation may be told; everything else follows from the noise of the points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class MapperConfig:
+    """Settings of `segment_scans` and `PlaneMapper`: one default for every sensor, because the noise is an input."""
+
+    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+
+    significance: float = 0.001
+    """Share of true merges that a chi2 test may refuse; in (0, 0.5)."""
+    flatness_m: float = 0.003
+    """How far a surface that counts as a plane may deviate from one, m: plaster, cushions, quantised depth.
+
+    It loosens every test (as noise of each point and as a bias that more points do not average away), never the
+    covariance of the planes."""
+    surface_sigma_m: float = 0.0
+    """Systematic error of a whole plane, m, added to its covariance: this much along z, and a tilt of this much per
+    rms extent. Off by default, because then the covariance is exactly the noise that was given; for a real laser
+    scanner, whose range bias and real walls do not average out, set 0.003 to 0.01."""
+    max_incidence_rad: float = 1.48
+    """Steepest incidence at which a surface is still expected, rad (85 deg): larger steps in depth are jumps."""
+    literal_edge_test: bool = False
+    """Use the paper's edge test, which takes the sampling distance for error, in place of the jump in depth."""
+    edge_significance: float = 0.001
+    """Share of true edges that the chi2 test of the quad filter may refuse; in (0, 0.5)."""
+    gate_sigma: float = 3.0
+    """A single point belongs to a plane within this many standard deviations."""
+    max_tilt_rad: float = 0.1
+    """Standard deviation of tilt, rad, above which a patch does not determine a plane of its own."""
+    min_points: int = 60
+    """Fewest points of a plane that is reported."""
+    largest_cell: int = 32
+    """Side of the cells the search in an organised grid starts with, points; a power of two times `smallest_cell`."""
+    smallest_cell: int = 4
+    """Side of the cells it ends with, points."""
+    border_smoothness: float = 1.5
+    """Weight of an unlike neighbour, in chi2, when points at the border of two regions choose theirs."""
+    outline_cell_m: float = 0.05
+    """Resolution of outlines, m: holes and notches below it are closed."""
+
+    def __post_init__(self) -> None:
+        for name in ("significance", "edge_significance"):
+            _check_range(name, getattr(self, name), 0.0, 0.5)
+        for name in ("gate_sigma", "outline_cell_m", "max_tilt_rad"):
+            _check_range(name, getattr(self, name), 0.0, np.inf)
+        _check_range("max_incidence_rad", self.max_incidence_rad, 0.0, np.pi / 2)
+        for name in ("flatness_m", "surface_sigma_m", "border_smoothness"):
+            _check_range(name, getattr(self, name), 0.0, np.inf, closed=True)
+        for name in ("min_points", "largest_cell", "smallest_cell"):
+            if int(getattr(self, name)) < 3:
+                raise ValueError(f"{name}: expected at least 3, got {getattr(self, name)}")
+        if self.largest_cell < self.smallest_cell:
+            raise ValueError(f"largest_cell: expected at least smallest_cell, got {self.largest_cell}")
+
+
+def _check_range(name: str, value: float, low: float, high: float, *, closed: bool = False) -> None:
+    """Raise unless value lies in (low, high), or in [low, high) when closed."""
+    inside = np.isfinite(value) and value < high and (value > low or (closed and value == low))
+    if not inside:
+        raise ValueError(f"{name}: expected a number in {'[' if closed else '('}{low}, {high}), got {value}")

@@ -1,0 +1,120 @@
+"""The public entry: planes of an organised grid of points."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_float_array, as_positive, as_shape
+from spplanes.plane import Plane
+from spplanes.segmentation.config import MapperConfig
+from spplanes.segmentation.pipeline import segment_grid
+from spplanes.segmentation.planes import planes_of
+
+_DEFAULT = MapperConfig()
+
+
+def segment_scans(
+    points: ArrayLike,
+    covariances: ArrayLike | None = None,
+    *,
+    sigma: ArrayLike | None = None,
+    config: MapperConfig = _DEFAULT,
+    viewpoints: ArrayLike | None = None,
+    pose_covariances: ArrayLike | None = None,
+    scan_origins: ArrayLike | None = None,
+) -> tuple[np.ndarray, list[Plane]]:
+    """Planes of S scans (or image rows) of B beams each.
+
+    Args:
+        points: shape (S, B, 3), m; a point that is not finite is no return.
+        covariances: covariance of every point, shape (S, B, 3, 3), m^2; or
+        sigma: isotropic standard deviation, m: one number, or shape (S, B). Exactly one of the two is needed.
+        config: settings; the defaults serve every sensor.
+        viewpoints: where the points were seen from, (3,) or (S, 3), m: normals point there, and steps in depth are
+            told from surfaces seen at a grazing angle. Without them normals are turned so that d >= 0 and depth is
+            taken from the origin.
+        pose_covariances: shape (S, 6, 6): covariance of the pose error (x, y, z, phi, theta, psi) that all points of
+            scan s share, world-side; it is added to the planes, never to the points.
+        scan_origins: the points about which those errors turn, (3,) or (S, 3), m; the origin by default.
+
+    Returns:
+        labels: shape (S, B), int32, index into planes, -1 = none.
+        planes: in the order of their first point.
+
+    Raises:
+        ValueError: rows of different length, other shapes, covariances that are not positive semidefinite, noise that
+            is not positive.
+
+    References:
+        Weingarten, Gruener, Siegwart, "Probabilistic Plane Fitting in 3D", ICRA 2004, section IV.
+    """
+    grid, valid = as_grid(points)
+    variance = as_variances(valid, covariances, sigma)
+    views = None if viewpoints is None else _per_scan("viewpoints", viewpoints, len(grid))
+    if not valid.any():
+        return np.full(valid.shape, -1, dtype=np.int32), []
+    labels = segment_grid(grid, variance, valid, np.zeros((len(grid), 3)) if views is None else views, config)
+    poses = None
+    if pose_covariances is not None:
+        origins = (
+            np.zeros((len(grid), 3)) if scan_origins is None else _per_scan("scan_origins", scan_origins, len(grid))
+        )
+        poses = as_covariances("pose_covariances", pose_covariances, (len(grid), 6, 6)), origins
+    return labels.astype(np.int32), planes_of(grid, variance, labels, views, poses, config)
+
+
+def as_grid(points: ArrayLike) -> tuple[FloatArray, np.ndarray]:
+    """Points (S, B, 3) with zeros for no return, and which are returns, (S, B)."""
+    try:
+        grid = np.array(points, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise ValueError("points: expected scans of equal length, shape (S, B, 3), of numbers") from error
+    if grid.ndim != 3 or grid.shape[2] != 3:
+        raise ValueError(f"points: expected shape (S, B, 3), got {grid.shape}")
+    valid = np.asarray(np.isfinite(grid).all(axis=2))
+    grid[~valid] = 0.0
+    return grid, valid
+
+
+def as_variances(valid: np.ndarray, covariances: ArrayLike | None, sigma: ArrayLike | None) -> FloatArray:
+    """Variances of the points: (S, B, 1) isotropic or (S, B, 9); checked where there is a return."""
+    if (covariances is None) == (sigma is None):
+        raise ValueError("covariances: expected exactly one of covariances and sigma, got both or none")
+    if covariances is not None:
+        checked = as_covariances("covariances", covariances, (*valid.shape, 3, 3), valid)
+        return checked.reshape(*valid.shape, 9)
+    if np.ndim(sigma) == 0:  # type: ignore[arg-type]
+        return np.full((*valid.shape, 1), as_positive("sigma", float(sigma)) ** 2)  # type: ignore[arg-type]
+    spread = as_shape("sigma", sigma, valid.shape, finite=False)  # type: ignore[arg-type]
+    if not (spread[valid] > 0.0).all() or not np.isfinite(spread[valid]).all():
+        raise ValueError("sigma: expected positive finite numbers where there is a point, got others")
+    return np.where(valid, spread, 1.0)[..., None] ** 2
+
+
+def as_covariances(name: str, value: ArrayLike, shape: tuple[int, ...], valid: np.ndarray | None = None) -> FloatArray:
+    """Symmetric positive semidefinite matrices of the given shape; those that are not valid become identities."""
+    array = as_float_array(name, value)
+    if array.shape != shape:
+        raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
+    if valid is not None and not valid.all():
+        array = np.where(valid[..., None, None], array, np.eye(shape[-1]))
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+    scale = np.abs(array).max(axis=(-2, -1))
+    if (np.abs(array - np.swapaxes(array, -1, -2)).max(axis=(-2, -1)) > COVARIANCE_TOLERANCE * scale).any():
+        raise ValueError(f"{name}: expected symmetric covariances, got one that differs from its transpose")
+    smallest = np.linalg.eigvalsh(array)[..., 0]
+    if (smallest < -COVARIANCE_TOLERANCE * scale).any():
+        raise ValueError(
+            f"{name}: expected positive semidefinite covariances, got smallest eigenvalue {smallest.min():.3g}"
+        )
+    return array
+
+
+def _per_scan(name: str, value: ArrayLike, n_scans: int) -> FloatArray:
+    """One point per scan, (S, 3), from one (3,) or from (S, 3)."""
+    array = as_float_array(name, value)
+    if array.shape == (3,):
+        array = np.broadcast_to(array, (n_scans, 3))
+    return as_shape(name, array, (n_scans, 3))
