@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
 
 import numpy as np
 
+from slam.io._numbers import nanoseconds
 from spplanes._check import FloatArray
 
 #: The words after the poses of every record: time of the sensor, host, time of the logger.
 _TAIL = 3
 _LASER = re.compile(r"(FLASER|RLASER|(?:ROBOT|RAW)LASER\d)$")
 _KEYWORD = re.compile(r"[A-Z][A-Z0-9_]*$")
-#: The largest time that integer nanoseconds in 64 bits hold, s.
-LATEST_S = 9_000_000_000
 #: Laser offsets along the robot's axis that a log may state.
 OFFSET_PARAMETERS = {"robot_frontlaser_offset": "FLASER", "robot_rearlaser_offset": "RLASER"}
 
@@ -150,16 +148,4 @@ def _pose(words: list[str], place: int) -> FloatArray:
 
 
 def _stamps(words: list[str]) -> tuple[int, int]:
-    return _nanoseconds(words[-3]), _nanoseconds(words[-1])
-
-
-def _nanoseconds(word: str) -> int:
-    """Seconds as text to integer nanoseconds, exactly."""
-    try:
-        seconds = Decimal(word)
-        plausible = abs(seconds) <= LATEST_S
-    except InvalidOperation:
-        plausible, seconds = False, Decimal(0)
-    if not plausible:
-        raise ValueError(f"expected a time in seconds, got {word[:20]!r}")
-    return int((seconds * 1_000_000_000).to_integral_value())
+    return nanoseconds(words[-3]), nanoseconds(words[-1])

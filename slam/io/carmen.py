@@ -160,8 +160,7 @@ def _angles(record: LaserRecord, sensor: str, rig: Rig | None) -> FloatArray:
             return np.deg2rad(described.first_angle_deg + described.angle_step_deg * np.arange(n))
     if record.angles is not None:
         return record.angles
-    step = np.pi / (n if n % 2 == 0 else n - 1) if n > 1 else 0.0
-    return -np.pi / 2.0 + step * np.arange(n)
+    return np.pi * np.arange(n, dtype=np.float64) / max(n - n % 2, 1) - np.pi / 2.0
 
 
 def _world_T_body(record: LaserRecord, mount: FloatArray | None) -> FloatArray | None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.io._numbers import seconds_from_ns
 from slam.io.log import LaserScan, Log, OdometryReading
 from slam.rig import Rig
 from spplanes._check import FloatArray
@@ -66,5 +67,4 @@ def _pose(transform: FloatArray) -> str:
 
 
 def _tail(stamp_ns: int) -> str:
-    seconds, rest = divmod(stamp_ns, 1_000_000_000)
-    return f"{seconds}.{rest:09d} simulation {seconds}.{rest:09d}"
+    return f"{seconds_from_ns(stamp_ns)} simulation {seconds_from_ns(stamp_ns)}"

@@ -1,0 +1,83 @@
+"""Text files of numbers, line by line, and times as text: shared by the readers of trajectories and relations."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+
+from slam.io.log import LogError
+
+#: The largest time, s, that integer nanoseconds in 64 bits hold.
+LATEST_S = 9_000_000_000
+#: Longer lines are refused before they fill the memory, bytes.
+_LONGEST_LINE = 1 << 16
+
+
+def read_rows(
+    path: Path, *, columns: int, stamp_columns: int = 0
+) -> tuple[list[list[int]], list[list[float]], list[int]]:
+    """Times in ns (the first columns), the other numbers, and the line number of every row; plain text or gzip.
+
+    Raises:
+        LogError: the file cannot be read, holds no row, or a row that is not `columns` finite numbers.
+    """
+    stamps: list[list[int]] = []
+    rows: list[list[float]] = []
+    lines: list[int] = []
+    for number, words in _numbered_words(path):
+        if len(words) != columns:
+            raise LogError(path, f"expected {columns} numbers, got {len(words)} words", line=number)
+        try:
+            stamps.append([nanoseconds(word) for word in words[:stamp_columns]])
+            rows.append([float(word) for word in words[stamp_columns:]])
+        except ValueError as error:
+            raise LogError(path, f"expected numbers ({str(error)[:60]})", line=number) from error
+        if not np.isfinite(rows[-1]).all():
+            raise LogError(path, "expected finite numbers, got NaN or infinity", line=number)
+        lines.append(number)
+    if not rows:
+        raise LogError(path, "expected at least one line of numbers, got none")
+    return stamps, rows, lines
+
+
+def _numbered_words(path: Path) -> list[tuple[int, list[str]]]:
+    found, number = [], 0
+    try:
+        with path.open("rb") as probe:
+            packed = probe.read(2) == b"\x1f\x8b"
+        with gzip.open(path, "rb") if packed else path.open("rb") as stream:
+            while line := stream.readline(_LONGEST_LINE):
+                number += 1
+                if len(line) == _LONGEST_LINE:
+                    raise LogError(path, f"expected lines shorter than {_LONGEST_LINE} bytes", line=number)
+                text = line.decode("ascii", errors="replace").strip()
+                if text and not text.startswith("#"):
+                    found.append((number, text.split()))
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise LogError(path, "the gzip stream breaks off here", line=number + 1) from error
+    except OSError as error:
+        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
+    return found
+
+
+def nanoseconds(word: str) -> int:
+    """Seconds as text to integer nanoseconds, exactly; a ValueError for what is no time."""
+    try:
+        seconds = Decimal(word)
+        plausible = abs(seconds) <= LATEST_S
+    except InvalidOperation:
+        plausible, seconds = False, Decimal(0)
+    if not plausible:
+        raise ValueError(f"expected a time in seconds, got {word[:20]!r}")
+    return int((seconds * 1_000_000_000).to_integral_value())
+
+
+def seconds_from_ns(stamp_ns: int) -> str:
+    """Integer nanoseconds as seconds with nine decimals, exactly."""
+    sign = "-" if stamp_ns < 0 else ""
+    seconds, rest = divmod(abs(stamp_ns), 1_000_000_000)
+    return f"{sign}{seconds}.{rest:09d}"

@@ -1,0 +1,94 @@
+"""Trajectories as files: TUM (`t x y z qx qy qz qw`) and KITTI (rows of 3x4), strict and in full precision."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slam.io._numbers import read_rows, seconds_from_ns
+from slam.io.log import LogError
+from spplanes._check import FloatArray, as_shape
+
+#: A quaternion or a rotation in a file may miss unit norm, or orthonormality, by this much.
+_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses in time order."""
+
+    stamps_ns: np.ndarray
+    """Times, strictly ascending, shape (N,), int64."""
+    poses: FloatArray
+    """world_T_body, shape (N, 4, 4)."""
+
+    def __post_init__(self) -> None:
+        stamps = np.asarray(self.stamps_ns)
+        if stamps.ndim != 1 or not np.issubdtype(stamps.dtype, np.integer):
+            raise ValueError(f"stamps_ns: expected integers of shape (N,), got {stamps.dtype} of shape {stamps.shape}")
+        object.__setattr__(self, "stamps_ns", stamps.astype(np.int64))
+        object.__setattr__(self, "poses", as_shape("poses", self.poses, (len(stamps), 4, 4)))
+        if (np.diff(self.stamps_ns) <= 0).any():
+            raise ValueError("stamps_ns: expected strictly ascending times, got times that repeat or run backwards")
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+
+def read_tum(path: Path | str) -> Trajectory:
+    """Read a TUM trajectory; `#` lines are comments. Quaternions are normalised.
+
+    Raises:
+        LogError: one sentence with file and line: not eight finite numbers, a quaternion that is not one, time that
+            repeats or runs backwards, no poses at all.
+    """
+    path = Path(path)
+    stamps, rows, lines = read_rows(path, columns=8, stamp_columns=1)
+    values = np.array(rows)
+    norms = np.linalg.norm(values[:, 3:], axis=1)
+    for bad in np.flatnonzero(np.abs(norms - 1.0) > _TOLERANCE)[:1]:
+        raise LogError(path, f"expected a unit quaternion, got one of norm {norms[bad]:.6g}", line=lines[bad])
+    times = np.array(stamps, dtype=np.int64)[:, 0]
+    for bad in np.flatnonzero(np.diff(times) <= 0)[:1] + 1:
+        raise LogError(path, "expected times that ascend, got one that repeats or runs backwards", line=lines[bad])
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(values[:, 3:]).as_matrix()
+    poses[:, :3, 3] = values[:, :3]
+    return Trajectory(times, poses)
+
+
+def write_tum(path: Path | str, trajectory: Trajectory) -> None:
+    """Write a TUM trajectory: times exact to the nanosecond, numbers that read back to the same float, qw >= 0."""
+    quaternions = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat(canonical=True)
+    numbers = np.hstack([trajectory.poses[:, :3, 3], quaternions]).tolist()
+    with Path(path).open("w", encoding="ascii", newline="\n") as stream:
+        stream.write("# timestamp_s tx ty tz qx qy qz qw\n")
+        for stamp, row in zip(trajectory.stamps_ns.tolist(), numbers, strict=True):
+            stream.write(" ".join([seconds_from_ns(stamp), *map(repr, row)]) + "\n")
+
+
+def read_kitti(path: Path | str) -> FloatArray:
+    """Read KITTI poses (N, 4, 4): twelve numbers a line, the upper 3x4 of world_T_body row by row; no times.
+
+    Raises:
+        LogError: one sentence with file and line: not twelve finite numbers, or a rotation that is not one.
+    """
+    path = Path(path)
+    _, rows, lines = read_rows(path, columns=12)
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3] = np.array(rows).reshape(-1, 3, 4)
+    rotations = poses[:, :3, :3]
+    errors = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    for bad in np.flatnonzero((errors > _TOLERANCE) | (np.linalg.det(rotations) < 0.0))[:1]:
+        raise LogError(path, "expected a right-handed rotation in columns 1-3, 5-7, 9-11", line=lines[bad])
+    return poses
+
+
+def write_kitti(path: Path | str, poses: FloatArray) -> None:
+    """Write KITTI poses (N, 4, 4) with numbers that read back to the same floats."""
+    with Path(path).open("w", encoding="ascii", newline="\n") as stream:
+        for pose in as_shape("poses", poses, (None, 4, 4)):
+            stream.write(" ".join(map(repr, pose[:3].ravel().tolist())) + "\n")
