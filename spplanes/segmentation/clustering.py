@@ -9,19 +9,19 @@ from spplanes.segmentation._patches import eigenvalues, merge_scaled
 
 
 @njit(cache=True)
-def inflation(weight, bias_variance):
-    """Scale of a patch's weights that adds a systematic error: bias_variance along z, tilt in ratio of its extent."""
-    return 1.0 / (1.0 + bias_variance * weight)
+def inflation(weight, bias):
+    """Scale of a patch's weights that adds a systematic error: variance `bias` along z, tilt in ratio of its extent."""
+    return 1.0 / (1.0 + bias * weight)
 
 
 @njit(cache=True)
-def one_plane_chi2(a, b, bias_variance, work):
+def one_plane_chi2(a, b, bias_a, bias_b, work):
     """Chi2 (3 dof) of the hypothesis that two rows of moments are one plane.
 
     It is the growth of the sum of squared normalised residuals when both are fitted by one plane, which to first order
     is (b_a - b_b)^T (C_a + C_b)^-1 (b_a - b_b); it stays defined when one patch does not determine a plane.
     """
-    scale_a, scale_b = inflation(a[1], bias_variance), inflation(b[1], bias_variance)
+    scale_a, scale_b = inflation(a[1], bias_a), inflation(b[1], bias_b)
     merge_scaled(work, a, scale_a, b, scale_b)
     together = eigenvalues(work)[0]
     return together - scale_a * eigenvalues(a)[0] - scale_b * eigenvalues(b)[0]
@@ -78,13 +78,13 @@ def merged_distance(a, b, work):
 
 
 @njit(cache=True)
-def cluster(rows, edges, bias_variance, limit):
+def cluster(rows, bias, edges, limit):
     """Fuse patches along edges, the pair with the smallest mean distance to its common plane first.
 
     Args:
         rows: moments, shape (N, 11); on return the row of a root holds the sum of its tree.
+        bias: variance of the systematic error of every patch along its normal, m^2, shape (N,); updated like rows.
         edges: pairs of neighbouring patches, shape (E, 2).
-        bias_variance: systematic error every patch is granted, m^2.
         limit: largest chi2 (3 dof) at which two patches are one plane.
 
     Returns:
@@ -111,11 +111,12 @@ def cluster(rows, edges, bias_variance, limit):
             if fresh > key:
                 size = _push(keys, items, size, fresh, e)
                 continue
-        if one_plane_chi2(rows[a], rows[b], bias_variance, work) > limit:
+        if one_plane_chi2(rows[a], rows[b], bias[a], bias[b], work) > limit:
             continue
         if b < a:
             a, b = b, a
         merge_scaled(work, rows[a], 1.0, rows[b], 1.0)
+        bias[a] = (bias[a] * rows[a, 1] + bias[b] * rows[b, 1]) / work[1]
         rows[a] = work
         parent[b] = a
         version[a] += version[b] + 1

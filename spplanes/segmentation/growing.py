@@ -27,6 +27,20 @@ def fit_regions(points, covariance, labels, rows, floor_variance):
 
 
 @njit(cache=True)
+def shared_of_regions(shared, labels, planes):
+    """Mean variance along the normal that the points of a region share with their scans, shape (R,)."""
+    total, count = np.zeros(planes.shape[0]), np.zeros(planes.shape[0])
+    if shared.shape[0] > 1:
+        for i in range(labels.shape[0]):
+            for j in range(labels.shape[1]):
+                r = labels[i, j]
+                if r >= 0:
+                    total[r] += variance_along(shared[i, j], planes[r, 0], planes[r, 1], planes[r, 2])
+                    count[r] += 1.0
+    return total / np.maximum(count, 1.0)
+
+
+@njit(cache=True)
 def hesse(rows):
     """(normal, d) of every row of moments, shape (R, 4)."""
     planes = np.empty((rows.shape[0], 4))

@@ -84,6 +84,22 @@ def _frames(rows: FloatArray, eyes: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 @njit(cache=True)
+def shared_by_scan(points, pose_covariances, origins):
+    """Covariance that the pose error of its scan gives every point, shape (S, B, 9); the points share that error."""
+    result = np.empty((points.shape[0], points.shape[1], 9))
+    jacobian = np.zeros((3, 6))
+    jacobian[0, 0] = jacobian[1, 1] = jacobian[2, 2] = 1.0
+    for i in range(points.shape[0]):
+        for j in range(points.shape[1]):
+            x, y, z = points[i, j, 0] - origins[i, 0], points[i, j, 1] - origins[i, 1], points[i, j, 2] - origins[i, 2]
+            jacobian[0, 3], jacobian[1, 3] = -y, x
+            jacobian[0, 4], jacobian[2, 4] = z, -x
+            jacobian[1, 5], jacobian[2, 5] = -z, y
+            result[i, j] = (jacobian @ pose_covariances[i] @ jacobian.T).ravel()
+    return result
+
+
+@njit(cache=True)
 def shared_pose_covariance(points, covariance, labels, frames, spreads, pose_covariances, origins):
     """What the pose errors of the rows of the grid, each shared by its points, add: sum_s G_s S_s G_s^T, (R, 3, 3).
 

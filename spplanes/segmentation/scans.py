@@ -9,7 +9,7 @@ from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_float_array, as
 from spplanes.plane import Plane
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.pipeline import segment_grid
-from spplanes.segmentation.planes import planes_of
+from spplanes.segmentation.planes import planes_of, shared_by_scan
 
 _DEFAULT = MapperConfig()
 
@@ -54,13 +54,16 @@ def segment_scans(
     views = None if viewpoints is None else _per_scan("viewpoints", viewpoints, len(grid))
     if not valid.any():
         return np.full(valid.shape, -1, dtype=np.int32), []
-    labels = segment_grid(grid, variance, valid, np.zeros((len(grid), 3)) if views is None else views, config)
-    poses = None
+    poses, total, shared = None, variance, np.zeros((1, 1, 1))
     if pose_covariances is not None:
         origins = (
             np.zeros((len(grid), 3)) if scan_origins is None else _per_scan("scan_origins", scan_origins, len(grid))
         )
         poses = as_covariances("pose_covariances", pose_covariances, (len(grid), 6, 6)), origins
+        shared = shared_by_scan(grid, *poses)
+        total = shared + (variance if variance.shape[2] == 9 else variance * np.eye(3).reshape(9))
+    eyes = np.zeros((len(grid), 3)) if views is None else views
+    labels = segment_grid(grid, total, shared, valid, eyes, config)
     return labels.astype(np.int32), planes_of(grid, variance, labels, views, poses, config)
 
 
