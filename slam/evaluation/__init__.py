@@ -1,0 +1,30 @@
+"""How good is it: trajectories, relations and planes against what is known to be true."""
+
+from slam.evaluation.metrics import Metric
+from slam.evaluation.planes import PlaneMatch, match_planes, plane_metrics
+from slam.evaluation.relations import relation_errors, relation_metrics
+from slam.evaluation.trajectories import (
+    PoseErrors,
+    absolute_error,
+    align,
+    alignment_of,
+    common_poses,
+    nearest_stamps,
+    relative_error,
+)
+
+__all__ = [
+    "Metric",
+    "PlaneMatch",
+    "PoseErrors",
+    "absolute_error",
+    "align",
+    "alignment_of",
+    "common_poses",
+    "match_planes",
+    "nearest_stamps",
+    "plane_metrics",
+    "relation_errors",
+    "relation_metrics",
+    "relative_error",
+]

@@ -1,0 +1,145 @@
+"""Trajectories against truth: absolute error after alignment, relative error over a way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slam.evaluation.metrics import Metric
+from slam.io.trajectories import Trajectory
+from spplanes._check import FloatArray, as_shape
+
+Alignment = Literal["se3", "se2", "first", "none"]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseErrors:
+    """Errors of poses, one by one."""
+
+    translation_m: FloatArray
+    """Distance between the positions, shape (N,), m."""
+    rotation_rad: FloatArray
+    """Angle of the rotation between the poses, shape (N,), rad."""
+
+    def metrics(self, name: str) -> list[Metric]:
+        """Root mean square, mean, median and maximum of both."""
+        degrees = np.rad2deg(self.rotation_rad)
+        return [
+            Metric(f"{name} {part} {statistic}", value, unit)
+            for part, values, unit in (("translation", self.translation_m, "m"), ("rotation", degrees, "deg"))
+            for statistic, value in _statistics(values).items()
+        ]
+
+
+def _statistics(values: FloatArray) -> dict[str, float]:
+    if values.size == 0:
+        return dict.fromkeys(("rmse", "mean", "median", "max"), float("nan"))
+    rmse = float(np.sqrt(np.mean(values**2)))
+    return {"rmse": rmse, "mean": float(values.mean()), "median": float(np.median(values)), "max": float(values.max())}
+
+
+def pose_errors(errors: FloatArray) -> PoseErrors:
+    """Length of translation and angle of rotation of transforms (N, 4, 4)."""
+    return PoseErrors(np.linalg.norm(errors[:, :3, 3], axis=1), Rotation.from_matrix(errors[:, :3, :3]).magnitude())
+
+
+def nearest_stamps(wanted_ns: np.ndarray, stamps_ns: np.ndarray, tolerance_ns: int) -> np.ndarray:
+    """Index into ascending `stamps_ns` (M,) of the time nearest to each wanted one (N,); -1: none within tolerance."""
+    stamps, wanted = np.asarray(stamps_ns, dtype=np.int64), np.asarray(wanted_ns, dtype=np.int64)
+    if stamps.size == 0:
+        return np.full(wanted.shape, -1, dtype=np.int64)
+    right = np.clip(np.searchsorted(stamps, wanted), 1, max(stamps.size - 1, 1))
+    left = right - 1
+    right = np.minimum(right, stamps.size - 1)
+    best = np.where(np.abs(stamps[left] - wanted) <= np.abs(stamps[right] - wanted), left, right)
+    return np.where(np.abs(stamps[best] - wanted) <= tolerance_ns, best, -1)
+
+
+def common_poses(
+    estimate: Trajectory, truth: Trajectory, tolerance_ns: int = 1_000_000
+) -> tuple[np.ndarray, FloatArray, FloatArray]:
+    """Times (N,) and poses (N, 4, 4) of the estimate and of the truth where both have one within the tolerance.
+
+    Raises:
+        ValueError: they have no time in common.
+    """
+    places = nearest_stamps(estimate.stamps_ns, truth.stamps_ns, tolerance_ns)
+    found = places >= 0
+    if not found.any():
+        raise ValueError("truth: expected times in common with the estimate, got none within the tolerance")
+    return estimate.stamps_ns[found], estimate.poses[found], truth.poses[places[found]]
+
+
+def align(source: FloatArray, target: FloatArray, *, planar: bool = False) -> FloatArray:
+    """target_T_source (4, 4) that brings points (N, 3) closest to points (N, 3), scale 1.
+
+    With `planar` it is a rotation about z and a shift. Points on a line leave the turn about the line open: it is then
+    the smallest one.
+
+    References:
+        Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 13(4), 1991.
+    """
+    source, target = as_shape("source", source, (None, 3)), as_shape("target", target, (None, 3))
+    from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)
+    transform = np.eye(4)
+    transform[:3, :3] = _closest_rotation((target - to_centre).T @ (source - from_centre), planar)
+    transform[:3, 3] = to_centre - transform[:3, :3] @ from_centre
+    return transform
+
+
+def _closest_rotation(cross: FloatArray, planar: bool) -> FloatArray:
+    """The rotation R that maximises trace(R^T cross)."""
+    if planar:
+        angle = np.arctan2(cross[1, 0] - cross[0, 1], cross[0, 0] + cross[1, 1])
+        return Rotation.from_euler("z", angle).as_matrix()
+    left, _, right = np.linalg.svd(cross)
+    sign = np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
+    return left @ sign @ right
+
+
+def alignment_of(estimated: FloatArray, true: FloatArray, alignment: Alignment) -> FloatArray:
+    """truth_T_estimate (4, 4) from poses (N, 4, 4): all positions in space or on the floor, the first pose, or none."""
+    if alignment == "none":
+        return np.eye(4)
+    if alignment == "first":
+        return true[0] @ np.linalg.inv(estimated[0])
+    if alignment not in ("se3", "se2"):
+        raise ValueError(f"alignment: expected 'se3', 'se2', 'first' or 'none', got {alignment!r}")
+    return align(estimated[:, :3, 3], true[:, :3, 3], planar=alignment == "se2")
+
+
+def absolute_error(
+    estimate: Trajectory, truth: Trajectory, *, alignment: Alignment = "se3", tolerance_ns: int = 1_000_000
+) -> PoseErrors:
+    """Absolute trajectory error: truth^-1 aligned estimate, at every time both have.
+
+    Raises:
+        ValueError: no time in common, or an unknown alignment.
+    """
+    _, estimated, true = common_poses(estimate, truth, tolerance_ns)
+    moved = alignment_of(estimated, true, alignment) @ estimated
+    return pose_errors(np.linalg.inv(true) @ moved)
+
+
+def relative_error(
+    estimate: Trajectory, truth: Trajectory, *, way_m: float = 1.0, tolerance_ns: int = 1_000_000
+) -> PoseErrors:
+    """Relative pose error: motion of the estimate against motion of the truth over every way of `way_m` (truth's).
+
+    Each pose is paired with the first one at least `way_m` further on; no alignment is needed.
+
+    Raises:
+        ValueError: no time in common.
+    """
+    _, estimated, true = common_poses(estimate, truth, tolerance_ns)
+    steps = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1)
+    ways = np.concatenate([[0.0], np.cumsum(steps)])
+    later = np.searchsorted(ways, ways + way_m)
+    first = np.flatnonzero(later < len(ways))
+    last = later[first]
+    moved = np.linalg.inv(estimated[first]) @ estimated[last]
+    really = np.linalg.inv(true[first]) @ true[last]
+    return pose_errors(np.linalg.inv(really) @ moved)
