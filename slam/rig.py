@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from slam.io.log import LaserScan, Log, LogError
-from slam.motion import OdometryNoise
+from slam.motion import UNCALIBRATED_WHEELS, OdometryNoise
 from spplanes._check import FloatArray, as_transform
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -215,7 +215,7 @@ def default_rig_for(log: Log) -> Rig:
     names = list(dict.fromkeys(scan.sensor for scan in log.scans() if isinstance(scan, LaserScan)))
     if not names:
         raise LogError(log.source, "expected laser scans, got none")
-    return Rig(sensors={name: _default_laser(name, log) for name in names})
+    return Rig(sensors={name: _default_laser(name, log) for name in names}, odometry=UNCALIBRATED_WHEELS)
 
 
 def _default_laser(name: str, log: Log) -> Sensor:

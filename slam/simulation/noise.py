@@ -18,15 +18,24 @@ def noisy_ranges(ranges: FloatArray, sensor: Sensor, rng: np.random.Generator) -
 
 
 def drifting_odometry(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:
-    """Odometry's poses (K, 3) of true poses (K, 3), from the same start: each step errs by `noise.covariance`."""
+    """Odometry's poses (K, 3) of true poses (K, 3), from the same start: a random walk on calibration errors."""
     steps = relative_motions(poses)
-    factors = np.linalg.cholesky(np.array([noise.covariance(step) for step in steps]).reshape(-1, 3, 3))
+    scale, curvature = rng.standard_normal(2) * (noise.scale_sigma, noise.curvature_sigma_rad_per_m)
+    way = np.hypot(steps[:, 0], steps[:, 1])
+    factors = _square_roots(noise.random_covariances(steps))
     steps = steps + np.einsum("kij,kj->ki", factors, rng.standard_normal(steps.shape))
+    steps = steps + np.column_stack([scale * steps[:, :2], curvature * way])
     heading = poses[0, 2] + np.concatenate([[0.0], np.cumsum(steps[:, 2])])
     c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
     moves = np.column_stack([c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]])
     places = poses[0, :2] + np.concatenate([np.zeros((1, 2)), np.cumsum(moves, axis=0)])
     return np.column_stack([places, heading])
+
+
+def _square_roots(covariances: FloatArray) -> FloatArray:
+    """Symmetric square roots (K, 3, 3); covariances may be singular, as of a robot that stands."""
+    values, vectors = np.linalg.eigh(covariances)
+    return vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :] @ vectors.transpose(0, 2, 1)
 
 
 def relative_motions(poses: FloatArray) -> FloatArray:
