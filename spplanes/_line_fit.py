@@ -8,9 +8,11 @@ from numba import njit
 #: Gauss-Newton stops when a step is below this share of a standard deviation; it takes two or three steps.
 STEP_TOLERANCE = 1e-6
 MAX_STEPS = 20
+#: A line grows only where it predicts the range with at most this many times the variance of a beam.
+MAX_PREDICTION = 5.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def information(bearings, sigmas, members, alpha, rho):
     """Fisher information of (alpha, rho) as its three entries: sum J J^T / sigma^2, J of the range rho / cos(a - alpha)."""
     i00 = i01 = i11 = 0.0
@@ -23,7 +25,7 @@ def information(bearings, sigmas, members, alpha, rho):
     return i00, i01, i11
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def descend(bearings, ranges, sigmas, members, alpha, rho):
     """Gradient sum J e / sigma^2 of the range residuals e at (alpha, rho), and their chi2."""
     g0 = g1 = chi2 = 0.0
@@ -36,7 +38,7 @@ def descend(bearings, ranges, sigmas, members, alpha, rho):
     return g0, g1, chi2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fit_beams(bearings, ranges, sigmas, members, alpha, rho):
     """Gauss-Newton from (alpha, rho): (alpha, rho, var alpha, cov, var rho, chi2); chi2 is inf when it does not converge."""
     for _ in range(MAX_STEPS):
@@ -54,55 +56,51 @@ def fit_beams(bearings, ranges, sigmas, members, alpha, rho):
     return alpha, rho, 0.0, 0.0, 0.0, np.inf
 
 
-@njit(cache=True)
-def innovation(bearing, r, sigma, line, added):
-    """Squared range residual of a beam over its variance; `added`: +1 the beam is no part of the fit, -1 it is."""
+@njit(cache=True, error_model="numpy")
+def belongs(bearing, r, sigma, line, gate):
+    """True when a beam next to the line is on it: chi2 with 1 dof under `gate`, where the line predicts its range well."""
     alpha, rho, v00, v01, v11, _ = line
     c, s = np.cos(bearing - alpha), np.sin(bearing - alpha)
     if c <= 0.0:
-        return np.inf
+        return False
     by_alpha, by_rho = -rho * s / (c * c), 1.0 / c
-    predicted = by_alpha * by_alpha * v00 + 2.0 * by_alpha * by_rho * v01 + by_rho * by_rho * v11
-    return (r - rho / c) ** 2 / max(sigma * sigma + added * predicted, 1e-3 * sigma * sigma)
+    variance = sigma * sigma + by_alpha * by_alpha * v00 + 2.0 * by_alpha * by_rho * v01 + by_rho * by_rho * v11
+    return variance < MAX_PREDICTION * sigma * sigma and (r - rho / c) ** 2 < gate * variance
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def trim(bearings, ranges, sigmas, members, line, gate):
     """Members without the end beams that do not belong to the line."""
     low, high = 0, members.size
-    while (
-        high - low > 2
-        and innovation(bearings[members[low]], ranges[members[low]], sigmas[members[low]], line, -1.0) > gate
-    ):
+    while high - low > 2 and misses(bearings, ranges, sigmas, members[low], line, gate):
         low += 1
-    while (
-        high - low > 2
-        and innovation(bearings[members[high - 1]], ranges[members[high - 1]], sigmas[members[high - 1]], line, -1.0)
-        > gate
-    ):
+    while high - low > 2 and misses(bearings, ranges, sigmas, members[high - 1], line, gate):
         high -= 1
     return members[low:high]
 
 
-@njit(cache=True)
-def grow(bearings, ranges, sigmas, breaks, labels, label, members, line, gate):
+@njit(cache=True, error_model="numpy")
+def misses(bearings, ranges, sigmas, k, line, gate):
+    """True when beam k, already on the line, is farther from it than its noise allows."""
+    return (ranges[k] - line[1] / np.cos(bearings[k] - line[0])) ** 2 > gate * sigmas[k] ** 2
+
+
+@njit(cache=True, error_model="numpy")
+def grow(bearings, ranges, sigmas, breaks, labels, members, line, gate):
     """Members with the free beams next to both ends that belong to the line."""
-    n = bearings.size
     low, high = members[0], members[-1] + 1
     while low > 0 and breaks[low] < 2 and labels[low - 1] < 0:
-        if innovation(bearings[low - 1], ranges[low - 1], sigmas[low - 1], line, 1.0) > gate:
+        if not belongs(bearings[low - 1], ranges[low - 1], sigmas[low - 1], line, gate):
             break
         low -= 1
-    while high < n and breaks[high] < 2 and labels[high] < 0:
-        if innovation(bearings[high], ranges[high], sigmas[high], line, 1.0) > gate:
+    while high < bearings.size and breaks[high] < 2 and labels[high] < 0:
+        if not belongs(bearings[high], ranges[high], sigmas[high], line, gate):
             break
         high += 1
-    labels[low : members[0]] = label
-    labels[members[-1] + 1 : high] = label
     return np.concatenate((np.arange(low, members[0]), members, np.arange(members[-1] + 1, high)))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def turning(bearings, ranges, sigmas, members, line):
     """How much the beams turn from end to end if they are an arc, rad, and its standard deviation: the fit of 1, t, t^2."""
     alpha, rho = line[0], line[1]

@@ -14,9 +14,13 @@ from numba import njit
 N_SUMS = 6
 #: Below this share of m[0] m[2] the bearings of a set are one bearing and do not define a line.
 SINGULAR = 1e-13
+#: Chi2 a parameter must earn when the place of a split is chosen: the 95 % quantile of chi2 with 1 dof, rounded up.
+PARAMETER_COST = 4.0
+#: A beam's side of a corner is undecided when a split beyond it costs less than this chi2 more than the best one.
+UNDECIDED = 6.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def order_beams(ranges, angles, range_min, range_max):
     """Indices of the returns in order of bearing from the widest gap on, (V,), the share of a turn of that gap, and the median step."""
     n = angles.size
@@ -39,7 +43,7 @@ def order_beams(ranges, angles, range_min, range_max):
     return valid[:count], steps[widest], np.median(steps)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def beam_moments(bearings, ranges, sigmas):
     """Contribution of every beam to the six sums, shape (V, 6): w cc, w cs, w ss, w c q, w s q, w q q, with q = 1/r, w = r^4/sigma^2."""
     moments = np.empty((bearings.size, N_SUMS))
@@ -55,7 +59,7 @@ def beam_moments(bearings, ranges, sigmas):
     return moments
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fit_sums(m):
     """(u, v, chi2) of the best line through the beams whose sums are `m`; one bearing only: the best perpendicular."""
     det = m[0] * m[2] - m[1] * m[1]
@@ -67,7 +71,7 @@ def fit_sums(m):
     return u, v, max(0.0, m[5] - u * m[3] - v * m[4])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def sum_range(moments, low, high):
     """The six sums of the beams low..high-1."""
     total = np.zeros(N_SUMS)
@@ -76,7 +80,7 @@ def sum_range(moments, low, high):
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def triple_fails(bearings, ranges, sigmas, i, j, k, gate):
     """True when three neighbouring beams are not on one line: chi2 with 1 dof of their collinearity above `gate`."""
     left = np.sin(bearings[k] - bearings[j])
@@ -91,7 +95,7 @@ def triple_fails(bearings, ranges, sigmas, i, j, k, gate):
     return error * error > gate * variance
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def find_breaks(bearings, ranges, sigmas, max_step, gate):
     """For each beam the kind of break before it (V,): 0 none, 1 the depth jumps, 2 beams are missing; closed ring."""
     n = bearings.size
@@ -108,34 +112,36 @@ def find_breaks(bearings, ranges, sigmas, max_step, gate):
     return breaks
 
 
-@njit(cache=True)
-def best_split(moments, low, high, left):
+@njit(cache=True, error_model="numpy")
+def best_split(moments, low, high, cost):
     """Where two lines explain low..high-1 best: (first beam of the second line, chi2 gained over one line).
 
-    `left` is scratch of at least `high` floats.
+    `cost` is scratch of `high` floats; cost[k] becomes the chi2 of a split before beam k plus PARAMETER_COST for each
+    parameter used: without it two beams, which some line always fits, would leave the longer piece for nothing.
     """
     total = np.zeros(N_SUMS)
+    before = 0.0
     for k in range(low, high):
+        cost[k] = before + PARAMETER_COST * min(2, k - low)
         total += moments[k]
-        left[k] = fit_sums(total)[2]
-    whole = left[high - 1]
+        before = fit_sums(total)[2]
     total[:] = 0.0
-    best, at = whole, low
+    at, best = low, np.inf
     for k in range(high - 1, low, -1):
         total += moments[k]
-        cost = left[k - 1] + fit_sums(total)[2]
-        if cost < best:
-            best, at = cost, k
-    return at, whole - best
+        cost[k] += fit_sums(total)[2] + PARAMETER_COST * min(2, high - k)
+        if cost[k] < best:
+            best, at = cost[k], k
+    return at, before + 4.0 * PARAMETER_COST - best
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def split_gate(n, significance):
     """Quantile of chi2 with 2 dof for the best of n places to split (Bonferroni)."""
     return -2.0 * np.log(significance / n)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def split(moments, breaks, significance):
     """Cut the sequence into pieces that no further cut improves significantly: the first beam of each, (M + 1,)."""
     n = moments.shape[0]
@@ -163,25 +169,42 @@ def split(moments, breaks, significance):
     return np.nonzero(is_start)[0]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def refine(moments, breaks, starts, significance):
-    """Move the boundary of each pair of neighbouring pieces to where it is best; drop it when it gains too little."""
-    left = np.empty(moments.shape[0])
+    """Move the boundary of neighbouring pieces to where it is best; drop it when it gains too little.
+
+    Returns the boundaries, and for each beam whether the piece it belongs to is undecided (V,).
+    """
+    cost = np.empty(moments.shape[0])
+    undecided = np.zeros(moments.shape[0], dtype=np.bool_)
     kept = starts.copy()
     count = 1
     for i in range(1, starts.size - 1):
         low, high = kept[count - 1], starts[i + 1]
         at, gain = starts[i], np.inf
         if breaks[starts[i]] < 2 and high - low >= 3:
-            at, gain = best_split(moments, low, high, left)
+            at, gain = best_split(moments, low, high, cost)
+            if gain > split_gate(high - low, significance):
+                mark_undecided(cost, low, high, at, undecided)
         if gain > split_gate(high - low, significance):
             kept[count] = at
             count += 1
     kept[count] = starts[-1]
-    return kept[: count + 1]
+    return kept[: count + 1], undecided
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def mark_undecided(cost, low, high, at, undecided):
+    """Mark the beams between the first and the last split that are about as good as the best one, `at`."""
+    first = last = at
+    while first - 1 >= low + 3 and cost[first - 1] < cost[at] + UNDECIDED:
+        first -= 1
+    while last + 1 <= high - 3 and cost[last + 1] < cost[at] + UNDECIDED:
+        last += 1
+    undecided[first:last] = True
+
+
+@njit(cache=True, error_model="numpy")
 def may_bridge(bearings, ranges, sigmas, u, v, pieces, i, j, max_through):
     """True when line (u, v) may join pieces i and j: what lies between neither contradicts it nor outweighs the parts."""
     through = 0
@@ -202,7 +225,7 @@ def may_bridge(bearings, ranges, sigmas, u, v, pieces, i, j, max_through):
     return t[2] - t[1] <= min(t[1] - t[0], t[3] - t[2]) or ends[2] - ends[1] <= max_through + 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def merge(bearings, ranges, sigmas, moments, starts, is_round, max_through, gate):
     """Join pieces that are one line (chi2 with 2 dof): the label of each beam (V,), -1 for pieces under 3 beams."""
     n_pieces = starts.size - 1

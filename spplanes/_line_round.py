@@ -12,7 +12,7 @@ MAX_STEPS = 8
 MIN_COSINE = 0.1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def circle_step(bearings, ranges, sigmas, low, high, x, y, radius):
     """One Gauss-Newton step for the circle nearest to beams low..high-1: (x, y, radius, chi2 before the step)."""
     normal, right = np.zeros((3, 3)), np.zeros(3)
@@ -38,7 +38,7 @@ def circle_step(bearings, ranges, sigmas, low, high, x, y, radius):
     return x + step[0], y + step[1], radius + step[2], chi2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def algebraic_circle(bearings, ranges, sigmas, low, high):
     """Circle from the linear least squares of x^2 + y^2 = 2 a x + 2 b y + c about the middle beam: (x, y, radius)."""
     middle = (low + high) // 2
@@ -61,7 +61,7 @@ def algebraic_circle(bearings, ranges, sigmas, low, high):
     return ox + 0.5 * p[0], oy + 0.5 * p[1], np.sqrt(max(p[2] + 0.25 * (p[0] * p[0] + p[1] * p[1]), 1e-12))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def bulging_arc(bearings, ranges, sigmas, low, high, chi2_lines):
     """Angle by which beams low..high-1 turn as an arc that bulges to the sensor; 0 when lines of that chi2 fit better."""
     x, y, radius = algebraic_circle(bearings, ranges, sigmas, low, high)
@@ -84,7 +84,7 @@ def bulging_arc(bearings, ranges, sigmas, low, high, chi2_lines):
     return abs((last - first + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def find_round(bearings, ranges, sigmas, moments, breaks, starts, significance, min_arc):
     """For each beam whether it lies on an arc of `min_arc` or more that explains neighbouring pieces as well as lines do."""
     result = np.zeros(bearings.size, dtype=np.bool_)

@@ -24,6 +24,9 @@ class LineConfig:
     """Consecutive beams that may be missing, or pass through, inside a line without evidence on both sides, >= 0."""
     max_turning: float = 1.0
     """A line is reported when its beams rule out (3 sigma) an arc that turns by this angle, rad, in (0, pi)."""
+    max_nonlinearity: float = 0.25
+    """A line is reported when its covariance is honest: rho turns with alpha by rho var(alpha) / 2 to second order, which
+    must be below this share of the standard deviation of the shift of the line, > 0. Short and far lines fail."""
     max_misfit: float = 4.0
     """Largest chi2 per degree of freedom of a line, > 1; above 1 it allows for walls that are not quite straight."""
     range_min: float = 0.0
@@ -36,6 +39,7 @@ class LineConfig:
         _check("min_points", self.min_points, self.min_points >= 3, "at least 3 beams")
         _check("max_missing", self.max_missing, self.max_missing >= 0, "a count of beams >= 0")
         _check("max_turning", self.max_turning, 0.0 < self.max_turning < np.pi, "an angle in (0, pi)")
+        _check("max_nonlinearity", self.max_nonlinearity, self.max_nonlinearity > 0.0, "a ratio above 0")
         _check("max_misfit", self.max_misfit, self.max_misfit > 1.0, "a ratio above 1")
         _check("range_min", self.range_min, 0.0 <= self.range_min < np.inf, "a finite range >= 0")
         _check("range_max", self.range_max, self.range_max > self.range_min, "a range above range_min")
@@ -72,7 +76,7 @@ def extract_lines(
         return []
     rows, support, counts = extract(
         ranges, angles, sigmas, config.range_min, config.range_max, config.max_missing,
-        config.significance, config.min_points, config.max_turning, config.max_misfit,
+        config.significance, config.min_points, config.max_turning, config.max_nonlinearity, config.max_misfit,
     )  # fmt: skip
     lines, last = [], 0
     for row, count in zip(rows.tolist(), counts.tolist(), strict=True):
