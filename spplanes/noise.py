@@ -1,0 +1,131 @@
+"""Sensor models: what a range, a bearing, a surface and a mount contribute to the covariance of a point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from spplanes._check import FloatArray, as_float_array, as_shape
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """Errors of a range sensor: of each beam, of each scan, of each surface.
+
+    Errors of a beam are independent and make the points' covariances. Errors of a scan are shared by all its points and
+    make a pose covariance. The error of a surface is shared by all points of a plane; averaging removes none of it.
+    """
+
+    range_sigma_m: float
+    """Standard deviation of a range, m."""
+    range_sigma_share: float = 0.0
+    """Standard deviation of a range that grows with it, m per m; added in variance."""
+    bearing_sigma_rad: float = 0.0
+    """Standard deviation of the direction of a beam, rad, in both directions across it."""
+    quantisation_m: float = 0.0
+    """Step of the ranges, m; its variance is step^2 / 12."""
+    beam_divergence_rad: float = 0.0
+    """Full opening angle of a beam, rad: on a surface seen obliquely the range is that of anywhere in the spot."""
+    scan_shift_sigma_m: float = 0.0
+    """Standard deviation of a shift that all points of a scan share, along each axis, m: a jerking mount."""
+    scan_tilt_sigma_rad: float = 0.0
+    """Standard deviation of a turn about each axis that all points of a scan share, rad: the angle of a tilt servo."""
+    surface_sigma_m: float = 0.0
+    """Flatness of real walls and range bias of real sensors, m; hand it to `MapperConfig.surface_sigma_m`."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (np.isfinite(value) and value >= 0.0):
+                raise ValueError(f"{name}: expected a finite number, 0 or more, got {value}")
+        if self.range_sigma_m + self.range_sigma_share + self.quantisation_m == 0.0:
+            raise ValueError("range_sigma_m: expected some error of the range, got none")
+
+    def range_variance(self, ranges: ArrayLike, incidence_rad: ArrayLike = 0.0) -> FloatArray:
+        """Variance of ranges, m^2, of their shape.
+
+        Args:
+            ranges: m.
+            incidence_rad: angle between beam and surface normal, rad; it only matters with a beam divergence.
+        """
+        ranges = as_float_array("ranges", ranges)
+        spot = ranges * self.beam_divergence_rad * np.tan(np.minimum(np.abs(incidence_rad), 1.5))
+        constant = self.range_sigma_m**2 + self.quantisation_m**2 / 12.0
+        return constant + (self.range_sigma_share * ranges) ** 2 + spot**2 / 16.0
+
+    def covariances(
+        self, points: ArrayLike, viewpoints: ArrayLike = (0.0, 0.0, 0.0), incidence_rad: ArrayLike = 0.0
+    ) -> FloatArray:
+        """Covariances of points from the errors of their beams, shape (..., 3, 3), m^2; NaN where a point is NaN.
+
+        Args:
+            points: shape (..., 3), m.
+            viewpoints: where each was seen from, broadcast to points, m.
+            incidence_rad: angle between beam and surface normal, rad, broadcast to the points.
+
+        Raises:
+            ValueError: points of another shape, or a point at its viewpoint: it has no direction.
+        """
+        points = as_float_array("points", points)
+        if points.ndim < 1 or points.shape[-1] != 3:
+            raise ValueError(f"points: expected shape (..., 3), got {points.shape}")
+        rays = (points - as_float_array("viewpoints", viewpoints)).reshape(-1, 3)
+        ranges = np.sqrt(np.einsum("ij,ij->i", rays, rays))
+        if (ranges == 0.0).any():
+            raise ValueError("points: expected points away from their viewpoint, got a range of 0")
+        incidence = np.broadcast_to(np.asarray(incidence_rad, dtype=np.float64), points.shape[:-1]).reshape(-1)
+        variance = self.range_variance(ranges, incidence)
+        return _beam_covariances(rays, ranges, variance, self.bearing_sigma_rad).reshape(*points.shape, 3)
+
+    def scan_covariance(self) -> FloatArray:
+        """Covariance of (x, y, z, phi, theta, psi) that all points of a scan share, about the sensor, shape (6, 6)."""
+        return np.diag([self.scan_shift_sigma_m**2] * 3 + [self.scan_tilt_sigma_rad**2] * 3)
+
+
+@dataclass(frozen=True)
+class DepthCameraModel:
+    """Axial noise of a structured-light depth camera: sigma_z(z) = base + slope (z - z0)^2.
+
+    The defaults are those of the Kinect.
+
+    References:
+        Nguyen, Izadi, Lovell, "Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking", 2012, eq. 3.
+    """
+
+    base_sigma_m: float = 0.0012
+    """Standard deviation at the best distance, m."""
+    slope_per_m: float = 0.0019
+    """Growth with the square of the distance beyond it, 1/m."""
+    best_depth_m: float = 0.4
+    """The best distance, m."""
+
+    def depth_sigma(self, depth: ArrayLike) -> FloatArray:
+        """Standard deviation of depths, m, of their shape."""
+        return self.base_sigma_m + self.slope_per_m * (as_float_array("depth", depth) - self.best_depth_m) ** 2
+
+    def covariances(self, points: ArrayLike) -> FloatArray:
+        """Covariances of points in the camera frame (z forward), shape (S, B, 3, 3), m^2: along the ray of the pixel.
+
+        Args:
+            points: shape (S, B, 3), m; NaN = no depth.
+        """
+        points = as_shape("points", points, (None, None, 3), finite=False)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rays = points / points[..., 2:] * self.depth_sigma(points[..., 2])[..., None]
+        return rays[..., :, None] * rays[..., None, :]
+
+
+@njit(cache=True)
+def _beam_covariances(rays, ranges, variance, bearing_sigma):
+    """u u^T var(r) + (I - u u^T) (r sigma_bearing)^2 for every ray, shape (N, 9)."""
+    result = np.empty((rays.shape[0], 9))
+    for k in range(rays.shape[0]):
+        across = (ranges[k] * bearing_sigma) ** 2
+        along = variance[k] - across
+        for a in range(3):
+            for b in range(3):
+                entry = along * rays[k, a] * rays[k, b] / (ranges[k] * ranges[k])
+                result[k, 3 * a + b] = entry + (across if a == b else 0.0)
+    return result
