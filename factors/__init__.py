@@ -1,5 +1,6 @@
 """GTSAM factors from SP planes, laser lines and odometry."""
 
+from factors._conventions import hesse as landmark_hesse
 from factors.landmarks import (
     joint_covariance,
     landmark_to_plane,
@@ -7,21 +8,38 @@ from factors.landmarks import (
     world_plane,
     world_plane_from_joint,
 )
-from factors.line import line_factor
+from factors.line import line_factor, line_factor_2d
 from factors.odometry import odometry_factor, odometry_factor_2d, planar_motion_factor
 from factors.plane import plane_factor, plane_factors, plane_prior
+from factors.pose import pose_prior, relative_pose_factor
+from factors.structure import (
+    direction_prior,
+    distance_factor,
+    parallel_factor,
+    perpendicular_factor,
+    upright_prior,
+)
 
 __all__ = [
+    "direction_prior",
+    "distance_factor",
     "joint_covariance",
+    "landmark_hesse",
     "landmark_to_plane",
     "line_factor",
+    "line_factor_2d",
     "odometry_factor",
     "odometry_factor_2d",
+    "parallel_factor",
+    "perpendicular_factor",
     "planar_motion_factor",
     "plane_factor",
     "plane_factors",
     "plane_landmark",
     "plane_prior",
+    "pose_prior",
+    "relative_pose_factor",
+    "upright_prior",
     "world_plane",
     "world_plane_from_joint",
 ]

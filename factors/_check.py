@@ -5,8 +5,12 @@ from __future__ import annotations
 import numbers
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from spplanes._check import FloatArray, as_covariance
+
+#: Smallest eigenvalue of the correlation matrix below which a covariance counts as singular.
+_SINGULAR = 1e-12
 
 
 def as_key(name: str, value: object) -> int:
@@ -16,12 +20,19 @@ def as_key(name: str, value: object) -> int:
     return int(value)
 
 
-def as_definite_covariance(name: str, value: object, size: int) -> FloatArray:
+def as_definite_covariance(name: str, value: ArrayLike, size: int) -> FloatArray:
     """Return a symmetric positive definite (size, size) covariance; a singular one has no information matrix."""
-    matrix = as_covariance(name, value, size)  # type: ignore[arg-type]
-    scale = np.sqrt(np.diag(matrix))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        correlation = matrix / np.outer(scale, scale)
-    if not (scale > 0.0).all() or np.linalg.eigvalsh(correlation)[0] < 1e-12:
-        raise ValueError(f"{name}: expected a positive definite covariance, got a singular one")
+    matrix = as_covariance(name, value, size)
+    check_definite(name, matrix[None])
     return matrix
+
+
+def check_definite(name: str, covariances: FloatArray) -> None:
+    """Refuse singular matrices among symmetric ones, shape (N, n, n); scale does not matter, only correlation."""
+    scale = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
+    safe = np.where(scale > 0.0, scale, 1.0)
+    smallest = np.linalg.eigvalsh(covariances / (safe[:, :, None] * safe[:, None, :]))[:, 0]
+    bad = np.flatnonzero((scale == 0.0).any(axis=1) | (smallest < _SINGULAR))
+    if len(bad):
+        where = f" at index {bad[0]}" if len(covariances) > 1 else ""
+        raise ValueError(f"{name}: expected a positive definite covariance, got a singular one{where}")

@@ -15,7 +15,7 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
-from factors._kernels import unit_basis
+from factors._kernels import unit_bases
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -46,7 +46,7 @@ def error_to_sp(frames: FloatArray) -> FloatArray:
     that takes the measured plane to the true one. From dn = theta x - psi y and d = n.o + z:
     theta = x.B e_12, psi = -y.B e_12, z = e_3 - o.B e_12.
     """
-    basis = np.stack([unit_basis(np.ascontiguousarray(normal)) for normal in frames[:, :3, 2]])
+    basis = unit_bases(np.ascontiguousarray(frames[:, :3, 2]))
     matrices = np.zeros((len(frames), 3, 3))
     matrices[:, 0, :2] = -np.einsum("ni,nij->nj", frames[:, :3, 3], basis)
     matrices[:, 0, 2] = 1.0

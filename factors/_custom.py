@@ -1,76 +1,163 @@
-"""Callbacks of ``gtsam.CustomFactor`` around the compiled kernels."""
+"""Callbacks of ``gtsam.CustomFactor`` around the compiled kernels.
+
+GTSAM cannot say what is inside a custom factor. `describe` can: while it probes, a callback hands over its recipe
+instead of computing; `factors.archive` writes and reads recipes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import gtsam
 import numpy as np
 
+from factors import _kernels
+from factors.robust import Robust, gaussian, resolve_robust
 from spplanes._check import FloatArray
 
-#: (world_T_anchor, world_T_body, coefficients) -> error (m,), derivative (m, 15)
-Kernel = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+_KERNELS: dict[str, Callable[..., tuple[FloatArray, FloatArray]]] = {
+    "plane": _kernels.plane_error,
+    "line": _kernels.line_error,
+    "direction": _kernels.direction_error,
+    "parallel": _kernels.parallel_error,
+    "perpendicular": _kernels.perpendicular_error,
+    "distance": _kernels.distance_error,
+}
 
 _IDENTITY = np.asfortranarray(np.eye(4))
 
-
-def landmark_factor(
-    kernel: Callable[..., tuple[FloatArray, FloatArray]],
-    data: tuple[Any, ...],
-    noise: gtsam.noiseModel.Base,
-    plane_key: int,
-    pose_key: int | None = None,
-    anchor_key: int | None = None,
-) -> gtsam.CustomFactor:
-    """Factor with the error ``kernel(world_T_anchor, world_T_body, coefficients, *data)``.
-
-    Keys are (pose, anchor, plane), those that are given. A pose that is its own anchor drops out: seen from there the
-    landmark does not depend on it.
-    """
-    if pose_key == anchor_key or pose_key is None:
-        return gtsam.CustomFactor(noise, [plane_key], _unary(kernel, data, plane_key))
-    if anchor_key is None:
-        return gtsam.CustomFactor(noise, [pose_key, plane_key], _binary(kernel, data, pose_key, plane_key))
-    keys = [pose_key, anchor_key, plane_key]
-    return gtsam.CustomFactor(noise, keys, _ternary(kernel, data, pose_key, anchor_key, plane_key))
+_Frame = Callable[[gtsam.Values], FloatArray]
+_probed: list[Recipe] | None = None
 
 
-def _unary(kernel: Callable[..., Any], data: tuple[Any, ...], plane_key: int) -> Callable[..., Any]:
+@dataclass(frozen=True, eq=False)
+class Recipe:
+    """All that makes a custom factor: its error is ``kernel(world_T_anchor, world_T_body, landmark, *data)``."""
+
+    kernel: str
+    """Name in `_KERNELS`."""
+    data: tuple[FloatArray | float, ...]
+    """The measurement, as the kernel takes it."""
+    root_information: FloatArray
+    """Upper triangular R of the noise, shape (m, m)."""
+    dof: int
+    """Degrees of freedom of the error; it may have more components."""
+    plane_key: int
+    """The landmark, an ``OrientedPlane3``."""
+    pose_key: int | None = None
+    """The pose it is seen from; None: the world."""
+    anchor_key: int | None = None
+    """The pose in whose frame it lives; None: the world. The same as `pose_key`: both drop out."""
+    reference_key: int | None = None
+    """A second landmark, living in the frame of `pose_key`, that the kernel takes before ``data``."""
+    planar: bool = False
+    """The poses are ``Pose2``."""
+    robust: Robust = None
+    """Kernel of the noise model."""
+
+    def factor(self) -> gtsam.CustomFactor:
+        """Make the factor. Its keys are (pose, anchor, plane, reference), those that there are."""
+        pose_columns, anchor_columns = _planar_columns if self.planar else _pose_columns
+        blocks: list[tuple[int, Any]] = []
+        if self.pose_key != self.anchor_key:
+            if self.pose_key is not None:
+                blocks.append((self.pose_key, pose_columns))
+            if self.anchor_key is not None:
+                blocks.append((self.anchor_key, anchor_columns))
+        blocks.append((self.plane_key, slice(12, 15)))
+        if self.reference_key is not None:
+            blocks.append((self.reference_key, slice(15, 18)))
+        noise = gaussian(self.root_information, self.robust, self.dof)
+        return gtsam.CustomFactor(
+            noise, [key for key, _ in blocks], _callback(self, [columns for _, columns in blocks])
+        )
+
+    def frames(self) -> tuple[_Frame, _Frame]:
+        """Readers of world_T_anchor and world_T_body out of the values."""
+        if self.pose_key == self.anchor_key:
+            return _identity, _identity
+        return _reader(self.anchor_key, self.planar), _reader(self.pose_key, self.planar)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings, for JSON."""
+        plain = dict(vars(self))
+        plain["data"] = [np.asarray(array).tolist() for array in self.data]
+        plain["root_information"] = self.root_information.tolist()
+        plain["robust"] = resolve_robust(self.robust, self.dof)
+        return plain
+
+    @staticmethod
+    def from_dict(plain: dict[str, Any]) -> Recipe:
+        """Inverse of `as_dict`."""
+        fields = dict(plain)
+        fields["data"] = tuple(np.array(array) if isinstance(array, list) else float(array) for array in plain["data"])
+        fields["root_information"] = np.array(plain["root_information"])
+        fields["robust"] = None if plain["robust"] is None else tuple(plain["robust"])
+        return Recipe(**fields)
+
+
+def describe(factor: gtsam.CustomFactor) -> Recipe | None:
+    """Recipe of a custom factor made here; None for anybody else's."""
+    global _probed
+    _probed = []
+    try:
+        factor.unwhitenedError(gtsam.Values())
+    except Exception:  # somebody else's callback without values: whatever it throws, it is not one of ours
+        return None
+    finally:
+        found, _probed = _probed, None
+    return found[0] if found else None
+
+
+def _callback(recipe: Recipe, columns: list[Any]) -> Callable[[gtsam.CustomFactor, gtsam.Values, Any], FloatArray]:
+    kernel, data, plane_key, reference_key = (
+        _KERNELS[recipe.kernel],
+        recipe.data,
+        recipe.plane_key,
+        recipe.reference_key,
+    )
+    world_T_anchor, world_T_body = recipe.frames()
+
     def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
-        coefficients = values.atOrientedPlane3(plane_key).planeCoefficients()
-        residual, derivative = kernel(_IDENTITY, _IDENTITY, coefficients, *data)
+        if _probed is not None:
+            _probed.append(recipe)
+            return np.zeros(len(recipe.root_information))
+        landmark = values.atOrientedPlane3(plane_key).planeCoefficients()
+        if reference_key is None:
+            residual, derivative = kernel(world_T_anchor(values), world_T_body(values), landmark, *data)
+        else:
+            reference = values.atOrientedPlane3(reference_key).planeCoefficients()
+            residual, derivative = kernel(world_T_anchor(values), world_T_body(values), landmark, reference, *data)
         if jacobians is not None:
-            jacobians[0] = derivative[:, 12:]
+            for i, block in enumerate(columns):
+                jacobians[i] = derivative[:, block]
         return residual
 
     return error
 
 
-def _binary(kernel: Callable[..., Any], data: tuple[Any, ...], pose_key: int, plane_key: int) -> Callable[..., Any]:
-    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
-        coefficients = values.atOrientedPlane3(plane_key).planeCoefficients()
-        residual, derivative = kernel(_IDENTITY, values.atPose3(pose_key).matrix(), coefficients, *data)
-        if jacobians is not None:
-            jacobians[0] = derivative[:, :6]
-            jacobians[1] = derivative[:, 12:]
-        return residual
-
-    return error
+_pose_columns = slice(0, 6), slice(6, 12)
+#: (x, y, yaw) of a Pose2 within the (rx, ry, rz, x, y, z) of a Pose3: the same right-hand tangent, to first order.
+_planar_columns = np.array([3, 4, 2]), np.array([9, 10, 8])
 
 
-def _ternary(
-    kernel: Callable[..., Any], data: tuple[Any, ...], pose_key: int, anchor_key: int, plane_key: int
-) -> Callable[..., Any]:
-    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
-        coefficients = values.atOrientedPlane3(plane_key).planeCoefficients()
-        world_T_anchor = values.atPose3(anchor_key).matrix()
-        residual, derivative = kernel(world_T_anchor, values.atPose3(pose_key).matrix(), coefficients, *data)
-        if jacobians is not None:
-            jacobians[0] = derivative[:, :6]
-            jacobians[1] = derivative[:, 6:12]
-            jacobians[2] = derivative[:, 12:]
-        return residual
+def _identity(_: gtsam.Values) -> FloatArray:
+    return _IDENTITY
 
-    return error
+
+def _reader(key: int | None, planar: bool) -> _Frame:
+    if key is None:
+        return _identity
+    if planar:
+        return lambda values: _planar_matrix(values.atPose2(key))
+    return lambda values: values.atPose3(key).matrix()
+
+
+def _planar_matrix(pose: gtsam.Pose2) -> FloatArray:
+    matrix = np.eye(4).T
+    c, s = np.cos(pose.theta()), np.sin(pose.theta())
+    matrix[0, 0], matrix[0, 1], matrix[0, 3] = c, -s, pose.x()
+    matrix[1, 0], matrix[1, 1], matrix[1, 3] = s, c, pose.y()
+    return matrix

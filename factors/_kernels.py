@@ -1,7 +1,8 @@
 """The arithmetic of the custom factors: errors with their analytic derivatives, compiled.
 
 Columns of every derivative: 0-5 the observing pose (rx, ry, rz, x, y, z; on the right), 6-11 the anchor pose, 12-14 the
-landmark in the tangent of ``OrientedPlane3.retract``. Planes are rows (nx, ny, nz, d) in Hesse form, n.x = d.
+landmark in the tangent of ``OrientedPlane3.retract``, 15-17 a second landmark that lives in the observing pose's frame.
+Planes are rows (nx, ny, nz, d) in Hesse form, n.x = d; landmarks come as GTSAM's coefficients (nx, ny, nz, -d).
 """
 
 from __future__ import annotations
@@ -29,6 +30,15 @@ def unit_basis(n):
     basis[:, 0] = first
     basis[:, 1] = second
     return basis
+
+
+@njit(cache=True)
+def unit_bases(normals):
+    """`unit_basis` of many normals (N, 3), shape (N, 3, 2)."""
+    out = np.empty((len(normals), 3, 2))
+    for i in range(len(normals)):
+        out[i] = unit_basis(normals[i])
+    return out
 
 
 @njit(cache=True)
@@ -143,3 +153,78 @@ def line_error(world_T_anchor, world_T_body, coefficients, body_T_sensor, points
                 stretch = in_sensor[0] * derivative_in_sensor[0, j] + in_sensor[1] * derivative_in_sensor[1, j]
                 derivative[i, j] -= gap * stretch / length**3
     return error, derivative
+
+
+@njit(cache=True)
+def direction_error(world_T_anchor, world_T_body, coefficients, directions):
+    """Components, shape (m,), of a landmark's normal along fixed ``directions`` (m, 3); derivative (m, 15)."""
+    seen, jacobian = plane_seen_from(world_T_anchor, world_T_body, coefficients)
+    return directions @ seen[:3], directions @ jacobian[:3]
+
+
+@njit(cache=True)
+def _reference_rows(coefficients):
+    """Hesse row (4,) of a landmark in its own frame and its derivative (4, 3)."""
+    own = coefficients.copy()
+    own[3] = -own[3]
+    jacobian = np.zeros((4, 3))
+    jacobian[:3, :2] = unit_basis(own[:3])
+    jacobian[3, 2] = -1.0
+    return own, jacobian
+
+
+@njit(cache=True)
+def _joined(by_seen, jacobian, by_own, own_jacobian):
+    """Chain rule of an error of two planes: derivative (m, 18)."""
+    derivative = np.empty((len(by_seen), 18))
+    derivative[:, :15] = by_seen @ jacobian
+    derivative[:, 15:] = by_own @ own_jacobian
+    return derivative
+
+
+@njit(cache=True)
+def parallel_error(world_T_anchor, world_T_body, coefficients, reference):
+    """Cross product of two normals, shape (3,), of rank 2, smooth everywhere; derivative (3, 18)."""
+    seen, jacobian = plane_seen_from(world_T_anchor, world_T_body, coefficients)
+    own, own_jacobian = _reference_rows(reference)
+    a, b = own[:3], seen[:3]
+    by_seen = np.zeros((3, 4))
+    by_own = np.zeros((3, 4))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        by_seen[i, k], by_seen[i, j] = a[j], -a[k]
+        by_own[i, j], by_own[i, k] = b[k], -b[j]
+    return cross(a, b), _joined(by_seen, jacobian, by_own, own_jacobian)
+
+
+@njit(cache=True)
+def perpendicular_error(world_T_anchor, world_T_body, coefficients, reference):
+    """Cosine of the angle between two normals, shape (1,); derivative (1, 18)."""
+    seen, jacobian = plane_seen_from(world_T_anchor, world_T_body, coefficients)
+    own, own_jacobian = _reference_rows(reference)
+    by_seen = np.zeros((1, 4))
+    by_own = np.zeros((1, 4))
+    by_seen[0, :3], by_own[0, :3] = own[:3], seen[:3]
+    error = np.array([own[0] * seen[0] + own[1] * seen[1] + own[2] * seen[2]])
+    return error, _joined(by_seen, jacobian, by_own, own_jacobian)
+
+
+@njit(cache=True)
+def distance_error(world_T_anchor, world_T_body, coefficients, reference, gap, place):
+    """Distance along the reference's normal from it to a parallel plane, less ``gap`` (1,); derivative (1, 18).
+
+    Measured from x, which is ``place`` (3,) dropped onto the reference a: e = sign(a.b) (d_b - b.x) - gap.
+    """
+    seen, jacobian = plane_seen_from(world_T_anchor, world_T_body, coefficients)
+    own, own_jacobian = _reference_rows(reference)
+    a, b = own[:3], seen[:3]
+    cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    height = own[3] - (a[0] * place[0] + a[1] * place[1] + a[2] * place[2])
+    foot = place + height * a
+    sign = 1.0 if cosine >= 0.0 else -1.0
+    error = np.array([sign * (seen[3] - (b[0] * foot[0] + b[1] * foot[1] + b[2] * foot[2])) - gap[0]])
+    by_seen = np.zeros((1, 4))
+    by_own = np.zeros((1, 4))
+    by_seen[0, :3], by_seen[0, 3] = -sign * foot, sign
+    by_own[0, :3], by_own[0, 3] = -sign * (height * b - cosine * place), -sign * cosine
+    return error, _joined(by_seen, jacobian, by_own, own_jacobian)

@@ -8,12 +8,13 @@ import gtsam
 import gtsam_unstable
 import numpy as np
 
-from factors._check import as_definite_covariance, as_key
-from factors._conventions import hesse, oriented_plane, square_root_informations
-from factors._custom import landmark_factor
-from factors._kernels import plane_error, unit_basis
-from factors.robust import Robust, with_robust
+from factors._check import as_key, check_definite
+from factors._conventions import oriented_plane, square_root_informations
+from factors._custom import Recipe
+from factors._kernels import unit_basis
+from factors.robust import Robust, gaussian
 from spplanes import Plane
+from spplanes._check import FloatArray
 
 
 def plane_factor(
@@ -52,26 +53,38 @@ def plane_factors(
     if not len(planes):
         return graph
     frames = np.stack([plane.frame for plane in planes])
-    covariances = np.stack([as_definite_covariance("plane.covariance", plane.covariance, 3) for plane in planes])
+    covariances = np.stack([plane.covariance for plane in planes])
+    check_definite("plane.covariance", covariances)
     roots = square_root_informations(frames, covariances)
     for frame, root, pose, key, anchor in zip(frames, roots, pose_keys, plane_keys, anchors, strict=True):
-        noise = with_robust(gtsam.noiseModel.Gaussian.SqrtInformation(root, False), robust, 3)
-        graph.push_back(_one(frame, noise, as_key("pose_key", pose), as_key("plane_key", key), anchor))
+        anchor = None if anchor is None else as_key("anchor_key", anchor)
+        graph.push_back(_one(frame, root, as_key("pose_key", pose), as_key("plane_key", key), anchor, robust))
     return graph
 
 
-def plane_prior(plane: Plane, plane_key: int, *, robust: Robust = None) -> gtsam.NonlinearFactor:
-    """Factor of a plane known beforehand in the frame its landmark lives in (a map, a floor plan)."""
-    key = as_key("plane_key", plane_key)
-    return plane_factors([plane], [key], [key], [key], robust=robust).at(0)
+def plane_prior(plane: Plane, plane_key: int, *, robust: Robust = None) -> gtsam.CustomFactor:
+    """Factor of a plane known beforehand in the frame its landmark lives in (a map, a floor plan).
+
+    Custom, not native: no factor of the wheel acts on an ``OrientedPlane3`` alone but for its direction.
+    """
+    check_definite("plane.covariance", plane.covariance[None])
+    root = square_root_informations(plane.frame[None], plane.covariance[None])[0]
+    return _recipe(plane.frame, root, None, as_key("plane_key", plane_key), None, robust).factor()
 
 
 def _one(
-    frame: np.ndarray, noise: gtsam.noiseModel.Base, pose_key: int, plane_key: int, anchor_key: int | None
+    frame: FloatArray, root: FloatArray, pose_key: int, plane_key: int, anchor_key: int | None, robust: Robust
 ) -> gtsam.NonlinearFactor:
+    if anchor_key is None or anchor_key == pose_key:
+        return _recipe(frame, root, pose_key, plane_key, anchor_key, robust).factor()
     measured = oriented_plane(frame[:3, 2], float(frame[:3, 2] @ frame[:3, 3]))
-    if anchor_key is not None and as_key("anchor_key", anchor_key) != pose_key:
-        return gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, pose_key, anchor_key, plane_key)
-    normal, distance = hesse(measured)
-    data = (unit_basis(np.ascontiguousarray(normal)), distance)
-    return landmark_factor(plane_error, data, noise, plane_key, pose_key, anchor_key)
+    noise = gaussian(root, robust, 3)
+    return gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, pose_key, anchor_key, plane_key)
+
+
+def _recipe(
+    frame: FloatArray, root: FloatArray, pose_key: int | None, plane_key: int, anchor_key: int | None, robust: Robust
+) -> Recipe:
+    normal = np.ascontiguousarray(frame[:3, 2])
+    data = (unit_basis(normal), float(normal @ frame[:3, 3]))
+    return Recipe("plane", data, root, 3, plane_key, pose_key, anchor_key, robust=robust)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gtsam
 
-from spplanes._check import as_positive
+from spplanes._check import FloatArray, as_positive
 
 #: ``None``, the name of a kernel, or (name, k).
 Robust = str | tuple[str, float] | None
@@ -24,14 +24,30 @@ def with_robust(noise: gtsam.noiseModel.Base, robust: Robust, dof: int) -> gtsam
     """Wrap ``noise`` in a robust kernel.
 
     ``robust`` is None, a name ("huber", "cauchy", "geman-mcclure", "dcs") or (name, k). k is in units of the whitened
-    norm sqrt(e^T C^-1 e); "dcs" takes its phi, which is in units of its square. By default the kernel starts to bite
-    where an honest error of ``dof`` degrees of freedom is in 5 % of all cases. Unknown names: ValueError.
+    norm sqrt(e^T C^-1 e); "dcs" takes its phi, which is in units of its square. By default k is where an honest error
+    of ``dof`` degrees of freedom is in 5 % of all cases. Unknown names: ValueError.
     """
-    if robust is None:
+    chosen = resolve_robust(robust, dof)
+    if chosen is None:
         return noise
-    name, k = robust if isinstance(robust, tuple) else (robust, None)
-    if name not in _ESTIMATORS:
-        raise ValueError(f"robust: expected None or one of {', '.join(sorted(_ESTIMATORS))}, got {name!r}")
+    name, k = chosen
+    return gtsam.noiseModel.Robust.Create(_ESTIMATORS[name].Create(k), noise)
+
+
+def resolve_robust(robust: Robust, dof: int) -> tuple[str, float] | None:
+    """Name and constant of a kernel, the default filled in."""
+    if robust is None:
+        return None
+    name, k = robust if isinstance(robust, tuple) and len(robust) == 2 else (robust, None)
+    if not isinstance(name, str) or name not in _ESTIMATORS:
+        raise ValueError(
+            f"robust: expected None, one of {', '.join(sorted(_ESTIMATORS))}, or (name, k), got {robust!r}"
+        )
     if k is None:
-        k = _CHI2_95[dof] if name == "dcs" else _CHI2_95[dof] ** 0.5
-    return gtsam.noiseModel.Robust.Create(_ESTIMATORS[name].Create(as_positive("robust", k)), noise)
+        return name, _CHI2_95[dof] if name == "dcs" else _CHI2_95[dof] ** 0.5
+    return name, as_positive("robust", k)
+
+
+def gaussian(root_information: FloatArray, robust: Robust, dof: int) -> gtsam.noiseModel.Base:
+    """Noise model with |R e|^2 as its squared norm, R = ``root_information`` (m, m) upper triangular."""
+    return with_robust(gtsam.noiseModel.Gaussian.SqrtInformation(root_information, False), robust, dof)

@@ -1,0 +1,138 @@
+"""Factors mean what their covariance says: the error of measurements drawn from it is chi-squared, at every normal."""
+
+import gtsam
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from factors import line_factor, plane_factors
+from factors._check import check_definite
+from factors._conventions import square_root_informations
+from spplanes import Plane
+from tests.factors.factor_scenes import (
+    TIED_NORMALS,
+    A,
+    L,
+    X,
+    frame_of,
+    make_line,
+    perturbed,
+    random_covariance,
+    random_normals,
+    random_pose,
+    values_of,
+)
+
+SAMPLES = 300
+N_RANDOM = 200
+
+
+def band(dof: int, runs: int, level: float) -> tuple[float, float]:
+    """Band of the mean of ``runs`` chi2 variables of ``dof`` degrees of freedom."""
+    tail = (1.0 - level) / 2.0
+    return chi2.ppf(tail, dof * runs) / runs, chi2.ppf(1.0 - tail, dof * runs) / runs
+
+
+def normals() -> np.ndarray:
+    return np.vstack([TIED_NORMALS, random_normals(np.random.default_rng(11), N_RANDOM)])
+
+
+def measured_planes(rng: np.random.Generator, true_frame: np.ndarray) -> list[Plane]:
+    """Measurements of one plane: their perturbation to the truth is drawn from the covariance they carry."""
+    ratio = 50.0 ** rng.random()
+    sigmas = np.array([0.005, np.radians(1.0) / ratio, np.radians(1.0)])
+    if rng.random() < 0.5:
+        sigmas = sigmas[[0, 2, 1]]
+    covariance = random_covariance(rng, sigmas)
+    perturbations = rng.normal(size=(SAMPLES, 3)) @ np.linalg.cholesky(covariance).T
+    inverses = [np.linalg.inv(perturbed(np.eye(4), p)) for p in perturbations]
+    return [Plane(frame=true_frame @ inverse, covariance=covariance) for inverse in inverses]
+
+
+def nis(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
+    return 2.0 * graph.error(values) / graph.size()
+
+
+def mean_nis_at(form: str, index: int, normal: np.ndarray) -> float:
+    """Mean NIS of plane measurements with ``normal`` in the body's frame, at the truth."""
+    rng = np.random.default_rng([5, index])
+    frame = frame_of(normal, rng.uniform(-3, 3, 3), rng.uniform(0, 2 * np.pi))
+    planes, pose, anchor = measured_planes(rng, frame), random_pose(rng), random_pose(rng)
+    seen = gtsam.OrientedPlane3(np.array([*frame[:3, 2], -frame[:3, 2] @ frame[:3, 3]]))
+    in_world = seen.transform(pose.inverse())
+    at = {"anchored": in_world.transform(anchor), "own anchor": seen}.get(form, in_world)
+    values = values_of(x0=pose, a0=anchor, l0=at)
+    if form == "stock":
+        return nis(stock_graph(planes), values)
+    anchor_keys = {"anchored": [A] * SAMPLES, "own anchor": [X] * SAMPLES}.get(form)
+    return nis(plane_factors(planes, [X] * SAMPLES, [L] * SAMPLES, anchor_keys), values)
+
+
+def stock_graph(planes: list[Plane]) -> gtsam.NonlinearFactorGraph:
+    """Stock factors given our covariance in GTSAM's own basis and sign: all that can be done for them."""
+    frames, covariances = np.stack([p.frame for p in planes]), np.stack([p.covariance for p in planes])
+    check_definite("covariances", covariances)
+    graph = gtsam.NonlinearFactorGraph()
+    for plane, root in zip(planes, square_root_informations(frames, covariances), strict=True):
+        noise = gtsam.noiseModel.Gaussian.SqrtInformation(root)
+        graph.push_back(gtsam.OrientedPlane3Factor(np.array([*plane.normal, -plane.d]), noise, X, L))
+    return graph
+
+
+@pytest.mark.parametrize("form", ["anchored", "world", "own anchor"])
+def test_plane_factor_at_every_normal(form):
+    means = np.array([mean_nis_at(form, i, normal) for i, normal in enumerate(normals())])
+    low, high = band(3, SAMPLES, 0.999)
+    assert ((means > low) & (means < high)).all(), (means.min(), means.max(), low, high)
+    low, high = band(3, SAMPLES * len(means), 0.95)
+    assert low < means.mean() < high
+
+
+def test_the_stock_factor_fails_where_components_tie():
+    """Why this package exists: with the same covariance the stock factor is right only away from ties."""
+    means = np.array([mean_nis_at("stock", i, normal) for i, normal in enumerate(normals())])
+    assert means[:6].max() > 50.0
+    low, high = band(3, SAMPLES, 0.999)
+    assert ((means < low) | (means > high)).sum() > 6
+
+
+def true_line(plane: gtsam.OrientedPlane3, world_T_sensor: gtsam.Pose3) -> tuple[float, float]:
+    """(alpha, rho) of the line in which a world plane cuts the scan plane."""
+    a, b, _, minus_d = plane.transform(world_T_sensor).planeCoefficients()
+    alpha, rho = np.arctan2(b, a), -minus_d / np.hypot(a, b)
+    return (alpha, rho) if rho >= 0.0 else (alpha + np.pi, -rho)
+
+
+MOUNTS = {
+    "horizontal": gtsam.Pose3(gtsam.Rot3(), np.array([0.2, 0.1, 0.3])),
+    "vertical": gtsam.Pose3(gtsam.Rot3(np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])), np.array([0.0, 0.1, 0.5])),
+    "tilted": gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, 0.5, -0.7), np.array([0.3, -0.2, 0.4])),
+}
+
+
+@pytest.mark.parametrize("anchored", [True, False])
+@pytest.mark.parametrize("mount", MOUNTS)
+def test_line_factor_on_walls_of_every_tilt(mount, anchored):
+    """Planes at 15 to 90 degrees to the scan plane; alpha and rho correlated."""
+    means = []
+    body_T_sensor = MOUNTS[mount]
+    for i in range(40):
+        rng = np.random.default_rng([9, i])
+        pose, anchor = random_pose(rng), random_pose(rng)
+        in_plane, tilt = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(0, 75))
+        normal = [np.cos(tilt) * np.cos(in_plane), np.cos(tilt) * np.sin(in_plane), np.sin(tilt)]
+        world_T_sensor = pose.compose(body_T_sensor)
+        plane = gtsam.OrientedPlane3(np.array([*normal, -rng.uniform(1, 5)])).transform(world_T_sensor.inverse())
+        alpha, rho = true_line(plane, world_T_sensor)
+        covariance = random_covariance(rng, np.array([np.radians(0.5), 0.01]), correlation=0.9)
+        noise = rng.normal(size=(SAMPLES, 2)) @ np.linalg.cholesky(covariance).T
+        graph, key = gtsam.NonlinearFactorGraph(), A if anchored else None
+        for da, dr in noise:
+            line = make_line(alpha + da, rho + dr, covariance)
+            graph.push_back(line_factor(line, body_T_sensor.matrix(), X, L, anchor_key=key))
+        values = values_of(x0=pose, a0=anchor, l0=plane.transform(anchor) if anchored else plane)
+        means.append(nis(graph, values))
+    low, high = band(2, SAMPLES, 0.999)
+    assert ((np.array(means) > low) & (np.array(means) < high)).all(), (min(means), max(means), low, high)
+    low, high = band(2, SAMPLES * len(means), 0.95)
+    assert low < np.mean(means) < high
