@@ -11,6 +11,8 @@ from spplanes._eigen import jacobi3
 ROW_SIZE = 11
 COUNT, WEIGHT, CENTRE, SCATTER = 0, 1, 2, 5
 
+#: No viewpoint, as the kernels take it.
+NO_VIEWPOINT = np.full(3, np.nan)
 #: Outcome of a fit, as the kernels report it.
 OK, TOO_FEW, COINCIDENT, COLLINEAR = 0, 1, 2, 3
 #: Points are collinear when their width is below this share of their length.

@@ -29,12 +29,12 @@ from numpy.typing import ArrayLike
 
 from spplanes import _rows
 from spplanes._check import FloatArray, as_shape, as_weights
-from spplanes._rows import ROW_SIZE, add_point, merge_rows, points_row, row_frame, smallest_eigen
+from spplanes._rows import NO_VIEWPOINT, ROW_SIZE, add_point, merge_rows, points_row, row_frame, smallest_eigen
 from spplanes.plane import Plane
 
 __all__ = ["ROW_SIZE", "Moments", "add_point", "merge_rows", "points_row", "row_frame", "smallest_eigen"]
 
-NO_VIEWPOINT = np.full(3, np.nan)
+
 _PROBLEMS = {
     _rows.TOO_FEW: "expected at least 3 points, got {n}",
     _rows.COINCIDENT: "expected points that span a plane, got {n} coincident ones",

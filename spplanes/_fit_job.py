@@ -1,0 +1,93 @@
+"""The input of a plane fit, checked once, and its division into groups."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from spplanes._check import FloatArray, as_positive, as_shape
+from spplanes._point_checks import as_covariances, as_points
+from spplanes._rows import NO_VIEWPOINT
+from spplanes._shared_pose import SharedPose
+
+Method = Literal["ml", "sp"]
+Robust = Literal["tukey"]
+METHODS: tuple[Method, ...] = ("ml", "sp")
+ROBUST: tuple[Robust | None, ...] = (None, "tukey")
+
+
+@dataclass(frozen=True, eq=False)
+class FitJob:
+    """Checked input of a fit."""
+
+    points: FloatArray
+    """Shape (N, 3), m."""
+    covariances: FloatArray
+    """Shape (N, 3, 3), or (1, 3, 3) when all points share one, m^2."""
+    step: int
+    """Distance between the covariances of successive points: 0 when they share one."""
+    viewpoint: FloatArray
+    """Shape (3,), m; NaN for none."""
+    method: Method
+    """How to fit."""
+    robust: Robust | None
+    """What to do about outliers."""
+    shared: SharedPose | None
+    """The pose errors that points of one scan share."""
+
+    @classmethod
+    def checked(
+        cls,
+        points: ArrayLike,
+        covariances: ArrayLike | None,
+        *,
+        sigma: float | None,
+        method: Method,
+        viewpoint: ArrayLike | None,
+        robust: Robust | None,
+        scan_index: ArrayLike | None,
+        pose_covariances: ArrayLike | None,
+        scan_origins: ArrayLike | None,
+    ) -> FitJob:
+        """Check what the caller gave."""
+        if method not in METHODS:
+            raise ValueError(f"method: expected one of {METHODS}, got {method!r}")
+        if robust not in ROBUST:
+            raise ValueError(f"robust: expected one of {ROBUST}, got {robust!r}")
+        if robust and method == "sp":
+            raise ValueError("robust: expected None with method 'sp', got " + repr(robust))
+        array = as_points("points", points)
+        noise, step = _covariances(covariances, sigma, len(array))
+        eye = NO_VIEWPOINT if viewpoint is None else as_shape("viewpoint", viewpoint, (3,))
+        shared = SharedPose.checked(len(array), scan_index, pose_covariances, scan_origins)
+        return cls(array, noise, step, eye, method, robust, shared)
+
+    def select(self, chosen: np.ndarray) -> FitJob:
+        """The same for a subset of the points."""
+        noise = self.covariances[chosen] if self.step else self.covariances
+        shared = self.shared.select(chosen) if self.shared else None
+        return FitJob(self.points[chosen], noise, self.step, self.viewpoint, self.method, self.robust, shared)
+
+
+def _covariances(covariances: ArrayLike | None, sigma: float | None, n: int) -> tuple[FloatArray, int]:
+    """Covariances and the step between those of successive points."""
+    if covariances is not None and sigma is None:
+        return as_covariances("covariances", covariances, n), 1
+    if sigma is not None and covariances is None:
+        return as_positive("sigma", sigma) ** 2 * np.eye(3)[None], 0
+    raise ValueError("covariances: expected either them or sigma, got " + ("neither" if sigma is None else "both"))
+
+
+def group_by_label(labels: ArrayLike | None, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distinct labels >= 0 ascending (P,), indices sorted by label, stable, and the groups' bounds (P + 1,)."""
+    array = np.asarray(labels)
+    if array.shape != (n,) or array.dtype.kind not in "iu":
+        raise ValueError(f"labels: expected {n} integers, one for each point, got {array.dtype} of shape {array.shape}")
+    order = np.argsort(array, kind="stable")
+    ranked = array[order]
+    first = int(np.searchsorted(ranked, 0))
+    starts = first + np.flatnonzero(np.diff(ranked[first:], prepend=-1))
+    return ranked[starts], order, np.append(starts, n)

@@ -1,0 +1,236 @@
+"""Points of one scan share the error of its pose: the plane fit that knows.
+
+The error of scan s is a world-side perturbation xi_s = (x, y, z, phi, theta, psi) with covariance S_s, independent
+between scans: p' = p + t + phi (z x q) + theta (y x q) + psi (x x q), q = p - o_s. A point is then off the plane by its
+own noise and by g.xi_s, g = n^T dp/dxi. Maximum likelihood estimates plane and xi together; each scan's xi is
+eliminated, so the cost is one 6x6 solve a scan.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from spplanes import _fit_kernels as kernels
+from spplanes._check import FloatArray, as_covariance, as_shape
+from spplanes._fit_sums import FLOOR, N_SUMS, accumulate
+from spplanes._rows import COLLINEAR, OK
+
+
+@dataclass(frozen=True, eq=False)
+class SharedPose:
+    """Which point belongs to which scan, and how uncertain the scans' poses are."""
+
+    scan: np.ndarray
+    """Scan of each point, shape (N,), int64, in 0..S-1."""
+    roots: FloatArray
+    """Square roots L of the pose covariances, S = L L^T, shape (S, 6, 6)."""
+    origins: FloatArray
+    """Points about which the rotations act, shape (S, 3), m."""
+
+    @classmethod
+    def checked(
+        cls, n: int, scan_index: ArrayLike | None, pose_covariances: ArrayLike | None, scan_origins: ArrayLike | None
+    ) -> SharedPose | None:
+        """Check what the caller gave; None when there is no shared pose error."""
+        if scan_index is None and pose_covariances is None and scan_origins is None:
+            return None
+        if scan_index is None or pose_covariances is None:
+            missing = "scan_index" if scan_index is None else "pose_covariances"
+            raise ValueError(f"{missing}: expected it beside the other arguments of the shared pose error, got None")
+        covariances = as_shape("pose_covariances", pose_covariances, (None, 6, 6))
+        for covariance in covariances:
+            as_covariance("pose_covariances", covariance, 6)
+        scans = len(covariances)
+        origins = np.zeros((scans, 3)) if scan_origins is None else as_shape("scan_origins", scan_origins, (scans, 3))
+        return cls(_scan_index(scan_index, n, scans), _square_roots(covariances), origins)
+
+    def select(self, chosen: np.ndarray) -> SharedPose:
+        """The same for a subset of the points."""
+        present, scan = np.unique(self.scan[chosen], return_inverse=True)
+        return SharedPose(scan, self.roots[present], self.origins[present])
+
+
+def _scan_index(value: ArrayLike, n: int, scans: int) -> np.ndarray:
+    index = np.asarray(value)
+    if index.shape != (n,) or index.dtype.kind not in "iu":
+        raise ValueError(f"scan_index: expected {n} integers, one for each point, got {index.dtype} of {index.shape}")
+    if n and (index.min() < 0 or index.max() >= scans):
+        raise ValueError(f"scan_index: expected indices of {scans} scans, got {index.min()}..{index.max()}")
+    return np.ascontiguousarray(index, dtype=np.int64)
+
+
+def _square_roots(covariances: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(covariances)
+    return vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+
+
+@njit(cache=True)
+def lever(v, q, out) -> None:
+    """v^T dp/dxi, shape (6,): v itself, then the part of v along the velocity of q under each rotation."""
+    out[0], out[1], out[2] = v[0], v[1], v[2]
+    out[3] = q[0] * v[1] - q[1] * v[0]
+    out[4] = q[2] * v[0] - q[0] * v[2]
+    out[5] = q[1] * v[2] - q[2] * v[1]
+
+
+@njit(cache=True)
+def scan_sums(points, covs, step, scan, origins, frame, xi, info, cross, pose, plane_side, pose_side) -> float:
+    """Sums of one Gauss-Newton step per scan: sum w f f^T, w f g^T, w g g^T, w r f, w r g; returns sum w r^2.
+
+    r = z - g.xi is the distance that the pose error leaves, f = (1, x, y) at the foot point it implies.
+    """
+    axes, q, g, f = np.empty((3, 3)), np.empty(3), np.empty(6), np.ones(3)
+    for j in range(3):
+        for k in range(3):
+            axes[j, k] = frame[k, j]
+    normal, cost = axes[2], 0.0
+    for i in range(points.shape[0]):
+        s, c = scan[i], covs[i * step]
+        for k in range(3):
+            q[k] = points[i, k] - origins[s, k]
+        lever(normal, q, g)
+        x = y = r = variance = ux = uy = 0.0
+        for j in range(3):
+            u = c[j, 0] * normal[0] + c[j, 1] * normal[1] + c[j, 2] * normal[2]
+            x += axes[0, j] * (points[i, j] - frame[j, 3])
+            y += axes[1, j] * (points[i, j] - frame[j, 3])
+            r += axes[2, j] * (points[i, j] - frame[j, 3])
+            ux += axes[0, j] * u
+            uy += axes[1, j] * u
+            variance += normal[j] * u
+        for k in range(6):
+            r -= g[k] * xi[s, k]
+        least = FLOOR * (c[0, 0] + c[1, 1] + c[2, 2])
+        if variance < least:
+            variance, ux, uy = least, 0.0, 0.0
+        w = 1.0 / variance
+        f[1], f[2] = x - ux * r * w, y - uy * r * w
+        cost += w * r * r
+        for j in range(3):
+            plane_side[s, j] += w * r * f[j]
+            for k in range(3):
+                info[s, j, k] += w * f[j] * f[k]
+            for k in range(6):
+                cross[s, j, k] += w * f[j] * g[k]
+        for j in range(6):
+            pose_side[s, j] += w * r * g[j]
+            for k in range(6):
+                pose[s, j, k] += w * g[j] * g[k]
+    return cost
+
+
+def fit_shared_pose(
+    points: FloatArray, covs: FloatArray, step: int, viewpoint: FloatArray, shared: SharedPose, base: FloatArray
+) -> tuple[int, FloatArray, FloatArray, float]:
+    """Joint maximum likelihood of the plane and the scans' pose errors.
+
+    Args:
+        points, covs, step: as in the kernels.
+        viewpoint: shape (3,), NaN for none.
+        shared: the shared pose errors.
+        base: (4, 4) frame to start from; it is moved to the optimum.
+
+    Returns:
+        Outcome, frame (4, 4), covariance (3, 3) of (z, theta, psi), and chi2.
+    """
+    scans = len(shared.roots)
+    u = np.zeros((scans, 6))
+    roots_t = shared.roots.transpose(0, 2, 1)
+    information, chi2 = np.eye(3), 0.0
+    for _ in range(kernels.MAX_ITERATIONS):
+        info, cross, pose = np.zeros((scans, 3, 3)), np.zeros((scans, 3, 6)), np.zeros((scans, 6, 6))
+        plane_side, pose_side = np.zeros((scans, 3)), np.zeros((scans, 6))
+        xi = (shared.roots @ u[..., None])[..., 0]
+        chi2 = scan_sums(
+            points, covs, step, shared.scan, shared.origins, base, xi, info, cross, pose, plane_side, pose_side
+        )
+        chi2 += float(np.sum(u * u))
+        middle = np.eye(6) + roots_t @ pose @ shared.roots
+        coupling = cross @ shared.roots
+        open_side = (roots_t @ pose_side[..., None])[..., 0] - u
+        solved = np.linalg.solve(middle, np.concatenate([coupling.transpose(0, 2, 1), open_side[..., None]], axis=2))
+        information = (info - coupling @ solved[..., :3]).sum(axis=0)
+        gradient = (plane_side - (coupling @ solved[..., 3:])[..., 0]).sum(axis=0)
+        step_b = np.linalg.solve(information, gradient)
+        step_u = solved[..., 3] - solved[..., :3] @ step_b
+        u += step_u
+        kernels.move_frame(base.copy(), step_b[0], step_b[1], step_b[2], base)
+        if gradient @ step_b < kernels.TOLERANCE and np.sum(step_u * step_u) < kernels.TOLERANCE:
+            break
+    return *_finish(points, covs, step, viewpoint, base, information), chi2
+
+
+def _finish(
+    points: FloatArray, covs: FloatArray, step: int, viewpoint: FloatArray, base: FloatArray, information: FloatArray
+) -> tuple[int, FloatArray, FloatArray]:
+    """Outcome, frame and covariance at the optimum, with the information that the pose errors leave."""
+    sums, frame, to_p, slopes = np.zeros(N_SUMS), np.empty((4, 4)), np.empty((3, 3)), np.empty((3, 3))
+    accumulate(points, covs, step, np.arange(len(points)), 0, len(points), base, np.inf, sums)
+    status = kernels.settle(base, sums, viewpoint, frame, to_p)
+    sums[4:10] = information[np.triu_indices(3)]
+    if status != OK or not kernels.slope_covariance(sums, slopes):
+        return (status if status != OK else COLLINEAR), frame, slopes
+    covariance = to_p @ slopes @ to_p.T
+    return OK, frame, 0.5 * (covariance + covariance.T)
+
+
+@njit(cache=True)
+def sp_pose_derivative(points, covs, step, scan, origins, frame, spread, out) -> None:
+    """Derivative of the paper's (z, theta, psi) by each scan's xi, shape (S, 3, 6), through all its points.
+
+    ``spread``: W, lambda_x - lambda_z and lambda_y - lambda_z, shape (3,).
+    """
+    q, d, v, g = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(6)
+    for i in range(points.shape[0]):
+        s, c = scan[i], covs[i * step]
+        trace = c[0, 0] + c[1, 1] + c[2, 2]
+        x = y = z = 0.0
+        for k in range(3):
+            q[k] = points[i, k] - origins[s, k]
+            d[k] = points[i, k] - frame[k, 3]
+            x += frame[k, 0] * d[k]
+            y += frame[k, 1] * d[k]
+            z += frame[k, 2] * d[k]
+        for k in range(3):
+            v[0, k] = frame[k, 2] / spread[0]
+            v[1, k] = -(x * frame[k, 2] + z * frame[k, 0]) / spread[1]
+            v[2, k] = (y * frame[k, 2] + z * frame[k, 1]) / spread[2]
+        for j in range(3):
+            lever(v[j], q, g)
+            for k in range(6):
+                out[s, j, k] += g[k] / (trace * trace)
+
+
+def sp_pose_term(
+    points: FloatArray, covs: FloatArray, step: int, shared: SharedPose, frame: FloatArray, spread: FloatArray
+) -> FloatArray:
+    """sum_s G_s S_s G_s^T, shape (3, 3): what the shared pose errors add to the covariance of the paper's fit."""
+    derivative = np.zeros((len(shared.roots), 3, 6))
+    sp_pose_derivative(points, covs, step, shared.scan, shared.origins, frame, spread, derivative)
+    half = derivative @ shared.roots
+    return np.einsum("sij,skj->ik", half, half)
+
+
+@njit(cache=True)
+def inflate(points, covs, step, scan, origins, roots, out) -> None:
+    """Write each point's covariance with its scan's pose error folded in, (N, 3, 3): to judge single points by."""
+    axes, q, g, half = np.eye(3), np.empty(3), np.empty(6), np.zeros((3, 6))
+    for i in range(points.shape[0]):
+        s = scan[i]
+        for k in range(3):
+            q[k] = points[i, k] - origins[s, k]
+        for j in range(3):
+            lever(axes[j], q, g)
+            for k in range(6):
+                half[j, k] = 0.0
+                for m in range(6):
+                    half[j, k] += g[m] * roots[s, m, k]
+        for j in range(3):
+            for k in range(3):
+                out[i, j, k] = covs[i * step, j, k]
+                for m in range(6):
+                    out[i, j, k] += half[j, m] * half[k, m]
