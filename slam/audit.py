@@ -1,0 +1,77 @@
+"""The run watches its own honesty: chi2 of every accepted measurement against what chi2 should be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from slam.association import Decision
+
+#: Two-sided probability of the band that a mean NIS is held against.
+BAND = 0.95
+
+
+@dataclass
+class NisAudit:
+    """Normalised innovation squared, summed by factor type.
+
+    Innovations are taken before the update, with state and measurement covariance, so their sum over a run is chi2
+    with the summed degrees of freedom when every covariance is honest. The gate cuts the upper tail off, which moves
+    the mean down by less than its significance.
+    """
+
+    history: dict[str, list[tuple[int, float, int]]] = field(default_factory=dict)
+    """(keyframe, chi2, dof) of every accepted measurement, by factor type."""
+
+    def add(self, keyframe: int, kinds: Iterable[str], decisions: Iterable[Decision]) -> None:
+        """Count the accepted matches of a keyframe."""
+        for kind, decision in zip(kinds, decisions, strict=True):
+            if decision.match is not None:
+                self.history.setdefault(kind, []).append((keyframe, decision.match.chi2, decision.match.dof))
+
+    def summary(self) -> list[NisSummary]:
+        """Mean NIS per degree of freedom and its band, one row a factor type, in alphabetical order."""
+        return [NisSummary.of(kind, self.history[kind]) for kind in sorted(self.history)]
+
+    def warnings(self) -> list[str]:
+        """One sentence for every factor type whose covariances claim too much."""
+        return [
+            f"the {row.kind} factors are over-confident: mean NIS per degree of freedom {row.mean_per_dof:.2f}, "
+            f"above its 95 % band up to {row.high:.2f}; state more noise in the rig"
+            for row in self.summary()
+            if row.verdict == "over-confident"
+        ]
+
+
+@dataclass(frozen=True)
+class NisSummary:
+    """Mean NIS of one factor type against its chi2 band."""
+
+    kind: str
+    """Factor type."""
+    count: int
+    """Number of measurements."""
+    mean_per_dof: float
+    """Sum of chi2 over sum of degrees of freedom: 1 when covariances are honest."""
+    low: float
+    """Lower end of the 95 % band of that mean."""
+    high: float
+    """Upper end of the 95 % band of that mean."""
+
+    @property
+    def verdict(self) -> str:
+        """over-confident, cautious or consistent."""
+        if self.mean_per_dof > self.high:
+            return "over-confident"
+        return "cautious" if self.mean_per_dof < self.low else "consistent"
+
+    @classmethod
+    def of(cls, kind: str, history: list[tuple[int, float, int]]) -> NisSummary:
+        """Summarise the measurements of one type."""
+        total = float(np.sum([chi2 for _, chi2, _ in history]))
+        dof = int(np.sum([dof for _, _, dof in history]))
+        low, high = chi2_distribution.ppf([(1 - BAND) / 2, (1 + BAND) / 2], dof) / dof
+        return cls(kind, len(history), total / dof, float(low), float(high))

@@ -1,0 +1,115 @@
+"""The estimator behind the map: iSAM2, its current estimate, its marginals, and the same graph as a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.config import BackendConfig
+from spplanes._check import FloatArray
+
+
+class BackendError(RuntimeError):
+    """The graph cannot be solved; the sentence says near which variable."""
+
+
+class Backend:
+    """iSAM2 with QR elimination.
+
+    QR, because the normal equations of a long corridor square a condition number that is already large: with Cholesky
+    iSAM2 gave up after 700 poses of a 1 m step, 1 cm / 0.01 rad odometry and planes that leave one direction open.
+    """
+
+    def __init__(self, config: BackendConfig) -> None:
+        parameters = gtsam.ISAM2Params()
+        parameters.setFactorization("QR")
+        parameters.setRelinearizeThreshold(config.relinearize_threshold)
+        parameters.relinearizeSkip = 1
+        parameters.cacheLinearizedFactors = True
+        self._isam = gtsam.ISAM2(parameters)
+        self._estimate = gtsam.Values()
+
+    @property
+    def values(self) -> gtsam.Values:
+        """Current estimate of every variable."""
+        return self._estimate
+
+    @property
+    def graph(self) -> gtsam.NonlinearFactorGraph:
+        """Every factor still in the graph."""
+        graph = gtsam.NonlinearFactorGraph()
+        factors = self._isam.getFactorsUnsafe()
+        for index in range(factors.size()):
+            if factors.at(index) is not None:
+                graph.push_back(factors.at(index))
+        return graph
+
+    def update(
+        self, factors: Iterable[Any], initial: gtsam.Values, remove: Sequence[int] = (), *, relinearize: bool = False
+    ) -> list[int]:
+        """Add factors and variables, remove factors by index; returns the indices of the new factors.
+
+        Raises:
+            BackendError: the system became indeterminate.
+        """
+        graph = gtsam.NonlinearFactorGraph()
+        for factor in factors:
+            graph.push_back(factor)
+        try:
+            result = self._isam.update(graph, initial, list(remove))
+            if relinearize:
+                self._isam.update()
+            self._estimate = self._isam.calculateEstimate()
+        except RuntimeError as error:
+            raise BackendError(_first_line(error)) from error
+        return list(result.getNewFactorsIndices())
+
+    def pose(self, key: int) -> FloatArray:
+        """world_T_body of a pose variable, shape (4, 4)."""
+        return self._estimate.atPose3(key).matrix()
+
+    def plane(self, key: int) -> gtsam.OrientedPlane3:
+        """A landmark variable, in its anchor's frame."""
+        return self._estimate.atOrientedPlane3(key)
+
+    def joint_covariance(self, keys: Sequence[int]) -> JointCovariance:
+        """Joint marginal covariance of a few variables."""
+        try:
+            return JointCovariance(keys, self._isam.jointMarginalCovariance(list(keys)))
+        except RuntimeError as error:
+            raise BackendError(_first_line(error)) from error
+
+    def covariance(self, key: int) -> FloatArray:
+        """Marginal covariance of one variable in its GTSAM tangent order."""
+        try:
+            return self._isam.marginalCovariance(key)
+        except RuntimeError as error:
+            raise BackendError(_first_line(error)) from error
+
+    def optimize_batch(self) -> gtsam.Values:
+        """Levenberg-Marquardt on the same factors, started from the current estimate."""
+        parameters = gtsam.LevenbergMarquardtParams()
+        parameters.setLinearSolverType("MULTIFRONTAL_QR")
+        return gtsam.LevenbergMarquardtOptimizer(self.graph, self._estimate, parameters).optimize()
+
+
+class JointCovariance:
+    """Blocks of a joint marginal covariance by key."""
+
+    def __init__(self, keys: Sequence[int], marginal: gtsam.JointMarginal) -> None:
+        sizes = [marginal.at(key, key).shape[0] for key in keys]
+        starts = np.concatenate(([0], np.cumsum(sizes)))
+        self._columns = {key: np.arange(starts[i], starts[i + 1]) for i, key in enumerate(keys)}
+        self._full = np.block([[marginal.at(row, column) for column in keys] for row in keys])
+
+    def of(self, keys: Sequence[int]) -> FloatArray:
+        """Covariance of the stacked tangents of `keys`, in that order."""
+        columns = np.concatenate([self._columns[key] for key in keys])
+        return self._full[np.ix_(columns, columns)]
+
+
+def _first_line(error: Exception) -> str:
+    return " ".join(str(error).split("\n\n")[0].split())

@@ -1,0 +1,97 @@
+"""Every number a run depends on, with unit and reason; unknown keys are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from spplanes import LineConfig, MapperConfig
+
+RobustKernel = Literal["huber", "cauchy", "geman-mcclure", "dcs"]
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class KeyframeConfig(_Frozen):
+    """When a keyframe is made."""
+
+    distance_m: float = Field(0.5, gt=0)
+    """Travel since the last keyframe, m: short enough that odometry inside a window stays below the sensor noise."""
+    angle_rad: float = Field(0.35, gt=0)
+    """Turn since the last keyframe, rad."""
+
+
+class AssociationConfig(_Frozen):
+    """When a measured plane is the landmark's plane."""
+
+    significance: float = Field(1e-3, gt=0, lt=1)
+    """A match is accepted below the chi2 quantile 1 - significance: one true match in 1 / significance is missed."""
+    new_significance: float = Field(1e-6, gt=0, lt=1)
+    """A measurement starts a landmark only when every candidate lies above this quantile; between, it is dropped."""
+    max_angle_rad: float = Field(0.35, gt=0)
+    """Normals further apart than this, plus three sigma of the state, are not compared, rad."""
+    gap_m: float = Field(0.6, ge=0)
+    """Patches of one wall may lie this far apart beside the state's own uncertainty, m: less than a door is wide."""
+    ambiguity_ratio: float = Field(0.0, ge=0)
+    """A second candidate within this chi2 of the best, not itself one plane with it, makes a match ambiguous."""
+
+
+class LandmarkConfig(_Frozen):
+    """Which measurements may start a landmark, and when it counts."""
+
+    min_points: int = Field(30, ge=3)
+    """Points of a plane that starts a landmark: below, planes are mostly clutter."""
+    min_line_points: int = Field(12, ge=3)
+    """Beams of a line that starts a landmark."""
+    min_line_length_m: float = Field(0.5, ge=0)
+    """Length of a line that starts a landmark, m."""
+    min_observations: int = Field(2, ge=1)
+    """Keyframes that must have seen a landmark before it is part of the map handed out."""
+    wall_tilt_sigma_rad: float = Field(0.01, gt=0)
+    """How far walls seen only by one 2D laser may lean from its scan plane's normal, rad."""
+
+
+class BackendConfig(_Frozen):
+    """iSAM2 and its priors."""
+
+    relinearize_threshold: float = Field(0.01, gt=0)
+    """Change of a variable that makes iSAM2 relinearise it, rad or m."""
+    robust: RobustKernel | None = None
+    """Robust kernel on plane and line factors."""
+    prior_sigma_m: float = Field(1e-4, gt=0)
+    """Sigma of the first pose's position, m: it defines the world, so it is nearly exact."""
+    prior_sigma_rad: float = Field(1e-5, gt=0)
+    """Sigma of the first pose's orientation, rad."""
+
+
+class SlamConfig(_Frozen):
+    """Configuration of a run."""
+
+    keyframes: KeyframeConfig = KeyframeConfig()
+    association: AssociationConfig = AssociationConfig()
+    landmarks: LandmarkConfig = LandmarkConfig()
+    backend: BackendConfig = BackendConfig()
+    mapper: MapperConfig = MapperConfig()
+    lines: LineConfig = LineConfig()
+
+    @classmethod
+    def from_yaml(cls, path: Path) -> SlamConfig:
+        """Read a configuration; a ValueError names the file and the key that is wrong."""
+        try:
+            return cls.model_validate(yaml.safe_load(Path(path).read_text(encoding="utf-8")) or {})
+        except OSError as error:
+            raise ValueError(f"{path}: cannot be read ({error.strerror})") from error
+        except (UnicodeDecodeError, yaml.YAMLError) as error:
+            raise ValueError(f"{path}: expected a YAML file") from error
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise ValueError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+
+    def to_yaml(self) -> str:
+        """The configuration as YAML, every field written out."""
+        return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)

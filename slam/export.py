@@ -1,0 +1,120 @@
+"""The run folder: configuration, trajectory, planes, mesh, numbers and pictures, all or nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from plyfile import PlyData, PlyElement
+
+from slam.io.trajectories import write_tum
+from slam.mesh import Mesh, mesh_of
+from slam.metrics import Metric, metrics_json, metrics_of
+from slam.pictures import draw_map
+from slam.planeslam import MapPlane
+from slam.report import write_report
+from slam.run import Run
+
+PLANES_FORMAT = "spplanes/1"
+
+
+@contextmanager
+def new_folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """A folder that appears under its name only when everything in it is written.
+
+    The work happens in a hidden folder beside it; when anything fails, that one goes and `out` is as it was.
+
+    Raises:
+        ValueError: `out` exists and may not be overwritten, or the folder it should lie in cannot be written.
+    """
+    out = Path(out)
+    check_free(out, overwrite=overwrite)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    except OSError as error:
+        raise ValueError(f"{out}: cannot be made ({error.strerror})") from error
+    try:
+        work.chmod(0o755)
+        yield work
+        _put_in_place(work, out)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def check_free(out: Path, *, overwrite: bool) -> None:
+    """Refuse an output that exists, before any work is done for it."""
+    if out.exists() and not (overwrite and out.is_dir()):
+        hint = "it is not a folder" if not out.is_dir() else "give --overwrite to replace it"
+        raise ValueError(f"{out}: exists already; {hint}")
+
+
+def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, Sequence[Metric]]] = ()) -> None:
+    """Write everything about a run into a folder that exists; `extra` tables go into the numbers and the page."""
+    rows = metrics_of(run)
+    (folder / "config.yaml").write_text(run.slam.config.to_yaml(), encoding="utf-8")
+    run.rig.to_yaml(folder / "rig.yaml")
+    write_tum(folder / "trajectory.tum", run.trajectory)
+    write_tum(folder / "odometry.tum", run.odometry)
+    write_json(folder / "planes.json", planes_json(run.planes))
+    write_ply(folder / "map.ply", mesh_of(run.planes))
+    numbers = metrics_json(rows, run)
+    numbers["metrics"] += [
+        {"metric": f"{caption}: {row.name}", "value": row.value, "unit": row.unit}
+        for caption, table in extra
+        for row in table
+    ]
+    write_json(folder / "metrics.json", numbers)
+    draw_map(run, folder / "map.png")
+    write_report(folder / "report.html", title, [*extra, ("the run", rows)], [folder / "map.png"])
+
+
+def planes_json(planes: Sequence[MapPlane]) -> dict[str, Any]:
+    """The map in the project's own format."""
+    entries = []
+    for plane in planes:
+        data = plane.plane.to_dict()
+        keys = ("normal", "d", "frame", "covariance", "n_points", "outline")
+        entries.append({"id": plane.id, **{key: data[key] for key in keys}, "observations": plane.observations})
+    return {"format": PLANES_FORMAT, "frame": "world", "planes": entries}
+
+
+def write_ply(path: Path, mesh: Mesh) -> None:
+    """Binary PLY with a colour per corner and the landmark id of its plane."""
+    fields = [("x", "f8"), ("y", "f8"), ("z", "f8"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("plane", "i4")]
+    corners = np.empty(len(mesh.vertices), dtype=fields)
+    for name, column in zip("xyz", mesh.vertices.T, strict=True):
+        corners[name] = column
+    for name, column in zip(("red", "green", "blue"), mesh.colours.T, strict=True):
+        corners[name] = column
+    corners["plane"] = mesh.plane_ids
+    faces = np.empty(len(mesh.triangles), dtype=[("vertex_indices", "i4", (3,))])
+    faces["vertex_indices"] = mesh.triangles
+    PlyData([PlyElement.describe(corners, "vertex"), PlyElement.describe(faces, "face")]).write(str(path))
+
+
+def write_json(path: Path, data: dict[str, Any]) -> None:
+    """Strict JSON: NaN is refused rather than written as a word no other reader knows."""
+    path.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _put_in_place(work: Path, out: Path) -> None:
+    """Rename; an old folder is moved aside first and deleted only when the new one is in its place."""
+    if not out.exists():
+        os.replace(work, out)
+        return
+    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent))
+    os.replace(out, aside / out.name)
+    try:
+        os.replace(work, out)
+    except OSError:
+        os.replace(aside / out.name, out)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)

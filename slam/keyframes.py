@@ -1,0 +1,126 @@
+"""Keyframes: where a log is cut, and what each piece saw, in the frame of the body at that moment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slam.config import KeyframeConfig, SlamConfig
+from slam.frames import inverse
+from slam.io.log import CloudScan, LaserScan, Log, LogError
+from slam.measure import lines_of_scan, planes_of_cloud, planes_of_window
+from slam.observations import Observation
+from slam.odometry import Motion, OdometryTrack
+from slam.rig import Rig
+from spplanes._check import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """One pose of the trajectory and what was seen from it."""
+
+    stamp_ns: int
+    """Time of the pose, ns."""
+    observations: Sequence[Observation]
+    """Planes and lines in the body frame, in an order that depends on the data alone."""
+    motion: Motion | None = None
+    """Motion from the keyframe before; None only for the first one."""
+    world_T_body_guess: FloatArray | None = None
+    """Where the first pose is, shape (4, 4); None: at the origin."""
+    notes: tuple[str, ...] = field(default=())
+    """What could not be used, one sentence each."""
+
+
+def keyframes_of(log: Log, rig: Rig, config: SlamConfig) -> Iterator[Keyframe]:
+    """Cut a log into keyframes, in time order.
+
+    Every 3D scan is a keyframe by itself. Without 3D scans, keyframes lie on scans of the line lasers (or of the
+    push-broom lasers, if there are no others) by distance and angle of the odometry; the push-broom scans nearest to a
+    keyframe are its window, so that each of them is used once.
+
+    Raises:
+        LogError: no scan of a sensor that the rig knows, or no odometry where it is needed.
+    """
+    clouds = [scan for scan in log.scans() if isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud")]
+    if clouds:
+        yield from _cloud_keyframes(log, clouds, rig, config)
+    else:
+        yield from _laser_keyframes(log, rig, config)
+
+
+def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
+    """How many keyframes `keyframes_of` will give, without making them."""
+    clouds = [scan for scan in log.scans() if isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud")]
+    return len(clouds) if clouds else len(_choose_stamps(log, rig, config.keyframes))
+
+
+def _cloud_keyframes(log: Log, clouds: Sequence[CloudScan], rig: Rig, config: SlamConfig) -> Iterator[Keyframe]:
+    track = _track_of(log, rig)
+    previous: CloudScan | None = None
+    for scan in clouds:
+        observations = planes_of_cloud(scan, rig.sensors[scan.sensor], config.mapper)
+        motion = None if previous is None else track.motion(previous.stamp_ns, scan.stamp_ns)
+        yield Keyframe(scan.stamp_ns, observations, motion)
+        previous = scan
+
+
+def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig) -> Iterator[Keyframe]:
+    track = _track_of(log, rig)
+    stamps = _choose_stamps(log, rig, config.keyframes)
+    lines = _scans_of(log, rig, "line")
+    slices = _scans_of(log, rig, "slice")
+    line_home = _nearest(stamps, [scan.stamp_ns for scan in lines])
+    slice_home = _nearest(stamps, [scan.stamp_ns for scan in slices])
+    for index, stamp in enumerate(stamps):
+        motion = None if index == 0 else track.motion(stamps[index - 1], stamp)
+        observations: list[Observation] = []
+        for name, sensor in rig.of_kind("slice").items():
+            window = [s for s, home in zip(slices, slice_home, strict=True) if home == index and s.sensor == name]
+            if window:
+                observations += planes_of_window(window, stamp, sensor, track, config.mapper)
+        for name, sensor in rig.of_kind("line").items():
+            near = [s for s, home in zip(lines, line_home, strict=True) if home == index and s.sensor == name]
+            if near:
+                scan = min(near, key=lambda s: abs(s.stamp_ns - stamp))
+                kf_T_body = inverse(track.poses_at([stamp])[0]) @ track.poses_at([scan.stamp_ns])[0]
+                observations += lines_of_scan(scan, sensor, kf_T_body, config.lines)
+        yield Keyframe(stamp, observations, motion)
+
+
+def _choose_stamps(log: Log, rig: Rig, config: KeyframeConfig) -> list[int]:
+    """Times of keyframes: the first scan, then whenever the odometry has gone far enough or turned enough."""
+    scans = _scans_of(log, rig, "line") or _scans_of(log, rig, "slice")
+    if not scans:
+        raise LogError(log.source, f"expected scans of the rig's sensors ({', '.join(rig.sensors)}), found none")
+    candidates = sorted({scan.stamp_ns for scan in scans})
+    poses = _track_of(log, rig).poses_at(candidates)
+    chosen = [0]
+    for index in range(1, len(candidates)):
+        step = inverse(poses[chosen[-1]]) @ poses[index]
+        angle = np.arccos(np.clip(0.5 * (np.trace(step[:3, :3]) - 1.0), -1.0, 1.0))
+        if np.linalg.norm(step[:3, 3]) >= config.distance_m or angle >= config.angle_rad:
+            chosen.append(index)
+    return [candidates[index] for index in chosen]
+
+
+def _scans_of(log: Log, rig: Rig, kind: str) -> list[LaserScan]:
+    names = rig.of_kind(kind)
+    return [scan for scan in log.scans() if isinstance(scan, LaserScan) and scan.sensor in names]
+
+
+def _track_of(log: Log, rig: Rig) -> OdometryTrack:
+    readings = log.odometry
+    if not readings:
+        raise LogError(log.source, "expected odometry beside the scans, found none")
+    return OdometryTrack(readings, rig.odometry)
+
+
+def _nearest(stamps: Sequence[int], times: Sequence[int]) -> np.ndarray:
+    """Index of the stamp nearest to each time; of two equally near the earlier."""
+    grid, wanted = np.asarray(stamps, dtype=np.int64), np.asarray(times, dtype=np.int64)
+    right = np.clip(np.searchsorted(grid, wanted), 1, max(len(grid) - 1, 1))
+    left = right - 1
+    right = np.minimum(right, len(grid) - 1)
+    return np.where(np.abs(wanted - grid[left]) <= np.abs(grid[right] - wanted), left, right)

@@ -1,0 +1,59 @@
+"""The numbers of a run: one list of (metric, value, unit), for the screen, metrics.json and the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from slam.run import Run, path_length_m
+from slam.summary import FacingPair, facing_pairs
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One row of the table."""
+
+    name: str
+    """What was measured."""
+    value: float | int | str
+    """The value."""
+    unit: str = ""
+    """Its unit; empty for counts and words."""
+
+
+def metrics_of(run: Run) -> list[Metric]:
+    """What can be said of a run without knowing the truth."""
+    rows = [
+        Metric("keyframes", len(run.trajectory)),
+        Metric("path length", path_length_m(run.trajectory), "m"),
+        Metric("planes in the map", len(run.planes)),
+        Metric("landmarks tried", len(run.slam.landmarks)),
+    ]
+    rows += _pair_rows(facing_pairs(run.planes)[:6])
+    for summary in run.slam.audit.summary():
+        band = f"{summary.low:.3f} to {summary.high:.3f}"
+        rows.append(Metric(f"NIS per dof, {summary.kind} factors (95 % band {band})", summary.mean_per_dof))
+        rows.append(Metric(f"{summary.kind} factors", summary.count))
+    rows += [Metric(f"time, {stage}", seconds, "s") for stage, seconds in run.clock.seconds.items()]
+    return rows
+
+
+def metrics_json(rows: list[Metric], run: Run) -> dict[str, Any]:
+    """The rows by name, and the details that a table has no room for."""
+    return {
+        "metrics": [{"metric": row.name, "value": row.value, "unit": row.unit} for row in rows],
+        "facing_pairs": [pair.__dict__ for pair in facing_pairs(run.planes)],
+        "nis": [{**summary.__dict__, "verdict": summary.verdict} for summary in run.slam.audit.summary()],
+        "stages_s": dict(run.clock.seconds),
+        "notes": [*run.log.notes],
+    }
+
+
+def _pair_rows(pairs: list[FacingPair]) -> list[Metric]:
+    rows = []
+    for pair in pairs:
+        between = f"planes {pair.first} and {pair.second}"
+        rows.append(Metric(f"{pair.name} between {between}", pair.distance_m, "m"))
+        rows.append(Metric(f"  its standard deviation ({between})", pair.sigma_m, "m"))
+        rows.append(Metric(f"  from parallel ({between})", pair.angle_deg, "deg"))
+    return rows

@@ -1,0 +1,61 @@
+"""Outlines of planes as shapely geometries: growing, flattening into another plane, taking apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from slam.frames import lift
+from spplanes._check import FloatArray
+
+#: Outlines are simplified to this after every union, m: far below any gap that association looks at.
+_TOLERANCE_M = 0.01
+
+
+def flatten(outline: BaseGeometry, plane_T_outline: FloatArray) -> BaseGeometry:
+    """An outline in one plane frame, seen along the normal of another, in that one's (x, y)."""
+    return shapely.transform(outline, lambda xy: lift(xy, plane_T_outline)[:, :2])
+
+
+def grow(outline: BaseGeometry, patch: BaseGeometry) -> BaseGeometry:
+    """Union of an outline and a patch in the same plane, with no more corners than it needs."""
+    if outline.geom_type == "LineString" and patch.geom_type in ("LineString", "Point"):
+        return _cover_on_line(outline, patch)
+    return shapely.union(valid(outline), valid(patch)).simplify(_TOLERANCE_M)
+
+
+def valid(geometry: BaseGeometry) -> BaseGeometry:
+    """The geometry itself, or its repair where rings cross themselves."""
+    return geometry if geometry.is_valid else shapely.make_valid(geometry)
+
+
+def polygons_of(geometry: BaseGeometry) -> list[shapely.Polygon]:
+    """All polygons of a geometry, however nested."""
+    return [part for part in _singles(geometry) if isinstance(part, shapely.Polygon) and not part.is_empty]
+
+
+def segments_of(geometry: BaseGeometry) -> list[FloatArray]:
+    """All line strings of a geometry as arrays of corners (N, 2)."""
+    return [shapely.get_coordinates(part) for part in _singles(geometry) if isinstance(part, shapely.LineString)]
+
+
+def largest_polygon(geometry: BaseGeometry) -> shapely.Polygon | None:
+    """The largest polygon of a geometry; None when it has none."""
+    return max(polygons_of(geometry), key=lambda part: part.area, default=None)
+
+
+def _singles(geometry: BaseGeometry) -> list[BaseGeometry]:
+    if not hasattr(geometry, "geoms"):
+        return [geometry]
+    return [single for part in shapely.get_parts(geometry) for single in _singles(part)]
+
+
+def _cover_on_line(outline: BaseGeometry, patch: BaseGeometry) -> BaseGeometry:
+    """The segment along the outline's own direction that covers both: repeated sightings of one wall line."""
+    ends = shapely.get_coordinates(outline)[[0, -1]]
+    direction = ends[1] - ends[0]
+    length = float(np.linalg.norm(direction))
+    both = np.vstack((ends, shapely.get_coordinates(patch)))
+    along = (both - ends[0]) @ direction / length
+    return shapely.LineString([ends[0] + direction / length * t for t in (along.min(), along.max())])

@@ -1,0 +1,89 @@
+"""PNG pictures of a run: plan and side view of planes and trajectory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+
+from slam.frames import lift
+from slam.io.trajectories import Trajectory
+from slam.mesh import colour_of
+from slam.outlines import polygons_of, segments_of
+from slam.planeslam import MapPlane
+from slam.run import Run
+from spplanes._check import FloatArray
+
+#: Planes seen more edge-on than this are drawn as lines, others as faces.
+_EDGE_ON_COSINE = 0.5
+_VIEWS = {"plan": (0, 1), "side": (0, 2)}
+
+
+def draw_map(run: Run, path: Path) -> None:
+    """Plan view (x, y) above side view (x, z), with the trajectory and odometry alone, into a PNG."""
+    figure = Figure(figsize=(11.0, 9.0), layout="constrained")
+    plan, side = figure.subplots(2, 1, height_ratios=[3, 1])
+    draw_view(plan, run, "plan")
+    draw_view(side, run, "side")
+    plan.set_title(f"{len(run.planes)} planes, {len(run.trajectory)} keyframes")
+    plan.legend(loc="upper right", fontsize=8)
+    save(figure, path)
+
+
+def draw_view(axes: Any, run: Run, view: str) -> None:
+    """One view of a run into matplotlib axes: "plan" is (x, y), "side" is (x, z)."""
+    horizontal, vertical = _VIEWS[view]
+    out_of_sheet = 3 - horizontal - vertical
+    for plane in sorted(run.planes, key=lambda plane: abs(plane.plane.normal[out_of_sheet]), reverse=True):
+        _draw_plane(axes, plane, (horizontal, vertical), out_of_sheet)
+    _draw_path(axes, run.odometry, (horizontal, vertical), "odometry alone", {"color": "tab:red", "ls": "--", "lw": 1})
+    _draw_path(axes, run.trajectory, (horizontal, vertical), "estimate", {"color": "black", "lw": 1.5, "marker": "."})
+    axes.set_xlabel(f"{'xyz'[horizontal]} [m]")
+    axes.set_ylabel(f"{'xyz'[vertical]} [m]")
+    axes.set_aspect("equal")
+    axes.grid(alpha=0.3)
+    axes.autoscale_view()
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG without the clock or the version in it, so that equal runs give equal files."""
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+
+
+def _draw_plane(axes: Any, plane: MapPlane, sheet: tuple[int, int], out_of_sheet: int) -> None:
+    colour = np.array(colour_of(plane)) / 255.0
+    rings = [lift(np.asarray(polygon.exterior.coords), plane.plane.frame) for polygon in polygons_of(plane.seen)]
+    if abs(plane.plane.normal[out_of_sheet]) > _EDGE_ON_COSINE:
+        faces = PolyCollection([ring[:, sheet] for ring in rings], facecolors=[(*colour, 0.15)], edgecolors=[colour])
+        faces.set_linewidth(0.4)
+        axes.add_collection(faces)
+        return
+    lines = [lift(segment, plane.plane.frame) for segment in segments_of(plane.seen)]
+    edges = [_span(points[:, sheet]) for points in (*rings, *lines)]
+    axes.add_collection(LineCollection(edges, colors=[colour], linewidths=2.2))
+
+
+def _span(points: FloatArray) -> FloatArray:
+    """The two ends of points that lie nearly on one line, shape (2, 2)."""
+    centred = points - points.mean(axis=0)
+    direction = np.linalg.svd(centred, full_matrices=False)[2][0]
+    along = centred @ direction
+    return points.mean(axis=0) + np.outer([along.min(), along.max()], direction)
+
+
+def _draw_path(
+    axes: Any,
+    path: Trajectory,
+    sheet: tuple[int, int],
+    label: str,
+    style: dict[str, Any],
+) -> None:
+    places = path.poses[:, :3, 3][:, sheet]
+    axes.plot(places[:, 0], places[:, 1], label=label, markersize=3, **style)
+
+
+mpl.rcParams["svg.hashsalt"] = "spplanes"

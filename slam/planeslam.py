@@ -1,0 +1,193 @@
+"""Plane-based SLAM: keyframes in, trajectory and planes with covariances out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+from shapely.geometry.base import BaseGeometry
+
+from factors import plane_factor, plane_landmark, pose_prior, world_plane_from_joint
+from slam.association import Decision, associate
+from slam.audit import NisAudit
+from slam.backend import Backend
+from slam.config import SlamConfig
+from slam.frames import covariance_in, inverse
+from slam.io.trajectories import Trajectory
+from slam.keyframes import Keyframe
+from slam.landmarks import Landmark, LandmarkMap, Sighting
+from slam.observations import LineObservation, Observation
+from slam.outlines import largest_polygon
+from spplanes import Plane
+from spplanes._check import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class MapPlane:
+    """A landmark of the finished map, in the world."""
+
+    id: int
+    """The landmark's number."""
+    plane: Plane
+    """Its plane in the world; covariance from the joint marginal of anchor pose and landmark."""
+    seen: BaseGeometry
+    """All that was seen of it, in (x, y) of the plane's frame: polygons, and segments where only lines were seen."""
+    observations: int
+    """Number of keyframes that saw it."""
+    kinds: tuple[str, ...]
+    """Factor types that saw it, in alphabetical order."""
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframeReport:
+    """What `add_keyframe` did."""
+
+    keyframe: int
+    """Index of the keyframe."""
+    world_T_body: FloatArray
+    """Estimated pose after the update, shape (4, 4)."""
+    decisions: list[Decision]
+    """One for every observation of the keyframe, in their order."""
+
+
+class PlaneSlam:
+    """Incremental plane-based SLAM on iSAM2.
+
+    Poses are gtsam Pose3 variables under symbols x0, x1, ...; landmarks OrientedPlane3 under p0, p1, ..., each in the
+    frame of its anchor pose, the one that first saw it.
+
+    References:
+        Weingarten, Gruener, Siegwart, ICRA 2004, for planes and their covariance; here the poses are unknown too.
+    """
+
+    def __init__(self, config: SlamConfig | None = None) -> None:
+        self.config = config or SlamConfig()
+        self.backend = Backend(self.config.backend)
+        self.landmarks = LandmarkMap()
+        self.audit = NisAudit()
+        self.keyframes: list[Keyframe] = []
+        self.decisions: list[list[Decision]] = []
+
+    def add_keyframe(self, keyframe: Keyframe) -> KeyframeReport:
+        """Predict the pose, match what was seen, update the graph, let the landmarks grow.
+
+        Raises:
+            ValueError: the keyframe is not later than the last one, or lacks the motion that leads to it.
+        """
+        self._check_order(keyframe)
+        pose_key = self._predict(keyframe)
+        decisions = associate(keyframe.observations, pose_key, self.landmarks, self.backend, self.config.association)
+        self.audit.add(len(self.keyframes), (seen.kind for seen in keyframe.observations), decisions)
+        self._update(keyframe, pose_key, decisions)
+        self.landmarks.refresh(self.backend)
+        self._remember(keyframe, decisions)
+        return KeyframeReport(len(self.keyframes) - 1, self.backend.pose(pose_key), decisions)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """world_T_body of every keyframe by the current estimate."""
+        poses = np.array([self.backend.pose(pose_symbol(i)) for i in range(len(self.keyframes))])
+        stamps = np.array([frame.stamp_ns for frame in self.keyframes], dtype=np.int64)
+        return Trajectory(stamps, poses.reshape(-1, 4, 4))
+
+    @property
+    def planes(self) -> list[MapPlane]:
+        """The map: landmarks seen often enough, in the world, with covariance and outline, in order of birth."""
+        wanted = self.config.landmarks.min_observations
+        return [self._map_plane(landmark) for landmark in self.landmarks if landmark.n_keyframes >= wanted]
+
+    def marginal_covariance(self, key: int) -> FloatArray:
+        """Marginal covariance of a variable, in its GTSAM tangent order: (rx, ry, rz, x, y, z) for a pose."""
+        return self.backend.covariance(key)
+
+    def optimize_batch(self) -> gtsam.Values:
+        """The same graph solved as a batch by Levenberg-Marquardt; the incremental state stays as it is."""
+        return self.backend.optimize_batch()
+
+    def _check_order(self, keyframe: Keyframe) -> None:
+        if not self.keyframes:
+            return
+        last = self.keyframes[-1].stamp_ns
+        if keyframe.stamp_ns <= last:
+            raise ValueError(f"keyframe: expected a time after {last} ns, got {keyframe.stamp_ns} ns")
+        if keyframe.motion is None:
+            raise ValueError("keyframe: expected the motion from the keyframe before, got None")
+
+    def _predict(self, keyframe: Keyframe) -> int:
+        """Put the new pose into the graph with what is known before looking: prior or odometry, and the floor."""
+        index = len(self.keyframes)
+        key, initial = pose_symbol(index), gtsam.Values()
+        if index == 0 or keyframe.motion is None:
+            guess = np.eye(4) if keyframe.world_T_body_guess is None else keyframe.world_T_body_guess
+            settings = self.config.backend
+            sigmas = np.repeat([settings.prior_sigma_m, settings.prior_sigma_rad], 3)
+            factors = [pose_prior(key, guess, np.diag(sigmas**2))]
+        else:
+            guess = self.backend.pose(pose_symbol(index - 1)) @ keyframe.motion.a_T_b
+            factors = keyframe.motion.factors(pose_symbol(index - 1), key)
+        initial.insert(key, gtsam.Pose3(guess))
+        self.backend.update(factors, initial)
+        return key
+
+    def _update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> None:
+        """Add the factors of matches and of new landmarks, then count what was seen."""
+        factors: list[Any] = []
+        initial = gtsam.Values()
+        seen: list[tuple[Landmark, Observation, int, FloatArray | None]] = []
+        for decision in decisions:
+            observation = keyframe.observations[decision.observation]
+            if decision.match is not None:
+                landmark = self.landmarks[decision.match.landmark]
+                factors.append(
+                    observation.factor(pose_key, landmark.key, landmark.anchor_key, self.config.backend.robust)
+                )
+                seen.append((landmark, observation, decision.observation, self._plane_T_body(landmark, pose_key)))
+            elif decision.verdict == "new" and self._may_start_landmark(observation):
+                plane = observation.full_plane(self.config.landmarks.wall_tilt_sigma_rad)
+                landmark = self.landmarks.birth(observation, pose_key, plane.frame)
+                factors.append(plane_factor(plane, pose_key, landmark.key, anchor_key=pose_key))
+                initial.insert(landmark.key, plane_landmark(plane))
+                seen.append((landmark, observation, decision.observation, None))
+        if not factors:
+            return
+        indices = self.backend.update(factors, initial, relinearize=True)
+        for (landmark, observation, number, plane_T_body), factor_index in zip(seen, indices, strict=True):
+            sighting = Sighting(len(self.keyframes), number, factor_index, observation.kind)
+            self.landmarks.see(landmark, observation, sighting, plane_T_body)
+
+    def _plane_T_body(self, landmark: Landmark, pose_key: int) -> FloatArray:
+        return inverse(self.landmarks.placed(landmark.id).world_T_plane) @ self.backend.pose(pose_key)
+
+    def _may_start_landmark(self, observation: Observation) -> bool:
+        rules = self.config.landmarks
+        if isinstance(observation, LineObservation):
+            ends = observation.vertices
+            long_enough = float(np.linalg.norm(ends[1] - ends[0])) >= rules.min_line_length_m
+            return long_enough and observation.n_points >= rules.min_line_points
+        return observation.n_points >= rules.min_points
+
+    def _remember(self, keyframe: Keyframe, decisions: list[Decision]) -> None:
+        self.keyframes.append(keyframe)
+        self.decisions.append(decisions)
+
+    def _map_plane(self, landmark: Landmark) -> MapPlane:
+        keys = [landmark.anchor_key, landmark.key]
+        frame = self.landmarks.placed(landmark.id).world_T_plane
+        plane = world_plane_from_joint(
+            self.backend.plane(landmark.key),
+            gtsam.Pose3(self.backend.pose(landmark.anchor_key)),
+            self.backend.joint_covariance(keys).of(keys),
+            centre=frame[:3, 3],
+        )
+        polygon = largest_polygon(landmark.outline)
+        plane = Plane(frame, covariance_in(plane, frame), landmark.n_points, polygon)
+        kinds = tuple(sorted({sighting.kind for sighting in landmark.sightings}))
+        return MapPlane(landmark.id, plane, landmark.outline, landmark.n_keyframes, kinds)
+
+
+def pose_symbol(index: int) -> int:
+    """GTSAM key of the pose of a keyframe."""
+    return gtsam.symbol("x", index)

@@ -1,0 +1,95 @@
+"""A run from log to map: keyframes through `PlaneSlam`, with the time of every stage."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slam.config import SlamConfig
+from slam.frames import inverse
+from slam.io.log import Log
+from slam.io.trajectories import Trajectory
+from slam.keyframes import count_keyframes, keyframes_of
+from slam.odometry import OdometryTrack
+from slam.planeslam import MapPlane, PlaneSlam
+from slam.rig import Rig
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass
+class StageClock:
+    """Wall time by stage, s."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time inside the block to a stage."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A finished run."""
+
+    slam: PlaneSlam
+    """The estimator in its final state."""
+    planes: list[MapPlane]
+    """The map."""
+    trajectory: Trajectory
+    """world_T_body of every keyframe."""
+    odometry: Trajectory
+    """The same keyframes by odometry alone, from the same first pose."""
+    log: Log
+    """What it was made from."""
+    rig: Rig
+    """With which sensors."""
+    clock: StageClock
+    """Time per stage."""
+
+
+def run_slam(
+    log: Log, rig: Rig, config: SlamConfig, *, clock: StageClock | None = None, progress: Progress | None = None
+) -> Run:
+    """Estimate trajectory and planes of a log.
+
+    Raises:
+        LogError: the log lacks what the rig needs.
+    """
+    clock = clock or StageClock()
+    slam = PlaneSlam(config)
+    total = count_keyframes(log, rig, config)
+    frames = keyframes_of(log, rig, config)
+    for done in range(total):
+        with clock.stage("measure"):
+            keyframe = next(frames)
+        with clock.stage("estimate"):
+            slam.add_keyframe(keyframe)
+        if progress is not None:
+            progress(done + 1, total)
+    with clock.stage("map"):
+        planes = slam.planes
+    trajectory = slam.trajectory
+    return Run(slam, planes, trajectory, odometry_of(log, rig, trajectory), log, rig, clock)
+
+
+def odometry_of(log: Log, rig: Rig, trajectory: Trajectory) -> Trajectory:
+    """Odometry alone at the times of a trajectory, started at its first pose; empty without odometry."""
+    if not len(trajectory) or not log.odometry:
+        return Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
+    poses = OdometryTrack(log.odometry, rig.odometry).poses_at(trajectory.stamps_ns.tolist())
+    return Trajectory(trajectory.stamps_ns, trajectory.poses[0] @ inverse(poses[0]) @ poses)
+
+
+def path_length_m(trajectory: Trajectory) -> float:
+    """Length of a trajectory, m."""
+    return float(np.linalg.norm(np.diff(trajectory.poses[:, :3, 3], axis=0), axis=1).sum())
