@@ -9,15 +9,15 @@ from spplanes._line_fit import fit_beams, grow, trim, turning
 from spplanes._line_kernels import beam_moments, find_breaks, fit_sums, merge, order_beams, refine, split
 from spplanes._line_round import find_round
 
-#: Columns of a result row: alpha, rho, var alpha, cov, var rho, chi2, first bearing, last bearing.
-N_RESULT = 8
+#: Columns of a result row: alpha, rho, chi2, covariance (4), end points (4).
+N_RESULT = 11
 #: 99 % quantiles of chi2 with 1, 2, 3 dof: what that many end beams may add to the chi2 of the others.
 END_GATES = np.array((7.88, 10.6, 12.84))
 
 
 @njit(cache=True, error_model="numpy")
 def label_beams(bearings, ranges, sigmas, breaks, max_missing, significance, max_turning):
-    """Split, take out what is round, merge: label (V,) and whether it is undecided (V,) of each return, number of labels."""
+    """Split, take out what is round, merge: label of each return (V,), whether it is undecided (V,), label count."""
     moments = beam_moments(bearings, ranges, sigmas)
     starts, undecided = refine(moments, breaks, split(moments, breaks, significance), significance)
     is_round = find_round(bearings, ranges, sigmas, moments, breaks, starts, significance, 0.5 * max_turning)
@@ -28,7 +28,7 @@ def label_beams(bearings, ranges, sigmas, breaks, max_missing, significance, max
 
 @njit(cache=True, error_model="numpy")
 def ring_start(labels, count):
-    """First beam of a line that no other line bridges, where a closed ring can be cut without cutting a line; else 0."""
+    """Where a closed ring can be cut without cutting a line: the first beam of one that no other bridges; else 0."""
     first = np.full(count, labels.size)
     last = np.full(count, -1)
     for k in range(labels.size):
@@ -46,7 +46,7 @@ def ring_start(labels, count):
 
 @njit(cache=True, error_model="numpy")
 def fit_label(bearings, ranges, sigmas, breaks, labels, undecided, label, gate):
-    """Maximum-likelihood line of the decided beams of one label and all beams on it, its ends trimmed and grown."""
+    """Line of the decided beams of one label; the beams on it, ends trimmed and grown; how many were decided."""
     members = np.nonzero(labels == label)[0]
     core = members[~undecided[members]]
     core = drop_doubtful_ends(beam_moments(bearings[core], ranges[core], sigmas[core]), core)
@@ -99,7 +99,7 @@ def start_line(bearings, ranges, sigmas, members):
 
 @njit(cache=True, error_model="numpy")
 def is_line(bearings, ranges, sigmas, members, n, line, min_points, max_turning, max_curvature, max_misfit):
-    """True when n fitted beams are enough, fit, are no arc that turns by `max_turning`, and (alpha, rho) is Gaussian."""
+    """True when n fitted beams suffice, fit, are no arc that turns by `max_turning`, and (alpha, rho) is Gaussian."""
     if n < max(min_points, 3) or not np.isfinite(line[5]) or line[5] > max_misfit * (n - 2):
         return False
     _, rho, v_alpha, cov, v_rho, _ = line
@@ -107,6 +107,23 @@ def is_line(bearings, ranges, sigmas, members, n, line, min_points, max_turning,
         return False
     arc, arc_sigma = turning(bearings, ranges, sigmas, members, line)
     return abs(arc) + 3.0 * arc_sigma < max_turning
+
+
+@njit(cache=True, error_model="numpy")
+def label_scan(ranges, angles, sigmas, range_min, range_max, max_missing, significance, max_turning):
+    """Order and label the returns: beams (V,), breaks (V,), labels (V,), undecided (V,), number of labels."""
+    beams, widest, step = order_beams(ranges, angles, range_min, range_max)
+    max_step = (max_missing + 1.5) * step
+    n_cuts = 0
+    while True:
+        a, r, s = angles[beams], ranges[beams], sigmas[beams]
+        breaks = find_breaks(a, r, s, max_step, -2.0 * np.log(significance))
+        labels, undecided, n_labels = label_beams(a, r, s, breaks, max_missing, significance, max_turning)
+        cut = ring_start(labels, n_labels)
+        if n_cuts == 1 or widest > max_step or cut == 0:
+            return beams, breaks, labels, undecided, n_labels
+        beams = np.concatenate((beams[cut:], beams[:cut]))
+        n_cuts += 1
 
 
 @njit(cache=True, error_model="numpy")
@@ -123,33 +140,32 @@ def extract(
     max_curvature,
     max_misfit,
 ):
-    """Lines of one scan: rows (M, 8) as N_RESULT says, the supporting beams one line after the other, and their counts."""
-    beams, widest, step = order_beams(ranges, angles, range_min, range_max)
-    rows = np.empty((beams.size, N_RESULT))
+    """Lines of one scan: rows (M, 11) as N_RESULT says, the beams on them one line after the other, their counts."""
+    beams, breaks, labels, undecided, n_labels = label_scan(
+        ranges, angles, sigmas, range_min, range_max, max_missing, significance, max_turning
+    )
+    a, r, s = angles[beams], ranges[beams], sigmas[beams]
+    rows = np.empty((n_labels, N_RESULT))
     support = np.empty(beams.size, dtype=np.int64)
-    counts = np.zeros(beams.size, dtype=np.int64)
+    counts = np.zeros(n_labels, dtype=np.int64)
     n_lines = n_support = 0
-    if beams.size < 3:
-        return rows[:0], support[:0], counts[:0]
-    gate = -2.0 * np.log(significance)
-    max_step = (max_missing + 1.5) * step
-    for attempt in range(2):
-        a, r, s = angles[beams], ranges[beams], sigmas[beams]
-        breaks = find_breaks(a, r, s, max_step, gate)
-        labels, undecided, n_labels = label_beams(a, r, s, breaks, max_missing, significance, max_turning)
-        if attempt == 1 or widest > max_step:
-            break
-        cut = ring_start(labels, n_labels)
-        if cut == 0:
-            break
-        beams = np.concatenate((beams[cut:], beams[:cut]))
     for label in range(n_labels):
-        line, members, n_core = fit_label(a, r, s, breaks, labels, undecided, label, gate)
+        line, members, n_core = fit_label(a, r, s, breaks, labels, undecided, label, -2.0 * np.log(significance))
         if is_line(a, r, s, members, n_core, line, min_points, max_turning, max_curvature, max_misfit):
-            rows[n_lines, :6] = np.array(line)
-            rows[n_lines, 6], rows[n_lines, 7] = a[members[0]], a[members[-1]]
+            write_row(rows[n_lines], line, a[members[0]], a[members[-1]])
             support[n_support : n_support + members.size] = beams[members]
             counts[n_lines] = members.size
             n_support += members.size
             n_lines += 1
     return rows[:n_lines], support[:n_support], counts[:n_lines]
+
+
+@njit(cache=True, error_model="numpy")
+def write_row(row, line, first, last):
+    """Fill a result row; the end points are where the first and the last beam meet the line."""
+    alpha, rho, v_alpha, cov, v_rho, chi2 = line
+    row[0], row[1], row[2] = np.arctan2(np.sin(alpha), np.cos(alpha)), rho, chi2
+    row[3], row[4], row[5], row[6] = v_alpha, cov, cov, v_rho
+    for i, bearing in enumerate((first, last)):
+        reach = rho / np.cos(bearing - alpha)
+        row[7 + 2 * i], row[8 + 2 * i] = reach * np.cos(bearing), reach * np.sin(bearing)

@@ -1,11 +1,13 @@
-"""Kernels of line extraction: the maximum-likelihood line of a set of beams, its ends, and the test that it is straight."""
+"""Kernels of line extraction: the maximum-likelihood line of a set of beams, its ends, and how straight it is."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-#: Gauss-Newton stops when a step is below this share of a standard deviation; it takes two or three steps.
+from spplanes._line_round import solve_symmetric
+
+#: Gauss-Newton ends with a step that lowers chi2 by less than this: a thousandth of a standard deviation.
 STEP_TOLERANCE = 1e-6
 MAX_STEPS = 20
 #: A line grows only where it predicts the range with at most this many times the variance of a beam.
@@ -13,52 +15,42 @@ MAX_PREDICTION = 5.0
 
 
 @njit(cache=True, error_model="numpy")
-def information(bearings, sigmas, members, alpha, rho):
-    """Fisher information of (alpha, rho) as its three entries: sum J J^T / sigma^2, J of the range rho / cos(a - alpha)."""
-    i00 = i01 = i11 = 0.0
+def normal_equations(bearings, ranges, sigmas, members, alpha, rho):
+    """Of the range residuals e: information sum J J^T / sigma^2 (3 entries), gradient sum J e / sigma^2 (2), chi2.
+
+    J is the derivative of the range rho / cos(a - alpha) by (alpha, rho): (-rho sin / cos^2, 1 / cos).
+    """
+    i00 = i01 = i11 = g0 = g1 = chi2 = 0.0
     for k in members:
         c, s = np.cos(bearings[k] - alpha), np.sin(bearings[k] - alpha)
-        by_alpha, by_rho = -rho * s / (c * c * sigmas[k]), 1.0 / (c * sigmas[k])
-        i00 += by_alpha * by_alpha
-        i01 += by_alpha * by_rho
-        i11 += by_rho * by_rho
-    return i00, i01, i11
-
-
-@njit(cache=True, error_model="numpy")
-def descend(bearings, ranges, sigmas, members, alpha, rho):
-    """Gradient sum J e / sigma^2 of the range residuals e at (alpha, rho), and their chi2."""
-    g0 = g1 = chi2 = 0.0
-    for k in members:
-        c, s = np.cos(bearings[k] - alpha), np.sin(bearings[k] - alpha)
-        error = (ranges[k] - rho / c) / sigmas[k]
-        g0 -= error * rho * s / (c * c * sigmas[k])
-        g1 += error / (c * sigmas[k])
-        chi2 += error * error
-    return g0, g1, chi2
+        by_rho = 1.0 / (c * sigmas[k])
+        by_alpha = -rho * s / c * by_rho
+        error = ranges[k] / sigmas[k] - rho * by_rho
+        i00, i01, i11 = i00 + by_alpha * by_alpha, i01 + by_alpha * by_rho, i11 + by_rho * by_rho
+        g0, g1, chi2 = g0 + by_alpha * error, g1 + by_rho * error, chi2 + error * error
+    return i00, i01, i11, g0, g1, chi2
 
 
 @njit(cache=True, error_model="numpy")
 def fit_beams(bearings, ranges, sigmas, members, alpha, rho):
-    """Gauss-Newton from (alpha, rho): (alpha, rho, var alpha, cov, var rho, chi2); chi2 is inf when it does not converge."""
+    """Gauss-Newton from (alpha, rho): (alpha, rho, var alpha, cov, var rho, chi2); chi2 = inf: it did not converge."""
     for _ in range(MAX_STEPS):
-        g0, g1, chi2 = descend(bearings, ranges, sigmas, members, alpha, rho)
-        i00, i01, i11 = information(bearings, sigmas, members, alpha, rho)
+        i00, i01, i11, g0, g1, chi2 = normal_equations(bearings, ranges, sigmas, members, alpha, rho)
         det = i00 * i11 - i01 * i01
         if not det > 1e-13 * i00 * i11:
             break
         d0, d1 = (i11 * g0 - i01 * g1) / det, (i00 * g1 - i01 * g0) / det
         alpha, rho = alpha + d0, rho + d1
-        if d0 * d0 * i00 + d1 * d1 * i11 < STEP_TOLERANCE**2 * members.size:
-            return alpha, rho, i11 / det, -i01 / det, i00 / det, chi2
         if not rho > 0.0:
             break
+        if d0 * g0 + d1 * g1 < STEP_TOLERANCE:
+            return alpha, rho, i11 / det, -i01 / det, i00 / det, chi2
     return alpha, rho, 0.0, 0.0, 0.0, np.inf
 
 
 @njit(cache=True, error_model="numpy")
 def belongs(bearing, r, sigma, line, gate):
-    """True when a beam next to the line is on it: chi2 with 1 dof under `gate`, where the line predicts its range well."""
+    """True when a beam next to the line is on it: chi2 under `gate`, where the line predicts its range well."""
     alpha, rho, v00, v01, v11, _ = line
     c, s = np.cos(bearing - alpha), np.sin(bearing - alpha)
     if c <= 0.0:
@@ -102,21 +94,22 @@ def grow(bearings, ranges, sigmas, breaks, labels, members, line, gate):
 
 @njit(cache=True, error_model="numpy")
 def turning(bearings, ranges, sigmas, members, line):
-    """How much the beams turn from end to end if they are an arc, rad, and its standard deviation: the fit of 1, t, t^2."""
+    """Angle, rad, by which the beams turn from end to end if they are an arc, and its standard deviation.
+
+    The second-order coefficient of the normal residual over 1, t, t^2 with t in [-1, 1] is the sagitta.
+    """
     alpha, rho = line[0], line[1]
     first, last = rho * np.tan(bearings[members[0]] - alpha), rho * np.tan(bearings[members[-1]] - alpha)
     half, middle = 0.5 * (last - first), 0.5 * (last + first)
-    normal, right = np.zeros((3, 3)), np.zeros(3)
-    row = np.ones(3)
+    w0 = w1 = w2 = w3 = w4 = g0 = g1 = g2 = 0.0
     for k in members:
         c = np.cos(bearings[k] - alpha)
-        row[1] = (rho * np.tan(bearings[k] - alpha) - middle) / half
-        row[2] = row[1] * row[1]
+        t = (rho * np.tan(bearings[k] - alpha) - middle) / half
+        error = ranges[k] * c - rho
         weight = 1.0 / (c * sigmas[k]) ** 2
-        for i in range(3):
-            right[i] += weight * row[i] * (ranges[k] * c - rho)
-            for j in range(3):
-                normal[i, j] += weight * row[i] * row[j]
-    covariance = np.linalg.inv(normal)
-    sagitta = covariance[2, 0] * right[0] + covariance[2, 1] * right[1] + covariance[2, 2] * right[2]
-    return 4.0 * sagitta / half, 4.0 * np.sqrt(covariance[2, 2]) / half
+        w0, g0 = w0 + weight, g0 + weight * error
+        w1, g1 = w1 + weight * t, g1 + weight * t * error
+        w2, g2 = w2 + weight * t * t, g2 + weight * t * t * error
+        w3, w4 = w3 + weight * t**3, w4 + weight * t**4
+    _, _, sagitta, det = solve_symmetric(w0, w1, w2, w2, w3, w4, g0, g1, g2)
+    return 4.0 * sagitta / half, 4.0 * np.sqrt((w0 * w2 - w1 * w1) / det) / half

@@ -1,9 +1,9 @@
 """Kernels of line extraction: order the beams, find breaks, split and merge.
 
 Along a straight line the inverse range is linear in (cos a, sin a) of the bearing a: 1/r = u cos a + v sin a with
-(u, v) = (cos alpha, sin alpha) / rho. Range noise sigma becomes sigma / r^2 of the inverse range, so the weighted least-squares
-fit of any set of beams follows from six sums (the columns of `beam_moments`), and sums add: a fit, its chi2 and the
-chi2 of a merge are O(1). The fit is first order in sigma / r; reported lines are refined by `spplanes._line_fit`.
+(u, v) = (cos alpha, sin alpha) / rho. Range noise sigma becomes sigma / r^2 of the inverse range, so the weighted
+least-squares fit of any set of beams follows from six sums (the columns of `beam_moments`), and sums add: a fit, its
+chi2 and the chi2 of a merge are O(1). The fit is first order in sigma / r; `spplanes._line_fit` refines it.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ UNDECIDED = 6.0
 
 @njit(cache=True, error_model="numpy")
 def order_beams(ranges, angles, range_min, range_max):
-    """Indices of the returns in order of bearing from the widest gap on, (V,), the share of a turn of that gap, and the median step."""
+    """Indices of the returns in order of bearing, from the widest gap on (V,); that gap and the median step, rad."""
     n = angles.size
-    turn = np.empty(n)
-    for k in range(n):
-        turn[k] = (angles[k] - angles[0]) % (2.0 * np.pi)
-    order = np.argsort(turn, kind="mergesort")
+    turn = (angles - angles[0]) % (2.0 * np.pi)
+    order = np.arange(n)
+    if (np.diff(turn) < 0.0).any():
+        order = np.argsort(turn, kind="mergesort")
     steps = np.empty(n)
     for k in range(n - 1):
         steps[k] = turn[order[k + 1]] - turn[order[k]]
@@ -45,7 +45,7 @@ def order_beams(ranges, angles, range_min, range_max):
 
 @njit(cache=True, error_model="numpy")
 def beam_moments(bearings, ranges, sigmas):
-    """Contribution of every beam to the six sums, shape (V, 6): w cc, w cs, w ss, w c q, w s q, w q q, with q = 1/r, w = r^4/sigma^2."""
+    """Share of every beam in the six sums (V, 6): w cc, w cs, w ss, w cq, w sq, w qq; q = 1/r, w = r^4 / sigma^2."""
     moments = np.empty((bearings.size, N_SUMS))
     for k in range(bearings.size):
         c, s, r = np.cos(bearings[k]), np.sin(bearings[k]), ranges[k]
@@ -206,7 +206,7 @@ def mark_undecided(cost, low, high, at, undecided):
 
 @njit(cache=True, error_model="numpy")
 def may_bridge(bearings, ranges, sigmas, u, v, pieces, i, j, max_through):
-    """True when line (u, v) may join pieces i and j: what lies between neither contradicts it nor outweighs the parts."""
+    """True when line (u, v) may join pieces i and j: what lies between neither contradicts nor outweighs them."""
     through = 0
     for k in range(pieces[i, 1], pieces[j, 0]):
         inverse = u * np.cos(bearings[k]) + v * np.sin(bearings[k])

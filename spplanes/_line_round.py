@@ -8,85 +8,100 @@ from numba import njit
 from spplanes._line_kernels import fit_sums, split_gate, sum_range
 
 MAX_STEPS = 8
-#: The noise of a beam that grazes the circle is taken at this cosine of its incidence: the circle hides what lies beyond.
+#: A start this many times worse than the lines does not become a circle.
+HOPELESS = 10.0
+#: Gauss-Newton on a circle ends when chi2 changes by less than this.
+CHI2_TOLERANCE = 0.1
+#: A beam that grazes the circle has at least this cosine of incidence: the circle hides what lies beyond.
 MIN_COSINE = 0.1
+#: A share of the scatter that keeps circles of no curvature solvable; it bounds their radius, not that of pillars.
+DAMPING = 1e-9
+
+
+@njit(cache=True, error_model="numpy")
+def solve_symmetric(a, b, c, d, e, f, x, y, z):
+    """Solution of [[a, b, c], [b, d, e], [c, e, f]] p = (x, y, z), and the determinant."""
+    m00, m01, m02 = d * f - e * e, c * e - b * f, b * e - c * d
+    m11, m12, m22 = a * f - c * c, b * c - a * e, a * d - b * b
+    det = a * m00 + b * m01 + c * m02
+    return (
+        (m00 * x + m01 * y + m02 * z) / det,
+        (m01 * x + m11 * y + m12 * z) / det,
+        (m02 * x + m12 * y + m22 * z) / det,
+        det,
+    )
 
 
 @njit(cache=True, error_model="numpy")
 def circle_step(bearings, ranges, sigmas, low, high, x, y, radius):
     """One Gauss-Newton step for the circle nearest to beams low..high-1: (x, y, radius, chi2 before the step)."""
-    normal, right = np.zeros((3, 3)), np.zeros(3)
-    row = np.empty(3)
-    row[2] = 1.0
-    chi2 = 0.0
+    a = b = c = d = e = f = gx = gy = gr = chi2 = 0.0
     for k in range(low, high):
-        c, s = np.cos(bearings[k]), np.sin(bearings[k])
-        dx, dy = ranges[k] * c - x, ranges[k] * s - y
+        cosine, sine = np.cos(bearings[k]), np.sin(bearings[k])
+        dx, dy = ranges[k] * cosine - x, ranges[k] * sine - y
         distance = np.hypot(dx, dy) + 1e-12
-        row[0], row[1] = dx / distance, dy / distance
-        cosine = max(abs(row[0] * c + row[1] * s), MIN_COSINE)
-        weight = 1.0 / (cosine * sigmas[k]) ** 2
+        dx, dy = dx / distance, dy / distance
+        weight = 1.0 / (max(abs(dx * cosine + dy * sine), MIN_COSINE) * sigmas[k]) ** 2
         error = distance - radius
         chi2 += weight * error * error
-        for i in range(3):
-            right[i] += weight * row[i] * error
-            for j in range(3):
-                normal[i, j] += weight * row[i] * row[j]
-    normal[0, 0] += 1e-9 * (normal[0, 0] + normal[1, 1])
-    normal[1, 1] += 1e-9 * (normal[0, 0] + normal[1, 1])
-    step = np.linalg.solve(normal, right)
-    return x + step[0], y + step[1], radius + step[2], chi2
+        a, b, c = a + weight * dx * dx, b + weight * dx * dy, c + weight * dx
+        d, e, f = d + weight * dy * dy, e + weight * dy, f + weight
+        gx, gy, gr = gx + weight * error * dx, gy + weight * error * dy, gr + weight * error
+    sx, sy, sr, _ = solve_symmetric(a + DAMPING * f, b, c, d + DAMPING * f, e, f, gx, gy, gr)
+    return x + sx, y + sy, radius + sr, chi2
 
 
 @njit(cache=True, error_model="numpy")
-def algebraic_circle(bearings, ranges, sigmas, low, high):
+def algebraic_circle(bearings, ranges, low, high):
     """Circle from the linear least squares of x^2 + y^2 = 2 a x + 2 b y + c about the middle beam: (x, y, radius)."""
     middle = (low + high) // 2
     ox, oy = ranges[middle] * np.cos(bearings[middle]), ranges[middle] * np.sin(bearings[middle])
-    normal, right = np.zeros((3, 3)), np.zeros(3)
-    row = np.ones(3)
-    scale = 1e-12
+    a = b = c = d = e = gx = gy = 0.0
     for k in range(low, high):
-        row[0] = ranges[k] * np.cos(bearings[k]) - ox
-        row[1] = ranges[k] * np.sin(bearings[k]) - oy
-        square = row[0] * row[0] + row[1] * row[1]
-        scale += square
-        for i in range(3):
-            right[i] += row[i] * square
-            for j in range(3):
-                normal[i, j] += row[i] * row[j]
-    normal[0, 0] += 1e-9 * scale
-    normal[1, 1] += 1e-9 * scale
-    p = np.linalg.solve(normal, right)
-    return ox + 0.5 * p[0], oy + 0.5 * p[1], np.sqrt(max(p[2] + 0.25 * (p[0] * p[0] + p[1] * p[1]), 1e-12))
+        x, y = ranges[k] * np.cos(bearings[k]) - ox, ranges[k] * np.sin(bearings[k]) - oy
+        square = x * x + y * y
+        a, b, c, d, e = a + x * x, b + x * y, c + x, d + y * y, e + y
+        gx, gy = gx + square * x, gy + square * y
+    scatter = a + d
+    damping = DAMPING * scatter
+    px, py, pr, _ = solve_symmetric(a + damping, b, c, d + damping, e, float(high - low), gx, gy, scatter)
+    return ox + 0.5 * px, oy + 0.5 * py, np.sqrt(max(pr + 0.25 * (px * px + py * py), 1e-12))
+
+
+@njit(cache=True, error_model="numpy")
+def bulges(bearings, ranges, low, at, high):
+    """True when beam `at` lies nearer to the sensor than the chord from beam low to beam high - 1."""
+    span = bearings[high - 1] - bearings[low]
+    inverse = (
+        np.sin(bearings[high - 1] - bearings[at]) / ranges[low]
+        + np.sin(bearings[at] - bearings[low]) / ranges[high - 1]
+    )
+    return np.sin(span) > 0.0 and np.sin(span) / ranges[at] > inverse
 
 
 @njit(cache=True, error_model="numpy")
 def bulging_arc(bearings, ranges, sigmas, low, high, chi2_lines):
-    """Angle by which beams low..high-1 turn as an arc that bulges to the sensor; 0 when lines of that chi2 fit better."""
-    x, y, radius = algebraic_circle(bearings, ranges, sigmas, low, high)
-    middle = (low + high) // 2
-    if x * x + y * y <= ranges[middle] ** 2:
-        return 0.0
-    chi2 = np.inf
+    """Angle by which beams low..high-1 turn as an arc bulging to the sensor; 0 when lines of that chi2 fit better."""
+    x, y, radius = algebraic_circle(bearings, ranges, low, high)
+    chi2, previous = np.inf, np.inf
     for _ in range(MAX_STEPS):
-        x, y, radius, chi2_new = circle_step(bearings, ranges, sigmas, low, high, x, y, radius)
-        if not (radius > 0.0 and radius < 1e3):
+        previous = chi2
+        x, y, radius, chi2 = circle_step(bearings, ranges, sigmas, low, high, x, y, radius)
+        if not 0.0 < radius < 1e3 or chi2 > HOPELESS * chi2_lines:
             return 0.0
-        if abs(chi2 - chi2_new) < 0.1:
+        if abs(chi2 - previous) < CHI2_TOLERANCE:
             break
-        chi2 = chi2_new
-    if chi2_new > chi2_lines or x * x + y * y <= ranges[middle] ** 2:
+    if chi2 > chi2_lines or x * x + y * y <= ranges[(low + high) // 2] ** 2:
         return 0.0
-    first = np.arctan2(ranges[low] * np.sin(bearings[low]) - y, ranges[low] * np.cos(bearings[low]) - x)
     k = high - 1
+    first = np.arctan2(ranges[low] * np.sin(bearings[low]) - y, ranges[low] * np.cos(bearings[low]) - x)
     last = np.arctan2(ranges[k] * np.sin(bearings[k]) - y, ranges[k] * np.cos(bearings[k]) - x)
     return abs((last - first + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 @njit(cache=True, error_model="numpy")
 def find_round(bearings, ranges, sigmas, moments, breaks, starts, significance, min_arc):
-    """For each beam whether it lies on an arc of `min_arc` or more that explains neighbouring pieces as well as lines do."""
+    """Whether each beam (V,) is on an arc of at least `min_arc` that explains neighbouring pieces as lines do."""
     result = np.zeros(bearings.size, dtype=np.bool_)
     n_pieces = starts.size - 1
     chi2 = np.empty(n_pieces)
@@ -96,7 +111,7 @@ def find_round(bearings, ranges, sigmas, moments, breaks, starts, significance, 
         lines = chi2[i]
         for j in range(i + 1, n_pieces):
             low, high = starts[i], starts[j + 1]
-            if breaks[starts[j]] == 2 or high - low < 5:
+            if breaks[starts[j]] == 2 or high - low < 5 or not bulges(bearings, ranges, low, starts[j], high):
                 break
             lines += chi2[j]
             arc = bulging_arc(bearings, ranges, sigmas, low, high, lines + split_gate(high - low, significance))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, cos, hypot, inf, nan, pi, remainder, sin
+from math import atan2, cos, hypot, inf, isfinite, nan, pi, remainder, sin
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,7 +44,7 @@ class ScanLine:
             raise ValueError(f"alpha: expected a finite angle, got {self.alpha}")
         if not 0.0 <= self.rho < inf:
             raise ValueError(f"rho: expected a finite distance >= 0, got {self.rho}")
-        object.__setattr__(self, "endpoints", as_shape("endpoints", self.endpoints, (2, 2)))
+        object.__setattr__(self, "endpoints", _as_square("endpoints", self.endpoints))
         object.__setattr__(self, "covariance", _as_covariance(self.covariance))
 
     @property
@@ -131,8 +131,8 @@ def _chi2(turn: float, shift: float, covariance: FloatArray) -> float:
 
 
 def _as_covariance(value: ArrayLike) -> FloatArray:
-    """Symmetric positive semidefinite (2, 2); in scalars, because a scan has many lines and runs at the laser's rate."""
-    matrix = as_shape("covariance", value, (2, 2))
+    """Symmetric positive semidefinite (2, 2); in scalars, for a laser sends hundreds of lines a second."""
+    matrix = _as_square("covariance", value)
     (a, b), (b2, c) = matrix.tolist()
     tolerance = COVARIANCE_TOLERANCE * max(abs(a), abs(b), abs(c))
     if abs(b - b2) > tolerance:
@@ -140,3 +140,12 @@ def _as_covariance(value: ArrayLike) -> FloatArray:
     if min(a, c) < -tolerance or a * c - b * b < -COVARIANCE_TOLERANCE * max(abs(a * c), b * b):
         raise ValueError(f"covariance: expected a positive semidefinite covariance, got {matrix.tolist()}")
     return matrix
+
+
+def _as_square(name: str, value: ArrayLike) -> FloatArray:
+    """`value` as (2, 2) of finite floats."""
+    if isinstance(value, np.ndarray) and value.shape == (2, 2) and value.dtype == np.float64:
+        (a, b), (c, d) = value.tolist()
+        if isfinite(a + b + c + d):
+            return value
+    return as_shape(name, value, (2, 2))

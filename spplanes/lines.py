@@ -25,8 +25,8 @@ class LineConfig:
     max_turning: float = 1.0
     """A line is reported when its beams rule out (3 sigma) an arc that turns by this angle, rad, in (0, pi)."""
     max_nonlinearity: float = 0.25
-    """A line is reported when its covariance is honest: rho turns with alpha by rho var(alpha) / 2 to second order, which
-    must be below this share of the standard deviation of the shift of the line, > 0. Short and far lines fail."""
+    """A line is reported when (alpha, rho) is Gaussian: the second-order change of rho with alpha, rho var(alpha) / 2,
+    is below this share of the standard deviation of the line's shift, > 0. Short lines far away fail."""
     max_misfit: float = 4.0
     """Largest chi2 per degree of freedom of a line, > 1; above 1 it allows for walls that are not quite straight."""
     range_min: float = 0.0
@@ -78,11 +78,12 @@ def extract_lines(
         ranges, angles, sigmas, config.range_min, config.range_max, config.max_missing,
         config.significance, config.min_points, config.max_turning, config.max_nonlinearity, config.max_misfit,
     )  # fmt: skip
-    lines, last = [], 0
-    for row, count in zip(rows.tolist(), counts.tolist(), strict=True):
-        lines.append(_line(row, support[last : last + count]))
-        last += count
-    return lines
+    ends = np.cumsum(counts)
+    blocks = rows[:, 3:].reshape(-1, 2, 2, 2)
+    return [
+        ScanLine(alpha, rho, block[0], block[1], support[end - count : end], chi2)
+        for (alpha, rho, chi2), block, count, end in zip(rows[:, :3].tolist(), blocks, counts, ends, strict=True)
+    ]
 
 
 def _as_sigmas(sigma: ArrayLike, n: int) -> FloatArray:
@@ -93,16 +94,3 @@ def _as_sigmas(sigma: ArrayLike, n: int) -> FloatArray:
     if n and sigmas.min() <= 0.0:
         raise ValueError(f"sigma: expected positive standard deviations, got {sigmas.min()}")
     return sigmas
-
-
-def _line(row: list[float], indices: np.ndarray) -> ScanLine:
-    """The value type of a result row of the kernel."""
-    alpha, rho, v00, v01, v11, _, first, last = row
-    a, b = rho / np.cos(first - alpha), rho / np.cos(last - alpha)
-    return ScanLine(
-        alpha=float(np.arctan2(np.sin(alpha), np.cos(alpha))),
-        rho=rho,
-        covariance=np.array(((v00, v01), (v01, v11))),
-        endpoints=np.array(((a * np.cos(first), a * np.sin(first)), (b * np.cos(last), b * np.sin(last)))),
-        indices=indices,
-    )
