@@ -64,6 +64,27 @@ def square_root_informations(frames: FloatArray, covariances: FloatArray) -> Flo
     return np.asarray(np.linalg.qr(whitener, mode="r"))
 
 
+def centre_root_informations(covariances: FloatArray) -> FloatArray:
+    """Upper triangular R with |R e|^2 = p^T C^-1 p, shape (N, 3, 3), for e = (theta, -psi, z) of `plane_error`."""
+    order = np.array([1, 2, 0])
+    signs = np.array([1.0, -1.0, 1.0])
+    turned = covariances[:, order[:, None], order] * np.outer(signs, signs)
+    identities = np.broadcast_to(np.eye(3), covariances.shape)
+    return np.asarray(np.linalg.qr(np.linalg.solve(np.linalg.cholesky(turned), identities), mode="r"))
+
+
+def second_order_share(frames: FloatArray, covariances: FloatArray) -> FloatArray:
+    """How far the native factor is from its linearisation at one sigma, shape (N,), in sigmas of z.
+
+    Its distance is that of the foot of the perpendicular, not of the patch: a tilt e moves it by d |e|^2 / 2 beyond
+    the first order. That term's root mean square over the deviation of z given the tilts.
+    """
+    tilts = covariances[:, 1:, 1:]
+    fourth = np.trace(tilts, axis1=1, axis2=2) ** 2 + 2.0 * np.einsum("nij,nji->n", tilts, tilts)
+    distances = np.abs(np.einsum("ni,ni->n", frames[:, :3, 2], frames[:, :3, 3]))
+    return 0.5 * distances * np.sqrt(fourth * np.linalg.inv(covariances)[:, 0, 0])
+
+
 def tangent_to_sp(frame: FloatArray) -> FloatArray:
     """Matrix M with p = M v, shape (3, 3), v being the tangent of ``OrientedPlane3.retract``."""
     matrix = error_to_sp(frame[None])[0].copy()

@@ -95,19 +95,26 @@ def plane_seen_from(world_T_anchor, world_T_body, coefficients):
 
 
 @njit(cache=True)
-def plane_error(world_T_anchor, world_T_body, coefficients, basis, distance):
-    """Error [B^T n, d - d_measured], shape (3,), of a landmark seen from a body, and its derivative (3, 15)."""
+def plane_error(world_T_anchor, world_T_body, coefficients, frame):
+    """Error of a landmark against a measured plane frame (4, 4), shape (3,), and its derivative (3, 15).
+
+    (x.n, y.n, d - n.o) with x, y, o the axes and the origin of the measured frame: (theta, -psi, z) of the SP
+    perturbation that takes the measurement to the landmark, without a first-order step over the lever arm |o|.
+    """
     seen, jacobian = plane_seen_from(world_T_anchor, world_T_body, coefficients)
     error = np.empty(3)
     derivative = np.empty((3, 15))
     for i in range(2):
-        error[i] = basis[0, i] * seen[0] + basis[1, i] * seen[1] + basis[2, i] * seen[2]
+        error[i] = frame[0, i] * seen[0] + frame[1, i] * seen[1] + frame[2, i] * seen[2]
         for j in range(15):
             derivative[i, j] = (
-                basis[0, i] * jacobian[0, j] + basis[1, i] * jacobian[1, j] + basis[2, i] * jacobian[2, j]
+                frame[0, i] * jacobian[0, j] + frame[1, i] * jacobian[1, j] + frame[2, i] * jacobian[2, j]
             )
-    error[2] = seen[3] - distance
-    derivative[2] = jacobian[3]
+    error[2] = seen[3] - (frame[0, 3] * seen[0] + frame[1, 3] * seen[1] + frame[2, 3] * seen[2])
+    for j in range(15):
+        derivative[2, j] = jacobian[3, j] - (
+            frame[0, 3] * jacobian[0, j] + frame[1, 3] * jacobian[1, j] + frame[2, 3] * jacobian[2, j]
+        )
     return error, derivative
 
 

@@ -9,12 +9,20 @@ import gtsam_unstable
 import numpy as np
 
 from factors._check import as_key, check_definite
-from factors._conventions import oriented_plane, square_root_informations
+from factors._conventions import (
+    centre_root_informations,
+    oriented_plane,
+    second_order_share,
+    square_root_informations,
+)
 from factors._custom import Recipe
-from factors._kernels import unit_basis
 from factors.robust import Robust, gaussian
 from spplanes import Plane
 from spplanes._check import FloatArray
+
+#: The native factor is used where its second-order error is below this share of a sigma; its mean NIS is then at most
+#: 0.045 above 3.
+NATIVE_UP_TO = 0.2
 
 
 def plane_factor(
@@ -23,9 +31,9 @@ def plane_factor(
     """Factor of a plane measured in the frame of the pose ``pose_key``.
 
     The landmark ``plane_key`` is an ``OrientedPlane3`` in the frame of the pose ``anchor_key``, or in the world without
-    one. Anchored is the form to prefer: it is native, and well conditioned however far from the origin. Where the pose
-    is its own anchor (the first observation) the factor is unary on the landmark. The error is
-    [B^T n_predicted, d_predicted - d_measured] with B the tangent basis of the measured normal.
+    one. Anchored is the form to prefer: native, and well conditioned however far from the origin. It is native but for
+    two cases: the pose is its own anchor (the first observation), where the factor is unary on the landmark; and small
+    patches far away, whose tilt is so uncertain that the native error is not linear within their sigmas.
 
     Sides are the caller's: the error is blind to a plane seen from behind (see `factors.facing`).
     ValueError: a key that is no integer, a singular covariance, an unknown kernel.
@@ -42,7 +50,7 @@ def plane_factors(
     *,
     robust: Robust = None,
 ) -> gtsam.NonlinearFactorGraph:
-    """Graph of the factors of many planes, as `plane_factor` makes one; sequences of equal length."""
+    """Graph of the factors of many planes, each as `plane_factor` makes it, in order; sequences of equal length."""
     anchors: Sequence[int | None] = [None] * len(planes) if anchor_keys is None else anchor_keys
     if not len(planes) == len(pose_keys) == len(plane_keys) == len(anchors):
         raise ValueError(
@@ -52,13 +60,20 @@ def plane_factors(
     graph = gtsam.NonlinearFactorGraph()
     if not len(planes):
         return graph
-    frames = np.stack([plane.frame for plane in planes])
-    covariances = np.stack([plane.covariance for plane in planes])
-    check_definite("plane.covariance", covariances)
-    roots = square_root_informations(frames, covariances)
-    for frame, root, pose, key, anchor in zip(frames, roots, pose_keys, plane_keys, anchors, strict=True):
-        anchor = None if anchor is None else as_key("anchor_key", anchor)
-        graph.push_back(_one(frame, root, as_key("pose_key", pose), as_key("plane_key", key), anchor, robust))
+    frames, covariances = _stacked(planes)
+    roots, centre_roots = square_root_informations(frames, covariances), centre_root_informations(covariances)
+    native = second_order_share(frames, covariances) <= NATIVE_UP_TO
+    distances = np.einsum("ni,ni->n", frames[:, :3, 2], frames[:, :3, 3])
+    for i, (pose, key, anchor) in enumerate(zip(pose_keys, plane_keys, anchors, strict=True)):
+        plane_key, pose_key = as_key("plane_key", key), as_key("pose_key", pose)
+        anchor_key = None if anchor is None else as_key("anchor_key", anchor)
+        if native[i] and anchor_key is not None and anchor_key != pose_key:
+            measured, noise = oriented_plane(frames[i, :3, 2], distances[i]), gaussian(roots[i], robust, 3)
+            factor = gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, pose_key, anchor_key, plane_key)
+        else:
+            recipe = Recipe("plane", (frames[i],), centre_roots[i], 3, plane_key, pose_key, anchor_key, robust=robust)
+            factor = recipe.factor()
+        graph.push_back(factor)
     return graph
 
 
@@ -67,24 +82,12 @@ def plane_prior(plane: Plane, plane_key: int, *, robust: Robust = None) -> gtsam
 
     Custom, not native: no factor of the wheel acts on an ``OrientedPlane3`` alone but for its direction.
     """
-    check_definite("plane.covariance", plane.covariance[None])
-    root = square_root_informations(plane.frame[None], plane.covariance[None])[0]
-    return _recipe(plane.frame, root, None, as_key("plane_key", plane_key), None, robust).factor()
+    frames, covariances = _stacked([plane])
+    root = centre_root_informations(covariances)[0]
+    return Recipe("plane", (frames[0],), root, 3, as_key("plane_key", plane_key), robust=robust).factor()
 
 
-def _one(
-    frame: FloatArray, root: FloatArray, pose_key: int, plane_key: int, anchor_key: int | None, robust: Robust
-) -> gtsam.NonlinearFactor:
-    if anchor_key is None or anchor_key == pose_key:
-        return _recipe(frame, root, pose_key, plane_key, anchor_key, robust).factor()
-    measured = oriented_plane(frame[:3, 2], float(frame[:3, 2] @ frame[:3, 3]))
-    noise = gaussian(root, robust, 3)
-    return gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, pose_key, anchor_key, plane_key)
-
-
-def _recipe(
-    frame: FloatArray, root: FloatArray, pose_key: int | None, plane_key: int, anchor_key: int | None, robust: Robust
-) -> Recipe:
-    normal = np.ascontiguousarray(frame[:3, 2])
-    data = (unit_basis(normal), float(normal @ frame[:3, 3]))
-    return Recipe("plane", data, root, 3, plane_key, pose_key, anchor_key, robust=robust)
+def _stacked(planes: Sequence[Plane]) -> tuple[FloatArray, FloatArray]:
+    covariances = np.stack([plane.covariance for plane in planes])
+    check_definite("plane.covariance", covariances)
+    return np.stack([plane.frame for plane in planes]), covariances
