@@ -8,7 +8,7 @@ from typing import NamedTuple
 class Metric(NamedTuple):
     """A row of the table that `spplanes evaluate` prints."""
 
-    metric: str
+    name: str
     """What was measured."""
     value: float
     """The value; NaN where there was nothing to measure."""

@@ -1,12 +1,16 @@
 """Worlds, robots and sensors with ground truth."""
 
-from slam.simulation.mission import HORIZONTAL, VERTICAL, Mission, ScanArrays, Truth, paper_rig, simulate_mission
+from slam.simulation.mission import WORLDS, Mission, ScanArrays, simulate_mission
 from slam.simulation.path import Path
+from slam.simulation.rigs import HORIZONTAL, SPINNING, VERTICAL, paper_rig, spinning_rig
+from slam.simulation.truth import Truth
 from slam.simulation.world import World, WorldBuilder
 
 __all__ = [
     "HORIZONTAL",
+    "SPINNING",
     "VERTICAL",
+    "WORLDS",
     "Mission",
     "Path",
     "ScanArrays",
@@ -15,4 +19,5 @@ __all__ = [
     "WorldBuilder",
     "paper_rig",
     "simulate_mission",
+    "spinning_rig",
 ]

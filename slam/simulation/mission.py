@@ -2,78 +2,32 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from slam.io.log import Event, LaserScan, Log, OdometryReading
-from slam.rig import LocalisationNoise, Mount, OdometryNoise, Rig, Sensor
+from slam.io.carmen_writer import write_carmen
+from slam.io.log import LaserScan, Log
+from slam.rig import Rig
 from slam.simulation.corridor import corridor
-from slam.simulation.noise import drifting_odometry, localised_poses, noisy_ranges
+from slam.simulation.hall import hall, hall_path, room, room_path
+from slam.simulation.office import office, office_path
 from slam.simulation.path import Path as DrivenPath
-from slam.simulation.path import pose_matrices
 from slam.simulation.raycast import scan_directions
-from slam.simulation.world import World
-from spplanes._check import FloatArray
-from spplanes.plane import Plane
+from slam.simulation.record import Plan, record
+from slam.simulation.rigs import paper_rig, spinning_rig
+from slam.simulation.truth import Truth
+from spplanes._check import FloatArray, as_positive
 
-#: Names of the two lasers of every push-broom mission.
-HORIZONTAL, VERTICAL = "horizontal", "vertical"
 #: Scans of the paper's whole corridor, and the way between two of them, m.
 PAPER_SCANS, PAPER_SPACING_M = 1083, 0.027
-#: Time of the first scan and speed of the robot.
-START_NS, SPEED_M_PER_S = 1_000_000_000_000, 0.5
-#: A horizontal scan is taken after every so many vertical ones, half a period late.
-HORIZONTAL_EVERY = 4
-
-#: Bearings of the beams, rad: 361 over 180 deg as in the paper; the two opposing horizontal lasers as one of 360 deg.
-_ANGLES = {
-    VERTICAL: np.deg2rad(np.arange(-240, 121) * 0.5),
-    HORIZONTAL: np.deg2rad(np.arange(-360, 360) * 0.5),
-}
-
-
-def paper_rig() -> Rig:
-    """The robot of the paper: a level 360 deg laser for lines, a vertical push-broom laser for 3D, drifting wheels.
-
-    The vertical laser scans the plane across the robot, 0.4 m above the floor: its x axis points up, y to the left.
-    Its 180 deg are turned 30 deg to the right (bearings -120 to 60 deg), so that they reach from a strip of floor on
-    the right over the ceiling to the upper left wall: all four sides of a corridor in every scan.
-    """
-    common = {"range_sigma_m": 0.015, "range_max_m": 40.0}
-    level = Mount(xyz_m=(0.0, 0.0, 0.3))
-    upright = Mount(xyz_m=(0.0, 0.0, 0.4), rpy_deg=(0.0, -90.0, 0.0))
-    return Rig(
-        sensors={
-            HORIZONTAL: Sensor(kind="line", body_T_sensor=level, record="ROBOTLASER1", **common),
-            VERTICAL: Sensor(kind="slice", body_T_sensor=upright, record="ROBOTLASER2", **common),
-        },
-        odometry=OdometryNoise(),
-        localisation=LocalisationNoise(),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """What really was where."""
-
-    stamps_ns: np.ndarray
-    """Times of the true poses: of every scan and odometry reading, ascending, shape (T,), int64."""
-    world_T_body: FloatArray
-    """True poses of the robot at those times, shape (T, 4, 4)."""
-    planes: list[Plane]
-    """The true planes; labels are indices into this list."""
-    labels: dict[str, np.ndarray]
-    """Plane that each beam hit, by sensor, shape (S, B), int32; -1: none."""
-
-    def poses_at(self, stamps_ns: np.ndarray) -> FloatArray:
-        """True poses (N, 4, 4) at times (N,) of scans or odometry readings; any other time is a ValueError."""
-        stamps_ns = np.asarray(stamps_ns, dtype=np.int64)
-        places = np.minimum(np.searchsorted(self.stamps_ns, stamps_ns), len(self.stamps_ns) - 1)
-        if not np.array_equal(self.stamps_ns[places], stamps_ns):
-            raise ValueError("stamps_ns: expected times of scans or odometry readings of this mission, got another")
-        return self.world_T_body[places]
+#: Way between two scans of the spinning laser, m.
+SPINNING_SPACING_M = 0.5
+WORLDS = ("corridor", "office", "room", "hall")
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,77 +70,82 @@ class Mission:
             raise ValueError(f"sensor: expected a 2D laser of the mission, got {sensor!r}")
         stamps = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
         poses = self.truth.poses_at(stamps)
+        given = [p if s.world_T_body is None else s.world_T_body for s, p in zip(scans, poses, strict=True)]
         return ScanArrays(
             stamps_ns=stamps,
             ranges=np.array([scan.ranges for scan in scans]),
             angles=scans[0].angles,
             world_T_sensor=poses @ self.rig.sensors[sensor].body_T_sensor,
-            world_T_body_given=np.array(
-                [p if s.world_T_body is None else s.world_T_body for s, p in zip(scans, poses, strict=True)]
-            ),
+            world_T_body_given=np.array(given),
             labels=self.truth.labels[sensor],
         )
 
+    def save(self, folder: Path | str) -> None:
+        """Write log.clf.gz, rig.yaml and truth/ into a folder that is new or empty; all of it or nothing.
 
-def simulate_mission(world: str, *, n_scans: int | None = None, seed: int = 0, laps: int = 1) -> Mission:
-    """Drive the push-broom robot through a world and record what its sensors read.
+        Raises:
+            ValueError: the folder holds something, or the mission has 3D scans, which a CARMEN log has no record for.
+        """
+        folder = Path(folder)
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise ValueError(f"folder: expected a new or an empty folder, got {folder}")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        stage = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+        try:
+            (stage / "truth").mkdir()
+            write_carmen(self.log, self.rig, stage / "log.clf.gz")
+            self.rig.to_yaml(stage / "rig.yaml")
+            self.truth.write(stage / "truth")
+            stage.chmod(0o755)
+            if folder.exists():
+                folder.rmdir()
+            os.replace(stage, folder)
+        except BaseException:
+            shutil.rmtree(stage, ignore_errors=True)
+            raise
+
+
+def simulate_mission(
+    world: str, *, n_scans: int | None = None, seed: int = 0, laps: int = 1, spacing_m: float | None = None
+) -> Mission:
+    """Drive a robot through a world and record what its sensors read.
 
     Args:
-        world: "corridor".
-        n_scans: number of vertical scans; None: the paper's 1083 in the corridor.
-        seed: of all noise; the world itself is always the same. Equal arguments give equal missions, bit for bit.
+        world: "corridor" (the paper's), "office" (a ring of 79 m with rooms), "room" (small, for lines): the paper's
+            robot; "hall": a robot with a spinning 3D laser.
+        n_scans: number of vertical (or 3D) scans; None: the paper's 1083 in the corridor, else all laps.
+        seed: of all noise; the world itself is always the same. Equal arguments give equal missions, bit for bit, and
+            a shorter mission reads what the longer one read so far.
         laps: times round a world that is a loop.
+        spacing_m: way between two vertical (or 3D) scans, m; None: 0.027, or 0.5 for the spinning laser.
 
     Raises:
-        ValueError: an unknown world, or fewer than two scans.
+        ValueError: an unknown world, fewer than two scans, more than the way holds, no laps, a corridor with laps.
     """
-    if world != "corridor":
-        raise ValueError(f"world: expected 'corridor', got {world!r}")
-    n_scans = PAPER_SCANS if n_scans is None else int(n_scans)
-    if n_scans < 2:
+    if world not in WORLDS:
+        raise ValueError(f"world: expected one of {', '.join(WORLDS)}, got {world!r}")
+    if laps < 1 or (laps > 1 and world == "corridor"):
+        raise ValueError(f"laps: expected 1 in a corridor and at least 1 elsewhere, got {laps}")
+    if n_scans is not None and n_scans < 2:
         raise ValueError(f"n_scans: expected at least 2, got {n_scans}")
-    way_m = (n_scans - 1) * PAPER_SPACING_M
-    path = DrivenPath.weaving(way_m)
-    return _record(world, corridor(way_m), path, paper_rig(), n_scans=n_scans, spacing_m=PAPER_SPACING_M, seed=seed)
+    default = SPINNING_SPACING_M if world == "hall" else PAPER_SPACING_M
+    step = default if spacing_m is None else as_positive("spacing_m", spacing_m)
+    if world == "corridor":
+        n_scans = round((PAPER_SCANS - 1) * PAPER_SPACING_M / step) + 1 if n_scans is None else n_scans
+        way_m = (n_scans - 1) * step
+        plan = Plan(world, corridor(way_m), DrivenPath.weaving(way_m), paper_rig(), step)
+    else:
+        plan = _loop(world, laps, step)
+    possible = int(plan.path.length_m / step + 1e-9) + 1
+    if n_scans is not None and n_scans > possible:
+        raise ValueError(f"n_scans: expected at most {possible} for {laps} laps, got {n_scans}")
+    log, truth = record(plan, possible if n_scans is None else n_scans, seed)
+    return Mission(log, plan.rig, truth)
 
 
-def _record(
-    name: str, world: World, path: DrivenPath, rig: Rig, *, n_scans: int, spacing_m: float, seed: int
-) -> Mission:
-    """Run along the path in half periods: odometry at each, vertical scans at the even, horizontal at some odd ones."""
-    ticks = np.arange(2 * n_scans - 1)
-    period_ns = round(spacing_m / SPEED_M_PER_S * 1e9)
-    stamps = START_NS + ticks * (period_ns // 2)
-    way = np.linspace(0.0, (n_scans - 1) * spacing_m, len(ticks))
-    poses = path.at(way)
-    ticks_of = {VERTICAL: ticks[::2], HORIZONTAL: ticks[1 :: 2 * HORIZONTAL_EVERY]}
-    wheels, localiser, *lasers = _streams(seed, 2 + len(ticks_of))
-
-    odometry = pose_matrices(drifting_odometry(poses, rig.odometry, wheels))
-    given = pose_matrices(poses)
-    if rig.localisation is not None:
-        given = pose_matrices(localised_poses(poses, way, rig.localisation, localiser))
-    events: list[Event] = [OdometryReading(int(t), T) for t, T in zip(stamps, odometry, strict=True)]
-    world_T_body, labels = pose_matrices(poses), {}
-    for (sensor, at), rng in zip(ticks_of.items(), lasers, strict=True):
-        ranges, labels[sensor] = _scan(world, world_T_body[at] @ rig.sensors[sensor].body_T_sensor, _ANGLES[sensor])
-        read = noisy_ranges(ranges, rig.sensors[sensor], rng)
-        labels[sensor] = np.where(np.isnan(read), np.int32(-1), labels[sensor])
-        events += [
-            LaserScan(int(stamps[k]), sensor, r, _ANGLES[sensor], given[k]) for k, r in zip(at, read, strict=True)
-        ]
-    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
-    truth = Truth(stamps, world_T_body, world.planes, labels)
-    return Mission(Log(events, Path(f"simulated {name}")), rig, truth)
-
-
-def _scan(world: World, world_T_sensor: FloatArray, angles: FloatArray) -> tuple[FloatArray, np.ndarray]:
-    """Exact ranges (S, B) and labels (S, B) of a 2D laser at poses (S, 4, 4)."""
-    rays = scan_directions(angles) @ world_T_sensor[:, :3, :3].transpose(0, 2, 1)
-    origins, normals = (np.ascontiguousarray(world_T_sensor[:, :3, k]) for k in (3, 2))
-    return world.cast(origins, rays, normals)
-
-
-def _streams(seed: int, count: int) -> list[np.random.Generator]:
-    """Independent generators, so that no sensor's draws move when another's number changes."""
-    return [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(count)]
+def _loop(world: str, laps: int, spacing_m: float) -> Plan:
+    if world == "office":
+        return Plan(world, office(), office_path(laps), paper_rig(), spacing_m)
+    if world == "room":
+        return Plan(world, room(), room_path(laps), paper_rig(), spacing_m)
+    return Plan(world, hall(), hall_path(laps), spinning_rig(), spacing_m)

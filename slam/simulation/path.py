@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,6 +47,42 @@ class Path:
         """Along x from the origin, heading 0 at the start, swinging to the left and back by `amplitude_m`."""
         x = np.arange(0.0, length_m + 1.0, _STEP_M)
         return cls.through(np.column_stack([x, amplitude_m * (1.0 - np.cos(2.0 * np.pi * x / wavelength_m)) / 2.0]))
+
+    @classmethod
+    def rounded(cls, points: Sequence[tuple[float, float]], radius_m: float) -> Path:
+        """Straight from point to point, each corner between cut by an arc of `radius_m`; the first heading is a side's.
+
+        Raises:
+            ValueError: an arc does not fit between its neighbours.
+        """
+        pieces: list[FloatArray] = []
+        corners = np.asarray(points, dtype=np.float64)
+        here = corners[0]
+        for corner, following in pairwise(corners[1:]):
+            arc = _arc(here, corner, following, radius_m)
+            if (arc[0] - here) @ (corner - here) < 0.0 or (following - arc[-1]) @ (following - corner) < 0.0:
+                raise ValueError(f"radius_m: expected arcs that fit between the points, got {radius_m} at {corner}")
+            pieces += [_straight(here, arc[0]), arc[:-1]]
+            here = arc[-1]
+        return cls.through(np.vstack([*pieces, _straight(here, corners[-1]), corners[-1:]]))
+
+
+def _straight(start: FloatArray, end: FloatArray) -> FloatArray:
+    """Points (K, 2) from start to just before end."""
+    count = max(int(np.ceil(np.linalg.norm(end - start) / _STEP_M)), 1)
+    return start + np.arange(count)[:, None] / count * (end - start)
+
+
+def _arc(before: FloatArray, corner: FloatArray, after: FloatArray, radius_m: float) -> FloatArray:
+    """Points (K, 2) of the arc that touches both sides of a corner, from one touching point to the other."""
+    incoming, outgoing = corner - before, after - corner
+    incoming, outgoing = incoming / np.linalg.norm(incoming), outgoing / np.linalg.norm(outgoing)
+    turn = np.arctan2(incoming[0] * outgoing[1] - incoming[1] * outgoing[0], incoming @ outgoing)
+    start = corner - incoming * radius_m * np.tan(abs(turn) / 2.0)
+    left = np.sign(turn) * np.array([-incoming[1], incoming[0]])
+    angles = np.linspace(0.0, turn, max(int(abs(turn) * radius_m / _STEP_M), 2))
+    c, s = np.cos(angles)[:, None], np.sin(np.abs(angles))[:, None]
+    return start + radius_m * (left * (1.0 - c) + incoming * s)
 
 
 def pose_matrices(poses: FloatArray) -> FloatArray:
