@@ -37,15 +37,23 @@ def as_shape(name: str, value: ArrayLike, shape: tuple[int | None, ...], *, fini
 
 def as_covariance(name: str, value: ArrayLike, size: int) -> FloatArray:
     """Return a symmetric positive semidefinite (size, size) matrix; singular is allowed."""
-    matrix = as_shape(name, value, (size, size))
-    scale = np.abs(matrix).max()
-    if not np.allclose(matrix, matrix.T, rtol=0.0, atol=COVARIANCE_TOLERANCE * scale):
+    return as_covariance_stack(name, as_shape(name, value, (size, size))[None], size)[0]
+
+
+def as_covariance_stack(name: str, value: ArrayLike, size: int) -> FloatArray:
+    """Return symmetric positive semidefinite matrices, shape (S, size, size); singular is allowed."""
+    matrices = as_shape(name, value, (None, size, size))
+    slack = COVARIANCE_TOLERANCE * np.abs(matrices).max(axis=(1, 2), initial=0.0)
+    transposed = matrices.transpose(0, 2, 1)
+    if (np.abs(matrices - transposed).max(axis=(1, 2), initial=0.0) > slack).any():
         raise ValueError(f"{name}: expected a symmetric covariance, got one that differs from its transpose")
-    matrix = 0.5 * (matrix + matrix.T)
-    smallest = float(np.linalg.eigvalsh(matrix)[0])
-    if smallest < -COVARIANCE_TOLERANCE * scale:
-        raise ValueError(f"{name}: expected a positive semidefinite covariance, got smallest eigenvalue {smallest:.3g}")
-    return matrix
+    matrices = 0.5 * (matrices + transposed)
+    smallest = np.linalg.eigvalsh(matrices)[:, 0]
+    if (smallest < -slack).any():
+        raise ValueError(
+            f"{name}: expected a positive semidefinite covariance, got smallest eigenvalue {smallest.min():.3g}"
+        )
+    return matrices
 
 
 def as_transform(name: str, value: ArrayLike) -> FloatArray:

@@ -123,30 +123,27 @@ def noise_share(sums) -> float:
 
 
 @njit(cache=True)
-def slope_covariance(sums, out) -> bool:
-    """Covariance of (b0, ax, ay) at the minimum: H^-1 A H^-1, with A = sum w f f^T the score's and H the curvature's.
+def write_covariance(sums, score, to_p, covariance) -> bool:
+    """Write the covariance of (z, theta, psi) at the minimum, H^-1 J H^-1 of the slopes; False where H is singular.
 
-    H is A less the noise along the plane, by which the observed patch looks wider than it is.
+    H is the information in ``sums`` less the noise along the plane, by which the observed patch looks wider than it is.
+    J, the variance of the score, is given by its upper triangle, shape (6,); it is the information itself in the plain
+    fit. ``to_p`` takes slopes to (z, theta, psi).
     """
     share = noise_share(sums)
-    if not invert3(
-        sums[4],
-        sums[5],
-        sums[6],
-        sums[7] - share * sums[15],
-        sums[8] - share * sums[16],
-        sums[9] - share * sums[17],
-        out,
-    ):
+    inverse, middle, product = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    xx, xy, yy = sums[7] - share * sums[15], sums[8] - share * sums[16], sums[9] - share * sums[17]
+    if not invert3(sums[4], sums[5], sums[6], xx, xy, yy, inverse):
         return False
-    score = np.empty((3, 3))
-    score[0, 0], score[0, 1], score[0, 2] = sums[4], sums[5], sums[6]
-    score[1, 0], score[1, 1], score[1, 2] = sums[5], sums[7], sums[8]
-    score[2, 0], score[2, 1], score[2, 2] = sums[6], sums[8], sums[9]
-    product = np.empty((3, 3))
-    multiply3(out, score, product)
-    multiply3(product, out, score)
-    out[:] = score
+    middle[0, 0], middle[0, 1], middle[0, 2] = score[0], score[1], score[2]
+    middle[1, 0], middle[1, 1], middle[1, 2] = score[1], score[3], score[4]
+    middle[2, 0], middle[2, 1], middle[2, 2] = score[2], score[4], score[5]
+    multiply3(to_p, inverse, product)
+    multiply3(product, middle, inverse)
+    multiply3(inverse, product.T, middle)
+    for j in range(3):
+        for k in range(3):
+            covariance[j, k] = 0.5 * (middle[j, k] + middle[k, j])
     return True
 
 
@@ -206,22 +203,14 @@ def ml_group(points, covs, step, order, lo, hi, viewpoint, frame, covariance, su
     status = descend(points, covs, step, order, lo, hi, np.inf, 1.0, base, sums)
     if status != OK:
         return status
-    return finish(base, sums, viewpoint, 1.0, frame, covariance)
+    return finish(base, sums, viewpoint, frame, covariance)
 
 
 @njit(cache=True)
-def finish(base, sums, viewpoint, factor, frame, covariance) -> int:
-    """Frame and covariance from the sums at the minimum; ``factor`` is what robustness costs in variance."""
-    slopes, to_p = np.empty((3, 3)), np.empty((3, 3))
+def finish(base, sums, viewpoint, frame, covariance) -> int:
+    """Write frame and covariance from the sums at the minimum."""
+    to_p = np.empty((3, 3))
     status = settle(base, sums, viewpoint, frame, to_p)
     if status != OK:
         return status
-    if not slope_covariance(sums, slopes):
-        return COLLINEAR
-    half, full = np.empty((3, 3)), np.empty((3, 3))
-    multiply3(to_p, slopes, half)
-    multiply3(half, to_p.T, full)
-    for j in range(3):
-        for k in range(3):
-            covariance[j, k] = 0.5 * factor * (full[j, k] + full[k, j])
-    return OK
+    return OK if write_covariance(sums, sums[4:10], to_p, covariance) else COLLINEAR

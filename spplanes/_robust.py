@@ -10,11 +10,13 @@ References:
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numba import njit
 
-from spplanes._fit_kernels import descend, finish
+from spplanes._check import FloatArray
+from spplanes._fit_kernels import descend, invert3, settle, write_covariance
 from spplanes._fit_sums import FLOOR
 from spplanes._rows import COLLINEAR, OK, TOO_FEW, write_frame
 
@@ -24,24 +26,26 @@ CUTOFF = 4.685
 TRIALS = 100
 #: Points that judge a triple, at most, evenly spread over the group.
 JUDGES = 500
+#: The patch reaches this many standard deviations from its centre; an evenly filled rectangle has 2.5 at its corners.
+PATCH_SIGMAS = 4.0
+PATCH_TURNS = 10
 #: Where the triples come from: fractions of the group, the same in every run.
 FRACTIONS = np.random.default_rng(0).random((TRIALS, 3))
 
 
-def _biweight_moments(cutoff: float) -> tuple[float, float, float]:
-    """Means over a standard normal u of the weight (1 - q)^2, of psi' and of psi^2; q = u^2 / cutoff^2 <= 1."""
-    u = np.linspace(-cutoff, cutoff, 20001)
-    density = np.exp(-0.5 * u * u) / math.sqrt(2.0 * math.pi)
-    q = (u / cutoff) ** 2
-    means = [np.trapezoid(f * density, u) for f in ((1 - q) ** 2, (1 - q) * (1 - 5 * q), u**2 * (1 - q) ** 4)]
-    return float(means[0]), float(means[1]), float(means[2])
+def _biweight_means(density: Callable[[FloatArray], FloatArray]) -> tuple[float, float, float]:
+    """Means over u of the weight (1 - q)^2, of psi' and of psi^2, where q = u^2 / CUTOFF^2 <= 1."""
+    u = np.linspace(-CUTOFF, CUTOFF, 20001)
+    p, q = density(u), (u / CUTOFF) ** 2
+    weight, slope, score = (1 - q) ** 2, (1 - q) * (1 - 5 * q), u**2 * (1 - q) ** 4
+    return float(np.trapezoid(weight * p, u)), float(np.trapezoid(slope * p, u)), float(np.trapezoid(score * p, u))
 
 
-_WEIGHT, _SLOPE, _SCORE = _biweight_moments(CUTOFF)
+#: Means over inliers, standard normal, and over outliers, spread evenly over the band.
+WEIGHT, SLOPE, SCORE = _biweight_means(lambda u: np.exp(-0.5 * u * u) / math.sqrt(2.0 * math.pi))
+OUT_WEIGHT, _, OUT_SCORE = _biweight_means(lambda u: np.full_like(u, 0.5 / CUTOFF))
 #: By how much a step with the weights' information falls short of the cost's expected curvature.
-GAIN = _WEIGHT / _SLOPE
-#: Variance over that which the weights' information promises; the kept inliers are in that information by _WEIGHT.
-VARIANCE_FACTOR = _SCORE / _SLOPE**2 * _WEIGHT
+GAIN = WEIGHT / SLOPE
 
 
 @njit(cache=True)
@@ -94,16 +98,122 @@ def consensus_frame(points, covs, step, order, lo, hi, fractions, cutoff2, frame
 
 
 @njit(cache=True)
+def locate(points, covs, step, i, frame) -> tuple[float, float, float]:
+    """In-plane coordinates x and y of a point, m, and its squared normalised distance from the plane."""
+    c, x, y, z, variance, trace = covs[i * step], 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(3):
+        q = points[i, j] - frame[j, 3]
+        x += frame[j, 0] * q
+        y += frame[j, 1] * q
+        z += frame[j, 2] * q
+        trace += c[j, j]
+        for k in range(3):
+            variance += frame[j, 2] * c[j, k] * frame[k, 2]
+    return x, y, z * z / max(variance, FLOOR * trace)
+
+
+@njit(cache=True)
+def patch_points(points, covs, step, order, lo, hi, frame, cutoff2, kept) -> int:
+    """Write to ``kept`` the group's points over the patch that its inliers fill, whatever their height; returns how many.
+
+    A gross outlier that happens to lie near the plane but far out along it would have all the leverage on the slope.
+    Mean and spread are of the points within ``cutoff2`` and the patch, until the patch no longer changes.
+    """
+    mx = my = xx = xy = yy = 0.0
+    before = -1.0
+    for turn in range(PATCH_TURNS):
+        n = sx = sy = sxx = sxy = syy = 0.0
+        for k in range(lo, hi):
+            x, y, square = locate(points, covs, step, order[k], frame)
+            if square < cutoff2 and (turn == 0 or within_patch(x - mx, y - my, xx, xy, yy)):
+                n += 1.0
+                sx += x
+                sy += y
+                sxx += x * x
+                sxy += x * y
+                syy += y * y
+        if n < 3.0:
+            return 0
+        mx, my = sx / n, sy / n
+        xx, xy, yy = sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my
+        if n == before:
+            break
+        before = n
+    size = 0
+    for k in range(lo, hi):
+        x, y, _ = locate(points, covs, step, order[k], frame)
+        if within_patch(x - mx, y - my, xx, xy, yy):
+            kept[size] = order[k]
+            size += 1
+    return size
+
+
+@njit(cache=True)
+def within_patch(x, y, xx, xy, yy) -> bool:
+    """Whether (x, y) is within PATCH_SIGMAS of a spread, by its Mahalanobis distance."""
+    return yy * x * x - 2.0 * xy * x * y + xx * y * y <= PATCH_SIGMAS * PATCH_SIGMAS * (xx * yy - xy * xy)
+
+
+@njit(cache=True)
+def ring_information(points, covs, step, order, lo, hi, frame, cutoff2, ring) -> None:
+    """Add to ``ring`` (6,) the unweighted information, sum w h h^T, of the points between one and two cutoffs off.
+
+    These are outliers, and as many as hide within the cutoff where outliers are spread evenly.
+    """
+    nx, ny, nz = frame[0, 2], frame[1, 2], frame[2, 2]
+    for k in range(lo, hi):
+        x, y, square = locate(points, covs, step, order[k], frame)
+        if not cutoff2 <= square < 4.0 * cutoff2:
+            continue
+        c = covs[order[k] * step]
+        variance = nx * nx * c[0, 0] + ny * ny * c[1, 1] + nz * nz * c[2, 2]
+        variance += 2.0 * (nx * ny * c[0, 1] + nx * nz * c[0, 2] + ny * nz * c[1, 2])
+        w = 1.0 / max(variance, FLOOR * (c[0, 0] + c[1, 1] + c[2, 2]))
+        ring[0] += w
+        ring[1] += w * x
+        ring[2] += w * y
+        ring[3] += w * x * x
+        ring[4] += w * x * y
+        ring[5] += w * y * y
+
+
+@njit(cache=True)
+def discount_outliers(sums, ring, score) -> None:
+    """Turn the weights' information in ``sums`` into the curvature of the cost, and write the variance of its score.
+
+    Inliers bring curvature SLOPE and variance SCORE; outliers within the cutoff, as many as in the ring, no curvature
+    but variance OUT_SCORE. They are believed in as far as a fifth of the information is left without them.
+    """
+    inverse, part = np.empty((3, 3)), OUT_WEIGHT
+    left = 0.8 * sums[4:10] - part * ring
+    while not invert3(left[0], left[1], left[2], left[3], left[4], left[5], inverse):
+        part = 0.5 * part if part > 1e-3 else 0.0
+        left = 0.8 * sums[4:10] - part * ring
+    inliers = (sums[4:10] - part * ring) / WEIGHT
+    score[:] = SCORE * inliers + part / OUT_WEIGHT * OUT_SCORE * ring
+    sums[4:10] = SLOPE * inliers
+    sums[15:18] *= SLOPE / WEIGHT
+
+
+@njit(cache=True)
 def robust_group(points, covs, step, order, lo, hi, viewpoint, fractions, frame, covariance, sums) -> int:
     """Tukey fit of one group; writes frame, covariance and the sums of the kept points at the minimum."""
     if hi - lo < 3:
         return TOO_FEW
-    base = np.empty((4, 4))
-    status = consensus_frame(points, covs, step, order, lo, hi, fractions, 4.0 * CUTOFF * CUTOFF, base)
-    for widening in (2.0, 1.0):
-        if status == OK:
-            cutoff = widening * CUTOFF
-            status = descend(points, covs, step, order, lo, hi, cutoff * cutoff, GAIN, base, sums)
+    base, wide, narrow = np.empty((4, 4)), 4.0 * CUTOFF * CUTOFF, CUTOFF * CUTOFF
+    status = consensus_frame(points, covs, step, order, lo, hi, fractions, wide, base)
     if status != OK:
         return status
-    return finish(base, sums, viewpoint, VARIANCE_FACTOR, frame, covariance)
+    kept = np.empty(hi - lo, np.int64)
+    n = patch_points(points, covs, step, order, lo, hi, base, wide, kept)
+    for cutoff2 in (wide, narrow):
+        if status == OK:
+            status = descend(points, covs, step, kept, 0, n, cutoff2, GAIN, base, sums)
+    to_p, ring, score = np.empty((3, 3)), np.zeros(6), np.empty(6)
+    if status == OK:
+        status = settle(base, sums, viewpoint, frame, to_p)
+    if status != OK:
+        return status
+    ring_information(points, covs, step, kept, 0, n, base, narrow, ring)
+    discount_outliers(sums, ring, score)
+    return OK if write_covariance(sums, score, to_p, covariance) else COLLINEAR

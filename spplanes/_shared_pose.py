@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from spplanes import _fit_kernels as kernels
-from spplanes._check import FloatArray, as_covariance, as_shape
+from spplanes._check import FloatArray, as_covariance_stack, as_shape
 from spplanes._fit_sums import FLOOR, N_SUMS, accumulate
 from spplanes._rows import COLLINEAR, OK
 
@@ -41,9 +41,7 @@ class SharedPose:
         if scan_index is None or pose_covariances is None:
             missing = "scan_index" if scan_index is None else "pose_covariances"
             raise ValueError(f"{missing}: expected it beside the other arguments of the shared pose error, got None")
-        covariances = as_shape("pose_covariances", pose_covariances, (None, 6, 6))
-        for covariance in covariances:
-            as_covariance("pose_covariances", covariance, 6)
+        covariances = as_covariance_stack("pose_covariances", pose_covariances, 6)
         scans = len(covariances)
         origins = np.zeros((scans, 3)) if scan_origins is None else as_shape("scan_origins", scan_origins, (scans, 3))
         return cls(_scan_index(scan_index, n, scans), _square_roots(covariances), origins)
@@ -168,14 +166,13 @@ def _finish(
     points: FloatArray, covs: FloatArray, step: int, viewpoint: FloatArray, base: FloatArray, information: FloatArray
 ) -> tuple[int, FloatArray, FloatArray]:
     """Outcome, frame and covariance at the optimum, with the information that the pose errors leave."""
-    sums, frame, to_p, slopes = np.zeros(N_SUMS), np.empty((4, 4)), np.empty((3, 3)), np.empty((3, 3))
+    sums, frame, to_p, covariance = np.zeros(N_SUMS), np.empty((4, 4)), np.empty((3, 3)), np.empty((3, 3))
     accumulate(points, covs, step, np.arange(len(points)), 0, len(points), base, np.inf, sums)
     status = kernels.settle(base, sums, viewpoint, frame, to_p)
     sums[4:10] = information[np.triu_indices(3)]
-    if status != OK or not kernels.slope_covariance(sums, slopes):
-        return (status if status != OK else COLLINEAR), frame, slopes
-    covariance = to_p @ slopes @ to_p.T
-    return OK, frame, 0.5 * (covariance + covariance.T)
+    if status == OK and not kernels.write_covariance(sums, sums[4:10], to_p, covariance):
+        status = COLLINEAR
+    return status, frame, covariance
 
 
 @njit(cache=True)
