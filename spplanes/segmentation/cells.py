@@ -67,14 +67,15 @@ def broken_links(free, right, down, size):
 
 
 @njit(cache=True)
-def planar_cells(rows, broken, size, quantile, slack):
+def planar_cells(rows, broken, shape, size, quantile, slack):
     """Cells whose points fit one plane: filled, without jumps, residuals as noise explains; shape (R, C) bool."""
     planar = np.zeros(rows.shape[:2], dtype=np.bool_)
     for ci in range(rows.shape[0]):
         for cj in range(rows.shape[1]):
             row = rows[ci, cj]
             dof = row[0] - 3.0
-            if row[0] < max(0.4 * size * size, 4.0) or broken[ci, cj] > size // 4:
+            area = min(size, shape[0] - ci * size) * min(size, shape[1] - cj * size)
+            if row[0] < max(0.4 * area, 4.0) or broken[ci, cj] > size // 4:
                 continue
             spread = 2.0 / (9.0 * dof)
             limit = slack * dof * (1.0 - spread + quantile * np.sqrt(spread)) ** 3
@@ -102,12 +103,13 @@ def shared_variances(rows, shared, free, planar, size):
 
 
 @njit(cache=True)
-def cell_edges(node, labels, size):
+def cell_edges(node, labels, start, size):
     """Pairs of neighbouring nodes: cells beside cells, and cells beside regions labelled already.
 
     Args:
         node: node number of every planar cell, shape (R, C), -1 = none; cells come after the regions.
         labels: region of every point, shape (S, B), -1 = none; also the node number of the region.
+        start: row of the labels at which the cells begin.
         size: side of a cell.
 
     Returns:
@@ -126,7 +128,7 @@ def cell_edges(node, labels, size):
             if ci + 1 < n_rows and node[ci + 1, cj] >= 0:
                 edges[count, 0], edges[count, 1] = node[ci, cj], node[ci + 1, cj]
                 count += 1
-            count = _region_edges(edges, count, node[ci, cj], labels, ci * size, cj * size, size)
+            count = _region_edges(edges, count, node[ci, cj], labels, start + ci * size, cj * size, size)
     return edges[:count]
 
 

@@ -16,7 +16,7 @@ class MapperConfig:
 
     significance: float = 0.001
     """Share of true merges that a chi2 test may refuse; in (0, 0.5)."""
-    flatness_m: float = 0.003
+    flatness_m: float = 0.002
     """How far a surface that counts as a plane may deviate from one, m: plaster, cushions, quantised depth.
 
     It loosens every test (as noise of each point and as a bias that more points do not average away), never the
@@ -35,6 +35,9 @@ class MapperConfig:
     """A single point belongs to a plane within this many standard deviations."""
     max_tilt_rad: float = 0.1
     """Standard deviation of tilt, rad, above which a patch does not determine a plane of its own."""
+    max_crease_rad: float = 0.26
+    """Turn of the surface against its plane, rad (15 deg), at which a region ends even though the points stay on the
+    plane: a seam between cushions. It is only judged where noise leaves a local normal."""
     min_points: int = 60
     """Fewest points of a plane that is reported."""
     largest_cell: int = 32
@@ -49,7 +52,7 @@ class MapperConfig:
     def __post_init__(self) -> None:
         for name in ("significance", "edge_significance"):
             _check_range(name, getattr(self, name), 0.0, 0.5)
-        for name in ("gate_sigma", "outline_cell_m", "max_tilt_rad"):
+        for name in ("gate_sigma", "outline_cell_m", "max_tilt_rad", "max_crease_rad"):
             _check_range(name, getattr(self, name), 0.0, np.inf)
         _check_range("max_incidence_rad", self.max_incidence_rad, 0.0, np.pi / 2)
         for name in ("flatness_m", "surface_sigma_m", "border_smoothness"):

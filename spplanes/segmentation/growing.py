@@ -5,25 +5,64 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from spplanes.moments import ROW_SIZE, add_point
+from spplanes.moments import merge_rows
 from spplanes.segmentation._patches import eigenvalues, normal_of, variance_along
 
 
 @njit(cache=True)
-def fit_regions(points, covariance, labels, rows, floor_variance):
-    """Moments of the labelled points, weighted along the normal of the region's previous moments `rows` (R, 11)."""
-    normals = np.empty((rows.shape[0], 3))
+def hesse(rows):
+    """(normal, d) of every row of moments, shape (R, 4)."""
+    planes = np.empty((rows.shape[0], 4))
     for r in range(rows.shape[0]):
-        normals[r] = normal_of(rows[r], eigenvalues(rows[r])[0])
-    fresh = np.zeros((rows.shape[0], ROW_SIZE))
+        nx, ny, nz = normal_of(rows[r], eigenvalues(rows[r])[0])
+        planes[r] = nx, ny, nz, nx * rows[r, 2] + ny * rows[r, 3] + nz * rows[r, 4]
+    return planes
+
+
+@njit(cache=True)
+def fit_regions(points, covariance, labels, rows, prior, floor_variance):
+    """Moments of the labelled points, added to `prior` (R, 11), weighted along the normal of `rows` (R, 11).
+
+    Sums are taken about the centres of `rows`, near enough to the points to lose nothing.
+    """
+    planes, sums = hesse(rows), np.zeros(rows.shape)
     for i in range(labels.shape[0]):
         for j in range(labels.shape[1]):
             r = labels[i, j]
             if r >= 0:
-                n = normals[r]
-                variance = variance_along(covariance[i, j], n[0], n[1], n[2]) + floor_variance
-                add_point(fresh[r], points[i, j], 1.0 / variance)
+                w = 1.0 / (variance_along(covariance[i, j], planes[r, 0], planes[r, 1], planes[r, 2]) + floor_variance)
+                x, y, z = points[i, j, 0] - rows[r, 2], points[i, j, 1] - rows[r, 3], points[i, j, 2] - rows[r, 4]
+                s = sums[r]
+                s[0] += 1.0
+                s[1] += w
+                s[2] += w * x
+                s[3] += w * y
+                s[4] += w * z
+                s[5] += w * x * x
+                s[6] += w * x * y
+                s[7] += w * x * z
+                s[8] += w * y * y
+                s[9] += w * y * z
+                s[10] += w * z * z
+    fresh = prior.copy()
+    for r in range(rows.shape[0]):
+        if sums[r, 1] > 0.0:
+            _centre(sums[r], rows[r])
+            merge_rows(prior[r], sums[r], fresh[r])
     return fresh
+
+
+@njit(cache=True)
+def _centre(sums, about):
+    """Turn sums about a point into moments about their own centre, in place."""
+    x, y, z = sums[2] / sums[1], sums[3] / sums[1], sums[4] / sums[1]
+    sums[5] -= sums[1] * x * x
+    sums[6] -= sums[1] * x * y
+    sums[7] -= sums[1] * x * z
+    sums[8] -= sums[1] * y * y
+    sums[9] -= sums[1] * y * z
+    sums[10] -= sums[1] * z * z
+    sums[2], sums[3], sums[4] = about[2] + x, about[3] + y, about[4] + z
 
 
 @njit(cache=True)
@@ -41,16 +80,6 @@ def shared_of_regions(shared, labels, planes):
 
 
 @njit(cache=True)
-def hesse(rows):
-    """(normal, d) of every row of moments, shape (R, 4)."""
-    planes = np.empty((rows.shape[0], 4))
-    for r in range(rows.shape[0]):
-        nx, ny, nz = normal_of(rows[r], eigenvalues(rows[r])[0])
-        planes[r] = nx, ny, nz, nx * rows[r, 2] + ny * rows[r, 3] + nz * rows[r, 4]
-    return planes
-
-
-@njit(cache=True)
 def residual_chi2(point, covariance, plane, floor_variance):
     """Squared distance of a point to (normal, d) by its variance along the normal (1 dof)."""
     distance = point[0] * plane[0] + point[1] * plane[1] + point[2] * plane[2] - plane[3]
@@ -58,14 +87,17 @@ def residual_chi2(point, covariance, plane, floor_variance):
 
 
 @njit(cache=True)
-def grow(points, covariance, labels, free, planes, gate, floor_variance):
-    """Spread regions over free points beside them that lie within the gate (chi2), ring by ring, in place."""
+def grow(points, covariance, valid, labels, start, planes, gate, floor_variance):
+    """Spread regions over unlabelled points beside them that lie within the gate (chi2), ring by ring, in place.
+
+    Rows before `start` stay as they are; regions grow out of the last of them.
+    """
     n_rows, n_cols = labels.shape
     queue = np.empty(labels.size, dtype=np.int64)
     head, tail = 0, 0
-    for i in range(n_rows):
+    for i in range(max(start - 1, 0), n_rows):
         for j in range(n_cols):
-            if labels[i, j] >= 0 and _touches_free(free, i, j):
+            if labels[i, j] >= 0 and _touches_free(labels, valid, start, i, j):
                 queue[tail] = i * n_cols + j
                 tail += 1
     while head < tail:
@@ -75,62 +107,119 @@ def grow(points, covariance, labels, free, planes, gate, floor_variance):
         for step in range(4):
             a = i + (step == 1) - (step == 0)
             b = j + (step == 3) - (step == 2)
-            if a < 0 or b < 0 or a >= n_rows or b >= n_cols or not free[a, b]:
+            if a < start or b < 0 or a >= n_rows or b >= n_cols or not valid[a, b] or labels[a, b] >= 0:
                 continue
             if residual_chi2(points[a, b], covariance[a, b], planes[r], floor_variance) <= gate:
                 labels[a, b] = r
-                free[a, b] = False
                 queue[tail] = a * n_cols + b
                 tail += 1
 
 
 @njit(cache=True)
-def _touches_free(free, i, j):
-    return (
-        (i > 0 and free[i - 1, j])
-        or (j > 0 and free[i, j - 1])
-        or (i + 1 < free.shape[0] and free[i + 1, j])
-        or (j + 1 < free.shape[1] and free[i, j + 1])
-    )
+def _touches_free(labels, valid, start, i, j):
+    for step in range(4):
+        a = i + (step == 1) - (step == 0)
+        b = j + (step == 3) - (step == 2)
+        inside = start <= a < labels.shape[0] and 0 <= b < labels.shape[1]
+        if inside and valid[a, b] and labels[a, b] < 0:
+            return True
+    return False
 
 
 @njit(cache=True)
-def border_pairs(labels, gap):
-    """Pairs of unlike regions that meet along a row or column with at most `gap` unlabelled points between: (E, 2)."""
+def release(points, covariance, labels, planes, bias, size, limit):
+    """Unlabel, in place, the points that one region has in one cell where their mean distance is no chance (chi2)."""
+    sums = np.zeros((planes.shape[0], 2))
+    for i0 in range(0, labels.shape[0], size):
+        for j0 in range(0, labels.shape[1], size):
+            i1, j1 = min(i0 + size, labels.shape[0]), min(j0 + size, labels.shape[1])
+            for sweep in range(3):
+                for i in range(i0, i1):
+                    for j in range(j0, j1):
+                        r = labels[i, j]
+                        if r < 0:
+                            continue
+                        if sweep == 0:
+                            n = planes[r]
+                            w = 1.0 / (variance_along(covariance[i, j], n[0], n[1], n[2]) + bias[r])
+                            d = points[i, j, 0] * n[0] + points[i, j, 1] * n[1] + points[i, j, 2] * n[2] - n[3]
+                            sums[r, 0] += w
+                            sums[r, 1] += w * d
+                        elif sweep == 1 and sums[r, 0] > 0.0:
+                            mean = sums[r, 1] / sums[r, 0]
+                            off = mean * mean > limit * (1.0 / sums[r, 0] + bias[r])
+                            sums[r, 0], sums[r, 1] = (-1.0 if off else 0.0), 0.0
+                        elif sweep == 2 and sums[r, 0] < 0.0:
+                            labels[i, j] = -2 - r
+            for i in range(i0, i1):
+                for j in range(j0, j1):
+                    if labels[i, j] <= -2:
+                        sums[-2 - labels[i, j], 0] = 0.0
+                        labels[i, j] = -1
+
+
+@njit(cache=True)
+def border_pairs(points, valid, views, labels, planes, bias, gap):
+    """Pairs of unlike regions, (E, 2), that touch, or that an occluder parts along a row or column.
+
+    With an occluder, at most `gap` points lie between, missing or clearly before the plane, but for up to four at its
+    edges. Points on the plane or behind it, a seam or a doorway, show that the surface ends.
+    """
     n_rows, n_cols = labels.shape
-    pairs = np.empty((2 * labels.size, 2), dtype=np.int64)
+    pairs = np.empty((4 * labels.size, 2), dtype=np.int64)
     count = 0
     for along in range(2):
         outer, inner = (n_rows, n_cols) if along == 0 else (n_cols, n_rows)
         for u in range(outer):
-            last, since = -1, 0
-            for v in range(inner):
-                r = labels[u, v] if along == 0 else labels[v, u]
-                if r < 0:
-                    since += 1
+            for v in range(1, inner):
+                i, j = (u, v) if along == 0 else (v, u)
+                r = labels[i, j]
+                if r < 0 or r == (labels[i, j - 1] if along == 0 else labels[i - 1, j]):
                     continue
-                if last >= 0 and r != last and since <= gap:
-                    pairs[count, 0], pairs[count, 1] = min(r, last), max(r, last)
-                    count += 1
-                last, since = r, 0
+                on_plane, before = 0, 0
+                for back in range(1, min(gap + 1, v) + 1):
+                    a, b = (i, j - back) if along == 0 else (i - back, j)
+                    q = labels[a, b]
+                    if q == r:
+                        break
+                    if q >= 0 and (back == 1 or before > 0) and count < pairs.shape[0]:
+                        pairs[count, 0], pairs[count, 1] = min(q, r), max(q, r)
+                        count += 1
+                    side = 1 if not valid[a, b] else _side(points[a, b], views[a], planes[r], bias[r])
+                    if side > 0:
+                        before += 1
+                    elif side == 0 and q < 0 and on_plane < 4:
+                        on_plane += 1
+                    else:
+                        break
     return pairs[:count]
 
 
 @njit(cache=True)
-def choose_at_borders(points, covariance, labels, planes, gate, floor_variance, smoothness):
+def _side(p, view, plane, bias):
+    """1: the point lies before the plane, on the viewpoint's side; -1: behind it; 0: within tolerance of it."""
+    distance = p[0] * plane[0] + p[1] * plane[1] + p[2] * plane[2] - plane[3]
+    eye = view[0] * plane[0] + view[1] * plane[1] + view[2] * plane[2] - plane[3]
+    if distance * distance <= 25.0 * bias:
+        return 0
+    return 1 if distance * eye > 0.0 else -1
+
+
+@njit(cache=True)
+def choose_at_borders(points, covariance, valid, labels, start, planes, gate, floor_variance, smoothness):
     """Let points at borders choose: smallest chi2 plus a price per unlike neighbour (one sweep of ICM, in place)."""
     n_rows, n_cols = labels.shape
     changed = 0
     around = np.empty(8, dtype=np.int64)
-    for i in range(n_rows):
+    for i in range(start, n_rows):
         for j in range(n_cols):
             mine = labels[i, j]
-            if mine == -2 or not _at_border(labels, i, j, mine):
+            if not valid[i, j] or not _at_border(labels, valid, i, j, mine):
                 continue
             n_around = 0
             for a in range(max(i - 1, 0), min(i + 2, n_rows)):
                 for b in range(max(j - 1, 0), min(j + 2, n_cols)):
-                    if (a != i or b != j) and labels[a, b] != -2:
+                    if (a != i or b != j) and valid[a, b]:
                         around[n_around] = labels[a, b]
                         n_around += 1
             best, best_cost = -1, np.inf
@@ -152,11 +241,11 @@ def choose_at_borders(points, covariance, labels, planes, gate, floor_variance, 
 
 
 @njit(cache=True)
-def _at_border(labels, i, j, mine):
+def _at_border(labels, valid, i, j, mine):
     n_rows, n_cols = labels.shape
     return (
-        (i > 0 and labels[i - 1, j] != mine and labels[i - 1, j] != -2)
-        or (j > 0 and labels[i, j - 1] != mine and labels[i, j - 1] != -2)
-        or (i + 1 < n_rows and labels[i + 1, j] != mine and labels[i + 1, j] != -2)
-        or (j + 1 < n_cols and labels[i, j + 1] != mine and labels[i, j + 1] != -2)
+        (i > 0 and labels[i - 1, j] != mine and valid[i - 1, j])
+        or (j > 0 and labels[i, j - 1] != mine and valid[i, j - 1])
+        or (i + 1 < n_rows and labels[i + 1, j] != mine and valid[i + 1, j])
+        or (j + 1 < n_cols and labels[i, j + 1] != mine and valid[i, j + 1])
     )

@@ -1,126 +1,278 @@
-"""`segment_scans`: planes of an organised grid of points, from coarse cells to single points."""
+"""From an organised grid of points to labelled regions: coarse cells first, single points last."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.stats import chi2, norm
 
 from spplanes._check import FloatArray
-from spplanes.moments import ROW_SIZE
-from spplanes.segmentation import cells, growing
+from spplanes.moments import ROW_SIZE, merge_rows
+from spplanes.segmentation import cells, creases, dissolving, growing
 from spplanes.segmentation._patches import eigenvalues
 from spplanes.segmentation.clustering import cluster
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.quads import links
 
-CELL_SLACK = 1.3
-"""Mean squared residual of a planar cell may exceed the noise model by this factor: sensors are known to 15 %."""
-BORDER_GAP = 3
-"""Regions with up to this many lost points between them still meet."""
+CELL_SLACK = 1.15
+"""Mean squared residual of a planar cell may exceed the noise model by this factor: sensors are known to 7 %."""
+BORDER_GAP = 12
+"""Widest occluder, points along a row or column, behind which a plane is taken to continue: a beam, a pole."""
+MISFIT_CELL = 8
+"""Side of the cells in which the points of a region are searched for a common offset from its plane."""
+MISFIT_SIGNIFICANCE = 1e-4
+"""Share of such cells that may be found by chance; there are many of them."""
+CREASE_CERTAINTY = 3.0
+"""Standard deviations of a local normal by which a crease must exceed the angle allowed."""
+BORDER_SWEEPS = 2
+"""Sweeps over the points at borders; more change next to nothing."""
+SUPERFLUOUS_POINTS = 4000
+"""Regions larger than this are never taken for a fringe of their neighbours."""
+ROUNDS = 2
+"""The search starts again, once, with the points that turned out not to fit."""
 
 
-def segment_grid(
-    points: FloatArray,
-    covariance: FloatArray,
-    shared: FloatArray,
-    valid: np.ndarray,
-    views: FloatArray,
-    config: MapperConfig,
-) -> np.ndarray:
-    """Label the points of a grid by plane, shape (S, B) int64; -1 = none. Labels are 0..K-1 in order of first point.
+@dataclass(eq=False)
+class Sheet:
+    """A grid of points while it is being labelled, after the regions that reach into it from earlier scans."""
 
-    `covariance` is all of a point's uncertainty, `shared` (S, B, 1) or (S, B, 9) the part it shares with its scan,
-    which more points do not average away.
-    """
+    points: FloatArray
+    """Shape (S, B, 3), m."""
+    covariance: FloatArray
+    """All of a point's uncertainty, shape (S, B, 1) isotropic or (S, B, 9), m^2."""
+    shared: FloatArray
+    """The part of it that a point shares with its scan, shape (S, B, 9), or (1, 1, 1) when there is none."""
+    valid: np.ndarray
+    """Which points are returns, shape (S, B) bool."""
+    labels: np.ndarray
+    """Region of every point, shape (S, B) int64, -1 = none."""
+    start: int = 0
+    """First row that is to be labelled; those before it are settled and only show where regions reach in."""
+    prior: FloatArray = field(default_factory=lambda: np.empty((0, ROW_SIZE)))
+    """Moments of the points before `start`, of the regions that reach in, shape (P, 11)."""
+    rows: FloatArray = field(default_factory=lambda: np.empty((0, ROW_SIZE)))
+    """Moments of the regions, shape (R, 11); region r < P continues the prior one."""
+    bias: FloatArray = field(default_factory=lambda: np.empty(0))
+    """Variance of the systematic error of every region along its normal, shape (R,), m^2."""
+    alias: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    """The region every region has been fused into, or itself, shape (R,)."""
+
+    @property
+    def fresh(self) -> slice:
+        """The rows to be labelled."""
+        return slice(self.start, None)
+
+    @property
+    def free(self) -> np.ndarray:
+        """Returns that belong to no region, in the rows to be labelled, shape (S - start, B) bool."""
+        return self.valid[self.fresh] & (self.labels[self.fresh] < 0)
+
+
+def segment_sheet(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
+    """Label the fresh rows of a sheet in place."""
     tangent = float(np.tan(config.max_incidence_rad))
-    right, down = links(points, covariance, valid, views, tangent, chi2.isf(config.edge_significance, 1))
-    labels, free = np.full(valid.shape, -1, dtype=np.int64), valid.copy()
-    rows, bias = np.empty((0, ROW_SIZE)), np.empty(0)
-    size = config.largest_cell
-    while size >= config.smallest_cell:
-        rows, bias = _cell_level(points, covariance, shared, labels, free, (right, down), rows, bias, size, config)
-        size //= 2
-    return _finish(points, covariance, shared, labels, free, valid, rows, config)
+    part = sheet.fresh
+    linked = links(
+        sheet.points[part],
+        sheet.covariance[part],
+        sheet.valid[part],
+        views[part],
+        tangent,
+        chi2.isf(config.edge_significance, 1),
+    )
+    for repeat in range(ROUNDS):
+        if repeat:
+            release_misfits(sheet, config)
+        size = config.largest_cell
+        while size >= config.smallest_cell:
+            join_cells(sheet, linked, size, config)
+            size //= 2
+        if len(sheet.rows):
+            spread(sheet, views, config)
+            drop_small(sheet, config)
+    if len(sheet.rows):
+        part_at_creases(sheet, views, config)
 
 
-def _cell_level(points, covariance, shared, labels, free, linked, rows, bias, size, config):
-    """Find planar cells among the free points, fuse them with each other and with the regions; return the regions."""
-    floor = config.flatness_m**2
+def join_cells(sheet: Sheet, linked: tuple[np.ndarray, np.ndarray], size: int, config: MapperConfig) -> None:
+    """Find planar cells among the free points, fuse them with each other and with the regions."""
+    floor, free = config.flatness_m**2, sheet.free
+    points, covariance = sheet.points[sheet.fresh], sheet.covariance[sheet.fresh]
     moments = cells.cell_moments(points, covariance, free, size, floor)
-    broken = cells.broken_links(free, linked[0], linked[1], size)
-    planar = cells.planar_cells(moments, broken, size, norm.isf(config.significance), CELL_SLACK)
+    broken = cells.broken_links(free, *linked, size)  # type: ignore[call-arg]
+    planar = cells.planar_cells(moments, broken, free.shape, size, norm.isf(config.significance), CELL_SLACK)
     if not planar.any():
-        return rows, bias
-    node = np.where(planar, len(rows) + np.cumsum(planar.ravel()).reshape(planar.shape) - 1, -1)
-    nodes = np.concatenate((rows, moments[planar]))
-    cell_bias = cells.shared_variances(moments, shared, free, planar, size)
-    bias = np.concatenate((bias, cell_bias + floor))
-    edges = cells.cell_edges(node, labels, size)
-    root = cluster(nodes, bias, edges, chi2.isf(config.significance, 3))
-    kept = _relabel(labels, free, node, nodes, root, len(rows), size, config)
-    return nodes[kept], bias[kept]
+        return
+    shared = sheet.shared[sheet.fresh] if len(sheet.shared) > 1 else sheet.shared
+    bias = floor + cells.shared_variances(moments, shared, free, planar, size)
+    n_regions = len(sheet.rows)
+    node = np.where(planar, n_regions + np.cumsum(planar.ravel()).reshape(planar.shape) - 1, -1)
+    nodes, biases = np.concatenate((sheet.rows, moments[planar])), np.concatenate((sheet.bias, bias))
+    edges = cells.cell_edges(node, sheet.labels, sheet.start, size)
+    root = cluster(nodes, biases, edges, chi2.isf(config.significance, 3))
+    sheet.rows, sheet.bias = nodes[:n_regions], biases[:n_regions]
+    _fuse(sheet, root[:n_regions])
+    fresh = [r for r in np.unique(root) if r >= n_regions and is_determined(nodes[r], config)]
+    label_of = np.full(len(nodes), -1, dtype=np.int64)
+    label_of[:n_regions] = np.arange(n_regions)
+    label_of[fresh] = n_regions + np.arange(len(fresh))
+    _append(sheet, nodes[fresh], biases[fresh])
+    cells.paint(sheet.labels[sheet.fresh], node, label_of[root], free, size)
 
 
-def _relabel(labels, free, node, nodes, root, n_regions, size, config) -> list:
-    """Keep old regions and new clusters that determine a plane, numbered without gaps; paint their cells."""
-    kept = [r for r in np.unique(root) if r < n_regions or _is_determined(nodes[r], config)]
-    number = np.full(len(nodes), -1, dtype=np.int64)
-    number[kept] = np.arange(len(kept))
-    label_of = number[root]
-    if n_regions:
-        labels[labels >= 0] = label_of[labels[labels >= 0]]
-    cells.paint(labels, node, label_of, free, size)
-    return kept
-
-
-def _is_determined(row: FloatArray, config: MapperConfig) -> bool:
+def is_determined(row: FloatArray, config: MapperConfig) -> bool:
     """Whether the smaller of the two tilts is known to max_tilt_rad."""
     return eigenvalues(row)[1] * config.max_tilt_rad**2 >= 1.0
 
 
-def _finish(points, covariance, shared, labels, free, valid, rows, config) -> np.ndarray:
-    """Grow to single points, fuse regions that are one plane, settle borders, drop what is too small."""
-    floor, gate = config.flatness_m**2, config.gate_sigma**2
-    for _ in range(2):
-        if not len(rows):
-            break
-        rows = growing.fit_regions(points, covariance, labels, rows, floor)
-        growing.grow(points, covariance, labels, free, growing.hesse(rows), gate, floor)
-        rows = growing.fit_regions(points, covariance, labels, rows, floor)
-        bias = floor + growing.shared_of_regions(shared, labels, growing.hesse(rows))
-        rows = _fuse(labels, rows, bias, chi2.isf(config.significance, 3))
-        labels[~valid] = -2
-        for _ in range(3):
-            planes = growing.hesse(rows)
-            if not growing.choose_at_borders(points, covariance, labels, planes, gate, floor, config.border_smoothness):
-                break
-        labels[~valid] = -1
-        free = valid & (labels < 0)
-        rows = _compact(labels, rows, config)
-        free = valid & (labels < 0)
-    return labels
+def _append(sheet: Sheet, rows: FloatArray, bias: FloatArray) -> None:
+    """Add regions to a sheet."""
+    first = len(sheet.rows)
+    sheet.rows, sheet.bias = np.concatenate((sheet.rows, rows)), np.concatenate((sheet.bias, bias))
+    sheet.prior = np.concatenate((sheet.prior, np.zeros((len(rows), ROW_SIZE))))
+    sheet.alias = np.concatenate((sheet.alias, np.arange(first, first + len(rows))))
 
 
-def _fuse(labels, rows, bias, limit) -> FloatArray:
-    pairs = growing.border_pairs(labels, BORDER_GAP)
-    if not len(pairs):
-        return rows
-    codes = np.unique(pairs[:, 0] * len(rows) + pairs[:, 1])
-    root = cluster(rows, bias, np.stack((codes // len(rows), codes % len(rows)), axis=1), limit)
-    labels[labels >= 0] = root[labels[labels >= 0]]
-    return rows
+def _fuse(sheet: Sheet, root: np.ndarray) -> None:
+    """Carry the result of a clustering of the regions over to labels and priors."""
+    for r in np.flatnonzero(root != np.arange(len(root))):
+        merge_rows(sheet.prior[root[r]], sheet.prior[r], sheet.prior[root[r]])
+        sheet.prior[r] = 0.0
+    sheet.alias = root[sheet.alias]
+    labelled = sheet.labels >= 0
+    sheet.labels[labelled] = root[sheet.labels[labelled]]
 
 
-def _compact(labels, rows, config) -> FloatArray:
-    """Drop regions that are small or undetermined and number the rest by their first point."""
-    used = labels[labels >= 0]
-    counts = np.bincount(used, minlength=len(rows))
-    keep = (counts >= config.min_points) & np.array([_is_determined(row, config) for row in rows], dtype=bool)
-    first = np.full(len(rows), labels.size)
-    np.minimum.at(first, used, np.flatnonzero(labels.ravel() >= 0))
+def refit(sheet: Sheet, config: MapperConfig) -> None:
+    """Moments of the regions from all of their points."""
+    part = sheet.fresh
+    sheet.rows = growing.fit_regions(
+        sheet.points[part], sheet.covariance[part], sheet.labels[part], sheet.rows, sheet.prior, config.flatness_m**2
+    )
+
+
+def spread(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
+    """Grow regions to single points, fuse those that are one plane, settle borders."""
+    _grow(sheet, config)
+    refit(sheet, config)
+    fuse_neighbours(sheet, views, 0, config)
+    settle_borders(sheet, config)
+    if dissolve_superfluous(sheet, views, config):
+        settle_borders(sheet, config)
+
+
+def dissolve_superfluous(sheet: Sheet, views: FloatArray, config: MapperConfig) -> int:
+    """Give the points of small regions that their neighbours explain as well to those; returns how many did."""
+    planes = growing.hesse(sheet.rows)
+    edges = _neighbours(sheet, views, planes, 0)
+    sizes = np.bincount(sheet.labels[sheet.labels >= 0], minlength=len(sheet.rows))
+    floor, largest = config.flatness_m**2, SUPERFLUOUS_POINTS
+    return dissolving.dissolve(
+        sheet.points, sheet.covariance, sheet.labels, sheet.start, sizes, edges, planes, largest, floor
+    )
+
+
+def _neighbours(sheet: Sheet, views: FloatArray, planes: FloatArray, gap: int) -> np.ndarray:
+    """Pairs of regions that meet, each once, shape (E, 2)."""
+    pairs = growing.border_pairs(sheet.points, sheet.valid, views, sheet.labels, planes, sheet.bias, gap)
+    codes = np.unique(pairs[:, 0] * len(sheet.rows) + pairs[:, 1])
+    return np.stack(np.divmod(codes, len(sheet.rows)), axis=1)
+
+
+def _grow(sheet: Sheet, config: MapperConfig) -> None:
+    growing.grow(
+        sheet.points,
+        sheet.covariance,
+        sheet.valid,
+        sheet.labels,
+        sheet.start,
+        growing.hesse(sheet.rows),
+        config.gate_sigma**2,
+        config.flatness_m**2,
+    )
+
+
+def settle_borders(sheet: Sheet, config: MapperConfig) -> None:
+    """Points at the borders of regions go where they fit best."""
+    planes = growing.hesse(sheet.rows)
+    for _ in range(BORDER_SWEEPS):
+        growing.choose_at_borders(
+            sheet.points,
+            sheet.covariance,
+            sheet.valid,
+            sheet.labels,
+            sheet.start,
+            planes,
+            config.gate_sigma**2,
+            config.flatness_m**2,
+            config.border_smoothness,
+        )
+    refit(sheet, config)
+
+
+def part_at_creases(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
+    """Cut regions where the surface bends, number their parts, rejoin those that only an occluder parts, heal."""
+    creases.unlabel_creases(
+        sheet.points,
+        sheet.covariance,
+        sheet.valid,
+        sheet.labels,
+        sheet.start,
+        growing.hesse(sheet.rows),
+        config.max_crease_rad,
+        CREASE_CERTAINTY,
+    )
+    origin = creases.split_regions(sheet.labels, sheet.start, len(sheet.rows))
+    _append(sheet, sheet.rows[origin], sheet.bias[origin])
+    refit(sheet, config)
+    drop_small(sheet, config)
+    fuse_neighbours(sheet, views, BORDER_GAP, config)
+    _grow(sheet, config)
+    settle_borders(sheet, config)
+
+
+def fuse_neighbours(sheet: Sheet, views: FloatArray, gap: int, config: MapperConfig) -> None:
+    """Fuse regions that meet and are one plane (chi2)."""
+    planes = growing.hesse(sheet.rows)
+    shared = growing.shared_of_regions(sheet.shared, sheet.labels, planes)
+    sheet.bias = np.where(sheet.rows[:, 0] > 0.0, config.flatness_m**2 + shared, sheet.bias)
+    edges = _neighbours(sheet, views, planes, gap)
+    if len(edges):
+        _fuse(sheet, cluster(sheet.rows, sheet.bias, edges, chi2.isf(config.significance, 3)))
+
+
+def drop_small(sheet: Sheet, config: MapperConfig) -> None:
+    """Take the points from regions that are too small or do not determine a plane; those from earlier scans stay."""
+    keep = np.array([row[0] >= config.min_points and is_determined(row, config) for row in sheet.rows], dtype=bool)
+    keep |= sheet.prior[:, 0] > 0.0
+    sheet.labels[(sheet.labels >= 0) & ~keep[np.maximum(sheet.labels, 0)]] = -1
+
+
+def release_misfits(sheet: Sheet, config: MapperConfig) -> None:
+    """Take the points from their region where a whole cell of them lies off its plane: a board on a wall."""
+    part = sheet.fresh
+    growing.release(
+        sheet.points[part],
+        sheet.covariance[part],
+        sheet.labels[part],
+        growing.hesse(sheet.rows),
+        sheet.bias,
+        MISFIT_CELL,
+        chi2.isf(MISFIT_SIGNIFICANCE, 1),
+    )
+    if len(sheet.rows):
+        refit(sheet, config)
+
+
+def number_by_first_point(labels: np.ndarray, n_regions: int) -> tuple[np.ndarray, np.ndarray]:
+    """Labels 0..K-1 in the order of the first point of each region, shape of labels, and the regions kept, (K,)."""
+    flat = labels.ravel()
+    used = np.flatnonzero(flat >= 0)
+    first = np.full(n_regions, flat.size)
+    np.minimum.at(first, flat[used], used)
     order = np.argsort(first, kind="stable")
-    order = order[keep[order]]
-    number = np.full(len(rows), -1, dtype=np.int64)
+    order = order[first[order] < flat.size]
+    number = np.full(n_regions + 1, -1, dtype=np.int64)
     number[order] = np.arange(len(order))
-    labels[labels >= 0] = number[used]
-    return rows[order]
+    return number[labels], order

@@ -39,7 +39,7 @@ def planes_of(
     rows = np.zeros((n_regions, 11))
     rows[:, 5], rows[:, 8] = 1.0, 2.0
     for floor in (config.flatness_m**2, 0.0, 0.0):
-        rows = fit_regions(points, covariance, labels, rows, floor)
+        rows = fit_regions(points, covariance, labels, rows, np.zeros_like(rows), floor)
     frames, spreads = _frames(rows, _eyes(rows, points, labels, views))
     covariances = np.zeros((n_regions, 3, 3))
     covariances[:, (0, 1, 2), (0, 1, 2)] = 1.0 / spreads

@@ -12,16 +12,19 @@ from spplanes.segmentation._patches import variance_along
 def _jump_chi2(a, b, cov_a, cov_b, view, tangent):
     """Chi2 (1 dof) of the step in depth that no surface seen at less than the steepest incidence explains."""
     ax, ay, az = a[0] - view[0], a[1] - view[1], a[2] - view[2]
-    bx, by, bz = b[0] - view[0], b[1] - view[1], b[2] - view[2]
-    ra, rb = np.sqrt(ax * ax + ay * ay + az * az), np.sqrt(bx * bx + by * by + bz * bz)
-    if ra == 0.0 or rb == 0.0:
+    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    range_sq = ax * ax + ay * ay + az * az
+    if range_sq == 0.0:
         return np.inf
-    ax, ay, az, bx, by, bz = ax / ra, ay / ra, az / ra, bx / rb, by / rb, bz / rb
-    angle = np.sqrt((ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2)
-    rest = abs(ra - rb) - min(ra, rb) * angle * tangent
-    if rest <= 0.0:
+    along = ex * ax + ey * ay + ez * az
+    along_sq = along * along / range_sq
+    across_sq = max(ex * ex + ey * ey + ez * ez - along_sq, 0.0)
+    if along_sq <= tangent * tangent * across_sq:
         return 0.0
-    return rest * rest / (variance_along(cov_a, ax, ay, az) + variance_along(cov_b, bx, by, bz))
+    rest = np.sqrt(along_sq) - tangent * np.sqrt(across_sq)
+    s = 1.0 / np.sqrt(range_sq)
+    variance = variance_along(cov_a, ax * s, ay * s, az * s) + variance_along(cov_b, ax * s, ay * s, az * s)
+    return rest * rest / variance
 
 
 @njit(cache=True)

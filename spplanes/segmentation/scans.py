@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_float_array, as_positive, as_shape
 from spplanes.plane import Plane
 from spplanes.segmentation.config import MapperConfig
-from spplanes.segmentation.pipeline import segment_grid
+from spplanes.segmentation.pipeline import Sheet, number_by_first_point, segment_sheet
 from spplanes.segmentation.planes import planes_of, shared_by_scan
 
 _DEFAULT = MapperConfig()
@@ -63,7 +63,9 @@ def segment_scans(
         shared = shared_by_scan(grid, *poses)
         total = shared + (variance if variance.shape[2] == 9 else variance * np.eye(3).reshape(9))
     eyes = np.zeros((len(grid), 3)) if views is None else views
-    labels = segment_grid(grid, total, shared, valid, eyes, config)
+    sheet = Sheet(grid, total, shared, valid, np.full(valid.shape, -1, dtype=np.int64))
+    segment_sheet(sheet, eyes, config)
+    labels, _ = number_by_first_point(sheet.labels, len(sheet.rows))
     return labels.astype(np.int32), planes_of(grid, variance, labels, views, poses, config)
 
 

@@ -1,0 +1,112 @@
+"""Where a surface bends: local normals that contradict a region's plane part regions that are coplanar by chance.
+
+Two cushions in one plane with a seam between are two planes; every point of the seam lies within the tolerance of their
+common plane, but the surface there is turned. Where noise drowns the local normal, the test stays silent.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes.segmentation._patches import variance_along
+
+
+@njit(cache=True)
+def unlabel_creases(points, covariance, valid, labels, start, planes, max_angle, certainty):
+    """Unlabel, in place, the points whose local normal is turned from that of their region.
+
+    The local normal is that of the differences between means of six points, right minus left and below minus above, in
+    a window of five by five; it is only judged where all of them are returns.
+
+    Args:
+        points, covariance, valid, labels: the grid; see `Sheet`.
+        start: first row to work on.
+        planes: (normal, d) of the regions, shape (R, 4).
+        max_angle: turn a plane's surface may have anyway, rad.
+        certainty: standard deviations of the local normal by which the turn must exceed that.
+    """
+    n_rows, n_cols = labels.shape
+    u, v = np.empty(3), np.empty(3)
+    for i in range(max(start, 2), n_rows - 2):
+        for j in range(2, n_cols - 2):
+            r = labels[i, j]
+            if r < 0 or not _window_is_full(valid, i, j):
+                continue
+            _differences(points, i, j, u, v)
+            nx, ny, nz = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            if length == 0.0:
+                continue
+            cosine = abs(nx * planes[r, 0] + ny * planes[r, 1] + nz * planes[r, 2]) / length
+            if cosine >= np.cos(max_angle):
+                continue
+            shorter = length / np.sqrt(max(u[0] ** 2 + u[1] ** 2 + u[2] ** 2, v[0] ** 2 + v[1] ** 2 + v[2] ** 2))
+            noise = np.sqrt(variance_along(covariance[i, j], planes[r, 0], planes[r, 1], planes[r, 2]) * 12.0)
+            if np.arccos(cosine) > max_angle + certainty * noise / shorter:
+                labels[i, j] = -1
+
+
+@njit(cache=True)
+def _window_is_full(valid, i, j):
+    for a in range(i - 2, i + 3):
+        for b in range(j - 2, j + 3):
+            if not valid[a, b]:
+                return False
+    return True
+
+
+@njit(cache=True)
+def _differences(points, i, j, u, v):
+    """Sums of six differences along the row (u) and along the column (v)."""
+    for k in range(3):
+        u[k], v[k] = 0.0, 0.0
+        for a in range(-1, 2):
+            for b in range(1, 3):
+                u[k] += points[i + a, j + b, k] - points[i + a, j - b, k]
+                v[k] += points[i + b, j + a, k] - points[i - b, j + a, k]
+
+
+@njit(cache=True)
+def split_regions(labels, start, n_regions):
+    """Give every connected part of a region, in place, a number of its own: the first n_regions are kept for those.
+
+    The part of a region that the rows before `start` hold keeps its number, all other parts but the first get new ones.
+
+    Returns:
+        The region every new number was part of, shape (K,).
+    """
+    n_rows, n_cols = labels.shape
+    done = np.zeros(labels.shape, dtype=np.bool_)
+    taken = np.zeros(n_regions, dtype=np.bool_)
+    stack = np.empty(labels.size, dtype=np.int64)
+    origin, count = np.empty(labels.size, dtype=np.int64), 0
+    for seed in range(labels.size + start * n_cols):
+        settled = seed < start * n_cols
+        place = seed if settled else seed - start * n_cols
+        i, j = place // n_cols, place % n_cols
+        old = labels[i, j]
+        if old < 0 or done[i, j]:
+            continue
+        new = old
+        if taken[old] and not settled:
+            new = n_regions + count
+            origin[count] = old
+            count += 1
+        taken[old] = True
+        top = 1
+        stack[0] = i * n_cols + j
+        done[i, j] = True
+        labels[i, j] = new
+        while top > 0:
+            top -= 1
+            a, b = stack[top] // n_cols, stack[top] % n_cols
+            for step in range(4):
+                c = a + (step == 1) - (step == 0)
+                d = b + (step == 3) - (step == 2)
+                if 0 <= c < n_rows and 0 <= d < n_cols and not done[c, d] and labels[c, d] == old:
+                    done[c, d] = True
+                    labels[c, d] = new
+                    stack[top] = c * n_cols + d
+                    top += 1
+    return origin[:count].copy()
