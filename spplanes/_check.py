@@ -16,7 +16,7 @@ COVARIANCE_TOLERANCE = 1e-9
 def as_float_array(name: str, value: ArrayLike) -> FloatArray:
     """Return ``value`` as a C-ordered float64 array; anything that is not numeric is a ``ValueError``."""
     try:
-        return np.ascontiguousarray(value, dtype=np.float64)
+        return np.asarray(value, dtype=np.float64, order="C")  # ascontiguousarray would make a scalar (1,)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: expected an array of numbers, got {type(value).__name__}") from error
 

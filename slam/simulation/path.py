@@ -46,7 +46,10 @@ class Path:
     def weaving(cls, length_m: float, *, amplitude_m: float = 0.06, wavelength_m: float = 7.0) -> Path:
         """Along x from the origin, heading 0 at the start, swinging to the left and back by `amplitude_m`."""
         x = np.arange(0.0, length_m + 1.0, _STEP_M)
-        return cls.through(np.column_stack([x, amplitude_m * (1.0 - np.cos(2.0 * np.pi * x / wavelength_m)) / 2.0]))
+        phase = 2.0 * np.pi * x / wavelength_m
+        path = cls.through(np.column_stack([x, amplitude_m * (1.0 - np.cos(phase)) / 2.0]))
+        path.poses[:, 2] = np.arctan(amplitude_m * np.pi / wavelength_m * np.sin(phase))  # exactly 0 at the start
+        return path
 
     @classmethod
     def rounded(cls, points: Sequence[tuple[float, float]], radius_m: float) -> Path:

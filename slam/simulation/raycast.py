@@ -29,26 +29,27 @@ def _crosses(corner, edge_u, edge_v, origin, normal):
 
 
 @njit(cache=True)
-def _hit_rectangle(corner, edge_u, edge_v, origin, ray):
-    """Distance along the unit `ray` to the rectangle corner + a u + b v, 0 <= a, b <= 1; infinity for a miss."""
+def _nearer_rectangle(corner, edge_u, edge_v, origin, rays, index, ranges, hits):
+    """Enter the rectangle corner + a u + b v, 0 <= a, b <= 1, where a ray of the scan hits it first."""
     nx = edge_u[1] * edge_v[2] - edge_u[2] * edge_v[1]
     ny = edge_u[2] * edge_v[0] - edge_u[0] * edge_v[2]
     nz = edge_u[0] * edge_v[1] - edge_u[1] * edge_v[0]
-    slope = nx * ray[0] + ny * ray[1] + nz * ray[2]
-    if slope == 0.0:
-        return np.inf
     dx, dy, dz = corner[0] - origin[0], corner[1] - origin[1], corner[2] - origin[2]
-    t = (nx * dx + ny * dy + nz * dz) / slope
-    if not t > NEAREST_M:
-        return np.inf
-    px, py, pz = t * ray[0] - dx, t * ray[1] - dy, t * ray[2] - dz
-    a = px * edge_u[0] + py * edge_u[1] + pz * edge_u[2]
-    if a < 0.0 or a > edge_u[0] ** 2 + edge_u[1] ** 2 + edge_u[2] ** 2:
-        return np.inf
-    b = px * edge_v[0] + py * edge_v[1] + pz * edge_v[2]
-    if b < 0.0 or b > edge_v[0] ** 2 + edge_v[1] ** 2 + edge_v[2] ** 2:
-        return np.inf
-    return t
+    offset = nx * dx + ny * dy + nz * dz
+    length_u = edge_u[0] ** 2 + edge_u[1] ** 2 + edge_u[2] ** 2
+    length_v = edge_v[0] ** 2 + edge_v[1] ** 2 + edge_v[2] ** 2
+    for b in range(len(rays)):
+        slope = nx * rays[b, 0] + ny * rays[b, 1] + nz * rays[b, 2]
+        if slope * offset <= 0.0:
+            continue
+        t = offset / slope
+        if not NEAREST_M < t < ranges[b]:
+            continue
+        px, py, pz = t * rays[b, 0] - dx, t * rays[b, 1] - dy, t * rays[b, 2] - dz
+        along_u = px * edge_u[0] + py * edge_u[1] + pz * edge_u[2]
+        along_v = px * edge_v[0] + py * edge_v[1] + pz * edge_v[2]
+        if 0.0 <= along_u <= length_u and 0.0 <= along_v <= length_v:
+            ranges[b], hits[b] = t, index
 
 
 @njit(cache=True)
@@ -101,10 +102,7 @@ def cast_scans(origins, rays, scan_normals, corners, edges_u, edges_v, feet, axe
         for r in range(n_rectangles):
             if not _crosses(corners[r], edges_u[r], edges_v[r], origins[s], scan_normals[s]):
                 continue
-            for b in range(n_beams):
-                t = _hit_rectangle(corners[r], edges_u[r], edges_v[r], origins[s], rays[s, b])
-                if t < ranges[s, b]:
-                    ranges[s, b], hits[s, b] = t, r
+            _nearer_rectangle(corners[r], edges_u[r], edges_v[r], origins[s], rays[s], r, ranges[s], hits[s])
         for c in range(n_bars):
             for b in range(n_beams):
                 t = _hit_bar(feet[c], axes[c], radii[c], origins[s], rays[s, b])

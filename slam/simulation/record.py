@@ -21,6 +21,8 @@ from spplanes._check import FloatArray
 START_NS, SPEED_M_PER_S = 1_000_000_000_000, 0.5
 #: A horizontal scan is taken after every so many vertical ones, half a period late.
 HORIZONTAL_EVERY = 4
+#: Directions of so many beams are held in memory at a time.
+BLOCK_BEAMS = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +86,13 @@ def _scan(
 
 
 def _cast(world: World, world_T_sensor: FloatArray, beams: Beams) -> tuple[FloatArray, np.ndarray]:
-    """Exact ranges and labels of a sensor at poses (S, 4, 4), both (S, F B): fan after fan."""
+    """Exact ranges and labels of a sensor at poses (S, 4, 4), both (S, F B): fan after fan, block by block."""
+    block = max(1, BLOCK_BEAMS // (beams.directions.size // 3))
+    blocks = [_cast_block(world, world_T_sensor[k : k + block], beams) for k in range(0, len(world_T_sensor), block)]
+    return np.concatenate([ranges for ranges, _ in blocks]), np.concatenate([labels for _, labels in blocks])
+
+
+def _cast_block(world: World, world_T_sensor: FloatArray, beams: Beams) -> tuple[FloatArray, np.ndarray]:
     fans, n_beams, _ = beams.directions.shape
     turned = world_T_sensor[:, None, :3, :3].transpose(0, 1, 3, 2)
     rays = (beams.directions[None] @ turned).reshape(-1, n_beams, 3)
