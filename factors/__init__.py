@@ -2,9 +2,12 @@
 
 from factors._conventions import hesse as landmark_hesse
 from factors.landmarks import (
+    change_anchor,
+    facing,
     joint_covariance,
     landmark_to_plane,
     plane_landmark,
+    seen_plane,
     world_plane,
     world_plane_from_joint,
 )
@@ -21,8 +24,10 @@ from factors.structure import (
 )
 
 __all__ = [
+    "change_anchor",
     "direction_prior",
     "distance_factor",
+    "facing",
     "joint_covariance",
     "landmark_hesse",
     "landmark_to_plane",
@@ -39,6 +44,7 @@ __all__ = [
     "plane_prior",
     "pose_prior",
     "relative_pose_factor",
+    "seen_plane",
     "upright_prior",
     "world_plane",
     "world_plane_from_joint",

@@ -16,7 +16,6 @@ import gtsam
 import numpy as np
 
 from factors._kernels import unit_bases
-from spplanes import Plane
 from spplanes._check import FloatArray
 
 #: ``tangent_pose3 = differential_sp[SP_TO_POSE3]``.
@@ -92,7 +91,19 @@ def tangent_to_sp(frame: FloatArray) -> FloatArray:
     return matrix
 
 
-def plane_tangent_covariance(plane: Plane) -> FloatArray:
-    """Covariance of a plane in the tangent of its ``OrientedPlane3``, shape (3, 3)."""
-    sp_to_tangent = np.linalg.inv(tangent_to_sp(plane.frame))
-    return sp_to_tangent @ plane.covariance @ sp_to_tangent.T
+def plane_frame(normal: FloatArray, d: float, centre: FloatArray) -> FloatArray:
+    """Plane frame, shape (4, 4), with its origin at ``centre`` (3,) dropped onto n.x = d, and an arbitrary x axis."""
+    axis = np.zeros(3)
+    axis[np.argmin(np.abs(normal))] = 1.0
+    x = np.cross(axis, normal)
+    x /= np.linalg.norm(x)
+    frame = np.eye(4)
+    frame[:3, 0], frame[:3, 1], frame[:3, 2] = x, np.cross(normal, x), normal
+    frame[:3, 3] = centre + (d - normal @ centre) * normal
+    return frame
+
+
+def hesse_to_sp(frame: FloatArray) -> FloatArray:
+    """Matrix M, shape (3, 4), with p = M (dn, dd) for a small change of (n, d) of the plane of ``frame`` (4, 4)."""
+    x, y, origin = frame[:3, 0], frame[:3, 1], frame[:3, 3]
+    return np.array([[*-origin, 1.0], [*x, 0.0], [*-y, 0.0]])

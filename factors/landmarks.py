@@ -1,12 +1,15 @@
-"""Plane landmarks: into the graph, and out of a solution with their covariance."""
+"""Plane landmarks: into the graph, from frame to frame, and out of a solution with their covariance."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
+from shapely.affinity import scale
 
-from factors._conventions import as_pose3, hesse, oriented_plane, tangent_to_sp
+from factors._conventions import hesse, hesse_to_sp, oriented_plane, plane_frame, tangent_to_sp
 from factors._kernels import plane_seen_from
 from spplanes import Plane
 from spplanes._check import FloatArray, as_covariance, as_shape, as_transform
@@ -17,12 +20,35 @@ _IDENTITY = np.asfortranarray(np.eye(4))
 def plane_landmark(plane: Plane, world_T_body: gtsam.Pose3 | ArrayLike | None = None) -> gtsam.OrientedPlane3:
     """Initial value of a landmark from a measured plane.
 
-    Without ``world_T_body`` in the frame of the measurement (an anchored landmark); with it in the world.
+    Without ``world_T_body`` in the frame of the measurement (an anchored landmark); with it, a pose or (4, 4), in the
+    world.
     """
     landmark = oriented_plane(plane.normal, plane.d)
-    if world_T_body is None:
-        return landmark
-    return landmark.transform(_pose(world_T_body).inverse())
+    return landmark if world_T_body is None else landmark.transform(_pose("world_T_body", world_T_body).inverse())
+
+
+def change_anchor(
+    landmark: gtsam.OrientedPlane3, world_T_old: gtsam.Pose3 | ArrayLike, world_T_new: gtsam.Pose3 | ArrayLike
+) -> gtsam.OrientedPlane3:
+    """The same plane in the frame of another anchor; its factors have to be built again with the new ``anchor_key``.
+
+    With covariance: `seen_plane`, then `factors.plane_prior` on the new landmark.
+    """
+    old, new = _pose("world_T_old", world_T_old), _pose("world_T_new", world_T_new)
+    return landmark.transform(old.between(new))
+
+
+def facing(plane: Plane, viewpoint: ArrayLike) -> Plane:
+    """The plane with its normal toward ``viewpoint`` (3,), in the frame the plane is in.
+
+    Turned about its x axis by pi where need be: z, theta and the outline's y change sign, psi does not.
+    """
+    if plane.normal @ as_shape("viewpoint", viewpoint, (3,)) >= plane.d:
+        return plane
+    signs = np.array([-1.0, -1.0, 1.0])
+    outline = None if plane.outline is None else scale(plane.outline, yfact=-1.0, origin=(0.0, 0.0))
+    frame = plane.frame @ np.diag([1.0, -1.0, -1.0, 1.0])
+    return replace(plane, frame=frame, covariance=plane.covariance * np.outer(signs, signs), outline=outline)
 
 
 def landmark_to_plane(
@@ -33,12 +59,10 @@ def landmark_to_plane(
     The frame's origin is ``centre`` (3,) dropped onto the plane; without it the foot of the perpendicular from the
     origin. Its x axis is arbitrary.
     """
-    normal, d = hesse(landmark)
-    frame = plane_frame(normal, d, np.zeros(3) if centre is None else as_shape("centre", centre, (3,)))
+    frame = plane_frame(*hesse(landmark), _centre(centre))
     to_sp = tangent_to_sp(frame)
-    return Plane(
-        frame=frame, covariance=to_sp @ as_covariance("covariance", covariance, 3) @ to_sp.T, n_points=n_points
-    )
+    own = to_sp @ as_covariance("covariance", covariance, 3) @ to_sp.T
+    return Plane(frame=frame, covariance=own, n_points=n_points)
 
 
 def world_plane(
@@ -66,18 +90,42 @@ def world_plane(
 def world_plane_from_joint(
     landmark: gtsam.OrientedPlane3,
     world_T_anchor: gtsam.Pose3,
-    joint: FloatArray,
+    joint: ArrayLike,
     *,
     centre: ArrayLike | None = None,
     n_points: int = 0,
 ) -> Plane:
     """As `world_plane`, from the joint covariance (9, 9) of (anchor pose, landmark), both in GTSAM's tangents."""
-    derivative = plane_seen_from(world_T_anchor.matrix(), _IDENTITY, landmark.planeCoefficients())
-    seen, jacobian = derivative
-    frame = plane_frame(seen[:3], seen[3], np.zeros(3) if centre is None else as_shape("centre", centre, (3,)))
-    to_sp = hesse_to_sp(frame) @ jacobian[:, 6:]
-    covariance = to_sp @ as_covariance("joint", joint, 9) @ to_sp.T
-    return Plane(frame=frame, covariance=covariance, n_points=n_points)
+    seen, jacobian = plane_seen_from(world_T_anchor.matrix(), _IDENTITY, landmark.planeCoefficients())
+    return _with_joint(seen, jacobian[:, 6:], as_covariance("joint", joint, 9), centre, n_points)
+
+
+def seen_plane(
+    values: gtsam.Values,
+    marginals: gtsam.Marginals,
+    plane_key: int,
+    pose_key: int,
+    *,
+    anchor_key: int | None = None,
+    centre: ArrayLike | None = None,
+    n_points: int = 0,
+) -> Plane:
+    """Landmark of a solution in the frame of the pose ``pose_key``, with the covariance of the joint marginal.
+
+    What that pose expects to see, for gating a measurement; or the landmark in a new anchor's frame. ``centre`` (3,) in
+    that frame.
+    """
+    landmark, pose = values.atOrientedPlane3(plane_key), values.atPose3(pose_key).matrix()
+    if anchor_key == pose_key:
+        own = marginals.marginalCovariance(plane_key)
+        return landmark_to_plane(landmark, own, centre=centre, n_points=n_points)
+    if anchor_key is None:
+        seen, jacobian = plane_seen_from(_IDENTITY, pose, landmark.planeCoefficients())
+        joint = joint_covariance(marginals, [pose_key, plane_key])
+        return _with_joint(seen, np.delete(jacobian, np.s_[6:12], axis=1), joint, centre, n_points)
+    seen, jacobian = plane_seen_from(values.atPose3(anchor_key).matrix(), pose, landmark.planeCoefficients())
+    joint = joint_covariance(marginals, [pose_key, anchor_key, plane_key])
+    return _with_joint(seen, jacobian, joint, centre, n_points)
 
 
 def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:
@@ -86,23 +134,18 @@ def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:
     return np.block([[joint.at(row, column) for column in keys] for row in keys])
 
 
-def plane_frame(normal: FloatArray, d: float, centre: FloatArray) -> FloatArray:
-    """Plane frame, shape (4, 4), with its origin at ``centre`` (3,) dropped onto the plane and an arbitrary x axis."""
-    axis = np.zeros(3)
-    axis[np.argmin(np.abs(normal))] = 1.0
-    x = np.cross(axis, normal)
-    x /= np.linalg.norm(x)
-    frame = np.eye(4)
-    frame[:3, 0], frame[:3, 1], frame[:3, 2] = x, np.cross(normal, x), normal
-    frame[:3, 3] = centre + (d - normal @ centre) * normal
-    return frame
+def _with_joint(
+    seen: FloatArray, jacobian: FloatArray, joint: FloatArray, centre: ArrayLike | None, n_points: int
+) -> Plane:
+    """Plane of a Hesse row (4,) that depends by ``jacobian`` (4, n) on variables of covariance ``joint`` (n, n)."""
+    frame = plane_frame(seen[:3], float(seen[3]), _centre(centre))
+    to_sp = hesse_to_sp(frame) @ jacobian
+    return Plane(frame=frame, covariance=to_sp @ joint @ to_sp.T, n_points=n_points)
 
 
-def hesse_to_sp(frame: FloatArray) -> FloatArray:
-    """Matrix M, shape (3, 4), with p = M (dn, dd) for a small change of (n, d) of the plane of ``frame`` (4, 4)."""
-    x, y, origin = frame[:3, 0], frame[:3, 1], frame[:3, 3]
-    return np.array([[*-origin, 1.0], [*x, 0.0], [*-y, 0.0]])
+def _centre(centre: ArrayLike | None) -> FloatArray:
+    return np.zeros(3) if centre is None else as_shape("centre", centre, (3,))
 
 
-def _pose(value: gtsam.Pose3 | ArrayLike) -> gtsam.Pose3:
-    return value if isinstance(value, gtsam.Pose3) else as_pose3(as_transform("world_T_body", value))
+def _pose(name: str, value: gtsam.Pose3 | ArrayLike) -> gtsam.Pose3:
+    return value if isinstance(value, gtsam.Pose3) else gtsam.Pose3(as_transform(name, value))

@@ -43,11 +43,12 @@ def frame_of(normal: np.ndarray, centre: np.ndarray, turn: float) -> np.ndarray:
 
 
 def random_covariance(rng: np.random.Generator, sigmas: np.ndarray, correlation: float = 0.7) -> np.ndarray:
-    """Full covariance with the given standard deviations and strong cross terms."""
+    """Full covariance with the given standard deviations and strong cross terms, up to 0.98."""
     root = np.eye(len(sigmas)) + correlation * rng.uniform(-1, 1, (len(sigmas), len(sigmas)))
     raw = root @ root.T
     scale = np.sqrt(np.diag(raw))
-    return raw / np.outer(scale, scale) * np.outer(sigmas, sigmas)
+    mixed = 0.98 * raw / np.outer(scale, scale) + 0.02 * np.eye(len(sigmas))
+    return mixed * np.outer(sigmas, sigmas)
 
 
 def perturbed(frame: np.ndarray, p: np.ndarray) -> np.ndarray:

@@ -1,0 +1,134 @@
+"""Graphs to text and back: what GTSAM's own archives cannot do with planes.
+
+Of the gtsam 4.3.0 wheel neither plane factor is registered for polymorphic archives, so a graph that holds one does
+not survive ``NonlinearFactorGraph.serialize``; nor do values that hold an ``OrientedPlane3``; and a custom factor
+never does. Here native plane factors are archived by what they measured, our custom factors as recipes, all others by
+GTSAM. The text is JSON; numbers come back to 1e-15.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import gtsam
+import gtsam_unstable
+import numpy as np
+
+from factors._custom import Recipe, describe
+
+_FORMAT = "spplanes-graph/1"
+
+
+class ArchiveError(ValueError):
+    """A graph that cannot be written, or a text that is not one of ours; the sentence says which factor or why."""
+
+
+def dumps(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values | None = None) -> str:
+    """Graph and values as text; empty slots of the graph stay empty.
+
+    ArchiveError: a factor that neither GTSAM nor this package can write (somebody else's custom factor).
+    """
+    factors = [_written(graph.at(i), i) if graph.exists(i) else None for i in range(graph.size())]
+    return json.dumps({"format": _FORMAT, "factors": factors, "values": None if values is None else _values(values)})
+
+
+def loads(text: str) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """Inverse of `dumps`; values are empty where none were written."""
+    try:
+        document = json.loads(text)
+        known = document.get("format") == _FORMAT
+    except (ValueError, AttributeError) as error:
+        raise ArchiveError(f"text: expected a graph written by dumps, got no such document ({error})") from error
+    if not known:
+        raise ArchiveError(f"text: expected format {_FORMAT}, got {document.get('format')!r}")
+    graph = gtsam.NonlinearFactorGraph()
+    graph.resize(len(document["factors"]))
+    for i, written in enumerate(document["factors"]):
+        if written is not None:
+            graph.replace(i, _read(written))
+    return graph, _read_values(document["values"])
+
+
+def _written(factor: gtsam.NonlinearFactor, index: int) -> dict[str, Any]:
+    if isinstance(factor, gtsam_unstable.LocalOrientedPlane3Factor):
+        return {"plane": _native(factor, gtsam.PriorFactorPoint3)}
+    if isinstance(factor, gtsam.OrientedPlane3DirectionPrior):
+        return {"direction": _native(factor, gtsam.PriorFactorPoint2)}
+    if isinstance(factor, gtsam.CustomFactor):
+        recipe = describe(factor)
+        if recipe is None:
+            raise ArchiveError(f"factor {index}: expected a factor that can be archived, got a foreign CustomFactor")
+        return {"custom": recipe.as_dict()}
+    try:
+        return {"gtsam": _alone(factor)}
+    except RuntimeError as error:
+        kind = type(factor).__name__
+        raise ArchiveError(f"factor {index}: GTSAM cannot archive a {kind} ({str(error).splitlines()[0]})") from error
+
+
+def _read(written: dict[str, Any]) -> gtsam.NonlinearFactor:
+    kind, content = next(iter(written.items()))
+    if kind == "custom":
+        return Recipe.from_dict(content).factor()
+    if kind == "gtsam":
+        return _from_alone(content)
+    noise = _from_alone(content["noise"]).noiseModel()
+    measured, keys = np.array(content["measured"]), content["keys"]
+    if kind == "plane":
+        return gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, *keys)
+    return gtsam.OrientedPlane3DirectionPrior(keys[0], np.array([*measured[:3], 0.0]), noise)
+
+
+def _native(factor: gtsam.NoiseModelFactor, carrier: type) -> dict[str, Any]:
+    """A factor of the wheel that cannot be archived: its noise travels in a ``carrier`` that can.
+
+    GTSAM does not show the measured plane either, and leaves it out of the factor's own archive. With the poses at
+    the origin the error at the planes (axis, 0) is a column of B^T, and the measured distance below: the normal is the
+    cross product of the rows of B^T.
+    """
+    keys = list(factor.keys())
+    values = gtsam.Values()
+    for key in keys[:-1]:
+        values.insert(key, gtsam.Pose3())
+    errors = []
+    for axis in np.eye(3):
+        values.insert_or_assign(keys[-1], gtsam.OrientedPlane3(np.array([*axis, 0.0])))
+        errors.append(factor.unwhitenedError(values))
+    columns = np.column_stack(errors)
+    distance = columns[2, 0] if len(columns) == 3 else 0.0
+    measured = [*np.cross(columns[0], columns[1]), distance]
+    noise = _alone(carrier(0, np.zeros(len(columns)), factor.noiseModel()))
+    return {"keys": keys, "measured": measured, "noise": noise}
+
+
+def _alone(factor: gtsam.NonlinearFactor) -> str:
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(factor)
+    return graph.serialize()
+
+
+def _from_alone(text: str) -> Any:
+    graph = gtsam.NonlinearFactorGraph()
+    graph.deserialize(text)
+    return graph.at(0)
+
+
+def _values(values: gtsam.Values) -> dict[str, Any]:
+    rest, planes = gtsam.Values(values), {}
+    for key in values.keys():  # noqa: SIM118 - not a mapping
+        try:
+            planes[key] = values.atOrientedPlane3(key).planeCoefficients().tolist()
+        except RuntimeError:
+            continue
+        rest.erase(key)
+    return {"planes": planes, "others": rest.serialize()}
+
+
+def _read_values(written: dict[str, Any] | None) -> gtsam.Values:
+    values = gtsam.Values()
+    if written is not None:
+        values.deserialize(written["others"])
+        for key, coefficients in written["planes"].items():
+            values.insert(int(key), gtsam.OrientedPlane3(np.array(coefficients)))
+    return values

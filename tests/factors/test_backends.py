@@ -1,0 +1,212 @@
+"""In the optimisers: far from the origin, incrementally, with outliers."""
+
+from itertools import pairwise
+
+import gtsam
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from factors import (
+    line_factor,
+    line_factor_2d,
+    odometry_factor,
+    odometry_factor_2d,
+    planar_motion_factor,
+    plane_factor,
+    plane_landmark,
+    pose_prior,
+    relative_pose_factor,
+    upright_prior,
+)
+from spplanes import Plane
+from tests.factors.factor_scenes import frame_of, make_line, perturbed, random_covariance
+from tests.factors.test_nis import MOUNTS, true_line
+
+WALLS = [
+    frame_of(np.array(n, dtype=float), np.array(o, dtype=float), 0.0)
+    for n, o in (
+        ((0, 0, 1), (4, 1, 0)),
+        ((0, 0, -1), (4, 1, 2.6)),
+        ((0, 1, 0), (4, -2, 1.2)),
+        ((0, -1, 0), (4, 3, 1.2)),
+        ((-1, 0, 0), (12, 1, 1.2)),
+        ((1, 0, 0), (-3, 1, 1.2)),
+    )
+]
+N_POSES = 15
+
+
+def pose_key(i: int) -> int:
+    return gtsam.symbol("x", i)
+
+
+def plane_key(j: int) -> int:
+    return gtsam.symbol("l", j)
+
+
+def corridor(origin: np.ndarray):
+    """True poses along a corridor at ``origin``, and noisy planes seen from each, in the poses' frames."""
+    rng = np.random.default_rng(8)
+    offset = gtsam.Pose3(gtsam.Rot3(), origin)
+    truth = [
+        gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02 * np.sin(i), 0.03 * np.cos(i), 0.2 * i), np.array([0.5 * i, 0.3, 1.0]))
+        for i in range(N_POSES)
+    ]
+    seen = []
+    for pose in truth:
+        planes = []
+        for frame in WALLS:
+            covariance = random_covariance(rng, np.array([0.004, 0.002, 0.006]))
+            p = rng.multivariate_normal(np.zeros(3), covariance)
+            planes.append(Plane(pose.inverse().matrix() @ frame @ np.linalg.inv(perturbed(np.eye(4), p)), covariance))
+        seen.append(planes)
+    steps = [a.between(b).retract(0.02 * rng.normal(size=6)) for a, b in pairwise(truth)]
+    return [offset.compose(pose) for pose in truth], seen, steps
+
+
+def run_isam(origin: np.ndarray, *, anchored: bool = True) -> tuple[gtsam.Values, gtsam.ISAM2]:
+    """Landmarks come up one after the other: pose i first sees plane j where i = 2 j."""
+    truth, seen, steps = corridor(origin)
+    isam = gtsam.ISAM2(gtsam.ISAM2Params())
+    guess = truth[0]
+    for i in range(N_POSES):
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        if i == 0:
+            graph.push_back(pose_prior(pose_key(0), truth[0].matrix(), 1e-6 * np.eye(6)))
+        else:
+            guess = isam.calculateEstimatePose3(pose_key(i - 1)).compose(steps[i - 1])
+            graph.push_back(relative_pose_factor(pose_key(i - 1), pose_key(i), steps[i - 1].matrix(), 4e-4 * np.eye(6)))
+        values.insert(pose_key(i), guess)
+        for j in range(len(WALLS)):
+            if i >= 2 * j:
+                anchor = pose_key(2 * j) if anchored else None
+                graph.push_back(plane_factor(seen[i][j], pose_key(i), plane_key(j), anchor_key=anchor))
+                if i == 2 * j:
+                    values.insert(plane_key(j), plane_landmark(seen[i][j], None if anchored else guess))
+        isam.update(graph, values)
+        isam.update()
+    for _ in range(5):
+        isam.update()
+    return isam.calculateBestEstimate(), isam
+
+
+FAR = np.array([10_000.0, -4_000.0, 20.0])
+
+
+def test_isam2_far_from_the_origin_gives_the_same_answer():
+    near, near_isam = run_isam(np.zeros(3))
+    far, far_isam = run_isam(FAR)
+    for i in range(N_POSES):
+        a, b = near.atPose3(pose_key(i)), far.atPose3(pose_key(i))
+        np.testing.assert_allclose(b.translation() - FAR, a.translation(), rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(b.rotation().matrix(), a.rotation().matrix(), atol=1e-6)
+        there = far_isam.marginalCovariance(pose_key(i))
+        np.testing.assert_allclose(there, near_isam.marginalCovariance(pose_key(i)), rtol=1e-4, atol=1e-10)
+    for j in range(len(WALLS)):
+        a, b = near.atOrientedPlane3(plane_key(j)), far.atOrientedPlane3(plane_key(j))
+        np.testing.assert_allclose(b.planeCoefficients(), a.planeCoefficients(), rtol=1e-6, atol=1e-6)
+
+
+def test_world_landmarks_far_from_the_origin_fail():
+    """Why anchored is the form to prefer: a tilt about an origin 10 km away is a shift of metres."""
+    with pytest.raises(RuntimeError, match="Indeterminate"):
+        run_isam(FAR, anchored=False)
+
+
+def test_solution_is_as_far_from_the_truth_as_it_says():
+    truth = corridor(FAR)[0]
+    estimate, isam = run_isam(FAR)
+    for i in range(1, N_POSES):
+        error = estimate.atPose3(pose_key(i)).localCoordinates(truth[i])
+        assert error @ np.linalg.solve(isam.marginalCovariance(pose_key(i)), error) < chi2.ppf(0.9999, 6)
+
+
+@pytest.mark.parametrize("robust", ["huber", "cauchy", "geman-mcclure", "dcs", ("huber", 1.0)])
+@pytest.mark.parametrize("form", ["anchored", "first"])
+def test_robust_kernels_in_isam2(robust, form):
+    """One wrong match of 0.5 m among ten right ones: pulled in by less than a tenth of what it does unrobust."""
+    pulls = {}
+    for kernel in (None, robust):
+        isam = gtsam.ISAM2(gtsam.ISAM2Params())
+        right = Plane(WALLS[2], np.diag([0.01, 0.01, 0.01]) ** 2)
+        shifted = WALLS[2].copy()
+        shifted[1, 3] += 0.5
+        wrong = Plane(shifted, right.covariance)
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        keys = {"anchor_key": pose_key(0)}
+        other = pose_key(1) if form == "anchored" else pose_key(0)
+        for key in (pose_key(0), pose_key(1)):
+            graph.push_back(pose_prior(key, np.eye(4), 1e-8 * np.eye(6)))
+            values.insert(key, gtsam.Pose3())
+        for plane in [right] * 10 + [wrong]:
+            graph.push_back(plane_factor(plane, other, plane_key(0), robust=kernel, **keys))
+        values.insert(plane_key(0), plane_landmark(right))
+        isam.update(graph, values)
+        for _ in range(20):
+            isam.update()
+        distance = isam.calculateBestEstimate().atOrientedPlane3(plane_key(0)).planeCoefficients()[3]
+        pulls[kernel is None] = abs(distance + right.d)
+    assert pulls[True] == pytest.approx(0.5 / 11, rel=0.05)
+    assert pulls[False] < 0.25 * pulls[True]
+
+
+def test_a_planar_robot_with_lines_only():
+    """Odometry, the floor and two line scanners (horizontal and vertical) localise a robot in 3D."""
+    rng = np.random.default_rng(1)
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    truth = [gtsam.Pose3(gtsam.Rot3.Yaw(0.3 * i), np.array([0.6 * i, 0.2 * i, 0.0])) for i in range(8)]
+    graph.push_back(pose_prior(pose_key(0), truth[0].matrix(), 1e-6 * np.eye(6)))
+    for i, pose in enumerate(truth):
+        values.insert(pose_key(i), pose.retract(0.05 * rng.normal(size=6) * (i > 0)))
+        graph.push_back(planar_motion_factor(pose_key(i)))
+        if i > 0:
+            step = truth[i - 1].between(pose)
+            delta = np.array([step.x(), step.y(), step.rotation().yaw()]) + 0.02 * rng.normal(size=3)
+            graph.push_back(odometry_factor(pose_key(i - 1), pose_key(i), delta, 4e-4 * np.eye(3)))
+        for mount, walls in ((MOUNTS["horizontal"], (2, 3, 4, 5)), (MOUNTS["vertical"], (0, 1))):
+            for j in walls:
+                wall = gtsam.OrientedPlane3(np.array([*WALLS[j][:3, 2], -WALLS[j][:3, 2] @ WALLS[j][:3, 3]]))
+                alpha, rho = true_line(wall, pose.compose(mount))
+                noise = np.diag([0.002, 0.005]) @ rng.normal(size=2)
+                line = make_line(alpha + noise[0], rho + noise[1], np.diag([0.002, 0.005]) ** 2)
+                graph.push_back(line_factor(line, mount.matrix(), pose_key(i), plane_key(j), anchor_key=pose_key(0)))
+    for j, frame in enumerate(WALLS):
+        wall = gtsam.OrientedPlane3(np.array([*frame[:3, 2], -frame[:3, 2] @ frame[:3, 3]]))
+        values.insert(plane_key(j), wall.transform(truth[0]).retract(0.05 * rng.normal(size=3)))
+        graph.push_back(upright_prior(plane_key(j), 0.01, anchor_key=pose_key(0))) if j > 1 else None
+    result = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    for i, pose in enumerate(truth):
+        assert np.linalg.norm(result.atPose3(pose_key(i)).translation() - pose.translation()) < 0.01
+    dof = sum(graph.at(i).dim() for i in range(graph.size())) - 6 * len(truth) - 3 * len(WALLS)
+    assert 2.0 * graph.error(result) < 1.6 * dof
+
+
+def test_the_same_robot_on_pose2():
+    """Pose2 and OrientedPlane3 in one graph; how the walls lean is held by the upright prior."""
+    rng = np.random.default_rng(2)
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    truth = [gtsam.Pose2(0.6 * i, 0.2 * i, 0.3 * i) for i in range(8)]
+    mount = MOUNTS["horizontal"]
+    graph.push_back(gtsam.PriorFactorPose2(pose_key(0), truth[0], gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)))
+    for i, pose in enumerate(truth):
+        values.insert(pose_key(i), pose.retract(0.05 * rng.normal(size=3) * (i > 0)))
+        if i > 0:
+            step = truth[i - 1].between(pose)
+            delta = np.array([step.x(), step.y(), step.theta()]) + 0.02 * rng.normal(size=3)
+            graph.push_back(odometry_factor_2d(pose_key(i - 1), pose_key(i), delta, 4e-4 * np.eye(3)))
+        for j in (2, 3, 4, 5):
+            wall = gtsam.OrientedPlane3(np.array([*WALLS[j][:3, 2], -WALLS[j][:3, 2] @ WALLS[j][:3, 3]]))
+            in_3d = gtsam.Pose3(gtsam.Rot3.Yaw(pose.theta()), np.array([pose.x(), pose.y(), 0.0]))
+            alpha, rho = true_line(wall, in_3d.compose(mount))
+            noise = np.diag([0.002, 0.005]) @ rng.normal(size=2)
+            line = make_line(alpha + noise[0], rho + noise[1], np.diag([0.002, 0.005]) ** 2)
+            anchor = pose_key(0) if j > 3 else None
+            graph.push_back(line_factor_2d(line, mount.matrix(), pose_key(i), plane_key(j), anchor_key=anchor))
+    for j in (2, 3, 4, 5):
+        wall = gtsam.OrientedPlane3(np.array([*WALLS[j][:3, 2], -WALLS[j][:3, 2] @ WALLS[j][:3, 3]]))
+        values.insert(plane_key(j), wall.retract(0.05 * rng.normal(size=3)))
+        graph.push_back(upright_prior(plane_key(j), 0.01))
+    result = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    for i, pose in enumerate(truth):
+        assert np.linalg.norm(result.atPose2(pose_key(i)).translation() - pose.translation()) < 0.01

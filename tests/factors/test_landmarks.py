@@ -1,0 +1,175 @@
+"""Landmarks out of a solution: their covariance against what happens in repeated experiments."""
+
+import gtsam
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from shapely import box
+
+from factors import (
+    change_anchor,
+    facing,
+    landmark_to_plane,
+    plane_factor,
+    plane_factors,
+    plane_landmark,
+    plane_prior,
+    pose_prior,
+    relative_pose_factor,
+    seen_plane,
+    world_plane,
+)
+from spplanes import Plane
+from tests.factors.factor_scenes import (
+    A,
+    L,
+    X,
+    frame_of,
+    perturbed,
+    random_covariance,
+    random_plane,
+    random_pose,
+    values_of,
+)
+
+RUNS = 200
+TILTS = np.array([0.005, np.radians(0.1), np.radians(0.8)])
+
+
+def nees(plane: Plane, true_frame: np.ndarray) -> float:
+    """p^T C^-1 p of the SP perturbation that takes the estimate to the truth."""
+    normal = true_frame[:3, 2]
+    x, y, origin = plane.frame[:3, 0], plane.frame[:3, 1], plane.frame[:3, 3]
+    p = np.array([normal @ (true_frame[:3, 3] - origin), x @ normal, -y @ normal])
+    return float(p @ np.linalg.solve(plane.covariance, p))
+
+
+def assert_chi2(sample: list[float], dof: int) -> None:
+    low, high = chi2.ppf([0.0005, 0.9995], dof * len(sample)) / len(sample)
+    assert low < np.mean(sample) < high, (np.mean(sample), low, high)
+
+
+def experiment(seed: int, *, anchored: bool):
+    """Two uncertain poses see one plane; the graph is solved and the plane read off in three frames."""
+    scene, rng = np.random.default_rng(100), np.random.default_rng([1, seed])
+    true_a, true_x = random_pose(scene), random_pose(scene)
+    frame = frame_of(np.array([0.0, 0.0, 1.0]), np.array([1.0, 2.0, -1.0]), 0.4)
+    prior_covariance = random_covariance(scene, np.full(6, 0.02))
+    step_covariance = random_covariance(scene, np.full(6, 0.03))
+
+    def drawn(pose: gtsam.Pose3, covariance: np.ndarray) -> np.ndarray:
+        p = rng.multivariate_normal(np.zeros(6), covariance)
+        return pose.compose(gtsam.Pose3(gtsam.Rot3.RzRyRx(p[5], p[4], p[3]), p[:3]).inverse()).matrix()
+
+    def seen(pose: gtsam.Pose3) -> Plane:
+        covariance = random_covariance(rng, TILTS)
+        p = rng.multivariate_normal(np.zeros(3), covariance)
+        return Plane(pose.inverse().matrix() @ frame @ np.linalg.inv(perturbed(np.eye(4), p)), covariance)
+
+    at_a, at_x, key = seen(true_a), seen(true_x), A if anchored else None
+    prior, step = drawn(true_a, prior_covariance), drawn(true_a.between(true_x), step_covariance)
+    graph = plane_factors([at_a, at_x], [A, X], [L, L], [A, A] if anchored else None)
+    graph.push_back(pose_prior(A, prior, prior_covariance))
+    graph.push_back(relative_pose_factor(A, X, step, step_covariance))
+    landmark = plane_landmark(at_a) if anchored else plane_landmark(at_a, prior)
+    values = values_of(a0=gtsam.Pose3(prior), x0=gtsam.Pose3(prior @ step), l0=landmark)
+    result = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    marginals = gtsam.Marginals(graph, result)
+    in_world = world_plane(result, marginals, L, anchor_key=key, centre=frame[:3, 3], n_points=7)
+    centre_x = true_x.transformTo(frame[:3, 3])
+    in_x = seen_plane(result, marginals, L, X, anchor_key=key, centre=centre_x)
+    in_a = seen_plane(result, marginals, L, A, anchor_key=key, centre=true_a.transformTo(frame[:3, 3]))
+    return in_world, (in_x, true_x.inverse().matrix() @ frame), (in_a, true_a.inverse().matrix() @ frame), frame
+
+
+@pytest.mark.parametrize("anchored", [True, False])
+def test_covariances_out_of_a_solution_are_honest(anchored):
+    """World, observer's frame and anchor's frame: NEES of 3 in each."""
+    sums: list[list[float]] = [[], [], []]
+    for seed in range(RUNS):
+        in_world, (in_x, true_x), (in_a, true_a), frame = experiment(seed, anchored=anchored)
+        assert in_world.n_points == 7
+        for sample, (plane, truth) in zip(sums, ((in_world, frame), (in_x, true_x), (in_a, true_a)), strict=True):
+            sample.append(nees(plane, truth))
+    for sample in sums:
+        assert_chi2(sample, 3)
+
+
+def test_anchored_and_world_landmarks_give_the_same_solution():
+    anchored, world = experiment(3, anchored=True)[0], experiment(3, anchored=False)[0]
+    np.testing.assert_allclose(anchored.frame, world.frame, atol=1e-5)
+    np.testing.assert_allclose(anchored.covariance, world.covariance, rtol=2e-2, atol=1e-9)
+
+
+def test_a_prior_alone_comes_back_as_it_was_put_in():
+    for seed in range(20):
+        plane = random_plane(np.random.default_rng(seed))
+        graph = gtsam.NonlinearFactorGraph()
+        graph.push_back(plane_prior(plane, L))
+        values = values_of(l0=plane_landmark(plane))
+        back = world_plane(values, gtsam.Marginals(graph, values), L, centre=plane.centre)
+        turn = (plane.frame[:3, :3].T @ back.frame[:3, :3])[:2, :2]
+        spin = np.eye(3)
+        spin[1:, 1:] = turn.T * np.array([[1, -1], [-1, 1]])
+        np.testing.assert_allclose(back.covariance, spin @ plane.covariance @ spin.T, rtol=1e-6, atol=1e-12)
+
+
+def test_change_of_anchor_moves_nothing_in_the_world():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        plane, pose, old, new = random_plane(rng), random_pose(rng), random_pose(rng), random_pose(rng)
+        landmark = plane_landmark(plane).transform(pose.between(old))
+        moved = change_anchor(landmark, old, new.matrix())
+        values = values_of(x0=pose, a0=new, l0=moved)
+        assert plane_factor(plane, X, L, anchor_key=A).error(values) < 1e-12
+
+
+def test_facing_turns_the_plane_and_its_covariance():
+    """The same half-space from behind: the error of a reversed landmark against the reversed plane is the same."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        plane = random_plane(rng)
+        plane = Plane(plane.frame, plane.covariance, 5, box(0.0, 0.0, 2.0, 1.0))
+        behind = plane.centre - 2.0 * plane.normal
+        assert facing(plane, plane.centre + plane.normal) is plane
+        turned = facing(plane, behind)
+        np.testing.assert_allclose(turned.normal, -plane.normal)
+        assert turned.d == pytest.approx(-plane.d)
+        assert turned.n_points == 5
+        here = corners(plane)
+        there = corners(turned)
+        assert all(np.linalg.norm(here - corner, axis=1).min() < 1e-12 for corner in there)
+        landmark = plane_landmark(plane).retract(1e-3 * rng.normal(size=3))
+        reverse = gtsam.OrientedPlane3(-landmark.planeCoefficients())
+        before = plane_prior(plane, L).error(values_of(l0=landmark))
+        assert plane_prior(turned, L).error(values_of(l0=reverse)) == pytest.approx(before, rel=1e-9)
+
+
+def corners(plane: Plane) -> np.ndarray:
+    assert plane.outline is not None
+    return np.array([(plane.frame @ [x, y, 0.0, 1.0])[:3] for x, y in plane.outline.exterior.coords])
+
+
+def test_sensor_mount_and_its_uncertainty():
+    """A plane measured by a sensor whose mount is only known up to a covariance, moved to the body: NEES of 3."""
+    scene = np.random.default_rng(4)
+    mount, frame = random_pose(scene), frame_of(np.array([0.0, 1.0, 0.0]), np.array([2.0, 4.0, 1.0]), 0.3)
+    mount_covariance = random_covariance(scene, np.array([0.01, 0.01, 0.01, 0.02, 0.02, 0.02]))
+    covariance = random_covariance(scene, TILTS)
+    sample = []
+    for seed in range(500):
+        rng = np.random.default_rng([2, seed])
+        p = rng.multivariate_normal(np.zeros(6), mount_covariance)
+        true_mount = mount.compose(gtsam.Pose3(gtsam.Rot3.RzRyRx(p[5], p[4], p[3]), p[:3])).matrix()
+        q = rng.multivariate_normal(np.zeros(3), covariance)
+        measured = Plane(frame @ np.linalg.inv(perturbed(np.eye(4), q)), covariance)
+        sample.append(nees(measured.transform(mount.matrix(), mount_covariance), true_mount @ frame))
+    assert_chi2(sample, 3)
+
+
+def test_centre_is_dropped_onto_the_plane():
+    plane = landmark_to_plane(gtsam.OrientedPlane3(0.0, 0.0, 1.0, -2.0), np.eye(3), centre=(3.0, 4.0, 9.0))
+    np.testing.assert_allclose(plane.centre, [3.0, 4.0, 2.0])
+    np.testing.assert_allclose(
+        landmark_to_plane(gtsam.OrientedPlane3(0.0, 0.0, 1.0, -2.0), np.eye(3)).centre, [0, 0, 2]
+    )
