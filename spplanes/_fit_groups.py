@@ -118,7 +118,7 @@ def _inliers(job: FitJob) -> np.ndarray:
     if shared is None:
         return np.arange(n)
     noise = np.empty((n, 3, 3))
-    inflate(job.points, job.covariances, job.step, shared.scan, shared.origins, shared.roots, noise)
+    inflate(job.points, job.covariances, job.step, shared.scan, shared.origins, shared.marginal_roots, noise)
     fits = fit_groups(replace(job, covariances=noise, step=1, shared=None), np.arange(n), np.array([0, n]))
     if fits.status[0] != OK:
         return np.arange(0)

@@ -3,7 +3,8 @@
 The error of scan s is a world-side perturbation xi_s = (x, y, z, phi, theta, psi) with covariance S_s, independent
 between scans: p' = p + t + phi (z x q) + theta (y x q) + psi (x x q), q = p - o_s. A point is then off the plane by its
 own noise and by g.xi_s, g = n^T dp/dxi. Maximum likelihood estimates plane and xi together; each scan's xi is
-eliminated, so the cost is one 6x6 solve a scan.
+eliminated, so the cost is one 6x6 solve a scan. Where the errors of scans hang together, as those of poses from odometry
+do, their joint covariance takes the place of the S_s, and all xi are eliminated in one solve.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from spplanes import _fit_kernels as kernels
-from spplanes._check import FloatArray, as_covariance_stack, as_shape
+from spplanes._check import FloatArray, as_covariance, as_covariance_stack, as_shape
 from spplanes._fit_sums import FLOOR, N_SUMS, accumulate
 from spplanes._rows import COLLINEAR, OK
 
@@ -27,7 +28,7 @@ class SharedPose:
     scan: np.ndarray
     """Scan of each point, shape (N,), int64, in 0..S-1."""
     roots: FloatArray
-    """Square roots L of the pose covariances, S = L L^T, shape (S, 6, 6)."""
+    """Square roots L of the pose covariances, S = L L^T: (S, 6, 6), or of their joint covariance (1, 6 S, M)."""
     origins: FloatArray
     """Points about which the rotations act, shape (S, 3), m."""
 
@@ -41,15 +42,44 @@ class SharedPose:
         if scan_index is None or pose_covariances is None:
             missing = "scan_index" if scan_index is None else "pose_covariances"
             raise ValueError(f"{missing}: expected it beside the other arguments of the shared pose error, got None")
-        covariances = as_covariance_stack("pose_covariances", pose_covariances, 6)
-        scans = len(covariances)
+        covariances = _pose_covariances(pose_covariances)
+        scans = covariances.shape[0] * covariances.shape[1] // 6
         origins = np.zeros((scans, 3)) if scan_origins is None else as_shape("scan_origins", scan_origins, (scans, 3))
         return cls(_scan_index(scan_index, n, scans), _square_roots(covariances), origins)
 
     def select(self, chosen: np.ndarray) -> SharedPose:
         """The same for a subset of the points."""
         present, scan = np.unique(self.scan[chosen], return_inverse=True)
-        return SharedPose(scan, self.roots[present], self.origins[present])
+        roots = self.roots_by_scan[present]
+        if self.is_joint:
+            roots = roots.reshape(1, 6 * len(present), -1)
+        return SharedPose(scan, roots, self.origins[present])
+
+    @property
+    def is_joint(self) -> bool:
+        """Whether the scans' errors hang together."""
+        return self.roots.shape[1] != 6 or len(self.roots) != len(self.origins)
+
+    @property
+    def roots_by_scan(self) -> FloatArray:
+        """L by scan, shape (S, 6, M): xi_s = L_s u with u of unit covariance."""
+        return self.roots.reshape(len(self.origins), 6, -1)
+
+    @property
+    def marginal_roots(self) -> FloatArray:
+        """Square roots of every scan's own covariance, shape (S, 6, 6)."""
+        roots = self.roots_by_scan
+        return _square_roots(roots @ roots.transpose(0, 2, 1)) if self.is_joint else roots
+
+
+def _pose_covariances(value: ArrayLike) -> FloatArray:
+    """Covariances (S, 6, 6), one for each scan, or the joint one of all scans as (1, 6 S, 6 S)."""
+    if np.ndim(value) != 2:
+        return as_covariance_stack("pose_covariances", value, 6)
+    size = np.shape(value)[0]
+    if size % 6 or not size:
+        raise ValueError(f"pose_covariances: expected shape (S, 6, 6) or (6 S, 6 S), got {np.shape(value)}")
+    return as_covariance("pose_covariances", value, size)[None]
 
 
 def _scan_index(value: ArrayLike, n: int, scans: int) -> np.ndarray:
@@ -135,19 +165,21 @@ def fit_shared_pose(
     Returns:
         Outcome, frame (4, 4), covariance (3, 3) of (z, theta, psi), and chi2.
     """
-    scans = len(shared.roots)
-    u = np.zeros((scans, 6))
+    scans = len(shared.origins)
+    u = np.zeros((len(shared.roots), shared.roots.shape[2]))
     roots_t = shared.roots.transpose(0, 2, 1)
     information, chi2 = np.eye(3), 0.0
     for _ in range(kernels.MAX_ITERATIONS):
         info, cross, pose = np.zeros((scans, 3, 3)), np.zeros((scans, 3, 6)), np.zeros((scans, 6, 6))
         plane_side, pose_side = np.zeros((scans, 3)), np.zeros((scans, 6))
-        xi = (shared.roots @ u[..., None])[..., 0]
+        xi = (shared.roots @ u[..., None]).reshape(scans, 6)
         chi2 = scan_sums(
             points, covs, step, shared.scan, shared.origins, base, xi, info, cross, pose, plane_side, pose_side
         )
         chi2 += float(np.sum(u * u))
-        middle = np.eye(6) + roots_t @ pose @ shared.roots
+        if shared.is_joint:
+            info, cross, pose, plane_side, pose_side = _stacked(info, cross, pose, plane_side, pose_side)
+        middle = np.eye(u.shape[1]) + roots_t @ pose @ shared.roots
         coupling = cross @ shared.roots
         open_side = (roots_t @ pose_side[..., None])[..., 0] - u
         solved = np.linalg.solve(middle, np.concatenate([coupling.transpose(0, 2, 1), open_side[..., None]], axis=2))
@@ -160,6 +192,22 @@ def fit_shared_pose(
         if gradient @ step_b < kernels.TOLERANCE and np.sum(step_u * step_u) < kernels.TOLERANCE:
             break
     return *_finish(points, covs, step, viewpoint, base, information), chi2
+
+
+def _stacked(
+    info: FloatArray, cross: FloatArray, pose: FloatArray, plane_side: FloatArray, pose_side: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The sums of all scans as those of a single one whose pose error is theirs, stacked."""
+    scans = len(pose)
+    blocks = np.zeros((scans, 6, scans, 6))
+    blocks[np.arange(scans), :, np.arange(scans), :] = pose
+    return (
+        info.sum(axis=0)[None],
+        cross.transpose(1, 0, 2).reshape(1, 3, 6 * scans),
+        blocks.reshape(1, 6 * scans, 6 * scans),
+        plane_side.sum(axis=0)[None],
+        pose_side.reshape(1, 6 * scans),
+    )
 
 
 def _finish(
@@ -206,8 +254,10 @@ def sp_pose_term(
     points: FloatArray, covs: FloatArray, step: int, shared: SharedPose, frame: FloatArray, spread: FloatArray
 ) -> FloatArray:
     """sum_s G_s S_s G_s^T, shape (3, 3): what the shared pose errors add to the covariance of the paper's fit."""
-    derivative = np.zeros((len(shared.roots), 3, 6))
+    derivative = np.zeros((len(shared.origins), 3, 6))
     sp_pose_derivative(points, covs, step, shared.scan, shared.origins, frame, spread, derivative)
+    if shared.is_joint:
+        derivative = derivative.transpose(1, 0, 2).reshape(1, 3, -1)
     half = derivative @ shared.roots
     return np.einsum("sij,skj->ik", half, half)
 

@@ -1,0 +1,86 @@
+"""Pose errors that hang together: the fit with one joint covariance of all scan poses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from spplanes import fit_plane
+from spplanes.plane import Plane
+from tests.statistics import mean_nees_band
+
+SIGMA_M = 0.01
+SCANS, BEAMS = 12, 30
+#: The first scan and every step from it: x, y, z, phi, theta, psi.
+STEP = np.array([0.002, 0.003, 0.001, 0.002, 0.0005, 0.0005])
+
+
+def wall() -> np.ndarray:
+    """A wall y = 2, one vertical row of points a scan, shape (S, B, 3)."""
+    x = np.linspace(0.0, 1.5, SCANS)[:, None] + np.zeros(BEAMS)
+    z = np.linspace(-1.0, 1.0, BEAMS)[None] + np.zeros((SCANS, 1))
+    return np.stack((x, np.full_like(x, 2.0), z), axis=2)
+
+
+def random_walk() -> np.ndarray:
+    """Joint covariance (6 S, 6 S): the error of scan s is the sum of the first s + 1 steps."""
+    steps = np.minimum.outer(np.arange(SCANS), np.arange(SCANS)) + 1.0
+    return np.kron(steps, np.diag(STEP**2))
+
+
+def moved(points: np.ndarray, xi: np.ndarray) -> np.ndarray:
+    """Points (S, B, 3) under world-side pose errors (S, 6), first order."""
+    turn = xi[:, None, [5, 4, 3]]
+    return points + xi[:, None, :3] + np.cross(turn, points)
+
+
+def nees_of(method: str, joint: bool, runs: int) -> float:
+    rng = np.random.default_rng(11)
+    truth = Plane.from_hesse([0.0, -1.0, 0.0], -2.0, np.zeros((3, 3)))
+    root = np.linalg.cholesky(random_walk())
+    full = random_walk().reshape(SCANS, 6, SCANS, 6)
+    covariance = random_walk() if joint else np.stack([full[s, :, s, :] for s in range(SCANS)])
+    index = np.repeat(np.arange(SCANS), BEAMS)
+    total = 0.0
+    for _ in range(runs):
+        points = moved(wall(), (root @ rng.standard_normal(6 * SCANS)).reshape(SCANS, 6))
+        points = points.reshape(-1, 3) + SIGMA_M * rng.standard_normal((SCANS * BEAMS, 3))
+        plane = fit_plane(
+            points, sigma=SIGMA_M, method=method, viewpoint=np.zeros(3), scan_index=index, pose_covariances=covariance
+        )
+        total += plane.mahalanobis(truth)
+    return total / runs
+
+
+@pytest.mark.parametrize("method", ["ml", "sp"])
+def test_a_random_walk_of_poses_is_consistent_with_its_joint_covariance(method: str):
+    low, high = mean_nees_band(600, 3, 0.99)
+    assert low <= nees_of(method, joint=True, runs=600) <= high
+
+
+def test_the_blocks_alone_claim_too_much():
+    # why the joint form exists: as if independent, the errors of a walk average away that do not
+    assert nees_of("ml", joint=False, runs=60) > 8.0
+
+
+def test_independent_scans_are_the_joint_case_without_cross_terms():
+    rng = np.random.default_rng(3)
+    points = wall().reshape(-1, 3) + SIGMA_M * rng.standard_normal((SCANS * BEAMS, 3))
+    index = np.repeat(np.arange(SCANS), BEAMS)
+    blocks = np.stack([np.diag(STEP**2) * (s + 1.0) for s in range(SCANS)])
+    joint = np.zeros((SCANS, 6, SCANS, 6))
+    joint[np.arange(SCANS), :, np.arange(SCANS), :] = blocks
+    by_scan = fit_plane(points, sigma=SIGMA_M, scan_index=index, pose_covariances=blocks)
+    jointly = fit_plane(points, sigma=SIGMA_M, scan_index=index, pose_covariances=joint.reshape(6 * SCANS, -1))
+    np.testing.assert_allclose(jointly.frame, by_scan.frame, atol=1e-9)
+    np.testing.assert_allclose(jointly.covariance, by_scan.covariance, rtol=1e-7, atol=1e-14)
+
+
+def test_a_joint_covariance_of_no_whole_number_of_poses_is_refused():
+    with pytest.raises(ValueError, match=r"pose_covariances: expected shape \(S, 6, 6\) or \(6 S, 6 S\), got \(7, 7\)"):
+        fit_plane(
+            wall().reshape(-1, 3),
+            sigma=SIGMA_M,
+            scan_index=np.zeros(SCANS * BEAMS, dtype=int),
+            pose_covariances=np.eye(7),
+        )
