@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from slam.metrics import Metric
+    from slam.evaluation.metrics import Metric
 
 app = typer.Typer(
     name="spplanes",

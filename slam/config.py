@@ -20,52 +20,52 @@ class _Frozen(BaseModel):
 class KeyframeConfig(_Frozen):
     """When a keyframe is made."""
 
-    distance_m: float = Field(0.5, gt=0)
+    distance_m: float = Field(default=0.5, gt=0)
     """Travel since the last keyframe, m: short enough that odometry inside a window stays below the sensor noise."""
-    angle_rad: float = Field(0.35, gt=0)
+    angle_rad: float = Field(default=0.35, gt=0)
     """Turn since the last keyframe, rad."""
 
 
 class AssociationConfig(_Frozen):
     """When a measured plane is the landmark's plane."""
 
-    significance: float = Field(1e-3, gt=0, lt=1)
+    significance: float = Field(default=1e-3, gt=0, lt=1)
     """A match is accepted below the chi2 quantile 1 - significance: one true match in 1 / significance is missed."""
-    new_significance: float = Field(1e-6, gt=0, lt=1)
+    new_significance: float = Field(default=1e-6, gt=0, lt=1)
     """A measurement starts a landmark only when every candidate lies above this quantile; between, it is dropped."""
-    max_angle_rad: float = Field(0.35, gt=0)
+    max_angle_rad: float = Field(default=0.35, gt=0)
     """Normals further apart than this, plus three sigma of the state, are not compared, rad."""
-    gap_m: float = Field(0.6, ge=0)
-    """Patches of one wall may lie this far apart beside the state's own uncertainty, m: less than a door is wide."""
-    ambiguity_ratio: float = Field(0.0, ge=0)
-    """A second candidate within this chi2 of the best, not itself one plane with it, makes a match ambiguous."""
+    gap_m: float = Field(default=1.5, ge=0)
+    """Patches of one wall may lie this far apart beside the state's own uncertainty, m: more than a door is wide."""
 
 
 class LandmarkConfig(_Frozen):
     """Which measurements may start a landmark, and when it counts."""
 
-    min_points: int = Field(30, ge=3)
+    min_points: int = Field(default=30, ge=3)
     """Points of a plane that starts a landmark: below, planes are mostly clutter."""
-    min_line_points: int = Field(12, ge=3)
+    max_tilt_sigma_rad: float = Field(default=0.1, gt=0)
+    """Standard deviation of tilt, rad, above which a plane does not start a landmark: it could be anything."""
+    min_line_points: int = Field(default=12, ge=3)
     """Beams of a line that starts a landmark."""
-    min_line_length_m: float = Field(0.5, ge=0)
+    min_line_length_m: float = Field(default=0.5, ge=0)
     """Length of a line that starts a landmark, m."""
-    min_observations: int = Field(2, ge=1)
+    min_observations: int = Field(default=2, ge=1)
     """Keyframes that must have seen a landmark before it is part of the map handed out."""
-    wall_tilt_sigma_rad: float = Field(0.01, gt=0)
+    wall_tilt_sigma_rad: float = Field(default=0.01, gt=0)
     """How far walls seen only by one 2D laser may lean from its scan plane's normal, rad."""
 
 
 class BackendConfig(_Frozen):
     """iSAM2 and its priors."""
 
-    relinearize_threshold: float = Field(0.01, gt=0)
+    relinearize_threshold: float = Field(default=0.01, gt=0)
     """Change of a variable that makes iSAM2 relinearise it, rad or m."""
     robust: RobustKernel | None = None
     """Robust kernel on plane and line factors."""
-    prior_sigma_m: float = Field(1e-4, gt=0)
+    prior_sigma_m: float = Field(default=1e-4, gt=0)
     """Sigma of the first pose's position, m: it defines the world, so it is nearly exact."""
-    prior_sigma_rad: float = Field(1e-5, gt=0)
+    prior_sigma_rad: float = Field(default=1e-5, gt=0)
     """Sigma of the first pose's orientation, rad."""
 
 

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from plyfile import PlyData, PlyElement
 
+from slam.evaluation.metrics import Metric
 from slam.io.trajectories import write_tum
 from slam.mesh import Mesh, mesh_of
-from slam.metrics import Metric, metrics_json, metrics_of
+from slam.metrics import metrics_json, metrics_of
 from slam.pictures import draw_map
 from slam.planeslam import MapPlane
 from slam.report import write_report

@@ -90,14 +90,11 @@ class LandmarkMap:
         self._geometry.pop(landmark_id, None)
         return self._landmarks.pop(landmark_id)
 
-    def see(
-        self, landmark: Landmark, observation: Observation, sighting: Sighting, plane_T_body: FloatArray | None
-    ) -> None:
-        """Count an observation and, where the plane frame is given, let the outline grow by what it saw."""
+    def see(self, landmark: Landmark, observation: Observation, sighting: Sighting, plane_T_body: FloatArray) -> None:
+        """Count an observation and let the outline grow by what it saw."""
         landmark.sightings.append(sighting)
         landmark.n_points += observation.n_points
-        if plane_T_body is not None:
-            landmark.outline = grow(landmark.outline, observation.patch_in(plane_T_body))
+        landmark.outline = grow(landmark.outline, observation.patch_in(plane_T_body))
 
     def refresh(self, backend: Backend) -> None:
         """Place every landmark anew by the current estimate."""

@@ -16,16 +16,21 @@ from slam.rig import Sensor
 from slam.window import window_poses
 from spplanes import LineConfig, MapperConfig, Plane, extract_lines, fit_plane, segment_scans
 from spplanes._check import FloatArray
+from spplanes.noise import SensorModel
+from spplanes.registration import register_scans
 
 
 def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: MapperConfig) -> list[PlaneObservation]:
     """Planes of one 3D scan in the body frame, each facing the sensor, largest first."""
-    points = scan.points if scan.points.ndim == 3 else scan.points[None]
-    covariances = point_covariances(points, sensor)
-    _, planes = segment_scans(points, covariances, config=for_sensor(config, sensor), viewpoints=np.zeros(3))
-    body_T_sensor = sensor.body_T_sensor
-    moved = [plane.transform(body_T_sensor) for plane in planes]
-    return [PlaneObservation(plane) for plane in sorted(moved, key=lambda plane: -plane.n_points)]
+    points = usable_points(scan.points if scan.points.ndim == 3 else scan.points[None], sensor)
+    covariances = model_of(sensor).covariances(points)
+    labels, planes = segment_scans(points, covariances, config=for_sensor(config, sensor), viewpoints=np.zeros(3))
+    observations = []
+    for label, plane in enumerate(planes):
+        members = labels == label
+        refitted = _refit(points[members], covariances[members], plane, sensor, viewpoint=np.zeros(3))
+        observations.append(PlaneObservation(refitted.transform(sensor.body_T_sensor, tilt_covariance(sensor))))
+    return sorted(observations, key=lambda seen: -seen.n_points)
 
 
 def planes_of_window(
@@ -34,71 +39,93 @@ def planes_of_window(
     """Planes of a push-broom window in the body frame at `stamp_ns`.
 
     The scans are placed by odometry. Its error inside the window is shared by all points of a scan and grows along the
-    window, so it goes into the fit as one joint covariance of the scan poses, never into the points' own (DESIGN,
-    decision 1).
+    window, so it goes into the fit as one joint covariance of the scan poses, never into the points' own.
     """
     if len(scans) < 2:
         return []
     kf_T_body, pose_covariance = window_poses([scan.stamp_ns for scan in scans], stamp_ns, track)
-    kf_T_sensor = kf_T_body @ sensor.body_T_sensor
-    local = np.stack([beam_points(scan) for scan in scans])
-    points = np.einsum("sij,sbj->sbi", kf_T_sensor[:, :3, :3], local) + kf_T_sensor[:, None, :3, 3]
-    turned = kf_T_sensor[:, None, :3, :3]
-    covariances = turned @ point_covariances(local, sensor) @ turned.swapaxes(-1, -2)
-    labels, planes = segment_scans(points, covariances, config=config, viewpoints=kf_T_sensor[:, :3, 3])
+    ranges = np.stack([usable_ranges(scan.ranges, sensor) for scan in scans])
+    placed = register_scans(ranges, scans[0].angles, kf_T_body, model_of(sensor), body_T_sensor=sensor.body_T_sensor)
+    labels, planes = segment_scans(
+        placed.points, placed.covariances, config=for_sensor(config, sensor), viewpoints=placed.viewpoints
+    )
     observations = []
     for label, plane in enumerate(planes):
         scan_index, beam = np.nonzero(labels == label)
-        refitted = fit_plane(
-            points[scan_index, beam],
-            covariances[scan_index, beam],
-            viewpoint=kf_T_sensor[scan_index, :3, 3].mean(axis=0),
+        refitted = _refit(
+            placed.points[scan_index, beam],
+            placed.covariances[scan_index, beam],
+            plane,
+            sensor,
+            viewpoint=placed.viewpoints[scan_index].mean(axis=0),
             scan_index=scan_index,
             pose_covariances=pose_covariance,
         )
-        observations.append(PlaneObservation(_with_outline_of(refitted, plane)))
+        observations.append(PlaneObservation(refitted))
     return sorted(observations, key=lambda seen: -seen.n_points)
 
 
 def lines_of_scan(scan: LaserScan, sensor: Sensor, kf_T_body: FloatArray, config: LineConfig) -> list[LineObservation]:
     """Lines of one 2D scan, with the mount as the keyframe's body sees it."""
     sigma = float(np.sqrt(sensor.range_variance_m2 + sensor.surface_sigma_m**2))
-    lines = extract_lines(scan.ranges, scan.angles, sigma=sigma, config=config)
+    lines = extract_lines(usable_ranges(scan.ranges, sensor), scan.angles, sigma=sigma, config=config)
     return [LineObservation(line, kf_T_body @ sensor.body_T_sensor) for line in lines]
 
 
-def beam_points(scan: LaserScan) -> FloatArray:
-    """Points of a 2D scan in the sensor frame, shape (B, 3), m; NaN = no return."""
-    return (
-        np.column_stack(
-            (scan.ranges * np.cos(scan.angles), scan.ranges * np.sin(scan.angles), np.zeros(len(scan.ranges)))
-        )
-        + np.where(np.isnan(scan.ranges), np.nan, 0.0)[:, None]
+def model_of(sensor: Sensor) -> SensorModel:
+    """Errors of the sensor's beams."""
+    return SensorModel(
+        range_sigma_m=sensor.range_sigma_m,
+        bearing_sigma_rad=sensor.bearing_sigma_rad,
+        quantisation_m=sensor.quantisation_m,
     )
 
 
 def for_sensor(config: MapperConfig, sensor: Sensor) -> MapperConfig:
-    """The segmentation's settings with the systematic floor of the sensor, where the rig states a larger one."""
-    return replace(config, surface_sigma_m=max(config.surface_sigma_m, sensor.surface_sigma_m))
+    """The segmentation's settings with the flatness that the sensor's systematic error leaves to be seen.
 
-
-def point_covariances(points: FloatArray, sensor: Sensor) -> FloatArray:
-    """Covariances of points (..., 3) in the sensor frame, shape (..., 3, 3), m^2: range along the beam, bearing across.
-
-    No return gets zeros.
+    Half of it: inside a region, which is fitted to the error, less of it is left than between regions.
     """
-    ranges = np.linalg.norm(points, axis=-1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        beam = points / ranges
-    along = beam[..., :, None] * beam[..., None, :]
-    across = (ranges[..., None] * sensor.bearing_sigma_rad) ** 2
-    covariances = across * np.eye(3) + (sensor.range_variance_m2 - across) * along
-    return np.where(np.isfinite(covariances), covariances, 0.0)
+    return replace(config, flatness_m=max(config.flatness_m, 0.5 * sensor.surface_sigma_m))
 
 
-def _with_outline_of(plane: Plane, outlined: Plane) -> Plane:
-    """The plane with another's outline, seen along the normal, in its own (x, y)."""
-    if outlined.outline is None:
-        return plane
-    outline = flatten(outlined.outline, inverse(plane.frame) @ outlined.frame)
-    return replace(plane, outline=outline)
+def usable_ranges(ranges: FloatArray, sensor: Sensor) -> FloatArray:
+    """Ranges (B,) with NaN for what lies outside the sensor's limits."""
+    with np.errstate(invalid="ignore"):
+        inside = (ranges > sensor.range_min_m) & (ranges < sensor.range_max_m)
+    return np.where(inside, ranges, np.nan)
+
+
+def usable_points(points: FloatArray, sensor: Sensor) -> FloatArray:
+    """Points (..., 3) in the sensor frame with NaN for what lies outside the sensor's limits."""
+    inside = np.isfinite(usable_ranges(np.linalg.norm(points, axis=-1), sensor))
+    return np.where(inside[..., None], points, np.nan)
+
+
+def surface_covariances(points: FloatArray, covariances: FloatArray, plane: Plane, sensor: Sensor) -> FloatArray:
+    """Covariances (N, 3, 3) of a plane's points that also carry the surface's own error, which neighbours share.
+
+    The surface is cut into square patches of the correlation length; the points of one patch share an error of
+    `surface_sigma_m` along the normal. n points that share it say as much as n points with n times its variance each,
+    so a patch seen by many beams counts no more than its surface allows.
+    """
+    if sensor.surface_sigma_m == 0.0:
+        return covariances
+    local = (points - plane.centre) @ plane.frame[:3, :2]
+    patches = np.floor(local / sensor.surface_correlation_m).astype(np.int64)
+    _, patch, counts = np.unique(patches, axis=0, return_inverse=True, return_counts=True)
+    shared = sensor.surface_sigma_m**2 * counts[patch.ravel()]
+    return covariances + shared[:, None, None] * np.outer(plane.normal, plane.normal)
+
+
+def tilt_covariance(sensor: Sensor) -> FloatArray:
+    """Covariance (6, 6) of (x, y, z, phi, theta, psi) of the mount as the points of one plane see it."""
+    return np.diag([0.0, 0.0, 0.0, 0.0, sensor.tilt_sigma_rad**2, 0.0])
+
+
+def _refit(points: FloatArray, covariances: FloatArray, plane: Plane, sensor: Sensor, **fit: np.ndarray) -> Plane:
+    """The plane with everything the sensor is known to err in, and the outline that was found for it."""
+    refitted = fit_plane(points, surface_covariances(points, covariances, plane, sensor), **fit)  # type: ignore[arg-type]
+    if plane.outline is None:
+        return refitted
+    return replace(refitted, outline=flatten(plane.outline, inverse(refitted.frame) @ plane.frame))

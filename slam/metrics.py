@@ -2,38 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
+from slam.evaluation.metrics import Metric
 from slam.run import Run, path_length_m
 from slam.summary import FacingPair, facing_pairs
-
-
-@dataclass(frozen=True)
-class Metric:
-    """One row of the table."""
-
-    name: str
-    """What was measured."""
-    value: float | int | str
-    """The value."""
-    unit: str = ""
-    """Its unit; empty for counts and words."""
 
 
 def metrics_of(run: Run) -> list[Metric]:
     """What can be said of a run without knowing the truth."""
     rows = [
-        Metric("keyframes", len(run.trajectory)),
+        Metric("keyframes", len(run.trajectory), ""),
         Metric("path length", path_length_m(run.trajectory), "m"),
-        Metric("planes in the map", len(run.planes)),
-        Metric("landmarks tried", len(run.slam.landmarks)),
+        Metric("planes in the map", len(run.planes), ""),
+        Metric("landmarks tried", len(run.slam.landmarks), ""),
     ]
     rows += _pair_rows(facing_pairs(run.planes)[:6])
     for summary in run.slam.audit.summary():
         band = f"{summary.low:.3f} to {summary.high:.3f}"
-        rows.append(Metric(f"NIS per dof, {summary.kind} factors (95 % band {band})", summary.mean_per_dof))
-        rows.append(Metric(f"{summary.kind} factors", summary.count))
+        rows.append(Metric(f"NIS per dof, {summary.kind} factors (95 % band {band})", summary.mean_per_dof, ""))
+        rows.append(Metric(f"{summary.kind} factors", summary.count, ""))
     rows += [Metric(f"time, {stage}", seconds, "s") for stage, seconds in run.clock.seconds.items()]
     return rows
 

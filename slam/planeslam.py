@@ -14,12 +14,13 @@ from factors import plane_factor, plane_landmark, pose_prior, world_plane_from_j
 from slam.association import Decision, associate
 from slam.audit import NisAudit
 from slam.backend import Backend
+from slam.births import group_births
 from slam.config import SlamConfig
 from slam.frames import covariance_in, inverse
 from slam.io.trajectories import Trajectory
 from slam.keyframes import Keyframe
 from slam.landmarks import Landmark, LandmarkMap, Sighting
-from slam.observations import LineObservation, Observation
+from slam.observations import Observation
 from slam.outlines import largest_polygon
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -51,6 +52,17 @@ class KeyframeReport:
     """Estimated pose after the update, shape (4, 4)."""
     decisions: list[Decision]
     """One for every observation of the keyframe, in their order."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Sight:
+    """An observation on its way into the graph."""
+
+    landmark: Landmark
+    observation: Observation
+    number: int
+    factor: Any
+    plane_T_body: FloatArray
 
 
 class PlaneSlam:
@@ -134,40 +146,48 @@ class PlaneSlam:
 
     def _update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> None:
         """Add the factors of matches and of new landmarks, then count what was seen."""
-        factors: list[Any] = []
+        sights = self._matched(keyframe, pose_key, decisions)
         initial = gtsam.Values()
-        seen: list[tuple[Landmark, Observation, int, FloatArray | None]] = []
-        for decision in decisions:
-            observation = keyframe.observations[decision.observation]
-            if decision.match is not None:
-                landmark = self.landmarks[decision.match.landmark]
-                factors.append(
-                    observation.factor(pose_key, landmark.key, landmark.anchor_key, self.config.backend.robust)
-                )
-                seen.append((landmark, observation, decision.observation, self._plane_T_body(landmark, pose_key)))
-            elif decision.verdict == "new" and self._may_start_landmark(observation):
-                plane = observation.full_plane(self.config.landmarks.wall_tilt_sigma_rad)
-                landmark = self.landmarks.birth(observation, pose_key, plane.frame)
-                factors.append(plane_factor(plane, pose_key, landmark.key, anchor_key=pose_key))
-                initial.insert(landmark.key, plane_landmark(plane))
-                seen.append((landmark, observation, decision.observation, None))
-        if not factors:
+        sights += self._births(keyframe, pose_key, decisions, initial)
+        if not sights:
             return
-        indices = self.backend.update(factors, initial, relinearize=True)
-        for (landmark, observation, number, plane_T_body), factor_index in zip(seen, indices, strict=True):
-            sighting = Sighting(len(self.keyframes), number, factor_index, observation.kind)
-            self.landmarks.see(landmark, observation, sighting, plane_T_body)
+        indices = self.backend.update([sight.factor for sight in sights], initial, relinearize=True)
+        for sight, factor_index in zip(sights, indices, strict=True):
+            sighting = Sighting(len(self.keyframes), sight.number, factor_index, sight.observation.kind)
+            self.landmarks.see(sight.landmark, sight.observation, sighting, sight.plane_T_body)
 
-    def _plane_T_body(self, landmark: Landmark, pose_key: int) -> FloatArray:
-        return inverse(self.landmarks.placed(landmark.id).world_T_plane) @ self.backend.pose(pose_key)
+    def _matched(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> list[_Sight]:
+        """Factors of the observations that were matched to a landmark."""
+        sights = []
+        for decision in decisions:
+            if decision.match is None:
+                continue
+            observation = keyframe.observations[decision.observation]
+            landmark = self.landmarks[decision.match.landmark]
+            factor = observation.factor(pose_key, landmark.key, landmark.anchor_key, self.config.backend.robust)
+            plane_T_body = inverse(self.landmarks.placed(landmark.id).world_T_plane) @ self.backend.pose(pose_key)
+            sights.append(_Sight(landmark, observation, decision.observation, factor, plane_T_body))
+        return sights
 
-    def _may_start_landmark(self, observation: Observation) -> bool:
-        rules = self.config.landmarks
-        if isinstance(observation, LineObservation):
-            ends = observation.vertices
-            long_enough = float(np.linalg.norm(ends[1] - ends[0])) >= rules.min_line_length_m
-            return long_enough and observation.n_points >= rules.min_line_points
-        return observation.n_points >= rules.min_points
+    def _births(
+        self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision], initial: gtsam.Values
+    ) -> list[_Sight]:
+        """Landmarks of what no landmark explains, each with every observation of this keyframe that is its plane."""
+        numbers = [decision.observation for decision in decisions if decision.verdict == "new"]
+        observations = [keyframe.observations[number] for number in numbers]
+        sights = []
+        for group in group_births(observations, self.config.landmarks, self.config.association):
+            first = observations[group[0]]
+            plane = first.full_plane(self.config.landmarks.wall_tilt_sigma_rad)
+            landmark = self.landmarks.birth(first, pose_key, plane.frame)
+            initial.insert(landmark.key, plane_landmark(plane))
+            factor = plane_factor(plane, pose_key, landmark.key, anchor_key=pose_key)
+            sights.append(_Sight(landmark, first, numbers[group[0]], factor, inverse(plane.frame)))
+            for member in group[1:]:
+                observation = observations[member]
+                factor = observation.factor(pose_key, landmark.key, pose_key, self.config.backend.robust)
+                sights.append(_Sight(landmark, observation, numbers[member], factor, inverse(plane.frame)))
+        return sights
 
     def _remember(self, keyframe: Keyframe, decisions: list[Decision]) -> None:
         self.keyframes.append(keyframe)

@@ -97,6 +97,13 @@ class Sensor(_Frozen):
     """Ranges at or beyond this are no returns, m."""
     surface_sigma_m: NotNegative = 0.0
     """Systematic floor: flatness of real walls and range bias that averaging over beams does not remove, m."""
+    surface_correlation_m: Positive = 0.3
+    """Size of the patch of a surface whose points share one such error, m."""
+    tilt_sigma_rad: NotNegative = 0.0
+    """Error of the angle of a tilting scanner's servo (rotation about the sensor's y), rad. It drifts over the sweep, so
+    the points of one plane share it and different planes do not."""
+    range_min_m: NotNegative = 0.0
+    """Ranges below this are the robot itself, or too near to be measured, m."""
 
     @property
     def body_T_sensor(self) -> FloatArray:

@@ -49,7 +49,15 @@ def threedtk_rig() -> Rig:
     Range noise 10 mm and a systematic floor of 5 mm are what the residuals of single planes show in the corridor set;
     the motion sigmas cover the distance between its initial poses and its registrations.
     """
-    scanner = Sensor(kind="cloud", range_sigma_m=0.01, range_max_m=32.0, surface_sigma_m=0.005)
+    scanner = Sensor(
+        kind="cloud",
+        range_sigma_m=0.01,
+        range_min_m=0.5,
+        range_max_m=32.0,
+        surface_sigma_m=0.02,
+        surface_correlation_m=0.5,
+        tilt_sigma_rad=0.012,
+    )
     odometry = OdometryNoise(
         along_sigma_m_per_sqrt_m=0.05,
         lateral_sigma_m_per_sqrt_m=0.05,
