@@ -41,7 +41,7 @@ def odometry_factor(
     z, roll, pitch = _sigmas("out_of_plane_sigmas", out_of_plane_sigmas)
     full[5, 5], full[0, 0], full[1, 1] = z**2, roll**2, pitch**2
     motion = gtsam.Pose3(gtsam.Rot3.Yaw(theta), np.array([x, y, 0.0]))
-    noise = with_robust(gtsam.noiseModel.Gaussian.Covariance(full), robust, 3)
+    noise = with_robust(gtsam.noiseModel.Gaussian.Covariance(full), robust, 6)
     return gtsam.BetweenFactorPose3(as_key("key_a", key_a), as_key("key_b", key_b), motion, noise)
 
 
@@ -61,7 +61,8 @@ def planar_motion_factor(
     """A robot that stays on a level floor: z = ``height``, roll = pitch = 0, up to ``sigmas`` = (z m, roll, pitch rad).
 
     Two native factors, in a graph to ``push_back``: no single native one leaves x, y and yaw free and couples nothing.
-    Tilt is measured in the world's horizontal axes, so roll and pitch share the larger sigma.
+    Tilt is measured in the world's horizontal axes, so roll and pitch share the larger sigma. It holds the robot to the
+    floor of the *world*: once, or at every pose; `odometry_factor` alone lets z and tilt wander step by step.
     """
     key = as_key("pose_key", pose_key)
     z, roll, pitch = _sigmas("sigmas", sigmas)

@@ -4,7 +4,15 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors import line_factor, odometry_factor, odometry_factor_2d, planar_motion_factor, plane_factor, plane_prior
+from factors import (
+    line_factor,
+    line_factor_2d,
+    odometry_factor,
+    odometry_factor_2d,
+    planar_motion_factor,
+    plane_factor,
+    plane_prior,
+)
 from tests.factors.factor_scenes import (
     TIED_NORMALS,
     A,
@@ -40,6 +48,17 @@ def test_line_factor(anchor):
         rng = np.random.default_rng(seed)
         mount = random_pose(rng).matrix()
         assert_jacobian(line_factor(random_line(rng), mount, X, L, anchor_key=anchor), scene(rng))
+
+
+@pytest.mark.parametrize("anchor", [A, None, X], ids=["anchored", "world", "own anchor"])
+def test_line_factor_on_pose2(anchor):
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        values = values_of(l0=scene(rng).atOrientedPlane3(L))
+        for key in (X, A):
+            values.insert(key, gtsam.Pose2(*rng.normal(size=3)))
+        mount = random_pose(rng).matrix()
+        assert_jacobian(line_factor_2d(random_line(rng), mount, X, L, anchor_key=anchor), values)
 
 
 def test_plane_prior():

@@ -1,0 +1,186 @@
+"""What comes of bad input: one sentence that names the argument, or a documented meaning."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from factors import (
+    line_factor,
+    odometry_factor,
+    odometry_factor_2d,
+    planar_motion_factor,
+    plane_factor,
+    plane_factors,
+    plane_landmark,
+    plane_prior,
+)
+from factors.line import decorrelated_points
+from factors.robust import with_robust
+from spplanes import Plane
+from tests.factors.factor_scenes import (
+    A,
+    L,
+    X,
+    assert_jacobian,
+    frame_of,
+    make_line,
+    random_line,
+    random_plane,
+    random_pose,
+    values_of,
+)
+
+PLANE = random_plane(np.random.default_rng(0))
+LINE = random_line(np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("key", ["x0", 1.0, None, True, -1, 2**64])
+def test_wrong_keys(key):
+    with pytest.raises(ValueError, match=r"pose_key: expected a GTSAM key \(an integer such as"):
+        plane_factor(PLANE, key, L)
+    with pytest.raises(ValueError, match=r"plane_key: expected a GTSAM key"):
+        line_factor(LINE, np.eye(4), X, key)
+    with pytest.raises(ValueError, match=r"plane_key: expected a GTSAM key"):
+        plane_prior(PLANE, key)
+    with pytest.raises(ValueError, match=r"key_b: expected a GTSAM key"):
+        odometry_factor(X, key, (1, 0, 0), np.eye(3))
+    with pytest.raises(ValueError, match=r"pose_key: expected a GTSAM key"):
+        planar_motion_factor(key)
+    if key is not None:
+        with pytest.raises(ValueError, match=r"anchor_key: expected a GTSAM key"):
+            plane_factor(PLANE, X, L, anchor_key=key)
+        with pytest.raises(ValueError, match=r"anchor_key: expected a GTSAM key"):
+            line_factor(LINE, np.eye(4), X, L, anchor_key=key)
+
+
+@pytest.mark.parametrize("keys", [np.int64(3), np.uint64(3)])
+def test_numpy_integers_are_keys(keys):
+    assert list(plane_factor(PLANE, keys, L).keys()) == [3, L]
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
+def test_singular_noise(scale):
+    flat = Plane(PLANE.frame, scale * np.diag([1.0, 1.0, 0.0]))
+    tied = Plane(PLANE.frame, scale * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]))
+    for plane in (flat, tied):
+        with pytest.raises(ValueError, match=r"plane.covariance: expected a positive definite .* got a singular one"):
+            plane_factor(plane, X, L)
+        with pytest.raises(ValueError, match=r"plane.covariance: .* got a singular one at index 1"):
+            plane_factors([PLANE, plane], [X, X], [L, L])
+    with pytest.raises(ValueError, match=r"line.covariance: expected a positive definite .* got a singular one"):
+        line_factor(make_line(0.0, 1.0, scale * np.ones((2, 2))), np.eye(4), X, L)
+    for build in (odometry_factor, odometry_factor_2d):
+        with pytest.raises(ValueError, match=r"covariance: expected a positive definite .* got a singular one"):
+            build(X, A, (1, 0, 0), scale * np.diag([1.0, 0.0, 1.0]))
+
+
+def test_tiny_but_definite_noise_is_accepted():
+    """Scale is not singularity: a micrometre beside a radian."""
+    plane = Plane(PLANE.frame, np.diag([1e-12, 1e-2, 1.0]))
+    assert plane_factor(plane, X, L).error(values_of(x0=gtsam.Pose3(), l0=plane_landmark(plane))) < 1e-6
+
+
+def test_lengths_must_match():
+    with pytest.raises(ValueError, match=r"planes: expected as many as pose_keys, .* got 1, 2, 1, 1"):
+        plane_factors([PLANE], [X, X], [L])
+    assert plane_factors([], [], []).size() == 0
+
+
+@pytest.mark.parametrize("robust", ["tukey", ("huber",), 3.0, ("huber", 1.0, 2.0)])
+def test_unknown_kernels(robust):
+    with pytest.raises(ValueError, match=r"robust: expected None, one of cauchy, dcs, .* or \(name, k\)"):
+        plane_factor(PLANE, X, L, robust=robust)
+
+
+@pytest.mark.parametrize("k", [0.0, -1.0, np.nan, np.inf])
+def test_kernel_constants_are_positive(k):
+    with pytest.raises(ValueError, match=r"robust: expected a positive finite number"):
+        plane_factor(PLANE, X, L, robust=("huber", k))
+
+
+def test_no_rigid_mount():
+    with pytest.raises(ValueError, match=r"body_T_sensor: expected a right-handed rotation"):
+        line_factor(LINE, np.diag([1.0, 1.0, -1.0, 1.0]), X, L)
+
+
+@pytest.mark.parametrize("sigmas", [(0.1, 0.1), (0.1, 0.0, 0.1), (0.1, -1.0, 0.1)])
+def test_wrong_sigmas(sigmas):
+    with pytest.raises(ValueError, match=r"out_of_plane_sigmas: expected"):
+        odometry_factor(X, A, (1, 0, 0), np.eye(3), out_of_plane_sigmas=sigmas)
+    with pytest.raises(ValueError, match=r"sigmas: expected"):
+        planar_motion_factor(X, sigmas=sigmas)
+
+
+def test_kernels_bite_where_they_should():
+    """Half weight of Cauchy at k, of Huber at 2 k; the default at the 95 % quantile."""
+    noise = gtsam.noiseModel.Unit.Create(3)
+    assert with_robust(noise, "huber", 3).robust().weight(2 * np.sqrt(7.815)) == pytest.approx(0.5)
+    assert with_robust(noise, ("cauchy", 1.7), 3).robust().weight(1.7) == pytest.approx(0.5)
+    assert with_robust(noise, ("geman-mcclure", 1.7), 3).robust().weight(1.7) == pytest.approx(0.25)
+    assert with_robust(noise, ("dcs", 4.0), 3).robust().weight(np.sqrt(12.0)) == pytest.approx(0.25)
+    assert with_robust(noise, "dcs", 3).robust().weight(np.sqrt(7.8)) == pytest.approx(1.0)
+
+
+def test_a_plane_seen_from_behind_has_no_error():
+    """The documented meaning: blind to the side. `facing` settles it before a factor is made."""
+    values = values_of(x0=gtsam.Pose3(), a0=gtsam.Pose3())
+    values.insert(L, gtsam.OrientedPlane3(np.array([*-PLANE.normal, PLANE.d])))
+    for anchor in (None, A, X):
+        error = plane_factor(PLANE, X, L, anchor_key=anchor).unwhitenedError(values)
+        assert np.abs(error[:2]).max() < 1e-12
+    line = make_line(0.0, 2.0, np.diag([0.01, 0.01]))
+    for normal in ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)):
+        behind = gtsam.OrientedPlane3(np.array([*normal, -2.0 * normal[0]]))
+        error = line_factor(line, np.eye(4), X, L).unwhitenedError(values_of(x0=gtsam.Pose3(), l0=behind))
+        np.testing.assert_allclose(error, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-12, 1e-3, 0.0199, 0.0201, 0.1])
+def test_a_plane_parallel_to_the_scan_plane(tilt):
+    """It cuts the scan plane nowhere useful: bounded error, finite and right derivatives, no exception."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        turn = rng.uniform(0, 2 * np.pi)
+        normal = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
+        values = values_of(x0=gtsam.Pose3(), l0=gtsam.OrientedPlane3(np.array([*normal, -0.3])))
+        factor = line_factor(random_line(rng), np.eye(4), X, L)
+        assert np.abs(factor.unwhitenedError(values)).max() < 60.0
+        assert_jacobian(factor, values, tolerance=1e-5)
+
+
+def test_two_points_carry_the_covariance_of_a_line():
+    """Errors at the points, to first order drho - s dalpha: independent, equal, and together exactly C."""
+    for seed in range(50):
+        line = random_line(np.random.default_rng(seed))
+        points, sigma = decorrelated_points(line)
+        direction = np.array([-np.sin(line.alpha), np.cos(line.alpha)])
+        to_points = np.column_stack([-points @ direction, np.ones(2)])
+        np.testing.assert_allclose(to_points @ line.covariance @ to_points.T, sigma**2 * np.eye(2), atol=1e-12)
+        np.testing.assert_allclose(points @ [np.cos(line.alpha), np.sin(line.alpha)], line.rho)
+
+
+def test_native_and_compiled_plane_factors_agree():
+    """Derivatives equal at the measurement; errors equal but for d |e|^2 / 2, the native one's second order."""
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        plane = Plane(random_plane(rng).frame, np.diag([0.02, 0.004, 0.008]) ** 2)
+        pose = random_pose(rng)
+        landmark = plane_landmark(plane, pose)
+        values = values_of(x0=pose, a0=gtsam.Pose3(), l0=landmark)
+        native, compiled = plane_factor(plane, X, L, anchor_key=A), plane_factor(plane, X, L)
+        assert type(native).__name__ == "LocalOrientedPlane3Factor"
+        assert isinstance(compiled, gtsam.CustomFactor)
+        a, b = (factor.linearize(values).jacobian()[0] for factor in (native, compiled))
+        a = np.delete(a, np.s_[6:12], axis=1)
+        np.testing.assert_allclose(a.T @ a, b.T @ b, rtol=1e-6, atol=1e-6 * np.abs(b.T @ b).max())
+        values.update(L, landmark.retract(1e-3 * rng.normal(size=3)))
+        assert native.error(values) == pytest.approx(compiled.error(values), rel=1e-2, abs=1e-4)
+
+
+def test_small_patches_far_away_are_compiled():
+    """Tilt 3 deg, 10 m away, z to 2 mm: the native factor would be 7 sigmas off at one sigma of tilt."""
+    frame = frame_of(np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 10.0]), 0.0)
+    patch = Plane(frame, np.diag([0.002, np.radians(3.0), np.radians(3.0)]) ** 2)
+    assert isinstance(plane_factor(patch, X, L, anchor_key=A), gtsam.CustomFactor)
+    wall = Plane(frame, np.diag([0.002, np.radians(0.1), np.radians(0.1)]) ** 2)
+    assert not isinstance(plane_factor(wall, X, L, anchor_key=A), gtsam.CustomFactor)
