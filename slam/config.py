@@ -26,6 +26,17 @@ class KeyframeConfig(_Frozen):
     """Turn since the last keyframe, rad."""
 
 
+class MeasurementConfig(_Frozen):
+    """Which fitted planes are believed to be one plane, seen properly."""
+
+    misfit_sigmas: float = Field(default=4.0, gt=0)
+    """A fit's chi2 may exceed its mean by this many standard deviations; beyond, two surfaces were taken for one."""
+    noise_slack: float = Field(default=0.05, ge=0)
+    """Share by which the true noise variance may exceed the stated one without that counting as misfit."""
+    max_incidence_rad: float = Field(default=1.5, gt=0, lt=1.5708)
+    """A plane seen more edge-on than this from the middle of its points is an artefact of one scan line, rad."""
+
+
 class AssociationConfig(_Frozen):
     """When a measured plane is the landmark's plane."""
 
@@ -73,6 +84,7 @@ class SlamConfig(_Frozen):
     """Configuration of a run."""
 
     keyframes: KeyframeConfig = KeyframeConfig()
+    measurements: MeasurementConfig = MeasurementConfig()
     association: AssociationConfig = AssociationConfig()
     landmarks: LandmarkConfig = LandmarkConfig()
     backend: BackendConfig = BackendConfig()

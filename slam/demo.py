@@ -12,19 +12,16 @@ from slam.simulation.truth import Truth
 from slam.summary import facing_pairs
 from spplanes import Plane
 
-#: True planes hit by at least so many beams could have been found.
-VISIBLE_POINTS = 200
-
 
 def compare(run: Run, truth: Truth) -> list[Metric]:
     """The table of the demo: trajectory, room and planes of the estimate, and of odometry alone where it has them."""
-    true_path = Trajectory(truth.stamps_ns, truth.world_T_body)
+    true_path = truth.trajectory
     rows = [Metric("path length", path_length_m(run.trajectory), "m")]
     rows += _trajectory_rows("estimate", run.trajectory, true_path)
     rows += _trajectory_rows("odometry alone", run.odometry, true_path)
     rows += _room_rows(run, truth)
     planes = in_frame_of_truth(run, true_path)
-    return rows + plane_metrics(planes, truth.planes, visible=visible_planes(truth))
+    return rows + plane_metrics(planes, truth.planes, visible=truth.visible())
 
 
 def in_frame_of_truth(run: Run, true_path: Trajectory) -> list[Plane]:
@@ -32,13 +29,6 @@ def in_frame_of_truth(run: Run, true_path: Trajectory) -> list[Plane]:
     _, estimated, true = common_poses(run.trajectory, true_path)
     truth_T_estimate = alignment_of(estimated, true, "first")
     return [plane.plane.transform(truth_T_estimate) for plane in run.planes if plane.plane.outline is not None]
-
-
-def visible_planes(truth: Truth) -> set[int]:
-    """Indices of the true planes that enough beams have hit."""
-    hits = np.concatenate([labels.ravel() for labels in truth.labels.values()])
-    counts = np.bincount(hits[hits >= 0], minlength=len(truth.planes))
-    return set(np.flatnonzero(counts >= VISIBLE_POINTS).tolist())
 
 
 def _trajectory_rows(name: str, path: Trajectory, truth: Trajectory) -> list[Metric]:
@@ -52,8 +42,7 @@ def _trajectory_rows(name: str, path: Trajectory, truth: Trajectory) -> list[Met
 
 def _room_rows(run: Run, truth: Truth) -> list[Metric]:
     """Height and width between the largest facing planes, and the same between their true planes."""
-    true_path = Trajectory(truth.stamps_ns, truth.world_T_body)
-    moved = dict(zip([p.id for p in _with_outline(run)], in_frame_of_truth(run, true_path), strict=True))
+    moved = dict(zip([p.id for p in _with_outline(run)], in_frame_of_truth(run, truth.trajectory), strict=True))
     rows = []
     for name in ("height", "width"):
         for pair in facing_pairs(run.planes):

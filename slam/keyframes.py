@@ -60,7 +60,7 @@ def _cloud_keyframes(log: Log, clouds: Sequence[CloudScan], rig: Rig, config: Sl
     track = _track_of(log, rig)
     previous: CloudScan | None = None
     for scan in clouds:
-        observations = planes_of_cloud(scan, rig.sensors[scan.sensor], config.mapper)
+        observations = planes_of_cloud(scan, rig.sensors[scan.sensor], config)
         motion = None if previous is None else track.motion(previous.stamp_ns, scan.stamp_ns)
         yield Keyframe(scan.stamp_ns, observations, motion)
         previous = scan
@@ -79,7 +79,7 @@ def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig) -> Iterator[Keyfram
         for name, sensor in rig.of_kind("slice").items():
             window = [s for s, home in zip(slices, slice_home, strict=True) if home == index and s.sensor == name]
             if window:
-                observations += planes_of_window(window, stamp, sensor, track, config.mapper)
+                observations += planes_of_window(window, stamp, sensor, track, config)
         for name, sensor in rig.of_kind("line").items():
             near = [s for s, home in zip(lines, line_home, strict=True) if home == index and s.sensor == name]
             if near:

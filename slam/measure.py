@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from slam.config import MeasurementConfig, SlamConfig
 from slam.frames import inverse
 from slam.io.log import CloudScan, LaserScan
 from slam.observations import LineObservation, PlaneObservation
@@ -20,21 +21,23 @@ from spplanes.noise import SensorModel
 from spplanes.registration import register_scans
 
 
-def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: MapperConfig) -> list[PlaneObservation]:
+def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list[PlaneObservation]:
     """Planes of one 3D scan in the body frame, each facing the sensor, largest first."""
     points = usable_points(scan.points if scan.points.ndim == 3 else scan.points[None], sensor)
     covariances = model_of(sensor).covariances(points)
-    labels, planes = segment_scans(points, covariances, config=for_sensor(config, sensor), viewpoints=np.zeros(3))
+    viewpoint = np.zeros(3)
+    labels, planes = segment_scans(points, covariances, config=for_sensor(config.mapper, sensor), viewpoints=viewpoint)
     observations = []
     for label, plane in enumerate(planes):
         members = labels == label
-        refitted = _refit(points[members], covariances[members], plane, sensor, viewpoint=np.zeros(3))
-        observations.append(PlaneObservation(refitted.transform(sensor.body_T_sensor, tilt_covariance(sensor))))
+        refitted = _refit(points[members], covariances[members], plane, sensor, viewpoint=viewpoint)
+        if is_one_plane(refitted, viewpoint, config.measurements):
+            observations.append(PlaneObservation(refitted.transform(sensor.body_T_sensor, tilt_covariance(sensor))))
     return sorted(observations, key=lambda seen: -seen.n_points)
 
 
 def planes_of_window(
-    scans: Sequence[LaserScan], stamp_ns: int, sensor: Sensor, track: OdometryTrack, config: MapperConfig
+    scans: Sequence[LaserScan], stamp_ns: int, sensor: Sensor, track: OdometryTrack, config: SlamConfig
 ) -> list[PlaneObservation]:
     """Planes of a push-broom window in the body frame at `stamp_ns`.
 
@@ -47,22 +50,35 @@ def planes_of_window(
     ranges = np.stack([usable_ranges(scan.ranges, sensor) for scan in scans])
     placed = register_scans(ranges, scans[0].angles, kf_T_body, model_of(sensor), body_T_sensor=sensor.body_T_sensor)
     labels, planes = segment_scans(
-        placed.points, placed.covariances, config=for_sensor(config, sensor), viewpoints=placed.viewpoints
+        placed.points,
+        placed.covariances,
+        config=for_sensor(config.mapper, sensor),
+        viewpoints=placed.viewpoints,
     )
     observations = []
     for label, plane in enumerate(planes):
         scan_index, beam = np.nonzero(labels == label)
+        viewpoint = placed.viewpoints[scan_index].mean(axis=0)
         refitted = _refit(
             placed.points[scan_index, beam],
             placed.covariances[scan_index, beam],
             plane,
             sensor,
-            viewpoint=placed.viewpoints[scan_index].mean(axis=0),
+            viewpoint=viewpoint,
             scan_index=scan_index,
             pose_covariances=pose_covariance,
         )
-        observations.append(PlaneObservation(refitted))
+        if is_one_plane(refitted, viewpoint, config.measurements):
+            observations.append(PlaneObservation(refitted))
     return sorted(observations, key=lambda seen: -seen.n_points)
+
+
+def is_one_plane(plane: Plane, viewpoint: FloatArray, rules: MeasurementConfig) -> bool:
+    """Whether the points lie as far off the plane as their noise says, and the plane could be seen from there."""
+    dof = max(plane.n_points - 3, 1)
+    allowed = dof * (1.0 + rules.noise_slack) + rules.misfit_sigmas * np.sqrt(2.0 * dof)
+    away = np.linalg.norm(plane.centre - viewpoint)
+    return plane.chi2 <= allowed and abs(float(plane.distance(viewpoint))) >= away * np.cos(rules.max_incidence_rad)
 
 
 def lines_of_scan(scan: LaserScan, sensor: Sensor, kf_T_body: FloatArray, config: LineConfig) -> list[LineObservation]:
