@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike
 
 from spplanes._check import FloatArray, as_positive, as_shape
@@ -86,8 +87,28 @@ def group_by_label(labels: ArrayLike | None, n: int) -> tuple[np.ndarray, np.nda
     array = np.asarray(labels)
     if array.shape != (n,) or array.dtype.kind not in "iu":
         raise ValueError(f"labels: expected {n} integers, one for each point, got {array.dtype} of shape {array.shape}")
+    if n and array.max() < n:
+        return _count_labels(array.astype(np.int64, copy=False), int(array.max()))
     order = np.argsort(array, kind="stable")
     ranked = array[order]
     first = int(np.searchsorted(ranked, 0))
     starts = first + np.flatnonzero(np.diff(ranked[first:], prepend=-1))
-    return ranked[starts], order, np.append(starts, n)
+    return ranked[starts], order[first:], np.append(starts, n) - first
+
+
+@njit(cache=True)
+def _count_labels(labels, largest: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same by counting, for labels that are not far apart: no comparison, one walk over the points."""
+    ends = np.zeros(largest + 2, np.int64)
+    for label in labels:
+        if label >= 0:
+            ends[label + 1] += 1
+    names = np.flatnonzero(ends[1:])
+    ends = np.cumsum(ends)
+    bounds = np.append(ends[names], ends[-1])
+    order = np.empty(ends[-1], np.int64)
+    for i in range(labels.shape[0]):
+        if labels[i] >= 0:
+            order[ends[labels[i]]] = i
+            ends[labels[i]] += 1
+    return names, order, bounds

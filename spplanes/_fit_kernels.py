@@ -16,8 +16,9 @@ from spplanes._rows import COLLINEAR, COLLINEAR_RATIO, OK, ROW_SIZE, TOO_FEW, fa
 
 #: Noise along the plane explains at most this share of the patch's extent; beyond, the slope is unknown anyway.
 MAX_NOISE_SHARE = 0.9
-#: Converged when the step promises less than this fall of chi2, i.e. moves the plane by less than 1e-5 sigma.
-TOLERANCE = 1e-10
+#: The last step promises less than this fall of chi2, i.e. moves the plane by less than 1e-3 sigma. Steps shrink by
+#: more than a hundred each, so what is left after it is nothing, and the sums taken before it are as good as after.
+TOLERANCE = 1e-6
 MAX_ITERATIONS = 50
 
 
@@ -78,7 +79,7 @@ def move_frame(source, b0, ax, ay, target) -> None:
 
 @njit(cache=True)
 def descend(points, covs, step, order, lo, hi, cutoff2, gain, frame, sums) -> int:
-    """Gauss-Newton from ``frame`` to the minimum; leaves ``frame`` there and ``sums`` taken there.
+    """Gauss-Newton from ``frame`` to the minimum; leaves ``frame`` there and ``sums`` as good as taken there.
 
     ``gain`` stretches the step for a robust cost, whose expected curvature is below its weights' sum. A step that does
     not lower the cost is halved.
@@ -101,25 +102,29 @@ def descend(points, covs, step, order, lo, hi, cutoff2, gain, frame, sums) -> in
         b0 = inverse[0, 0] * g0 + inverse[0, 1] * g1 + inverse[0, 2] * g2
         ax = inverse[1, 0] * g0 + inverse[1, 1] * g1 + inverse[1, 2] * g2
         ay = inverse[2, 0] * g0 + inverse[2, 1] * g1 + inverse[2, 2] * g2
+        move_frame(base, b0, ax, ay, frame)
         if b0 * g0 + ax * g1 + ay * g2 < TOLERANCE:
             break
-        move_frame(base, b0, ax, ay, frame)
     return OK
 
 
 @njit(cache=True)
 def noise_share(sums) -> float:
-    """Share of the in-plane noise to take out of the information: 1, or less where it would eat the whole extent."""
+    """Share of the in-plane noise to take out of the information: less than 1 where it would eat the whole extent.
+
+    About their own centre, n points look wider by the noise of n - 1.
+    """
     sxx = sums[7] - sums[5] * sums[5] / sums[4]
     sxy = sums[8] - sums[5] * sums[6] / sums[4]
     syy = sums[9] - sums[6] * sums[6] / sums[4]
     det = sxx * syy - sxy * sxy
+    whole = 1.0 - 1.0 / sums[18]
     if det <= 0.0:
         return 0.0
     half = 0.5 * (syy * sums[15] - 2.0 * sxy * sums[16] + sxx * sums[17]) / det
     product = (sums[15] * sums[17] - sums[16] * sums[16]) / det
     largest = half + math.sqrt(max(half * half - product, 0.0))
-    return min(1.0, MAX_NOISE_SHARE / largest) if largest > 0.0 else 1.0
+    return min(whole, MAX_NOISE_SHARE / largest) if largest > 0.0 else whole
 
 
 @njit(cache=True)

@@ -114,7 +114,7 @@ def locate(points, covs, step, i, frame) -> tuple[float, float, float]:
 
 @njit(cache=True)
 def patch_points(points, covs, step, order, lo, hi, frame, cutoff2, kept) -> int:
-    """Write to ``kept`` the group's points over the patch that its inliers fill, whatever their height; returns how many.
+    """Write to ``kept`` the group's points over the patch its inliers fill, at whatever height; returns how many.
 
     A gross outlier that happens to lie near the plane but far out along it would have all the leverage on the slope.
     Mean and spread are of the points within ``cutoff2`` and the patch, until the patch no longer changes.

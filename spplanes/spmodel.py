@@ -100,6 +100,13 @@ class Location:
         object.__setattr__(self, "covariance", as_covariance("covariance", self.covariance, len(self.rows)))
 
     @classmethod
+    def _trusted(cls, transform: FloatArray, covariance: FloatArray, rows: tuple[int, ...]) -> Location:
+        """A location from values that follow from good ones: rounding must not make them bad."""
+        location = object.__new__(cls)
+        location.__dict__.update(transform=transform, covariance=covariance, rows=rows)
+        return location
+
+    @classmethod
     def point(cls, position: ArrayLike, covariance: ArrayLike) -> Location:
         """A 3D point: p = (x, y, z)."""
         transform = np.eye(4)
@@ -144,7 +151,7 @@ class Location:
     def perturbed(self, p: ArrayLike) -> Location:
         """The location moved by the perturbation ``p``, shape (k,); the covariance stays."""
         d = self.binding.T @ as_shape("p", p, (len(self.rows),))
-        return Location(self.transform @ transform_from_rpy(d), self.covariance, self.rows)
+        return Location._trusted(self.transform @ transform_from_rpy(d), self.covariance, self.rows)
 
     def perturbation_to(self, transform: ArrayLike) -> FloatArray:
         """The p, shape (k,), that leads from here to ``transform`` (4, 4); what the binding drops is ignored."""
@@ -165,12 +172,13 @@ class Location:
         """
         carry = other.binding @ adjoint(inverse_transform(other.transform)) @ self.binding.T
         covariance = _propagate(carry, self, np.eye(len(other.rows)), other, cross)
-        return Location(self.transform @ other.transform, covariance, other.rows)
+        return Location._trusted(self.transform @ other.transform, covariance, other.rows)
 
     def inverse(self) -> Location:
         """The world seen from this frame: d = -Ad(self) B^T p, with all six rows bound."""
         carry = -adjoint(self.transform) @ self.binding.T
-        return Location(inverse_transform(self.transform), _symmetric(carry @ self.covariance @ carry.T), POSE)
+        covariance = _symmetric(carry @ self.covariance @ carry.T)
+        return Location._trusted(inverse_transform(self.transform), covariance, POSE)
 
     def relative(self, other: Location, cross: ArrayLike | None = None) -> Location:
         """self^-1 o ``other``: ``other``, known in the world, seen from this frame; keeps the binding of ``other``.
@@ -187,7 +195,7 @@ class Location:
         transform = inverse_transform(self.transform) @ other.transform
         carry = -other.binding @ adjoint(inverse_transform(transform)) @ self.binding.T
         covariance = _propagate(carry, self, np.eye(len(other.rows)), other, cross)
-        return Location(transform, covariance, other.rows)
+        return Location._trusted(transform, covariance, other.rows)
 
 
 def _propagate(first: FloatArray, a: Location, second: FloatArray, b: Location, cross: ArrayLike | None) -> FloatArray:

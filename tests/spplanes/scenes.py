@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -33,10 +34,14 @@ class Scene:
             return {}
         return {"scan_index": self.scan_index, "pose_covariances": self.pose_covariances}
 
+    @cached_property
+    def roots(self) -> np.ndarray:
+        """Square roots of the covariances, (N, 3, 3)."""
+        return psd_roots(self.covariances)
+
     def sample(self, rng: np.random.Generator) -> np.ndarray:
         """Noisy points (N, 3)."""
-        roots = psd_roots(self.covariances)
-        points = self.true_points + np.einsum("nij,nj->ni", roots, rng.normal(size=self.true_points.shape))
+        points = self.true_points + np.einsum("nij,nj->ni", self.roots, rng.normal(size=self.true_points.shape))
         if self.scan_index is None:
             return points
         xi = np.einsum("sij,sj->si", psd_roots(self.pose_covariances), rng.normal(size=(len(self.pose_covariances), 6)))

@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba import njit
+
+from spplanes import Moments
+from spplanes._eigen import jacobi3
+from spplanes.moments import ROW_SIZE, add_point, merge_rows, smallest_eigen
+
+
+def cloud(seed, n=60, offset=0.0):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(n, 3)) * (3.0, 1.0, 0.01) + (1.0, -2.0, 3.0) + offset
+    return points, rng.uniform(1.0, 100.0, n)
+
+
+def assert_same(a, b, rtol=1e-9):
+    assert a.n == b.n
+    np.testing.assert_allclose(a.weight, b.weight, rtol=rtol)
+    np.testing.assert_allclose(a.centre, b.centre, rtol=rtol)
+    np.testing.assert_allclose(a.scatter, b.scatter, rtol=rtol, atol=rtol * np.abs(b.scatter).max())
+
+
+def test_of_four_points_by_hand():
+    """Weights 1, 1, 2, 2 at (0,0,0), (6,0,0), (0,3,0), (6,3,6): W = 6, centre (3, 2, 2), scatter from differences."""
+    moments = Moments.from_points([[0, 0, 0], [6, 0, 0], [0, 3, 0], [6, 3, 6]], [1, 1, 2, 2])
+    assert (moments.n, moments.weight) == (4, 6.0)
+    np.testing.assert_allclose(moments.centre, [3, 2, 2])
+    # Differences: (-3,-2,-2), (3,-2,-2), (-3,1,-2), (3,1,4).
+    np.testing.assert_allclose(moments.scatter, [[54, 0, 36], [0, 12, 12], [36, 12, 48]])
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 59))
+def test_merge_is_the_moments_of_the_union_in_any_order(seed, cut):
+    points, weights = cloud(seed)
+    whole = Moments.from_points(points, weights)
+    first, second = Moments.from_points(points[:cut], weights[:cut]), Moments.from_points(points[cut:], weights[cut:])
+    assert_same(first + second, whole)
+    assert_same(second.merge(first), whole)
+    order = np.random.default_rng(seed).permutation(len(points))
+    assert_same(Moments.from_points(points[order], weights[order]), whole)
+
+
+def test_a_thousand_kilometres_from_the_origin():
+    """The same cloud, coordinates exact in binary, at the origin and 2^20 m away on every axis."""
+    points, weights = cloud(3)
+    points = np.round(points * 2**20) / 2**20
+    near, far = Moments.from_points(points, weights), Moments.from_points(points + 2.0**20, weights)
+    np.testing.assert_allclose(far.scatter, near.scatter, rtol=1e-9, atol=1e-9 * np.abs(near.scatter).max())
+    halves = Moments.from_points(points[:30] + 2.0**20, weights[:30]) + Moments.from_points(
+        points[30:] + 2.0**20, weights[30:]
+    )
+    np.testing.assert_allclose(halves.scatter, near.scatter, rtol=1e-9, atol=1e-9 * np.abs(near.scatter).max())
+
+
+@njit
+def _row_of(points, weights, row):
+    for i in range(points.shape[0]):
+        add_point(row, points[i], weights[i])
+
+
+def test_kernels_from_compiled_code():
+    points, weights = cloud(4)
+    row, empty = np.zeros(ROW_SIZE), np.zeros(ROW_SIZE)
+    _row_of(points, weights, row)
+    whole = Moments.from_points(points, weights)
+    assert_same(Moments.from_row(row), whole)
+    np.testing.assert_allclose(Moments.from_row(row).as_row(), row)
+    merge_rows(row, empty, empty)
+    np.testing.assert_array_equal(row, empty)
+    value, *normal = smallest_eigen(row)
+    np.testing.assert_allclose(whole.scatter @ normal, value * np.array(normal), atol=1e-9 * np.trace(whole.scatter))
+    assert value == pytest.approx(np.linalg.eigvalsh(whole.scatter)[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("spectrum", [(0, 0, 0), (1, 1, 1), (0, 0, 5), (1e-12, 1, 1), (1e-14, 1e-7, 1), (2, 2, 3)])
+def test_eigen_solver_on_degenerate_scatters(spectrum):
+    rng = np.random.default_rng(7)
+    for _ in range(100):
+        q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        m = q @ np.diag(spectrum).astype(float) @ q.T
+        m = 0.5 * (m + m.T)
+        values, vectors = np.empty(3), np.empty((3, 3))
+        jacobi3(m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2], values, vectors)
+        top = max(spectrum)
+        np.testing.assert_allclose(values, spectrum, atol=2e-15 * top)
+        np.testing.assert_allclose(vectors @ np.diag(values) @ vectors.T, m, atol=3e-15 * top)
+        np.testing.assert_allclose(vectors.T @ vectors, np.eye(3), atol=3e-15)
+
+
+def test_plane_of_a_grid_by_hand():
+    """Corners (+-2, +-1, 0) with weight 100: covariance diag(1/400, 1/(400 * 4), 1/400) of (z, theta, psi)."""
+    corners = [[2, 1, 0], [2, -1, 0], [-2, 1, 0], [-2, -1, 0]]
+    plane = Moments.from_points(corners, np.full(4, 100.0)).plane(viewpoint=(0.0, 0.0, -5.0))
+    np.testing.assert_allclose(plane.normal, [0, 0, -1])
+    np.testing.assert_allclose(plane.covariance, np.diag([1 / 400, 1 / 1600, 1 / 400]), atol=1e-18)
+    assert plane.n_points == 4
+    assert plane.chi2 == 0.0
+
+
+def test_bad_input():
+    points, weights = cloud(5)
+    with pytest.raises(ValueError, match="weights: expected at least one positive weight, got only zeros"):
+        Moments.from_points(points, 0.0 * weights)
+    with pytest.raises(ValueError, match="weights: expected no negative weight, got -1"):
+        Moments.from_points(points, np.where(np.arange(60) == 3, -1.0, 1.0))
+    with pytest.raises(ValueError, match=r"weights: expected shape \(60,\), got \(59,\)"):
+        Moments.from_points(points, weights[:-1])
+    with pytest.raises(ValueError, match="points: expected at least 1 point, got 0"):
+        Moments.from_points(np.empty((0, 3)))
+    with pytest.raises(ValueError, match="points: expected finite numbers"):
+        Moments.from_points([[np.nan, 0, 0]])
+    with pytest.raises(ValueError, match="points: expected at least 3 points, got 2"):
+        Moments.from_points(points[:2]).plane()
+    with pytest.raises(ValueError, match="points: expected points that span a plane, got 3 coincident ones"):
+        Moments.from_points(np.ones((3, 3))).plane()
+    with pytest.raises(ValueError, match="points: expected points that span a plane, got 3 collinear ones"):
+        Moments.from_points([[0.1, 0.1, 0.3], [0.2, 0.2, 0.6], [0.4, 0.4, 1.2]]).plane()
