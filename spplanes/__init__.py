@@ -4,6 +4,7 @@ from spplanes._version import __version__
 from spplanes.fitting import fit_plane, fit_planes
 from spplanes.line import ScanLine
 from spplanes.lines import LineConfig, extract_lines
+from spplanes.mapping import PlaneMapper
 from spplanes.moments import Moments
 from spplanes.plane import Plane
 from spplanes.segmentation import MapperConfig, segment_scans
@@ -15,6 +16,7 @@ __all__ = [
     "MapperConfig",
     "Moments",
     "Plane",
+    "PlaneMapper",
     "ScanLine",
     "__version__",
     "extract_lines",

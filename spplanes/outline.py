@@ -89,6 +89,20 @@ def cells_of(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return keys >> (2 * _BITS), cells
 
 
+def in_projection(cells: np.ndarray, axes: np.ndarray, axis: int, cell: float, frame: FloatArray) -> np.ndarray:
+    """Cells (K, 2) of one plane that were drawn along different axes (K,), all along the one given, distinct."""
+    other = axes != axis
+    if not other.any():
+        return cells
+    moved = cells.copy()
+    for old in np.unique(axes[other]):
+        mine = axes == old
+        x_y = _lift((cells[mine] + 0.5) * cell, int(old), frame)
+        world = frame[:3, 3] + x_y @ frame[:3, :2].T
+        moved[mine] = np.floor(world[:, [(axis + 1) % 3, (axis + 2) % 3]] / cell)
+    return np.unique(moved, axis=0)
+
+
 def outline_from_cells(cells: np.ndarray, cell: float, axis: int, frame: FloatArray) -> Polygon | None:
     """Polygon in plane coordinates around cells of a region, m; None when there is no cell.
 

@@ -49,6 +49,18 @@ class MapperConfig:
     outline_cell_m: float = 0.05
     """Resolution of outlines, m: holes and notches below it are closed."""
 
+    pose_correlation_scans: float = 0.0
+    """Number of scans over which the correlation of their pose errors falls to 1/e; 0: each scan errs on its own.
+
+    A robot that is localised while it drives errs alike over metres: then a plane seen in many scans knows less than
+    their number promises."""
+    strip_scans: int = 32
+    """Scans that `PlaneMapper` settles at a time; at least 2, the paper's."""
+    lookahead_scans: int = 8
+    """Scans that `PlaneMapper` sees beyond those it settles."""
+    keep_labels: bool = False
+    """Whether `PlaneMapper` keeps the plane of every point, 4 bytes each; by default memory grows with planes only."""
+
     def __post_init__(self) -> None:
         for name in ("significance", "edge_significance"):
             _check_range(name, getattr(self, name), 0.0, 0.5)
@@ -60,8 +72,17 @@ class MapperConfig:
         for name in ("min_points", "largest_cell", "smallest_cell"):
             if int(getattr(self, name)) < 3:
                 raise ValueError(f"{name}: expected at least 3, got {getattr(self, name)}")
+        _check_range("pose_correlation_scans", self.pose_correlation_scans, 0.0, np.inf, closed=True)
+        for name, least in (("strip_scans", 2), ("lookahead_scans", 0)):
+            if int(getattr(self, name)) < least:
+                raise ValueError(f"{name}: expected at least {least}, got {getattr(self, name)}")
         if self.largest_cell < self.smallest_cell:
             raise ValueError(f"largest_cell: expected at least smallest_cell, got {self.largest_cell}")
+
+    @property
+    def pose_decay(self) -> float:
+        """Correlation of the pose errors of successive scans."""
+        return float(np.exp(-1.0 / self.pose_correlation_scans)) if self.pose_correlation_scans > 0.0 else 0.0
 
 
 def _check_range(name: str, value: float, low: float, high: float, *, closed: bool = False) -> None:

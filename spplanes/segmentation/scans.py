@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike
 
 from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_float_array, as_positive, as_shape
@@ -106,15 +107,35 @@ def as_covariances(name: str, value: ArrayLike, shape: tuple[int, ...], valid: n
         array = np.where(valid[..., None, None], array, np.eye(shape[-1]))
     if not np.isfinite(array).all():
         raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
-    scale = np.abs(array).max(axis=(-2, -1))
-    if (np.abs(array - np.swapaxes(array, -1, -2)).max(axis=(-2, -1)) > COVARIANCE_TOLERANCE * scale).any():
-        raise ValueError(f"{name}: expected symmetric covariances, got one that differs from its transpose")
-    smallest = np.linalg.eigvalsh(array)[..., 0]
-    if (smallest < -COVARIANCE_TOLERANCE * scale).any():
-        raise ValueError(
-            f"{name}: expected positive semidefinite covariances, got smallest eigenvalue {smallest.min():.3g}"
-        )
+    if not are_semidefinite(array.reshape(-1, shape[-1], shape[-1]), COVARIANCE_TOLERANCE):
+        raise ValueError(f"{name}: expected symmetric positive semidefinite covariances, got one that is not")
     return array
+
+
+def are_semidefinite(matrices: FloatArray, tolerance: float) -> bool:
+    """Whether all matrices (N, n, n) are symmetric and positive semidefinite, in ratio to their largest entries."""
+    if matrices.shape[1] == 3:
+        return bool(_are_semidefinite_3(matrices, tolerance))
+    scale = np.abs(matrices).max(axis=(1, 2))
+    skewed = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2)) > tolerance * scale
+    return not (skewed.any() or (np.linalg.eigvalsh(matrices)[:, 0] < -tolerance * scale).any())
+
+
+@njit(cache=True)
+def _are_semidefinite_3(matrices, tolerance):
+    """By the signs of all principal minors, without eigenvalues."""
+    for m in matrices:
+        a, d, f = m[0, 0], m[1, 1], m[2, 2]
+        b, c, e = m[0, 1], m[0, 2], m[1, 2]
+        s = max(abs(a), abs(d), abs(f), abs(b), abs(c), abs(e))
+        skew = max(abs(b - m[1, 0]), abs(c - m[2, 0]), abs(e - m[2, 1]))
+        minor = min(a * d - b * b, a * f - c * c, d * f - e * e)
+        det = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
+        if skew > tolerance * s or min(a, d, f) < -tolerance * s:
+            return False
+        if minor < -tolerance * s * s or det < -tolerance * s * s * s:
+            return False
+    return True
 
 
 def _per_scan(name: str, value: ArrayLike, n_scans: int) -> FloatArray:
