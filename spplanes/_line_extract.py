@@ -5,24 +5,24 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from spplanes._line_fit import fit_beams, grow, trim, turning
-from spplanes._line_kernels import beam_moments, find_breaks, fit_sums, merge, order_beams, refine, split
+from spplanes._line_fit import fit_beams, grow, line_sigmas, trim, turning
+from spplanes._line_kernels import beam_moments, find_breaks, fit_sums, merge, order_beams, refine, slope_sigmas, split
 from spplanes._line_round import find_round
 
-#: Columns of a result row: alpha, rho, chi2, covariance (4), end points (4).
-N_RESULT = 11
+#: Columns of a result row: alpha, rho, chi2, dof, covariance (4), end points (4).
+N_RESULT = 12
 #: 99 % quantiles of chi2 with 1, 2, 3 dof: what that many end beams may add to the chi2 of the others.
 END_GATES = np.array((7.88, 10.6, 12.84))
 
 
 @njit(cache=True, error_model="numpy")
-def label_beams(bearings, ranges, sigmas, breaks, max_missing, significance, max_turning):
+def label_beams(bearings, ranges, sigmas, breaks, max_missing, max_step, significance, max_turning):
     """Split, take out what is round, merge: label of each return (V,), whether it is undecided (V,), label count."""
     moments = beam_moments(bearings, ranges, sigmas)
     starts, undecided = refine(moments, breaks, split(moments, breaks, significance), significance)
     is_round = find_round(bearings, ranges, sigmas, moments, breaks, starts, significance, 0.5 * max_turning)
     gate = -2.0 * np.log(significance)
-    labels, n_labels = merge(bearings, ranges, sigmas, moments, starts, is_round, max_missing, gate)
+    labels, n_labels = merge(bearings, ranges, sigmas, moments, starts, is_round, max_missing, max_step, gate)
     return labels, undecided, n_labels
 
 
@@ -45,12 +45,14 @@ def ring_start(labels, count):
 
 
 @njit(cache=True, error_model="numpy")
-def fit_label(bearings, ranges, sigmas, breaks, labels, undecided, label, gate):
+def fit_label(bearings, ranges, sigmas, bearing_sigma, breaks, labels, undecided, label, gate):
     """Line of the decided beams of one label; the beams on it, ends trimmed and grown; how many were decided."""
     members = np.nonzero(labels == label)[0]
     core = members[~undecided[members]]
     core = drop_doubtful_ends(beam_moments(bearings[core], ranges[core], sigmas[core]), core)
     line = start_line(bearings, ranges, sigmas, core)
+    if bearing_sigma > 0.0:
+        sigmas = line_sigmas(bearings, sigmas, np.arange(bearings.size), line[0], line[1], bearing_sigma)
     for _ in range(2):
         if core.size < 3:
             break
@@ -110,15 +112,16 @@ def is_line(bearings, ranges, sigmas, members, n, line, min_points, max_turning,
 
 
 @njit(cache=True, error_model="numpy")
-def label_scan(ranges, angles, sigmas, range_min, range_max, max_missing, significance, max_turning):
+def label_scan(ranges, angles, sigmas, bearing_sigma, range_min, range_max, max_missing, significance, max_turning):
     """Order and label the returns: beams (V,), breaks (V,), labels (V,), undecided (V,), number of labels."""
     beams, widest, step = order_beams(ranges, angles, range_min, range_max)
     max_step = (max_missing + 1.5) * step
     n_cuts = 0
     while True:
-        a, r, s = angles[beams], ranges[beams], sigmas[beams]
+        a, r = angles[beams], ranges[beams]
+        s = slope_sigmas(a, r, sigmas[beams], bearing_sigma)
         breaks = find_breaks(a, r, s, max_step, -2.0 * np.log(significance))
-        labels, undecided, n_labels = label_beams(a, r, s, breaks, max_missing, significance, max_turning)
+        labels, undecided, n_labels = label_beams(a, r, s, breaks, max_missing, max_step, significance, max_turning)
         cut = ring_start(labels, n_labels)
         if n_cuts == 1 or widest > max_step or cut == 0:
             return beams, breaks, labels, undecided, n_labels
@@ -131,6 +134,7 @@ def extract(
     ranges,
     angles,
     sigmas,
+    bearing_sigma,
     range_min,
     range_max,
     max_missing,
@@ -140,9 +144,9 @@ def extract(
     max_curvature,
     max_misfit,
 ):
-    """Lines of one scan: rows (M, 11) as N_RESULT says, the beams on them one line after the other, their counts."""
+    """Lines of one scan: rows (M, 12) as N_RESULT says, the beams on them one line after the other, their counts."""
     beams, breaks, labels, undecided, n_labels = label_scan(
-        ranges, angles, sigmas, range_min, range_max, max_missing, significance, max_turning
+        ranges, angles, sigmas, bearing_sigma, range_min, range_max, max_missing, significance, max_turning
     )
     a, r, s = angles[beams], ranges[beams], sigmas[beams]
     rows = np.empty((n_labels, N_RESULT))
@@ -150,9 +154,11 @@ def extract(
     counts = np.zeros(n_labels, dtype=np.int64)
     n_lines = n_support = 0
     for label in range(n_labels):
-        line, members, n_core = fit_label(a, r, s, breaks, labels, undecided, label, -2.0 * np.log(significance))
+        line, members, n_core = fit_label(
+            a, r, s, bearing_sigma, breaks, labels, undecided, label, -2.0 * np.log(significance)
+        )
         if is_line(a, r, s, members, n_core, line, min_points, max_turning, max_curvature, max_misfit):
-            write_row(rows[n_lines], line, a[members[0]], a[members[-1]])
+            write_row(rows[n_lines], line, n_core - 2, a[members[0]], a[members[-1]])
             support[n_support : n_support + members.size] = beams[members]
             counts[n_lines] = members.size
             n_support += members.size
@@ -161,11 +167,11 @@ def extract(
 
 
 @njit(cache=True, error_model="numpy")
-def write_row(row, line, first, last):
+def write_row(row, line, dof, first, last):
     """Fill a result row; the end points are where the first and the last beam meet the line."""
     alpha, rho, v_alpha, cov, v_rho, chi2 = line
-    row[0], row[1], row[2] = np.arctan2(np.sin(alpha), np.cos(alpha)), rho, chi2
-    row[3], row[4], row[5], row[6] = v_alpha, cov, cov, v_rho
+    row[0], row[1], row[2], row[3] = np.arctan2(np.sin(alpha), np.cos(alpha)), rho, chi2, dof
+    row[4], row[5], row[6], row[7] = v_alpha, cov, cov, v_rho
     for i, bearing in enumerate((first, last)):
         reach = rho / np.cos(bearing - alpha)
-        row[7 + 2 * i], row[8 + 2 * i] = reach * np.cos(bearing), reach * np.sin(bearing)
+        row[8 + 2 * i], row[9 + 2 * i] = reach * np.cos(bearing), reach * np.sin(bearing)

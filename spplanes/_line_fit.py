@@ -49,6 +49,16 @@ def fit_beams(bearings, ranges, sigmas, members, alpha, rho):
 
 
 @njit(cache=True, error_model="numpy")
+def line_sigmas(bearings, sigmas, members, alpha, rho, bearing_sigma):
+    """`sigmas` with the bearing noise of the members in them: the range of the line changes by rho sin / cos^2."""
+    result = sigmas.copy()
+    for k in members:
+        c, s = np.cos(bearings[k] - alpha), np.sin(bearings[k] - alpha)
+        result[k] = np.hypot(sigmas[k], bearing_sigma * rho * s / (c * c))
+    return result
+
+
+@njit(cache=True, error_model="numpy")
 def belongs(bearing, r, sigma, line, gate):
     """True when a beam next to the line is on it: chi2 under `gate`, where the line predicts its range well."""
     alpha, rho, v00, v01, v11, _ = line

@@ -44,6 +44,22 @@ def order_beams(ranges, angles, range_min, range_max):
 
 
 @njit(cache=True, error_model="numpy")
+def slope_sigmas(bearings, ranges, sigmas, bearing_sigma):
+    """Range noise with the bearing noise in it, (V,): times the slope dr/da, at a jump that of the flatter side."""
+    n = bearings.size
+    if bearing_sigma == 0.0:
+        return sigmas
+    slopes = np.empty(n)
+    for k in range(n):
+        step = (bearings[k] - bearings[k - 1]) % (2.0 * np.pi)
+        slopes[k] = abs(ranges[k] - ranges[k - 1]) / max(step, 1e-9)
+    result = np.empty(n)
+    for k in range(n):
+        result[k] = np.hypot(sigmas[k], bearing_sigma * min(slopes[k], slopes[(k + 1) % n]))
+    return result
+
+
+@njit(cache=True, error_model="numpy")
 def beam_moments(bearings, ranges, sigmas):
     """Share of every beam in the six sums (V, 6): w cc, w cs, w ss, w cq, w sq, w qq; q = 1/r, w = r^4 / sigma^2."""
     moments = np.empty((bearings.size, N_SUMS))
@@ -205,8 +221,8 @@ def mark_undecided(cost, low, high, at, undecided):
 
 
 @njit(cache=True, error_model="numpy")
-def may_bridge(bearings, ranges, sigmas, u, v, pieces, i, j, max_through):
-    """True when line (u, v) may join pieces i and j: what lies between neither contradicts nor outweighs them."""
+def may_bridge(bearings, ranges, sigmas, u, v, pieces, i, j, max_through, max_step):
+    """True when line (u, v) may join pieces i and j: what lies between neither contradicts nor exceeds them."""
     through = 0
     for k in range(pieces[i, 1], pieces[j, 0]):
         inverse = u * np.cos(bearings[k]) + v * np.sin(bearings[k])
@@ -222,11 +238,12 @@ def may_bridge(bearings, ranges, sigmas, u, v, pieces, i, j, max_through):
         if np.cos(offset) <= 0.0:
             return False
         t[e] = np.tan(offset)
-    return t[2] - t[1] <= min(t[1] - t[0], t[3] - t[2]) or ends[2] - ends[1] <= max_through + 1
+    step = (bearings[ends[2]] - bearings[ends[1]]) % (2.0 * np.pi)
+    return t[2] - t[1] <= t[1] - t[0] + t[3] - t[2] or step <= max_step
 
 
 @njit(cache=True, error_model="numpy")
-def merge(bearings, ranges, sigmas, moments, starts, is_round, max_through, gate):
+def merge(bearings, ranges, sigmas, moments, starts, is_round, max_through, max_step, gate):
     """Join pieces that are one line (chi2 with 2 dof): the label of each beam (V,), -1 for pieces under 3 beams."""
     n_pieces = starts.size - 1
     pieces = np.empty((n_pieces, 2), dtype=np.int64)
@@ -242,7 +259,7 @@ def merge(bearings, ranges, sigmas, moments, starts, is_round, max_through, gate
         for j in range(count - 1, -1, -1):
             u, v, chi2 = fit_sums(sums[j] + new)
             gain = chi2 - fit_sums(sums[j])[2] - fit_sums(new)[2]
-            if gain <= gate and may_bridge(bearings, ranges, sigmas, u, v, pieces, j, count, max_through):
+            if gain <= gate and may_bridge(bearings, ranges, sigmas, u, v, pieces, j, count, max_through, max_step):
                 target = j
                 break
         labels[starts[i] : starts[i + 1]] = target

@@ -37,7 +37,9 @@ class ScanLine:
     indices: np.ndarray
     """Indices of the beams that support the line, shape (N,), int64, in beam order (increasing bearing)."""
     chi2: float = nan
-    """Sum of the squared normalised range residuals of the beams, N - 2 dof; NaN when it was not computed."""
+    """Sum of the squared normalised range residuals of the fitted beams; NaN when it was not computed."""
+    dof: int = 0
+    """Degrees of freedom of `chi2`: the fitted beams less 2. Beams that may be of the next wall are not fitted."""
 
     def __post_init__(self) -> None:
         if not -inf < self.alpha < inf:
@@ -105,7 +107,7 @@ class ScanLine:
             result += by_pose @ as_covariance("covariance", covariance, 3) @ by_pose.T
         alpha = wrap_angle(alpha if sign > 0.0 else alpha + pi)
         endpoints = self.endpoints @ T[:2, :2].T + T[:2, 3]
-        return ScanLine(alpha, sign * rho, result, endpoints, self.indices, self.chi2)
+        return ScanLine(alpha, sign * rho, result, endpoints, self.indices, self.chi2, self.dof)
 
     def mahalanobis(self, other: ScanLine) -> float:
         """Chi2 with 2 dof that both are one infinite line, their errors independent.

@@ -29,20 +29,27 @@ class LineConfig:
     is below this share of the standard deviation of the line's shift, > 0. Short lines far away fail."""
     max_misfit: float = 4.0
     """Largest chi2 per degree of freedom of a line, > 1; above 1 it allows for walls that are not quite straight."""
+    bearing_sigma: float = 0.0
+    """Standard deviation of a bearing, rad, >= 0; it weighs where a beam grazes a wall."""
     range_min: float = 0.0
     """Ranges up to this are no return, m, >= 0."""
     range_max: float = float("inf")
     """Ranges from this on are no return, m, > range_min."""
 
     def __post_init__(self) -> None:
+        _check("bearing_sigma", self.bearing_sigma, 0.0 <= self.bearing_sigma < np.pi, "an angle >= 0")
         _check("significance", self.significance, 0.0 < self.significance < 0.5, "a probability in (0, 0.5)")
-        _check("min_points", self.min_points, self.min_points >= 3, "at least 3 beams")
-        _check("max_missing", self.max_missing, self.max_missing >= 0, "a count of beams >= 0")
+        _check("min_points", self.min_points, _is_count(self.min_points, 3), "a whole number of beams >= 3")
+        _check("max_missing", self.max_missing, _is_count(self.max_missing, 0), "a whole number of beams >= 0")
         _check("max_turning", self.max_turning, 0.0 < self.max_turning < np.pi, "an angle in (0, pi)")
         _check("max_nonlinearity", self.max_nonlinearity, self.max_nonlinearity > 0.0, "a ratio above 0")
         _check("max_misfit", self.max_misfit, self.max_misfit > 1.0, "a ratio above 1")
         _check("range_min", self.range_min, 0.0 <= self.range_min < np.inf, "a finite range >= 0")
         _check("range_max", self.range_max, self.range_max > self.range_min, "a range above range_min")
+
+
+def _is_count(value: object, smallest: int) -> bool:
+    return isinstance(value, int | np.integer) and int(value) >= smallest
 
 
 def _check(name: str, value: float, valid: bool, expected: str) -> None:
@@ -59,7 +66,7 @@ def extract_lines(
         ranges: shape (B,), m; NaN, infinity, 0 and below, and anything outside (range_min, range_max) is no return.
         angles: bearings in the scan plane (x forward, y left), shape (B,), rad, in any order and spacing; any field
             of view up to a full turn, which is treated as closed.
-        sigma: standard deviation of the range, m, one number or shape (B,). Bearings are taken as exact.
+        sigma: standard deviation of the range, m, one number or shape (B,). The bearing's is in `config`.
         config: what counts as a line.
 
     Returns:
@@ -75,22 +82,29 @@ def extract_lines(
     if ranges.size < 3:
         return []
     rows, support, counts = extract(
-        ranges, angles, sigmas, config.range_min, config.range_max, config.max_missing,
-        config.significance, config.min_points, config.max_turning, config.max_nonlinearity, config.max_misfit,
+        _writable(ranges), _writable(angles), _writable(sigmas),
+        config.bearing_sigma, config.range_min, config.range_max,
+        config.max_missing, config.significance, config.min_points, config.max_turning, config.max_nonlinearity,
+        config.max_misfit,
     )  # fmt: skip
     ends = np.cumsum(counts)
-    blocks = rows[:, 3:].reshape(-1, 2, 2, 2)
+    blocks = rows[:, 4:].reshape(-1, 2, 2, 2)
     return [
-        ScanLine(alpha, rho, block[0], block[1], support[end - count : end], chi2)
-        for (alpha, rho, chi2), block, count, end in zip(rows[:, :3].tolist(), blocks, counts, ends, strict=True)
+        ScanLine(alpha, rho, block[0], block[1], support[end - count : end], chi2, int(dof))
+        for (alpha, rho, chi2, dof), block, count, end in zip(rows[:, :4].tolist(), blocks, counts, ends, strict=True)
     ]
 
 
 def _as_sigmas(sigma: ArrayLike, n: int) -> FloatArray:
     """Standard deviation per beam, shape (n,)."""
     if np.ndim(sigma) == 0:
-        return np.full(n, as_positive("sigma", float(as_float_array("sigma", sigma)[0])))
+        return np.full(n, as_positive("sigma", as_float_array("sigma", sigma).item()))
     sigmas = as_shape("sigma", sigma, (n,))
     if n and sigmas.min() <= 0.0:
         raise ValueError(f"sigma: expected positive standard deviations, got {sigmas.min()}")
     return sigmas
+
+
+def _writable(array: FloatArray) -> FloatArray:
+    """The array itself, or a copy of a read-only one, for which numba would compile everything anew."""
+    return array if array.flags.writeable else array.copy()

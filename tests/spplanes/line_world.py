@@ -1,4 +1,4 @@
-"""A 2D world of segments and circles, a ray caster, and the scores of extracted lines against it."""
+"""A 2D world of segments and circles, random rooms and corridors, and a ray caster."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-
-from spplanes import ScanLine
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,33 +124,3 @@ def random_corridor(rng: np.random.Generator) -> tuple[World, tuple[float, float
     legs = [(rng.uniform(1, length), rng.uniform(0.1, 0.9) * width, 0.02) for _ in range(rng.integers(0, 6))]
     legs = [leg for leg in legs if np.hypot(leg[0] - pose[0], leg[1] - pose[1]) > 0.4]
     return World(np.concatenate(walls), np.array(legs).reshape(-1, 3)), pose
-
-
-def true_line(segment: np.ndarray, pose: tuple[float, float, float]) -> tuple[float, float]:
-    """(alpha, rho) of a wall in the frame of a laser at `pose`."""
-    along = segment[1] - segment[0]
-    normal = np.array((-along[1], along[0])) / np.hypot(*along)
-    rho = normal @ (segment[0] - pose[:2])
-    if rho < 0:
-        normal, rho = -normal, -rho
-    return np.arctan2(normal[1], normal[0]) - pose[2], rho
-
-
-def nees(line: ScanLine, truth: tuple[float, float]) -> float:
-    """Normalised error squared of (alpha, rho), 2 dof."""
-    turn = (line.alpha - truth[0] + np.pi) % (2 * np.pi) - np.pi
-    error = np.array((turn, line.rho - truth[1]))
-    return float(error @ np.linalg.solve(line.covariance, error))
-
-
-def visible_runs(hits: np.ndarray, minimum: int) -> list[np.ndarray]:
-    """Runs of at least `minimum` neighbouring beams on the same segment, as beam indices."""
-    runs = np.split(np.arange(hits.size), np.flatnonzero(np.diff(hits)) + 1)
-    return [run for run in runs if run.size >= minimum and hits[run[0]] >= 0]
-
-
-def wall_of_segment(world: World) -> np.ndarray:
-    """For each segment the first one it is collinear with: pieces of one infinite line are one wall, shape (K,)."""
-    lines = np.array([true_line(segment, (1e3, 2e3, 0.0)) for segment in world.segments])
-    same = np.abs(lines[:, None] - lines[None]).max(axis=2) < 1e-7
-    return np.argmax(same, axis=1)

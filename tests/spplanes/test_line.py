@@ -1,0 +1,144 @@
+"""ScanLine: the SP form and the change of frame, against central differences of the geometry itself."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spplanes import ScanLine
+
+COVARIANCE = np.array([[4e-4, 3e-4], [3e-4, 9e-4]])
+
+
+def make_line(alpha=0.7, rho=2.0, covariance=COVARIANCE, along=(-0.5, 1.5)):
+    normal, direction = np.array((np.cos(alpha), np.sin(alpha))), np.array((-np.sin(alpha), np.cos(alpha)))
+    endpoints = np.array([rho * normal + t * direction for t in along])
+    return ScanLine(alpha, rho, covariance, endpoints, np.arange(5))
+
+
+def planar(x, y, theta):
+    transform = np.eye(4)
+    transform[:2, :2] = ((np.cos(theta), -np.sin(theta)), (np.sin(theta), np.cos(theta)))
+    transform[:2, 3] = x, y
+    return transform
+
+
+def polar_of_frame(frame):
+    """(alpha, rho) of the x axis of a frame, its y axis pointing to the sensor."""
+    normal = -frame[:2, 1]
+    return np.array((np.arctan2(normal[1], normal[0]), normal @ frame[:2, 3]))
+
+
+def central(function, size, step=1e-5):
+    columns = [(function(step * row) - function(-step * row)) / (2 * step) for row in np.eye(size)]
+    return np.column_stack(columns)
+
+
+def test_sp_frame_lies_on_the_line_and_looks_at_the_sensor():
+    line = make_line()
+    frame = line.sp_frame
+    np.testing.assert_allclose(polar_of_frame(frame), (line.alpha, line.rho), atol=1e-12)
+    np.testing.assert_allclose(frame[:3, :3] @ frame[:3, :3].T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(frame[:3, :3]) > 0
+    first, last = line.endpoints
+    assert first[0] * last[1] - first[1] * last[0] > 0
+    assert frame[:2, 0] @ (last - first) > 0
+
+
+def test_sp_covariance_is_that_of_the_perturbed_frame():
+    line = make_line()
+    jacobian = central(lambda p: polar_of_frame(line.sp_frame @ planar(0.0, p[0], p[1])), 2)
+    np.testing.assert_allclose(jacobian @ line.sp_covariance @ jacobian.T, line.covariance, rtol=1e-6)
+
+
+def test_sp_covariance_is_diagonal():
+    covariance = make_line().sp_covariance
+    assert abs(covariance[0, 1]) < 1e-15
+    assert covariance[1, 1] == pytest.approx(COVARIANCE[0, 0])
+
+
+def test_sp_frame_of_a_line_of_certain_direction_is_at_its_middle():
+    line = make_line(covariance=np.diag((0.0, 1e-4)))
+    np.testing.assert_allclose(line.sp_frame[:2, 3], line.endpoints.mean(axis=0), atol=1e-12)
+
+
+@pytest.mark.parametrize("pose", [(0.5, -0.3, 0.4), (-3.0, -4.0, 2.5), (40.0, 9.0, -1.0)])
+def test_transform_is_the_geometry_and_its_covariance_the_jacobian(pose):
+    line = make_line()
+    moved = line.transform(planar(*pose), np.diag((0.01, 0.02, 0.003)))
+
+    def geometry(error):
+        """(alpha, rho) from two moved points of the perturbed line."""
+        normal = np.array((np.cos(line.alpha + error[0]), np.sin(line.alpha + error[0])))
+        foot, along = (line.rho + error[1]) * normal, np.array((-normal[1], normal[0]))
+        T = planar(*(np.array(pose) + error[2:]))
+        a, b = (T[:2, :2] @ p + T[:2, 3] for p in (foot, foot + along))
+        n = np.array(((b - a)[1], -(b - a)[0]))
+        n *= np.sign(n @ a)
+        return np.array((np.arctan2(n[1], n[0]), n @ a))
+
+    np.testing.assert_allclose((moved.alpha, moved.rho), geometry(np.zeros(5)), atol=1e-12)
+    jacobian = central(geometry, 5)
+    full = np.zeros((5, 5))
+    full[:2, :2], full[2:, 2:] = line.covariance, np.diag((0.01, 0.02, 0.003))
+    np.testing.assert_allclose(moved.covariance, jacobian @ full @ jacobian.T, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(moved.endpoints @ moved.normal, moved.rho, atol=1e-12)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.floats(-20, 20), st.floats(-20, 20), st.floats(-3.1, 3.1), st.floats(-3.1, 3.1), st.floats(0, 10))
+def test_transform_and_back_changes_nothing(x, y, theta, alpha, rho):
+    line = make_line(alpha, rho)
+    T = planar(x, y, theta)
+    back = line.transform(T).transform(np.linalg.inv(T))
+    assert line.mahalanobis(back) < 1e-9
+    np.testing.assert_allclose(back.endpoints, line.endpoints, atol=1e-9)
+
+
+def test_mahalanobis_is_chi2_of_the_difference():
+    other = make_line(alpha=0.72, rho=2.05)
+    error = np.array((0.02, 0.05))
+    expected = error @ np.linalg.solve(2 * COVARIANCE, error)
+    assert make_line().mahalanobis(other) == pytest.approx(expected)
+    assert other.mahalanobis(make_line()) == pytest.approx(expected)
+
+
+def test_mahalanobis_through_the_sensor_knows_both_readings():
+    flip = np.array(((1.0, -1.0), (-1.0, 1.0)))
+    line, turned = make_line(0.7, 0.01), make_line(0.7 - np.pi, 0.01, COVARIANCE * flip)
+    error = np.array((0.0, 0.02))
+    assert line.mahalanobis(turned) == pytest.approx(error @ np.linalg.solve(2 * COVARIANCE, error))
+
+
+def test_mahalanobis_takes_the_short_way_round():
+    assert make_line(np.pi - 0.01).mahalanobis(make_line(-np.pi + 0.01)) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rho": -0.1}, "rho: expected a finite distance >= 0, got -0.1"),
+        ({"alpha": np.nan}, "alpha: expected a finite angle, got nan"),
+        ({"covariance": np.array([[1.0, 0.5], [0.0, 1.0]])}, "covariance: expected a symmetric covariance"),
+        ({"covariance": np.array([[1.0, 2.0], [2.0, 1.0]])}, "covariance: expected a positive semidefinite"),
+        ({"covariance": np.eye(3)}, r"covariance: expected shape \(2, 2\), got \(3, 3\)"),
+        ({"endpoints": [[0.0, np.nan], [1.0, 1.0]]}, "endpoints: expected finite numbers"),
+    ],
+)
+def test_impossible_lines_are_refused(change, message):
+    fields = {
+        "alpha": 0.0,
+        "rho": 1.0,
+        "covariance": np.eye(2),
+        "endpoints": np.array([[1.0, -1.0], [1.0, 1.0]]),
+        "indices": np.arange(2),
+    }
+    with pytest.raises(ValueError, match=message):
+        ScanLine(**(fields | change))
+
+
+def test_a_motion_out_of_the_scan_plane_is_refused():
+    lifted = np.eye(4)
+    lifted[2, 3] = 0.5
+    with pytest.raises(ValueError, match="T: expected a motion in the scan plane"):
+        make_line().transform(lifted)
