@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
@@ -62,8 +62,13 @@ def associate(
 ) -> list[Decision]:
     """Decide for every observation of a keyframe whose pose is already predicted in the graph.
 
-    The chi2 is the factor's own: with A and b its whitened linearisation and P the joint marginal covariance of pose,
-    anchor and landmark, chi2 = b^T (A P A^T + I)^-1 b. So the gate tests exactly what the graph will be told.
+    The chi2 is the factor's own: with A, b its whitened linearisation and P the joint marginal covariance of pose,
+    anchors and landmarks, chi2 = r^T (A P A^T + I)^-1 r, r = b - A m. So the gate tests exactly what the graph will be
+    told. The firmest observation is decided first, and mean m and covariance P are conditioned on every match before
+    the next is judged: what is accepted is jointly compatible, and each chi2 is an innovation of its own.
+
+    Returns:
+        One decision for each observation, in their order.
     """
     world_T_body = backend.pose(pose_key)
     spread = Spread.of(backend.covariance(pose_key))
@@ -75,11 +80,15 @@ def associate(
         ]
         for observation in observations
     ]
-    joint = _joint_covariance(shortlists, pose_key, backend)
-    return [
-        _decide(index, _compare(observation, shortlist, pose_key, joint, backend), config)
-        for index, (observation, shortlist) in enumerate(zip(observations, shortlists, strict=True))
-    ]
+    state = _State(_joint_covariance(shortlists, pose_key, backend))
+    decisions: dict[int, Decision] = {}
+    for index in sorted(range(len(observations)), key=lambda i: (-observations[i].n_points, i)):
+        innovations = _innovations(observations[index], shortlists[index], pose_key, state, backend)
+        decision = _decide(index, [innovation.candidate for innovation in innovations], config)
+        if decision.match is not None:
+            state.condition(next(i for i in innovations if i.candidate is decision.match))
+        decisions[index] = decision
+    return [decisions[index] for index in range(len(observations))]
 
 
 @dataclass(frozen=True)
@@ -131,24 +140,56 @@ def _joint_covariance(shortlists: Sequence[Sequence[Landmark]], pose_key: int, b
     return backend.joint_covariance(sorted(keys))
 
 
-def _compare(
-    observation: Observation,
-    shortlist: Sequence[Landmark],
-    pose_key: int,
-    joint: JointCovariance,
-    backend: Backend,
-) -> list[Candidate]:
-    """The candidates of one observation, most likely first; equals in order of their birth."""
-    candidates = []
-    for landmark in shortlist:
-        factor = observation.factor(pose_key, landmark.key, landmark.anchor_key)
-        linear = factor.linearize(backend.values)
-        jacobian, residual = linear.jacobian()
-        innovation = jacobian @ joint.of(list(linear.keys())) @ jacobian.T + np.eye(len(residual))
-        chi2 = float(residual @ np.linalg.solve(innovation, residual))
-        log_likelihood = -0.5 * (chi2 + float(np.linalg.slogdet(innovation)[1]))
-        candidates.append(Candidate(landmark.id, chi2, len(residual), log_likelihood))
-    return sorted(candidates, key=lambda candidate: (-candidate.log_likelihood, candidate.landmark))
+@dataclass(frozen=True, eq=False)
+class _Innovation:
+    """An observation under the assumption that it is a certain landmark."""
+
+    candidate: Candidate
+    columns: np.ndarray
+    jacobian: FloatArray
+    residual: FloatArray
+    covariance: FloatArray
+
+
+class _State:
+    """Mean and covariance of the tangents of all variables that a keyframe may touch."""
+
+    def __init__(self, joint: JointCovariance) -> None:
+        self._joint = joint
+        self._covariance = joint.full.copy()
+        self._mean = np.zeros(len(self._covariance))
+
+    def innovation(self, landmark: int, linear: Any) -> _Innovation:
+        """Compare a linearised factor with the state."""
+        columns = self._joint.columns(list(linear.keys()))
+        jacobian, target = linear.jacobian()
+        residual = target - jacobian @ self._mean[columns]
+        covariance = jacobian @ self._covariance[np.ix_(columns, columns)] @ jacobian.T + np.eye(len(target))
+        chi2 = float(residual @ np.linalg.solve(covariance, residual))
+        log_likelihood = -0.5 * (chi2 + float(np.linalg.slogdet(covariance)[1]))
+        candidate = Candidate(landmark, chi2, len(target), log_likelihood)
+        return _Innovation(candidate, columns, jacobian, residual, covariance)
+
+    def condition(self, innovation: _Innovation) -> None:
+        """Take an innovation in: the Kalman update."""
+        spread = self._covariance[:, innovation.columns] @ innovation.jacobian.T
+        gain = np.linalg.solve(innovation.covariance, spread.T).T
+        self._mean = self._mean + gain @ innovation.residual
+        self._covariance = self._covariance - gain @ spread.T
+
+
+def _innovations(
+    observation: Observation, shortlist: Sequence[Landmark], pose_key: int, state: _State, backend: Backend
+) -> list[_Innovation]:
+    """The observation under each of its candidates, most likely first; equals in order of their birth."""
+    found = [
+        state.innovation(
+            landmark.id,
+            observation.factor(pose_key, landmark.key, landmark.anchor_key).linearize(backend.values),
+        )
+        for landmark in shortlist
+    ]
+    return sorted(found, key=lambda one: (-one.candidate.log_likelihood, one.candidate.landmark))
 
 
 def _decide(index: int, candidates: list[Candidate], config: AssociationConfig) -> Decision:

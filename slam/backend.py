@@ -97,7 +97,7 @@ class Backend:
 
 
 class JointCovariance:
-    """Blocks of a joint marginal covariance by key."""
+    """A joint marginal covariance of a few variables, addressed by key."""
 
     def __init__(self, keys: Sequence[int], marginal: gtsam.JointMarginal) -> None:
         sizes = [marginal.at(key, key).shape[0] for key in keys]
@@ -105,9 +105,18 @@ class JointCovariance:
         self._columns = {key: np.arange(starts[i], starts[i + 1]) for i, key in enumerate(keys)}
         self._full = np.block([[marginal.at(row, column) for column in keys] for row in keys])
 
+    @property
+    def full(self) -> FloatArray:
+        """The whole matrix, in the order of the keys it was asked for."""
+        return self._full
+
+    def columns(self, keys: Sequence[int]) -> np.ndarray:
+        """Rows and columns of the stacked tangents of `keys`, in that order."""
+        return np.concatenate([self._columns[key] for key in keys])
+
     def of(self, keys: Sequence[int]) -> FloatArray:
         """Covariance of the stacked tangents of `keys`, in that order."""
-        columns = np.concatenate([self._columns[key] for key in keys])
+        columns = self.columns(keys)
         return self._full[np.ix_(columns, columns)]
 
 
