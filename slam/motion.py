@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field
 
+from slam.mount import Frozen, NotNegative, Positive
 from spplanes._check import FloatArray, as_shape
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
-
-class OdometryNoise(BaseModel):
+class OdometryNoise(Frozen):
     """What wheels do wrong: a random walk, and an error of calibration that stays the same.
 
     Of the random walk the variances (not the standard deviations) grow with the way driven and the angle turned, so a
@@ -24,8 +19,6 @@ class OdometryNoise(BaseModel):
 
     An error is additive on a relative motion (x, y, theta), with x and y in the frame of its first pose.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     along_sigma_m_per_sqrt_m: NotNegative = 0.02
     """Random: standard deviation along the motion after 1 m, m."""

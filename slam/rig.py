@@ -3,78 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Literal
 
 import numpy as np
 import yaml
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator
 
 from slam.io.log import LaserScan, Log, LogError
 from slam.motion import UNCALIBRATED_WHEELS, OdometryNoise
-from spplanes._check import FloatArray, as_transform
-
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Triple = tuple[Finite, Finite, Finite]
+from slam.mount import Finite, Frozen, Mount, NotNegative, Positive
+from spplanes._check import FloatArray
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_by_name=True, validate_by_alias=True)
-
-
-class Mount(_Frozen):
-    """Where a sensor sits: body_T_sensor as position and roll, pitch, yaw, or as a 4x4 matrix, never both.
-
-    R = Rz(yaw) Ry(pitch) Rx(roll). The body frame is x forward, y left, z up, its origin on the floor.
-    """
-
-    xyz_m: Triple = (0.0, 0.0, 0.0)
-    """Position of the sensor in the body frame, m."""
-    rpy_deg: Triple = (0.0, 0.0, 0.0)
-    """Roll, pitch, yaw of the sensor in the body frame, deg."""
-    matrix: tuple[tuple[Finite, ...], ...] | None = None
-    """The whole (4, 4) transform, in place of xyz_m and rpy_deg."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_rows(cls, value: Any) -> Any:
-        return {"matrix": value} if isinstance(value, (list, tuple)) else value
-
-    @model_validator(mode="after")
-    def _check_matrix(self) -> Mount:
-        if self.matrix is not None:
-            if {"xyz_m", "rpy_deg"} & self.model_fields_set:
-                raise ValueError("expected xyz_m and rpy_deg or a 4x4 matrix, got both")
-            as_transform("body_T_sensor", [list(row) for row in self.matrix])
-        return self
-
-    def as_matrix(self) -> FloatArray:
-        """body_T_sensor, shape (4, 4)."""
-        if self.matrix is not None:
-            return np.array(self.matrix, dtype=np.float64)
-        transform = np.eye(4)
-        transform[:3, :3] = _rotation(*np.deg2rad(self.rpy_deg))
-        transform[:3, 3] = self.xyz_m
-        return transform
-
-
-def _rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
-    """Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3); exact zeros at quarter turns keep mounts clean."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
-    rotation = np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-    rotation[np.abs(rotation) < 1e-15] = 0.0
-    return rotation
-
-
-class Sensor(_Frozen):
+class Sensor(Frozen):
     """One range sensor: what it is used for, where it sits, how it errs."""
 
     kind: Literal["line", "slice", "cloud"]
@@ -95,13 +37,15 @@ class Sensor(_Frozen):
     """Step of the ranges, m; 0: none. Its variance, step^2 / 12, is part of `range_variance_m2`."""
     range_max_m: Positive
     """Ranges at or beyond this are no returns, m."""
+    sweep_s: NotNegative = 0.0
+    """Time from the first beam of a 2D scan to the last, s; a scan's stamp is that of its first beam."""
     surface_sigma_m: NotNegative = 0.0
     """Systematic floor: flatness of real walls and range bias that averaging over beams does not remove, m."""
     surface_correlation_m: Positive = 0.3
     """Size of the patch of a surface whose points share one such error, m."""
     tilt_sigma_rad: NotNegative = 0.0
-    """Error of the angle of a tilting scanner's servo (rotation about the sensor's y), rad. It drifts over the sweep, so
-    the points of one plane share it and different planes do not."""
+    """Error of the angle of a tilting scanner's servo (rotation about the sensor's y), rad. It drifts over the sweep:
+    the points of one plane share it, different planes do not."""
     range_min_m: NotNegative = 0.0
     """Ranges below this are the robot itself, or too near to be measured, m."""
 
@@ -110,13 +54,18 @@ class Sensor(_Frozen):
         """Pose of the sensor in the body frame, shape (4, 4)."""
         return self.mount.as_matrix()
 
+    def beam_times_ns(self, stamp_ns: int, n_beams: int) -> np.ndarray:
+        """Time of each beam of a 2D scan, evenly spread over the sweep, shape (B,), int64."""
+        steps = np.arange(n_beams) * (self.sweep_s * 1e9 / max(n_beams - 1, 1))
+        return stamp_ns + np.round(steps).astype(np.int64)
+
     @property
     def range_variance_m2(self) -> float:
         """Variance of one range, noise and quantisation together, m^2."""
         return self.range_sigma_m**2 + self.quantisation_m**2 / 12.0
 
 
-class LocalisationNoise(_Frozen):
+class LocalisationNoise(Frozen):
     """Error of the poses a log gives (poses-given mapping): stationary, Gaussian, correlated along the path.
 
     Each of x, y and heading is an Ornstein-Uhlenbeck process of the path length: covariance sigma^2 exp(-ds / length).
@@ -143,7 +92,7 @@ class LocalisationNoise(_Frozen):
         return np.exp(-np.abs(lengths[:, None] - lengths[None, :]) / self.correlation_length_m)
 
 
-class Rig(_Frozen):
+class Rig(Frozen):
     """Everything about the robot that the data do not say themselves."""
 
     sensors: dict[str, Sensor]

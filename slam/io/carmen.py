@@ -30,8 +30,8 @@ def read_carmen(
 
     Sensors carry the rig's names; lasers the rig does not have are left out. Without a rig a sensor has the name of its
     records. Ranges at or beyond the maximum (the rig's, the record's, or, for FLASER and RLASER alone, what the
-    readings of a SICK show) and ranges that are not positive become NaN. FLASER and RLASER do not state their bearings:
-    odd counts span -90 to 90 deg, even ones -90 deg to one step short of 90.
+    readings of a SICK show), at or below the rig's minimum, and not above zero become NaN. FLASER and RLASER do not
+    state their bearings: odd counts span -90 to 90 deg, even ones -90 deg to one step short of 90.
 
     Odometry is that of ODOM, FLASER and RLASER; of ROBOTLASERk only in a log that has no other. A scan's
     `world_T_body` is the pose its record gives, with the laser's mount taken off where the log tells it.
@@ -147,7 +147,8 @@ def _relative(robot: FloatArray, laser: FloatArray) -> FloatArray:
 def _events_of(
     record: LaserRecord, stamp: int, sensor: str, limit: float, mount: FloatArray | None, rig: Rig | None
 ) -> list[Event]:
-    ranges = np.where((record.ranges > 0.0) & (record.ranges < limit), record.ranges, np.nan)
+    least = 0.0 if rig is None else rig.sensors[sensor].range_min_m
+    ranges = np.where((record.ranges > least) & (record.ranges < limit), record.ranges, np.nan)
     return [LaserScan(stamp, sensor, ranges, _angles(record, sensor, rig), _world_T_body(record, mount))]
 
 

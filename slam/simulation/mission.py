@@ -19,7 +19,7 @@ from slam.simulation.office import office, office_path
 from slam.simulation.path import Path as DrivenPath
 from slam.simulation.raycast import scan_directions
 from slam.simulation.record import Plan, record
-from slam.simulation.rigs import paper_rig, spinning_rig
+from slam.simulation.rigs import checked_rig, paper_rig, spinning_rig
 from slam.simulation.truth import Truth
 from spplanes._check import FloatArray, as_positive
 
@@ -27,7 +27,10 @@ from spplanes._check import FloatArray, as_positive
 PAPER_SCANS, PAPER_SPACING_M = 1083, 0.027
 #: Way between two scans of the spinning laser, m.
 SPINNING_SPACING_M = 0.5
-WORLDS = ("corridor", "office", "room", "hall")
+#: Worlds that are a loop: what they look like, and the way through them for so many laps.
+_LOOPS = {"office": (office, office_path), "room": (room, room_path), "hall": (hall, hall_path)}
+#: Worlds there are.
+WORLDS = ("corridor", *_LOOPS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +109,13 @@ class Mission:
 
 
 def simulate_mission(
-    world: str, *, n_scans: int | None = None, seed: int = 0, laps: int = 1, spacing_m: float | None = None
+    world: str,
+    *,
+    n_scans: int | None = None,
+    seed: int = 0,
+    laps: int = 1,
+    spacing_m: float | None = None,
+    rig: Rig | None = None,
 ) -> Mission:
     """Drive a robot through a world and record what its sensors read.
 
@@ -118,9 +127,11 @@ def simulate_mission(
             a shorter mission reads what the longer one read so far.
         laps: times round a world that is a loop.
         spacing_m: way between two vertical (or 3D) scans, m; None: 0.027, or 0.5 for the spinning laser.
+        rig: noise, mounts and sweeps other than those of `paper_rig` or `spinning_rig`; sensors keep their names.
 
     Raises:
-        ValueError: an unknown world, fewer than two scans, more than the way holds, no laps, a corridor with laps.
+        ValueError: an unknown world, fewer than two scans, more than the way holds, no laps, a corridor with laps, a
+            rig with a sensor of another name.
     """
     if world not in WORLDS:
         raise ValueError(f"world: expected one of {', '.join(WORLDS)}, got {world!r}")
@@ -128,24 +139,18 @@ def simulate_mission(
         raise ValueError(f"laps: expected 1 in a corridor and at least 1 elsewhere, got {laps}")
     if n_scans is not None and n_scans < 2:
         raise ValueError(f"n_scans: expected at least 2, got {n_scans}")
-    default = SPINNING_SPACING_M if world == "hall" else PAPER_SPACING_M
-    step = default if spacing_m is None else as_positive("spacing_m", spacing_m)
+    step = SPINNING_SPACING_M if world == "hall" else PAPER_SPACING_M
+    step = step if spacing_m is None else as_positive("spacing_m", spacing_m)
+    robot = checked_rig(rig) if rig is not None else spinning_rig() if world == "hall" else paper_rig()
     if world == "corridor":
         n_scans = round((PAPER_SCANS - 1) * PAPER_SPACING_M / step) + 1 if n_scans is None else n_scans
         way_m = (n_scans - 1) * step
-        plan = Plan(world, corridor(way_m), DrivenPath.weaving(way_m), paper_rig(), step)
+        plan = Plan(world, corridor(way_m), DrivenPath.weaving(way_m), robot, step)
     else:
-        plan = _loop(world, laps, step)
+        build, drive = _LOOPS[world]
+        plan = Plan(world, build(), drive(laps), robot, step)
     possible = int(plan.path.length_m / step + 1e-9) + 1
     if n_scans is not None and n_scans > possible:
         raise ValueError(f"n_scans: expected at most {possible} for {laps} laps, got {n_scans}")
     log, truth = record(plan, possible if n_scans is None else n_scans, seed)
     return Mission(log, plan.rig, truth)
-
-
-def _loop(world: str, laps: int, spacing_m: float) -> Plan:
-    if world == "office":
-        return Plan(world, office(), office_path(laps), paper_rig(), spacing_m)
-    if world == "room":
-        return Plan(world, room(), room_path(laps), paper_rig(), spacing_m)
-    return Plan(world, hall(), hall_path(laps), spinning_rig(), spacing_m)

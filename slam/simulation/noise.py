@@ -10,11 +10,11 @@ from spplanes._check import FloatArray
 
 
 def noisy_ranges(ranges: FloatArray, sensor: Sensor, rng: np.random.Generator) -> FloatArray:
-    """What the sensor reads of exact ranges: Gaussian noise, quantisation, NaN at and beyond its maximum."""
+    """What the sensor reads of exact ranges: Gaussian noise, quantisation, NaN at and beyond its limits."""
     read = ranges + sensor.range_sigma_m * rng.standard_normal(ranges.shape)
     if sensor.quantisation_m > 0.0:
         read = sensor.quantisation_m * np.round(read / sensor.quantisation_m)
-    return np.where((read > 0.0) & (read < sensor.range_max_m), read, np.nan)
+    return np.where((read > sensor.range_min_m) & (read < sensor.range_max_m), read, np.nan)
 
 
 def drifting_odometry(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:

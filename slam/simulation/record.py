@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from slam.io.log import CloudScan, Event, LaserScan, Log, OdometryReading
-from slam.rig import Rig
+from slam.rig import Rig, Sensor
 from slam.simulation.noise import drifting_odometry, localised_poses, noisy_ranges
 from slam.simulation.path import Path as DrivenPath
 from slam.simulation.path import pose_matrices
+from slam.simulation.raycast import scan_directions
 from slam.simulation.rigs import BEAMS, HORIZONTAL, Beams
 from slam.simulation.truth import Truth
 from slam.simulation.world import NO_PLANE, World
@@ -23,6 +24,10 @@ START_NS, SPEED_M_PER_S = 1_000_000_000_000, 0.5
 HORIZONTAL_EVERY = 4
 #: Directions of so many beams are held in memory at a time.
 BLOCK_BEAMS = 1_000_000
+
+
+#: Exact ranges and labels.
+_Hits = tuple[FloatArray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +50,8 @@ def record(plan: Plan, n_scans: int, seed: int) -> tuple[Log, Truth]:
     """Drive the plan for `n_scans` scans of the main sensor.
 
     Time runs in half periods of the main sensor: odometry at each, its scans at the even ones, horizontal scans at
-    every eighth, half a period after a main scan. A scan is taken in one instant.
+    every eighth, half a period after a main scan. Bearing noise, quantisation and sweeps are those of the rig; a
+    sensor's `surface_sigma_m` is not simulated: walls here are flat.
     """
     ticks = np.arange(2 * n_scans - 1)
     stamps = START_NS + ticks * round(plan.spacing_m / SPEED_M_PER_S * 1e9 / 2.0)
@@ -64,7 +70,7 @@ def record(plan: Plan, n_scans: int, seed: int) -> tuple[Log, Truth]:
             continue
         at = ticks[1 :: 2 * HORIZONTAL_EVERY] if sensor == HORIZONTAL else ticks[::2]
         described = plan.rig.sensors[sensor]
-        ranges, hit = _cast(plan.world, world_T_body[at] @ described.body_T_sensor, beams)
+        ranges, hit = _cast(plan, way[at], described, beams, rng.spawn(1)[0])
         read = noisy_ranges(ranges, described, rng)
         labels[sensor] = np.where(np.isnan(read), np.int32(NO_PLANE), hit)
         if beams.angles is None:
@@ -85,21 +91,30 @@ def _scan(
     return CloudScan(stamp_ns, sensor, ranges.reshape(beams.directions.shape[:2])[..., None] * beams.directions)
 
 
-def _cast(world: World, world_T_sensor: FloatArray, beams: Beams) -> tuple[FloatArray, np.ndarray]:
-    """Exact ranges and labels of a sensor at poses (S, 4, 4), both (S, F B): fan after fan, block by block."""
+def _cast(plan: Plan, way: FloatArray, sensor: Sensor, beams: Beams, rng: np.random.Generator) -> _Hits:
+    """Exact ranges and labels of a sensor at places (S,) on the way, both (S, F B): fan after fan, block by block."""
     block = max(1, BLOCK_BEAMS // (beams.directions.size // 3))
-    blocks = [_cast_block(world, world_T_sensor[k : k + block], beams) for k in range(0, len(world_T_sensor), block)]
+    blocks = [_cast_block(plan, way[k : k + block], sensor, beams, rng) for k in range(0, len(way), block)]
     return np.concatenate([ranges for ranges, _ in blocks]), np.concatenate([labels for _, labels in blocks])
 
 
-def _cast_block(world: World, world_T_sensor: FloatArray, beams: Beams) -> tuple[FloatArray, np.ndarray]:
+def _cast_block(plan: Plan, way: FloatArray, sensor: Sensor, beams: Beams, rng: np.random.Generator) -> _Hits:
     fans, n_beams, _ = beams.directions.shape
-    turned = world_T_sensor[:, None, :3, :3].transpose(0, 1, 3, 2)
-    rays = (beams.directions[None] @ turned).reshape(-1, n_beams, 3)
-    normals = np.einsum("sij,fj->sfi", world_T_sensor[:, :3, :3], beams.normals).reshape(-1, 3)
-    origins = np.repeat(world_T_sensor[:, :3, 3], fans, axis=0)
-    ranges, labels = world.cast(origins, rays, normals)
-    return ranges.reshape(len(world_T_sensor), -1), labels.reshape(len(world_T_sensor), -1)
+    directions = np.broadcast_to(beams.directions, (len(way), fans, n_beams, 3))
+    if sensor.bearing_sigma_rad > 0.0 and beams.angles is not None:
+        errors = sensor.bearing_sigma_rad * rng.standard_normal((len(way), n_beams))
+        directions = scan_directions((beams.angles + errors).ravel()).reshape(directions.shape)
+    normals = np.tile(beams.normals, (len(way), 1))
+    if sensor.sweep_s > 0.0:  # every beam is a fan of its own, from its own place
+        way = (way[:, None] + SPEED_M_PER_S * sensor.sweep_s * np.linspace(0.0, 1.0, n_beams)).ravel()
+        directions, normals = directions.reshape(-1, 1, 3), np.repeat(normals, n_beams, axis=0)
+    else:
+        way, directions = np.repeat(way, fans), directions.reshape(-1, n_beams, 3)
+    world_T_sensor = pose_matrices(plan.path.at(way)) @ sensor.body_T_sensor
+    rays = directions @ world_T_sensor[:, :3, :3].transpose(0, 2, 1)
+    normals = np.einsum("fij,fj->fi", world_T_sensor[:, :3, :3], normals)
+    ranges, labels = plan.world.cast(np.ascontiguousarray(world_T_sensor[:, :3, 3]), rays, normals)
+    return ranges.reshape(-1, fans * n_beams), labels.reshape(-1, fans * n_beams)
 
 
 def _streams(seed: int, count: int) -> list[np.random.Generator]:

@@ -72,3 +72,17 @@ def spinning_rig() -> Rig:
     mount = Mount(xyz_m=(0.1, 0.0, 0.8))
     sensor = Sensor(kind="cloud", body_T_sensor=mount, range_sigma_m=0.015, range_max_m=60.0)
     return Rig(sensors={SPINNING: sensor}, odometry=OdometryNoise())
+
+
+def checked_rig(rig: Rig) -> Rig:
+    """The rig, if its sensors are among those that can be simulated.
+
+    Raises:
+        ValueError: another sensor, or bearing noise or a sweep of a 3D sensor.
+    """
+    for name, sensor in rig.sensors.items():
+        if name not in BEAMS:
+            raise ValueError(f"rig: expected sensors among {', '.join(BEAMS)}, got {name!r}")
+        if BEAMS[name].angles is None and (sensor.bearing_sigma_rad > 0.0 or sensor.sweep_s > 0.0):
+            raise ValueError(f"rig: expected bearing noise and sweeps of 2D lasers only, got them of {name!r}")
+    return rig

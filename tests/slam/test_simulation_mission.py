@@ -10,7 +10,7 @@ from slam.io.carmen import read_carmen
 from slam.io.log import CloudScan, LaserScan, LogError
 from slam.motion import OdometryNoise
 from slam.rig import LocalisationNoise, Rig, Sensor
-from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Path, Truth, simulate_mission
+from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Path, Truth, paper_rig, simulate_mission
 from slam.simulation.noise import drifting_odometry, localised_poses, noisy_ranges, relative_motions
 from slam.simulation.path import pose_matrices
 from tests.statistics import assert_mean_in_band, nees
@@ -173,9 +173,9 @@ def test_given_poses_are_the_truth_with_that_error(mission):
     assert 0.0 < np.abs(errors).max() < 5.0 * mission.rig.localisation.xy_sigma_m
 
 
-def test_a_sensor_quantises_and_loses_what_is_too_far():
-    sensor = Sensor(kind="line", range_sigma_m=1e-9, quantisation_m=0.01, range_max_m=8.0)
-    read = noisy_ranges(np.array([1.2345, 7.994, 7.996, 12.0, np.inf]), sensor, np.random.default_rng(0))
+def test_a_sensor_quantises_and_loses_what_is_too_near_or_too_far():
+    sensor = Sensor(kind="line", range_sigma_m=1e-9, quantisation_m=0.01, range_min_m=0.3, range_max_m=8.0)
+    read = noisy_ranges(np.array([1.2345, 7.994, 7.996, 12.0, np.inf, 0.2]), sensor, np.random.default_rng(0))
     np.testing.assert_allclose(read[:2], [1.23, 7.99], atol=1e-12)
     assert np.isnan(read[2:]).all()
     assert sensor.range_variance_m2 == pytest.approx(1e-18 + 0.01**2 / 12.0)
@@ -303,3 +303,62 @@ def test_truth_refuses_what_it_does_not_know(mission, tmp_path):
 def test_a_path_whose_arcs_do_not_fit_is_refused():
     with pytest.raises(ValueError, match="radius_m: expected arcs that fit"):
         Path.rounded([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)], 1.5)
+
+
+def with_sensor(name, **changes):
+    rig = paper_rig()
+    sensor = rig.sensors[name].model_copy(update=changes)
+    return rig.model_copy(update={"sensors": {name: sensor}})
+
+
+def test_bearing_noise_is_what_the_rig_says():
+    """On a wall at distance d seen under an angle, a bearing error e moves the range by r tan(incidence) e."""
+    sigma = 0.002
+    rig = with_sensor(HORIZONTAL, bearing_sigma_rad=sigma, range_sigma_m=1e-9)
+    mission = simulate_mission("room", n_scans=200, rig=rig)
+    arrays = mission.arrays(HORIZONTAL)
+    rays = arrays.sensor_points() @ arrays.world_T_sensor[:, :3, :3].transpose(0, 2, 1) / arrays.ranges[..., None]
+    seen = arrays.labels >= 0
+    walls = np.array([plane.normal for plane in mission.truth.planes])[arrays.labels[seen]]
+    cosine = -np.einsum("ni,ni->n", walls, rays[seen])
+    errors, _ = range_errors(mission, HORIZONTAL)
+    expected = arrays.ranges[seen] * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) / cosine * sigma
+    gentle = (expected > 1e-3) & (expected < 0.02)  # away from normal and from grazing incidence: first order holds
+    assert np.mean((errors[gentle] / expected[gentle]) ** 2) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_sweep_gives_each_beam_its_own_place():
+    still = simulate_mission("corridor", n_scans=60, rig=with_sensor(VERTICAL, range_sigma_m=1e-9))
+    moving = simulate_mission("corridor", n_scans=60, rig=with_sensor(VERTICAL, range_sigma_m=1e-9, sweep_s=0.04))
+    sensor = moving.rig.sensors[VERTICAL]
+    times = sensor.beam_times_ns(5, 361)
+    assert times[0] == 5 and times[-1] == 40_000_005 and len(times) == 361
+    first, second = still.arrays(VERTICAL), moving.arrays(VERTICAL)
+    np.testing.assert_allclose(first.ranges[:, 0], second.ranges[:, 0], atol=1e-7)  # the first beam is on time
+    assert (first.labels[:, 1:] != second.labels[:, 1:]).any()
+    ticks, ways = moving.truth.stamps_ns, moving.truth.world_T_body[:, 0, 3]
+    scan = 30
+    x = np.interp(sensor.beam_times_ns(int(second.stamps_ns[scan]), 361), ticks, ways)
+    rays = second.sensor_points()[scan] @ second.world_T_sensor[scan, :3, :3].T
+    ceiling = next(p for p in moving.truth.planes if p.d == -2.7)
+    mine = np.array([moving.truth.planes[k].d == -2.7 for k in second.labels[scan]])
+    assert mine.any() and (np.diff(x) > 0.0).all()
+    np.testing.assert_allclose(ceiling.distance(rays[mine] + [0.0, 0.0, 0.4]), 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("rig", "sentence"),
+    [
+        (
+            Rig(sensors={"sonar": Sensor(kind="line", range_sigma_m=0.1, range_max_m=5.0)}),
+            "rig: expected sensors among",
+        ),
+        (
+            Rig(sensors={SPINNING: Sensor(kind="cloud", range_sigma_m=0.1, range_max_m=5.0, sweep_s=0.1)}),
+            "rig: expected bearing noise and sweeps of 2D lasers only",
+        ),
+    ],
+)
+def test_rigs_that_cannot_be_simulated(rig, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        simulate_mission("room", rig=rig)
