@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gtsam
@@ -22,6 +22,7 @@ from slam.keyframes import Keyframe
 from slam.landmarks import Landmark, LandmarkMap, Sighting
 from slam.observations import Observation
 from slam.outlines import largest_polygon
+from slam.twins import find_twins
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -82,6 +83,7 @@ class PlaneSlam:
         self.audit = NisAudit()
         self.keyframes: list[Keyframe] = []
         self.decisions: list[list[Decision]] = []
+        self.merges: list[tuple[int, int, int]] = []
 
     def add_keyframe(self, keyframe: Keyframe) -> KeyframeReport:
         """Predict the pose, match what was seen, update the graph, let the landmarks grow.
@@ -93,9 +95,10 @@ class PlaneSlam:
         pose_key = self._predict(keyframe)
         decisions = associate(keyframe.observations, pose_key, self.landmarks, self.backend, self.config.association)
         self.audit.add(len(self.keyframes), (seen.kind for seen in keyframe.observations), decisions)
-        self._update(keyframe, pose_key, decisions)
-        self.landmarks.refresh(self.backend)
+        touched = self._update(keyframe, pose_key, decisions)
         self._remember(keyframe, decisions)
+        self.landmarks.refresh(self.backend)
+        self._merge_twins(touched)
         return KeyframeReport(len(self.keyframes) - 1, self.backend.pose(pose_key), decisions)
 
     @property
@@ -144,17 +147,39 @@ class PlaneSlam:
         self.backend.update(factors, initial)
         return key
 
-    def _update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> None:
-        """Add the factors of matches and of new landmarks, then count what was seen."""
+    def _update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> set[int]:
+        """Add the factors of matches and of new landmarks, then count what was seen; the ids of those landmarks."""
         sights = self._matched(keyframe, pose_key, decisions)
         initial = gtsam.Values()
         sights += self._births(keyframe, pose_key, decisions, initial)
         if not sights:
-            return
+            return set()
         indices = self.backend.update([sight.factor for sight in sights], initial, relinearize=True)
         for sight, factor_index in zip(sights, indices, strict=True):
             sighting = Sighting(len(self.keyframes), sight.number, factor_index, sight.observation.kind)
             self.landmarks.see(sight.landmark, sight.observation, sighting, sight.plane_T_body)
+        return {sight.landmark.id for sight in sights}
+
+    def _merge_twins(self, touched: set[int]) -> None:
+        """Join landmarks that are one plane: the younger's factors are re-keyed to the older, inside iSAM2."""
+        for older, younger in find_twins(touched, self.landmarks, self.backend, self.config.association):
+            self._absorb(self.landmarks[older], self.landmarks.remove(younger))
+            self.merges.append((len(self.keyframes) - 1, older, younger))
+            self.landmarks.refresh(self.backend)
+
+    def _absorb(self, older: Landmark, younger: Landmark) -> None:
+        factors = []
+        for sighting in younger.sightings:
+            observation = self.keyframes[sighting.keyframe].observations[sighting.observation]
+            pose_key = pose_symbol(sighting.keyframe)
+            factors.append(observation.factor(pose_key, older.key, older.anchor_key, self.config.backend.robust))
+        gone = [sighting.factor_index for sighting in younger.sightings]
+        indices = self.backend.update(factors, gtsam.Values(), remove=gone, relinearize=True)
+        older_T_world = inverse(self.landmarks.placed(older.id).world_T_plane)
+        for sighting, factor_index in zip(younger.sightings, indices, strict=True):
+            observation = self.keyframes[sighting.keyframe].observations[sighting.observation]
+            plane_T_body = older_T_world @ self.backend.pose(pose_symbol(sighting.keyframe))
+            self.landmarks.see(older, observation, replace(sighting, factor_index=factor_index), plane_T_body)
 
     def _matched(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> list[_Sight]:
         """Factors of the observations that were matched to a landmark."""
