@@ -1,5 +1,7 @@
 """How good is it: trajectories, relations and planes against what is known to be true."""
 
+from slam.evaluation.folders import evaluate_run, trajectory_metrics
+from slam.evaluation.labels import HooverCounts, LabelTable, hoover_counts, label_metrics
 from slam.evaluation.metrics import Metric
 from slam.evaluation.planes import PlaneMatch, match_planes, plane_metrics
 from slam.evaluation.relations import relation_errors, relation_metrics
@@ -14,6 +16,8 @@ from slam.evaluation.trajectories import (
 )
 
 __all__ = [
+    "HooverCounts",
+    "LabelTable",
     "Metric",
     "PlaneMatch",
     "PoseErrors",
@@ -21,10 +25,14 @@ __all__ = [
     "align",
     "alignment_of",
     "common_poses",
+    "evaluate_run",
+    "hoover_counts",
+    "label_metrics",
     "match_planes",
     "nearest_stamps",
     "plane_metrics",
     "relation_errors",
     "relation_metrics",
     "relative_error",
+    "trajectory_metrics",
 ]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from slam.io.log import LogError
+from slam.io.planes import read_planes, write_planes
 from slam.io.trajectories import Trajectory, read_tum, write_tum
 from spplanes._check import FloatArray
 from spplanes.plane import Plane
@@ -56,9 +56,7 @@ class Truth:
     def write(self, folder: Path) -> None:
         """Write trajectory.tum, planes.json (spplanes/1; the id is the label) and labels.npz into a folder."""
         write_tum(folder / _TRAJECTORY, self.trajectory)
-        planes = [{"id": index, **plane.to_dict(), "observations": 0} for index, plane in enumerate(self.planes)]
-        data = {"format": "spplanes/1", "frame": "world", "planes": planes}
-        (folder / _PLANES).write_text(json.dumps(data, indent=1), encoding="utf-8")
+        write_planes(folder / _PLANES, self.planes)
         with (folder / _LABELS).open("wb") as stream:
             np.savez_compressed(stream, allow_pickle=False, **self.labels)  # pyright: ignore[reportArgumentType]
 
@@ -68,18 +66,8 @@ class Truth:
         folder = Path(folder)
         trajectory = read_tum(folder / _TRAJECTORY)
         return cls(
-            trajectory.stamps_ns, trajectory.poses, _read_planes(folder / _PLANES), _read_labels(folder / _LABELS)
+            trajectory.stamps_ns, trajectory.poses, read_planes(folder / _PLANES), _read_labels(folder / _LABELS)
         )
-
-
-def _read_planes(path: Path) -> list[Plane]:
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        return [Plane.from_dict(entry) for entry in data["planes"]]
-    except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise LogError(path, f"expected planes in the format spplanes/1 ({str(error)[:80]})") from error
 
 
 def _read_labels(path: Path) -> dict[str, np.ndarray]:
