@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit
 
 from spplanes._line_fit import fit_beams, grow, line_sigmas, trim, turning
-from spplanes._line_kernels import beam_moments, find_breaks, fit_sums, merge, order_beams, refine, slope_sigmas, split
+from spplanes._line_kernels import beam_moments, find_breaks, fit_sums, order_beams, refine, slope_sigmas, split
+from spplanes._line_merge import add_flatness, merge
 from spplanes._line_round import find_round
 
 #: Columns of a result row: alpha, rho, chi2, dof, covariance (4), end points (4).
@@ -16,13 +17,13 @@ END_GATES = np.array((7.88, 10.6, 12.84))
 
 
 @njit(cache=True, error_model="numpy")
-def label_beams(bearings, ranges, sigmas, breaks, max_missing, max_step, significance, max_turning):
+def label_beams(bearings, ranges, sigmas, breaks, max_missing, max_step, flatness, significance, max_turning):
     """Split, take out what is round, merge: label of each return (V,), whether it is undecided (V,), label count."""
     moments = beam_moments(bearings, ranges, sigmas)
     starts, undecided = refine(moments, breaks, split(moments, breaks, significance), significance)
     is_round = find_round(bearings, ranges, sigmas, moments, breaks, starts, significance, 0.5 * max_turning)
     gate = -2.0 * np.log(significance)
-    labels, n_labels = merge(bearings, ranges, sigmas, moments, starts, is_round, max_missing, max_step, gate)
+    labels, n_labels = merge(bearings, ranges, sigmas, moments, starts, is_round, max_missing, max_step, flatness, gate)
     return labels, undecided, n_labels
 
 
@@ -112,7 +113,9 @@ def is_line(bearings, ranges, sigmas, members, n, line, min_points, max_turning,
 
 
 @njit(cache=True, error_model="numpy")
-def label_scan(ranges, angles, sigmas, bearing_sigma, range_min, range_max, max_missing, significance, max_turning):
+def label_scan(
+    ranges, angles, sigmas, bearing_sigma, flatness, range_min, range_max, max_missing, significance, max_turning
+):
     """Order and label the returns: beams (V,), breaks (V,), labels (V,), undecided (V,), number of labels."""
     beams, widest, step = order_beams(ranges, angles, range_min, range_max)
     max_step = (max_missing + 1.5) * step
@@ -121,7 +124,9 @@ def label_scan(ranges, angles, sigmas, bearing_sigma, range_min, range_max, max_
         a, r = angles[beams], ranges[beams]
         s = slope_sigmas(a, r, sigmas[beams], bearing_sigma)
         breaks = find_breaks(a, r, s, max_step, -2.0 * np.log(significance))
-        labels, undecided, n_labels = label_beams(a, r, s, breaks, max_missing, max_step, significance, max_turning)
+        labels, undecided, n_labels = label_beams(
+            a, r, s, breaks, max_missing, max_step, flatness, significance, max_turning
+        )
         cut = ring_start(labels, n_labels)
         if n_cuts == 1 or widest > max_step or cut == 0:
             return beams, breaks, labels, undecided, n_labels
@@ -135,6 +140,7 @@ def extract(
     angles,
     sigmas,
     bearing_sigma,
+    flatness,
     range_min,
     range_max,
     max_missing,
@@ -146,7 +152,7 @@ def extract(
 ):
     """Lines of one scan: rows (M, 12) as N_RESULT says, the beams on them one line after the other, their counts."""
     beams, breaks, labels, undecided, n_labels = label_scan(
-        ranges, angles, sigmas, bearing_sigma, range_min, range_max, max_missing, significance, max_turning
+        ranges, angles, sigmas, bearing_sigma, flatness, range_min, range_max, max_missing, significance, max_turning
     )
     a, r, s = angles[beams], ranges[beams], sigmas[beams]
     rows = np.empty((n_labels, N_RESULT))
@@ -158,7 +164,7 @@ def extract(
             a, r, s, bearing_sigma, breaks, labels, undecided, label, -2.0 * np.log(significance)
         )
         if is_line(a, r, s, members, n_core, line, min_points, max_turning, max_curvature, max_misfit):
-            write_row(rows[n_lines], line, n_core - 2, a[members[0]], a[members[-1]])
+            write_row(rows[n_lines], line, n_core - 2, a[members[0]], a[members[-1]], flatness)
             support[n_support : n_support + members.size] = beams[members]
             counts[n_lines] = members.size
             n_support += members.size
@@ -167,9 +173,10 @@ def extract(
 
 
 @njit(cache=True, error_model="numpy")
-def write_row(row, line, dof, first, last):
+def write_row(row, line, dof, first, last, flatness):
     """Fill a result row; the end points are where the first and the last beam meet the line."""
     alpha, rho, v_alpha, cov, v_rho, chi2 = line
+    v_alpha, cov, v_rho = add_flatness(alpha, rho, v_alpha, cov, v_rho, first, last, flatness)
     row[0], row[1], row[2], row[3] = np.arctan2(np.sin(alpha), np.cos(alpha)), rho, chi2, dof
     row[4], row[5], row[6], row[7] = v_alpha, cov, cov, v_rho
     for i, bearing in enumerate((first, last)):

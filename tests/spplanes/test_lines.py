@@ -236,6 +236,35 @@ def test_bearing_noise_is_in_the_covariance():
     assert 1.7 < np.mean(errors[noise]) < 2.5
 
 
+def test_walls_that_are_not_quite_straight():
+    """A bow of 3 mm rms, phase at random: more beams do not average it out; `flatness` says so and keeps it whole."""
+    truth, rng = cast(wall((1.5, -2.5), (1.5, 2.5)), HALF).ranges, np.random.default_rng(8)
+    errors, counts = {0.0: [], 0.003: []}, {0.0: 0, 0.003: 0}
+    for _ in range(200):
+        wave = 0.003 * np.sqrt(2.0) * np.sin(2.0 * np.pi * truth * np.sin(HALF) / 5.0 + rng.uniform(0, 2 * np.pi))
+        ranges = truth + wave / np.cos(HALF) + rng.normal(0, 0.005, HALF.size)
+        for flatness, values in errors.items():
+            lines = extract_lines(ranges, HALF, sigma=0.005, config=LineConfig(flatness=flatness))
+            counts[flatness] += len(lines)
+            values.append(nees(max(lines, key=lambda line: line.length), (0.0, 1.5)))
+    assert counts[0.0] > 250 > counts[0.003] + 40
+    assert np.mean(errors[0.0]) > 8.0
+    assert 0.2 < np.mean(errors[0.003]) < 2.0
+
+
+def test_flatness_adds_to_shift_and_direction_and_nothing_else():
+    ranges = scan(wall((3, -2), (1, 2)), HALF)
+    (exact,), (rough,) = (
+        extract_lines(ranges, HALF, sigma=SIGMA, config=LineConfig(flatness=flatness)) for flatness in (0.0, 0.004)
+    )
+    added = rough.covariance - exact.covariance
+    middle = exact.endpoints.mean(axis=0) @ exact.direction
+    assert added[0, 0] == pytest.approx(12 * (0.004 / exact.length) ** 2)
+    assert added[0, 1] == pytest.approx(middle * added[0, 0])
+    assert added[1, 1] == pytest.approx(0.004**2 + middle**2 * added[0, 0])
+    assert (rough.alpha, rough.rho) == (exact.alpha, exact.rho)
+
+
 def test_the_same_scan_gives_the_same_lines():
     ranges = scan(ROOM, FULL)
     first, second = (extract_lines(ranges.copy(), FULL.copy(), sigma=SIGMA) for _ in range(2))
@@ -282,6 +311,7 @@ def test_bad_input_is_one_sentence(arguments, message):
         ("max_nonlinearity", 0.0),
         ("max_misfit", 1.0),
         ("bearing_sigma", -0.1),
+        ("flatness", -0.1),
         ("range_min", -1.0),
         ("range_max", 0.0),
     ],
