@@ -135,7 +135,7 @@ def tasks() -> list[tuple[str, int, int, Callable[[], Any]]]:
 
 
 def run() -> list[dict[str, Any]]:
-    """One row for each fit: million points a second, the ratio to numpy's ml, and peak memory in copies of the input."""
+    """One row for each fit: million points a second, ratio to numpy's ml, peak memory in copies of the input."""
     rows = []
     for name, n, size, task in tasks():
         seconds, peak = measure(task)

@@ -3,8 +3,8 @@
 The error of scan s is a world-side perturbation xi_s = (x, y, z, phi, theta, psi) with covariance S_s, independent
 between scans: p' = p + t + phi (z x q) + theta (y x q) + psi (x x q), q = p - o_s. A point is then off the plane by its
 own noise and by g.xi_s, g = n^T dp/dxi. Maximum likelihood estimates plane and xi together; each scan's xi is
-eliminated, so the cost is one 6x6 solve a scan. Where the errors of scans hang together, as those of poses from odometry
-do, their joint covariance takes the place of the S_s, and all xi are eliminated in one solve.
+eliminated, so the cost is one 6x6 solve a scan. Where the errors of scans hang together, as those of poses from
+odometry do, their joint covariance takes the place of the S_s, and all xi are eliminated in one solve.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class SharedPose:
     def marginal_roots(self) -> FloatArray:
         """Square roots of every scan's own covariance, shape (S, 6, 6)."""
         roots = self.roots_by_scan
-        return _square_roots(roots @ roots.transpose(0, 2, 1)) if self.is_joint else roots
+        return roots if roots.shape[2] == 6 else _square_roots(roots @ roots.transpose(0, 2, 1))
 
 
 def _pose_covariances(value: ArrayLike) -> FloatArray:

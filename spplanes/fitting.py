@@ -42,8 +42,9 @@ def fit_plane(
         method: ``"ml"``, or ``"sp"`` as in the paper, with weights 1 / trace^2.
         viewpoint: the normal points to it, shape (3,), m; without it d >= 0.
         scan_index: scan of each point, shape (N,), whose pose error its points share.
-        pose_covariances: of the scans' pose errors, shape (S, 6, 6), in (x, y, z, phi, theta, psi) order, m and rad:
-            world-side perturbations p' = p + t + phi (z x q) + theta (y x q) + psi (x x q).
+        pose_covariances: of the scans' pose errors, shape (S, 6, 6), or (6 S, 6 S) where errors of different scans
+            are correlated; in (x, y, z, phi, theta, psi) order, m and rad: world-side perturbations
+            p' = p + t + phi (z x q) + theta (y x q) + psi (x x q).
         scan_origins: points about which these rotations act, q = p - o, shape (S, 3), m; the world's origin if None.
         robust: ``"tukey"`` for up to 30 % gross outliers, which n_points and chi2 then leave out; only with ``"ml"``.
 

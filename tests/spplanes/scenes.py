@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,6 +27,8 @@ class Scene:
     """Scan of each point, (N,)."""
     pose_covariances: np.ndarray | None = None
     """Of the scans, (S, 6, 6)."""
+    model: Callable[[np.ndarray], np.ndarray] | None = None
+    """Covariances (N, 3, 3) that the sensor model gives for points (N, 3)."""
 
     @property
     def shared(self) -> dict:
@@ -62,6 +65,14 @@ class Scene:
             total = np.diag(1.0 / w[own]) + g[own] @ covariance @ g[own].T
             information += h[own].T @ np.linalg.solve(total, h[own])
         return np.linalg.inv(information)
+
+    def folded_covariances(self) -> np.ndarray:
+        """Covariances of single points, (N, 3, 3), with the pose errors of their scans inside."""
+        jacobian = np.stack(
+            [moved(self.true_points, np.tile(e, (len(self.true_points), 1))) for e in np.eye(6)], axis=2
+        )
+        jacobian -= self.true_points[:, :, None]
+        return self.covariances + jacobian @ self.pose_covariances[self.scan_index] @ jacobian.transpose(0, 2, 1)
 
     def error(self, frame: np.ndarray) -> np.ndarray:
         """(z, theta, psi) that leads from an estimated frame to the true plane, in the estimated frame."""
@@ -118,7 +129,7 @@ def _wall(n, distance, incidence, width, height, noise, *, seed=5) -> Scene:
     rng = np.random.default_rng(seed)
     frame = plane_frame(distance, incidence)
     points = patch(frame, n, width, height, rng)
-    return Scene(points, noise(points), frame, np.zeros(3))
+    return Scene(points, noise(points), frame, np.zeros(3), model=noise)
 
 
 def _laser(points):

@@ -52,7 +52,7 @@ def test_hesse_form_both_ways():
 
 
 def test_hesse_form_known_answer():
-    """A wall x = 5 centred at (5, 2, 0): turning it by theta about its y axis moves d by its x axis' part of the centre."""
+    """A wall x = 5 centred at (5, 2, 0): turning it by theta about its y axis, the world's z, moves d by 2 theta."""
     frame = np.array([[0.0, 0, 1, 5], [1, 0, 0, 2], [0, 1, 0, 0], [0, 0, 0, 1]])
     plane = Plane(frame, np.diag([0.01, 0.02, 0.03]))
     expected = np.zeros((4, 4))
