@@ -32,6 +32,8 @@ class Candidate:
     """Degrees of freedom: 3 for a plane, 2 for a line."""
     log_likelihood: float
     """Log density of the measurement under this landmark, up to a constant."""
+    confirmed: bool
+    """Whether more than one keyframe has seen the landmark."""
 
     @property
     def p_value(self) -> float:
@@ -50,7 +52,7 @@ class Decision:
     match: Candidate | None
     """The accepted candidate of a match."""
     candidates: tuple[Candidate, ...]
-    """All landmarks it was compared with, most likely first."""
+    """All landmarks it was compared with, most likely first; a confirmed one that passes goes before the others."""
 
 
 def associate(
@@ -159,7 +161,7 @@ class _State:
         self._covariance = joint.full.copy()
         self._mean = np.zeros(len(self._covariance))
 
-    def innovation(self, landmark: int, linear: Any) -> _Innovation:
+    def innovation(self, landmark: Landmark, linear: Any) -> _Innovation:
         """Compare a linearised factor with the state."""
         columns = self._joint.columns(list(linear.keys()))
         jacobian, target = linear.jacobian()
@@ -167,7 +169,7 @@ class _State:
         covariance = jacobian @ self._covariance[np.ix_(columns, columns)] @ jacobian.T + np.eye(len(target))
         chi2 = float(residual @ np.linalg.solve(covariance, residual))
         log_likelihood = -0.5 * (chi2 + float(np.linalg.slogdet(covariance)[1]))
-        candidate = Candidate(landmark, chi2, len(target), log_likelihood)
+        candidate = Candidate(landmark.id, chi2, len(target), log_likelihood, landmark.n_keyframes > 1)
         return _Innovation(candidate, columns, jacobian, residual, covariance)
 
     def condition(self, innovation: _Innovation) -> None:
@@ -184,7 +186,7 @@ def _innovations(
     """The observation under each of its candidates, most likely first; equals in order of their birth."""
     found = [
         state.innovation(
-            landmark.id,
+            landmark,
             observation.factor(pose_key, landmark.key, landmark.anchor_key).linearize(backend.values),
         )
         for landmark in shortlist
@@ -195,6 +197,8 @@ def _innovations(
 def _decide(index: int, candidates: list[Candidate], config: AssociationConfig) -> Decision:
     accepted = [candidate for candidate in candidates if candidate.p_value >= config.significance]
     if accepted:
-        return Decision(index, "match", accepted[0], tuple(candidates))
+        # a landmark that one look made may be a bad copy of a known one: it must not take the known one's measurements
+        best = next((candidate for candidate in accepted if candidate.confirmed), accepted[0])
+        return Decision(index, "match", best, tuple(candidates))
     near = any(candidate.p_value >= config.new_significance for candidate in candidates)
     return Decision(index, "unsure" if near else "new", None, tuple(candidates))

@@ -36,7 +36,7 @@ def _trajectory_rows(name: str, path: Trajectory, truth: Trajectory) -> list[Met
     return [
         Metric(f"position error, rmse, {name}", float(np.sqrt(np.mean(errors.translation_m**2))), "m"),
         Metric(f"position error, last pose, {name}", float(errors.translation_m[-1]), "m"),
-        Metric(f"heading error, rmse, {name}", float(np.rad2deg(np.sqrt(np.mean(errors.rotation_rad**2)))), "deg"),
+        Metric(f"orientation error, rmse, {name}", float(np.rad2deg(np.sqrt(np.mean(errors.rotation_rad**2)))), "deg"),
     ]
 
 

@@ -162,7 +162,8 @@ class PlaneSlam:
 
     def _merge_twins(self, touched: set[int]) -> None:
         """Join landmarks that are one plane: the younger's factors are re-keyed to the older, inside iSAM2."""
-        for older, younger in find_twins(touched, self.landmarks, self.backend, self.config.association):
+        needed, association = self.config.landmarks.min_observations, self.config.association
+        for older, younger in find_twins(touched, self.landmarks, self.backend, association, min_keyframes=needed):
             self._absorb(self.landmarks[older], self.landmarks.remove(younger))
             self.merges.append((len(self.keyframes) - 1, older, younger))
             self.landmarks.refresh(self.backend)

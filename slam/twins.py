@@ -21,13 +21,19 @@ _STEP = 1e-6
 
 
 def find_twins(
-    touched: Iterable[int], landmarks: LandmarkMap, backend: Backend, config: AssociationConfig
+    touched: Iterable[int],
+    landmarks: LandmarkMap,
+    backend: Backend,
+    config: AssociationConfig,
+    *,
+    min_keyframes: int,
 ) -> list[tuple[int, int]]:
     """Pairs (older, younger) of landmarks that are one plane by chi2 with the covariance of the whole state.
 
     Args:
         touched: ids of landmarks whose estimate or outline has just changed; only pairs with one of them are looked at.
         landmarks, backend, config: the map, as of its last refresh.
+        min_keyframes: landmarks seen from fewer are left alone: what one look says may be wrong, a merge would keep it.
 
     Returns:
         Disjoint pairs, best first.
@@ -35,7 +41,7 @@ def find_twins(
     limit = float(chi2_distribution.isf(config.significance, 3))
     wanted = set(touched)
     found: list[tuple[float, int, int]] = []
-    placed = landmarks.placements()
+    placed = [(one, place) for one, place in landmarks.placements() if one.n_keyframes >= min_keyframes]
     for index, (first, first_place) in enumerate(placed):
         for second, second_place in placed[index + 1 :]:
             if first.id not in wanted and second.id not in wanted:
