@@ -50,8 +50,7 @@ def accumulate(points, covariance, labels, planes, anchors, pose_roots, origins,
         for r in range(n_regions):
             if seen[r]:
                 _close_scan(total[r], running[r], moments[r] @ pose_roots[i])
-            if decay > 0.0:
-                running[r] *= decay
+            running[r] *= decay
             seen[r] = False
 
 

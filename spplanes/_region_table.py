@@ -26,7 +26,7 @@ class RegionTable:
         self._columns = {
             "parent": np.empty(0, dtype=np.int64),
             "axis": np.empty(0, dtype=np.int64),
-            "bias": np.empty(0),
+            "bias": np.empty((0, 2)),
             "test": np.empty((0, ROW_SIZE)),
             "estimate": np.empty((0, ROW_SIZE)),
             "fit": np.empty((0, ROW_SIZE)),

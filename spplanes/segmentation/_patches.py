@@ -69,11 +69,16 @@ def normal_of(row, smallest):
 
 @njit(cache=True)
 def variance_along(covariance, nx, ny, nz):
-    """n^T C n of one point; covariance holds one isotropic variance or nine entries."""
+    """n^T C n of one point; covariance holds one isotropic variance or nine entries.
+
+    It is not taken below a thousandth of the trace: a beam that grazes a plane does not measure it exactly, even if the
+    model leaves out the error of its direction.
+    """
     if covariance.shape[0] == 1:
         return covariance[0]
-    return (
+    along = (
         nx * (covariance[0] * nx + (covariance[1] + covariance[3]) * ny + (covariance[2] + covariance[6]) * nz)
         + ny * (covariance[4] * ny + (covariance[5] + covariance[7]) * nz)
         + nz * nz * covariance[8]
     )
+    return max(along, 1e-3 * (covariance[0] + covariance[4] + covariance[8]))

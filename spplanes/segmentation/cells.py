@@ -84,20 +84,21 @@ def planar_cells(rows, broken, shape, size, quantile, slack):
 
 
 @njit(cache=True)
-def shared_variances(rows, shared, free, planar, size):
-    """Variance along the normal that the points of a planar cell share with their scans: its mean, (number planar,)."""
-    result = np.zeros(planar.sum())
+def shared_variances(rows, shared, free, planar, size, start):
+    """Of every planar cell: mean variance along the normal that points share with their scans, and mean scan, (K, 2)."""
+    result = np.zeros((planar.sum(), 2))
     count = 0
     for ci in range(rows.shape[0]):
         for cj in range(rows.shape[1]):
             if not planar[ci, cj]:
                 continue
+            result[count, 1] = start + (ci + 0.5) * size
             nx, ny, nz = normal_of(rows[ci, cj], eigenvalues(rows[ci, cj])[0])
             if shared.shape[0] > 1:
                 for i in range(ci * size, min((ci + 1) * size, free.shape[0])):
                     for j in range(cj * size, min((cj + 1) * size, free.shape[1])):
                         if free[i, j]:
-                            result[count] += variance_along(shared[i, j], nx, ny, nz) / rows[ci, cj, 0]
+                            result[count, 0] += variance_along(shared[i, j], nx, ny, nz) / rows[ci, cj, 0]
             count += 1
     return result
 

@@ -78,14 +78,24 @@ def merged_distance(a, b, work):
 
 
 @njit(cache=True)
-def cluster(rows, bias, edges, limit):
+def _test(rows, bias, a, b, flatness, correlation, work):
+    """Chi2 of one plane for two patches: what they share with scans counts as far as their scans differ."""
+    apart = 1.0 - np.exp(-abs(bias[a, 1] - bias[b, 1]) / correlation)
+    floor = flatness * flatness
+    return one_plane_chi2(rows[a], rows[b], floor + apart * bias[a, 0], floor + apart * bias[b, 0], work)
+
+
+@njit(cache=True)
+def cluster(rows, bias, edges, limit, flatness, correlation):
     """Fuse patches along edges, the pair with the smallest mean distance to its common plane first.
 
     Args:
         rows: moments, shape (N, 11); on return the row of a root holds the sum of its tree.
-        bias: variance of the systematic error of every patch along its normal, m^2, shape (N,); updated like rows.
+        bias: variance along the normal that a patch shares with its scans, m^2, and mean scan: (N, 2); kept up to date.
         edges: pairs of neighbouring patches, shape (E, 2).
         limit: largest chi2 (3 dof) at which two patches are one plane.
+        flatness: deviation from a plane that every patch is granted, m.
+        correlation: scans over which errors shared with scans change.
 
     Returns:
         Root of every patch, shape (N,). The keys in the heap are brought up to date when they come to its top.
@@ -111,7 +121,7 @@ def cluster(rows, bias, edges, limit):
             if fresh > key:
                 size = _push(keys, items, size, fresh, e)
                 continue
-        if one_plane_chi2(rows[a], rows[b], bias[a], bias[b], work) > limit:
+        if _test(rows, bias, a, b, flatness, correlation, work) > limit:
             continue
         if b < a:
             a, b = b, a

@@ -31,7 +31,7 @@ class MapperConfig:
     """Use the paper's edge test, which takes the sampling distance for error, in place of the jump in depth."""
     edge_significance: float = 0.001
     """Share of true edges that the chi2 test of the quad filter may refuse; in (0, 0.5)."""
-    gate_sigma: float = 3.0
+    gate_sigma: float = 3.5
     """A single point belongs to a plane within this many standard deviations."""
     max_tilt_rad: float = 0.1
     """Standard deviation of tilt, rad, above which a patch does not determine a plane of its own."""

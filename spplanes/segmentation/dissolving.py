@@ -16,16 +16,15 @@ SUM_GAIN = 16.3
 
 
 @njit(cache=True)
-def dissolve(points, covariance, labels, start, sizes, pairs, planes, largest, floor_variance):
+def dissolve(points, covariance, labels, start, sizes, pairs, planes, floor_variance):
     """Give the points of superfluous regions to their neighbours, in place; smallest regions first.
 
     Args:
         points, covariance, labels: the grid; see `Sheet`. Regions with points before row `start` stay.
         start: first row to work on.
         sizes: number of points of every region, shape (R,).
-        pairs: neighbouring regions, shape (E, 2), each pair once.
+        pairs: regions near each other, shape (E, 2), each pair once.
         planes: (normal, d) of the regions, shape (R, 4).
-        largest: regions with more points than this stay.
         floor_variance: added to the variance of every point, m^2.
 
     Returns:
@@ -41,7 +40,7 @@ def dissolve(points, covariance, labels, start, sizes, pairs, planes, largest, f
     count = 0
     for r in np.argsort(sizes):
         n = first[r + 1] - first[r]
-        if n == 0 or sizes[r] > largest or fixed[r]:
+        if n == 0 or fixed[r]:
             continue
         n_candidates = 0
         for e in range(pairs.shape[0]):
@@ -57,6 +56,35 @@ def dissolve(points, covariance, labels, start, sizes, pairs, planes, largest, f
             sizes[r] = 0
             count += 1
     return count
+
+
+@njit(cache=True)
+def near_pairs(labels, gap):
+    """Pairs of unlike regions at most `gap` points apart along every fourth row and column: (E, 2), many times each."""
+    n_rows, n_cols = labels.shape
+    pairs = np.empty((2 * labels.size + 16, 2), dtype=np.int64)
+    longest = max(n_rows, n_cols)
+    run, stop = np.empty(longest, dtype=np.int64), np.empty(longest, dtype=np.int64)
+    count = 0
+    for along in range(2):
+        outer, inner = (n_rows, n_cols) if along == 0 else (n_cols, n_rows)
+        for u in range(0, outer, BLOCK):
+            n_runs = 0
+            for v in range(inner):
+                r = labels[u, v] if along == 0 else labels[v, u]
+                if n_runs and run[n_runs - 1] == r:
+                    stop[n_runs - 1] = v
+                    continue
+                if r >= 0:
+                    k = n_runs - 1
+                    while k >= 0 and v - stop[k] <= gap and count < pairs.shape[0]:
+                        if run[k] >= 0 and run[k] != r:
+                            pairs[count, 0], pairs[count, 1] = min(r, run[k]), max(r, run[k])
+                            count += 1
+                        k -= 1
+                run[n_runs], stop[n_runs] = r, v
+                n_runs += 1
+    return pairs[:count]
 
 
 @njit(cache=True)

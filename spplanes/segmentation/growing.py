@@ -67,16 +67,17 @@ def _centre(sums, about):
 
 @njit(cache=True)
 def shared_of_regions(shared, labels, planes):
-    """Mean variance along the normal that the points of a region share with their scans, shape (R,)."""
-    total, count = np.zeros(planes.shape[0]), np.zeros(planes.shape[0])
-    if shared.shape[0] > 1:
-        for i in range(labels.shape[0]):
-            for j in range(labels.shape[1]):
-                r = labels[i, j]
-                if r >= 0:
-                    total[r] += variance_along(shared[i, j], planes[r, 0], planes[r, 1], planes[r, 2])
-                    count[r] += 1.0
-    return total / np.maximum(count, 1.0)
+    """Of every region: mean variance along the normal that points share with their scans, and mean scan, (R, 2)."""
+    total, count = np.zeros((planes.shape[0], 2)), np.zeros(planes.shape[0])
+    for i in range(labels.shape[0]):
+        for j in range(labels.shape[1]):
+            r = labels[i, j]
+            if r >= 0:
+                count[r] += 1.0
+                total[r, 1] += i
+                if shared.shape[0] > 1:
+                    total[r, 0] += variance_along(shared[i, j], planes[r, 0], planes[r, 1], planes[r, 2])
+    return total / np.maximum(count, 1.0).reshape(-1, 1)
 
 
 @njit(cache=True)
@@ -159,7 +160,7 @@ def release(points, covariance, labels, planes, bias, size, limit):
 
 
 @njit(cache=True)
-def border_pairs(points, valid, views, labels, planes, bias, gap):
+def border_pairs(points, covariance, valid, views, labels, planes, bias, gap):
     """Pairs of unlike regions, (E, 2), that touch, or that an occluder parts along a row or column.
 
     With an occluder, at most `gap` points lie between, missing or clearly before the plane, but for up to four at its
@@ -185,7 +186,9 @@ def border_pairs(points, valid, views, labels, planes, bias, gap):
                     if q >= 0 and (back == 1 or before > 0) and count < pairs.shape[0]:
                         pairs[count, 0], pairs[count, 1] = min(q, r), max(q, r)
                         count += 1
-                    side = 1 if not valid[a, b] else _side(points[a, b], views[a], planes[r], bias[r])
+                    side = 1
+                    if valid[a, b]:
+                        side = _side(points[a, b], covariance[a, b], views[a], planes[r], bias[r])
                     if side > 0:
                         before += 1
                     elif side == 0 and q < 0 and on_plane < 4:
@@ -196,56 +199,10 @@ def border_pairs(points, valid, views, labels, planes, bias, gap):
 
 
 @njit(cache=True)
-def _side(p, view, plane, bias):
-    """1: the point lies before the plane, on the viewpoint's side; -1: behind it; 0: within tolerance of it."""
+def _side(p, covariance, view, plane, bias):
+    """1: the point lies before the plane, on the viewpoint's side; -1: behind it; 0: within its noise and tolerance."""
     distance = p[0] * plane[0] + p[1] * plane[1] + p[2] * plane[2] - plane[3]
     eye = view[0] * plane[0] + view[1] * plane[1] + view[2] * plane[2] - plane[3]
-    if distance * distance <= 25.0 * bias:
+    if distance * distance <= 9.0 * variance_along(covariance, plane[0], plane[1], plane[2]) + 25.0 * bias:
         return 0
     return 1 if distance * eye > 0.0 else -1
-
-
-@njit(cache=True)
-def choose_at_borders(points, covariance, valid, labels, start, planes, gate, floor_variance, smoothness):
-    """Let points at borders choose: smallest chi2 plus a price per unlike neighbour (one sweep of ICM, in place)."""
-    n_rows, n_cols = labels.shape
-    changed = 0
-    around = np.empty(8, dtype=np.int64)
-    for i in range(start, n_rows):
-        for j in range(n_cols):
-            mine = labels[i, j]
-            if not valid[i, j] or not _at_border(labels, valid, i, j, mine):
-                continue
-            n_around = 0
-            for a in range(max(i - 1, 0), min(i + 2, n_rows)):
-                for b in range(max(j - 1, 0), min(j + 2, n_cols)):
-                    if (a != i or b != j) and valid[a, b]:
-                        around[n_around] = labels[a, b]
-                        n_around += 1
-            best, best_cost = -1, np.inf
-            for k in range(-1, n_around):
-                label = mine if k < 0 else around[k]
-                cost = gate
-                if label >= 0:
-                    cost = residual_chi2(points[i, j], covariance[i, j], planes[label], floor_variance)
-                    if cost > gate:
-                        continue
-                for m in range(n_around):
-                    cost += smoothness * (around[m] != label)
-                if cost < best_cost:
-                    best, best_cost = label, cost
-            if best != mine:
-                labels[i, j] = best
-                changed += 1
-    return changed
-
-
-@njit(cache=True)
-def _at_border(labels, valid, i, j, mine):
-    n_rows, n_cols = labels.shape
-    return (
-        (i > 0 and labels[i - 1, j] != mine and valid[i - 1, j])
-        or (j > 0 and labels[i, j - 1] != mine and valid[i, j - 1])
-        or (i + 1 < n_rows and labels[i + 1, j] != mine and valid[i + 1, j])
-        or (j + 1 < n_cols and labels[i, j + 1] != mine and valid[i, j + 1])
-    )

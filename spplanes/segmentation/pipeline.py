@@ -9,7 +9,7 @@ from scipy.stats import chi2, norm
 
 from spplanes._check import FloatArray
 from spplanes.moments import ROW_SIZE, merge_rows
-from spplanes.segmentation import cells, creases, dissolving, growing
+from spplanes.segmentation import borders, cells, creases, dissolving, growing
 from spplanes.segmentation._patches import eigenvalues
 from spplanes.segmentation.clustering import cluster
 from spplanes.segmentation.config import MapperConfig
@@ -25,10 +25,12 @@ MISFIT_SIGNIFICANCE = 1e-4
 """Share of such cells that may be found by chance; there are many of them."""
 CREASE_CERTAINTY = 3.0
 """Standard deviations of a local normal by which a crease must exceed the angle allowed."""
+NEAR = 40
+"""Points along a row or column within which a larger plane may explain a small region as well."""
+BORDER_BLOCKS = (8, 8, 4)
+"""Sides of the blocks of points that change sides together, sweep after sweep."""
 BORDER_SWEEPS = 2
 """Sweeps over the points at borders; more change next to nothing."""
-SUPERFLUOUS_POINTS = 4000
-"""Regions larger than this are never taken for a fringe of their neighbours."""
 ROUNDS = 2
 """The search starts again, once, with the points that turned out not to fit."""
 
@@ -53,8 +55,8 @@ class Sheet:
     """Moments of the points before `start`, of the regions that reach in, shape (P, 11)."""
     rows: FloatArray = field(default_factory=lambda: np.empty((0, ROW_SIZE)))
     """Moments of the regions, shape (R, 11); region r < P continues the prior one."""
-    bias: FloatArray = field(default_factory=lambda: np.empty(0))
-    """Variance of the systematic error of every region along its normal, shape (R,), m^2."""
+    bias: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    """Variance along the normal that every region shares with its scans, m^2, and its mean scan, shape (R, 2)."""
     alias: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     """The region every region has been fused into, or itself, shape (R,)."""
 
@@ -105,12 +107,12 @@ def join_cells(sheet: Sheet, linked: tuple[np.ndarray, np.ndarray], size: int, c
     if not planar.any():
         return
     shared = sheet.shared[sheet.fresh] if len(sheet.shared) > 1 else sheet.shared
-    bias = floor + cells.shared_variances(moments, shared, free, planar, size)
+    bias = cells.shared_variances(moments, shared, free, planar, size, sheet.start)
     n_regions = len(sheet.rows)
     node = np.where(planar, n_regions + np.cumsum(planar.ravel()).reshape(planar.shape) - 1, -1)
     nodes, biases = np.concatenate((sheet.rows, moments[planar])), np.concatenate((sheet.bias, bias))
     edges = cells.cell_edges(node, sheet.labels, sheet.start, size)
-    root = cluster(nodes, biases, edges, chi2.isf(config.significance, 3))
+    root = _cluster(nodes, biases, edges, config)
     sheet.rows, sheet.bias = nodes[:n_regions], biases[:n_regions]
     _fuse(sheet, root[:n_regions])
     fresh = [r for r in np.unique(root) if r >= n_regions and is_determined(nodes[r], config)]
@@ -119,6 +121,11 @@ def join_cells(sheet: Sheet, linked: tuple[np.ndarray, np.ndarray], size: int, c
     label_of[fresh] = n_regions + np.arange(len(fresh))
     _append(sheet, nodes[fresh], biases[fresh])
     cells.paint(sheet.labels[sheet.fresh], node, label_of[root], free, size)
+
+
+def _cluster(rows: FloatArray, bias: FloatArray, edges: np.ndarray, config: MapperConfig) -> np.ndarray:
+    limit, correlation = chi2.isf(config.significance, 3), max(config.pose_correlation_scans, 1.0)
+    return cluster(rows, bias, edges, limit, config.flatness_m, correlation)
 
 
 def is_determined(row: FloatArray, config: MapperConfig) -> bool:
@@ -158,26 +165,35 @@ def spread(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
     refit(sheet, config)
     fuse_neighbours(sheet, views, 0, config)
     settle_borders(sheet, config)
-    if dissolve_superfluous(sheet, views, config):
+    if dissolve_superfluous(sheet, config):
         settle_borders(sheet, config)
 
 
-def dissolve_superfluous(sheet: Sheet, views: FloatArray, config: MapperConfig) -> int:
+def dissolve_superfluous(sheet: Sheet, config: MapperConfig) -> int:
     """Give the points of small regions that their neighbours explain as well to those; returns how many did."""
     planes = growing.hesse(sheet.rows)
-    edges = _neighbours(sheet, views, planes, 0)
+    edges = _distinct(dissolving.near_pairs(sheet.labels, NEAR), len(sheet.rows))
     sizes = np.bincount(sheet.labels[sheet.labels >= 0], minlength=len(sheet.rows))
-    floor, largest = config.flatness_m**2, SUPERFLUOUS_POINTS
     return dissolving.dissolve(
-        sheet.points, sheet.covariance, sheet.labels, sheet.start, sizes, edges, planes, largest, floor
+        sheet.points, sheet.covariance, sheet.labels, sheet.start, sizes, edges, planes, config.flatness_m**2
     )
 
 
-def _neighbours(sheet: Sheet, views: FloatArray, planes: FloatArray, gap: int) -> np.ndarray:
+def _neighbours(
+    sheet: Sheet, views: FloatArray, planes: FloatArray, gap: int, config: MapperConfig
+) -> np.ndarray:
     """Pairs of regions that meet, each once, shape (E, 2)."""
-    pairs = growing.border_pairs(sheet.points, sheet.valid, views, sheet.labels, planes, sheet.bias, gap)
-    codes = np.unique(pairs[:, 0] * len(sheet.rows) + pairs[:, 1])
-    return np.stack(np.divmod(codes, len(sheet.rows)), axis=1)
+    tolerance = config.flatness_m**2 + sheet.bias[:, 0]
+    pairs = growing.border_pairs(
+        sheet.points, sheet.covariance, sheet.valid, views, sheet.labels, planes, tolerance, gap
+    )
+    return _distinct(pairs, len(sheet.rows))
+
+
+def _distinct(pairs: np.ndarray, n_regions: int) -> np.ndarray:
+    """Each pair once, in ascending order, shape (E, 2)."""
+    codes = np.unique(pairs[:, 0] * n_regions + pairs[:, 1])
+    return np.stack(np.divmod(codes, n_regions), axis=1)
 
 
 def _grow(sheet: Sheet, config: MapperConfig) -> None:
@@ -194,18 +210,25 @@ def _grow(sheet: Sheet, config: MapperConfig) -> None:
 
 
 def settle_borders(sheet: Sheet, config: MapperConfig) -> None:
-    """Points at the borders of regions go where they fit best."""
+    """Points at the borders of regions go where they fit best: block by block, then one by one."""
+    floor, gate = config.flatness_m**2, config.gate_sigma**2
+    for size in BORDER_BLOCKS:
+        moved = borders.choose_blocks(
+            sheet.points, sheet.covariance, sheet.labels, sheet.start, growing.hesse(sheet.rows), gate, floor, size
+        )
+        if moved:
+            refit(sheet, config)
     planes = growing.hesse(sheet.rows)
     for _ in range(BORDER_SWEEPS):
-        growing.choose_at_borders(
+        borders.choose_points(
             sheet.points,
             sheet.covariance,
             sheet.valid,
             sheet.labels,
             sheet.start,
             planes,
-            config.gate_sigma**2,
-            config.flatness_m**2,
+            gate,
+            floor,
             config.border_smoothness,
         )
     refit(sheet, config)
@@ -235,11 +258,10 @@ def part_at_creases(sheet: Sheet, views: FloatArray, config: MapperConfig) -> No
 def fuse_neighbours(sheet: Sheet, views: FloatArray, gap: int, config: MapperConfig) -> None:
     """Fuse regions that meet and are one plane (chi2)."""
     planes = growing.hesse(sheet.rows)
-    shared = growing.shared_of_regions(sheet.shared, sheet.labels, planes)
-    sheet.bias = np.where(sheet.rows[:, 0] > 0.0, config.flatness_m**2 + shared, sheet.bias)
-    edges = _neighbours(sheet, views, planes, gap)
+    sheet.bias = growing.shared_of_regions(sheet.shared, sheet.labels, planes)
+    edges = _neighbours(sheet, views, planes, gap, config)
     if len(edges):
-        _fuse(sheet, cluster(sheet.rows, sheet.bias, edges, chi2.isf(config.significance, 3)))
+        _fuse(sheet, _cluster(sheet.rows, sheet.bias, edges, config))
 
 
 def drop_small(sheet: Sheet, config: MapperConfig) -> None:
@@ -257,7 +279,7 @@ def release_misfits(sheet: Sheet, config: MapperConfig) -> None:
         sheet.covariance[part],
         sheet.labels[part],
         growing.hesse(sheet.rows),
-        sheet.bias,
+        config.flatness_m**2 + sheet.bias[:, 0],
         MISFIT_CELL,
         chi2.isf(MISFIT_SIGNIFICANCE, 1),
     )
