@@ -72,16 +72,36 @@ def centre_root_informations(covariances: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.qr(np.linalg.solve(np.linalg.cholesky(turned), identities), mode="r"))
 
 
-def second_order_share(frames: FloatArray, covariances: FloatArray) -> FloatArray:
-    """How far the native factor is from its linearisation at one sigma, shape (N,), in sigmas of z.
+def second_order(frames: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What a tilt e of the measured plane does to its distance beyond the first order: -d |e|^2 / 2.
 
-    Its distance is that of the foot of the perpendicular, not of the patch: a tilt e moves it by d |e|^2 / 2 beyond
-    the first order. That term's root mean square over the deviation of z given the tilts.
+    The native factor's distance is that of the foot of the perpendicular from the pose, not of the patch, and this is
+    what it neglects. Mean (N,) and variance (N,) of it under the planes' own tilt covariance.
     """
     tilts = covariances[:, 1:, 1:]
-    fourth = np.trace(tilts, axis1=1, axis2=2) ** 2 + 2.0 * np.einsum("nij,nji->n", tilts, tilts)
-    distances = np.abs(np.einsum("ni,ni->n", frames[:, :3, 2], frames[:, :3, 3]))
-    return 0.5 * distances * np.sqrt(fourth * np.linalg.inv(covariances)[:, 0, 0])
+    distances = np.einsum("ni,ni->n", frames[:, :3, 2], frames[:, :3, 3])
+    mean = -0.5 * distances * np.trace(tilts, axis1=1, axis2=2)
+    return mean, 0.5 * distances**2 * np.einsum("nij,nji->n", tilts, tilts)
+
+
+def two_point_information(points: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
+    """Distances of two body-frame points (2, 3) from a landmark as a native factor: "measured" normal, and R (3, 3).
+
+    n.q - d is a linear function of the factor's error [B^T n, d - d_measured] if q lies in the span of B: so the
+    measured plane is made the one through both points and the body's origin. Then n.q = (B^T q).(B^T n), exactly,
+    whatever the landmark; its own normal plays no part. R is upper triangular with an empty last row.
+    """
+    normal = np.cross(points[0], points[1])
+    length = np.linalg.norm(normal)
+    if length < 1e-9 * np.abs(points).max() ** 2:  # in line with the origin: any plane through that line will do
+        along = points[np.argmax(np.abs(points).max(axis=1))]
+        normal = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+        length = np.linalg.norm(normal)
+    normal = normal / length
+    rows = np.column_stack([points @ unit_bases(normal[None])[0], -np.ones(2)]) / sigma
+    root = np.zeros((3, 3))
+    root[:2] = np.linalg.qr(rows, mode="r")
+    return normal, root
 
 
 def tangent_to_sp(frame: FloatArray) -> FloatArray:

@@ -12,17 +12,13 @@ from factors._check import as_key, check_definite
 from factors._conventions import (
     centre_root_informations,
     oriented_plane,
-    second_order_share,
+    second_order,
     square_root_informations,
 )
 from factors._custom import Recipe
 from factors.robust import Robust, gaussian
 from spplanes import Plane
 from spplanes._check import FloatArray
-
-#: The native factor is used where its second-order error is below this share of a sigma; its mean NIS is then at most
-#: 0.045 above 3.
-NATIVE_UP_TO = 0.2
 
 
 def plane_factor(
@@ -31,9 +27,14 @@ def plane_factor(
     """Factor of a plane measured in the frame of the pose ``pose_key``.
 
     The landmark ``plane_key`` is an ``OrientedPlane3`` in the frame of the pose ``anchor_key``, or in the world without
-    one. Anchored is the form to prefer: native, and well conditioned however far from the origin. It is native but for
-    two cases: the pose is its own anchor (the first observation), where the factor is unary on the landmark; and small
-    patches far away, whose tilt is so uncertain that the native error is not linear within their sigmas.
+    one. Anchored is the form to prefer: native, and well conditioned however far from the origin. Where the pose is its
+    own anchor (the first observation) the factor is unary on the landmark and, as in the world, custom: GTSAM would
+    count the pose's information twice over. An optimiser copies all its values at every call of a custom factor: in
+    graphs of thousands of variables anchor landmarks at another pose than the first observer, such as the keyframe
+    before it, or every thirtieth keyframe.
+
+    The native error is not quite linear in the tilts: at the distance d of the plane a tilt e takes d |e|^2 / 2 off.
+    Its mean and variance under the plane's own covariance are corrected for, which matters to small patches far away.
 
     Sides are the caller's: the error is blind to a plane seen from behind (see `factors.facing`).
     ValueError: a key that is no integer, a singular covariance, an unknown kernel.
@@ -61,13 +62,15 @@ def plane_factors(
     if not len(planes):
         return graph
     frames, covariances = _stacked(planes)
-    roots, centre_roots = square_root_informations(frames, covariances), centre_root_informations(covariances)
-    native = second_order_share(frames, covariances) <= NATIVE_UP_TO
-    distances = np.einsum("ni,ni->n", frames[:, :3, 2], frames[:, :3, 3])
+    mean, variance = second_order(frames, covariances)
+    distances = np.einsum("ni,ni->n", frames[:, :3, 2], frames[:, :3, 3]) + mean
+    inflated = covariances.copy()
+    inflated[:, 0, 0] += variance
+    roots, centre_roots = square_root_informations(frames, inflated), centre_root_informations(covariances)
     for i, (pose, key, anchor) in enumerate(zip(pose_keys, plane_keys, anchors, strict=True)):
         plane_key, pose_key = as_key("plane_key", key), as_key("pose_key", pose)
         anchor_key = None if anchor is None else as_key("anchor_key", anchor)
-        if native[i] and anchor_key is not None and anchor_key != pose_key:
+        if anchor_key is not None and anchor_key != pose_key:
             measured, noise = oriented_plane(frames[i, :3, 2], distances[i]), gaussian(roots[i], robust, 3)
             factor = gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, pose_key, anchor_key, plane_key)
         else:
