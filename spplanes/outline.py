@@ -15,6 +15,8 @@ from spplanes._check import FloatArray
 #: A cell is (region, i, j) in one int64: 21 bits for each of i and j, offset to be positive.
 _BITS, _OFFSET = 21, 1 << 20
 _MASK = (1 << _BITS) - 1
+#: A plane is not projected along an axis with which its normal has less than this cosine.
+STEEPEST = 0.2
 #: Patches of one region that lie apart are bridged by closing the outline with up to this many cells.
 _BRIDGES = (1.0, 2.0, 4.0, 8.0, 16.0)
 
@@ -90,7 +92,12 @@ def cells_of(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def in_projection(cells: np.ndarray, axes: np.ndarray, axis: int, cell: float, frame: FloatArray) -> np.ndarray:
-    """Cells (K, 2) of one plane that were drawn along different axes (K,), all along the one given, distinct."""
+    """Cells (K, 2) of one plane that were drawn along different axes (K,), all along the one given, distinct.
+
+    Those drawn along an axis that the plane, better known by now, turned out to be almost parallel to are left out.
+    """
+    usable = np.abs(frame[axes, 2]) > STEEPEST
+    cells, axes = cells[usable], axes[usable]
     other = axes != axis
     if not other.any():
         return cells

@@ -9,22 +9,20 @@ from spplanes.segmentation._patches import eigenvalues, merge_scaled
 
 
 @njit(cache=True)
-def inflation(weight, bias):
-    """Scale of a patch's weights that adds a systematic error: variance `bias` along z, tilt in ratio of its extent."""
-    return 1.0 / (1.0 + bias * weight)
-
-
-@njit(cache=True)
-def one_plane_chi2(a, b, bias_a, bias_b, work):
-    """Chi2 (3 dof) of the hypothesis that two rows of moments are one plane.
+def one_plane_chi2(a, b, bias, work):
+    """Chi2 (3 dof) of the hypothesis that two rows of moments are one plane, up to a systematic error between them.
 
     It is the growth of the sum of squared normalised residuals when both are fitted by one plane, which to first order
-    is (b_a - b_b)^T (C_a + C_b)^-1 (b_a - b_b); it stays defined when one patch does not determine a plane.
+    is (b_a - b_b)^T (C_a + C_b)^-1 (b_a - b_b); it stays defined when one patch does not determine a plane. The
+    systematic error, variance `bias` along z and a tilt of as much per rms extent, is granted to the smaller patch: its
+    weights shrink by 1 + bias W, which is adding it to its covariance. Granted to a large but narrow patch as well, it
+    would let that one turn about its long axis by more than its points allow.
     """
-    scale_a, scale_b = inflation(a[1], bias_a), inflation(b[1], bias_b)
-    merge_scaled(work, a, scale_a, b, scale_b)
-    together = eigenvalues(work)[0]
-    return together - scale_a * eigenvalues(a)[0] - scale_b * eigenvalues(b)[0]
+    if a[1] < b[1]:
+        a, b = b, a
+    scale = 1.0 / (1.0 + bias * b[1])
+    merge_scaled(work, a, 1.0, b, scale)
+    return eigenvalues(work)[0] - eigenvalues(a)[0] - scale * eigenvalues(b)[0]
 
 
 @njit(cache=True)
@@ -81,8 +79,8 @@ def merged_distance(a, b, work):
 def _test(rows, bias, a, b, flatness, correlation, work):
     """Chi2 of one plane for two patches: what they share with scans counts as far as their scans differ."""
     apart = 1.0 - np.exp(-abs(bias[a, 1] - bias[b, 1]) / correlation)
-    floor = flatness * flatness
-    return one_plane_chi2(rows[a], rows[b], floor + apart * bias[a, 0], floor + apart * bias[b, 0], work)
+    total = 2.0 * flatness * flatness + apart * (bias[a, 0] + bias[b, 0])
+    return one_plane_chi2(rows[a], rows[b], total, work)
 
 
 @njit(cache=True)

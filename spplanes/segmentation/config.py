@@ -16,7 +16,7 @@ class MapperConfig:
 
     significance: float = 0.001
     """Share of true merges that a chi2 test may refuse; in (0, 0.5)."""
-    flatness_m: float = 0.002
+    flatness_m: float = 0.0025
     """How far a surface that counts as a plane may deviate from one, m: plaster, cushions, quantised depth.
 
     It loosens every test (as noise of each point and as a bias that more points do not average away), never the
@@ -54,9 +54,9 @@ class MapperConfig:
 
     A robot that is localised while it drives errs alike over metres: then a plane seen in many scans knows less than
     their number promises."""
-    strip_scans: int = 32
+    strip_scans: int = 64
     """Scans that `PlaneMapper` settles at a time; at least 2, the paper's."""
-    lookahead_scans: int = 8
+    lookahead_scans: int = 16
     """Scans that `PlaneMapper` sees beyond those it settles."""
     keep_labels: bool = False
     """Whether `PlaneMapper` keeps the plane of every point, 4 bytes each; by default memory grows with planes only."""
