@@ -79,6 +79,14 @@ def test_statistics_of_absolute_errors():
     assert values["ATE rotation max"][0] < 1e-12 and values["ATE rotation max"][1] == "deg"
 
 
+def test_turning_on_the_spot_is_no_error_of_position():
+    truth = helix()
+    turned = Trajectory(truth.stamps_ns, truth.poses @ planar_transform(0.0, 0.0, 0.1))
+    errors = absolute_error(turned, truth, alignment="none")
+    assert errors.translation_m.max() < 1e-12
+    np.testing.assert_allclose(errors.rotation_rad, 0.1)
+
+
 def test_relative_error_sees_drift_and_not_the_frame():
     truth = Trajectory(np.arange(101), np.array([planar_transform(0.1 * k, 0.0, 0.0) for k in range(101)]))
     stretched = Trajectory(truth.stamps_ns, np.array([planar_transform(0.11 * k, 0.0, 0.0) for k in range(101)]))
@@ -142,7 +150,7 @@ def plane(normal, d, outline=None, sigma=0.01, centre=(0.0, 0.0, 0.0)):
 def test_planes_are_matched_to_the_nearest_that_overlaps_on_the_same_side():
     patch = box(-1.0, -1.0, 1.0, 1.0)
     wall, locker = plane((0, 1, 0), 2.0, box(-5.0, -5.0, 5.0, 5.0)), plane((0, 1, 0), 1.95, patch)
-    back, far = plane((0, -1, 0), -2.0, patch), plane((0, 1, 0), 2.0, patch, centre=(30.0, 0.0, 0.0))
+    back, far = plane((0, -1, 0), -2.009, patch), plane((0, 1, 0), 2.0, patch, centre=(30.0, 0.0, 0.0))
     truth = [wall, locker, back, far]
     found = [plane((0, 1, 0), 1.957, patch), plane((0, 1, 0), 2.01, patch), plane((1, 0, 0), 0.0, patch)]
     matches = match_planes(found, truth)

@@ -97,6 +97,11 @@ def test_the_default_corridor_is_the_papers():
     ways = np.linalg.norm(np.diff(vertical.world_T_sensor[:, :3, 3], axis=0), axis=1)
     np.testing.assert_allclose(ways, 0.027, atol=2e-5)
     assert len(full.truth.visible(VERTICAL)) > 40
+    horizontal = full.arrays(HORIZONTAL)
+    assert horizontal.ranges.shape == (271, 720)
+    assert set((horizontal.stamps_ns - vertical.stamps_ns[0]) % (vertical.stamps_ns[1] - vertical.stamps_ns[0])) == {
+        27_000_000
+    }
 
 
 def test_events_are_in_time_order_and_scans_have_odometry_at_their_time(mission):
@@ -328,22 +333,24 @@ def test_bearing_noise_is_what_the_rig_says():
 
 
 def test_a_sweep_gives_each_beam_its_own_place():
-    still = simulate_mission("corridor", n_scans=60, rig=with_sensor(VERTICAL, range_sigma_m=1e-9))
-    moving = simulate_mission("corridor", n_scans=60, rig=with_sensor(VERTICAL, range_sigma_m=1e-9, sweep_s=0.04))
-    sensor = moving.rig.sensors[VERTICAL]
-    times = sensor.beam_times_ns(5, 361)
-    assert times[0] == 5 and times[-1] == 40_000_005 and len(times) == 361
-    first, second = still.arrays(VERTICAL), moving.arrays(VERTICAL)
-    np.testing.assert_allclose(first.ranges[:, 0], second.ranges[:, 0], atol=1e-7)  # the first beam is on time
-    assert (first.labels[:, 1:] != second.labels[:, 1:]).any()
-    ticks, ways = moving.truth.stamps_ns, moving.truth.world_T_body[:, 0, 3]
-    scan = 30
-    x = np.interp(sensor.beam_times_ns(int(second.stamps_ns[scan]), 361), ticks, ways)
-    rays = second.sensor_points()[scan] @ second.world_T_sensor[scan, :3, :3].T
-    ceiling = next(p for p in moving.truth.planes if p.d == -2.7)
-    mine = np.array([moving.truth.planes[k].d == -2.7 for k in second.labels[scan]])
-    assert mine.any() and (np.diff(x) > 0.0).all()
-    np.testing.assert_allclose(ceiling.distance(rays[mine] + [0.0, 0.0, 0.4]), 0.0, atol=1e-6)
+    rig = with_sensor(HORIZONTAL, range_sigma_m=1e-9, sweep_s=0.2)
+    mission = simulate_mission("room", n_scans=40, rig=rig)
+    sensor, arrays, truth = rig.sensors[HORIZONTAL], mission.arrays(HORIZONTAL), mission.truth
+    times = sensor.beam_times_ns(5, 720)
+    assert times[0] == 5 and times[-1] == 200_000_005 and len(times) == 720
+    scan = 2  # on the first straight piece: heading 0, 0.5 m/s
+    x = np.interp(sensor.beam_times_ns(int(arrays.stamps_ns[scan]), 720), truth.stamps_ns, truth.world_T_body[:, 0, 3])
+    assert x[-1] - x[0] == pytest.approx(0.1, abs=1e-6)
+    points = arrays.sensor_points()[scan] + np.column_stack([x, 0.0 * x, np.full(720, 0.3)])
+    distances = [truth.planes[k].distance(p) for k, p in zip(arrays.labels[scan], points, strict=True) if k >= 0]
+    assert len(distances) > 600
+    np.testing.assert_allclose(distances, 0.0, atol=1e-6)
+
+
+def test_a_beam_without_return_has_no_label():
+    arrays = simulate_mission("corridor", n_scans=60, rig=with_sensor(VERTICAL, range_max_m=2.0)).arrays(VERTICAL)
+    lost = np.isnan(arrays.ranges)
+    assert 0.1 < lost.mean() < 0.9 and (arrays.labels[lost] == -1).all() and np.nanmax(arrays.ranges) < 2.0
 
 
 @pytest.mark.parametrize(

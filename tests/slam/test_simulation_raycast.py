@@ -7,6 +7,7 @@ from slam.simulation import WorldBuilder
 from slam.simulation.corridor import HEIGHT_M, WIDTH_M, corridor
 from slam.simulation.office import office
 from slam.simulation.raycast import scan_directions
+from slam.simulation.rigs import BEAMS
 
 
 def cast_one(world, origin, ray, normal=(0.0, 0.0, 0.0)):
@@ -90,6 +91,18 @@ def test_a_box_shows_its_outside():
     assert normals == {(-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, 1)}
     assert sorted(plane.d for plane in world.planes) == [-2.0, -1.0, 1.0, 3.0, 5.0]
     assert sorted(plane.outline.area for plane in world.planes) == pytest.approx([2.0, 2.0, 3.0, 3.0, 6.0])
+
+
+def test_overlapping_holes_are_one_hole():
+    world = wall_world(holes=[(0.5, 0.0, 1.0, 2.0), (0.6, 0.5, 0.9, 1.0), (0.5, 1.5, 1.0, 2.5)])
+    assert world.planes[0].outline.area == pytest.approx(12.0 - 0.5 * 2.5)
+    assert cast_one(world, (0.0, -0.25, 1.25), (1, 0, 0))[0] == np.inf
+
+
+def test_fans_of_beams_lie_in_their_planes():
+    for beams in BEAMS.values():
+        np.testing.assert_allclose(np.linalg.norm(beams.directions, axis=2), 1.0)
+        np.testing.assert_allclose(np.einsum("fbi,fi->fb", beams.directions, beams.normals), 0.0, atol=1e-12)
 
 
 def slow_ranges(world, origin, rays):
