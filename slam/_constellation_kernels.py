@@ -1,0 +1,143 @@
+"""Kernels of constellation matching: walls moved by an uncertain pose, and the score of a pose.
+
+A wall is a row (alpha, rho, var alpha, cov, var rho, first, last): its normal from the free side into the wall, signed
+distance, covariance, and the coordinates of its ends along (-sin alpha, cos alpha). A pose is (x, y, theta) of b_T_a.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+WALL = 7
+
+
+@njit(cache=True, error_model="numpy")
+def innovation(pose, covariance, wall, other):
+    """How far `wall` (in a), moved by the pose, is from `other` (in b).
+
+    Returns:
+        error of (alpha, rho); its covariance entries 00, 01, 11; the overlap of the extents, m, negative for a gap; the
+        variance of the move along the wall.
+    """
+    alpha = wall[0] + pose[2]
+    c, s = np.cos(alpha), np.sin(alpha)
+    lever = pose[1] * c - pose[0] * s
+    turn = (other[0] - alpha + np.pi) % (2.0 * np.pi) - np.pi
+    shift = other[1] - wall[1] - pose[0] * c - pose[1] * s
+    pxx, pxy, pxt = covariance[0, 0], covariance[0, 1], covariance[0, 2]
+    pyy, pyt, ptt = covariance[1, 1], covariance[1, 2], covariance[2, 2]
+    v00 = wall[2] + ptt
+    v01 = wall[3] + lever * wall[2] + c * pxt + s * pyt + lever * ptt
+    v11 = wall[4] + 2.0 * lever * wall[3] + lever * lever * wall[2]
+    v11 += c * c * pxx + 2.0 * c * s * pxy + s * s * pyy + 2.0 * lever * (c * pxt + s * pyt) + lever * lever * ptt
+    overlap = min(wall[6] + lever, other[6]) - max(wall[5] + lever, other[5])
+    along = s * s * pxx - 2.0 * c * s * pxy + c * c * pyy
+    return turn, shift, v00 + other[2], v01 + other[3], v11 + other[4], overlap, along
+
+
+@njit(cache=True, error_model="numpy")
+def evidence(pose, covariance, wall, other, density, gate, min_overlap):
+    """Log ratio of the shift's density if they are one wall to that of chance; -inf beyond the gate or apart."""
+    turn, shift, v00, v01, v11, overlap, along = innovation(pose, covariance, wall, other)
+    det = v00 * v11 - v01 * v01
+    chi2 = (v11 * turn * turn - 2.0 * v01 * turn * shift + v00 * shift * shift) / det
+    wanted = min_overlap * min(wall[6] - wall[5], other[6] - other[5])
+    if not chi2 <= gate or overlap + 3.0 * np.sqrt(along) < wanted:
+        return -np.inf
+    rest = v11 - v01 * v01 / v00
+    error = shift - v01 / v00 * turn
+    return -0.5 * error * error / rest - 0.5 * np.log(2.0 * np.pi * rest) - np.log(density)
+
+
+@njit(cache=True, error_model="numpy")
+def score_table(pose, covariance, walls, others, densities, gate, min_overlap):
+    """Evidence of every pair, (A, B)."""
+    table = np.empty((walls.shape[0], others.shape[0]))
+    for i in range(walls.shape[0]):
+        for j in range(others.shape[0]):
+            table[i, j] = evidence(pose, covariance, walls[i], others[j], densities[j], gate, min_overlap)
+    return table
+
+
+@njit(cache=True, error_model="numpy")
+def fit_pose(pose, walls, others, prior):
+    """Maximum-likelihood pose of matched walls, rows of `walls` to rows of `others`: (pose, covariance, chi2).
+
+    `prior` (3, 3) is information about `pose`; it makes a pose solvable that the walls do not fix.
+    """
+    start = pose.copy()
+    zero = np.zeros((3, 3))
+    covariance = zero
+    chi2 = np.inf
+    jacobian = np.zeros((2, 3))
+    for _ in range(6):
+        normal = prior.copy()
+        right = prior @ (start - pose)
+        chi2 = 0.0
+        for k in range(walls.shape[0]):
+            turn, shift, v00, v01, v11, _, _ = innovation(pose, zero, walls[k], others[k])
+            alpha = walls[k, 0] + pose[2]
+            jacobian[0, 2] = 1.0
+            jacobian[1, 0], jacobian[1, 1] = np.cos(alpha), np.sin(alpha)
+            jacobian[1, 2] = pose[1] * jacobian[1, 0] - pose[0] * jacobian[1, 1]
+            inverse = np.array(((v11, -v01), (-v01, v00))) / (v00 * v11 - v01 * v01)
+            error = np.array((turn, shift))
+            weighted = jacobian.T @ inverse
+            normal += weighted @ jacobian
+            right += weighted @ error
+            chi2 += error @ inverse @ error
+        covariance = np.linalg.inv(normal)
+        step = covariance @ right
+        pose = pose + step
+        if step @ normal @ step < 1e-8:
+            break
+    return pose, covariance, chi2
+
+
+@njit(cache=True, error_model="numpy")
+def rank_hypotheses(walls, others, densities, pairs, max_hypotheses, prior, gate, angle_gate, min_sine, min_overlap):
+    """Poses from two walls in different directions each, and the evidence all other walls give them.
+
+    `pairs` (C, 2) are the correspondences, best first. Returns the two correspondences of each hypothesis (H, 2), its
+    pose (H, 3) and its evidence (H,).
+    """
+    members = np.empty((max_hypotheses, 2), dtype=np.int64)
+    poses = np.empty((max_hypotheses, 3))
+    scores = np.empty(max_hypotheses)
+    count = 0
+    for second in range(pairs.shape[0]):
+        for first in range(second):
+            i, j = pairs[first]
+            k, m = pairs[second]
+            a, b, c, d = walls[i], others[j], walls[k], others[m]
+            twist = (d[0] - c[0] - b[0] + a[0] + np.pi) % (2.0 * np.pi) - np.pi
+            if i == k or j == m or abs(np.sin(a[0] - c[0])) < min_sine:
+                continue
+            if twist * twist > angle_gate * (a[2] + b[2] + c[2] + d[2]):
+                continue
+            theta = b[0] - a[0]
+            start = np.array((0.0, 0.0, (theta + np.pi) % (2.0 * np.pi) - np.pi))
+            sine = np.sin(d[0] - b[0])
+            p, q = b[1] - a[1], d[1] - c[1]
+            start[0] = (p * np.sin(d[0]) - q * np.sin(b[0])) / sine
+            start[1] = (q * np.cos(b[0]) - p * np.cos(d[0])) / sine
+            chosen, targets = np.stack((a, c)), np.stack((b, d))
+            pose, covariance, _ = fit_pose(start, chosen, targets, prior)
+            if evidence(pose, covariance, a, b, 1.0, gate, min_overlap) == -np.inf:
+                continue
+            if evidence(pose, covariance, c, d, 1.0, gate, min_overlap) == -np.inf:
+                continue
+            table = score_table(pose, covariance, walls, others, densities, gate, min_overlap)
+            table[i], table[k] = -np.inf, -np.inf
+            table[:, j] = -np.inf
+            table[:, m] = -np.inf
+            total = 0.0
+            for row in range(table.shape[0]):
+                total += max(0.0, table[row].max())
+            members[count, 0], members[count, 1] = first, second
+            poses[count], scores[count] = pose, total
+            count += 1
+            if count == max_hypotheses:
+                return members, poses, scores
+    return members[:count], poses[:count], scores[:count]
