@@ -10,6 +10,7 @@ import time
 import tracemalloc
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
@@ -91,9 +92,7 @@ def open3d_plane(points: np.ndarray) -> np.ndarray:
 
 def mrob_plane(points: np.ndarray) -> np.ndarray:
     """Plane by mrob."""
-    import mrob
-
-    return mrob.estimate_plane(points)
+    return import_module("mrob").estimate_plane(points)
 
 
 def measure(task: Callable[[], Any]) -> tuple[float, int]:

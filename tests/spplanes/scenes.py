@@ -68,10 +68,8 @@ class Scene:
 
     def folded_covariances(self) -> np.ndarray:
         """Covariances of single points, (N, 3, 3), with the pose errors of their scans inside."""
-        jacobian = np.stack(
-            [moved(self.true_points, np.tile(e, (len(self.true_points), 1))) for e in np.eye(6)], axis=2
-        )
-        jacobian -= self.true_points[:, :, None]
+        p = self.true_points
+        jacobian = np.stack([moved(p, np.tile(e, (len(p), 1))) - p for e in np.eye(6)], axis=2)
         return self.covariances + jacobian @ self.pose_covariances[self.scan_index] @ jacobian.transpose(0, 2, 1)
 
     def error(self, frame: np.ndarray) -> np.ndarray:

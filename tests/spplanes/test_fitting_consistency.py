@@ -93,11 +93,12 @@ def test_covariances_taken_at_the_measured_points():
     assert_mean_in_band(values, 3)
 
 
-def test_narrow_patch_in_isotropic_noise():
-    """A strip hardly wider than the noise is deep: without taking that noise out of its width, NEES is near 4."""
+@pytest.mark.parametrize("length", [2.0, 0.08])
+def test_narrow_patch_in_isotropic_noise(length):
+    """A strip, or a square, hardly wider than the noise is deep: that noise must be taken out of its width."""
     rng = np.random.default_rng(6)
     frame = plane_frame(3.0, 30.0)
-    local = np.column_stack([rng.uniform(-1, 1, 400), rng.uniform(-0.03, 0.03, 400), np.zeros(400)])
+    local = np.column_stack([0.5 * length * rng.uniform(-1, 1, 400), rng.uniform(-0.03, 0.03, 400), np.zeros(400)])
     points = local @ frame[:3, :3].T + frame[:3, 3]
     scene = Scene(points, np.tile(0.01**2 * np.eye(3), (400, 1, 1)), frame, np.zeros(3))
     values, _, covariances = run(scene, fit(), RUNS, seed=5)

@@ -30,7 +30,7 @@ def test_four_corners(method):
     Noise along the plane adds 3 s^2 to the curvature's sum (n - 1 = 3), below the digits compared for s = 10 um.
     """
     s = 1e-5
-    plane = fit_plane(CORNERS + (0, 0, 5.0), sigma=s, method=method)
+    plane = fit_plane(np.add(CORNERS, (0, 0, 5.0)), sigma=s, method=method)
     np.testing.assert_allclose(plane.frame, transform_from_rpy((0, 0, 5, 0, 0, 0)), atol=1e-15)
     np.testing.assert_allclose(plane.covariance, s**2 * np.diag([1 / 4, 1 / 16, 1 / 4]), rtol=1e-8, atol=1e-20)
     assert (plane.d, plane.n_points) == (5.0, 4)
@@ -82,7 +82,7 @@ def test_shared_pose_known_answer():
     s, a = 1e-3, 4e-6
     poses = np.zeros((2, 6, 6))
     poses[0, 2, 2] = a
-    points = np.concatenate([CORNERS, CORNERS]) + (0, 0, 2.0)
+    points = np.add(np.concatenate([CORNERS, CORNERS]), (0, 0, 2.0))
     index = np.repeat([0, 1], 4)
     one = fit_plane(points[:4], sigma=s, scan_index=index[:4], pose_covariances=poses)
     assert one.covariance[0, 0] == pytest.approx(s**2 / 4 + a, rel=1e-9)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from shapely import Polygon
 
 from spplanes import Location, Moments, Plane
-from spplanes._hesse import hesse_jacobian
+from spplanes._hesse import hesse_jacobian, slopes_in
 from spplanes.spmodel import inverse_transform, transform_from_rpy
 from tests.statistics import assert_jacobian, assert_mean_in_band, nees
 
@@ -68,6 +68,25 @@ def test_perturbed_plane_is_z_minus_theta_x_plus_psi_y():
     plane = perturbed(Plane(np.eye(4), np.eye(3)), (z, theta, psi))
     for x, y in ((0, 0), (1, 0), (0, 1), (2, -3)):
         assert abs(plane.distance([x, y, z - theta * x + psi * y])) < 1e-10
+
+
+def test_slopes_in_another_frame_against_central_differences():
+    """A plane seen 40 deg off the normal and 2 m off the centre of the frame in which it is written."""
+    plane = random_plane(3)
+    frame = plane.frame @ transform_from_rpy((2.0, -1.0, 0.5, 0.4, 0.5, -0.5))
+
+    def slopes(p):
+        return slopes_in(frame, perturbed(plane, p).frame, plane.covariance)[0]
+
+    step = 1e-5
+    j = np.column_stack([(slopes(step * e) - slopes(-step * e)) / (2 * step) for e in np.eye(3)])
+    np.testing.assert_allclose(
+        slopes_in(frame, plane.frame, plane.covariance)[1], j @ plane.covariance @ j.T, rtol=1e-6
+    )
+    z, theta, psi = slopes(np.zeros(3))
+    for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
+        point = frame[:3, :3] @ (x, y, z - theta * x + psi * y) + frame[:3, 3]
+        assert abs(plane.distance(point)) < 1e-12
 
 
 def test_transform_propagates_as_central_differences_do():
