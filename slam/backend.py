@@ -31,6 +31,7 @@ class Backend:
         parameters.cacheLinearizedFactors = True
         self._isam = gtsam.ISAM2(parameters)
         self._estimate = gtsam.Values()
+        self._linearised = gtsam.Values()
 
     @property
     def values(self) -> gtsam.Values:
@@ -63,6 +64,7 @@ class Backend:
             if relinearize:
                 self._isam.update()
             self._estimate = self._isam.calculateEstimate()
+            self._linearised = self._isam.getLinearizationPoint()
         except RuntimeError as error:
             raise BackendError(_first_line(error)) from error
         return list(result.getNewFactorsIndices())
@@ -76,18 +78,30 @@ class Backend:
         return self._estimate.atOrientedPlane3(key)
 
     def joint_covariance(self, keys: Sequence[int]) -> JointCovariance:
-        """Joint marginal covariance of a few variables."""
+        """Joint marginal covariance of a few variables, in the tangents of their current estimates."""
         try:
-            return JointCovariance(keys, self._isam.jointMarginalCovariance(list(keys)))
+            marginal = self._isam.jointMarginalCovariance(list(keys))
         except RuntimeError as error:
             raise BackendError(_first_line(error)) from error
+        return JointCovariance(keys, marginal, [self._to_estimate(key) for key in keys])
 
     def covariance(self, key: int) -> FloatArray:
-        """Marginal covariance of one variable in its GTSAM tangent order."""
-        try:
-            return self._isam.marginalCovariance(key)
-        except RuntimeError as error:
-            raise BackendError(_first_line(error)) from error
+        """Marginal covariance of one variable in its GTSAM tangent order, in the tangent of its current estimate."""
+        return self.joint_covariance([key]).of([key])
+
+    def _to_estimate(self, key: int) -> FloatArray:
+        """Matrix that takes a tangent at iSAM2's linearisation point to one at the estimate.
+
+        For a plane the two differ by more than second order: ``Unit3.basis()`` jumps where components of the normal
+        tie, so at every floor and every axis-aligned wall the two tangents may be turned by 90 deg. iSAM2's marginals
+        are those of its linearisation point.
+        """
+        if _is_pose(key):
+            return np.eye(6)
+        matrix = np.eye(3)
+        here, there = self._estimate.atOrientedPlane3(key), self._linearised.atOrientedPlane3(key)
+        matrix[:2, :2] = here.normal().basis().T @ there.normal().basis()
+        return matrix
 
     def optimize_batch(self) -> gtsam.Values:
         """Levenberg-Marquardt on the same factors, started from the current estimate."""
@@ -99,11 +113,15 @@ class Backend:
 class JointCovariance:
     """A joint marginal covariance of a few variables, addressed by key."""
 
-    def __init__(self, keys: Sequence[int], marginal: gtsam.JointMarginal) -> None:
-        sizes = [marginal.at(key, key).shape[0] for key in keys]
-        starts = np.concatenate(([0], np.cumsum(sizes)))
+    def __init__(self, keys: Sequence[int], marginal: gtsam.JointMarginal, turns: Sequence[FloatArray]) -> None:
+        starts = np.concatenate(([0], np.cumsum([len(turn) for turn in turns])))
         self._columns = {key: np.arange(starts[i], starts[i + 1]) for i, key in enumerate(keys)}
-        self._full = np.block([[marginal.at(row, column) for column in keys] for row in keys])
+        self._full = np.block(
+            [
+                [turn_row @ marginal.at(row, column) @ turn.T for column, turn in zip(keys, turns, strict=True)]
+                for row, turn_row in zip(keys, turns, strict=True)
+            ]
+        )
 
     @property
     def full(self) -> FloatArray:
@@ -118,6 +136,10 @@ class JointCovariance:
         """Covariance of the stacked tangents of `keys`, in that order."""
         columns = self.columns(keys)
         return self._full[np.ix_(columns, columns)]
+
+
+def _is_pose(key: int) -> bool:
+    return gtsam.Symbol(key).chr() == ord("x")
 
 
 def _first_line(error: Exception) -> str:

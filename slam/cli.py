@@ -146,6 +146,21 @@ def simulate(
         mission.save(folder)
 
 
+@app.command()
+def evaluate(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    truth: Annotated[Path, typer.Option("--truth", help="Simulated mission, TUM trajectory or relations.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Score RUN against the truth; the numbers also go into its metrics.json."""
+    from slam.evaluation.folders import evaluate_run
+    from slam.export import add_to_metrics
+
+    rows = evaluate_run(run, truth)
+    add_to_metrics(run, "evaluation", rows)
+    show(f"{run.name} against {truth.name}", rows, as_json)
+
+
 @contextmanager
 def progress_bar(name: str) -> Iterator[Callable[[int, int], None]]:
     """A progress bar on stderr, where stderr is a terminal."""
@@ -164,7 +179,9 @@ def show(title: str, rows: Sequence[Metric], as_json: bool) -> None:
     if as_json:
         import json
 
-        print(json.dumps([{"metric": row.name, "value": row.value, "unit": row.unit} for row in rows], indent=1))
+        from slam.export import as_json as rows_as_json
+
+        print(json.dumps(rows_as_json(rows), indent=1))
         return
     from rich.console import Console
     from rich.table import Table

@@ -17,7 +17,7 @@ from plyfile import PlyData, PlyElement
 from slam.evaluation.metrics import Metric
 from slam.io.trajectories import write_tum
 from slam.mesh import Mesh, mesh_of
-from slam.metrics import metrics_json, metrics_of
+from slam.metrics import details_of, metrics_of
 from slam.pictures import draw_map
 from slam.planeslam import MapPlane
 from slam.report import write_report
@@ -66,15 +66,37 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     write_tum(folder / "odometry.tum", run.odometry)
     write_json(folder / "planes.json", planes_json(run.planes))
     write_ply(folder / "map.ply", mesh_of(run.planes))
-    numbers = metrics_json(rows, run)
-    numbers["metrics"] += [
-        {"metric": f"{caption}: {row.name}", "value": row.value, "unit": row.unit}
-        for caption, table in extra
-        for row in table
-    ]
+    numbers = {"metrics": as_json(rows), **details_of(run)}
+    numbers.update({caption: as_json(table) for caption, table in extra})
     write_json(folder / "metrics.json", numbers)
     draw_map(run, folder / "map.png")
     write_report(folder / "report.html", title, [*extra, ("the run", rows)], [folder / "map.png"])
+
+
+def add_to_metrics(folder: Path, key: str, rows: Sequence[Metric]) -> None:
+    """Put a table into the metrics.json of a run, beside what is there.
+
+    Raises:
+        ValueError: the folder has no metrics.json that can be read and written.
+    """
+    path = folder / "metrics.json"
+    try:
+        numbers = json.loads(path.read_text(encoding="utf-8"))
+        numbers[key] = as_json(rows)
+        scratch = path.with_suffix(".json.new")
+        write_json(scratch, numbers)
+        os.replace(scratch, path)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read and written ({error.strerror})") from error
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: expected the metrics.json of a run, got something else") from error
+
+
+def as_json(rows: Sequence[Metric]) -> list[dict[str, Any]]:
+    """Rows of a table as JSON; what could not be measured, NaN, becomes null."""
+    return [
+        {"metric": row.name, "value": None if row.value != row.value else row.value, "unit": row.unit} for row in rows
+    ]
 
 
 def planes_json(planes: Sequence[MapPlane]) -> dict[str, Any]:

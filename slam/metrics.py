@@ -26,10 +26,9 @@ def metrics_of(run: Run) -> list[Metric]:
     return rows
 
 
-def metrics_json(rows: list[Metric], run: Run) -> dict[str, Any]:
-    """The rows by name, and the details that a table has no room for."""
+def details_of(run: Run) -> dict[str, Any]:
+    """What a table has no room for, for metrics.json."""
     return {
-        "metrics": [{"metric": row.name, "value": row.value, "unit": row.unit} for row in rows],
         "facing_pairs": [pair.__dict__ for pair in facing_pairs(run.planes)],
         "nis": [{**summary.__dict__, "verdict": summary.verdict} for summary in run.slam.audit.summary()],
         "stages_s": dict(run.clock.seconds),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -96,7 +97,7 @@ class OdometryTrack:
         poses = self.poses_at([start_ns, *inside.tolist(), end_ns])
         a_T_b = inverse(poses[0]) @ poses[-1]
         noise = self._noise
-        steps = np.array([planar_delta(inverse(a) @ b) for a, b in zip(poses[:-1], poses[1:], strict=True)])
+        steps = np.array([planar_delta(inverse(a) @ b) for a, b in pairwise(poses)])
         _, covariance = noise.accumulate(steps)
         out_of_plane = (noise.z_sigma_m, noise.roll_sigma_rad, noise.pitch_sigma_rad)
         if self.is_planar:

@@ -24,11 +24,14 @@ _VIEWS = {"plan": (0, 1), "side": (0, 2)}
 
 
 def draw_map(run: Run, path: Path) -> None:
-    """Plan view (x, y) above side view (x, z), with the trajectory and odometry alone, into a PNG."""
+    """Plan view (x, y), and side view (x, z) where anything has a height, with trajectory and odometry, into a PNG."""
     figure = Figure(figsize=(11.0, 9.0), layout="constrained")
-    plan, side = figure.subplots(2, 1, height_ratios=[3, 1])
+    if any(plane.plane.outline is not None for plane in run.planes):
+        plan, side = figure.subplots(2, 1, height_ratios=[3, 1])
+        draw_view(side, run, "side")
+    else:
+        plan = figure.subplots()
     draw_view(plan, run, "plan")
-    draw_view(side, run, "side")
     plan.set_title(f"{len(run.planes)} planes, {len(run.trajectory)} keyframes")
     plan.legend(loc="upper right", fontsize=8)
     save(figure, path)

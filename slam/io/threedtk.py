@@ -153,6 +153,8 @@ def _read_text(path: Path) -> str:
 
 def _parse_points(path: Path, text: str) -> FloatArray:
     """Parse quickly; only when that fails walk the lines to name the first bad one."""
+    if not text.strip():
+        raise LogError(path, "expected lines of three numbers, got an empty file")
     try:
         points = np.loadtxt(io.StringIO(text), dtype=np.float64, ndmin=2, comments=None)
     except ValueError:
@@ -161,7 +163,6 @@ def _parse_points(path: Path, text: str) -> FloatArray:
         for number, line in enumerate(text.splitlines(), start=1):
             if line.strip() and len(_floats(path, line, number)) != 3:
                 raise LogError(path, f"expected three numbers, got {line.strip()[:60]!r}", line=number)
-        raise LogError(path, "expected lines of three numbers, got an empty file")
     return points
 
 

@@ -1,0 +1,83 @@
+"""A room of known planes, a robot that drives through it, and what it would see: measurements with their covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from shapely import box
+
+from slam.frames import inverse
+from slam.io.log import planar_transform
+from slam.keyframes import Keyframe
+from slam.motion import OdometryNoise
+from slam.observations import Observation, PlaneObservation
+from slam.odometry import Motion, planar_delta
+from spplanes import Plane
+
+NOISE = OdometryNoise()
+PERIOD_NS = 1_000_000_000
+#: (z m, theta rad, psi rad) of a measured plane.
+SIGMAS = np.array([0.004, 0.003, 0.005])
+
+
+def room_planes() -> list[Plane]:
+    """Four walls, floor and ceiling of a room of 8 x 6 x 3 m, normals inward."""
+
+    def plane(x_axis: list[float], normal: list[float], centre: list[float], size: tuple[float, float]) -> Plane:
+        frame = np.eye(4)
+        frame[:3, :3] = np.column_stack((x_axis, np.cross(normal, x_axis), normal))
+        frame[:3, 3] = centre
+        half = np.array(size) / 2.0
+        return Plane(frame, np.zeros((3, 3)), 500, box(-half[0], -half[1], half[0], half[1]))
+
+    return [
+        plane([1, 0, 0], [0, 0, 1], [0, 0, 0], (8.0, 6.0)),
+        plane([1, 0, 0], [0, 0, -1], [0, 0, 3], (8.0, 6.0)),
+        plane([0, 1, 0], [1, 0, 0], [-4, 0, 1.5], (6.0, 3.0)),
+        plane([0, 1, 0], [-1, 0, 0], [4, 0, 1.5], (6.0, 3.0)),
+        plane([1, 0, 0], [0, 1, 0], [0, -3, 1.5], (8.0, 3.0)),
+        plane([1, 0, 0], [0, -1, 0], [0, 3, 1.5], (8.0, 3.0)),
+    ]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Keyframes of a drive, and the truth."""
+
+    keyframes: list[Keyframe]
+    world_T_body: np.ndarray
+
+
+def measured(plane: Plane, rng: np.random.Generator, sigmas: np.ndarray = SIGMAS) -> Plane:
+    """A plane drawn from its own covariance: the SP perturbation composed on the right."""
+    z, theta, psi = sigmas * rng.standard_normal(3)
+    cy, sy, cx, sx = np.cos(theta), np.sin(theta), np.cos(psi), np.sin(psi)
+    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+    step = np.eye(4)
+    step[:3, :3] = about_y @ about_x
+    step[2, 3] = z
+    return Plane(plane.frame @ step, np.diag(sigmas**2), plane.n_points, plane.outline)
+
+
+def drive(seed: int, *, count: int = 15) -> Drive:
+    """A drive round the room with odometry and planes drawn from their noise models."""
+    rng = np.random.default_rng(seed)
+    angle = np.linspace(0.0, 1.5 * np.pi, count)
+    way = np.column_stack((1.5 * np.cos(angle), 1.5 * np.sin(angle), angle + np.pi / 2.0))
+    poses = np.array([planar_transform(*pose) for pose in way])
+    keyframes = []
+    for index, pose in enumerate(poses):
+        motion = None
+        if index:
+            delta = planar_delta(inverse(poses[index - 1]) @ pose)
+            covariance = NOISE.covariance(delta)
+            noisy = delta + np.linalg.cholesky(covariance) @ rng.standard_normal(3)
+            motion = Motion(planar_transform(*noisy), covariance, (1e-3, 1e-3, 1e-3))
+        seen: list[Observation] = [
+            PlaneObservation(measured(plane.transform(inverse(pose)), rng)) for plane in room_planes()
+        ]
+        guess = pose if index == 0 else None
+        keyframes.append(Keyframe(index * PERIOD_NS, seen, motion, guess))
+    return Drive(keyframes, poses)

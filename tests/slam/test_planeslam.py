@@ -1,0 +1,159 @@
+"""PlaneSlam on a room with truth: consistent, associated right, incremental equals batch, and what it refuses."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam import PlaneSlam
+from slam.frames import inverse
+from slam.keyframes import Keyframe
+from slam.planeslam import pose_symbol
+from slam.twins import find_twins, twin_chi2
+from tests.slam.scenes import Drive, drive, room_planes
+from tests.statistics import assert_mean_in_band
+
+
+def run(scene: Drive) -> PlaneSlam:
+    slam = PlaneSlam()
+    for keyframe in scene.keyframes:
+        slam.add_keyframe(keyframe)
+    return slam
+
+
+def planar_error(estimated: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Pose3 tangent of the error, shape (6,)."""
+    return gtsam.Pose3.Logmap(gtsam.Pose3(inverse(true) @ estimated))
+
+
+def test_one_landmark_for_every_plane_and_all_matches_right():
+    slam = run(drive(0))
+    assert len(slam.landmarks) == 6
+    assert [plane.observations for plane in slam.planes] == [15] * 6
+    for landmark in slam.landmarks:
+        # the scene lists the planes in the same order in every keyframe
+        assert {sighting.observation for sighting in landmark.sightings} == {landmark.sightings[0].observation}
+
+
+def test_final_poses_and_planes_are_consistent_over_many_runs():
+    """NEES of the last pose in the floor plane (3 dof) and of every map plane (3 dof each), 60 runs."""
+    poses, planes = [], []
+    in_plane = [2, 3, 4]
+    for seed in range(60):
+        scene = drive(seed)
+        slam = run(scene)
+        last = len(scene.keyframes) - 1
+        error = planar_error(slam.trajectory.poses[last], scene.world_T_body[last])[in_plane]
+        covariance = slam.marginal_covariance(pose_symbol(last))[np.ix_(in_plane, in_plane)]
+        poses.append(error @ np.linalg.solve(covariance, error))
+        for map_plane in slam.planes:
+            truth = max(room_planes(), key=lambda plane: plane.normal @ map_plane.plane.normal)
+            planes.append(map_plane.plane.mahalanobis(truth))
+    assert_mean_in_band(np.array(poses), 3)
+    # planes of one run share poses, so they are not independent: the band of 60 runs, not of 360 planes
+    assert_mean_in_band(np.array(planes).reshape(60, 6).mean(axis=1), 3)
+
+
+def test_the_audit_finds_an_honest_run_consistent_and_an_over_confident_one_not():
+    summary = run(drive(1)).audit.summary()[0]
+    assert summary.kind == "plane" and summary.count == 14 * 6 and summary.verdict == "consistent"
+    lying = PlaneSlam()
+    for keyframe in drive(1).keyframes:
+        for seen in keyframe.observations:
+            seen.plane.covariance[:] /= 2.0
+        lying.add_keyframe(keyframe)
+    assert lying.audit.summary()[0].verdict == "over-confident"
+    assert "over-confident" in lying.audit.warnings()[0]
+
+
+def test_batch_and_incremental_agree():
+    slam = run(drive(2))
+    batch = slam.optimize_batch()
+    for index in range(15):
+        np.testing.assert_allclose(batch.atPose3(pose_symbol(index)).matrix(), slam.trajectory.poses[index], atol=2e-4)
+
+
+def test_same_input_same_output_bit_for_bit():
+    first, second = run(drive(3)), run(drive(3))
+    assert np.array_equal(first.trajectory.poses, second.trajectory.poses)
+    assert [plane.plane.to_dict() for plane in first.planes] == [plane.plane.to_dict() for plane in second.planes]
+
+
+def test_a_wall_seen_from_behind_is_another_landmark():
+    slam = run(drive(4))
+    scene = drive(4)
+    wall = room_planes()[3]
+    behind = wall.frame.copy()
+    behind[:3, 1:3] *= -1.0
+    pose = scene.world_T_body[-1]
+    seen = [
+        type(scene.keyframes[0].observations[0])(
+            type(wall)(inverse(pose) @ behind, np.diag([1e-4] * 3), 500, wall.outline)
+        )
+    ]
+    motion = scene.keyframes[1].motion
+    assert motion is not None
+    still = type(motion)(np.eye(4), 1e-6 * np.eye(3), motion.out_of_plane_sigmas)
+    report = slam.add_keyframe(Keyframe(scene.keyframes[-1].stamp_ns + 1, seen, still))
+    assert report.decisions[0].verdict == "new"
+
+
+def test_twins_are_found_by_chi2_and_joined_with_their_factors():
+    scene = drive(5)
+    slam = PlaneSlam()
+    for keyframe in scene.keyframes:
+        slam.add_keyframe(keyframe)
+    landmarks = list(slam.landmarks)
+    assert twin_chi2(landmarks[0], landmarks[1], slam.backend) > 1e3
+    # split a landmark by hand: the later half of its sightings under a new key
+    old = landmarks[2]
+    later = old.sightings[8:]
+    first = later[0]
+    observation = scene.keyframes[first.keyframe].observations[first.observation]
+    plane = observation.full_plane(0.01)
+    anchor = pose_symbol(first.keyframe)
+    copy = slam.landmarks.birth(observation, anchor, plane.frame)
+    initial = gtsam.Values()
+    from factors import plane_landmark
+
+    initial.insert(copy.key, plane_landmark(plane))
+    factors = [
+        scene.keyframes[s.keyframe].observations[s.observation].factor(pose_symbol(s.keyframe), copy.key, anchor)
+        for s in later
+    ]
+    indices = slam.backend.update(factors, initial, remove=[s.factor_index for s in later])
+    from dataclasses import replace
+
+    copy.sightings += [replace(s, factor_index=i) for s, i in zip(later, indices, strict=True)]
+    old.sightings[8:] = []
+    slam.landmarks.refresh(slam.backend)
+    before = slam.trajectory.poses.copy()
+    assert find_twins({copy.id}, slam.landmarks, slam.backend, slam.config.association, min_keyframes=2) == [
+        (old.id, copy.id)
+    ]
+    slam._merge_twins({copy.id})
+    assert len(slam.landmarks) == 6
+    assert old.n_keyframes == 15
+    assert not slam.backend.values.exists(copy.key)
+    np.testing.assert_allclose(slam.trajectory.poses, before, atol=5e-3)
+    np.testing.assert_allclose(slam.trajectory.poses, run(scene).trajectory.poses, atol=1e-4)
+
+
+def test_keyframes_out_of_order_or_without_motion_are_refused():
+    scene = drive(6)
+    slam = PlaneSlam()
+    slam.add_keyframe(scene.keyframes[0])
+    with pytest.raises(ValueError, match="keyframe: expected a time after 0 ns, got 0 ns"):
+        slam.add_keyframe(scene.keyframes[0])
+    with pytest.raises(ValueError, match="keyframe: expected the motion from the keyframe before, got None"):
+        slam.add_keyframe(Keyframe(5, scene.keyframes[1].observations))
+    slam.add_keyframe(scene.keyframes[1])
+    assert len(slam.trajectory) == 2
+
+
+def test_a_keyframe_that_sees_nothing_only_moves():
+    scene = drive(7)
+    slam = run(scene)
+    slam.add_keyframe(Keyframe(10**12, [], scene.keyframes[1].motion))
+    assert len(slam.trajectory) == 16
