@@ -1,10 +1,11 @@
-"""Pose errors shared by the points of a scan, summed over scans into the covariance of a plane, without keeping points.
+"""Pose errors shared by the points of a scan, summed over scans into a plane's covariance, without keeping points.
 
-With h = (1, x, y) a plane's perturbation is -A^-1 sum_s K_s xi_s, K_s = sum_{i in s} w_i h_i n^T dp_i/dxi. As h is linear
-in (1, p - r) for any fixed point r, the sums are kept for that: m_s, shape (4, 6), and D = sum_st m_s E[xi_s xi_t^T] m_t^T,
-shape (4, 4). The plane's frame may turn and shift afterwards; only the normal in n^T dp/dxi is that of the time.
+With h = (1, x, y) a plane's perturbation is -A^-1 sum_s K_s xi_s, K_s = sum_{i in s} w_i h_i n^T dp_i/dxi. As h is
+linear in (1, p - r) for any fixed point r, the sums are kept for that: m_s, shape (4, 6), and
+D = sum_st m_s E[xi_s xi_t^T] m_t^T, shape (4, 4). The plane's frame may turn and shift afterwards; only the normal in
+n^T dp/dxi is that of the time.
 
-Errors of successive scans may be correlated, rho^|s - t|: then a running sum u carries what the scans before contribute.
+Errors of successive scans may be correlated, rho^|s - t|: a running sum u carries what the scans before contribute.
 """
 
 from __future__ import annotations

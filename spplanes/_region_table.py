@@ -142,7 +142,7 @@ class RegionTable:
         bounds = np.searchsorted(owner[order], kept), np.searchsorted(owner[order], kept, side="right")
         side = self.config.outline_cell_m
         result = []
-        for k, r in enumerate(kept):
+        for k in range(len(kept)):
             mine = order[bounds[0][k] : bounds[1][k]]
             axis = int(outline.projection_axis(*frames[k][:3, 2]))
             own = outline.in_projection(cells[mine], self.axis[drawn_for[mine]], axis, side, frames[k])

@@ -71,7 +71,7 @@ class Strip:
         """Check a scan and put it behind the others."""
         k = self.n_context + self.n_open_rows
         scan = as_shape("points", points, (self.n_beams, 3), finite=False)
-        valid = np.isfinite(scan).all(axis=1)
+        valid = np.asarray(np.isfinite(scan).all(axis=1))
         matrices = as_covariances("covariances", covariances, (self.n_beams, 3, 3), valid)
         if pose_covariance is not None:
             self.pose_covariances[k] = as_covariances("pose_covariance", pose_covariance, (6, 6))
@@ -138,7 +138,7 @@ def settle(strip: Strip, table: RegionTable, n_scans: int, config: MapperConfig)
 
 
 def _numbers(sheet: Sheet, active: np.ndarray, part: slice, table: RegionTable) -> np.ndarray:
-    """Region number of every region of a sheet, shape (R,): known ones join where the sheet fused them, new ones begin."""
+    """Region number of every region of a sheet, shape (R,): known ones join where the sheet fused them."""
     number = np.full(len(sheet.rows), -1, dtype=np.int64)
     for p, old in enumerate(active):
         root = sheet.alias[p]

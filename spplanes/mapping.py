@@ -43,7 +43,7 @@ class PlaneMapper:
         """Add one scan.
 
         Args:
-            points: shape (B, 3), m, in the map's frame; a point that is not finite is no return. B is that of the first.
+            points: shape (B, 3), m, in the map's frame; not finite = no return. B is that of the first scan.
             covariances: covariance of every point, shape (B, 3, 3), m^2.
             viewpoint: position of the sensor, (3,), m: normals point there. All scans have one, or none.
             pose_covariance: (6, 6) of the pose error (x, y, z, phi, theta, psi) that all points of this scan share.

@@ -35,7 +35,10 @@ def choose_blocks(points, covariance, labels, start, planes, gate, floor_varianc
                 continue
             for k in range(n_found):
                 mine, inside = found[k], 0
-                if _misfit(points, covariance, labels, i0, j0, i1, j1, mine, planes[mine], floor_variance) < BLOCK_MISFIT:
+                if (
+                    _misfit(points, covariance, labels, i0, j0, i1, j1, mine, planes[mine], floor_variance)
+                    < BLOCK_MISFIT
+                ):
                     continue
                 sums[:n_found] = 0.0
                 for i in range(i0, i1):

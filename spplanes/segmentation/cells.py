@@ -51,23 +51,21 @@ def _one_cell(row, points, covariance, free, i0, j0, size, floor_variance):
 
 
 @njit(cache=True)
-def broken_links(free, right, down, size):
-    """Number of broken links between free points inside every cell, shape (R, C)."""
+def failed_quads(free, quads, size):
+    """Number of quads between free points inside every cell that the filter threw away, shape (R, C)."""
     n_rows, n_cols = (free.shape[0] + size - 1) // size, (free.shape[1] + size - 1) // size
-    broken = np.zeros((n_rows, n_cols), dtype=np.int64)
-    for i in range(free.shape[0]):
-        for j in range(free.shape[1]):
-            if not free[i, j]:
+    failed = np.zeros((n_rows, n_cols), dtype=np.int64)
+    for i in range(quads.shape[0]):
+        for j in range(quads.shape[1]):
+            if quads[i, j] or (i + 1) % size == 0 or (j + 1) % size == 0:
                 continue
-            if (j + 1) % size and j + 1 < free.shape[1] and free[i, j + 1] and not right[i, j]:
-                broken[i // size, j // size] += 1
-            if (i + 1) % size and i + 1 < free.shape[0] and free[i + 1, j] and not down[i, j]:
-                broken[i // size, j // size] += 1
-    return broken
+            if free[i, j] and free[i, j + 1] and free[i + 1, j] and free[i + 1, j + 1]:
+                failed[i // size, j // size] += 1
+    return failed
 
 
 @njit(cache=True)
-def planar_cells(rows, broken, shape, size, quantile, slack):
+def planar_cells(rows, failed, shape, size, quantile, slack):
     """Cells whose points fit one plane: filled, without jumps, residuals as noise explains; shape (R, C) bool."""
     planar = np.zeros(rows.shape[:2], dtype=np.bool_)
     for ci in range(rows.shape[0]):
@@ -75,7 +73,7 @@ def planar_cells(rows, broken, shape, size, quantile, slack):
             row = rows[ci, cj]
             dof = row[0] - 3.0
             area = min(size, shape[0] - ci * size) * min(size, shape[1] - cj * size)
-            if row[0] < max(0.4 * area, 4.0) or broken[ci, cj] > size // 4:
+            if row[0] < max(0.4 * area, 4.0) or failed[ci, cj] > size // 2:
                 continue
             spread = 2.0 / (9.0 * dof)
             limit = slack * dof * (1.0 - spread + quantile * np.sqrt(spread)) ** 3
@@ -85,7 +83,7 @@ def planar_cells(rows, broken, shape, size, quantile, slack):
 
 @njit(cache=True)
 def shared_variances(rows, shared, free, planar, size, start):
-    """Of every planar cell: mean variance along the normal that points share with their scans, and mean scan, (K, 2)."""
+    """Of planar cells: mean variance along the normal that points share with their scans, and mean scan, (K, 2)."""
     result = np.zeros((planar.sum(), 2))
     count = 0
     for ci in range(rows.shape[0]):

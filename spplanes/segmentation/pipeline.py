@@ -13,7 +13,7 @@ from spplanes.segmentation import borders, cells, creases, dissolving, growing
 from spplanes.segmentation._patches import eigenvalues
 from spplanes.segmentation.clustering import cluster
 from spplanes.segmentation.config import MapperConfig
-from spplanes.segmentation.quads import links
+from spplanes.segmentation.quads import links, surviving_quads
 
 CELL_SLACK = 1.15
 """Mean squared residual of a planar cell may exceed the noise model by this factor: sensors are known to 7 %."""
@@ -73,22 +73,13 @@ class Sheet:
 
 def segment_sheet(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
     """Label the fresh rows of a sheet in place."""
-    tangent = float(np.tan(config.max_incidence_rad))
-    part = sheet.fresh
-    linked = links(
-        sheet.points[part],
-        sheet.covariance[part],
-        sheet.valid[part],
-        views[part],
-        tangent,
-        chi2.isf(config.edge_significance, 1),
-    )
+    quads = _filter(sheet, views, config)
     for repeat in range(ROUNDS):
         if repeat:
             release_misfits(sheet, config)
         size = config.largest_cell
         while size >= config.smallest_cell:
-            join_cells(sheet, linked, size, config)
+            join_cells(sheet, quads, size, config)
             size //= 2
         if len(sheet.rows):
             spread(sheet, views, config)
@@ -97,13 +88,21 @@ def segment_sheet(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None
         part_at_creases(sheet, views, config)
 
 
-def join_cells(sheet: Sheet, linked: tuple[np.ndarray, np.ndarray], size: int, config: MapperConfig) -> None:
+def _filter(sheet: Sheet, views: FloatArray, config: MapperConfig) -> np.ndarray:
+    """The quads of the fresh rows that pass the edge test."""
+    part, literal = sheet.fresh, config.literal_edge_test
+    tangent, limit = float(np.tan(config.max_incidence_rad)), chi2.isf(config.edge_significance, 3 if literal else 1)
+    linked = links(sheet.points[part], sheet.covariance[part], sheet.valid[part], views[part], tangent, limit, literal)
+    return surviving_quads(*linked)
+
+
+def join_cells(sheet: Sheet, quads: np.ndarray, size: int, config: MapperConfig) -> None:
     """Find planar cells among the free points, fuse them with each other and with the regions."""
     floor, free = config.flatness_m**2, sheet.free
     points, covariance = sheet.points[sheet.fresh], sheet.covariance[sheet.fresh]
     moments = cells.cell_moments(points, covariance, free, size, floor)
-    broken = cells.broken_links(free, *linked, size)  # type: ignore[call-arg]
-    planar = cells.planar_cells(moments, broken, free.shape, size, norm.isf(config.significance), CELL_SLACK)
+    failed = cells.failed_quads(free, quads, size)
+    planar = cells.planar_cells(moments, failed, free.shape, size, norm.isf(config.significance), CELL_SLACK)
     if not planar.any():
         return
     shared = sheet.shared[sheet.fresh] if len(sheet.shared) > 1 else sheet.shared
@@ -179,9 +178,7 @@ def dissolve_superfluous(sheet: Sheet, config: MapperConfig) -> int:
     )
 
 
-def _neighbours(
-    sheet: Sheet, views: FloatArray, planes: FloatArray, gap: int, config: MapperConfig
-) -> np.ndarray:
+def _neighbours(sheet: Sheet, views: FloatArray, planes: FloatArray, gap: int, config: MapperConfig) -> np.ndarray:
     """Pairs of regions that meet, each once, shape (E, 2)."""
     tolerance = config.flatness_m**2 + sheet.bias[:, 0]
     pairs = growing.border_pairs(
