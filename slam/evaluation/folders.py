@@ -43,7 +43,7 @@ def evaluate_run(run: Path | str, truth: Path | str) -> list[Metric]:
     rows = _for_each_path(run, lambda path: trajectory_metrics(path, known.trajectory))
     trajectory = read_tum(run / "trajectory.tum")
     planes = _in_frame_of(known.trajectory, trajectory, read_planes(run / "planes.json"))
-    return rows + plane_metrics(planes, known.planes, visible=known.visible())
+    return rows + plane_metrics(planes, known.planes, visible=known.visible_in_3d())
 
 
 def _for_each_path(run: Path, score: Callable[[Trajectory], list[Metric]]) -> list[Metric]:

@@ -10,6 +10,7 @@ import numpy as np
 from slam.io.log import LogError
 from slam.io.planes import read_planes, write_planes
 from slam.io.trajectories import Trajectory, read_tum, write_tum
+from slam.simulation.rigs import HORIZONTAL
 from spplanes._check import FloatArray
 from spplanes.plane import Plane
 
@@ -52,6 +53,11 @@ class Truth:
             start=np.zeros(len(self.planes), dtype=np.int64),
         )
         return set(np.flatnonzero(counts > more_than).tolist())
+
+    def visible_in_3d(self, *, more_than: int = ENOUGH_POINTS) -> set[int]:
+        """The same for one of the sensors that give 3D points: a level laser alone sees lines, not planes."""
+        sensors = [name for name in self.labels if name != HORIZONTAL]
+        return set().union(*(self.visible(name, more_than=more_than) for name in sensors))
 
     def write(self, folder: Path) -> None:
         """Write trajectory.tum, planes.json (spplanes/1; the id is the label) and labels.npz into a folder."""

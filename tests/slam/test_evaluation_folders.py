@@ -24,7 +24,7 @@ def run_of(folder, mission, moved):
     folder.mkdir()
     stamps = np.array([scan.stamp_ns for scan in mission.log.scans(VERTICAL)][::10])
     write_tum(folder / "trajectory.tum", Trajectory(stamps, moved @ mission.truth.poses_at(stamps)))
-    visible = sorted(mission.truth.visible())
+    visible = sorted(mission.truth.visible_in_3d())
     planes = [mission.truth.planes[k].transform(moved) for k in visible]
     write_planes(folder / "planes.json", [Plane(p.frame, 1e-6 * np.eye(3), outline=p.outline) for p in planes])
     readings = mission.log.odometry

@@ -104,6 +104,12 @@ def test_the_default_corridor_is_the_papers():
     }
 
 
+def test_what_only_the_level_laser_sees_is_no_plane_to_be_found(mission):
+    truth = mission.truth
+    assert truth.visible_in_3d() == truth.visible(VERTICAL) < truth.visible()
+    assert truth.visible(VERTICAL, more_than=10**9) == set()
+
+
 def test_events_are_in_time_order_and_scans_have_odometry_at_their_time(mission):
     stamps = [event.stamp_ns for event in mission.log.events]
     assert stamps == sorted(stamps)
