@@ -1,6 +1,7 @@
 """Speed and memory of the plane fits beside plain numpy and the uncertainty-free fits of Open3D and mrob.
 
-Run as ``python -m benchmarks.fit``. One thread; medians of repeats, kernels warmed up; all rows in one run.
+Run as ``python -m benchmarks.fit``. One thread; medians of the CPU time of repeats, kernels warmed up; all rows in one
+run. CPU time, so that a busy machine does not decide; it still slows what waits for memory.
 """
 
 from __future__ import annotations
@@ -96,13 +97,13 @@ def mrob_plane(points: np.ndarray) -> np.ndarray:
 
 
 def measure(task: Callable[[], Any]) -> tuple[float, int]:
-    """Median seconds of a task, warmed up, and the peak of the memory it allocates, bytes."""
+    """Median CPU seconds of a task, warmed up, and the peak of the memory it allocates, bytes."""
     task()
     seconds = []
     for _ in range(REPEATS):
-        start = time.perf_counter()
+        start = time.process_time()
         task()
-        seconds.append(time.perf_counter() - start)
+        seconds.append(time.process_time() - start)
     tracemalloc.start()
     task()
     peak = tracemalloc.get_traced_memory()[1]
