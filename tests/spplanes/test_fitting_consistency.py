@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spplanes import Moments, fit_plane
-from tests.spplanes.scenes import Scene, plane_frame, run, scenes
+from tests.spplanes.fit_scenes import Scene, plane_frame, run, scenes
 from tests.statistics import assert_mean_in_band, nees
 
 RUNS = 2000

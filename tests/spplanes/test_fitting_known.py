@@ -7,7 +7,7 @@ import pytest
 
 from spplanes import Location, Plane, fit_plane, fit_planes
 from spplanes.spmodel import transform_from_rpy
-from tests.spplanes.scenes import laser_covariances, scenes
+from tests.spplanes.fit_scenes import laser_covariances, scenes
 
 CORNERS = np.array([[2.0, 1, 0], [2, -1, 0], [-2, 1, 0], [-2, -1, 0]])
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spplanes import fit_plane
-from tests.spplanes.scenes import run, scenes
+from tests.spplanes.fit_scenes import run, scenes
 from tests.statistics import assert_mean_in_band
 
 RUNS = 2000

@@ -1,0 +1,197 @@
+"""The scenes on which plane fits are judged: true points on a known plane, and how their noise is made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from spplanes.spmodel import inverse_transform
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A patch of a plane, seen from the origin of the sensor."""
+
+    true_points: np.ndarray
+    """Shape (N, 3), on the plane."""
+    covariances: np.ndarray
+    """Shape (N, 3, 3)."""
+    frame: np.ndarray
+    """A frame of the true plane, (4, 4)."""
+    sensor: np.ndarray
+    """Where it was seen from, (3,)."""
+    scan_index: np.ndarray | None = None
+    """Scan of each point, (N,)."""
+    pose_covariances: np.ndarray | None = None
+    """Of the scans, (S, 6, 6)."""
+    model: Callable[[np.ndarray], np.ndarray] | None = None
+    """Covariances (N, 3, 3) that the sensor model gives for points (N, 3)."""
+
+    @property
+    def shared(self) -> dict:
+        """Arguments of the shared-pose term."""
+        if self.scan_index is None:
+            return {}
+        return {"scan_index": self.scan_index, "pose_covariances": self.pose_covariances}
+
+    @cached_property
+    def roots(self) -> np.ndarray:
+        """Square roots of the covariances, (N, 3, 3)."""
+        return psd_roots(self.covariances)
+
+    def sample(self, rng: np.random.Generator) -> np.ndarray:
+        """Noisy points (N, 3)."""
+        points = self.true_points + np.einsum("nij,nj->ni", self.roots, rng.normal(size=self.true_points.shape))
+        if self.scan_index is None:
+            return points
+        xi = np.einsum("sij,sj->si", psd_roots(self.pose_covariances), rng.normal(size=(len(self.pose_covariances), 6)))
+        return moved(points, xi[self.scan_index])
+
+    def crb(self) -> np.ndarray:
+        """Cramer-Rao bound of (z, theta, psi) in `frame`, (3, 3): sensor noise and, if any, shared pose errors."""
+        n, local = self.frame[:3, 2], (self.true_points - self.frame[:3, 3]) @ self.frame[:3, :3]
+        h = np.column_stack([np.ones(len(local)), -local[:, 0], local[:, 1]])
+        w = 1.0 / np.einsum("i,nij,j->n", n, self.covariances, n)
+        if self.scan_index is None:
+            return np.linalg.inv(h.T @ (w[:, None] * h))
+        rotations = [np.cross(axis, self.true_points) @ n for axis in np.eye(3)[::-1]]
+        g = np.column_stack([np.broadcast_to(n, self.true_points.shape), *rotations])
+        information = np.zeros((3, 3))
+        for s, covariance in enumerate(self.pose_covariances):
+            own = self.scan_index == s
+            total = np.diag(1.0 / w[own]) + g[own] @ covariance @ g[own].T
+            information += h[own].T @ np.linalg.solve(total, h[own])
+        return np.linalg.inv(information)
+
+    def folded_covariances(self) -> np.ndarray:
+        """Covariances of single points, (N, 3, 3), with the pose errors of their scans inside."""
+        p = self.true_points
+        jacobian = np.stack([moved(p, np.tile(e, (len(p), 1))) - p for e in np.eye(6)], axis=2)
+        return self.covariances + jacobian @ self.pose_covariances[self.scan_index] @ jacobian.transpose(0, 2, 1)
+
+    def error(self, frame: np.ndarray) -> np.ndarray:
+        """(z, theta, psi) that leads from an estimated frame to the true plane, in the estimated frame."""
+        n = frame[:3, :3].T @ self.frame[:3, 2]
+        z = n @ (frame[:3, :3].T @ (self.frame[:3, 3] - frame[:3, 3])) / n[2]
+        return np.array([z, np.arctan2(n[0], n[2]), -np.arctan2(n[1], n[2])])
+
+
+def psd_roots(covariances: np.ndarray) -> np.ndarray:
+    values, vectors = np.linalg.eigh(covariances)
+    return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+
+
+def moved(points: np.ndarray, xi: np.ndarray) -> np.ndarray:
+    """Points under world-side perturbations (x, y, z, phi, theta, psi), one each, to first order."""
+    z, y, x = np.eye(3)[::-1]
+    turned = xi[:, 3:4] * np.cross(z, points) + xi[:, 4:5] * np.cross(y, points) + xi[:, 5:6] * np.cross(x, points)
+    return points + xi[:, :3] + turned
+
+
+def plane_frame(distance: float, incidence_deg: float) -> np.ndarray:
+    """A wall whose centre is ``distance`` ahead on a skew line of sight, met at ``incidence_deg`` from its normal."""
+    sight = np.array([0.8, 0.5, 0.3]) / np.linalg.norm([0.8, 0.5, 0.3])
+    side = np.cross(sight, [0.2, -0.3, 1.0])
+    side /= np.linalg.norm(side)
+    angle = np.deg2rad(incidence_deg)
+    n = -np.cos(angle) * sight + np.sin(angle) * side
+    x = np.cross(n, sight) if incidence_deg > 1.0 else np.cross(n, side)
+    frame = np.eye(4)
+    frame[:3, 0] = x / np.linalg.norm(x)
+    frame[:3, 1] = np.cross(n, frame[:3, 0])
+    frame[:3, 2], frame[:3, 3] = n, distance * sight
+    return frame
+
+
+def patch(frame: np.ndarray, n: int, width: float, height: float, rng: np.random.Generator) -> np.ndarray:
+    """Points spread evenly at random over a patch about the frame's origin."""
+    local = np.column_stack([rng.uniform(-0.5, 0.5, (n, 2)) * (width, height), np.zeros(n)])
+    return local @ frame[:3, :3].T + frame[:3, 3]
+
+
+def laser_covariances(points: np.ndarray, sigma_range, sigma_angle: float) -> np.ndarray:
+    """Noise along the beam, and across it in proportion to the range, seen from the origin."""
+    ranges = np.linalg.norm(points, axis=1)
+    beams = points / ranges[:, None]
+    along = np.einsum("ni,nj->nij", beams, beams)
+    across = np.eye(3) - along
+    return (np.broadcast_to(sigma_range, ranges.shape) ** 2)[:, None, None] * along + ((sigma_angle * ranges) ** 2)[
+        :, None, None
+    ] * across
+
+
+def _wall(n, distance, incidence, width, height, noise, *, seed=5) -> Scene:
+    rng = np.random.default_rng(seed)
+    frame = plane_frame(distance, incidence)
+    points = patch(frame, n, width, height, rng)
+    return Scene(points, noise(points), frame, np.zeros(3), model=noise)
+
+
+def _laser(points):
+    return laser_covariances(points, 0.015, 0.002)
+
+
+def _beam_only(points):
+    return laser_covariances(points, 0.015, 0.0)
+
+
+def _growing(points):
+    return laser_covariances(points, 0.005 + 0.004 * np.linalg.norm(points, axis=1), 0.002)
+
+
+def _offset() -> Scene:
+    wall = _wall(300, 3.0, 30.0, 3.0, 2.0, _laser)
+    offset = np.array([1e6, -1e6, 1e6])
+    frame = wall.frame.copy()
+    frame[:3, 3] += offset
+    return Scene(wall.true_points + offset, wall.covariances, frame, offset)
+
+
+def _many_scans() -> Scene:
+    """20 vertical slices of a wall, each seen from a robot whose pose is uncertain."""
+    frame = plane_frame(3.0, 20.0)
+    rng = np.random.default_rng(5)
+    local = np.zeros((20, 15, 3))
+    local[..., 0] = np.linspace(-1.5, 1.5, 20)[:, None]
+    local[..., 1] = np.linspace(-1.0, 1.0, 15) + rng.uniform(-0.02, 0.02, (20, 15))
+    points = local.reshape(-1, 3) @ frame[:3, :3].T + frame[:3, 3]
+    root = rng.normal(size=(20, 6, 6)) * np.array([0.01, 0.01, 0.005, 0.004, 0.002, 0.002])[:, None] * 0.5
+    poses = root @ root.transpose(0, 2, 1)
+    return Scene(points, _laser(points), frame, np.zeros(3), np.repeat(np.arange(20), 15), poses)
+
+
+def scenes() -> dict[str, Scene]:
+    """The nine scenes by name."""
+    return {
+        "frontal wall": _wall(300, 3.0, 0.0, 3.0, 2.0, _laser),
+        "wall at 75 deg": _wall(300, 4.0, 75.0, 3.0, 2.0, _laser),
+        "30 m away": _wall(300, 30.0, 20.0, 6.0, 3.0, _laser),
+        "strip 10 m x 0.1 m": _wall(300, 8.0, 15.0, 10.0, 0.1, lambda p: laser_covariances(p, 0.004, 0.0003)),
+        "12 points": _wall(12, 3.0, 30.0, 3.0, 2.0, _laser),
+        "noise growing with range": _wall(300, 5.0, 60.0, 6.0, 3.0, _growing),
+        "noise along the beam": _wall(300, 4.0, 60.0, 3.0, 2.0, _beam_only),
+        "offset by 1e6 m": _offset(),
+        "20 scans, shared poses": _many_scans(),
+    }
+
+
+def run(scene: Scene, fit, runs: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """NEES (R,), errors in the frame of the truth (R, 3), and the estimated planes' covariances (R, 3, 3)."""
+    rng = np.random.default_rng(seed)
+    errors, local, covariances = np.empty((runs, 3)), np.empty((runs, 3)), np.empty((runs, 3, 3))
+    for r in range(runs):
+        plane = fit(scene.sample(rng), scene)
+        errors[r], covariances[r] = scene.error(plane.frame), plane.covariance
+        local[r] = estimate_in(scene.frame, plane.frame)
+    nees = np.einsum("ri,ri->r", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
+    return nees, local, covariances
+
+
+def estimate_in(frame: np.ndarray, estimated: np.ndarray) -> np.ndarray:
+    """(z, theta, psi) of the estimated plane in the frame of the truth."""
+    t = inverse_transform(frame) @ estimated
+    n = t[:3, 2]
+    return np.array([n @ t[:3, 3] / n[2], n[0] / n[2], -n[1] / n[2]])
