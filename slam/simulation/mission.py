@@ -17,11 +17,11 @@ from slam.simulation.corridor import corridor
 from slam.simulation.hall import hall, hall_path, room, room_path
 from slam.simulation.office import office, office_path
 from slam.simulation.path import Path as DrivenPath
-from slam.simulation.raycast import scan_directions
 from slam.simulation.record import Plan, record
 from slam.simulation.rigs import checked_rig, paper_rig, spinning_rig
 from slam.simulation.truth import Truth
 from spplanes._check import FloatArray, as_positive
+from spplanes.registration import beam_directions
 
 #: Scans of the paper's whole corridor, and the way between two of them, m.
 PAPER_SCANS, PAPER_SPACING_M = 1083, 0.027
@@ -52,7 +52,7 @@ class ScanArrays:
 
     def sensor_points(self) -> FloatArray:
         """Measured points in the sensor frame, shape (S, B, 3), m."""
-        return self.ranges[..., None] * scan_directions(self.angles)
+        return self.ranges[..., None] * beam_directions(self.angles)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from spplanes._check import FloatArray
-
 #: Hits closer than this do not count: the ray starts on the surface.
 NEAREST_M = 1e-6
 #: Index of a ray that hits nothing.
@@ -109,8 +107,3 @@ def cast_scans(origins, rays, scan_normals, corners, edges_u, edges_v, feet, axe
                 if t < ranges[s, b]:
                     ranges[s, b], hits[s, b] = t, n_rectangles + c
     return ranges, hits
-
-
-def scan_directions(angles: FloatArray) -> FloatArray:
-    """Unit directions of 2D beams in the sensor frame (x forward, y left), shape (B, 3), from bearings (B,)."""
-    return np.column_stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)])

@@ -12,11 +12,11 @@ from slam.rig import Rig, Sensor
 from slam.simulation.noise import drifting_odometry, localised_poses, noisy_ranges
 from slam.simulation.path import Path as DrivenPath
 from slam.simulation.path import pose_matrices
-from slam.simulation.raycast import scan_directions
 from slam.simulation.rigs import BEAMS, HORIZONTAL, Beams
 from slam.simulation.truth import Truth
 from slam.simulation.world import NO_PLANE, World
 from spplanes._check import FloatArray
+from spplanes.registration import beam_directions
 
 #: Time of the first scan, and speed of the robot.
 START_NS, SPEED_M_PER_S = 1_000_000_000_000, 0.5
@@ -103,7 +103,7 @@ def _cast_block(plan: Plan, way: FloatArray, sensor: Sensor, beams: Beams, rng: 
     directions = np.broadcast_to(beams.directions, (len(way), fans, n_beams, 3))
     if sensor.bearing_sigma_rad > 0.0 and beams.angles is not None:
         errors = sensor.bearing_sigma_rad * rng.standard_normal((len(way), n_beams))
-        directions = scan_directions((beams.angles + errors).ravel()).reshape(directions.shape)
+        directions = beam_directions((beams.angles + errors).ravel()).reshape(directions.shape)
     normals = np.tile(beams.normals, (len(way), 1))
     if sensor.sweep_s > 0.0:  # every beam is a fan of its own, from its own place
         way = (way[:, None] + SPEED_M_PER_S * sensor.sweep_s * np.linspace(0.0, 1.0, n_beams)).ravel()

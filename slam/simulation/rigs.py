@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.rig import LocalisationNoise, Mount, OdometryNoise, Rig, Sensor
-from slam.simulation.raycast import scan_directions
 from spplanes._check import FloatArray
+from spplanes.registration import beam_directions
 
 #: Names of the sensors: the paper's two lasers, and the spinning one.
 HORIZONTAL, VERTICAL, SPINNING = "horizontal", "vertical", "spinning"
@@ -28,7 +28,7 @@ class Beams:
     @classmethod
     def of_laser(cls, angles: FloatArray) -> Beams:
         """A 2D laser with bearings (B,), rad."""
-        return cls(scan_directions(angles)[None], np.array([[0.0, 0.0, 1.0]]), angles)
+        return cls(beam_directions(angles)[None], np.array([[0.0, 0.0, 1.0]]), angles)
 
     @classmethod
     def of_spinning(cls, azimuths: FloatArray, elevations: FloatArray) -> Beams:

@@ -6,8 +6,8 @@ import pytest
 from slam.simulation import WorldBuilder
 from slam.simulation.corridor import HEIGHT_M, WIDTH_M, corridor
 from slam.simulation.office import office
-from slam.simulation.raycast import scan_directions
 from slam.simulation.rigs import BEAMS
+from spplanes.registration import beam_directions
 
 
 def cast_one(world, origin, ray, normal=(0.0, 0.0, 0.0)):
@@ -120,7 +120,7 @@ def slow_ranges(world, origin, rays):
 
 def test_a_corridor_scan_agrees_with_linear_algebra():
     world = corridor(20.0)
-    rays = scan_directions(np.deg2rad(np.arange(-180, 180, 7.3)))
+    rays = beam_directions(np.deg2rad(np.arange(-180, 180, 7.3)))
     origin = np.array([4.3, 0.1, 1.5])  # in front of the open chamber, above the closets, clear of the bars
     ranges, _ = world.cast(origin[None], rays[None], np.array([[0.0, 0.0, 1.0]]))
     np.testing.assert_allclose(ranges[0], slow_ranges(world, origin, rays), atol=1e-9)
@@ -131,7 +131,7 @@ def test_leaving_out_what_a_scan_plane_cannot_meet_changes_nothing():
     world = office()
     rotation = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     rotation[:, 2] = np.cross(rotation[:, 0], rotation[:, 1])
-    rays = scan_directions(np.linspace(-3.0, 3.0, 200)) @ rotation.T
+    rays = beam_directions(np.linspace(-3.0, 3.0, 200)) @ rotation.T
     origin = np.array([[1.0, 0.2, 0.7]])
     fast = world.cast(origin, rays[None], rotation[None, :, 2].copy())
     full = world.cast(origin, rays[None], np.zeros((1, 3)))
