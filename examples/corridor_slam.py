@@ -1,6 +1,6 @@
 """Plane-based SLAM on a simulated corridor, from sensor data to a map with covariances, beside the truth.
 
-A robot with drifting wheels drives 5 m down a corridor. A level 2D laser sees lines of its walls, a vertical one sweeps
+A robot with drifting wheels drives 4 m down a corridor. A level 2D laser sees lines of its walls, a vertical one sweeps
 out its surfaces; both become factors on the same plane landmarks. `run_slam` does everything; `PlaneSlam.add_keyframe`
 underneath takes keyframes one by one, as a live system would give them: the last table is made that way.
 """
@@ -20,7 +20,7 @@ from slam.summary import facing_pairs
 
 def main() -> None:
     """Simulate, estimate, compare."""
-    mission = simulate_mission("corridor", n_scans=200, seed=0)
+    mission = simulate_mission("corridor", n_scans=160, seed=0)
     config = SlamConfig()
     run = run_slam(mission.log, mission.rig, config)
     print(f"{path_length_m(run.trajectory):.1f} m, {len(run.trajectory)} keyframes, {len(run.planes)} planes")
