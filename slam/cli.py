@@ -96,6 +96,36 @@ def slam(
     warn_of(run.slam.audit.warnings())
 
 
+@app.command(name="map")
+def map_(
+    log: Annotated[Path, typer.Argument(help="CARMEN log with poses, or simulated mission, of a push-broom laser.")],
+    out: OutOption,
+    rig: RigOption = None,
+    config: ConfigOption = None,
+    overwrite: OverwriteOption = False,
+    keep_partial: Annotated[bool, typer.Option("--keep-partial", help="Use what precedes a cut in the log.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """The paper's mapping: planes of LOG at the poses it gives."""
+    from slam.config import SlamConfig
+    from slam.export import check_free, new_folder, write_map
+    from slam.io.load import load
+    from slam.mapping_run import run_map
+    from slam.rig import Rig
+    from slam.run import StageClock
+
+    check_free(out, overwrite=overwrite)
+    settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
+    clock = StageClock()
+    with clock.stage("read"):
+        read, sensors = load(log, None if rig is None else Rig.from_yaml(rig), keep_partial=keep_partial)
+    with progress_bar("scans") as progress:
+        result = run_map(read, sensors, settings, clock=clock, progress=progress)
+    with new_folder(out, overwrite=overwrite) as folder:
+        rows = write_map(result, folder, settings, sensors, title=f"spplanes map {log.name}")
+    show(f"{log.name}", rows, as_json)
+
+
 @app.command()
 def demo(
     out: OutOption = Path("demo"),

@@ -21,7 +21,7 @@ def compare(run: Run, truth: Truth) -> list[Metric]:
     rows += _trajectory_rows("odometry alone", run.odometry, true_path)
     rows += _room_rows(run, truth)
     planes = in_frame_of_truth(run, true_path)
-    return rows + plane_metrics(planes, truth.planes, visible=truth.visible())
+    return rows + plane_metrics(planes, truth.planes, visible=truth.visible_in_3d())
 
 
 def in_frame_of_truth(run: Run, true_path: Trajectory) -> list[Plane]:

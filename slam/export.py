@@ -14,13 +14,16 @@ from typing import Any
 import numpy as np
 from plyfile import PlyData, PlyElement
 
+from slam.config import SlamConfig
 from slam.evaluation.metrics import Metric
 from slam.io.trajectories import write_tum
+from slam.mapping_run import MapResult
 from slam.mesh import Mesh, mesh_of
-from slam.metrics import details_of, metrics_of
-from slam.pictures import draw_map
+from slam.metrics import details_of, map_metrics_of, metrics_of
+from slam.pictures import Drawn, draw_map
 from slam.planeslam import MapPlane
 from slam.report import write_report
+from slam.rig import Rig
 from slam.run import Run
 
 PLANES_FORMAT = "spplanes/1"
@@ -60,17 +63,29 @@ def check_free(out: Path, *, overwrite: bool) -> None:
 def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, Sequence[Metric]]] = ()) -> None:
     """Write everything about a run into a folder that exists; `extra` tables go into the numbers and the page."""
     rows = metrics_of(run)
-    (folder / "config.yaml").write_text(run.slam.config.to_yaml(), encoding="utf-8")
-    run.rig.to_yaml(folder / "rig.yaml")
-    write_tum(folder / "trajectory.tum", run.trajectory)
+    numbers = {"metrics": as_json(rows), **details_of(run), **{caption: as_json(table) for caption, table in extra}}
+    write_result(run, folder, run.slam.config, run.rig, numbers)
     write_tum(folder / "odometry.tum", run.odometry)
-    write_json(folder / "planes.json", planes_json(run.planes))
-    write_ply(folder / "map.ply", mesh_of(run.planes))
-    numbers = {"metrics": as_json(rows), **details_of(run)}
-    numbers.update({caption: as_json(table) for caption, table in extra})
-    write_json(folder / "metrics.json", numbers)
-    draw_map(run, folder / "map.png")
     write_report(folder / "report.html", title, [*extra, ("the run", rows)], [folder / "map.png"])
+
+
+def write_map(result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, title: str) -> list[Metric]:
+    """Write a map made at given poses into a folder that exists; returns the table."""
+    rows = map_metrics_of(result)
+    write_result(result, folder, config, rig, {"metrics": as_json(rows)})
+    write_report(folder / "report.html", title, [("the map", rows)], [folder / "map.png"])
+    return rows
+
+
+def write_result(drawn: Drawn, folder: Path, config: SlamConfig, rig: Rig, numbers: dict[str, Any]) -> None:
+    """What every run leaves: how it was made, where it went, what it saw, in numbers and as a picture."""
+    (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
+    rig.to_yaml(folder / "rig.yaml")
+    write_tum(folder / "trajectory.tum", drawn.trajectory)
+    write_json(folder / "planes.json", planes_json(drawn.planes))
+    write_ply(folder / "map.ply", mesh_of(drawn.planes))
+    write_json(folder / "metrics.json", numbers)
+    draw_map(drawn, folder / "map.png")
 
 
 def add_to_metrics(folder: Path, key: str, rows: Sequence[Metric]) -> None:

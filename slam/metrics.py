@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from slam.evaluation.metrics import Metric
+from slam.mapping_run import MapResult
 from slam.run import Run, path_length_m
 from slam.summary import FacingPair, facing_pairs
 
@@ -24,6 +25,19 @@ def metrics_of(run: Run) -> list[Metric]:
         rows.append(Metric(f"{summary.kind} factors", summary.count, ""))
     rows += [Metric(f"time, {stage}", seconds, "s") for stage, seconds in run.clock.seconds.items()]
     return rows
+
+
+def map_metrics_of(result: MapResult) -> list[Metric]:
+    """The table of a map made at given poses: the columns of the paper's, and the room."""
+    seen = result.n_points_seen
+    rows = [
+        Metric("scans", len(result.trajectory), ""),
+        Metric("points", seen, ""),
+        Metric("planes", len(result.planes), ""),
+        Metric("points represented", 100.0 * result.n_points_represented / seen if seen else 0.0, "%"),
+    ]
+    rows += _pair_rows(facing_pairs(result.planes)[:6])
+    return rows + [Metric(f"time, {stage}", seconds, "s") for stage, seconds in result.clock.seconds.items()]
 
 
 def details_of(run: Run) -> dict[str, Any]:

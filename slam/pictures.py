@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import matplotlib as mpl
 import numpy as np
@@ -15,7 +16,6 @@ from slam.io.trajectories import Trajectory
 from slam.mesh import colour_of
 from slam.outlines import polygons_of, segments_of
 from slam.planeslam import MapPlane
-from slam.run import Run
 from spplanes._check import FloatArray
 
 #: Planes seen more edge-on than this are drawn as lines, others as faces.
@@ -23,7 +23,26 @@ _EDGE_ON_COSINE = 0.5
 _VIEWS = {"plan": (0, 1), "side": (0, 2)}
 
 
-def draw_map(run: Run, path: Path) -> None:
+class Drawn(Protocol):
+    """What a picture needs of a run."""
+
+    @property
+    def planes(self) -> Sequence[MapPlane]:
+        """The map."""
+        ...
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The poses."""
+        ...
+
+    @property
+    def odometry(self) -> Trajectory:
+        """Odometry alone, or empty."""
+        ...
+
+
+def draw_map(run: Drawn, path: Path) -> None:
     """Plan view (x, y), and side view (x, z) where anything has a height, with trajectory and odometry, into a PNG."""
     figure = Figure(figsize=(11.0, 9.0), layout="constrained")
     if any(plane.plane.outline is not None for plane in run.planes):
@@ -32,12 +51,12 @@ def draw_map(run: Run, path: Path) -> None:
     else:
         plan = figure.subplots()
     draw_view(plan, run, "plan")
-    plan.set_title(f"{len(run.planes)} planes, {len(run.trajectory)} keyframes")
+    plan.set_title(f"{len(run.planes)} planes, {len(run.trajectory)} poses")
     plan.legend(loc="upper right", fontsize=8)
     save(figure, path)
 
 
-def draw_view(axes: Any, run: Run, view: str) -> None:
+def draw_view(axes: Any, run: Drawn, view: str) -> None:
     """One view of a run into matplotlib axes: "plan" is (x, y), "side" is (x, z)."""
     horizontal, vertical = _VIEWS[view]
     out_of_sheet = 3 - horizontal - vertical
@@ -85,6 +104,8 @@ def _draw_path(
     label: str,
     style: dict[str, Any],
 ) -> None:
+    if not len(path):
+        return
     places = path.poses[:, :3, 3][:, sheet]
     axes.plot(places[:, 0], places[:, 1], label=label, markersize=3, **style)
 

@@ -1,0 +1,98 @@
+"""The paper's mapping: poses given, planes out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from slam.config import SlamConfig
+from slam.io.log import LaserScan, Log, LogError
+from slam.io.trajectories import Trajectory
+from slam.measure import for_sensor, model_of, usable_ranges
+from slam.planeslam import MapPlane
+from slam.rig import Rig, Sensor
+from slam.run import Progress, StageClock
+from spplanes import PlaneMapper
+from spplanes._check import FloatArray
+from spplanes.registration import register_scans
+
+
+@dataclass(frozen=True, eq=False)
+class MapResult:
+    """A finished map."""
+
+    planes: list[MapPlane]
+    """The planes, in the frame of the given poses."""
+    trajectory: Trajectory
+    """The poses that were given."""
+    odometry: Trajectory
+    """Empty: the poses are given."""
+    n_points_seen: int
+    """Returns in all scans."""
+    n_points_represented: int
+    """Those that belong to a plane."""
+    clock: StageClock
+    """Time per stage."""
+
+
+def run_map(
+    log: Log, rig: Rig, config: SlamConfig, *, clock: StageClock | None = None, progress: Progress | None = None
+) -> MapResult:
+    """Planes of the push-broom scans of a log, at the poses that the log gives, with the localisation's covariance.
+
+    Raises:
+        LogError: no push-broom scans, scans without a pose, or beam counts that change.
+    """
+    clock = clock or StageClock()
+    name, sensor = _slice_sensor(log, rig)
+    scans = [scan for scan in log.scans(name) if isinstance(scan, LaserScan)]
+    pose_covariance = None if rig.localisation is None else rig.localisation.location_covariance()
+    mapper = PlaneMapper(for_sensor(config.mapper, sensor))
+    for done, scan in enumerate(scans):
+        with clock.stage("register"):
+            placed = register_scans(
+                usable_ranges(scan.ranges, sensor)[None],
+                scan.angles,
+                _pose_of(scan, log)[None],
+                model_of(sensor),
+                body_T_sensor=sensor.body_T_sensor,
+                pose_covariances=pose_covariance,
+            )
+        with clock.stage("map"):
+            mapper.add_scan(
+                placed.points[0],
+                placed.covariances[0],
+                viewpoint=placed.viewpoints[0],
+                pose_covariance=None if placed.pose_covariances is None else placed.pose_covariances[0],
+                scan_origin=placed.scan_origins[0],
+            )
+        if progress is not None:
+            progress(done + 1, len(scans))
+    with clock.stage("map"):
+        planes = mapper.planes
+    stamps = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
+    poses = np.array([_pose_of(scan, log) for scan in scans])
+    return MapResult(
+        [MapPlane(index, plane, plane.outline or shapely.Polygon(), 1, ("map",)) for index, plane in enumerate(planes)],
+        Trajectory(stamps, poses),
+        Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4))),
+        mapper.n_points_seen,
+        mapper.n_points_represented,
+        clock,
+    )
+
+
+def _slice_sensor(log: Log, rig: Rig) -> tuple[str, Sensor]:
+    """The push-broom laser: the one in the rig that has scans in the log."""
+    for name, sensor in rig.of_kind("slice").items():
+        if log.scans(name):
+            return name, sensor
+    raise LogError(log.source, "expected scans of a sensor that the rig calls slice (push-broom), found none")
+
+
+def _pose_of(scan: LaserScan, log: Log) -> FloatArray:
+    if scan.world_T_body is None:
+        raise LogError(log.source, f"expected a pose with every scan of {scan.sensor!r}, got one without; use slam")
+    return scan.world_T_body
