@@ -11,9 +11,10 @@ from spplanes import _fit_kernels as kernels
 from spplanes._check import FloatArray
 from spplanes._fit_job import FitJob
 from spplanes._fit_sums import CHI2, N_SUMS, USED, start_row
+from spplanes._pose_kernels import inflate
 from spplanes._robust import CUTOFF, FRACTIONS, robust_group
 from spplanes._rows import OK, ROW_SIZE, row_frame
-from spplanes._shared_pose import fit_shared_pose, inflate, sp_pose_term
+from spplanes._shared_pose import fit_shared_pose, sp_pose_term
 from spplanes.plane import Plane
 
 
