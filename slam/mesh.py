@@ -57,8 +57,8 @@ def colour_of(plane: MapPlane) -> tuple[int, int, int]:
     normal = plane.plane.normal
     if abs(normal[2]) > _LEVEL_COSINE:
         return FLOOR_RGB if normal[2] > 0.0 else CEILING_RGB
-    sector = int(np.floor((np.arctan2(normal[1], normal[0]) / (2.0 * np.pi) % 1.0) * 12.0 + 0.5)) % 12
-    return WALL_RGB[sector % len(WALL_RGB)]
+    turns = np.arctan2(normal[1], normal[0]) / (2.0 * np.pi)
+    return WALL_RGB[round(float(turns) * len(WALL_RGB)) % len(WALL_RGB)]
 
 
 def _triangle_corners(plane: MapPlane) -> FloatArray:

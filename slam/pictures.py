@@ -46,7 +46,7 @@ def draw_map(run: Drawn, path: Path) -> None:
     """Plan view (x, y), and side view (x, z) where anything has a height, with trajectory and odometry, into a PNG."""
     figure = Figure(figsize=(11.0, 9.0), layout="constrained")
     if any(plane.plane.outline is not None for plane in run.planes):
-        plan, side = figure.subplots(2, 1, height_ratios=[3, 1])
+        plan, side = figure.subplots(2, 1, height_ratios=[3, 1], sharex=True)
         draw_view(side, run, "side")
     else:
         plan = figure.subplots()
