@@ -1,7 +1,8 @@
 """Cost of the factors beside GTSAM's own and mrob's, in one run.
 
-Run as ``python -m benchmarks.factors``. One thread; medians of repeats, kernels warmed up. mrob needs numpy < 2 and
-so an interpreter of its own, ``.peers/mrob/bin/python`` or ``$MROB_PYTHON``; without it its rows are left out.
+Run as ``python -m benchmarks.factors``. One thread, CPU time; medians of repeats, kernels warmed up. mrob needs
+numpy < 2 and so an interpreter of its own, ``.peers/mrob/bin/python`` or ``$MROB_PYTHON``; without it its rows are
+left out.
 """
 
 from __future__ import annotations
@@ -30,13 +31,13 @@ REPEATS = 7
 
 
 def timed(task: Callable[[], Any], repeats: int = REPEATS) -> float:
-    """Median seconds of a few calls after one to warm up."""
+    """Median CPU seconds of a few calls after one to warm up."""
     task()
     seconds = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = time.process_time()
         task()
-        seconds.append(time.perf_counter() - start)
+        seconds.append(time.process_time() - start)
     return float(np.median(seconds))
 
 

@@ -1,7 +1,7 @@
 """Planes in somebody else's pose graph: read a g2o file, add plane factors in three lines, get planes with covariance.
 
-The pose graph is one of those that come with GTSAM. Its poses look at a room that is simulated here: what counts are the
-three lines marked (1), (2) and (3), and what comes out.
+The pose graph is one of those that come with GTSAM. Its poses look at a room that is simulated here: what counts are
+the three lines marked (1), (2) and (3), and what comes out.
 """
 
 from __future__ import annotations
