@@ -27,7 +27,6 @@ class Strip:
     def __init__(self, n_beams: int, config: MapperConfig) -> None:
         self.n_beams = n_beams
         self.n_context, self.n_open_rows = 0, 0
-        self.n_to_settle = config.strip_scans
         length = CONTEXT_SCANS + config.strip_scans + config.lookahead_scans
         self.points = np.zeros((length, n_beams, 3))
         self.covariance = np.zeros((length, n_beams, 9))
@@ -121,7 +120,7 @@ class Strip:
 
 
 def settle(strip: Strip, table: RegionTable, n_scans: int, config: MapperConfig) -> None:
-    """Segment a strip and enter its first open scans into the table."""
+    """Segment a strip and enter its first open scans into the table; `Strip.advance` then moves on."""
     sheet, active = strip.sheet(table)
     eyes = np.where(np.isnan(strip.views), 0.0, strip.views)[: len(sheet.points)]
     segment_sheet(sheet, eyes, config)
@@ -134,7 +133,6 @@ def settle(strip: Strip, table: RegionTable, n_scans: int, config: MapperConfig)
     table.n_seen += int(strip.valid[part].sum())
     if config.keep_labels:
         table.kept_labels.append(labels.astype(np.int32))
-    strip.advance(n_scans)
 
 
 def _numbers(sheet: Sheet, active: np.ndarray, part: slice, table: RegionTable) -> np.ndarray:
@@ -199,7 +197,9 @@ def _enter_pose_errors(strip, sheet, number, part, table, config) -> None:
 def _shares(labels: np.ndarray, n_regions: int) -> FloatArray:
     """Number of points of every region in every scan, shape (S, R)."""
     codes = (labels + np.arange(len(labels))[:, None] * n_regions)[labels >= 0]
-    return as_float_array("shares", np.bincount(codes, minlength=len(labels) * n_regions)).reshape(-1, n_regions)
+    return as_float_array("shares", np.bincount(codes, minlength=len(labels) * n_regions)).reshape(
+        len(labels), n_regions
+    )
 
 
 def _draw(strip: Strip, table: RegionTable, part: slice, config: MapperConfig) -> None:

@@ -56,7 +56,8 @@ class PlaneMapper:
             self._strip = Strip(np.shape(points)[0] if np.ndim(points) else 0, self.config)
         self._strip.append(points, covariances, viewpoint, pose_covariance, scan_origin)
         if self._strip.is_full:
-            settle(self._strip, self._table, self._strip.n_to_settle, self.config)
+            settle(self._strip, self._table, self.config.strip_scans, self.config)
+            self._strip.advance(self.config.strip_scans)
 
     @property
     def planes(self) -> list[Plane]:

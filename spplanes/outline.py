@@ -153,15 +153,22 @@ def _assemble(rings: list[FloatArray], parts: np.ndarray) -> list[Polygon]:
 
 def _one_polygon(polygons: list[Polygon], cell: float) -> Polygon:
     """One valid polygon without the steps of the raster; parts are joined by closing the gaps between them."""
+    with np.errstate(all="ignore"):  # GEOS divides by the length of edges, zero where a spike folds back
+        return _joined(polygons, cell)
+
+
+def _joined(polygons: list[Polygon], cell: float) -> Polygon:
     shape = union_all([p.simplify(0.75 * cell).buffer(0.0) for p in polygons])
     for bridge in _BRIDGES:
         if isinstance(shape, Polygon):
             break
         shape = shape.buffer(bridge * cell, join_style="mitre").buffer(-bridge * cell, join_style="mitre")
-    if isinstance(shape, Polygon) and not shape.is_empty:
+    if not isinstance(shape, Polygon) or shape.is_empty:
+        shape = max(shape.geoms if isinstance(shape, MultiPolygon) else polygons, key=lambda p: p.area)
+    if shape.is_valid:
         return shape
-    parts = shape.geoms if isinstance(shape, MultiPolygon) else polygons
-    return max(parts, key=lambda p: p.area)
+    mended = shape.buffer(0.0)
+    return mended if isinstance(mended, Polygon) else max(mended.geoms, key=lambda p: p.area)
 
 
 def outline_from_extent(half_x: float, half_y: float) -> Polygon:

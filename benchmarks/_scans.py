@@ -1,0 +1,102 @@
+"""Readers of the scans that ``benchmarks.extraction`` measures, and Hoover's count."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+
+from spplanes._check import FloatArray
+from spplanes.noise import DepthCameraModel, SensorModel
+
+#: The tilting SICK of 3dtk_corridor: 1 cm of range noise; its tilt servo jerks by centimetres from line to line.
+CORRIDOR_SENSOR = SensorModel(range_sigma_m=0.01, scan_shift_sigma_m=0.02, scan_tilt_sigma_rad=0.0087)
+#: The upright laser of pcl_room: 1.5 cm of range noise; the robot turned it, so that each slice tilts on its own.
+ROOM_SENSOR = SensorModel(range_sigma_m=0.015, scan_shift_sigma_m=0.01, scan_tilt_sigma_rad=0.01)
+#: Beyond this the corridor's laser had no return, m.
+CORRIDOR_RANGE_M = 32.0
+
+
+def icl_frame(data: Path, noise_seed: int | None = None) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """Points (480, 640, 3), sigma per point and labels (0 = none) of the labelled depth image.
+
+    With a seed, depths get the Kinect's axial noise (`DepthCameraModel`); without, their quantisation is the noise.
+    """
+    from matplotlib import image
+
+    depth = np.round(image.imread(data / "icl_labelled" / "depth.png") * 65535.0) / 5000.0
+    camera = np.loadtxt(data / "icl_labelled" / "intrinsics.txt")
+    labels = np.load(data / "icl_labelled" / "labels.npy").reshape(depth.shape).astype(np.int64)
+    sigma = np.full(depth.shape, 0.0002 / np.sqrt(12.0))
+    if noise_seed is not None:
+        sigma = DepthCameraModel().depth_sigma(depth)
+        noise = sigma * np.random.default_rng(noise_seed).standard_normal(depth.shape)
+        depth = np.where(depth > 0.0, depth + noise, 0.0)
+    v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    points = np.stack(
+        ((u - camera[0, 2]) / camera[0, 0] * depth, (v - camera[1, 2]) / camera[1, 1] * depth, depth), axis=-1
+    )
+    points[depth <= 0.0] = np.nan
+    return points, sigma, labels
+
+
+def synpeb_scan(data: Path) -> tuple[FloatArray, float, np.ndarray]:
+    """Points (100, 100, 3), sigma and labels of the SynPEB scan; its residuals about the true planes are about 1 mm."""
+    lines = (data / "synpeb" / "test_100.pcd").read_text(encoding="latin1").splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith("DATA")) + 1
+    values = np.loadtxt(lines[start:])
+    return values[:, :3].reshape(100, 100, 3), 0.001, values[:, 3].reshape(100, 100).astype(np.int64)
+
+
+def corridor_scan(data: Path, index: int) -> FloatArray:
+    """One scan of the 3DTK corridor, metric, x forward, y left, z up, shape (226, 360, 3); NaN = no return."""
+    with gzip.open(data / "3dtk_corridor" / f"scan{index:03d}.3d.gz", "rt") as file:
+        rows = np.array([[float(v) for v in line.split()] for line in file if len(line.split()) == 3])
+    points = np.column_stack((rows[:, 2], -rows[:, 0], rows[:, 1])) / 100.0
+    points[np.linalg.norm(points, axis=1) > CORRIDOR_RANGE_M] = np.nan
+    return points.reshape(226, 360, 3)
+
+
+def read_pcd(path: Path) -> FloatArray:
+    """Points (N, 3) of a PCD file in the order of the file, read by Open3D."""
+    import open3d
+
+    return np.asarray(open3d.io.read_point_cloud(str(path), remove_nan_points=False).points)
+
+
+def room_slices(data: Path, index: int) -> FloatArray:
+    """One scan of the room as vertical slices, shape (lines, 181, 3): beams by elevation, every line once."""
+    points = read_pcd(data / "pcl_room" / f"room_scan{index}.pcd")
+    elevation = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    lines = np.split(np.arange(len(points)), np.flatnonzero(np.abs(np.diff(elevation)) > 60.0) + 1)
+    lines = [line for k, line in enumerate(lines) if k == 0 or not _same(points, line, lines[k - 1])]
+    grid = np.full((len(lines), 181, 3), np.nan)
+    for k, line in enumerate(lines):
+        beam = np.clip(np.round(elevation[line] + 90.0).astype(int), 0, 180)
+        grid[k, beam] = points[line]
+    return grid
+
+
+def _same(points: FloatArray, one: np.ndarray, other: np.ndarray) -> bool:
+    return len(one) == len(other) and bool(np.array_equal(points[one], points[other]))
+
+
+def hall_cloud(data: Path, index: int) -> FloatArray:
+    """One unorganised cloud of the hall, shape (N, 3)."""
+    return read_pcd(sorted((data / "balm_hall").glob("*.pcd"))[index])
+
+
+def correct_detections(labels: np.ndarray, truth: np.ndarray, overlap: float = 0.8) -> int:
+    """True planes (labels > 0) that one region covers, and that cover it, at least to the given share.
+
+    References:
+        Hoover et al., "An Experimental Comparison of Range Image Segmentation Algorithms", PAMI 1996.
+    """
+    sizes, count = np.bincount(labels[labels >= 0], minlength=1), 0
+    for k in np.unique(truth[truth > 0]):
+        mine = truth == k
+        shared = np.bincount(labels[mine & (labels >= 0)], minlength=len(sizes))
+        best = int(shared.argmax())
+        count += bool(shared[best] >= overlap * mine.sum() and shared[best] >= overlap * sizes[best] > 0)
+    return count

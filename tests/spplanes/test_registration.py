@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+
+from spplanes.noise import SensorModel
+from spplanes.registration import beam_directions, interpolate_poses, pose_covariance, register_scans
+
+
+def pose(x=0.0, y=0.0, yaw=0.0):
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+
+
+def test_poses_between_are_on_the_way():
+    poses = np.stack((pose(), pose(2.0, 1.0, 0.4)))
+    between = interpolate_poses([0, 10], poses, [0, 5, 10])
+    np.testing.assert_allclose(between[0], poses[0], atol=1e-12)
+    np.testing.assert_allclose(between[1], pose(1.0, 0.5, 0.2), atol=1e-12)
+    np.testing.assert_allclose(between[2], poses[1], atol=1e-12)
+    np.testing.assert_allclose(interpolate_poses([3], poses[:1], [3, 3]), [poses[0]] * 2)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "at", "message"),
+    [
+        ([10, 0], [5], "stamps_ns: expected ascending times, got 0 after 10"),
+        ([0, 10], [11], "at_ns: expected times from 0 to 10, got 11 to 11"),
+        ([0], [0], "stamps_ns: expected one time per pose"),
+    ],
+)
+def test_poses_out_of_order_or_range(stamps, at, message):
+    with pytest.raises(ValueError, match=message):
+        interpolate_poses(stamps, np.stack((pose(), pose(1.0))), at)
+
+
+def test_points_are_pose_mount_and_beam():
+    mount = np.eye(4)
+    mount[:3, 3] = 0.0, 0.0, 0.5
+    scans = register_scans([[2.0, np.nan, 0.0, np.inf]], [0.0, 0.1, 0.2, 0.3], pose(1, 2, np.pi / 2)[None],
+                           SensorModel(0.01), body_T_sensor=mount)  # fmt: skip
+    np.testing.assert_allclose(scans.points[0, 0], [1.0, 4.0, 0.5])
+    assert np.isnan(scans.points[0, 1:]).all()
+    np.testing.assert_allclose(scans.viewpoints, [[1.0, 2.0, 0.5]])
+    np.testing.assert_allclose(scans.scan_origins, [[1.0, 2.0, 0.0]])
+    np.testing.assert_allclose(scans.covariances[0, 0], np.diag([0, 1e-4, 0]), atol=1e-18)
+    assert scans.pose_covariances is None
+
+
+def test_pose_error_stays_beside_the_points_unless_folded():
+    error = pose_covariance(np.diag([1e-4, 4e-4, 1e-6]))
+    args = [[2.0]], [0.0], np.eye(4)[None], SensorModel(0.01)
+    beside = register_scans(*args, pose_covariances=error)
+    folded = register_scans(*args, pose_covariances=error, fold_pose=True)
+    np.testing.assert_allclose(beside.pose_covariances, error[None])
+    np.testing.assert_allclose(beside.covariances[0, 0], np.diag([1e-4, 0, 0]), atol=1e-18)
+    np.testing.assert_allclose(folded.covariances[0, 0], np.diag([2e-4, 4e-4 + 4e-6, 0]), atol=1e-18)
+    assert folded.pose_covariances is None
+
+
+def test_errors_of_the_mount_move_to_the_body():
+    mount = np.eye(4)
+    mount[:3, 3] = 0.3, -0.2, 0.5
+    model = SensorModel(0.01, scan_tilt_sigma_rad=0.02, scan_shift_sigma_m=0.01)
+    scans = register_scans([[2.0, 3.0]], [0.3, 1.0], pose(1, 2, 0.7)[None], model, body_T_sensor=mount)
+    for point in scans.points[0]:
+        about_body, about_sensor = (_jacobian(point - o) for o in (scans.scan_origins[0], scans.viewpoints[0]))
+        np.testing.assert_allclose(
+            about_body @ scans.pose_covariances[0] @ about_body.T,
+            about_sensor @ model.scan_covariance() @ about_sensor.T,
+            atol=1e-15,
+        )
+
+
+def _jacobian(q):
+    axes = np.eye(3)
+    return np.column_stack((axes, *(np.cross(axes[k], q) for k in (2, 1, 0))))
+
+
+def test_wrong_number_of_beams():
+    with pytest.raises(ValueError, match="ranges: expected 3 beams a scan, one per angle, got 2"):
+        register_scans([[1.0, 2.0]], [0, 1, 2], np.eye(4)[None], SensorModel(0.01))
+    np.testing.assert_allclose(beam_directions([0.0, np.pi / 2]), [[1, 0, 0], [0, 1, 0]], atol=1e-15)

@@ -1,0 +1,233 @@
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from spplanes import MapperConfig, segment_scans
+from tests.spplanes.scenes import anywhere, beam_covariances, box, cast, noisy, rays
+
+SIGMA = 0.005
+
+
+def correct(labels, truth, overlap=0.8):
+    """Hoover's correct detections: truth labels one region covers, and is covered by, at the given overlap."""
+    count = 0
+    for k in np.unique(truth[truth >= 0]):
+        region = np.bincount(labels[(truth == k) & (labels >= 0)], minlength=labels.max() + 1)
+        if region.size:
+            r, shared = int(region.argmax()), region.max()
+            count += shared >= overlap * (truth == k).sum() and shared >= overlap * (labels == r).sum()
+    return count
+
+
+def test_room_is_five_whole_planes_seen_from_inside():
+    exact, truth = cast(rays(), box())
+    points = noisy(exact, SIGMA, 0)
+    labels, planes = segment_scans(points, beam_covariances(exact, SIGMA), viewpoints=(0.0, 0.0, 0.0))
+    assert correct(labels, truth, 0.95) == 5
+    assert len(planes) == 5
+    for k, plane in enumerate(planes):
+        normal, d, _ = box()[int(np.bincount(truth[labels == k]).argmax())]
+        assert plane.normal @ -np.asarray(normal) > np.cos(0.01)
+        assert plane.d == pytest.approx(-d, abs=0.01)
+        assert plane.n_points == (labels == k).sum()
+        assert plane.outline.is_valid
+
+
+def test_without_viewpoint_distances_are_positive():
+    points, _ = cast(rays(), box())
+    _, planes = segment_scans(noisy(points, SIGMA, 1), sigma=SIGMA)
+    assert len(planes) == 5
+    assert all(plane.d >= 0.0 for plane in planes)
+
+
+def test_equal_input_gives_equal_output():
+    points = noisy(cast(rays(), box())[0], SIGMA, 2)
+    first, second = (segment_scans(points, sigma=SIGMA) for _ in range(2))
+    np.testing.assert_array_equal(first[0], second[0])
+    for a, b in zip(first[1], second[1], strict=True):
+        np.testing.assert_array_equal(a.frame, b.frame)
+        np.testing.assert_array_equal(a.covariance, b.covariance)
+
+
+def test_labels_are_in_the_order_of_the_first_point():
+    labels, planes = segment_scans(noisy(cast(rays(), box())[0], SIGMA, 3), sigma=SIGMA)
+    firsts = [np.flatnonzero(labels.ravel() == k)[0] for k in range(len(planes))]
+    assert firsts == sorted(firsts)
+    assert labels.dtype == np.int32
+
+
+def test_covariance_is_honest():
+    normal = np.array([1.0, 0.3, 0.2])
+    normal /= np.linalg.norm(normal)
+    exact, _ = cast(rays(24, 32, 0.4), [(normal, 3.0, anywhere)])
+    covariances, runs, nees = beam_covariances(exact, 0.01), 150, 0.0
+    for seed in range(runs):
+        _, planes = segment_scans(noisy(exact, 0.01, seed), covariances, viewpoints=(0.0, 0.0, 0.0))
+        assert len(planes) == 1
+        plane = planes[0]
+        x, y, n = plane.frame[:3, :3].T
+        slope = -normal / (normal @ n)
+        error = np.array([(-3.0 - plane.centre @ -normal) / (-normal @ n), slope @ x, -(slope @ y)])
+        nees += error @ np.linalg.solve(plane.covariance, error)
+    low, high = chi2.ppf([0.001, 0.999], 3 * runs) / runs
+    assert low < nees / runs < high
+
+
+def test_surface_sigma_adds_a_floor_scaled_by_extent():
+    points = noisy(cast(rays(), [((1, 0, 0), 3.0, anywhere)])[0], SIGMA, 4)
+    plain = segment_scans(points, sigma=SIGMA)[1][0]
+    floor = segment_scans(points, sigma=SIGMA, config=MapperConfig(surface_sigma_m=0.01))[1][0]
+    added = floor.covariance - plain.covariance
+    extent = np.sqrt(plain.covariance[0, 0] / np.diag(plain.covariance)[1:])
+    np.testing.assert_allclose(np.diag(added), [1e-4, 1e-4 / extent[0] ** 2, 1e-4 / extent[1] ** 2], rtol=1e-9)
+
+
+@pytest.mark.parametrize(("step", "expected"), [(0.03, 2), (0.0, 1)])
+def test_parallel_planes_centimetres_apart_stay_two(step, expected):
+    scene = [((1, 0, 0), 3.0, lambda p: p[..., 1] > 0.0), ((1, 0, 0), 3.0 + step, lambda p: p[..., 1] <= 0.0)]
+    points, truth = cast(rays(), scene)
+    labels, planes = segment_scans(noisy(points, 0.01, 5), sigma=0.01, viewpoints=(0.0, 0.0, 0.0))
+    assert len(planes) == expected
+    if expected == 2:
+        assert correct(labels, truth, 0.95) == 2
+
+
+def test_plane_continues_behind_a_pole_but_not_across_a_doorway():
+    pole = ((1, 0, 0), 2.0, lambda p: np.abs(p[..., 1]) < 0.1)
+    door = ((1, 0, 0), 5.0, anywhere)
+    directions = rays(48, 96)
+    wall = ((1, 0, 0), 3.0, anywhere)
+    labels, _ = segment_scans(noisy(cast(directions, [pole, wall])[0], SIGMA, 6), sigma=SIGMA)
+    assert labels[24, 10] == labels[24, 85] >= 0
+    opening = ((1, 0, 0), 3.0, lambda p: np.abs(p[..., 1]) > 0.15)
+    labels, _ = segment_scans(noisy(cast(directions, [opening, door])[0], SIGMA, 7), sigma=SIGMA)
+    assert labels[24, 10] != labels[24, 85]
+    assert min(labels[24, 10], labels[24, 85]) >= 0
+
+
+def test_seam_parts_coplanar_cushions_where_noise_lets_it_be_seen():
+    points, _ = cast(rays(60, 120), [((1, 0, 0), 2.0, anywhere)])
+    seam = np.abs(np.arange(120) - 60)
+    points = points * (1.0 + np.maximum(0.0, 0.01 * (4 - seam)) / 2.0)[None, :, None]
+    labels, _ = segment_scans(points, sigma=1e-4)
+    assert labels[30, 20] != labels[30, 100]
+    labels, _ = segment_scans(noisy(points, 0.06, 8), sigma=0.06)
+    assert labels[30, 20] == labels[30, 100] >= 0
+
+
+def test_clutter_is_left_as_points():
+    rng = np.random.default_rng(9)
+    points = rays() * rng.uniform(1.0, 4.0, (48, 64, 1))
+    labels, planes = segment_scans(points, sigma=SIGMA)
+    assert planes == []
+    assert (labels == -1).all()
+
+
+def test_shared_pose_error_is_added_once():
+    exact, _ = cast(rays(32, 32, 0.5), [((1, 0, 0), 3.0, anywhere)])
+    pose = np.diag([1e-4, 2e-4, 3e-4, 1e-5, 2e-5, 3e-5])
+    kwargs = {"sigma": 0.002, "viewpoints": (0.0, 0.0, 0.0)}
+    plain = segment_scans(exact, **kwargs)[1][0]
+    shared = segment_scans(exact, **kwargs, pose_covariances=np.tile(pose, (32, 1, 1)))[1][0]
+    np.testing.assert_allclose(
+        shared.covariance - plain.covariance, _pose_part(exact, plain, pose), rtol=1e-6, atol=1e-12
+    )
+
+
+def _pose_part(points, plane, pose):
+    """Sum over rows of G S G^T with G by central differences of a least-squares plane in the plane's frame."""
+    local = (points.reshape(-1, 3) - plane.centre) @ plane.frame[:3, :3]
+    h = np.column_stack((np.ones(len(local)), -local[:, 0], local[:, 1]))
+    total = np.zeros((3, 3))
+    for row in range(points.shape[0]):
+        gain = np.zeros((3, 6))
+        for k in range(6):
+            moved = points.copy()
+            moved[row] += _moved(points[row], k, 1e-6) - _moved(points[row], k, -1e-6)
+            z = (moved.reshape(-1, 3) - plane.centre) @ plane.normal
+            gain[:, k] = np.linalg.lstsq(h, z, rcond=None)[0] / 2e-6
+        total += gain @ pose @ gain.T
+    return total
+
+
+def _moved(p, k, step):
+    axes = np.eye(3)
+    return np.tile(step * axes[k], (len(p), 1)) if k < 3 else step * np.cross(axes[5 - k], p)
+
+
+def test_a_jerking_mount_does_not_cut_a_wall_when_it_is_known():
+    exact, _ = cast(rays(), [((1, 0, 0), 3.0, anywhere)])
+    jerks = 0.03 * np.sin(np.arange(48) / 2.0)
+    points = noisy(exact, 0.005, 10) + jerks[:, None, None] * np.array([1.0, 0.0, 0.0])
+    pose = np.tile(np.diag([4e-4, 4e-4, 4e-4, 0, 0, 0]), (48, 1, 1))
+    unknown = segment_scans(points, sigma=0.005)[1]
+    known = segment_scans(points, sigma=0.005, pose_covariances=pose)[1]
+    assert len(unknown) > 1
+    assert len(known) == 1
+
+
+@pytest.mark.parametrize("shape", [(1, 40), (40, 1), (1, 1), (0, 5), (5, 0)])
+def test_degenerate_grids_have_no_planes(shape):
+    labels, planes = segment_scans(np.ones((*shape, 3)), sigma=0.01)
+    assert labels.shape == shape
+    assert planes == []
+    assert (labels == -1).all()
+
+
+def test_no_returns_have_no_planes():
+    labels, planes = segment_scans(np.full((8, 9, 3), np.nan), sigma=0.01)
+    assert labels.shape == (8, 9)
+    assert planes == []
+
+
+def test_infinite_and_missing_points_are_no_returns():
+    points = noisy(cast(rays(), box())[0], SIGMA, 11)
+    points[5, 5], points[6, 6, 0] = np.inf, np.nan
+    labels, planes = segment_scans(points, sigma=SIGMA)
+    assert labels[5, 5] == labels[6, 6] == -1
+    assert len(planes) == 5
+
+
+@pytest.mark.parametrize(
+    ("points", "kwargs", "message"),
+    [
+        ([[[0, 0, 0]], [[0, 0, 0], [1, 1, 1]]], {"sigma": 0.1}, "points: expected scans of equal length"),
+        (np.zeros((4, 3)), {"sigma": 0.1}, r"points: expected shape \(S, B, 3\), got \(4, 3\)"),
+        (np.zeros((4, 4, 3)), {}, "expected exactly one of covariances and sigma"),
+        (np.zeros((4, 4, 3)), {"sigma": 0.0}, "sigma: expected a positive finite number"),
+        (np.ones((4, 4, 3)), {"sigma": -np.ones((4, 4))}, "sigma: expected positive finite numbers"),
+        (np.ones((4, 4, 3)), {"covariances": np.eye(3)}, r"covariances: expected shape \(4, 4, 3, 3\)"),
+        (np.ones((4, 4, 3)), {"covariances": np.tile(-np.eye(3), (4, 4, 1, 1))}, "positive semidefinite"),
+        (np.ones((4, 4, 3)), {"sigma": 0.1, "viewpoints": np.zeros((3, 3))}, r"viewpoints: expected shape \(4, 3\)"),
+        (np.ones((4, 4, 3)), {"sigma": 0.1, "pose_covariances": np.eye(6)}, r"pose_covariances: expected shape \(4, 6"),
+    ],
+)
+def test_bad_input_is_one_sentence(points, kwargs, message):
+    covariances = kwargs.pop("covariances", None)
+    with pytest.raises(ValueError, match=message):
+        segment_scans(points, covariances, **kwargs)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("significance", 0.0),
+        ("flatness_m", -1.0),
+        ("gate_sigma", np.nan),
+        ("max_incidence_rad", 2.0),
+        ("min_points", 2),
+        ("strip_scans", 1),
+        ("pose_correlation_scans", -1.0),
+    ],
+)
+def test_config_is_checked(field, value):
+    with pytest.raises(ValueError, match=field):
+        MapperConfig(**{field: value})
+
+
+def test_literal_edge_test_throws_a_good_wall_away():
+    exact, _ = cast(rays(), [((1, 0, 0), 3.0, anywhere)])
+    covariances = beam_covariances(exact, 0.005, 0.003)
+    points = noisy(exact, 0.005, 12)
+    assert len(segment_scans(points, covariances)[1]) == 1
+    assert segment_scans(points, covariances, config=MapperConfig(literal_edge_test=True))[1] == []

@@ -1,0 +1,193 @@
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from spplanes.segmentation import borders, creases, dissolving, growing
+from spplanes.segmentation._patches import eigenvalues, merge_scaled, normal_of, variance_along
+from spplanes.segmentation.clustering import cluster, one_plane_chi2
+from spplanes.segmentation.quads import links, surviving_quads
+
+
+def moments(points, weights):
+    """A moment row from points, written out."""
+    w = np.broadcast_to(weights, len(points))
+    centre = w @ points / w.sum()
+    s = (points - centre).T * w @ (points - centre)
+    return np.array([len(points), w.sum(), *centre, s[0, 0], s[0, 1], s[0, 2], s[1, 1], s[1, 2], s[2, 2]])
+
+
+def patch(rng, centre, sigma, n=200, tilt=0.0):
+    x, y = rng.uniform(-0.5, 0.5, (2, n))
+    return np.column_stack((x, y, tilt * x + sigma * rng.standard_normal(n))) + centre
+
+
+def test_eigenvalues_and_normal_agree_with_numpy():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        points = rng.normal(size=(20, 3)) * rng.uniform(0.01, 2.0, 3) @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        row = moments(points, 1.0)
+        s = (points - points.mean(0)).T @ (points - points.mean(0))
+        values, vectors = np.linalg.eigh(s)
+        np.testing.assert_allclose(eigenvalues(row), values, atol=1e-10 * values[2])
+        assert abs(np.array(normal_of(row, eigenvalues(row)[0])) @ vectors[:, 0]) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_eigenvalues_of_nothing_and_of_a_ball():
+    assert eigenvalues(np.zeros(11)) == (0.0, 0.0, 0.0)
+    assert normal_of(np.zeros(11), 0.0) == (0.0, 0.0, 1.0)
+
+
+def test_merge_scaled_is_the_union():
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=(2, 30, 3))
+    out = np.empty(11)
+    merge_scaled(out, moments(a, 2.0), 0.5, moments(b, 1.0), 3.0)
+    np.testing.assert_allclose(out, moments(np.concatenate((a, b)), np.repeat([1.0, 3.0], 30)), atol=1e-10)
+
+
+def test_variance_along_has_a_floor():
+    matrix = np.diag([4.0, 1.0, 0.0])
+    assert variance_along(matrix.ravel(), 0.6, 0.8, 0.0) == pytest.approx(0.36 * 4 + 0.64)
+    assert variance_along(matrix.ravel(), 0.0, 0.0, 1.0) == pytest.approx(5e-3)
+    assert variance_along(np.array([0.25]), 0.0, 0.0, 1.0) == 0.25
+
+
+def test_one_plane_chi2_has_three_degrees_of_freedom():
+    rng, runs, sigma, work = np.random.default_rng(2), 400, 0.01, np.empty(11)
+    values = []
+    for _ in range(runs):
+        a, b = patch(rng, (0, 0, 0), sigma), patch(rng, (1.0, 0.3, 0), sigma, 120)
+        values.append(one_plane_chi2(moments(a, sigma**-2), moments(b, sigma**-2), 0.0, work))
+    low, high = chi2.ppf([0.001, 0.999], 3 * runs) / runs
+    assert low < np.mean(values) < high
+    assert np.mean(np.array(values) > chi2.isf(0.01, 3)) < 0.03
+
+
+@pytest.mark.parametrize(("offset", "tilt"), [(0.01, 0.0), (0.0, 0.03)])
+def test_one_plane_chi2_tells_a_step_and_a_tilt(offset, tilt):
+    rng, work = np.random.default_rng(3), np.empty(11)
+    a, b = patch(rng, (0, 0, 0), 0.01), patch(rng, (1.0, 0, offset + tilt), 0.01, tilt=tilt)
+    a, b = moments(a, 1e4), moments(b, 1e4)
+    assert one_plane_chi2(a, b, 0.0, work) > chi2.isf(0.001, 3)
+    assert one_plane_chi2(a, b, 0.0, work) == pytest.approx(one_plane_chi2(b, a, 0.0, work), rel=1e-6)
+    assert one_plane_chi2(a, b, 0.02**2, work) < chi2.isf(0.001, 3)
+
+
+def test_cluster_fuses_a_chain_up_to_the_edge():
+    rng, sigma = np.random.default_rng(4), 0.005
+    flat = [patch(rng, (k, 0, 0), sigma) for k in range(4)]
+    steep = [patch(rng, (3.5 + 0.1 * k, 0, 0.5 + k), sigma) @ np.diag([0.1, 1, 1]) for k in range(2)]
+    upright = [np.column_stack((4.0 + p[:, 2] * 0 + 0.0 * p[:, 0], p[:, 1], p[:, 0])) for p in steep]
+    rows = np.array([moments(p, sigma**-2) for p in [*flat, *upright]])
+    edges = np.array([[k, k + 1] for k in range(5)])
+    root = cluster(rows, np.zeros((6, 2)), edges, chi2.isf(0.001, 3), 0.0, 1.0)
+    np.testing.assert_array_equal(root[:4], 0)
+    assert 0 not in root[4:]
+    assert rows[0, 0] == 800
+
+
+def wall(rows=6, cols=8, depth=3.0):
+    y, z = np.meshgrid(np.linspace(-0.2, 0.2, cols), np.linspace(-0.2, 0.2, rows))
+    return np.stack((np.full(y.shape, depth), y, z), axis=-1)
+
+
+def run_links(points, **kwargs):
+    valid = np.isfinite(points).all(-1)
+    options = {"tangent": np.tan(1.3), "limit": 10.8, "literal": False, **kwargs}
+    covariance = np.full((*valid.shape, 1), 1e-6)
+    return links(np.nan_to_num(points), covariance, valid, np.zeros((len(points), 3)), **options)
+
+
+def test_filter_keeps_a_wall_and_drops_jumps_and_outliers():
+    points = wall()
+    assert surviving_quads(*run_links(points)).all()
+    points[2, 3, 0] = 2.0
+    quads = surviving_quads(*run_links(points))
+    assert not quads[1:3, 2:4].any()
+    assert quads.sum() == quads.size - 4
+    points[2, 3] = np.nan
+    assert surviving_quads(*run_links(points)).sum() == quads.size - 4
+    points = wall()
+    points[:, 4:, 0] += 0.5
+    assert not surviving_quads(*run_links(points))[:, 3].any()
+
+
+def test_filter_keeps_a_surface_seen_obliquely_up_to_the_chosen_incidence():
+    points = wall() + np.linspace(-0.1, 0.1, 8)[None, :, None] * np.array([4.0, 0, 0])
+    assert surviving_quads(*run_links(points, tangent=np.tan(1.2))).all()
+    assert not surviving_quads(*run_links(points, tangent=np.tan(0.5))).any()
+
+
+def test_literal_filter_takes_sampling_distance_for_error():
+    assert not surviving_quads(*run_links(wall(), limit=7.81, literal=True)).any()
+    assert surviving_quads(*run_links(wall(), limit=1e5, literal=True)).all()
+
+
+def test_zero_range_is_no_surface():
+    points = wall()
+    points[0, 0] = 0.0
+    assert not surviving_quads(*run_links(points))[0, 0]
+
+
+def test_split_regions_numbers_parts_and_keeps_the_settled_one():
+    labels = np.array([[-1, 0, 0, -1, 0], [0, -1, 0, -1, 0], [0, 0, -1, -1, 0]])
+    parts = labels.copy()
+    origin = creases.split_regions(parts, 0, 1)
+    np.testing.assert_array_equal(parts, [[-1, 0, 0, -1, 1], [2, -1, 0, -1, 1], [2, 2, -1, -1, 1]])
+    np.testing.assert_array_equal(origin, [0, 0])
+    parts = np.array([[-1, -1, -1, -1, 0], [0, -1, 0, -1, 0], [0, 0, -1, -1, 0]])
+    creases.split_regions(parts, 1, 1)
+    np.testing.assert_array_equal(parts[:, 4], 0)
+    assert parts[2, 0] != 0
+
+
+def test_release_frees_only_the_cell_off_the_plane():
+    points, labels = wall(16, 16), np.zeros((16, 16), dtype=np.int64)
+    points[:8, :8, 0] += 0.02
+    plane, covariance = np.array([[1.0, 0, 0, 3.0]]), np.full((16, 16, 1), 1e-4)
+    growing.release(points, covariance, labels, plane, np.array([1e-6]), 8, 15.0)
+    assert (labels[:8, :8] == -1).all()
+    assert (labels[8:] == 0).all()
+    assert (labels[:8, 8:] == 0).all()
+
+
+def test_blocks_that_misfit_change_sides():
+    points, labels = wall(16, 16), np.zeros((16, 16), dtype=np.int64)
+    points[:, :8, 0] += 0.03
+    labels[:, :4] = 1
+    planes, covariance = np.array([[1.0, 0, 0, 3.0], [1.0, 0, 0, 3.03]]), np.full((16, 16, 1), 1e-4)
+    moved = borders.choose_blocks(points, covariance, labels, 0, planes, 9.0, 0.0, 4)
+    assert moved == 64
+    np.testing.assert_array_equal(labels, np.repeat([[1] * 8 + [0] * 8], 16, axis=0))
+
+
+def test_border_points_choose_the_plane_they_lie_on():
+    points, labels = wall(6, 8), np.zeros((6, 8), dtype=np.int64)
+    points[:, :4, 0] += 0.05
+    labels[:, :5] = 1
+    planes, covariance = np.array([[1.0, 0, 0, 3.0], [1.0, 0, 0, 3.05]]), np.full((6, 8, 1), 1e-4)
+    borders.choose_points(points, covariance, np.ones((6, 8), bool), labels, 0, planes, 9.0, 0.0, 0.5)
+    assert (labels[:, :4] == 1).all()
+    assert (labels[:, 4:] == 0).all()
+
+
+def test_superfluous_strip_dissolves_and_a_real_one_stays():
+    rng = np.random.default_rng(5)
+    points, covariance = wall(32, 32), np.full((32, 32, 1), 1e-4)
+    points[..., 0] += 0.01 * rng.standard_normal((32, 32))
+    labels = np.zeros((32, 32), dtype=np.int64)
+    labels[:, 12:20] = 1
+    planes = np.array([[1.0, 0, 0, 3.0], [1.0, 0, 0, 3.002]])
+    pairs = np.array([[0, 1]])
+    kept = labels.copy()
+    assert dissolving.dissolve(points, covariance, labels, 0, np.array([768, 256]), pairs, planes, 0.0) == 1
+    assert (labels == 0).all()
+    points[:, 12:20, 0] += 0.02
+    planes[1, 3] = 3.02
+    assert dissolving.dissolve(points, covariance, kept, 0, np.array([768, 256]), pairs, planes, 0.0) == 0
+
+
+def test_near_pairs_reach_across_other_regions():
+    labels = np.array([[0, 0, 1, 1, 2, -1, -1, 3]] * 4)
+    assert {tuple(p) for p in dissolving.near_pairs(labels, 2)} == {(0, 1), (1, 2)}
+    assert {tuple(p) for p in dissolving.near_pairs(labels, 3)} == {(0, 1), (1, 2), (0, 2), (2, 3)}
