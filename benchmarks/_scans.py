@@ -62,7 +62,7 @@ def read_pcd(path: Path) -> FloatArray:
     """Points (N, 3) of a PCD file in the order of the file, read by Open3D."""
     import open3d
 
-    return np.asarray(open3d.io.read_point_cloud(str(path), remove_nan_points=False).points)
+    return np.asarray(open3d.io.read_point_cloud(path, remove_nan_points=False).points)
 
 
 def room_slices(data: Path, index: int) -> FloatArray:

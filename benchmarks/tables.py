@@ -130,8 +130,8 @@ def table_3(seeds: int, n_scans: int = 344) -> list[dict]:
         floor = max((p for p, _ in truth if p.normal[2] > 0.99), key=lambda p: p.n_points)
         rows.append(
             {
-                "height_m": abs(-ceiling[0].d - floor.d - 2.700),
-                "width_m": abs(-left[0].d - right[0].d - 2.268),
+                "height_m": abs(_gap(ceiling[0], floor) - 2.700),
+                "width_m": abs(_gap(left[0], right[0]) - 2.268),
                 "ceiling_deg": _angle(ceiling[0].normal, ceiling[1].normal),
                 "locker_deg": float(np.median([_angle(p.normal, t.normal) for p, t in lockers])),
                 "nees": [nees(p, t) for p, t in truth if p.n_points > LARGE],
@@ -158,7 +158,7 @@ def _planes_of(mission: Mission) -> tuple[list[Plane], list[tuple[Plane, Plane]]
     for k, plane in enumerate(planes):
         under = labels_true[labels == k]
         values, counts = np.unique(under, return_counts=True)
-        if values[counts.argmax()] >= 0 and counts.max() > 0.98 * len(under):
+        if values[counts.argmax()] >= 0 and counts.max() > 0.9 * len(under):
             pairs.append((plane, mission.truth.planes[int(values[counts.argmax()])]))
     return planes, pairs
 
@@ -171,6 +171,12 @@ def _pick(planes: list[Plane], pairs: list[tuple[Plane, Plane]]) -> tuple:
     right = next(pair for pair in by_size if pair[1].normal[1] > 0.99 and abs(abs(pair[1].d) - 1.134) < 0.01)
     lockers = [pair for pair in by_size if abs(pair[1].normal[1]) > 0.99 and abs(abs(pair[1].d) - 1.084) < 0.01]
     return ceiling, left, right, lockers or [right]
+
+
+def _gap(one: Plane, other: Plane) -> float:
+    """Distance between two facing planes, in the middle between what was seen of them, m."""
+    middle = 0.5 * (one.centre + other.centre)
+    return float(abs(one.distance(middle)) + abs(other.distance(middle)))
 
 
 def _angle(one: FloatArray, other: FloatArray) -> float:

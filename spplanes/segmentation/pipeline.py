@@ -165,7 +165,7 @@ def spread(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
     fuse_neighbours(sheet, views, 0, config)
     settle_borders(sheet, config)
     if dissolve_superfluous(sheet, config):
-        settle_borders(sheet, config)
+        refit(sheet, config)
 
 
 def dissolve_superfluous(sheet: Sheet, config: MapperConfig) -> int:
