@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from slam.config import MeasurementConfig, SlamConfig
+from slam.config import SlamConfig
 from slam.frames import inverse
+from slam.goodness import is_one_plane
 from slam.io.log import CloudScan, LaserScan
 from slam.observations import LineObservation, PlaneObservation
 from slam.odometry import OdometryTrack
@@ -30,8 +31,9 @@ def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list
     observations = []
     for label, plane in enumerate(planes):
         members = labels == label
-        refitted = _refit(points[members], covariances[members], plane, sensor, viewpoint=viewpoint)
-        if is_one_plane(refitted, viewpoint, config.measurements):
+        noise = surface_covariances(points[members], covariances[members], plane, sensor)
+        refitted = _refit(points[members], noise, plane, viewpoint=viewpoint)
+        if is_one_plane(refitted, points[members], noise, viewpoint, config.measurements):
             observations.append(PlaneObservation(refitted.transform(sensor.body_T_sensor, tilt_covariance(sensor))))
     return sorted(observations, key=lambda seen: -seen.n_points)
 
@@ -58,27 +60,14 @@ def planes_of_window(
     observations = []
     for label, plane in enumerate(planes):
         scan_index, beam = np.nonzero(labels == label)
-        viewpoint = placed.viewpoints[scan_index].mean(axis=0)
+        points, viewpoint = placed.points[scan_index, beam], placed.viewpoints[scan_index].mean(axis=0)
+        noise = surface_covariances(points, placed.covariances[scan_index, beam], plane, sensor)
         refitted = _refit(
-            placed.points[scan_index, beam],
-            placed.covariances[scan_index, beam],
-            plane,
-            sensor,
-            viewpoint=viewpoint,
-            scan_index=scan_index,
-            pose_covariances=pose_covariance,
+            points, noise, plane, viewpoint=viewpoint, scan_index=scan_index, pose_covariances=pose_covariance
         )
-        if is_one_plane(refitted, viewpoint, config.measurements):
+        if is_one_plane(refitted, points, noise, viewpoint, config.measurements, scan_index):
             observations.append(PlaneObservation(refitted))
     return sorted(observations, key=lambda seen: -seen.n_points)
-
-
-def is_one_plane(plane: Plane, viewpoint: FloatArray, rules: MeasurementConfig) -> bool:
-    """Whether the points lie as far off the plane as their noise says, and the plane could be seen from there."""
-    dof = max(plane.n_points - 3, 1)
-    allowed = dof * (1.0 + rules.noise_slack) + rules.misfit_sigmas * np.sqrt(2.0 * dof)
-    away = np.linalg.norm(plane.centre - viewpoint)
-    return plane.chi2 <= allowed and abs(float(plane.distance(viewpoint))) >= away * np.cos(rules.max_incidence_rad)
 
 
 def lines_of_scan(scan: LaserScan, sensor: Sensor, kf_T_body: FloatArray, config: LineConfig) -> list[LineObservation]:
@@ -139,9 +128,9 @@ def tilt_covariance(sensor: Sensor) -> FloatArray:
     return np.diag([0.0, 0.0, 0.0, 0.0, sensor.tilt_sigma_rad**2, 0.0])
 
 
-def _refit(points: FloatArray, covariances: FloatArray, plane: Plane, sensor: Sensor, **fit: np.ndarray) -> Plane:
+def _refit(points: FloatArray, covariances: FloatArray, plane: Plane, **fit: np.ndarray) -> Plane:
     """The plane with everything the sensor is known to err in, and the outline that was found for it."""
-    refitted = fit_plane(points, surface_covariances(points, covariances, plane, sensor), **fit)  # type: ignore[arg-type]
+    refitted = fit_plane(points, covariances, **fit)  # type: ignore[arg-type]
     if plane.outline is None:
         return refitted
     return replace(refitted, outline=flatten(plane.outline, inverse(refitted.frame) @ plane.frame))
