@@ -12,7 +12,7 @@ from scipy.stats import chi2 as chi2_distribution
 from slam.backend import Backend, JointCovariance
 from slam.config import AssociationConfig
 from slam.frames import inverse
-from slam.landmarks import Landmark, LandmarkMap, PlacedPlane
+from slam.landmarks import Landmark, LandmarkMap, PlacedPlane, observe
 from slam.observations import Observation
 from spplanes._check import FloatArray
 
@@ -74,14 +74,7 @@ def associate(
     """
     world_T_body = backend.pose(pose_key)
     spread = Spread.of(backend.covariance(pose_key))
-    shortlists = [
-        [
-            landmark
-            for landmark, placed in landmarks.placements()
-            if _is_plausible(observation, landmark, placed, world_T_body, spread, config)
-        ]
-        for observation in observations
-    ]
+    shortlists = [_shortlist(observation, landmarks, world_T_body, spread, config) for observation in observations]
     state = _State(_joint_covariance(shortlists, pose_key, backend))
     decisions: dict[int, Decision] = {}
     for index in sorted(range(len(observations)), key=lambda i: (-observations[i].n_points, i)):
@@ -111,23 +104,42 @@ class Spread:
         )
 
 
+def _shortlist(
+    observation: Observation,
+    landmarks: LandmarkMap,
+    world_T_body: FloatArray,
+    spread: Spread,
+    config: AssociationConfig,
+) -> list[Landmark]:
+    """Landmarks that the observation is compared with: those near by their bounds, then by their outlines."""
+    vertices = observation.vertices
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    radius = float(np.linalg.norm(vertices - middle, axis=1).max())
+    reach = float(np.linalg.norm(vertices, axis=1).max())
+    margin = config.gap_m + _SIGMAS * (spread.position_m + reach * spread.angle_rad)
+    angle = config.max_angle_rad + _SIGMAS * spread.angle_rad
+    normal = world_T_body[:3, :3] @ observation.normal
+    near = landmarks.near(normal, world_T_body[:3, :3] @ middle + world_T_body[:3, 3], radius + margin, angle)
+    return [
+        landmark
+        for landmark, placed in near
+        if _is_plausible(observation, landmark, placed, world_T_body, margin, angle)
+    ]
+
+
 def _is_plausible(
     observation: Observation,
     landmark: Landmark,
     placed: PlacedPlane,
     world_T_body: FloatArray,
-    spread: Spread,
-    config: AssociationConfig,
+    margin: float,
+    angle: float,
 ) -> bool:
     """Same side, similar direction, and near enough: bounds so wide that the chi2 test decides, not they."""
     plane_T_body = inverse(placed.world_T_plane) @ world_T_body
-    cosine = float(plane_T_body[2, :3] @ observation.normal)
-    angle = config.max_angle_rad + _SIGMAS * spread.angle_rad
-    if cosine < np.cos(min(angle, 0.5 * np.pi)):
+    if float(plane_T_body[2, :3] @ observation.normal) < np.cos(min(angle, 0.5 * np.pi)):
         return False
     heights = observation.vertices @ plane_T_body[2, :3] + plane_T_body[2, 3]
-    reach = float(np.linalg.norm(observation.vertices, axis=1).max(initial=0.0))
-    margin = config.gap_m + _SIGMAS * (spread.position_m + reach * spread.angle_rad)
     if np.abs(heights).min() > margin:
         return False
     return landmark.outline.distance(observation.patch_in(plane_T_body)) <= margin
@@ -187,7 +199,7 @@ def _innovations(
     found = [
         state.innovation(
             landmark,
-            observation.factor(pose_key, landmark.key, landmark.anchor_key).linearize(backend.values),
+            observe(observation, pose_key, landmark, backend).linearize(backend.values),
         )
         for landmark in shortlist
     ]

@@ -7,6 +7,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from scipy.linalg import block_diag
 
 from slam.config import BackendConfig
 from spplanes._check import FloatArray
@@ -83,11 +84,15 @@ class Backend:
             marginal = self._isam.jointMarginalCovariance(list(keys))
         except RuntimeError as error:
             raise BackendError(_first_line(error)) from error
-        return JointCovariance(keys, marginal, [self._to_estimate(key) for key in keys])
+        return JointCovariance(keys, marginal.fullMatrix(), [self._to_estimate(key) for key in keys])
 
     def covariance(self, key: int) -> FloatArray:
         """Marginal covariance of one variable in its GTSAM tangent order, in the tangent of its current estimate."""
-        return self.joint_covariance([key]).of([key])
+        try:
+            marginal = self._isam.marginalCovariance(key)
+        except RuntimeError as error:
+            raise BackendError(_first_line(error)) from error
+        return JointCovariance([key], marginal, [self._to_estimate(key)]).of([key])
 
     def _to_estimate(self, key: int) -> FloatArray:
         """Matrix that takes a tangent at iSAM2's linearisation point to one at the estimate.
@@ -113,15 +118,11 @@ class Backend:
 class JointCovariance:
     """A joint marginal covariance of a few variables, addressed by key."""
 
-    def __init__(self, keys: Sequence[int], marginal: gtsam.JointMarginal, turns: Sequence[FloatArray]) -> None:
+    def __init__(self, keys: Sequence[int], marginal: FloatArray, turns: Sequence[FloatArray]) -> None:
         starts = np.concatenate(([0], np.cumsum([len(turn) for turn in turns])))
         self._columns = {key: np.arange(starts[i], starts[i + 1]) for i, key in enumerate(keys)}
-        self._full = np.block(
-            [
-                [turn_row @ marginal.at(row, column) @ turn.T for column, turn in zip(keys, turns, strict=True)]
-                for row, turn_row in zip(keys, turns, strict=True)
-            ]
-        )
+        turn = block_diag(*turns)
+        self._full = turn @ marginal @ turn.T
 
     @property
     def full(self) -> FloatArray:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import gtsam
+import numpy as np
+import shapely
 from shapely.geometry.base import BaseGeometry
 
 from factors import landmark_hesse
 from slam.backend import Backend
-from slam.frames import inverse, settle_frame
+from slam.frames import inverse
 from slam.observations import Observation
 from slam.outlines import grow
 from spplanes._check import FloatArray
@@ -61,7 +64,10 @@ class LandmarkMap:
     def __init__(self) -> None:
         self._landmarks: dict[int, Landmark] = {}
         self._next_id = 0
-        self._geometry: dict[int, PlacedPlane] = {}
+        self._rows: dict[int, int] = {}
+        self._world_T_plane = np.empty((0, 4, 4))
+        self._middles = np.empty((0, 3))
+        self._radii = np.empty(0)
 
     def __len__(self) -> int:
         return len(self._landmarks)
@@ -72,14 +78,14 @@ class LandmarkMap:
     def __getitem__(self, landmark_id: int) -> Landmark:
         return self._landmarks[landmark_id]
 
-    def birth(self, observation: Observation, anchor_key: int, frame: FloatArray) -> Landmark:
-        """Make the landmark of an observation made at the anchor pose; `frame` is the plane frame in the body."""
+    def birth(self, observation: Observation, anchor_key: int, frame: FloatArray, plane_T_body: FloatArray) -> Landmark:
+        """Make the landmark of an observation; `frame` is its plane frame in the anchor pose's frame."""
         landmark = Landmark(
             id=self._next_id,
             key=gtsam.symbol("p", self._next_id),
             anchor_key=anchor_key,
             anchor_T_birth=frame,
-            outline=observation.patch_in(inverse(frame)),
+            outline=observation.patch_in(plane_T_body),
         )
         self._next_id += 1
         self._landmarks[landmark.id] = landmark
@@ -87,7 +93,7 @@ class LandmarkMap:
 
     def remove(self, landmark_id: int) -> Landmark:
         """Take a landmark out of the map."""
-        self._geometry.pop(landmark_id, None)
+        self._rows.pop(landmark_id, None)
         return self._landmarks.pop(landmark_id)
 
     def see(self, landmark: Landmark, observation: Observation, sighting: Sighting, plane_T_body: FloatArray) -> None:
@@ -98,15 +104,51 @@ class LandmarkMap:
 
     def refresh(self, backend: Backend) -> None:
         """Place every landmark anew by the current estimate."""
-        self._geometry = {landmark.id: place(landmark, backend) for landmark in self}
+        self._rows = {landmark_id: row for row, landmark_id in enumerate(self._landmarks)}
+        if not self._rows:
+            return
+        anchors = {landmark.anchor_key for landmark in self}
+        poses = {key: backend.pose(key) for key in anchors}
+        births = np.array([landmark.anchor_T_birth for landmark in self])
+        hesse = [landmark_hesse(backend.plane(landmark.key)) for landmark in self]
+        settled = _settle(births, np.array([normal for normal, _ in hesse]), np.array([d for _, d in hesse]))
+        self._world_T_plane = np.array([poses[landmark.anchor_key] for landmark in self]) @ settled
+        low, high = np.split(shapely.bounds([landmark.outline for landmark in self]), 2, axis=1)
+        middles = 0.5 * (low + high)
+        rotations, origins = self._world_T_plane[:, :3, :3], self._world_T_plane[:, :3, 3]
+        self._middles = np.einsum("nij,nj->ni", rotations[:, :, :2], middles) + origins
+        self._radii = 0.5 * np.linalg.norm(high - low, axis=1)
 
     def placed(self, landmark_id: int) -> PlacedPlane:
         """Where a landmark is, as of the last refresh."""
-        return self._geometry[landmark_id]
+        return PlacedPlane(self._world_T_plane[self._rows[landmark_id]])
 
     def placements(self) -> list[tuple[Landmark, PlacedPlane]]:
         """Every landmark with its place, as of the last refresh."""
-        return [(self._landmarks[key], placed) for key, placed in self._geometry.items()]
+        return [(self._landmarks[key], self.placed(key)) for key in self._rows]
+
+    def near(
+        self, normal: FloatArray, middle: FloatArray, reach: float, max_angle: float
+    ) -> list[tuple[Landmark, PlacedPlane]]:
+        """Landmarks of about a direction that come within `reach` of a place, as of the last refresh.
+
+        Args:
+            normal: unit normal in the world, shape (3,).
+            middle: the place in the world, shape (3,).
+            reach: distance from there to the sphere around what was seen of the landmark, m.
+            max_angle: largest angle between the normals, rad.
+        """
+        if not self._rows:
+            return []
+        ids, rows = np.array(list(self._rows)), np.array(list(self._rows.values()))
+        facing = self._world_T_plane[rows, :3, 2] @ normal >= np.cos(min(max_angle, np.pi))
+        close = np.linalg.norm(self._middles[rows] - middle, axis=1) <= self._radii[rows] + reach
+        return [(self._landmarks[key], self.placed(key)) for key in ids[facing & close].tolist()]
+
+    def sphere(self, landmark_id: int) -> tuple[FloatArray, float]:
+        """Middle (3,) in the world and radius of what was seen of a landmark, as of the last refresh."""
+        row = self._rows[landmark_id]
+        return self._middles[row], float(self._radii[row])
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +164,26 @@ class PlacedPlane:
         return self.world_T_plane[:3, 2]
 
 
-def place(landmark: Landmark, backend: Backend) -> PlacedPlane:
-    """The landmark's plane frame in the world: the frame of its birth, moved the shortest way onto the estimate."""
-    normal, d = landmark_hesse(backend.plane(landmark.key))
-    return PlacedPlane(backend.pose(landmark.anchor_key) @ settle_frame(landmark.anchor_T_birth, normal, d))
+def observe(
+    observation: Observation, pose_key: int, landmark: Landmark, backend: Backend, robust: str | None = None
+) -> Any:
+    """The factor of an observation of a landmark from a pose, both in the graph."""
+    expected = None
+    if landmark.anchor_key != pose_key:
+        anchor_T_body = inverse(backend.pose(landmark.anchor_key)) @ backend.pose(pose_key)
+        expected = backend.plane(landmark.key).transform(gtsam.Pose3(anchor_T_body))
+    return observation.factor(pose_key, landmark.key, landmark.anchor_key, robust, expected)
+
+
+def _settle(frames: FloatArray, normals: FloatArray, distances: FloatArray) -> FloatArray:
+    """The plane frames at birth (N, 4, 4), moved the shortest way onto the planes (N, 3), (N,): `settle_frame` of all.
+
+    x keeps its direction as far as it can; the origin is projected.
+    """
+    x_axes = frames[:, :3, 0] - normals * np.einsum("ni,ni->n", normals, frames[:, :3, 0])[:, None]
+    x_axes /= np.linalg.norm(x_axes, axis=1, keepdims=True)
+    settled = np.tile(np.eye(4), (len(frames), 1, 1))
+    settled[:, :3, 0], settled[:, :3, 1], settled[:, :3, 2] = x_axes, np.cross(normals, x_axes), normals
+    origins = frames[:, :3, 3]
+    settled[:, :3, 3] = origins + normals * (distances - np.einsum("ni,ni->n", normals, origins))[:, None]
+    return settled

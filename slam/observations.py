@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import gtsam
 import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
@@ -14,6 +15,9 @@ from slam.frames import lift
 from slam.outlines import flatten
 from spplanes import Plane, ScanLine
 from spplanes._check import FloatArray
+
+#: Sine of the angle between a landmark and the scan plane from which on a line's factor is native.
+_MIN_CUT = 0.5
 
 
 class Observation(Protocol):
@@ -39,8 +43,15 @@ class Observation(Protocol):
         """Corners of the seen patch in the body frame, shape (N, 3), m."""
         ...
 
-    def factor(self, pose_key: int, plane_key: int, anchor_key: int, robust: str | None = None) -> Any:
-        """The measurement as a factor between a pose and an anchored landmark."""
+    def factor(
+        self,
+        pose_key: int,
+        plane_key: int,
+        anchor_key: int,
+        robust: str | None = None,
+        expected: gtsam.OrientedPlane3 | None = None,
+    ) -> Any:
+        """The measurement as a factor between a pose and an anchored landmark, which the body should see as `expected`."""
         ...
 
     def full_plane(self, tilt_sigma_rad: float) -> Plane:
@@ -77,7 +88,14 @@ class PlaneObservation:
         flat = np.zeros((1, 2)) if outline is None or outline.is_empty else shapely.get_coordinates(outline)
         return lift(flat, self.plane.frame)
 
-    def factor(self, pose_key: int, plane_key: int, anchor_key: int, robust: str | None = None) -> Any:
+    def factor(
+        self,
+        pose_key: int,
+        plane_key: int,
+        anchor_key: int,
+        robust: str | None = None,
+        expected: gtsam.OrientedPlane3 | None = None,
+    ) -> Any:
         """Full-rank plane factor."""
         return plane_factor(self.plane, pose_key, plane_key, anchor_key=anchor_key, robust=robust)
 
@@ -118,9 +136,28 @@ class LineObservation:
         """The two ends in the body frame, shape (2, 3), m."""
         return lift(self.line.endpoints, self.body_T_sensor)
 
-    def factor(self, pose_key: int, plane_key: int, anchor_key: int, robust: str | None = None) -> Any:
-        """Rank-2 line factor."""
-        return line_factor(self.line, self.body_T_sensor, pose_key, plane_key, anchor_key=anchor_key, robust=robust)
+    def factor(
+        self,
+        pose_key: int,
+        plane_key: int,
+        anchor_key: int,
+        robust: str | None = None,
+        expected: gtsam.OrientedPlane3 | None = None,
+    ) -> Any:
+        """Rank-2 line factor; native, and so faster, where the landmark's direction is known and cuts the scan plane."""
+        if expected is not None:
+            # a weight that depends on the expected direction is only as good as that: not for planes near the scan's
+            cut = np.linalg.norm(self.body_T_sensor[:3, :2].T @ expected.normal().point3())
+            expected = expected if cut >= _MIN_CUT else None
+        return line_factor(
+            self.line,
+            self.body_T_sensor,
+            pose_key,
+            plane_key,
+            anchor_key=anchor_key,
+            expected=expected,
+            robust=robust,
+        )
 
     def full_plane(self, tilt_sigma_rad: float) -> Plane:
         """The plane through the line and square to the scan plane; its tilt about the line is a stated assumption.

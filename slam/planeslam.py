@@ -19,7 +19,7 @@ from slam.config import SlamConfig
 from slam.frames import covariance_in, inverse
 from slam.io.trajectories import Trajectory
 from slam.keyframes import Keyframe
-from slam.landmarks import Landmark, LandmarkMap, Sighting
+from slam.landmarks import Landmark, LandmarkMap, Sighting, observe
 from slam.observations import Observation
 from slam.outlines import largest_polygon
 from slam.twins import find_twins
@@ -173,7 +173,7 @@ class PlaneSlam:
         for sighting in younger.sightings:
             observation = self.keyframes[sighting.keyframe].observations[sighting.observation]
             pose_key = pose_symbol(sighting.keyframe)
-            factors.append(observation.factor(pose_key, older.key, older.anchor_key, self.config.backend.robust))
+            factors.append(observe(observation, pose_key, older, self.backend, self.config.backend.robust))
         gone = [sighting.factor_index for sighting in younger.sightings]
         indices = self.backend.update(factors, gtsam.Values(), remove=gone, relinearize=True)
         older_T_world = inverse(self.landmarks.placed(older.id).world_T_plane)
@@ -190,7 +190,7 @@ class PlaneSlam:
                 continue
             observation = keyframe.observations[decision.observation]
             landmark = self.landmarks[decision.match.landmark]
-            factor = observation.factor(pose_key, landmark.key, landmark.anchor_key, self.config.backend.robust)
+            factor = observe(observation, pose_key, landmark, self.backend, self.config.backend.robust)
             plane_T_body = inverse(self.landmarks.placed(landmark.id).world_T_plane) @ self.backend.pose(pose_key)
             sights.append(_Sight(landmark, observation, decision.observation, factor, plane_T_body))
         return sights
@@ -201,18 +201,22 @@ class PlaneSlam:
         """Landmarks of what no landmark explains, each with every observation of this keyframe that is its plane."""
         numbers = [decision.observation for decision in decisions if decision.verdict == "new"]
         observations = [keyframe.observations[number] for number in numbers]
+        # the pose before as anchor: of its own pose, a landmark's first factor would be custom, thus slow
+        anchor_key = pose_symbol(max(len(self.keyframes) - 1, 0))
+        anchor_T_body = inverse(self.backend.pose(anchor_key)) @ self.backend.pose(pose_key)
         sights = []
         for group in group_births(observations, self.config.landmarks, self.config.association):
-            first = observations[group[0]]
-            plane = first.full_plane(self.config.landmarks.wall_tilt_sigma_rad)
-            landmark = self.landmarks.birth(first, pose_key, plane.frame)
-            initial.insert(landmark.key, plane_landmark(plane))
-            factor = plane_factor(plane, pose_key, landmark.key, anchor_key=pose_key)
-            sights.append(_Sight(landmark, first, numbers[group[0]], factor, inverse(plane.frame)))
+            plane = observations[group[0]].full_plane(self.config.landmarks.wall_tilt_sigma_rad)
+            anchored = plane.transform(anchor_T_body)
+            plane_T_body = inverse(anchored.frame) @ anchor_T_body
+            landmark = self.landmarks.birth(observations[group[0]], anchor_key, anchored.frame, plane_T_body)
+            initial.insert(landmark.key, plane_landmark(anchored))
+            factor = plane_factor(plane, pose_key, landmark.key, anchor_key=anchor_key)
+            sights.append(_Sight(landmark, observations[group[0]], numbers[group[0]], factor, plane_T_body))
             for member in group[1:]:
-                observation = observations[member]
-                factor = observation.factor(pose_key, landmark.key, pose_key, self.config.backend.robust)
-                sights.append(_Sight(landmark, observation, numbers[member], factor, inverse(plane.frame)))
+                observation, robust = observations[member], self.config.backend.robust
+                factor = observation.factor(pose_key, landmark.key, anchor_key, robust, plane_landmark(plane))
+                sights.append(_Sight(landmark, observation, numbers[member], factor, plane_T_body))
         return sights
 
     def _remember(self, keyframe: Keyframe, decisions: list[Decision]) -> None:

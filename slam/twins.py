@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-import gtsam
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from factors import landmark_hesse
-from slam.backend import Backend
+from slam.backend import Backend, JointCovariance
 from slam.config import AssociationConfig
 from slam.frames import inverse
 from slam.landmarks import Landmark, LandmarkMap, PlacedPlane
 from slam.outlines import flatten
 from spplanes._check import FloatArray
-
-#: Step of the central differences, rad and m: far below any sigma here, far above rounding.
-_STEP = 1e-6
 
 
 def find_twins(
@@ -38,20 +34,23 @@ def find_twins(
     Returns:
         Disjoint pairs, best first.
     """
+    pairs: dict[tuple[int, int], tuple[Landmark, Landmark]] = {}
+    for first in (landmarks[key] for key in sorted(touched)):
+        if first.n_keyframes < min_keyframes:
+            continue
+        middle, radius = landmarks.sphere(first.id)
+        place = landmarks.placed(first.id)
+        for second, second_place in landmarks.near(place.normal, middle, radius + config.gap_m, config.max_angle_rad):
+            if second is first or second.n_keyframes < min_keyframes:
+                continue
+            if _may_be_one(first, place, second, second_place, config):
+                pairs[min(first.id, second.id), max(first.id, second.id)] = (first, second)
+    if not pairs:
+        return []
+    joint = backend.joint_covariance(sorted({key for pair in pairs.values() for one in pair for key in _keys(one)}))
     limit = float(chi2_distribution.isf(config.significance, 3))
-    wanted = set(touched)
-    found: list[tuple[float, int, int]] = []
-    placed = [(one, place) for one, place in landmarks.placements() if one.n_keyframes >= min_keyframes]
-    for index, (first, first_place) in enumerate(placed):
-        for second, second_place in placed[index + 1 :]:
-            if first.id not in wanted and second.id not in wanted:
-                continue
-            if not _may_be_one(first, first_place, second, second_place, config):
-                continue
-            chi2 = twin_chi2(first, second, backend)
-            if chi2 <= limit:
-                found.append((chi2, first.id, second.id))
-    return _disjoint(sorted(found))
+    found = [(_twin_chi2(*pair, backend, joint), *ids) for ids, pair in pairs.items()]
+    return _disjoint(sorted(one for one in found if one[0] <= limit))
 
 
 def twin_chi2(first: Landmark, second: Landmark, backend: Backend) -> float:
@@ -60,18 +59,52 @@ def twin_chi2(first: Landmark, second: Landmark, backend: Backend) -> float:
     Their difference is taken in the frame of the second's anchor, in a basis that stays fixed: that of
     ``Unit3.basis()`` jumps where components of the normal tie.
     """
-    keys = list(dict.fromkeys((first.anchor_key, first.key, second.anchor_key, second.key)))
-    values = gtsam.Values()
-    for key in (first.anchor_key, second.anchor_key):
-        if not values.exists(key):
-            values.insert(key, backend.values.atPose3(key))
-    values.insert(first.key, backend.plane(first.key))
-    values.insert(second.key, backend.plane(second.key))
-    basis = backend.plane(second.key).normal().basis()
-    difference = _difference(values, first, second, basis)
-    jacobian = np.hstack([_derivative(values, key, first, second, basis) for key in keys])
-    covariance = jacobian @ backend.joint_covariance(keys).of(keys) @ jacobian.T
+    keys = sorted({*_keys(first), *_keys(second)})
+    return _twin_chi2(first, second, backend, backend.joint_covariance(keys))
+
+
+def _keys(landmark: Landmark) -> tuple[int, int]:
+    return landmark.key, landmark.anchor_key
+
+
+def _twin_chi2(first: Landmark, second: Landmark, backend: Backend, joint: JointCovariance) -> float:
+    difference, jacobian, keys = difference_of(first, second, backend)
+    covariance = jacobian @ joint.of(keys) @ jacobian.T
     return float(difference @ np.linalg.solve(covariance, difference))
+
+
+def difference_of(first: Landmark, second: Landmark, backend: Backend) -> tuple[FloatArray, FloatArray, list[int]]:
+    """How two landmarks differ: (tangent of the normals, distance) of the first minus the second, shape (3,).
+
+    In the second's anchor frame b: n' = R n, d' = d + t.n' of the first, with b_T_a = (R, t), and n'.t does not depend
+    on b's orientation.
+
+    Returns:
+        The difference, its derivative (3, K) and the distinct keys whose stacked tangents, K in all, it is by.
+    """
+    anchor = inverse(backend.pose(second.anchor_key)) @ backend.pose(first.anchor_key)
+    rotation, shift = anchor[:3, :3], anchor[:3, 3]
+    one, other = backend.plane(first.key), backend.plane(second.key)
+    (normal, d), (normal_b, d_b) = landmark_hesse(one), landmark_hesse(other)
+    basis, moved = other.normal().basis(), rotation @ normal
+    turned = np.vstack((basis.T, shift))  # of a change of n': its tangent, and what it does to d'
+    difference = np.append(basis.T @ (moved - normal_b), d + shift @ moved - d_b)
+    by_first = np.zeros((3, 3))
+    by_first[:, :2], by_first[2, 2] = turned @ rotation @ one.normal().basis(), -1.0
+    by_pose_a = np.hstack((-turned @ rotation @ skew(normal), np.zeros((3, 3))))
+    by_pose_a[2, 3:] = normal
+    by_pose_b = np.zeros((3, 6))
+    by_pose_b[:2, :3], by_pose_b[2, 3:] = basis.T @ skew(moved), -moved
+    blocks: dict[int, FloatArray] = {first.key: by_first, second.key: np.diag([-1.0, -1.0, 1.0])}
+    for key, block in ((first.anchor_key, by_pose_a), (second.anchor_key, by_pose_b)):
+        blocks[key] = blocks.get(key, np.zeros((3, 6))) + block
+    return difference, np.hstack(list(blocks.values())), list(blocks)
+
+
+def skew(vector: FloatArray) -> FloatArray:
+    """The matrix [v] with [v] w = v x w, shape (3, 3)."""
+    x, y, z = vector.tolist()
+    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
 
 
 def _may_be_one(
@@ -85,29 +118,6 @@ def _may_be_one(
     if first.outline.distance(moved) > config.gap_m:
         return False
     return abs(first_T_second[2, 3]) <= config.gap_m
-
-
-def _difference(values: gtsam.Values, first: Landmark, second: Landmark, basis: FloatArray) -> FloatArray:
-    """(tangent of the normals, distance) of the first minus the second, in the second's anchor frame, shape (3,)."""
-    between = values.atPose3(first.anchor_key).between(values.atPose3(second.anchor_key))
-    normal_a, d_a = landmark_hesse(values.atOrientedPlane3(first.key).transform(between))
-    normal_b, d_b = landmark_hesse(values.atOrientedPlane3(second.key))
-    return np.append(basis.T @ (normal_a - normal_b), d_a - d_b)
-
-
-def _derivative(values: gtsam.Values, key: int, first: Landmark, second: Landmark, basis: FloatArray) -> FloatArray:
-    """Derivative (3, 6) or (3, 3) of the difference by the tangent of one variable."""
-    is_pose = key in (first.anchor_key, second.anchor_key)
-    base = values.atPose3(key) if is_pose else values.atOrientedPlane3(key)
-    columns = []
-    for unit in np.eye(6 if is_pose else 3):
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = gtsam.Values(values)
-            moved.update(key, base.retract(sign * _STEP * unit))
-            ends.append(_difference(moved, first, second, basis))
-        columns.append((ends[0] - ends[1]) / (2.0 * _STEP))
-    return np.column_stack(columns)
 
 
 def _disjoint(pairs: Sequence[tuple[float, int, int]]) -> list[tuple[int, int]]:

@@ -113,7 +113,7 @@ def test_twins_are_found_by_chi2_and_joined_with_their_factors():
     observation = scene.keyframes[first.keyframe].observations[first.observation]
     plane = observation.full_plane(0.01)
     anchor = pose_symbol(first.keyframe)
-    copy = slam.landmarks.birth(observation, anchor, plane.frame)
+    copy = slam.landmarks.birth(observation, anchor, plane.frame, inverse(plane.frame))
     initial = gtsam.Values()
     from factors import plane_landmark
 
