@@ -51,7 +51,7 @@ class Observation(Protocol):
         robust: str | None = None,
         expected: gtsam.OrientedPlane3 | None = None,
     ) -> Any:
-        """The measurement as a factor between a pose and an anchored landmark, which the body should see as `expected`."""
+        """The measurement as a factor of a pose and an anchored landmark, which the body should see as `expected`."""
         ...
 
     def full_plane(self, tilt_sigma_rad: float) -> Plane:
@@ -144,7 +144,7 @@ class LineObservation:
         robust: str | None = None,
         expected: gtsam.OrientedPlane3 | None = None,
     ) -> Any:
-        """Rank-2 line factor; native, and so faster, where the landmark's direction is known and cuts the scan plane."""
+        """Rank-2 line factor; native, and so faster, where the landmark is known to cut the scan plane."""
         if expected is not None:
             # a weight that depends on the expected direction is only as good as that: not for planes near the scan's
             cut = np.linalg.norm(self.body_T_sensor[:3, :2].T @ expected.normal().point3())
