@@ -16,6 +16,7 @@ def is_one_plane(
     viewpoint: FloatArray,
     rules: MeasurementConfig,
     scan_index: np.ndarray | None = None,
+    drift_m: FloatArray | None = None,
 ) -> bool:
     """Whether points (N, 3) with covariances (N, 3, 3) lie about the plane as their noise says, patch by patch too.
 
@@ -25,11 +26,12 @@ def is_one_plane(
         viewpoint: where it was seen from, shape (3,).
         rules: how much is allowed.
         scan_index: scan of every point, shape (N,), where the points of a scan share a pose error.
+        drift_m: standard deviation of what a slow error of the sensor shifts every point by, shape (N,), m.
     """
     return (
         could_be_seen(plane, viewpoint, rules)
         and fits_its_noise(plane, rules)
-        and not has_step(plane, points, covariances, rules, scan_index)
+        and not has_step(plane, points, covariances, rules, scan_index, drift_m)
     )
 
 
@@ -51,6 +53,7 @@ def has_step(
     covariances: FloatArray,
     rules: MeasurementConfig,
     scan_index: np.ndarray | None = None,
+    drift_m: FloatArray | None = None,
 ) -> bool:
     """Whether some patch of the plane lies off it by more than noise and unevenness: two surfaces fitted as one.
 
@@ -67,8 +70,10 @@ def has_step(
     patch = patch.ravel()
     weights = np.bincount(patch, 1.0 / variances)
     means = np.bincount(patch, residuals / variances) / weights
-    worst = np.abs(means) > np.maximum(rules.step_sigmas / np.sqrt(weights), rules.step_m)
-    return bool(worst.any())
+    spread = 1.0 / weights
+    if drift_m is not None:
+        spread = spread + np.bincount(patch, drift_m**2) / np.bincount(patch)
+    return bool((np.abs(means) > np.maximum(rules.step_sigmas * np.sqrt(spread), rules.step_m)).any())
 
 
 def _group_means(values: FloatArray, group: np.ndarray) -> FloatArray:

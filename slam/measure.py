@@ -33,7 +33,8 @@ def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list
         members = labels == label
         noise = surface_covariances(points[members], covariances[members], plane, sensor)
         refitted = _refit(points[members], noise, plane, viewpoint=viewpoint)
-        if is_one_plane(refitted, points[members], noise, viewpoint, config.measurements):
+        drift = tilt_drift(refitted, points[members], sensor)
+        if is_one_plane(refitted, points[members], noise, viewpoint, config.measurements, drift_m=drift):
             observations.append(PlaneObservation(refitted.transform(sensor.body_T_sensor, tilt_covariance(sensor))))
     return sorted(observations, key=lambda seen: -seen.n_points)
 
@@ -126,6 +127,12 @@ def surface_covariances(points: FloatArray, covariances: FloatArray, plane: Plan
 def tilt_covariance(sensor: Sensor) -> FloatArray:
     """Covariance (6, 6) of (x, y, z, phi, theta, psi) of the mount as the points of one plane see it."""
     return np.diag([0.0, 0.0, 0.0, 0.0, sensor.tilt_sigma_rad**2, 0.0])
+
+
+def tilt_drift(plane: Plane, points: FloatArray, sensor: Sensor) -> FloatArray:
+    """Standard deviation of the shift along the plane's normal that the servo's error gives points (N, 3), (N,), m."""
+    lever = np.cross([0.0, 1.0, 0.0], points)
+    return sensor.tilt_sigma_rad * np.abs(lever @ plane.normal)
 
 
 def _refit(points: FloatArray, covariances: FloatArray, plane: Plane, **fit: np.ndarray) -> Plane:
