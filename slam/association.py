@@ -177,6 +177,8 @@ class _State:
         """Compare a linearised factor with the state."""
         columns = self._joint.columns(list(linear.keys()))
         jacobian, target = linear.jacobian()
+        telling = np.abs(jacobian).max(axis=1) > 0.0  # a native line factor has an empty row: two dof, not three
+        jacobian, target = jacobian[telling], target[telling]
         residual = target - jacobian @ self._mean[columns]
         covariance = jacobian @ self._covariance[np.ix_(columns, columns)] @ jacobian.T + np.eye(len(target))
         chi2 = float(residual @ np.linalg.solve(covariance, residual))
