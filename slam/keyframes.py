@@ -11,7 +11,7 @@ from slam.config import KeyframeConfig, SlamConfig
 from slam.frames import inverse
 from slam.io.log import CloudScan, LaserScan, Log, LogError
 from slam.measure import lines_of_scan, planes_of_cloud, planes_of_window
-from slam.observations import Observation
+from slam.observations import Observation, on_real_wall
 from slam.odometry import Motion, OdometryTrack
 from slam.rig import Rig
 from spplanes._check import FloatArray
@@ -85,7 +85,10 @@ def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig) -> Iterator[Keyfram
             if near:
                 scan = min(near, key=lambda s: abs(s.stamp_ns - stamp))
                 kf_T_body = inverse(track.poses_at([stamp])[0]) @ track.poses_at([scan.stamp_ns])[0]
-                observations += lines_of_scan(scan, sensor, kf_T_body, config.lines)
+                observations += [
+                    on_real_wall(line, sensor.surface_sigma_m, sensor.surface_correlation_m)
+                    for line in lines_of_scan(scan, sensor, kf_T_body, config.lines)
+                ]
         yield Keyframe(stamp, observations, motion)
 
 
