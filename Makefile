@@ -6,7 +6,7 @@ DEMO ?= demo
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint types examples docs figures benchmarks clean
+.PHONY: help demo test lint types examples figures benchmarks clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -27,6 +27,9 @@ types: $(VENV)/.ready-dev  ## pyright
 
 examples: $(VENV)/.ready-dev  ## run every example
 	for example in examples/*.py; do echo "== $$example"; $(BIN)/python $$example || exit 1; done
+
+figures: $(VENV)/.ready  ## the pictures of the README
+	$(BIN)/python tools/figures.py
 
 benchmarks: $(VENV)/.ready-dev  ## ratios side by side (slow)
 	$(BIN)/python -m benchmarks

@@ -4,7 +4,7 @@ import json
 import sys
 import time
 
-import mrob
+import mrob  # pyright: ignore[reportMissingImports] (a peer, in an environment of its own)
 import numpy as np
 
 

@@ -16,7 +16,6 @@ from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parent.parent
 MINIMUM = (3, 11)
-DEV_PACKAGES = ["pytest", "pytest-xdist", "hypothesis", "ruff", "pyright[nodejs]"]
 
 
 def main(arguments: list[str]) -> int:
@@ -27,9 +26,9 @@ def main(arguments: list[str]) -> int:
     if not make_environment(environment):
         return refuse("python -m venv does not work here; on Debian or Ubuntu: apt-get install python3-venv")
     if dev and not have_libusb():
-        print("Open3D needs the system library libusb-1.0, which could not be installed here; its tests will be skipped.")
+        print("Open3D needs the system library libusb-1.0, which could not be installed here; its tests are skipped.")
         print("On Debian or Ubuntu: sudo apt-get install libusb-1.0-0")
-    pip_install(environment, [f"-e{PROJECT}" + ("[open3d]" if dev else ""), *(DEV_PACKAGES if dev else [])])
+    pip_install(environment, f"-e{PROJECT}" + ("[open3d,dev]" if dev else ""))
     return 0
 
 
@@ -87,11 +86,11 @@ def apt_install(package: str) -> bool:
     return subprocess.run(command, check=False, env=settings, stdout=subprocess.DEVNULL).returncode == 0
 
 
-def pip_install(environment: Path, requirements: list[str]) -> None:
+def pip_install(environment: Path, requirement: str) -> None:
     """Install with the versions of constraints.txt, so that tomorrow's environment is today's."""
     constraints = str(PROJECT / "constraints.txt")
     command = [str(python_of(environment)), "-m", "pip", "install", "-q", "--disable-pip-version-check"]
-    subprocess.run([*command, "-c", constraints, *requirements], check=True)
+    subprocess.run([*command, "-c", constraints, requirement], check=True)
 
 
 if __name__ == "__main__":

@@ -91,7 +91,9 @@ def test_outlines_grow_by_union_and_come_apart_again():
     wall = PlaneObservation(room_planes()[4])
     plane_T_body = inverse(room_planes()[4].frame)
     outline = wall.patch_in(plane_T_body)
-    shifted = PlaneObservation(room_planes()[4].transform(np.block([[np.eye(3), np.array([[6.0], [0.0], [0.0]])], [0, 0, 0, 1]])))
+    six_metres_on = np.eye(4)
+    six_metres_on[0, 3] = 6.0
+    shifted = PlaneObservation(room_planes()[4].transform(six_metres_on))
     both = grow(outline, shifted.patch_in(plane_T_body))
     assert abs(both.area - (24.0 + 6.0 * 3.0)) < 1e-9
     assert largest_polygon(both) is not None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from slam.frames import inverse
@@ -29,7 +31,7 @@ def resampled(poses: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """The way with every step disturbed by the noise model, shape (N, 4, 4)."""
     matrices = np.array([planar_transform(*pose) for pose in poses])
     result = [matrices[0]]
-    for a, b in zip(matrices[:-1], matrices[1:], strict=True):
+    for a, b in pairwise(matrices):
         delta = planar_delta(inverse(a) @ b)
         noisy = delta + np.linalg.cholesky(NOISE.covariance(delta)) @ rng.standard_normal(3)
         result.append(result[-1] @ planar_transform(*noisy))
