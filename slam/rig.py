@@ -162,13 +162,10 @@ def _first_problem(error: ValidationError) -> str:
 #: Standard deviation taken for a 2D laser nobody describes: the data sheet of a SICK LMS 200 (15 mm) at 1 cm steps.
 DEFAULT_RANGE_SIGMA_M = 0.015
 
-#: Flatness taken for walls nobody describes, and how long a patch that shares one deviation is: skirting, door frames and
-#: what leans on walls. With these, mean NIS per degree of freedom of the lines of an office corridor was 1.01.
+#: Flatness taken for walls nobody describes, and the length of a patch that shares one deviation: skirting, door frames
+#: and what leans on walls. With these, mean NIS per degree of freedom of the lines of an office corridor was 1.01.
 DEFAULT_SURFACE_SIGMA_M = 0.02
 DEFAULT_SURFACE_CORRELATION_M = 0.5
-
-#: Share of the largest range in which a laser's codes for no return lie (SICK: from 8.13 to 8.19 m, or ten times that).
-_CODES = 0.03
 
 
 def default_rig_for(log: Log) -> Rig:
@@ -191,7 +188,7 @@ def _default_laser(name: str, log: Log) -> Sensor:
         body_T_sensor=_default_mount(name, log),
         range_sigma_m=DEFAULT_RANGE_SIGMA_M,
         quantisation_m=_step_of(seen),
-        range_max_m=_range_max_of(seen),
+        range_max_m=float(seen.max()) + 0.01 if seen.size else 80.0,
         surface_sigma_m=DEFAULT_SURFACE_SIGMA_M,
         surface_correlation_m=DEFAULT_SURFACE_CORRELATION_M,
     )
@@ -204,17 +201,6 @@ def _default_mount(name: str, log: Log) -> Mount:
         return Mount(rpy_deg=(0.0, 0.0, 180.0 if name == "RLASER" else 0.0))
     yaw_deg = float(np.rad2deg(np.arctan2(told[1, 0], told[0, 0])))
     return Mount(xyz_m=(float(told[0, 3]), float(told[1, 3]), float(told[2, 3])), rpy_deg=(0.0, 0.0, yaw_deg))
-
-
-def _range_max_of(ranges: FloatArray) -> float:
-    """Where no returns begin, m: lasers report them as their largest ranges, or as codes just below these."""
-    if not ranges.size:
-        return 80.0
-    largest = float(ranges.max())
-    edge = (1.0 - _CODES) * largest
-    codes = np.count_nonzero(ranges >= edge)
-    below = np.count_nonzero((ranges >= edge - _CODES * largest) & (ranges < edge))
-    return edge if codes > 3 * below + 3 else largest + 0.01
 
 
 def _step_of(ranges: FloatArray) -> float:
