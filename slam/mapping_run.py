@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -14,7 +14,7 @@ from slam.measure import for_sensor, model_of, usable_ranges
 from slam.planeslam import MapPlane
 from slam.rig import Rig, Sensor
 from slam.run import Progress, StageClock
-from spplanes import PlaneMapper
+from spplanes import MapperConfig, PlaneMapper
 from spplanes._check import FloatArray
 from spplanes.registration import register_scans
 
@@ -49,7 +49,7 @@ def run_map(
     name, sensor = _slice_sensor(log, rig)
     scans = [scan for scan in log.scans(name) if isinstance(scan, LaserScan)]
     pose_covariance = None if rig.localisation is None else rig.localisation.location_covariance()
-    mapper = PlaneMapper(for_sensor(config.mapper, sensor))
+    mapper = PlaneMapper(correlated(for_sensor(config.mapper, sensor), scans, rig, log))
     for done, scan in enumerate(scans):
         with clock.stage("register"):
             placed = register_scans(
@@ -82,6 +82,17 @@ def run_map(
         mapper.n_points_represented,
         clock,
     )
+
+
+def correlated(config: MapperConfig, scans: list[LaserScan], rig: Rig, log: Log) -> MapperConfig:
+    """The settings with the number of scans over which the localisation's error stays nearly the same."""
+    if rig.localisation is None or len(scans) < 2:
+        return config
+    places = np.array([_pose_of(scan, log)[:3, 3] for scan in scans])
+    spacing_m = float(np.linalg.norm(np.diff(places, axis=0), axis=1).mean())
+    if spacing_m <= 0.0:
+        return config
+    return replace(config, pose_correlation_scans=rig.localisation.correlation_length_m / spacing_m)
 
 
 def _slice_sensor(log: Log, rig: Rig) -> tuple[str, Sensor]:
