@@ -73,6 +73,22 @@ class LandmarkConfig(_Frozen):
     """How far walls seen only by one 2D laser may lean from its scan plane's normal, rad."""
 
 
+class LoopConfig(_Frozen):
+    """When and where loops are looked for."""
+
+    every_m: float = Field(default=1.0, gt=0)
+    """Travel between two looks, m."""
+    window_m: float = Field(default=6.0, gt=0)
+    """Landmarks seen within this much travel of a keyframe are its surroundings, m: odometry and lines keep their
+    places relative to it good; loops shorter than three windows are left to association."""
+    min_walls: int = Field(default=4, ge=4)
+    """Fewest walls of surroundings that are compared; two that share as many landmarks are closed already."""
+    drift_share: float = Field(default=0.03, ge=0)
+    """The search reaches this share of the way between two keyframes beyond three sigma of the state."""
+    max_candidates: int = Field(default=4, ge=0)
+    """Old keyframes compared with at each look; 0: no loops are looked for."""
+
+
 class BackendConfig(_Frozen):
     """iSAM2 and its priors."""
 
@@ -93,6 +109,7 @@ class SlamConfig(_Frozen):
     measurements: MeasurementConfig = MeasurementConfig()
     association: AssociationConfig = AssociationConfig()
     landmarks: LandmarkConfig = LandmarkConfig()
+    loops: LoopConfig = LoopConfig()
     backend: BackendConfig = BackendConfig()
     mapper: MapperConfig = MapperConfig()
     lines: LineConfig = LineConfig()

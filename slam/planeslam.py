@@ -20,6 +20,7 @@ from slam.frames import covariance_in, inverse
 from slam.io.trajectories import Trajectory
 from slam.keyframes import Keyframe
 from slam.landmarks import Landmark, LandmarkMap, Sighting, observe
+from slam.loops import LoopDecision, Path, disjoint, find_loop
 from slam.observations import Observation
 from slam.outlines import largest_polygon
 from slam.twins import find_twins
@@ -84,6 +85,8 @@ class PlaneSlam:
         self.keyframes: list[Keyframe] = []
         self.decisions: list[list[Decision]] = []
         self.merges: list[tuple[int, int, int]] = []
+        self.loops: list[LoopDecision] = []
+        self._loops_looked_for_at = 0.0
 
     def add_keyframe(self, keyframe: Keyframe) -> KeyframeReport:
         """Predict the pose, match what was seen, update the graph, let the landmarks grow.
@@ -99,6 +102,7 @@ class PlaneSlam:
         self._remember(keyframe, decisions)
         self.landmarks.refresh(self.backend)
         self._merge_twins(touched)
+        self._close_loops()
         return KeyframeReport(len(self.keyframes) - 1, self.backend.pose(pose_key), decisions)
 
     @property
@@ -167,6 +171,25 @@ class PlaneSlam:
             self._absorb(self.landmarks[older], self.landmarks.remove(younger))
             self.merges.append((len(self.keyframes) - 1, older, younger))
             self.landmarks.refresh(self.backend)
+
+    def _close_loops(self) -> None:
+        """Every metre or so: is what is seen now a place of long ago? Then its walls are joined with those of then."""
+        rules, needed = self.config.loops, self.config.landmarks.min_observations
+        path = Path.of([pose_symbol(i) for i in range(len(self.keyframes))], self.backend)
+        if rules.max_candidates == 0 or path.lengths[-1] < self._loops_looked_for_at + rules.every_m:
+            return
+        self._loops_looked_for_at = float(path.lengths[-1])
+        decisions = find_loop(path, self.landmarks, self.backend, rules, needed)
+        self.loops += decisions
+        if not decisions or decisions[-1].verdict != "closed":
+            return
+        touched: set[int] = set()
+        for older, younger in disjoint(decisions[-1].pairs):
+            self._absorb(self.landmarks[older], self.landmarks.remove(younger))
+            self.merges.append((len(self.keyframes) - 1, older, younger))
+            touched.add(older)
+            self.landmarks.refresh(self.backend)
+        self._merge_twins(touched)
 
     def _absorb(self, older: Landmark, younger: Landmark) -> None:
         factors = []

@@ -47,7 +47,9 @@ def find_twins(
                 pairs[min(first.id, second.id), max(first.id, second.id)] = (first, second)
     if not pairs:
         return []
-    joint = backend.joint_covariance(sorted({key for pair in pairs.values() for one in pair for key in _keys(one)}))
+    joint = backend.joint_covariance(
+        sorted({key for pair in pairs.values() for one in pair for key in landmark_keys(one)})
+    )
     limit = float(chi2_distribution.isf(config.significance, 3))
     found = [(_twin_chi2(*pair, backend, joint), *ids) for ids, pair in pairs.items()]
     return _disjoint(sorted(one for one in found if one[0] <= limit))
@@ -59,11 +61,12 @@ def twin_chi2(first: Landmark, second: Landmark, backend: Backend) -> float:
     Their difference is taken in the frame of the second's anchor, in a basis that stays fixed: that of
     ``Unit3.basis()`` jumps where components of the normal tie.
     """
-    keys = sorted({*_keys(first), *_keys(second)})
+    keys = sorted({*landmark_keys(first), *landmark_keys(second)})
     return _twin_chi2(first, second, backend, backend.joint_covariance(keys))
 
 
-def _keys(landmark: Landmark) -> tuple[int, int]:
+def landmark_keys(landmark: Landmark) -> tuple[int, int]:
+    """The keys its place depends on: its own and its anchor's."""
     return landmark.key, landmark.anchor_key
 
 
@@ -99,6 +102,29 @@ def difference_of(first: Landmark, second: Landmark, backend: Backend) -> tuple[
     for key, block in ((first.anchor_key, by_pose_a), (second.anchor_key, by_pose_b)):
         blocks[key] = blocks.get(key, np.zeros((3, 6))) + block
     return difference, np.hstack(list(blocks.values())), list(blocks)
+
+
+def hesse_from(landmark: Landmark, pose_key: int, backend: Backend) -> tuple[FloatArray, float, FloatArray, list[int]]:
+    """A landmark as a pose sees it.
+
+    Returns:
+        Normal (3,) and Hesse distance in the pose's frame, the derivative (4, K) of both and the keys it is by.
+    """
+    anchor = inverse(backend.pose(pose_key)) @ backend.pose(landmark.anchor_key)
+    rotation, shift = anchor[:3, :3], anchor[:3, 3]
+    plane = backend.plane(landmark.key)
+    normal, d = landmark_hesse(plane)
+    moved = rotation @ normal
+    turned = np.vstack((np.eye(3), shift))
+    by_plane = np.zeros((4, 3))
+    by_plane[:, :2], by_plane[3, 2] = turned @ rotation @ plane.normal().basis(), -1.0
+    by_anchor = np.hstack((-turned @ rotation @ skew(normal), np.zeros((4, 3))))
+    by_anchor[3, 3:] = normal
+    by_pose = np.zeros((4, 6))
+    by_pose[:3, :3], by_pose[3, 3:] = skew(moved), -moved
+    blocks: dict[int, FloatArray] = {landmark.key: by_plane, landmark.anchor_key: by_anchor}
+    blocks[pose_key] = blocks.get(pose_key, np.zeros((4, 6))) + by_pose
+    return moved, float(d + shift @ moved), np.hstack(list(blocks.values())), list(blocks)
 
 
 def skew(vector: FloatArray) -> FloatArray:
