@@ -7,12 +7,16 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 if TYPE_CHECKING:
+    from slam.config import SlamConfig
     from slam.evaluation.metrics import Metric
+    from slam.io.log import Log
+    from slam.rig import Rig
+    from slam.run import StageClock
 
 app = typer.Typer(
     name="spplanes",
@@ -76,20 +80,13 @@ def slam(
     as_json: JsonOption = False,
 ) -> None:
     """Estimate trajectory and planes of LOG."""
-    from slam.config import SlamConfig
-    from slam.export import check_free, new_folder, write_run
-    from slam.io.load import load
+    from slam.export import new_folder, write_run
     from slam.metrics import metrics_of
-    from slam.rig import Rig
-    from slam.run import StageClock, run_slam
+    from slam.run import run_slam
 
-    check_free(out, overwrite=overwrite)
-    settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
-    clock = StageClock()
-    with clock.stage("read"):
-        read, sensors = load(log, None if rig is None else Rig.from_yaml(rig), keep_partial=keep_partial)
+    job = _open(log, out, rig=rig, config=config, overwrite=overwrite, keep_partial=keep_partial)
     with progress_bar("keyframes") as progress:
-        run = run_slam(read, sensors, settings, clock=clock, progress=progress)
+        run = run_slam(job.log, job.rig, job.config, clock=job.clock, progress=progress)
     with new_folder(out, overwrite=overwrite) as folder:
         write_run(run, folder, title=f"spplanes slam {log.name}")
     show(f"{log.name}", metrics_of(run), as_json)
@@ -107,22 +104,14 @@ def map_(
     as_json: JsonOption = False,
 ) -> None:
     """The paper's mapping: planes of LOG at the poses it gives."""
-    from slam.config import SlamConfig
-    from slam.export import check_free, new_folder, write_map
-    from slam.io.load import load
+    from slam.export import new_folder, write_map
     from slam.mapping_run import run_map
-    from slam.rig import Rig
-    from slam.run import StageClock
 
-    check_free(out, overwrite=overwrite)
-    settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
-    clock = StageClock()
-    with clock.stage("read"):
-        read, sensors = load(log, None if rig is None else Rig.from_yaml(rig), keep_partial=keep_partial)
+    job = _open(log, out, rig=rig, config=config, overwrite=overwrite, keep_partial=keep_partial)
     with progress_bar("scans") as progress:
-        result = run_map(read, sensors, settings, clock=clock, progress=progress)
+        result = run_map(job.log, job.rig, job.config, clock=job.clock, progress=progress)
     with new_folder(out, overwrite=overwrite) as folder:
-        rows = write_map(result, folder, settings, sensors, title=f"spplanes map {log.name}")
+        rows = write_map(result, folder, job.config, job.rig, title=f"spplanes map {log.name}")
     show(f"{log.name}", rows, as_json)
 
 
@@ -164,6 +153,7 @@ def simulate(
         int | None, typer.Option("--scans", min=2, help="Push-broom scans; default: the whole world.")
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of all noise.")] = 0,
+    laps: Annotated[int, typer.Option("--laps", min=1, help="Times round a world that is a loop.")] = 1,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Write a simulated mission: log, rig.yaml and the truth."""
@@ -171,7 +161,7 @@ def simulate(
     from slam.simulation import simulate_mission
 
     check_free(out, overwrite=overwrite)
-    mission = simulate_mission(world, n_scans=scans, seed=seed)
+    mission = simulate_mission(world, n_scans=scans, seed=seed, laps=laps)
     with new_folder(out, overwrite=overwrite) as folder:
         mission.save(folder)
 
@@ -189,6 +179,31 @@ def evaluate(
     rows = evaluate_run(run, truth)
     add_to_metrics(run, "evaluation", rows)
     show(f"{run.name} against {truth.name}", rows, as_json)
+
+
+class _Job(NamedTuple):
+    """What a command works on."""
+
+    log: Log
+    rig: Rig
+    config: SlamConfig
+    clock: StageClock
+
+
+def _open(log: Path, out: Path, *, rig: Path | None, config: Path | None, overwrite: bool, keep_partial: bool) -> _Job:
+    """Read all that a command is given; whatever is wrong is said before any work is done."""
+    from slam.config import SlamConfig
+    from slam.export import check_free
+    from slam.io.load import load
+    from slam.rig import Rig
+    from slam.run import StageClock
+
+    check_free(out, overwrite=overwrite)
+    settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
+    clock = StageClock()
+    with clock.stage("read"):
+        read, sensors = load(log, None if rig is None else Rig.from_yaml(rig), keep_partial=keep_partial)
+    return _Job(read, sensors, settings, clock)
 
 
 @contextmanager
