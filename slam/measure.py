@@ -33,6 +33,8 @@ def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list
         members = labels == label
         noise = surface_covariances(points[members], covariances[members], plane, sensor)
         refitted = _refit(points[members], noise, plane, viewpoint=viewpoint)
+        if refitted is None:
+            continue
         drift = tilt_drift(refitted, points[members], sensor)
         if is_one_plane(refitted, points[members], noise, viewpoint, config.measurements, drift_m=drift):
             observations.append(PlaneObservation(refitted.transform(sensor.body_T_sensor, tilt_covariance(sensor))))
@@ -66,6 +68,8 @@ def planes_of_window(
         refitted = _refit(
             points, noise, plane, viewpoint=viewpoint, scan_index=scan_index, pose_covariances=pose_covariance
         )
+        if refitted is None:
+            continue
         if is_one_plane(refitted, points, noise, viewpoint, config.measurements, scan_index):
             observations.append(PlaneObservation(refitted))
     return sorted(observations, key=lambda seen: -seen.n_points)
@@ -135,9 +139,15 @@ def tilt_drift(plane: Plane, points: FloatArray, sensor: Sensor) -> FloatArray:
     return sensor.tilt_sigma_rad * np.abs(lever @ plane.normal)
 
 
-def _refit(points: FloatArray, covariances: FloatArray, plane: Plane, **fit: np.ndarray) -> Plane:
-    """The plane with everything the sensor is known to err in, and the outline that was found for it."""
-    refitted = fit_plane(points, covariances, **fit)  # type: ignore[arg-type]
+def _refit(points: FloatArray, covariances: FloatArray, plane: Plane, **fit: np.ndarray) -> Plane | None:
+    """The plane with everything the sensor is known to err in, and the outline that was found for it.
+
+    None where the points, errors counted, no longer determine a plane: one bad patch must not end a run.
+    """
+    try:
+        refitted = fit_plane(points, covariances, **fit)  # type: ignore[arg-type]
+    except ValueError:
+        return None
     if plane.outline is None:
         return refitted
     return replace(refitted, outline=flatten(plane.outline, inverse(refitted.frame) @ plane.frame))
