@@ -29,13 +29,13 @@ class KeyframeConfig(_Frozen):
 class MeasurementConfig(_Frozen):
     """Which fitted planes are believed to be one plane, seen properly."""
 
-    misfit_sigmas: float = Field(default=4.0, gt=0)
+    misfit_sigmas: float = Field(default=3.0, gt=0)
     """A fit's chi2 may exceed its mean by this many standard deviations; beyond, two surfaces were taken for one."""
     noise_slack: float = Field(default=0.05, ge=0)
     """Share by which the true noise variance may exceed the stated one without that counting as misfit."""
     step_m: float = Field(default=0.003, ge=0)
     """Mean residual of a patch below which a plane may be uneven without being two, m: plaster, not notice-boards."""
-    step_sigmas: float = Field(default=5.0, gt=0)
+    step_sigmas: float = Field(default=4.0, gt=0)
     """The mean residual of a patch of a plane lies within this many of its standard deviations, or it is a step."""
     patch_m: float = Field(default=0.25, gt=0)
     """Size of the patches whose mean residuals are looked at, m."""
