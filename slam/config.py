@@ -34,11 +34,11 @@ class MeasurementConfig(_Frozen):
     noise_slack: float = Field(default=0.05, ge=0)
     """Share by which the true noise variance may exceed the stated one without that counting as misfit."""
     step_m: float = Field(default=0.003, ge=0)
-    """Mean residual of a patch below which a plane may be uneven without being two, m: plaster, not notice-boards."""
+    """Mean residual of a patch or strip below which a plane is uneven but not two, m: plaster, not notice-boards."""
     step_sigmas: float = Field(default=4.0, gt=0)
-    """The mean residual of a patch of a plane lies within this many of its standard deviations, or it is a step."""
+    """The mean residual of a patch or strip lies within this many of its standard deviations, or it is a step."""
     patch_m: float = Field(default=0.25, gt=0)
-    """Size of the patches whose mean residuals are looked at, m."""
+    """Side of the patches, and width of the strips, whose mean residuals are looked at, m."""
     max_incidence_rad: float = Field(default=1.5, gt=0, lt=1.5708)
     """A plane seen more edge-on than this from the middle of its points is an artefact of one scan line, rad."""
 

@@ -57,8 +57,9 @@ def has_step(
 ) -> bool:
     """Whether some patch of the plane lies off it by more than noise and unevenness: two surfaces fitted as one.
 
-    Averages over patches see a step of 2 cm in noise of 15 mm long before the chi2 of all points does, and hardly mind
-    a noise level that is known to 10 % only. What all points of a scan share, its pose error, is taken out first.
+    Averages over patches, and over strips right across the plane, see a step of 2 cm in noise of 15 mm long before the
+    chi2 of all points does, and hardly mind a noise level that is known to 10 % only. What all points of a scan share,
+    its pose error, is taken out first.
     """
     residuals = np.asarray(plane.distance(points))
     variances = np.einsum("i,nij,j->n", plane.normal, covariances, plane.normal)
@@ -66,13 +67,24 @@ def has_step(
     if scan_index is not None:
         residuals = residuals - _group_means(residuals, scan_index)[scan_index]
     cells = np.floor((points - plane.centre) @ plane.frame[:3, :2] / rules.patch_m).astype(np.int64)
-    _, patch = np.unique(cells, axis=0, return_inverse=True)
-    patch = patch.ravel()
-    weights = np.bincount(patch, 1.0 / variances)
-    means = np.bincount(patch, residuals / variances) / weights
+    squares = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    strips = [np.unique(column, return_inverse=True)[1] for column in cells.T]
+    return any(_is_uneven(residuals, variances, group, rules, drift_m) for group in (squares, *strips))
+
+
+def _is_uneven(
+    residuals: FloatArray,
+    variances: FloatArray,
+    group: np.ndarray,
+    rules: MeasurementConfig,
+    drift_m: FloatArray | None,
+) -> bool:
+    """Whether the mean residual of some group of points is more than noise, drift and unevenness."""
+    weights = np.bincount(group, 1.0 / variances)
+    means = np.bincount(group, residuals / variances) / weights
     spread = 1.0 / weights
     if drift_m is not None:
-        spread = spread + np.bincount(patch, drift_m**2) / np.bincount(patch)
+        spread = spread + _group_means(drift_m**2, group)
     return bool((np.abs(means) > np.maximum(rules.step_sigmas * np.sqrt(spread), rules.step_m)).any())
 
 

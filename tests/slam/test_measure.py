@@ -1,0 +1,122 @@
+"""Planes as measurements: errors of surfaces that neighbours share, steps that averages show, sensors' limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.config import MeasurementConfig
+from slam.goodness import could_be_seen, fits_its_noise, has_step, is_one_plane
+from slam.measure import surface_covariances, tilt_drift, usable_points, usable_ranges
+from slam.rig import Sensor
+from spplanes import Plane, fit_plane
+from tests.statistics import assert_mean_in_band
+
+RULES = MeasurementConfig()
+SIGMA = 0.015
+TRUTH = Plane.from_hesse([0.0, 0.0, 1.0], 0.0, np.zeros((3, 3)))
+
+
+def sensor(**settings: float) -> Sensor:
+    return Sensor(kind="cloud", range_sigma_m=0.01, range_max_m=20.0, **settings)
+
+
+def patch(rng: np.random.Generator, count: int = 900, *, x: float = 2.0, y: float = 1.5) -> np.ndarray:
+    """Points of z = 0, denser on one side as from a near scanner, with noise, shape (N, 3)."""
+    places = np.column_stack((x * rng.beta(1.0, 2.5, count), rng.uniform(0.0, y, count)))
+    return np.column_stack((places, SIGMA * rng.standard_normal(count)))
+
+
+def isotropic(points: np.ndarray) -> np.ndarray:
+    return np.tile(SIGMA**2 * np.eye(3), (len(points), 1, 1))
+
+
+def test_a_fit_with_errors_shared_by_patches_is_consistent_and_without_them_is_not():
+    rng = np.random.default_rng(0)
+    rough = sensor(surface_sigma_m=0.02, surface_correlation_m=0.4)
+    told, untold = [], []
+    for _ in range(400):
+        points = patch(rng)
+        first = fit_plane(points, sigma=SIGMA, viewpoint=[0, 0, 1])
+        cells = np.floor((points - first.centre) @ first.frame[:3, :2] / 0.4).astype(int)
+        _, cell = np.unique(cells, axis=0, return_inverse=True)
+        points[:, 2] += 0.02 * rng.standard_normal(cell.max() + 1)[cell.ravel()]
+        noise = surface_covariances(points, isotropic(points), first, rough)
+        told.append(fit_plane(points, noise, viewpoint=[0, 0, 1]).mahalanobis(TRUTH))
+        untold.append(fit_plane(points, sigma=SIGMA, viewpoint=[0, 0, 1]).mahalanobis(TRUTH))
+    assert_mean_in_band(np.array(told), 3)
+    assert np.mean(untold) > 30.0
+
+
+def test_without_a_surface_error_covariances_stay_as_they_are():
+    points = patch(np.random.default_rng(1))
+    noise = isotropic(points)
+    assert surface_covariances(points, noise, TRUTH, sensor()) is noise
+
+
+def test_a_notice_board_of_two_centimetres_is_a_step_and_a_wall_is_none():
+    rng = np.random.default_rng(2)
+    false_alarms, found = 0, 0
+    for _ in range(200):
+        points = patch(rng, 3000)
+        plane = fit_plane(points, sigma=SIGMA)
+        false_alarms += has_step(plane, points, isotropic(points), RULES)
+        points[points[:, 1] > 0.9, 2] += 0.02
+        plane = fit_plane(points, sigma=SIGMA)
+        found += has_step(plane, points, isotropic(points), RULES)
+    assert false_alarms <= 2
+    assert found >= 198
+
+
+def test_the_pose_error_that_a_scan_shares_is_no_step():
+    rng = np.random.default_rng(3)
+    points = patch(rng)
+    scan = np.floor(points[:, 0] / 0.1).astype(int)
+    points[:, 2] += 0.02 * rng.standard_normal(scan.max() + 1)[scan]
+    plane = fit_plane(points, sigma=SIGMA)
+    assert has_step(plane, points, isotropic(points), RULES)
+    assert not has_step(plane, points, isotropic(points), RULES, scan)
+
+
+def test_a_slow_drift_of_the_sensor_is_no_step():
+    rng = np.random.default_rng(4)
+    points = patch(rng)
+    points[:, 2] += 0.03 * np.sin(4.0 * points[:, 0])
+    plane = fit_plane(points, sigma=SIGMA)
+    assert has_step(plane, points, isotropic(points), RULES)
+    assert not has_step(plane, points, isotropic(points), RULES, drift_m=np.full(len(points), 0.02))
+
+
+def test_chi2_far_beyond_the_noise_and_planes_seen_edge_on_are_refused():
+    points = patch(np.random.default_rng(5))
+    plane = fit_plane(points, sigma=SIGMA, viewpoint=[0.0, 0.0, 2.0])
+    assert fits_its_noise(plane, RULES)
+    assert not fits_its_noise(fit_plane(points, sigma=0.7 * SIGMA), RULES)
+    assert could_be_seen(plane, np.array([0.5, 0.5, 2.0]), RULES)
+    assert not could_be_seen(plane, np.array([9.0, 0.5, 0.05]), RULES)
+    assert is_one_plane(plane, points, isotropic(points), np.array([0.5, 0.5, 2.0]), RULES)
+
+
+def test_the_servos_error_grows_with_the_lever_and_spares_side_walls():
+    tilting = sensor(tilt_sigma_rad=0.02)
+    floor = Plane.from_hesse([0.0, 0.0, 1.0], -0.5, np.zeros((3, 3)))
+    np.testing.assert_allclose(tilt_drift(floor, np.array([[3.0, 1.0, -0.5]]), tilting), [0.06])
+    side = Plane.from_hesse([0.0, 1.0, 0.0], -1.0, np.zeros((3, 3)))
+    np.testing.assert_allclose(tilt_drift(side, np.array([[3.0, -1.0, 0.7]]), tilting), [0.0])
+
+
+def test_ranges_outside_the_limits_are_no_returns():
+    limited = sensor(range_min_m=0.5)
+    np.testing.assert_array_equal(
+        np.isnan(usable_ranges(np.array([0.4, 0.6, 19.0, 20.0, np.nan, np.inf]), limited)),
+        [True, False, False, True, True, True],
+    )
+    points = usable_points(np.array([[0.3, 0.0, 0.0], [3.0, 0.0, 0.0]]), limited)
+    assert np.isnan(points[0]).all()
+    assert np.isfinite(points[1]).all()
+
+
+@pytest.mark.parametrize("value", [-0.01, float("nan")])
+def test_a_rig_refuses_negative_sigmas(value: float):
+    with pytest.raises(ValueError, match="tilt_sigma_rad"):
+        sensor(tilt_sigma_rad=value)
