@@ -63,7 +63,7 @@ class FitJob:
         array = as_points("points", points)
         noise, step = _covariances(covariances, sigma, len(array))
         eye = NO_VIEWPOINT if viewpoint is None else as_shape("viewpoint", viewpoint, (3,))
-        shared = SharedPose.checked(len(array), scan_index, pose_covariances, scan_origins)
+        shared = SharedPose.checked(array, scan_index, pose_covariances, scan_origins)
         return cls(array, noise, step, eye, method, robust, shared)
 
     def select(self, chosen: np.ndarray) -> FitJob:

@@ -14,7 +14,7 @@ COUNT, WEIGHT, CENTRE, SCATTER = 0, 1, 2, 5
 #: No viewpoint, as the kernels take it.
 NO_VIEWPOINT = np.full(3, np.nan)
 #: Outcome of a fit, as the kernels report it.
-OK, TOO_FEW, COINCIDENT, COLLINEAR = 0, 1, 2, 3
+OK, TOO_FEW, COINCIDENT, COLLINEAR, OPEN_POSES = 0, 1, 2, 3, 4
 #: Points are collinear when their width is below this share of their length.
 COLLINEAR_RATIO = 1e-6
 #: Coordinates carry a rounding error of this share of their size; a smaller extent is none.

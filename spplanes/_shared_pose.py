@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 
 from spplanes import _fit_kernels as kernels
 from spplanes._check import FloatArray, as_covariance, as_covariance_stack, as_shape
-from spplanes._fit_sums import N_SUMS, accumulate
+from spplanes._fit_sums import INFORMATION, N_SUMS, RAW, accumulate
 from spplanes._pose_kernels import scan_sums, sp_pose_derivative
-from spplanes._rows import COLLINEAR, OK
+from spplanes._rows import COLLINEAR, OK, OPEN_POSES
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +34,13 @@ class SharedPose:
 
     @classmethod
     def checked(
-        cls, n: int, scan_index: ArrayLike | None, pose_covariances: ArrayLike | None, scan_origins: ArrayLike | None
+        cls,
+        points: FloatArray,
+        scan_index: ArrayLike | None,
+        pose_covariances: ArrayLike | None,
+        scan_origins: ArrayLike | None,
     ) -> SharedPose | None:
-        """Check what the caller gave; None when there is no shared pose error."""
+        """Check what the caller gave beside the ``points`` (N, 3); None when there is no shared pose error."""
         if scan_index is None and pose_covariances is None and scan_origins is None:
             return None
         if scan_index is None or pose_covariances is None:
@@ -45,7 +49,20 @@ class SharedPose:
         covariances = _pose_covariances(pose_covariances)
         scans = covariances.shape[0] * covariances.shape[1] // 6
         origins = np.zeros((scans, 3)) if scan_origins is None else as_shape("scan_origins", scan_origins, (scans, 3))
-        return cls(_scan_index(scan_index, n, scans), _square_roots(covariances), origins)
+        return cls(_scan_index(scan_index, len(points), scans), _square_roots(covariances), origins).centred(points)
+
+    def centred(self, points: FloatArray) -> SharedPose:
+        """The same errors with every scan's rotations about the middle of its ``points`` (N, 3).
+
+        Far from the point a scan turns about, shift and rotation are all but one: 1,000 km away too much so for floats.
+        """
+        counts = np.maximum(np.bincount(self.scan, minlength=len(self.origins)), 1)[:, None]
+        lever = points - self.origins[self.scan]
+        arms = np.stack([np.bincount(self.scan, lever[:, k], len(self.origins)) for k in range(3)], axis=1) / counts
+        roots = self.roots_by_scan.copy()
+        for column, axis in ((3, (0.0, 0.0, 1.0)), (4, (0.0, 1.0, 0.0)), (5, (1.0, 0.0, 0.0))):
+            roots[:, :3] += np.cross(axis, arms)[:, :, None] * roots[:, None, column]
+        return SharedPose(self.scan, roots.reshape(self.roots.shape), self.origins + arms)
 
     def select(self, chosen: np.ndarray) -> SharedPose:
         """The same for a subset of the points."""
@@ -113,7 +130,7 @@ def fit_shared_pose(
     scans = len(shared.origins)
     u = np.zeros((len(shared.roots), shared.roots.shape[2]))
     roots_t = shared.roots.transpose(0, 2, 1)
-    information, chi2 = np.eye(3), 0.0
+    left, chi2 = np.eye(3), 0.0
     for _ in range(kernels.MAX_ITERATIONS):
         info, cross, pose = np.zeros((scans, 3, 3)), np.zeros((scans, 3, 6)), np.zeros((scans, 6, 6))
         plane_side, pose_side = np.zeros((scans, 3)), np.zeros((scans, 6))
@@ -130,13 +147,16 @@ def fit_shared_pose(
         solved = np.linalg.solve(middle, np.concatenate([coupling.transpose(0, 2, 1), open_side[..., None]], axis=2))
         information = (info - coupling @ solved[..., :3]).sum(axis=0)
         gradient = (plane_side - (coupling @ solved[..., 3:])[..., 0]).sum(axis=0)
-        step_b = np.linalg.solve(information, gradient)
+        left = np.empty((3, 3))
+        if not kernels.invert3(*information[np.triu_indices(3)], left):
+            return OPEN_POSES, base, left, chi2
+        step_b = left @ gradient
         step_u = solved[..., 3] - solved[..., :3] @ step_b
         u += step_u
         kernels.move_frame(base.copy(), step_b[0], step_b[1], step_b[2], base)
         if gradient @ step_b < kernels.TOLERANCE and np.sum(step_u * step_u) < kernels.TOLERANCE:
             break
-    return *_finish(points, covs, step, viewpoint, base, information), chi2
+    return *_finish(points, covs, step, viewpoint, base, left), chi2
 
 
 def _stacked(
@@ -156,15 +176,24 @@ def _stacked(
 
 
 def _finish(
-    points: FloatArray, covs: FloatArray, step: int, viewpoint: FloatArray, base: FloatArray, information: FloatArray
+    points: FloatArray, covs: FloatArray, step: int, viewpoint: FloatArray, base: FloatArray, left: FloatArray
 ) -> tuple[int, FloatArray, FloatArray]:
-    """Outcome, frame and covariance at the optimum, with the information that the pose errors leave."""
+    """Outcome, frame and covariance at the optimum.
+
+    ``left``, shape (3, 3): the inverse of the information on the slopes that the pose errors leave. The covariance is
+    that, and what the noise along the plane adds without pose errors.
+    """
     sums, frame, to_p, covariance = np.zeros(N_SUMS), np.empty((4, 4)), np.empty((3, 3)), np.empty((3, 3))
     accumulate(points, covs, step, np.arange(len(points)), 0, len(points), base, np.inf, sums)
     status = kernels.settle(base, sums, viewpoint, frame, to_p)
-    sums[4:10] = information[np.triu_indices(3)]
-    if status == OK and not kernels.write_covariance(sums, sums[4:10], to_p, covariance):
+    score, plain = sums[INFORMATION:RAW], np.empty((3, 3))
+    if status == OK and not (
+        kernels.invert3(*score, plain) and kernels.write_covariance(sums, score, to_p, covariance)
+    ):
         status = COLLINEAR
+    if status == OK:
+        covariance += to_p @ (left - plain) @ to_p.T
+        covariance = 0.5 * (covariance + covariance.T)
     return status, frame, covariance
 
 

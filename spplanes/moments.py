@@ -39,6 +39,7 @@ _PROBLEMS = {
     _rows.TOO_FEW: "expected at least 3 points, got {n}",
     _rows.COINCIDENT: "expected points that span a plane, got {n} coincident ones",
     _rows.COLLINEAR: "expected points that span a plane, got {n} collinear ones",
+    _rows.OPEN_POSES: "expected scans whose pose covariances leave the plane of {n} points known, got too large ones",
 }
 
 
