@@ -34,8 +34,8 @@ def write_report(
 
 
 def format_value(value: float | int | str) -> str:
-    """A value for people: floats to four significant digits, whole numbers whole."""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    """A value for people: floats to five significant digits, whole numbers whole."""
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
 def _table(caption: str, rows: Sequence[Metric]) -> str:
