@@ -31,7 +31,7 @@ class Candidate:
     dof: int
     """Degrees of freedom: 3 for a plane, 2 for a line."""
     log_likelihood: float
-    """Log density of the measurement under this landmark, up to a constant."""
+    """Log density of the measurement under this landmark, per rad (of a plane: rad^2) and m."""
     confirmed: bool
     """Whether more than one keyframe has seen the landmark."""
 
@@ -173,8 +173,8 @@ class _State:
         self._covariance = joint.full.copy()
         self._mean = np.zeros(len(self._covariance))
 
-    def innovation(self, landmark: Landmark, linear: Any) -> _Innovation:
-        """Compare a linearised factor with the state."""
+    def innovation(self, landmark: Landmark, linear: Any, volume: float) -> _Innovation:
+        """Compare a linearised factor with the state; `volume` is that of the measurement's one-sigma box."""
         columns = self._joint.columns(list(linear.keys()))
         jacobian, target = linear.jacobian()
         telling = np.abs(jacobian).max(axis=1) > 0.0  # a native line factor has an empty row: two dof, not three
@@ -182,7 +182,7 @@ class _State:
         residual = target - jacobian @ self._mean[columns]
         covariance = jacobian @ self._covariance[np.ix_(columns, columns)] @ jacobian.T + np.eye(len(target))
         chi2 = float(residual @ np.linalg.solve(covariance, residual))
-        log_likelihood = -0.5 * (chi2 + float(np.linalg.slogdet(covariance)[1]))
+        log_likelihood = -0.5 * (chi2 + float(np.linalg.slogdet(2.0 * np.pi * covariance)[1])) - np.log(volume)
         candidate = Candidate(landmark.id, chi2, len(target), log_likelihood, landmark.n_keyframes > 1)
         return _Innovation(candidate, columns, jacobian, residual, covariance)
 
@@ -202,6 +202,7 @@ def _innovations(
         state.innovation(
             landmark,
             observe(observation, pose_key, landmark, backend).linearize(backend.values),
+            observation.volume,
         )
         for landmark in shortlist
     ]
@@ -209,7 +210,12 @@ def _innovations(
 
 
 def _decide(index: int, candidates: list[Candidate], config: AssociationConfig) -> Decision:
-    accepted = [candidate for candidate in candidates if candidate.p_value >= config.significance]
+    chance = np.log(config.chance_density)
+    accepted = [
+        candidate
+        for candidate in candidates
+        if candidate.p_value >= config.significance and candidate.log_likelihood >= chance
+    ]
     if accepted:
         # a landmark that one look made may be a bad copy of a known one: it must not take the known one's measurements
         best = next((candidate for candidate in accepted if candidate.confirmed), accepted[0])

@@ -34,6 +34,11 @@ class Observation(Protocol):
         ...
 
     @property
+    def volume(self) -> float:
+        """Root of the determinant of the measurement's covariance, rad m (line) or rad^2 m (plane)."""
+        ...
+
+    @property
     def normal(self) -> FloatArray:
         """Measured unit normal in the body frame, toward the sensor, shape (3,)."""
         ...
@@ -75,6 +80,11 @@ class PlaneObservation:
     def n_points(self) -> int:
         """Number of points the plane was fitted to."""
         return self.plane.n_points
+
+    @property
+    def volume(self) -> float:
+        """Root of the determinant of the covariance, rad^2 m."""
+        return float(np.sqrt(np.linalg.det(self.plane.covariance)))
 
     @property
     def normal(self) -> FloatArray:
@@ -125,6 +135,11 @@ class LineObservation:
     def n_points(self) -> int:
         """Number of beams on the line."""
         return len(self.line.indices)
+
+    @property
+    def volume(self) -> float:
+        """Root of the determinant of the covariance, rad m."""
+        return float(np.sqrt(np.linalg.det(self.line.covariance)))
 
     @property
     def normal(self) -> FloatArray:

@@ -31,6 +31,10 @@ class Motion:
     """Planar: of (x, y, theta), additive, x and y along a's axes, shape (3, 3). Spatial: SP order, shape (6, 6)."""
     out_of_plane_sigmas: tuple[float, float, float]
     """Planar only: sigmas of (z m, roll rad, pitch rad) in this motion."""
+    response: FloatArray | None = None
+    """Planar only: derivative of (x, y, theta) by the wheels' errors of calibration, scale and curvature, (3, 2)."""
+    calibration_sigmas: tuple[float, float] = (0.0, 0.0)
+    """Standard deviations of these two that `covariance` holds."""
 
     @property
     def is_planar(self) -> bool:
@@ -101,7 +105,7 @@ class OdometryTrack:
         _, covariance = noise.accumulate(steps)
         out_of_plane = (noise.z_sigma_m, noise.roll_sigma_rad, noise.pitch_sigma_rad)
         if self.is_planar:
-            return Motion(a_T_b, covariance, out_of_plane)
+            return Motion(a_T_b, covariance, out_of_plane, noise.response(steps), noise.calibration_sigmas)
         return Motion(a_T_b, spatial_covariance(covariance, a_T_b, out_of_plane), out_of_plane)
 
 

@@ -15,6 +15,7 @@ from slam.association import Decision, associate
 from slam.audit import NisAudit
 from slam.backend import Backend
 from slam.births import group_births
+from slam.calibration import WheelCalibration, motion_covariance
 from slam.config import SlamConfig
 from slam.frames import covariance_in, inverse
 from slam.io.trajectories import Trajectory
@@ -22,6 +23,7 @@ from slam.keyframes import Keyframe
 from slam.landmarks import Landmark, LandmarkMap, Sighting, observe
 from slam.loops import LoopDecision, Path, disjoint, find_loop
 from slam.observations import Observation
+from slam.odometry import Motion
 from slam.outlines import largest_polygon
 from slam.twins import find_twins
 from spplanes import Plane
@@ -86,6 +88,8 @@ class PlaneSlam:
         self.decisions: list[list[Decision]] = []
         self.merges: list[tuple[int, int, int]] = []
         self.loops: list[LoopDecision] = []
+        self.calibration = WheelCalibration()
+        self._predicted: Motion | None = None
         self._loops_looked_for_at = 0.0
 
     def add_keyframe(self, keyframe: Keyframe) -> KeyframeReport:
@@ -100,6 +104,7 @@ class PlaneSlam:
         self.audit.add(len(self.keyframes), (seen.kind for seen in keyframe.observations), decisions)
         touched = self._update(keyframe, pose_key, decisions)
         self._remember(keyframe, decisions)
+        self._learn()
         self.landmarks.refresh(self.backend)
         self._merge_twins(touched)
         self._close_loops()
@@ -145,8 +150,9 @@ class PlaneSlam:
             sigmas = np.repeat([settings.prior_sigma_m, settings.prior_sigma_rad], 3)
             factors = [pose_prior(key, guess, np.diag(sigmas**2))]
         else:
-            guess = self.backend.pose(pose_symbol(index - 1)) @ keyframe.motion.a_T_b
-            factors = keyframe.motion.factors(pose_symbol(index - 1), key)
+            motion = self._predicted = self.calibration.predict(keyframe.motion)
+            guess = self.backend.pose(pose_symbol(index - 1)) @ motion.a_T_b
+            factors = motion.factors(pose_symbol(index - 1), key)
         initial.insert(key, gtsam.Pose3(guess))
         self.backend.update(factors, initial)
         return key
@@ -163,6 +169,15 @@ class PlaneSlam:
             sighting = Sighting(len(self.keyframes), sight.number, factor_index, sight.observation.kind)
             self.landmarks.see(sight.landmark, sight.observation, sighting, sight.plane_T_body)
         return {sight.landmark.id for sight in sights}
+
+    def _learn(self) -> None:
+        """What the last motion, now that its end has been seen, says about the wheels."""
+        if self._predicted is None or self._predicted.response is None or self.calibration.covariance is None:
+            return
+        keys = [pose_symbol(len(self.keyframes) - 2), pose_symbol(len(self.keyframes) - 1)]
+        a_T_b = inverse(self.backend.pose(keys[0])) @ self.backend.pose(keys[1])
+        covariance = motion_covariance(a_T_b, self.backend.joint_covariance(keys).of(keys))
+        self.calibration.learn(self._predicted, a_T_b, covariance)
 
     def _merge_twins(self, touched: set[int]) -> None:
         """Join landmarks that are one plane: the younger's factors are re-keyed to the older, inside iSAM2."""
