@@ -51,7 +51,7 @@ class AssociationConfig(_Frozen):
     new_significance: float = Field(default=1e-6, gt=0, lt=1)
     """A measurement starts a landmark only when every candidate lies above this quantile; between, it is dropped."""
     chance_density: float = Field(default=1.0, gt=0)
-    """Other planes per rad (for planes: rad^2) and m: a match must be likelier than one of them being there by chance."""
+    """Other planes per rad (for planes: rad^2) and m: a match must be likelier than one of them there by chance."""
     max_angle_rad: float = Field(default=0.35, gt=0)
     """Normals further apart than this, plus three sigma of the state, are not compared, rad."""
     gap_m: float = Field(default=1.5, ge=0)
