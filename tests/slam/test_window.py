@@ -79,7 +79,16 @@ def test_motion_between_readings_accumulates_and_interpolates():
 
 
 def test_spatial_covariance_turns_into_the_axes_of_the_second_pose():
-    a_T_b = planar_transform(1.0, 0.0, np.pi / 2.0)
-    covariance = spatial_covariance(np.diag([4.0, 1.0, 0.25]), a_T_b, (0.1, 0.2, 0.3))
-    # a's x is b's -y: the large variance along a's x lies along b's y
-    np.testing.assert_allclose(np.diag(covariance), [1.0, 4.0, 0.01, 0.25, 0.09, 0.04], atol=1e-12)
+    """Drawn additively in a's axes, seen as a perturbation composed on the right of a_T_b."""
+    rng = np.random.default_rng(2)
+    a_T_b = planar_transform(1.0, 0.3, 0.6)
+    planar = np.array([[4.0, 1.0, 0.3], [1.0, 2.0, -0.2], [0.3, -0.2, 0.5]]) * 1e-6
+    covariance = spatial_covariance(planar, a_T_b, (0.001, 0.002, 0.003))
+    in_plane = [0, 1, 3]
+    root, values = np.linalg.cholesky(planar), []
+    for _ in range(2000):
+        drawn = planar_transform(*(planar_delta(a_T_b) + root @ rng.standard_normal(3)))
+        error = planar_delta(inverse(a_T_b) @ drawn)
+        values.append(error @ np.linalg.solve(covariance[np.ix_(in_plane, in_plane)], error))
+    assert_mean_in_band(np.array(values), 3)
+    np.testing.assert_allclose(np.diag(covariance)[[2, 4, 5]], [1e-6, 9e-6, 4e-6])
