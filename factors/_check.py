@@ -20,6 +20,18 @@ def as_key(name: str, value: object) -> int:
     return int(value)
 
 
+def check_distinct(**keys: int | None) -> None:
+    """Refuse two keys of one factor that name the same variable, and what is no key; None names none."""
+    seen: dict[int, str] = {}
+    for name, value in keys.items():
+        if value is None:
+            continue
+        key = as_key(name, value)
+        if key in seen:
+            raise ValueError(f"{name}: expected another key than {seen[key]}, got {key} for both")
+        seen[key] = name
+
+
 def as_definite_covariance(name: str, value: ArrayLike, size: int) -> FloatArray:
     """Return a symmetric positive definite (size, size) covariance; a singular one has no information matrix."""
     matrix = as_covariance(name, value, size)

@@ -16,7 +16,7 @@ import gtsam
 import numpy as np
 
 from factors._kernels import unit_bases
-from spplanes._check import FloatArray
+from spplanes._check import FloatArray, check_instance
 
 #: ``tangent_pose3 = differential_sp[SP_TO_POSE3]``.
 SP_TO_POSE3 = np.array([5, 4, 3, 0, 1, 2])
@@ -29,6 +29,7 @@ def oriented_plane(normal: FloatArray, d: float) -> gtsam.OrientedPlane3:
 
 def hesse(landmark: gtsam.OrientedPlane3) -> tuple[FloatArray, float]:
     """Normal, shape (3,), and distance d in n.x = d of a GTSAM plane."""
+    check_instance("landmark", landmark, gtsam.OrientedPlane3)
     coefficients = landmark.planeCoefficients()
     return coefficients[:3], -float(coefficients[3])
 

@@ -38,7 +38,7 @@ def loads(text: str) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     try:
         document = json.loads(text)
         known = document.get("format") == _FORMAT
-    except (ValueError, AttributeError) as error:
+    except (ValueError, AttributeError, TypeError) as error:
         raise ArchiveError(f"text: expected a graph written by dumps, got no such document ({error})") from error
     if not known:
         raise ArchiveError(f"text: expected format {_FORMAT}, got {document.get('format')!r}")

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from shapely.affinity import scale
 
+from factors._check import as_key
 from factors._conventions import hesse, hesse_to_sp, oriented_plane, plane_frame, tangent_to_sp
 from factors._kernels import plane_seen_from
 from spplanes import Plane
-from spplanes._check import FloatArray, as_covariance, as_shape, as_transform
+from spplanes._check import FloatArray, as_covariance, as_shape, as_transform, check_instance
 
 _IDENTITY = np.asfortranarray(np.eye(4))
 
@@ -23,6 +24,7 @@ def plane_landmark(plane: Plane, world_T_body: gtsam.Pose3 | ArrayLike | None = 
     Without ``world_T_body`` in the frame of the measurement (an anchored landmark); with it, a pose or (4, 4), in the
     world.
     """
+    check_instance("plane", plane, Plane)
     landmark = oriented_plane(plane.normal, plane.d)
     return landmark if world_T_body is None else landmark.transform(_pose("world_T_body", world_T_body).inverse())
 
@@ -34,6 +36,7 @@ def change_anchor(
 
     With covariance: `seen_plane`, then `factors.plane_prior` on the new landmark.
     """
+    check_instance("landmark", landmark, gtsam.OrientedPlane3)
     old, new = _pose("world_T_old", world_T_old), _pose("world_T_new", world_T_new)
     return landmark.transform(old.between(new))
 
@@ -43,6 +46,7 @@ def facing(plane: Plane, viewpoint: ArrayLike) -> Plane:
 
     Turned about its x axis by pi where need be: z, theta and the outline's y change sign, psi does not.
     """
+    check_instance("plane", plane, Plane)
     if plane.normal @ as_shape("viewpoint", viewpoint, (3,)) >= plane.d:
         return plane
     signs = np.array([-1.0, -1.0, 1.0])
@@ -79,24 +83,28 @@ def world_plane(
     An anchored landmark is uncertain in its anchor's frame and moves with the anchor: the covariance is that of the
     joint marginal of both. ``centre`` (3,) in the world, as in `landmark_to_plane`.
     """
-    landmark = values.atOrientedPlane3(plane_key)
+    landmark = _landmark(values, plane_key)
     if anchor_key is None:
         covariance = marginals.marginalCovariance(plane_key)
         return landmark_to_plane(landmark, covariance, centre=centre, n_points=n_points)
     joint = joint_covariance(marginals, [anchor_key, plane_key])
-    return world_plane_from_joint(landmark, values.atPose3(anchor_key), joint, centre=centre, n_points=n_points)
+    return world_plane_from_joint(
+        landmark, _anchor(values, "anchor_key", anchor_key), joint, centre=centre, n_points=n_points
+    )
 
 
 def world_plane_from_joint(
     landmark: gtsam.OrientedPlane3,
-    world_T_anchor: gtsam.Pose3,
+    world_T_anchor: gtsam.Pose3 | ArrayLike,
     joint: ArrayLike,
     *,
     centre: ArrayLike | None = None,
     n_points: int = 0,
 ) -> Plane:
     """As `world_plane`, from the joint covariance (9, 9) of (anchor pose, landmark), both in GTSAM's tangents."""
-    seen, jacobian = plane_seen_from(world_T_anchor.matrix(), _IDENTITY, landmark.planeCoefficients())
+    check_instance("landmark", landmark, gtsam.OrientedPlane3)
+    pose = _pose("world_T_anchor", world_T_anchor).matrix()
+    seen, jacobian = plane_seen_from(pose, _IDENTITY, landmark.planeCoefficients())
     return _with_joint(seen, jacobian[:, 6:], as_covariance("joint", joint, 9), centre, n_points)
 
 
@@ -115,7 +123,7 @@ def seen_plane(
     What that pose expects to see, for gating a measurement; or the landmark in a new anchor's frame. ``centre`` (3,) in
     that frame.
     """
-    landmark, pose = values.atOrientedPlane3(plane_key), values.atPose3(pose_key).matrix()
+    landmark, pose = _landmark(values, plane_key), _anchor(values, "pose_key", pose_key).matrix()
     if anchor_key == pose_key:
         own = marginals.marginalCovariance(plane_key)
         return landmark_to_plane(landmark, own, centre=centre, n_points=n_points)
@@ -123,7 +131,9 @@ def seen_plane(
         seen, jacobian = plane_seen_from(_IDENTITY, pose, landmark.planeCoefficients())
         joint = joint_covariance(marginals, [pose_key, plane_key])
         return _with_joint(seen, np.delete(jacobian, np.s_[6:12], axis=1), joint, centre, n_points)
-    seen, jacobian = plane_seen_from(values.atPose3(anchor_key).matrix(), pose, landmark.planeCoefficients())
+    seen, jacobian = plane_seen_from(
+        _anchor(values, "anchor_key", anchor_key).matrix(), pose, landmark.planeCoefficients()
+    )
     joint = joint_covariance(marginals, [pose_key, anchor_key, plane_key])
     return _with_joint(seen, jacobian, joint, centre, n_points)
 
@@ -141,6 +151,20 @@ def _with_joint(
     frame = plane_frame(seen[:3], float(seen[3]), _centre(centre))
     to_sp = hesse_to_sp(frame) @ jacobian
     return Plane(frame=frame, covariance=to_sp @ joint @ to_sp.T, n_points=n_points)
+
+
+def _landmark(values: gtsam.Values, key: int) -> gtsam.OrientedPlane3:
+    try:
+        return values.atOrientedPlane3(as_key("plane_key", key))
+    except RuntimeError as error:
+        raise ValueError(f"plane_key: expected the key of an OrientedPlane3 in values, got {key}") from error
+
+
+def _anchor(values: gtsam.Values, name: str, key: int) -> gtsam.Pose3:
+    try:
+        return values.atPose3(as_key(name, key))
+    except RuntimeError as error:
+        raise ValueError(f"{name}: expected the key of a Pose3 in values, got {key}") from error
 
 
 def _centre(centre: ArrayLike | None) -> FloatArray:

@@ -6,13 +6,13 @@ import gtsam
 import gtsam_unstable
 import numpy as np
 
-from factors._check import as_definite_covariance, as_key
+from factors._check import as_definite_covariance, as_key, check_distinct
 from factors._conventions import hesse, oriented_plane, two_point_information
 from factors._custom import Recipe
 from factors._kernels import GRAZING
 from factors.robust import Robust, gaussian
 from spplanes import ScanLine
-from spplanes._check import FloatArray, as_transform
+from spplanes._check import FloatArray, as_transform, check_instance
 
 
 def line_factor(
@@ -43,6 +43,7 @@ def line_factor(
     recipe = _recipe(line, body_T_sensor, pose_key, plane_key, anchor_key, robust, planar=False)
     if expected is None or recipe.anchor_key is None or recipe.anchor_key == recipe.pose_key:
         return recipe.factor()
+    check_instance("expected", expected, gtsam.OrientedPlane3)
     return _native(recipe, hesse(expected)[0])
 
 
@@ -69,6 +70,7 @@ def decorrelated_points(line: ScanLine) -> tuple[FloatArray, float]:
     s0 = C_ar / C_aa, where its deviation is t; at s0 +- t / sigma_alpha the two errors are independent, each of
     deviation sqrt(2) t. Together they are the covariance of (alpha, rho) exactly.
     """
+    check_instance("line", line, ScanLine)
     covariance = as_definite_covariance("line.covariance", line.covariance, 2)
     position = covariance[0, 1] / covariance[0, 0]
     spread = np.sqrt(covariance[1, 1] - covariance[0, 1] * position)
@@ -102,6 +104,8 @@ def _recipe(
     planar: bool,
 ) -> Recipe:
     points, sigma = decorrelated_points(line)
+    check_distinct(pose_key=pose_key, plane_key=plane_key)
+    check_distinct(anchor_key=anchor_key, plane_key=plane_key)
     return Recipe(
         kernel="line",
         data=(as_transform("body_T_sensor", body_T_sensor), points),

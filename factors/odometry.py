@@ -8,9 +8,9 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factors._check import as_definite_covariance, as_key
+from factors._check import as_definite_covariance, as_key, check_distinct
 from factors.robust import Robust, with_robust
-from spplanes._check import FloatArray, as_positive, as_shape
+from spplanes._check import FloatArray, as_number, as_positive, as_shape
 
 #: Stated sigmas of what wheels do not measure in one step: z (m), roll (rad), pitch (rad).
 OUT_OF_PLANE_SIGMAS = (0.01, 0.005, 0.005)
@@ -34,6 +34,7 @@ def odometry_factor(
     up to ``out_of_plane_sigmas`` = (z m, roll rad, pitch rad), per step, along the axes of b.
     ValueError: wrong shapes, keys that are no integers, a singular covariance, sigmas that are not positive.
     """
+    check_distinct(key_a=key_a, key_b=key_b)
     x, y, theta = as_shape("delta", delta, (3,))
     full = np.zeros((6, 6))
     in_plane = np.ix_([3, 4, 2], [3, 4, 2])
@@ -49,6 +50,7 @@ def odometry_factor_2d(
     key_a: int, key_b: int, delta: ArrayLike, covariance: ArrayLike, *, robust: Robust = None
 ) -> gtsam.BetweenFactorPose2:
     """2D odometry between two Pose2; arguments as in `odometry_factor`."""
+    check_distinct(key_a=key_a, key_b=key_b)
     x, y, theta = as_shape("delta", delta, (3,))
     own = _in_frame_of_b(theta, as_definite_covariance("covariance", covariance, 3))
     noise = with_robust(gtsam.noiseModel.Gaussian.Covariance(own), robust, 3)
@@ -68,7 +70,7 @@ def planar_motion_factor(
     z, roll, pitch = _sigmas("sigmas", sigmas)
     free_xy = gtsam.noiseModel.Diagonal.Sigmas(np.array([_UNKNOWN_SIGMA, _UNKNOWN_SIGMA, z]))
     graph = gtsam.NonlinearFactorGraph()
-    at_height = np.array([0.0, 0.0, float(height)])
+    at_height = np.array([0.0, 0.0, as_number("height", height)])
     graph.push_back(gtsam.PoseTranslationPrior3D(key, at_height, with_robust(free_xy, robust, 1)))
     tilt = with_robust(gtsam.noiseModel.Isotropic.Sigma(2, max(roll, pitch)), robust, 2)
     graph.push_back(gtsam.AttitudeFactorPose3(key, gtsam.Unit3(0.0, 0.0, 1.0), tilt))

@@ -8,7 +8,7 @@ import gtsam
 import gtsam_unstable
 import numpy as np
 
-from factors._check import as_key, check_definite
+from factors._check import as_key, check_definite, check_distinct
 from factors._conventions import (
     centre_root_informations,
     oriented_plane,
@@ -18,7 +18,7 @@ from factors._conventions import (
 from factors._custom import Recipe
 from factors.robust import Robust, gaussian
 from spplanes import Plane
-from spplanes._check import FloatArray
+from spplanes._check import FloatArray, check_instance
 
 
 def plane_factor(
@@ -52,6 +52,9 @@ def plane_factors(
     robust: Robust = None,
 ) -> gtsam.NonlinearFactorGraph:
     """Graph of the factors of many planes, each as `plane_factor` makes it, in order; sequences of equal length."""
+    for name, given in (("planes", planes), ("pose_keys", pose_keys), ("plane_keys", plane_keys)):
+        if not hasattr(given, "__len__"):
+            raise ValueError(f"{name}: expected a sequence, got {type(given).__name__}")
     anchors: Sequence[int | None] = [None] * len(planes) if anchor_keys is None else anchor_keys
     if not len(planes) == len(pose_keys) == len(plane_keys) == len(anchors):
         raise ValueError(
@@ -70,6 +73,8 @@ def plane_factors(
     for i, (pose, key, anchor) in enumerate(zip(pose_keys, plane_keys, anchors, strict=True)):
         plane_key, pose_key = as_key("plane_key", key), as_key("pose_key", pose)
         anchor_key = None if anchor is None else as_key("anchor_key", anchor)
+        check_distinct(pose_key=pose_key, plane_key=plane_key)
+        check_distinct(anchor_key=anchor_key, plane_key=plane_key)
         if anchor_key is not None and anchor_key != pose_key:
             measured, noise = oriented_plane(frames[i, :3, 2], distances[i]), gaussian(roots[i], robust, 3)
             factor = gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, pose_key, anchor_key, plane_key)
@@ -91,6 +96,8 @@ def plane_prior(plane: Plane, plane_key: int, *, robust: Robust = None) -> gtsam
 
 
 def _stacked(planes: Sequence[Plane]) -> tuple[FloatArray, FloatArray]:
+    for plane in planes:
+        check_instance("plane", plane, Plane)
     covariances = np.stack([plane.covariance for plane in planes])
     check_definite("plane.covariance", covariances)
     return np.stack([plane.frame for plane in planes]), covariances

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gtsam
 from numpy.typing import ArrayLike
 
-from factors._check import as_definite_covariance, as_key
+from factors._check import as_definite_covariance, as_key, check_distinct
 from factors._conventions import SP_TO_POSE3, as_pose3
 from factors.robust import Robust, with_robust
 from spplanes._check import as_transform
@@ -30,6 +30,7 @@ def relative_pose_factor(
     ``covariance`` (6, 6) as in `pose_prior`, i.e. along the axes of b.
     ValueError: not a rigid transform, a singular covariance, keys that are no integers.
     """
+    check_distinct(key_a=key_a, key_b=key_b)
     motion = as_pose3(as_transform("a_T_b", a_T_b))
     return gtsam.BetweenFactorPose3(as_key("key_a", key_a), as_key("key_b", key_b), motion, _noise(covariance, robust))
 

@@ -6,11 +6,11 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factors._check import as_key
+from factors._check import as_key, check_distinct
 from factors._custom import Recipe
 from factors._kernels import unit_basis
 from factors.robust import Robust
-from spplanes._check import FloatArray, as_positive, as_shape
+from spplanes._check import FloatArray, as_number, as_positive, as_shape
 
 _UP = (0.0, 0.0, 1.0)
 
@@ -86,7 +86,7 @@ def distance_factor(
     It is measured where ``at`` (3,), in the frame plane a lives in, drops onto plane a. One degree of freedom: that
     they are parallel is `parallel_factor`'s to say.
     """
-    data = (as_shape("distance_m", [distance_m], (1,)), as_shape("at", at, (3,)))
+    data = (np.array([as_number("distance_m", distance_m)]), as_shape("at", at, (3,)))
     root = np.eye(1) / as_positive("sigma_m", sigma_m)
     return _pair("distance", data, root, 1, plane_a, plane_b, anchor_a, anchor_b, robust)
 
@@ -94,6 +94,7 @@ def distance_factor(
 def _along(
     plane_key: int, directions: FloatArray, sigma: float, anchor_key: int | None, robust: Robust
 ) -> gtsam.CustomFactor:
+    check_distinct(anchor_key=anchor_key, plane_key=plane_key)
     return Recipe(
         kernel="direction",
         data=(directions,),
@@ -118,6 +119,9 @@ def _pair(
 ) -> gtsam.CustomFactor:
     if as_key("plane_a", plane_a) == as_key("plane_b", plane_b):
         raise ValueError(f"plane_b: expected another landmark than plane_a, got the same key {plane_b}")
+    for name, anchor in (("anchor_a", anchor_a), ("anchor_b", anchor_b)):
+        if anchor is not None:
+            check_distinct(plane_a=int(plane_a), plane_b=int(plane_b), **{name: anchor})
     return Recipe(
         kernel=kernel,
         data=data,
@@ -133,7 +137,8 @@ def _pair(
 
 def _unit(name: str, value: ArrayLike) -> FloatArray:
     vector = as_shape(name, value, (3,))
-    length = float(np.linalg.norm(vector))
-    if length == 0.0:
+    largest = float(np.abs(vector).max())
+    if largest == 0.0:
         raise ValueError(f"{name}: expected a direction, got the zero vector")
-    return vector / length
+    vector = vector / largest  # first, lest squares overflow
+    return vector / np.linalg.norm(vector)

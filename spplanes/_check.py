@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
+from numbers import Integral, Real
+from operator import index
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,11 +18,21 @@ COVARIANCE_TOLERANCE = 1e-9
 
 
 def as_float_array(name: str, value: ArrayLike) -> FloatArray:
-    """Return ``value`` as a C-ordered float64 array; anything that is not numeric is a ``ValueError``."""
+    """Return ``value`` as a C-ordered float64 array; anything that is not real numbers is a ``ValueError``.
+
+    Text, dates, complex numbers and masked entries are refused, which numpy would turn into floats without a word.
+    """
+    array: np.ndarray | None = None
     try:
-        return np.asarray(value, dtype=np.float64, order="C")  # ascontiguousarray would make a scalar (1,)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: expected an array of numbers, got {type(value).__name__}") from error
+        array = np.asarray(value)
+        if array.dtype.kind in "cmMSU" or (isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any()):
+            raise TypeError
+        return np.asarray(array, dtype=np.float64, order="C")  # ascontiguousarray would make a scalar (1,)
+    except (TypeError, ValueError, OverflowError) as error:
+        kind = type(value).__name__ if array is None or array is not value else f"{array.dtype} array"
+        if isinstance(value, np.ma.MaskedArray):
+            kind = "array with masked entries"
+        raise ValueError(f"{name}: expected an array of numbers, got {kind}") from error
 
 
 def as_shape(name: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True) -> FloatArray:
@@ -67,10 +81,38 @@ def as_transform(name: str, value: ArrayLike) -> FloatArray:
     return transform
 
 
+def as_number(name: str, value: Any, *, finite: bool = True) -> float:
+    """Return ``value`` as a float: a Python or numpy number, or an array of shape ()."""
+    if type(value) is float:
+        number = value
+    else:
+        is_number = isinstance(value, Real) or (isinstance(value, np.ndarray) and value.ndim == 0)
+        if not is_number or isinstance(value, bool | np.bool_):
+            raise ValueError(f"{name}: expected a number, got {value!r}")
+        number = float(as_float_array(name, np.asarray(value)))
+    if finite and not isfinite(number):
+        raise ValueError(f"{name}: expected a finite number, got {number}")
+    return number
+
+
+def as_count(name: str, value: object) -> int:
+    """Return ``value`` as a whole number >= 0."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < 0:
+        raise ValueError(f"{name}: expected a whole number >= 0, got {value!r}")
+    return int(value)
+
+
+def check_instance(name: str, value: object, kind: type) -> None:
+    """Refuse what is no ``kind``."""
+    if not isinstance(value, kind):
+        article = "an" if kind.__name__[0] in "AEIO" else "a"
+        raise ValueError(f"{name}: expected {article} {kind.__name__}, got {type(value).__name__}")
+
+
 def as_positive(name: str, value: float) -> float:
     """Return ``value`` as a finite float above zero."""
-    number = float(value)
-    if not (np.isfinite(number) and number > 0.0):
+    number = as_number(name, value, finite=False)
+    if not (isfinite(number) and number > 0.0):
         raise ValueError(f"{name}: expected a positive finite number, got {value}")
     return number
 
@@ -87,7 +129,10 @@ def as_weights(name: str, value: ArrayLike, size: int) -> FloatArray:
 
 def as_rows(name: str, value: Sequence[int]) -> tuple[int, ...]:
     """Return binding rows: ascending, distinct, out of 0..5, at least one."""
-    rows = tuple(int(row) for row in value)
+    try:
+        rows = tuple(index(row) for row in value)
+    except TypeError as error:
+        raise ValueError(f"{name}: expected ascending, distinct rows out of 0..5, got {value!r}") from error
     if not rows or list(rows) != sorted(set(rows)) or rows[0] < 0 or rows[-1] > 5:
         raise ValueError(f"{name}: expected ascending, distinct rows out of 0..5, got {rows}")
     return rows

@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from spplanes._check import FloatArray, as_positive, as_shape
-from spplanes._point_checks import as_covariances, as_points
+from spplanes._point_checks import LARGEST_VARIANCE, SMALLEST_VARIANCE, as_covariances, as_points
 from spplanes._rows import NO_VIEWPOINT
 from spplanes._shared_pose import SharedPose
 
@@ -78,13 +78,20 @@ def _covariances(covariances: ArrayLike | None, sigma: float | None, n: int) -> 
     if covariances is not None and sigma is None:
         return as_covariances("covariances", covariances, n), 1
     if sigma is not None and covariances is None:
-        return as_positive("sigma", sigma) ** 2 * np.eye(3)[None], 0
+        deviation = as_positive("sigma", sigma)
+        if not SMALLEST_VARIANCE**0.5 <= deviation <= LARGEST_VARIANCE**0.5:
+            raise ValueError(
+                f"sigma: expected {SMALLEST_VARIANCE**0.5:.0e} to {LARGEST_VARIANCE**0.5:.0e} m, got {deviation}"
+            )
+        return deviation**2 * np.eye(3)[None], 0
     raise ValueError("covariances: expected either them or sigma, got " + ("neither" if sigma is None else "both"))
 
 
 def group_by_label(labels: ArrayLike | None, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Distinct labels >= 0 ascending (P,), indices sorted by label, stable, and the groups' bounds (P + 1,)."""
     array = np.asarray(labels)
+    if array.size == 0:
+        array = array.astype(np.int64)
     if array.shape != (n,) or array.dtype.kind not in "iu":
         raise ValueError(f"labels: expected {n} integers, one for each point, got {array.dtype} of shape {array.shape}")
     if n and array.max() < n:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spplanes._check import as_shape, as_transform
+from spplanes._check import as_number, as_shape, as_transform
 
 if TYPE_CHECKING:
     from shapely import Polygon
@@ -26,7 +26,7 @@ def plane_to_dict(plane: Plane) -> dict[str, Any]:
         "covariance": plane.covariance.tolist(),
         "n_points": int(plane.n_points),
         "chi2": float(plane.chi2),
-        "outline": None if plane.outline is None else _rings(plane.outline),
+        "outline": None if plane.outline is None or plane.outline.is_empty else _rings(plane.outline),
     }
 
 
@@ -42,25 +42,19 @@ def plane_arguments(data: dict[str, Any]) -> dict[str, Any]:
     return {
         "frame": frame,
         "covariance": as_shape("covariance", data["covariance"], (3, 3)),
-        "n_points": _count(data["n_points"]),
-        "chi2": float(as_shape("chi2", data.get("chi2", 0.0), ())),
+        "n_points": data["n_points"],
+        "chi2": data.get("chi2", 0.0),
         "outline": _polygon(data.get("outline")),
     }
 
 
 def _check_agreement(frame: np.ndarray, data: dict[str, Any]) -> None:
-    normal, d = as_shape("normal", data["normal"], (3,)), float(as_shape("d", data["d"], ()))
+    normal, d = as_shape("normal", data["normal"], (3,)), as_number("d", data["d"])
     distance = float(frame[:3, 2] @ frame[:3, 3])
     if np.abs(normal - frame[:3, 2]).max() > AGREEMENT:
         raise ValueError(f"normal: expected the frame's z axis {frame[:3, 2].tolist()}, got {normal.tolist()}")
     if abs(d - distance) > AGREEMENT * max(1.0, float(np.abs(frame[:3, 3]).max())):
         raise ValueError(f"d: expected the frame's distance {distance}, got {d}")
-
-
-def _count(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
-        raise ValueError(f"n_points: expected a whole number >= 0, got {value!r}")
-    return int(value)
 
 
 def _rings(outline: Polygon) -> list[list[list[float]]]:

@@ -8,14 +8,18 @@ from numpy.typing import ArrayLike
 
 from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_float_array
 
-_GOOD, _NOT_FINITE, _ASYMMETRIC, _INDEFINITE, _ZERO = 0, 1, 2, 3, 4
+_GOOD, _NOT_FINITE, _ASYMMETRIC, _INDEFINITE, _ZERO, _EXTREME = 0, 1, 2, 3, 4, 5
+
+#: Coordinates up to this, m, and variances from this on and up to that, m^2: their products stay within floats.
+LARGEST_COORDINATE = 1e15
+SMALLEST_VARIANCE, LARGEST_VARIANCE = 1e-30, 1e30
 
 
 @njit(cache=True)
-def _first_not_finite(points) -> int:
-    """Index of the first point that is not finite, or -1."""
+def _first_too_far(points, limit: float) -> int:
+    """Index of the first point that has a coordinate beyond the limit, or one that is not finite; or -1."""
     for i in range(points.shape[0]):
-        if not (np.isfinite(points[i, 0]) and np.isfinite(points[i, 1]) and np.isfinite(points[i, 2])):
+        if not (abs(points[i, 0]) <= limit and abs(points[i, 1]) <= limit and abs(points[i, 2]) <= limit):
             return i
     return -1
 
@@ -31,6 +35,8 @@ def _judge(c, tolerance: float) -> int:
             scale = max(scale, abs(c[j, k]))
     if scale == 0.0:
         return _ZERO
+    if not SMALLEST_VARIANCE <= scale <= LARGEST_VARIANCE:
+        return _EXTREME
     slack = tolerance * scale
     if max(abs(c[0, 1] - c[1, 0]), abs(c[0, 2] - c[2, 0]), abs(c[1, 2] - c[2, 1])) > slack:
         return _ASYMMETRIC
@@ -60,10 +66,27 @@ def as_points(name: str, value: ArrayLike) -> FloatArray:
     points = as_float_array(name, value)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"{name}: expected shape (N, 3), got {points.shape}")
-    bad = _first_not_finite(points)
+    points = _writable(points)
+    bad = _first_too_far(points, LARGEST_COORDINATE)
     if bad >= 0:
-        raise ValueError(f"{name}: expected finite numbers, got {points[bad].tolist()} at index {bad}")
+        wanted = (
+            f"coordinates within {LARGEST_COORDINATE:.0e} m" if np.isfinite(points[bad]).all() else "finite numbers"
+        )
+        raise ValueError(f"{name}: expected {wanted}, got {points[bad].tolist()} at index {bad}")
     return points
+
+
+class _Memory:
+    """The memory of an array, as one to write to."""
+
+    def __init__(self, array: FloatArray) -> None:
+        self.owner = array
+        self.__array_interface__ = {**array.__array_interface__, "data": (array.ctypes.data, False)}
+
+
+def _writable(array: FloatArray) -> FloatArray:
+    """The same memory without its write protection: no kernel writes, but numba would compile all of them anew."""
+    return array if array.flags.writeable else np.asarray(_Memory(array))
 
 
 def as_covariances(name: str, value: ArrayLike, n: int) -> FloatArray:
@@ -71,6 +94,7 @@ def as_covariances(name: str, value: ArrayLike, n: int) -> FloatArray:
     covariances = as_float_array(name, value)
     if covariances.shape != (n, 3, 3):
         raise ValueError(f"{name}: expected shape ({n}, 3, 3), one for each point, got {covariances.shape}")
+    covariances = _writable(covariances)
     bad, fault = _first_bad_covariance(covariances, COVARIANCE_TOLERANCE)
     if bad >= 0:
         raise ValueError(f"{name}: {_describe(fault, covariances[bad])} at index {bad}")
@@ -84,5 +108,8 @@ def _describe(fault: int, matrix: FloatArray) -> str:
         return "expected symmetric matrices, got one that differs from its transpose"
     if fault == _ZERO:
         return "expected some uncertainty in every point, got a zero matrix"
+    if fault == _EXTREME:
+        wanted = f"the largest entries in {SMALLEST_VARIANCE:.0e} to {LARGEST_VARIANCE:.0e} m^2"
+        return f"expected {wanted}, got {np.abs(matrix).max():.3g}"
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     return f"expected positive semidefinite matrices, got smallest eigenvalue {smallest:.3g}"

@@ -148,7 +148,7 @@ def fit_shared_pose(
         information = (info - coupling @ solved[..., :3]).sum(axis=0)
         gradient = (plane_side - (coupling @ solved[..., 3:])[..., 0]).sum(axis=0)
         left = np.empty((3, 3))
-        if not kernels.invert3(*information[np.triu_indices(3)], left):
+        if not _invert(information[np.triu_indices(3)], left):
             return OPEN_POSES, base, left, chi2
         step_b = left @ gradient
         step_u = solved[..., 3] - solved[..., :3] @ step_b
@@ -157,6 +157,12 @@ def fit_shared_pose(
         if gradient @ step_b < kernels.TOLERANCE and np.sum(step_u * step_u) < kernels.TOLERANCE:
             break
     return *_finish(points, covs, step, viewpoint, base, left), chi2
+
+
+def _invert(upper: FloatArray, out: FloatArray) -> bool:
+    """Inverse of the matrix with this upper triangle, shape (6,); False where it is not definite."""
+    a, b, c, d, e, f = upper.tolist()
+    return kernels.invert3(a, b, c, d, e, f, out)
 
 
 def _stacked(
@@ -187,9 +193,7 @@ def _finish(
     accumulate(points, covs, step, np.arange(len(points)), 0, len(points), base, np.inf, sums)
     status = kernels.settle(base, sums, viewpoint, frame, to_p)
     score, plain = sums[INFORMATION:RAW], np.empty((3, 3))
-    if status == OK and not (
-        kernels.invert3(*score, plain) and kernels.write_covariance(sums, score, to_p, covariance)
-    ):
+    if status == OK and not (_invert(score, plain) and kernels.write_covariance(sums, score, to_p, covariance)):
         status = COLLINEAR
     if status == OK:
         covariance += to_p @ (left - plain) @ to_p.T

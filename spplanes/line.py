@@ -8,7 +8,16 @@ from math import atan2, cos, hypot, inf, isfinite, nan, pi, remainder, sin
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_covariance, as_shape, as_transform
+from spplanes._check import (
+    COVARIANCE_TOLERANCE,
+    FloatArray,
+    as_covariance,
+    as_number,
+    as_shape,
+    as_transform,
+    check_instance,
+)
+from spplanes._chi2 import chi2_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +51,14 @@ class ScanLine:
     """Degrees of freedom of `chi2`: the fitted beams less 2. Beams that may be of the next wall are not fitted."""
 
     def __post_init__(self) -> None:
-        if not -inf < self.alpha < inf:
-            raise ValueError(f"alpha: expected a finite angle, got {self.alpha}")
-        if not 0.0 <= self.rho < inf:
-            raise ValueError(f"rho: expected a finite distance >= 0, got {self.rho}")
+        alpha, rho = as_number("alpha", self.alpha, finite=False), as_number("rho", self.rho, finite=False)
+        if not isfinite(alpha):
+            raise ValueError(f"alpha: expected a finite angle, got {alpha}")
+        if not 0.0 <= rho < inf:
+            raise ValueError(f"rho: expected a finite distance >= 0, got {rho}")
+        object.__setattr__(self, "alpha", alpha if -pi < alpha <= pi else wrap_angle(alpha))
+        object.__setattr__(self, "rho", rho)
+        object.__setattr__(self, "indices", _as_indices(self.indices))
         object.__setattr__(self, "endpoints", _as_square("endpoints", self.endpoints))
         object.__setattr__(self, "covariance", _as_covariance(self.covariance))
 
@@ -114,6 +127,7 @@ class ScanLine:
 
         (alpha, rho) and (alpha + pi, -rho) are the same line: the smaller of both readings counts.
         """
+        check_instance("other", other, ScanLine)
         turn = remainder(other.alpha - self.alpha, 2.0 * pi)
         chi2 = _chi2(turn, other.rho - self.rho, self.covariance + other.covariance)
         flip = np.array(((1.0, -1.0), (-1.0, 1.0)))
@@ -129,7 +143,17 @@ def wrap_angle(angle: float) -> float:
 
 def _chi2(turn: float, shift: float, covariance: FloatArray) -> float:
     (a, b), (_, c) = covariance.tolist()
+    if not a * c - b * b > 1e-14 * a * c:  # certain in some direction
+        return chi2_of(np.array((turn, shift)), covariance)
     return (c * turn * turn - 2.0 * b * turn * shift + a * shift * shift) / (a * c - b * b)
+
+
+def _as_indices(value: ArrayLike) -> np.ndarray:
+    """`value` as (N,) of int64."""
+    indices = np.asarray(value)
+    if indices.ndim != 1 or (indices.dtype.kind not in "iu" and indices.size):
+        raise ValueError(f"indices: expected integers of shape (N,), got {indices.dtype} of shape {indices.shape}")
+    return indices.astype(np.int64, copy=False)
 
 
 def _as_covariance(value: ArrayLike) -> FloatArray:

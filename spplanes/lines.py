@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spplanes._check import FloatArray, as_float_array, as_positive, as_shape
+from spplanes._check import FloatArray, as_float_array, as_number, as_positive, as_shape, check_instance
 from spplanes._line_extract import extract
 from spplanes.line import ScanLine
 
@@ -41,6 +41,8 @@ class LineConfig:
     """Ranges from this on are no return, m, > range_min."""
 
     def __post_init__(self) -> None:
+        for field in fields(self):
+            as_number(field.name, getattr(self, field.name), finite=False)
         _check("bearing_sigma", self.bearing_sigma, 0.0 <= self.bearing_sigma < np.pi, "an angle >= 0")
         _check("flatness", self.flatness, 0.0 <= self.flatness < np.inf, "a distance >= 0")
         _check("significance", self.significance, 0.0 < self.significance < 0.5, "a probability in (0, 0.5)")
@@ -81,6 +83,7 @@ def extract_lines(
         ValueError: shapes that differ, angles or sigma that are not finite, sigma not positive.
     """
     config = LineConfig() if config is None else config
+    check_instance("config", config, LineConfig)
     ranges = as_shape("ranges", ranges, (None,), finite=False)
     angles = as_shape("angles", angles, ranges.shape)
     sigmas = _as_sigmas(sigma, ranges.size)

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spplanes import _rows
-from spplanes._check import FloatArray, as_shape, as_weights
+from spplanes._check import FloatArray, as_shape, as_weights, check_instance
 from spplanes._rows import NO_VIEWPOINT, ROW_SIZE, add_point, merge_rows, points_row, row_frame, smallest_eigen
 from spplanes.plane import Plane
 
@@ -87,6 +87,7 @@ class Moments:
 
     def merge(self, other: Moments) -> Moments:
         """Moments of the union of two disjoint sets, in constant time."""
+        check_instance("other", other, Moments)
         row = np.empty(ROW_SIZE)
         merge_rows(self.as_row(), other.as_row(), row)
         return Moments.from_row(row)

@@ -9,7 +9,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spplanes import _plane_io
-from spplanes._check import FloatArray, as_covariance, as_shape, as_transform
+from spplanes._check import (
+    FloatArray,
+    as_count,
+    as_covariance,
+    as_float_array,
+    as_number,
+    as_shape,
+    as_transform,
+    check_instance,
+)
+from spplanes._chi2 import chi2_of
 from spplanes._hesse import covariance_from_hesse, frame_from_hesse, hesse_jacobian, slopes_in
 from spplanes._rows import OK, ROW_SIZE, merge_rows, row_frame
 from spplanes.spmodel import Location
@@ -42,8 +52,13 @@ class Plane:
     """Sum of the squared normalised residuals of the fit, n_points - 3 on average; 0 when it was not computed."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "frame", as_transform("frame", self.frame))
+        frame = as_transform("frame", self.frame)
+        object.__setattr__(self, "frame", frame.copy() if frame is self.frame else frame)
         object.__setattr__(self, "covariance", as_covariance("covariance", self.covariance, 3))
+        object.__setattr__(self, "n_points", as_count("n_points", self.n_points))
+        object.__setattr__(self, "chi2", as_number("chi2", self.chi2))
+        if self.outline is not None and getattr(self.outline, "geom_type", None) != "Polygon":
+            raise ValueError(f"outline: expected a shapely Polygon or None, got {type(self.outline).__name__}")
 
     @classmethod
     def _trusted(
@@ -77,7 +92,7 @@ class Plane:
         Raises:
             ValueError: a normal that is not of unit length, or a covariance of another shape or not semidefinite.
         """
-        frame = frame_from_hesse(as_shape("normal", normal, (3,)), float(d), centre)
+        frame = frame_from_hesse(as_shape("normal", normal, (3,)), as_number("d", d), centre)
         if np.shape(covariance) == (4, 4):
             covariance = covariance_from_hesse(frame, as_covariance("covariance", covariance, 4))
         return cls(frame, as_covariance("covariance", covariance, 3), n_points)
@@ -110,11 +125,11 @@ class Plane:
 
     def distance(self, points: ArrayLike) -> FloatArray:
         """Signed distance of ``points`` (N, 3) or (3,) from the plane, m, shape (N,) or (); positive on n's side."""
-        return (np.asarray(points, dtype=np.float64) - self.centre) @ self.normal
+        return (_points(points) - self.centre) @ self.normal
 
     def project(self, points: ArrayLike) -> FloatArray:
         """Feet of ``points`` (N, 3) or (3,) on the plane, in the same frame and shape, m."""
-        array = np.asarray(points, dtype=np.float64)
+        array = _points(points)
         return array - self.distance(array)[..., None] * self.normal
 
     def transform(self, transform: ArrayLike, covariance: ArrayLike | None = None) -> Self:
@@ -141,6 +156,7 @@ class Plane:
         Raises:
             ValueError: one of the two covariances is singular, or the normals are more than 90 deg apart.
         """
+        check_instance("other", other, Plane)
         if self.normal @ other.normal <= 0.0:
             raise ValueError("other: expected a plane seen from the same side, got normals 90 deg apart or more")
         merged, frame, values = np.empty(ROW_SIZE), np.empty((4, 4)), np.empty(3)
@@ -160,6 +176,7 @@ class Plane:
         apart or more are seen from opposite sides: the distance is infinite. So it is when they differ in a direction
         in which both are certain.
         """
+        check_instance("other", other, Plane)
         bisector = self.normal + other.normal
         if self.normal @ other.normal <= 0.0:
             return np.inf
@@ -167,7 +184,7 @@ class Plane:
         middle[:3, 3] = 0.5 * (self.centre + other.centre)
         here, cov_here = slopes_in(middle, self.frame, self.covariance)
         there, cov_there = slopes_in(middle, other.frame, other.covariance)
-        return _chi2(here - there, cov_here + cov_there)
+        return chi2_of(here - there, cov_here + cov_there)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, as in ``planes.json``; floats survive a round trip through JSON exactly.
@@ -205,13 +222,9 @@ class Plane:
         return np.concatenate(([self.n_points, weight], centre, scatter[np.triu_indices(3)]))
 
 
-def _chi2(difference: FloatArray, covariance: FloatArray) -> float:
-    """difference^T covariance^-1 difference; infinite where a certain direction differs."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    scale[scale == 0.0] = 1.0
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    parts = vectors.T @ (difference / scale)
-    certain = values <= 1e-14
-    if (np.abs(parts[certain]) > 1e-12).any():
-        return np.inf
-    return float(np.sum(parts[~certain] ** 2 / values[~certain]))
+def _points(value: ArrayLike) -> FloatArray:
+    """Points (N, 3) or (3,), NaN allowed."""
+    points = as_float_array("points", value)
+    if points.ndim not in (1, 2) or points.shape[-1] != 3:
+        raise ValueError(f"points: expected shape (N, 3) or (3,), got {points.shape}")
+    return points

@@ -13,7 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spplanes._check import FloatArray, as_covariance, as_rows, as_shape, as_transform
+from spplanes._check import (
+    FloatArray,
+    as_covariance,
+    as_float_array,
+    as_number,
+    as_rows,
+    as_shape,
+    as_transform,
+    check_instance,
+)
 
 #: The differential, in order; a binding is a selection of these.
 DIFFERENTIAL = ("x", "y", "z", "phi", "theta", "psi")
@@ -96,7 +105,8 @@ class Location:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rows", as_rows("rows", self.rows))
-        object.__setattr__(self, "transform", as_transform("transform", self.transform))
+        transform = as_transform("transform", self.transform)
+        object.__setattr__(self, "transform", transform.copy() if transform is self.transform else transform)
         object.__setattr__(self, "covariance", as_covariance("covariance", self.covariance, len(self.rows)))
 
     @classmethod
@@ -111,27 +121,27 @@ class Location:
         """A 3D point: p = (x, y, z)."""
         transform = np.eye(4)
         transform[:3, 3] = as_shape("position", position, (3,))
-        return cls(transform, np.asarray(covariance), POINT)
+        return cls(transform, as_float_array("covariance", covariance), POINT)
 
     @classmethod
     def plane(cls, frame: ArrayLike, covariance: ArrayLike) -> Location:
         """An infinite plane, z = 0 of `frame`: p = (z, theta, psi)."""
-        return cls(np.asarray(frame), np.asarray(covariance), PLANE)
+        return cls(as_float_array("frame", frame), as_float_array("covariance", covariance), PLANE)
 
     @classmethod
     def line_2d(cls, x: float, y: float, phi: float, covariance: ArrayLike) -> Location:
         """An infinite line on the floor through (x, y) in direction phi, its own x axis: p = (y, phi)."""
-        return cls(transform_from_rpy((x, y, 0.0, phi, 0.0, 0.0)), np.asarray(covariance), LINE_2D)
+        return cls(_on_floor(x, y, phi), as_float_array("covariance", covariance), LINE_2D)
 
     @classmethod
     def robot_2d(cls, x: float, y: float, phi: float, covariance: ArrayLike) -> Location:
         """A robot on the floor: p = (x, y, phi)."""
-        return cls(transform_from_rpy((x, y, 0.0, phi, 0.0, 0.0)), np.asarray(covariance), ROBOT_2D)
+        return cls(_on_floor(x, y, phi), as_float_array("covariance", covariance), ROBOT_2D)
 
     @classmethod
     def pose(cls, transform: ArrayLike, covariance: ArrayLike) -> Location:
         """A full pose: p = d."""
-        return cls(np.asarray(transform), np.asarray(covariance), POSE)
+        return cls(as_float_array("transform", transform), as_float_array("covariance", covariance), POSE)
 
     @property
     def binding(self) -> FloatArray:
@@ -170,6 +180,7 @@ class Location:
         Raises:
             ValueError: ``cross`` has another shape, or makes the joint covariance indefinite.
         """
+        check_instance("other", other, Location)
         carry = other.binding @ adjoint(inverse_transform(other.transform)) @ self.binding.T
         covariance = _propagate(carry, self, np.eye(len(other.rows)), other, cross)
         return Location._trusted(self.transform @ other.transform, covariance, other.rows)
@@ -192,6 +203,7 @@ class Location:
         Raises:
             ValueError: ``cross`` has another shape, or makes the joint covariance indefinite.
         """
+        check_instance("other", other, Location)
         transform = inverse_transform(self.transform) @ other.transform
         carry = -other.binding @ adjoint(inverse_transform(transform)) @ self.binding.T
         covariance = _propagate(carry, self, np.eye(len(other.rows)), other, cross)
@@ -214,6 +226,10 @@ def joint_covariance(a: Location, b: Location, cross: ArrayLike | None = None) -
     joint[:k, k:] = as_shape("cross", cross, (k, len(b.rows)))
     joint[k:, :k] = joint[:k, k:].T
     return as_covariance("cross", joint, len(joint))
+
+
+def _on_floor(x: float, y: float, phi: float) -> FloatArray:
+    return transform_from_rpy((as_number("x", x), as_number("y", y), 0.0, as_number("phi", phi), 0.0, 0.0))
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:

@@ -5,14 +5,18 @@ import numpy as np
 import pytest
 
 from factors import (
+    direction_prior,
+    distance_factor,
     line_factor,
     odometry_factor,
     odometry_factor_2d,
+    parallel_factor,
     planar_motion_factor,
     plane_factor,
     plane_factors,
     plane_landmark,
     plane_prior,
+    world_plane,
 )
 from factors.line import decorrelated_points
 from factors.robust import with_robust
@@ -174,3 +178,40 @@ def test_native_and_compiled_plane_factors_agree():
         np.testing.assert_allclose(a.T @ a, b.T @ b, rtol=1e-4, atol=1e-4 * np.abs(b.T @ b).max())
         values.update(L, landmark.retract(1e-3 * rng.normal(size=3)))
         assert native.error(values) == pytest.approx(compiled.error(values), rel=3e-2, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: plane_factor(LINE, X, L), "plane: expected a Plane, got ScanLine"),
+        (lambda: plane_factors(PLANE, X, L), "planes: expected a sequence, got Plane"),
+        (lambda: plane_landmark(None), "plane: expected a Plane, got NoneType"),
+        (lambda: line_factor(PLANE, np.eye(4), X, L), "line: expected a ScanLine, got Plane"),
+        (lambda: line_factor(LINE, np.eye(4), X, L, anchor_key=A, expected=PLANE), "expected: expected an OrientedPl"),
+        (lambda: plane_factor(PLANE, X, X), "plane_key: expected another key than pose_key, got"),
+        (lambda: plane_factor(PLANE, X, L, anchor_key=L), "plane_key: expected another key than anchor_key, got"),
+        (lambda: line_factor(LINE, np.eye(4), L, L), "plane_key: expected another key than pose_key, got"),
+        (lambda: odometry_factor(X, X, (1, 0, 0), np.eye(3)), "key_b: expected another key than key_a, got"),
+        (lambda: odometry_factor_2d(X, X, (1, 0, 0), np.eye(3)), "key_b: expected another key than key_a, got"),
+        (lambda: planar_motion_factor(X, height=np.nan), "height: expected a finite number, got nan"),
+        (lambda: planar_motion_factor(X, height=[1]), r"height: expected a number, got \[1\]"),
+        (lambda: with_robust(gtsam.noiseModel.Unit.Create(3), ("huber", "a"), 3), "robust: expected a number, got 'a'"),
+        (lambda: distance_factor(L, A, 1.0, 0.1, anchor_a=L), "anchor_a: expected another key than plane_a, got"),
+        (lambda: distance_factor(L, A, [1.0], 0.1), r"distance_m: expected a number, got \[1.0\]"),
+        (lambda: parallel_factor(L, A, None), "sigma_rad: expected a number, got None"),
+        (
+            lambda: world_plane(gtsam.Values(), None, L),
+            "plane_key: expected the key of an OrientedPlane3 in values, got",
+        ),
+    ],
+)
+def test_one_sentence_that_names_the_argument(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_long_directions_do_not_overflow():
+    factor = direction_prior(L, (1e200, 0, 0), 0.1)
+    values = gtsam.Values()
+    values.insert(L, gtsam.OrientedPlane3(1, 0, 0, 0))
+    assert factor.error(values) == 0.0

@@ -37,9 +37,9 @@ def test_world_side_pose_errors_1000_km_away():
     about_world[:3, 3:] = -np.column_stack([np.cross(axis, offset) for axis in np.eye(3)[::-1]])
     carried = about_world @ pose @ about_world.T
     carried = 0.5 * (carried + carried.transpose(0, 2, 1))
-    shared = dict(sigma=0.01, scan_index=scan)
+    shared = {"sigma": 0.01, "scan_index": scan}
     near = fit_plane(points, pose_covariances=pose, viewpoint=(0, 0, 5), **shared)
-    far = fit_plane(points + offset, pose_covariances=carried, viewpoint=offset + (0, 0, 5), **shared)
+    far = fit_plane(points + offset, pose_covariances=carried, viewpoint=near.centre + offset + near.normal, **shared)
     np.testing.assert_allclose(far.normal, near.normal, atol=1e-7)
     assert far.normal @ (near.centre + offset) - far.d == pytest.approx(0.0, abs=1e-3)
     np.testing.assert_allclose(np.diag(far.covariance), np.diag(near.covariance), rtol=1e-3)

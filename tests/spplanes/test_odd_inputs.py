@@ -1,0 +1,124 @@
+"""Inputs nobody means to give: the right answer, or a sentence that names the argument."""
+
+import json
+
+import numpy as np
+import pytest
+import shapely
+
+from spplanes import LineConfig, Location, Moments, Plane, ScanLine, extract_lines, fit_plane, fit_planes
+
+RNG = np.random.default_rng(0)
+POINTS = RNG.uniform(-1, 1, (40, 3)) * (2, 1, 0) + (0, 0, 1) + RNG.normal(0, 0.01, (40, 3))
+COVARIANCES = np.tile(1e-4 * np.eye(3), (40, 1, 1))
+PLANE = Plane(np.eye(4), 1e-4 * np.eye(3), 5)
+LINE = ScanLine(0.1, 1.0, 1e-4 * np.eye(2), np.zeros((2, 2)), np.arange(3))
+
+
+@pytest.mark.parametrize(
+    "points",
+    [POINTS.astype(complex), POINTS.astype(str), np.ma.array(POINTS, mask=POINTS > 1.01), POINTS.astype("M8[s]"), None],
+)
+def test_what_is_not_real_numbers_is_refused(points):
+    with pytest.raises(ValueError, match="points: expected"):
+        fit_plane(points, sigma=0.01)
+
+
+@pytest.mark.parametrize("sigma", [0, -1, np.nan, np.inf, "0.01", [0.01], np.array([0.01]), 1j, True, 1e-200, 1e200])
+def test_bad_sigma(sigma):
+    with pytest.raises(ValueError, match="sigma: expected "):
+        fit_plane(POINTS, sigma=sigma)
+
+
+@pytest.mark.parametrize("method", ["ml", "sp"])
+@pytest.mark.parametrize("scale", [1e-160, 1e100, 1e300])
+def test_magnitudes_whose_products_leave_the_floats(scale, method):
+    with pytest.raises(ValueError, match=r"points: expected coordinates within 1e\+15 m|sigma: expected 1e-15 to"):
+        fit_plane(POINTS * scale, sigma=0.01 * scale, method=method)
+    with pytest.raises(ValueError, match=r"covariances: expected the largest entries in 1e-30 to 1e\+30 m\^2, got"):
+        fit_plane(POINTS, COVARIANCES * (1e40 if scale > 1 else 1e-40), method=method)
+
+
+@pytest.mark.parametrize("method", ["ml", "sp"])
+@pytest.mark.parametrize("scale", [1e-12, 1e-6, 1e6, 1e9])
+def test_the_unit_of_length_does_not_matter(scale, method):
+    one, other = (fit_plane(POINTS * s, sigma=0.01 * s, method=method) for s in (1.0, scale))
+    np.testing.assert_allclose(other.normal, one.normal, atol=1e-9)
+    unit = np.array([scale, 1.0, 1.0]) * np.sqrt(np.diag(one.covariance))
+    np.testing.assert_allclose(other.covariance / np.outer(unit, unit), np.eye(3), atol=1e-6)
+
+
+def test_read_only_arrays_share_their_memory_and_the_compiled_kernels():
+    from spplanes import _fit_groups
+
+    fit_plane(POINTS, COVARIANCES)
+    compiled = len(_fit_groups._run.signatures)
+    points, covariances = POINTS.copy(), np.broadcast_to(1e-4 * np.eye(3), (40, 3, 3))
+    points.flags.writeable = False
+    np.testing.assert_array_equal(fit_plane(points, covariances).frame, fit_plane(POINTS, COVARIANCES).frame)
+    assert len(_fit_groups._run.signatures) == compiled
+    assert not points.flags.writeable
+
+
+def test_no_labels_for_no_points():
+    assert fit_planes(np.empty((0, 3)), labels=[], sigma=0.1) == []
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Plane(np.eye(4), np.eye(3), -1), "n_points: expected a whole number >= 0, got -1"),
+        (lambda: Plane(np.eye(4), np.eye(3), 2.5), "n_points: expected a whole number >= 0, got 2.5"),
+        (lambda: Plane(np.eye(4), np.eye(3), None), "n_points: expected a whole number >= 0, got None"),
+        (lambda: Plane(np.eye(4), np.eye(3), 3, shapely.MultiPolygon()), "outline: expected a shapely Polygon or None"),
+        (lambda: Plane(np.eye(4), np.eye(3), chi2="a"), "chi2: expected a number, got 'a'"),
+        (lambda: Plane.from_hesse((0, 0, 1), None, np.eye(3)), "d: expected a number, got None"),
+        (lambda: PLANE.distance([0, 0]), r"points: expected shape \(N, 3\) or \(3,\), got \(2,\)"),
+        (lambda: PLANE.project(None), r"points: expected shape \(N, 3\) or \(3,\), got \(\)"),
+        (lambda: PLANE.merge(3), "other: expected a Plane, got int"),
+        (lambda: PLANE.mahalanobis(LINE), "other: expected a Plane, got ScanLine"),
+        (lambda: LINE.mahalanobis(PLANE), "other: expected a ScanLine, got Plane"),
+        (lambda: Location.robot_2d([1], 2, 0, np.eye(3)), r"x: expected a number, got \[1\]"),
+        (lambda: Location.pose([[1, 2], [1]], np.eye(6)), "transform: expected an array of numbers, got list"),
+        (lambda: Location(np.eye(4), np.eye(2), (1.5, 3)), "rows: expected ascending, distinct rows out of 0..5"),
+        (lambda: Location(np.eye(4), np.eye(2), None), "rows: expected ascending, distinct rows out of 0..5"),
+        (lambda: Location.pose(np.eye(4), np.eye(6)).compose(3), "other: expected a Location, got int"),
+        (lambda: Location.pose(np.eye(4), np.eye(6)).relative(PLANE), "other: expected a Location, got Plane"),
+        (lambda: Moments.from_points(np.eye(3)).merge(3), "other: expected a Moments, got int"),
+        (lambda: ScanLine("x", 1, np.eye(2), np.eye(2), [1]), "alpha: expected a number, got 'x'"),
+        (lambda: ScanLine(0, [1], np.eye(2), np.eye(2), [1]), r"rho: expected a number, got \[1\]"),
+        (lambda: ScanLine(0, 1, np.eye(2), np.eye(2), None), "indices: expected integers of shape"),
+        (lambda: LineConfig(significance="a"), "significance: expected a number, got 'a'"),
+        (lambda: extract_lines([1.0], [0.0], sigma=0.1, config={}), "config: expected a LineConfig, got dict"),
+    ],
+)
+def test_one_sentence_that_names_the_argument(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_values_do_not_change_with_the_callers_arrays():
+    transform = np.eye(4)
+    plane, location = Plane(transform, np.eye(3)), Location.pose(transform, np.eye(6))
+    transform[0, 3] = 9.0
+    assert plane.frame[0, 3] == location.transform[0, 3] == 0.0
+
+
+def test_lines_by_hand_are_put_in_range():
+    line = ScanLine(10.0, np.float32(1), np.eye(2).tolist(), [[1, 0], [1, 1]], [0, 1])
+    assert line.alpha == pytest.approx(10.0 - 4 * np.pi)
+    assert line.indices.dtype == np.int64
+
+
+def test_certain_lines_have_a_distance():
+    """Where both lines are certain a difference is infinite, and none is 0; the rest counts as ever."""
+    certain, other = (ScanLine(a, 1.0, np.zeros((2, 2)), np.eye(2), [0]) for a in (0.0, 0.1))
+    assert certain.mahalanobis(certain) == 0.0
+    assert certain.mahalanobis(other) == np.inf
+    half, shifted = (ScanLine(0.0, r, np.diag([0.0, 0.5e-4]), np.eye(2), [0]) for r in (1.0, 1.02))
+    assert half.mahalanobis(shifted) == pytest.approx(4.0)
+
+
+def test_an_empty_outline_is_none_in_a_file():
+    plane = Plane(np.eye(4), np.eye(3), 3, shapely.Polygon())
+    assert Plane.from_dict(json.loads(json.dumps(plane.to_dict()))).outline is None
