@@ -1,6 +1,7 @@
 """GTSAM factors from SP planes, laser lines and odometry."""
 
 from factors._conventions import hesse as landmark_hesse
+from factors.isam import isam_covariance
 from factors.landmarks import (
     change_anchor,
     facing,
@@ -28,6 +29,7 @@ __all__ = [
     "direction_prior",
     "distance_factor",
     "facing",
+    "isam_covariance",
     "joint_covariance",
     "landmark_hesse",
     "landmark_to_plane",

@@ -1,0 +1,50 @@
+"""Covariances out of iSAM2, in the tangents of the estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+from scipy.linalg import block_diag
+
+from factors._check import as_key, check_distinct
+from spplanes._check import FloatArray, check_instance
+
+
+def isam_covariance(isam: gtsam.ISAM2, values: gtsam.Values, keys: Sequence[int]) -> FloatArray:
+    """Joint marginal covariance of several variables, in the order of ``keys``, each in its tangent at ``values``.
+
+    iSAM2 gives marginals in the tangents of its *linearisation point*. For poses that is the same to first order. The
+    tangent of an ``OrientedPlane3`` is along ``Unit3.basis()``, which jumps where components of the normal tie: at
+    every floor and every axis-aligned wall the two may be turned by 90 deg, and a plane's sigmas change places.
+    ``values`` is usually ``isam.calculateEstimate()``. The result is what `factors.world_plane_from_joint` takes for
+    ``keys`` = (anchor, plane), and `factors.landmark_to_plane` for the landmark alone.
+
+    ValueError: keys that are no integers, given twice, or not in ``isam`` and ``values``.
+    """
+    check_instance("isam", isam, gtsam.ISAM2)
+    check_instance("values", values, gtsam.Values)
+    names = [as_key("keys", key) for key in keys]
+    check_distinct(**{f"keys[{i}]": key for i, key in enumerate(names)})
+    for key in names:
+        if not (isam.valueExists(key) and values.exists(key)):
+            raise ValueError(f"keys: expected variables of isam and of values, got {key}")
+    if not names:
+        raise ValueError("keys: expected at least one, got none")
+    linearised = isam.getLinearizationPoint()
+    joint = isam.jointMarginalCovariance(names)
+    full = np.block([[joint.at(row, column) for column in names] for row in names])
+    turn = np.asarray(block_diag(*[_turn(linearised, values, key, len(joint.at(key, key))) for key in names]))
+    return turn @ full @ turn.T
+
+
+def _turn(source: gtsam.Values, target: gtsam.Values, key: int, size: int) -> FloatArray:
+    """Matrix that takes a tangent at ``source`` to one at ``target``, shape (size, size)."""
+    matrix = np.eye(size)
+    try:
+        there, here = source.atOrientedPlane3(key), target.atOrientedPlane3(key)
+    except RuntimeError:  # no plane
+        return matrix
+    matrix[:2, :2] = here.normal().basis().T @ there.normal().basis()
+    return matrix
