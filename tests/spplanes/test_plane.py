@@ -276,3 +276,14 @@ def test_bad_hesse_form():
         Plane.from_hesse((0, 0, 1), 1.0, np.eye(2))
     with pytest.raises(ValueError, match="covariance: expected a positive semidefinite covariance"):
         Plane.from_hesse((0, 0, 1), 1.0, -np.eye(4))
+
+
+def test_mahalanobis_is_symmetric_for_planes_apart_and_tilted():
+    """Only the frame midway between both makes it so: about either's own centre the lever arms differ."""
+    rng = np.random.default_rng(11)
+    for _ in range(20):
+        root = rng.normal(size=(3, 3))
+        turn = Location.pose(np.eye(4), np.eye(6)).perturbed([*rng.uniform(-5, 5, 3), *rng.normal(0, 0.2, 3)])
+        a = Plane(np.eye(4), np.diag([1e-4, 1e-2, 1e-3]))
+        b = Plane(turn.transform, 1e-3 * root @ root.T)
+        assert a.mahalanobis(b) == pytest.approx(b.mahalanobis(a), rel=1e-9)
