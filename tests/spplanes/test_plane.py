@@ -279,7 +279,7 @@ def test_bad_hesse_form():
 
 
 def test_mahalanobis_is_symmetric_for_planes_apart_and_tilted():
-    """Only the frame midway between both makes it so: about either's own centre the lever arms differ."""
+    """Only a z axis midway between both normals makes it so; where the frame's origin is does not matter."""
     rng = np.random.default_rng(11)
     for _ in range(20):
         root = rng.normal(size=(3, 3))
