@@ -73,8 +73,9 @@ def plane_factors(
     for i, (pose, key, anchor) in enumerate(zip(pose_keys, plane_keys, anchors, strict=True)):
         plane_key, pose_key = as_key("plane_key", key), as_key("pose_key", pose)
         anchor_key = None if anchor is None else as_key("anchor_key", anchor)
-        check_distinct(pose_key=pose_key, plane_key=plane_key)
-        check_distinct(anchor_key=anchor_key, plane_key=plane_key)
+        if plane_key in (pose_key, anchor_key):
+            check_distinct(pose_key=pose_key, plane_key=plane_key)
+            check_distinct(anchor_key=anchor_key, plane_key=plane_key)
         if anchor_key is not None and anchor_key != pose_key:
             measured, noise = oriented_plane(frames[i, :3, 2], distances[i]), gaussian(roots[i], robust, 3)
             factor = gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, pose_key, anchor_key, plane_key)
