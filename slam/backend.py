@@ -121,7 +121,7 @@ class JointCovariance:
     def __init__(self, keys: Sequence[int], marginal: FloatArray, turns: Sequence[FloatArray]) -> None:
         starts = np.concatenate(([0], np.cumsum([len(turn) for turn in turns])))
         self._columns = {key: np.arange(starts[i], starts[i + 1]) for i, key in enumerate(keys)}
-        turn = block_diag(*turns)
+        turn = np.asarray(block_diag(*turns))
         self._full = turn @ marginal @ turn.T
 
     @property
