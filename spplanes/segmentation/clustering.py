@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from spplanes.segmentation._patches import eigenvalues, merge_scaled
+from spplanes.segmentation._patches import eigenvalues, merge_scaled, normal_of
 
 
 @njit(cache=True)
@@ -23,6 +23,28 @@ def one_plane_chi2(a, b, bias, work):
     scale = 1.0 / (1.0 + bias * b[1])
     merge_scaled(work, a, 1.0, b, scale)
     return eigenvalues(work)[0] - eigenvalues(a)[0] - scale * eigenvalues(b)[0]
+
+
+@njit(cache=True)
+def step_chi2(a, b, tolerance, work):
+    """Chi2 (1 dof) of the step between two parallel planes, one through each of two rows of moments.
+
+    Two planes that are free to tilt meet each other half way, where a large and a small one or two small ones meet; if
+    both have the tilt of all points together, the step is what it is. `tolerance` is the variance it may have, m^2.
+    """
+    merge_scaled(work, a, 1.0, b, 1.0)
+    one = eigenvalues(work)[0]
+    for k in range(5, 11):
+        work[k] = a[k] + b[k]
+    two = eigenvalues(work)[0]
+    if one <= two:
+        return 0.0
+    nx, ny, nz = normal_of(work, two)
+    step = (b[2] - a[2]) * nx + (b[3] - a[3]) * ny + (b[4] - a[4]) * nz
+    gain = one - two
+    if step == 0.0:
+        return gain
+    return gain / (1.0 + gain * tolerance / (step * step))
 
 
 @njit(cache=True)
@@ -76,22 +98,24 @@ def merged_distance(a, b, work):
 
 
 @njit(cache=True)
-def _test(rows, bias, a, b, flatness, correlation, work):
-    """Chi2 of one plane for two patches: what they share with scans counts as far as their scans differ."""
+def _are_one(rows, bias, a, b, flatness, correlation, limits, work):
+    """Whether two patches are one plane: what they share with scans counts as far as their scans differ."""
     apart = 1.0 - np.exp(-abs(bias[a, 1] - bias[b, 1]) / correlation)
     total = 2.0 * flatness * flatness + apart * (bias[a, 0] + bias[b, 0])
-    return one_plane_chi2(rows[a], rows[b], total, work)
+    if step_chi2(rows[a], rows[b], total, work) > limits[0]:
+        return False
+    return one_plane_chi2(rows[a], rows[b], total, work) <= limits[1]
 
 
 @njit(cache=True)
-def cluster(rows, bias, edges, limit, flatness, correlation):
+def cluster(rows, bias, edges, limits, flatness, correlation):
     """Fuse patches along edges, the pair with the smallest mean distance to its common plane first.
 
     Args:
         rows: moments, shape (N, 11); on return the row of a root holds the sum of its tree.
         bias: variance along the normal that a patch shares with its scans, m^2, and mean scan: (N, 2); kept up to date.
         edges: pairs of neighbouring patches, shape (E, 2).
-        limit: largest chi2 (3 dof) at which two patches are one plane.
+        limits: largest chi2 at which two patches are one plane: of the step between them (1 dof), of both (3 dof).
         flatness: deviation from a plane that every patch is granted, m.
         correlation: scans over which errors shared with scans change.
 
@@ -119,7 +143,7 @@ def cluster(rows, bias, edges, limit, flatness, correlation):
             if fresh > key:
                 size = _push(keys, items, size, fresh, e)
                 continue
-        if _test(rows, bias, a, b, flatness, correlation, work) > limit:
+        if not _are_one(rows, bias, a, b, flatness, correlation, limits, work):
             continue
         if b < a:
             a, b = b, a

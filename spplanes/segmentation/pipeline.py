@@ -19,6 +19,12 @@ CELL_SLACK = 1.15
 """Mean squared residual of a planar cell may exceed the noise model by this factor: sensors are known to 7 %."""
 BORDER_GAP = 12
 """Widest occluder, points along a row or column, behind which a plane is taken to continue: a beam, a pole."""
+STEP_SIGNIFICANCE = 5e-5
+"""Share of the true fusions that the test for a step between two parallel planes may refuse."""
+FUSE_SIGNIFICANCE = 0.0125
+"""Share of the true fusions that the test of offset and tilt may refuse: patches meet several times, and what is
+refused once is fused by way of others. Where scans share errors, both tests go by `MapperConfig.significance`: the size
+of such errors is hardly ever known to more."""
 MISFIT_CELL = 8
 """Side of the cells in which the points of a region are searched for a common offset from its plane."""
 MISFIT_SIGNIFICANCE = 1e-4
@@ -103,9 +109,12 @@ def join_cells(sheet: Sheet, quads: np.ndarray, size: int, config: MapperConfig)
     moments = cells.cell_moments(points, covariance, free, size, floor)
     failed = cells.failed_quads(free, quads, size)
     planar = cells.planar_cells(moments, failed, free.shape, size, -ndtri(config.significance), CELL_SLACK)
+    shared = sheet.shared[sheet.fresh] if len(sheet.shared) > 1 else sheet.shared
+    if size > cells.STRIPS and len(shared) == 1:
+        limit = CELL_SLACK * chdtri(1, config.significance / (2 * cells.STRIPS))
+        cells.reject_steps(planar, points, covariance, moments, free, size, floor, limit)
     if not planar.any():
         return
-    shared = sheet.shared[sheet.fresh] if len(sheet.shared) > 1 else sheet.shared
     bias = cells.shared_variances(moments, shared, free, planar, size, sheet.start)
     n_regions = len(sheet.rows)
     node = np.where(planar, n_regions + np.cumsum(planar.ravel()).reshape(planar.shape) - 1, -1)
@@ -123,8 +132,9 @@ def join_cells(sheet: Sheet, quads: np.ndarray, size: int, config: MapperConfig)
 
 
 def _cluster(rows: FloatArray, bias: FloatArray, edges: np.ndarray, config: MapperConfig) -> np.ndarray:
-    limit, correlation = chdtri(3, config.significance), max(config.pose_correlation_scans, 1.0)
-    return cluster(rows, bias, edges, limit, config.flatness_m, correlation)
+    known = not bias[:, 0].any()
+    limits = chdtri(np.array([1, 3]), (STEP_SIGNIFICANCE, FUSE_SIGNIFICANCE) if known else config.significance)
+    return cluster(rows, bias, edges, limits, config.flatness_m, max(config.pose_correlation_scans, 1.0))
 
 
 def is_determined(row: FloatArray, config: MapperConfig) -> bool:

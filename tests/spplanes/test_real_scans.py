@@ -55,7 +55,7 @@ def test_corridor_has_whole_floor_ceiling_and_left_wall(index):
         same = [q for q in others if abs(plane.distance(q.centre)) < 0.05]
         assert sum(q.n_points for q in same) < 0.1 * plane.n_points
     assert -ceiling.d - floor.d == pytest.approx(2.42, abs=0.06)
-    assert 5e-4 < np.sqrt(floor.covariance[0, 0]) < 0.01
+    assert 5e-4 < np.sqrt(floor.covariance[0, 0]) < 0.015
 
 
 @needs("pcl_room")

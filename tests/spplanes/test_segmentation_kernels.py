@@ -80,7 +80,7 @@ def test_cluster_fuses_a_chain_up_to_the_edge():
     upright = [np.column_stack((4.0 + p[:, 2] * 0 + 0.0 * p[:, 0], p[:, 1], p[:, 0])) for p in steep]
     rows = np.array([moments(p, sigma**-2) for p in [*flat, *upright]])
     edges = np.array([[k, k + 1] for k in range(5)])
-    root = cluster(rows, np.zeros((6, 2)), edges, chi2.isf(0.001, 3), 0.0, 1.0)
+    root = cluster(rows, np.zeros((6, 2)), edges, chi2.isf(0.001, [1, 3]), 0.0, 1.0)
     np.testing.assert_array_equal(root[:4], 0)
     assert 0 not in root[4:]
     assert rows[0, 0] == 800
