@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from spplanes.segmentation import borders, creases, dissolving, growing
+from spplanes.segmentation import borders, cells, creases, dissolving, growing
 from spplanes.segmentation._patches import eigenvalues, merge_scaled, normal_of, variance_along
-from spplanes.segmentation.clustering import cluster, one_plane_chi2
+from spplanes.segmentation.clustering import cluster, one_plane_chi2, step_chi2
 from spplanes.segmentation.quads import links, surviving_quads
 
 
@@ -191,3 +191,41 @@ def test_near_pairs_reach_across_other_regions():
     labels = np.array([[0, 0, 1, 1, 2, -1, -1, 3]] * 4)
     assert {tuple(p) for p in dissolving.near_pairs(labels, 2)} == {(0, 1), (1, 2)}
     assert {tuple(p) for p in dissolving.near_pairs(labels, 3)} == {(0, 1), (1, 2), (0, 2), (2, 3)}
+
+
+def test_step_chi2_is_chi2_with_one_dof_and_sees_a_step_that_a_tilt_would_bridge():
+    rng, work = np.random.default_rng(11), np.empty(11)
+    values = []
+    for step in (0.0, 0.02):
+        for _ in range(300):
+            a, b = patch(rng, (0, 0, 0), 0.015), patch(rng, (1.0, 0, step), 0.015)
+            values.append(step_chi2(moments(a, 0.015**-2), moments(b, 0.015**-2), 0.0, work))
+    without, with_step = np.reshape(values, (2, 300))
+    assert without.mean() == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / 300))
+    information = 1.0 / (2 * 0.015**2 / 200 + 0.015**2 / (400 / 12))
+    assert with_step.mean() == pytest.approx(1.0 + 0.02**2 * information, rel=0.1)
+
+
+def test_step_chi2_grants_the_tolerance():
+    rng, work = np.random.default_rng(12), np.empty(11)
+    a, b = (moments(patch(rng, (x, 0, z), 1e-5), 1e10) for x, z in ((0, 0), (1.0, 0.02)))
+    assert step_chi2(a, b, 0.01**2, work) == pytest.approx(4.0, rel=0.01)
+
+
+def _cell(step, sigma, rng, size=32):
+    """Cells on a plane seen along beams slanted by 45 degrees, errors along the beams, with a step in the middle."""
+    i, j = np.mgrid[: 8 * size, :size]
+    points = np.stack((0.01 * i, 0.01 * j, np.where(j >= size // 2, step, 0.0)), axis=-1)
+    points += sigma * rng.standard_normal(i.shape)[..., None] * np.sqrt([0.0, 0.5, 0.5])
+    free, variance = np.ones(i.shape, dtype=bool), np.full((*i.shape, 1), sigma**2 / 2.0)
+    rows = cells.cell_moments(points, variance, free, size, 0.0)
+    planar = np.ones(rows.shape[:2], dtype=bool)
+    cells.reject_steps(planar, points, variance, rows, free, size, 0.0, chi2.isf(0.001 / 16, 1))
+    return planar
+
+
+def test_cells_with_a_step_of_the_noise_are_no_planes_and_slanted_beams_do_not_look_like_one():
+    rng = np.random.default_rng(13)
+    assert not _cell(0.03, 0.02, rng).any()
+    assert _cell(0.0, 0.02, rng).all()
+    assert _cell(0.0, 0.04, rng).all()
