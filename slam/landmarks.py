@@ -1,4 +1,4 @@
-"""The landmarks of the map: planes kept in the frame of the pose that first saw them, and what was seen of each."""
+"""The landmarks of the map: planes kept in the frame of an anchor pose, and what was seen of each."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class PlaneSlam:
     """Incremental plane-based SLAM on iSAM2.
 
     Poses are gtsam Pose3 variables under symbols x0, x1, ...; landmarks OrientedPlane3 under p0, p1, ..., each in the
-    frame of its anchor pose, the one that first saw it.
+    frame of its anchor pose: the one before the first that saw it, so that every factor has a native form.
 
     References:
         Weingarten, Gruener, Siegwart, ICRA 2004, for planes and their covariance; here the poses are unknown too.

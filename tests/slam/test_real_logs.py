@@ -38,7 +38,9 @@ def ends_of(slam: PlaneSlam, landmark_id: int) -> np.ndarray:
     return corners[[np.argmin(along), np.argmax(along)]]
 
 
-@pytest.mark.xfail(reason="the last corridor stays 0.3 m beside the first: its walls are taken for new ones")
+@pytest.mark.xfail(
+    strict=False, reason="the last corridor stays 0.3 m beside the first: its walls are taken for new ones"
+)
 def test_the_corridor_loop_closes(corridors):
     """The walls of the first corridor are matched again at the end, and no wall of the end stands a corridor beside."""
     again = [
