@@ -67,7 +67,8 @@ def associate(
     The chi2 is the factor's own: with A, b its whitened linearisation and P the joint marginal covariance of pose,
     anchors and landmarks, chi2 = r^T (A P A^T + I)^-1 r, r = b - A m. So the gate tests exactly what the graph will be
     told. The firmest observation is decided first, and mean m and covariance P are conditioned on every match before
-    the next is judged: what is accepted is jointly compatible, and each chi2 is an innovation of its own.
+    the next is judged: what is accepted is jointly compatible, and each chi2 is an innovation of its own. What could be
+    two landmarks, a wall or the notice-board on it, waits until all that is clear has been taken in.
 
     Returns:
         One decision for each observation, in their order.
@@ -77,12 +78,16 @@ def associate(
     shortlists = [_shortlist(observation, landmarks, world_T_body, spread, config) for observation in observations]
     state = _State(_joint_covariance(shortlists, pose_key, backend))
     decisions: dict[int, Decision] = {}
-    for index in sorted(range(len(observations)), key=lambda i: (-observations[i].n_points, i)):
-        innovations = _innovations(observations[index], shortlists[index], pose_key, state, backend)
-        decision = _decide(index, [innovation.candidate for innovation in innovations], config)
-        if decision.match is not None:
-            state.condition(next(i for i in innovations if i.candidate is decision.match))
-        decisions[index] = decision
+    firmest_first = sorted(range(len(observations)), key=lambda i: (-observations[i].n_points, i))
+    for waits in (_is_open, lambda decision, config: False):
+        for index in [index for index in firmest_first if index not in decisions]:
+            innovations = _innovations(observations[index], shortlists[index], pose_key, state, backend)
+            decision = _decide(index, [innovation.candidate for innovation in innovations], config)
+            if waits(decision, config):
+                continue
+            if decision.match is not None:
+                state.condition(next(i for i in innovations if i.candidate is decision.match))
+            decisions[index] = decision
     return [decisions[index] for index in range(len(observations))]
 
 
@@ -222,3 +227,16 @@ def _decide(index: int, candidates: list[Candidate], config: AssociationConfig) 
         return Decision(index, "match", best, tuple(candidates))
     near = any(candidate.p_value >= config.new_significance for candidate in candidates)
     return Decision(index, "unsure" if near else "new", None, tuple(candidates))
+
+
+def _is_open(decision: Decision, config: AssociationConfig) -> bool:
+    """Whether more knowledge of the pose could change the decision: unsure, or a match that has a rival."""
+    if decision.match is None:
+        return decision.verdict == "unsure"
+    least = decision.match.log_likelihood - config.rival_log_ratio
+    return any(
+        candidate is not decision.match
+        and candidate.p_value >= config.significance
+        and candidate.log_likelihood >= least
+        for candidate in decision.candidates
+    )

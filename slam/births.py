@@ -23,7 +23,8 @@ def may_start(observation: Observation, rules: LandmarkConfig) -> bool:
         return long_enough and observation.n_points >= rules.min_line_points
     plane = observation.full_plane(0.0)
     tilt = float(np.sqrt(np.linalg.eigvalsh(plane.covariance[1:, 1:])[-1]))
-    return observation.n_points >= rules.min_points and tilt <= rules.max_tilt_sigma_rad
+    large_enough = plane.outline is None or plane.outline.area >= rules.min_area_m2
+    return large_enough and observation.n_points >= rules.min_points and tilt <= rules.max_tilt_sigma_rad
 
 
 def group_births(

@@ -52,6 +52,8 @@ class AssociationConfig(_Frozen):
     """A measurement starts a landmark only when every candidate lies above this quantile; between, it is dropped."""
     chance_density: float = Field(default=1.0, gt=0)
     """Other planes per rad (for planes: rad^2) and m: a match must be likelier than one of them there by chance."""
+    rival_log_ratio: float = Field(default=4.6, ge=0)
+    """A match waits while another landmark is at most exp(this) times less likely: 100 to 1."""
     max_angle_rad: float = Field(default=0.35, gt=0)
     """Normals further apart than this, plus three sigma of the state, are not compared, rad."""
     gap_m: float = Field(default=1.5, ge=0)
@@ -63,6 +65,8 @@ class LandmarkConfig(_Frozen):
 
     min_points: int = Field(default=30, ge=3)
     """Points of a plane that starts a landmark: below, planes are mostly clutter."""
+    min_area_m2: float = Field(default=0.2, ge=0)
+    """Area of a plane that starts a landmark, m^2: the edge of a notice-board that a window cut is not the board."""
     max_tilt_sigma_rad: float = Field(default=0.1, gt=0)
     """Standard deviation of tilt, rad, above which a plane does not start a landmark: it could be anything."""
     min_line_points: int = Field(default=12, ge=3)
