@@ -6,14 +6,9 @@ import numpy as np
 
 from spplanes import Plane
 from spplanes._check import FloatArray
+from spplanes.spmodel import inverse_transform as inverse
 
-
-def inverse(transform: FloatArray) -> FloatArray:
-    """Inverse of a rigid transform (4, 4)."""
-    result = np.eye(4)
-    result[:3, :3] = transform[:3, :3].T
-    result[:3, 3] = -transform[:3, :3].T @ transform[:3, 3]
-    return result
+__all__ = ["covariance_in", "inverse", "lift", "settle_frame"]
 
 
 def lift(points: FloatArray, transform: FloatArray) -> FloatArray:
