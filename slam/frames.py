@@ -6,6 +6,7 @@ import numpy as np
 
 from spplanes import Plane
 from spplanes._check import FloatArray
+from spplanes._hesse import covariance_from_hesse
 from spplanes.spmodel import inverse_transform as inverse
 
 __all__ = ["covariance_in", "inverse", "lift", "settle_frame"]
@@ -35,6 +36,4 @@ def settle_frame(frame: FloatArray, normal: FloatArray, d: float) -> FloatArray:
 
 def covariance_in(plane: Plane, frame: FloatArray) -> FloatArray:
     """Covariance (3, 3) of (z, theta, psi) of a plane in another frame (4, 4) lying on it."""
-    x, y, origin = frame[:3, 0], frame[:3, 1], frame[:3, 3]
-    from_hesse = np.array([[*-origin, 1.0], [*x, 0.0], [*-y, 0.0]])
-    return from_hesse @ plane.hesse_covariance @ from_hesse.T
+    return covariance_from_hesse(frame, plane.hesse_covariance)
