@@ -28,7 +28,7 @@ def main(arguments: list[str]) -> int:
     if dev and not have_libusb():
         print("Open3D needs the system library libusb-1.0, which could not be installed here; its tests are skipped.")
         print("On Debian or Ubuntu: sudo apt-get install libusb-1.0-0")
-    pip_install(environment, f"-e{PROJECT}" + ("[open3d,dev]" if dev else ""))
+    pip_install(environment, f"-e{PROJECT}" + ("[dev]" if dev else ""))
     return 0
 
 

@@ -1,0 +1,63 @@
+"""The command line: thin; what a command needs is imported when it runs."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from slam.cli.missions import simulate
+from slam.cli.results import evaluate
+from slam.cli.runs import demo, map_, slam
+
+app = typer.Typer(
+    name="spplanes",
+    help="Planes with honest covariances, and plane-based SLAM on GTSAM.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point: 0 done, 2 bad input or usage in one sentence on stderr, 1 anything else."""
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    try:
+        app(args=list(arguments) if arguments is not None else None, prog_name="spplanes")
+    except ValueError as error:
+        _fail(error, 2)
+    except KeyboardInterrupt:
+        _fail("stopped", 1)
+    except Exception as error:  # the boundary: whatever it is, no traceback
+        _fail(f"unexpected {type(error).__name__}: {error}", 1)
+
+
+def _fail(error: object, code: int) -> None:
+    sentence = " ".join(str(error).split())
+    print(f"spplanes: {sentence}", file=sys.stderr)
+    sys.exit(code)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from spplanes._version import __version__
+
+        typer.echo(f"spplanes {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def group(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Planes with honest covariances, and plane-based SLAM on GTSAM."""
+
+
+for _command in (slam, demo, simulate, evaluate):
+    app.command()(_command)
+app.command(name="map")(map_)

@@ -1,0 +1,48 @@
+"""The options that commands share, and what they read before they work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+
+if TYPE_CHECKING:
+    from slam.config import SlamConfig
+    from slam.io.log import Log
+    from slam.rig import Rig
+    from slam.run import StageClock
+
+OutOption = Annotated[Path, typer.Option("--out", help="Folder for the results; must not exist.")]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace the folder if it exists.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the table as JSON.")]
+RigOption = Annotated[Path | None, typer.Option("--rig", help="rig.yaml; without it the log's own or a default.")]
+ConfigOption = Annotated[Path | None, typer.Option("--config", help="YAML with values that differ from the defaults.")]
+KeepPartialOption = Annotated[bool, typer.Option("--keep-partial", help="Use what precedes a cut in the log.")]
+
+
+class Job(NamedTuple):
+    """What a command works on."""
+
+    log: Log
+    rig: Rig
+    config: SlamConfig
+    clock: StageClock
+
+
+def open_job(
+    log: Path, out: Path, *, rig: Path | None, config: Path | None, overwrite: bool, keep_partial: bool
+) -> Job:
+    """Read all that a command is given; whatever is wrong is said before any work is done."""
+    from slam.config import SlamConfig
+    from slam.export import check_free
+    from slam.io.load import load
+    from slam.rig import Rig
+    from slam.run import StageClock
+
+    check_free(out, overwrite=overwrite)
+    settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
+    clock = StageClock()
+    with clock.stage("read"):
+        read, sensors = load(log, None if rig is None else Rig.from_yaml(rig), keep_partial=keep_partial)
+    return Job(read, sensors, settings, clock)

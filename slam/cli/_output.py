@@ -1,0 +1,54 @@
+"""What every command prints: progress, tables, warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from slam.evaluation.metrics import Metric
+
+
+@contextmanager
+def progress_bar(name: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar on stderr, where stderr is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task(name, total=None)
+        yield lambda done, total: bars.update(task, completed=done, total=total)
+
+
+def show(title: str, rows: Sequence[Metric], as_json: bool) -> None:
+    """Print a table of metric, value, unit; or the same as JSON."""
+    if as_json:
+        import json
+
+        from slam.export import as_json as rows_as_json
+
+        print(json.dumps(rows_as_json(rows), indent=1))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    from slam.report import format_value
+
+    table = Table(title=title, title_justify="left")
+    table.add_column("metric")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    for row in rows:
+        table.add_row(row.name, format_value(row.value), row.unit)
+    Console().print(table)
+
+
+def warn_of(sentences: Sequence[str]) -> None:
+    """One line each on stderr."""
+    for sentence in sentences:
+        typer.echo(f"warning: {sentence}", err=True)

@@ -1,0 +1,29 @@
+"""The command that makes data: simulate."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from slam.cli._job import OutOption, OverwriteOption
+
+
+def simulate(
+    world: Annotated[str, typer.Argument(help="World to drive through, such as corridor.")],
+    out: OutOption,
+    scans: Annotated[
+        int | None, typer.Option("--scans", min=2, help="Push-broom scans; default: the whole world.")
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of all noise.")] = 0,
+    laps: Annotated[int, typer.Option("--laps", min=1, help="Times round a world that is a loop.")] = 1,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Write a simulated mission: log, rig.yaml and the truth."""
+    from slam.export import check_free, new_folder
+    from slam.simulation import simulate_mission
+
+    check_free(out, overwrite=overwrite)
+    mission = simulate_mission(world, n_scans=scans, seed=seed, laps=laps)
+    with new_folder(out, overwrite=overwrite) as folder:
+        mission.save(folder)
