@@ -139,6 +139,11 @@ class JointCovariance:
         return self._full[np.ix_(columns, columns)]
 
 
+def pose_symbol(index: int) -> int:
+    """GTSAM key of the pose of a keyframe."""
+    return gtsam.symbol("x", index)
+
+
 def _is_pose(key: int) -> bool:
     return gtsam.Symbol(key).chr() == ord("x")
 

@@ -2,48 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import MutableSequence, Sequence
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from shapely.geometry.base import BaseGeometry
 
-from factors import plane_factor, plane_landmark, pose_prior, world_plane_from_joint
+from factors import pose_prior
 from slam.association import Decision, associate
 from slam.audit import NisAudit
-from slam.backend import Backend
-from slam.births import group_births
+from slam.backend import Backend, pose_symbol
 from slam.calibration import WheelCalibration, motion_covariance
 from slam.config import SlamConfig
-from slam.frames import covariance_in, inverse
+from slam.frames import inverse
 from slam.io.trajectories import Trajectory
 from slam.keyframes import Keyframe
-from slam.landmarks import Landmark, LandmarkMap, Sighting, observe
+from slam.landmarks import LandmarkMap, Sighting
 from slam.loops import LoopDecision, Path, disjoint, find_loop
-from slam.observations import Observation
+from slam.map_planes import MapPlane, map_plane
+from slam.merging import absorb
 from slam.odometry import Motion
-from slam.outlines import largest_polygon
+from slam.recorder import Recorder
+from slam.sights import birth_sights, matched_sights
 from slam.twins import find_twins
-from spplanes import Plane
 from spplanes._check import FloatArray
 
-
-@dataclass(frozen=True, eq=False)
-class MapPlane:
-    """A landmark of the finished map, in the world."""
-
-    id: int
-    """The landmark's number."""
-    plane: Plane
-    """Its plane in the world; covariance from the joint marginal of anchor pose and landmark."""
-    seen: BaseGeometry
-    """All that was seen of it, in (x, y) of the plane's frame: polygons, and segments where only lines were seen."""
-    observations: int
-    """Number of keyframes that saw it."""
-    kinds: tuple[str, ...]
-    """Factor types that saw it, in alphabetical order."""
+__all__ = ["KeyframeReport", "MapPlane", "PlaneSlam", "pose_symbol"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,17 +42,6 @@ class KeyframeReport:
     """One for every observation of the keyframe, in their order."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Sight:
-    """An observation on its way into the graph."""
-
-    landmark: Landmark
-    observation: Observation
-    number: int
-    factor: Any
-    plane_T_body: FloatArray
-
-
 class PlaneSlam:
     """Incremental plane-based SLAM on iSAM2.
 
@@ -79,12 +52,13 @@ class PlaneSlam:
         Weingarten, Gruener, Siegwart, ICRA 2004, for planes and their covariance; here the poses are unknown too.
     """
 
-    def __init__(self, config: SlamConfig | None = None) -> None:
+    def __init__(self, config: SlamConfig | None = None, *, recorder: Recorder | None = None) -> None:
         self.config = config or SlamConfig()
         self.backend = Backend(self.config.backend)
         self.landmarks = LandmarkMap()
         self.audit = NisAudit()
-        self.keyframes: list[Keyframe] = []
+        self.recorder = recorder or Recorder()
+        self.keyframes: MutableSequence[Keyframe] = self.recorder.keyframes()
         self.decisions: list[list[Decision]] = []
         self.merges: list[tuple[int, int, int]] = []
         self.loops: list[LoopDecision] = []
@@ -99,9 +73,11 @@ class PlaneSlam:
             ValueError: the keyframe is not later than the last one, or lacks the motion that leads to it.
         """
         self._check_order(keyframe)
+        keyframe = self.recorder.measured(len(self.keyframes), keyframe)
         pose_key = self._predict(keyframe)
         decisions = associate(keyframe.observations, pose_key, self.landmarks, self.backend, self.config.association)
         self.audit.add(len(self.keyframes), (seen.kind for seen in keyframe.observations), decisions)
+        self.recorder.decided(len(self.keyframes), decisions)
         touched = self._update(keyframe, pose_key, decisions)
         self._remember(keyframe, decisions)
         self._learn()
@@ -121,7 +97,11 @@ class PlaneSlam:
     def planes(self) -> list[MapPlane]:
         """The map: landmarks seen often enough, in the world, with covariance and outline, in order of birth."""
         wanted = self.config.landmarks.min_observations
-        return [self._map_plane(landmark) for landmark in self.landmarks if landmark.n_keyframes >= wanted]
+        return [
+            map_plane(landmark, self.landmarks, self.backend)
+            for landmark in self.landmarks
+            if landmark.n_keyframes >= wanted
+        ]
 
     def marginal_covariance(self, key: int) -> FloatArray:
         """Marginal covariance of a variable, in its GTSAM tangent order: (rx, ry, rz, x, y, z) for a pose."""
@@ -159,9 +139,12 @@ class PlaneSlam:
 
     def _update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> set[int]:
         """Add the factors of matches and of new landmarks, then count what was seen; the ids of those landmarks."""
-        sights = self._matched(keyframe, pose_key, decisions)
-        initial = gtsam.Values()
-        sights += self._births(keyframe, pose_key, decisions, initial)
+        seen, initial = keyframe.observations, gtsam.Values()
+        anchor_key = pose_symbol(max(len(self.keyframes) - 1, 0))
+        sights = matched_sights(seen, pose_key, decisions, self.landmarks, self.backend, self.config)
+        sights += birth_sights(
+            seen, (anchor_key, pose_key), decisions, self.landmarks, self.backend, self.config, initial
+        )
         if not sights:
             return set()
         indices = self.backend.update([sight.factor for sight in sights], initial, relinearize=True)
@@ -183,9 +166,7 @@ class PlaneSlam:
         """Join landmarks that are one plane: the younger's factors are re-keyed to the older, inside iSAM2."""
         needed, association = self.config.landmarks.min_observations, self.config.association
         for older, younger in find_twins(touched, self.landmarks, self.backend, association, min_keyframes=needed):
-            self._absorb(self.landmarks[older], self.landmarks.remove(younger))
-            self.merges.append((len(self.keyframes) - 1, older, younger))
-            self.landmarks.refresh(self.backend)
+            self._merge(older, younger)
 
     def _close_loops(self) -> None:
         """Every metre or so: is what is seen now a place of long ago? Then its walls are joined with those of then."""
@@ -200,82 +181,18 @@ class PlaneSlam:
             return
         touched: set[int] = set()
         for older, younger in disjoint(decisions[-1].pairs):
-            self._absorb(self.landmarks[older], self.landmarks.remove(younger))
-            self.merges.append((len(self.keyframes) - 1, older, younger))
+            self._merge(older, younger)
             touched.add(older)
-            self.landmarks.refresh(self.backend)
         self._merge_twins(touched)
 
-    def _absorb(self, older: Landmark, younger: Landmark) -> None:
-        factors = []
-        for sighting in younger.sightings:
-            observation = self.keyframes[sighting.keyframe].observations[sighting.observation]
-            pose_key = pose_symbol(sighting.keyframe)
-            factors.append(observe(observation, pose_key, older, self.backend, self.config.backend.robust))
-        gone = [sighting.factor_index for sighting in younger.sightings]
-        indices = self.backend.update(factors, gtsam.Values(), remove=gone, relinearize=True)
-        older_T_world = inverse(self.landmarks.placed(older.id).world_T_plane)
-        for sighting, factor_index in zip(younger.sightings, indices, strict=True):
-            observation = self.keyframes[sighting.keyframe].observations[sighting.observation]
-            plane_T_body = older_T_world @ self.backend.pose(pose_symbol(sighting.keyframe))
-            self.landmarks.see(older, observation, replace(sighting, factor_index=factor_index), plane_T_body)
-
-    def _matched(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> list[_Sight]:
-        """Factors of the observations that were matched to a landmark."""
-        sights = []
-        for decision in decisions:
-            if decision.match is None:
-                continue
-            observation = keyframe.observations[decision.observation]
-            landmark = self.landmarks[decision.match.landmark]
-            factor = observe(observation, pose_key, landmark, self.backend, self.config.backend.robust)
-            plane_T_body = inverse(self.landmarks.placed(landmark.id).world_T_plane) @ self.backend.pose(pose_key)
-            sights.append(_Sight(landmark, observation, decision.observation, factor, plane_T_body))
-        return sights
-
-    def _births(
-        self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision], initial: gtsam.Values
-    ) -> list[_Sight]:
-        """Landmarks of what no landmark explains, each with every observation of this keyframe that is its plane."""
-        numbers = [decision.observation for decision in decisions if decision.verdict == "new"]
-        observations = [keyframe.observations[number] for number in numbers]
-        # the pose before as anchor: of its own pose, a landmark's first factor would be custom, thus slow
-        anchor_key = pose_symbol(max(len(self.keyframes) - 1, 0))
-        anchor_T_body = inverse(self.backend.pose(anchor_key)) @ self.backend.pose(pose_key)
-        sights = []
-        for group in group_births(observations, self.config.landmarks, self.config.association):
-            plane = observations[group[0]].full_plane(self.config.landmarks.wall_tilt_sigma_rad)
-            anchored = plane.transform(anchor_T_body)
-            plane_T_body = inverse(anchored.frame) @ anchor_T_body
-            landmark = self.landmarks.birth(observations[group[0]], anchor_key, anchored.frame, plane_T_body)
-            initial.insert(landmark.key, plane_landmark(anchored))
-            factor = plane_factor(plane, pose_key, landmark.key, anchor_key=anchor_key)
-            sights.append(_Sight(landmark, observations[group[0]], numbers[group[0]], factor, plane_T_body))
-            for member in group[1:]:
-                observation, robust = observations[member], self.config.backend.robust
-                factor = observation.factor(pose_key, landmark.key, anchor_key, robust, plane_landmark(plane))
-                sights.append(_Sight(landmark, observation, numbers[member], factor, plane_T_body))
-        return sights
+    def _merge(self, older: int, younger: int) -> None:
+        """Make two landmarks one, and remember it."""
+        robust = self.config.backend.robust
+        gone = self.landmarks.remove(younger)
+        absorb(self.landmarks[older], gone, self.keyframes, self.landmarks, self.backend, robust)
+        self.merges.append((len(self.keyframes) - 1, older, younger))
+        self.landmarks.refresh(self.backend)
 
     def _remember(self, keyframe: Keyframe, decisions: list[Decision]) -> None:
         self.keyframes.append(keyframe)
         self.decisions.append(decisions)
-
-    def _map_plane(self, landmark: Landmark) -> MapPlane:
-        keys = [landmark.anchor_key, landmark.key]
-        frame = self.landmarks.placed(landmark.id).world_T_plane
-        plane = world_plane_from_joint(
-            self.backend.plane(landmark.key),
-            gtsam.Pose3(self.backend.pose(landmark.anchor_key)),
-            self.backend.joint_covariance(keys).of(keys),
-            centre=frame[:3, 3],
-        )
-        polygon = largest_polygon(landmark.outline)
-        plane = Plane(frame, covariance_in(plane, frame), landmark.n_points, polygon)
-        kinds = tuple(sorted({sighting.kind for sighting in landmark.sightings}))
-        return MapPlane(landmark.id, plane, landmark.outline, landmark.n_keyframes, kinds)
-
-
-def pose_symbol(index: int) -> int:
-    """GTSAM key of the pose of a keyframe."""
-    return gtsam.symbol("x", index)
