@@ -31,23 +31,26 @@ class Keyframe:
     """Where the first pose is, shape (4, 4); None: at the origin."""
     notes: tuple[str, ...] = field(default=())
     """What could not be used, one sentence each."""
+    scans: tuple[LaserScan | CloudScan, ...] = field(default=())
+    """The raw scans it was measured from; the estimator does without them."""
 
 
-def keyframes_of(log: Log, rig: Rig, config: SlamConfig) -> Iterator[Keyframe]:
+def keyframes_of(log: Log, rig: Rig, config: SlamConfig, start: int = 0) -> Iterator[Keyframe]:
     """Cut a log into keyframes, in time order.
 
     Every 3D scan is a keyframe by itself. Without 3D scans, keyframes lie on scans of the line lasers (or of the
     push-broom lasers, if there are no others) by distance and angle of the odometry; the push-broom scans nearest to a
-    keyframe are its window, so that each of them is used once.
+    keyframe are its window, so that each of them is used once. The first `start` keyframes are left out unmeasured:
+    those a session has already.
 
     Raises:
         LogError: no scan of a sensor that the rig knows, or no odometry where it is needed.
     """
     clouds = [scan for scan in log.scans() if isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud")]
     if clouds:
-        yield from _cloud_keyframes(log, clouds, rig, config)
+        yield from _cloud_keyframes(log, clouds, rig, config, start)
     else:
-        yield from _laser_keyframes(log, rig, config)
+        yield from _laser_keyframes(log, rig, config, start)
 
 
 def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
@@ -56,40 +59,45 @@ def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
     return len(clouds) if clouds else len(_choose_stamps(log, rig, config.keyframes))
 
 
-def _cloud_keyframes(log: Log, clouds: Sequence[CloudScan], rig: Rig, config: SlamConfig) -> Iterator[Keyframe]:
+def _cloud_keyframes(
+    log: Log, clouds: Sequence[CloudScan], rig: Rig, config: SlamConfig, start: int
+) -> Iterator[Keyframe]:
     track = _track_of(log, rig)
-    previous: CloudScan | None = None
-    for scan in clouds:
+    previous = clouds[start - 1] if start else None
+    for scan in clouds[start:]:
         observations = planes_of_cloud(scan, rig.sensors[scan.sensor], config)
         motion = None if previous is None else track.motion(previous.stamp_ns, scan.stamp_ns)
-        yield Keyframe(scan.stamp_ns, observations, motion)
+        yield Keyframe(scan.stamp_ns, observations, motion, scans=(scan,))
         previous = scan
 
 
-def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig) -> Iterator[Keyframe]:
+def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int) -> Iterator[Keyframe]:
     track = _track_of(log, rig)
     stamps = _choose_stamps(log, rig, config.keyframes)
     lines = _scans_of(log, rig, "line")
     slices = _scans_of(log, rig, "slice")
     line_home = _nearest(stamps, [scan.stamp_ns for scan in lines])
     slice_home = _nearest(stamps, [scan.stamp_ns for scan in slices])
-    for index, stamp in enumerate(stamps):
+    for index, stamp in enumerate(stamps[start:], start):
         motion = None if index == 0 else track.motion(stamps[index - 1], stamp)
         observations: list[Observation] = []
+        scans: list[LaserScan] = []
         for name, sensor in rig.of_kind("slice").items():
             window = [s for s, home in zip(slices, slice_home, strict=True) if home == index and s.sensor == name]
             if window:
+                scans += window
                 observations += planes_of_window(window, stamp, sensor, track, config)
         for name, sensor in rig.of_kind("line").items():
             near = [s for s, home in zip(lines, line_home, strict=True) if home == index and s.sensor == name]
             if near:
                 scan = min(near, key=lambda s: abs(s.stamp_ns - stamp))
+                scans.append(scan)
                 kf_T_body = inverse(track.poses_at([stamp])[0]) @ track.poses_at([scan.stamp_ns])[0]
                 observations += [
                     on_real_wall(line, sensor.surface_sigma_m, sensor.surface_correlation_m)
                     for line in lines_of_scan(scan, sensor, kf_T_body, config.lines)
                 ]
-        yield Keyframe(stamp, observations, motion)
+        yield Keyframe(stamp, observations, motion, scans=tuple(scans))
 
 
 def _choose_stamps(log: Log, rig: Rig, config: KeyframeConfig) -> list[int]:
