@@ -28,7 +28,7 @@ def read_rows(
     stamps: list[list[int]] = []
     rows: list[list[float]] = []
     lines: list[int] = []
-    for number, words in _numbered_words(path):
+    for number, words in numbered_words(path):
         if len(words) != columns:
             raise LogError(path, f"expected {columns} numbers, got {len(words)} words", line=number)
         try:
@@ -44,7 +44,12 @@ def read_rows(
     return stamps, rows, lines
 
 
-def _numbered_words(path: Path) -> list[tuple[int, list[str]]]:
+def numbered_words(path: Path) -> list[tuple[int, list[str]]]:
+    """Line number and words of every line that is neither empty nor a `#` comment; plain text or gzip.
+
+    Raises:
+        LogError: the file cannot be read, a line is too long, or the gzip stream breaks off.
+    """
     found, number = [], 0
     try:
         with path.open("rb") as probe:
