@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from slam.io.carmen import read_carmen
+from slam.io.folders import SENSOR as CLOUD_SENSOR
+from slam.io.folders import has_clouds, read_cloud_folder
 from slam.io.log import Log, LogError
 from slam.io.threedtk import SENSOR, is_3dtk_folder, read_3dtk
 from slam.motion import OdometryNoise
@@ -18,11 +20,11 @@ _MISSION_LOGS = ("log.clf.gz", "log.clf")
 def load(path: Path, rig: Rig | None = None, *, keep_partial: bool = False) -> tuple[Log, Rig]:
     """Read a log of any known kind.
 
-    Known are folders of 3DTK scans, folders made by `spplanes simulate` (log.clf.gz beside rig.yaml), and CARMEN logs,
-    plain or gzip.
+    Known are folders of 3DTK scans, folders of clouds (see `slam.io.folders`), folders made by `spplanes simulate`
+    (log.clf.gz beside rig.yaml), and CARMEN logs, plain or gzip.
 
     Returns:
-        The log, and the rig: the one given, the one in the mission's folder, or a default for the kind of log.
+        The log, and the rig: the one given, the one in the folder, or a default for the kind of log.
 
     Raises:
         LogError: nothing there, or nothing known; or what the reader of its kind says.
@@ -32,15 +34,55 @@ def load(path: Path, rig: Rig | None = None, *, keep_partial: bool = False) -> t
         raise LogError(path, "expected a log file or a folder of scans, found nothing")
     if is_3dtk_folder(path):
         return read_3dtk(path), rig or threedtk_rig()
+    if has_clouds(path):
+        return _load_clouds(path, rig)
     if path.is_dir():
         inside = next((path / name for name in _MISSION_LOGS if (path / name).is_file()), None)
         if inside is None:
-            raise LogError(path, "expected a folder with scanNNN.3d files or with log.clf.gz, found neither")
+            raise LogError(
+                path, "expected a folder with clouds, with scanNNN.3d files or with log.clf.gz, found none of them"
+            )
         if rig is None and (path / RIG_FILE).is_file():
             rig = Rig.from_yaml(path / RIG_FILE)
         path = inside
     log = read_carmen(path, rig=rig, keep_partial=keep_partial)
     return log, rig or default_rig_for(log)
+
+
+def _load_clouds(folder: Path, rig: Rig | None) -> tuple[Log, Rig]:
+    if rig is None and (folder / RIG_FILE).is_file():
+        rig = Rig.from_yaml(folder / RIG_FILE)
+    if rig is None:
+        return read_cloud_folder(folder), cloud_rig()
+    names = list(rig.of_kind("cloud"))
+    if len(names) != 1:
+        raise LogError(folder, f"expected a rig with one sensor of kind cloud for these clouds, got {len(names)}")
+    return read_cloud_folder(folder, sensor=names[0]), rig
+
+
+def cloud_rig() -> Rig:
+    """A rig for clouds nobody describes: a 3D scanner at the body's origin, and odometry that knows little.
+
+    Points of real scanners scatter by 10 to 20 mm about the planes of halls and rooms, and their surfaces are not flat
+    to less than that; below half a metre there is the robot.
+    """
+    scanner = Sensor(
+        kind="cloud",
+        range_sigma_m=0.02,
+        range_min_m=0.5,
+        range_max_m=200.0,
+        surface_sigma_m=0.02,
+        surface_correlation_m=0.5,
+    )
+    odometry = OdometryNoise(
+        along_sigma_m_per_sqrt_m=0.1,
+        lateral_sigma_m_per_sqrt_m=0.1,
+        heading_sigma_rad_per_sqrt_m=0.02,
+        z_sigma_m=0.05,
+        pitch_sigma_rad=0.02,
+        roll_sigma_rad=0.02,
+    )
+    return Rig(sensors={CLOUD_SENSOR: scanner}, odometry=odometry)
 
 
 def threedtk_rig() -> Rig:

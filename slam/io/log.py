@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -45,6 +46,28 @@ class CloudScan:
     """Name of the sensor in the rig."""
     points: FloatArray
     """Organised, shape (S, B, 3), or unorganised, shape (N, 3), m; NaN = no return."""
+    world_T_body: FloatArray | None = None
+    """Pose of the robot that comes with the scan, shape (4, 4); None: none does."""
+
+
+class StoredCloud(CloudScan):
+    """A 3D scan that stays in its file until its points are asked for: long logs need not fit into memory."""
+
+    def __init__(
+        self, stamp_ns: int, sensor: str, read: Callable[[], FloatArray], world_T_body: FloatArray | None = None
+    ) -> None:
+        for name, value in (
+            ("stamp_ns", stamp_ns),
+            ("sensor", sensor),
+            ("world_T_body", world_T_body),
+            ("_read", read),
+        ):
+            object.__setattr__(self, name, value)
+
+    @property
+    def points(self) -> FloatArray:  # type: ignore[override]  # a field there, read each time here
+        """Organised, shape (S, B, 3), m; NaN = no return. Raises `LogError` where the file is damaged."""
+        return self._read()  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True, eq=False)

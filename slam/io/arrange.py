@@ -1,0 +1,133 @@
+"""Clouds without order become grids: the lines they were recorded in, or the rings of a spinning lidar.
+
+A file keeps the order in which the sensor measured, or it does not. Where the direction of the beam runs along a line
+and jumps back to start the next (a nodding or turning 2D laser, a spinning lidar written column by column), the lines
+are the rows. Else the cloud is seen as a range image round its sensor, with as many rows as there are rings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from spplanes._check import FloatArray
+
+#: A new line starts where the beam turns by at least this much from one point to the next, rad ...
+_JUMP_RAD = 0.35
+#: ... and by at least as many of the usual steps.
+_JUMP_STEPS = 10.0
+#: Lines are believed when there are this many at least, of this many points (median), and no line is much longer.
+_MIN_LINES, _MIN_BEAMS, _LONGEST = 8, 8, 1.6
+#: Rows and columns, in a whole turn, of the range images that are tried.
+_ROWS = (16, 32, 40, 48, 64, 80, 96, 128, 192, 256, 384, 512)
+_COLUMNS = (180, 256, 360, 512, 720, 900, 1024, 1440, 1800, 2048, 3600, 4096)
+#: The longest row of a grid made of lines.
+_LARGEST = 4096
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Shape of the range image of a sensor."""
+
+    rows: int
+    """Steps of elevation: rings."""
+    columns: int
+    """Steps of azimuth in a whole turn."""
+
+
+def arrange(points: FloatArray, grid: Grid | None = None) -> FloatArray:
+    """Points (N, 3) round their sensor as a grid (S, B, 3), NaN = no return; grids that are given stay as they are.
+
+    Args:
+        points: shape (N, 3) or (S, B, 3), m, in the sensor's frame.
+        grid: shape of the range image; None: lines where the order shows them, else found in the points.
+    """
+    if points.ndim == 3:
+        return points
+    used = points[np.isfinite(points).all(axis=1)]
+    used = used[(used != 0.0).any(axis=1)]
+    lines = _lines_of(used) if grid is None else None
+    return range_image(used, grid) if lines is None else lines
+
+
+def range_image(points: FloatArray, grid: Grid | None = None) -> FloatArray:
+    """Points (N, 3) as seen from the sensor, shape (rows, columns, 3): highest row first; of two in a cell the nearer.
+
+    Without a shape the one is taken that spreads the points best: the most cells with a point in them (few points hide
+    behind others), as few without (neighbours stay neighbours). For a spinning lidar that is its rings and its steps.
+    """
+    elevation, azimuth = _angles(points)
+    grid = grid or _best_grid(elevation, azimuth)
+    row, column = _row(elevation, grid.rows), _column(azimuth, grid.columns)
+    image = np.full((grid.rows, grid.columns, 3), np.nan)
+    far_first = np.argsort(-np.einsum("ij,ij->i", points, points), kind="stable")
+    image[row[far_first], column[far_first]] = points[far_first]
+    return image
+
+
+def _best_grid(elevation: FloatArray, azimuth: FloatArray) -> Grid:
+    best, most = Grid(_ROWS[0], _COLUMNS[0]), 0.0
+    columns = [(count, _column(azimuth, count)) for count in _COLUMNS]
+    for rows in _ROWS:
+        row = _row(elevation, rows)
+        for count, column in columns:
+            occupied = np.count_nonzero(np.bincount(row * count + column))
+            if occupied**2 / (rows * count) > most:
+                best, most = Grid(rows, count), occupied**2 / (rows * count)
+    return best
+
+
+def _row(elevation: FloatArray, rows: int) -> np.ndarray:
+    """The highest and the lowest lie in the middle of the first row and the last."""
+    span = max(float(np.ptp(elevation)), 1e-9)
+    return np.rint((elevation.max() - elevation) / span * (rows - 1)).astype(np.int64)
+
+
+def _column(azimuth: FloatArray, columns: int) -> np.ndarray:
+    """Columns are turned so that the beams, if there are as many of them, lie in the middle of theirs."""
+    steps = azimuth * (columns / (2.0 * np.pi))
+    phase = float(np.angle(np.exp(2j * np.pi * steps).mean())) / (2.0 * np.pi)
+    return np.rint(steps - phase).astype(np.int64) % columns
+
+
+def _angles(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Elevation and azimuth, shape (N,) each, rad."""
+    return np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])), np.arctan2(points[:, 1], points[:, 0])
+
+
+def _lines_of(points: FloatArray) -> FloatArray | None:
+    """The lines that the order of the points shows, shape (S, B, 3); None where it shows none."""
+    if len(points) < _MIN_LINES * _MIN_BEAMS:
+        return None
+    rays = points / np.linalg.norm(points, axis=1, keepdims=True)
+    turn = np.arccos(np.clip(np.einsum("ij,ij->i", rays[1:], rays[:-1]), -1.0, 1.0))
+    usual = float(np.median(turn))
+    starts = np.concatenate(([0], np.flatnonzero(turn > max(_JUMP_RAD, _JUMP_STEPS * usual)) + 1, [len(points)]))
+    lengths = np.diff(starts)
+    if len(lengths) < _MIN_LINES or np.median(lengths) < _MIN_BEAMS or lengths.max() > _LONGEST * np.median(lengths):
+        return None
+    lines = [points[a:b] for a, b in pairwise(starts)]
+    lines = [line for k, line in enumerate(lines) if k == 0 or not np.array_equal(line, lines[k - 1])]
+    return _stacked(lines)
+
+
+def _stacked(lines: list[FloatArray]) -> FloatArray | None:
+    """Lines as rows: a beam's column is its angle along the lines; None where the angles do not run one way."""
+    angles = [_angles(line) for line in lines]
+    spans = np.median([[np.ptp(elevation), np.ptp(azimuth)] for elevation, azimuth in angles], axis=0)
+    along = [pair[int(spans[1] > spans[0])] for pair in angles]
+    steps = np.concatenate([np.diff(angle) for angle in along])
+    step = float(np.median(steps))
+    if step == 0.0 or np.mean(steps * step > 0.0) < 0.9:
+        return None
+    first = min((angle[0] for angle in along), key=lambda value: value * np.sign(step))
+    columns = [np.rint((angle - first) / step).astype(np.int64) for angle in along]
+    width = max(int(column.max()) for column in columns) + 1
+    if min(int(column.min()) for column in columns) < 0 or width > _LARGEST:
+        return None
+    grid = np.full((len(lines), width, 3), np.nan)
+    for row, (column, line) in enumerate(zip(columns, lines, strict=True)):
+        grid[row, column] = line
+    return grid

@@ -1,0 +1,38 @@
+"""What every reader of clouds returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slam.io.log import LogError
+from spplanes._check import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points as one sensor saw them from one place, or a cloud of any other origin."""
+
+    points: FloatArray
+    """Organised, shape (S, B, 3), or in the order of the file, shape (N, 3), in the sensor's frame, m; NaN = no return.
+    """
+    world_T_sensor: FloatArray | None = None
+    """Where the file says the sensor was, shape (4, 4); None: it does not."""
+
+    @property
+    def flat(self) -> FloatArray:
+        """The returns, shape (N, 3), m: NaN left out."""
+        points = self.points.reshape(-1, 3)
+        return points[np.isfinite(points).all(axis=1)]
+
+
+def checked(path: Path, points: FloatArray, world_T_sensor: FloatArray | None = None) -> Cloud:
+    """A cloud with NaN for every point that is not finite as a whole; a `LogError` where no return is left."""
+    finite = np.isfinite(points).all(axis=-1)
+    if not finite.any():
+        raise LogError(path, "expected at least one point, got none" + (" that is finite" if finite.size else ""))
+    if not finite.all():
+        points = np.where(finite[..., None], points, np.nan)
+    return Cloud(np.ascontiguousarray(points, dtype=np.float64), world_T_sensor)

@@ -1,0 +1,218 @@
+"""Reader of PCD (Point Cloud Library): ascii, binary and binary_compressed, organised or not, any order of fields."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slam.io.clouds._files import check_room, file_size, read_bytes, text_rows
+from slam.io.clouds.cloud import Cloud, checked
+from slam.io.clouds.lzf import lzf_decompress
+from slam.io.log import LogError
+from spplanes._check import FloatArray
+
+#: A header may be this long, bytes.
+LONGEST_HEADER = 1 << 16
+_TYPES = {"F4": "<f4", "F8": "<f8"} | {f"{kind}{n}": f"<{kind.lower()}{n}" for kind in "IU" for n in (1, 2, 4, 8)}
+_KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+
+
+@dataclass(frozen=True, eq=False)
+class Header:
+    """What a PCD file says about itself."""
+
+    dtype: np.dtype
+    """One point, packed: the fields in their order, each (count,)."""
+    width: int
+    """Points in a row."""
+    height: int
+    """Rows; 1: not organised."""
+    viewpoint: FloatArray
+    """Position and quaternion (w, x, y, z) of the sensor in the frame of the points, shape (7,)."""
+    data: str
+    """ascii, binary or binary_compressed."""
+    start: int
+    """Where the data begin, bytes."""
+    line: int
+    """Number of the line after the header."""
+
+    @property
+    def n_points(self) -> int:
+        """Points in the file."""
+        return self.width * self.height
+
+
+def read_pcd(path: Path) -> Cloud:
+    """Read a PCD file; other fields than x, y and z are left out.
+
+    A VIEWPOINT that is not the identity is where the sensor was in the frame of the points: the points go into the
+    sensor's frame and it becomes `world_T_sensor`.
+
+    Raises:
+        LogError: one sentence with file, and line where there is one: a header that is none, no x y z, data that are
+            cut off, damaged, or fewer than declared (seen before memory is taken for them), no point at all.
+    """
+    header = read_header(path)
+    points = _points_of(path, header)
+    if header.height > 1:
+        points = points.reshape(header.height, header.width, 3)
+    pose = _pose_of(header.viewpoint)
+    if pose is None:
+        return checked(path, points)
+    return checked(path, (points - pose[:3, 3]) @ pose[:3, :3], pose)
+
+
+def read_header(path: Path) -> Header:
+    """Read and check the header; the data are only weighed."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(LONGEST_HEADER)
+    except OSError as error:
+        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
+    entries, start, line = _entries(path, head)
+    fields = _required(path, entries, "FIELDS")
+    counts = _whole(path, entries, "COUNT", len(fields)) if "COUNT" in entries else [1] * len(fields)
+    sizes, types = _whole(path, entries, "SIZE", len(fields)), _required(path, entries, "TYPE")
+    if len(types) != len(fields):
+        raise LogError(path, f"expected {len(fields)} entries in TYPE, got {len(types)}")
+    header = Header(
+        dtype=_dtype(path, fields, sizes, types, counts),
+        width=_whole(path, entries, "WIDTH", 1)[0],
+        height=_whole(path, entries, "HEIGHT", 1)[0],
+        viewpoint=_viewpoint(path, entries.get("VIEWPOINT")),
+        data=_required(path, entries, "DATA")[0].lower(),
+        start=start,
+        line=line,
+    )
+    declared = _whole(path, entries, "POINTS", 1)[0] if "POINTS" in entries else header.n_points
+    if declared != header.n_points:
+        raise LogError(path, f"expected WIDTH x HEIGHT = {header.n_points} points, got POINTS {declared}")
+    if header.data not in ("ascii", "binary", "binary_compressed"):
+        raise LogError(path, f"expected DATA ascii, binary or binary_compressed, got {header.data[:20]!r}")
+    _weigh(path, header)
+    return header
+
+
+def _entries(path: Path, head: bytes) -> tuple[dict[str, list[str]], int, int]:
+    """Words of every header line by their key, where the data begin, and in which line."""
+    entries: dict[str, list[str]] = {}
+    start = 0
+    for number, raw in enumerate(head.split(b"\n"), start=1):
+        start += len(raw) + 1
+        words = raw.decode("ascii", errors="replace").split()
+        if not words or words[0].startswith("#"):
+            continue
+        if words[0] not in _KEYS or len(words) < 2:
+            raise LogError(path, f"expected a line of a PCD header, got {' '.join(words)[:40]!r}", line=number)
+        entries[words[0]] = words[1:]
+        if words[0] == "DATA":
+            return entries, start, number + 1
+    raise LogError(path, "expected a PCD header that ends with DATA, found no such line")
+
+
+def _required(path: Path, entries: dict[str, list[str]], key: str) -> list[str]:
+    if key not in entries:
+        raise LogError(path, f"expected {key} in the PCD header, found no such line")
+    return entries[key]
+
+
+def _whole(path: Path, entries: dict[str, list[str]], key: str, count: int) -> list[int]:
+    words = _required(path, entries, key)
+    if len(words) != count or not all(word.isdecimal() and len(word) < 19 for word in words):
+        raise LogError(path, f"expected {count} whole numbers in {key}, got {' '.join(words)[:40]!r}")
+    return [int(word) for word in words]
+
+
+def _dtype(path: Path, fields: list[str], sizes: list[int], types: list[str], counts: list[int]) -> np.dtype:
+    """One packed point; fields that only fill may have the same name."""
+    for axis in "xyz":
+        if fields.count(axis) != 1 or counts[fields.index(axis)] != 1:
+            raise LogError(path, f"expected one field {axis}, got the fields {' '.join(fields)[:60]}")
+    columns = []
+    for place, (name, size, kind, count) in enumerate(zip(fields, sizes, types, counts, strict=True)):
+        code = _TYPES.get(f"{kind}{size}")
+        if code is None or count > LONGEST_HEADER:
+            raise LogError(
+                path, f"expected a type F, I or U of 1 to 8 bytes for {name!r}, got {kind[:9]}{size} x {count}"
+            )
+        columns.append((name if name in ("x", "y", "z") else f"other {place}", code, (count,)))
+    return np.dtype(columns)
+
+
+def _viewpoint(path: Path, words: list[str] | None) -> FloatArray:
+    try:
+        values = np.array([float(word) for word in words or ["0", "0", "0", "1", "0", "0", "0"]])
+    except ValueError:
+        values = np.empty(0)
+    if values.shape != (7,) or not np.isfinite(values).all() or abs(np.linalg.norm(values[3:]) - 1.0) > 1e-3:
+        raise LogError(path, "expected a position and a unit quaternion in VIEWPOINT")
+    return values
+
+
+def _pose_of(viewpoint: FloatArray) -> FloatArray | None:
+    """VIEWPOINT as a transform; None for the identity."""
+    from scipy.spatial.transform import Rotation
+
+    if np.array_equal(np.abs(viewpoint), [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]):
+        return None
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat(viewpoint[3:], scalar_first=True).as_matrix()
+    pose[:3, 3] = viewpoint[:3]
+    return pose
+
+
+def _weigh(path: Path, header: Header) -> None:
+    """Compare what the header declares with the size of the file."""
+    room = file_size(path) - header.start
+    numbers = sum(header.dtype[name].shape[0] for name in header.dtype.names or ())
+    least = {"ascii": 2 * numbers, "binary": header.dtype.itemsize}.get(header.data)
+    if least is not None:  # the last line of a text needs no end
+        check_room(path, f"{header.n_points} points", header.n_points * least - (header.data == "ascii"), room)
+
+
+def _points_of(path: Path, header: Header) -> FloatArray:
+    """Points in the order of the file, shape (N, 3)."""
+    body = read_bytes(path, header.start)
+    if header.data == "ascii":
+        return _from_text(path, header, body)
+    if header.data == "binary":
+        table = np.frombuffer(body, dtype=header.dtype, count=header.n_points)
+        return np.column_stack([table[axis][:, 0] for axis in "xyz"]).astype(np.float64)
+    return _from_columns(path, header, body)
+
+
+def _from_text(path: Path, header: Header, body: bytes) -> FloatArray:
+    places, total = {}, 0
+    for name in header.dtype.names or ():
+        places[name] = total
+        total += header.dtype[name].shape[0]
+    rows = text_rows(path, body, total, header.line)
+    if len(rows) != header.n_points:
+        raise LogError(path, f"expected {header.n_points} points, got {len(rows)} lines")
+    return rows[:, [places[axis] for axis in "xyz"]]
+
+
+def _from_columns(path: Path, header: Header, body: bytes) -> FloatArray:
+    """Compressed data are field after field: all x, then all y and so on."""
+    if len(body) < 8:
+        raise LogError(path, "expected the sizes of the compressed data, got the end of the file")
+    packed, size = struct.unpack_from("<II", body)
+    check_room(path, "the compressed data", packed, len(body) - 8)
+    if size != header.n_points * header.dtype.itemsize:
+        raise LogError(
+            path,
+            f"expected {header.n_points * header.dtype.itemsize} bytes of points, got {size} in the compressed data",
+        )
+    try:
+        data = lzf_decompress(body[8 : 8 + packed], size)
+    except ValueError as error:
+        raise LogError(path, str(error)) from error
+    columns, start = {}, 0
+    for name in header.dtype.names or ():
+        field = header.dtype[name]
+        columns[name] = np.frombuffer(data, dtype=field.base, count=header.n_points * field.shape[0], offset=start)
+        start += header.n_points * field.itemsize
+    return np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)

@@ -1,0 +1,34 @@
+"""One door for every format of clouds, by the ending of the name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from slam.io.clouds.cloud import Cloud
+from slam.io.clouds.pcd import read_pcd
+from slam.io.log import LogError
+
+_READERS: dict[str, Callable[[Path], Cloud]] = {".pcd": read_pcd}
+#: Endings of the files that `read_cloud` reads.
+CLOUD_SUFFIXES = tuple(_READERS)
+
+
+def is_cloud_file(path: Path) -> bool:
+    """Whether the name is that of a cloud."""
+    return path.suffix.lower() in _READERS
+
+
+def read_cloud(path: Path | str) -> Cloud:
+    """Read one cloud.
+
+    Raises:
+        LogError: no such file, an unknown ending, or what the reader of its format says.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise LogError(path, "expected a file with a cloud, found none")
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise LogError(path, f"expected a cloud ({', '.join(CLOUD_SUFFIXES)}), got the ending {path.suffix[:20]!r}")
+    return reader(path)
