@@ -95,6 +95,32 @@ class LoopConfig(_Frozen):
     """Old keyframes compared with at each look; 0: no loops are looked for."""
 
 
+class CoastingConfig(_Frozen):
+    """How far motion that nobody measured may differ from the motion before: wide, for the planes are to say it."""
+
+    speed_sigma_m_per_s: float = Field(default=1.0, gt=0)
+    """Of the speed, as long as no motion before is known, m/s."""
+    turn_sigma_rad_per_s: float = Field(default=0.7, gt=0)
+    """Of the rate of turn, as long as no motion before is known, rad/s."""
+    acceleration_sigma_m_per_s2: float = Field(default=0.7, gt=0)
+    """Of the change of speed, m/s^2: somebody who carries the sensor starts and stops within a second or two."""
+    turn_change_sigma_rad_per_s2: float = Field(default=0.5, gt=0)
+    """Of the change of the rate of turn, rad/s^2."""
+    floor_m: float = Field(default=0.05, gt=0)
+    """Least standard deviation of a step, m."""
+    floor_rad: float = Field(default=0.05, gt=0)
+    """Least standard deviation of a turn, rad."""
+
+
+class ObservabilityConfig(_Frozen):
+    """When a direction of motion counts as open: not fixed by anything that was seen."""
+
+    max_sigma_m: float = Field(default=0.15, gt=0)
+    """Standard deviation of the position that the planes of one keyframe alone may leave, m."""
+    max_sigma_rad: float = Field(default=0.05, gt=0)
+    """The same of the orientation, rad."""
+
+
 class BackendConfig(_Frozen):
     """iSAM2 and its priors."""
 
@@ -116,6 +142,8 @@ class SlamConfig(_Frozen):
     association: AssociationConfig = AssociationConfig()
     landmarks: LandmarkConfig = LandmarkConfig()
     loops: LoopConfig = LoopConfig()
+    coasting: CoastingConfig = CoastingConfig()
+    observability: ObservabilityConfig = ObservabilityConfig()
     backend: BackendConfig = BackendConfig()
     mapper: MapperConfig = MapperConfig()
     lines: LineConfig = LineConfig()

@@ -45,9 +45,15 @@ def details_of(run: Run) -> dict[str, Any]:
     return {
         "facing_pairs": [pair.__dict__ for pair in facing_pairs(run.planes)],
         "nis": [{**summary.__dict__, "verdict": summary.verdict} for summary in run.slam.audit.summary()],
+        "open_directions": [stretch.to_dict() for stretch in run.slam.open_directions],
         "stages_s": dict(run.clock.seconds),
         "notes": [*run.log.notes],
     }
+
+
+def warnings_of(run: Run) -> list[str]:
+    """What whoever reads the numbers must know: one sentence each."""
+    return [*run.slam.audit.warnings(), *(stretch.sentence for stretch in run.slam.open_directions)]
 
 
 def _pair_rows(pairs: list[FacingPair]) -> list[Metric]:

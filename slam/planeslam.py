@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import MutableSequence, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
 
 import gtsam
 import numpy as np
@@ -13,19 +15,25 @@ from slam.association import Decision, associate
 from slam.audit import NisAudit
 from slam.backend import Backend, pose_symbol
 from slam.calibration import WheelCalibration, motion_covariance
+from slam.coasting import coast
 from slam.config import SlamConfig
 from slam.frames import inverse
 from slam.io.trajectories import Trajectory
 from slam.keyframes import Keyframe
 from slam.landmarks import LandmarkMap, Sighting
-from slam.loops import LoopDecision, Path, disjoint, find_loop
+from slam.loops import LoopDecision, disjoint, find_loop
+from slam.loops import Path as DrivenPath
 from slam.map_planes import MapPlane, map_plane
 from slam.merging import absorb
+from slam.observability import Observability, OpenStretch, stretch_of
 from slam.odometry import Motion
 from slam.recorder import Recorder
 from slam.sights import birth_sights, matched_sights
 from slam.twins import find_twins
 from spplanes._check import FloatArray
+
+if TYPE_CHECKING:
+    from slam.prior import PriorMap
 
 __all__ = ["KeyframeReport", "MapPlane", "PlaneSlam", "pose_symbol"]
 
@@ -52,11 +60,17 @@ class PlaneSlam:
         Weingarten, Gruener, Siegwart, ICRA 2004, for planes and their covariance; here the poses are unknown too.
     """
 
-    def __init__(self, config: SlamConfig | None = None, *, recorder: Recorder | None = None) -> None:
+    def __init__(
+        self, config: SlamConfig | None = None, *, prior: PriorMap | None = None, recorder: Recorder | None = None
+    ) -> None:
         self.config = config or SlamConfig()
         self.backend = Backend(self.config.backend)
         self.landmarks = LandmarkMap()
         self.audit = NisAudit()
+        self.observability = Observability(self.config.observability)
+        self.prior = prior
+        if prior is not None:
+            prior.plant(self.landmarks, self.backend)
         self.recorder = recorder or Recorder()
         self.keyframes: MutableSequence[Keyframe] = self.recorder.keyframes()
         self.decisions: list[list[Decision]] = []
@@ -66,11 +80,43 @@ class PlaneSlam:
         self._predicted: Motion | None = None
         self._loops_looked_for_at = 0.0
 
+    @classmethod
+    def open(
+        cls, path: Path | str, config: SlamConfig | None = None, *, read_only: bool = False, forget_raw: bool = False
+    ) -> Self:
+        """An estimator on a session on disk, a new one or one that goes on where it ended.
+
+        What a session holds is replayed, so the estimate is the one that was. Every keyframe added is on the disk
+        before the graph uses it.
+
+        Args:
+            path: the session's file, or the folder of a run.
+            config: of a new session; of an old one None, or the same.
+            read_only: only look; another process may be writing meanwhile.
+            forget_raw: keep measurements on the disk alone.
+
+        Raises:
+            SessionError: no session, a damaged one, one that another process writes, or one of another configuration.
+        """
+        from slam.session import open_slam  # which needs this class
+
+        return open_slam(cls, path, config, read_only=read_only, forget_raw=forget_raw)
+
+    def close(self) -> None:
+        """Let go of the session; without one nothing happens."""
+        self.recorder.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def add_keyframe(self, keyframe: Keyframe) -> KeyframeReport:
         """Predict the pose, match what was seen, update the graph, let the landmarks grow.
 
         Raises:
-            ValueError: the keyframe is not later than the last one, or lacks the motion that leads to it.
+            ValueError: the keyframe is not later than the last one.
         """
         self._check_order(keyframe)
         keyframe = self.recorder.measured(len(self.keyframes), keyframe)
@@ -78,6 +124,7 @@ class PlaneSlam:
         decisions = associate(keyframe.observations, pose_key, self.landmarks, self.backend, self.config.association)
         self.audit.add(len(self.keyframes), (seen.kind for seen in keyframe.observations), decisions)
         self.recorder.decided(len(self.keyframes), decisions)
+        self._look_for_open_directions(keyframe, pose_key, decisions)
         touched = self._update(keyframe, pose_key, decisions)
         self._remember(keyframe, decisions)
         self._learn()
@@ -103,6 +150,18 @@ class PlaneSlam:
             if landmark.n_keyframes >= wanted
         ]
 
+    @property
+    def open_directions(self) -> list[OpenStretch]:
+        """Directions that what was seen left open, most frequent first, with what is known of them by all means."""
+        stretches = []
+        for group in self.observability.directions():
+            last = group[-1].keyframe
+            key, measured = pose_symbol(last), self.keyframes[last].motion is not None
+            source = "odometry" if measured else "the assumption of constant velocity"
+            covariance, pose = self.backend.covariance(key), self.backend.pose(key)
+            stretches.append(stretch_of(group, len(self.keyframes) - 1, covariance, pose, source))
+        return stretches
+
     def marginal_covariance(self, key: int) -> FloatArray:
         """Marginal covariance of a variable, in its GTSAM tangent order: (rx, ry, rz, x, y, z) for a pose."""
         return self.backend.covariance(key)
@@ -117,25 +176,37 @@ class PlaneSlam:
         last = self.keyframes[-1].stamp_ns
         if keyframe.stamp_ns <= last:
             raise ValueError(f"keyframe: expected a time after {last} ns, got {keyframe.stamp_ns} ns")
-        if keyframe.motion is None:
-            raise ValueError("keyframe: expected the motion from the keyframe before, got None")
 
     def _predict(self, keyframe: Keyframe) -> int:
         """Put the new pose into the graph with what is known before looking: prior or odometry, and the floor."""
         index = len(self.keyframes)
         key, initial = pose_symbol(index), gtsam.Values()
-        if index == 0 or keyframe.motion is None:
+        if index == 0:
             guess = np.eye(4) if keyframe.world_T_body_guess is None else keyframe.world_T_body_guess
             settings = self.config.backend
             sigmas = np.repeat([settings.prior_sigma_m, settings.prior_sigma_rad], 3)
-            factors = [pose_prior(key, guess, np.diag(sigmas**2))]
+            covariance = np.diag(sigmas**2)
+            if self.prior is not None:
+                guess, covariance = self.prior.world_T_start, self.prior.start_covariance
+            factors = [pose_prior(key, guess, covariance)]
         else:
-            motion = self._predicted = self.calibration.predict(keyframe.motion)
+            motion = self._predicted = self._motion_to(keyframe)
             guess = self.backend.pose(pose_symbol(index - 1)) @ motion.a_T_b
             factors = motion.factors(pose_symbol(index - 1), key)
         initial.insert(key, gtsam.Pose3(guess))
         self.backend.update(factors, initial)
         return key
+
+    def _motion_to(self, keyframe: Keyframe) -> Motion:
+        """Odometry, less what is known to be wrong with it; without any the motion before goes on."""
+        if keyframe.motion is not None:
+            return self.calibration.predict(keyframe.motion)
+        last, stamps = len(self.keyframes) - 1, [frame.stamp_ns * 1e-9 for frame in self.keyframes[-2:]]
+        ahead_s = keyframe.stamp_ns * 1e-9 - stamps[-1]
+        if last == 0:
+            return coast(None, 0.0, ahead_s, self.config.coasting)
+        step = inverse(self.backend.pose(pose_symbol(last - 1))) @ self.backend.pose(pose_symbol(last))
+        return coast(step, stamps[1] - stamps[0], ahead_s, self.config.coasting)
 
     def _update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> set[int]:
         """Add the factors of matches and of new landmarks, then count what was seen; the ids of those landmarks."""
@@ -152,6 +223,11 @@ class PlaneSlam:
             sighting = Sighting(len(self.keyframes), sight.number, factor_index, sight.observation.kind)
             self.landmarks.see(sight.landmark, sight.observation, sighting, sight.plane_T_body)
         return {sight.landmark.id for sight in sights}
+
+    def _look_for_open_directions(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> None:
+        """What of this motion nothing that was seen fixes, said before the graph is asked."""
+        matched = [keyframe.observations[one.observation] for one in decisions if one.match is not None]
+        self.observability.add(len(self.keyframes), matched, self.backend.pose(pose_key))
 
     def _learn(self) -> None:
         """What the last motion, now that its end has been seen, says about the wheels."""
@@ -171,7 +247,7 @@ class PlaneSlam:
     def _close_loops(self) -> None:
         """Every metre or so: is what is seen now a place of long ago? Then its walls are joined with those of then."""
         rules, needed = self.config.loops, self.config.landmarks.min_observations
-        path = Path.of([pose_symbol(i) for i in range(len(self.keyframes))], self.backend)
+        path = DrivenPath.of([pose_symbol(i) for i in range(len(self.keyframes))], self.backend)
         if rules.max_candidates == 0 or path.lengths[-1] < self._loops_looked_for_at + rules.every_m:
             return
         self._loops_looked_for_at = float(path.lengths[-1])

@@ -30,7 +30,7 @@ def slam(
 ) -> None:
     """Estimate trajectory and planes of LOG."""
     from slam.export import new_folder, write_run
-    from slam.metrics import metrics_of
+    from slam.metrics import metrics_of, warnings_of
     from slam.run import run_slam
 
     job = open_job(log, out, rig=rig, config=config, overwrite=overwrite, keep_partial=keep_partial)
@@ -39,7 +39,7 @@ def slam(
     with new_folder(out, overwrite=overwrite) as folder:
         write_run(run, folder, title=f"spplanes slam {log.name}")
     show(f"{log.name}", metrics_of(run), as_json)
-    warn_of(run.slam.audit.warnings())
+    warn_of(warnings_of(run))
 
 
 def map_(
