@@ -13,6 +13,7 @@ from factors.landmarks import (
     world_plane_from_joint,
 )
 from factors.line import line_factor, line_factor_2d
+from factors.maps import anchored_plane_jacobian, map_prior
 from factors.odometry import odometry_factor, odometry_factor_2d, planar_motion_factor
 from factors.plane import plane_factor, plane_factors, plane_prior
 from factors.pose import pose_prior, relative_pose_factor
@@ -25,6 +26,7 @@ from factors.structure import (
 )
 
 __all__ = [
+    "anchored_plane_jacobian",
     "change_anchor",
     "direction_prior",
     "distance_factor",
@@ -35,6 +37,7 @@ __all__ = [
     "landmark_to_plane",
     "line_factor",
     "line_factor_2d",
+    "map_prior",
     "odometry_factor",
     "odometry_factor_2d",
     "parallel_factor",

@@ -145,7 +145,7 @@ def pose_symbol(index: int) -> int:
 
 
 def _is_pose(key: int) -> bool:
-    return gtsam.Symbol(key).chr() == ord("x")
+    return gtsam.Symbol(key).chr() in (ord("x"), ord("m"))  # of a keyframe, of a prior map
 
 
 def _first_line(error: Exception) -> str:

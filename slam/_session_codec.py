@@ -1,0 +1,170 @@
+"""Measurements and decisions as bytes and back, bit for bit: JSON for the structure, raw arrays behind it.
+
+Only the classes listed here can come out of a file; nothing in a file is ever run.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from slam.association import Candidate, Decision
+from slam.io.log import CloudScan, LaserScan
+from slam.keyframes import Keyframe
+from slam.map_planes import MapPlane
+from slam.observations import LineObservation, PlaneObservation
+from slam.odometry import Motion
+from spplanes import Plane, ScanLine
+
+_CLASSES: dict[str, type] = {
+    one.__name__: one
+    for one in (
+        Candidate,
+        CloudScan,
+        Decision,
+        Keyframe,
+        LaserScan,
+        LineObservation,
+        MapPlane,
+        Motion,
+        Plane,
+        PlaneObservation,
+        ScanLine,
+    )
+}
+#: Kinds of numbers an array may have: floats, integers, booleans.
+_KINDS = "fiub"
+_LENGTH = struct.Struct("<I")
+
+
+class CodecError(ValueError):
+    """Bytes that are not what `encode` writes, or a value it has no form for."""
+
+
+def encode(value: Any) -> bytes:
+    """A value out of plain numbers, strings, lists, tuples, dicts, arrays, shapely geometries and the known classes."""
+    buffers: list[bytes] = []
+    text = json.dumps(_Writer(buffers).plain(value), separators=(",", ":")).encode()
+    return b"".join((_LENGTH.pack(len(text)), text, *buffers))
+
+
+def decode(data: bytes) -> Any:
+    """Inverse of `encode`; arrays are C-contiguous copies of their own.
+
+    Raises:
+        CodecError: the bytes are not of this form, name a class that is none of ours, or make no such object.
+    """
+    try:
+        (size,) = _LENGTH.unpack_from(data)
+        text, buffers = data[_LENGTH.size : _LENGTH.size + size], memoryview(data)[_LENGTH.size + size :]
+        return _Reader(buffers).value(json.loads(text))
+    except CodecError:
+        raise
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError) as error:
+        raise CodecError(f"expected a record of a session, got other bytes ({str(error)[:80]})") from error
+    except (struct.error, RecursionError, MemoryError, shapely.errors.ShapelyError) as error:
+        raise CodecError(f"expected a record of a session, got other bytes ({type(error).__name__})") from error
+
+
+def without_scans(keyframe: Keyframe) -> dict[str, Any]:
+    """The fields of a keyframe that the estimator needs: all but its raw scans."""
+    return {one.name: getattr(keyframe, one.name) for one in fields(keyframe) if one.name != "scans"}
+
+
+def keyframe_of(data: bytes) -> Keyframe:
+    """A keyframe out of the bytes of `without_scans`."""
+    values = decode(data)
+    if not isinstance(values, dict):
+        raise CodecError(f"expected the fields of a keyframe, got {type(values).__name__}")
+    try:
+        return Keyframe(**values)
+    except TypeError as error:
+        raise CodecError(f"expected the fields of a keyframe, got others ({error})") from error
+
+
+class _Writer:
+    def __init__(self, buffers: list[bytes]) -> None:
+        self._buffers = buffers
+        self._end = 0
+
+    def plain(self, value: Any) -> Any:
+        if value is None or isinstance(value, bool | int | float | str):
+            return value
+        if isinstance(value, np.ndarray):
+            return {"array": self._array(value)}
+        if isinstance(value, np.generic):
+            return self.plain(value.item())
+        if isinstance(value, tuple):
+            return {"tuple": [self.plain(one) for one in value]}
+        if isinstance(value, BaseGeometry):
+            return {"shape": self._put(shapely.to_wkb(value, byte_order=1))}
+        if isinstance(value, dict):
+            return {"dict": {_name(key): self.plain(one) for key, one in value.items()}}
+        if is_dataclass(value) and _CLASSES.get(type(value).__name__) is type(value):
+            content = {one.name: self.plain(getattr(value, one.name)) for one in fields(value)}
+            return {"class": type(value).__name__, "fields": content}
+        if isinstance(value, Sequence):
+            return [self.plain(one) for one in value]
+        raise CodecError(f"expected a measurement that a session knows, got {type(value).__name__}")
+
+    def _array(self, value: np.ndarray) -> list[Any]:
+        if value.dtype.kind not in _KINDS:
+            raise CodecError(f"expected an array of numbers, got one of {value.dtype}")
+        little = np.ascontiguousarray(value).astype(value.dtype.newbyteorder("<"), copy=False)
+        return [little.dtype.str, list(value.shape), *self._put(little.tobytes())]
+
+    def _put(self, data: bytes) -> list[int]:
+        start, self._end = self._end, self._end + len(data)
+        self._buffers.append(data)
+        return [start, len(data)]
+
+
+class _Reader:
+    def __init__(self, buffers: memoryview) -> None:
+        self._buffers = buffers
+
+    def value(self, plain: Any) -> Any:
+        if isinstance(plain, list):
+            return [self.value(one) for one in plain]
+        if not isinstance(plain, dict):
+            return plain
+        kind = next(iter(plain), None)
+        content: Any = plain[kind] if kind else None
+        if kind == "array":
+            return self._array(*content)
+        if kind == "tuple":
+            return tuple(self.value(one) for one in content)
+        if kind == "shape":
+            return shapely.from_wkb(bytes(self._get(*content)))
+        if kind == "dict":
+            return {key: self.value(one) for key, one in content.items()}
+        if kind == "class" and content in _CLASSES:
+            return _CLASSES[content](**{key: self.value(one) for key, one in plain["fields"].items()})
+        raise CodecError(
+            f"expected a record of a session, got an unknown {str(content if kind == 'class' else kind)!r:.60}"
+        )
+
+    def _array(self, dtype: str, shape: list[int], start: int, size: int) -> np.ndarray:
+        kind = np.dtype(dtype)
+        if kind.kind not in _KINDS or min(shape, default=0) < 0:
+            raise CodecError(f"expected an array of numbers, got {dtype} of shape {shape}")
+        flat = np.frombuffer(self._get(start, size), dtype=kind)
+        return flat.reshape(shape).astype(kind.newbyteorder("="))
+
+    def _get(self, start: int, size: int) -> memoryview:
+        if not 0 <= start <= start + size <= len(self._buffers):
+            raise CodecError("expected a record of a session, got one that breaks off")
+        return self._buffers[start : start + size]
+
+
+def _name(key: object) -> str:
+    if not isinstance(key, str):
+        raise CodecError(f"expected names as keys, got {key!r}")
+    return key

@@ -1,0 +1,135 @@
+"""The SQLite file of a session: schema, versions, durability, and what SQLite's errors mean."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import quote
+
+#: Marks a SQLite file as a session ("spln"), and the version of the schema below.
+APPLICATION_ID = 0x73706C6E
+VERSION = 2
+
+_TABLES_1 = """
+CREATE TABLE session (key TEXT PRIMARY KEY, data BLOB NOT NULL, digest BLOB NOT NULL) WITHOUT ROWID;
+CREATE TABLE keyframes (id INTEGER PRIMARY KEY, stamp_ns INTEGER NOT NULL, data BLOB NOT NULL, digest BLOB NOT NULL);
+CREATE TABLE decisions (keyframe INTEGER PRIMARY KEY, data BLOB NOT NULL, digest BLOB NOT NULL);
+"""
+#: Version 2 knows the raw scans behind a keyframe, and keeps the finished map as the prior of another mission.
+_TABLES_2 = """
+CREATE TABLE scans (
+    keyframe INTEGER NOT NULL, number INTEGER NOT NULL, sensor TEXT NOT NULL, stamp_ns INTEGER NOT NULL,
+    position INTEGER, data BLOB, digest BLOB NOT NULL, PRIMARY KEY (keyframe, number)) WITHOUT ROWID;
+CREATE TABLE results (key TEXT PRIMARY KEY, data BLOB NOT NULL, digest BLOB NOT NULL) WITHOUT ROWID;
+"""
+#: What brings a file from the version before to each version.
+_MIGRATIONS = {2: _TABLES_2}
+
+_DAMAGE = ("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_FORMAT", "SQLITE_SCHEMA", "SQLITE_MISMATCH")
+_STORAGE = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_NOMEM", "SQLITE_TOOBIG")
+
+
+class SessionError(ValueError):
+    """A session that cannot be used as asked; the sentence names the file and says why."""
+
+
+class SessionDamaged(SessionError):
+    """Bytes of a session are not those that were written; the sentence says what can be saved."""
+
+
+class StorageError(OSError):
+    """The disk refuses: full, or failing. What was acknowledged before is safe."""
+
+
+def create(path: Path) -> sqlite3.Connection:
+    """A new session file with the tables of today."""
+    connection = connect(path, read_only=False)
+    with translated(path):
+        connection.execute("PRAGMA page_size = 4096")
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+        _run(connection, f"{_TABLES_1}{_TABLES_2}", VERSION)
+    return connection
+
+
+def connect(path: Path, *, read_only: bool) -> sqlite3.Connection:
+    """Open a file that may or may not be a session.
+
+    A commit is on the disk, not only on its way there, when it returns: `synchronous = FULL` syncs the journal at every
+    commit, so neither a kill nor a power cut loses what was acknowledged.
+    """
+    mode = "ro" if read_only else "rwc"
+    with translated(path):
+        connection = sqlite3.connect(
+            f"file:{quote(str(path.resolve()))}?mode={mode}", uri=True, isolation_level=None, timeout=5.0
+        )
+        connection.execute("PRAGMA trusted_schema = OFF")
+        connection.execute("PRAGMA cell_size_check = ON")
+        connection.execute("PRAGMA synchronous = FULL")
+    return connection
+
+
+def check_version(path: Path, connection: sqlite3.Connection, *, read_only: bool) -> int:
+    """Make sure that it is a session, and, for a writer, one of today's version; returns the version it has now."""
+    with translated(path):
+        application = connection.execute("PRAGMA application_id").fetchone()[0]
+        version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if application != APPLICATION_ID:
+        raise SessionError(f"{path}: expected a session, got another SQLite file")
+    if not 1 <= version <= VERSION:
+        raise SessionError(f"{path}: expected a session of version 1 to {VERSION}, got {version}; use a newer spplanes")
+    if read_only:
+        return version
+    with translated(path):
+        for step in range(version + 1, VERSION + 1):
+            _run(connection, _MIGRATIONS[step], step)
+    return VERSION
+
+
+def check_structure(path: Path, connection: sqlite3.Connection) -> None:
+    """SQLite's own check of its pages: never write into a file that is broken."""
+    with translated(path):
+        problem = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if problem != "ok":
+        raise SessionDamaged(f"{path}: damaged ({' '.join(problem.split())[:120]})")
+
+
+@contextmanager
+def transaction(path: Path, connection: sqlite3.Connection) -> Iterator[None]:
+    """All or nothing, and on the disk when the block has ended."""
+    with translated(path):
+        connection.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+            connection.execute("COMMIT")
+        except BaseException:
+            if connection.in_transaction:
+                connection.execute("ROLLBACK")
+            raise
+
+
+@contextmanager
+def translated(path: Path) -> Iterator[None]:
+    """SQLite's errors as ours."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        name = getattr(error, "sqlite_errorname", None) or ""
+        if name.startswith(_STORAGE):
+            why = "the disk is full" if name == "SQLITE_FULL" else str(error)
+            raise StorageError(f"{path}: cannot be written ({why}); what was recorded before is safe") from error
+        if name.startswith("SQLITE_BUSY"):
+            raise SessionError(f"{path}: another process is writing it") from error
+        if name.startswith(("SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM", "SQLITE_AUTH")):
+            raise SessionError(f"{path}: cannot be opened as asked ({error})") from error
+        raise SessionDamaged(f"{path}: expected a session, got a damaged or foreign file ({error})") from error
+
+
+def _run(connection: sqlite3.Connection, script: str, version: int) -> None:
+    connection.execute("BEGIN IMMEDIATE")
+    for statement in filter(None, (part.strip() for part in script.split(";"))):
+        connection.execute(statement)
+    connection.execute(f"PRAGMA user_version = {version}")
+    connection.execute("COMMIT")

@@ -1,0 +1,74 @@
+"""SQLite's journal: is all of it still there?
+
+SQLite takes a journal up to the first frame whose checksum fails and drops the rest without a word, which after a kill
+is right and after damage is not. Here is told apart which it was: frames of the same generation behind the first bad
+one, or a count in the index beside the journal that is larger than what is left, are commits that were acknowledged.
+
+References:
+    The SQLite documentation, "Database File Format", section 4, and "WAL-mode File Format".
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+_HEADER, _FRAME = 32, 24
+_MAGIC = (0x377F0682, 0x377F0683)
+
+
+def lost_frames(path: Path) -> int:
+    """How many journal frames of a session that nobody has open were acknowledged and cannot be read; 0: all is well.
+
+    An OSError where the files cannot be read.
+    """
+    journal = path.with_name(path.name + "-wal")
+    data = journal.read_bytes() if journal.is_file() else b""
+    if len(data) < _HEADER:
+        return _promised(path, None)
+    magic, _, page = struct.unpack_from(">III", data)
+    order, salts = (">" if magic & 1 else "<"), data[16:24]
+    page = 65536 if page == 1 else page
+    sums = (0, 0)
+    if magic in _MAGIC and 512 <= page <= 65536:
+        sums = _checksum(np.frombuffer(data[:24], dtype=f"{order}u4").astype(np.uint32), 0, 0)
+    if sums != struct.unpack_from(">II", data, 24):
+        return max((len(data) - _HEADER) // (_FRAME + 4096), 1)
+    valid = committed = last = 0
+    for number in range(1, (len(data) - _HEADER) // (_FRAME + page) + 1):
+        start = _HEADER + (number - 1) * (_FRAME + page)
+        same = data[start + 8 : start + 16] == salts
+        if valid == number - 1 and same:
+            words = data[start : start + 8] + data[start + _FRAME : start + _FRAME + page]
+            sums = _checksum(np.frombuffer(words, dtype=f"{order}u4").astype(np.uint32), *sums)
+            if sums == struct.unpack_from(">II", data, start + 16):
+                valid = number
+                committed = number if struct.unpack_from(">I", data, start + 4)[0] else committed
+        if same:
+            last = number
+    return max(_promised(path, salts) - committed, last - valid, 0)
+
+
+def _promised(path: Path, salts: bytes | None) -> int:
+    """Frames that the index beside the journal says were committed, if it is of the same generation."""
+    index = path.with_name(path.name + "-shm")
+    data = index.read_bytes()[:48] if index.is_file() else b""
+    if len(data) < 48 or not data[12] or (salts is not None and data[32:40] != salts):
+        return 0
+    return struct.unpack_from("=I", data, 16)[0]
+
+
+def _checksum(words: np.ndarray, first: int, second: int) -> tuple[int, int]:
+    sums = _checksum_kernel(words, np.uint32(first), np.uint32(second))
+    return int(sums[0]), int(sums[1])
+
+
+@njit(cache=True)
+def _checksum_kernel(words, first, second):
+    for i in range(0, len(words), 2):
+        first = np.uint32(first + words[i] + second)
+        second = np.uint32(second + words[i + 1] + first)
+    return first, second
