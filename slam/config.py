@@ -137,6 +137,8 @@ class BackendConfig(_Frozen):
 class SlamConfig(_Frozen):
     """Configuration of a run."""
 
+    model_config = ConfigDict(allow_inf_nan=True)  # no limit to a line's range is one; the parts check their own
+
     keyframes: KeyframeConfig = KeyframeConfig()
     measurements: MeasurementConfig = MeasurementConfig()
     association: AssociationConfig = AssociationConfig()
