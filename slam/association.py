@@ -147,7 +147,7 @@ def _is_plausible(
     heights = observation.vertices @ plane_T_body[2, :3] + plane_T_body[2, 3]
     if np.abs(heights).min() > margin:
         return False
-    return landmark.outline.distance(observation.patch_in(plane_T_body)) <= margin
+    return landmark.region.is_within(margin, observation.patch_in(plane_T_body))
 
 
 def _joint_covariance(shortlists: Sequence[Sequence[Landmark]], pose_key: int, backend: Backend) -> JointCovariance:

@@ -8,14 +8,13 @@ from typing import Any
 
 import gtsam
 import numpy as np
-import shapely
 from shapely.geometry.base import BaseGeometry
 
 from factors import landmark_hesse
 from slam.backend import Backend
 from slam.frames import inverse
 from slam.observations import Observation
-from slam.outlines import grow
+from slam.regions import Region
 from spplanes._check import FloatArray
 
 
@@ -31,17 +30,27 @@ class Landmark:
     """Key of the pose in whose frame it lives."""
     anchor_T_birth: FloatArray
     """Plane frame at birth, in the anchor's frame: (x, y) of the outline, shape (4, 4)."""
-    outline: BaseGeometry
-    """What was seen of it so far, in (x, y) of its plane frame."""
+    first_outline: BaseGeometry
+    """What was seen of it at birth, in (x, y) of its plane frame."""
     sightings: list[Sighting] = field(default_factory=list)
     """Every observation that was matched to it, in time order."""
     n_points: int = 0
     """Points and beams behind it."""
+    known: int = 0
+    """Keyframes that saw it on earlier missions: it comes from a prior map."""
+
+    def __post_init__(self) -> None:
+        self.region = Region(self.first_outline)
+
+    @property
+    def outline(self) -> BaseGeometry:
+        """What was seen of it so far, in (x, y) of its plane frame."""
+        return self.region.geometry
 
     @property
     def n_keyframes(self) -> int:
         """Number of different keyframes that saw it."""
-        return len({sighting.keyframe for sighting in self.sightings})
+        return self.known + len({sighting.keyframe for sighting in self.sightings})
 
 
 @dataclass(frozen=True)
@@ -85,11 +94,16 @@ class LandmarkMap:
             key=gtsam.symbol("p", self._next_id),
             anchor_key=anchor_key,
             anchor_T_birth=frame,
-            outline=observation.patch_in(plane_T_body),
+            first_outline=observation.patch_in(plane_T_body),
         )
         self._next_id += 1
         self._landmarks[landmark.id] = landmark
         return landmark
+
+    def plant(self, landmark: Landmark) -> None:
+        """Take in a landmark of a prior map; those born later have larger numbers."""
+        self._landmarks[landmark.id] = landmark
+        self._next_id = max(self._next_id, landmark.id + 1)
 
     def remove(self, landmark_id: int) -> Landmark:
         """Take a landmark out of the map."""
@@ -100,7 +114,7 @@ class LandmarkMap:
         """Count an observation and let the outline grow by what it saw."""
         landmark.sightings.append(sighting)
         landmark.n_points += observation.n_points
-        landmark.outline = grow(landmark.outline, observation.patch_in(plane_T_body))
+        landmark.region.grow(observation.patch_in(plane_T_body))
 
     def refresh(self, backend: Backend) -> None:
         """Place every landmark anew by the current estimate."""
@@ -113,7 +127,7 @@ class LandmarkMap:
         hesse = [landmark_hesse(backend.plane(landmark.key)) for landmark in self]
         settled = _settle(births, np.array([normal for normal, _ in hesse]), np.array([d for _, d in hesse]))
         self._world_T_plane = np.array([poses[landmark.anchor_key] for landmark in self]) @ settled
-        low, high = np.split(shapely.bounds([landmark.outline for landmark in self]), 2, axis=1)
+        low, high = np.split(np.array([landmark.region.bounds for landmark in self]), 2, axis=1)
         middles = 0.5 * (low + high)
         rotations, origins = self._world_T_plane[:, :3, :3], self._world_T_plane[:, :3, 3]
         self._middles = np.einsum("nij,nj->ni", rotations[:, :, :2], middles) + origins

@@ -140,10 +140,9 @@ def _may_be_one(
     if first_place.normal @ second_place.normal < np.cos(config.max_angle_rad):
         return False
     first_T_second = inverse(first_place.world_T_plane) @ second_place.world_T_plane
-    moved = flatten(second.outline, first_T_second)
-    if first.outline.distance(moved) > config.gap_m:
+    if abs(first_T_second[2, 3]) > config.gap_m:
         return False
-    return abs(first_T_second[2, 3]) <= config.gap_m
+    return first.region.is_within(config.gap_m, flatten(second.outline, first_T_second))
 
 
 def _disjoint(pairs: Sequence[tuple[float, int, int]]) -> list[tuple[int, int]]:

@@ -1,0 +1,85 @@
+"""What was seen of a plane, kept in tiles: growing it costs what the new patch is, not what the whole has become."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from slam.outlines import grow
+from spplanes._check import FloatArray
+
+#: Side of a tile, and how far each reaches into its neighbours so that simplified borders leave no gap between, m.
+_TILE_M, _LAP_M = 2.0, 0.05
+
+
+class Region:
+    """A growing part of a plane, in the plane's (x, y): polygons, segments, or both.
+
+    Laser lines alone, all of one wall, stay one segment.
+    """
+
+    def __init__(self, geometry: BaseGeometry) -> None:
+        self._line: BaseGeometry | None = None
+        self._tiles: dict[tuple[int, int], BaseGeometry] = {}
+        self._whole: BaseGeometry | None = geometry
+        self._bounds = np.array([np.inf, np.inf, -np.inf, -np.inf])
+        self._take(geometry)
+
+    @property
+    def geometry(self) -> BaseGeometry:
+        """All of it as one geometry."""
+        if self._whole is None:
+            self._whole = self._line if self._line is not None else shapely.union_all(list(self._tiles.values()))
+        return self._whole
+
+    @property
+    def bounds(self) -> FloatArray:
+        """(x low, y low, x high, y high), shape (4,), m."""
+        return self._bounds
+
+    def grow(self, patch: BaseGeometry) -> None:
+        """Take a patch in."""
+        self._whole = None
+        self._take(patch)
+
+    def is_within(self, distance_m: float, patch: BaseGeometry) -> bool:
+        """Whether the region comes within a distance of a patch."""
+        if self._line is not None:
+            return self._line.distance(patch) <= distance_m
+        reach = np.asarray(patch.bounds) + np.array([-1.0, -1.0, 1.0, 1.0]) * distance_m
+        return any(self._tiles[key].distance(patch) <= distance_m for key in self._tiles_in(reach))
+
+    def _take(self, patch: BaseGeometry) -> None:
+        low, high = np.split(np.asarray(patch.bounds), 2)
+        self._bounds = np.concatenate((np.minimum(self._bounds[:2], low), np.maximum(self._bounds[2:], high)))
+        lines_only = not self._tiles and (self._line is None or self._line.geom_type == "LineString")
+        if lines_only and patch.geom_type in ("LineString", "Point"):
+            self._line = patch if self._line is None else grow(self._line, patch)
+            return
+        if self._line is not None:
+            line, self._line = self._line, None
+            self._cut(line)
+        self._cut(patch)
+
+    def _cut(self, patch: BaseGeometry) -> None:
+        x0, y0, x1, y1 = np.floor(np.asarray(patch.bounds) / _TILE_M).astype(int).tolist()
+        for i in range(x0, x1 + 1):
+            for j in range(y0, y1 + 1):
+                low, high = np.array([i, j]) * _TILE_M - _LAP_M, np.array([i + 1, j + 1]) * _TILE_M + _LAP_M
+                piece = shapely.clip_by_rect(patch, *low, *high) if (x0, y0) != (x1, y1) else patch
+                if not piece.is_empty:
+                    here = self._tiles.get((i, j))
+                    self._tiles[i, j] = piece if here is None else grow(here, piece)
+
+    def _tiles_in(self, bounds: FloatArray) -> Iterator[tuple[int, int]]:
+        """Keys of the tiles there are that a box touches, in order."""
+        x0, y0 = np.floor((bounds[:2] - _LAP_M) / _TILE_M).tolist()
+        x1, y1 = np.floor((bounds[2:] + _LAP_M) / _TILE_M).tolist()
+        if (x1 - x0 + 1.0) * (y1 - y0 + 1.0) > len(self._tiles):
+            yield from (key for key in sorted(self._tiles) if x0 <= key[0] <= x1 and y0 <= key[1] <= y1)
+            return
+        for i in range(int(x0), int(x1) + 1):
+            yield from ((i, j) for j in range(int(y0), int(y1) + 1) if (i, j) in self._tiles)

@@ -1,0 +1,60 @@
+"""A region in tiles is the union of what it was grown by."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from shapely import LineString, Point, box
+
+from slam.regions import Region
+
+
+def scattered(seed: int, count: int = 60) -> list[shapely.Polygon]:
+    rng = np.random.default_rng(seed)
+    low = rng.uniform(-9.0, 9.0, (count, 2))
+    return [box(*corner, *(corner + size)) for corner, size in zip(low, rng.uniform(0.2, 3.0, (count, 2)), strict=True)]
+
+
+def test_the_whole_is_the_union_to_the_tolerance_of_outlines():
+    patches = scattered(0)
+    region = Region(patches[0])
+    for patch in patches[1:]:
+        region.grow(patch)
+    union = shapely.union_all(patches)
+    assert region.geometry.symmetric_difference(union).area < 0.005 * union.area
+    assert shapely.hausdorff_distance(region.geometry, union) < 0.05
+    np.testing.assert_allclose(region.bounds, union.bounds)
+    assert len(shapely.get_parts(region.geometry)) == len(shapely.get_parts(union))
+
+
+def test_near_is_what_is_near_the_union():
+    patches = scattered(1, 12)
+    region = Region(patches[0])
+    for patch in patches[1:]:
+        region.grow(patch)
+    union = shapely.union_all(patches)
+    answers = []
+    for probe in (shapely.affinity.translate(one, 0.0, 17.0) for one in scattered(2, 80)):
+        distance = union.distance(probe)
+        assert region.is_within(distance + 0.02, probe)
+        if distance > 0.05:
+            assert not region.is_within(distance - 0.02, probe)
+            answers.append(distance)
+    assert len(answers) > 20
+    assert region.is_within(1e3, Point(500.0, 0.0)) and not region.is_within(1e2, Point(500.0, 0.0))
+
+
+def test_lines_of_one_wall_stay_one_segment():
+    region = Region(LineString([(0.0, 0.0), (1.0, 0.0)]))
+    region.grow(LineString([(3.0, 0.01), (8.0, 0.0)]))
+    assert region.geometry.geom_type == "LineString"
+    np.testing.assert_allclose(region.geometry.length, 8.0, atol=1e-3)
+
+
+def test_a_line_and_a_patch_are_kept_both():
+    region = Region(LineString([(0.0, 0.5), (7.0, 0.5)]))
+    region.grow(box(1.0, 0.0, 3.0, 1.0))
+    area = sum(part.area for part in shapely.get_parts(region.geometry))
+    assert abs(area - 2.0) < 1e-9
+    assert region.is_within(0.1, Point(6.5, 0.5))
+    np.testing.assert_allclose(region.bounds, (0.0, 0.0, 7.0, 1.0))
