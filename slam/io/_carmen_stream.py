@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from slam.io._carmen_records import LaserRecord, OdomRecord, OffsetRecord, parse_record
 from slam.io.log import LogError
+from slam.io.packed import BROKEN, numbered_lines
 
 #: Longer lines are refused before they fill the memory, bytes.
 LONGEST_LINE = 1 << 20
@@ -37,14 +35,14 @@ def read_records(path: Path, keep_partial: bool) -> RawLog:
     raw, number = RawLog(), 0
     broken: tuple[int, str] | None = None
     try:
-        for number, line in _numbered_lines(path):
+        for number, line in numbered_lines(path, LONGEST_LINE):
             if broken:
                 raise LogError(path, broken[1], line=broken[0])
             try:
                 _collect(raw, number, line)
             except ValueError as error:
                 broken = (number, str(error))
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+    except BROKEN as error:
         broken = broken or (number + 1, f"the gzip stream breaks off here ({str(error)[:60]})")
     if broken and not keep_partial:
         raise LogError(path, broken[1], line=broken[0])
@@ -52,26 +50,6 @@ def read_records(path: Path, keep_partial: bool) -> RawLog:
         raw.notes.append(f"{path}:{broken[0]}: {broken[1]}; kept what came before")
     raw.notes += [f"skipped {count} {name} records" for name, count in sorted(raw.skipped.items())]
     return raw
-
-
-def _numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Lines with their numbers, neither empty nor comments, of a plain or gzip file."""
-    try:
-        with path.open("rb") as probe:
-            packed = probe.read(2) == b"\x1f\x8b"
-        with gzip.open(path, "rb") if packed else path.open("rb") as stream:
-            number = 0
-            while line := stream.readline(LONGEST_LINE):
-                number += 1
-                if len(line) == LONGEST_LINE:
-                    raise LogError(path, f"expected lines shorter than {LONGEST_LINE} bytes", line=number)
-                text = line.decode("ascii", errors="replace").strip()
-                if text and not text.startswith("#"):
-                    yield number, text
-    except (EOFError, gzip.BadGzipFile):
-        raise
-    except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
 
 
 def _collect(raw: RawLog, number: int, line: str) -> None:

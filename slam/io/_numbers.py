@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
 
 from slam.io.log import LogError
+from slam.io.packed import BROKEN, numbered_lines
 
 #: The largest time, s, that integer nanoseconds in 64 bits hold.
 LATEST_S = 9_000_000_000
@@ -50,22 +49,12 @@ def numbered_words(path: Path) -> list[tuple[int, list[str]]]:
     Raises:
         LogError: the file cannot be read, a line is too long, or the gzip stream breaks off.
     """
-    found, number = [], 0
+    found: list[tuple[int, list[str]]] = []
     try:
-        with path.open("rb") as probe:
-            packed = probe.read(2) == b"\x1f\x8b"
-        with gzip.open(path, "rb") if packed else path.open("rb") as stream:
-            while line := stream.readline(_LONGEST_LINE):
-                number += 1
-                if len(line) == _LONGEST_LINE:
-                    raise LogError(path, f"expected lines shorter than {_LONGEST_LINE} bytes", line=number)
-                text = line.decode("ascii", errors="replace").strip()
-                if text and not text.startswith("#"):
-                    found.append((number, text.split()))
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise LogError(path, "the gzip stream breaks off here", line=number + 1) from error
-    except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
+        found.extend((number, text.split()) for number, text in numbered_lines(path, _LONGEST_LINE))
+    except BROKEN as error:
+        last = found[-1][0] if found else 0
+        raise LogError(path, "the gzip stream breaks off here", line=last + 1) from error
     return found
 
 

@@ -37,6 +37,10 @@ POSE_GAP_NS = 500_000_000
 _INSIDE = ("velodyne", "velodyne_points/data", "clouds", "scans")
 _POSES, _ODOMETRY = ("poses.tum", "poses.txt", "trajectory.tum"), ("odometry.tum", "odometry.txt")
 _TIMES = "times.txt"
+#: Text files that are no clouds.
+_NOT_CLOUDS = (*_POSES, *_ODOMETRY, _TIMES, "intrinsics.txt", "calib.txt", "associations.txt", "timestamps.txt")
+#: Formats that other things than clouds come in too: taken where there are no others.
+_AMBIGUOUS = (".txt", ".csv", ".npy", ".npz")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _DIGITS_NS = {10: 1_000_000_000, 13: 1_000_000, 16: 1_000, 19: 1}
 
@@ -48,7 +52,8 @@ def clouds_in(folder: Path) -> list[Path]:
             continue
         found = [entry for entry in place.iterdir() if _is_scan(entry)]
         if found:
-            (suffix, _), *_ = Counter(entry.suffix.lower() for entry in found).most_common(1)
+            counts = Counter(entry.suffix.lower() for entry in found)
+            suffix = max(sorted(counts), key=lambda ending: (ending not in _AMBIGUOUS, counts[ending]))
             return sorted((entry for entry in found if entry.suffix.lower() == suffix), key=_order)
     return []
 
@@ -88,7 +93,7 @@ def grid_in(path: Path, grid: Grid | None = None) -> FloatArray:
 
 
 def _is_scan(path: Path) -> bool:
-    return path.is_file() and is_cloud_file(path) and path.name not in (*_POSES, *_ODOMETRY, _TIMES)
+    return path.is_file() and is_cloud_file(path) and path.name not in _NOT_CLOUDS
 
 
 def _order(path: Path) -> tuple[list[tuple[int, str]], str]:

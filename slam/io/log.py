@@ -56,13 +56,9 @@ class StoredCloud(CloudScan):
     def __init__(
         self, stamp_ns: int, sensor: str, read: Callable[[], FloatArray], world_T_body: FloatArray | None = None
     ) -> None:
-        for name, value in (
-            ("stamp_ns", stamp_ns),
-            ("sensor", sensor),
-            ("world_T_body", world_T_body),
-            ("_read", read),
-        ):
-            object.__setattr__(self, name, value)
+        known = {"stamp_ns": stamp_ns, "sensor": sensor, "world_T_body": world_T_body, "_read": read}
+        for name, value in known.items():
+            object.__setattr__(self, name, value)  # frozen: set once, here
 
     @property
     def points(self) -> FloatArray:  # type: ignore[override]  # a field there, read each time here

@@ -6,15 +6,14 @@ x forward, y left, z up. A point goes over as p = C q / 100 with C below, a tran
 
 from __future__ import annotations
 
-import gzip
 import io
 import re
-import zlib
 from pathlib import Path
 
 import numpy as np
 
 from slam.io.log import CloudScan, Event, Log, LogError, OdometryReading
+from slam.io.packed import read_unpacked
 from spplanes._check import FloatArray
 
 SENSOR = "scanner"
@@ -137,14 +136,7 @@ def _euler_transform(translation: FloatArray, angles: FloatArray) -> FloatArray:
 
 
 def _read_text(path: Path) -> str:
-    try:
-        data = path.read_bytes()
-        if path.suffix == ".gz":
-            data = gzip.decompress(data)
-    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-        raise LogError(path, "the gzip data is cut off or damaged") from error
-    except OSError as error:
-        raise LogError(path, f"cannot be read ({error.strerror})") from error
+    data = read_unpacked(path)
     try:
         return data.decode("ascii")
     except UnicodeDecodeError as error:

@@ -10,6 +10,9 @@ import numpy as np
 from slam.io.log import LogError
 from spplanes._check import FloatArray
 
+#: Coordinates of real points lie between these, m.
+_LEAST_M, _MOST_M = 1e-20, 1e9
+
 
 def file_size(path: Path) -> int:
     """Bytes of a file."""
@@ -27,6 +30,22 @@ def read_bytes(path: Path, start: int = 0) -> bytes:
             return stream.read()
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from error
+
+
+def read_head(path: Path, size: int) -> bytes:
+    """The first bytes of a file, `size` at most."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(size)
+    except OSError as error:
+        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
+
+
+def check_byte_order(path: Path, points: FloatArray) -> None:
+    """Refuse points (N, 3) most of whose numbers no sensor gives: floats read in the wrong order of their bytes."""
+    size = np.abs(points[np.isfinite(points) & (points != 0.0)])
+    if np.count_nonzero((size < _LEAST_M) | (size > _MOST_M)) > 0.25 * size.size:
+        raise LogError(path, "expected coordinates in metres, got numbers as of another byte order or type")
 
 
 def check_room(path: Path, what: str, needed: int, room: int) -> None:
@@ -49,7 +68,7 @@ def text_rows(
         line = first_line + data.count(b"\n", 0, error.start)
         raise LogError(path, "expected numbers as text, got other bytes", line=line) from error
     if columns is None:
-        columns = next((len(_words(line, separator)) for line in text.splitlines() if line.strip()), 0)
+        columns = next((len(_words(line, separator)) for line in text.splitlines() if line.strip()), 1)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of no rows at all: the caller says so in its own words

@@ -30,7 +30,7 @@ class Cloud:
 
 def checked(path: Path, points: FloatArray, world_T_sensor: FloatArray | None = None) -> Cloud:
     """A cloud with NaN for every point that is not finite as a whole; a `LogError` where no return is left."""
-    finite = np.isfinite(points).all(axis=-1)
+    finite = np.asarray(np.isfinite(points).all(axis=-1))
     if not finite.any():
         raise LogError(path, "expected at least one point, got none" + (" that is finite" if finite.size else ""))
     if not finite.all():

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.io.clouds._files import check_room, file_size, read_bytes, text_rows
+from slam.io.clouds._files import check_byte_order, check_room, file_size, read_bytes, text_rows
 from slam.io.clouds.cloud import Cloud, checked
 from slam.io.clouds.lzf import lzf_decompress
 from slam.io.log import LogError
@@ -57,6 +57,8 @@ def read_pcd(path: Path) -> Cloud:
     """
     header = read_header(path)
     points = _points_of(path, header)
+    if header.data != "ascii":
+        check_byte_order(path, points)
     if header.height > 1:
         points = points.reshape(header.height, header.width, 3)
     pose = _pose_of(header.viewpoint)
@@ -139,6 +141,8 @@ def _dtype(path: Path, fields: list[str], sizes: list[int], types: list[str], co
                 path, f"expected a type F, I or U of 1 to 8 bytes for {name!r}, got {kind[:9]}{size} x {count}"
             )
         columns.append((name if name in ("x", "y", "z") else f"other {place}", code, (count,)))
+    if sum(counts) > LONGEST_HEADER:
+        raise LogError(path, f"expected at most {LONGEST_HEADER} numbers a point, got {sum(counts)}")
     return np.dtype(columns)
 
 
@@ -201,11 +205,9 @@ def _from_columns(path: Path, header: Header, body: bytes) -> FloatArray:
         raise LogError(path, "expected the sizes of the compressed data, got the end of the file")
     packed, size = struct.unpack_from("<II", body)
     check_room(path, "the compressed data", packed, len(body) - 8)
-    if size != header.n_points * header.dtype.itemsize:
-        raise LogError(
-            path,
-            f"expected {header.n_points * header.dtype.itemsize} bytes of points, got {size} in the compressed data",
-        )
+    expected = header.n_points * header.dtype.itemsize
+    if size != expected:
+        raise LogError(path, f"expected {expected} bytes of points, got {size} in the compressed data")
     try:
         data = lzf_decompress(body[8 : 8 + packed], size)
     except ValueError as error:

@@ -5,11 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from slam.io.clouds.arrays import read_npy, read_npz
 from slam.io.clouds.cloud import Cloud
+from slam.io.clouds.kitti import read_kitti_bin
 from slam.io.clouds.pcd import read_pcd
+from slam.io.clouds.ply import read_ply
+from slam.io.clouds.text import read_text
 from slam.io.log import LogError
 
-_READERS: dict[str, Callable[[Path], Cloud]] = {".pcd": read_pcd}
+_READERS: dict[str, Callable[[Path], Cloud]] = {
+    ".pcd": read_pcd,
+    ".ply": read_ply,
+    ".bin": read_kitti_bin,
+    ".npy": read_npy,
+    ".npz": read_npz,
+    **dict.fromkeys((".xyz", ".txt", ".asc", ".csv", ".pts"), read_text),
+}
 #: Endings of the files that `read_cloud` reads.
 CLOUD_SUFFIXES = tuple(_READERS)
 

@@ -1,0 +1,130 @@
+"""Reader of PLY: the vertices of an ascii or binary file of either byte order, with any other properties."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slam.io.clouds._files import check_byte_order, check_room, file_size, read_bytes, read_head, text_rows
+from slam.io.clouds.cloud import Cloud, checked
+from slam.io.log import LogError
+from spplanes._check import FloatArray
+
+_LONGEST_HEADER = 1 << 16
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+@dataclass
+class Element:
+    """A table in a PLY file."""
+
+    name: str
+    """vertex, face, ..."""
+    count: int
+    """Rows."""
+    columns: list[tuple[str, str]]
+    """Name and type of every property, in order."""
+    has_lists: bool = False
+    """Whether a property is a list: then rows differ in length."""
+
+
+def read_ply(path: Path) -> Cloud:
+    """Read the vertices of a PLY file; other elements and properties are left out.
+
+    Raises:
+        LogError: one sentence with file, and line where there is one: a header that is none, no x y z, data that are
+            cut off (seen before memory is taken for them), no point at all.
+    """
+    order, elements, start, line = _read_header(path)
+    before = elements[: [element.name for element in elements].index("vertex")]
+    vertex = elements[len(before)]
+    if any(element.has_lists for element in [*before, vertex]):
+        raise LogError(path, "expected vertices before any list, got a list first")
+    if order:
+        return checked(path, _binary(path, order, before, vertex, start))
+    return checked(path, _ascii(path, before, vertex, start, line))
+
+
+def _binary(path: Path, order: str, before: list[Element], vertex: Element, start: int) -> FloatArray:
+    dtypes = [np.dtype([(name, order + kind) for name, kind in element.columns]) for element in (*before, vertex)]
+    start += sum(element.count * dtype.itemsize for element, dtype in zip(before, dtypes[:-1], strict=True))
+    check_room(path, f"{vertex.count} vertices", vertex.count * dtypes[-1].itemsize, file_size(path) - start)
+    table = np.frombuffer(read_bytes(path, start), dtype=dtypes[-1], count=vertex.count)
+    points = np.column_stack([table[axis] for axis in "xyz"]).astype(np.float64)
+    check_byte_order(path, points)
+    return points
+
+
+def _ascii(path: Path, before: list[Element], vertex: Element, start: int, line: int) -> FloatArray:
+    skipped = sum(element.count for element in before)
+    least = 2 * skipped + 2 * len(vertex.columns) * vertex.count - 1
+    check_room(path, f"{vertex.count} vertices", least, file_size(path) - start)
+    lines = read_bytes(path, start).split(b"\n")[skipped : skipped + vertex.count]
+    rows = text_rows(path, b"\n".join(lines), len(vertex.columns), line + skipped)
+    if len(rows) != vertex.count:
+        raise LogError(path, f"expected {vertex.count} vertices, got {len(rows)} lines")
+    names = [name for name, _ in vertex.columns]
+    return rows[:, [names.index(axis) for axis in "xyz"]]
+
+
+def _read_header(path: Path) -> tuple[str, list[Element], int, int]:
+    """Byte order ("" for ascii), elements, where the data begin, and in which line."""
+    order: str | None = None
+    elements: list[Element] = []
+    start = 0
+    for number, raw in enumerate(read_head(path, _LONGEST_HEADER).split(b"\n"), start=1):
+        start += len(raw) + 1
+        words = raw.decode("ascii", errors="replace").split()
+        if number == 1 and words != ["ply"]:
+            raise LogError(path, "expected the word ply at the start of a PLY file", line=1)
+        if words == ["end_header"]:
+            break
+        try:
+            order = _header_line(words, elements) or order
+        except ValueError as error:
+            raise LogError(path, f"{error}, got {' '.join(words)[:40]!r}", line=number) from error
+    else:
+        raise LogError(path, "expected a PLY header that ends with end_header, found no such line")
+    if order is None:
+        raise LogError(path, "expected the format in the PLY header, found no such line")
+    _check_vertices(path, elements)
+    return _ORDERS[order], elements, start, number + 1
+
+
+def _header_line(words: list[str], elements: list[Element]) -> str | None:
+    """Take one line of the header; the format, if that is what it says."""
+    match words:
+        case [] | ["ply"] | ["comment" | "obj_info", *_]:
+            return None
+        case ["format", order, "1.0"] if order in _ORDERS:
+            return order
+        case ["element", name, count] if count.isdecimal() and len(count) < 19:
+            elements.append(Element(name, int(count), []))
+        case ["property", "list", _, _, _] if elements:
+            elements[-1].has_lists = True
+        case ["property", kind, name] if elements and kind in _TYPES:
+            elements[-1].columns.append((name, _TYPES[kind]))
+        case _:
+            raise ValueError("expected a line of a PLY header")
+    return None
+
+
+def _check_vertices(path: Path, elements: list[Element]) -> None:
+    vertex = next((element for element in elements if element.name == "vertex"), None)
+    if vertex is None:
+        raise LogError(path, "expected an element vertex, found none")
+    names = [name for name, _ in vertex.columns]
+    if len(set(names)) != len(names) or not {"x", "y", "z"} <= set(names):
+        raise LogError(path, f"expected the properties x y z once each, got {' '.join(names)[:60]}")

@@ -1,0 +1,79 @@
+"""Files that may be gzip: read line by line or whole, and refused before they grow out of all proportion."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BufferedIOBase
+from pathlib import Path
+
+from slam.io.log import LogError
+
+#: What a gzip stream raises that is cut off or damaged.
+BROKEN = (EOFError, zlib.error, gzip.BadGzipFile)
+#: Up to here anything may grow, bytes.
+HARMLESS_BYTES = 1 << 26
+#: Beyond, more bytes from one byte than this are no sensor data: those of real logs grow 2 to 20 times.
+MOST_GROWTH = 200
+_CHUNK = 1 << 20
+
+
+def check_ratio(path: Path, size: int, packed: int) -> None:
+    """Refuse `packed` bytes that become `size`."""
+    if size > HARMLESS_BYTES and size > MOST_GROWTH * packed:
+        grown = size >> 20
+        raise LogError(path, f"expected sensor data, got {packed} bytes that grow to {grown} MiB or more: refused")
+
+
+def numbered_lines(path: Path, longest: int) -> Iterator[tuple[int, str]]:
+    """Lines with their numbers, neither empty nor `#` comments, of a plain or gzip file.
+
+    Raises:
+        LogError: the file cannot be read, a line has `longest` bytes or more, or the stream grows out of proportion.
+        EOFError, zlib.error, gzip.BadGzipFile: the gzip stream breaks off.
+    """
+    with _opened(path) as (stream, packed):
+        number = 0
+        while line := stream.readline(longest):
+            number += 1
+            if len(line) == longest:
+                raise LogError(path, f"expected lines shorter than {longest} bytes", line=number)
+            if packed:
+                check_ratio(path, stream.tell(), packed)
+            text = line.decode("ascii", errors="replace").strip()
+            if text and not text.startswith("#"):
+                yield number, text
+
+
+def read_unpacked(path: Path) -> bytes:
+    """All bytes of a plain or gzip file.
+
+    Raises:
+        LogError: the file cannot be read, the gzip stream breaks off or grows out of proportion.
+    """
+    chunks: list[bytes] = []
+    try:
+        with _opened(path) as (stream, packed):
+            while chunk := stream.read(_CHUNK):
+                chunks.append(chunk)
+                if packed:
+                    check_ratio(path, stream.tell(), packed)
+    except BROKEN as error:
+        raise LogError(path, "the gzip data is cut off or damaged") from error
+    return b"".join(chunks)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[BufferedIOBase, int]]:
+    """The stream, and the size of the file if it is gzip, else 0."""
+    try:
+        with path.open("rb") as probe:
+            packed = probe.seek(0, 2) if probe.read(2) == b"\x1f\x8b" else 0
+        with gzip.open(path, "rb") if packed else path.open("rb") as stream:
+            yield stream, packed
+    except BROKEN:
+        raise
+    except OSError as error:
+        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
