@@ -58,18 +58,31 @@ class Run:
 
 
 def run_slam(
-    log: Log, rig: Rig, config: SlamConfig, *, clock: StageClock | None = None, progress: Progress | None = None
+    log: Log,
+    rig: Rig,
+    config: SlamConfig,
+    *,
+    slam: PlaneSlam | None = None,
+    clock: StageClock | None = None,
+    progress: Progress | None = None,
 ) -> Run:
     """Estimate trajectory and planes of a log.
+
+    Args:
+        log, rig, config: what to work on, with which sensors, and how.
+        slam: an estimator to go on with, which has the first keyframes of the log already; None: a new one.
+        clock: takes the time of every stage.
+        progress: is told how many keyframes are done, and how many there are.
 
     Raises:
         LogError: the log lacks what the rig needs.
     """
     clock = clock or StageClock()
-    slam = PlaneSlam(config)
+    slam = slam or PlaneSlam(config)
+    done_before = len(slam.keyframes)
     total = count_keyframes(log, rig, config)
-    frames = keyframes_of(log, rig, config)
-    for done in range(total):
+    frames = keyframes_of(log, rig, config, done_before)
+    for done in range(done_before, total):
         with clock.stage("measure"):
             keyframe = next(frames)
         with clock.stage("estimate"):

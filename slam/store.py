@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -76,18 +77,26 @@ class Session:
     Every record carries a checksum over itself and all before it, which is checked whenever it is read.
     """
 
-    def __init__(self, path: Path, connection: sqlite3.Connection, lock: WriterLock | None, version: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        connection: sqlite3.Connection,
+        lock: WriterLock | None,
+        version: int,
+        *,
+        damaged: bool = False,
+    ) -> None:
         self.path = path
         self._db, self._lock, self._version = connection, lock, version
         with translated(path):
             connection.execute("BEGIN")  # one state of the file, whatever its writer does meanwhile
         try:
-            self._load()
+            self._load(damaged)
         finally:
             if connection.in_transaction:
                 connection.execute("COMMIT")
 
-    def _load(self) -> None:
+    def _load(self, damaged: bool) -> None:
         parameters = {key: self._read("session", key) for key in _PARAMETERS}
         try:
             self.config = SlamConfig.model_validate(json.loads(parameters["config"] or b"null"))
@@ -96,6 +105,9 @@ class Session:
             raise SessionError(f"{self.path}: expected the parameters of a run, got others") from error
         self.prior = parameters["prior"]
         self._root = digest(*(parameters[key] for key in _PARAMETERS))
+        if damaged:  # nobody knows how many there were
+            self._size, self._last = sys.maxsize, b""
+            return
         self._size = int(self._one("SELECT count(*) FROM keyframes")[0])
         self._last = self._digest_of(self._size - 1)
         self._check_seal()
@@ -127,7 +139,7 @@ class Session:
             connection = create(path)
             values = {
                 "config": json.dumps(config.model_dump(mode="json")).encode(),  # JSON of Python's: it knows infinity
-                "rig": None if rig is None else rig.model_dump_json(by_alias=True, exclude_none=True).encode(),
+                "rig": None if rig is None else _rig_json(rig),
                 "prior": prior,
                 "program": __version__.encode(),
                 "log": json.dumps(log).encode(),
@@ -145,8 +157,13 @@ class Session:
             raise
 
     @classmethod
-    def open(cls, path: Path | str, *, read_only: bool = False) -> Self:
+    def open(cls, path: Path | str, *, read_only: bool = False, damaged: bool = False) -> Self:
         """A session that exists; a writer brings an older version up to today's.
+
+        Args:
+            path: the file, or the folder of a run.
+            read_only: only look; another process may be writing meanwhile.
+            damaged: it is known to be, and each record is to be asked for by itself (see `slam.salvage`).
 
         Raises:
             SessionError: no such file, no session, another process writes it (and this one wants to).
@@ -158,14 +175,15 @@ class Session:
         lock = None if read_only else _locked(path)
         connection: sqlite3.Connection | None = None
         try:
-            _check_journal(path, writer_may_live=read_only)
+            if not damaged:
+                _check_journal(path, writer_may_live=read_only)
             connection = connect(path, read_only=read_only)
             version = check_version(path, connection, read_only=read_only)
             if not read_only:
                 check_structure(path, connection)
                 with translated(path):
                     connection.execute("PRAGMA journal_mode = WAL")
-            return cls(path, connection, lock, version)
+            return cls(path, connection, lock, version, damaged=damaged)
         except BaseException:
             if connection is not None:
                 connection.close()
@@ -217,7 +235,7 @@ class Session:
         """What the measurements of a keyframe were taken for; None: not recorded."""
         row = self._one("SELECT data, digest FROM decisions WHERE keyframe = ?", index)
         if row is None:
-            if index < self._size - 1:
+            if index < self._size - 1 < sys.maxsize - 1:
                 raise self._damaged(index)
             return None
         if digest(chain or self._digest_of(index), row[0]) != row[1]:
@@ -371,6 +389,13 @@ class Session:
 
     def _damaged(self, index: int, size: int | None = None) -> SessionDamaged:
         return SessionDamaged(f"{self.path}: damaged at keyframe {index} of {size or self._size}")
+
+
+def _rig_json(rig: Rig) -> bytes:
+    plain = rig.model_dump(mode="json", by_alias=True, exclude_none=True)
+    for sensor in plain["sensors"].values():
+        sensor["body_T_sensor"] = sensor["body_T_sensor"].get("matrix", sensor["body_T_sensor"])
+    return json.dumps(plain).encode()
 
 
 def _put(connection: sqlite3.Connection, table: str, key: str, data: bytes) -> None:

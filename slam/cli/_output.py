@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
@@ -52,3 +53,14 @@ def warn_of(sentences: Sequence[str]) -> None:
     """One line each on stderr."""
     for sentence in sentences:
         typer.echo(f"warning: {sentence}", err=True)
+
+
+@contextmanager
+def hint_of(folder: Path) -> Iterator[None]:
+    """When a run ends early and left a session, say how to go on."""
+    try:
+        yield
+    except BaseException:
+        if (folder / "session.db").exists():
+            typer.echo(f"what was recorded is safe; go on with: spplanes slam --resume {folder}", err=True)
+        raise

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,29 +16,87 @@ from slam.cli._job import (
     RigOption,
     open_job,
 )
-from slam.cli._output import progress_bar, show, warn_of
+from slam.cli._output import hint_of, progress_bar, show, warn_of
+
+if TYPE_CHECKING:
+    from slam.run import Run
 
 
 def slam(
-    log: Annotated[Path, typer.Argument(help="CARMEN log (.clf, .clf.gz), 3DTK folder or simulated mission.")],
-    out: OutOption,
+    log: Annotated[
+        Path | None,
+        typer.Argument(help="CARMEN log (.clf, .clf.gz), folder of clouds or 3DTK scans, or simulated mission."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results; must not exist.")] = None,
     rig: RigOption = None,
     config: ConfigOption = None,
     overwrite: OverwriteOption = False,
     keep_partial: KeepPartialOption = False,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Go on with a run that ended: --resume RUN, or LOG --out RUN --resume."),
+    ] = False,
+    salvage: Annotated[
+        bool, typer.Option("--salvage", help="With --resume: of a damaged session keep what is whole.")
+    ] = False,
+    prior: Annotated[Path | None, typer.Option("--prior", help="Finished run (or planes.json) to localise in.")] = None,
+    start: Annotated[str, typer.Option("--start", help="With --prior: its first X,Y,HEADING (m, deg).")] = "0,0,0",
+    start_sigma: Annotated[
+        str, typer.Option("--start-sigma", help="With --prior: standard deviations of that (m, deg).")
+    ] = "0.3,6",
+    keep_raw: Annotated[bool, typer.Option("--keep-raw", help="Keep the raw scans in the session.")] = False,
+    forget_raw: Annotated[bool, typer.Option("--forget-raw", help="Keep measurements on disk, not in memory.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Estimate trajectory and planes of LOG."""
-    from slam.export import new_folder, write_run
-    from slam.metrics import metrics_of, warnings_of
+    """Estimate trajectory and planes of LOG; what is measured is on disk before it is used."""
+    if resume:
+        run_folder, moved_to = (out, log) if out is not None else (log, None)
+        if run_folder is None or rig or config or prior or overwrite or keep_partial or keep_raw or forget_raw:
+            raise typer.BadParameter("takes the folder of a run; all else is as the run began", param_hint="--resume")
+        _resume(run_folder, moved_to, salvage=salvage, as_json=as_json)
+        return
+    if log is None or out is None or salvage:
+        raise typer.BadParameter("expected LOG --out DIR, or --resume RUN", param_hint="slam")
+    from slam.cli._prior import read_prior
     from slam.run import run_slam
+    from slam.run_folder import Source, new_run
 
     job = open_job(log, out, rig=rig, config=config, overwrite=overwrite, keep_partial=keep_partial)
-    with progress_bar("keyframes") as progress:
-        run = run_slam(job.log, job.rig, job.config, clock=job.clock, progress=progress)
-    with new_folder(out, overwrite=overwrite) as folder:
-        write_run(run, folder, title=f"spplanes slam {log.name}")
-    show(f"{log.name}", metrics_of(run), as_json)
+    known = None if prior is None else read_prior(prior, start, start_sigma)
+    source = Source(log, keep_partial, "value" if keep_raw else "reference", forget_raw)
+    with (
+        hint_of(out),
+        new_run(out, job.log, job.rig, job.config, source, prior=known, overwrite=overwrite) as slam,
+        progress_bar("keyframes") as progress,
+    ):
+        run = run_slam(job.log, job.rig, job.config, slam=slam, clock=job.clock, progress=progress)
+        _conclude(run, out, as_json)
+
+
+def _resume(folder: Path, log: Path | None, *, salvage: bool, as_json: bool) -> None:
+    """Go on with a run."""
+    from slam.run import StageClock, run_slam
+    from slam.run_folder import resumed_run
+    from slam.salvage import salvage_session
+
+    if salvage:
+        typer.echo(salvage_session(folder).sentence, err=True)
+    clock = StageClock()
+    with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
+        with progress_bar("keyframes") as progress:
+            run = run_slam(read, rig, slam.config, slam=slam, clock=clock, progress=progress)
+        _conclude(run, folder, as_json)
+
+
+def _conclude(run: Run, folder: Path, as_json: bool) -> None:
+    """Write the results of a run into its folder, and its table on the screen."""
+    from slam.export import write_run
+    from slam.metrics import metrics_of, warnings_of
+    from slam.run_folder import conclude
+
+    name = run.log.source.name
+    conclude(run.slam, folder, lambda work: write_run(run, work, title=f"spplanes slam {name}"))
+    show(name, metrics_of(run), as_json)
     warn_of(warnings_of(run))
 
 

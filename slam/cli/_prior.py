@@ -1,0 +1,31 @@
+"""Where a mission starts in the map of another: numbers on the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from slam.io.log import planar_transform
+from slam.prior import PriorMap, floor_start
+
+
+def read_prior(path: Path, start: str, sigma: str) -> PriorMap:
+    """The prior map, and the start as words: X,Y,HEADING and their standard deviations, m and deg."""
+    x, y, heading = _numbers("--start", start, 3)
+    sigma_m, sigma_deg = _numbers("--start-sigma", sigma, 2)
+    if min(sigma_m, sigma_deg) <= 0.0:
+        raise ValueError(f"--start-sigma: expected two positive numbers, got {sigma!r}")
+    world_T_start = planar_transform(x, y, float(np.deg2rad(heading)))
+    covariance = floor_start(sigma_m, float(np.deg2rad(sigma_deg)))
+    return PriorMap.load(path, world_T_start=world_T_start, start_covariance=covariance)
+
+
+def _numbers(name: str, text: str, count: int) -> list[float]:
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise ValueError(f"{name}: expected {count} numbers with commas between them, got {text!r}")
+    return numbers
