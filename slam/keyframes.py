@@ -14,6 +14,7 @@ from slam.measure import lines_of_scan, planes_of_cloud, planes_of_window
 from slam.observations import Observation, on_real_wall
 from slam.odometry import Motion, OdometryTrack
 from slam.rig import Rig
+from slam.sweep import unswept
 from spplanes._check import FloatArray
 
 
@@ -95,7 +96,7 @@ def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int) -> Iter
                 kf_T_body = inverse(track.poses_at([stamp])[0]) @ track.poses_at([scan.stamp_ns])[0]
                 observations += [
                     on_real_wall(line, sensor.surface_sigma_m, sensor.surface_correlation_m)
-                    for line in lines_of_scan(scan, sensor, kf_T_body, config.lines)
+                    for line in lines_of_scan(unswept(scan, sensor, track), sensor, kf_T_body, config.lines)
                 ]
         yield Keyframe(stamp, observations, motion, scans=tuple(scans))
 

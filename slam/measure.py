@@ -15,6 +15,7 @@ from slam.observations import LineObservation, PlaneObservation
 from slam.odometry import OdometryTrack
 from slam.outlines import flatten
 from slam.rig import Sensor
+from slam.sweep import middle_ns, place_beams
 from slam.window import window_poses
 from spplanes import LineConfig, MapperConfig, Plane, extract_lines, fit_plane, segment_scans
 from spplanes._check import FloatArray
@@ -47,13 +48,15 @@ def planes_of_window(
     """Planes of a push-broom window in the body frame at `stamp_ns`.
 
     The scans are placed by odometry. Its error inside the window is shared by all points of a scan and grows along the
-    window, so it goes into the fit as one joint covariance of the scan poses, never into the points' own.
+    window, so it goes into the fit as one joint covariance of the scan poses, never into the points' own. A scan that
+    takes time has each beam where the body was at its moment; it errs with the pose of its middle.
     """
     if len(scans) < 2:
         return []
-    kf_T_body, pose_covariance = window_poses([scan.stamp_ns for scan in scans], stamp_ns, track)
-    ranges = np.stack([usable_ranges(scan.ranges, sensor) for scan in scans])
-    placed = register_scans(ranges, scans[0].angles, kf_T_body, model_of(sensor), body_T_sensor=sensor.body_T_sensor)
+    kf_T_body, pose_covariance = window_poses([middle_ns(scan, sensor) for scan in scans], stamp_ns, track)
+    ranges, model = np.stack([usable_ranges(scan.ranges, sensor) for scan in scans]), model_of(sensor)
+    placed = register_scans(ranges, scans[0].angles, kf_T_body, model, body_T_sensor=sensor.body_T_sensor)
+    placed = place_beams(placed, scans, kf_T_body, sensor, track, model)
     labels, planes = segment_scans(
         placed.points,
         placed.covariances,
