@@ -110,7 +110,7 @@ class _Writer:
         if is_dataclass(value) and _CLASSES.get(type(value).__name__) is type(value):
             content = {one.name: self.plain(getattr(value, one.name)) for one in fields(value)}
             return {"class": type(value).__name__, "fields": content}
-        if isinstance(value, Sequence):
+        if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
             return [self.plain(one) for one in value]
         raise CodecError(f"expected a measurement that a session knows, got {type(value).__name__}")
 
