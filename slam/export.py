@@ -16,6 +16,8 @@ from plyfile import PlyData, PlyElement
 
 from slam.config import SlamConfig
 from slam.evaluation.metrics import Metric
+from slam.history import History
+from slam.io.g2o_writer import write_g2o
 from slam.io.trajectories import write_tum
 from slam.mapping_run import MapResult
 from slam.mesh import Mesh, mesh_of
@@ -66,6 +68,8 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     numbers = {"metrics": as_json(rows), **details_of(run), **{caption: as_json(table) for caption, table in extra}}
     write_result(run, folder, run.slam.config, run.rig, numbers)
     write_tum(folder / "odometry.tum", run.odometry)
+    write_g2o(folder / "graph.g2o", run.slam.backend.graph, run.slam.backend.values)
+    History.of(run.planes, run.slam).write(folder / "view.json")
     write_report(folder / "report.html", title, [*extra, ("the run", rows)], [folder / "map.png"])
 
 
@@ -73,6 +77,7 @@ def write_map(result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, 
     """Write a map made at given poses into a folder that exists; returns the table."""
     rows = map_metrics_of(result)
     write_result(result, folder, config, rig, {"metrics": as_json(rows)})
+    History.of(result.planes).write(folder / "view.json")
     write_report(folder / "report.html", title, [("the map", rows)], [folder / "map.png"])
     return rows
 

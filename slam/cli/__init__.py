@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from slam.cli.missions import simulate
-from slam.cli.results import evaluate
+from slam.cli.results import evaluate, export
 from slam.cli.runs import demo, map_, slam
 
 app = typer.Typer(
@@ -58,6 +58,6 @@ def group(
     """Planes with honest covariances, and plane-based SLAM on GTSAM."""
 
 
-for _command in (slam, demo, simulate, evaluate):
+for _command in (slam, demo, simulate, evaluate, export):
     app.command()(_command)
 app.command(name="map")(map_)

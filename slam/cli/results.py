@@ -1,4 +1,4 @@
-"""Commands on a finished run: evaluate."""
+"""Commands on a finished run: evaluate, export."""
 
 from __future__ import annotations
 
@@ -23,3 +23,18 @@ def evaluate(
     rows = evaluate_run(run, truth)
     add_to_metrics(run, "evaluation", rows)
     show(f"{run.name} against {truth.name}", rows, as_json)
+
+
+def export(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    to: Annotated[
+        list[Path],
+        typer.Option("--to", help="File to write, by its ending: .ply, .glb, .g2o, .tum, .kitti (or .kitti.txt)."),
+    ],
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
+) -> None:
+    """Write planes, graph or trajectory of RUN as files of other tools; --to may be given more than once."""
+    from slam.targets import export_run
+
+    for target in to:
+        export_run(run, target, overwrite=overwrite)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from slam.io.log import LogError
 from spplanes.plane import Plane
@@ -24,8 +25,24 @@ def write_planes(path: Path | str, planes: Sequence[Plane]) -> None:
     Path(path).write_text(json.dumps(document, indent=1, allow_nan=False), encoding="utf-8")
 
 
+class StoredPlane(NamedTuple):
+    """One entry of a planes.json."""
+
+    id: int
+    """The landmark's number."""
+    plane: Plane
+    """The plane, in the frame of the file."""
+    observations: int
+    """Number of keyframes that saw it."""
+
+
 def read_planes(path: Path | str) -> list[Plane]:
-    """Read the planes of a planes.json, in the order of the file.
+    """Read the planes of a planes.json, in the order of the file; errors as `read_map`."""
+    return [stored.plane for stored in read_map(path)]
+
+
+def read_map(path: Path | str) -> list[StoredPlane]:
+    """Read the planes of a planes.json with their ids, in the order of the file.
 
     Raises:
         LogError: one sentence with the file, and the plane that is wrong: not JSON, another format, missing keys, a
@@ -46,7 +63,15 @@ def read_planes(path: Path | str) -> list[Plane]:
     planes = []
     for index, entry in enumerate(entries):
         try:
-            planes.append(Plane.from_dict(entry))
+            plane = Plane.from_dict(entry)
+            planes.append(StoredPlane(_count(entry, "id", index), plane, _count(entry, "observations", 0)))
         except ValueError as error:
             raise LogError(path, f"planes[{index}]: {error}") from error
     return planes
+
+
+def _count(entry: dict[str, object], key: str, default: int) -> int:
+    number = entry.get(key, default)
+    if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**31:
+        raise ValueError(f"{key}: expected a whole number from 0 up, got {str(number)[:20]!r}")
+    return number
