@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 
+from slam.cloud_map import map_clouds
 from slam.config import SlamConfig
-from slam.io.log import LaserScan, Log, LogError
+from slam.io.log import CloudScan, LaserScan, Log, LogError
 from slam.io.trajectories import Trajectory
 from slam.measure import for_sensor, model_of, usable_ranges
 from slam.planeslam import MapPlane
@@ -40,12 +41,17 @@ class MapResult:
 def run_map(
     log: Log, rig: Rig, config: SlamConfig, *, clock: StageClock | None = None, progress: Progress | None = None
 ) -> MapResult:
-    """Planes of the push-broom scans of a log, at the poses that the log gives, with the localisation's covariance.
+    """Planes of the scans of a log, at the poses that the log gives, with the localisation's covariance.
+
+    A log with 3D scans is mapped by them (`slam.cloud_map`), any other by its push-broom laser.
 
     Raises:
         LogError: no push-broom scans, scans without a pose, or beam counts that change.
     """
     clock = clock or StageClock()
+    if any(isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud") for scan in log.scans()):
+        planes, poses, n_seen, n_represented = map_clouds(log, rig, config, clock, progress)
+        return MapResult(planes, poses, no_poses(), n_seen, n_represented, clock)
     name, sensor = _slice_sensor(log, rig)
     scans = [scan for scan in log.scans(name) if isinstance(scan, LaserScan)]
     pose_covariance = None if rig.localisation is None else rig.localisation.location_covariance()
@@ -77,11 +83,16 @@ def run_map(
     return MapResult(
         [MapPlane(index, plane, plane.outline or shapely.Polygon(), 1, ("map",)) for index, plane in enumerate(planes)],
         Trajectory(stamps, poses),
-        Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4))),
+        no_poses(),
         mapper.n_points_seen,
         mapper.n_points_represented,
         clock,
     )
+
+
+def no_poses() -> Trajectory:
+    """A trajectory without poses."""
+    return Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
 
 
 def correlated(config: MapperConfig, scans: list[LaserScan], rig: Rig, log: Log) -> MapperConfig:

@@ -75,6 +75,10 @@ class LocalisationNoise(Frozen):
     """Standard deviation of x and of y in the world, m."""
     heading_sigma_rad: NotNegative = 0.0005
     """Standard deviation of the heading, about the body's own origin, rad."""
+    z_sigma_m: NotNegative = 0.0
+    """Standard deviation of the height, m; 0: a robot on a floor."""
+    tilt_sigma_rad: NotNegative = 0.0
+    """Standard deviation of the rotation about x and of that about y, rad; 0: a robot on a floor."""
     correlation_length_m: Positive = 2.0
     """Path length over which the correlation falls to 1/e, m."""
 
@@ -84,7 +88,8 @@ class LocalisationNoise(Frozen):
 
     def location_covariance(self) -> FloatArray:
         """The same in the order (x, y, z, phi, theta, psi), shape (6, 6), rotation about the body's own origin."""
-        return np.diag([self.xy_sigma_m**2, self.xy_sigma_m**2, 0.0, self.heading_sigma_rad**2, 0.0, 0.0])
+        xy, tilt = self.xy_sigma_m**2, self.tilt_sigma_rad**2
+        return np.diag([xy, xy, self.z_sigma_m**2, self.heading_sigma_rad**2, tilt, tilt])
 
     def correlation(self, path_lengths: ArrayLike) -> FloatArray:
         """Correlation of the errors at places along the path, shape (S, S), from path lengths (S,) in m."""

@@ -25,7 +25,7 @@ def blocks_of(page: Path) -> list[tuple[int, str]]:
 
 
 def test_there_are_pages_with_code():
-    assert {page.stem for page in PAGES if blocks_of(page)} >= {"index", "conventions", "theory", "sensors"}
+    assert {page.stem for page in PAGES if blocks_of(page)} >= {"index", "conventions", "theory", "sensors", "rig"}
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks_of(page)], ids=lambda page: page.stem)
@@ -43,20 +43,40 @@ def test_links_lead_somewhere(page: Path):
     assert [target for target in targets if not (page.parent / target).exists()] == []
 
 
-@pytest.mark.parametrize("model", [Rig, Sensor, Mount, OdometryNoise, LocalisationNoise])
-def test_every_field_of_a_rig_is_described(model):
-    text = (ROOT / "docs" / "sensors.md").read_text(encoding="utf-8")
-    keys = [field.alias or name for name, field in model.model_fields.items()]
-    assert [key for key in keys if f"| `{key}` |" not in text] == []
+#: Where docs/rig.md describes what.
+SECTIONS = {
+    "Top level": Rig,
+    "A sensor": Sensor,
+    "The mount": Mount,
+    "The wheels: `odometry`": OdometryNoise,
+    "Poses that a log gives: `localisation`": LocalisationNoise,
+}
+UNITS = {"m": "m", "rad": "rad", "deg": "deg", "s": "s"}
 
 
-def test_defaults_on_the_page_are_those_of_the_code():
-    text = (ROOT / "docs" / "sensors.md").read_text(encoding="utf-8")
-    rows = {row[0]: row[1] for row in re.findall(r"^\| `(\w+)` \| [^|]* \| ([^|]*) \|", text, re.MULTILINE)}
-    for model in (Sensor, OdometryNoise, LocalisationNoise):
-        for name, field in model.model_fields.items():
-            if isinstance(field.default, float) and name != "heading_sigma_rad":
-                assert float(rows[name]) == field.default, name
+def rows_of(section: str) -> dict[str, tuple[str, str, str]]:
+    """Unit, default and meaning of every key in the table of a section of docs/rig.md."""
+    text = (ROOT / "docs" / "rig.md").read_text(encoding="utf-8")
+    body = re.split(r"^##+ ", text.split(f"# {section}\n", 1)[1], maxsplit=1, flags=re.MULTILINE)[0]
+    rows = re.findall(r"^\| `(\w+)` \|([^|]*)\|([^|]*)\|(.*)\|$", body, re.MULTILINE)
+    return {key: (unit.strip(), default.strip(), meaning) for key, unit, default, meaning in rows}
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_the_rig_page_is_the_rig(section: str):
+    """Every key, and no other, each with its unit, its default and a meaning."""
+    rows, fields = rows_of(section), SECTIONS[section].model_fields
+    keys = {field.alias or name: field for name, field in fields.items()}
+    assert set(rows) == set(keys)
+    for key, (unit, default, meaning) in rows.items():
+        assert len(meaning) > 5, key
+        suffix = next((end for end in UNITS if key.endswith(f"_{end}") and "_per_" not in key), None)
+        if suffix is not None:
+            assert unit == UNITS[suffix], key
+        if isinstance(keys[key].default, float):
+            assert float(default) == keys[key].default, key
+        elif keys[key].is_required():
+            assert default == "required", key
 
 
 def test_the_version_is_the_same_everywhere():

@@ -101,7 +101,7 @@ def _conclude(run: Run, folder: Path, as_json: bool) -> None:
 
 
 def map_(
-    log: Annotated[Path, typer.Argument(help="CARMEN log with poses, or simulated mission, of a push-broom laser.")],
+    log: Annotated[Path, typer.Argument(help="Log, folder or mission whose scans come with poses.")],
     out: OutOption,
     rig: RigOption = None,
     config: ConfigOption = None,

@@ -22,7 +22,7 @@ import numpy as np
 
 from slam.io._numbers import nanoseconds, read_rows
 from slam.io.arrange import Grid, arrange
-from slam.io.clouds import is_cloud_file, read_cloud
+from slam.io.clouds import is_cloud_file, read_cloud, weigh_cloud
 from slam.io.log import Event, Log, LogError, OdometryReading, StoredCloud
 from slam.io.trajectories import Trajectory, read_kitti, read_tum
 from spplanes._check import FloatArray
@@ -73,6 +73,8 @@ def read_cloud_folder(folder: Path, *, sensor: str = SENSOR, grid: Grid | None =
     paths = clouds_in(folder)
     if not paths:
         raise LogError(folder, "expected a folder of clouds, found none")
+    for path in paths:
+        weigh_cloud(path)
     notes: list[str] = []
     poses, odometry = _rows_of(folder, _POSES), _rows_of(folder, _ODOMETRY)
     stamps = _stamps(folder, paths, [rows for rows in (odometry, poses) if isinstance(rows, Trajectory)])

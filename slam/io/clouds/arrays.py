@@ -55,6 +55,17 @@ def read_npz(path: Path) -> Cloud:
     return _cloud(path, _guarded(path, load))
 
 
+def weigh_npy(path: Path) -> None:
+    """Read the header alone."""
+
+    def weigh() -> np.ndarray:
+        with path.open("rb") as stream:
+            _check_declared(path, stream, file_size(path))
+        return np.empty(0)
+
+    _guarded(path, weigh)
+
+
 def _guarded(path: Path, load: Callable[[], np.ndarray]) -> np.ndarray:
     try:
         return load()

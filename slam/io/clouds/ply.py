@@ -39,6 +39,26 @@ class Element:
     has_lists: bool = False
     """Whether a property is a list: then rows differ in length."""
 
+    def dtype(self, order: str) -> np.dtype:
+        """One row of a binary file."""
+        return np.dtype([(name, order + kind) for name, kind in self.columns])
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a PLY file says about its vertices."""
+
+    order: str
+    """Byte order: < or >; empty for ascii."""
+    vertex: Element
+    """The table of vertices."""
+    start: int
+    """Where binary vertices, or any ascii data, begin, bytes."""
+    line: int
+    """Number of the line after the header."""
+    rows_before: int
+    """Lines of ascii data before the vertices."""
+
 
 def read_ply(path: Path) -> Cloud:
     """Read the vertices of a PLY file; other elements and properties are left out.
@@ -47,39 +67,46 @@ def read_ply(path: Path) -> Cloud:
         LogError: one sentence with file, and line where there is one: a header that is none, no x y z, data that are
             cut off (seen before memory is taken for them), no point at all.
     """
-    order, elements, start, line = _read_header(path)
-    before = elements[: [element.name for element in elements].index("vertex")]
-    vertex = elements[len(before)]
-    if any(element.has_lists for element in [*before, vertex]):
-        raise LogError(path, "expected vertices before any list, got a list first")
-    if order:
-        return checked(path, _binary(path, order, before, vertex, start))
-    return checked(path, _ascii(path, before, vertex, start, line))
+    header = read_header(path)
+    return checked(path, _binary(path, header) if header.order else _ascii(path, header))
 
 
-def _binary(path: Path, order: str, before: list[Element], vertex: Element, start: int) -> FloatArray:
-    dtypes = [np.dtype([(name, order + kind) for name, kind in element.columns]) for element in (*before, vertex)]
-    start += sum(element.count * dtype.itemsize for element, dtype in zip(before, dtypes[:-1], strict=True))
-    check_room(path, f"{vertex.count} vertices", vertex.count * dtypes[-1].itemsize, file_size(path) - start)
-    table = np.frombuffer(read_bytes(path, start), dtype=dtypes[-1], count=vertex.count)
+def _binary(path: Path, header: Header) -> FloatArray:
+    vertex = header.vertex
+    table = np.frombuffer(read_bytes(path, header.start), dtype=vertex.dtype(header.order), count=vertex.count)
     points = np.column_stack([table[axis] for axis in "xyz"]).astype(np.float64)
     check_byte_order(path, points)
     return points
 
 
-def _ascii(path: Path, before: list[Element], vertex: Element, start: int, line: int) -> FloatArray:
-    skipped = sum(element.count for element in before)
-    least = 2 * skipped + 2 * len(vertex.columns) * vertex.count - 1
-    check_room(path, f"{vertex.count} vertices", least, file_size(path) - start)
-    lines = read_bytes(path, start).split(b"\n")[skipped : skipped + vertex.count]
-    rows = text_rows(path, b"\n".join(lines), len(vertex.columns), line + skipped)
+def _ascii(path: Path, header: Header) -> FloatArray:
+    vertex, skipped = header.vertex, header.rows_before
+    lines = read_bytes(path, header.start).split(b"\n")[skipped : skipped + vertex.count]
+    rows = text_rows(path, b"\n".join(lines), len(vertex.columns), header.line + skipped)
     if len(rows) != vertex.count:
         raise LogError(path, f"expected {vertex.count} vertices, got {len(rows)} lines")
     names = [name for name, _ in vertex.columns]
     return rows[:, [names.index(axis) for axis in "xyz"]]
 
 
-def _read_header(path: Path) -> tuple[str, list[Element], int, int]:
+def read_header(path: Path) -> Header:
+    """Read and check the header; the data are only weighed."""
+    order, elements, start, line = _parse_header(path)
+    before = elements[: [element.name for element in elements].index("vertex")]
+    vertex = elements[len(before)]
+    if any(element.has_lists for element in [*before, vertex]):
+        raise LogError(path, "expected vertices before any list, got a list first")
+    rows_before = sum(element.count for element in before)
+    if order:
+        start += sum(element.count * element.dtype(order).itemsize for element in before)
+        needed = vertex.count * vertex.dtype(order).itemsize
+    else:  # the last line needs no end
+        needed = 2 * rows_before + 2 * len(vertex.columns) * vertex.count - 1
+    check_room(path, f"{vertex.count} vertices", needed, file_size(path) - start)
+    return Header(order, vertex, start, line, rows_before)
+
+
+def _parse_header(path: Path) -> tuple[str, list[Element], int, int]:
     """Byte order ("" for ascii), elements, where the data begin, and in which line."""
     order: str | None = None
     elements: list[Element] = []

@@ -5,21 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from slam.io.clouds.arrays import read_npy, read_npz
+from slam.io.clouds import pcd, ply
+from slam.io.clouds.arrays import read_npy, read_npz, weigh_npy
 from slam.io.clouds.cloud import Cloud
-from slam.io.clouds.kitti import read_kitti_bin
-from slam.io.clouds.pcd import read_pcd
-from slam.io.clouds.ply import read_ply
+from slam.io.clouds.kitti import read_kitti_bin, weigh_kitti_bin
 from slam.io.clouds.text import read_text
 from slam.io.log import LogError
 
 _READERS: dict[str, Callable[[Path], Cloud]] = {
-    ".pcd": read_pcd,
-    ".ply": read_ply,
+    ".pcd": pcd.read_pcd,
+    ".ply": ply.read_ply,
     ".bin": read_kitti_bin,
     ".npy": read_npy,
     ".npz": read_npz,
     **dict.fromkeys((".xyz", ".txt", ".asc", ".csv", ".pts"), read_text),
+}
+#: What can be seen to be wrong without reading the points.
+_WEIGHERS: dict[str, Callable[[Path], object]] = {
+    ".pcd": pcd.read_header,
+    ".ply": ply.read_header,
+    ".bin": weigh_kitti_bin,
+    ".npy": weigh_npy,
 }
 #: Endings of the files that `read_cloud` reads.
 CLOUD_SUFFIXES = tuple(_READERS)
@@ -28,6 +34,17 @@ CLOUD_SUFFIXES = tuple(_READERS)
 def is_cloud_file(path: Path) -> bool:
     """Whether the name is that of a cloud."""
     return path.suffix.lower() in _READERS
+
+
+def weigh_cloud(path: Path) -> None:
+    """Check header and size without reading the points, as far as the format has them.
+
+    Raises:
+        LogError: what `read_cloud` would say about them.
+    """
+    weigher = _WEIGHERS.get(path.suffix.lower())
+    if weigher is not None:
+        weigher(path)
 
 
 def read_cloud(path: Path | str) -> Cloud:
