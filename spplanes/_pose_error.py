@@ -47,7 +47,7 @@ def accumulate(points, covariance, labels, planes, anchors, pose_roots, origins,
                 if not seen[r]:
                     moments[r] = 0.0
                     seen[r] = True
-                _add(moments[r], points[i, j], covariance[i, j], planes[r], anchors[r], origins[i])
+                _add(moments, points, covariance, i, j, planes, r, anchors, origins)
         for r in range(n_regions):
             if seen[r]:
                 _close_scan(total[r], running[r], moments[r] @ pose_roots[i])
@@ -68,20 +68,20 @@ def _close_scan(total, running, gain):
 
 
 @njit(cache=True)
-def _add(moment, p, covariance, plane, anchor, origin):
-    """Add w (1, p - r) (n^T dp/dxi) of one point to m (4, 6)."""
-    nx, ny, nz = plane[0], plane[1], plane[2]
-    w = 1.0 / variance_along(covariance, nx, ny, nz)
-    px, py, pz = p[0] - origin[0], p[1] - origin[1], p[2] - origin[2]
+def _add(moments, points, covariance, i, j, planes, r, anchors, origins):
+    """Add w (1, p - r) (n^T dp/dxi) of point (i, j) to m (4, 6) of region r."""
+    nx, ny, nz = planes[r, 0], planes[r, 1], planes[r, 2]
+    w = 1.0 / variance_along(covariance, i, j, nx, ny, nz)
+    px, py, pz = points[i, j, 0] - origins[i, 0], points[i, j, 1] - origins[i, 1], points[i, j, 2] - origins[i, 2]
     turn_x, turn_y, turn_z = py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx
     for k in range(4):
-        h = w if k == 0 else w * (p[k - 1] - anchor[k - 1])
-        moment[k, 0] += h * nx
-        moment[k, 1] += h * ny
-        moment[k, 2] += h * nz
-        moment[k, 3] += h * turn_z
-        moment[k, 4] += h * turn_y
-        moment[k, 5] += h * turn_x
+        h = w if k == 0 else w * (points[i, j, k - 1] - anchors[r, k - 1])
+        moments[r, k, 0] += h * nx
+        moments[r, k, 1] += h * ny
+        moments[r, k, 2] += h * nz
+        moments[r, k, 3] += h * turn_z
+        moments[r, k, 4] += h * turn_y
+        moments[r, k, 5] += h * turn_x
 
 
 def merge_sums(

@@ -8,6 +8,7 @@ import numpy as np
 
 from spplanes import _pose_error, outline
 from spplanes._check import FloatArray
+from spplanes._raster import cells_of, distinct, projection_axis
 from spplanes.moments import ROW_SIZE, merge_rows
 from spplanes.plane import Plane
 from spplanes.segmentation._patches import eigenvalues
@@ -91,13 +92,21 @@ class RegionTable:
         self.views[into] += self.views[other]
         self.parent[other] = into
 
-    def compact_outlines(self) -> None:
+    def draw(self, keys: np.ndarray) -> None:
+        """Add cells to the outlines, as keys of `_raster`."""
+        if self.n_keys + len(keys) > len(self.keys):
+            self.keys = _enlarged(self.keys[: self.n_keys], 2 * (self.n_keys + len(keys)))
+        self.keys[self.n_keys : self.n_keys + len(keys)] = keys
+        self.n_keys += len(keys)
+        self._compact_outlines()
+
+    def _compact_outlines(self) -> None:
         """Drop repeated cells when enough of them may have gathered."""
         if self.n_keys > 2 * self._n_distinct:
-            distinct = np.unique(self.keys[: self.n_keys])
-            self.keys[: len(distinct)] = distinct
-            self.n_keys = len(distinct)
-            self._n_distinct = max(len(distinct), 512)
+            cells = distinct(self.keys[: self.n_keys])
+            self.keys[: len(cells)] = cells
+            self.n_keys = len(cells)
+            self._n_distinct = max(len(cells), 512)
 
     def kept(self) -> np.ndarray:
         """Numbers of the regions that are planes to report, ascending, shape (K,)."""
@@ -135,8 +144,8 @@ class RegionTable:
 
     def _outlines(self, kept: np.ndarray, frames: FloatArray, spreads: FloatArray, rows: FloatArray) -> list:
         """Outline of every plane to report."""
-        keys = np.unique(self.keys[: self.n_keys])
-        drawn_for, cells = outline.cells_of(keys)
+        keys = distinct(self.keys[: self.n_keys])
+        drawn_for, cells = cells_of(keys)
         owner = self.roots(drawn_for) if len(keys) else drawn_for
         order = np.argsort(owner, kind="stable")
         bounds = np.searchsorted(owner[order], kept), np.searchsorted(owner[order], kept, side="right")
@@ -144,7 +153,7 @@ class RegionTable:
         result = []
         for k in range(len(kept)):
             mine = order[bounds[0][k] : bounds[1][k]]
-            axis = int(outline.projection_axis(*frames[k][:3, 2]))
+            axis = int(projection_axis(*frames[k][:3, 2]))
             own = outline.in_projection(cells[mine], self.axis[drawn_for[mine]], axis, side, frames[k])
             polygon = outline.outline_from_cells(own, side, axis, frames[k])
             half = np.sqrt(3.0 * spreads[k, 1:] / rows[k, 1])

@@ -7,8 +7,9 @@ import copy
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spplanes import _pose_error, outline
+from spplanes import _pose_error
 from spplanes._check import FloatArray, as_float_array, as_shape
+from spplanes._raster import along_axes, draw, keys_of, projection_axis
 from spplanes._region_table import RegionTable
 from spplanes.moments import ROW_SIZE, merge_rows
 from spplanes.segmentation.config import MapperConfig
@@ -147,7 +148,7 @@ def _numbers(sheet: Sheet, active: np.ndarray, part: slice, table: RegionTable) 
     _, order = number_by_first_point(sheet.labels[part], len(sheet.rows))
     fresh = order[number[order] < 0]
     planes = hesse(sheet.rows)
-    axes = np.array([outline.projection_axis(*planes[r, :3]) for r in fresh], dtype=np.int64)
+    axes = np.array([projection_axis(*planes[r, :3]) for r in fresh], dtype=np.int64)
     number[fresh] = table.add(sheet.rows[fresh], sheet.bias[fresh], axes)
     return number
 
@@ -204,17 +205,6 @@ def _shares(labels: np.ndarray, n_regions: int) -> FloatArray:
 
 def _draw(strip: Strip, table: RegionTable, part: slice, config: MapperConfig) -> None:
     """Draw what the settled scans cover on the outlines of their regions."""
-    cell = np.full(table.n_regions, config.outline_cell_m)
-    axes = table.axis[: table.n_regions]
-    for i in range(max(part.start, 1), part.stop):
-        table.keys, table.n_keys = outline.draw_quads(
-            strip.points[i - 1],
-            strip.points[i],
-            strip.labels[i - 1],
-            strip.labels[i],
-            axes,
-            cell,
-            table.keys,
-            table.n_keys,
-        )
-    table.compact_outlines()
+    rows = slice(max(part.start - 1, 0), part.stop)
+    projections = along_axes(table.axis[: table.n_regions], config.outline_cell_m)
+    table.draw(keys_of(*draw(strip.points[rows], strip.labels[rows], projections)))

@@ -68,17 +68,81 @@ def normal_of(row, smallest):
 
 
 @njit(cache=True)
-def variance_along(covariance, nx, ny, nz):
-    """n^T C n of one point; covariance holds one isotropic variance or nine entries.
+def variance_along(covariance, i, j, nx, ny, nz):
+    """n^T C n of point (i, j) of a grid of covariances, shape (S, B, 1), isotropic variances, or (S, B, 9).
+
+    By index, because a view of every single point would take longer than the arithmetic.
 
     It is not taken below a thousandth of the trace: a beam that grazes a plane does not measure it exactly, even if the
     model leaves out the error of its direction.
     """
-    if covariance.shape[0] == 1:
-        return covariance[0]
-    along = (
-        nx * (covariance[0] * nx + (covariance[1] + covariance[3]) * ny + (covariance[2] + covariance[6]) * nz)
-        + ny * (covariance[4] * ny + (covariance[5] + covariance[7]) * nz)
-        + nz * nz * covariance[8]
+    if covariance.shape[2] == 1:
+        return covariance[i, j, 0]
+    xx, yy, zz = covariance[i, j, 0], covariance[i, j, 4], covariance[i, j, 8]
+    xy, xz = covariance[i, j, 1] + covariance[i, j, 3], covariance[i, j, 2] + covariance[i, j, 6]
+    yz = covariance[i, j, 5] + covariance[i, j, 7]
+    along = nx * (xx * nx + xy * ny + xz * nz) + ny * (yy * ny + yz * nz) + nz * nz * zz
+    return max(along, 1e-3 * (xx + yy + zz))
+
+
+@njit(cache=True)
+def distance_of(points, i, j, planes, r):
+    """Signed distance of point (i, j) from plane r of (normal, d), shape (R, 4), m."""
+    return (
+        points[i, j, 0] * planes[r, 0] + points[i, j, 1] * planes[r, 1] + points[i, j, 2] * planes[r, 2] - planes[r, 3]
     )
-    return max(along, 1e-3 * (covariance[0] + covariance[4] + covariance[8]))
+
+
+@njit(cache=True)
+def variance_from(covariance, i, j, planes, r):
+    """Variance of point (i, j) along the normal of plane r, m^2."""
+    return variance_along(covariance, i, j, planes[r, 0], planes[r, 1], planes[r, 2])
+
+
+@njit(cache=True)
+def residual_chi2(points, covariance, i, j, planes, r, floor_variance):
+    """Squared distance of point (i, j) from plane r by its variance along the normal (1 dof)."""
+    distance = distance_of(points, i, j, planes, r)
+    return distance * distance / (variance_from(covariance, i, j, planes, r) + floor_variance)
+
+
+@njit(cache=True)
+def add_run(sums, points, covariance, i, begin, end, about, normal, floor_variance, weighted):
+    """Add points [begin, end) of row i to sums about a point near them, weighted by their noise along a normal.
+
+    Sums in registers, row by row, take a third of the time of adding every point to moments.
+    """
+    nx, ny, nz = normal[0], normal[1], normal[2]
+    ox, oy, oz = about[0], about[1], about[2]
+    sw, sx, sy, sz, xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(begin, end):
+        w = 1.0 / (variance_along(covariance, i, j, nx, ny, nz) + floor_variance) if weighted else 1.0
+        x, y, z = points[i, j, 0] - ox, points[i, j, 1] - oy, points[i, j, 2] - oz
+        wx, wy, wz = w * x, w * y, w * z
+        sw, sx, sy, sz = sw + w, sx + wx, sy + wy, sz + wz
+        xx, xy, xz = xx + wx * x, xy + wx * y, xz + wx * z
+        yy, yz, zz = yy + wy * y, yz + wy * z, zz + wz * z
+    sums[0] += end - begin
+    sums[1] += sw
+    sums[2] += sx
+    sums[3] += sy
+    sums[4] += sz
+    sums[5] += xx
+    sums[6] += xy
+    sums[7] += xz
+    sums[8] += yy
+    sums[9] += yz
+    sums[10] += zz
+
+
+@njit(cache=True)
+def centre_sums(sums, about):
+    """Turn sums about a point into moments about their own centre, in place."""
+    x, y, z = sums[2] / sums[1], sums[3] / sums[1], sums[4] / sums[1]
+    sums[5] -= sums[1] * x * x
+    sums[6] -= sums[1] * x * y
+    sums[7] -= sums[1] * x * z
+    sums[8] -= sums[1] * y * y
+    sums[9] -= sums[1] * y * z
+    sums[10] -= sums[1] * z * z
+    sums[2], sums[3], sums[4] = about[0] + x, about[1] + y, about[2] + z

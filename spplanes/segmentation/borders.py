@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from spplanes.segmentation._patches import variance_along
-from spplanes.segmentation.growing import residual_chi2
+from spplanes.segmentation._patches import distance_of, residual_chi2, variance_from
 
 #: Chi2 by which another region must explain the points of a block better before they change sides.
 BLOCK_GAIN = 4.0
@@ -35,10 +34,7 @@ def choose_blocks(points, covariance, labels, start, planes, gate, floor_varianc
                 continue
             for k in range(n_found):
                 mine, inside = found[k], 0
-                if (
-                    _misfit(points, covariance, labels, i0, j0, i1, j1, mine, planes[mine], floor_variance)
-                    < BLOCK_MISFIT
-                ):
+                if _misfit(points, covariance, labels, i0, j0, i1, j1, mine, planes, floor_variance) < BLOCK_MISFIT:
                     continue
                 sums[:n_found] = 0.0
                 for i in range(i0, i1):
@@ -46,7 +42,7 @@ def choose_blocks(points, covariance, labels, start, planes, gate, floor_varianc
                         if labels[i, j] == mine:
                             inside += 1
                             for m in range(n_found):
-                                cost = residual_chi2(points[i, j], covariance[i, j], planes[found[m]], floor_variance)
+                                cost = residual_chi2(points, covariance, i, j, planes, found[m], floor_variance)
                                 sums[m] += min(cost, 2.0 * gate)
                 if inside == 0:
                     continue
@@ -61,16 +57,15 @@ def choose_blocks(points, covariance, labels, start, planes, gate, floor_varianc
 
 
 @njit(cache=True)
-def _misfit(points, covariance, labels, i0, j0, i1, j1, region, plane, floor_variance):
+def _misfit(points, covariance, labels, i0, j0, i1, j1, region, planes, floor_variance):
     """Chi2 (1 dof) of the mean distance from its plane of the points that a region has in a block."""
     weight, mean = 0.0, 0.0
     for i in range(i0, i1):
         for j in range(j0, j1):
             if labels[i, j] == region:
-                p = points[i, j]
-                w = 1.0 / (variance_along(covariance[i, j], plane[0], plane[1], plane[2]) + floor_variance)
+                w = 1.0 / (variance_from(covariance, i, j, planes, region) + floor_variance)
                 weight += w
-                mean += w * (p[0] * plane[0] + p[1] * plane[1] + p[2] * plane[2] - plane[3])
+                mean += w * distance_of(points, i, j, planes, region)
     if weight == 0.0:
         return 0.0
     mean /= weight
@@ -102,30 +97,25 @@ def choose_points(points, covariance, valid, labels, start, planes, gate, floor_
     """Let points at borders choose: smallest chi2 plus a price per unlike neighbour (one sweep of ICM, in place)."""
     n_rows, n_cols = labels.shape
     changed = 0
-    around = np.empty(8, dtype=np.int64)
+    found, votes = np.empty(9, dtype=np.int64), np.empty(9, dtype=np.int64)
+    at_border = np.empty(n_cols, dtype=np.bool_)
     for i in range(start, n_rows):
+        _mark_border(labels, valid, i, at_border)
         for j in range(n_cols):
             mine = labels[i, j]
-            if not valid[i, j] or not _at_border(labels, valid, i, j, mine):
+            if not (at_border[j] or (j > 0 and valid[i, j] and valid[i, j - 1] and labels[i, j - 1] != mine)):
                 continue
-            n_around = 0
-            for a in range(max(i - 1, 0), min(i + 2, n_rows)):
-                for b in range(max(j - 1, 0), min(j + 2, n_cols)):
-                    if (a != i or b != j) and valid[a, b]:
-                        around[n_around] = labels[a, b]
-                        n_around += 1
+            n_found, n_around = _votes_around(labels, valid, i, j, found, votes)
             best, best_cost = -1, np.inf
-            for k in range(-1, n_around):
-                label = mine if k < 0 else around[k]
+            for k in range(n_found):
                 cost = gate
-                if label >= 0:
-                    cost = residual_chi2(points[i, j], covariance[i, j], planes[label], floor_variance)
+                if found[k] >= 0:
+                    cost = residual_chi2(points, covariance, i, j, planes, found[k], floor_variance)
                     if cost > gate:
                         continue
-                for m in range(n_around):
-                    cost += smoothness * (around[m] != label)
+                cost += smoothness * (n_around - votes[k])
                 if cost < best_cost:
-                    best, best_cost = label, cost
+                    best, best_cost = found[k], cost
             if best != mine:
                 labels[i, j] = best
                 changed += 1
@@ -133,11 +123,36 @@ def choose_points(points, covariance, valid, labels, start, planes, gate, floor_
 
 
 @njit(cache=True)
-def _at_border(labels, valid, i, j, mine):
-    n_rows, n_cols = labels.shape
-    return (
-        (i > 0 and labels[i - 1, j] != mine and valid[i - 1, j])
-        or (j > 0 and labels[i, j - 1] != mine and valid[i, j - 1])
-        or (i + 1 < n_rows and labels[i + 1, j] != mine and valid[i + 1, j])
-        or (j + 1 < n_cols and labels[i, j + 1] != mine and valid[i, j + 1])
-    )
+def _votes_around(labels, valid, i, j, found, votes):
+    """Labels of a point, first, and of the returns around it, and how many of those have each; how many of either."""
+    found[0], votes[0] = labels[i, j], 0
+    n_found, n_around = 1, 0
+    for a in range(max(i - 1, 0), min(i + 2, labels.shape[0])):
+        for b in range(max(j - 1, 0), min(j + 2, labels.shape[1])):
+            if (a == i and b == j) or not valid[a, b]:
+                continue
+            n_around += 1
+            k = 0
+            while k < n_found and found[k] != labels[a, b]:
+                k += 1
+            if k == n_found:
+                found[k], votes[k] = labels[a, b], 0
+                n_found += 1
+            votes[k] += 1
+    return n_found, n_around
+
+
+@njit(cache=True)
+def _mark_border(labels, valid, i, marked):
+    """Mark the returns of row i beside a return of another label: whole rows at once, which the compiler vectorises."""
+    above, below = max(i - 1, 0), min(i + 1, labels.shape[0] - 1)
+    for j in range(labels.shape[1]):
+        marked[j] = ((labels[i, j] != labels[above, j]) & valid[above, j]) | (
+            (labels[i, j] != labels[below, j]) & valid[below, j]
+        )
+    for j in range(1, labels.shape[1]):
+        unlike = labels[i, j] != labels[i, j - 1]
+        marked[j] |= unlike & valid[i, j - 1]
+        marked[j - 1] |= unlike & valid[i, j]
+    for j in range(labels.shape[1]):
+        marked[j] &= valid[i, j]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from spplanes.moments import ROW_SIZE, add_point
-from spplanes.segmentation._patches import eigenvalues, normal_of, variance_along
+from spplanes.moments import ROW_SIZE
+from spplanes.segmentation._patches import add_run, centre_sums, eigenvalues, normal_of, variance_along
 
 #: Strips into which a cell is cut, along rows and along columns, in search of a step.
 STRIPS = 8
@@ -38,21 +38,29 @@ def cell_moments(points, covariance, free, size, floor_variance):
 
 @njit(cache=True)
 def _one_cell(row, points, covariance, free, i0, j0, size, floor_variance):
-    nx, ny, nz = 0.0, 0.0, 1.0
-    directional = covariance.shape[2] > 1
+    i1, j1 = min(i0 + size, points.shape[0]), min(j0 + size, points.shape[1])
+    about, normal, isotropic = np.zeros(3), np.array([0.0, 0.0, 1.0]), covariance.shape[2] == 1
     for last in (False, True):
-        if not last and not directional:
+        if not last and isotropic:
             continue
         row[:] = 0.0
-        for i in range(i0, min(i0 + size, points.shape[0])):
-            for j in range(j0, min(j0 + size, points.shape[1])):
-                if free[i, j]:
-                    weight = 1.0
-                    if last:
-                        weight = 1.0 / (variance_along(covariance[i, j], nx, ny, nz) + floor_variance)
-                    add_point(row, points[i, j], weight)
+        for i in range(i0, i1):
+            j = j0
+            while j < j1:
+                begin = j
+                while j < j1 and free[i, j]:
+                    j += 1
+                if j > begin:
+                    if row[0] == 0.0:
+                        about[:] = points[i, begin]
+                    add_run(row, points, covariance, i, begin, j, about, normal, floor_variance, last)
+                while j < j1 and not free[i, j]:
+                    j += 1
+        if row[0] == 0.0:
+            return
+        centre_sums(row, about)
         if not last:
-            nx, ny, nz = normal_of(row, eigenvalues(row)[0])
+            normal[0], normal[1], normal[2] = normal_of(row, eigenvalues(row)[0])
 
 
 @njit(cache=True)
@@ -61,11 +69,12 @@ def failed_quads(free, quads, size):
     n_rows, n_cols = (free.shape[0] + size - 1) // size, (free.shape[1] + size - 1) // size
     failed = np.zeros((n_rows, n_cols), dtype=np.int64)
     for i in range(quads.shape[0]):
-        for j in range(quads.shape[1]):
-            if quads[i, j] or (i + 1) % size == 0 or (j + 1) % size == 0:
-                continue
-            if free[i, j] and free[i, j + 1] and free[i + 1, j] and free[i + 1, j + 1]:
-                failed[i // size, j // size] += 1
+        if (i + 1) % size == 0:
+            continue
+        for cj in range(n_cols):
+            for j in range(cj * size, min((cj + 1) * size - 1, quads.shape[1])):
+                if not quads[i, j] and free[i, j] and free[i, j + 1] and free[i + 1, j] and free[i + 1, j + 1]:
+                    failed[i // size, cj] += 1
     return failed
 
 
@@ -107,20 +116,21 @@ def reject_steps(planar, points, covariance, rows, free, size, floor_variance, l
                 continue
             row = rows[ci, cj]
             nx, ny, nz = normal_of(row, eigenvalues(row)[0])
+            d = nx * row[2] + ny * row[3] + nz * row[4]
             strips[:], total[:] = 0.0, 0.0
             for i in range(ci * size, min((ci + 1) * size, points.shape[0])):
                 for j in range(cj * size, min((cj + 1) * size, points.shape[1])):
                     if not free[i, j]:
                         continue
-                    p = points[i, j]
-                    w = 1.0 / (variance_along(covariance[i, j], nx, ny, nz) + floor_variance)
-                    r = w * ((p[0] - row[2]) * nx + (p[1] - row[3]) * ny + (p[2] - row[4]) * nz)
+                    w = 1.0 / (variance_along(covariance, i, j, nx, ny, nz) + floor_variance)
+                    r = w * (points[i, j, 0] * nx + points[i, j, 1] * ny + points[i, j, 2] * nz - d)
                     u, v = i - ci * size, j - cj * size
-                    for strip in (strips[0, u // side], strips[1, v // side]):
-                        strip[0] += w
-                        strip[1] += w * u
-                        strip[2] += w * v
-                        strip[3] += r
+                    for along in range(2):
+                        k = u // side if along == 0 else v // side
+                        strips[along, k, 0] += w
+                        strips[along, k, 1] += w * u
+                        strips[along, k, 2] += w * v
+                        strips[along, k, 3] += r
                     total[0] += w * u * u
                     total[1] += w * u * v
                     total[2] += w * v * v
@@ -176,7 +186,7 @@ def shared_variances(rows, shared, free, planar, size, start):
                 for i in range(ci * size, min((ci + 1) * size, free.shape[0])):
                     for j in range(cj * size, min((cj + 1) * size, free.shape[1])):
                         if free[i, j]:
-                            result[count, 0] += variance_along(shared[i, j], nx, ny, nz) / rows[ci, cj, 0]
+                            result[count, 0] += variance_along(shared, i, j, nx, ny, nz) / rows[ci, cj, 0]
             count += 1
     return result
 
@@ -233,9 +243,12 @@ def _region_edges(edges, count, me, labels, i0, j0, size):
 @njit(cache=True)
 def paint(labels, node, cluster_label, free, size):
     """Give the free points of every clustered cell the label of its cluster."""
-    for i in range(labels.shape[0]):
-        for j in range(labels.shape[1]):
-            n = node[i // size, j // size]
-            if n >= 0 and free[i, j] and cluster_label[n] >= 0:
-                labels[i, j] = cluster_label[n]
-                free[i, j] = False
+    for ci in range(node.shape[0]):
+        for cj in range(node.shape[1]):
+            if node[ci, cj] < 0 or cluster_label[node[ci, cj]] < 0:
+                continue
+            for i in range(ci * size, min((ci + 1) * size, labels.shape[0])):
+                for j in range(cj * size, min((cj + 1) * size, labels.shape[1])):
+                    if free[i, j]:
+                        labels[i, j] = cluster_label[node[ci, cj]]
+                        free[i, j] = False

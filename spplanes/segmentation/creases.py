@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from spplanes.segmentation._patches import variance_along
+from spplanes.segmentation._patches import variance_from
 
 
 @njit(cache=True)
@@ -27,44 +27,47 @@ def unlabel_creases(points, covariance, valid, labels, start, planes, max_angle,
         certainty: standard deviations of the local normal by which the turn must exceed that.
     """
     n_rows, n_cols = labels.shape
+    first = max(start, 2)
+    across, down, full = _differences(points, valid, first)
     u, v = np.empty(3), np.empty(3)
-    for i in range(max(start, 2), n_rows - 2):
+    cosine_limit = np.cos(max_angle)
+    for i in range(first, n_rows - 2):
         for j in range(2, n_cols - 2):
             r = labels[i, j]
-            if r < 0 or not _window_is_full(valid, i, j):
+            if r < 0 or not full[i, j]:
                 continue
-            _differences(points, i, j, u, v)
+            for k in range(3):
+                u[k] = across[i - 1, j, k] + across[i, j, k] + across[i + 1, j, k]
+                v[k] = down[i, j - 1, k] + down[i, j, k] + down[i, j + 1, k]
             nx, ny, nz = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
-            length = np.sqrt(nx * nx + ny * ny + nz * nz)
-            if length == 0.0:
+            square = nx * nx + ny * ny + nz * nz
+            turned = abs(nx * planes[r, 0] + ny * planes[r, 1] + nz * planes[r, 2])
+            if square == 0.0 or turned * turned >= cosine_limit * cosine_limit * square:
                 continue
-            cosine = abs(nx * planes[r, 0] + ny * planes[r, 1] + nz * planes[r, 2]) / length
-            if cosine >= np.cos(max_angle):
-                continue
+            length = np.sqrt(square)
             shorter = length / np.sqrt(max(u[0] ** 2 + u[1] ** 2 + u[2] ** 2, v[0] ** 2 + v[1] ** 2 + v[2] ** 2))
-            noise = np.sqrt(variance_along(covariance[i, j], planes[r, 0], planes[r, 1], planes[r, 2]) * 12.0)
-            if np.arccos(cosine) > max_angle + certainty * noise / shorter:
+            noise = np.sqrt(variance_from(covariance, i, j, planes, r) * 12.0)
+            if np.arccos(turned / length) > max_angle + certainty * noise / shorter:
                 labels[i, j] = -1
 
 
 @njit(cache=True)
-def _window_is_full(valid, i, j):
-    for a in range(i - 2, i + 3):
-        for b in range(j - 2, j + 3):
-            if not valid[a, b]:
-                return False
-    return True
-
-
-@njit(cache=True)
-def _differences(points, i, j, u, v):
-    """Sums of six differences along the row (u) and along the column (v)."""
-    for k in range(3):
-        u[k], v[k] = 0.0, 0.0
-        for a in range(-1, 2):
-            for b in range(1, 3):
-                u[k] += points[i + a, j + b, k] - points[i + a, j - b, k]
-                v[k] += points[i + b, j + a, k] - points[i - b, j + a, k]
+def _differences(points, valid, first):
+    """Right minus left and below minus above, two points each, (S, B, 3), and whether the five by five are returns."""
+    n_rows, n_cols = valid.shape
+    across, down = np.empty(points.shape), np.empty(points.shape)
+    five, full = np.zeros(valid.shape, dtype=np.bool_), np.zeros(valid.shape, dtype=np.bool_)
+    for i in range(first - 2, n_rows):
+        for j in range(2, n_cols - 2):
+            five[i, j] = valid[i, j - 2] & valid[i, j - 1] & valid[i, j] & valid[i, j + 1] & valid[i, j + 2]
+            for k in range(3):
+                across[i, j, k] = points[i, j + 1, k] + points[i, j + 2, k] - points[i, j - 1, k] - points[i, j - 2, k]
+    for i in range(first, n_rows - 2):
+        for j in range(n_cols):
+            full[i, j] = five[i - 2, j] & five[i - 1, j] & five[i, j] & five[i + 1, j] & five[i + 2, j]
+            for k in range(3):
+                down[i, j, k] = points[i + 1, j, k] + points[i + 2, j, k] - points[i - 1, j, k] - points[i - 2, j, k]
+    return across, down, full
 
 
 @njit(cache=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from spplanes.segmentation.growing import residual_chi2
+from spplanes.segmentation._patches import residual_chi2
 
 #: Points are explained block by block, this many on a side: a point alone always finds some plane that suits it.
 BLOCK = 4
@@ -111,21 +111,24 @@ def _members(labels, start, n_regions):
 @njit(cache=True)
 def _is_superfluous(points, covariance, n_cols, mine, region, candidates, planes, floor_variance):
     """Whether the best neighbour of every block explains the points nearly as well as the region itself."""
-    own, other = 0.0, 0.0
-    sums = np.zeros(candidates.shape[0])
+    limit = MEAN_GAIN * mine.shape[0] + SUM_GAIN
+    for k in range(mine.shape[0]):
+        i, j = mine[k] // n_cols, mine[k] % n_cols
+        limit += residual_chi2(points, covariance, i, j, planes, region, floor_variance)
+    other, sums = 0.0, np.zeros(candidates.shape[0])
     in_block = 0
     for k in range(mine.shape[0]):
         i, j = mine[k] // n_cols, mine[k] % n_cols
-        p, c = points[i, j], covariance[i, j]
-        own += residual_chi2(p, c, planes[region], floor_variance)
         for m in range(candidates.shape[0]):
-            sums[m] += residual_chi2(p, c, planes[candidates[m]], floor_variance)
+            sums[m] += residual_chi2(points, covariance, i, j, planes, candidates[m], floor_variance)
         in_block += 1
         if in_block == BLOCK * BLOCK or k == mine.shape[0] - 1:
             other += sums.min()
+            if other > limit:
+                return False
             sums[:] = 0.0
             in_block = 0
-    return other - own <= MEAN_GAIN * mine.shape[0] + SUM_GAIN
+    return True
 
 
 @njit(cache=True)
@@ -137,7 +140,7 @@ def _hand_over(points, covariance, labels, mine, candidates, planes, floor_varia
     for k in range(mine.shape[0]):
         i, j = mine[k] // n_cols, mine[k] % n_cols
         for m in range(candidates.shape[0]):
-            sums[m] += residual_chi2(points[i, j], covariance[i, j], planes[candidates[m]], floor_variance)
+            sums[m] += residual_chi2(points, covariance, i, j, planes, candidates[m], floor_variance)
         if k - block_start == BLOCK * BLOCK - 1 or k == mine.shape[0] - 1:
             best = candidates[sums.argmin()]
             for q in range(block_start, k + 1):

@@ -6,7 +6,15 @@ import numpy as np
 from numba import njit
 
 from spplanes.moments import merge_rows
-from spplanes.segmentation._patches import eigenvalues, normal_of, variance_along
+from spplanes.segmentation._patches import (
+    add_run,
+    centre_sums,
+    distance_of,
+    eigenvalues,
+    normal_of,
+    residual_chi2,
+    variance_from,
+)
 
 
 @njit(cache=True)
@@ -26,43 +34,21 @@ def fit_regions(points, covariance, labels, rows, prior, floor_variance):
     Sums are taken about the centres of `rows`, near enough to the points to lose nothing.
     """
     planes, sums = hesse(rows), np.zeros(rows.shape)
+    n_cols = labels.shape[1]
     for i in range(labels.shape[0]):
-        for j in range(labels.shape[1]):
-            r = labels[i, j]
+        j = 0
+        while j < n_cols:
+            r, begin = labels[i, j], j
+            while j < n_cols and labels[i, j] == r:
+                j += 1
             if r >= 0:
-                w = 1.0 / (variance_along(covariance[i, j], planes[r, 0], planes[r, 1], planes[r, 2]) + floor_variance)
-                x, y, z = points[i, j, 0] - rows[r, 2], points[i, j, 1] - rows[r, 3], points[i, j, 2] - rows[r, 4]
-                s = sums[r]
-                s[0] += 1.0
-                s[1] += w
-                s[2] += w * x
-                s[3] += w * y
-                s[4] += w * z
-                s[5] += w * x * x
-                s[6] += w * x * y
-                s[7] += w * x * z
-                s[8] += w * y * y
-                s[9] += w * y * z
-                s[10] += w * z * z
+                add_run(sums[r], points, covariance, i, begin, j, rows[r, 2:5], planes[r], floor_variance, True)
     fresh = prior.copy()
     for r in range(rows.shape[0]):
         if sums[r, 1] > 0.0:
-            _centre(sums[r], rows[r])
+            centre_sums(sums[r], rows[r, 2:5])
             merge_rows(prior[r], sums[r], fresh[r])
     return fresh
-
-
-@njit(cache=True)
-def _centre(sums, about):
-    """Turn sums about a point into moments about their own centre, in place."""
-    x, y, z = sums[2] / sums[1], sums[3] / sums[1], sums[4] / sums[1]
-    sums[5] -= sums[1] * x * x
-    sums[6] -= sums[1] * x * y
-    sums[7] -= sums[1] * x * z
-    sums[8] -= sums[1] * y * y
-    sums[9] -= sums[1] * y * z
-    sums[10] -= sums[1] * z * z
-    sums[2], sums[3], sums[4] = about[2] + x, about[3] + y, about[4] + z
 
 
 @njit(cache=True)
@@ -76,15 +62,8 @@ def shared_of_regions(shared, labels, planes):
                 count[r] += 1.0
                 total[r, 1] += i
                 if shared.shape[0] > 1:
-                    total[r, 0] += variance_along(shared[i, j], planes[r, 0], planes[r, 1], planes[r, 2])
+                    total[r, 0] += variance_from(shared, i, j, planes, r)
     return total / np.maximum(count, 1.0).reshape(-1, 1)
-
-
-@njit(cache=True)
-def residual_chi2(point, covariance, plane, floor_variance):
-    """Squared distance of a point to (normal, d) by its variance along the normal (1 dof)."""
-    distance = point[0] * plane[0] + point[1] * plane[1] + point[2] * plane[2] - plane[3]
-    return distance * distance / (variance_along(covariance, plane[0], plane[1], plane[2]) + floor_variance)
 
 
 @njit(cache=True)
@@ -96,9 +75,11 @@ def grow(points, covariance, valid, labels, start, planes, gate, floor_variance)
     n_rows, n_cols = labels.shape
     queue = np.empty(labels.size, dtype=np.int64)
     head, tail = 0, 0
+    marked = np.empty(n_cols, dtype=np.bool_)
     for i in range(max(start - 1, 0), n_rows):
+        _mark_sources(labels, valid, start, i, marked)
         for j in range(n_cols):
-            if labels[i, j] >= 0 and _touches_free(labels, valid, start, i, j):
+            if marked[j]:
                 queue[tail] = i * n_cols + j
                 tail += 1
     while head < tail:
@@ -110,21 +91,27 @@ def grow(points, covariance, valid, labels, start, planes, gate, floor_variance)
             b = j + (step == 3) - (step == 2)
             if a < start or b < 0 or a >= n_rows or b >= n_cols or not valid[a, b] or labels[a, b] >= 0:
                 continue
-            if residual_chi2(points[a, b], covariance[a, b], planes[r], floor_variance) <= gate:
+            if residual_chi2(points, covariance, a, b, planes, r, floor_variance) <= gate:
                 labels[a, b] = r
                 queue[tail] = a * n_cols + b
                 tail += 1
 
 
 @njit(cache=True)
-def _touches_free(labels, valid, start, i, j):
-    for step in range(4):
-        a = i + (step == 1) - (step == 0)
-        b = j + (step == 3) - (step == 2)
-        inside = start <= a < labels.shape[0] and 0 <= b < labels.shape[1]
-        if inside and valid[a, b] and labels[a, b] < 0:
-            return True
-    return False
+def _mark_sources(labels, valid, start, i, marked):
+    """Mark the labelled points of row i beside a free one in the rows from `start` on, whole rows at once."""
+    n_rows, n_cols = labels.shape
+    marked[:] = False
+    for a in range(max(i - 1, start), min(i + 2, n_rows)):
+        if a != i:
+            for j in range(n_cols):
+                marked[j] |= valid[a, j] & (labels[a, j] < 0)
+    if i >= start:
+        for j in range(1, n_cols):
+            marked[j] |= valid[i, j - 1] & (labels[i, j - 1] < 0)
+            marked[j - 1] |= valid[i, j] & (labels[i, j] < 0)
+    for j in range(n_cols):
+        marked[j] &= labels[i, j] >= 0
 
 
 @njit(cache=True)
@@ -141,11 +128,9 @@ def release(points, covariance, labels, planes, bias, size, limit):
                         if r < 0:
                             continue
                         if sweep == 0:
-                            n = planes[r]
-                            w = 1.0 / (variance_along(covariance[i, j], n[0], n[1], n[2]) + bias[r])
-                            d = points[i, j, 0] * n[0] + points[i, j, 1] * n[1] + points[i, j, 2] * n[2] - n[3]
+                            w = 1.0 / (variance_from(covariance, i, j, planes, r) + bias[r])
                             sums[r, 0] += w
-                            sums[r, 1] += w * d
+                            sums[r, 1] += w * distance_of(points, i, j, planes, r)
                         elif sweep == 1 and sums[r, 0] > 0.0:
                             mean = sums[r, 1] / sums[r, 0]
                             off = mean * mean > limit * (1.0 / sums[r, 0] + bias[r])
@@ -188,7 +173,7 @@ def border_pairs(points, covariance, valid, views, labels, planes, bias, gap):
                         count += 1
                     side = 1
                     if valid[a, b]:
-                        side = _side(points[a, b], covariance[a, b], views[a], planes[r], bias[r])
+                        side = _side(points, covariance, a, b, views, planes, r, bias[r])
                     if side > 0:
                         before += 1
                     elif side == 0 and q < 0 and on_plane < 4:
@@ -199,10 +184,10 @@ def border_pairs(points, covariance, valid, views, labels, planes, bias, gap):
 
 
 @njit(cache=True)
-def _side(p, covariance, view, plane, bias):
+def _side(points, covariance, i, j, views, planes, r, bias):
     """1: the point lies before the plane, on the viewpoint's side; -1: behind it; 0: within its noise and tolerance."""
-    distance = p[0] * plane[0] + p[1] * plane[1] + p[2] * plane[2] - plane[3]
-    eye = view[0] * plane[0] + view[1] * plane[1] + view[2] * plane[2] - plane[3]
-    if distance * distance <= 9.0 * variance_along(covariance, plane[0], plane[1], plane[2]) + 25.0 * bias:
+    distance = distance_of(points, i, j, planes, r)
+    eye = views[i, 0] * planes[r, 0] + views[i, 1] * planes[r, 1] + views[i, 2] * planes[r, 2] - planes[r, 3]
+    if distance * distance <= 9.0 * variance_from(covariance, i, j, planes, r) + 25.0 * bias:
         return 0
     return 1 if distance * eye > 0.0 else -1

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import chdtri, ndtri  # scipy.stats would take 0.7 s of every import
 
 from spplanes._check import FloatArray
+from spplanes._raster import distinct
 from spplanes.moments import ROW_SIZE, merge_rows
 from spplanes.segmentation import borders, cells, creases, dissolving, growing
 from spplanes.segmentation._patches import eigenvalues
@@ -152,12 +153,14 @@ def _append(sheet: Sheet, rows: FloatArray, bias: FloatArray) -> None:
 
 def _fuse(sheet: Sheet, root: np.ndarray) -> None:
     """Carry the result of a clustering of the regions over to labels and priors."""
-    for r in np.flatnonzero(root != np.arange(len(root))):
+    gone = np.flatnonzero(root != np.arange(len(root)))
+    if not len(gone):
+        return
+    for r in gone:
         merge_rows(sheet.prior[root[r]], sheet.prior[r], sheet.prior[root[r]])
         sheet.prior[r] = 0.0
     sheet.alias = root[sheet.alias]
-    labelled = sheet.labels >= 0
-    sheet.labels[labelled] = root[sheet.labels[labelled]]
+    sheet.labels[:] = np.append(root, -1)[sheet.labels]
 
 
 def refit(sheet: Sheet, config: MapperConfig) -> None:
@@ -199,8 +202,8 @@ def _neighbours(sheet: Sheet, views: FloatArray, planes: FloatArray, gap: int, c
 
 def _distinct(pairs: np.ndarray, n_regions: int) -> np.ndarray:
     """Each pair once, in ascending order, shape (E, 2)."""
-    codes = np.unique(pairs[:, 0] * n_regions + pairs[:, 1])
-    return np.stack(np.divmod(codes, n_regions), axis=1)
+    codes = distinct(pairs[:, 0] * n_regions + pairs[:, 1])
+    return np.stack(np.divmod(codes, max(n_regions, 1)), axis=1)
 
 
 def _grow(sheet: Sheet, config: MapperConfig) -> None:
@@ -275,7 +278,8 @@ def drop_small(sheet: Sheet, config: MapperConfig) -> None:
     """Take the points from regions that are too small or do not determine a plane; those from earlier scans stay."""
     keep = np.array([row[0] >= config.min_points and is_determined(row, config) for row in sheet.rows], dtype=bool)
     keep |= sheet.prior[:, 0] > 0.0
-    sheet.labels[(sheet.labels >= 0) & ~keep[np.maximum(sheet.labels, 0)]] = -1
+    if not keep.all():
+        sheet.labels[~np.append(keep, True)[sheet.labels]] = -1
 
 
 def release_misfits(sheet: Sheet, config: MapperConfig) -> None:

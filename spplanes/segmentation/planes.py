@@ -38,7 +38,8 @@ def planes_of(
     n_regions = int(labels.max(initial=-1)) + 1
     rows = np.zeros((n_regions, 11))
     rows[:, 5], rows[:, 8] = 1.0, 2.0
-    for floor in (config.flatness_m**2, 0.0, 0.0):
+    isotropic = covariance.shape[2] == 1  # then weights do not wait for a normal
+    for floor in (0.0, 0.0) if isotropic else (config.flatness_m**2, 0.0, 0.0):
         rows = fit_regions(points, covariance, labels, rows, np.zeros_like(rows), floor)
     frames, spreads = frames_of(rows, _eyes(labels, n_regions, views))
     covariances = np.zeros((n_regions, 3, 3))
@@ -103,20 +104,5 @@ def _outlines(points, labels, rows, frames, spreads, config) -> list:
     """Outline of every region: its quads on a raster, or a rectangle where it is finer than that."""
     extents = np.sqrt(spreads[:, 1:] / rows[:, 1:2])
     cell = np.minimum(config.outline_cell_m, extents[:, 1] / CELLS_PER_EXTENT)
-    axes = np.array([outline.projection_axis(*frame[:3, 2]) for frame in frames], dtype=np.int64)
-    region, cells = outline.cells_of(np.unique(_draw_grid(points, labels, axes, cell)))
-    parts = np.split(cells, np.searchsorted(region, np.arange(1, len(rows))))
-    polygons = []
-    for r in range(len(rows)):
-        polygon = outline.outline_from_cells(parts[r], cell[r], int(axes[r]), frames[r])
-        polygons.append(polygon or outline.outline_from_extent(*(np.sqrt(3.0) * extents[r])))
-    return polygons
-
-
-@njit(cache=True)
-def _draw_grid(points, labels, axes, cell):
-    """Cells of all regions of a grid, with a few repeated, as keys."""
-    keys, count = np.empty(labels.size // 4 + 16, dtype=np.int64), 0
-    for i in range(labels.shape[0] - 1):
-        keys, count = outline.draw_quads(points[i], points[i + 1], labels[i], labels[i + 1], axes, cell, keys, count)
-    return keys[:count]
+    polygons = outline.outlines_of_grid(points, labels, frames, cell)
+    return [polygon or outline.outline_from_extent(*(np.sqrt(3.0) * extents[r])) for r, polygon in enumerate(polygons)]

@@ -9,39 +9,36 @@ from spplanes.segmentation._patches import variance_along
 
 
 @njit(cache=True)
-def _jump_chi2(a, b, cov_a, cov_b, view, tangent):
+def _jump_chi2(points, covariance, i, j, k, m, views, tangent):
     """Chi2 (1 dof) of the step in depth that no surface seen at less than the steepest incidence explains."""
-    ax, ay, az = a[0] - view[0], a[1] - view[1], a[2] - view[2]
-    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    range_sq = ax * ax + ay * ay + az * az
+    ax, ay, az = points[i, j, 0] - views[i, 0], points[i, j, 1] - views[i, 1], points[i, j, 2] - views[i, 2]
+    ex, ey, ez = points[k, m, 0] - points[i, j, 0], points[k, m, 1] - points[i, j, 1], points[k, m, 2] - points[i, j, 2]
+    range_sq, step_sq = ax * ax + ay * ay + az * az, ex * ex + ey * ey + ez * ez
     if range_sq == 0.0:
         return np.inf
     along = ex * ax + ey * ay + ez * az
-    along_sq = along * along / range_sq
-    across_sq = max(ex * ex + ey * ey + ez * ez - along_sq, 0.0)
-    if along_sq <= tangent * tangent * across_sq:
+    if (1.0 + tangent * tangent) * along * along <= tangent * tangent * step_sq * range_sq:
         return 0.0
-    rest = np.sqrt(along_sq) - tangent * np.sqrt(across_sq)
     s = 1.0 / np.sqrt(range_sq)
-    variance = variance_along(cov_a, ax * s, ay * s, az * s) + variance_along(cov_b, ax * s, ay * s, az * s)
+    rest = abs(along) * s - tangent * np.sqrt(max(step_sq - along * along / range_sq, 0.0))
+    ux, uy, uz = ax * s, ay * s, az * s
+    variance = variance_along(covariance, i, j, ux, uy, uz) + variance_along(covariance, k, m, ux, uy, uz)
     return rest * rest / variance
 
 
 @njit(cache=True)
-def _literal_chi2(a, b, cov_a, cov_b):
+def _literal_chi2(points, covariance, i, j, k, m):
     """Chi2 (3 dof) of the whole displacement, the paper's test: (e_a - e_b)^T (C_a + C_b)^-1 (e_a - e_b)."""
-    total = np.zeros((3, 3))
-    for k in range(3):
-        for m in range(3):
-            if cov_a.shape[0] == 1:
-                total[k, m] = cov_a[0] + cov_b[0] if k == m else 0.0
+    total, step = np.zeros((3, 3)), np.empty(3)
+    for a in range(3):
+        step[a] = points[k, m, a] - points[i, j, a]
+        for b in range(3):
+            if covariance.shape[2] == 1:
+                total[a, b] = covariance[i, j, 0] + covariance[k, m, 0] if a == b else 0.0
             else:
-                total[k, m] = cov_a[3 * k + m] + cov_b[3 * k + m]
-        total[k, k] *= 1.0 + 1e-9
-        total[k, k] += 1e-18
-    step = np.empty(3)
-    for k in range(3):
-        step[k] = b[k] - a[k]
+                total[a, b] = covariance[i, j, 3 * a + b] + covariance[k, m, 3 * a + b]
+        total[a, a] *= 1.0 + 1e-9
+        total[a, a] += 1e-18
     return np.sum(step * np.linalg.solve(total, step))
 
 
@@ -59,23 +56,19 @@ def links(points, covariance, valid, views, tangent, limit, literal):
         literal: test the whole displacement, as the paper prints it, in place of the jump in depth.
     """
     n_rows, n_cols = valid.shape
-    right, down = np.zeros(valid.shape, dtype=np.bool_), np.zeros(valid.shape, dtype=np.bool_)
-    for i in range(n_rows):
-        for j in range(n_cols):
-            if not valid[i, j]:
-                continue
-            a, ca = points[i, j], covariance[i, j]
-            for step in range(2):
-                k, m = (i, j + 1) if step == 0 else (i + 1, j)
-                if k >= n_rows or m >= n_cols or not valid[k, m]:
+    linked = np.zeros((2, n_rows, n_cols), dtype=np.bool_)
+    for step in range(2):
+        for i in range(n_rows - step):
+            for j in range(n_cols - 1 + step):
+                k, m = i + step, j + 1 - step
+                if not (valid[i, j] and valid[k, m]):
                     continue
-                b, cb = points[k, m], covariance[k, m]
-                chi2 = _literal_chi2(a, b, ca, cb) if literal else _jump_chi2(a, b, ca, cb, views[i], tangent)
-                if step == 0:
-                    right[i, j] = chi2 <= limit
+                if literal:
+                    chi2 = _literal_chi2(points, covariance, i, j, k, m)
                 else:
-                    down[i, j] = chi2 <= limit
-    return right, down
+                    chi2 = _jump_chi2(points, covariance, i, j, k, m, views, tangent)
+                linked[step, i, j] = chi2 <= limit
+    return linked[0], linked[1]
 
 
 @njit(cache=True)

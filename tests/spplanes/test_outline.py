@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from spplanes import outline
+from spplanes import _raster, outline
 
 
 def cells(mask):
@@ -51,30 +51,52 @@ def test_drawn_quads_cover_the_plane_with_its_area(normal):
     frame = plane_at(normal, (3.0, -2.0, 1.0))
     u, v = np.meshgrid(np.linspace(0, 2, 41), np.linspace(0, 1, 21), indexing="ij")
     points = frame[:3, 3] + u[..., None] * frame[:3, 0] + v[..., None] * frame[:3, 1]
-    labels, axis = np.zeros(u.shape, dtype=np.int64), outline.projection_axis(*frame[:3, 2])
-    keys, count = np.empty(4, dtype=np.int64), 0
-    for i in range(40):
-        keys, count = outline.draw_quads(
-            points[i], points[i + 1], labels[i], labels[i + 1], np.array([axis]), np.array([0.02]), keys, count
-        )
-    region, drawn = outline.cells_of(np.unique(keys[:count]))
+    labels, axis = np.zeros(u.shape, dtype=np.int64), int(_raster.projection_axis(*frame[:3, 2]))
+    keys = _raster.keys_of(*_raster.draw(points, labels, _raster.along_axes(np.array([axis]), 0.02)))
+    assert (np.diff(keys) > 0).all()
+    region, drawn = _raster.cells_of(keys)
     assert (region == 0).all()
-    shape = outline.outline_from_cells(drawn, 0.02, int(axis), frame)
-    assert shape.area == pytest.approx(2.0, rel=0.02)
-    assert shape.centroid.x == pytest.approx(1.0, abs=0.02)
-    assert shape.centroid.y == pytest.approx(0.5, abs=0.02)
+    in_plane = outline.outlines_of_grid(points, labels, frame[None], np.array([0.02]))[0]
+    for shape in (outline.outline_from_cells(drawn, 0.02, axis, frame), in_plane):
+        assert shape.area == pytest.approx(2.0, rel=0.02)
+        assert shape.centroid.x == pytest.approx(1.0, abs=0.02)
+        assert shape.centroid.y == pytest.approx(0.5, abs=0.02)
 
 
 def test_a_quad_with_one_foreign_corner_is_half_drawn():
-    above = np.array([[0.0, 0, 0], [0.0, 1, 0]])
-    below = above + np.array([1.0, 0, 0])
+    points = np.array([[[0.0, 0, 0], [0.0, 1, 0]], [[1.0, 0, 0], [1.0, 1, 0]]])
     for corner in range(4):
-        labels = np.zeros(4, dtype=np.int64)
-        labels[corner] = -1
-        keys, count = outline.draw_quads(
-            above, below, labels[:2], labels[2:], np.array([2]), np.array([0.01]), np.empty(8, dtype=np.int64), 0
-        )
-        assert len(np.unique(keys[:count])) == pytest.approx(5000, rel=0.03)
+        labels = np.zeros((2, 2), dtype=np.int64)
+        labels.flat[corner] = -1
+        filled = _raster.draw(points, labels, _raster.along_axes(np.array([2]), 0.01))[0]
+        assert filled.sum() == pytest.approx(5000, rel=0.03)
+
+
+def test_regions_are_drawn_side_by_side_and_what_is_too_large_coarser():
+    u, v = np.meshgrid(np.arange(5.0), np.arange(9.0), indexing="ij")
+    points = np.stack((u, v, np.zeros_like(u)), axis=-1)
+    labels = np.where(v < 4, 0, np.where(v < 5, -1, 2)).astype(np.int64)
+    frames = np.tile(np.eye(4), (3, 1, 1))
+    frames[2, :3, 3] = 2.0, 6.5, 0.0
+    near, none, far = outline.outlines_of_grid(points, labels, frames, np.array([0.1, 0.1, 1e-4]))
+    assert none is None
+    assert near.bounds == pytest.approx((0.0, 0.0, 4.0, 3.0))
+    np.testing.assert_allclose(far.bounds, (-2.0, -1.5, 2.0, 1.5), atol=0.01)
+    assert far.area == pytest.approx(12.0, rel=0.01)
+
+
+def test_parts_too_far_apart_leave_the_largest():
+    mask = np.zeros((60, 80), bool)
+    mask[2:12, 2:12], mask[40:52, 50:70] = True, True
+    shape = outline.outline_from_cells(cells(mask), 0.1, 2, np.eye(4))
+    assert shape.area == pytest.approx(2.4, rel=0.01)
+
+
+def test_an_outline_that_folds_back_is_mended():
+    mask = np.random.default_rng(0).random((40, 60)) < 0.55
+    shape = outline.outline_from_cells(cells(mask), 0.1, 2, np.eye(4))
+    assert shape.is_valid
+    assert shape.geom_type == "Polygon"
 
 
 def test_cells_change_projection_with_the_plane():

@@ -46,10 +46,11 @@ def test_merge_scaled_is_the_union():
 
 
 def test_variance_along_has_a_floor():
-    matrix = np.diag([4.0, 1.0, 0.0])
-    assert variance_along(matrix.ravel(), 0.6, 0.8, 0.0) == pytest.approx(0.36 * 4 + 0.64)
-    assert variance_along(matrix.ravel(), 0.0, 0.0, 1.0) == pytest.approx(5e-3)
-    assert variance_along(np.array([0.25]), 0.0, 0.0, 1.0) == 0.25
+    grid = np.zeros((2, 3, 9))
+    grid[1, 2] = np.diag([4.0, 1.0, 0.0]).ravel()
+    assert variance_along(grid, 1, 2, 0.6, 0.8, 0.0) == pytest.approx(0.36 * 4 + 0.64)
+    assert variance_along(grid, 1, 2, 0.0, 0.0, 1.0) == pytest.approx(5e-3)
+    assert variance_along(np.full((1, 1, 1), 0.25), 0, 0, 0.0, 0.0, 1.0) == 0.25
 
 
 def test_one_plane_chi2_has_three_degrees_of_freedom():

@@ -1,0 +1,167 @@
+"""Rasters of planar regions: the quads of a grid of points, drawn cell by cell in one projection per region."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes._check import FloatArray
+
+#: A cell is (region, i, j) in one int64: 21 bits for each of i and j, offset to be positive.
+_BITS, _OFFSET = 21, 1 << 20
+_MASK = (1 << _BITS) - 1
+#: A region with a larger raster than this, cells, is drawn with larger ones.
+LARGEST_RASTER = 1 << 20
+
+
+@njit(cache=True)
+def projection_axis(nx, ny, nz):
+    """World axis (0, 1, 2) along which a plane with this normal is projected: that of its largest component."""
+    if abs(nz) >= abs(nx) and abs(nz) >= abs(ny):
+        return 2
+    return 1 if abs(ny) >= abs(nx) else 0
+
+
+def along_axes(axes: np.ndarray, cell: float) -> FloatArray:
+    """Projections along world axes (R,) onto rasters that start at the world's origin, shape (R, 2, 4)."""
+    result = np.zeros((len(axes), 2, 4))
+    for k in range(2):
+        result[np.arange(len(axes)), k, (axes + 1 + k) % 3] = 1.0 / cell
+    return result
+
+
+def onto_planes(frames: FloatArray, cells: FloatArray) -> FloatArray:
+    """Projections onto the x and y of plane frames (R, 4, 4), in cells of side (R,), shape (R, 2, 4)."""
+    axes = frames[:, :3, :2].transpose(0, 2, 1)
+    shift = -np.einsum("rka,ra->rk", axes, frames[:, :3, 3])
+    return np.concatenate((axes, shift[..., None]), axis=2) / cells[:, None, None]
+
+
+@njit(cache=True)
+def draw(points, labels, projections):
+    """Rasters of all regions: the cells whose centres lie in a triangle of neighbouring points of one region.
+
+    Args:
+        points: shape (S, B, 3), m.
+        labels: region of every point, shape (S, B), -1 = none.
+        projections: of every region, points to raster coordinates in cells, shape (R, 2, 4); what is too large is
+            scaled down in place.
+
+    Returns:
+        filled: all rasters behind each other, bool, each with a frame of empty cells around it.
+        first: where each begins, shape (R + 1,).
+        corner: raster coordinates of each one's first cell, shape (R, 2).
+        shape: cells of each along both axes, shape (R, 2); 0 where a region has no point.
+    """
+    n_rows, n_cols = labels.shape
+    flat, low, high = _project(points, labels, projections)
+    scale, first, corner, shape = _layout(low, high)
+    for i in range(n_rows):
+        for j in range(n_cols):
+            r = labels[i, j]
+            if r >= 0:
+                flat[i, j, 0] = flat[i, j, 0] * scale[r] - corner[r, 0] - 0.5
+                flat[i, j, 1] = flat[i, j, 1] * scale[r] - corner[r, 1] - 0.5
+    for r in range(projections.shape[0]):
+        projections[r] *= scale[r]
+    filled = np.zeros(first[-1], dtype=np.bool_)
+    for i in range(n_rows - 1):
+        for j in range(n_cols - 1):
+            a, b, c, d = labels[i, j], labels[i, j + 1], labels[i + 1, j + 1], labels[i + 1, j]
+            if a >= 0 and a == c:
+                if a == b:
+                    _triangle(filled, first[a], shape[a, 1], flat, i, j, i, j + 1, i + 1, j + 1)
+                if a == d:
+                    _triangle(filled, first[a], shape[a, 1], flat, i, j, i + 1, j + 1, i + 1, j)
+            elif b >= 0 and b == d:
+                if a == b:
+                    _triangle(filled, first[b], shape[b, 1], flat, i, j, i, j + 1, i + 1, j)
+                if c == b:
+                    _triangle(filled, first[b], shape[b, 1], flat, i, j + 1, i + 1, j + 1, i + 1, j)
+    return filled, first, corner, shape
+
+
+@njit(cache=True)
+def _project(points, labels, projections):
+    """Raster coordinates of the labelled points, (S, B, 2), and their least and largest of every region, (R, 2)."""
+    n_rows, n_cols = labels.shape
+    n_regions = projections.shape[0]
+    flat = np.empty((n_rows, n_cols, 2))
+    low, high = np.full((n_regions, 2), np.inf), np.full((n_regions, 2), -np.inf)
+    for i in range(n_rows):
+        end = 0
+        while end < n_cols:
+            r, begin = labels[i, end], end
+            while end < n_cols and labels[i, end] == r:
+                end += 1
+            for k in range(2 if r >= 0 else 0):
+                x, y, z, d = projections[r, k, 0], projections[r, k, 1], projections[r, k, 2], projections[r, k, 3]
+                least, most = low[r, k], high[r, k]
+                for j in range(begin, end):
+                    value = x * points[i, j, 0] + y * points[i, j, 1] + z * points[i, j, 2] + d
+                    flat[i, j, k] = value
+                    least, most = min(least, value), max(most, value)
+                low[r, k], high[r, k] = least, most
+    return flat, low, high
+
+
+@njit(cache=True)
+def _layout(low, high):
+    """Scale that keeps every raster below the largest, and where it lies; see `draw`."""
+    n_regions = low.shape[0]
+    scale, first = np.ones(n_regions), np.zeros(n_regions + 1, dtype=np.int64)
+    corner, shape = np.zeros((n_regions, 2), dtype=np.int64), np.zeros((n_regions, 2), dtype=np.int64)
+    for r in range(n_regions):
+        if low[r, 0] <= high[r, 0]:
+            area = (high[r, 0] - low[r, 0] + 3.0) * (high[r, 1] - low[r, 1] + 3.0)
+            if area > LARGEST_RASTER:
+                scale[r] = np.sqrt(LARGEST_RASTER / area)
+            for k in range(2):
+                corner[r, k] = int(np.floor(low[r, k] * scale[r])) - 1
+                shape[r, k] = int(np.floor(high[r, k] * scale[r])) + 2 - corner[r, k]
+        first[r + 1] = first[r] + shape[r, 0] * shape[r, 1]
+    return scale, first, corner, shape
+
+
+@njit(cache=True)
+def _triangle(filled, first, width, flat, pi, pj, qi, qj, ri, rj):
+    """Fill the cells whose centres lie in the triangle of three points of the grid."""
+    px, qx, rx = flat[pi, pj, 0], flat[qi, qj, 0], flat[ri, rj, 0]
+    i0, i1 = int(np.ceil(min(px, qx, rx))), int(np.floor(max(px, qx, rx)))
+    if i1 < i0:
+        return
+    py, qy, ry = flat[pi, pj, 1], flat[qi, qj, 1], flat[ri, rj, 1]
+    j0, j1 = int(np.ceil(min(py, qy, ry))), int(np.floor(max(py, qy, ry)))
+    for x in range(i0, i1 + 1):
+        for y in range(j0, j1 + 1):
+            e = (qx - px) * (y - py) - (qy - py) * (x - px)
+            f = (rx - qx) * (y - qy) - (ry - qy) * (x - qx)
+            g = (px - rx) * (y - ry) - (py - ry) * (x - rx)
+            if (e >= 0.0 and f >= 0.0 and g >= 0.0) or (e <= 0.0 and f <= 0.0 and g <= 0.0):
+                filled[first + x * width + y] = True
+
+
+@njit(cache=True)
+def keys_of(filled, first, corner, shape):
+    """The filled cells of all rasters as keys, int64, ascending where no coordinate leaves its 21 bits."""
+    keys, count = np.empty(filled.sum(), dtype=np.int64), 0
+    for r in range(shape.shape[0]):
+        for k in range(first[r], first[r + 1]):
+            if filled[k]:
+                i, j = (k - first[r]) // shape[r, 1] + corner[r, 0], (k - first[r]) % shape[r, 1] + corner[r, 1]
+                if abs(i) < _OFFSET and abs(j) < _OFFSET:
+                    keys[count] = ((r << _BITS | (i + _OFFSET)) << _BITS) | (j + _OFFSET)
+                    count += 1
+    return keys[:count]
+
+
+def cells_of(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Region (K,) and cell (K, 2) of every key."""
+    cells = np.stack(((keys >> _BITS & _MASK) - _OFFSET, (keys & _MASK) - _OFFSET), axis=1)
+    return keys >> (2 * _BITS), cells
+
+
+def distinct(codes: np.ndarray) -> np.ndarray:
+    """Every number once, ascending; for many equal ones sorting beats the hashing of `numpy.unique` ten to one."""
+    ordered = np.sort(codes)
+    return ordered[np.flatnonzero(np.diff(ordered, prepend=-1))] if len(ordered) else ordered
