@@ -36,6 +36,12 @@ class NisAudit:
         """Mean NIS per degree of freedom and its band, one row a factor type, in alphabetical order."""
         return [NisSummary.of(kind, self.history[kind]) for kind in sorted(self.history)]
 
+    @property
+    def mean_per_dof(self) -> float:
+        """Mean NIS per degree of freedom of all factor types together; 1 without any."""
+        rows = np.array([row[1:] for history in self.history.values() for row in history]).reshape(-1, 2)
+        return float(rows[:, 0].sum() / rows[:, 1].sum()) if len(rows) else 1.0
+
     def warnings(self) -> list[str]:
         """One sentence for every factor type whose covariances claim too much."""
         return [

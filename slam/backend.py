@@ -70,6 +70,15 @@ class Backend:
             raise BackendError(_first_line(error)) from error
         return list(result.getNewFactorsIndices())
 
+    def settle(self, rounds: int) -> None:
+        """Relinearise a few times over: after something that moved the estimate far."""
+        for _ in range(rounds):
+            self.update([], gtsam.Values())
+
+    def chi2(self) -> float:
+        """Sum of the squared whitened errors of all factors at the current estimate."""
+        return 2.0 * float(self.graph.error(self._estimate))
+
     def pose(self, key: int) -> FloatArray:
         """world_T_body of a pose variable, shape (4, 4)."""
         return self._estimate.atPose3(key).matrix()

@@ -128,6 +128,8 @@ class BackendConfig(_Frozen):
     """Change of a variable that makes iSAM2 relinearise it, rad or m."""
     robust: RobustKernel | None = None
     """Robust kernel on plane and line factors."""
+    robust_loops: RobustKernel | None = None
+    """Robust kernel on the factors that a loop closure re-keys."""
     prior_sigma_m: float = Field(default=1e-4, gt=0)
     """Sigma of the first pose's position, m: it defines the world, so it is nearly exact."""
     prior_sigma_rad: float = Field(default=1e-5, gt=0)

@@ -84,6 +84,9 @@ class LandmarkMap:
     def __iter__(self) -> Iterator[Landmark]:
         return iter(self._landmarks.values())
 
+    def __contains__(self, landmark_id: object) -> bool:
+        return landmark_id in self._landmarks
+
     def __getitem__(self, landmark_id: int) -> Landmark:
         return self._landmarks[landmark_id]
 
@@ -101,8 +104,9 @@ class LandmarkMap:
         return landmark
 
     def plant(self, landmark: Landmark) -> None:
-        """Take in a landmark of a prior map; those born later have larger numbers."""
+        """Take in a landmark of a prior map, or one that is back; those born later have larger numbers."""
         self._landmarks[landmark.id] = landmark
+        self._landmarks = dict(sorted(self._landmarks.items()))
         self._next_id = max(self._next_id, landmark.id + 1)
 
     def remove(self, landmark_id: int) -> Landmark:

@@ -1,35 +1,234 @@
-"""Landmarks that are one plane become one: the younger's factors are re-keyed to the older, inside iSAM2."""
+"""Landmarks that are one plane become one inside iSAM2, and become two again when that turns out to be wrong."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import gtsam
+from scipy.stats import chi2 as chi2_distribution
 
+from factors import plane_factor, plane_landmark
 from slam.backend import Backend, pose_symbol
+from slam.config import SlamConfig
 from slam.frames import inverse
 from slam.keyframes import Keyframe
-from slam.landmarks import Landmark, LandmarkMap, observe
+from slam.landmarks import Landmark, LandmarkMap, Sighting, observe
+from slam.observations import Observation
+from slam.regions import Region
+from slam.twins import twin_chi2
+
+Cause = Literal["twins", "loop"]
+
+#: After an undone merge the estimate goes back a long way: so often iSAM2 relinearises.
+_ROUNDS = 5
+#: Sightings of a merged landmark whose residuals are looked at: more say no more.
+_SAMPLE = 30
+#: A merge is looked at during so many keyframes whether it is seen or not: what bends the way is seen no more.
+_FRESH = 10
 
 
-def absorb(
-    older: Landmark,
-    younger: Landmark,
-    keyframes: Sequence[Keyframe],
-    landmarks: LandmarkMap,
-    backend: Backend,
-    robust: str | None = None,
-) -> None:
-    """Give a landmark everything that was seen of another one, which is out of the map already."""
-    factors = []
-    for sighting in younger.sightings:
-        observation = keyframes[sighting.keyframe].observations[sighting.observation]
-        factors.append(observe(observation, pose_symbol(sighting.keyframe), older, backend, robust))
-    gone = [sighting.factor_index for sighting in younger.sightings]
-    indices = backend.update(factors, gtsam.Values(), remove=gone, relinearize=True)
-    older_T_world = inverse(landmarks.placed(older.id).world_T_plane)
-    for sighting, factor_index in zip(younger.sightings, indices, strict=True):
-        observation = keyframes[sighting.keyframe].observations[sighting.observation]
-        plane_T_body = older_T_world @ backend.pose(pose_symbol(sighting.keyframe))
-        landmarks.see(older, observation, replace(sighting, factor_index=factor_index), plane_T_body)
+@dataclass(eq=False)
+class Merge:
+    """Two landmarks that were taken for one."""
+
+    keyframe: int
+    """When: index of the keyframe."""
+    older: int
+    """Id of the landmark that took everything."""
+    younger: int
+    """Id of the one that is gone."""
+    cause: Cause
+    """twins: their difference passed its chi2; loop: a closure paired them."""
+    gone: Landmark
+    """The younger as it was."""
+    undone: int | None = None
+    """The keyframe at which the merge was found wrong; None: it stands."""
+    next_look: int = 0
+    """Keyframe from which on its residuals are looked at again."""
+
+
+class Merges:
+    """Every merge of a run, and the landmarks that must never be merged again."""
+
+    def __init__(
+        self, keyframes: Sequence[Keyframe], landmarks: LandmarkMap, backend: Backend, config: SlamConfig
+    ) -> None:
+        self.history: list[Merge] = []
+        self._keyframes, self._landmarks, self._backend, self._config = keyframes, landmarks, backend, config
+        self._apart: set[frozenset[int]] = set()
+
+    def may_be_one(self, first: int, second: int) -> bool:
+        """Whether two landmarks were never found to be two after all."""
+        return first != second and frozenset((first, second)) not in self._apart
+
+    def merge(self, older: int, younger: int, cause: Cause) -> Merge:
+        """Give a landmark everything that was seen of another one; its factors are re-keyed, its variable goes."""
+        gone, home = self._landmarks.remove(younger), self._landmarks[older]
+        robust = self._config.backend.robust_loops if cause == "loop" else None
+        robust = robust or self._config.backend.robust
+        keys = [pose_symbol(sighting.keyframe) for sighting in gone.sightings]
+        seen = [self._observation(sighting) for sighting in gone.sightings]
+        factors = [observe(one, key, home, self._backend, robust) for one, key in zip(seen, keys, strict=True)]
+        old = [sighting.factor_index for sighting in gone.sightings]
+        indices = self._backend.update(factors, gtsam.Values(), remove=old, relinearize=True)
+        home_T_world = inverse(self._landmarks.placed(older).world_T_plane)
+        for one, key, sighting, index in zip(seen, keys, gone.sightings, indices, strict=True):
+            self._landmarks.see(
+                home, one, replace(sighting, factor_index=index), home_T_world @ self._backend.pose(key)
+            )
+        self._landmarks.refresh(self._backend)
+        now = len(self._keyframes) - 1
+        self.history.append(Merge(now, older, younger, cause, gone, next_look=now + 1))
+        return self.history[-1]
+
+    def close(self, pairs: Sequence[tuple[int, int]], scale: float) -> bool:
+        """Merge the pairs of a loop closure, and take all of them back when the graph as a whole speaks against it.
+
+        What a true closure adds to the chi2 of the graph is chi2 with 3 degrees of freedom a pair. `scale` as in
+        `doubted`.
+        """
+        before = self._backend.chi2()
+        made = [self.merge(older, younger, "loop") for older, younger in pairs]
+        self._backend.settle(_ROUNDS)
+        limit = float(chi2_distribution.isf(self._config.association.new_significance, max(3 * len(pairs), 1)))
+        if self._backend.chi2() - before <= max(scale, 1.0) * limit:
+            self._landmarks.refresh(self._backend)
+            return True
+        for merge in reversed(made):
+            self.undo(merge)
+        for one in {key: None for pair in pairs for key in pair}:  # of the first, grown while others were still wrong
+            self._regrow(self._landmarks[one])
+        self._landmarks.refresh(self._backend)
+        return False
+
+    def undo(self, merge: Merge) -> None:
+        """Take a merge back: the younger returns with its own factors and those of later sightings that fit it better.
+
+        The older may itself have been merged since: the sightings are taken from wherever they are now.
+        """
+        now, holder = len(self._keyframes) - 1, self._holder(merge)
+        mine = {(sighting.keyframe, sighting.observation) for sighting in merge.gone.sightings}
+        taken = [one for one in holder.sightings if (one.keyframe, one.observation) in mine]
+        back = replace(merge.gone, sightings=[], n_points=0)
+        self._landmarks.plant(back)
+        self._move(taken, holder, back, initial=True)
+        later = [one for one in holder.sightings if one.keyframe > merge.keyframe]
+        self._move([one for one in later if self._misfit(one, back) < self._misfit(one, holder)], holder, back)
+        self._backend.settle(_ROUNDS)
+        self._landmarks.refresh(self._backend)
+        self._regrow(holder)
+        self._regrow(back)
+        self._landmarks.refresh(self._backend)
+        self._apart.add(frozenset((holder.id, back.id)))
+        merge.undone = now
+
+    def doubted(self, touched: Iterable[int], scale: float) -> list[Merge]:
+        """Merges of the landmarks at hand whose re-keyed measurements no longer fit, worst first.
+
+        Args:
+            touched: ids of landmarks that were seen, or that something was compared with.
+            scale: mean NIS per degree of freedom of the run, 1 if its covariances are honest: misfit that every
+                measurement has is no sign of a wrong merge.
+        """
+        now, seen = len(self._keyframes) - 1, set(touched)
+        found = []
+        for merge in self.history:
+            if merge.undone is not None or merge.next_look > now:
+                continue
+            if now > merge.keyframe + _FRESH and self._holder(merge).id not in seen:
+                continue
+            merge.next_look = now + max(2 * (now - merge.keyframe), 1)
+            misfit, dof = self._residual(merge)
+            limit = float(chi2_distribution.isf(self._config.association.new_significance, dof))
+            if misfit > max(scale, 1.0) * limit:
+                found.append((misfit / limit, merge))
+        return [merge for _, merge in sorted(found, key=lambda one: (-one[0], one[1].keyframe, one[1].younger))]
+
+    def split_if_two(self, merge: Merge) -> bool:
+        """Undo a doubted merge, and merge again if the two, each by its own measurements, still pass for one."""
+        holder = self._holder(merge)
+        self.undo(merge)
+        back = self._landmarks[merge.younger]
+        limit = float(chi2_distribution.isf(self._config.association.new_significance, 3))
+        if twin_chi2(holder, back, self._backend) > limit:
+            return True
+        self._apart.discard(frozenset((holder.id, back.id)))
+        again = self.merge(holder.id, back.id, merge.cause)
+        again.next_look = merge.next_look
+        return False
+
+    def _holder(self, merge: Merge) -> Landmark:
+        """The landmark that has the sightings of a merged one now."""
+        key = merge.older
+        while key not in self._landmarks:
+            key = next(one.older for one in reversed(self.history) if one.younger == key and one.undone is None)
+        return self._landmarks[key]
+
+    def _observation(self, sighting: Sighting) -> Observation:
+        return self._keyframes[sighting.keyframe].observations[sighting.observation]
+
+    def _residual(self, merge: Merge) -> tuple[float, int]:
+        """Chi2 and degrees of freedom of the merged landmark's own measurements, as they are explained now."""
+        mine = {(sighting.keyframe, sighting.observation) for sighting in merge.gone.sightings}
+        holder = self._holder(merge)
+        taken = [one for one in holder.sightings if (one.keyframe, one.observation) in mine][:_SAMPLE]
+        dof = sum(3 if one.kind == "plane" else 2 for one in taken)
+        return sum(self._misfit(one, holder) for one in taken), dof
+
+    def _misfit(self, sighting: Sighting, landmark: Landmark) -> float:
+        """Chi2 of a sighting if it is of a landmark."""
+        factor = observe(self._observation(sighting), pose_symbol(sighting.keyframe), landmark, self._backend)
+        return 2.0 * float(factor.error(self._backend.values))
+
+    def _move(
+        self, sightings: Sequence[Sighting], source: Landmark, target: Landmark, *, initial: bool = False
+    ) -> None:
+        """Re-key sightings from one landmark to another; `initial`: with them its variable comes into the graph."""
+        if not sightings:
+            return
+        values, factors = gtsam.Values(), []
+        rest = list(sightings)
+        if initial:
+            first = rest.pop(0)
+            factors.append(self._founding_factor(first, target, values))
+        known = values if initial else self._backend.values
+        for sighting in rest:
+            anchor_T_body = inverse(self._backend.pose(target.anchor_key)) @ self._backend.pose(
+                pose_symbol(sighting.keyframe)
+            )
+            expected = known.atOrientedPlane3(target.key).transform(gtsam.Pose3(anchor_T_body))
+            factors.append(
+                self._observation(sighting).factor(
+                    pose_symbol(sighting.keyframe),
+                    target.key,
+                    target.anchor_key,
+                    self._config.backend.robust,
+                    None if target.anchor_key == pose_symbol(sighting.keyframe) else expected,
+                )
+            )
+        old = [sighting.factor_index for sighting in sightings]
+        indices = self._backend.update(factors, values, remove=old, relinearize=True)
+        moved = {(one.keyframe, one.observation) for one in sightings}
+        points = sum(self._observation(one).n_points for one in sightings)
+        source.n_points, target.n_points = source.n_points - points, target.n_points + points
+        source.sightings[:] = [one for one in source.sightings if (one.keyframe, one.observation) not in moved]
+        target.sightings += [replace(one, factor_index=i) for one, i in zip(sightings, indices, strict=True)]
+
+    def _founding_factor(self, sighting: Sighting, landmark: Landmark, values: gtsam.Values) -> gtsam.NonlinearFactor:
+        """The factor that a landmark starts with: of full rank, what a line leaves open closed by the rule's tilt."""
+        plane = self._observation(sighting).full_plane(self._config.landmarks.wall_tilt_sigma_rad)
+        pose_key = pose_symbol(sighting.keyframe)
+        anchor_T_body = inverse(self._backend.pose(landmark.anchor_key)) @ self._backend.pose(pose_key)
+        values.insert(landmark.key, plane_landmark(plane.transform(anchor_T_body)))
+        return plane_factor(plane, pose_key, landmark.key, anchor_key=landmark.anchor_key)
+
+    def _regrow(self, landmark: Landmark) -> None:
+        """What was seen of a landmark, from its sightings alone."""
+        plane_T_world = inverse(self._landmarks.placed(landmark.id).world_T_plane)
+        landmark.sightings.sort(key=lambda one: (one.keyframe, one.observation))
+        landmark.region = Region(landmark.first_outline)
+        for one in landmark.sightings:
+            plane_T_body = plane_T_world @ self._backend.pose(pose_symbol(one.keyframe))
+            landmark.region.grow(self._observation(one).patch_in(plane_T_body))

@@ -24,7 +24,7 @@ from slam.landmarks import LandmarkMap, Sighting
 from slam.loops import LoopDecision, disjoint, find_loop
 from slam.loops import Path as DrivenPath
 from slam.map_planes import MapPlane, map_plane
-from slam.merging import absorb
+from slam.merging import Merges
 from slam.observability import Observability, OpenStretch, stretch_of
 from slam.odometry import Motion
 from slam.recorder import Recorder
@@ -74,7 +74,7 @@ class PlaneSlam:
         self.recorder = recorder or Recorder()
         self.keyframes: MutableSequence[Keyframe] = self.recorder.keyframes()
         self.decisions: list[list[Decision]] = []
-        self.merges: list[tuple[int, int, int]] = []
+        self.merges = Merges(self.keyframes, self.landmarks, self.backend, self.config)
         self.loops: list[LoopDecision] = []
         self.calibration = WheelCalibration()
         self._predicted: Motion | None = None
@@ -129,6 +129,7 @@ class PlaneSlam:
         self._remember(keyframe, decisions)
         self._learn()
         self.landmarks.refresh(self.backend)
+        self._split_wrong_merges(touched, decisions)
         self._merge_twins(touched)
         self._close_loops()
         return KeyframeReport(len(self.keyframes) - 1, self.backend.pose(pose_key), decisions)
@@ -238,11 +239,19 @@ class PlaneSlam:
         covariance = motion_covariance(a_T_b, self.backend.joint_covariance(keys).of(keys))
         self.calibration.learn(self._predicted, a_T_b, covariance)
 
+    def _split_wrong_merges(self, touched: set[int], decisions: Sequence[Decision]) -> None:
+        """Take back merges that what has been seen since speaks against."""
+        compared = {candidate.landmark for decision in decisions for candidate in decision.candidates}
+        for merge in self.merges.doubted(touched | compared, self.audit.mean_per_dof):
+            if merge.undone is None:
+                self.merges.split_if_two(merge)
+
     def _merge_twins(self, touched: set[int]) -> None:
         """Join landmarks that are one plane: the younger's factors are re-keyed to the older, inside iSAM2."""
         needed, association = self.config.landmarks.min_observations, self.config.association
         for older, younger in find_twins(touched, self.landmarks, self.backend, association, min_keyframes=needed):
-            self._merge(older, younger)
+            if self.merges.may_be_one(older, younger):
+                self.merges.merge(older, younger, "twins")
 
     def _close_loops(self) -> None:
         """Every metre or so: is what is seen now a place of long ago? Then its walls are joined with those of then."""
@@ -255,19 +264,9 @@ class PlaneSlam:
         self.loops += decisions
         if not decisions or decisions[-1].verdict != "closed":
             return
-        touched: set[int] = set()
-        for older, younger in disjoint(decisions[-1].pairs):
-            self._merge(older, younger)
-            touched.add(older)
-        self._merge_twins(touched)
-
-    def _merge(self, older: int, younger: int) -> None:
-        """Make two landmarks one, and remember it."""
-        robust = self.config.backend.robust
-        gone = self.landmarks.remove(younger)
-        absorb(self.landmarks[older], gone, self.keyframes, self.landmarks, self.backend, robust)
-        self.merges.append((len(self.keyframes) - 1, older, younger))
-        self.landmarks.refresh(self.backend)
+        pairs = [pair for pair in disjoint(decisions[-1].pairs) if self.merges.may_be_one(*pair)]
+        if self.merges.close(pairs, self.audit.mean_per_dof):
+            self._merge_twins({older for older, _ in pairs})
 
     def _remember(self, keyframe: Keyframe, decisions: list[Decision]) -> None:
         self.keyframes.append(keyframe)
