@@ -27,6 +27,7 @@ from slam.planeslam import MapPlane
 from slam.report import write_report
 from slam.rig import Rig
 from slam.run import Run
+from slam.scene import scene_of
 
 PLANES_FORMAT = "spplanes/1"
 
@@ -69,16 +70,19 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     write_result(run, folder, run.slam.config, run.rig, numbers)
     write_tum(folder / "odometry.tum", run.odometry)
     write_g2o(folder / "graph.g2o", run.slam.backend.graph, run.slam.backend.values)
-    History.of(run.planes, run.slam).write(folder / "view.json")
-    write_report(folder / "report.html", title, [*extra, ("the run", rows)], [folder / "map.png"])
+    history = History.of(run.planes, run.slam)
+    history.write(folder / "view.json")
+    tables = [*extra, ("the run", rows)]
+    write_report(folder / "report.html", title, tables, [folder / "map.png"], scene_of(run, history))
 
 
 def write_map(result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, title: str) -> list[Metric]:
     """Write a map made at given poses into a folder that exists; returns the table."""
     rows = map_metrics_of(result)
     write_result(result, folder, config, rig, {"metrics": as_json(rows)})
-    History.of(result.planes).write(folder / "view.json")
-    write_report(folder / "report.html", title, [("the map", rows)], [folder / "map.png"])
+    history = History.of(result.planes)
+    history.write(folder / "view.json")
+    write_report(folder / "report.html", title, [("the map", rows)], [folder / "map.png"], scene_of(result, history))
     return rows
 
 

@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from shapely.geometry.base import BaseGeometry
 
 from slam.frames import lift
 from slam.io.trajectories import Trajectory
@@ -20,6 +21,8 @@ from spplanes._check import FloatArray
 
 #: Planes seen more edge-on than this are drawn as lines, others as faces.
 _EDGE_ON_COSINE = 0.5
+#: Half the width of slits that pictures do not show, m.
+_SLIT_M = 0.05
 _VIEWS = {"plan": (0, 1), "side": (0, 2)}
 
 
@@ -40,6 +43,14 @@ class Drawn(Protocol):
     def odometry(self) -> Trajectory:
         """Odometry alone, or empty."""
         ...
+
+
+def without_slits(seen: BaseGeometry) -> BaseGeometry:
+    """What was seen of a plane, for the eye: slits between patches seen one after the other are closed."""
+    if seen.geom_type not in ("Polygon", "MultiPolygon"):
+        return seen
+    closed = seen.buffer(_SLIT_M, join_style="mitre").buffer(-_SLIT_M, join_style="mitre").simplify(_SLIT_M / 5.0)
+    return closed if not closed.is_empty else seen
 
 
 def draw_map(run: Drawn, path: Path) -> None:
@@ -78,13 +89,14 @@ def save(figure: Figure, path: Path) -> None:
 
 def _draw_plane(axes: Any, plane: MapPlane, sheet: tuple[int, int], out_of_sheet: int) -> None:
     colour = np.array(colour_of(plane)) / 255.0
-    rings = [lift(np.asarray(polygon.exterior.coords), plane.plane.frame) for polygon in polygons_of(plane.seen)]
+    seen = without_slits(plane.seen)
+    rings = [lift(np.asarray(polygon.exterior.coords), plane.plane.frame) for polygon in polygons_of(seen)]
     if abs(plane.plane.normal[out_of_sheet]) > _EDGE_ON_COSINE:
         faces = PolyCollection([ring[:, sheet] for ring in rings], facecolors=[(*colour, 0.15)], edgecolors=[colour])
         faces.set_linewidth(0.4)
         axes.add_collection(faces)
         return
-    lines = [lift(segment, plane.plane.frame) for segment in segments_of(plane.seen)]
+    lines = [lift(segment, plane.plane.frame) for segment in segments_of(seen)]
     edges = [_span(points[:, sheet]) for points in (*rings, *lines)]
     axes.add_collection(LineCollection(edges, colors=[colour], linewidths=2.2))
 
