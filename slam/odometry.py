@@ -9,13 +9,13 @@ from itertools import pairwise
 
 import gtsam
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from factors import odometry_factor, planar_motion_factor, relative_pose_factor
 from slam.frames import inverse
 from slam.io.log import OdometryReading
 from slam.motion import OdometryNoise
 from spplanes._check import FloatArray
+from spplanes.registration import interpolate_poses
 
 #: A robot whose odometry never leaves the floor by more than this drives on it, m and rad.
 _PLANAR_TOLERANCE = 1e-9
@@ -80,16 +80,12 @@ class OdometryTrack:
     def poses_at(self, stamps_ns: Sequence[int]) -> FloatArray:
         """odom_T_body at each time, shape (N, 4, 4), interpolated; before the first and after the last it stands."""
         stamps = np.clip(np.asarray(stamps_ns, dtype=np.int64), self._stamps[0], self._stamps[-1])
-        if len(self) == 1:
-            return np.repeat(self._poses, len(stamps), axis=0)
-        since_start = (self._stamps - self._stamps[0]).astype(np.float64)
-        wanted = (stamps - self._stamps[0]).astype(np.float64)
-        result = np.tile(np.eye(4), (len(stamps), 1, 1))
-        turns = Slerp(since_start, Rotation.from_matrix(self._poses[:, :3, :3]))
-        result[:, :3, :3] = turns(wanted).as_matrix()
-        for axis in range(3):
-            result[:, axis, 3] = np.interp(wanted, since_start, self._poses[:, axis, 3])
-        return result
+        if len(self) == 1 or not len(stamps):
+            return np.repeat(self._poses[:1], len(stamps), axis=0)
+        first = np.searchsorted(self._stamps, stamps.min(), side="right") - 1
+        last = np.searchsorted(self._stamps, stamps.max(), side="left") + 1
+        near = slice(min(int(first), len(self) - 2), max(int(last), int(first) + 2))
+        return interpolate_poses(self._stamps[near], self._poses[near], stamps)
 
     def step_covariance(self, delta: FloatArray) -> FloatArray:
         """Covariance (3, 3) of one step (x, y, theta) by the noise model of the wheels."""

@@ -40,6 +40,16 @@ class Region:
         """(x low, y low, x high, y high), shape (4,), m."""
         return self._bounds
 
+    @property
+    def pieces(self) -> list[BaseGeometry]:
+        """All of it in pieces, which overlap a little: for whoever needs no outline."""
+        return [self._line] if self._line is not None else list(self._tiles.values())
+
+    @property
+    def corners(self) -> FloatArray:
+        """Corners of all pieces, shape (N, 2), m."""
+        return shapely.get_coordinates(self.pieces)
+
     def grow(self, patch: BaseGeometry) -> None:
         """Take a patch in."""
         self._whole = None

@@ -142,7 +142,8 @@ def _may_be_one(
     first_T_second = inverse(first_place.world_T_plane) @ second_place.world_T_plane
     if abs(first_T_second[2, 3]) > config.gap_m:
         return False
-    return first.region.is_within(config.gap_m, flatten(second.outline, first_T_second))
+    pieces = (flatten(piece, first_T_second) for piece in second.region.pieces)
+    return any(first.region.is_within(config.gap_m, piece) for piece in pieces)
 
 
 def _disjoint(pairs: Sequence[tuple[float, int, int]]) -> list[tuple[int, int]]:

@@ -92,3 +92,13 @@ def test_spatial_covariance_turns_into_the_axes_of_the_second_pose():
         values.append(error @ np.linalg.solve(covariance[np.ix_(in_plane, in_plane)], error))
     assert_mean_in_band(np.array(values), 3)
     np.testing.assert_allclose(np.diag(covariance)[[2, 4, 5]], [1e-6, 9e-6, 4e-6])
+
+
+def test_poses_between_readings_are_the_same_whatever_else_is_asked_for():
+    track = track_of(arc())
+    wanted = np.random.default_rng(1).integers(-PERIOD_NS, 14 * PERIOD_NS, 50)
+    together = track.poses_at(wanted.tolist())
+    alone = np.concatenate([track.poses_at([stamp]) for stamp in wanted.tolist()])
+    np.testing.assert_allclose(together, alone, atol=1e-12)
+    np.testing.assert_allclose(track.poses_at([-1, 0, 99 * PERIOD_NS])[[0, 2]], track.poses_at([0, 12 * PERIOD_NS]))
+    assert track.poses_at([]).shape == (0, 4, 4)
