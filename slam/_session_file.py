@@ -48,7 +48,6 @@ def create(path: Path) -> sqlite3.Connection:
     connection = connect(path, read_only=False)
     with translated(path):
         connection.execute("PRAGMA page_size = 4096")
-        connection.execute("PRAGMA journal_mode = WAL")
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         _run(connection, f"{_TABLES_1}{_TABLES_2}", VERSION)
     return connection

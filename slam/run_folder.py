@@ -79,15 +79,13 @@ def new_run(
     What fails before the first keyframe leaves nothing behind, and a folder that was to be replaced as it was; what
     fails later, or is killed, leaves a session to go on with.
     """
-    known = source.as_json()
-    with _fresh(Path(out), overwrite=overwrite) as folder:
-        data = None if prior is None else prior.to_bytes()
-        session = Session.create(folder / SESSION_FILE, config, rig=rig, prior=data, log=known)
-        try:
-            recorder = SessionRecorder(session, log=log, raw=source.raw, forget=source.forget_raw)
-            yield PlaneSlam(config, prior=prior, recorder=recorder)
-        finally:
-            session.close()
+    known, data = source.as_json(), None if prior is None else prior.to_bytes()
+    with (
+        _fresh(Path(out), lambda folder: _begin(folder, config, rig, data, known), overwrite=overwrite) as folder,
+        Session.open(folder / SESSION_FILE) as session,
+    ):
+        recorder = SessionRecorder(session, log=log, raw=source.raw, forget=source.forget_raw)
+        yield PlaneSlam(config, prior=prior, recorder=recorder)
 
 
 @contextmanager
@@ -161,19 +159,29 @@ def _check_log(session: Session, source: Source, log: Log, rig: Rig) -> None:
     session.set_log(now)
 
 
+def _begin(folder: Path, config: SlamConfig, rig: Rig, prior: bytes | None, log: dict[str, Any]) -> None:
+    Session.create(folder / SESSION_FILE, config, rig=rig, prior=prior, log=log).close()
+
+
 @contextmanager
-def _fresh(out: Path, *, overwrite: bool) -> Iterator[Path]:
-    """A new folder; an old one of that name waits beside it until the run is finished."""
+def _fresh(out: Path, begin: Callable[[Path], None], *, overwrite: bool) -> Iterator[Path]:
+    """A new folder that appears with its session in it; an old one of that name waits beside it until the end."""
     check_free(out, overwrite=overwrite)
     replaced: Path | None = None
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    except OSError as error:
+        raise ValueError(f"{out}: cannot be made ({error.strerror})") from error
+    try:
+        work.chmod(0o755)
+        begin(work)
         if out.exists():
             replaced = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent)) / out.name
             os.replace(out, replaced)
-        out.mkdir()
-    except OSError as error:
-        raise ValueError(f"{out}: cannot be made ({error.strerror})") from error
+        os.replace(work, out)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
     try:
         yield out
     except BaseException:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -134,27 +135,26 @@ class Session:
         path = session_path(path)
         if path.exists():
             raise SessionError(f"{path}: exists already")
-        lock = _locked(path)
+        lock, work = _locked(path), path.with_name(path.name + ".new")
+        values = {
+            "config": json.dumps(config.model_dump(mode="json")).encode(),  # JSON of Python's: it knows infinity
+            "rig": None if rig is None else _rig_json(rig),
+            "prior": prior,
+            "program": __version__.encode(),
+            "log": json.dumps(log).encode(),
+            "state": json.dumps({"state": "running", "keyframes": 0}).encode(),
+        }
         try:
-            connection = create(path)
-            values = {
-                "config": json.dumps(config.model_dump(mode="json")).encode(),  # JSON of Python's: it knows infinity
-                "rig": None if rig is None else _rig_json(rig),
-                "prior": prior,
-                "program": __version__.encode(),
-                "log": json.dumps(log).encode(),
-                "state": json.dumps({"state": "running", "keyframes": 0}).encode(),
-            }
-            with transaction(path, connection):
+            work.unlink(missing_ok=True)
+            with closing(create(work)) as made, transaction(work, made):
                 for key, value in values.items():
                     if value is not None:
-                        _put(connection, "session", key, value)
-            return cls(path, connection, lock, check_version(path, connection, read_only=True))
-        except BaseException:
-            for suffix in ("", "-wal", "-shm"):
-                path.with_name(path.name + suffix).unlink(missing_ok=True)
+                        _put(made, "session", key, value)
+            os.replace(work, path)  # it is there with all its parameters, or not at all
+        finally:
+            work.unlink(missing_ok=True)
             lock.release()
-            raise
+        return cls.open(path)
 
     @classmethod
     def open(cls, path: Path | str, *, read_only: bool = False, damaged: bool = False) -> Self:
