@@ -9,8 +9,9 @@ from typing import Annotated
 
 import typer
 
+from slam.cli.clouds import fit
 from slam.cli.missions import simulate
-from slam.cli.results import evaluate, export
+from slam.cli.results import evaluate, export, view
 from slam.cli.runs import demo, map_, slam
 
 app = typer.Typer(
@@ -31,6 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _fail(error, 2)
     except KeyboardInterrupt:
         _fail("stopped", 1)
+    except OSError as error:  # a full disk is nobody's bad input, and nothing unexpected
+        _fail(error, 1)
     except Exception as error:  # the boundary: whatever it is, no traceback
         _fail(f"unexpected {type(error).__name__}: {error}", 1)
 
@@ -58,6 +61,6 @@ def group(
     """Planes with honest covariances, and plane-based SLAM on GTSAM."""
 
 
-for _command in (slam, demo, simulate, evaluate, export):
+for _command in (fit, slam, demo, simulate, evaluate, export, view):
     app.command()(_command)
 app.command(name="map")(map_)

@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from slam.noise_of import misses_of
 from spplanes._check import FloatArray
 
 #: A new line starts where the beam turns by at least this much from one point to the next, rad ...
@@ -23,6 +24,8 @@ _MIN_LINES, _MIN_BEAMS, _LONGEST = 8, 8, 1.6
 #: Rows and columns, in a whole turn, of the range images that are tried.
 _ROWS = (16, 32, 40, 48, 64, 80, 96, 128, 192, 256, 384, 512)
 _COLUMNS = (180, 256, 360, 512, 720, 900, 1024, 1440, 1800, 2048, 3600, 4096)
+#: Corners are looked for between beams that are this share of a turn apart.
+_CORNER_SHARE = 1.0 / 360.0
 #: The longest row of a grid made of lines.
 _LARGEST = 4096
 
@@ -38,14 +41,16 @@ class Grid:
 
 
 def arrange(points: FloatArray, grid: Grid | None = None) -> FloatArray:
-    """Points (N, 3) round their sensor as a grid (S, B, 3), NaN = no return; grids that are given stay as they are.
+    """Points (N, 3) round their sensor as a grid (S, B, 3), NaN = no return; a grid stays as it is.
+
+    Where rows are whole turns, they begin at a corner or a gap: a wall ought not to be cut in two by the image's end.
 
     Args:
         points: shape (N, 3) or (S, B, 3), m, in the sensor's frame.
         grid: shape of the range image; None: lines where the order shows them, else found in the points.
     """
     if points.ndim == 3:
-        return points
+        return _cut_at_a_corner(points) if _closes(points) else points
     used = points[np.isfinite(points).all(axis=1)]
     used = used[(used != 0.0).any(axis=1)]
     lines = _lines_of(used) if grid is None else None
@@ -64,7 +69,28 @@ def range_image(points: FloatArray, grid: Grid | None = None) -> FloatArray:
     image = np.full((grid.rows, grid.columns, 3), np.nan)
     far_first = np.argsort(-np.einsum("ij,ij->i", points, points), kind="stable")
     image[row[far_first], column[far_first]] = points[far_first]
-    return image
+    return _cut_at_a_corner(image)
+
+
+def _closes(grid: FloatArray) -> bool:
+    """Whether rows are whole turns: their last beam lies beside the first."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rays = grid / np.linalg.norm(grid, axis=-1, keepdims=True)
+        steps = np.linalg.norm(np.diff(rays, axis=1, append=rays[:, :1]), axis=-1)
+    if grid.shape[1] < _MIN_BEAMS or not np.isfinite(steps[:, -1]).any() or not np.isfinite(steps[:, :-1]).any():
+        return False
+    return bool(np.nanmedian(steps[:, -1]) < 3.0 * np.nanmedian(steps[:, :-1]))
+
+
+def _cut_at_a_corner(image: FloatArray) -> FloatArray:
+    """The image turned so that its ends meet where fewest surfaces go on."""
+    columns = image.shape[1]
+    lag = max(round(columns * _CORNER_SHARE), 1)
+    missed = np.abs(misses_of(np.concatenate((image[:, -lag:], image, image[:, :lag]), axis=1), lag))
+    if not np.isfinite(missed).any():
+        return image
+    flat = np.count_nonzero(missed < 3.0 * np.nanmedian(missed), axis=0)
+    return np.roll(image, -int(flat.argmin()), axis=1)
 
 
 def _best_grid(elevation: FloatArray, azimuth: FloatArray) -> Grid:

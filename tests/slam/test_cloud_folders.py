@@ -224,8 +224,18 @@ def test_lines_of_a_turning_laser_keep_their_order_and_lose_their_doubles():
 
 
 def test_organised_points_stay_as_they_are():
-    grid = beams()
+    grid = beams()[:, 20:120]
     assert arrange(grid) is grid
+
+
+def test_whole_turns_begin_at_a_corner():
+    here = pose(0.3, -0.2, 0.4)
+    grid = seen_from(here, 1)
+    turned = arrange(grid)
+    first = turned[16, 0] @ here[:3, :3].T + here[:3, 3]
+    np.testing.assert_allclose(np.abs(first[:2]), ROOM[:2], atol=0.15)
+    offset = int(np.flatnonzero((grid[16] == turned[16, 0]).all(axis=-1))[0])
+    np.testing.assert_array_equal(np.roll(turned, offset, axis=1), grid)
 
 
 def test_one_point_alone():

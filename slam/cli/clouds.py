@@ -1,0 +1,75 @@
+"""The command on one cloud: fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from slam.cli._job import OverwriteOption
+from slam.cli._output import warn_of
+
+if TYPE_CHECKING:
+    from slam.cloud_fit import CloudPlanes
+
+
+def fit(
+    cloud: Annotated[
+        Path, typer.Argument(help="Cloud: PCD, PLY, text, KITTI .bin, numpy, LAS, LAZ, E57, depth image.")
+    ],
+    sigma: Annotated[
+        float | None,
+        typer.Option("--sigma", help="Standard deviation of the points, m; default: measured."),
+    ] = None,
+    viewpoint: Annotated[
+        tuple[float, float, float], typer.Option("--viewpoint", help="Where a registered cloud was seen from, m.")
+    ] = (0.0, 0.0, 0.0),
+    min_points: Annotated[int, typer.Option("--min-points", min=3, help="Leave out planes of fewer points.")] = 30,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for planes.json, PLY files and a picture.")] = None,
+    overwrite: OverwriteOption = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the planes as JSON.")] = False,
+) -> None:
+    """Find the planes of one CLOUD."""
+    from slam.cloud_fit import fit_cloud
+    from slam.export import check_free, new_folder
+    from slam.io.clouds import read_cloud
+
+    if sigma is not None and not 0.0 < sigma < 1e3:
+        raise ValueError(f"--sigma: expected a standard deviation above 0 in metres, got {sigma}")
+    if out is not None:
+        check_free(out, overwrite=overwrite)
+    found = fit_cloud(read_cloud(cloud), cloud, sigma_m=sigma, viewpoint=viewpoint).at_least(min_points)
+    if out is not None:
+        from slam.cloud_files import write_cloud_planes
+
+        with new_folder(out, overwrite=overwrite) as folder:
+            write_cloud_planes(found, folder)
+    _show(cloud.name, found, as_json)
+    if not found.planes:
+        warn_of([f"no planes of {min_points} points or more were found"])
+
+
+def _show(name: str, found: CloudPlanes, as_json: bool) -> None:
+    rows = found.table()
+    if as_json:
+        import json
+
+        print(json.dumps({"sigma_m": found.sigma_m, "sigma_note": found.note, "planes": rows}, indent=1))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{name}, points of {1000 * found.sigma_m:.3g} mm", title_justify="left")
+    for heading in ("plane", "normal", "d [m]", "sigma d [mm]", "sigma tilt [deg]", "points", "area [m2]"):
+        table.add_column(heading, justify="right", no_wrap=heading == "normal")
+    for row in rows:
+        normal = " ".join(f"{value:+.4f}" for value in row["normal"])
+        numbers = (f"{row['d']:+.4f}", f"{1000 * row['sigma_d_m']:.2g}", f"{row['sigma_tilt_deg']:.2g}")
+        table.add_row(str(row["id"]), normal, *numbers, str(row["n_points"]), f"{row['area_m2']:.3g}")
+    console = Console()
+    console.print(table)
+    share = 100.0 * found.share
+    console.print(
+        f"{len(rows)} planes hold {share:.1f} % of {len(found.points)} points; standard deviation {found.note}."
+    )
