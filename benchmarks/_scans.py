@@ -10,10 +10,23 @@ import numpy as np
 from spplanes._check import FloatArray
 from spplanes.noise import DepthCameraModel, SensorModel
 
-#: The tilting SICK of 3dtk_corridor: 1 cm of range noise; its tilt servo jerks by centimetres from line to line.
-CORRIDOR_SENSOR = SensorModel(range_sigma_m=0.01, scan_shift_sigma_m=0.02, scan_tilt_sigma_rad=0.0087)
-#: The upright laser of pcl_room: 1.5 cm of range noise; the robot turned it, so that each slice tilts on its own.
-ROOM_SENSOR = SensorModel(range_sigma_m=0.015, scan_shift_sigma_m=0.01, scan_tilt_sigma_rad=0.01)
+#: The tilting SICK of 3dtk_corridor: 1 cm of range noise; its tilt servo jerks from line to line, and drifts.
+CORRIDOR_SENSOR = SensorModel(
+    range_sigma_m=0.01, scan_shift_sigma_m=0.005, scan_tilt_sigma_rad=0.003, surface_sigma_m=0.02
+)
+#: The upright laser of pcl_room: 1 cm of range noise; slices tilt by millimetres each; its ranges are off by up to 4 cm
+#: depending on the distance, so that a flat ceiling comes out as a bowl.
+ROOM_SENSOR = SensorModel(
+    range_sigma_m=0.01,
+    bearing_sigma_rad=0.003,
+    scan_shift_sigma_m=0.003,
+    scan_tilt_sigma_rad=0.003,
+    surface_sigma_m=0.02,
+)
+#: Nearer than this that laser sees the robot, m.
+ROOM_RANGE_M = 0.8
+#: The spinning lidar of balm_hall: plane residuals of 11 to 20 mm.
+HALL_SENSOR = SensorModel(range_sigma_m=0.02, bearing_sigma_rad=0.001)
 #: Beyond this the corridor's laser had no return, m.
 CORRIDOR_RANGE_M = 32.0
 
@@ -75,6 +88,7 @@ def room_slices(data: Path, index: int) -> FloatArray:
     for k, line in enumerate(lines):
         beam = np.clip(np.round(elevation[line] + 90.0).astype(int), 0, 180)
         grid[k, beam] = points[line]
+    grid[np.linalg.norm(grid, axis=-1) < ROOM_RANGE_M] = np.nan
     return grid
 
 

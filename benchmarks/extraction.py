@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks._scans import (
     CORRIDOR_SENSOR,
+    HALL_SENSOR,
     ROOM_SENSOR,
     correct_detections,
     corridor_scan,
@@ -28,6 +29,7 @@ from spplanes._check import FloatArray
 
 __all__ = [
     "CORRIDOR_SENSOR",
+    "HALL_SENSOR",
     "ROOM_SENSOR",
     "correct_detections",
     "corridor_scan",

@@ -75,23 +75,33 @@ def _closed(filled, reach):
     n_i, n_j = filled.shape
     wide = np.zeros((n_i + 2 * reach, n_j + 2 * reach), dtype=np.bool_)
     wide[reach : reach + n_i, reach : reach + n_j] = filled
-    grown = _spread(_spread(wide, reach, True).T.copy(), reach, True)
-    shrunk = _spread(_spread(grown, reach, False).T.copy(), reach, False)
-    return shrunk[reach : reach + n_i, reach : reach + n_j] | filled
+    for value in (True, False):
+        _spread(wide, reach, value)
+    return wide[reach : reach + n_i, reach : reach + n_j] | filled
 
 
 @njit(cache=True)
 def _spread(filled, reach, value):
-    """Along the second axis, give every cell within reach of one that has the value, that value."""
-    result = filled.copy()
-    for i in range(filled.shape[0]):
-        left = -1
-        for j in range(filled.shape[1]):
-            if filled[i, j] == value:
-                for k in range(max(left + 1, j - reach), min(j + reach + 1, filled.shape[1])):
-                    result[i, k] = value
-                left = min(j + reach, filled.shape[1] - 1)
-    return result
+    """Give every cell in a square around one that has the value, that value, in place."""
+    n_i, n_j = filled.shape
+    source, since = filled.copy(), np.empty(n_j, dtype=np.int64)
+    for backward in (False, True):
+        since[:] = reach
+        for step in range(n_i):
+            i = n_i - 1 - step if backward else step
+            for j in range(n_j):
+                since[j] = 0 if source[i, j] == value else since[j] + 1
+                if since[j] <= reach:
+                    filled[i, j] = value
+    source[:] = filled
+    for i in range(n_i):
+        for backward in (False, True):
+            last = reach
+            for step in range(n_j):
+                j = n_j - 1 - step if backward else step
+                last = 0 if source[i, j] == value else last + 1
+                if last <= reach:
+                    filled[i, j] = value
 
 
 @njit(cache=True)
@@ -126,10 +136,10 @@ def _trace(filled):
     """Rings around the filled cells, corners only: vertices (V, 2) and the end of every ring.
 
     Every side of a filled cell is walked once with the cell on its left; the direction of a walk is 0: +j, 1: -i,
-    2: -j, 3: +i. The first ring found is the shell of the first part.
+    2: -j, 3: +i. The first ring found is the shell of a part.
     """
     n_i, n_j = filled.shape
-    seen = np.zeros((n_i, n_j, 4), dtype=np.bool_)
+    seen = np.zeros((n_i, n_j), dtype=np.bool_)  # sides walked in direction 2, of which every ring has one
     n_cells = filled.sum()
     vertices = np.empty((4 * n_cells + 1, 2), dtype=np.float64)
     ends = np.empty(4 * n_cells + 1, dtype=np.int64)
@@ -137,26 +147,26 @@ def _trace(filled):
     di, dj = np.array([0, -1, 0, 1]), np.array([1, 0, -1, 0])
     for i0 in range(1, n_i - 1):
         for j0 in range(1, n_j - 1):
-            for d0 in range(4):
-                if not filled[i0, j0] or seen[i0, j0, d0] or filled[i0 + di[(d0 + 3) % 4], j0 + dj[(d0 + 3) % 4]]:
-                    continue
-                i, j, d = i0, j0, d0
-                while not seen[i, j, d]:
-                    seen[i, j, d] = True
-                    a, b = i + di[d], j + dj[d]
-                    right = (d + 3) % 4
-                    if not filled[a, b]:
-                        vertices[n_vertices] = _corner(i, j, d)
-                        n_vertices += 1
-                        d = (d + 1) % 4
-                    elif filled[a + di[right], b + dj[right]]:
-                        vertices[n_vertices] = _corner(i, j, d)
-                        n_vertices += 1
-                        i, j, d = a + di[right], b + dj[right], right
-                    else:
-                        i, j = a, b
-                ends[n_rings] = n_vertices
-                n_rings += 1
+            if not filled[i0, j0] or filled[i0 - 1, j0] or seen[i0, j0]:
+                continue
+            i, j, d = i0, j0, 2
+            while d != 2 or not seen[i, j]:
+                if d == 2:
+                    seen[i, j] = True
+                a, b = i + di[d], j + dj[d]
+                right = (d + 3) % 4
+                if not filled[a, b]:
+                    vertices[n_vertices] = _corner(i, j, d)
+                    n_vertices += 1
+                    d = (d + 1) % 4
+                elif filled[a + di[right], b + dj[right]]:
+                    vertices[n_vertices] = _corner(i, j, d)
+                    n_vertices += 1
+                    i, j, d = a + di[right], b + dj[right], right
+                else:
+                    i, j = a, b
+            ends[n_rings] = n_vertices
+            n_rings += 1
     return vertices[:n_vertices], ends[:n_rings]
 
 

@@ -145,11 +145,12 @@ def release(points, covariance, labels, planes, bias, size, limit):
 
 
 @njit(cache=True)
-def border_pairs(points, covariance, valid, views, labels, planes, bias, gap):
+def border_pairs(points, covariance, valid, views, labels, planes, bias, gap, hidden):
     """Pairs of unlike regions, (E, 2), that touch, or that an occluder parts along a row or column.
 
-    With an occluder, at most `gap` points lie between, missing or clearly before the plane, but for up to four at its
-    edges. Points on the plane or behind it, a seam or a doorway, show that the surface ends.
+    With an occluder, at most `hidden` points lie between, clearly before the plane; at most `gap` of them are
+    missing, up to four of its edges lie on the plane. A gap of 0 asks for regions that touch. Points on the plane or
+    behind it, a seam or a doorway, show that the surface ends.
     """
     n_rows, n_cols = labels.shape
     pairs = np.empty((4 * labels.size, 2), dtype=np.int64)
@@ -162,8 +163,8 @@ def border_pairs(points, covariance, valid, views, labels, planes, bias, gap):
                 r = labels[i, j]
                 if r < 0 or r == (labels[i, j - 1] if along == 0 else labels[i - 1, j]):
                     continue
-                on_plane, before = 0, 0
-                for back in range(1, min(gap + 1, v) + 1):
+                on_plane, before, missing = 0, 0, 0
+                for back in range(1, min(hidden if gap else 1, v) + 1):
                     a, b = (i, j - back) if along == 0 else (i - back, j)
                     q = labels[a, b]
                     if q == r:
@@ -174,6 +175,10 @@ def border_pairs(points, covariance, valid, views, labels, planes, bias, gap):
                     side = 1
                     if valid[a, b]:
                         side = _side(points, covariance, a, b, views, planes, r, bias[r])
+                    else:
+                        missing += 1
+                    if missing > gap:
+                        break
                     if side > 0:
                         before += 1
                     elif side == 0 and q < 0 and on_plane < 4:

@@ -19,7 +19,9 @@ from spplanes.segmentation.quads import links, surviving_quads
 CELL_SLACK = 1.15
 """Mean squared residual of a planar cell may exceed the noise model by this factor: sensors are known to 7 %."""
 BORDER_GAP = 12
-"""Widest occluder, points along a row or column, behind which a plane is taken to continue: a beam, a pole."""
+"""Most points along a row or column that may be missing where a plane is taken to continue: a beam, a pole."""
+HIDDEN = 100
+"""Widest occluder, points along a row or column, behind which a plane is taken to continue; it stands before it."""
 STEP_SIGNIFICANCE = 5e-5
 """Share of the true fusions that the test for a step between two parallel planes may refuse."""
 FUSE_SIGNIFICANCE = 0.0125
@@ -195,7 +197,7 @@ def _neighbours(sheet: Sheet, views: FloatArray, planes: FloatArray, gap: int, c
     """Pairs of regions that meet, each once, shape (E, 2)."""
     tolerance = config.flatness_m**2 + sheet.bias[:, 0]
     pairs = growing.border_pairs(
-        sheet.points, sheet.covariance, sheet.valid, views, sheet.labels, planes, tolerance, gap
+        sheet.points, sheet.covariance, sheet.valid, views, sheet.labels, planes, tolerance, gap, HIDDEN
     )
     return _distinct(pairs, len(sheet.rows))
 
