@@ -28,6 +28,7 @@ from slam.report import write_report
 from slam.rig import Rig
 from slam.run import Run
 from slam.scene import scene_of
+from slam.uncertainty import draw_uncertainty
 
 PLANES_FORMAT = "spplanes/1"
 
@@ -72,8 +73,9 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     write_g2o(folder / "graph.g2o", run.slam.backend.graph, run.slam.backend.values)
     history = History.of(run.planes, run.slam)
     history.write(folder / "view.json")
-    tables = [*extra, ("the run", rows)]
-    write_report(folder / "report.html", title, tables, [folder / "map.png"], scene_of(run, history))
+    draw_uncertainty(run, history, folder / "uncertainty.png")
+    pictures = [folder / "map.png", folder / "uncertainty.png"]
+    write_report(folder / "report.html", title, [*extra, ("the run", rows)], pictures, scene_of(run, history))
 
 
 def write_map(result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, title: str) -> list[Metric]:

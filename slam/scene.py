@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
-from shapely import get_coordinates
+from shapely import Point, get_coordinates
+from shapely.geometry.base import BaseGeometry
 
 from slam.audit import BAND
 from slam.frames import lift
@@ -76,7 +77,7 @@ def _plane(plane: MapPlane) -> dict[str, Any]:
     frame = plane.plane.frame
     seen = without_slits(plane.seen)
     segments = [_rounded(lift(chain, frame)) for chain in segments_of(seen)]
-    inside = plane.seen.representative_point()
+    inside = _inside(plane.seen)
     sigmas = np.sqrt(np.diag(plane.plane.covariance))
     return {
         "id": plane.id,
@@ -93,6 +94,11 @@ def _plane(plane: MapPlane) -> dict[str, Any]:
         "segments": segments,
         "inside": _rounded(lift(np.array([[inside.x, inside.y]]), frame))[0],
     }
+
+
+def _inside(seen: BaseGeometry) -> Point:
+    """A point on what was seen: of the largest polygon, if there is one."""
+    return max(polygons_of(seen), key=lambda polygon: polygon.area, default=seen).representative_point()
 
 
 def _ring(ring: Any, frame: FloatArray) -> list[list[float]]:

@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     try:
         app(args=list(arguments) if arguments is not None else None, prog_name="spplanes")
-    except ValueError as error:
+    except (ValueError, ImportError) as error:  # an ImportError says which extra to install
         _fail(error, 2)
     except KeyboardInterrupt:
         _fail("stopped", 1)

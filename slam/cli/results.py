@@ -1,4 +1,4 @@
-"""Commands on a finished run: evaluate, export."""
+"""Commands on a finished run: evaluate, export, view."""
 
 from __future__ import annotations
 
@@ -38,3 +38,26 @@ def export(
 
     for target in to:
         export_run(run, target, overwrite=overwrite)
+
+
+def view(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for the pictures; default: that of the run.")
+    ] = None,
+    rerun: Annotated[Path | None, typer.Option("--rerun", help="Also write a recording for Rerun, FILE.rrd.")] = None,
+) -> None:
+    """Draw RUN: plan, side view, uncertainty as PNG, and a page to turn and ask the map in a browser."""
+    from slam.view import view_run
+
+    written = view_run(run, out)
+    if rerun is not None:
+        from slam.files import whole_file
+        from slam.rerun_export import write_rerun
+        from slam.stored import StoredRun
+
+        with whole_file(rerun) as scratch:
+            write_rerun(StoredRun.read(run), scratch)
+        written.append(rerun)
+    for path in written:
+        typer.echo(path)
