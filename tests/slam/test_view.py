@@ -123,7 +123,7 @@ def test_the_recording_has_the_entities(run: Path, tmp_path: Path):
     alone = {**os.environ, "HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path), "RERUN_TELEMETRY": "0"}
     subprocess.run([*tool, "verify", str(target)], check=True, capture_output=True, env=alone)
     shown = subprocess.run(
-        [*tool, "print", "-v", str(target)], check=True, capture_output=True, text=True, env=alone
+        [*tool, "print", "-vv", str(target)], check=True, capture_output=True, text=True, env=alone
     ).stdout
     for entity in (
         "/map/plane_7 ",
