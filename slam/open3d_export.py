@@ -1,4 +1,4 @@
-"""Maps as Open3D geometry: planes as a mesh, outlines and trajectory as lines, points coloured by plane.
+"""Maps as Open3D geometry: planes as a mesh, outlines, trajectory, confidence as lines, points coloured by plane.
 
 Every function returns legacy geometry (``open3d.geometry``), or with ``tensor=True`` tensor geometry
 (``open3d.t.geometry``), which also carries the landmark's id as attribute "plane" and, on meshes, the standard
@@ -13,20 +13,23 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.stats import chi2 as chi2_distribution
 from shapely import get_coordinates
 
 from slam.frames import lift
 from slam.io.trajectories import Trajectory
+from slam.map_planes import MapPlane
 from slam.mesh import Mesh, colour_of, mesh_of
 from slam.outlines import polygons_of, segments_of
-from slam.planeslam import MapPlane
 from spplanes import Plane
-from spplanes._check import FloatArray, as_float_array, as_positive
+from spplanes._check import FloatArray, as_covariance, as_float_array, as_positive, as_shape
 
 ColourBy = Literal["plane", "sigma"]
 
 #: Grey for points that belong to no plane, RGB in 0..1.
 _NO_PLANE_RGB = (0.6, 0.6, 0.6)
+#: Corners of a drawn ellipse.
+_ELLIPSE_CORNERS = 48
 #: Hues follow each other by the golden ratio: neighbours in a list are far apart in colour.
 _GOLDEN_RATIO = 0.6180339887498949
 
@@ -102,6 +105,50 @@ def trajectory_to_lines(
     positions = trajectory.poses[:, :3, 3]
     colours = np.tile(np.asarray(rgb, dtype=np.float64), (max(len(positions) - 1, 0), 1))
     return _line_set([positions], colours, None, tensor)
+
+
+def ellipsoids_to_lines(
+    centres: ArrayLike,
+    covariances: ArrayLike,
+    *,
+    confidence: float = 0.95,
+    scale: float = 1.0,
+    rgb: tuple[float, float, float] = (0.2, 0.4, 0.9),
+    tensor: bool = False,
+) -> Any:
+    """Confidence ellipsoids of positions, each as three great ellipses in its principal planes.
+
+    The positions of a run and their covariances in the world are what `slam.uncertainty.position_covariances` gives.
+
+    Args:
+        centres: shape (N, 3), m.
+        covariances: of each, shape (N, 3, 3), m^2; semidefinite ones are flat.
+        confidence: probability that a position lies inside, 3 degrees of freedom.
+        scale: enlarges every ellipsoid by this factor, so that millimetres can be seen in a corridor.
+        rgb: colour, in 0..1.
+        tensor: ``open3d.t.geometry.LineSet``, whose attribute "plane" is the number of the ellipsoid.
+
+    Raises:
+        ImportError: Open3D is not there.
+        ValueError: wrong shapes, a covariance that is not positive semidefinite, a confidence outside (0, 1), or a
+            scale that is not positive.
+    """
+    points = as_shape("centres", centres, (None, 3))
+    matrices = as_shape("covariances", covariances, (len(points), 3, 3))
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"confidence: expected a probability between 0 and 1, got {confidence}")
+    reach = as_positive("scale", scale) * np.sqrt(chi2_distribution.ppf(confidence, 3))
+    turns = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_CORNERS + 1)
+    circles = np.zeros((3, len(turns), 3))
+    for axis in range(3):
+        circles[axis, :, axis - 2], circles[axis, :, axis - 1] = np.cos(turns), np.sin(turns)
+    chains = []
+    for centre, matrix in zip(points, matrices, strict=True):
+        values, vectors = np.linalg.eigh(as_covariance("covariances", matrix, 3))
+        axes = reach * np.sqrt(np.maximum(values, 0.0)) * vectors
+        chains += list(circles @ axes.T + centre)
+    ids = np.repeat(np.arange(len(points), dtype=np.int32), 3 * _ELLIPSE_CORNERS)
+    return _line_set(chains, np.tile(np.asarray(rgb, dtype=np.float64), (len(ids), 1)), ids, tensor)
 
 
 def points_to_cloud(points: ArrayLike, labels: ArrayLike | None = None, *, tensor: bool = False) -> Any:

@@ -8,6 +8,7 @@ from shapely import LineString, MultiPolygon, Polygon, box
 
 from slam.io.trajectories import Trajectory
 from slam.open3d_export import (
+    ellipsoids_to_lines,
     label_colours,
     outlines_to_lines,
     planes_to_mesh,
@@ -153,6 +154,44 @@ def test_fitted_planes_serve_as_well():
     mesh = planes_to_mesh([Plane(FRAME, COVARIANCE), plane], tensor=True)
     assert set(mesh.vertex["plane"].numpy().ravel()) == {1}
     np.testing.assert_array_equal(mesh.vertex.positions.numpy(), np.asarray(planes_to_mesh([wall()]).vertices))
+
+
+@needs_open3d
+def test_ellipsoids_enclose_what_the_covariance_says():
+    """Every corner at the chi2 quantile of its ellipsoid, enlarged as told; the great ellipses reach all six poles."""
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((3, 3)) * [0.1, 0.02, 0.3]
+    covariance, centre = root @ root.T, np.array([1.0, -2.0, 3.0])
+    lines = ellipsoids_to_lines([centre, -centre], [covariance, 4.0 * covariance], confidence=0.9, scale=10.0)
+    points = np.asarray(lines.points)
+    first = (points[: len(points) // 2] - centre) / 10.0
+    chi2 = np.einsum("ni,ij,nj->n", first, np.linalg.inv(covariance), first)
+    np.testing.assert_allclose(chi2, 6.251, atol=1e-3)  # 90 % quantile, 3 degrees of freedom
+    second = (points[len(points) // 2 :] + centre) / 10.0
+    np.testing.assert_allclose(second, 2.0 * first, atol=1e-9)
+    values, vectors = np.linalg.eigh(covariance)
+    for value, axis in zip(values, vectors.T, strict=True):
+        pole = np.sqrt(6.251 * value) * axis
+        for end in (pole, -pole):
+            assert np.linalg.norm(first - end, axis=1).min() < 1e-3 * np.sqrt(values[2])
+    tensor = ellipsoids_to_lines([centre], [covariance], tensor=True)
+    assert set(tensor.line["plane"].numpy().ravel()) == {0}
+    assert not ellipsoids_to_lines(np.empty((0, 3)), np.empty((0, 3, 3))).has_lines()
+
+
+@needs_open3d
+def test_flat_ellipsoids_are_drawn_and_wrong_ones_refused():
+    flat = ellipsoids_to_lines([[0.0, 0.0, 0.0]], [np.diag([1.0, 4.0, 0.0])])
+    assert np.abs(np.asarray(flat.points)[:, 2]).max() == 0.0
+    for arguments, sentence in (
+        (([[0, 0]], [np.eye(3)]), r"centres: expected shape"),
+        (([[0, 0, 0]], [np.eye(2)]), r"covariances: expected shape"),
+        (([[0, 0, 0]], [-np.eye(3)]), r"covariances: expected a positive semidefinite"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            ellipsoids_to_lines(*arguments)
+    with pytest.raises(ValueError, match="confidence: expected a probability between 0 and 1, got 1"):
+        ellipsoids_to_lines([[0, 0, 0]], [np.eye(3)], confidence=1)
 
 
 @needs_open3d
