@@ -24,7 +24,7 @@ class Sensor(Frozen):
     mount: Mount = Field(default=Mount(), alias="body_T_sensor")
     """Pose of the sensor in the body frame; the key in the file is body_T_sensor."""
     record: str | None = None
-    """Name of the sensor's records in a log, such as FLASER or ROBOTLASER1; None: the name of the sensor itself."""
+    """Name of its records in a log, such as FLASER or ROBOTLASER1, or its topic in a bag; None: the sensor's name."""
     first_angle_deg: Finite | None = None
     """Bearing of the first beam, deg; None: as the log says."""
     angle_step_deg: Finite | None = None
@@ -102,6 +102,8 @@ class Rig(Frozen):
 
     sensors: dict[str, Sensor]
     """Sensors by name; at least one."""
+    odometry_record: str | None = None
+    """Topic of the odometry in a bag; None: that which comes most often."""
     odometry: OdometryNoise = OdometryNoise()
     """Noise model of the wheel odometry."""
     localisation: LocalisationNoise | None = None
@@ -167,6 +169,9 @@ def _first_problem(error: ValidationError) -> str:
 #: Standard deviation taken for a 2D laser nobody describes: the data sheet of a SICK LMS 200 (15 mm) at 1 cm steps.
 DEFAULT_RANGE_SIGMA_M = 0.015
 
+#: A 2D laser whose axis is nearer to upright than this (cosine) sees lines; any other is taken for a push-broom one.
+_LEVEL = 0.97
+
 #: Flatness taken for walls nobody describes, and the length of a patch that shares one deviation: skirting, door frames
 #: and what leans on walls. With these, mean NIS per degree of freedom of the lines of an office corridor was 1.01.
 DEFAULT_SURFACE_SIGMA_M = 0.02
@@ -174,7 +179,7 @@ DEFAULT_SURFACE_CORRELATION_M = 0.5
 
 
 def default_rig_for(log: Log) -> Rig:
-    """A rig for a log that comes with none: every 2D laser in it is level and sees lines.
+    """A rig for a log that comes with none: every 2D laser in it sees lines, unless the log says that it is not level.
 
     Lasers sit where the log says, else at the robot's centre; the step of the ranges is found in the ranges.
     """
@@ -187,8 +192,9 @@ def default_rig_for(log: Log) -> Rig:
 def _default_laser(name: str, log: Log) -> Sensor:
     ranges = np.concatenate([scan.ranges for scan in log.scans(name) if isinstance(scan, LaserScan)])
     seen = ranges[np.isfinite(ranges)]
+    told = log.mounts.get(name)
     return Sensor(
-        kind="line",
+        kind="line" if told is None or abs(told[2, 2]) > _LEVEL else "slice",
         record=name,
         body_T_sensor=_default_mount(name, log),
         range_sigma_m=DEFAULT_RANGE_SIGMA_M,
@@ -204,8 +210,15 @@ def _default_mount(name: str, log: Log) -> Mount:
     told = log.mounts.get(name)
     if told is None:
         return Mount(rpy_deg=(0.0, 0.0, 180.0 if name == "RLASER" else 0.0))
+    if not _is_level(told):
+        return Mount(matrix=tuple(tuple(row) for row in told.tolist()))
     yaw_deg = float(np.rad2deg(np.arctan2(told[1, 0], told[0, 0])))
     return Mount(xyz_m=(float(told[0, 3]), float(told[1, 3]), float(told[2, 3])), rpy_deg=(0.0, 0.0, yaw_deg))
+
+
+def _is_level(transform: FloatArray) -> bool:
+    """Whether a mount only turns about z."""
+    return bool(np.abs(transform[2, :2]).max() < 1e-9 and transform[2, 2] > 0.0)
 
 
 def _step_of(ranges: FloatArray) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -17,6 +18,10 @@ OutOption = Annotated[Path, typer.Option("--out", help="Folder for the results; 
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace the folder if it exists.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the table as JSON.")]
 RigOption = Annotated[Path | None, typer.Option("--rig", help="rig.yaml; without it the log's own or a default.")]
+TopicOption = Annotated[
+    list[str] | None, typer.Option("--topic", help="Of a bag: topic of scans to read; may be given several times.")
+]
+OdometryTopicOption = Annotated[str | None, typer.Option("--odometry-topic", help="Of a bag: topic of the odometry.")]
 ConfigOption = Annotated[Path | None, typer.Option("--config", help="YAML with values that differ from the defaults.")]
 KeepPartialOption = Annotated[bool, typer.Option("--keep-partial", help="Use what precedes a cut in the log.")]
 
@@ -31,12 +36,21 @@ class Job(NamedTuple):
 
 
 def open_job(
-    log: Path, out: Path, *, rig: Path | None, config: Path | None, overwrite: bool, keep_partial: bool
+    log: Path,
+    out: Path,
+    *,
+    rig: Path | None,
+    config: Path | None,
+    overwrite: bool,
+    keep_partial: bool,
+    topics: Sequence[str] | None = None,
+    odometry_topic: str | None = None,
 ) -> Job:
     """Read all that a command is given; whatever is wrong is said before any work is done."""
     from slam.config import SlamConfig
     from slam.export import check_free
     from slam.io.load import load
+    from slam.io.rosbag import Topics
     from slam.rig import Rig
     from slam.run import StageClock
 
@@ -44,5 +58,9 @@ def open_job(
     settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
     clock = StageClock()
     with clock.stage("read"):
-        read, sensors = load(log, None if rig is None else Rig.from_yaml(rig), keep_partial=keep_partial)
+        given = None if rig is None else Rig.from_yaml(rig)
+        chosen = Topics(tuple(topics or ()), odometry_topic)
+        read, sensors = load(log, given, keep_partial=keep_partial, topics=chosen)
+    for note in read.notes:
+        typer.echo(f"{log.name}: {note}", err=True)
     return Job(read, sensors, settings, clock)

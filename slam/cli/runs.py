@@ -11,9 +11,11 @@ from slam.cli._job import (
     ConfigOption,
     JsonOption,
     KeepPartialOption,
+    OdometryTopicOption,
     OutOption,
     OverwriteOption,
     RigOption,
+    TopicOption,
     open_job,
 )
 from slam.cli._output import hint_of, progress_bar, show, warn_of
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 def slam(
     log: Annotated[
         Path | None,
-        typer.Argument(help="CARMEN log (.clf, .clf.gz), folder of clouds or 3DTK scans, or simulated mission."),
+        typer.Argument(help="CARMEN log, ROS bag, folder of clouds or 3DTK scans, or simulated mission."),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the results; must not exist.")] = None,
     rig: RigOption = None,
@@ -46,6 +48,8 @@ def slam(
     ] = "0.3,6",
     keep_raw: Annotated[bool, typer.Option("--keep-raw", help="Keep the raw scans in the session.")] = False,
     forget_raw: Annotated[bool, typer.Option("--forget-raw", help="Keep measurements on disk, not in memory.")] = False,
+    topic: TopicOption = None,
+    odometry_topic: OdometryTopicOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Estimate trajectory and planes of LOG; what is measured is on disk before it is used."""
@@ -61,7 +65,16 @@ def slam(
     from slam.run import run_slam
     from slam.run_folder import Source, new_run
 
-    job = open_job(log, out, rig=rig, config=config, overwrite=overwrite, keep_partial=keep_partial)
+    job = open_job(
+        log,
+        out,
+        rig=rig,
+        config=config,
+        overwrite=overwrite,
+        keep_partial=keep_partial,
+        topics=topic,
+        odometry_topic=odometry_topic,
+    )
     known = None if prior is None else read_prior(prior, start, start_sigma)
     source = Source(log, keep_partial, "value" if keep_raw else "reference", forget_raw)
     with (

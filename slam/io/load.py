@@ -5,23 +5,32 @@ from __future__ import annotations
 from pathlib import Path
 
 from slam.io.carmen import read_carmen
-from slam.io.folders import SENSOR as CLOUD_SENSOR
+from slam.io.default_rigs import bag_rig, cloud_rig
 from slam.io.folders import has_clouds, read_cloud_folder
 from slam.io.log import Log, LogError
+from slam.io.rosbag import Topics, is_rosbag, read_rosbag, sensor_name
 from slam.io.threedtk import SENSOR, is_3dtk_folder, read_3dtk
 from slam.motion import OdometryNoise
-from slam.rig import LocalisationNoise, Rig, Sensor, default_rig_for
+from slam.rig import Rig, Sensor, default_rig_for
 
 #: Name of the rig file that a folder of a mission carries.
 RIG_FILE = "rig.yaml"
 _MISSION_LOGS = ("log.clf.gz", "log.clf")
 
 
-def load(path: Path, rig: Rig | None = None, *, keep_partial: bool = False) -> tuple[Log, Rig]:
+def load(
+    path: Path, rig: Rig | None = None, *, keep_partial: bool = False, topics: Topics | None = None
+) -> tuple[Log, Rig]:
     """Read a log of any known kind.
 
-    Known are folders of 3DTK scans, folders of clouds (see `slam.io.folders`), folders made by `spplanes simulate`
-    (log.clf.gz beside rig.yaml), and CARMEN logs, plain or gzip.
+    Known are ROS bags, folders of 3DTK scans, folders of clouds (see `slam.io.folders`), folders made by
+    `spplanes simulate` (log.clf.gz beside rig.yaml), and CARMEN logs, plain or gzip.
+
+    Args:
+        path: the log.
+        rig: the sensors; None: the rig in the folder, or a default for the kind of log.
+        keep_partial: of a log that breaks off use what comes before.
+        topics: of a bag; None: chosen, and said in the log's notes.
 
     Returns:
         The log, and the rig: the one given, the one in the folder, or a default for the kind of log.
@@ -32,6 +41,8 @@ def load(path: Path, rig: Rig | None = None, *, keep_partial: bool = False) -> t
     path = Path(path)
     if not path.exists():
         raise LogError(path, "expected a log file or a folder of scans, found nothing")
+    if is_rosbag(path):
+        return _load_bag(path, rig, topics or Topics(), keep_partial)
     if is_3dtk_folder(path):
         return read_3dtk(path), rig or threedtk_rig()
     if has_clouds(path):
@@ -39,14 +50,23 @@ def load(path: Path, rig: Rig | None = None, *, keep_partial: bool = False) -> t
     if path.is_dir():
         inside = next((path / name for name in _MISSION_LOGS if (path / name).is_file()), None)
         if inside is None:
-            raise LogError(
-                path, "expected a folder with clouds, with scanNNN.3d files or with log.clf.gz, found none of them"
-            )
+            raise LogError(path, "expected a folder with clouds, scanNNN.3d files, a bag or log.clf.gz, found none")
         if rig is None and (path / RIG_FILE).is_file():
             rig = Rig.from_yaml(path / RIG_FILE)
         path = inside
     log = read_carmen(path, rig=rig, keep_partial=keep_partial)
     return log, rig or default_rig_for(log)
+
+
+def _load_bag(path: Path, rig: Rig | None, topics: Topics, keep_partial: bool) -> tuple[Log, Rig]:
+    if rig is None and path.is_dir() and (path / RIG_FILE).is_file():
+        rig = Rig.from_yaml(path / RIG_FILE)
+    if rig is None:
+        log = read_rosbag(path, topics, keep_partial=keep_partial)
+        return log, bag_rig(log, topics)
+    names = {sensor_name(sensor.record or name): name for name, sensor in rig.sensors.items()}
+    wanted = Topics(topics.scans or tuple(names), topics.odometry or rig.odometry_record)
+    return read_rosbag(path, wanted, names=names, keep_partial=keep_partial), rig
 
 
 def _load_clouds(folder: Path, rig: Rig | None) -> tuple[Log, Rig]:
@@ -58,33 +78,6 @@ def _load_clouds(folder: Path, rig: Rig | None) -> tuple[Log, Rig]:
     if len(names) != 1:
         raise LogError(folder, f"expected a rig with one sensor of kind cloud for these clouds, got {len(names)}")
     return read_cloud_folder(folder, sensor=names[0]), rig
-
-
-def cloud_rig() -> Rig:
-    """A rig for clouds nobody describes: a 3D scanner at the body's origin, and odometry that knows little.
-
-    Points of real scanners scatter by 10 to 20 mm about the planes of halls and rooms, and their surfaces are not flat
-    to less than that; below half a metre there is the robot.
-    """
-    scanner = Sensor(
-        kind="cloud",
-        range_sigma_m=0.02,
-        range_min_m=0.5,
-        range_max_m=200.0,
-        surface_sigma_m=0.02,
-        surface_correlation_m=0.5,
-    )
-    odometry = OdometryNoise(
-        along_sigma_m_per_sqrt_m=0.1,
-        lateral_sigma_m_per_sqrt_m=0.1,
-        heading_sigma_rad_per_sqrt_m=0.02,
-        z_sigma_m=0.05,
-        pitch_sigma_rad=0.02,
-        roll_sigma_rad=0.02,
-    )
-    # poses that others estimated: 1 to 2 cm and 0.1 deg
-    poses = LocalisationNoise(xy_sigma_m=0.01, heading_sigma_rad=0.001, z_sigma_m=0.01, tilt_sigma_rad=0.001)
-    return Rig(sensors={CLOUD_SENSOR: scanner}, odometry=odometry, localisation=poses)
 
 
 def threedtk_rig() -> Rig:

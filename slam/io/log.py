@@ -20,6 +20,13 @@ class LogError(ValueError):
         self.path, self.line, self.problem = Path(path), line, problem
 
 
+class MissingPackageError(LogError, ImportError):
+    """A format whose reader needs a package that is not installed; the sentence says what to install."""
+
+    def __init__(self, path: Path | str, package: str, extra: str) -> None:
+        super().__init__(path, f"reading this needs {package}: pip install 'spplanes[{extra}]'")
+
+
 @dataclass(frozen=True, eq=False)
 class LaserScan:
     """One revolution of a 2D laser."""

@@ -1,0 +1,112 @@
+"""ROS messages as arrays: PointCloud2 of any layout, LaserScan, transforms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from spplanes._check import FloatArray
+
+#: PointField's numbers of types.
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_QUATERNION_TOLERANCE = 1e-3
+
+
+def stamp_of(message: Any, received_ns: int) -> int:
+    """Time in the header of a message, ns; where nobody filled it in, the time it was recorded."""
+    stamp = message.header.stamp
+    told = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    return told or received_ns
+
+
+def frame_of(message: Any) -> str:
+    """The frame in the header of a message, without the slash that old ones begin with."""
+    return str(message.header.frame_id).lstrip("/")
+
+
+def points_of(message: Any) -> FloatArray:
+    """Points of a PointCloud2, shape (N, 3), or (S, B, 3) of an organised one, m; NaN = no return.
+
+    Fields may be in any order, of any type, with room between and after them, rows may be padded, and the bytes of
+    either order. Points at the origin are no returns.
+
+    Raises:
+        ValueError: no x, y, z, fields outside of a point, or fewer bytes than points.
+    """
+    height, width = int(message.height), int(message.width)
+    step, row_step, data = int(message.point_step), int(message.row_step), np.asarray(message.data)
+    fields = {str(field.name): field for field in message.fields}
+    order = ">" if message.is_bigendian else "<"
+    formats: list[str] = []
+    offsets: list[int] = []
+    for axis in "xyz":
+        kind = _TYPES.get(int(fields[axis].datatype)) if axis in fields else None
+        if kind is None:
+            raise ValueError(f"expected the fields x, y and z, got {', '.join(fields)[:60] or 'none'}")
+        formats.append(order + kind)
+        offsets.append(int(fields[axis].offset))
+    if max(offset + np.dtype(kind).itemsize for offset, kind in zip(offsets, formats, strict=True)) > step:
+        raise ValueError(f"expected fields within the {step} bytes of a point, got offsets {offsets}")
+    row_step = row_step if height > 1 else max(row_step, step * width)
+    if row_step < step * width or height * row_step - (row_step - step * width) > data.nbytes:
+        raise ValueError(f"expected {height} rows of {width} points of {step} bytes, got {data.nbytes} bytes")
+    dtype = np.dtype({"names": list("xyz"), "formats": formats, "offsets": offsets, "itemsize": step})
+    table = np.ndarray((height, width), dtype, buffer=data.tobytes(), strides=(row_step, step))
+    points = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=-1)
+    points[~np.isfinite(points).all(axis=-1) | (points == 0.0).all(axis=-1)] = np.nan
+    return points if height > 1 else points[0]
+
+
+@dataclass(frozen=True, eq=False)
+class RosScan:
+    """A LaserScan."""
+
+    ranges: FloatArray
+    """Shape (B,), m; NaN = no return."""
+    angles: FloatArray
+    """Ascending, shape (B,), rad."""
+    range_max_m: float
+    """As stated, m; inf: not stated."""
+    sweep_s: float
+    """From the first beam to the last, s; 0 for lasers that turn the other way."""
+
+
+def scan_of(message: Any) -> RosScan:
+    """Ranges and bearings of a LaserScan; of a laser that turns clockwise in the order of ascending bearings.
+
+    Raises:
+        ValueError: no beams, or an angle that is none.
+    """
+    ranges = np.asarray(message.ranges, dtype=np.float64)
+    first, step = float(message.angle_min), float(message.angle_increment)
+    if not ranges.size or not (np.isfinite(first) and np.isfinite(step) and step != 0.0):
+        raise ValueError(f"expected beams at finite angles, got {ranges.size} from {first:g} by {step:g} rad")
+    least, most = float(message.range_min), float(message.range_max)
+    most = most if np.isfinite(most) and most > 0.0 else np.inf
+    with np.errstate(invalid="ignore"):
+        inside = (ranges >= max(least, 1e-6)) & (ranges < most) & np.isfinite(ranges)
+    ranges = np.where(inside, ranges, np.nan)
+    angles = first + step * np.arange(ranges.size, dtype=np.float64)
+    sweep = max(float(message.time_increment), 0.0) * (ranges.size - 1)
+    if step < 0.0:
+        return RosScan(ranges[::-1].copy(), angles[::-1].copy(), most, 0.0)
+    return RosScan(ranges, angles, most, sweep if np.isfinite(sweep) else 0.0)
+
+
+def transform_of(translation: Any, rotation: Any) -> FloatArray:
+    """A translation and a quaternion as a (4, 4) transform.
+
+    Raises:
+        ValueError: numbers that are not finite, or a quaternion that is none.
+    """
+    place = np.array([translation.x, translation.y, translation.z], dtype=np.float64)
+    turn = np.array([rotation.x, rotation.y, rotation.z, rotation.w], dtype=np.float64)
+    norm = np.linalg.norm(turn)
+    if not (np.isfinite(place).all() and abs(norm - 1.0) < _QUATERNION_TOLERANCE):
+        raise ValueError(f"expected a finite position and a unit quaternion, got {place} and one of norm {norm:.6g}")
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = Rotation.from_quat(turn).as_matrix(), place
+    return transform
