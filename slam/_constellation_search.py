@@ -78,6 +78,15 @@ class Search:
         found = self._decide([motion for motion in motions if motion is not None], len(motions))
         return None if found is None else replace(found, verdict="unobservable")
 
+    def motion_near(self, pose: FloatArray, covariance: FloatArray) -> Motion | None:
+        """The motion about one that is known with a covariance, and the walls that are the same under it."""
+        return self._work_out([], pose, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
+
+    def covariance_of(self, motion: Motion) -> FloatArray:
+        """Covariance of a motion by its walls alone, large where they leave it open."""
+        rows_a, rows_b = np.array(motion.pairs, dtype=np.int64).T
+        return fit_pose(motion.pose, self.a[rows_a], self.b[rows_b], self.no_prior)[1]
+
     def _correspondences(self) -> np.ndarray:
         """All pairs of a wall of a and one of b, pairs of long walls first, shape (C, 2)."""
         pairs = np.array([(i, j) for i in range(len(self.a)) for j in range(len(self.b))])
@@ -88,9 +97,10 @@ class Search:
     ) -> Motion | None:
         """Take the pair with the most evidence, estimate the motion anew, until none is left; `allowed` rows of a."""
         pairs, evidence, n_distinct = [(int(i), int(j)) for i, j in seeds], 0.0, len(seeds)
+        start = pose
         while True:
-            rows_a, rows_b = (np.array(side) for side in zip(*pairs, strict=True))
-            pose, covariance, chi2 = fit_pose(pose, self.a[rows_a], self.b[rows_b], prior)
+            rows_a, rows_b = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+            pose, covariance, chi2 = fit_pose(start, self.a[rows_a], self.b[rows_b], prior)
             table = score_table(pose, covariance, self.a, self.b, self.densities, self.gate, self.min_overlap)
             table[rows_a], table[:, rows_b] = -np.inf, -np.inf
             table[~allowed if allowed is not None else []] = -np.inf
@@ -101,7 +111,7 @@ class Search:
                 evidence += float(table[i, j])
                 n_distinct += 1
             pairs.append((int(i), int(j)))
-        n_dof = 2 * len(pairs) - (3 if allowed is None else 2)
+        n_dof = 2 * len(pairs) - (len(seeds) and (3 if allowed is None else 2))
         if n_distinct < self.min_matches or chi2 > chi2_distribution.isf(self.significance, n_dof):
             return None
         return Motion(pose, covariance, pairs, float(chi2), n_dof, evidence)

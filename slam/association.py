@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -14,6 +14,7 @@ from slam.config import AssociationConfig
 from slam.frames import inverse
 from slam.landmarks import Landmark, LandmarkMap, PlacedPlane, observe
 from slam.observations import Observation
+from slam.odometry import Motion
 from spplanes._check import FloatArray
 
 #: Bounds drawn from a standard deviation are taken at this many of them.
@@ -61,6 +62,7 @@ def associate(
     landmarks: LandmarkMap,
     backend: Backend,
     config: AssociationConfig,
+    hint: Hint | None = None,
 ) -> list[Decision]:
     """Decide for every observation of a keyframe whose pose is already predicted in the graph.
 
@@ -70,13 +72,20 @@ def associate(
     the next is judged: what is accepted is jointly compatible, and each chi2 is an innovation of its own. What could be
     two landmarks, a wall or the notice-board on it, waits until all that is clear has been taken in.
 
+    With a `hint`, such as all returns give, the decisions are made by a state that knows it; the chi2 they are gated by
+    and report is that of the state without it, for the hint is made of the same returns as the lines.
+
     Returns:
         One decision for each observation, in their order.
     """
     world_T_body = backend.pose(pose_key)
     spread = Spread.of(backend.covariance(pose_key))
     shortlists = [_shortlist(observation, landmarks, world_T_body, spread, config) for observation in observations]
-    state = _State(_joint_covariance(shortlists, pose_key, backend))
+    keys = {pose_key} if hint is None else {pose_key, hint.key}
+    joint = _joint_covariance(shortlists, keys, backend)
+    state, honest = _State(joint), None if hint is None else _State(joint)
+    if hint is not None:
+        state.take(hint, pose_key, backend)
     decisions: dict[int, Decision] = {}
     firmest_first = sorted(range(len(observations)), key=lambda i: (-observations[i].n_points, i))
     for waits in (_is_open, lambda decision, config: False):
@@ -86,9 +95,32 @@ def associate(
             if waits(decision, config):
                 continue
             if decision.match is not None:
-                state.condition(next(i for i in innovations if i.candidate is decision.match))
+                chosen = next(i for i in innovations if i.candidate is decision.match)
+                if honest is not None:
+                    decision = _audited(decision, chosen, honest, config)
+                if decision.match is not None:
+                    state.condition(chosen)
             decisions[index] = decision
     return [decisions[index] for index in range(len(observations))]
+
+
+@dataclass(frozen=True, eq=False)
+class Hint:
+    """What else is known of a keyframe's pose while its observations are being told apart."""
+
+    key: int
+    """Key of another pose."""
+    motion: Motion
+    """The motion from there."""
+
+
+def _audited(decision: Decision, chosen: _Innovation, honest: _State, config: AssociationConfig) -> Decision:
+    """The decision with the chi2 of the state that has no hint; unsure where that state refuses it."""
+    innovation = honest.again(chosen)
+    if innovation.candidate.p_value < config.significance:
+        return replace(decision, verdict="unsure", match=None)
+    honest.condition(innovation)
+    return replace(decision, match=innovation.candidate)
 
 
 @dataclass(frozen=True)
@@ -150,9 +182,8 @@ def _is_plausible(
     return landmark.region.is_within(margin, observation.patch_in(plane_T_body))
 
 
-def _joint_covariance(shortlists: Sequence[Sequence[Landmark]], pose_key: int, backend: Backend) -> JointCovariance:
+def _joint_covariance(shortlists: Sequence[Sequence[Landmark]], keys: set[int], backend: Backend) -> JointCovariance:
     """One joint marginal for all candidates of the keyframe: asking once is cheaper than asking for every pair."""
-    keys = {pose_key}
     for shortlist in shortlists:
         for landmark in shortlist:
             keys.update((landmark.key, landmark.anchor_key))
@@ -166,6 +197,7 @@ class _Innovation:
     candidate: Candidate
     columns: np.ndarray
     jacobian: FloatArray
+    target: FloatArray
     residual: FloatArray
     covariance: FloatArray
 
@@ -183,13 +215,33 @@ class _State:
         columns = self._joint.columns(list(linear.keys()))
         jacobian, target = linear.jacobian()
         telling = np.abs(jacobian).max(axis=1) > 0.0  # a native line factor has an empty row: two dof, not three
-        jacobian, target = jacobian[telling], target[telling]
+        candidate = Candidate(landmark.id, 0.0, int(telling.sum()), -np.log(volume), landmark.n_keyframes > 1)
+        return self._compare(candidate, columns, jacobian[telling], target[telling])
+
+    def again(self, other: _Innovation) -> _Innovation:
+        """The same comparison with this state."""
+        volume = other.candidate.log_likelihood + 0.5 * (other.candidate.chi2 + _log_det(other.covariance))
+        return self._compare(
+            replace(other.candidate, log_likelihood=volume), other.columns, other.jacobian, other.target
+        )
+
+    def _compare(
+        self, candidate: Candidate, columns: np.ndarray, jacobian: FloatArray, target: FloatArray
+    ) -> _Innovation:
+        """The candidate, whose log likelihood is that of no error and no spread yet, with chi2 and likelihood."""
         residual = target - jacobian @ self._mean[columns]
         covariance = jacobian @ self._covariance[np.ix_(columns, columns)] @ jacobian.T + np.eye(len(target))
         chi2 = float(residual @ np.linalg.solve(covariance, residual))
-        log_likelihood = -0.5 * (chi2 + float(np.linalg.slogdet(2.0 * np.pi * covariance)[1])) - np.log(volume)
-        candidate = Candidate(landmark.id, chi2, len(target), log_likelihood, landmark.n_keyframes > 1)
-        return _Innovation(candidate, columns, jacobian, residual, covariance)
+        log_likelihood = candidate.log_likelihood - 0.5 * (chi2 + _log_det(covariance))
+        compared = replace(candidate, chi2=chi2, log_likelihood=log_likelihood)
+        return _Innovation(compared, columns, jacobian, target, residual, covariance)
+
+    def take(self, hint: Hint, pose_key: int, backend: Backend) -> None:
+        """Take in what is known of the pose beside the observations."""
+        linear = hint.motion.factors(hint.key, pose_key)[0].linearize(backend.values)
+        jacobian, target = linear.jacobian()
+        columns = self._joint.columns(list(linear.keys()))
+        self.condition(self._compare(Candidate(-1, 0.0, len(target), 0.0, False), columns, jacobian, target))
 
     def condition(self, innovation: _Innovation) -> None:
         """Take an innovation in: the Kalman update."""
@@ -197,6 +249,10 @@ class _State:
         gain = np.linalg.solve(innovation.covariance, spread.T).T
         self._mean = self._mean + gain @ innovation.residual
         self._covariance = self._covariance - gain @ spread.T
+
+
+def _log_det(covariance: FloatArray) -> float:
+    return float(np.linalg.slogdet(2.0 * np.pi * covariance)[1])
 
 
 def _innovations(

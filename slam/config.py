@@ -93,6 +93,12 @@ class LoopConfig(_Frozen):
     """The search reaches this share of the way between two keyframes beyond three sigma of the state."""
     max_candidates: int = Field(default=4, ge=0)
     """Old keyframes compared with at each look; 0: no loops are looked for."""
+    tied_m: float = Field(default=0.3, gt=0)
+    """Places whose distance is known better than this, at three sigma, and that share walls are one already, m."""
+    look_m: float = Field(default=0.5, gt=0)
+    """Length of wall whose returns count as one independent look when two views are compared return by return, m."""
+    significance: float = Field(default=1e-3, gt=0, lt=0.5)
+    """Probability that a loop is closed where there is none, or elsewhere."""
 
 
 class CoastingConfig(_Frozen):

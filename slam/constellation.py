@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -63,6 +63,9 @@ class ConstellationMatch:
     rival_evidence: float
     """The same for the best motion that differs; -inf without one."""
 
+    by_walls: FloatArray | None = None
+    """Covariance of the motion by the matched walls alone, where more was known of it; shape (3, 3)."""
+
     @property
     def weakest_direction(self) -> tuple[FloatArray, float]:
         """Unit vector in b along which the position is known least, shape (2,), and its standard deviation, m."""
@@ -107,6 +110,38 @@ def match_constellations(
     search = Search(walls_a, walls_b, significance, min_matches, min_overlap)
     best = search.best_motion() or search.best_parallel_motion()
     return None if best is None else _as_match(best, order_a, order_b)
+
+
+def match_near(
+    a: Sequence[ScanLine | Wall],
+    b: Sequence[ScanLine | Wall],
+    pose: FloatArray,
+    covariance: FloatArray,
+    *,
+    significance: float = 1e-3,
+    min_overlap: float = 0.3,
+) -> ConstellationMatch | None:
+    """Walls of two views that are the same, where the motion between them is known.
+
+    Args:
+        a, b, significance, min_overlap: as in `match_constellations`.
+        pose: (x, y, theta) of b_T_a, shape (3,).
+        covariance: of its error, shape (3, 3).
+
+    Returns:
+        The match, its motion that of pose and walls together; None where the walls contradict the pose or each other,
+        or none is the same.
+    """
+    _check(significance, 3, min_overlap)
+    order_a, walls_a = _as_rows(a)
+    order_b, walls_b = _as_rows(b)
+    if min(len(order_a), len(order_b)) < 1:
+        return None
+    search = Search(walls_a, walls_b, significance, 1, min_overlap)
+    motion = search.motion_near(pose, covariance)
+    if motion is None:
+        return None
+    return replace(_as_match(motion, order_a, order_b), by_walls=search.covariance_of(motion))
 
 
 def _check(significance: float, min_matches: int, min_overlap: float) -> None:

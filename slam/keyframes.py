@@ -10,9 +10,10 @@ import numpy as np
 from slam.config import KeyframeConfig, SlamConfig
 from slam.frames import inverse
 from slam.io.log import CloudScan, LaserScan, Log, LogError
-from slam.measure import lines_of_scan, planes_of_cloud, planes_of_window
+from slam.measure import lines_of_scan, planes_of_cloud, planes_of_window, usable_ranges
 from slam.observations import Observation, on_real_wall
 from slam.odometry import Motion, OdometryTrack
+from slam.raster import beams_of
 from slam.rig import Rig
 from slam.sweep import unswept
 from spplanes._check import FloatArray
@@ -34,6 +35,9 @@ class Keyframe:
     """What could not be used, one sentence each."""
     scans: tuple[LaserScan | CloudScan, ...] = field(default=())
     """The raw scans it was measured from; the estimator does without them."""
+    returns: FloatArray | None = None
+    """Beams of level lasers that met a surface, in the body's plane of motion, rows (x0, y0, x1, y1), shape (N, 4), m:
+    what loops are verified with; None: no such laser."""
 
 
 def keyframes_of(log: Log, rig: Rig, config: SlamConfig, start: int = 0) -> Iterator[Keyframe]:
@@ -83,6 +87,7 @@ def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int) -> Iter
         motion = None if index == 0 else track.motion(stamps[index - 1], stamp)
         observations: list[Observation] = []
         scans: list[LaserScan] = []
+        beams: list[FloatArray] = []
         for name, sensor in rig.of_kind("slice").items():
             window = [s for s, home in zip(slices, slice_home, strict=True) if home == index and s.sensor == name]
             if window:
@@ -98,7 +103,10 @@ def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int) -> Iter
                     on_real_wall(line, sensor.surface_sigma_m, sensor.surface_correlation_m)
                     for line in lines_of_scan(unswept(scan, sensor, track), sensor, kf_T_body, config.lines)
                 ]
-        yield Keyframe(stamp, observations, motion, scans=tuple(scans))
+                beams += beams_of(scan, usable_ranges(scan.ranges, sensor), kf_T_body @ sensor.body_T_sensor)
+        yield Keyframe(
+            stamp, observations, motion, scans=tuple(scans), returns=np.concatenate(beams) if beams else None
+        )
 
 
 def _choose_stamps(log: Log, rig: Rig, config: KeyframeConfig) -> list[int]:

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.stats import chi2 as chi2_distribution
 
 from slam.backend import Backend, JointCovariance
 from slam.config import LoopConfig
-from slam.constellation import ConstellationMatch, Wall, match_constellations
+from slam.constellation import ConstellationMatch, Wall, match_constellations, match_near
 from slam.frames import inverse, lift
+from slam.io.log import planar_transform
+from slam.keyframes import Keyframe
 from slam.landmarks import Landmark, LandmarkMap
+from slam.odometry import Motion, planar_delta
+from slam.raster import Raster
+from slam.relocate import Relocation
 from slam.twins import hesse_from, landmark_keys
+from slam.views import RelativePose, compare_views, left_open, view_of
 from spplanes._check import FloatArray
 
 LoopVerdict = Literal["closed", "not seen", "ambiguous", "unobservable", "far", "too few"]
@@ -22,6 +29,10 @@ LoopVerdict = Literal["closed", "not seen", "ambiguous", "unobservable", "far", 
 _SIGMAS = 3.0
 #: Walls that lean more than this from the body's vertical take no part: sine of the lean.
 _MAX_LEAN = 0.2
+#: Sine of the angle from which on two walls fix a place between them.
+_ACROSS = 0.26
+#: Of height (m), roll and pitch (rad) the views of level lasers say nothing.
+_OUT_OF_PLANE = (1e2, 1e2, 1e2)
 
 
 @dataclass(frozen=True)
@@ -46,7 +57,9 @@ class LoopDecision:
     dof: int = 0
     """Its degrees of freedom."""
     evidence: float = float("nan")
-    """Log of how much better the walls agree than by chance."""
+    """Log of how much better the walls, or all returns, agree than by chance."""
+    motion: Motion | None = None
+    """From the old keyframe to the keyframe, what the returns say of it beyond the walls."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +82,19 @@ class Path:
 
 
 def find_loop(
-    path: Path, landmarks: LandmarkMap, backend: Backend, config: LoopConfig, min_keyframes: int
+    path: Path,
+    keyframes: Sequence[Keyframe],
+    landmarks: LandmarkMap,
+    backend: Backend,
+    config: LoopConfig,
+    min_keyframes: int,
 ) -> list[LoopDecision]:
     """Compare the surroundings of the last keyframe with those of old keyframes near it until one is found to be them.
 
     Surroundings are the landmarks seen within `config.window_m` of travel, as walls in the frame of the keyframe with
-    the covariance that they have relative to it. How far the whole has drifted does not enter the match; it only
-    bounds where it is looked for.
+    the covariance that they have relative to it, and what level lasers saw on the way. Where there are such lasers,
+    the pose is found by all their returns and all free space, and walls are the same that are so under it; else it is
+    found by the constellation of the walls. How far the whole has drifted only bounds where it is looked for.
 
     Returns:
         One decision for every old keyframe compared with; only the last of them may be "closed".
@@ -83,28 +102,104 @@ def find_loop(
     now = len(path.keys) - 1
     here = _surroundings(now, path, landmarks, config, min_keyframes)
     decisions: list[LoopDecision] = []
-    if len(here) < config.min_walls:
+    has_view = keyframes[now].returns is not None
+    if len(here) < (1 if has_view else config.min_walls):
         return decisions
+    view: Raster | None = None
     walls = _walls_from(path.keys[now], here, landmarks, backend)
-    known = {landmark.id for landmark in here}
     for old in _old_keyframes(path, backend, config):
         there = _surroundings(old, path, landmarks, config, min_keyframes)
-        shared = sum(landmark.id in known for landmark in there)
-        if len(there) < config.min_walls or shared >= config.min_walls:
-            continue
-        match = match_constellations(walls, _walls_from(path.keys[old], there, landmarks, backend))
-        decisions.append(_decide(match, old, path, here, there, backend, config))
-        if decisions[-1].verdict == "closed":
+        shared = [one for one in here if one in there]
+        if has_view and there and keyframes[old].returns is not None:
+            if _fix_a_place(shared, landmarks, config):
+                continue
+            estimate = RelativePose.of(path.keys[old], path.keys[now], backend)
+            if estimate.reach_m <= config.tied_m and shared:
+                continue
+            view = view or view_of(_members(now, path, config.window_m), now, keyframes, path.poses, config)
+            other = view_of(_members(old, path, config.window_m), old, keyframes, path.poses, config)
+            if view is None or other is None:
+                continue
+            way = float(path.lengths[now] - path.lengths[old])
+            found = compare_views(view, other, estimate, config.drift_share * way, way)
+            others = _walls_from(path.keys[old], there, landmarks, backend)
+            decisions.append(
+                _decide_by_view(found, estimate, old, path, (walls, here), (others, there), backend, config)
+            )
+        elif min(len(here), len(there)) >= config.min_walls > len(shared):
+            match = match_constellations(walls, _walls_from(path.keys[old], there, landmarks, backend))
+            decisions.append(_decide(match, old, path, here, there, backend, config))
+        if decisions and decisions[-1].verdict == "closed":
             break
     return decisions
+
+
+def _fix_a_place(shared: Sequence[Landmark], landmarks: LandmarkMap, config: LoopConfig) -> bool:
+    """Whether two places see so many walls in common, in more than one direction, that nothing is left to find."""
+    if len(shared) < config.min_walls:
+        return False
+    normals = np.array([landmarks.placed(one.id).normal for one in shared])
+    return bool(np.abs(np.cross(normals[0], normals)).max() > _ACROSS)
+
+
+def _members(index: int, path: Path, window_m: float) -> list[int]:
+    """Keyframes within the window of travel around one."""
+    return np.flatnonzero(np.abs(path.lengths - path.lengths[index]) <= window_m).tolist()
+
+
+def _decide_by_view(
+    found: Relocation,
+    estimate: RelativePose,
+    old: int,
+    path: Path,
+    here: tuple[Sequence[Wall], Sequence[Landmark]],
+    there: tuple[Sequence[Wall], Sequence[Landmark]],
+    backend: Backend,
+    config: LoopConfig,
+) -> LoopDecision:
+    """Joined is what is one wall under the pose found by the views, if that is beyond doubt."""
+    now = len(path.keys) - 1
+    if found.share < 1.0 - config.significance:
+        verdict: LoopVerdict = "not seen" if found.evidence < 0.0 else "ambiguous"
+        return LoopDecision(now, old, verdict, evidence=found.evidence)
+    match = match_near(here[0], there[0], found.pose, found.covariance, significance=config.significance)
+    if match is None:
+        return LoopDecision(now, old, "too few", evidence=found.evidence)
+    decision = replace(_decide(match, old, path, here[1], there[1], backend, config), evidence=found.evidence)
+    if decision.verdict not in ("closed", "too few"):
+        return decision
+    motion = _motion_beyond(found, match)
+    if motion is None:
+        return decision
+    if decision.verdict == "closed" or _is_news(motion, estimate, config):
+        return replace(decision, verdict="closed", motion=motion)
+    return decision
+
+
+def _is_news(motion: Motion, estimate: RelativePose, config: LoopConfig) -> bool:
+    """Whether a motion contradicts the estimate, or says it much better in a direction in which it is badly known."""
+    error = planar_delta(motion.a_T_b) - estimate.delta
+    spread = estimate.covariance + motion.covariance
+    if float(error @ np.linalg.solve(spread, error)) > chi2_distribution.isf(config.significance, 3):
+        return True
+    better = np.linalg.inv(np.linalg.inv(estimate.covariance) + np.linalg.inv(motion.covariance))
+    return replace(estimate, covariance=better).reach_m < 0.5 * estimate.reach_m > 0.5 * config.tied_m
+
+
+def _motion_beyond(found: Relocation, match: ConstellationMatch) -> Motion | None:
+    """What the views say of the motion beyond the walls that are joined."""
+    covariance = None if match.by_walls is None else left_open(found.covariance, match.by_walls)
+    if covariance is None:
+        return None
+    return Motion(planar_transform(*found.pose), covariance, _OUT_OF_PLANE)
 
 
 def _surroundings(
     index: int, path: Path, landmarks: LandmarkMap, config: LoopConfig, min_keyframes: int
 ) -> list[Landmark]:
     """Confirmed landmarks seen within the window of travel around a keyframe."""
-    inside = np.flatnonzero(np.abs(path.lengths - path.lengths[index]) <= config.window_m)
-    first, last = int(inside[0]), int(inside[-1])
+    members = _members(index, path, config.window_m)
+    first, last = members[0], members[-1]
     return [
         landmark
         for landmark in landmarks

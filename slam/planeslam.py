@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 
 from factors import pose_prior
-from slam.association import Decision, associate
+from slam.association import Decision, Hint, associate
 from slam.audit import NisAudit
 from slam.backend import Backend, pose_symbol
 from slam.calibration import WheelCalibration, motion_covariance
@@ -30,6 +30,7 @@ from slam.odometry import Motion
 from slam.recorder import Recorder
 from slam.sights import birth_sights, matched_sights
 from slam.twins import find_twins
+from slam.views import step_by_view
 from spplanes._check import FloatArray
 
 if TYPE_CHECKING:
@@ -121,7 +122,10 @@ class PlaneSlam:
         self._check_order(keyframe)
         keyframe = self.recorder.measured(len(self.keyframes), keyframe)
         pose_key = self._predict(keyframe)
-        decisions = associate(keyframe.observations, pose_key, self.landmarks, self.backend, self.config.association)
+        hint = self._hint(keyframe)
+        decisions = associate(
+            keyframe.observations, pose_key, self.landmarks, self.backend, self.config.association, hint
+        )
         self.audit.add(len(self.keyframes), (seen.kind for seen in keyframe.observations), decisions)
         self.recorder.decided(len(self.keyframes), decisions)
         self._look_for_open_directions(keyframe, pose_key, decisions)
@@ -209,6 +213,13 @@ class PlaneSlam:
         step = inverse(self.backend.pose(pose_symbol(last - 1))) @ self.backend.pose(pose_symbol(last))
         return coast(step, stamps[1] - stamps[0], ahead_s, self.config.coasting)
 
+    def _hint(self, keyframe: Keyframe) -> Hint | None:
+        """The motion to the keyframe by all its returns, for telling walls apart."""
+        if not self.keyframes or self._predicted is None:
+            return None
+        motion = step_by_view(keyframe, self._predicted, self.keyframes, self.backend, self.config.loops)
+        return None if motion is None else Hint(pose_symbol(len(self.keyframes) - 1), motion)
+
     def _update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> set[int]:
         """Add the factors of matches and of new landmarks, then count what was seen; the ids of those landmarks."""
         seen, initial = keyframe.observations, gtsam.Values()
@@ -260,13 +271,21 @@ class PlaneSlam:
         if rules.max_candidates == 0 or path.lengths[-1] < self._loops_looked_for_at + rules.every_m:
             return
         self._loops_looked_for_at = float(path.lengths[-1])
-        decisions = find_loop(path, self.landmarks, self.backend, rules, needed)
+        decisions = find_loop(path, self.keyframes, self.landmarks, self.backend, rules, needed)
         self.loops += decisions
         if not decisions or decisions[-1].verdict != "closed":
             return
         pairs = [pair for pair in disjoint(decisions[-1].pairs) if self.merges.may_be_one(*pair)]
         if self.merges.close(pairs, self.audit.mean_per_dof):
             self._merge_twins({older for older, _ in pairs})
+            self._take(decisions[-1])
+
+    def _take(self, loop: LoopDecision) -> None:
+        """What the returns say of a closed loop beyond its walls: how far along a corridor the robot is."""
+        if loop.motion is not None:
+            step = loop.motion.factors(pose_symbol(loop.old_keyframe), pose_symbol(loop.keyframe))[0]
+            self.backend.update([step], gtsam.Values(), relinearize=True)
+            self.landmarks.refresh(self.backend)
 
     def _remember(self, keyframe: Keyframe, decisions: list[Decision]) -> None:
         self.keyframes.append(keyframe)
