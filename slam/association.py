@@ -262,12 +262,16 @@ def _innovations(
     found = [
         state.innovation(
             landmark,
-            observe(observation, pose_key, landmark, backend).linearize(backend.values),
+            _linearised(observe(observation, pose_key, landmark, backend), backend),
             observation.volume,
         )
         for landmark in shortlist
     ]
     return sorted(found, key=lambda one: (-one.candidate.log_likelihood, one.candidate.landmark))
+
+
+def _linearised(factor: Any, backend: Backend) -> Any:
+    return factor.linearize(backend.values_of(factor.keys()))
 
 
 def _decide(index: int, candidates: list[Candidate], config: AssociationConfig) -> Decision:

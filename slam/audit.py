@@ -26,11 +26,14 @@ class NisAudit:
     history: dict[str, list[tuple[int, float, int]]] = field(default_factory=dict)
     """(keyframe, chi2, dof) of every accepted measurement, by factor type."""
 
+    _sums: tuple[float, int] = (0.0, 0)
+
     def add(self, keyframe: int, kinds: Iterable[str], decisions: Iterable[Decision]) -> None:
         """Count the accepted matches of a keyframe."""
         for kind, decision in zip(kinds, decisions, strict=True):
             if decision.match is not None:
                 self.history.setdefault(kind, []).append((keyframe, decision.match.chi2, decision.match.dof))
+                self._sums = self._sums[0] + decision.match.chi2, self._sums[1] + decision.match.dof
 
     def summary(self) -> list[NisSummary]:
         """Mean NIS per degree of freedom and its band, one row a factor type, in alphabetical order."""
@@ -39,8 +42,7 @@ class NisAudit:
     @property
     def mean_per_dof(self) -> float:
         """Mean NIS per degree of freedom of all factor types together; 1 without any."""
-        rows = np.array([row[1:] for history in self.history.values() for row in history]).reshape(-1, 2)
-        return float(rows[:, 0].sum() / rows[:, 1].sum()) if len(rows) else 1.0
+        return self._sums[0] / self._sums[1] if self._sums[1] else 1.0
 
     def warnings(self) -> list[str]:
         """One sentence for every factor type whose covariances claim too much."""

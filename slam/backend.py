@@ -31,13 +31,27 @@ class Backend:
         parameters.relinearizeSkip = 1
         parameters.cacheLinearizedFactors = True
         self._isam = gtsam.ISAM2(parameters)
-        self._estimate = gtsam.Values()
-        self._linearised = gtsam.Values()
+        self._forget()
+
+    def _forget(self) -> None:
+        """The graph has changed: what was read out of it before holds no more."""
+        self._whole: gtsam.Values | None = None
+        self._poses: dict[int, FloatArray] = {}
+        self._planes: dict[int, gtsam.OrientedPlane3] = {}
 
     @property
     def values(self) -> gtsam.Values:
-        """Current estimate of every variable."""
-        return self._estimate
+        """Current estimate of every variable: 1 us each, so not for every keyframe."""
+        if self._whole is None:
+            self._whole = self._isam.calculateEstimate()
+        return self._whole
+
+    def values_of(self, keys: Iterable[int]) -> gtsam.Values:
+        """Current estimate of some poses and planes."""
+        some = gtsam.Values()
+        for key in keys:
+            some.insert(key, gtsam.Pose3(self.pose(key)) if _is_pose(key) else self.plane(key))
+        return some
 
     @property
     def graph(self) -> gtsam.NonlinearFactorGraph:
@@ -64,10 +78,10 @@ class Backend:
             result = self._isam.update(graph, initial, list(remove))
             if relinearize:
                 self._isam.update()
-            self._estimate = self._isam.calculateEstimate()
-            self._linearised = self._isam.getLinearizationPoint()
         except RuntimeError as error:
             raise BackendError(_first_line(error)) from error
+        finally:
+            self._forget()
         return list(result.getNewFactorsIndices())
 
     def settle(self, rounds: int) -> None:
@@ -77,15 +91,25 @@ class Backend:
 
     def chi2(self) -> float:
         """Sum of the squared whitened errors of all factors at the current estimate."""
-        return 2.0 * float(self.graph.error(self._estimate))
+        return 2.0 * float(self.graph.error(self.values))
 
     def pose(self, key: int) -> FloatArray:
         """world_T_body of a pose variable, shape (4, 4)."""
-        return self._estimate.atPose3(key).matrix()
+        if key not in self._poses:
+            self._poses[key] = self._isam.calculateEstimatePose3(key).matrix()
+        return self._poses[key]
+
+    def poses(self, keys: Sequence[int]) -> FloatArray:
+        """world_T_body of many pose variables, shape (N, 4, 4)."""
+        values = self.values
+        return np.array([values.atPose3(key).matrix() for key in keys]).reshape(-1, 4, 4)
 
     def plane(self, key: int) -> gtsam.OrientedPlane3:
         """A landmark variable, in its anchor's frame."""
-        return self._estimate.atOrientedPlane3(key)
+        if key not in self._planes:
+            there = self._isam.getLinearizationPoint().atOrientedPlane3(key)
+            self._planes[key] = there.retract(self._isam.getDelta().at(key))
+        return self._planes[key]
 
     def joint_covariance(self, keys: Sequence[int]) -> JointCovariance:
         """Joint marginal covariance of a few variables, in the tangents of their current estimates."""
@@ -113,7 +137,7 @@ class Backend:
         if _is_pose(key):
             return np.eye(6)
         matrix = np.eye(3)
-        here, there = self._estimate.atOrientedPlane3(key), self._linearised.atOrientedPlane3(key)
+        here, there = self.plane(key), self._isam.getLinearizationPoint().atOrientedPlane3(key)
         matrix[:2, :2] = here.normal().basis().T @ there.normal().basis()
         return matrix
 
@@ -121,7 +145,7 @@ class Backend:
         """Levenberg-Marquardt on the same factors, started from the current estimate."""
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setLinearSolverType("MULTIFRONTAL_QR")
-        return gtsam.LevenbergMarquardtOptimizer(self.graph, self._estimate, parameters).optimize()
+        return gtsam.LevenbergMarquardtOptimizer(self.graph, self.values, parameters).optimize()
 
 
 class JointCovariance:

@@ -75,6 +75,9 @@ class LandmarkConfig(_Frozen):
     """Length of a line that starts a landmark, m."""
     min_observations: int = Field(default=2, ge=1)
     """Keyframes that must have seen a landmark before it is part of the map handed out."""
+    anchor_every: int = Field(default=10, ge=1)
+    """Every so many keyframes' pose is an anchor, and landmarks born until the next live in its frame: few anchors
+    keep joint covariances small, near ones keep them well conditioned."""
     wall_tilt_sigma_rad: float = Field(default=0.01, gt=0)
     """How far walls seen only by one 2D laser may lean from its scan plane's normal, rad."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -41,6 +42,8 @@ class Landmark:
 
     def __post_init__(self) -> None:
         self.region = Region(self.first_outline)
+        self._seen_from: list[int] = []
+        self._counted: tuple[list[Sighting], int] = (self.sightings, 0)
 
     @property
     def outline(self) -> BaseGeometry:
@@ -50,7 +53,24 @@ class Landmark:
     @property
     def n_keyframes(self) -> int:
         """Number of different keyframes that saw it."""
-        return self.known + len({sighting.keyframe for sighting in self.sightings})
+        return self.known + len(self._frames())
+
+    def was_seen_between(self, first: int, last: int) -> bool:
+        """Whether a keyframe from the first to the last, both included, saw it."""
+        frames = self._frames()
+        place = bisect_left(frames, first)
+        return place < len(frames) and frames[place] <= last
+
+    def _frames(self) -> list[int]:
+        """The keyframes that saw it, ascending; what sightings have been added since is counted in."""
+        if self._counted[0] is not self.sightings or self._counted[1] > len(self.sightings):
+            self._counted, self._seen_from = (self.sightings, 0), []
+        for sighting in self.sightings[self._counted[1] :]:
+            place = bisect_left(self._seen_from, sighting.keyframe)
+            if place == len(self._seen_from) or self._seen_from[place] != sighting.keyframe:
+                self._seen_from.insert(place, sighting.keyframe)
+        self._counted = (self.sightings, len(self.sightings))
+        return self._seen_from
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ class Path:
     @classmethod
     def of(cls, keys: Sequence[int], backend: Backend) -> Path:
         """From the backend's estimate."""
-        poses = np.array([backend.pose(key) for key in keys])
+        poses = backend.poses(keys)
         steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
         return cls(keys, poses, np.concatenate(([0.0], np.cumsum(steps))))
 
@@ -204,7 +204,7 @@ def _surroundings(
         landmark
         for landmark in landmarks
         if landmark.n_keyframes >= min_keyframes
-        and any(first <= sighting.keyframe <= last for sighting in landmark.sightings)
+        and landmark.was_seen_between(first, last)
     ]
 
 

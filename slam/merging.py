@@ -180,7 +180,7 @@ class Merges:
     def _misfit(self, sighting: Sighting, landmark: Landmark) -> float:
         """Chi2 of a sighting if it is of a landmark."""
         factor = observe(self._observation(sighting), pose_symbol(sighting.keyframe), landmark, self._backend)
-        return 2.0 * float(factor.error(self._backend.values))
+        return 2.0 * float(factor.error(self._backend.values_of(factor.keys())))
 
     def _move(
         self, sightings: Sequence[Sighting], source: Landmark, target: Landmark, *, initial: bool = False
@@ -193,7 +193,7 @@ class Merges:
         if initial:
             first = rest.pop(0)
             factors.append(self._founding_factor(first, target, values))
-        known = values if initial else self._backend.values
+        known = values if initial else self._backend.values_of([target.key])
         for sighting in rest:
             anchor_T_body = inverse(self._backend.pose(target.anchor_key)) @ self._backend.pose(
                 pose_symbol(sighting.keyframe)
@@ -213,8 +213,10 @@ class Merges:
         moved = {(one.keyframe, one.observation) for one in sightings}
         points = sum(self._observation(one).n_points for one in sightings)
         source.n_points, target.n_points = source.n_points - points, target.n_points + points
-        source.sightings[:] = [one for one in source.sightings if (one.keyframe, one.observation) not in moved]
-        target.sightings += [replace(one, factor_index=i) for one, i in zip(sightings, indices, strict=True)]
+        source.sightings = [one for one in source.sightings if (one.keyframe, one.observation) not in moved]
+        target.sightings = target.sightings + [
+            replace(one, factor_index=i) for one, i in zip(sightings, indices, strict=True)
+        ]
 
     def _founding_factor(self, sighting: Sighting, landmark: Landmark, values: gtsam.Values) -> gtsam.NonlinearFactor:
         """The factor that a landmark starts with: of full rank, what a line leaves open closed by the rule's tilt."""

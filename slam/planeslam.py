@@ -55,7 +55,7 @@ class PlaneSlam:
     """Incremental plane-based SLAM on iSAM2.
 
     Poses are gtsam Pose3 variables under symbols x0, x1, ...; landmarks OrientedPlane3 under p0, p1, ..., each in the
-    frame of its anchor pose: the one before the first that saw it, so that every factor has a native form.
+    frame of its anchor pose: one of every so many, before the first that saw it, so that factors have a native form.
 
     References:
         Weingarten, Gruener, Siegwart, ICRA 2004, for planes and their covariance; here the poses are unknown too.
@@ -79,7 +79,8 @@ class PlaneSlam:
         self.loops: list[LoopDecision] = []
         self.calibration = WheelCalibration()
         self._predicted: Motion | None = None
-        self._loops_looked_for_at = 0.0
+        self._since_look_m = 0.0
+        self._told_apart: dict[tuple[int, int], int] = {}
 
     @classmethod
     def open(
@@ -223,7 +224,8 @@ class PlaneSlam:
     def _update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> set[int]:
         """Add the factors of matches and of new landmarks, then count what was seen; the ids of those landmarks."""
         seen, initial = keyframe.observations, gtsam.Values()
-        anchor_key = pose_symbol(max(len(self.keyframes) - 1, 0))
+        every = self.config.landmarks.anchor_every
+        anchor_key = pose_symbol(max(len(self.keyframes) - 1, 0) // every * every)
         sights = matched_sights(seen, pose_key, decisions, self.landmarks, self.backend, self.config)
         sights += birth_sights(
             seen, (anchor_key, pose_key), decisions, self.landmarks, self.backend, self.config, initial
@@ -260,23 +262,35 @@ class PlaneSlam:
     def _merge_twins(self, touched: set[int]) -> None:
         """Join landmarks that are one plane: the younger's factors are re-keyed to the older, inside iSAM2."""
         needed, association = self.config.landmarks.min_observations, self.config.association
-        for older, younger in find_twins(touched, self.landmarks, self.backend, association, min_keyframes=needed):
+        pairs = find_twins(
+            touched,
+            self.landmarks,
+            self.backend,
+            association,
+            min_keyframes=needed,
+            told_apart=self._told_apart,
+        )
+        for older, younger in pairs:
             if self.merges.may_be_one(older, younger):
                 self.merges.merge(older, younger, "twins")
 
     def _close_loops(self) -> None:
         """Every metre or so: is what is seen now a place of long ago? Then its walls are joined with those of then."""
         rules, needed = self.config.loops, self.config.landmarks.min_observations
-        path = DrivenPath.of([pose_symbol(i) for i in range(len(self.keyframes))], self.backend)
-        if rules.max_candidates == 0 or path.lengths[-1] < self._loops_looked_for_at + rules.every_m:
+        keys = [pose_symbol(i) for i in range(len(self.keyframes))]
+        if len(keys) > 1:
+            self._since_look_m += float(np.linalg.norm(np.subtract(*(self.backend.pose(k)[:3, 3] for k in keys[-2:]))))
+        if rules.max_candidates == 0 or self._since_look_m < rules.every_m:
             return
-        self._loops_looked_for_at = float(path.lengths[-1])
+        self._since_look_m = 0.0
+        path = DrivenPath.of(keys, self.backend)
         decisions = find_loop(path, self.keyframes, self.landmarks, self.backend, rules, needed)
         self.loops += decisions
         if not decisions or decisions[-1].verdict != "closed":
             return
         pairs = [pair for pair in disjoint(decisions[-1].pairs) if self.merges.may_be_one(*pair)]
         if self.merges.close(pairs, self.audit.mean_per_dof):
+            self._told_apart.clear()
             self._merge_twins({older for older, _ in pairs})
             self._take(decisions[-1])
 

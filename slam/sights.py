@@ -69,7 +69,7 @@ def birth_sights(
 
     Args:
         seen: the keyframe's observations.
-        pose_keys: of the anchor and of the keyframe. The anchor is the pose before: of its own pose, a landmark's first
+        pose_keys: of the anchor and of the keyframe. The anchor is a pose before: of its own pose, a landmark's first
             factor would be custom, thus slow.
         decisions: one an observation.
         landmarks: where they are born.

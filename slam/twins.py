@@ -23,6 +23,7 @@ def find_twins(
     config: AssociationConfig,
     *,
     min_keyframes: int,
+    told_apart: dict[tuple[int, int], int] | None = None,
 ) -> list[tuple[int, int]]:
     """Pairs (older, younger) of landmarks that are one plane by chi2 with the covariance of the whole state.
 
@@ -30,6 +31,8 @@ def find_twins(
         touched: ids of landmarks whose estimate or outline has just changed; only pairs with one of them are looked at.
         landmarks, backend, config: the map, as of its last refresh.
         min_keyframes: landmarks seen from fewer are left alone: what one look says may be wrong, a merge would keep it.
+        told_apart: sightings of both when a pair was last found to be two; it is looked at again when they are a
+            quarter more. Kept up to date. None: every pair is looked at.
 
     Returns:
         Disjoint pairs, best first.
@@ -45,6 +48,8 @@ def find_twins(
                 continue
             if _may_be_one(first, place, second, second_place, config):
                 pairs[min(first.id, second.id), max(first.id, second.id)] = (first, second)
+    if told_apart is not None:
+        pairs = {ids: pair for ids, pair in pairs.items() if _sightings(pair) >= 1.25 * told_apart.get(ids, 0)}
     if not pairs:
         return []
     joint = backend.joint_covariance(
@@ -52,7 +57,13 @@ def find_twins(
     )
     limit = float(chi2_distribution.isf(config.significance, 3))
     found = [(_twin_chi2(*pair, backend, joint), *ids) for ids, pair in pairs.items()]
+    if told_apart is not None:
+        told_apart.update({(a, b): _sightings(pairs[a, b]) for chi2, a, b in found if chi2 > limit})
     return _disjoint(sorted(one for one in found if one[0] <= limit))
+
+
+def _sightings(pair: tuple[Landmark, Landmark]) -> int:
+    return sum(len(one.sightings) for one in pair)
 
 
 def twin_chi2(first: Landmark, second: Landmark, backend: Backend) -> float:
