@@ -6,7 +6,7 @@ DEMO ?= demo
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test lint types examples figures benchmarks clean
+.PHONY: help demo test lint types docs examples figures benchmarks clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -25,11 +25,15 @@ lint: $(VENV)/.ready-dev  ## ruff, lint and format
 types: $(VENV)/.ready-dev  ## pyright
 	$(BIN)/pyright
 
+docs: $(VENV)/.ready-dev  ## the documentation site in ./build/docs, warnings as errors, offline
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
+
 examples: $(VENV)/.ready-dev  ## run every example
 	for example in examples/*.py; do echo "== $$example"; $(BIN)/python $$example || exit 1; done
 
-figures: $(VENV)/.ready  ## the pictures of the README
+figures: $(VENV)/.ready  ## the pictures of README and docs
 	$(BIN)/python tools/figures.py
+	$(BIN)/python tools/convention_figures.py
 
 benchmarks: $(VENV)/.ready-dev  ## ratios side by side (slow)
 	$(BIN)/python -m benchmarks

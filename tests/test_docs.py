@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+import factors
+import slam
+import spplanes
 from slam.motion import OdometryNoise
 from slam.mount import Mount
 from slam.rig import LocalisationNoise, Rig, Sensor
@@ -77,6 +80,14 @@ def test_the_rig_page_is_the_rig(section: str):
             assert float(default) == keys[key].default, key
         elif keys[key].is_required():
             assert default == "required", key
+
+
+def test_every_public_name_is_in_the_api_reference():
+    text = "".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs" / "api").glob("*.md"))
+    modules = set(re.findall(r"automodule:: (\S+)", text))
+    names = [(package, name) for package in (spplanes, factors, slam) for name in package.__all__ if name[0] != "_"]
+    homes = {(f"{package.__name__}.{name}", getattr(package, name).__module__) for package, name in names}
+    assert [name for name, home in homes if home not in modules and f"autofunction:: {name}\n" not in text] == []
 
 
 def test_the_version_is_the_same_everywhere():
