@@ -18,6 +18,7 @@ from slam.map_planes import MapPlane
 from slam.noise_of import scatter_of
 from spplanes import MapperConfig, Plane, segment_scans
 from spplanes._check import FloatArray
+from spplanes.noise import DepthCameraModel
 
 #: What is taken where neither the caller nor the cloud says how its points scatter, m.
 ASSUMED_SIGMA_M = 0.01
@@ -99,7 +100,8 @@ def fit_cloud(
     eye = np.asarray(viewpoint, dtype=np.float64)
     grid = arrange(cloud.points - eye)
     sigma, note = (sigma_m, "as given") if sigma_m is not None else _sigma_of(grid)
-    labels, planes = segment_scans(grid, sigma=sigma, viewpoints=(0.0, 0.0, 0.0), config=MapperConfig())
+    of_points = sigma if sigma_m is not None or not cloud.is_depth_image else _grown(sigma, grid)
+    labels, planes = segment_scans(grid, sigma=of_points, viewpoints=(0.0, 0.0, 0.0), config=MapperConfig())
     back = np.eye(4) if cloud.world_T_sensor is None else cloud.world_T_sensor.copy()
     back[:3, 3] += back[:3, :3] @ eye
     order = sorted(range(len(planes)), key=lambda index: (-planes[index].n_points, index))
@@ -108,6 +110,12 @@ def fit_cloud(
     seen = np.isfinite(grid[..., 0])
     points = grid[seen] @ back[:3, :3].T + back[:3, 3]
     return CloudPlanes([planes[k].transform(back) for k in order], points, rank[labels[seen]], sigma, note, back[:3, 3])
+
+
+def _grown(sigma_m: float, grid: FloatArray) -> FloatArray:
+    """Standard deviations (S, B) that grow with the depth as a Kinect's, with the median that was measured."""
+    sigmas = DepthCameraModel().depth_sigma(grid[..., 2])
+    return np.where(np.isfinite(sigmas), sigmas * (sigma_m / np.nanmedian(sigmas)), sigma_m)
 
 
 def _sigma_of(grid: FloatArray) -> tuple[float, str]:

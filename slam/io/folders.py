@@ -5,9 +5,9 @@
 - Their times: `times.txt` (a line of seconds for each cloud); else the names, where they are times (a number with a
   decimal point, or one of 10, 13, 16 or 19 digits: s, ms, us, ns); else those of a TUM file with a row for each cloud;
   else one second each.
-- `poses.tum`, `poses.txt`, `trajectory.tum`: poses of the body, TUM or KITTI; `odometry.tum`, `odometry.txt`: odometry.
-  KITTI rows, and TUM rows where the clouds have no times, belong to the clouds in order; if there are more rows than
-  clouds, to the clouds by the number in the name, counted from 0.
+- `poses.tum`, `poses.txt`, `trajectory.tum`: poses of the body, TUM or KITTI; else the VIEWPOINTs of PCD files, the
+  sensor's. `odometry.tum`, `odometry.txt`: odometry. KITTI rows, and TUM rows where the clouds have no times, belong to
+  the clouds in order; if there are more rows than clouds, to the clouds by the number in the name, counted from 0.
 """
 
 from __future__ import annotations
@@ -20,10 +20,13 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.frames import inverse
 from slam.io._numbers import nanoseconds, read_rows
 from slam.io.arrange import Grid, arrange
 from slam.io.clouds import is_cloud_file, read_cloud, weigh_cloud
-from slam.io.log import Event, Log, LogError, OdometryReading, StoredCloud
+from slam.io.clouds.e57 import count_e57, read_e57
+from slam.io.clouds.pcd import read_header
+from slam.io.log import CloudScan, Event, Log, LogError, OdometryReading, StoredCloud
 from slam.io.trajectories import Trajectory, read_kitti, read_tum
 from spplanes._check import FloatArray
 
@@ -58,13 +61,16 @@ def clouds_in(folder: Path) -> list[Path]:
     return []
 
 
-def read_cloud_folder(folder: Path, *, sensor: str = SENSOR, grid: Grid | None = None) -> Log:
+def read_cloud_folder(
+    folder: Path, *, sensor: str = SENSOR, grid: Grid | None = None, body_T_sensor: FloatArray | None = None
+) -> Log:
     """Read a folder of clouds; the clouds themselves stay in their files until they are asked for.
 
     Args:
         folder: with the names above.
         sensor: name of the sensor in the rig.
         grid: shape of the range image of clouds without order; None: found in each.
+        body_T_sensor: where it sits, shape (4, 4): poses that the clouds themselves tell are the sensor's.
 
     Raises:
         LogError: one sentence with the file: no clouds, a header that is wrong, times or poses that are not as many.
@@ -77,6 +83,8 @@ def read_cloud_folder(folder: Path, *, sensor: str = SENSOR, grid: Grid | None =
         weigh_cloud(path)
     notes: list[str] = []
     poses, odometry = _rows_of(folder, _POSES), _rows_of(folder, _ODOMETRY)
+    if poses is None:
+        poses = _told_by_files(paths, np.eye(4) if body_T_sensor is None else body_T_sensor)
     stamps = _stamps(folder, paths, [rows for rows in (odometry, poses) if isinstance(rows, Trajectory)])
     world_T_body = None if poses is None else _poses_at(folder, poses, paths, stamps)
     if odometry is None and world_T_body is not None:
@@ -87,6 +95,25 @@ def read_cloud_folder(folder: Path, *, sensor: str = SENSOR, grid: Grid | None =
         events.append(StoredCloud(stamp, sensor, partial(grid_in, path, grid), pose))
     events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
     return Log(events, folder, notes)
+
+
+def read_e57_log(path: Path, *, sensor: str = SENSOR, body_T_sensor: FloatArray | None = None) -> Log:
+    """Read the scans of an E57 file, one second each, with their poses where all have one.
+
+    Raises:
+        LogError: what `slam.io.clouds.e57` says.
+    """
+    clouds = [read_e57(path, index) for index in range(count_e57(path))]
+    mount = np.eye(4) if body_T_sensor is None else body_T_sensor
+    posed = any(cloud.world_T_sensor is not None for cloud in clouds)
+    events: list[Event] = []
+    for index, cloud in enumerate(clouds):
+        stamp, told = index * SCAN_PERIOD_NS, cloud.world_T_sensor
+        pose = None if not posed else (np.eye(4) if told is None else told) @ inverse(mount)
+        if pose is not None:
+            events.append(OdometryReading(stamp, pose))
+        events.append(CloudScan(stamp, sensor, arrange(cloud.points), pose))
+    return Log(events, path, ["no odometry: the poses of the scans stand in for it"] if posed else [])
 
 
 def grid_in(path: Path, grid: Grid | None = None) -> FloatArray:
@@ -112,6 +139,14 @@ def _rows_of(folder: Path, names: tuple[str, ...]) -> Trajectory | FloatArray | 
     if path.suffix == ".txt" and _words_in_row(path) == 12:
         return read_kitti(path)
     return read_tum(path)
+
+
+def _told_by_files(paths: list[Path], body_T_sensor: FloatArray) -> FloatArray | None:
+    """world_T_body (N, 4, 4) by the VIEWPOINT of PCD files; None where all are the identity, or of other formats."""
+    told = [read_header(path).world_T_sensor if path.suffix.lower() == ".pcd" else None for path in paths]
+    if all(pose is None for pose in told):
+        return None
+    return np.array([np.eye(4) if pose is None else pose for pose in told]) @ inverse(body_T_sensor)
 
 
 def _words_in_row(path: Path) -> int:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from slam.io.carmen import read_carmen
-from slam.io.default_rigs import bag_rig, cloud_rig
-from slam.io.folders import has_clouds, read_cloud_folder
+from slam.io.clouds import is_cloud_file
+from slam.io.default_rigs import bag_rig, cloud_rig, depth_rig
+from slam.io.depth_folder import is_depth_folder, read_depth_folder
+from slam.io.folders import has_clouds, read_cloud_folder, read_e57_log
 from slam.io.log import Log, LogError
 from slam.io.rosbag import Topics, is_rosbag, read_rosbag, sensor_name
 from slam.io.threedtk import SENSOR, is_3dtk_folder, read_3dtk
@@ -23,8 +26,9 @@ def load(
 ) -> tuple[Log, Rig]:
     """Read a log of any known kind.
 
-    Known are ROS bags, folders of 3DTK scans, folders of clouds (see `slam.io.folders`), folders made by
-    `spplanes simulate` (log.clf.gz beside rig.yaml), and CARMEN logs, plain or gzip.
+    Known are ROS bags, folders of 3DTK scans, folders of clouds (`slam.io.folders`) and of depth images
+    (`slam.io.depth_folder`), E57 files, folders made by `spplanes simulate` (log.clf.gz beside rig.yaml), and CARMEN
+    logs, plain or gzip.
 
     Args:
         path: the log.
@@ -45,8 +49,14 @@ def load(
         return _load_bag(path, rig, topics or Topics(), keep_partial)
     if is_3dtk_folder(path):
         return read_3dtk(path), rig or threedtk_rig()
+    if path.is_dir() and is_depth_folder(path):
+        return _load_clouds(path, rig, read_depth_folder, depth_rig())
     if has_clouds(path):
-        return _load_clouds(path, rig)
+        return _load_clouds(path, rig, read_cloud_folder, cloud_rig())
+    if path.suffix.lower() == ".e57":
+        return _load_clouds(path, rig, read_e57_log, cloud_rig())
+    if path.is_file() and is_cloud_file(path) and path.suffix.lower() not in (".txt", ".csv"):
+        raise LogError(path, "expected a log, got one cloud: give it to `spplanes fit`, or a folder of clouds")
     if path.is_dir():
         inside = next((path / name for name in _MISSION_LOGS if (path / name).is_file()), None)
         if inside is None:
@@ -69,15 +79,16 @@ def _load_bag(path: Path, rig: Rig | None, topics: Topics, keep_partial: bool) -
     return read_rosbag(path, wanted, names=names, keep_partial=keep_partial), rig
 
 
-def _load_clouds(folder: Path, rig: Rig | None) -> tuple[Log, Rig]:
-    if rig is None and (folder / RIG_FILE).is_file():
-        rig = Rig.from_yaml(folder / RIG_FILE)
-    if rig is None:
-        return read_cloud_folder(folder), cloud_rig()
-    names = list(rig.of_kind("cloud"))
-    if len(names) != 1:
-        raise LogError(folder, f"expected a rig with one sensor of kind cloud for these clouds, got {len(names)}")
-    return read_cloud_folder(folder, sensor=names[0]), rig
+def _load_clouds(path: Path, rig: Rig | None, read: Callable[..., Log], default: Rig) -> tuple[Log, Rig]:
+    """Scans of one 3D sensor, by the reader of their kind."""
+    if rig is None and (path / RIG_FILE).is_file():
+        rig = Rig.from_yaml(path / RIG_FILE)
+    rig = rig or default
+    sensors = rig.of_kind("cloud")
+    if len(sensors) != 1:
+        raise LogError(path, f"expected a rig with one sensor of kind cloud for these scans, got {len(sensors)}")
+    ((name, sensor),) = sensors.items()
+    return read(path, sensor=name, body_T_sensor=sensor.body_T_sensor), rig
 
 
 def threedtk_rig() -> Rig:

@@ -67,6 +67,9 @@ class StoredCloud(CloudScan):
         for name, value in known.items():
             object.__setattr__(self, name, value)  # frozen: set once, here
 
+    def __repr__(self) -> str:
+        return f"StoredCloud(stamp_ns={self.stamp_ns}, sensor={self.sensor!r})"  # without reading it
+
     @property
     def points(self) -> FloatArray:  # type: ignore[override]  # a field there, read each time here
         """Organised, shape (S, B, 3), m; NaN = no return. Raises `LogError` where the file is damaged."""

@@ -21,6 +21,9 @@ class Cloud:
     world_T_sensor: FloatArray | None = None
     """Where the file says the sensor was, shape (4, 4); None: it does not."""
 
+    is_depth_image: bool = False
+    """Whether z is the depth of a camera, whose noise grows with it."""
+
     @property
     def flat(self) -> FloatArray:
         """The returns, shape (N, 3), m: NaN left out."""

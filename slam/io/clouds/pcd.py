@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from slam.io.clouds._files import check_byte_order, check_room, file_size, read_bytes, text_rows
 from slam.io.clouds.cloud import Cloud, checked
@@ -44,6 +45,16 @@ class Header:
         """Points in the file."""
         return self.width * self.height
 
+    @property
+    def world_T_sensor(self) -> FloatArray | None:
+        """VIEWPOINT as a transform, shape (4, 4); None for the identity."""
+        if np.array_equal(np.abs(self.viewpoint), [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]):
+            return None
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_quat(self.viewpoint[3:], scalar_first=True).as_matrix()
+        pose[:3, 3] = self.viewpoint[:3]
+        return pose
+
 
 def read_pcd(path: Path) -> Cloud:
     """Read a PCD file; other fields than x, y and z are left out.
@@ -61,7 +72,7 @@ def read_pcd(path: Path) -> Cloud:
         check_byte_order(path, points)
     if header.height > 1:
         points = points.reshape(header.height, header.width, 3)
-    pose = _pose_of(header.viewpoint)
+    pose = header.world_T_sensor
     if pose is None:
         return checked(path, points)
     return checked(path, (points - pose[:3, 3]) @ pose[:3, :3], pose)
@@ -154,18 +165,6 @@ def _viewpoint(path: Path, words: list[str] | None) -> FloatArray:
     if values.shape != (7,) or not np.isfinite(values).all() or abs(np.linalg.norm(values[3:]) - 1.0) > 1e-3:
         raise LogError(path, "expected a position and a unit quaternion in VIEWPOINT")
     return values
-
-
-def _pose_of(viewpoint: FloatArray) -> FloatArray | None:
-    """VIEWPOINT as a transform; None for the identity."""
-    from scipy.spatial.transform import Rotation
-
-    if np.array_equal(np.abs(viewpoint), [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]):
-        return None
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat(viewpoint[3:], scalar_first=True).as_matrix()
-    pose[:3, 3] = viewpoint[:3]
-    return pose
 
 
 def _weigh(path: Path, header: Header) -> None:

@@ -8,7 +8,10 @@ from pathlib import Path
 from slam.io.clouds import pcd, ply
 from slam.io.clouds.arrays import read_npy, read_npz, weigh_npy
 from slam.io.clouds.cloud import Cloud
+from slam.io.clouds.depth import read_depth_image
+from slam.io.clouds.e57 import read_e57
 from slam.io.clouds.kitti import read_kitti_bin, weigh_kitti_bin
+from slam.io.clouds.las import read_las
 from slam.io.clouds.text import read_text
 from slam.io.log import LogError
 
@@ -18,6 +21,10 @@ _READERS: dict[str, Callable[[Path], Cloud]] = {
     ".bin": read_kitti_bin,
     ".npy": read_npy,
     ".npz": read_npz,
+    ".png": read_depth_image,
+    ".las": read_las,
+    ".laz": read_las,
+    ".e57": read_e57,
     **dict.fromkeys((".xyz", ".txt", ".asc", ".csv", ".pts"), read_text),
 }
 #: What can be seen to be wrong without reading the points.
