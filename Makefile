@@ -3,10 +3,11 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 DEMO ?= demo
+FUZZ_SECONDS ?= 60
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test lint types docs examples figures benchmarks clean
+.PHONY: help demo test lint types docs examples figures benchmarks fuzz clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -37,6 +38,10 @@ figures: $(VENV)/.ready  ## the pictures of README and docs
 
 benchmarks: $(VENV)/.ready-dev  ## ratios side by side (slow)
 	$(BIN)/python -m benchmarks
+
+fuzz: $(VENV)/.ready-dev  ## coverage-guided fuzzing of every reader, FUZZ_SECONDS (60) each
+	$(BIN)/pip install --quiet --constraint constraints.txt atheris
+	$(BIN)/python -m tests.fuzz --seconds $(FUZZ_SECONDS)
 
 clean:  ## remove the environment and everything generated
 	rm -rf $(VENV) $(DEMO) build dist .pytest_cache .ruff_cache .hypothesis

@@ -93,6 +93,8 @@ def beams_per_line(points: FloatArray) -> int:
     with np.errstate(invalid="ignore", divide="ignore"):
         bearing = np.arccos(np.clip(points[:, 0] / np.linalg.norm(points, axis=1), -1.0, 1.0))
     step = np.diff(bearing)
+    if not np.isfinite(step).any():
+        return len(points)
     direction = np.sign(np.nanmedian(step))
     back = np.flatnonzero(direction * step < -np.pi / 2.0) + 1
     lengths = np.unique(np.diff(np.concatenate(([0], back, [len(points)]))))

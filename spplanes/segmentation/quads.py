@@ -23,7 +23,7 @@ def _jump_chi2(points, covariance, i, j, k, m, views, tangent):
     rest = abs(along) * s - tangent * np.sqrt(max(step_sq - along * along / range_sq, 0.0))
     ux, uy, uz = ax * s, ay * s, az * s
     variance = variance_along(covariance, i, j, ux, uy, uz) + variance_along(covariance, k, m, ux, uy, uz)
-    return rest * rest / variance
+    return rest * rest / variance if variance > 0.0 else np.inf
 
 
 @njit(cache=True)

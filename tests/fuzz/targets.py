@@ -1,0 +1,333 @@
+"""What is fuzzed: every reader, and the public functions that take arrays; a few valid inputs of each to start from.
+
+Any bytes must lead to an answer that holds together or to a ValueError of one sentence.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import warnings
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slam._session_codec import decode, encode, without_scans
+from slam.config import SlamConfig
+from slam.io.carmen import read_carmen
+from slam.io.carmen_writer import write_carmen
+from slam.io.clouds.read import read_cloud
+from slam.io.g2o import read_g2o
+from slam.io.log import CloudScan, LaserScan, Log, OdometryReading
+from slam.io.planes import read_planes, write_planes
+from slam.io.relations import read_relations
+from slam.io.threedtk import read_3dtk
+from slam.io.trajectories import Trajectory, read_kitti, read_tum, write_kitti, write_tum
+from slam.rig import Rig
+from slam.simulation import simulate_mission
+from slam.simulation.rigs import paper_rig
+from slam.store import Session
+from spplanes import MapperConfig, Plane, extract_lines, fit_plane, segment_scans
+from tests.slam.scenes import drive, room_planes
+
+#: Longest sentence of an error.
+LONGEST_SENTENCE = 400
+
+
+@dataclass(frozen=True)
+class Target:
+    """Something that reads bytes."""
+
+    name: str
+    """What it is called on the command line."""
+    read: Callable[[Path], Any]
+    """Reads a file and checks that the answer holds together."""
+    seeds: Callable[[], list[bytes]]
+    """Valid inputs."""
+    suffix: str = ""
+    """Ending of the file's name."""
+
+    def run(self, data: bytes, folder: Path) -> bool:
+        """Feed it bytes; whether they were an answer. Everything but an answer and a ValueError gets through."""
+        path = folder / f"input{self.suffix}"
+        path.write_bytes(data)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", RuntimeWarning)
+                self.read(path)
+        except ValueError as error:
+            sentence = str(error)
+            if "\n" in sentence or not 0 < len(sentence) <= LONGEST_SENTENCE + len(str(path)):
+                raise AssertionError(f"not one sentence: {sentence!r}") from error
+            return False
+        return True
+
+
+def check_log(log: Log) -> None:
+    """Time ascends, numbers are numbers."""
+    stamps = [event.stamp_ns for event in log.events]
+    assert stamps and all(a <= b for a, b in pairwise(stamps))
+    for event in log.events:
+        if isinstance(event, OdometryReading):
+            check_pose(event.odom_T_body)
+        elif isinstance(event, LaserScan):
+            assert event.ranges.shape == event.angles.shape and np.isfinite(event.angles).all()
+            assert not np.isinf(event.ranges).any() and not (event.ranges <= 0.0).any()
+        elif isinstance(event, CloudScan):
+            check_points(event.points)
+
+
+def check_points(points: np.ndarray) -> None:
+    """Points of some shape (..., 3), none at infinity."""
+    assert points.shape[-1] == 3 and points.dtype == np.float64 and not np.isinf(points).any()
+
+
+def check_pose(pose: np.ndarray) -> None:
+    """A rigid transform."""
+    assert pose.shape == (4, 4) and np.isfinite(pose).all()
+    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-2)
+
+
+def check_plane(plane: Plane) -> None:
+    """A frame, a covariance that is one."""
+    check_pose(plane.frame)
+    assert np.isfinite(plane.covariance).all()
+    scale = float(np.abs(plane.covariance).max())
+    assert np.linalg.eigvalsh(plane.covariance)[0] >= -1e-6 * scale
+
+
+def _config(path: Path) -> None:
+    config = SlamConfig.from_yaml(path)
+    again = path.with_name("again.yaml")
+    again.write_text(config.to_yaml(), encoding="utf-8")
+    assert SlamConfig.from_yaml(again) == config
+
+
+def _rig(path: Path) -> None:
+    rig = Rig.from_yaml(path)
+    again = path.with_name("again.yaml")
+    rig.to_yaml(again)
+    assert Rig.from_yaml(again) == rig
+
+
+def _tum(path: Path) -> None:
+    trajectory = read_tum(path)
+    assert (np.diff(trajectory.stamps_ns) > 0).all()
+    for pose in trajectory.poses:
+        check_pose(pose)
+
+
+def _kitti(path: Path) -> None:
+    for pose in read_kitti(path):
+        check_pose(pose)
+
+
+def _relations(path: Path) -> None:
+    for pose in read_relations(path).a_T_b:
+        check_pose(pose)
+
+
+def _planes(path: Path) -> None:
+    for plane in read_planes(path):
+        check_plane(plane)
+        assert Plane.from_dict(plane.to_dict()).to_dict() == plane.to_dict()
+
+
+def _g2o(path: Path) -> None:
+    found = read_g2o(path)
+    assert found.poses and np.isfinite(found.graph.error(found.values))
+
+
+def _cloud(path: Path) -> None:
+    check_points(read_cloud(path).points)
+
+
+def _threedtk(path: Path) -> None:
+    """The scan and its pose in one file, a NUL between them."""
+    scan, _, pose = path.read_bytes().partition(b"\0")
+    folder = path.parent / "scans"
+    folder.mkdir(exist_ok=True)
+    (folder / "scan000.3d").write_bytes(scan)
+    (folder / "scan000.pose").write_bytes(pose)
+    check_log(read_3dtk(folder))
+
+
+def _codec(path: Path) -> None:
+    value = decode(path.read_bytes())
+    assert encode(decode(encode(value))) == encode(value)
+
+
+def _session(path: Path) -> None:
+    """What is read of a session, however broken, was written: its checksums hold."""
+    for suffix in ("-wal", "-shm", "-lock"):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
+    with Session.open(path, read_only=True) as session:
+        for entry in session.entries():
+            assert entry.keyframe.stamp_ns >= 0
+
+
+def _numbers(path: Path) -> np.ndarray:
+    data = path.read_bytes()
+    return np.frombuffer(data[: len(data) // 8 * 8], dtype="<f8")
+
+
+def _fit(path: Path) -> None:
+    numbers = _numbers(path)
+    points = numbers[1 : 1 + (len(numbers) - 1) // 3 * 3].reshape(-1, 3)
+    check_plane(fit_plane(points, sigma=float(numbers[:1].sum())))
+
+
+def _lines(path: Path) -> None:
+    numbers = _numbers(path)
+    ranges = numbers[1:722]
+    angles = np.linspace(-np.pi, np.pi, len(ranges), endpoint=False)
+    for line in extract_lines(ranges, angles, sigma=float(numbers[:1].sum())):
+        assert np.isfinite([line.alpha, line.rho, *line.covariance.ravel(), *line.endpoints.ravel()]).all()
+
+
+def _segment(path: Path) -> None:
+    numbers = _numbers(path)[: 1 + 3 * 16 * 16]
+    beams = 16
+    points = numbers[1 : 1 + (len(numbers) - 1) // (3 * beams) * 3 * beams].reshape(-1, beams, 3)
+    labels, planes = segment_scans(points, sigma=float(numbers[:1].sum()), config=MapperConfig())
+    assert labels.shape == points.shape[:2] and labels.max(initial=-1) < len(planes)
+    for plane in planes:
+        check_plane(plane)
+
+
+def _plane_dict(path: Path) -> None:
+    try:
+        data = json.loads(path.read_bytes())
+    except RecursionError as error:
+        raise ValueError("too deep") from error
+    check_plane(Plane.from_dict(data))
+
+
+@cache
+def _mission() -> Any:
+    mission = simulate_mission("room", n_scans=3, seed=0)
+    return mission.log, mission.rig
+
+
+def _carmen_seeds() -> list[bytes]:
+    log, rig = _mission()
+    text = _written(lambda path: write_carmen(log, rig, path), "log.clf")
+    flaser = b"PARAM robot_frontlaser_offset 0.2\nODOM 1 2 0.5 0 0 0 1.5 host 1.5\n" + b"".join(
+        b"FLASER 3 1.0 2.0 81.91 1 2 0.5 0.8 2 0.5 %d.25 host %d.25\n" % (i, i) for i in range(2, 5)
+    )
+    whole = b"".join(text.splitlines(keepends=True)[:6])
+    return [whole, gzip.compress(whole), flaser]
+
+
+def _written(write: Callable[[Path], None], name: str) -> bytes:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder) / name)
+        return (Path(folder) / name).read_bytes()
+
+
+def _trajectory() -> Trajectory:
+    poses = drive(0, count=4).world_T_body
+    return Trajectory(np.arange(4) * 10**9, poses)
+
+
+def _session_seed() -> list[bytes]:
+    def write(path: Path) -> None:
+        with closing(Session.create(path, SlamConfig())) as session:
+            for index, keyframe in enumerate(drive(0, count=2).keyframes):
+                session.add_keyframe(keyframe)
+                session.add_decisions(index, [])
+
+    return [_written(write, "session.db")]
+
+
+def _codec_seeds() -> list[bytes]:
+    return [encode(without_scans(drive(0, count=2).keyframes[1])), encode([1, (2.5, "x"), {"a": np.arange(3)}])]
+
+
+def _numbers_seeds(*shapes: tuple[int, ...]) -> list[bytes]:
+    rng = np.random.default_rng(0)
+    return [np.concatenate(([0.01], 1.0 + 0.01 * rng.standard_normal(shape).ravel())).tobytes() for shape in shapes]
+
+
+def _wall_seeds() -> list[bytes]:
+    y, z = np.meshgrid(np.linspace(-1, 1, 16), np.linspace(0, 2, 12))
+    wall = np.stack((np.full(y.shape, 2.0), y, z), axis=2)
+    return [np.concatenate(([0.01], wall.ravel())).tobytes(), *_numbers_seeds((4, 16, 3))]
+
+
+def _cloud_seeds(suffix: str) -> list[bytes]:
+    points = np.random.default_rng(1).normal(size=(5, 3))
+    text = "".join(f"{x} {y} {z}\n" for x, y, z in points.tolist()).encode()
+    head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 5\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
+    pcd = f"# .PCD v0.7\n{head}POINTS 5\nDATA ".encode()
+    ply = "ply\nformat {} 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    small = points.astype("<f4").tobytes()
+    columns = points.astype("<f4").T.tobytes()
+    literals = b"".join(bytes([len(columns[i : i + 32]) - 1]) + columns[i : i + 32] for i in range(0, 60, 32))
+    packed = len(literals).to_bytes(4, "little") + len(columns).to_bytes(4, "little") + literals
+    npy, npz = io.BytesIO(), io.BytesIO()
+    np.save(npy, points)
+    np.savez(npz, points=points)
+    seeds = {
+        ".pcd": [pcd + b"ascii\n" + text, pcd + b"binary\n" + small, pcd + b"binary_compressed\n" + packed],
+        ".ply": [ply.format("ascii").encode() + text, ply.format("binary_little_endian").encode() + small],
+        ".bin": [np.ones((5, 4), dtype="<f4").tobytes()],
+        ".npy": [npy.getvalue()],
+        ".npz": [npz.getvalue()],
+        ".xyz": [text],
+        ".csv": [b"x,y,z\n" + text.replace(b" ", b",")],
+        ".pts": [b"5\n" + text],
+    }
+    return seeds[suffix]
+
+
+def _g2o_seeds() -> list[bytes]:
+    information = " ".join("1" if row == column else "0" for row in range(6) for column in range(row, 6))
+    lines = [
+        "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1",
+        "VERTEX_SE3:QUAT 1 1 0 0 0 0 0 1",
+        "VERTEX_SE3:QUAT 9 0 0 0 0 0 0 1",
+        "VERTEX_PLANE 2 0 0 1 -1.5 0 0 0",
+        "FIX 0 9",
+        f"EDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1 {information}",
+        "EDGE_SE3_PLANE_CALIB 0 2 9 0 0 1 -1.5 0 0 0 100 0 0 100 0 100",
+    ]
+    return [("\n".join(lines) + "\n").encode()]
+
+
+CLOUDS = (".pcd", ".ply", ".bin", ".npy", ".npz", ".xyz", ".csv", ".pts")
+
+TARGETS = {
+    target.name: target
+    for target in (
+        Target("carmen", lambda path: check_log(read_carmen(path)), _carmen_seeds, ".clf"),
+        Target("carmen-rig", lambda path: check_log(read_carmen(path, rig=paper_rig())), _carmen_seeds, ".clf"),
+        Target("3dtk", _threedtk, lambda: [b"100 200 300\n110 200 300\n\x000 0 0\n0 0 0\n"]),
+        Target("tum", _tum, lambda: [_written(lambda path: write_tum(path, _trajectory()), "t.tum")]),
+        Target("kitti", _kitti, lambda: [_written(lambda path: write_kitti(path, _trajectory().poses), "k.txt")]),
+        Target("relations", _relations, lambda: [b"1.5 2.5 1 0 0 0 0 0.1\n"]),
+        Target("planes", _planes, lambda: [_written(lambda path: write_planes(path, room_planes()), "planes.json")]),
+        Target("g2o", _g2o, _g2o_seeds, ".g2o"),
+        Target("rig", _rig, lambda: [_written(lambda path: paper_rig().to_yaml(path), "rig.yaml")], ".yaml"),
+        Target("config", _config, lambda: [SlamConfig().to_yaml().encode(), b"mapper: {}\n"], ".yaml"),
+        Target("codec", _codec, _codec_seeds),
+        Target("session", _session, _session_seed, ".db"),
+        Target("fit_plane", _fit, lambda: _numbers_seeds((9, 3), (3, 3))),
+        Target("extract_lines", _lines, lambda: _numbers_seeds((90,), (7,))),
+        Target("segment_scans", _segment, _wall_seeds),
+        Target("Plane.from_dict", _plane_dict, lambda: [json.dumps(room_planes()[0].to_dict()).encode()]),
+        *(
+            Target(f"cloud{suffix}", _cloud, lambda suffix=suffix: _cloud_seeds(suffix), suffix)  # type: ignore[misc]
+            for suffix in CLOUDS
+        ),
+    )
+}

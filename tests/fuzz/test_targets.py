@@ -1,0 +1,70 @@
+"""Every reader against broken files without the fuzzer: mutated valid ones, and those that once broke something."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.fuzz.targets import TARGETS
+
+#: Bytes that formats are made of, and numbers that are hard to be right about.
+WORDS = (
+    *(b"", b"\0", b"\n", b" ", b"nan", b"inf", b"-inf", b"-1", b"0", b"1e308", b"-1e-320", b"99999999999999999999"),
+    *(b"{", b"[" * 50, b'"', b"\xff\xfe", b"\x1f\x8b", b"1_0", b"0x1p3", b"1,5", b"true", b"null", b"!!python/none x"),
+    *(b"\0\0\0\0\0\0\xf8\x7f", b"\0\0\0\0\0\0\xf0\x7f", b"\xff\xff\xff\x7f", b"\xff\xff\xff\xff", b"\1\0\0\0\0\0\0\0"),
+)
+
+
+def _wall_with(*numbers: float) -> bytes:
+    wall = np.frombuffer(TARGETS["segment_scans"].seeds()[0]).copy()
+    wall[1 : 1 + 48 * len(numbers) : 48] = numbers
+    return wall.tobytes()
+
+
+#: What broke a target once: its name and the input.
+FOUND = {
+    "a 3DTK scan of one beam": ("3dtk", b"1 2 3\n\x000 0 0\n0 0 0\n"),
+    "points so far that their squares are infinite": ("segment_scans", _wall_with(1e308, -1e200)),
+    "points whose squares are zero": ("segment_scans", _wall_with(5e-324, 1e-200)),
+    "noise whose square is zero": ("segment_scans", np.array([1e-200, *np.arange(96.0)]).tobytes()),
+}
+
+
+@st.composite
+def broken(draw: st.DrawFn, seeds: list[bytes]) -> bytes:
+    """A valid input with some stretches cut out, doubled, or replaced."""
+    data = draw(st.sampled_from(seeds))
+    for _ in range(draw(st.integers(0, 3))):
+        start = draw(st.integers(0, max(len(data) - 1, 0)))
+        end = min(start + draw(st.sampled_from((0, 1, 2, 4, 8, 40, 10**6))), len(data))
+        piece = draw(st.one_of(st.sampled_from(WORDS), st.binary(max_size=12), st.just(data[start:end] * 2)))
+        data = data[:start] + piece + data[end:]
+    return data
+
+
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
+def test_valid_inputs_are_read(target, tmp_path: Path):
+    assert any(target.run(seed, tmp_path) for seed in target.seeds())
+
+
+@pytest.mark.parametrize(("name", "data"), FOUND.values(), ids=FOUND)
+def test_what_was_found_stays_found(name: str, data: bytes, tmp_path: Path):
+    TARGETS[name].run(data, tmp_path)
+
+
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
+def test_broken_inputs_are_an_answer_or_one_sentence(target):
+    seeds = target.seeds()
+
+    @settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck), database=None)
+    @given(broken(seeds))
+    def check(data: bytes) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            target.run(data, Path(folder))
+
+    check()

@@ -1,0 +1,73 @@
+"""What no source of ours may do: run what a file says, unpack archives by their members' names, go through a shell."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+SOURCES = sorted(path for package in ("spplanes", "factors", "slam") for path in (ROOT / package).rglob("*.py"))
+
+#: Modules whose formats run code when they are read.
+FORBIDDEN_MODULES = {"pickle", "cPickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "jsonpickle"}
+FORBIDDEN_NAMES = {"eval", "exec", "compile", "__import__"}
+#: Attributes by the name they are called under: YAML that builds objects, archives that write where they like, shells.
+FORBIDDEN_ATTRIBUTES = {
+    ("yaml", "load"),
+    ("yaml", "load_all"),
+    ("yaml", "full_load"),
+    ("yaml", "unsafe_load"),
+    ("yaml", "Loader"),
+    ("yaml", "UnsafeLoader"),
+    ("os", "system"),
+    ("os", "popen"),
+    ("tempfile", "mktemp"),
+}
+FORBIDDEN_METHODS = {"extract", "extractall", "unpack_archive"}
+FORBIDDEN_KEYWORDS = {"allow_pickle": True, "shell": True}
+
+
+def problems(source: str) -> list[str]:
+    """What a source does that it may not, each with its line."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else [alias.name for alias in node.names]
+            found += [f"{node.lineno}: import {name}" for name in names if name.split(".")[0] in FORBIDDEN_MODULES]
+        elif isinstance(node, ast.Attribute):
+            owner = node.value.id if isinstance(node.value, ast.Name) else ""
+            if (owner, node.attr) in FORBIDDEN_ATTRIBUTES or node.attr in FORBIDDEN_METHODS:
+                found.append(f"{node.lineno}: {owner}.{node.attr}")
+        elif isinstance(node, ast.Call):
+            if isinstance(node.func, ast.Name) and node.func.id in FORBIDDEN_NAMES:
+                found.append(f"{node.lineno}: {node.func.id}")
+            given = {word.arg: word.value.value for word in node.keywords if isinstance(word.value, ast.Constant)}
+            found += [f"{node.lineno}: {name}" for name, bad in FORBIDDEN_KEYWORDS.items() if given.get(name) is bad]
+    return found
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_nothing_runs_what_a_file_says(path: Path):
+    assert problems(path.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import pickle",
+        "from pickle import loads",
+        "eval('1')",
+        "import yaml\nyaml.load('x')",
+        "import numpy as np\nnp.load('x', allow_pickle=True)",
+        "import zipfile\nzipfile.ZipFile('x').extractall()",
+        "import subprocess\nsubprocess.run('x', shell=True)",
+    ],
+)
+def test_the_scan_sees_what_it_looks_for(source: str):
+    assert len(problems(source)) == 1
+
+
+def test_there_are_sources():
+    assert len(SOURCES) > 100
