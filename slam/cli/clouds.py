@@ -61,11 +61,12 @@ def _show(name: str, found: CloudPlanes, as_json: bool) -> None:
     from rich.table import Table
 
     table = Table(title=f"{name}, points of {1000 * found.sigma_m:.3g} mm", title_justify="left")
-    for heading in ("plane", "normal", "d [m]", "sigma d [mm]", "sigma tilt [deg]", "points", "area [m2]"):
-        table.add_column(heading, justify="right", no_wrap=heading == "normal")
+    headings = ("", "normal", "d\n[m]", "sigma d\n[mm]", "sigma tilt\n[deg]", "points", "area\n[m2]")
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
-        normal = " ".join(f"{value:+.4f}" for value in row["normal"])
-        numbers = (f"{row['d']:+.4f}", f"{1000 * row['sigma_d_m']:.2g}", f"{row['sigma_tilt_deg']:.2g}")
+        normal = " ".join(f"{value:+.3f}" for value in row["normal"])
+        numbers = (f"{row['d']:+.3f}", f"{1000 * row['sigma_d_m']:.2g}", f"{row['sigma_tilt_deg']:.2g}")
         table.add_row(str(row["id"]), normal, *numbers, str(row["n_points"]), f"{row['area_m2']:.3g}")
     console = Console()
     console.print(table)

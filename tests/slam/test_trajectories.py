@@ -1,6 +1,7 @@
 """Trajectory and relations files: strict readers, exact writers."""
 
 import gzip
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -125,3 +126,34 @@ def test_real_files():
     reference = read_tum(needs("intel/reference.tum"))
     assert len(reference) == 910 and reference.stamps_ns[0] == 976_052_890_244_111_000
     assert len(read_tum(needs("balm_hall/lidar_odometry.tum"))) == 20
+
+
+#: Written by evo 1.38.1: x = 0.5 k, y = -0.25 k, z = 0.125 k^2; turns of 0.3 k, -0.1 k and 0.05 k about z, y and x.
+EVO = Path(__file__).parent / "fixtures"
+
+
+def evo_poses():
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    k = np.arange(4.0)
+    poses[:, :3, 3] = np.column_stack((0.5 * k, -0.25 * k, 0.125 * k**2))
+    poses[:, :3, :3] = Rotation.from_euler("zyx", np.column_stack((0.3 * k, -0.1 * k, 0.05 * k))).as_matrix()
+    return poses
+
+
+def test_what_evo_writes():
+    trajectory = read_tum(EVO / "evo.tum")
+    np.testing.assert_allclose(trajectory.poses, evo_poses(), atol=1e-12)
+    seconds = np.array([1305031102.175304, 1305031102.211214, 1305031102.75, 1305031103.0])
+    np.testing.assert_allclose(trajectory.stamps_ns / 1e9, seconds, rtol=0.0, atol=3e-7)
+    np.testing.assert_allclose(read_kitti(EVO / "evo_kitti.txt"), evo_poses(), atol=1e-12)
+
+
+def test_poses_between_those_of_a_trajectory():
+    trajectory = read_tum(EVO / "evo.tum")
+    first, last = trajectory.stamps_ns[[2, 3]]
+    middle = trajectory.poses_at([(first + last) // 2])[0]
+    np.testing.assert_allclose(middle[:3, 3], evo_poses()[2:, :3, 3].mean(axis=0), atol=1e-8)
+    turns = Rotation.from_matrix(evo_poses()[2:, :3, :3])
+    half = turns[0] * Rotation.from_rotvec(0.5 * (turns[0].inv() * turns[1]).as_rotvec())
+    np.testing.assert_allclose(middle[:3, :3], half.as_matrix(), atol=1e-8)
+    np.testing.assert_allclose(trajectory.poses_at([0, 2**62]), evo_poses()[[0, 3]], atol=1e-12)
