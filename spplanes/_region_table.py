@@ -13,8 +13,8 @@ from spplanes.moments import ROW_SIZE, merge_rows
 from spplanes.plane import Plane
 from spplanes.segmentation._patches import eigenvalues
 from spplanes.segmentation.config import MapperConfig
-from spplanes.segmentation.pipeline import is_determined
 from spplanes.segmentation.planes import frames_of
+from spplanes.segmentation.sheet import is_determined
 
 
 class RegionTable:

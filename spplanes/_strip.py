@@ -14,9 +14,11 @@ from spplanes._region_table import RegionTable
 from spplanes.moments import ROW_SIZE, merge_rows
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.growing import fit_regions, hesse
-from spplanes.segmentation.pipeline import BORDER_GAP, Sheet, number_by_first_point, segment_sheet
+from spplanes.segmentation.pipeline import segment_sheet
 from spplanes.segmentation.planes import shared_by_scan
+from spplanes.segmentation.refining import BORDER_GAP
 from spplanes.segmentation.scans import as_covariances
+from spplanes.segmentation.sheet import Sheet, number_by_first_point
 
 #: Settled scans kept to show where regions reach in: as far as an occluder may part a plane.
 CONTEXT_SCANS = BORDER_GAP + 1

@@ -95,5 +95,6 @@ class PlaneMapper:
         if self._strip is None or self._strip.n_open_rows == 0:
             return self._table
         table, strip = self._table.copy(), self._strip.copy()
+        table.config = self.config.for_rows(strip.n_context + strip.n_open_rows)
         settle(strip, table, strip.n_open_rows, self.config)
         return table

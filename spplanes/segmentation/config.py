@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+
+#: Grids with fewer rows hold strips of planes rather than planes.
+FEW_ROWS = 16
+#: Fewest points of such a strip.
+FEWEST_POINTS = 8
 
 
 @dataclass(frozen=True)
@@ -83,6 +88,17 @@ class MapperConfig:
     def pose_decay(self) -> float:
         """Correlation of the pose errors of successive scans."""
         return float(np.exp(-1.0 / self.pose_correlation_scans)) if self.pose_correlation_scans > 0.0 else 0.0
+
+    def for_rows(self, n_rows: int) -> MapperConfig:
+        """The settings for a grid of so few rows: what it can show of a plane is a strip.
+
+        The points of a strip go with its rows, what it tells of its tilt with their power of 1.5.
+        """
+        if n_rows >= FEW_ROWS:
+            return self
+        share = max(n_rows, 1) / FEW_ROWS
+        fewest = max(min(FEWEST_POINTS, self.min_points), round(self.min_points * share))
+        return replace(self, min_points=fewest, max_tilt_rad=self.max_tilt_rad / share**1.5)
 
 
 def _check_range(name: str, value: float, low: float, high: float, *, closed: bool = False) -> None:

@@ -7,10 +7,11 @@ from numba import njit
 
 from spplanes import _pose_error, outline
 from spplanes._check import FloatArray
+from spplanes.fitting import fit_plane
 from spplanes.moments import row_frame
 from spplanes.plane import Plane
 from spplanes.segmentation._patches import eigenvalues
-from spplanes.segmentation.config import MapperConfig
+from spplanes.segmentation.config import FEW_ROWS, MapperConfig
 from spplanes.segmentation.growing import fit_regions
 
 #: A region's outline has at least this many cells across its smaller rms extent.
@@ -41,7 +42,10 @@ def planes_of(
     isotropic = covariance.shape[2] == 1  # then weights do not wait for a normal
     for floor in (0.0, 0.0) if isotropic else (config.flatness_m**2, 0.0, 0.0):
         rows = fit_regions(points, covariance, labels, rows, np.zeros_like(rows), floor)
-    frames, spreads = frames_of(rows, _eyes(labels, n_regions, views))
+    eyes = _eyes(labels, n_regions, views)
+    frames, spreads = frames_of(rows, eyes)
+    if len(points) < FEW_ROWS:
+        _face_strips(points, covariance, labels, eyes, frames, rows, spreads)
     covariances = np.zeros((n_regions, 3, 3))
     covariances[:, (0, 1, 2), (0, 1, 2)] = 1.0 / spreads
     covariances[:, (0, 1, 2), (0, 1, 2)] += config.surface_sigma_m**2 * rows[:, 1:2] / spreads
@@ -53,6 +57,24 @@ def planes_of(
         Plane._trusted(frames[r], covariances[r], int(rows[r, 0]), polygons[r], float(chi2[r]))
         for r in range(n_regions)
     ]
+
+
+def _face_strips(points, covariance, labels, eyes, frames, rows, spreads) -> None:
+    """Give the planes of strips their maximum-likelihood frames and spreads, in place.
+
+    Where a strip is as narrow as its noise is wide, the least eigenvalue of the scatter lies across the strip, not
+    along its normal; the likelihood, which knows that there is no noise across, is not taken in.
+    """
+    matrices = (covariance * np.eye(3).ravel() if covariance.shape[2] == 1 else covariance).reshape(*labels.shape, 3, 3)
+    for r in range(len(frames)):
+        mine = labels == r
+        try:
+            plane = fit_plane(points[mine], matrices[mine], viewpoint=None if np.isnan(eyes[r]).any() else eyes[r])
+        except ValueError:  # a line of points keeps the frame it has
+            continue
+        frames[r] = plane.frame
+        spreads[r] = 1.0 / np.diag(plane.covariance)
+        rows[r, 1] = spreads[r, 0]
 
 
 def _eyes(labels: np.ndarray, n_regions: int, views: FloatArray | None) -> FloatArray:

@@ -7,11 +7,11 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_float_array, as_positive, as_shape
-from spplanes._point_checks import LARGEST_COORDINATE, LARGEST_VARIANCE, SMALLEST_VARIANCE
 from spplanes.plane import Plane
 from spplanes.segmentation.config import MapperConfig
-from spplanes.segmentation.pipeline import Sheet, number_by_first_point, segment_sheet
+from spplanes.segmentation.pipeline import segment_sheet
 from spplanes.segmentation.planes import planes_of, shared_by_scan
+from spplanes.segmentation.sheet import Sheet, number_by_first_point
 
 _DEFAULT = MapperConfig()
 
@@ -81,8 +81,6 @@ def as_grid(points: ArrayLike) -> tuple[FloatArray, np.ndarray]:
         raise ValueError(f"points: expected shape (S, B, 3), got {grid.shape}")
     valid = np.asarray(np.isfinite(grid).all(axis=2))
     grid[~valid] = 0.0
-    if max(grid.max(initial=0.0), -grid.min(initial=0.0)) > LARGEST_COORDINATE:
-        raise ValueError(f"points: expected coordinates within {LARGEST_COORDINATE:.0e} m, got larger ones")
     return grid, valid
 
 
@@ -94,16 +92,11 @@ def as_variances(valid: np.ndarray, covariances: ArrayLike | None, sigma: ArrayL
         checked = as_covariances("covariances", covariances, (*valid.shape, 3, 3), valid)
         return checked.reshape(*valid.shape, 9)
     if np.ndim(sigma) == 0:  # type: ignore[arg-type]
-        spread = np.full(valid.shape, as_positive("sigma", float(sigma)))  # type: ignore[arg-type]
-    else:
-        spread = as_shape("sigma", sigma, valid.shape, finite=False)  # type: ignore[arg-type]
+        return np.full((*valid.shape, 1), as_positive("sigma", float(sigma)) ** 2)  # type: ignore[arg-type]
+    spread = as_shape("sigma", sigma, valid.shape, finite=False)  # type: ignore[arg-type]
     if not (spread[valid] > 0.0).all() or not np.isfinite(spread[valid]).all():
         raise ValueError("sigma: expected positive finite numbers where there is a point, got others")
-    variances = np.where(valid, spread, 1.0)[..., None] ** 2
-    if variances.min(initial=1.0) < SMALLEST_VARIANCE or variances.max(initial=1.0) > LARGEST_VARIANCE:
-        low, high = SMALLEST_VARIANCE**0.5, LARGEST_VARIANCE**0.5
-        raise ValueError(f"sigma: expected numbers from {low:.0e} to {high:.0e} m, got one beyond")
-    return variances
+    return np.where(valid, spread, 1.0)[..., None] ** 2
 
 
 def as_covariances(name: str, value: ArrayLike, shape: tuple[int, ...], valid: np.ndarray | None = None) -> FloatArray:

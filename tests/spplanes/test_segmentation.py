@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from spplanes import MapperConfig, segment_scans
+from spplanes import MapperConfig, PlaneMapper, segment_scans
 from tests.spplanes.scenes import anywhere, beam_covariances, box, cast, noisy, rays
 
 SIGMA = 0.005
@@ -231,3 +231,43 @@ def test_literal_edge_test_throws_a_good_wall_away():
     points = noisy(exact, 0.005, 12)
     assert len(segment_scans(points, covariances)[1]) == 1
     assert segment_scans(points, covariances, config=MapperConfig(literal_edge_test=True))[1] == []
+
+
+def corridor_slices(n_scans, seed=0, sigma=0.015):
+    """Scans of an upright laser 1 m above the floor of a corridor 2 m wide and 2.5 m high, 27 mm apart."""
+    rng, angles = np.random.default_rng(seed), np.radians(np.arange(-90.0, 90.5, 0.5))
+    rays = np.column_stack((np.zeros(361), np.cos(angles), np.sin(angles)))
+    walls = np.array([[0.0, 1.0, 0.0, 1.0], [0.0, 0.0, -1.0, 1.0], [0.0, 0.0, 1.0, 1.5]])
+    with np.errstate(divide="ignore"):
+        reach = walls[:, 3:] / (walls[:, :3] @ rays.T)
+    reach[reach <= 0.0] = np.inf
+    ranges = reach.min(axis=0) + sigma * rng.standard_normal((n_scans, 361))
+    origins = np.column_stack((0.027 * np.arange(n_scans), np.zeros(n_scans), np.zeros(n_scans)))
+    covariances = sigma**2 * rays[:, :, None] * rays[:, None, :] + 1e-6 * np.eye(3)
+    points = origins[:, None] + ranges[..., None] * rays
+    return points, np.tile(covariances, (n_scans, 1, 1, 1)), origins, reach.argmin(axis=0)
+
+
+@pytest.mark.parametrize("n_scans", [2, 3, 10])
+def test_few_scans_are_represented_whole(n_scans):
+    for seed in range(3):
+        points, covariances, origins, truth = corridor_slices(n_scans, seed)
+        labels, planes = segment_scans(points, covariances, viewpoints=origins)
+        assert (labels >= 0).mean() > 0.995
+        major = np.array([np.bincount(np.tile(truth, (n_scans, 1))[labels == k]).argmax() for k in range(len(planes))])
+        assert (major[labels] == truth).mean() > 0.985
+        for k, plane in enumerate(planes):
+            across = [[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]][major[k]]
+            if plane.n_points > 60:
+                tilt = np.sqrt(plane.covariance[1:, 1:].diagonal().max())
+                assert np.arccos(plane.normal @ across) < 4.0 * tilt + 0.01
+                assert plane.covariance[0, 0] < 0.01**2
+
+
+def test_few_scans_one_after_the_other():
+    points, covariances, origins, _ = corridor_slices(2)
+    mapper = PlaneMapper(MapperConfig(keep_labels=True))
+    for k in range(2):
+        mapper.add_scan(points[k], covariances[k], viewpoint=origins[k])
+    assert mapper.n_points_represented == (mapper.labels() >= 0).sum() > 0.995 * mapper.n_points_seen
+    np.testing.assert_array_equal(mapper.labels(), segment_scans(points, covariances, viewpoints=origins)[0])

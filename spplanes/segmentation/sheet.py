@@ -1,0 +1,103 @@
+"""A grid of points while it is being labelled, and its regions by their moments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from spplanes._check import FloatArray
+from spplanes.moments import ROW_SIZE, merge_rows
+from spplanes.segmentation import growing
+from spplanes.segmentation._patches import eigenvalues
+from spplanes.segmentation.config import MapperConfig
+
+
+@dataclass(eq=False)
+class Sheet:
+    """A grid of points while it is being labelled, after the regions that reach into it from earlier scans."""
+
+    points: FloatArray
+    """Shape (S, B, 3), m."""
+    covariance: FloatArray
+    """All of a point's uncertainty, shape (S, B, 1) isotropic or (S, B, 9), m^2."""
+    shared: FloatArray
+    """The part of it that a point shares with its scan, shape (S, B, 9), or (1, 1, 1) when there is none."""
+    valid: np.ndarray
+    """Which points are returns, shape (S, B) bool."""
+    labels: np.ndarray
+    """Region of every point, shape (S, B) int64, -1 = none."""
+    start: int = 0
+    """First row that is to be labelled; those before it are settled and only show where regions reach in."""
+    prior: FloatArray = field(default_factory=lambda: np.empty((0, ROW_SIZE)))
+    """Moments of the points before `start`, of the regions that reach in, shape (P, 11)."""
+    rows: FloatArray = field(default_factory=lambda: np.empty((0, ROW_SIZE)))
+    """Moments of the regions, shape (R, 11); region r < P continues the prior one."""
+    bias: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    """Variance along the normal that every region shares with its scans, m^2, and its mean scan, shape (R, 2)."""
+    alias: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    """The region every region has been fused into, or itself, shape (R,)."""
+
+    @property
+    def fresh(self) -> slice:
+        """The rows to be labelled."""
+        return slice(self.start, None)
+
+    @property
+    def free(self) -> np.ndarray:
+        """Returns that belong to no region, in the rows to be labelled, shape (S - start, B) bool."""
+        return self.valid[self.fresh] & (self.labels[self.fresh] < 0)
+
+
+def append(sheet: Sheet, rows: FloatArray, bias: FloatArray) -> None:
+    """Add regions to a sheet."""
+    first = len(sheet.rows)
+    sheet.rows, sheet.bias = np.concatenate((sheet.rows, rows)), np.concatenate((sheet.bias, bias))
+    sheet.prior = np.concatenate((sheet.prior, np.zeros((len(rows), ROW_SIZE))))
+    sheet.alias = np.concatenate((sheet.alias, np.arange(first, first + len(rows))))
+
+
+def fuse(sheet: Sheet, root: np.ndarray) -> None:
+    """Carry the result of a clustering of the regions over to labels and priors."""
+    gone = np.flatnonzero(root != np.arange(len(root)))
+    if not len(gone):
+        return
+    for r in gone:
+        merge_rows(sheet.prior[root[r]], sheet.prior[r], sheet.prior[root[r]])
+        sheet.prior[r] = 0.0
+    sheet.alias = root[sheet.alias]
+    sheet.labels[:] = np.append(root, -1)[sheet.labels]
+
+
+def refit(sheet: Sheet, config: MapperConfig) -> None:
+    """Moments of the regions from all of their points."""
+    part = sheet.fresh
+    sheet.rows = growing.fit_regions(
+        sheet.points[part], sheet.covariance[part], sheet.labels[part], sheet.rows, sheet.prior, config.flatness_m**2
+    )
+
+
+def is_determined(row: FloatArray, config: MapperConfig) -> bool:
+    """Whether the smaller of the two tilts is known to max_tilt_rad."""
+    return eigenvalues(row)[1] * config.max_tilt_rad**2 >= 1.0
+
+
+def drop_small(sheet: Sheet, config: MapperConfig) -> None:
+    """Take the points from regions that are too small or do not determine a plane; those from earlier scans stay."""
+    keep = np.array([row[0] >= config.min_points and is_determined(row, config) for row in sheet.rows], dtype=bool)
+    keep |= sheet.prior[:, 0] > 0.0
+    if not keep.all():
+        sheet.labels[~np.append(keep, True)[sheet.labels]] = -1
+
+
+def number_by_first_point(labels: np.ndarray, n_regions: int) -> tuple[np.ndarray, np.ndarray]:
+    """Labels 0..K-1 in the order of the first point of each region, shape of labels, and the regions kept, (K,)."""
+    flat = labels.ravel()
+    used = np.flatnonzero(flat >= 0)
+    first = np.full(n_regions, flat.size)
+    np.minimum.at(first, flat[used], used)
+    order = np.argsort(first, kind="stable")
+    order = order[first[order] < flat.size]
+    number = np.full(n_regions + 1, -1, dtype=np.int64)
+    number[order] = np.arange(len(order))
+    return number[labels], order
