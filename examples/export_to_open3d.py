@@ -1,4 +1,4 @@
-"""A map for Open3D: mesh, outlines, trajectory and coloured points, as objects and as files; no window needed.
+"""A map for Open3D: mesh, outlines, trajectory, ellipsoids and coloured points, as objects and as files; no window needed.
 
 The map is that of a short simulated mission. Everything is written to a temporary folder and read back, to show that
 it is ordinary Open3D geometry. Without Open3D the example says so and ends.
@@ -10,9 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from slam import SlamConfig
-from slam.open3d_export import outlines_to_lines, planes_to_mesh, points_to_cloud, trajectory_to_lines
+from slam.history import History
+from slam.open3d_export import (
+    ellipsoids_to_lines,
+    outlines_to_lines,
+    planes_to_mesh,
+    points_to_cloud,
+    trajectory_to_lines,
+)
 from slam.run import run_slam
 from slam.simulation import VERTICAL, simulate_mission
+from slam.uncertainty import position_covariances
 from spplanes import segment_scans
 from spplanes.noise import SensorModel
 from spplanes.registration import register_scans
@@ -30,6 +38,8 @@ def main() -> None:
     mesh = planes_to_mesh(run.planes, colour_by="sigma")
     outlines, path = outlines_to_lines(run.planes), trajectory_to_lines(run.trajectory, rgb=(0.8, 0.1, 0.1))
     print(f"legacy: {mesh}, {mesh.get_surface_area():.1f} m2; {outlines}; {path}")
+    ellipsoids = ellipsoids_to_lines(*position_covariances(run, History.of(run.planes, run.slam)), scale=50.0)
+    print(f"where the robot was, 95 %, enlarged 50 times: {ellipsoids}")
 
     tensor = planes_to_mesh(run.planes, tensor=True)
     sigmas_mm = 1e3 * tensor.vertex["sigma_m"].numpy().ravel()

@@ -2,7 +2,8 @@
 
 Usage: python bootstrap.py ENVIRONMENT_FOLDER [--dev]
 
-`--dev` adds the test tools and Open3D, and looks after the system library that Open3D loads (libusb-1.0).
+`--dev` adds the test tools and Open3D, and looks after the system library that Open3D loads (libusb-1.0) and the
+browser that the page of a run is tested in (Chromium).
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ def main(arguments: list[str]) -> int:
     if dev and not have_libusb():
         print("Open3D needs the system library libusb-1.0, which could not be installed here; its tests are skipped.")
         print("On Debian or Ubuntu: sudo apt-get install libusb-1.0-0")
+    if dev and not have_chromium():
+        print("Chromium with its driver could not be installed here; the tests of a run's page are skipped.")
+        print("On Debian or Ubuntu: sudo apt-get install chromium chromium-driver")
     pip_install(environment, f"-e{PROJECT}" + ("[dev]" if dev else ""))
     return 0
 
@@ -67,6 +71,13 @@ def have_libusb() -> bool:
     """Find libusb-1.0, or install it where this user may."""
     return ctypes.util.find_library("usb-1.0") is not None or (
         apt_install("libusb-1.0-0") and ctypes.util.find_library("usb-1.0") is not None
+    )
+
+
+def have_chromium() -> bool:
+    """Find chromedriver, or install it with its browser where this user may."""
+    return shutil.which("chromedriver") is not None or (
+        apt_install("chromium") and apt_install("chromium-driver") and shutil.which("chromedriver") is not None
     )
 
 

@@ -1,0 +1,81 @@
+"""Every example runs, and what it prints is what it promises."""
+
+from __future__ import annotations
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = sorted((Path(__file__).resolve().parent.parent / "examples").glob("*.py"))
+
+
+def millimetres(pattern: str, text: str) -> list[float]:
+    """All numbers that a pattern with one group finds."""
+    found = [float(number) for number in re.findall(pattern, text)]
+    assert found, f"{pattern!r} not in\n{text}"
+    return found
+
+
+def run(name: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """What an example prints."""
+    (example,) = [path for path in EXAMPLES if path.stem == name]
+    runpy.run_path(str(example), run_name="__main__")
+    return capsys.readouterr().out
+
+
+def test_every_example_is_tested():
+    text = Path(__file__).read_text(encoding="utf-8")
+    assert [path.stem for path in EXAMPLES if f'run("{path.stem}"' not in text] == []
+
+
+def test_fit_one_plane(capsys):
+    assert "NEES" in run("fit_one_plane", capsys)
+
+
+def test_planes_of_a_scan(capsys):
+    errors = millimetres(r"([+-]\d+\.\d+) mm ", run("planes_of_a_scan", capsys))
+    assert len(errors) >= 8 and max(map(abs, errors)) < 5.0
+
+
+def test_lines_of_a_scan(capsys):
+    text = run("lines_of_a_scan", capsys)
+    assert all(0.4 < ratio < 1.8 for ratio in millimetres(r" (\d\.\d\d)\n", text))
+
+
+def test_factors_in_your_graph(capsys):
+    text = run("factors_in_your_graph", capsys)
+    without, with_planes = (
+        millimetres(pattern, text) for pattern in (r"to +(\S+) mm without", r"planes, +(\S+) mm with")
+    )
+    assert all(firm < loose for loose, firm in zip(without, with_planes, strict=True))
+
+
+def test_line_slam_2d(capsys):
+    estimate, alone = millimetres(r"(?:estimate|alone) +(\S+) mm", run("line_slam_2d", capsys))
+    assert estimate < 5.0 < 10.0 < alone
+
+
+def test_plane_slam_3d(capsys):
+    text = run("plane_slam_3d", capsys)
+    estimate, alone = millimetres(r"rmse +(\S+) mm", text)
+    assert estimate < 5.0 < 20.0 < alone
+    assert "planes.glb" in text
+
+
+def test_corridor_slam(capsys):
+    estimate, alone = millimetres(r"(?:estimate|alone) +(\S+) mm +\S+ mm", run("corridor_slam", capsys))
+    assert estimate < 10.0 < alone
+
+
+def test_push_broom_map(capsys):
+    text = run("push_broom_map", capsys)
+    rows = re.findall(r"([+-]\d+\.\d+) mm +(\d+\.\d+) mm", text)
+    assert len(rows) >= 4 and all(abs(float(error)) < 4.0 * float(sigma) for error, sigma in rows)
+    assert millimetres(r"corridor (\S+) \+-", text)[0] == pytest.approx(2.7, abs=0.005)
+
+
+def test_export_to_open3d(capsys):
+    text = run("export_to_open3d", capsys)
+    assert "Open3D is not here" in text or text.count("read back as") == 3
