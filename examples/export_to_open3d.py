@@ -1,4 +1,4 @@
-"""A map for Open3D: mesh, outlines, trajectory, ellipsoids and coloured points, as objects and as files; no window needed.
+"""A map for Open3D: mesh, lines, ellipsoids and coloured points, as objects and as files; no window needed.
 
 The map is that of a short simulated mission. Everything is written to a temporary folder and read back, to show that
 it is ordinary Open3D geometry. Without Open3D the example says so and ends.
