@@ -14,6 +14,7 @@ import numpy as np
 
 from slam.io._ros_frames import BODIES, WORLDS, Frames
 from slam.io._ros_messages import RosScan, frame_of, points_of, scan_of, stamp_of, transform_of
+from slam.io._salvaged_bag import SalvagedBag
 from slam.io.arrange import arrange
 from slam.io.log import Event, LaserScan, Log, LogError, MissingPackageError, OdometryReading, StoredCloud
 from spplanes._check import FloatArray
@@ -78,7 +79,9 @@ def read_rosbag(
         MissingPackageError: rosbags is not installed.
     """
     notes: list[str] = []
-    with _opened(path) as reader:
+    with _opened(path, keep_partial) as reader:
+        if isinstance(reader, SalvagedBag):
+            notes.append("the bag breaks off and has no index; kept the messages that are whole")
         chosen = _choose(path, reader, topics or Topics(), notes)
         found = _read(path, reader, chosen, notes, keep_partial)
     if not found.scans and not found.clouds:
@@ -89,14 +92,14 @@ def read_rosbag(
     for stamp, topic, _, scan in found.scans:
         events.append(LaserScan(stamp, names[topic], scan.ranges, scan.angles))
     for stamp, topic, _, received in found.clouds:
-        events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received)))
+        events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received, keep_partial)))
     events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
     return Log(_without_doubles(events, notes), path, notes, _mounts(found, body, names, notes))
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """The bag as rosbags reads it; whatever it makes of a damaged one becomes one sentence."""
+def _opened(path: Path, keep_partial: bool = False) -> Iterator[Any]:
+    """The bag as rosbags reads it, or what can be salvaged of it; whatever is made of a damaged one is one sentence."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -105,12 +108,24 @@ def _opened(path: Path) -> Iterator[Any]:
     if path.is_file() and path.stat().st_size == 0:
         raise LogError(path, "expected a bag, got an empty file")
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+        stack = ExitStack()
+        reader = stack.enter_context(AnyReader([path], default_typestore=get_typestore(Stores.LATEST)))
+    except Exception as error:  # rosbags on damage: errors of its own, of struct, sqlite3, yaml, zstd and others
+        if not (keep_partial and path.suffix in (".bag", ".mcap")):
+            raise _broken(path, error) from error
+        yield SalvagedBag(path)
+        return
+    try:
+        with stack:
             yield reader
     except LogError:
         raise
-    except Exception as error:  # rosbags on damage: errors of its own, of struct, sqlite3, yaml, zstd and others
-        raise LogError(path, f"expected a whole bag, got one that cannot be read ({_short(error)})") from error
+    except Exception as error:  # as above
+        raise _broken(path, error) from error
+
+
+def _broken(path: Path, error: Exception) -> LogError:
+    return LogError(path, f"expected a whole bag, got one that cannot be read ({_short(error)})")
 
 
 def _short(error: Exception) -> str:
@@ -230,10 +245,10 @@ def _without_doubles(events: list[Event], notes: list[str]) -> list[Event]:
     return kept
 
 
-def _cloud_at(path: Path, topic: str, received: int) -> FloatArray:
+def _cloud_at(path: Path, topic: str, received: int, keep_partial: bool) -> FloatArray:
     """One cloud of a bag as a grid, shape (S, B, 3), m."""
     status = path.stat()
-    _, reader = _kept_open(path, status.st_mtime_ns, status.st_size)
+    _, reader = _kept_open(path, keep_partial, status.st_mtime_ns, status.st_size)
     connections = [connection for connection in reader.connections if connection.topic == topic]
     try:
         for connection, _, raw in reader.messages(connections, start=received, stop=received + 1):
@@ -244,10 +259,10 @@ def _cloud_at(path: Path, topic: str, received: int) -> FloatArray:
 
 
 @lru_cache(maxsize=1)
-def _kept_open(path: Path, *_: int) -> tuple[ExitStack, Any]:
+def _kept_open(path: Path, keep_partial: bool, *_: int) -> tuple[ExitStack, Any]:
     """The bag that clouds were last taken from: to open one anew for each cloud would take most of the time.
 
     It closes with the stack, when another bag takes its place.
     """
     stack = ExitStack()
-    return stack, stack.enter_context(_opened(path))
+    return stack, stack.enter_context(_opened(path, keep_partial))

@@ -12,7 +12,7 @@ import pytest
 rosbags = pytest.importorskip("rosbags", reason="rosbags is not installed")
 
 from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
-from rosbags.rosbag2 import StoragePlugin  # noqa: E402
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin  # noqa: E402
 from rosbags.rosbag2 import Writer as Writer2  # noqa: E402
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
 
@@ -159,17 +159,23 @@ class Messages:
 
 def write(folder: Path, kind: str, make: Any) -> Path:
     """A bag of `make(messages)`: tuples of topic, time of recording and message."""
-    messages = Messages(kind == "ros1")
-    path = folder / ("run 1 ü.bag" if kind == "ros1" else "run 1 ü")
+    ros1 = kind.startswith("ros1")
+    messages = Messages(ros1)
+    path = folder / ("run 1 ü.bag" if ros1 else "run 1 ü")
     plugin = StoragePlugin.MCAP if "mcap" in kind else StoragePlugin.SQLITE3
-    writer: Any = Writer1(path) if kind == "ros1" else Writer2(path, version=9, storage_plugin=plugin)
+    writer: Any = Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=plugin)
     connections: dict[str, Any] = {}
+    if kind in ("ros1 bz2", "ros1 lz4"):
+        writer.set_compression(Writer1.CompressionFormat[kind[-3:].upper()])
+        writer.chunk_threshold = 1000  # so that there are several
+    if "zstd" in kind:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     with writer:
         for topic, stamp_ns, message in make(messages):
             name = message.__msgtype__
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, name, typestore=messages.store)
-            pack = messages.store.serialize_ros1 if kind == "ros1" else messages.store.serialize_cdr
+            pack = messages.store.serialize_ros1 if ros1 else messages.store.serialize_cdr
             writer.write(connections[topic], stamp_ns, pack(message, name))
     if kind.endswith("alone"):
         (inside,) = [entry for entry in path.iterdir() if entry.suffix in (".db3", ".mcap")]
@@ -177,7 +183,7 @@ def write(folder: Path, kind: str, make: Any) -> Path:
     return path
 
 
-def mission(messages: Messages, organised: bool = False):
+def mission(messages: Messages, organised: bool = False, columns: int = 360):
     """A room from four places by a lidar on a robot, with a laser that is not wanted."""
     yield "/tf_static", SECOND, messages.tf("base_link", "mast", pose(0.2, -0.1, 0.0))
     up = np.eye(4)
@@ -185,7 +191,7 @@ def mission(messages: Messages, organised: bool = False):
     yield "/tf_static", SECOND, messages.tf("mast", "lidar", up @ pose(0.0, 0.0, 0.5))
     for k, odom_T_body in enumerate(PATH):
         stamp = (10 + k) * SECOND + 5
-        points = seen_from(odom_T_body @ MOUNT, k)
+        points = seen_from(odom_T_body @ MOUNT, k, columns)
         yield "/odom", stamp, messages.odometry(stamp, odom_T_body)
         yield "/front/scan", stamp + 1, messages.scan(stamp, np.full(181, 2.0))
         cloud = messages.cloud(stamp, points if organised else points.reshape(-1, 3))
@@ -357,6 +363,38 @@ def test_a_cut_bag_is_one_sentence(kind: str, share: float, tmp_path: Path, caps
     sentence = refused(capsys, "slam", path, "--out", tmp_path / "out")
     assert str(path) in sentence
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("kind", ["ros1", "ros1 bz2", "ros1 lz4", "mcap alone"])
+@pytest.mark.parametrize("share", [0.6, 0.95])
+def test_what_comes_before_the_break_is_kept(kind: str, share: float, tmp_path: Path):
+    path = write(tmp_path, kind, mission)
+    whole, _ = load(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    log, _ = load(path, keep_partial=True)
+    assert log.notes[0] == "the bag breaks off and has no index; kept the messages that are whole"
+    assert 1 <= len(log.scans()) <= 4 and len(log.scans()) >= int(4 * share) - 1
+    for kept, scan in zip(log.scans(), whole.scans(), strict=False):
+        assert isinstance(kept, CloudScan) and kept.stamp_ns == scan.stamp_ns and kept.points.shape == (32, 360, 3)
+    with pytest.raises(LogError, match="expected a whole bag"):
+        load(path)
+
+
+def test_whole_chunks_of_a_compressed_mcap_are_kept(tmp_path: Path):
+    path = write(tmp_path, "mcap zstd alone", lambda messages: mission(messages, columns=1024))
+    data = path.read_bytes()
+    path.write_bytes(data[:-2000])
+    log, _ = load(path, keep_partial=True)
+    assert len(log.scans()) in (3, 4)
+    np.testing.assert_allclose([reading.odom_T_body for reading in log.odometry][:3], PATH[:3], atol=1e-9)
+
+
+def test_nothing_is_left_of_a_bag_cut_at_its_head(tmp_path: Path):
+    path = write(tmp_path, "ros1", mission)
+    path.write_bytes(path.read_bytes()[:3000])
+    with pytest.raises(LogError):
+        load(path, keep_partial=True)
 
 
 def test_other_files_with_the_name_of_a_bag(tmp_path: Path):
