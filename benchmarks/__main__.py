@@ -1,24 +1,113 @@
-"""`python -m benchmarks [NAME ...]`: run the benchmarks one after another; without names, all of them."""
+"""`python -m benchmarks [NAME ...]`: ours and its peers on the same input in the same run, and their ratios.
+
+Each workload runs in a process of its own, on one thread. Without names, all that the page of results has.
+"""
 
 from __future__ import annotations
 
+import argparse
+import json
+import os
+import subprocess
 import sys
-from importlib import import_module
+import tempfile
 from pathlib import Path
+from typing import Any
 
-NAMES = sorted(path.stem for path in Path(__file__).parent.glob("[a-z]*.py"))
+from benchmarks import _gate, _page
+from benchmarks._measure import ONE_THREAD, PROJECT
+from benchmarks._registry import WORKLOADS
+from benchmarks._table import plain
+from benchmarks.peers import environment
 
 
-def main(wanted: list[str]) -> int:
-    """Run the named benchmarks; exit code 2 for a name that is none."""
-    unknown = [name for name in wanted if name not in NAMES]
+def parser() -> argparse.ArgumentParser:
+    """The options."""
+    one = argparse.ArgumentParser(prog="python -m benchmarks", description=(__doc__ or "").splitlines()[0])
+    one.add_argument("names", nargs="*", metavar="NAME", help=f"out of {', '.join(WORKLOADS)}")
+    one.add_argument("--peers", action="store_true", help="first make the environment of the peers that need their own")
+    one.add_argument("--short", action="store_true", help="few repeats and short missions")
+    one.add_argument("--write", action="store_true", help="put the results into docs/benchmarks.json and its page")
+    one.add_argument("--page", action="store_true", help="only write the page again from the results kept")
+    one.add_argument("--gate", action="store_true", help="exit code 1 where a ratio is worse than the baseline's")
+    one.add_argument("--baseline", action="store_true", help="keep the ratios measured as the baseline")
+    return one
+
+
+def main(words: list[str]) -> int:
+    """Run what is asked for; exit code 2 for a name that is none, 1 for a regression or a workload that fails."""
+    asked = parser().parse_args(words)
+    unknown = [name for name in asked.names if name not in WORKLOADS]
     if unknown:
-        print(f"benchmarks: expected names out of {', '.join(NAMES)}, got {', '.join(unknown)}", file=sys.stderr)
+        print(f"benchmarks: expected names out of {', '.join(WORKLOADS)}, got {', '.join(unknown)}", file=sys.stderr)
         return 2
-    for name in wanted or NAMES:
-        print(f"== {name}", flush=True)
-        import_module(f"benchmarks.{name}").main()
-    return 0
+    if asked.peers:
+        print(f"peers: {environment.make()}", flush=True)
+        if not (asked.names or asked.write or asked.gate or asked.baseline):
+            return 0
+    if asked.page:
+        _page.PAGE.write_text(_page.page(_page.store({})))
+        return 0
+    results, failed = run_all(asked.names or default_names(gate=asked.gate or asked.baseline), short=asked.short)
+    if asked.write and results:
+        _page.PAGE.write_text(_page.page(_page.store(results)))
+    return max(failed, conclude(results, asked))
+
+
+def default_names(*, gate: bool) -> list[str]:
+    """What runs when nothing is named."""
+    return [name for name, one in WORKLOADS.items() if (one.gated if gate else not one.on_request)]
+
+
+def run_all(names: list[str], *, short: bool) -> tuple[dict[str, dict[str, Any]], int]:
+    """Results of the workloads that ran, and 1 where one did not."""
+    results, failed, here = {}, 0, _page.circumstances()
+    for name in names:
+        workload = WORKLOADS[name]
+        try:
+            measured = run_one(name, workload.short if short else workload.full)
+        except RuntimeError as error:
+            print(f"== {name}: {error}", file=sys.stderr, flush=True)
+            failed = 1
+            continue
+        results[name] = {**here, "short": short, **measured}
+        print(f"== {name}: {workload.title} ({measured['seconds']:.0f} s)\n{plain(measured['rows'])}\n", flush=True)
+    return results, failed
+
+
+def run_one(name: str, arguments: dict[str, Any]) -> dict[str, Any]:
+    """What a workload's own process found.
+
+    Raises:
+        RuntimeError: it failed, in its last words.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "result.json"
+        command = [sys.executable, "-m", "benchmarks._child", name, str(out), json.dumps(arguments)]
+        done = subprocess.run(
+            command, cwd=PROJECT, env={**os.environ, **ONE_THREAD}, stderr=subprocess.PIPE, text=True, check=False
+        )
+        if done.returncode:
+            raise RuntimeError((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
+        return json.loads(out.read_text())
+
+
+def conclude(results: dict[str, dict[str, Any]], asked: argparse.Namespace) -> int:
+    """Compare with the baseline, or make it; the exit code."""
+    gated = {name: one["rows"] for name, one in results.items() if WORKLOADS[name].gated}
+    ratios = {key: value for name, rows in gated.items() for key, value in _gate.ratios_of(name, rows).items()}
+    if asked.baseline:
+        _gate.write_baseline(ratios)
+    if not asked.gate:
+        return 0
+    baseline, tolerance = _gate.read_baseline()
+    verdict = _gate.judge(ratios, {k: v for k, v in baseline.items() if k.split(":")[0] in gated}, tolerance)
+    for sentence in verdict.regressions:
+        print(f"regression: {sentence}")
+    for name in verdict.missing:
+        print(f"not measured: {name}", file=sys.stderr)
+    print(f"{verdict.compared} ratios compared, {len(verdict.regressions)} regressions, {len(verdict.missing)} missing")
+    return verdict.exit_code
 
 
 if __name__ == "__main__":

@@ -1,19 +1,13 @@
-"""Cost of the factors beside GTSAM's own and mrob's, in one run.
+"""Cost of the factors beside GTSAM's own, in one run; those of mrob are in ``benchmarks.views``.
 
-Run as ``python -m benchmarks.factors``. One thread, CPU time; medians of repeats, kernels warmed up. mrob needs
-numpy < 2 and so an interpreter of its own, ``.peers/mrob/bin/python`` or ``$MROB_PYTHON``; without it its rows are
-left out.
+Run as ``python -m benchmarks.factors``. One thread, CPU time; medians of repeats, kernels warmed up.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -22,10 +16,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import gtsam
 import numpy as np
 
-from benchmarks._factor_scenes import SIGMA_M, many_views, plane_key, pose_key, random_frames, random_poses, walk
-from factors import facing, line_factor, plane_factor, plane_factors, plane_landmark
+from benchmarks._factor_scenes import plane_key, pose_key, random_frames, random_poses, walk
+from factors import line_factor, plane_factor, plane_factors, plane_landmark
 from factors._conventions import square_root_informations
-from spplanes import Plane, ScanLine, fit_planes
+from spplanes import Plane, ScanLine
 
 REPEATS = 7
 
@@ -172,63 +166,10 @@ def optimised(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> dict[s
     return {"ms": 1e3 * seconds, "iterations": solver.iterations(), "chi2/dof": 2.0 * graph.error(result) / dof}
 
 
-def all_from_all() -> list[dict[str, Any]]:
-    """100 poses, 30 planes, all seen from all: ours beside mrob's pi-factor and Eigen-Factors on the same points."""
-    scene = many_views()
-    n_planes = len(scene["planes"])
-    groups = scene["poses"] * n_planes + scene["labels"]
-    fit_s = timed(lambda: fit_planes(scene["points"], labels=groups, sigma=SIGMA_M))
-    planes = fit_planes(scene["points"], labels=groups, sigma=SIGMA_M)
-    planes = [seen_from_one_side(scene, k, plane) for k, plane in enumerate(planes)]
-    pose_keys = [pose_key(k // n_planes) for k in range(len(planes))]
-    plane_keys = [plane_key(k % n_planes) for k in range(len(planes))]
-    anchors = [pose_key(0)] * len(planes)
-    build_s = timed(lambda: plane_factors(planes, pose_keys, plane_keys, anchors))
-    graph = plane_factors(planes, pose_keys, plane_keys, anchors)
-    graph.addPriorPose3(pose_key(0), gtsam.Pose3(scene["truth"][0]), gtsam.noiseModel.Isotropic.Sigma(6, 1e-6))
-    values = gtsam.Values()
-    for i, pose in enumerate(scene["initial"]):
-        values.insert(pose_key(i), gtsam.Pose3(scene["truth"][0] if i == 0 else pose))
-    for j in range(n_planes):
-        values.insert(plane_key(j), plane_landmark(planes[j]))
-    result = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-    estimate = np.stack([result.atPose3(pose_key(i)).translation() for i in range(len(scene["truth"]))])
-    error = np.sqrt(np.mean(np.sum((estimate - scene["truth"][:, :3, 3]) ** 2, axis=1)))
-    ours = {"what": "all from all, ours", **optimised(graph, values), "error mm": 1e3 * error}
-    ours |= {"build ms": 1e3 * build_s, "fit ms": 1e3 * fit_s, "ratio": 1.0}
-    return [ours] + [
-        {"what": f"all from all, mrob {peer}", "ms": 1e3 * row["solve_s"], "ratio": 1e3 * row["solve_s"] / ours["ms"],
-         "iterations": row["iterations"], "error mm": 1e3 * row["error_m"], "build ms": 1e3 * row["build_s"]}
-        for peer, row in mrob_rows(scene).items()
-    ]  # fmt: skip
-
-
-def seen_from_one_side(scene: dict[str, np.ndarray], k: int, plane: Plane) -> Plane:
-    """The k-th plane, of pose k // planes and label k % planes, with its normal as in the scene."""
-    pose, label = divmod(k, len(scene["planes"]))
-    normal = scene["initial"][pose][:3, :3].T @ scene["planes"][label, :3]
-    return facing(plane, plane.centre + normal)
-
-
-def mrob_rows(scene: dict[str, np.ndarray]) -> dict[str, Any]:
-    """What mrob makes of a scene; nothing where there is no interpreter that has it."""
-    root = Path(__file__).resolve().parent
-    python = Path(os.environ.get("MROB_PYTHON", root.parent / ".peers" / "mrob" / "bin" / "python"))
-    if not python.exists():
-        return {}
-    with tempfile.TemporaryDirectory() as folder:
-        np.savez(Path(folder) / "scene.npz", **scene)  # type: ignore[arg-type]
-        command = [str(python), str(root / "_mrob_planes.py"), str(Path(folder) / "scene.npz")]
-        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=600)
-    return json.loads(done.stdout.splitlines()[-1])
-
-
 def run() -> list[dict[str, Any]]:
-    """All rows; ``ratio`` is to the first row of its kind, for mrob how many times ours it takes."""
+    """All rows; ``ratio`` is to the first row of its kind."""
     tilted = batch("1:5 tilts", np.array([0.005, 0.002, 0.01]))
-    return (
-        linearisation() + callbacks() + tilted + batch("equal tilts", np.array([0.005, 0.005, 0.005])) + all_from_all()
-    )
+    return linearisation() + callbacks() + tilted + batch("equal tilts", np.array([0.005, 0.005, 0.005]))
 
 
 def main() -> None:

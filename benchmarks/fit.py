@@ -1,52 +1,50 @@
-"""Speed and memory of the plane fits beside plain numpy and the uncertainty-free fits of Open3D and mrob.
+"""Plane fits with covariance beside plain numpy, and beside the uncertainty-free fits of Open3D and mrob.
 
-Run as ``python -m benchmarks.fit``. One thread; medians of the CPU time of repeats, kernels warmed up; all rows in one
-run. CPU time, so that a busy machine does not decide; it still slows what waits for memory.
-mrob needs numpy < 2 and so an interpreter of its own, ``.peers/mrob/bin/python`` or ``$MROB_PYTHON``.
+Run as ``python -m benchmarks.fit``. One thread. Accuracy is the angle between the normal and the true one and the
+distance of the true plane's middle from the plane; of many planes their medians, and the mean NEES of those fits that
+have a covariance (3 is right).
 """
 
 from __future__ import annotations
 
-import os
-import subprocess
-import tempfile
-import time
-import tracemalloc
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from spplanes import fit_plane, fit_planes
+from benchmarks._measure import Case, Peer, Row, Task, measured
+from benchmarks._table import plain
+from benchmarks.peers import environment
+from spplanes import Plane, fit_plane, fit_planes
 
 POINTS = 1_000_000
-PLANES, PER_PLANE = 10_000, 100
-REPEATS = 5
+PLANES, FEWER, PER_PLANE = 10_000, 2_000, 100
+SIGMA_M = 0.015
+#: Frame of the true wall.
+CENTRE, X, Y = np.array([4.0, 1.0, 0.2]), np.array([0.6, 0.8, 0.0]), np.array([0.0, 0.0, 1.0])
+NORMAL = np.cross(X, Y)
 
 
+@cache
 def wall(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Points (n, 3) and covariances (n, 3, 3) of an oblique wall seen by a laser: range noise 15 mm, across 2 mrad."""
     rng = np.random.default_rng(seed)
-    points = np.column_stack([4.0 + rng.uniform(-1, 1, n), rng.uniform(-2, 2, n), rng.uniform(-1, 1, n)])
-    points[:, 1] += points[:, 0]
+    flat = np.column_stack([rng.uniform(-2, 2, n), rng.uniform(-1, 1, n)])
+    points = CENTRE + flat[:, :1] * X + flat[:, 1:] * Y
     ranges = np.linalg.norm(points, axis=1)
     beams = points / ranges[:, None]
     along = beams[:, :, None] * beams[:, None, :]
-    covariances = 0.015**2 * along + ((0.002 * ranges) ** 2)[:, None, None] * (np.eye(3) - along)
-    flat = np.column_stack([rng.uniform(-2, 2, n), rng.uniform(-1, 1, n)])
-    x, y = np.array([0.6, 0.8, 0.0]), np.array([0.0, 0.0, 1.0])
-    points = np.array([4.0, 1.0, 0.2]) + flat[:, :1] * x + flat[:, 1:] * y
-    return points + 0.015 * rng.normal(size=(n, 1)) * beams, covariances
+    sideways = 0.002 * ranges
+    covariances = SIGMA_M**2 * along + (sideways**2)[:, None, None] * (np.eye(3) - along)
+    across = rng.normal(size=(n, 3))
+    across -= np.einsum("ni,ni->n", across, beams)[:, None] * beams
+    return points + SIGMA_M * rng.normal(size=(n, 1)) * beams + sideways[:, None] * across, covariances
 
 
-def sp_numpy(points: np.ndarray, covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The formulas of ``method="sp"`` in straightforward numpy: normal and covariance."""
+def sp_numpy(points: np.ndarray, covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The formulas of ``method="sp"`` in straightforward numpy: axes x y n, centre and covariance."""
     w = 1.0 / np.trace(covariances, axis1=1, axis2=2) ** 2
     centre = w @ points / w.sum()
     q = points - centre
@@ -58,11 +56,11 @@ def sp_numpy(points: np.ndarray, covariances: np.ndarray) -> tuple[np.ndarray, n
     rows[:, 2] += np.outer(local[:, 0], y)
     middle = np.einsum("n,nij,njk,nlk->il", w * w, rows, covariances, rows, optimize=True)
     scale = np.array([1.0 / w.sum(), -1.0 / (values[2] - values[0]), 1.0 / (values[1] - values[0])])
-    return n, scale[:, None] * middle * scale
+    return np.column_stack([x, y, n]), centre, scale[:, None] * middle * scale
 
 
-def ml_numpy(points: np.ndarray, covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The formulas of ``method="ml"`` in straightforward numpy: normal and covariance."""
+def ml_numpy(points: np.ndarray, covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The formulas of ``method="ml"`` in straightforward numpy: axes x y n, centre and covariance."""
     w = 1.0 / np.trace(covariances, axis1=1, axis2=2)
     origin = w @ points / w.sum()
     q = points - origin
@@ -83,97 +81,148 @@ def ml_numpy(points: np.ndarray, covariances: np.ndarray) -> tuple[np.ndarray, n
     curvature = information.copy()
     curvature[1:, 1:] -= np.einsum("n,nij->ij", w, along)
     inverse = np.linalg.inv(curvature)
-    return axes[:, 2], inverse @ information @ inverse
+    return axes, origin, inverse @ information @ inverse
 
 
-def open3d_plane(points: np.ndarray) -> np.ndarray:
-    """Plane normal by Open3D's mean and covariance of a cloud, which it has to be copied to."""
+def numpy_normals(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normals and centres of groups of points (K, n, 3) all at once, without uncertainty."""
+    centres = points.mean(axis=1)
+    q = points - centres[:, None]
+    return np.linalg.eigh(np.einsum("kni,knj->kij", q, q))[1][:, :, 0], centres
+
+
+def open3d_planes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normals and centres of groups of points (K, n, 3) by Open3D, which has each cloud copied to it."""
     import open3d
 
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
-    return np.linalg.eigh(cloud.compute_mean_and_covariance()[1])[1][:, 0]
+    found = []
+    for part in points:
+        cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(part))
+        found.append(cloud.compute_mean_and_covariance())
+    return np.linalg.eigh(np.stack([c for _, c in found]))[1][:, :, 0], np.stack([m for m, _ in found])
 
 
-_MROB = """
-import sys, time, mrob, numpy as np
-points, seconds = np.load(sys.argv[1]), []
-for _ in range(int(sys.argv[2]) + 1):
-    start = time.process_time()
-    mrob.estimate_plane(points)
-    seconds.append(time.process_time() - start)
-print(np.median(seconds[1:]))
-"""
+def score(normals: np.ndarray, middle_offsets: np.ndarray, covariances: np.ndarray | None = None) -> Row:
+    """Accuracy of planes with normals (K, 3) that pass the true middle at these distances (K,)."""
+    angles = np.linalg.norm(np.cross(normals, NORMAL), axis=1)
+    return {
+        "normal, mdeg": 1e3 * float(np.rad2deg(np.median(angles))),
+        "offset, um": 1e6 * float(np.median(np.abs(middle_offsets))),
+        "NEES (3)": None,
+    }
 
 
-def mrob_rows(points: np.ndarray) -> list[dict[str, Any]]:
-    """The row of mrob's fit, by an interpreter of its own (numpy < 2); none where there is none."""
-    default = Path(__file__).resolve().parent.parent / ".peers" / "mrob" / "bin" / "python"
-    python = Path(os.environ.get("MROB_PYTHON", default))
-    if not python.exists():
-        return []
-    with tempfile.TemporaryDirectory() as folder:
-        np.save(Path(folder) / "points.npy", points)
-        command = [str(python), "-c", _MROB, str(Path(folder) / "points.npy"), str(REPEATS)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=600)
-    speed = len(points) / float(done.stdout) / 1e6
-    return [{"fit": "mrob, no covariance", "points": len(points), "Mpoints/s": speed, "peak/input": float("nan")}]
+def score_planes(planes: list[Plane]) -> Row:
+    """Accuracy of planes with covariance."""
+    row = score(np.stack([p.normal for p in planes]), np.array([p.distance(CENTRE) for p in planes]).ravel())
+    return row | {"NEES (3)": float(np.mean([nees(plane) for plane in planes]))}
 
 
-def measure(task: Callable[[], Any]) -> tuple[float, int]:
-    """Median CPU seconds of a task, warmed up, and the peak of the memory it allocates, bytes."""
-    task()
-    seconds = []
-    for _ in range(REPEATS):
-        start = time.process_time()
-        task()
-        seconds.append(time.process_time() - start)
-    tracemalloc.start()
-    task()
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return float(np.median(seconds)), peak
+def nees(plane: Plane) -> float:
+    """Normalised error squared of (z, theta, psi) against the true wall."""
+    x, y, n = plane.frame[:3, :3].T
+    slope = NORMAL / (NORMAL @ n)
+    error = np.array([slope @ (CENTRE - plane.centre), slope @ x, -(slope @ y)])
+    return float(error @ np.linalg.solve(plane.covariance, error))
 
 
-def tasks() -> list[tuple[str, int, int, Callable[[], Any]]]:
-    """Name, points, bytes of input and task of every row."""
+def score_one(found: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]) -> Row:
+    """Accuracy of one plane by numpy: axes, point of it, covariance."""
+    axes, origin, covariance = found[0], found[1], found[2]
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = axes, origin
+    return score_planes([Plane(frame, covariance)])
+
+
+def score_groups(found: tuple[np.ndarray, np.ndarray]) -> Row:
+    """Accuracy of many planes without covariance."""
+    normals, centres = found
+    return score(normals, np.einsum("ki,ki->k", normals, CENTRE - centres))
+
+
+def mrob_fits(points: np.ndarray, repeats: int) -> Row:
+    """The row of mrob's fit, by its own interpreter; groups of points (K, n, 3)."""
+    found = environment.call("mrob_fit", {"points": points}, str(repeats))
+    planes = np.array(found.pop("planes"))
+    return score(planes[:, :3], planes[:, :3] @ CENTRE + planes[:, 3]) | found
+
+
+def with_covariances(method: str) -> list[Task | Peer]:
+    """A million points with a covariance each."""
     points, covariances = wall(POINTS)
-    many, labels = PLANES * PER_PLANE, np.repeat(np.arange(PLANES), PER_PLANE)
-    shuffled = np.random.default_rng(1).permutation(labels)
-    both = points.nbytes + covariances.nbytes
-    rows: list[tuple[str, int, int, Callable[[], Any]]] = [
-        ("sp, numpy", POINTS, both, partial(sp_numpy, points, covariances)),
-        ("sp", POINTS, both, partial(fit_plane, points, covariances, method="sp")),
-        ("ml, numpy", POINTS, both, partial(ml_numpy, points, covariances)),
-        ("ml", POINTS, both, partial(fit_plane, points, covariances)),
-        ("ml, one sigma", POINTS, points.nbytes, partial(fit_plane, points, sigma=0.015)),
-        ("ml, tukey", POINTS, both, partial(fit_plane, points, covariances, robust="tukey")),
-        ("ml, 10,000 planes", many, both, partial(fit_planes, points, covariances, labels)),
-        ("ml, 10,000 planes, shuffled", many, both, partial(fit_planes, points, covariances, shuffled)),
-        ("sp, 10,000 planes", many, both, partial(fit_planes, points, covariances, labels, method="sp")),
+    by_numpy = {"sp": sp_numpy, "ml": ml_numpy}[method]
+    return [
+        Task("spplanes", partial(fit_plane, points, covariances, method=method), lambda one: score_planes([one])),
+        Task("plain numpy", partial(by_numpy, points, covariances), score_one, repeats=3),
+    ]
+
+
+def robust() -> list[Task | Peer]:
+    """What robustness costs on top of it."""
+    points, covariances = wall(POINTS)
+    first = with_covariances("ml")[0]
+    tukey = partial(fit_plane, points, covariances, robust="tukey")
+    return [first, Task("spplanes, tukey", tukey, lambda one: score_planes([one]))]
+
+
+def one_sigma(planes: int, each: int) -> list[Task | Peer]:
+    """Fits that others have as well: no covariances; ours gives one all the same."""
+    points = wall(POINTS)[0]
+    groups = points[: planes * each].reshape(planes, each, 3)
+    labels = np.repeat(np.arange(planes), each)
+    ours: Callable[[], Any] = partial(fit_planes, points[: planes * each], labels=labels, sigma=SIGMA_M)
+    if planes == 1:
+        ours = partial(lambda p: [fit_plane(p, sigma=SIGMA_M)], points[:each])
+    contenders: list[Task | Peer] = [
+        Task("spplanes, with covariance", ours, score_planes),
+        Task("plain numpy", partial(numpy_normals, groups), score_groups),
     ]
     if find_spec("open3d"):
-        rows.append(("open3d, no covariance", POINTS, points.nbytes, partial(open3d_plane, points)))
-    return rows
+        contenders.append(Task("Open3D", partial(open3d_planes, groups), score_groups))
+    return [*contenders, Peer("mrob", partial(mrob_fits, groups))]
 
 
-def run() -> list[dict[str, Any]]:
-    """One row for each fit: million points a second, ratio to numpy's ml, peak memory in copies of the input."""
-    rows = []
-    for name, n, size, task in tasks():
-        seconds, peak = measure(task)
-        rows.append({"fit": name, "points": n, "Mpoints/s": n / seconds / 1e6, "peak/input": peak / size})
-    rows += mrob_rows(wall(POINTS)[0])
-    reference = next(row["Mpoints/s"] for row in rows if row["fit"] == "ml, numpy")
-    return [{**row, "x numpy ml": row["Mpoints/s"] / reference} for row in rows]
+def many() -> list[Task | Peer]:
+    """Planes of a hundred points each, with covariances; so few that plain numpy is done in a second."""
+    points, covariances = (part[: FEWER * PER_PLANE] for part in wall(POINTS))
+    labels = np.repeat(np.arange(FEWER), PER_PLANE)
+    shuffled = np.random.default_rng(1).permutation(labels)
+
+    def one_by_one() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        parts = zip(points.reshape(FEWER, -1, 3), covariances.reshape(FEWER, -1, 3, 3), strict=True)
+        return [ml_numpy(*part) for part in parts]
+
+    def score_all(found: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Row:
+        frames = np.broadcast_to(np.eye(4), (len(found), 4, 4)).copy()
+        frames[:, :3, :3], frames[:, :3, 3] = [one[0] for one in found], [one[1] for one in found]
+        return score_planes([Plane(frame, one[2]) for frame, one in zip(frames, found, strict=True)])
+
+    return [
+        Task("spplanes, ml", partial(fit_planes, points, covariances, labels), score_planes),
+        Task("spplanes, ml, shuffled", partial(fit_planes, points, covariances, shuffled), score_planes),
+        Task("spplanes, sp", partial(fit_planes, points, covariances, labels, method="sp"), score_planes),
+        Task("plain numpy, ml", one_by_one, score_all, repeats=1),
+    ]
+
+
+CASES: dict[str, Case] = {
+    "1,000,000 points with covariances, ml": partial(with_covariances, "ml"),
+    "1,000,000 points with covariances, sp": partial(with_covariances, "sp"),
+    "the same, robust": robust,
+    "1,000,000 points, one sigma": partial(one_sigma, 1, POINTS),
+    "10,000 planes of 100 points, one sigma": partial(one_sigma, PLANES, PER_PLANE),
+    "2,000 planes of 100 points with covariances": many,
+}
+
+
+def run(*, short: bool = False) -> list[Row]:
+    """One row for each contender of each case."""
+    return measured("benchmarks.fit", CASES, short=short)
 
 
 def main() -> None:
     """Print the table."""
-    for row in run():
-        print(
-            f"{row['fit']:32s} {row['Mpoints/s']:8.2f} Mpoints/s  {row['x numpy ml']:6.1f} x numpy ml"
-            f"  peak memory {row['peak/input']:5.2f} x input"
-        )
+    print(plain(run()))
 
 
 if __name__ == "__main__":

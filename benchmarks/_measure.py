@@ -1,0 +1,117 @@
+"""Contenders on one input: times taken in turn, accuracy of what they return, peak memory in a process of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+PROJECT = Path(__file__).resolve().parents[1]
+#: One core for everybody: what a library gains by threads is not what is compared.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+Row = dict[str, Any]
+#: Names of the columns every measured row has.
+CPU, WALL, MEMORY, TIMES_OURS = "CPU ms", "wall ms", "peak memory MB", "time, x ours"
+
+
+@dataclass(frozen=True)
+class Task:
+    """One contender of a case; the first one of a case is ours, and the measure of the others."""
+
+    by: str
+    """Whose it is."""
+    work: Callable[[], Any]
+    """What is timed."""
+    score: Callable[[Any], Row] = lambda _: {}
+    """Accuracy of what it returns; not timed."""
+    repeats: int = 5
+    """How many times it is timed."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A contender that runs elsewhere and times itself."""
+
+    by: str
+    """Whose it is."""
+    measure: Callable[[int], Row]
+    """From the number of repeats to a row with time and memory; RuntimeError: why it is not there."""
+    repeats: int = 5
+    """How many times it is timed."""
+
+
+Case = Callable[[], list[Task | Peer]]
+
+
+def measured(module: str, cases: Mapping[str, Case], *, short: bool = False, memory: bool = True) -> list[Row]:
+    """Rows of all cases of a module: accuracy, processor and wall time (medians), memory, and time as a ratio to ours.
+
+    Args:
+        module: where `cases` can be found again, as its `CASES`, by the process that measures memory.
+        cases: what builds the contenders of each case, ours first.
+        short: two repeats at most.
+        memory: measure memory as well.
+    """
+    rows: list[Row] = []
+    for name, build in cases.items():
+        contenders = build()
+        tasks = [one for one in contenders if isinstance(one, Task)]
+        timed = iter(in_turn(tasks, short=short))
+        peaks = iter(memory_of(module, name) if memory and tasks else [None] * len(tasks))
+        mine: list[Row] = []
+        for one in contenders:
+            row: Row = {"case": name, "by": one.by}
+            if isinstance(one, Task):
+                row |= next(timed) | {MEMORY: next(peaks)}
+            else:
+                row |= _elsewhere(one, short)
+            row[TIMES_OURS] = row[CPU] / mine[0][CPU] if mine and row.get(CPU) else (None if mine else 1.0)
+            mine.append(row)
+        rows += mine
+    return rows
+
+
+def in_turn(tasks: list[Task], *, short: bool = False) -> list[Row]:
+    """Accuracy and median times of tasks, one after the other in every round, so that all meet the same machine."""
+    scores = [task.score(task.work()) for task in tasks]
+    taken: list[list[tuple[float, float]]] = [[] for _ in tasks]
+    for k in range(max((task.repeats for task in tasks), default=0)):
+        for task, times in zip(tasks, taken, strict=True):
+            if k < (min(task.repeats, 2) if short else task.repeats):
+                times.append(_timed(task.work))
+    return [
+        {**score, **dict(zip((CPU, WALL), (1e3 * np.median(times, axis=0)).tolist(), strict=True))}
+        for score, times in zip(scores, taken, strict=True)
+    ]
+
+
+def _timed(work: Callable[[], Any]) -> tuple[float, float]:
+    cpu, wall = time.process_time(), time.perf_counter()
+    kept = work()
+    seconds = time.process_time() - cpu, time.perf_counter() - wall
+    del kept
+    return seconds
+
+
+def _elsewhere(peer: Peer, short: bool) -> Row:
+    try:
+        return peer.measure(min(peer.repeats, 2) if short else peer.repeats)
+    except RuntimeError as error:
+        return {"note": str(error)}
+
+
+def memory_of(module: str, case: str) -> list[float]:
+    """Peak memory of each task of a case, MB, by a process that does nothing else."""
+    words = [sys.executable, "-m", "benchmarks._peaks", module, case]
+    done = subprocess.run(
+        words, capture_output=True, text=True, check=True, cwd=PROJECT, env={**os.environ, **ONE_THREAD}
+    )
+    return json.loads(done.stdout.splitlines()[-1])

@@ -1,0 +1,58 @@
+"""Peak memory of one call, in a process of its own: what is resident beyond what was there before the call.
+
+Resident memory, because what a library written in C++ allocates is seen by no tracer of Python. Standard library only:
+the peers' interpreter runs this as well.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import re
+import resource
+from collections.abc import Callable
+from pathlib import Path
+
+_STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+
+
+def peak_mb(work: Callable[[], object]) -> float:
+    """Megabytes that a call needs at its worst beyond what was resident before; the second call, so nothing is loaded.
+
+    Without /proc (not Linux) it is the growth of the largest resident size so far, which may hide a smaller peak.
+    """
+    work()
+    _give_back()
+    try:
+        _CLEAR.write_text("5")  # the kernel's mark of the highest resident size starts anew
+    except OSError:
+        before = _largest_mb()
+        work()
+        return _largest_mb() - before
+    before = _status_mb("VmRSS")
+    kept = work()
+    peak = _status_mb("VmHWM") - before
+    del kept
+    return peak
+
+
+def process_peak_mb() -> float:
+    """Largest resident size of this process so far, MB."""
+    return _status_mb("VmHWM") if _STATUS.exists() else _largest_mb()
+
+
+def _give_back() -> None:
+    """Hand free pages of the heap back, or what the call takes from them would not show."""
+    gc.collect()
+    if os.name == "posix" and _STATUS.exists():
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def _status_mb(name: str) -> float:
+    found = re.search(rf"^{name}:\s+(\d+) kB", _STATUS.read_text(), re.MULTILINE)
+    return int(found.group(1)) / 1024.0 if found else float("nan")
+
+
+def _largest_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

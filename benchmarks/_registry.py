@@ -1,0 +1,112 @@
+"""What `python -m benchmarks` runs: the workloads, what they measure, and how long and how short."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Workload:
+    """One module of this package."""
+
+    title: str
+    """Heading of its table."""
+    says: str
+    """What is measured, and what the reader must know of it."""
+    full: dict[str, Any] = field(default_factory=dict)
+    """Arguments of its `run`."""
+    short: dict[str, Any] = field(default_factory=dict)
+    """The same for `--short`."""
+    gated: bool = False
+    """Its ratios are in the baseline."""
+    on_request: bool = False
+    """Only run when named."""
+
+
+_QUICK = {"short": True}
+WORKLOADS: dict[str, Workload] = {
+    "fit": Workload(
+        "Plane fit with covariance",
+        "The other fits give no covariance, except the plain numpy of the same formulas. Angle of the normal and "
+        "offset of the plane at the middle of the wall, medians where there are many planes; mean NEES.",
+        short=_QUICK,
+        gated=True,
+    ),
+    "scenes": Workload(
+        "Plane extraction",
+        "Whole scenes on one core. Open3D's patches need normals, which are part of the time; `segment_plane` is "
+        "called again on what is left until a plane has fewer points than asked. Correct: Hoover's "
+        "count at 80 % overlap.",
+        short=_QUICK,
+        gated=True,
+    ),
+    "tables": Workload(
+        "The paper's tables",
+        "Tables II and III on the simulated corridor; `paper` is what the paper printed, in the same order (planes, "
+        "represented %, s on a Pentium 4 at 1.7 GHz, KB).",
+        full={"seeds": 10},
+        short={"seeds": 2},
+    ),
+    "factors": Workload(
+        "Factors",
+        "Linearisation and batch solve beside the wheel's own factors: CPU time, the ratio is to the first row of a "
+        "kind.",
+        gated=True,
+    ),
+    "views": Workload(
+        "Many views of planes",
+        "Poses and planes from points: the samples of ef_bench (10 poses, 5 planes), and 100 poses that all see 30 "
+        "planes at 50 points each. Root-mean-square position error over the poses, its median over the samples and its "
+        "worst; time of everything from points to poses, mrob's and ours, per graph.",
+        short=_QUICK,
+        gated=True,
+    ),
+    "growth": Workload(
+        "Growth of the map",
+        "Time per keyframe over a long mission, lap after lap of the same rooms, processor time.",
+        full={"keyframes": 10_000},
+        short={"keyframes": 500},
+    ),
+    "lines": Workload(
+        "Line extraction",
+        "Speed per scan beside a textbook split, which has no covariance and no statistics; its ratio is that of time.",
+        gated=True,
+    ),
+    "end_to_end": Workload(
+        "End to end",
+        "From log to map, wall time by stage. The real-time factor is the log's own time over that of processing it. "
+        "Memory is the largest resident size of a process that does this alone, its libraries included (the first row "
+        "is what they take).",
+        short=_QUICK,
+    ),
+    "startup": Workload(
+        "Start-up",
+        "Fresh interpreters, files in the cache of the system, taken in turn; medians, the fastest in brackets.",
+        short=_QUICK,
+    ),
+    "limits": Workload(
+        "What the hardware allows",
+        "The slowest stages beside a bare loop of the same arithmetic on the same data, and beside the time that only "
+        "moving the data takes at the bandwidth of a bare copy.",
+        short=_QUICK,
+    ),
+    "extraction": Workload(
+        "Extraction, steady state", "Time per scan on a way of 10,000 scans, and Open3D's patches.", on_request=True
+    ),
+    "missions": Workload(
+        "Simulated missions",
+        "Poses unknown, many seeds: how good and how honest.",
+        full={"runs": 20},
+        short={"runs": 3, "scans": 200},
+        on_request=True,
+    ),
+    "load": Workload("Long sessions", "Sessions on disk under load.", on_request=True),
+    "session": Workload("Sessions", "What keeping a session on disk costs.", on_request=True),
+    "kill": Workload(
+        "Runs that are killed",
+        "Runs killed at random moments, sessions damaged at random places: what is lost.",
+        short={"kills": 10, "damages": 10},
+        on_request=True,
+    ),
+}

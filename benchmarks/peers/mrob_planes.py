@@ -1,0 +1,72 @@
+"""Peer of `benchmarks.views`, run by the peers' interpreter: reads samples, prints errors and time a sample."""
+
+import json
+import sys
+import time
+
+import mrob  # pyright: ignore[reportMissingImports] (a peer, in an environment of its own)
+import numpy as np
+
+from benchmarks._memory import peak_mb
+
+
+def solve(data, peer):
+    """Positions (P, 3) of the poses: build and optimise one graph."""
+    points, labels, poses, initial, truth = (data[k] for k in ("points", "labels", "poses", "initial", "truth"))
+    weight = 1.0 / float(data["sigma"]) ** 2
+    graph = mrob.FGraph()
+    nodes = [graph.add_node_pose_3d(mrob.geometry.SE3(pose)) for pose in initial[1:]]
+    nodes.insert(0, graph.add_node_pose_3d(mrob.geometry.SE3(truth[0]), mrob.NODE_ANCHOR))
+    n_planes = int(labels.max()) + 1
+    order = np.argsort(poses * n_planes + labels, kind="stable")  # sorted once: a mask for every pair would cost more
+    starts = np.searchsorted((poses * n_planes + labels)[order], np.arange(len(nodes) * n_planes + 1))
+    parts = [points[some] for some in np.split(order, starts[1:-1])]
+    for k in range(n_planes):
+        if peer == "pi-factor":
+            plane = graph.add_node_plane_4d(data["planes"][k])
+        else:
+            plane = graph.add_eigen_factor_plane_dense()
+        for i, node in enumerate(nodes):
+            seen = parts[i * n_planes + k]
+            if len(seen) == 0:
+                continue
+            if peer == "pi-factor":
+                homogeneous = np.column_stack([seen, np.ones(len(seen))])
+                graph.add_pi_factor_plane_4d(weight * homogeneous.T @ homogeneous, node, plane)
+            else:
+                graph.eigen_factor_plane_add_points_array(plane, node, seen, weight)
+    graph.solve(mrob.LM_ELLIPS, 30)  # plain LM leaves the pi-factor's error larger
+    states = graph.get_estimated_state()
+    return np.stack([states[node][:3, 3] for node in nodes])
+
+
+def solve_all(scenes, peer):
+    """Positions of all samples."""
+    return [solve(scene, peer) for scene in scenes]
+
+
+def main(path, peer, repeats):
+    """Print the row."""
+    scenes = {}
+    with np.load(path) as archive:
+        for name in archive.files:
+            k, field = name.split("/")
+            scenes.setdefault(int(k), {})[field] = archive[name]
+    scenes = [scenes[k] for k in sorted(scenes)]
+    found = solve_all(scenes, peer)
+    errors = [
+        np.sqrt(np.mean(np.sum((positions - scene["truth"][:, :3, 3]) ** 2, axis=1)))
+        for positions, scene in zip(found, scenes, strict=True)
+    ]
+    taken = []
+    for _ in range(int(repeats)):
+        cpu, wall = time.process_time(), time.perf_counter()
+        solve_all(scenes, peer)
+        taken.append((time.process_time() - cpu, time.perf_counter() - wall))
+    cpu_ms, wall_ms = 1e3 * np.median(taken, axis=0) / len(scenes)
+    row = {"CPU ms": cpu_ms, "wall ms": wall_ms, "peak memory MB": peak_mb(lambda: solve_all(scenes, peer))}
+    print(json.dumps({**row, "errors_m": errors}))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,197 @@
+"""Planes of whole scenes beside Open3D's two ways, on the same points: accuracy, time and memory.
+
+Run as ``python -m benchmarks.scenes``. Open3D gets the points that are returns, as a cloud; normals, which its patches
+need, are part of its time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+
+from benchmarks._measure import PROJECT, Case, Row, Task, measured
+from benchmarks._scans import CORRIDOR_SENSOR, correct_detections, corridor_scan, icl_frame, synpeb_scan
+from benchmarks._table import plain
+from spplanes import MapperConfig, Plane, segment_scans
+from spplanes._check import FloatArray
+
+DATA = PROJECT.parent / "shared" / "data"
+#: The iterative RANSAC: points of the smallest plane, planes at most, tries each.
+LEAST_POINTS, MOST_PLANES, TRIES = 200, 60, 300
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Points and how they are segmented by us."""
+
+    points: FloatArray
+    """Shape (S, B, 3); NaN: no return."""
+    segment: Callable[[], tuple[np.ndarray, list[Plane]]]
+    """Ours: labels (S, B), planes."""
+    distance_m: float
+    """Inlier distance for RANSAC: three sigma of the points across planes."""
+    truth: np.ndarray | None
+    """Label of the true plane, shape (S, B), 1 and up; 0: none."""
+
+    @property
+    def returns(self) -> np.ndarray:
+        """Mask of the returns, shape (S, B)."""
+        return np.isfinite(self.points).all(axis=-1)
+
+
+@cache
+def mission(n_scans: int = 1083) -> Scene:
+    """The push-broom corridor of the paper's length, registered at the given poses."""
+    from benchmarks.tables import corridor_scans, points_of
+
+    simulated = corridor_scans(n_scans)
+    scans = points_of(simulated)
+    segment = partial(segment_scans, scans.points, scans.covariances, viewpoints=scans.viewpoints)
+    return Scene(scans.points, segment, 0.03, simulated.arrays("vertical").labels + 1)
+
+
+@cache
+def labelled(name: str) -> Scene:
+    """A frame with labels."""
+    points, sigma, truth = {
+        "icl": partial(icl_frame, DATA),
+        "kinect": partial(icl_frame, DATA, 0),
+        "synpeb": partial(synpeb_scan, DATA),
+    }[name]()
+    distance = {"icl": 0.005, "kinect": 0.03, "synpeb": 0.005}[name]
+    return Scene(points, partial(segment_scans, points, sigma=sigma), distance, truth)
+
+
+@cache
+def corridor() -> Scene:
+    """The first scan of the 3DTK corridor."""
+    points, model = corridor_scan(DATA, 0), CORRIDOR_SENSOR
+    segment = partial(
+        segment_scans,
+        points,
+        model.covariances(points),
+        viewpoints=(0.0, 0.0, 0.0),
+        pose_covariances=np.tile(model.scan_covariance(), (len(points), 1, 1)),
+        config=MapperConfig(flatness_m=0.5 * model.surface_sigma_m),
+    )
+    return Scene(points, segment, 0.05, None)
+
+
+def open3d_patches(points: FloatArray) -> list[tuple[FloatArray, Any]]:
+    """Open3D's planar patches with normals from 30 neighbours, all else its defaults: plane (n, d) and box."""
+    import open3d
+
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
+    cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(30))
+    boxes = cloud.detect_planar_patches()
+    return [(np.append(box.R[:, 2], -(box.R[:, 2] @ box.center)), box) for box in boxes]
+
+
+def patch_labels(points: FloatArray, patches: list[tuple[FloatArray, Any]]) -> np.ndarray:
+    """The patch each point is in, of several the one whose plane is nearest; -1: none. Patches come without points."""
+    import open3d
+
+    cloud = open3d.utility.Vector3dVector(points)
+    labels, nearest = np.full(len(points), -1), np.full(len(points), np.inf)
+    for k, (plane, box) in enumerate(patches):
+        inside = np.asarray(box.get_point_indices_within_bounding_box(cloud), dtype=np.int64)
+        away = np.abs(points[inside] @ plane[:3] + plane[3])
+        closer = away < nearest[inside]
+        labels[inside[closer]], nearest[inside[closer]] = k, away[closer]
+    return labels
+
+
+def open3d_ransac(points: FloatArray, distance_m: float) -> np.ndarray:
+    """Labels by `segment_plane`, called again on what is left."""
+    import open3d
+
+    open3d.utility.random.seed(0)
+    labels, left = np.full(len(points), -1), np.arange(len(points))
+    for k in range(MOST_PLANES):
+        if len(left) < LEAST_POINTS:
+            break
+        cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points[left]))
+        inliers = np.asarray(cloud.segment_plane(distance_m, 3, TRIES)[1], dtype=np.int64)
+        if len(inliers) < LEAST_POINTS:
+            break
+        labels[left[inliers]] = k
+        left = np.delete(left, inliers)
+    return labels
+
+
+def score(scene: Scene, labels: np.ndarray, planes: int) -> Row:
+    """Hoover's count, share of points in planes, and the share of these that belong to the plane most of theirs do."""
+    seen = scene.returns
+    represented = 100.0 * (labels >= 0).sum() / seen.sum()
+    row: Row = {"correct": None, "planes": planes, "represented, %": float(represented), "purity, %": None}
+    if scene.truth is None:
+        return row
+    truth = np.where(seen, scene.truth, 0)
+    sizes = np.bincount(truth[truth > 0])
+    truth = np.where(sizes[truth] > LEAST_POINTS, truth, 0) if len(sizes) else truth
+    wanted = len(np.unique(truth[truth > 0]))
+    flat = (labels >= 0) & (scene.truth > 0)
+    table = np.zeros((int(labels.max()) + 1, int(scene.truth.max()) + 1), dtype=np.int64)
+    np.add.at(table, (labels[flat], scene.truth[flat]), 1)
+    row["purity, %"] = 100.0 * float(table.max(axis=1).sum()) / max(int((labels >= 0).sum()), 1)
+    return row | {"correct": f"{correct_detections(labels, truth)}/{wanted}"}
+
+
+def spread(scene: Scene, labels: np.ndarray) -> np.ndarray:
+    """Labels of the returns as those of the grid."""
+    grid = np.full(scene.points.shape[:2], -1)
+    grid[scene.returns] = labels
+    return grid
+
+
+def contenders(build: Callable[[], Scene], repeats: int = 5) -> list:
+    """Ours, Open3D's patches and its RANSAC on one scene."""
+    scene = build()
+    cloud = np.ascontiguousarray(scene.points[scene.returns])
+    ours = Task("spplanes", scene.segment, lambda found: score(scene, found[0], len(found[1])), repeats)
+    if not find_spec("open3d"):
+        return [ours]
+    return [
+        ours,
+        Task(
+            "Open3D, patches",
+            partial(open3d_patches, cloud),
+            lambda found: score(scene, spread(scene, patch_labels(cloud, found)), len(found)),
+            min(repeats, 3),
+        ),
+        Task(
+            "Open3D, segment_plane",
+            partial(open3d_ransac, cloud, scene.distance_m),
+            lambda labels: score(scene, spread(scene, labels), int(labels.max()) + 1),
+            1,
+        ),
+    ]
+
+
+_ALL: dict[str, tuple[str, Case]] = {
+    "corridor mission, 1083 scans": ("", partial(contenders, mission, 3)),
+    "3dtk_corridor, scan 0": ("3dtk_corridor", partial(contenders, corridor)),
+    "icl_labelled": ("icl_labelled", partial(contenders, partial(labelled, "icl"))),
+    "icl_labelled with a Kinect's noise": ("icl_labelled", partial(contenders, partial(labelled, "kinect"))),
+    "synpeb": ("synpeb", partial(contenders, partial(labelled, "synpeb"))),
+}
+CASES: dict[str, Case] = {name: case for name, (folder, case) in _ALL.items() if (DATA / folder).is_dir()}
+
+
+def run(*, short: bool = False) -> list[Row]:
+    """One row for each contender of each scene that is there."""
+    return measured("benchmarks.scenes", CASES, short=short)
+
+
+def main() -> None:
+    """Print the table."""
+    print(plain(run()))
+
+
+if __name__ == "__main__":
+    main()
