@@ -12,6 +12,7 @@ import sqlite3
 import sys
 import tempfile
 import time
+import traceback
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -131,6 +132,9 @@ def _child(job: Job, out: Path, acknowledge: int) -> NoReturn:
     try:
         work(job.mission, out, acknowledge)
         code = 0
+    except BaseException:
+        traceback.print_exc()
+        raise
     finally:
         os._exit(code)
 

@@ -94,8 +94,9 @@ class Session:
         try:
             self._load(damaged)
         finally:
-            if connection.in_transaction:
-                connection.execute("COMMIT")
+            with translated(path):
+                if connection.in_transaction:
+                    connection.execute("COMMIT")
 
     def _load(self, damaged: bool) -> None:
         parameters = {key: self._read("session", key) for key in _PARAMETERS}

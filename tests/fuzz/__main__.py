@@ -49,6 +49,8 @@ def _fuzz(name: str, seconds: int) -> int:
     for number, seed in enumerate(target.seeds()):
         (corpus / f"seed{number}").write_bytes(seed)
     with tempfile.TemporaryDirectory(prefix="spplanes-fuzz-") as scratch:
+        for seed in target.seeds():
+            target.run(seed, Path(scratch))  # compiles the kernels, which is no hang
         options = [*_LIMITS, f"-max_total_time={seconds}", f"-artifact_prefix={HOME}/{name}-", "-print_final_stats=1"]
         atheris.Setup(["fuzz", *options, str(corpus)], lambda data: target.run(data, Path(scratch)) and None)
         atheris.Fuzz()

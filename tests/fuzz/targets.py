@@ -61,6 +61,7 @@ class Target:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error", RuntimeWarning)
+                warnings.filterwarnings("ignore", "invalid value encountered in cast")  # a NaN that signals
                 self.read(path)
         except ValueError as error:
             sentence = str(error)
