@@ -1,0 +1,103 @@
+"""What a session costs: the share of a run that goes into it.
+
+`python -m benchmarks.session [REPEATS]`
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from slam import SlamConfig
+from slam.io.log import Log
+from slam.recorder import Recorder
+from slam.rig import Rig
+from slam.run import run_slam
+from slam.run_folder import Source, new_run
+from slam.session import RawScans
+from slam.simulation import simulate_mission
+from slam.simulation.rigs import VERTICAL
+
+#: Name, world, scans, and whether the robot has its push-broom laser: with lines alone keyframes are cheapest.
+MISSIONS = (("corridor", "corridor", 200, True), ("office, lines alone", "office", 600, False))
+
+
+def run(repeats: int = 3) -> list[dict]:
+    """One row a mission and way of keeping raw scans: the session's share of the run's time."""
+    rows = []
+    for name, world, scans, broom in MISSIONS:
+        mission = simulate_mission(world, n_scans=scans, seed=0)
+        sensors = {key: one for key, one in mission.rig.sensors.items() if broom or key != VERTICAL}
+        rig = Rig(sensors=sensors, odometry=mission.rig.odometry)
+        for raw in ("reference", "value"):
+            rows.append({"mission": name, "raw scans": f"by {raw}", **_row(mission.log, rig, raw, repeats)})
+    return rows
+
+
+def _row(log: Log, rig: Rig, raw: RawScans, repeats: int) -> dict:
+    """The share is of one and the same run: what the session's own calls took of it, the wait for the disk included."""
+    shares, spent, size, count = [], [], 0, 0
+    run_slam(log, rig, SlamConfig())  # warms the kernels up
+    for _ in range(repeats):
+        with tempfile.TemporaryDirectory(prefix="spplanes-session-") as folder:
+            source = Path(folder) / "log"
+            source.write_bytes(b"")
+            out, watch = Path(folder) / "run", _Watch()
+            start = time.perf_counter()
+            with new_run(out, log, rig, SlamConfig(), Source(source, raw=raw), prior=None, overwrite=False) as slam:
+                watch.listen_to(slam.recorder)
+                opened = time.perf_counter() - start
+                run_slam(log, rig, slam.config, slam=slam)
+                count, done = len(slam.keyframes), time.perf_counter()
+            spent.append(watch.seconds + opened + time.perf_counter() - done)
+            shares.append(spent[-1] / (time.perf_counter() - start - spent[-1]))
+            size = (out / "session.db").stat().st_size
+    return {
+        "keyframes": count,
+        "share of the rest, %": 100.0 * median(shares),
+        "ms per keyframe": 1e3 * median(spent) / count,
+        "kB per keyframe": size / count / 1e3,
+    }
+
+
+class _Watch:
+    """Time inside the calls of a recorder, s."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    def listen_to(self, recorder: Recorder) -> None:
+        """Put a clock round its two calls."""
+        for name in ("measured", "decided"):
+            setattr(recorder, name, self._timed(getattr(recorder, name)))
+
+    def _timed(self, call: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(*arguments: Any) -> Any:
+            start = time.perf_counter()
+            try:
+                return call(*arguments)
+            finally:
+                self.seconds += time.perf_counter() - start
+
+        return timed
+
+
+def main() -> None:
+    """Print the table."""
+    rows = run(*(int(word) for word in sys.argv[1:2]))
+    table = Table(*rows[0])
+    for row in rows:
+        table.add_row(*(f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()))
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()
