@@ -69,7 +69,8 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     rows = metrics_of(run)
     numbers = {"metrics": as_json(rows), **details_of(run), **{caption: as_json(table) for caption, table in extra}}
     write_result(run, folder, run.slam.config, run.rig, numbers)
-    write_tum(folder / "odometry.tum", run.odometry)
+    if len(run.odometry):
+        write_tum(folder / "odometry.tum", run.odometry)
     write_g2o(folder / "graph.g2o", run.slam.backend.graph, run.slam.backend.values)
     history = History.of(run.planes, run.slam)
     history.write(folder / "view.json")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
-from shapely import Point, get_coordinates
+from shapely import LineString, Point, get_coordinates
 from shapely.geometry.base import BaseGeometry
 
 from slam.audit import BAND
@@ -97,8 +97,13 @@ def _plane(plane: MapPlane) -> dict[str, Any]:
 
 
 def _inside(seen: BaseGeometry) -> Point:
-    """A point on what was seen: of the largest polygon, if there is one."""
-    return max(polygons_of(seen), key=lambda polygon: polygon.area, default=seen).representative_point()
+    """A point on what was seen: on the largest polygon, else in the middle of the longest line."""
+    polygons, lines = polygons_of(seen), [LineString(chain) for chain in segments_of(seen)]
+    if polygons:
+        return max(polygons, key=lambda polygon: polygon.area).representative_point()
+    if lines:
+        return max(lines, key=lambda line: line.length).interpolate(0.5, normalized=True)
+    return seen.representative_point()
 
 
 def _ring(ring: Any, frame: FloatArray) -> list[list[float]]:

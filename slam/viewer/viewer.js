@@ -52,10 +52,11 @@
     for (let round = 0; round < 3; round++) {
       const seen = landmarks.map((p) => sub(p, view.target)).map((q) => [dot(q, right), dot(q, up), dot(q, back)]);
       if (!seen.length) { view.distance = 3 * radius; return; }
-      view.distance = Math.max(...seen.map((q) => q[2] + 1.06 * FOCAL * Math.max(Math.abs(q[0]) / aspect, Math.abs(q[1]), 0.1)));
+      view.distance = Math.max(...seen.map((q) => q[2] + 1.06 * FOCAL * Math.max(Math.abs(q[0]) / aspect, 1.12 * Math.abs(q[1]), 0.1)));
       const shares = [0, 1].map((k) => seen.map((q) => q[k] * view.distance / (view.distance - q[2])));
+      const lift = 0.05 * view.distance / FOCAL;  // room for the controls
       const shift = shares.map((values) => 0.5 * (Math.min(...values) + Math.max(...values)));
-      view.target = view.target.map((value, k) => value + shift[0] * right[k] + shift[1] * up[k]);
+      view.target = view.target.map((value, k) => value + shift[0] * right[k] + (shift[1] + lift) * up[k]);
     }
   }
 
@@ -167,7 +168,7 @@
     const eye = camera();
     view.drawn = [];
     if (byId("show-planes").checked) drawPlanes(eye);
-    if (byId("show-odometry").checked) drawPath(scene.odometry, eye, "#c53030", 1.5, [6, 4]);
+    if (byId("show-odometry")?.checked) drawPath(scene.odometry, eye, "#c53030", 1.5, [6, 4]);
     if (byId("show-estimate").checked) drawPath(scene.estimate, eye, "#111111", 2, []);
     drawTriad(eye);
   }
@@ -446,6 +447,7 @@
 
   // --- start ---------------------------------------------------------------------------------------------------------
 
+  if (!scene.odometry.length) byId("show-odometry").parentElement.remove();
   home();
   legend();
   table();

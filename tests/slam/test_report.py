@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
@@ -169,10 +170,15 @@ def on_screen(browser: Browser, number: int) -> tuple[float, float]:
     return left + x, top + y
 
 
-def tip(browser: Browser) -> str | None:
-    """What the box beside the mouse says; None when it is not there."""
+def tip(browser: Browser, start: str | None) -> str | None:
+    """What the box beside the mouse says, None when it is not there; a move may arrive a frame or two later."""
     script = "const t = document.getElementById('tip'); return t.style.display === 'block' ? t.innerText : null"
-    return browser.run(script)
+    for _ in range(60):
+        text = browser.run(script)
+        if (text or "").startswith(start or "") and (text is None) == (start is None):
+            break
+        time.sleep(0.05)
+    return text
 
 
 @needs_browser
@@ -200,14 +206,14 @@ def test_it_draws_the_map_and_the_charts(opened: Browser):
 @needs_browser
 def test_a_plane_answers_with_its_numbers(opened: Browser):
     opened.point_at(*on_screen(opened, 7))
-    text = tip(opened)
+    text = tip(opened, "plane 7")
     assert text is not None and text.startswith("plane 7")
     for number in (f"{wall().plane.d:.4f} m", "1.00 mm", "100", "7.00 m²", *[f"{v:.4f}" for v in wall().plane.normal]):
         assert number in text
     opened.point_at(*on_screen(opened, 8))
-    assert (tip(opened) or "").startswith("plane 8")  # a line seen by a 2D laser
+    assert (tip(opened, "plane 8") or "").startswith("plane 8")  # a line seen by a 2D laser
     opened.point_at(5, 5)
-    assert tip(opened) is None
+    assert tip(opened, None) is None
 
 
 @needs_browser

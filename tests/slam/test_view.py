@@ -12,10 +12,14 @@ import pytest
 from matplotlib.image import imread
 
 from slam.cli import main
-from slam.export import as_json, planes_json, write_json
+from slam.config import SlamConfig
+from slam.export import as_json, new_folder, planes_json, write_json, write_run
 from slam.history import History
+from slam.io.log import CloudScan, Log
 from slam.io.trajectories import write_tum
 from slam.map_planes import MapPlane
+from slam.run import run_slam
+from slam.simulation import simulate_mission
 from slam.stored import StoredRun
 from slam.uncertainty import position_covariances
 from slam.view import view_run
@@ -106,6 +110,18 @@ def test_older_folders_and_empty_maps_are_drawn(tmp_path: Path):
         write_json(folder / "planes.json", planes_json(planes))
         write_tum(folder / "trajectory.tum", moving(2, 0.0))
         assert len(view_run(folder)) == 4
+
+
+def test_a_run_without_odometry_is_written_and_read(tmp_path: Path):
+    """Clouds alone: there is no odometry to write, and an empty file would be none."""
+    mission = simulate_mission("hall", n_scans=2, seed=0)
+    clouds = [event for event in mission.log.events if isinstance(event, CloudScan)]
+    run = run_slam(Log(clouds, Path("clouds")), mission.rig, SlamConfig())
+    with new_folder(tmp_path / "run") as folder:
+        write_run(run, folder, title="clouds")
+    assert not (tmp_path / "run" / "odometry.tum").exists()
+    assert len(StoredRun.read(tmp_path / "run").odometry) == 0
+    assert len(view_run(tmp_path / "run")) == 4
 
 
 def test_what_is_no_run_is_one_sentence(tmp_path: Path, capsys):
