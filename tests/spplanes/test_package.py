@@ -1,0 +1,37 @@
+"""The package itself: everything it promises is there, and loaded only when asked for."""
+
+import subprocess
+import sys
+
+import pytest
+
+import spplanes
+
+
+def loaded_by(code: str) -> set[str]:
+    words = [sys.executable, "-c", f"import sys; {code}; print(*sys.modules)"]
+    return set(subprocess.run(words, capture_output=True, text=True, check=True).stdout.split())
+
+
+def test_every_public_name_is_there():
+    assert {name for name in spplanes.__all__ if getattr(spplanes, name) is None} == set()
+    assert set(spplanes.__all__) <= set(dir(spplanes))
+
+
+def test_a_name_that_is_none():
+    with pytest.raises(AttributeError, match="module 'spplanes' has no attribute 'fit_sphere'"):
+        spplanes.fit_sphere  # noqa: B018
+
+
+def test_importing_it_loads_no_kernels():
+    assert "numba" not in loaded_by("import spplanes")
+
+
+def test_a_fit_needs_no_segmentation():
+    loaded = loaded_by("from spplanes import fit_plane")
+    assert "spplanes.fitting" in loaded
+    assert not loaded & {"spplanes.segmentation", "shapely", "scipy.special"}
+
+
+def test_the_command_line_waits_for_nothing_heavy():
+    assert not loaded_by("import slam.cli") & {"numpy", "numba", "gtsam", "shapely", "scipy", "matplotlib", "pydantic"}
