@@ -25,12 +25,12 @@ class Backend:
     """
 
     def __init__(self, config: BackendConfig) -> None:
-        parameters = gtsam.ISAM2Params()
-        parameters.setFactorization("QR")
-        parameters.setRelinearizeThreshold(config.relinearize_threshold)
-        parameters.relinearizeSkip = 1
-        parameters.cacheLinearizedFactors = True
-        self._isam = gtsam.ISAM2(parameters)
+        self._parameters = gtsam.ISAM2Params()
+        self._parameters.setFactorization("QR")
+        self._parameters.setRelinearizeThreshold(config.relinearize_threshold)
+        self._parameters.relinearizeSkip = 1
+        self._parameters.cacheLinearizedFactors = True
+        self._isam = gtsam.ISAM2(self._parameters)
         self._forget()
 
     def _forget(self) -> None:
@@ -146,6 +146,14 @@ class Backend:
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setLinearSolverType("MULTIFRONTAL_QR")
         return gtsam.LevenbergMarquardtOptimizer(self.graph, self.values, parameters).optimize()
+
+    def rebuild(self, values: gtsam.Values) -> dict[int, int]:
+        """Start anew with the same factors from other values; the new index of every factor by its old one."""
+        old = self._isam.getFactorsUnsafe()
+        kept = [index for index in range(old.size()) if old.at(index) is not None]
+        factors = [old.at(index) for index in kept]
+        self._isam = gtsam.ISAM2(self._parameters)
+        return dict(zip(kept, self.update(factors, values), strict=True))
 
 
 class JointCovariance:

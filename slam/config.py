@@ -24,6 +24,8 @@ class KeyframeConfig(_Frozen):
     """Travel since the last keyframe, m: short enough that odometry inside a window stays below the sensor noise."""
     angle_rad: float = Field(default=0.35, gt=0)
     """Turn since the last keyframe, rad."""
+    strict: bool = False
+    """Whether a scan that cannot be used ends the run; else it is left out, and counted."""
 
 
 class MeasurementConfig(_Frozen):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,6 +20,8 @@ from slam.rig import Rig
 from slam.sweep import unswept
 from spplanes._check import FloatArray
 
+Seen = TypeVar("Seen", bound=Observation)
+
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
@@ -28,7 +32,7 @@ class Keyframe:
     observations: Sequence[Observation]
     """Planes and lines in the body frame, in an order that depends on the data alone."""
     motion: Motion | None = None
-    """Motion from the keyframe before; None only for the first one."""
+    """Motion from the keyframe before; None for the first one, and where nobody measured it."""
     world_T_body_guess: FloatArray | None = None
     """Where the first pose is, shape (4, 4); None: at the origin."""
     notes: tuple[str, ...] = field(default=())
@@ -51,7 +55,7 @@ def keyframes_of(log: Log, rig: Rig, config: SlamConfig, start: int = 0) -> Iter
     Raises:
         LogError: no scan of a sensor that the rig knows, or no odometry where it is needed.
     """
-    clouds = [scan for scan in log.scans() if isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud")]
+    clouds = _clouds_of(log, rig, config.keyframes.strict)
     if clouds:
         yield from _cloud_keyframes(log, clouds, rig, config, start)
     else:
@@ -60,19 +64,23 @@ def keyframes_of(log: Log, rig: Rig, config: SlamConfig, start: int = 0) -> Iter
 
 def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
     """How many keyframes `keyframes_of` will give, without making them."""
-    clouds = [scan for scan in log.scans() if isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud")]
+    clouds = _clouds_of(log, rig, config.keyframes.strict)
     return len(clouds) if clouds else len(_choose_stamps(log, rig, config.keyframes))
 
 
 def _cloud_keyframes(
     log: Log, clouds: Sequence[CloudScan], rig: Rig, config: SlamConfig, start: int
 ) -> Iterator[Keyframe]:
-    track = _track_of(log, rig)
+    track = _track_of(log, rig) if log.odometry else None  # without it the estimator finds the motion by the planes
     previous = clouds[start - 1] if start else None
     for scan in clouds[start:]:
-        observations = planes_of_cloud(scan, rig.sensors[scan.sensor], config)
-        motion = None if previous is None else track.motion(previous.stamp_ns, scan.stamp_ns)
-        yield Keyframe(scan.stamp_ns, observations, motion, scans=(scan,))
+        notes: list[str] = []
+        measure = partial(planes_of_cloud, scan, rig.sensors[scan.sensor], config)
+        observations = _measured(measure, scan.stamp_ns, config, notes)
+        motion = None
+        if previous is not None and track is not None:
+            motion = track.motion(previous.stamp_ns, scan.stamp_ns)
+        yield Keyframe(scan.stamp_ns, observations, motion, notes=tuple(notes), scans=(scan,))
         previous = scan
 
 
@@ -88,25 +96,52 @@ def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int) -> Iter
         observations: list[Observation] = []
         scans: list[LaserScan] = []
         beams: list[FloatArray] = []
+        notes: list[str] = []
         for name, sensor in rig.of_kind("slice").items():
             window = [s for s, home in zip(slices, slice_home, strict=True) if home == index and s.sensor == name]
             if window:
                 scans += window
-                observations += planes_of_window(window, stamp, sensor, track, config)
+                measure = partial(planes_of_window, window, stamp, sensor, track, config)
+                observations += _measured(measure, stamp, config, notes)
         for name, sensor in rig.of_kind("line").items():
             near = [s for s, home in zip(lines, line_home, strict=True) if home == index and s.sensor == name]
             if near:
                 scan = min(near, key=lambda s: abs(s.stamp_ns - stamp))
                 scans.append(scan)
                 kf_T_body = inverse(track.poses_at([stamp])[0]) @ track.poses_at([scan.stamp_ns])[0]
+                measure = partial(lines_of_scan, unswept(scan, sensor, track), sensor, kf_T_body, config.lines)
                 observations += [
                     on_real_wall(line, sensor.surface_sigma_m, sensor.surface_correlation_m)
-                    for line in lines_of_scan(unswept(scan, sensor, track), sensor, kf_T_body, config.lines)
+                    for line in _measured(measure, stamp, config, notes)
                 ]
                 beams += beams_of(scan, usable_ranges(scan.ranges, sensor), kf_T_body @ sensor.body_T_sensor)
-        yield Keyframe(
-            stamp, observations, motion, scans=tuple(scans), returns=np.concatenate(beams) if beams else None
-        )
+        returns = np.concatenate(beams) if beams else None
+        yield Keyframe(stamp, observations, motion, notes=tuple(notes), scans=tuple(scans), returns=returns)
+
+
+def _measured(measure: Callable[[], list[Seen]], stamp_ns: int, config: SlamConfig, notes: list[str]) -> list[Seen]:
+    """What a scan gives; of one that cannot be used nothing and a note, unless the run is strict."""
+    try:
+        return measure()
+    except (ValueError, np.linalg.LinAlgError) as error:
+        if config.keyframes.strict:
+            raise
+        notes.append(f"at {stamp_ns * 1e-9:.3f} s: {error}")
+        return []
+
+
+def _clouds_of(log: Log, rig: Rig, strict: bool) -> list[CloudScan]:
+    """3D scans of the rig's sensors, in time order, no two of one time: of those the first."""
+    names, clouds = rig.of_kind("cloud"), []
+    for scan in log.scans():
+        if not isinstance(scan, CloudScan) or scan.sensor not in names:
+            continue
+        if clouds and scan.stamp_ns <= clouds[-1].stamp_ns:
+            if strict:
+                raise LogError(log.source, f"expected a scan after {clouds[-1].stamp_ns} ns, got {scan.stamp_ns} ns")
+            continue
+        clouds.append(scan)
+    return clouds
 
 
 def _choose_stamps(log: Log, rig: Rig, config: KeyframeConfig) -> list[int]:

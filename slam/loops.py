@@ -203,8 +203,7 @@ def _surroundings(
     return [
         landmark
         for landmark in landmarks
-        if landmark.n_keyframes >= min_keyframes
-        and landmark.was_seen_between(first, last)
+        if landmark.n_keyframes >= min_keyframes and landmark.was_seen_between(first, last)
     ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from slam.evaluation.metrics import Metric
+from slam.health import silences, skipped
 from slam.mapping_run import MapResult
 from slam.run import Run, path_length_m
 from slam.summary import FacingPair, facing_pairs
@@ -47,13 +48,16 @@ def details_of(run: Run) -> dict[str, Any]:
         "nis": [{**summary.__dict__, "verdict": summary.verdict} for summary in run.slam.audit.summary()],
         "open_directions": [stretch.to_dict() for stretch in run.slam.open_directions],
         "stages_s": dict(run.clock.seconds),
+        "warnings": warnings_of(run),
         "notes": [*run.log.notes],
     }
 
 
 def warnings_of(run: Run) -> list[str]:
     """What whoever reads the numbers must know: one sentence each."""
-    return [*run.slam.audit.warnings(), *(stretch.sentence for stretch in run.slam.open_directions)]
+    notes = [note for frame in run.slam.keyframes for note in frame.notes]
+    directions = [stretch.sentence for stretch in run.slam.open_directions]
+    return [*skipped(notes), *silences(run.log, run.rig), *run.slam.audit.warnings(), *directions]
 
 
 def _pair_rows(pairs: list[FacingPair]) -> list[Metric]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import MutableSequence, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -18,6 +18,7 @@ from slam.calibration import WheelCalibration, motion_covariance
 from slam.coasting import coast
 from slam.config import SlamConfig
 from slam.frames import inverse
+from slam.health import check_keyframe
 from slam.io.trajectories import Trajectory
 from slam.keyframes import Keyframe
 from slam.landmarks import LandmarkMap, Sighting
@@ -27,6 +28,7 @@ from slam.map_planes import MapPlane, map_plane
 from slam.merging import Merges
 from slam.observability import Observability, OpenStretch, stretch_of
 from slam.odometry import Motion
+from slam.places import found_motion, is_wide
 from slam.recorder import Recorder
 from slam.sights import birth_sights, matched_sights
 from slam.twins import find_twins
@@ -79,6 +81,8 @@ class PlaneSlam:
         self.loops: list[LoopDecision] = []
         self.calibration = WheelCalibration()
         self._predicted: Motion | None = None
+        self._waiting: list[gtsam.NonlinearFactor] = []
+        self._standing_in: list[int] = []
         self._since_look_m = 0.0
         self._told_apart: dict[tuple[int, int], int] = {}
 
@@ -118,16 +122,17 @@ class PlaneSlam:
         """Predict the pose, match what was seen, update the graph, let the landmarks grow.
 
         Raises:
-            ValueError: the keyframe is not later than the last one.
+            ValueError: the keyframe is not later than the last one, or has a covariance that is none; it left no trace.
         """
-        self._check_order(keyframe)
+        check_keyframe(keyframe, self.keyframes[-1].stamp_ns if len(self.keyframes) else None)
         keyframe = self.recorder.measured(len(self.keyframes), keyframe)
         pose_key = self._predict(keyframe)
         hint = self._hint(keyframe)
         decisions = associate(
             keyframe.observations, pose_key, self.landmarks, self.backend, self.config.association, hint
         )
-        self.audit.add(len(self.keyframes), (seen.kind for seen in keyframe.observations), decisions)
+        if not self._waiting:  # a motion found by the planes holds what they say: no innovation of theirs
+            self.audit.add(len(self.keyframes), (seen.kind for seen in keyframe.observations), decisions)
         self.recorder.decided(len(self.keyframes), decisions)
         self._look_for_open_directions(keyframe, pose_key, decisions)
         touched = self._update(keyframe, pose_key, decisions)
@@ -176,12 +181,12 @@ class PlaneSlam:
         """The same graph solved as a batch by Levenberg-Marquardt; the incremental state stays as it is."""
         return self.backend.optimize_batch()
 
-    def _check_order(self, keyframe: Keyframe) -> None:
-        if not self.keyframes:
-            return
-        last = self.keyframes[-1].stamp_ns
-        if keyframe.stamp_ns <= last:
-            raise ValueError(f"keyframe: expected a time after {last} ns, got {keyframe.stamp_ns} ns")
+    def adopt_batch(self) -> None:
+        """Solve the graph as a batch and go on from there: trajectory, planes and covariances are the batch's."""
+        moved = self.backend.rebuild(self.optimize_batch())
+        for landmark in self.landmarks:
+            landmark.sightings = [replace(one, factor_index=moved[one.factor_index]) for one in landmark.sightings]
+        self.landmarks.refresh(self.backend)
 
     def _predict(self, keyframe: Keyframe) -> int:
         """Put the new pose into the graph with what is known before looking: prior or odometry, and the floor."""
@@ -199,8 +204,15 @@ class PlaneSlam:
             motion = self._predicted = self._motion_to(keyframe)
             guess = self.backend.pose(pose_symbol(index - 1)) @ motion.a_T_b
             factors = motion.factors(pose_symbol(index - 1), key)
+            found = None
+            if is_wide(motion):
+                found = found_motion(keyframe, index, motion, self.backend.pose(pose_symbol(index - 1)), self.landmarks)
+            if found is not None:
+                guess = self.backend.pose(pose_symbol(index - 1)) @ found.a_T_b
+                factors, self._waiting = found.factors(pose_symbol(index - 1), key), factors
         initial.insert(key, gtsam.Pose3(guess))
-        self.backend.update(factors, initial)
+        indices = self.backend.update(factors, initial)
+        self._standing_in = indices if self._waiting else []
         return key
 
     def _motion_to(self, keyframe: Keyframe) -> Motion:
@@ -230,10 +242,12 @@ class PlaneSlam:
         sights += birth_sights(
             seen, (anchor_key, pose_key), decisions, self.landmarks, self.backend, self.config, initial
         )
-        if not sights:
+        factors = [*(sight.factor for sight in sights), *self._waiting]
+        if not factors:
             return set()
-        indices = self.backend.update([sight.factor for sight in sights], initial, relinearize=True)
-        for sight, factor_index in zip(sights, indices, strict=True):
+        indices = self.backend.update(factors, initial, remove=self._standing_in, relinearize=True)
+        self._waiting, self._standing_in = [], []
+        for sight, factor_index in zip(sights, indices, strict=False):
             sighting = Sighting(len(self.keyframes), sight.number, factor_index, sight.observation.kind)
             self.landmarks.see(sight.landmark, sight.observation, sighting, sight.plane_T_body)
         return {sight.landmark.id for sight in sights}

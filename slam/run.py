@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from slam.config import SlamConfig
 from slam.frames import inverse
 from slam.io.log import Log
 from slam.io.trajectories import Trajectory
-from slam.keyframes import count_keyframes, keyframes_of
+from slam.keyframes import Keyframe, count_keyframes, keyframes_of
 from slam.odometry import OdometryTrack
 from slam.planeslam import MapPlane, PlaneSlam
 from slam.rig import Rig
@@ -63,6 +63,7 @@ def run_slam(
     config: SlamConfig,
     *,
     slam: PlaneSlam | None = None,
+    batch: bool = False,
     clock: StageClock | None = None,
     progress: Progress | None = None,
 ) -> Run:
@@ -71,6 +72,7 @@ def run_slam(
     Args:
         log, rig, config: what to work on, with which sensors, and how.
         slam: an estimator to go on with, which has the first keyframes of the log already; None: a new one.
+        batch: solve the same graph once more as a whole at the end.
         clock: takes the time of every stage.
         progress: is told how many keyframes are done, and how many there are.
 
@@ -86,13 +88,26 @@ def run_slam(
         with clock.stage("measure"):
             keyframe = next(frames)
         with clock.stage("estimate"):
-            slam.add_keyframe(keyframe)
+            _add(slam, keyframe, strict=config.keyframes.strict)
         if progress is not None:
             progress(done + 1, total)
+    if batch:
+        with clock.stage("batch"):
+            slam.adopt_batch()
     with clock.stage("map"):
         planes = slam.planes
     trajectory = slam.trajectory
     return Run(slam, planes, trajectory, odometry_of(log, rig, trajectory), log, rig, clock)
+
+
+def _add(slam: PlaneSlam, keyframe: Keyframe, *, strict: bool) -> None:
+    """Add a keyframe; what it saw is left out, with a note, where it is refused."""
+    try:
+        slam.add_keyframe(keyframe)
+    except ValueError as error:
+        if strict:
+            raise
+        slam.add_keyframe(replace(keyframe, observations=[], notes=(*keyframe.notes, str(error))))
 
 
 def odometry_of(log: Log, rig: Rig, trajectory: Trajectory) -> Trajectory:

@@ -1,0 +1,79 @@
+"""What is wrong with the data rather than with the estimate: keyframes that cannot be one, sensors that fall silent."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.io.log import Log
+from slam.keyframes import Keyframe
+from slam.observations import LineObservation, PlaneObservation
+from slam.rig import Rig
+from spplanes._check import FloatArray
+
+#: A sensor is silent after so many of its own periods, and never before so many seconds.
+_PERIODS, _LEAST_S = 20.0, 2.0
+
+
+def check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
+    """Refuse what would leave the graph half changed.
+
+    Raises:
+        ValueError: a time not after `after_ns`, or a covariance that is none: of the motion, or of what was seen.
+    """
+    if after_ns is not None and keyframe.stamp_ns <= after_ns:
+        raise ValueError(f"keyframe: expected a time after {after_ns} ns, got {keyframe.stamp_ns} ns")
+    if keyframe.motion is not None:
+        _check_covariance("keyframe.motion.covariance", keyframe.motion.covariance)
+        _check_finite("keyframe.motion.a_T_b", keyframe.motion.a_T_b)
+    for index, seen in enumerate(keyframe.observations):
+        name = f"keyframe.observations[{index}]"
+        if isinstance(seen, PlaneObservation):
+            _check_finite(f"{name}.plane.frame", seen.plane.frame)
+            _check_covariance(f"{name}.plane.covariance", seen.plane.covariance)
+        elif isinstance(seen, LineObservation):
+            _check_covariance(f"{name}.line.covariance", seen.line.covariance)
+
+
+def silences(log: Log, rig: Rig) -> list[str]:
+    """One sentence for every sensor of the rig that says nothing, or nothing more."""
+    scans = log.scans()
+    if not scans:
+        return []
+    last_ns, sentences = max(scan.stamp_ns for scan in scans), []
+    for name in rig.sensors:
+        stamps = np.array([scan.stamp_ns for scan in scans if scan.sensor == name], dtype=np.int64)
+        if not len(stamps):
+            sentences.append(f"sensor {name!r} is silent: no scan of it in the log")
+            continue
+        period_s = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.0
+        limit_s = max(_PERIODS * period_s, _LEAST_S)
+        gaps = np.diff(np.append(stamps, last_ns)) * 1e-9
+        if gaps.max() > limit_s:
+            at = int(np.argmax(gaps))
+            ends = "to the end" if at == len(stamps) - 1 else "and then goes on"
+            sentences.append(
+                f"sensor {name!r} is silent for {gaps[at]:.1f} s from {stamps[at] * 1e-9:.3f} s on {ends}; "
+                f"it scans every {period_s:.2g} s"
+            )
+    return sentences
+
+
+def skipped(keyframes: list[str]) -> list[str]:
+    """The sentence that counts what could not be used, and the first of them."""
+    if not keyframes:
+        return []
+    return [f"{len(keyframes)} scans could not be used; the first: {keyframes[0]}"]
+
+
+def _check_covariance(name: str, covariance: FloatArray) -> None:
+    _check_finite(name, covariance)
+    if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-12):
+        raise ValueError(f"{name}: expected a covariance, got a matrix that is not symmetric")
+    least = float(np.linalg.eigvalsh(covariance)[0])
+    if least <= 0.0:
+        raise ValueError(f"{name}: expected a positive definite covariance, got the eigenvalue {least:.3g}")
+
+
+def _check_finite(name: str, values: FloatArray) -> None:
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name}: expected finite numbers, got {values[~np.isfinite(values)][0]}")

@@ -1,0 +1,257 @@
+"""Where a body is, found from its planes and those it knew, when the motion between is hardly known at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import gtsam
+import numpy as np
+
+from slam.frames import inverse
+from slam.outlines import flatten, valid
+from slam.twins import skew
+from spplanes import Plane
+from spplanes._check import FloatArray
+
+#: Most planes of either side that take part, largest first; of those seen, so many make hypotheses.
+_MOST, _SEEDS = 28, 9
+#: Two planes are one under a motion up to these, rad and m, and when their outlines come this near, m.
+_ANGLE, _DISTANCE, _GAP = np.deg2rad(3.5), 0.10, 0.5
+#: The same, as standard deviations, once a motion is worked out.
+_FINE_ANGLE, _FINE_DISTANCE = np.deg2rad(1.0), 0.03
+#: Planes closer in direction than this define no rotation: cosine of 20 deg.
+_PARALLEL = 0.94
+#: Rotations that are looked at closer, pairs that make translations, and motions whose outlines are compared.
+_ROTATIONS, _PAIRS, _MOTIONS = 40, 26, 16
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneMatching:
+    """The motion under which most of what is seen is known."""
+
+    known_T_seen: FloatArray
+    """Takes the seen planes' frame to the known ones', shape (4, 4)."""
+    covariance: FloatArray
+    """Of its tangent on the right, GTSAM order (rotation, translation), shape (6, 6); wide where no pair speaks."""
+    pairs: tuple[tuple[int, int], ...]
+    """(seen, known) of the planes that are one under it."""
+
+
+def match_planes_widely(
+    seen: Sequence[Plane], known: Sequence[Plane], sigmas: tuple[float, float]
+) -> PlaneMatching | None:
+    """Find the motion that explains the largest planes, with no more of a guess than "about where it was".
+
+    Two pairs of planes that enclose the same angle give a rotation, three offsets a translation. Every motion is scored
+    by the planes that find a partner, by the root of their area, less what it costs to move that far. The best are
+    worked out with all their pairs by least squares, and scored anew by what the planes have in common.
+
+    Args:
+        seen: planes in the frame of the body now.
+        known: planes in the frame where the body is expected.
+        sigmas: standard deviations of that expectation, m and rad, the same in all directions.
+
+    Returns:
+        None where fewer than three planes, in two directions at least, find partners.
+    """
+    mine, theirs = _Planes.of(seen), _Planes.of(known)
+    if min(len(mine.normals), len(theirs.normals)) < 2:
+        return None
+    motions = [one for R in _rotations(mine, theirs, sigmas[1]) for one in _translations(R, mine, theirs, sigmas)]
+    best: tuple[float, PlaneMatching] | None = None
+    for _, motion in sorted(motions, key=lambda one: -one[0])[:_MOTIONS]:
+        found = _refined(motion, _partners(motion, mine, theirs), mine, theirs, sigmas)
+        if found is None:
+            continue
+        score = _agreement(found.known_T_seen, mine, theirs) - _price(found.known_T_seen, sigmas)
+        if best is None or score > best[0]:
+            best = score, found
+    return None if best is None else best[1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Planes:
+    """The largest planes as arrays."""
+
+    planes: list[Plane]
+    order: list[int]
+    normals: FloatArray
+    distances: FloatArray
+    weights: FloatArray
+
+    @classmethod
+    def of(cls, planes: Sequence[Plane]) -> _Planes:
+        areas = np.array([0.0 if plane.outline is None else plane.outline.area for plane in planes])
+        order = np.argsort(-areas, kind="stable")[:_MOST].tolist()
+        chosen = [planes[k] for k in order]
+        return cls(
+            chosen,
+            order,
+            np.array([plane.normal for plane in chosen]).reshape(-1, 3),
+            np.array([plane.d for plane in chosen]),
+            np.sqrt(np.maximum(areas[order], 1e-3)),
+        )
+
+
+def _price(motion: FloatArray, sigmas: tuple[float, float]) -> float:
+    """What a motion of this size costs: half its chi2 by the expectation."""
+    angle = np.arccos(np.clip(0.5 * (np.trace(motion[:3, :3]) - 1.0), -1.0, 1.0))
+    return 0.5 * float((angle / sigmas[1]) ** 2 + motion[:3, 3] @ motion[:3, 3] / sigmas[0] ** 2)
+
+
+def _rotations(mine: _Planes, theirs: _Planes, sigma_rad: float) -> list[FloatArray]:
+    """Rotations under which most directions agree, best first, none twice."""
+    frames, angles = _frames(mine.normals[:_SEEDS], ordered=False)
+    others, other_angles = _frames(theirs.normals, ordered=True)
+    if not len(frames) or not len(others):
+        return []
+    a, b = np.nonzero(np.abs(angles[:, None] - other_angles[None, :]) < _ANGLE)
+    rotations = np.einsum("kij,klj->kil", others[b], frames[a])
+    turns = np.arccos(np.clip(0.5 * (np.trace(rotations, axis1=1, axis2=2) - 1.0), -1.0, 1.0))
+    near = turns < max(3.0 * sigma_rad, 0.1)
+    rotations, turns = rotations[near], turns[near]
+    agree = np.einsum("kij,nj,mi->knm", rotations, mine.normals, theirs.normals, optimize=True).max(axis=2)
+    scores = (agree > np.cos(_ANGLE)) @ mine.weights - 0.5 * (turns / sigma_rad) ** 2
+    chosen: list[FloatArray] = []
+    for index in np.argsort(-scores, kind="stable").tolist():
+        candidate = rotations[index]
+        if all(np.trace(candidate.T @ one) < 1.0 + 2.0 * np.cos(_ANGLE) for one in chosen):
+            chosen.append(candidate)
+        if len(chosen) == _ROTATIONS:
+            break
+    return chosen
+
+
+def _frames(normals: FloatArray, *, ordered: bool) -> tuple[FloatArray, FloatArray]:
+    """Right-handed frames (K, 3, 3) of all pairs of normals that are not parallel, and their angles (K,)."""
+    pairs = np.array(list(combinations(range(len(normals)), 2)), dtype=np.int64).reshape(-1, 2)
+    if ordered:
+        pairs = np.vstack((pairs, pairs[:, ::-1]))
+    first, second = normals[pairs[:, 0]], normals[pairs[:, 1]]
+    cosines = np.einsum("ki,ki->k", first, second)
+    usable = np.abs(cosines) < _PARALLEL
+    first, second, cosines = first[usable], second[usable], cosines[usable]
+    across = np.cross(first, second)
+    across = across / np.linalg.norm(across, axis=1, keepdims=True)
+    angles = np.arccos(np.clip(cosines, -1.0, 1.0)).astype(np.float64)
+    return np.stack((first, across, np.cross(first, across)), axis=2).astype(np.float64), angles
+
+
+def _translations(
+    rotation: FloatArray, mine: _Planes, theirs: _Planes, sigmas: tuple[float, float]
+) -> list[tuple[float, FloatArray]]:
+    """The best motions with a rotation, with their scores: from threes of pairs, and what is expected beside them."""
+    turned = mine.normals @ rotation.T
+    i, j = np.nonzero(turned @ theirs.normals.T > np.cos(_ANGLE))
+    if len(i) < 3:
+        return []
+    weights = np.minimum(mine.weights[i], theirs.weights[j])
+    offsets, normals = theirs.distances[j] - mine.distances[i], theirs.normals[j]
+    near = np.abs(offsets) < 3.0 * sigmas[0]
+    strongest = np.argsort(-np.where(near, weights, -1.0), kind="stable")[:_PAIRS]
+    strongest = strongest[near[strongest]]
+    triples = np.array(list(combinations(strongest.tolist(), min(3, len(strongest)))), dtype=np.int64)
+    if not len(triples) or triples.shape[1] < 3:
+        return []
+    chosen, told = normals[triples], offsets[triples]
+    information = np.einsum("kpi,kpj->kij", chosen, chosen) / _DISTANCE**2 + np.eye(3) / sigmas[0] ** 2
+    shifts = np.linalg.solve(information, np.einsum("kpi,kp->ki", chosen, told)[..., None] / _DISTANCE**2)[..., 0]
+    fits = np.abs(shifts @ normals.T - offsets) < _DISTANCE
+    starts = np.flatnonzero(np.diff(i, prepend=-1))
+    found = np.maximum.reduceat(np.where(fits, mine.weights[i], 0.0), starts, axis=1).sum(axis=1)
+    results = []
+    for index in np.argsort(-(found - 0.5 * (shifts**2).sum(axis=1) / sigmas[0] ** 2), kind="stable")[:3].tolist():
+        motion = np.eye(4)
+        motion[:3, :3], motion[:3, 3] = rotation, shifts[index]
+        results.append((float(found[index]) - _price(motion, sigmas), motion))
+    return results
+
+
+def _partners(motion: FloatArray, mine: _Planes, theirs: _Planes) -> list[tuple[int, int]]:
+    """For every plane seen, the known plane nearest in offset that it is under a motion, where their outlines meet."""
+    turned = mine.normals @ motion[:3, :3].T
+    offsets = mine.distances + turned @ motion[:3, 3]
+    alike = turned @ theirs.normals.T > np.cos(_ANGLE)
+    apart = np.abs(offsets[:, None] - theirs.distances[None, :])
+    pairs = []
+    for i, plane in enumerate(mine.planes):
+        for j in np.argsort(np.where(alike[i], apart[i], np.inf), kind="stable").tolist():
+            if not alike[i, j] or apart[i, j] > _DISTANCE:
+                break
+            if _meet(plane, theirs.planes[j], motion):
+                pairs.append((i, j))
+                break
+    return pairs
+
+
+def _agreement(motion: FloatArray, mine: _Planes, theirs: _Planes) -> float:
+    """How much of what is seen is known under a motion worked out: by size, closeness and common area."""
+    turned = mine.normals @ motion[:3, :3].T
+    offsets = mine.distances + turned @ motion[:3, 3]
+    angles = np.arccos(np.clip(turned @ theirs.normals.T, -1.0, 1.0)) / _FINE_ANGLE
+    far = angles**2 + ((offsets[:, None] - theirs.distances[None, :]) / _FINE_DISTANCE) ** 2
+    total = 0.0
+    for i, plane in enumerate(mine.planes):
+        shares = [_common(plane, theirs.planes[j], motion) / (1.0 + far[i, j]) for j in np.flatnonzero(far[i] < 9.0)]
+        total += float(mine.weights[i]) * max(shares, default=0.0)
+    return total
+
+
+def _common(seen: Plane, known: Plane, motion: FloatArray) -> float:
+    """Common area of two outlines as a share of the smaller one."""
+    if seen.outline is None or known.outline is None:
+        return 0.0
+    moved = valid(flatten(seen.outline, inverse(known.frame) @ motion @ seen.frame))
+    least = min(moved.area, known.outline.area)
+    return moved.intersection(valid(known.outline)).area / least if least > 0.0 else 0.0
+
+
+def _meet(seen: Plane, known: Plane, motion: FloatArray) -> bool:
+    if seen.outline is None or known.outline is None:
+        return True
+    moved = flatten(seen.outline, inverse(known.frame) @ motion @ seen.frame)
+    return moved.distance(known.outline) <= _GAP
+
+
+def _refined(
+    motion: FloatArray,
+    pairs: Sequence[tuple[int, int]],
+    mine: _Planes,
+    theirs: _Planes,
+    sigmas: tuple[float, float],
+) -> PlaneMatching | None:
+    """Least squares over all pairs, with the expectation where they are silent.
+
+    Pairs weigh by their size, and those far off hardly at all: one wrong partner must not shift the place.
+    """
+    if len(pairs) < 3:
+        return None
+    i, j = np.array(pairs).T
+    spread = np.diag(1.0 / np.repeat([sigmas[1], sigmas[0]], 3) ** 2)
+    estimate = motion
+    information = spread
+    for _ in range(5):
+        rotation, shift = estimate[:3, :3], estimate[:3, 3]
+        turned = mine.normals[i] @ rotation.T
+        normals = theirs.normals[j]
+        information, told = spread.copy(), -spread @ gtsam.Pose3.Logmap(gtsam.Pose3(estimate))
+        sizes = np.minimum(mine.weights[i], 3.0)
+        for own, moved, n, d_own, d, size in zip(
+            mine.normals[i], turned, normals, mine.distances[i], theirs.distances[j], sizes, strict=True
+        ):
+            jacobian = np.zeros((4, 6))
+            jacobian[:3, :3] = -rotation @ skew(own)
+            jacobian[3, :3], jacobian[3, 3:] = shift @ jacobian[:3, :3], moved @ rotation
+            residual = np.append(n - moved, d - d_own - moved @ shift)
+            far = residual / np.array([_ANGLE, _ANGLE, _ANGLE, _DISTANCE]) * 3.0
+            weighted = jacobian.T / np.array([_ANGLE**2, _ANGLE**2, _ANGLE**2, _DISTANCE**2]) * 9.0
+            weighted = weighted * size / (1.0 + far @ far)
+            information, told = information + weighted @ jacobian, told + weighted @ residual
+        estimate = estimate @ gtsam.Pose3.Expmap(np.linalg.solve(information, told)).matrix()
+    directions = np.linalg.svd(theirs.normals[j])[1]
+    if directions[1] < 0.3:
+        return None
+    real = tuple((mine.order[a], theirs.order[b]) for a, b in pairs)
+    return PlaneMatching(estimate, np.linalg.inv(information).astype(np.float64), real)
