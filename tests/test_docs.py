@@ -10,13 +10,14 @@ import pytest
 import factors
 import slam
 import spplanes
+from slam.cli import app
 from slam.motion import OdometryNoise
 from slam.mount import Mount
 from slam.rig import LocalisationNoise, Rig, Sensor
 from spplanes import __version__
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = sorted((ROOT / "docs").glob("*.md"))
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)\s]*)?\)")
 
@@ -25,6 +26,14 @@ def blocks_of(page: Path) -> list[tuple[int, str]]:
     """Line number of the first line, and source, of every Python block of a page."""
     text = page.read_text(encoding="utf-8")
     return [(text.count("\n", 0, match.start(1)) + 1, match.group(1)) for match in BLOCK.finditer(text)]
+
+
+def test_every_command_of_the_readme_exists():
+    commands = re.findall(r"^    spplanes (\w+)", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    known = {
+        command.name or (command.callback.__name__ if command.callback else "") for command in app.registered_commands
+    }
+    assert set(commands) <= known and len(set(commands)) >= 7
 
 
 def test_there_are_pages_with_code():
