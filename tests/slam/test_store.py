@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -291,3 +292,61 @@ def test_a_keyframe_of_strangers_is_refused_and_the_session_stays(recorded: Path
         slam.add_keyframe(drive(0).keyframes[7])
     with PlaneSlam.open(recorded) as slam:
         assert len(slam.keyframes) == 8
+
+
+@pytest.fixture
+def of_version_1(tmp_path: Path) -> Path:
+    path = tmp_path / "session.db"
+    with closing(sqlite3.connect(path)) as made:
+        made.executescript((Path(__file__).parent / "session_v1.sql").read_text(encoding="ascii"))
+    return path
+
+
+def version_of(path: Path) -> int:
+    with closing(sqlite3.connect(path)) as other:
+        return other.execute("PRAGMA user_version").fetchone()[0]
+
+
+def test_a_session_of_the_version_before_is_read_as_it_is(of_version_1: Path):
+    before = of_version_1.read_bytes()
+    with PlaneSlam.open(of_version_1, read_only=True) as slam:
+        assert len(slam.keyframes) == 2 and len(slam.landmarks) == 2
+        session = slam.recorder.session  # type: ignore[attr-defined]
+        assert session.scans(0) == [] and session.result("map") is None
+    assert of_version_1.read_bytes() == before
+
+
+def test_a_writer_brings_the_version_before_up_to_date(of_version_1: Path):
+    with Session.open(of_version_1, read_only=True) as session:
+        before = [encode(without_scans(entry.keyframe)) for entry in session.entries()]
+    with PlaneSlam.open(of_version_1) as slam:
+        assert slam.config == SlamConfig()
+        slam.add_keyframe(drive(0, count=3).keyframes[2])
+        slam.recorder.session.finish(map=b"a map")  # type: ignore[attr-defined]
+    assert version_of(of_version_1) == 2
+    with Session.open(of_version_1, read_only=True) as session:
+        assert [encode(without_scans(entry.keyframe)) for entry in session.entries()][:2] == before
+        assert len(session) == 3 and session.result("map") == b"a map" and session.is_finished
+
+
+def test_the_file_of_today_is_that_of_every_migration(of_version_1: Path, tmp_path: Path):
+    """A new session and one brought up to date have the same tables, word by word."""
+
+    def tables(path: Path) -> list[str]:
+        with closing(sqlite3.connect(path)) as other:
+            rows = other.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name").fetchall()
+        return [" ".join(row[0].split()) for row in rows]
+
+    Session.open(of_version_1).close()
+    Session.create(tmp_path / "new.db", SlamConfig()).close()
+    assert tables(of_version_1) == tables(tmp_path / "new.db")
+
+
+def test_a_migration_that_fails_changes_nothing(of_version_1: Path, monkeypatch):
+    monkeypatch.setattr("slam._session_file._MIGRATIONS", {2: "CREATE TABLE scans (id INTEGER); CREATE NONSENSE;"})
+    with pytest.raises(SessionDamaged):
+        PlaneSlam.open(of_version_1)
+    assert version_of(of_version_1) == 1
+    monkeypatch.undo()
+    PlaneSlam.open(of_version_1).close()
+    assert version_of(of_version_1) == 2
