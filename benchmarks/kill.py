@@ -97,7 +97,7 @@ def kill_row(job: Job, scratch: Path, kills: int, seed: int = 0) -> dict:
         known = _keyframes(out)
         counts["lost"] += known is not None and known < said
         counts["damaged"] += known is None and said > 0
-        if not dead:
+        if not dead or (known and _finished(out)):  # killed perhaps, but after the last word
             counts["runs"] += 1
             counts["different"] += not same_run(job.whole, out)
             shutil.rmtree(out)
