@@ -1,45 +1,69 @@
 """Make the figures of the README: `python tools/figures.py [FOLDER_OF_REAL_DATA]`.
 
-The simulated one always; the one of the real corridor where the data are.
+The simulated one always; that of the real corridor, its page in a browser, where the data and Chromium are.
 """
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from slam.config import SlamConfig
+from slam.export import new_folder, write_run
 from slam.io.load import load
-from slam.pictures import draw_view
+from slam.pictures import draw_view, title_of, view_height
 from slam.run import Run, run_slam
 from slam.simulation import simulate_mission
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "img"
+#: Width of a figure, inches, and of pictures.draw_map, to which view_height refers.
+WIDTH, USUAL_WIDTH = 8.0, 11.0
 
 
 def main(data: Path) -> None:
-    """Write docs/img/*.png."""
+    """Write docs/img/demo.png and corridor.png."""
     IMAGES.mkdir(parents=True, exist_ok=True)
     mission = simulate_mission("corridor", n_scans=400, seed=0)
     picture(run_slam(mission.log, mission.rig, SlamConfig()), IMAGES / "demo.png", "simulated push-broom mission")
     corridor = data / "3dtk_corridor"
     if corridor.is_dir():
         log, rig = load(corridor)
-        picture(run_slam(log, rig, SlamConfig()), IMAGES / "corridor.png", "three scans of a real corridor")
+        run = run_slam(log, rig, SlamConfig())
+        page(run, IMAGES / "corridor.png")
 
 
 def picture(run: Run, path: Path, title: str) -> None:
     """Plan and side view, small enough for a README."""
-    figure = Figure(figsize=(8.0, 5.2), layout="constrained")
-    plan, side = figure.subplots(2, 1, height_ratios=[2, 1], sharex=True)
+    heights = [view_height(run, view) * WIDTH / USUAL_WIDTH for view in ("plan", "side")]
+    figure = Figure(figsize=(WIDTH, sum(heights) + 1.6), layout="constrained")
+    plan, side = figure.subplots(2, 1, height_ratios=heights)
     draw_view(plan, run, "plan")
     draw_view(side, run, "side")
-    plan.set_title(f"{title}: {len(run.planes)} planes, {len(run.trajectory)} poses", fontsize=10)
+    plan.set_title(f"{title}: {title_of(run)}", fontsize=10)
     plan.legend(loc="upper right", fontsize=7)
     figure.savefig(path, dpi=80, metadata={"Software": None})
+
+
+def page(run: Run, path: Path) -> None:
+    """The page of a run as a browser shows it; nothing without one."""
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        print("no Chromium here: docs/img/corridor.png stays as it is")
+        return
+    with tempfile.TemporaryDirectory() as scratch:
+        with new_folder(Path(scratch) / "run") as folder:
+            write_run(run, folder, title="a real corridor: three scans of a tilting laser")
+        flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1100,645"]
+        address = (Path(scratch) / "run" / "report.html").as_uri()
+        profile = f"--user-data-dir={scratch}/profile"
+        command = [browser, *flags, profile, f"--screenshot={path}", address]
+        subprocess.run(command, check=True, capture_output=True, timeout=120)
 
 
 if __name__ == "__main__":
