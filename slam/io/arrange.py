@@ -9,11 +9,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slam.noise_of import misses_of
 from spplanes._check import FloatArray
+
+if TYPE_CHECKING:
+    from slam.rig import Sensor
 
 #: A new line starts where the beam turns by at least this much from one point to the next, rad ...
 _JUMP_RAD = 0.35
@@ -38,6 +42,11 @@ class Grid:
     """Steps of elevation: rings."""
     columns: int
     """Steps of azimuth in a whole turn."""
+
+
+def grid_of(sensor: Sensor) -> Grid | None:
+    """The range image that a rig states for a sensor."""
+    return None if sensor.rows is None or sensor.columns is None else Grid(sensor.rows, sensor.columns)
 
 
 def arrange(points: FloatArray, grid: Grid | None = None) -> FloatArray:

@@ -97,7 +97,9 @@ def read_cloud_folder(
     return Log(events, folder, notes)
 
 
-def read_e57_log(path: Path, *, sensor: str = SENSOR, body_T_sensor: FloatArray | None = None) -> Log:
+def read_e57_log(
+    path: Path, *, sensor: str = SENSOR, grid: Grid | None = None, body_T_sensor: FloatArray | None = None
+) -> Log:
     """Read the scans of an E57 file, one second each, with their poses where all have one.
 
     Raises:
@@ -112,7 +114,7 @@ def read_e57_log(path: Path, *, sensor: str = SENSOR, body_T_sensor: FloatArray 
         pose = None if not posed else (np.eye(4) if told is None else told) @ inverse(mount)
         if pose is not None:
             events.append(OdometryReading(stamp, pose))
-        events.append(CloudScan(stamp, sensor, arrange(cloud.points), pose))
+        events.append(CloudScan(stamp, sensor, arrange(cloud.points, grid), pose))
     return Log(events, path, ["no odometry: the poses of the scans stand in for it"] if posed else [])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from slam.io.arrange import grid_of
 from slam.io.carmen import read_carmen
 from slam.io.clouds import is_cloud_file
 from slam.io.default_rigs import bag_rig, cloud_rig, depth_rig
@@ -50,11 +51,11 @@ def load(
     if is_3dtk_folder(path):
         return read_3dtk(path), rig or threedtk_rig()
     if path.is_dir() and is_depth_folder(path):
-        return _load_clouds(path, rig, read_depth_folder, depth_rig())
+        return _load_depth(path, rig)
     if has_clouds(path):
-        return _load_clouds(path, rig, read_cloud_folder, cloud_rig())
+        return _load_clouds(path, rig, read_cloud_folder)
     if path.suffix.lower() == ".e57":
-        return _load_clouds(path, rig, read_e57_log, cloud_rig())
+        return _load_clouds(path, rig, read_e57_log)
     if path.is_file() and is_cloud_file(path) and path.suffix.lower() not in (".txt", ".csv"):
         raise LogError(path, "expected a log, got one cloud: give it to `spplanes fit`, or a folder of clouds")
     if path.is_dir():
@@ -76,11 +77,23 @@ def _load_bag(path: Path, rig: Rig | None, topics: Topics, keep_partial: bool) -
         return log, bag_rig(log, topics)
     names = {sensor_name(sensor.record or name): name for name, sensor in rig.sensors.items()}
     wanted = Topics(topics.scans or tuple(names), topics.odometry or rig.odometry_record)
-    return read_rosbag(path, wanted, names=names, keep_partial=keep_partial), rig
+    grids = {name: grid for name, sensor in rig.sensors.items() if (grid := grid_of(sensor)) is not None}
+    return read_rosbag(path, wanted, names=names, grids=grids, keep_partial=keep_partial), rig
 
 
-def _load_clouds(path: Path, rig: Rig | None, read: Callable[..., Log], default: Rig) -> tuple[Log, Rig]:
-    """Scans of one 3D sensor, by the reader of their kind."""
+def _load_clouds(path: Path, rig: Rig | None, read: Callable[..., Log]) -> tuple[Log, Rig]:
+    """Clouds of one 3D sensor, by the reader of their kind."""
+    rig, name, sensor = _with_one_sensor(path, rig, cloud_rig())
+    return read(path, sensor=name, grid=grid_of(sensor), body_T_sensor=sensor.body_T_sensor), rig
+
+
+def _load_depth(path: Path, rig: Rig | None) -> tuple[Log, Rig]:
+    rig, name, sensor = _with_one_sensor(path, rig, depth_rig())
+    return read_depth_folder(path, sensor=name, body_T_sensor=sensor.body_T_sensor), rig
+
+
+def _with_one_sensor(path: Path, rig: Rig | None, default: Rig) -> tuple[Rig, str, Sensor]:
+    """The rig given, that in the folder, or the default; and the one 3D sensor in it."""
     if rig is None and (path / RIG_FILE).is_file():
         rig = Rig.from_yaml(path / RIG_FILE)
     rig = rig or default
@@ -88,7 +101,7 @@ def _load_clouds(path: Path, rig: Rig | None, read: Callable[..., Log], default:
     if len(sensors) != 1:
         raise LogError(path, f"expected a rig with one sensor of kind cloud for these scans, got {len(sensors)}")
     ((name, sensor),) = sensors.items()
-    return read(path, sensor=name, body_T_sensor=sensor.body_T_sensor), rig
+    return rig, name, sensor
 
 
 def threedtk_rig() -> Rig:

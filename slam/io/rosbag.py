@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 from slam.io._ros_frames import BODIES, WORLDS, Frames
 from slam.io._ros_messages import RosScan, frame_of, points_of, scan_of, stamp_of, transform_of
 from slam.io._salvaged_bag import SalvagedBag
-from slam.io.arrange import arrange
+from slam.io.arrange import Grid, arrange
 from slam.io.log import Event, LaserScan, Log, LogError, MissingPackageError, OdometryReading, StoredCloud
 from spplanes._check import FloatArray
 
@@ -60,7 +61,12 @@ def sensor_name(topic: str) -> str:
 
 
 def read_rosbag(
-    path: Path, topics: Topics | None = None, *, names: dict[str, str] | None = None, keep_partial: bool = False
+    path: Path,
+    topics: Topics | None = None,
+    *,
+    names: dict[str, str] | None = None,
+    grids: dict[str, Grid] | None = None,
+    keep_partial: bool = False,
 ) -> Log:
     """Read a bag: ROS 1 (.bag), ROS 2 (folder with metadata.yaml, .db3, .mcap).
 
@@ -72,6 +78,7 @@ def read_rosbag(
         path: the bag.
         topics: what to read; None: chosen as `Topics` says. A note says what was chosen and what else there is.
         names: name of the sensor by topic without slashes at its ends; others have that of their topic.
+        grids: by name of the sensor, the range image of clouds that come without order; others: found in each.
         keep_partial: of a bag that breaks off, use what comes before.
 
     Raises:
@@ -92,7 +99,8 @@ def read_rosbag(
     for stamp, topic, _, scan in found.scans:
         events.append(LaserScan(stamp, names[topic], scan.ranges, scan.angles))
     for stamp, topic, _, received in found.clouds:
-        events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received, keep_partial)))
+        grid = (grids or {}).get(names[topic])
+        events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received, grid, keep_partial)))
     events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
     return Log(_without_doubles(events, notes), path, notes, _mounts(found, body, names, notes))
 
@@ -113,7 +121,13 @@ def _opened(path: Path, keep_partial: bool = False) -> Iterator[Any]:
     except Exception as error:  # rosbags on damage: errors of its own, of struct, sqlite3, yaml, zstd and others
         if not (keep_partial and path.suffix in (".bag", ".mcap")):
             raise _broken(path, error) from error
-        yield SalvagedBag(path)
+        try:
+            reader = SalvagedBag(path)
+        except LogError:
+            raise
+        except Exception as worse:  # topics or types that cannot be made out
+            raise _broken(path, worse) from worse
+        yield reader
         return
     try:
         with stack:
@@ -245,24 +259,34 @@ def _without_doubles(events: list[Event], notes: list[str]) -> list[Event]:
     return kept
 
 
-def _cloud_at(path: Path, topic: str, received: int, keep_partial: bool) -> FloatArray:
+def _cloud_at(path: Path, topic: str, received: int, grid: Grid | None, keep_partial: bool) -> FloatArray:
     """One cloud of a bag as a grid, shape (S, B, 3), m."""
-    status = path.stat()
-    _, reader = _kept_open(path, keep_partial, status.st_mtime_ns, status.st_size)
+    reader = _kept_open(path, keep_partial)
     connections = [connection for connection in reader.connections if connection.topic == topic]
     try:
         for connection, _, raw in reader.messages(connections, start=received, stop=received + 1):
-            return arrange(points_of(reader.deserialize(raw, connection.msgtype)))
+            return arrange(points_of(reader.deserialize(raw, connection.msgtype)), grid)
     except Exception as error:  # as in _opened
         raise LogError(path, f"{topic}: {_short(error)}") from error
     raise LogError(path, f"expected a message of {topic} at {received} ns, found none")
 
 
-@lru_cache(maxsize=1)
-def _kept_open(path: Path, keep_partial: bool, *_: int) -> tuple[ExitStack, Any]:
-    """The bag that clouds were last taken from: to open one anew for each cloud would take most of the time.
+#: The bag that clouds were last taken from: to open one anew for each cloud would take most of the time.
+_kept: dict[tuple[Path, bool, int, int], tuple[ExitStack, Any]] = {}
 
-    It closes with the stack, when another bag takes its place.
-    """
-    stack = ExitStack()
-    return stack, stack.enter_context(_opened(path, keep_partial))
+
+def _kept_open(path: Path, keep_partial: bool) -> Any:
+    status = path.stat()
+    key = (path, keep_partial, status.st_mtime_ns, status.st_size)
+    if key not in _kept:
+        _close_kept()
+        stack = ExitStack()
+        _kept[key] = stack, stack.enter_context(_opened(path, keep_partial))
+    return _kept[key][1]
+
+
+@atexit.register
+def _close_kept() -> None:
+    for stack, _ in _kept.values():
+        stack.close()
+    _kept.clear()

@@ -205,6 +205,33 @@ def test_rings_are_found_in_any_order(order: str, columns: int):
     np.testing.assert_array_equal(np.roll(image, -first[0], axis=1), grid)
 
 
+def test_a_rig_states_the_range_image(folder: Path):
+    _, rig = load(folder)
+    scanner = rig.sensors["scanner"].model_copy(update={"rows": 16, "columns": 180})
+    rig.model_copy(update={"sensors": {"top": scanner}}).to_yaml(folder / "rig.yaml")
+    log, read = load(folder)
+    assert read.sensors["top"].rows == 16
+    assert [scan.points.shape for scan in log.scans("top") if isinstance(scan, CloudScan)] == [(16, 180, 3)] * 4
+    text = (folder / "rig.yaml").read_text().replace("columns: 180", "range_min_m: 0.1")
+    (folder / "rig.yaml").write_text(text)
+    with pytest.raises(LogError, match=r"rig\.yaml: sensors\.top"):
+        load(folder)
+
+
+def test_poses_of_the_files_themselves_are_the_sensors(tmp_path: Path):
+    from tests.slam.test_clouds import pcd
+
+    for k in range(2):
+        data = pcd().replace(b"VIEWPOINT 0 0 0", f"VIEWPOINT {k} 0 1".encode())
+        (tmp_path / f"{k}.pcd").write_bytes(data)
+    mounted = (
+        "sensors:\n  top: {kind: cloud, body_T_sensor: {xyz_m: [0, 0, 1]}, range_sigma_m: 0.01, range_max_m: 50}\n"
+    )
+    (tmp_path / "rig.yaml").write_text(mounted)
+    log, _ = load(tmp_path)
+    np.testing.assert_allclose(poses_of(log), [pose(0.0, 0.0, 0.0), pose(1.0, 0.0, 0.0)], atol=1e-12)
+
+
 def test_the_nearer_of_two_points_hides_the_other():
     image = range_image(np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 1.0, 0.5], [0.0, -1.0, -0.5]]), Grid(3, 4))
     kept = image[np.isfinite(image[..., 0])].tolist()

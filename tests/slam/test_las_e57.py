@@ -66,8 +66,29 @@ def test_las_that_declares_too_much(name: str, tmp_path: Path):
     data = bytearray(path.read_bytes())
     data[107:111] = (4_000_000_000).to_bytes(4, "little")
     path.write_bytes(bytes(data))
-    with pytest.raises(LogError, match="bytes for 4000000000 points, got"):
+    with pytest.raises(
+        LogError, match=r"bytes for 4000000000 points, got|expected sensor data, got \d+ bytes that grow to"
+    ):
         read_cloud(path)
+
+
+@pytest.mark.parametrize("name", ["a.las", "a.laz"])
+def test_las_with_billions_of_records_or_chunks(name: str, tmp_path: Path):
+    path = write_las(tmp_path / name)
+    whole = path.read_bytes()
+    data = bytearray(whole)
+    data[100:104] = (4_000_000_000).to_bytes(4, "little")
+    path.write_bytes(bytes(data))
+    with pytest.raises(LogError, match="bytes for 4000000000 records before the points"):
+        read_cloud(path)
+    if name == "a.laz":
+        start = int.from_bytes(whole[96:100], "little")
+        table = int.from_bytes(whole[start : start + 8], "little")
+        data = bytearray(whole)
+        data[table + 4 : table + 8] = (4_000_000_000).to_bytes(4, "little")
+        path.write_bytes(bytes(data))
+        with pytest.raises(LogError, match="bytes for 4000000000 chunks of points"):
+            read_cloud(path)
 
 
 def test_e57_with_a_pose(tmp_path: Path):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -405,6 +407,20 @@ def test_other_files_with_the_name_of_a_bag(tmp_path: Path):
     (tmp_path / "metadata.yaml").write_text("{{{")
     with pytest.raises(LogError, match="expected a whole bag"):
         load(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "ros1 lz4", "db3 alone", "mcap alone"])
+def test_damaged_bytes_are_a_sentence_or_a_log(kind: str, tmp_path: Path):
+    path = write(tmp_path, kind, lambda messages: islice(mission(messages), 5))
+    whole, rng = path.read_bytes(), np.random.default_rng(1)
+    for trial in range(20):
+        data = bytearray(whole)
+        for place in rng.integers(0, 600 if trial % 2 else len(data), 4):
+            data[place] = rng.integers(0, 256)
+        path.write_bytes(bytes(data))
+        with suppress(LogError):
+            log, _ = load(path, keep_partial=trial % 4 > 1)
+            assert isinstance(log, Log) and log.scans()
 
 
 def test_a_log_of_a_bag_is_a_log(tmp_path: Path):

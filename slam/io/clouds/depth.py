@@ -21,7 +21,7 @@ INTRINSICS = "intrinsics.txt"
 #: Units per metre of TUM RGB-D and ICL-NUIM.
 USUAL_UNITS_PER_M = 5000.0
 #: Larger images are refused before they are decoded, pixels.
-MOST_PIXELS = 1 << 26
+MOST_PIXELS = 1 << 24
 
 
 @dataclass(frozen=True)
