@@ -16,7 +16,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from slam.association import Candidate, Decision
-from slam.io.log import CloudScan, LaserScan
+from slam.io.log import CloudScan, LaserScan, StoredCloud
 from slam.keyframes import Keyframe
 from slam.map_planes import MapPlane
 from slam.observations import LineObservation, PlaneObservation
@@ -107,6 +107,8 @@ class _Writer:
             return {"shape": self._put(shapely.to_wkb(value, byte_order=1))}
         if isinstance(value, dict):
             return {"dict": {_name(key): self.plain(one) for key, one in value.items()}}
+        if isinstance(value, StoredCloud):
+            return self.plain(value.loaded())
         if is_dataclass(value) and _CLASSES.get(type(value).__name__) is type(value):
             content = {one.name: self.plain(getattr(value, one.name)) for one in fields(value)}
             return {"class": type(value).__name__, "fields": content}

@@ -9,7 +9,7 @@ import numpy as np
 
 from slam.config import SlamConfig
 from slam.frames import inverse
-from slam.io.log import CloudScan, Log, LogError
+from slam.io.log import CloudScan, Log, LogError, StoredCloud
 from slam.io.trajectories import Trajectory
 from slam.keyframes import Keyframe
 from slam.measure import planes_of_cloud
@@ -46,9 +46,9 @@ def map_clouds(
     n_seen = n_represented = 0
     for index, scan in enumerate(scans):
         with clock.stage("measure"):
-            points = scan.points
-            seen = planes_of_cloud(replace_points(scan, points), rig.sensors[scan.sensor], config)
-        n_seen += int(np.isfinite(points[..., 0]).sum())
+            whole = scan.loaded() if isinstance(scan, StoredCloud) else scan
+            seen = planes_of_cloud(whole, rig.sensors[scan.sensor], config)
+        n_seen += int(np.isfinite(whole.points[..., 0]).sum())
         n_represented += sum(one.n_points for one in seen)
         with clock.stage("map"):
             slam.add_keyframe(_keyframe(scan, [_placed(one, location) for one in seen], poses[: index + 1][-2:]))
@@ -58,11 +58,6 @@ def map_clouds(
         planes = slam.planes
     stamps = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
     return planes, Trajectory(stamps, np.array(poses)), n_seen, n_represented
-
-
-def replace_points(scan: CloudScan, points: FloatArray) -> CloudScan:
-    """The scan with its points in memory."""
-    return CloudScan(scan.stamp_ns, scan.sensor, points, scan.world_T_body)
 
 
 def _keyframe(scan: CloudScan, seen: Sequence[PlaneObservation], poses: Sequence[FloatArray]) -> Keyframe:

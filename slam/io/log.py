@@ -67,6 +67,10 @@ class StoredCloud(CloudScan):
         for name, value in known.items():
             object.__setattr__(self, name, value)  # frozen: set once, here
 
+    def loaded(self) -> CloudScan:
+        """The scan with its points in memory."""
+        return CloudScan(self.stamp_ns, self.sensor, self.points, self.world_T_body)
+
     def __repr__(self) -> str:
         return f"StoredCloud(stamp_ns={self.stamp_ns}, sensor={self.sensor!r})"  # without reading it
 

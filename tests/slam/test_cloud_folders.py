@@ -191,6 +191,13 @@ def test_the_room_comes_out(command: str, folder: Path, capsys: pytest.CaptureFi
             assert found[0] == pytest.approx(-ROOM[axis], abs=0.01)
 
 
+def test_clouds_are_kept_in_the_session_on_request(folder: Path, capsys: pytest.CaptureFixture[str]):
+    write_kitti(folder / "odometry.txt", POSES)
+    code, _, err = run(capsys, "slam", folder, "--out", folder.parent / "run", "--keep-raw")
+    assert code == 0, err
+    assert (folder.parent / "run" / "session.db").stat().st_size > 4 * 32 * 360 * 3 * 8
+
+
 @pytest.mark.parametrize("order", ["by row", "by column", "shuffled"])
 @pytest.mark.parametrize("columns", [360, 1024])
 def test_rings_are_found_in_any_order(order: str, columns: int):
