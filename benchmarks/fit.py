@@ -18,6 +18,7 @@ from benchmarks._measure import Case, Peer, Row, Task, measured
 from benchmarks._table import plain
 from benchmarks.peers import environment
 from spplanes import Plane, fit_plane, fit_planes
+from spplanes.fitting import Method
 
 POINTS = 1_000_000
 PLANES, FEWER, PER_PLANE = 10_000, 2_000, 100
@@ -147,7 +148,7 @@ def mrob_fits(points: np.ndarray, repeats: int) -> Row:
     return score(planes[:, :3], planes[:, :3] @ CENTRE + planes[:, 3]) | found
 
 
-def with_covariances(method: str) -> list[Task | Peer]:
+def with_covariances(method: Method) -> list[Task | Peer]:
     """A million points with a covariance each."""
     points, covariances = wall(POINTS)
     by_numpy = {"sp": sp_numpy, "ml": ml_numpy}[method]

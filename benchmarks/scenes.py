@@ -41,7 +41,7 @@ class Scene:
     @property
     def returns(self) -> np.ndarray:
         """Mask of the returns, shape (S, B)."""
-        return np.isfinite(self.points).all(axis=-1)
+        return np.asarray(np.isfinite(self.points).all(axis=-1))
 
 
 @cache

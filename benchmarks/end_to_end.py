@@ -1,0 +1,201 @@
+"""From log to map: how good, how long in which stage, how much memory; each mission in a process of its own.
+
+Run as ``python -m benchmarks.end_to_end``. One thread. Kernels come from the cache: a mission before has loaded nothing
+else. Nothing surveyed is known of `loop5`; the figure is how far its long walls are from one another's right angles.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from benchmarks._measure import PROJECT, Row
+from benchmarks._memory import process_peak_mb
+from benchmarks._table import plain
+
+DATA = PROJECT.parent / "shared" / "data"
+#: Walls of at least this length, m, seen from at least so many keyframes, show whether the corridors are straight.
+LONG_M, OFTEN = 6.0, 5
+
+
+def timed_run(log: Any, rig: Any, load_s: float) -> tuple[Any, Row]:
+    """A run and the columns of its times."""
+    from slam.config import SlamConfig
+    from slam.run import run_slam
+
+    start, cpu = time.perf_counter(), time.process_time()
+    done = run_slam(log, rig, SlamConfig())
+    run_s, cpu_s = time.perf_counter() - start, time.process_time() - cpu
+    seconds = done.clock.seconds
+    stamps = done.trajectory.stamps_ns
+    return done, {
+        "keyframes": len(done.trajectory),
+        "planes": len(done.planes),
+        "load s": load_s,
+        "measure s": seconds.get("measure"),
+        "estimate s": seconds.get("estimate"),
+        "map s": seconds.get("map"),
+        "CPU s": cpu_s,
+        "ms per keyframe": 1e3 * run_s / len(stamps),
+        "real-time factor": float(stamps[-1] - stamps[0]) * 1e-9 / (run_s + load_s),
+    }
+
+
+def demo(scans: int = 400) -> Row:
+    """The demo's mission against its truth, odometry alone beside it."""
+    from slam.evaluation import absolute_error
+    from slam.simulation import simulate_mission
+
+    mission = simulate_mission("corridor", n_scans=scans, seed=0)
+    done, times = timed_run(mission.log, mission.rig, 0.0)
+    errors = [
+        1e3
+        * float(np.sqrt(np.mean(absolute_error(path, mission.truth.trajectory, alignment="first").translation_m ** 2)))
+        for path in (done.trajectory, done.odometry)
+    ]
+    return {"accuracy": f"position {errors[0]:.2f} mm rmse, odometry {errors[1]:.1f} mm", **times}
+
+
+def loaded(name: str) -> tuple[Any, Any, float]:
+    """Log, rig and the seconds to read them."""
+    from slam.io.load import load
+
+    start = time.perf_counter()
+    log, rig = load(DATA / name)
+    return log, rig, time.perf_counter() - start
+
+
+def loop5() -> Row:
+    """A log without truth: the directions of its long walls."""
+    import shapely
+
+    done, times = timed_run(*loaded("loop5/loop5.clf.gz"))
+    angles = []
+    for landmark in done.slam.landmarks:
+        placed = done.slam.landmarks.placed(landmark.id)
+        corners = shapely.get_coordinates(landmark.outline) @ placed.world_T_plane[:2, :2].T
+        extent = np.ptp(corners @ placed.world_T_plane[:2, 0]) if len(corners) else 0.0
+        if landmark.n_keyframes >= OFTEN and extent > LONG_M:
+            angles.append(4.0 * np.arctan2(placed.normal[1], placed.normal[0]))
+    apart = np.angle(np.exp(1j * (np.array(angles) - np.angle(np.exp(1j * np.array(angles)).mean()))))
+    spread = float(np.rad2deg(np.abs(apart).max()) / 4.0)
+    return {"accuracy": f"{len(angles)} long walls at most {spread:.2f} deg from right angles", **times} | {
+        "real-time factor": None  # its stamps are line numbers
+    }
+
+
+def intel() -> Row:
+    """Hand-verified relations; odometry's beside them."""
+    from slam.evaluation.relations import relation_errors
+    from slam.io.relations import read_relations
+
+    done, times = timed_run(*loaded("intel/intel.clf.gz"))
+    relations = read_relations(DATA / "intel" / "intel.relations.gz")
+    words = []
+    for path in (done.trajectory, done.odometry):
+        errors = relation_errors(path, relations)
+        turn = np.rad2deg(errors.rotation_rad.mean())
+        words.append(f"{errors.translation_m.mean():.3f} m / {turn:.2f} deg")
+    return {"accuracy": f"relations {words[0]}, odometry {words[1]}", **times}
+
+
+def corridor() -> Row:
+    """Height and width of the corridor, and the distance to its better registration beside that of the two."""
+    from slam.io.threedtk import read_frames
+    from slam.summary import facing_pairs
+
+    done, times = timed_run(*loaded("3dtk_corridor"))
+    pairs = facing_pairs(done.planes)
+    size = {}
+    for name in ("height", "width"):  # behind a side of the corridor there are others, in doorways
+        mine = [pair for pair in pairs if pair.name == name]
+        size[name] = min(pair.distance_m for pair in mine if pair.overlap_m2 >= 0.5 * mine[0].overlap_m2)
+    folder, away = DATA / "3dtk_corridor", []
+    for path in ("estimate", "cf17522d"):
+        gaps = []
+        for index in (1, 2):
+            better = read_frames(folder / f"scan00{index}.frames.4cc29d4c")
+            other = (
+                done.trajectory.poses[index]
+                if path == "estimate"
+                else read_frames(folder / f"scan00{index}.frames.{path}")
+            )
+            gaps.append(np.linalg.norm(better[:3, 3] - other[:3, 3]))
+        away.append(100.0 * max(gaps))
+    return {
+        "accuracy": f"height {size['height']:.3f} m (2.42), width {size['width']:.3f} m (2.39), "
+        f"{away[0]:.1f} cm from a registration, which is {away[1]:.1f} cm from another",
+        **times,
+        "real-time factor": None,
+    }
+
+
+def hall() -> Row:
+    """A spinning lidar against the lidar odometry it came with, itself 1 to 2 cm off, after alignment."""
+    from slam.evaluation import absolute_error
+    from slam.io.trajectories import Trajectory, read_tum
+
+    done, times = timed_run(*loaded("balm_hall"))
+    reference = read_tum(DATA / "balm_hall" / "lidar_odometry.tum")
+    stamped = Trajectory(reference.stamps_ns[: len(done.trajectory)], done.trajectory.poses)  # clouds have no times
+    error = float(np.sqrt(np.mean(absolute_error(stamped, reference).translation_m ** 2)))
+    times["real-time factor"] = (
+        float(np.ptp(reference.stamps_ns))
+        * 1e-6
+        / (times["ms per keyframe"] * len(done.trajectory) + 1e3 * times["load s"])
+    )
+    return {"accuracy": f"{100 * error:.1f} cm rmse from lidar odometry", **times}
+
+
+def libraries() -> Row:
+    """What is resident before anything is done."""
+    import slam.planeslam
+    import slam.run  # noqa: F401
+
+    return {}
+
+
+_MISSIONS: dict[str, tuple[str, Callable[[], Row]]] = {
+    "libraries alone": ("", libraries),
+    "demo mission, 400 scans": ("", demo),
+    "loop5": ("loop5", loop5),
+    "3dtk_corridor": ("3dtk_corridor", corridor),
+    "balm_hall": ("balm_hall", hall),
+    "intel": ("intel", intel),
+}
+
+
+def in_own_process(mission: Callable[[], Row]) -> Row:
+    """The row of a mission, with the memory of the process that ran it."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(partial(_with_memory, mission)).result()
+
+
+def _with_memory(mission: Callable[[], Row]) -> Row:
+    try:
+        row = mission()
+    except ValueError as error:  # what a log lacks
+        row = {"accuracy": f"did not run: {error}".replace(str(DATA), "data")}
+    return row | {"peak memory MB": process_peak_mb()}
+
+
+def run(*, short: bool = False) -> list[Row]:
+    """A row for each mission whose log is there; short: without the longest."""
+    names = [name for name, (folder, _) in _MISSIONS.items() if (DATA / folder).is_dir()]
+    wanted = [name for name in names if not (short and name == "intel")]
+    return [{"mission": name, **in_own_process(_MISSIONS[name][1])} for name in wanted]
+
+
+def main() -> None:
+    """Print the table."""
+    print(plain(run()))
+
+
+if __name__ == "__main__":
+    main()
