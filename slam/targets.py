@@ -27,10 +27,19 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False) -> N
         ValueError: an ending that is none of these, a file that exists, or a place where nothing can be written.
     """
     run, to = Path(run), Path(to)
+    check_target(to, overwrite=overwrite)
     write = _writer_for(to)
     stored = StoredRun.read(run)
     with whole_file(to, overwrite=overwrite) as scratch:
         write(stored, scratch)
+
+
+def check_target(to: Path, *, overwrite: bool) -> None:
+    """Refuse a name that says no format, or a file that exists, before any work is done for it."""
+    _writer_for(to)
+    if to.exists() and not (overwrite and to.is_file()):
+        hint = "give --overwrite to replace it" if to.is_file() else "expected a file to write, got a folder"
+        raise ValueError(f"{to}: exists already; {hint}")
 
 
 def _writer_for(to: Path) -> Callable[[StoredRun, Path], None]:

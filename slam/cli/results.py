@@ -34,8 +34,10 @@ def export(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
 ) -> None:
     """Write planes, graph or trajectory of RUN as files of other tools; --to may be given more than once."""
-    from slam.targets import export_run
+    from slam.targets import check_target, export_run
 
+    for target in to:
+        check_target(target, overwrite=overwrite)
     for target in to:
         export_run(run, target, overwrite=overwrite)
 

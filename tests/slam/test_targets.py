@@ -73,6 +73,12 @@ def test_a_file_that_exists_is_kept_unless_told_otherwise(run: Path, tmp_path: P
     assert target.read_bytes()[:4] == b"glTF"
 
 
+def test_of_several_targets_a_wrong_one_is_found_before_any_is_written(run: Path, tmp_path: Path, capsys):
+    assert export(run, "--to", tmp_path / "a.glb", "--to", tmp_path / "b.obj") == 2
+    assert "b.obj: expected a name that ends in one of" in capsys.readouterr().err
+    assert not (tmp_path / "a.glb").exists()
+
+
 @pytest.mark.parametrize(
     ("spoil", "name", "sentence"),
     [
