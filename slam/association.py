@@ -81,6 +81,10 @@ def associate(
     world_T_body = backend.pose(pose_key)
     spread = Spread.of(backend.covariance(pose_key))
     shortlists = [_shortlist(observation, landmarks, world_T_body, spread, config) for observation in observations]
+    chances = [
+        _log_density(observation, len(shortlist), spread, config)
+        for observation, shortlist in zip(observations, shortlists, strict=True)
+    ]
     keys = {pose_key} if hint is None else {pose_key, hint.key}
     joint = _joint_covariance(shortlists, keys, backend)
     state, honest = _State(joint), None if hint is None else _State(joint)
@@ -91,7 +95,7 @@ def associate(
     for waits in (_is_open, lambda decision, config: False):
         for index in [index for index in firmest_first if index not in decisions]:
             innovations = _innovations(observations[index], shortlists[index], pose_key, state, backend)
-            decision = _decide(index, [innovation.candidate for innovation in innovations], config)
+            decision = _decide(index, [innovation.candidate for innovation in innovations], chances[index], config)
             if waits(decision, config):
                 continue
             if decision.match is not None:
@@ -141,6 +145,24 @@ class Spread:
         )
 
 
+def _bounds(observation: Observation, spread: Spread, config: AssociationConfig) -> tuple[float, float]:
+    """How far (m) and how much turned (rad) a landmark may lie from where the observation puts it."""
+    reach = float(np.linalg.norm(observation.vertices, axis=1).max())
+    margin = config.gap_m + _SIGMAS * (spread.position_m + reach * spread.angle_rad)
+    return margin, config.max_angle_rad + _SIGMAS * spread.angle_rad
+
+
+def _log_density(observation: Observation, n_near: int, spread: Spread, config: AssociationConfig) -> float:
+    """Log of how many other planes there are about an observation, per rad (of a plane: rad^2) and m.
+
+    As many, and one, lie within the bounds as landmarks do: a place with many walls has more that are not known yet.
+    """
+    margin, angle = _bounds(observation, spread, config)
+    turns = 1 if observation.kind == "line" else 2
+    volume = 2.0 * margin * (2.0 * min(angle, 0.5 * np.pi)) ** turns
+    return float(np.log(config.chance_factor * (n_near + 1) / volume))
+
+
 def _shortlist(
     observation: Observation,
     landmarks: LandmarkMap,
@@ -152,9 +174,7 @@ def _shortlist(
     vertices = observation.vertices
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     radius = float(np.linalg.norm(vertices - middle, axis=1).max())
-    reach = float(np.linalg.norm(vertices, axis=1).max())
-    margin = config.gap_m + _SIGMAS * (spread.position_m + reach * spread.angle_rad)
-    angle = config.max_angle_rad + _SIGMAS * spread.angle_rad
+    margin, angle = _bounds(observation, spread, config)
     normal = world_T_body[:3, :3] @ observation.normal
     near = landmarks.near(normal, world_T_body[:3, :3] @ middle + world_T_body[:3, 3], radius + margin, angle)
     return [
@@ -274,8 +294,8 @@ def _linearised(factor: Any, backend: Backend) -> Any:
     return factor.linearize(backend.values_of(factor.keys()))
 
 
-def _decide(index: int, candidates: list[Candidate], config: AssociationConfig) -> Decision:
-    chance = np.log(config.chance_density)
+def _decide(index: int, candidates: list[Candidate], chance: float, config: AssociationConfig) -> Decision:
+    """The decision by the candidates alone; `chance` is the log density of other planes about the observation."""
     accepted = [
         candidate
         for candidate in candidates

@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 from scipy.linalg import block_diag
 
+from slam.clock import StageClock, timed
 from slam.config import BackendConfig
 from spplanes._check import FloatArray
 
@@ -30,6 +31,7 @@ class Backend:
         self._parameters.setRelinearizeThreshold(config.relinearize_threshold)
         self._parameters.relinearizeSkip = 1
         self._parameters.cacheLinearizedFactors = True
+        self.clock = StageClock()
         self._isam = gtsam.ISAM2(self._parameters)
         self._forget()
 
@@ -63,6 +65,7 @@ class Backend:
                 graph.push_back(factors.at(index))
         return graph
 
+    @timed("optimise")
     def update(
         self, factors: Iterable[Any], initial: gtsam.Values, remove: Sequence[int] = (), *, relinearize: bool = False
     ) -> list[int]:
@@ -84,6 +87,7 @@ class Backend:
             self._forget()
         return list(result.getNewFactorsIndices())
 
+    @timed("optimise")
     def settle(self, rounds: int) -> None:
         """Relinearise a few times over: after something that moved the estimate far."""
         for _ in range(rounds):
@@ -111,6 +115,7 @@ class Backend:
             self._planes[key] = there.retract(self._isam.getDelta().at(key))
         return self._planes[key]
 
+    @timed("marginals")
     def joint_covariance(self, keys: Sequence[int]) -> JointCovariance:
         """Joint marginal covariance of a few variables, in the tangents of their current estimates."""
         try:
@@ -119,6 +124,7 @@ class Backend:
             raise BackendError(_first_line(error)) from error
         return JointCovariance(keys, marginal.fullMatrix(), [self._to_estimate(key) for key in keys])
 
+    @timed("marginals")
     def covariance(self, key: int) -> FloatArray:
         """Marginal covariance of one variable in its GTSAM tangent order, in the tangent of its current estimate."""
         try:

@@ -52,8 +52,9 @@ class AssociationConfig(_Frozen):
     """A match is accepted below the chi2 quantile 1 - significance: one true match in 1 / significance is missed."""
     new_significance: float = Field(default=1e-6, gt=0, lt=1)
     """A measurement starts a landmark only when every candidate lies above this quantile; between, it is dropped."""
-    chance_density: float = Field(default=1.0, gt=0)
-    """Other planes per rad (for planes: rad^2) and m: a match must be likelier than one of them there by chance."""
+    chance_factor: float = Field(default=1.0, gt=0)
+    """A match must be likelier than a plane there by chance; how dense planes lie is taken from the map about the
+    observation, times this."""
     rival_log_ratio: float = Field(default=4.6, ge=0)
     """A match waits while another landmark is at most exp(this) times less likely: 100 to 1."""
     max_angle_rad: float = Field(default=0.35, gt=0)

@@ -9,6 +9,7 @@ from slam.health import silences, skipped
 from slam.mapping_run import MapResult
 from slam.run import Run, path_length_m
 from slam.summary import FacingPair, facing_pairs
+from slam.wall_density import metres_of_wall
 
 
 def metrics_of(run: Run) -> list[Metric]:
@@ -19,6 +20,10 @@ def metrics_of(run: Run) -> list[Metric]:
         Metric("planes in the map", len(run.planes), ""),
         Metric("landmarks tried", len(run.slam.landmarks), ""),
     ]
+    n_walls, length = metres_of_wall(run.planes)
+    if length > 0.0:
+        rows.append(Metric("metres of wall", length, "m"))
+        rows.append(Metric("wall landmarks per metre of wall", n_walls / length, "1/m"))
     rows += _pair_rows(facing_pairs(run.planes)[:6])
     for summary in run.slam.audit.summary():
         band = f"{summary.low:.3f} to {summary.high:.3f}"

@@ -15,6 +15,7 @@ from slam.association import Decision, Hint, associate
 from slam.audit import NisAudit
 from slam.backend import Backend, pose_symbol
 from slam.calibration import WheelCalibration, motion_covariance
+from slam.clock import StageClock, timed
 from slam.coasting import coast
 from slam.config import SlamConfig
 from slam.frames import inverse
@@ -69,6 +70,7 @@ class PlaneSlam:
         self.config = config or SlamConfig()
         self.backend = Backend(self.config.backend)
         self.landmarks = LandmarkMap()
+        self.clock = StageClock()
         self.audit = NisAudit()
         self.observability = Observability(self.config.observability)
         self.prior = prior
@@ -127,10 +129,7 @@ class PlaneSlam:
         check_keyframe(keyframe, self.keyframes[-1].stamp_ns if len(self.keyframes) else None)
         keyframe = self.recorder.measured(len(self.keyframes), keyframe)
         pose_key = self._predict(keyframe)
-        hint = self._hint(keyframe)
-        decisions = associate(
-            keyframe.observations, pose_key, self.landmarks, self.backend, self.config.association, hint
-        )
+        decisions = self._associate(keyframe, pose_key)
         if not self._waiting:  # a motion found by the planes holds what they say: no innovation of theirs
             self.audit.add(len(self.keyframes), (seen.kind for seen in keyframe.observations), decisions)
         self.recorder.decided(len(self.keyframes), decisions)
@@ -188,6 +187,7 @@ class PlaneSlam:
             landmark.sightings = [replace(one, factor_index=moved[one.factor_index]) for one in landmark.sightings]
         self.landmarks.refresh(self.backend)
 
+    @timed("predict")
     def _predict(self, keyframe: Keyframe) -> int:
         """Put the new pose into the graph with what is known before looking: prior or odometry, and the floor."""
         index = len(self.keyframes)
@@ -226,6 +226,13 @@ class PlaneSlam:
         step = inverse(self.backend.pose(pose_symbol(last - 1))) @ self.backend.pose(pose_symbol(last))
         return coast(step, stamps[1] - stamps[0], ahead_s, self.config.coasting)
 
+    @timed("associate")
+    def _associate(self, keyframe: Keyframe, pose_key: int) -> list[Decision]:
+        """Which landmark each observation is of, told apart by all returns where there are any."""
+        hint = self._hint(keyframe)
+        return associate(keyframe.observations, pose_key, self.landmarks, self.backend, self.config.association, hint)
+
+    @timed("compare returns")
     def _hint(self, keyframe: Keyframe) -> Hint | None:
         """The motion to the keyframe by all its returns, for telling walls apart."""
         if not self.keyframes or self._predicted is None:
@@ -233,6 +240,7 @@ class PlaneSlam:
         motion = step_by_view(keyframe, self._predicted, self.keyframes, self.backend, self.config.loops)
         return None if motion is None else Hint(pose_symbol(len(self.keyframes) - 1), motion)
 
+    @timed("update")
     def _update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> set[int]:
         """Add the factors of matches and of new landmarks, then count what was seen; the ids of those landmarks."""
         seen, initial = keyframe.observations, gtsam.Values()
@@ -257,6 +265,7 @@ class PlaneSlam:
         matched = [keyframe.observations[one.observation] for one in decisions if one.match is not None]
         self.observability.add(len(self.keyframes), matched, self.backend.pose(pose_key))
 
+    @timed("learn wheels")
     def _learn(self) -> None:
         """What the last motion, now that its end has been seen, says about the wheels."""
         if self._predicted is None or self._predicted.response is None or self.calibration.covariance is None:
@@ -266,6 +275,7 @@ class PlaneSlam:
         covariance = motion_covariance(a_T_b, self.backend.joint_covariance(keys).of(keys))
         self.calibration.learn(self._predicted, a_T_b, covariance)
 
+    @timed("twins")
     def _split_wrong_merges(self, touched: set[int], decisions: Sequence[Decision]) -> None:
         """Take back merges that what has been seen since speaks against."""
         compared = {candidate.landmark for decision in decisions for candidate in decision.candidates}
@@ -273,6 +283,7 @@ class PlaneSlam:
             if merge.undone is None:
                 self.merges.split_if_two(merge)
 
+    @timed("twins")
     def _merge_twins(self, touched: set[int]) -> None:
         """Join landmarks that are one plane: the younger's factors are re-keyed to the older, inside iSAM2."""
         needed, association = self.config.landmarks.min_observations, self.config.association
@@ -288,6 +299,7 @@ class PlaneSlam:
             if self.merges.may_be_one(older, younger):
                 self.merges.merge(older, younger, "twins")
 
+    @timed("loops")
     def _close_loops(self) -> None:
         """Every metre or so: is what is seen now a place of long ago? Then its walls are joined with those of then."""
         rules, needed = self.config.loops, self.config.landmarks.min_observations

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slam.clock import StageClock
 from slam.config import SlamConfig
 from slam.frames import inverse
 from slam.io.log import Log
@@ -18,23 +17,9 @@ from slam.odometry import OdometryTrack
 from slam.planeslam import MapPlane, PlaneSlam
 from slam.rig import Rig
 
+__all__ = ["Progress", "Run", "StageClock", "odometry_of", "path_length_m", "run_slam"]
+
 Progress = Callable[[int, int], None]
-
-
-@dataclass
-class StageClock:
-    """Wall time by stage, s."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Add the time inside the block to a stage."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +66,7 @@ def run_slam(
     """
     clock = clock or StageClock()
     slam = slam or PlaneSlam(config)
+    slam.clock = slam.backend.clock = clock
     done_before = len(slam.keyframes)
     total = count_keyframes(log, rig, config)
     frames = keyframes_of(log, rig, config, done_before)

@@ -1,0 +1,280 @@
+"""Floor plans for one level laser: corridors around a block and offices with clutter, driven with bad wheels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slam.frames import inverse
+from slam.io.log import Event, LaserScan, Log, OdometryReading, planar_transform
+from spplanes._check import FloatArray
+
+if TYPE_CHECKING:
+    from slam.planeslam import PlaneSlam
+
+#: Time between scans, ns.
+PERIOD_NS = 100_000_000
+#: Depth of door recesses, m.
+RECESS_M = 0.12
+#: Length over which a wall deviates from straight by one value, m.
+PATCH_M = 0.5
+#: A line further from every wall is of none, m.
+_OFF_M = 0.3
+
+
+@dataclass(frozen=True)
+class LaserSettings:
+    """A laser that looks ahead."""
+
+    n_beams: int = 181
+    """Beams over half a turn."""
+    range_max_m: float = 8.0
+    """Farther returns are none, m."""
+    sigma_m: float = 0.01
+    """Standard deviation of a range, m; readings are in whole centimetres."""
+    unevenness_m: float = 0.005
+    """Standard deviation of a patch of a wall from straight, m."""
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """What the odometry does wrong."""
+
+    scale: float = 0.03
+    """Share by which ways are read too long."""
+    curvature_rad_per_m: float = 0.03
+    """Turn that is not read, per metre, rad."""
+    noise_rad_per_sqrt_m: float = 0.015
+    """Random turn after a metre, rad."""
+    noise_per_turn: float = 0.03
+    """Random turn after turning by a radian, rad."""
+    slip_rad: float = 0.1
+    """Turn that is not read at each of the slips, rad."""
+    slip_m: float = 0.2
+    """Way that is read and not driven at each of the slips, m."""
+    n_slips: int = 2
+    """Slips on the whole way."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A simulated log with its truth."""
+
+    log: Log
+    """Odometry and scans of sensor FLASER, ten centimetres apart."""
+    poses: FloatArray
+    """True world_T_body at every scan, shape (N, 4, 4), the first at the origin of the log."""
+    walls: FloatArray
+    """Ends of the walls in the same world, shape (W, 2, 2), free space on the left of the way from first to second."""
+
+    def poses_at(self, stamps_ns: np.ndarray) -> FloatArray:
+        """True poses relative to the first one, at times of scans, shape (N, 4, 4)."""
+        return self.poses[np.asarray(stamps_ns) // PERIOD_NS]
+
+
+@dataclass
+class FloorPlan:
+    """Walls, and a way between them."""
+
+    walls: list[tuple[tuple[float, float], tuple[float, float]]] = field(default_factory=list)
+    """Ends of each wall, m."""
+    way: list[tuple[float, float]] = field(default_factory=list)
+    """Corners of the way, m."""
+
+    def add_chain(self, corners: list[tuple[float, float]]) -> None:
+        """A wall around corners, free space on its left."""
+        self.walls += list(pairwise(corners))
+
+    def add_wall(
+        self, start: tuple[float, float], end: tuple[float, float], doors: list[float], width_m: float = 0.9
+    ) -> None:
+        """A straight wall with recessed doors that begin at distances along it; free space on its left."""
+        a, b = np.array(start), np.array(end)
+        along = (b - a) / np.linalg.norm(b - a)
+        back = np.array((along[1], -along[0])) * RECESS_M
+        corners = [a]
+        for door in doors:
+            near, far = a + door * along, a + (door + width_m) * along
+            corners += [near, near + back, far + back, far]
+        self.add_chain([(float(x), float(y)) for x, y in [*corners, b]])
+
+    def add_box(self, x: float, y: float, width: float, depth: float) -> None:
+        """Something that stands about."""
+        self.add_chain([(x, y), (x, y + depth), (x + width, y + depth), (x + width, y), (x, y)])
+
+
+def ring(
+    rng: np.random.Generator,
+    *,
+    length_m: float = 18.0,
+    depth_m: float = 14.0,
+    doors_per_wall: int = 4,
+    past_m: float = 7.0,
+) -> FloorPlan:
+    """Corridors around a block, once round and a bit further; doors at random places."""
+    plan, half = FloorPlan(), rng.uniform(0.9, 1.3)
+    corners = np.array(((0.0, 0.0), (length_m, 0.0), (length_m, depth_m), (0.0, depth_m)))
+    signs = np.array(((-1, -1), (1, -1), (1, 1), (-1, 1)))
+    outer, inner = corners + half * signs, corners - half * signs
+    for k in range(4):
+        for a, b in ((outer[k], outer[(k + 1) % 4]), (inner[(k + 1) % 4], inner[k])):
+            plan.add_wall(tuple(a), tuple(b), _places(rng, float(np.linalg.norm(b - a)), doors_per_wall))
+    start = np.array((0.35 * length_m, 0.0))
+    way = [start, *corners[1:], corners[0], start + np.array((past_m, 0.0))]
+    plan.way = [(float(x), float(y)) for x, y in way]
+    return plan
+
+
+def office(rng: np.random.Generator, *, n_rooms: int = 4, laps: int = 2) -> FloorPlan:
+    """A corridor with rooms on both sides, boxes about in them; into every room and back, and that again."""
+    plan, width, door = FloorPlan(), 4.0, 1.0
+    length = n_rooms * width
+    for side in (1.0, -1.0):
+        corners = [(0.0, 0.9 * side)]
+        for k in range(n_rooms):
+            x0, x1, gate = k * width, (k + 1) * width, (k + 0.5) * width + rng.uniform(-0.8, 0.8)
+            deep = side * (0.9 + rng.uniform(3.0, 4.5))
+            room = [
+                (gate - door / 2, 0.9 * side),
+                (gate - door / 2, 1.02 * side),
+                (x0 + 0.1, 1.02 * side),
+                (x0 + 0.1, deep),
+            ]
+            room += [
+                (x1 - 0.1, deep),
+                (x1 - 0.1, 1.02 * side),
+                (gate + door / 2, 1.02 * side),
+                (gate + door / 2, 0.9 * side),
+            ]
+            corners += room
+            plan.way += [(gate, 0.0), (gate, side * 2.2), (gate, 0.0)]
+            for _ in range(3):
+                x, y = rng.uniform(x0 + 0.3, x1 - 0.9), side * rng.uniform(2.6, abs(deep) - 0.7)
+                if abs(x + 0.25 - gate) > 0.8 or abs(y) > 3.2:
+                    plan.add_box(x, min(y, y + 0.4 * side), rng.uniform(0.3, 0.7), 0.4)
+        plan.add_chain([*corners, (length, 0.9 * side)][:: -int(side)])
+    plan.add_chain([(0.0, 0.9), (0.0, -0.9)])
+    plan.add_chain([(length, -0.9), (length, 0.9)])
+    tour = sorted(range(2 * n_rooms), key=lambda k: (k >= n_rooms, k if k < n_rooms else -k))
+    stops = [plan.way[3 * k + i] for k in tour for i in range(3)]
+    plan.way = [(0.8, 0.0), *stops * laps, (0.8, 0.0)]
+    return plan
+
+
+def drive(
+    plan: FloorPlan, rng: np.random.Generator, laser: LaserSettings = LaserSettings(), wheels: Wheels = Wheels()
+) -> Drive:
+    """Drive the way, turning on the spot at its corners, a scan every 10 cm or 0.1 rad."""
+    true = _poses_along(np.array(plan.way))
+    walls = np.array(plan.walls)
+    angles = np.linspace(-np.pi / 2, np.pi / 2, laser.n_beams)
+    bumps = rng.normal(0.0, laser.unevenness_m, (len(walls), 256))
+    slips = set(rng.integers(len(true) // 5, 4 * len(true) // 5, wheels.n_slips).tolist())
+    events: list[Event] = []
+    odometry = planar_transform(0.0, 0.0, 0.0)
+    for index, pose in enumerate(true):
+        stamp = index * PERIOD_NS
+        if index:
+            odometry = odometry @ _misread(true[index - 1], pose, wheels, index in slips, rng)
+        ranges = cast(walls, bumps, pose, angles) + rng.normal(0.0, laser.sigma_m, angles.size)
+        ranges = np.where(ranges < laser.range_max_m, np.round(ranges, 2), np.nan)
+        events += [OdometryReading(stamp, odometry), LaserScan(stamp, "FLASER", ranges, angles)]
+    to_log = inverse(planar_transform(*true[0]))
+    poses = np.array([to_log @ planar_transform(*pose) for pose in true])
+    return Drive(Log(events, Path("simulated")), poses, walls @ to_log[:2, :2].T + to_log[:2, 3])
+
+
+def _places(rng: np.random.Generator, length: float, count: int) -> list[float]:
+    """Random distances along a wall, apart from one another and from the ends."""
+    share = (length - 1.0) / max(count, 1)
+    return [0.5 + share * k + rng.uniform(0.1, max(share - 1.1, 0.2)) for k in range(count)]
+
+
+def _poses_along(corners: FloatArray) -> FloatArray:
+    """(x, y, theta) along a way, shape (N, 3)."""
+    rows: list[tuple[float, float, float]] = []
+    heading = None
+    for a, b in pairwise(corners):
+        step = b - a
+        direction = float(np.arctan2(step[1], step[0]))
+        if heading is not None:
+            turn = float(np.remainder(direction - heading + np.pi, 2.0 * np.pi) - np.pi)
+            n = int(np.ceil(abs(turn) / 0.1))
+            rows += [(a[0], a[1], heading + turn * k / n) for k in range(1, n + 1)]
+        heading = direction
+        length = float(np.linalg.norm(step))
+        rows += [(*(a + step * s / length), heading) for s in np.arange(0.0, length, 0.1)[1:]]
+    return np.array(rows)
+
+
+def _misread(last: FloatArray, pose: FloatArray, wheels: Wheels, slips: bool, rng: np.random.Generator) -> FloatArray:
+    """The step between two poses (x, y, theta) as the wheels read it, shape (4, 4)."""
+    step = inverse(planar_transform(*last)) @ planar_transform(*pose)
+    way, turn = float(step[0, 3]), float(np.arctan2(step[1, 0], step[0, 0]))
+    turn_read = turn - wheels.curvature_rad_per_m * abs(way)
+    turn_read += rng.normal(
+        0.0, np.hypot(wheels.noise_rad_per_sqrt_m * np.sqrt(abs(way)), wheels.noise_per_turn * np.sqrt(abs(turn)))
+    )
+    way_read = way * (1.0 + wheels.scale)
+    if slips:
+        turn_read -= wheels.slip_rad
+        way_read += wheels.slip_m
+    return planar_transform(way_read, float(step[1, 3]), turn_read)
+
+
+def cast(walls: FloatArray, bumps: FloatArray, pose: FloatArray, angles: FloatArray) -> FloatArray:
+    """Ranges (B,) from a pose (x, y, theta) to uneven walls; infinity for no wall."""
+    directions = angles + pose[2]
+    rays = np.stack((np.cos(directions), np.sin(directions)))
+    start, along = walls[:, 0] - pose[:2], walls[:, 1] - walls[:, 0]
+    cross = along[:, 1, None] * rays[0] - along[:, 0, None] * rays[1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0])[:, None] / cross
+        share = (rays[1] * start[:, 0, None] - rays[0] * start[:, 1, None]) / cross
+    reach[~((reach > 0.0) & (share >= 0.0) & (share <= 1.0))] = np.inf
+    nearest = reach.argmin(axis=0)
+    beams = np.arange(angles.size)
+    lengths = np.linalg.norm(along, axis=1)
+    seen = np.isfinite(reach[nearest, beams])
+    place = np.where(seen, share[nearest, beams], 0.0) * lengths[nearest] / PATCH_M
+    patch = np.clip(place, 0, bumps.shape[1] - 1).astype(int)
+    grazing = np.abs(cross[nearest, beams]) / lengths[nearest]
+    return reach[nearest, beams] + bumps[nearest, patch] / np.maximum(grazing, 0.1)
+
+
+def wrong_landmarks(slam: PlaneSlam, truth: Drive, tolerance_m: float = 0.06) -> list[int]:
+    """Ids of landmarks of whose sightings more than a tenth, and two or more, are of other planes than most of them.
+
+    A sighting is of the plane of walls nearest to its middle that faces the same way, for it may bridge a gap; planes
+    differ by more than the tolerance or by 0.1 rad.
+    """
+    along = truth.walls[:, 1] - truth.walls[:, 0]
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    normals = np.stack((-along[:, 1], along[:, 0]), axis=1)
+    offsets = np.einsum("wi,wi->w", normals, truth.walls[:, 0])
+    poses = truth.poses_at(np.array([frame.stamp_ns for frame in slam.keyframes]))
+    wrong = []
+    for landmark in slam.landmarks:
+        seen = []
+        for sighting in landmark.sightings:
+            line, pose = slam.keyframes[sighting.keyframe].observations[sighting.observation], poses[sighting.keyframe]
+            middle = (line.vertices[:, :2] @ pose[:2, :2].T + pose[:2, 3]).mean(axis=0)
+            turned = normals @ pose[:2, :2] @ line.normal[:2] < np.cos(0.3)
+            gaps = np.abs(offsets - normals @ middle) + 10.0 * turned
+            nearest = int(gaps.argmin())
+            if gaps[nearest] < _OFF_M:
+                seen.append((offsets[nearest], np.arctan2(normals[nearest, 1], normals[nearest, 0])))
+        if len(seen) > 1 and _is_of_two(np.array(seen), tolerance_m):
+            wrong.append(landmark.id)
+    return wrong
+
+
+def _is_of_two(seen: FloatArray, tolerance_m: float) -> bool:
+    """Whether planes (offset, direction), shape (N, 2), are not nearly all one."""
+    turns = np.remainder(seen[:, 1] - np.median(seen[:, 1]) + np.pi, 2.0 * np.pi) - np.pi
+    other = (np.abs(seen[:, 0] - np.median(seen[:, 0])) > tolerance_m) | (np.abs(turns) > 0.1)
+    return bool(other.sum() >= 2 and other.mean() > 0.1)
