@@ -36,11 +36,12 @@ def show(title: str, rows: Sequence[Metric], as_json: bool) -> None:
         print(json.dumps(rows_as_json(rows), indent=1))
         return
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     from slam.report import format_value
 
-    table = Table(title=title, title_justify="left")
+    table = Table(title=escape(title), title_justify="left")
     table.add_column("metric")
     table.add_column("value", justify="right")
     table.add_column("unit")

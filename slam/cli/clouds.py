@@ -58,10 +58,11 @@ def _show(name: str, found: CloudPlanes, as_json: bool) -> None:
         print(json.dumps({"sigma_m": found.sigma_m, "sigma_note": found.note, "planes": rows}, indent=1))
         return
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=f"{name}, points of {1000 * found.sigma_m:.3g} mm", title_justify="left")
-    headings = ("", "normal", "d\n[m]", "sigma d\n[mm]", "sigma tilt\n[deg]", "points", "area\n[m2]")
+    table = Table(title=f"{escape(name)}, points of {1000 * found.sigma_m:.3g} mm", title_justify="left")
+    headings = ("", "normal", "d\n(m)", "sigma d\n(mm)", "sigma tilt\n(deg)", "points", "area\n(m2)")
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:

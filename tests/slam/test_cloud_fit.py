@@ -23,7 +23,7 @@ HERE = pose(0.3, -0.4, 0.2)
 
 @pytest.fixture
 def room(tmp_path: Path) -> Path:
-    path = tmp_path / "Zimmer Nr. 7.npy"
+    path = tmp_path / "Zimmer [7] Süd.npy"
     np.save(path, seen_from(HERE, 5))
     return path
 
@@ -70,7 +70,7 @@ def test_planes_of_a_room(room: Path, capsys: pytest.CaptureFixture[str]):
 
 def test_a_stated_sigma_is_used_and_the_table_says_so(room: Path, capsys: pytest.CaptureFixture[str]):
     code, out, _ = run(capsys, "fit", room, "--sigma", 0.02)
-    assert code == 0 and "20 mm" in out and "as given" in out
+    assert code == 0 and "Zimmer [7] Süd.npy, points of 20 mm" in out and "as given" in out
     assert "expected a standard deviation above 0" in refused(capsys, "fit", room, "--sigma", -1)
 
 
