@@ -118,6 +118,8 @@ class CoastingConfig(_Frozen):
     """Of the change of speed, m/s^2: somebody who carries the sensor starts and stops within a second or two."""
     turn_change_sigma_rad_per_s2: float = Field(default=0.5, gt=0)
     """Of the change of the rate of turn, rad/s^2."""
+    robust: RobustKernel | None = "cauchy"
+    """Robust kernel on what is matched at a place that the planes had to find: some of it will be wrong."""
     floor_m: float = Field(default=0.05, gt=0)
     """Least standard deviation of a step, m."""
     floor_rad: float = Field(default=0.05, gt=0)

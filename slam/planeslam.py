@@ -246,7 +246,9 @@ class PlaneSlam:
         seen, initial = keyframe.observations, gtsam.Values()
         every = self.config.landmarks.anchor_every
         anchor_key = pose_symbol(max(len(self.keyframes) - 1, 0) // every * every)
-        sights = matched_sights(seen, pose_key, decisions, self.landmarks, self.backend, self.config)
+        robust = self.config.coasting.robust if self._standing_in else None
+        robust = robust or self.config.backend.robust
+        sights = matched_sights(seen, pose_key, decisions, self.landmarks, self.backend, robust)
         sights += birth_sights(
             seen, (anchor_key, pose_key), decisions, self.landmarks, self.backend, self.config, initial
         )

@@ -41,16 +41,16 @@ def matched_sights(
     decisions: Sequence[Decision],
     landmarks: LandmarkMap,
     backend: Backend,
-    config: SlamConfig,
+    robust: str | None,
 ) -> list[Sight]:
-    """Factors of the observations that were matched to a landmark."""
+    """Factors of the observations that were matched to a landmark, with a robust kernel or without."""
     sights = []
     for decision in decisions:
         if decision.match is None:
             continue
         observation = observations[decision.observation]
         landmark = landmarks[decision.match.landmark]
-        factor = observe(observation, pose_key, landmark, backend, config.backend.robust)
+        factor = observe(observation, pose_key, landmark, backend, robust)
         plane_T_body = inverse(landmarks.placed(landmark.id).world_T_plane) @ backend.pose(pose_key)
         sights.append(Sight(landmark, observation, decision.observation, factor, plane_T_body))
     return sights
