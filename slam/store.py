@@ -3,30 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
-import sqlite3
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 from slam._session_codec import CodecError, decode, encode, keyframe_of, without_scans
 from slam._session_digest import digest
-from slam._session_file import (
-    SessionDamaged,
-    SessionError,
-    StorageError,
-    check_structure,
-    check_version,
-    connect,
-    create,
-    transaction,
-    translated,
-)
-from slam._session_lock import WriterLock
-from slam._session_wal import lost_frames
+from slam._session_file import SessionDamaged, SessionError, StorageError, transaction, translated
+from slam._session_open import OpenFile, make_file, open_file, put
 from slam.association import Decision
 from slam.config import SlamConfig
 from slam.io.log import CloudScan, LaserScan
@@ -78,25 +65,17 @@ class Session:
     Every record carries a checksum over itself and all before it, which is checked whenever it is read.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        connection: sqlite3.Connection,
-        lock: WriterLock | None,
-        version: int,
-        *,
-        damaged: bool = False,
-    ) -> None:
-        self.path = path
-        self._db, self._lock, self._version = connection, lock, version
+    def __init__(self, path: Path, found: OpenFile, *, damaged: bool = False) -> None:
+        self.path, self._file = path, found
+        self._db, self._version = found.connection, found.version
         with translated(path):
-            connection.execute("BEGIN")  # one state of the file, whatever its writer does meanwhile
+            self._db.execute("BEGIN")  # one state of the file, whatever its writer does meanwhile
         try:
             self._load(damaged)
         finally:
             with translated(path):
-                if connection.in_transaction:
-                    connection.execute("COMMIT")
+                if self._db.in_transaction:
+                    self._db.execute("COMMIT")
 
     def _load(self, damaged: bool) -> None:
         parameters = {key: self._read("session", key) for key in _PARAMETERS}
@@ -136,7 +115,6 @@ class Session:
         path = session_path(path)
         if path.exists():
             raise SessionError(f"{path}: exists already")
-        lock, work = _locked(path), path.with_name(path.name + ".new")
         values = {
             "config": json.dumps(config.model_dump(mode="json")).encode(),  # JSON of Python's: it knows infinity
             "rig": None if rig is None else _rig_json(rig),
@@ -145,16 +123,7 @@ class Session:
             "log": json.dumps(log).encode(),
             "state": json.dumps({"state": "running", "keyframes": 0}).encode(),
         }
-        try:
-            work.unlink(missing_ok=True)
-            with closing(create(work)) as made, transaction(work, made):
-                for key, value in values.items():
-                    if value is not None:
-                        _put(made, "session", key, value)
-            os.replace(work, path)  # it is there with all its parameters, or not at all
-        finally:
-            work.unlink(missing_ok=True)
-            lock.release()
+        make_file(path, {key: value for key, value in values.items() if value is not None})
         return cls.open(path)
 
     @classmethod
@@ -173,23 +142,11 @@ class Session:
         path = session_path(path)
         if not path.is_file():
             raise SessionError(f"{path}: expected a session, found nothing")
-        lock = None if read_only else _locked(path)
-        connection: sqlite3.Connection | None = None
+        found = open_file(path, read_only=read_only, damaged=damaged)
         try:
-            if not damaged:
-                _check_journal(path, writer_may_live=read_only)
-            connection = connect(path, read_only=read_only)
-            version = check_version(path, connection, read_only=read_only)
-            if not read_only:
-                check_structure(path, connection)
-                with translated(path):
-                    connection.execute("PRAGMA journal_mode = WAL")
-            return cls(path, connection, lock, version, damaged=damaged)
+            return cls(path, found, damaged=damaged)
         except BaseException:
-            if connection is not None:
-                connection.close()
-            if lock is not None:
-                lock.release()
+            found.close()
             raise
 
     def __len__(self) -> int:
@@ -199,7 +156,7 @@ class Session:
     @property
     def read_only(self) -> bool:
         """Whether it was opened to be read."""
-        return self._lock is None
+        return self._file.lock is None
 
     @property
     def is_finished(self) -> bool:
@@ -311,19 +268,19 @@ class Session:
         self._check_writable()
         with transaction(self.path, self._db):
             for key, data in results.items():
-                _put(self._db, "results", key, data)
+                put(self._db, "results", key, data)
             self._seal("finished")
 
     def set_log(self, log: dict[str, Any]) -> None:
         """Say anew where the data come from."""
         self._check_writable()
         with transaction(self.path, self._db):
-            _put(self._db, "session", "log", json.dumps(log).encode())
+            put(self._db, "session", "log", json.dumps(log).encode())
 
     def close(self) -> None:
         """Let go of the file; what a writer leaves is one file without journal. Twice is once."""
-        if self._lock is None:
-            self._db.close()
+        if self._file.lock is None:
+            self._file.close()
             return
         try:
             if not self.is_finished:
@@ -331,11 +288,10 @@ class Session:
                     self._seal("running")
             with translated(self.path):
                 self._db.execute("PRAGMA journal_mode = DELETE")
-        except (SessionError, StorageError, sqlite3.ProgrammingError):
-            pass  # a reader holds it, or the disk is full: the journal stays and is as good
+        except (SessionError, StorageError):
+            pass  # a reader holds it, the disk is full, or it is closed: the journal stays and is as good
         finally:
-            self._db.close()
-            self._lock.release()
+            self._file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -350,7 +306,7 @@ class Session:
     def _seal(self, state: str) -> None:
         """Write down how far it goes: what is missing from the end has no checksum of its own."""
         seal = {"state": state, "keyframes": self._size, "chain": self._last.hex()}
-        _put(self._db, "session", "state", json.dumps(seal).encode())
+        put(self._db, "session", "state", json.dumps(seal).encode())
 
     def _check_seal(self) -> None:
         seal = self._state
@@ -361,7 +317,7 @@ class Session:
             raise self._damaged(seal["keyframes"] - 1)
 
     def _check_writable(self) -> None:
-        if self._lock is None:
+        if self._file.lock is None:
             raise SessionError(f"{self.path}: opened to be read only")
 
     def _one(self, query: str, *values: object) -> Any:
@@ -397,30 +353,3 @@ def _rig_json(rig: Rig) -> bytes:
     for sensor in plain["sensors"].values():
         sensor["body_T_sensor"] = sensor["body_T_sensor"].get("matrix", sensor["body_T_sensor"])
     return json.dumps(plain).encode()
-
-
-def _put(connection: sqlite3.Connection, table: str, key: str, data: bytes) -> None:
-    connection.execute(f"INSERT OR REPLACE INTO {table} VALUES (?, ?, ?)", (key, data, digest(key, data)))
-
-
-def _locked(path: Path) -> WriterLock:
-    lock = WriterLock(path)
-    try:
-        taken = lock.take()
-    except OSError as error:
-        raise SessionError(f"{path}: cannot be written ({error.strerror})") from error
-    if not taken:
-        raise SessionError(f"{path}: another process is writing it")
-    return lock
-
-
-def _check_journal(path: Path, *, writer_may_live: bool) -> None:
-    """Refuse a journal that lost what was acknowledged; one that is just being written is its writer's affair."""
-    try:
-        if writer_may_live and WriterLock(path).is_taken():
-            return
-        lost = lost_frames(path)
-    except OSError as error:
-        raise SessionError(f"{path}: cannot be read ({error.strerror})") from error
-    if lost:
-        raise SessionDamaged(f"{path}: damaged; {lost} pages of its journal, the last keyframes, cannot be read")
