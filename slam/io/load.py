@@ -48,23 +48,34 @@ def load(
         raise LogError(path, "expected a log file or a folder of scans, found nothing")
     if is_rosbag(path):
         return _load_bag(path, rig, topics or Topics(), keep_partial)
+    if path.is_dir():
+        return _load_folder(path, rig, keep_partial)
+    if path.suffix.lower() == ".e57":
+        return _load_clouds(path, rig, read_e57_log)
+    if is_cloud_file(path) and path.suffix.lower() not in (".txt", ".csv"):
+        raise LogError(path, "expected a log, got one cloud: give it to `spplanes fit`, or a folder of clouds")
+    return _load_carmen(path, rig, keep_partial)
+
+
+def _load_folder(path: Path, rig: Rig | None, keep_partial: bool) -> tuple[Log, Rig]:
+    """A mission, the scans of 3DTK, depth images, clouds; the result of a run is none of them."""
+    mission = next((path / name for name in _MISSION_LOGS if (path / name).is_file()), None)
+    if mission is not None:
+        if rig is None and (path / RIG_FILE).is_file():
+            rig = Rig.from_yaml(path / RIG_FILE)
+        return _load_carmen(mission, rig, keep_partial)
+    if (path / "planes.json").is_file():
+        raise LogError(path, "expected a log, got the folder of a run")
     if is_3dtk_folder(path):
         return read_3dtk(path), rig or threedtk_rig()
-    if path.is_dir() and is_depth_folder(path):
+    if is_depth_folder(path):
         return _load_depth(path, rig)
     if has_clouds(path):
         return _load_clouds(path, rig, read_cloud_folder)
-    if path.suffix.lower() == ".e57":
-        return _load_clouds(path, rig, read_e57_log)
-    if path.is_file() and is_cloud_file(path) and path.suffix.lower() not in (".txt", ".csv"):
-        raise LogError(path, "expected a log, got one cloud: give it to `spplanes fit`, or a folder of clouds")
-    if path.is_dir():
-        inside = next((path / name for name in _MISSION_LOGS if (path / name).is_file()), None)
-        if inside is None:
-            raise LogError(path, "expected a folder with clouds, scanNNN.3d files, a bag or log.clf.gz, found none")
-        if rig is None and (path / RIG_FILE).is_file():
-            rig = Rig.from_yaml(path / RIG_FILE)
-        path = inside
+    raise LogError(path, "expected a folder with clouds, scanNNN.3d files, a bag or log.clf.gz, found none")
+
+
+def _load_carmen(path: Path, rig: Rig | None, keep_partial: bool) -> tuple[Log, Rig]:
     log = read_carmen(path, rig=rig, keep_partial=keep_partial)
     return log, rig or default_rig_for(log)
 
