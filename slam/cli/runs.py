@@ -48,6 +48,8 @@ def slam(
     ] = "0.3,6",
     keep_raw: Annotated[bool, typer.Option("--keep-raw", help="Keep the raw scans in the session.")] = False,
     forget_raw: Annotated[bool, typer.Option("--forget-raw", help="Keep measurements on disk, not in memory.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="End the run at a scan that cannot be used.")] = False,
+    batch: Annotated[bool, typer.Option("--batch", help="Solve the graph once more as a whole at the end.")] = False,
     topic: TopicOption = None,
     odometry_topic: OdometryTopicOption = None,
     as_json: JsonOption = False,
@@ -75,6 +77,9 @@ def slam(
         topics=topic,
         odometry_topic=odometry_topic,
     )
+    if strict:
+        keyframes = job.config.keyframes.model_copy(update={"strict": True})
+        job = job._replace(config=job.config.model_copy(update={"keyframes": keyframes}))
     known = None if prior is None else read_prior(prior, start, start_sigma)
     source = Source(log, keep_partial, "value" if keep_raw else "reference", forget_raw)
     with (
@@ -82,7 +87,7 @@ def slam(
         new_run(out, job.log, job.rig, job.config, source, prior=known, overwrite=overwrite) as slam,
         progress_bar("keyframes") as progress,
     ):
-        run = run_slam(job.log, job.rig, job.config, slam=slam, clock=job.clock, progress=progress)
+        run = run_slam(job.log, job.rig, job.config, slam=slam, batch=batch, clock=job.clock, progress=progress)
         _conclude(run, out, as_json)
 
 
