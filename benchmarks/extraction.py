@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks._boxes import polyhedra_scan
 from benchmarks._scans import (
     CORRIDOR_SENSOR,
     HALL_SENSOR,
@@ -52,7 +53,7 @@ def run(data: Path = DATA) -> list[dict]:
         rows.append(_frame("the same + Kinect noise", *icl_frame(data, 0)))
     if (data / "synpeb").is_dir():
         rows.append(_frame("synpeb 100x100", *synpeb_scan(data)))
-    return [*rows, *_mission(), _steady()]
+    return [*rows, _polyhedra(), *_mission(), _steady()]
 
 
 def _frame(name: str, points: FloatArray, sigma: FloatArray | float, truth: np.ndarray) -> dict:
@@ -62,6 +63,25 @@ def _frame(name: str, points: FloatArray, sigma: FloatArray | float, truth: np.n
         "what": name,
         "correct": f"{correct_detections(labels, truth)}/{len(np.unique(truth[truth > 0]))}",
         "planes": len(planes),
+        "ours_ms": ours,
+        "open3d_ms": theirs,
+        "ratio": ours / theirs if theirs else None,
+    }
+
+
+def _polyhedra(n_scans: int = 6) -> dict:
+    """Rooms of polyhedra, 500 x 500, that nothing was tuned on."""
+    scans = [polyhedra_scan(seed) for seed in range(n_scans)]
+    found = [segment_scans(points, noise, viewpoints=np.zeros(3)) for points, noise, _ in scans]
+    correct = sum(correct_detections(labels, scan[2]) for (labels, _), scan in zip(found, scans, strict=True))
+    points, noise, _ = scans[0]
+    ours, theirs = _together(
+        lambda: segment_scans(points, noise, viewpoints=np.zeros(3)), lambda: _open3d_patches(points), repeats=3
+    )
+    return {
+        "what": f"{n_scans} rooms of polyhedra 500x500 (time: of one)",
+        "correct": f"{correct}/{sum(len(np.unique(truth)) for _, _, truth in scans)}",
+        "planes": sum(len(planes) for _, planes in found),
         "ours_ms": ours,
         "open3d_ms": theirs,
         "ratio": ours / theirs if theirs else None,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from spplanes.segmentation._patches import variance_from
+from spplanes.segmentation._patches import distance_of, variance_from
 
 
 @njit(cache=True)
@@ -68,6 +68,70 @@ def _differences(points, valid, first):
             for k in range(3):
                 down[i, j, k] = points[i + 1, j, k] + points[i + 2, j, k] - points[i - 1, j, k] - points[i - 2, j, k]
     return across, down, full
+
+
+@njit(cache=True)
+def unlabel_seams(points, covariance, views, labels, start, planes, tolerance, flatness, reach, limit):
+    """Unlabel, in place, the points around which a region's points lie behind its plane on average (chi2).
+
+    A seam between two cushions is a groove of millimetres, less than the noise of a point but not than that of the
+    mean in a window. Where it parts a region, there are two; where it does not, the region grows over it again. Where
+    surfaces are granted more than the noise, nothing hides in it, and what shows are the surfaces' own waves.
+
+    Args:
+        points, covariance, labels, start, planes: see `unlabel_creases`.
+        views: viewpoint of every row, shape (S, 3), m.
+        tolerance: variance that the mean of a window may have beside its noise, of every region, shape (R,), m^2.
+        flatness: deviation from a plane that surfaces are granted, m.
+        reach: points that the window reaches to each side.
+        limit: largest chi2 (1 dof) of the mean.
+    """
+    n_rows, n_cols = labels.shape
+    weight, moment = np.zeros(labels.shape), np.zeros(labels.shape)
+    for i in range(start, n_rows):
+        for j in range(n_cols):
+            r = labels[i, j]
+            if r >= 0:
+                weight[i, j] = 1.0 / variance_from(covariance, i, j, planes, r)
+                moment[i, j] = weight[i, j] * distance_of(points, i, j, planes, r)
+    weight, moment = _sum_along(weight, labels, reach), _sum_along(moment, labels, reach)
+    across = np.ascontiguousarray(labels.T)
+    weight = _sum_along(np.ascontiguousarray(weight.T), across, reach)
+    moment = _sum_along(np.ascontiguousarray(moment.T), across, reach)
+    for i in range(start, n_rows):
+        for j in range(n_cols):
+            r = labels[i, j]
+            if r < 0 or variance_from(covariance, i, j, planes, r) <= flatness * flatness:
+                continue
+            if moment[j, i] ** 2 > limit * weight[j, i] * (1.0 + tolerance[r] * weight[j, i]):
+                eye = views[i, 0] * planes[r, 0] + views[i, 1] * planes[r, 1] + views[i, 2] * planes[r, 2]
+                if moment[j, i] * (eye - planes[r, 3]) < 0.0:
+                    labels[i, j] = -1
+
+
+@njit(cache=True)
+def _sum_along(values, labels, reach):
+    """Sums of the values within reach along every row that lie in the same run of equal labels."""
+    n_rows, n_cols = values.shape
+    result = np.zeros(values.shape)
+    for i in range(n_rows):
+        end = 0
+        while end < n_cols:
+            begin, r = end, labels[i, end]
+            while end < n_cols and labels[i, end] == r:
+                end += 1
+            if r < 0:
+                continue
+            total = 0.0
+            for j in range(begin, min(begin + reach, end)):
+                total += values[i, j]
+            for j in range(begin, end):
+                if j + reach < end:
+                    total += values[i, j + reach]
+                if j - reach - 1 >= begin:
+                    total -= values[i, j - reach - 1]
+                result[i, j] = total
+    return result
 
 
 @njit(cache=True)

@@ -145,12 +145,13 @@ def release(points, covariance, labels, planes, bias, size, limit):
 
 
 @njit(cache=True)
-def border_pairs(points, covariance, valid, views, labels, planes, bias, gap, hidden):
+def border_pairs(points, covariance, valid, views, labels, planes, sizes, bias, gap, hidden):
     """Pairs of unlike regions, (E, 2), that touch, or that an occluder parts along a row or column.
 
-    With an occluder, at most `hidden` points lie between, clearly before the plane; at most `gap` of them are
-    missing, up to four of its edges lie on the plane. A gap of 0 asks for regions that touch. Points on the plane or
-    behind it, a seam or a doorway, show that the surface ends.
+    With an occluder, the points between lie clearly before the plane; at most `gap` of them are missing, up to four of
+    its edges lie on the plane. It is at most `gap` points wide, or `hidden` times as wide as the smaller region, which
+    else would not tell what is behind it. A gap of 0 asks for regions that touch. Points on the plane or behind it, a
+    seam or a doorway, show that the surface ends.
     """
     n_rows, n_cols = labels.shape
     pairs = np.empty((4 * labels.size, 2), dtype=np.int64)
@@ -164,12 +165,14 @@ def border_pairs(points, covariance, valid, views, labels, planes, bias, gap, hi
                 if r < 0 or r == (labels[i, j - 1] if along == 0 else labels[i - 1, j]):
                     continue
                 on_plane, before, missing = 0, 0, 0
-                for back in range(1, min(hidden if gap else 1, v) + 1):
+                widest = max(gap, int(hidden * np.sqrt(sizes[r]))) if gap else 0
+                for back in range(1, min(widest + 1, v) + 1):
                     a, b = (i, j - back) if along == 0 else (i - back, j)
                     q = labels[a, b]
                     if q == r:
                         break
-                    if q >= 0 and (back == 1 or before > 0) and count < pairs.shape[0]:
+                    near = back <= gap + 1 or back <= hidden * np.sqrt(sizes[max(q, 0)])
+                    if q >= 0 and near and (back == 1 or before > 0) and count < pairs.shape[0]:
                         pairs[count, 0], pairs[count, 1] = min(q, r), max(q, r)
                         count += 1
                     side = 1

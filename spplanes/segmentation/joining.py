@@ -20,8 +20,8 @@ FUSE_SIGNIFICANCE = 0.0125
 """Share of the true fusions that the test of offset and tilt may refuse: patches meet several times, and what is
 refused once is fused by way of others. Where scans share errors, both tests go by `MapperConfig.significance`: the size
 of such errors is hardly ever known to more."""
-HIDDEN = 100
-"""Widest occluder, points along a row or column, behind which a plane is taken to continue; it stands before it."""
+HIDDEN = 3.0
+"""Widest occluder behind which a plane is taken to continue, in widths (points) of the smaller of its two parts."""
 
 
 def join_cells(sheet: Sheet, quads: np.ndarray, size: int, config: MapperConfig) -> None:
@@ -73,7 +73,16 @@ def _neighbours(sheet: Sheet, views: FloatArray, planes: FloatArray, gap: int, c
     """Pairs of regions that meet, each once, shape (E, 2)."""
     tolerance = config.flatness_m**2 + sheet.bias[:, 0]
     pairs = growing.border_pairs(
-        sheet.points, sheet.covariance, sheet.valid, views, sheet.labels, planes, tolerance, gap, HIDDEN
+        sheet.points,
+        sheet.covariance,
+        sheet.valid,
+        views,
+        sheet.labels,
+        planes,
+        sheet.rows[:, 0],
+        tolerance,
+        gap,
+        HIDDEN,
     )
     return distinct_pairs(pairs, len(sheet.rows))
 

@@ -7,6 +7,7 @@ from scipy.special import chdtri
 
 from spplanes._check import FloatArray
 from spplanes.segmentation import borders, creases, dissolving, growing
+from spplanes.segmentation.cells import STEP_SHARE
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.joining import distinct_pairs, fuse_neighbours
 from spplanes.segmentation.sheet import Sheet, append, drop_small, refit
@@ -19,6 +20,10 @@ MISFIT_SIGNIFICANCE = 1e-4
 """Share of such cells that may be found by chance; there are many of them."""
 CREASE_CERTAINTY = 3.0
 """Standard deviations of a local normal by which a crease must exceed the angle allowed."""
+SEAM_REACH = 3
+"""Reach, points to each side, of the windows in which a seam is searched for."""
+SEAM_SIGNIFICANCE = 1e-3
+"""Share of such windows that may be found by chance."""
 NEAR = 40
 """Points along a row or column within which a larger plane may explain a small region as well."""
 BORDER_BLOCKS = (8, 8, 4)
@@ -87,15 +92,28 @@ def settle_borders(sheet: Sheet, config: MapperConfig) -> None:
 
 def part_at_creases(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
     """Cut regions where the surface bends, number their parts, rejoin those that only an occluder parts, heal."""
+    planes = growing.hesse(sheet.rows)
     creases.unlabel_creases(
         sheet.points,
         sheet.covariance,
         sheet.valid,
         sheet.labels,
         sheet.start,
-        growing.hesse(sheet.rows),
+        planes,
         config.max_crease_rad,
         CREASE_CERTAINTY,
+    )
+    creases.unlabel_seams(
+        sheet.points,
+        sheet.covariance,
+        views,
+        sheet.labels,
+        sheet.start,
+        planes,
+        STEP_SHARE * config.flatness_m**2 + sheet.bias[:, 0],
+        config.flatness_m,
+        SEAM_REACH,
+        chdtri(1, SEAM_SIGNIFICANCE),
     )
     origin = creases.split_regions(sheet.labels, sheet.start, len(sheet.rows))
     append(sheet, sheet.rows[origin], sheet.bias[origin])

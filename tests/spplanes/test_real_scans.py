@@ -17,7 +17,7 @@ def needs(folder):
 
 
 @needs("icl_labelled")
-@pytest.mark.parametrize(("noise_seed", "at_least"), [(None, 14), (0, 7)])
+@pytest.mark.parametrize(("noise_seed", "at_least"), [(None, 14), (0, 9), (1, 9), (2, 9)])
 def test_labelled_depth_image(noise_seed, at_least):
     points, sigma, truth = extraction.icl_frame(DATA, noise_seed)
     labels, planes = segment_scans(points, sigma=sigma)

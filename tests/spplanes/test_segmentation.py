@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from benchmarks._boxes import polyhedra_scan
 from spplanes import MapperConfig, PlaneMapper, segment_scans
 from tests.spplanes.scenes import anywhere, beam_covariances, box, cast, noisy, rays
 
@@ -271,3 +272,32 @@ def test_few_scans_one_after_the_other():
         mapper.add_scan(points[k], covariances[k], viewpoint=origins[k])
     assert mapper.n_points_represented == (mapper.labels() >= 0).sum() > 0.995 * mapper.n_points_seen
     np.testing.assert_array_equal(mapper.labels(), segment_scans(points, covariances, viewpoints=origins)[0])
+
+
+@pytest.mark.parametrize("groove", [0.0, 0.008])
+def test_a_groove_no_deeper_than_the_noise_parts_two_cushions(groove):
+    y, z = np.meshgrid(np.linspace(-0.5, 0.5, 160), np.linspace(-0.3, 0.3, 96))
+    seam = np.abs(y) < 0.025
+    depth = 2.0 + groove * seam + 0.008 * np.random.default_rng(0).standard_normal(y.shape)
+    labels, planes = segment_scans(np.stack((depth, y, z), axis=-1), sigma=0.008)
+    assert len(planes) == (2 if groove else 1)
+    if groove:
+        assert (labels[y < -0.05] == labels[0, 0]).mean() > 0.98
+        assert (labels[y > 0.05] == labels[0, -1]).mean() > 0.98
+
+
+def test_rooms_of_polyhedra():
+    points, covariances, truth = polyhedra_scan(3, size=250)
+    labels, _ = segment_scans(points, covariances, viewpoints=np.zeros(3))
+    large = [k for k in np.unique(truth) if (truth == k).sum() > 100]
+    assert correct(labels, np.where(np.isin(truth, large), truth, -1)) >= 0.85 * len(large)
+
+
+def test_a_plane_goes_on_behind_what_stands_before_it_but_not_past_a_doorway():
+    y, z = np.meshgrid(np.linspace(-1.5, 1.5, 120), np.linspace(-0.5, 0.5, 48))
+    for middle, expected in ((1.5, 1), (4.0, 2)):
+        points = np.stack((np.full(y.shape, 3.0), y, z), axis=-1)
+        points[:, 45:75, 0] = middle
+        points[:, :, 0] += 0.005 * np.random.default_rng(1).standard_normal(y.shape)
+        labels, _ = segment_scans(points, sigma=0.005, viewpoints=np.zeros(3))
+        assert len(np.unique(labels[:, [10, 110]])) == expected
