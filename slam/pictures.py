@@ -74,14 +74,15 @@ def draw_one(run: Drawn, view: str, path: Path) -> None:
     save(figure, path)
 
 
-def draw_view(axes: Any, run: Drawn, view: str, colours: Colours | None = None) -> None:
+def draw_view(axes: Any, run: Drawn, view: str, colours: Colours | None = None, *, with_odometry: bool = True) -> None:
     """One view of a run into matplotlib axes: "plan" is (x, y), "side" is (x, z); planes by direction or as told."""
     sheet = _VIEWS[view]
     out_of_sheet = 3 - sum(sheet)
     for plane in sorted(run.planes, key=lambda plane: abs(plane.plane.normal[out_of_sheet]), reverse=True):
         colour = np.array(colour_of(plane)) / 255.0 if colours is None else colours(plane)
         _draw_plane(axes, plane, sheet, out_of_sheet, colour)
-    _draw_path(axes, run.odometry, sheet, "odometry alone", {"color": "tab:red", "ls": "--", "lw": 1})
+    if with_odometry:
+        _draw_path(axes, run.odometry, sheet, "odometry alone", {"color": "tab:red", "ls": "--", "lw": 1})
     _draw_path(axes, run.trajectory, sheet, "trajectory", {"color": "black", "lw": 1.5, "marker": "."})
     axes.set_xlabel(f"{'xyz'[sheet[0]]} [m]")
     axes.set_ylabel(f"{'xyz'[sheet[1]]} [m]")

@@ -33,7 +33,11 @@ def draw_uncertainty(run: Drawn, history: History, path: Path) -> None:
     axes = figure.subplots()
     scale = Normalize(0.0, _upper([_sigma_mm(plane) for plane in run.planes]))
     colours = colormaps["viridis"]
-    draw_view(axes, run, "plan", lambda plane: np.array(colours(scale(_sigma_mm(plane)))[:3]))
+
+    def by_sigma(plane: MapPlane) -> FloatArray:
+        return np.array(colours(scale(_sigma_mm(plane)))[:3])
+
+    draw_view(axes, run, "plan", by_sigma, with_odometry=False)
     note = _draw_ellipses(axes, run, history)
     axes.set_title(title_of(run) + note)
     bar = figure.colorbar(ScalarMappable(scale, colours), ax=axes, shrink=0.7, extend="max")
