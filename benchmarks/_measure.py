@@ -33,7 +33,7 @@ class Task:
     score: Callable[[Any], Row] = lambda _: {}
     """Accuracy of what it returns; not timed."""
     repeats: int = 5
-    """How many times it is timed."""
+    """How many times it is timed, after once to warm up; 1: the first time counts, for what takes seconds."""
 
 
 @dataclass(frozen=True)
@@ -81,24 +81,25 @@ def measured(module: str, cases: Mapping[str, Case], *, short: bool = False, mem
 
 def in_turn(tasks: list[Task], *, short: bool = False) -> list[Row]:
     """Accuracy and median times of tasks, one after the other in every round, so that all meet the same machine."""
-    scores = [task.score(task.work()) for task in tasks]
-    taken: list[list[tuple[float, float]]] = [[] for _ in tasks]
+    scores, taken = [], []
+    for task in tasks:
+        found, seconds = _timed(task.work)
+        scores.append(task.score(found))
+        taken.append([seconds] if task.repeats == 1 else [])  # else it was there to warm up
     for k in range(max((task.repeats for task in tasks), default=0)):
         for task, times in zip(tasks, taken, strict=True):
-            if k < (min(task.repeats, 2) if short else task.repeats):
-                times.append(_timed(task.work))
+            if task.repeats > 1 and k < (min(task.repeats, 2) if short else task.repeats):
+                times.append(_timed(task.work)[1])
     return [
         {**score, **dict(zip((CPU, WALL), (1e3 * np.median(times, axis=0)).tolist(), strict=True))}
         for score, times in zip(scores, taken, strict=True)
     ]
 
 
-def _timed(work: Callable[[], Any]) -> tuple[float, float]:
+def _timed(work: Callable[[], Any]) -> tuple[Any, tuple[float, float]]:
     cpu, wall = time.process_time(), time.perf_counter()
-    kept = work()
-    seconds = time.process_time() - cpu, time.perf_counter() - wall
-    del kept
-    return seconds
+    found = work()
+    return found, (time.process_time() - cpu, time.perf_counter() - wall)
 
 
 def _elsewhere(peer: Peer, short: bool) -> Row:

@@ -17,12 +17,13 @@ from pathlib import Path
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
-def peak_mb(work: Callable[[], object]) -> float:
-    """Megabytes that a call needs at its worst beyond what was resident before; the second call, so nothing is loaded.
+def peak_mb(work: Callable[[], object], *, warm: bool = True) -> float:
+    """Megabytes that a call needs at its worst beyond what was resident before; if warm the second call.
 
     Without /proc (not Linux) it is the growth of the largest resident size so far, which may hide a smaller peak.
     """
-    work()
+    if warm:  # nothing is loaded or compiled any more
+        work()
     _give_back()
     try:
         _CLEAR.write_text("5")  # the kernel's mark of the highest resident size starts anew

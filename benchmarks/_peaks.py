@@ -13,7 +13,7 @@ from benchmarks._memory import peak_mb
 def main(module: str, case: str) -> None:
     """Print them."""
     tasks = import_module(module).CASES[case]()
-    print(json.dumps([peak_mb(one.work) for one in tasks if isinstance(one, Task)]))
+    print(json.dumps([peak_mb(one.work, warm=one.repeats > 1) for one in tasks if isinstance(one, Task)]))
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from spplanes._check import FloatArray
 
 DATA = PROJECT.parent / "shared" / "data"
 #: The iterative RANSAC: points of the smallest plane, planes at most, tries each.
-LEAST_POINTS, MOST_PLANES, TRIES = 200, 60, 300
+LEAST_POINTS, MOST_PLANES, TRIES = 200, 20, 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +37,8 @@ class Scene:
     """Inlier distance for RANSAC: three sigma of the points across planes."""
     truth: np.ndarray | None
     """Label of the true plane, shape (S, B), 1 and up; 0: none."""
+    wanted_points: int = 0
+    """True planes count that have more points than this."""
 
     @property
     def returns(self) -> np.ndarray:
@@ -52,7 +54,7 @@ def mission(n_scans: int = 1083) -> Scene:
     simulated = corridor_scans(n_scans)
     scans = points_of(simulated)
     segment = partial(segment_scans, scans.points, scans.covariances, viewpoints=scans.viewpoints)
-    return Scene(scans.points, segment, 0.03, simulated.arrays("vertical").labels + 1)
+    return Scene(scans.points, segment, 0.03, simulated.arrays("vertical").labels + 1, LEAST_POINTS)
 
 
 @cache
@@ -133,7 +135,7 @@ def score(scene: Scene, labels: np.ndarray, planes: int) -> Row:
         return row
     truth = np.where(seen, scene.truth, 0)
     sizes = np.bincount(truth[truth > 0])
-    truth = np.where(sizes[truth] > LEAST_POINTS, truth, 0) if len(sizes) else truth
+    truth = np.where(sizes[truth] > scene.wanted_points, truth, 0) if len(sizes) else truth
     wanted = len(np.unique(truth[truth > 0]))
     flat = (labels >= 0) & (scene.truth > 0)
     table = np.zeros((int(labels.max()) + 1, int(scene.truth.max()) + 1), dtype=np.int64)
