@@ -60,7 +60,8 @@ def misses_of(grid: FloatArray, lag: int = 1) -> FloatArray:
 
     On a plane, inverse ranges of three beams a, b and c in a row are linear in the sines of the angles between them,
     sin(ac) / r_b = sin(bc) / r_a + sin(ab) / r_c, whatever the plane. What b misses that by is the noise of three
-    beams; it is scaled to that of one. NaN where the three are not all there, not evenly spaced, or not at similar ranges.
+    beams; it is scaled to that of one. NaN where the three are not all there, not evenly spaced, or not at similar
+    ranges.
     """
     ranges = np.linalg.norm(grid, axis=-1)
     first, middle, last = np.s_[:, : -2 * lag], np.s_[:, lag:-lag], np.s_[:, 2 * lag :]

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import atexit
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -15,9 +12,10 @@ import numpy as np
 
 from slam.io._ros_frames import BODIES, WORLDS, Frames
 from slam.io._ros_messages import RosScan, frame_of, points_of, scan_of, stamp_of, transform_of
+from slam.io._rosbag_open import in_short, kept_open, opened
 from slam.io._salvaged_bag import SalvagedBag
 from slam.io.arrange import Grid, arrange
-from slam.io.log import Event, LaserScan, Log, LogError, MissingPackageError, OdometryReading, StoredCloud
+from slam.io.log import Event, LaserScan, Log, LogError, OdometryReading, StoredCloud
 from spplanes._check import FloatArray
 
 SCAN, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
@@ -86,7 +84,7 @@ def read_rosbag(
         MissingPackageError: rosbags is not installed.
     """
     notes: list[str] = []
-    with _opened(path, keep_partial) as reader:
+    with opened(path, keep_partial) as reader:
         if isinstance(reader, SalvagedBag):
             notes.append("the bag breaks off and has no index; kept the messages that are whole")
         chosen = _choose(path, reader, topics or Topics(), notes)
@@ -103,47 +101,6 @@ def read_rosbag(
         events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received, grid, keep_partial)))
     events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
     return Log(_without_doubles(events, notes), path, notes, _mounts(found, body, names, notes))
-
-
-@contextmanager
-def _opened(path: Path, keep_partial: bool = False) -> Iterator[Any]:
-    """The bag as rosbags reads it, or what can be salvaged of it; whatever is made of a damaged one is one sentence."""
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingPackageError(path, "rosbags", "ros") from error
-    if path.is_file() and path.stat().st_size == 0:
-        raise LogError(path, "expected a bag, got an empty file")
-    try:
-        stack = ExitStack()
-        reader = stack.enter_context(AnyReader([path], default_typestore=get_typestore(Stores.LATEST)))
-    except Exception as error:  # rosbags on damage: errors of its own, of struct, sqlite3, yaml, zstd and others
-        if not (keep_partial and path.suffix in (".bag", ".mcap")):
-            raise _broken(path, error) from error
-        try:
-            reader = SalvagedBag(path)
-        except LogError:
-            raise
-        except Exception as worse:  # topics or types that cannot be made out
-            raise _broken(path, worse) from worse
-        yield reader
-        return
-    try:
-        with stack:
-            yield reader
-    except LogError:
-        raise
-    except Exception as error:  # as above
-        raise _broken(path, error) from error
-
-
-def _broken(path: Path, error: Exception) -> LogError:
-    return LogError(path, f"expected a whole bag, got one that cannot be read ({_short(error)})")
-
-
-def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:100] or type(error).__name__
 
 
 def _choose(path: Path, reader: Any, wanted: Topics, notes: list[str]) -> Topics:
@@ -187,10 +144,10 @@ def _read(path: Path, reader: Any, chosen: Topics, notes: list[str], keep_partia
             _take(found, topic, received, reader.deserialize(raw, connection.msgtype))
         except StopIteration:
             return found
-        except Exception as error:  # as in _opened
+        except Exception as error:  # as in opened
             if not keep_partial:
-                raise LogError(path, f"{topic}: {_short(error)}") from error
-            notes.append(f"{topic} breaks off ({_short(error)}); kept what came before")
+                raise LogError(path, f"{topic}: {in_short(error)}") from error
+            notes.append(f"{topic} breaks off ({in_short(error)}); kept what came before")
             return found
 
 
@@ -261,32 +218,11 @@ def _without_doubles(events: list[Event], notes: list[str]) -> list[Event]:
 
 def _cloud_at(path: Path, topic: str, received: int, grid: Grid | None, keep_partial: bool) -> FloatArray:
     """One cloud of a bag as a grid, shape (S, B, 3), m."""
-    reader = _kept_open(path, keep_partial)
+    reader = kept_open(path, keep_partial)
     connections = [connection for connection in reader.connections if connection.topic == topic]
     try:
         for connection, _, raw in reader.messages(connections, start=received, stop=received + 1):
             return arrange(points_of(reader.deserialize(raw, connection.msgtype)), grid)
-    except Exception as error:  # as in _opened
-        raise LogError(path, f"{topic}: {_short(error)}") from error
+    except Exception as error:  # as in opened
+        raise LogError(path, f"{topic}: {in_short(error)}") from error
     raise LogError(path, f"expected a message of {topic} at {received} ns, found none")
-
-
-#: The bag that clouds were last taken from: to open one anew for each cloud would take most of the time.
-_kept: dict[tuple[Path, bool, int, int], tuple[ExitStack, Any]] = {}
-
-
-def _kept_open(path: Path, keep_partial: bool) -> Any:
-    status = path.stat()
-    key = (path, keep_partial, status.st_mtime_ns, status.st_size)
-    if key not in _kept:
-        _close_kept()
-        stack = ExitStack()
-        _kept[key] = stack, stack.enter_context(_opened(path, keep_partial))
-    return _kept[key][1]
-
-
-@atexit.register
-def _close_kept() -> None:
-    for stack, _ in _kept.values():
-        stack.close()
-    _kept.clear()
