@@ -1,12 +1,15 @@
 """Simulated missions with truth, poses unknown: how good, and how honest, over many seeds.
 
-`python -m benchmarks.missions [RUNS [SCANS]]`
+`python -m benchmarks.missions [RUNS [SCANS]]`: the corridor; `python -m benchmarks.missions office [RUNS [FIRST]]`: two
+laps of an office of 79 m with rooms, seeds from FIRST on. A run of the office takes minutes: each row is printed as it
+comes.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
 
 import gtsam
 import numpy as np
@@ -20,7 +23,7 @@ from slam.evaluation import absolute_error, match_planes, plane_metrics
 from slam.frames import inverse
 from slam.planeslam import pose_symbol
 from slam.run import Run, run_slam
-from slam.simulation import Truth, simulate_mission
+from slam.simulation import Mission, Truth, simulate_mission
 
 #: Tangent of Pose3 in the floor plane: yaw, x, y.
 IN_PLANE = [2, 3, 4]
@@ -31,8 +34,17 @@ def run(runs: int = 20, scans: int = 400) -> list[dict]:
     return [_row(seed, scans) for seed in range(runs)]
 
 
+def run_office(runs: int = 10, first: int = 0) -> Iterator[dict]:
+    """One row a seed: two laps."""
+    for seed in range(first, first + runs):
+        yield _measured(seed, simulate_mission("office", laps=2, seed=seed))
+
+
 def _row(seed: int, scans: int) -> dict:
-    mission = simulate_mission("corridor", n_scans=scans, seed=seed)
+    return _measured(seed, simulate_mission("corridor", n_scans=scans, seed=seed))
+
+
+def _measured(seed: int, mission: Mission) -> dict:
     start = time.perf_counter()
     done = run_slam(mission.log, mission.rig, SlamConfig())
     seconds = time.perf_counter() - start
@@ -73,9 +85,14 @@ def _pose_nees(done: Run, truth: Truth) -> float:
 
 def main() -> None:
     """Print the rows, their medians, and the band that the mean pose NEES should lie in."""
-    arguments = [int(word) for word in sys.argv[1:3] if word.isdigit()]
-    rows = run(*arguments)
-    table = Table(title="corridor missions, poses unknown")
+    arguments = [int(word) for word in sys.argv[1:4] if word.isdigit()]
+    world = "office" if "office" in sys.argv[1:2] else "corridor"
+    rows = []
+    for row in run_office(*arguments) if world == "office" else run(*arguments):
+        rows.append(row)
+        if world == "office":
+            print(", ".join(f"{name} {value:.3g}" for name, value in row.items()), flush=True)
+    table = Table(title=f"{world} missions, poses unknown")
     for name in rows[0]:
         table.add_column(name, justify="right")
     for row in rows:

@@ -141,9 +141,12 @@ class BackendConfig(_Frozen):
     relinearize_threshold: float = Field(default=0.01, gt=0)
     """Change of a variable that makes iSAM2 relinearise it, rad or m."""
     robust: RobustKernel | None = None
-    """Robust kernel on plane and line factors."""
-    robust_loops: RobustKernel | None = None
-    """Robust kernel on the factors that a loop closure re-keys."""
+    """Robust kernel on plane and line factors. None: "dcs" made maps of an office with misread boards honester, but is
+    not convex; corridors came out 12 mm too low with it."""
+    robust_loops: RobustKernel | None = "huber"
+    """Robust kernel on the factors that a loop closure re-keys; None: as on the others. Four sightings of a wall
+    forced onto another moved a drive round a room by 101 mm without, by 5.7 mm with kernels on all factors (5.1 mm is
+    its error without the closure; medians of 12), and the mean NEES of honest drives from 3.2 to 3.1."""
     prior_sigma_m: float = Field(default=1e-4, gt=0)
     """Sigma of the first pose's position, m: it defines the world, so it is nearly exact."""
     prior_sigma_rad: float = Field(default=1e-5, gt=0)
