@@ -30,7 +30,7 @@ from slam.run_folder import Source, conclude, new_run, resumed_run
 from slam.salvage import salvage_session
 from slam.simulation import simulate_mission
 from slam.simulation.rigs import VERTICAL
-from slam.store import SESSION_FILE, Session, SessionError
+from slam.store import SESSION_FILE, Session, SessionDamaged, SessionError
 
 #: Short keyframes, so that there are many commits to be killed in.
 CONFIG = SlamConfig.model_validate({"keyframes": {"distance_m": 0.1}})
@@ -183,20 +183,29 @@ def damage_row(job: Job, scratch: Path, damages: int, seed: int = 1) -> dict:
         shutil.copytree(victims[trial % 2], out)
         _damage(out, rng)
         outcome = _read(out, truth, victims[trial % 2])
+        if outcome != "noticed":
+            try:
+                counts["different"] += not _finishes(job, out)
+            except SessionDamaged:  # in a page that a reader has no need of
+                outcome = "noticed"
         counts[outcome] += 1
         if outcome == "noticed":
             try:
                 salvage_session(out)
                 counts["saved"] += 1
+                counts["different"] += not _finishes(job, out)
             except SessionError:
                 counts["beyond saving"] += 1
-                shutil.rmtree(out)
-                continue
-        if not _finished(out):
-            work(job.mission, out, None)
-            counts["different"] += not same_run(job.whole, out)
         shutil.rmtree(out)
     return {"what": "damaged at a random place", "trials": damages, **counts}
+
+
+def _finishes(job: Job, out: Path) -> bool:
+    """Go on with a run to its end; whether it comes to the same result."""
+    if _finished(out):
+        return True
+    work(job.mission, out, None)
+    return same_run(job.whole, out)
 
 
 def _half_done(job: Job, scratch: Path) -> Path:
