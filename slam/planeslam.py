@@ -18,6 +18,7 @@ from slam.calibration import WheelCalibration, motion_covariance
 from slam.clock import StageClock, timed
 from slam.coasting import coast
 from slam.config import SlamConfig
+from slam.explaining import change_sentences, decision_sentence
 from slam.frames import inverse
 from slam.health import check_keyframe
 from slam.io.trajectories import Trajectory
@@ -171,6 +172,18 @@ class PlaneSlam:
             covariance, pose = self.backend.covariance(key), self.backend.pose(key)
             stretches.append(stretch_of(group, len(self.keyframes) - 1, covariance, pose, source))
         return stretches
+
+    def explain(self, keyframe: int) -> list[str]:
+        """Why a keyframe's measurements became what they did, and what it changed in the map; one sentence each.
+
+        Raises:
+            ValueError: no such keyframe.
+        """
+        if not 0 <= keyframe < len(self.decisions):
+            raise ValueError(f"keyframe: expected an index from 0 to {len(self.decisions) - 1}, got {keyframe}")
+        seen = self.keyframes[keyframe].observations
+        sentences = [decision_sentence(one, seen[one.observation]) for one in self.decisions[keyframe]]
+        return sentences + change_sentences(keyframe, self.merges.history, self.loops)
 
     def marginal_covariance(self, key: int) -> FloatArray:
         """Marginal covariance of a variable, in its GTSAM tangent order: (rx, ry, rz, x, y, z) for a pose."""

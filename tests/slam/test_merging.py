@@ -135,3 +135,21 @@ def test_merges_found_in_a_run_are_recorded_with_their_cause():
     merge = slam.merges.merge(2, 4, "loop")
     assert (merge.older, merge.younger, merge.cause, merge.keyframe) == (2, 4, "loop", 14)
     assert isinstance(slam.keyframes[0], Keyframe)
+
+
+def test_every_decision_can_be_explained_with_its_numbers():
+    slam = run(drive(8))
+    first, last = slam.explain(0), slam.explain(14)
+    assert first[0] == "plane 0 (500 points) is none of the landmarks: no landmark near"
+    match = slam.decisions[14][0].match
+    assert match is not None
+    assert last[0].startswith(f"plane 0 (500 points) is landmark {match.landmark}: landmark {match.landmark} chi2 ")
+    assert f"chi2 {match.chi2:.1f} of 3 dof" in last[0]
+    merge = slam.merges.merge(2, 4, "loop")
+    slam.merges.undo(merge)
+    assert slam.explain(14)[-2:] == [
+        "landmark 4 became part of landmark 2 (loop)",
+        "landmark 4 was found not to be landmark 2 after all",
+    ]
+    with pytest.raises(ValueError, match="keyframe: expected an index from 0 to 14, got 15"):
+        slam.explain(15)
