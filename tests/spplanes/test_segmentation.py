@@ -301,3 +301,18 @@ def test_a_plane_goes_on_behind_what_stands_before_it_but_not_past_a_doorway():
         points[:, :, 0] += 0.005 * np.random.default_rng(1).standard_normal(y.shape)
         labels, _ = segment_scans(points, sigma=0.005, viewpoints=np.zeros(3))
         assert len(np.unique(labels[:, [10, 110]])) == expected
+
+
+def test_planes_of_slanted_beams_err_as_their_covariance_says():
+    values = []
+    for seed in range(12):
+        points, covariances, origins, _ = corridor_slices(40, seed)
+        _, planes = segment_scans(points, covariances, viewpoints=origins)
+        for normal, d in ((np.array([0.0, -1.0, 0.0]), -1.0), (np.array([0.0, 0.0, 1.0]), -1.0)):
+            plane = max((p for p in planes if p.normal @ normal > 0.99), key=lambda p: p.n_points)
+            x, y, n = plane.frame[:3, :3].T
+            slope = normal / (normal @ n)
+            error = np.array([(d - normal @ plane.centre) / (normal @ n), slope @ x, -(slope @ y)])
+            values.append(error @ np.linalg.solve(plane.covariance, error))
+    low, high = chi2.ppf([0.001, 0.999], 3 * len(values)) / len(values)
+    assert low < np.mean(values) < high
