@@ -57,6 +57,7 @@ class Merges:
     ) -> None:
         self.history: list[Merge] = []
         self._keyframes, self._landmarks, self._backend, self._config = keyframes, landmarks, backend, config
+        self.robust: str | None = config.backend.robust
         self._apart: set[frozenset[int]] = set()
 
     def may_be_one(self, first: int, second: int) -> bool:
@@ -66,8 +67,7 @@ class Merges:
     def merge(self, older: int, younger: int, cause: Cause) -> Merge:
         """Give a landmark everything that was seen of another one; its factors are re-keyed, its variable goes."""
         gone, home = self._landmarks.remove(younger), self._landmarks[older]
-        robust = self._config.backend.robust_loops if cause == "loop" else None
-        robust = robust or self._config.backend.robust
+        robust = self.robust or (self._config.backend.robust_loops if cause == "loop" else None)
         keys = [pose_symbol(sighting.keyframe) for sighting in gone.sightings]
         seen = [self._observation(sighting) for sighting in gone.sightings]
         factors = [observe(one, key, home, self._backend, robust) for one, key in zip(seen, keys, strict=True)]
@@ -204,7 +204,7 @@ class Merges:
                     pose_symbol(sighting.keyframe),
                     target.key,
                     target.anchor_key,
-                    self._config.backend.robust,
+                    self.robust,
                     None if target.anchor_key == pose_symbol(sighting.keyframe) else expected,
                 )
             )

@@ -221,6 +221,7 @@ class PlaneSlam:
             if is_wide(motion):
                 found = found_motion(keyframe, index, motion, self.backend.pose(pose_symbol(index - 1)), self.landmarks)
             if found is not None:
+                self.merges.robust = self.config.coasting.robust or self.config.backend.robust
                 guess = self.backend.pose(pose_symbol(index - 1)) @ found.a_T_b
                 factors, self._waiting = found.factors(pose_symbol(index - 1), key), factors
         initial.insert(key, gtsam.Pose3(guess))
