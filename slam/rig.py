@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import yaml
 from numpy.typing import ArrayLike
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from slam.io.log import LaserScan, Log, LogError
 from slam.motion import UNCALIBRATED_WHEELS, OdometryNoise
@@ -29,6 +29,10 @@ class Sensor(Frozen):
     """Bearing of the first beam, deg; None: as the log says."""
     angle_step_deg: Finite | None = None
     """Bearing between neighbouring beams, deg; None: as the log says."""
+    rows: Annotated[int, Field(ge=2)] | None = None
+    """Rings of a 3D sensor whose points come without order: rows of its range image; None: found in the points."""
+    columns: Annotated[int, Field(ge=2)] | None = None
+    """Steps of azimuth in a whole turn of such a sensor; given with rows or not at all."""
     range_sigma_m: Positive
     """Standard deviation of a range along the beam, m."""
     bearing_sigma_rad: NotNegative = 0.0
@@ -48,6 +52,12 @@ class Sensor(Frozen):
     the points of one plane share it, different planes do not."""
     range_min_m: NotNegative = 0.0
     """Ranges below this are the robot itself, or too near to be measured, m."""
+
+    @model_validator(mode="after")
+    def _check_shape(self) -> Sensor:
+        if (self.rows is None) != (self.columns is None):
+            raise ValueError("expected rows and columns, got one of the two")
+        return self
 
     @property
     def body_T_sensor(self) -> FloatArray:
