@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -63,6 +63,8 @@ def associate(
     backend: Backend,
     config: AssociationConfig,
     hint: Hint | None = None,
+    *,
+    among: Collection[int] | None = None,
 ) -> list[Decision]:
     """Decide for every observation of a keyframe whose pose is already predicted in the graph.
 
@@ -75,6 +77,8 @@ def associate(
     With a `hint`, such as all returns give, the decisions are made by a state that knows it; the chi2 they are gated by
     and report is that of the state without it, for the hint is made of the same returns as the lines.
 
+    Only the landmarks `among` are looked at when it is given.
+
     Returns:
         One decision for each observation, in their order.
     """
@@ -85,6 +89,8 @@ def associate(
         _log_density(observation, len(shortlist), spread, config)
         for observation, shortlist in zip(observations, shortlists, strict=True)
     ]
+    if among is not None:
+        shortlists = [[landmark for landmark in shortlist if landmark.id in among] for shortlist in shortlists]
     keys = {pose_key} if hint is None else {pose_key, hint.key}
     joint = _joint_covariance(shortlists, keys, backend)
     state, honest = _State(joint), None if hint is None else _State(joint)

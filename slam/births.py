@@ -23,8 +23,12 @@ def may_start(observation: Observation, rules: LandmarkConfig) -> bool:
         return long_enough and observation.n_points >= rules.min_line_points
     plane = observation.full_plane(0.0)
     tilt = float(np.sqrt(np.linalg.eigvalsh(plane.covariance[1:, 1:])[-1]))
-    large_enough = plane.outline is None or plane.outline.area >= rules.min_area_m2
-    return large_enough and observation.n_points >= rules.min_points and tilt <= rules.max_tilt_sigma_rad
+    return is_large(plane, rules) and tilt <= rules.max_tilt_sigma_rad
+
+
+def is_large(plane: Plane, rules: LandmarkConfig) -> bool:
+    """Whether a patch is large enough to be more than the edge of something."""
+    return plane.n_points >= rules.min_points and (plane.outline is None or plane.outline.area >= rules.min_area_m2)
 
 
 def group_births(

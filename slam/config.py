@@ -81,6 +81,8 @@ class LandmarkConfig(_Frozen):
     anchor_every: int = Field(default=10, ge=1)
     """Every so many keyframes' pose is an anchor, and landmarks born until the next live in its frame: few anchors
     keep joint covariances small, near ones keep them well conditioned."""
+    waiting_keyframes: int = Field(default=10, ge=0)
+    """Keyframes for which planes too uncertain in tilt to start a landmark wait for one born later; 0: they do not."""
     wall_tilt_sigma_rad: float = Field(default=0.01, gt=0)
     """How far walls seen only by one 2D laser may lean from its scan plane's normal, rad."""
 

@@ -84,7 +84,7 @@ def _is_uneven(
     means = np.bincount(group, residuals / variances) / weights
     spread = 1.0 / weights
     if drift_m is not None:
-        spread = spread + _group_means(drift_m**2, group)
+        spread = spread + np.bincount(group, drift_m**2 / variances) / weights  # weighted as the mean it shifts
     return bool((np.abs(means) > np.maximum(rules.step_sigmas * np.sqrt(spread), rules.step_m)).any())
 
 

@@ -51,6 +51,11 @@ class Landmark:
         return self.region.geometry
 
     @property
+    def first_keyframe(self) -> int:
+        """The keyframe of its birth; -1 when it comes from a prior map and has not been seen since."""
+        return self.sightings[0].keyframe if self.sightings else -1
+
+    @property
     def n_keyframes(self) -> int:
         """Number of different keyframes that saw it."""
         return self.known + len(self._frames())

@@ -24,22 +24,47 @@ from spplanes.registration import register_scans
 
 
 def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list[PlaneObservation]:
-    """Planes of one 3D scan in the body frame, each facing the sensor, largest first."""
+    """Planes of one 3D scan in the body frame, each facing the sensor, largest first.
+
+    Where the rig knows of rough surfaces, what is on no plane is searched again for planes as flat as those.
+    """
     points = usable_points(scan.points if scan.points.ndim == 3 else scan.points[None], sensor)
+    observations, free = _flat_planes(points, sensor, config)
+    if sensor.rough_sigma_m > sensor.surface_sigma_m:
+        rough = sensor.model_copy(update={"surface_sigma_m": sensor.rough_sigma_m})
+        observations += _flat_planes(np.where(free[..., None], points, np.nan), rough, config, servo=False)[0]
+    return sorted(observations, key=lambda seen: -seen.n_points)
+
+
+def _flat_planes(
+    points: FloatArray, sensor: Sensor, config: SlamConfig, *, servo: bool = True
+) -> tuple[list[PlaneObservation], np.ndarray]:
+    """Planes of points (S, B, 3), in the body frame, and which points are on none, shape (S, B).
+
+    With `servo` the search grants them the servo's error. Rough surfaces are granted enough: both would swallow what
+    is beside them.
+    """
     covariances = model_of(sensor).covariances(points)
     viewpoint = np.zeros(3)
-    labels, planes = segment_scans(points, covariances, config=for_sensor(config.mapper, sensor), viewpoints=viewpoint)
+    labels, planes = segment_scans(
+        points,
+        covariances,
+        config=for_sensor(config.mapper, sensor),
+        viewpoints=viewpoint,
+        pose_covariances=line_tilt_covariances(sensor, len(points)) if servo else None,
+    )
     observations = []
     for label, plane in enumerate(planes):
-        members = labels == label
-        noise = surface_covariances(points[members], covariances[members], plane, sensor)
-        refitted = _refit(points[members], noise, plane, viewpoint=viewpoint)
+        line, beam = np.nonzero(labels == label)
+        members = points[line, beam]
+        noise = surface_covariances(members, covariances[line, beam], plane, sensor)
+        refitted = _refit(members, servo_covariances(members, noise, line, sensor), plane, viewpoint=viewpoint)
         if refitted is None:
             continue
-        drift = tilt_drift(refitted, points[members], sensor)
-        if is_one_plane(refitted, points[members], noise, viewpoint, config.measurements, drift_m=drift):
-            observations.append(PlaneObservation(refitted.transform(sensor.body_T_sensor, tilt_covariance(sensor))))
-    return sorted(observations, key=lambda seen: -seen.n_points)
+        drift = tilt_drift(refitted, members, sensor)
+        if is_one_plane(refitted, members, noise, viewpoint, config.measurements, drift_m=drift):
+            observations.append(PlaneObservation(refitted.transform(sensor.body_T_sensor)))
+    return observations, labels < 0
 
 
 def planes_of_window(
@@ -97,9 +122,13 @@ def model_of(sensor: Sensor) -> SensorModel:
 def for_sensor(config: MapperConfig, sensor: Sensor) -> MapperConfig:
     """The segmentation's settings with the flatness that the sensor's systematic error leaves to be seen.
 
-    Half of it: inside a region, which is fitted to the error, less of it is left than between regions.
+    Half of it: inside a region, which is fitted to the error, less of it is left than between regions. A servo's error
+    goes into the segmentation as that of the lines' poses, alike in half of what errs as one block.
     """
-    return replace(config, flatness_m=max(config.flatness_m, 0.5 * sensor.surface_sigma_m))
+    flatness = max(config.flatness_m, 0.5 * sensor.surface_sigma_m)
+    if sensor.tilt_sigma_rad == 0.0:
+        return replace(config, flatness_m=flatness)
+    return replace(config, flatness_m=flatness, pose_correlation_scans=0.5 * sensor.tilt_correlation_lines)
 
 
 def usable_ranges(ranges: FloatArray, sensor: Sensor) -> FloatArray:
@@ -131,9 +160,26 @@ def surface_covariances(points: FloatArray, covariances: FloatArray, plane: Plan
     return covariances + shared[:, None, None] * np.outer(plane.normal, plane.normal)
 
 
-def tilt_covariance(sensor: Sensor) -> FloatArray:
-    """Covariance (6, 6) of (x, y, z, phi, theta, psi) of the mount as the points of one plane see it."""
-    return np.diag([0.0, 0.0, 0.0, 0.0, sensor.tilt_sigma_rad**2, 0.0])
+def line_tilt_covariances(sensor: Sensor, n_lines: int) -> FloatArray | None:
+    """Covariances (S, 6, 6) of the errors (x, y, z, phi, theta, psi) of a tilting scanner's lines; None: none."""
+    if sensor.tilt_sigma_rad == 0.0:
+        return None
+    return np.tile(np.diag([0.0, 0.0, 0.0, 0.0, sensor.tilt_sigma_rad**2, 0.0]), (n_lines, 1, 1))
+
+
+def servo_covariances(points: FloatArray, covariances: FloatArray, line: np.ndarray, sensor: Sensor) -> FloatArray:
+    """Covariances (N, 3, 3) of a plane's points (N, 3) that also carry the servo's error, which lines (N,) share.
+
+    The lines are taken in blocks of `tilt_correlation_lines` that err alike, each block on its own. As with surfaces, n
+    points that share an error say as much as n points with n times its variance each.
+    """
+    if sensor.tilt_sigma_rad == 0.0:
+        return covariances
+    blocks = (line / sensor.tilt_correlation_lines).astype(np.int64)
+    _, block, counts = np.unique(blocks, return_inverse=True, return_counts=True)
+    lever = np.cross([0.0, 1.0, 0.0], points)
+    shared = sensor.tilt_sigma_rad**2 * counts[block.ravel()]
+    return covariances + shared[:, None, None] * np.einsum("ni,nj->nij", lever, lever)
 
 
 def tilt_drift(plane: Plane, points: FloatArray, sensor: Sensor) -> FloatArray:

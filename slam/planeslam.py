@@ -24,6 +24,7 @@ from slam.health import check_keyframe
 from slam.io.trajectories import Trajectory
 from slam.keyframes import Keyframe
 from slam.landmarks import LandmarkMap, Sighting
+from slam.late import LateMatch, Waiting
 from slam.loops import LoopDecision, disjoint, find_loop
 from slam.loops import Path as DrivenPath
 from slam.map_planes import MapPlane, map_plane
@@ -82,6 +83,8 @@ class PlaneSlam:
         self.decisions: list[list[Decision]] = []
         self.merges = Merges(self.keyframes, self.landmarks, self.backend, self.config)
         self.loops: list[LoopDecision] = []
+        self.late_matches: list[LateMatch] = []
+        self._unmatched = Waiting(self.config.landmarks)
         self.calibration = WheelCalibration()
         self._predicted: Motion | None = None
         self._waiting: list[gtsam.NonlinearFactor] = []
@@ -139,6 +142,7 @@ class PlaneSlam:
         self._remember(keyframe, decisions)
         self._learn()
         self.landmarks.refresh(self.backend)
+        self._match_late(touched)
         self._split_wrong_merges(touched, decisions)
         self._merge_twins(touched)
         self._close_loops()
@@ -266,6 +270,8 @@ class PlaneSlam:
         sights += birth_sights(
             seen, (anchor_key, pose_key), decisions, self.landmarks, self.backend, self.config, initial
         )
+        used = {sight.number for sight in sights}
+        self._unmatched.add(len(self.keyframes), keyframe, [i for i in range(len(seen)) if i not in used])
         factors = [*(sight.factor for sight in sights), *self._waiting]
         if not factors:
             return set()
@@ -275,6 +281,28 @@ class PlaneSlam:
             sighting = Sighting(len(self.keyframes), sight.number, factor_index, sight.observation.kind)
             self.landmarks.see(sight.landmark, sight.observation, sighting, sight.plane_T_body)
         return {sight.landmark.id for sight in sights}
+
+    def _match_late(self, touched: set[int]) -> None:
+        """Match what earlier keyframes saw of the landmarks that this one started."""
+        at = len(self.keyframes) - 1
+        born = {number for number in touched if self.landmarks[number].first_keyframe == at}
+        late = self._unmatched.match(born, at, self.keyframes, self.landmarks, self.backend, self.config.association)
+        for match in late:
+            observations = self.keyframes[match.keyframe].observations
+            [sight] = matched_sights(
+                observations,
+                pose_symbol(match.keyframe),
+                [match.decision],
+                self.landmarks,
+                self.backend,
+                self.config.backend.robust,
+            )
+            [factor_index] = self.backend.update([sight.factor], gtsam.Values(), relinearize=True)
+            sighting = Sighting(match.keyframe, sight.number, factor_index, sight.observation.kind)
+            self.landmarks.see(sight.landmark, sight.observation, sighting, sight.plane_T_body)
+        if late:
+            self.landmarks.refresh(self.backend)
+        self.late_matches += late
 
     def _look_for_open_directions(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> None:
         """What of this motion nothing that was seen fixes, said before the graph is asked."""

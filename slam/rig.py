@@ -47,9 +47,14 @@ class Sensor(Frozen):
     """Systematic floor: flatness of real walls and range bias that averaging over beams does not remove, m."""
     surface_correlation_m: Positive = 0.3
     """Size of the patch of a surface whose points share one such error, m."""
+    rough_sigma_m: NotNegative = 0.0
+    """The same of rough surfaces, such as window fronts: what is on no plane of a 3D scan is searched again for planes
+    that are only as flat as this, m; 0: it is not."""
     tilt_sigma_rad: NotNegative = 0.0
-    """Error of the angle of a tilting scanner's servo (rotation about the sensor's y), rad. It drifts over the sweep:
-    the points of one plane share it, different planes do not."""
+    """Error of the angle of a tilting scanner's servo (rotation about the sensor's y), rad; the beams of one line of
+    the scan share it."""
+    tilt_correlation_lines: Positive = 20.0
+    """Number of neighbouring lines of a tilting scanner that share one such error."""
     range_min_m: NotNegative = 0.0
     """Ranges below this are the robot itself, or too near to be measured, m."""
 

@@ -109,8 +109,13 @@ def _scan_index(value: ArrayLike, n: int, scans: int) -> np.ndarray:
 
 
 def _square_roots(covariances: FloatArray) -> FloatArray:
-    values, vectors = np.linalg.eigh(covariances)
-    return vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    """Roots L, S = L L^T, shape (K, N, M); M < N where no covariance of the stack says anything of some entries."""
+    size = covariances.shape[-1]
+    open_ = np.flatnonzero((covariances != 0.0).any(axis=(0, 1))) if len(covariances) == 1 else np.arange(size)
+    values, vectors = np.linalg.eigh(covariances[:, open_[:, None], open_])
+    roots = np.zeros((len(covariances), size, max(len(open_), 1)))
+    roots[:, open_, : len(open_)] = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    return roots
 
 
 def fit_shared_pose(
@@ -127,29 +132,20 @@ def fit_shared_pose(
     Returns:
         Outcome, frame (4, 4), covariance (3, 3) of (z, theta, psi), and chi2.
     """
-    scans = len(shared.origins)
     u = np.zeros((len(shared.roots), shared.roots.shape[2]))
-    roots_t = shared.roots.transpose(0, 2, 1)
     left, chi2 = np.eye(3), 0.0
     for _ in range(kernels.MAX_ITERATIONS):
-        info, cross, pose = np.zeros((scans, 3, 3)), np.zeros((scans, 3, 6)), np.zeros((scans, 6, 6))
-        plane_side, pose_side = np.zeros((scans, 3)), np.zeros((scans, 6))
-        xi = (shared.roots @ u[..., None]).reshape(scans, 6)
-        chi2 = scan_sums(
-            points, covs, step, shared.scan, shared.origins, base, xi, info, cross, pose, plane_side, pose_side
-        )
-        chi2 += float(np.sum(u * u))
-        if shared.is_joint:
-            info, cross, pose, plane_side, pose_side = _stacked(info, cross, pose, plane_side, pose_side)
-        middle = np.eye(u.shape[1]) + roots_t @ pose @ shared.roots
+        info, cross, plane_side, pose_side, middle, cost = _normal_equations(points, covs, step, shared, base, u)
+        chi2 = cost + float(np.sum(u * u))
         coupling = cross @ shared.roots
-        open_side = (roots_t @ pose_side[..., None])[..., 0] - u
+        open_side = (shared.roots.transpose(0, 2, 1) @ pose_side[..., None])[..., 0] - u
         solved = np.linalg.solve(middle, np.concatenate([coupling.transpose(0, 2, 1), open_side[..., None]], axis=2))
         information = (info - coupling @ solved[..., :3]).sum(axis=0)
         gradient = (plane_side - (coupling @ solved[..., 3:])[..., 0]).sum(axis=0)
         left = np.empty((3, 3))
         if not _invert(information[np.triu_indices(3)], left):
             return OPEN_POSES, base, left, chi2
+        gradient -= 0.5 * _volume_gradient(points, covs, step, shared, base, u, np.sqrt(np.diag(left)))
         step_b = left @ gradient
         step_u = solved[..., 3] - solved[..., :3] @ step_b
         u += step_u
@@ -159,6 +155,44 @@ def fit_shared_pose(
     return *_finish(points, covs, step, viewpoint, base, left), chi2
 
 
+def _normal_equations(
+    points: FloatArray, covs: FloatArray, step: int, shared: SharedPose, base: FloatArray, u: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
+    """Sums of a Gauss-Newton step, by scan or stacked where their errors hang together; information on u; sum w r^2."""
+    scans = len(shared.origins)
+    info, cross, pose = np.zeros((scans, 3, 3)), np.zeros((scans, 3, 6)), np.zeros((scans, 6, 6))
+    plane_side, pose_side = np.zeros((scans, 3)), np.zeros((scans, 6))
+    xi = (shared.roots @ u[..., None]).reshape(scans, 6)
+    cost = scan_sums(
+        points, covs, step, shared.scan, shared.origins, base, xi, info, cross, pose, plane_side, pose_side
+    )
+    pose_roots = (pose @ shared.roots_by_scan).reshape(shared.roots.shape)
+    if shared.is_joint:
+        info, cross, plane_side, pose_side = _stacked(info, cross, plane_side, pose_side)
+    middle = np.eye(u.shape[1]) + shared.roots.transpose(0, 2, 1) @ pose_roots
+    return info, cross, plane_side, pose_side, middle, cost
+
+
+def _volume_gradient(
+    points: FloatArray, covs: FloatArray, step: int, shared: SharedPose, base: FloatArray, u: FloatArray, by: FloatArray
+) -> FloatArray:
+    """Derivative, by (z, theta, psi), of log det of the information on u, by central differences of ``by`` (3,).
+
+    What the data say of the pose errors depends on where the plane is thought to be. Their best values alone would
+    draw it to where they are told sharply, so they are integrated out (Laplace): that adds half this determinant.
+    """
+    gradient, moved = np.empty(3), np.empty((4, 4))
+    for k in range(3):
+        volumes = []
+        for sign in (1.0, -1.0):
+            z, theta, psi = (sign * by[j] * (j == k) for j in range(3))
+            kernels.move_frame(base, z, theta, psi, moved)
+            middle = _normal_equations(points, covs, step, shared, moved, u)[4]
+            volumes.append(np.linalg.slogdet(middle)[1].sum())
+        gradient[k] = (volumes[0] - volumes[1]) / (2.0 * by[k])
+    return gradient
+
+
 def _invert(upper: FloatArray, out: FloatArray) -> bool:
     """Inverse of the matrix with this upper triangle, shape (6,); False where it is not definite."""
     a, b, c, d, e, f = upper.tolist()
@@ -166,16 +200,13 @@ def _invert(upper: FloatArray, out: FloatArray) -> bool:
 
 
 def _stacked(
-    info: FloatArray, cross: FloatArray, pose: FloatArray, plane_side: FloatArray, pose_side: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    info: FloatArray, cross: FloatArray, plane_side: FloatArray, pose_side: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """The sums of all scans as those of a single one whose pose error is theirs, stacked."""
-    scans = len(pose)
-    blocks = np.zeros((scans, 6, scans, 6))
-    blocks[np.arange(scans), :, np.arange(scans), :] = pose
+    scans = len(pose_side)
     return (
         info.sum(axis=0)[None],
         cross.transpose(1, 0, 2).reshape(1, 3, 6 * scans),
-        blocks.reshape(1, 6 * scans, 6 * scans),
         plane_side.sum(axis=0)[None],
         pose_side.reshape(1, 6 * scans),
     )

@@ -5,9 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.config import MeasurementConfig
+from slam.config import MeasurementConfig, SlamConfig
 from slam.goodness import could_be_seen, fits_its_noise, has_step, is_one_plane
-from slam.measure import surface_covariances, tilt_drift, usable_points, usable_ranges
+from slam.io.log import CloudScan
+from slam.measure import (
+    line_tilt_covariances,
+    planes_of_cloud,
+    servo_covariances,
+    surface_covariances,
+    tilt_drift,
+    usable_points,
+    usable_ranges,
+)
 from slam.rig import Sensor
 from spplanes import Plane, fit_plane
 from tests.statistics import assert_mean_in_band
@@ -18,7 +27,7 @@ TRUTH = Plane.from_hesse([0.0, 0.0, 1.0], 0.0, np.zeros((3, 3)))
 
 
 def sensor(**settings: float) -> Sensor:
-    return Sensor(kind="cloud", range_sigma_m=0.01, range_max_m=20.0, **settings)
+    return Sensor(kind="cloud", **{"range_sigma_m": 0.01, "range_max_m": 20.0, **settings})
 
 
 def patch(rng: np.random.Generator, count: int = 900, *, x: float = 2.0, y: float = 1.5) -> np.ndarray:
@@ -103,6 +112,51 @@ def test_the_servos_error_grows_with_the_lever_and_spares_side_walls():
     np.testing.assert_allclose(tilt_drift(floor, np.array([[3.0, 1.0, -0.5]]), tilting), [0.06])
     side = Plane.from_hesse([0.0, 1.0, 0.0], -1.0, np.zeros((3, 3)))
     np.testing.assert_allclose(tilt_drift(side, np.array([[3.0, -1.0, 0.7]]), tilting), [0.0])
+
+
+def test_lines_of_a_tilting_scanner_share_the_servos_error_block_by_block():
+    """A floor of 40 lines, tilted by blocks of 10: the plane's error is within its covariance, and of its size.
+
+    Points that share an error are counted as that many worse ones; what they say of slopes inside a block is lost.
+    """
+    tilting = sensor(tilt_sigma_rad=0.01, tilt_correlation_lines=10)
+    rng, truth = np.random.default_rng(8), Plane.from_hesse([0.0, 0.0, 1.0], -0.5, np.zeros((3, 3)))
+    x, y = np.meshgrid(np.linspace(0.8, 3.0, 40), np.linspace(-1.0, 1.0, 21), indexing="ij")
+    floor = np.stack((x, y, np.full_like(x, -0.5)), axis=2)
+    line = np.repeat(np.arange(40), 21)
+    nees = []
+    for _ in range(400):
+        turn = np.repeat(0.01 * rng.standard_normal(4), 10)[:, None, None] * np.array([0.0, 1.0, 0.0])
+        points = (floor + np.cross(turn, floor)).reshape(-1, 3) + SIGMA * rng.standard_normal((len(line), 3))
+        noise = servo_covariances(points, isotropic(points), line, tilting)
+        nees.append(fit_plane(points, noise, viewpoint=np.zeros(3)).mahalanobis(truth))
+    assert 1.0 < np.mean(nees) < 3.0
+
+
+def test_without_a_servo_nothing_is_added():
+    points = patch(np.random.default_rng(3))
+    noise = isotropic(points)
+    assert servo_covariances(points, noise, np.zeros(len(points), dtype=int), sensor()) is noise
+    assert line_tilt_covariances(sensor(), 5) is None
+    tilting = line_tilt_covariances(sensor(tilt_sigma_rad=0.02), 5)
+    assert tilting is not None
+    np.testing.assert_allclose(tilting[:, 4, 4], 4e-4)
+
+
+def test_rough_fronts_are_found_where_the_rig_knows_of_them():
+    """A wall and, beside it, a hedge whose leaves are 25 mm deep."""
+    rng = np.random.default_rng(4)
+    z, x = np.meshgrid(np.linspace(-1.0, 1.0, 60), np.linspace(0.5, 3.5, 90), indexing="ij")
+    depth = np.where(x < 2.0, 2.0, 2.5 + 0.025 * rng.standard_normal(x.shape))
+    points = np.stack((x, depth, z), axis=2) + 0.004 * rng.standard_normal((60, 90, 3))
+    scan = CloudScan(0, "scanner", points)
+    flat = sensor(range_sigma_m=0.004, surface_sigma_m=0.005)
+    rough = flat.model_copy(update={"rough_sigma_m": 0.06})
+    fronts = [
+        [seen.plane.n_points for seen in planes_of_cloud(scan, one, SlamConfig()) if abs(seen.plane.d + 2.5) < 0.05]
+        for one in (flat, rough)
+    ]
+    assert sum(fronts[1]) > 2000 > sum(fronts[0])
 
 
 def test_ranges_outside_the_limits_are_no_returns():
