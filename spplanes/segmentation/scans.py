@@ -13,6 +13,10 @@ from spplanes.segmentation.pipeline import segment_sheet
 from spplanes.segmentation.planes import planes_of, shared_by_scan
 from spplanes.segmentation.sheet import Sheet, number_by_first_point
 
+#: Coordinates beyond this are nobody's measurement, and their squares come to nothing, m.
+FARTHEST_M = 1e12
+#: Noise below this makes weights that no arithmetic survives, m.
+LEAST_SIGMA_M = 1e-9
 _DEFAULT = MapperConfig()
 
 
@@ -81,6 +85,8 @@ def as_grid(points: ArrayLike) -> tuple[FloatArray, np.ndarray]:
         raise ValueError(f"points: expected shape (S, B, 3), got {grid.shape}")
     valid = np.asarray(np.isfinite(grid).all(axis=2))
     grid[~valid] = 0.0
+    if grid.size and np.abs(grid).max() > FARTHEST_M:
+        raise ValueError(f"points: expected coordinates up to {FARTHEST_M:g} m, got {np.abs(grid).max():g} m")
     return grid, valid
 
 
@@ -92,10 +98,13 @@ def as_variances(valid: np.ndarray, covariances: ArrayLike | None, sigma: ArrayL
         checked = as_covariances("covariances", covariances, (*valid.shape, 3, 3), valid)
         return checked.reshape(*valid.shape, 9)
     if np.ndim(sigma) == 0:  # type: ignore[arg-type]
-        return np.full((*valid.shape, 1), as_positive("sigma", float(sigma)) ** 2)  # type: ignore[arg-type]
+        sure = as_positive("sigma", float(sigma))  # type: ignore[arg-type]
+        if sure < LEAST_SIGMA_M:
+            raise ValueError(f"sigma: expected at least {LEAST_SIGMA_M:g} m, got {sure:g} m")
+        return np.full((*valid.shape, 1), sure**2)
     spread = as_shape("sigma", sigma, valid.shape, finite=False)  # type: ignore[arg-type]
-    if not (spread[valid] > 0.0).all() or not np.isfinite(spread[valid]).all():
-        raise ValueError("sigma: expected positive finite numbers where there is a point, got others")
+    if not (spread[valid] >= LEAST_SIGMA_M).all() or not np.isfinite(spread[valid]).all():
+        raise ValueError(f"sigma: expected positive finite numbers, at least {LEAST_SIGMA_M:g} m, where there is a point")
     return np.where(valid, spread, 1.0)[..., None] ** 2
 
 
