@@ -61,7 +61,10 @@ def details_of(run: Run) -> dict[str, Any]:
 def warnings_of(run: Run) -> list[str]:
     """What whoever reads the numbers must know: one sentence each."""
     notes = [note for frame in run.slam.keyframes for note in frame.notes]
-    directions = [stretch.sentence for stretch in run.slam.open_directions]
+    rules = run.slam.config.observability
+    # what a flat floor or the motion model holds to less than a tenth of that is no news to whoever drives
+    limits = {"position": 0.1 * rules.max_sigma_m, "orientation": 0.1 * rules.max_sigma_rad}
+    directions = [one.sentence for one in run.slam.open_directions if one.sigma >= limits[one.part]]
     return [*skipped(notes), *silences(run.log, run.rig), *run.slam.audit.warnings(), *directions]
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
+import shapely.ops
+from shapely.geometry.base import BaseGeometry
 
 from slam.frames import inverse
 from slam.outlines import flatten, valid
@@ -31,7 +33,7 @@ class FacingPair:
     second: int
     """Landmark id."""
     distance_m: float
-    """Distance along the mean normal, half way between what was seen of them, m."""
+    """Distance along the mean normal where, of all places in which they face each other, it is known best, m."""
     sigma_m: float
     """Its standard deviation from the two planes' covariances taken as independent, m."""
     angle_deg: float
@@ -60,8 +62,8 @@ def _pair(first: MapPlane, second: MapPlane) -> FacingPair | None:
     shared = shapely.intersection(valid(first.seen), valid(moved))
     if shared.area <= 0.0:
         return None
-    overlap = shared.centroid
-    foot = a.frame[:3, :3] @ np.array([overlap.x, overlap.y, 0.0]) + a.frame[:3, 3]
+    place = _surest_place(a, b, shared)
+    foot = a.frame[:3, :3] @ np.array([place.x, place.y, 0.0]) + a.frame[:3, 3]
     direction = (a.normal - b.normal) / np.linalg.norm(a.normal - b.normal)
     gap = float(-b.distance(foot) / (b.normal @ direction))
     sigma = float(np.sqrt(_variance_at(a, foot) + _variance_at(b, b.project(foot))))
@@ -75,6 +77,21 @@ def _pair(first: MapPlane, second: MapPlane) -> FacingPair | None:
         angle_deg=float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))),
         overlap_m2=float(shared.area),
     )
+
+
+def _surest_place(a: Plane, b: Plane, shared: BaseGeometry) -> shapely.Point:
+    """Where in `shared`, in (x, y) of a's frame, the gap between two planes has the least variance.
+
+    A plane's height at (x, y) is h.p with h = (1, -x, y) = first + slope (x, y), so the sum of both variances is a
+    quadratic form in (x, y); off `shared` its minimum is moved to the nearest point there.
+    """
+    b_T_a = inverse(b.frame) @ a.frame
+    first, slope = np.array([1.0, 0.0, 0.0]), np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, 1.0]])
+    first_b, slope_b = first + slope @ b_T_a[:2, 3], slope @ b_T_a[:2, :2]
+    curvature = slope.T @ a.covariance @ slope + slope_b.T @ b.covariance @ slope_b
+    pull = slope.T @ a.covariance @ first + slope_b.T @ b.covariance @ first_b
+    best = shapely.Point(np.linalg.lstsq(curvature, -pull, rcond=None)[0])
+    return shapely.ops.nearest_points(shared, best)[0]
 
 
 def _variance_at(plane: Plane, point: FloatArray) -> float:

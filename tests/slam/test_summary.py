@@ -65,3 +65,22 @@ def test_the_standard_deviation_of_a_gap_away_from_the_centres_is_that_of_sample
 def _about_y(angle: float) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def test_the_gap_is_told_where_it_is_known_best():
+    """Floor and ceiling open by 0.01: the gap is told at the middle of the ceiling, off it at the nearest place seen."""
+    slope = 0.01
+    low = Plane(np.eye(4), np.diag([0.001, 0.002, 0.002]) ** 2, 100, box(-10.0, -1.0, 10.0, 1.0))
+    frame = np.eye(4)
+    frame[:3, :3] = np.array([[1.0, 0.0, slope], [0.0, -1.0, 0.0], [slope, 0.0, -1.0]]) / np.hypot(1.0, slope)
+    frame[:3, 1] = [0.0, -1.0, 0.0]
+    frame[:3, 3] = [-6.0, 0.0, 2.0 - 6.0 * slope]
+    high = Plane(frame, np.diag([0.0001, 0.02, 0.02]) ** 2, 100, box(-4.0, -1.0, 16.0, 1.0))
+    [pair] = facing_pairs([map_plane(0, low), map_plane(1, high)])
+    assert abs(pair.distance_m - (2.0 - 6.0 * slope)) < 1e-3
+    away = Plane(frame, high.covariance, 100, box(0.0, -1.0, 16.0, 1.0))
+    [pair] = facing_pairs([map_plane(0, low), map_plane(1, away)])
+    assert abs(pair.distance_m - (2.0 - 6.0 * slope)) < 1e-3
+    far = Plane(frame, high.covariance, 100, box(5.0, -1.0, 16.0, 1.0))
+    [pair] = facing_pairs([map_plane(0, low), map_plane(1, far)])
+    assert abs(pair.distance_m - (2.0 - 1.0 * slope)) < 1e-3
