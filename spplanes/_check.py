@@ -22,6 +22,8 @@ def as_float_array(name: str, value: ArrayLike) -> FloatArray:
 
     Text, dates, complex numbers and masked entries are refused, which numpy would turn into floats without a word.
     """
+    if type(value) is np.ndarray and value.dtype == np.float64 and value.flags.c_contiguous:
+        return value  # what nearly all callers give
     array: np.ndarray | None = None
     try:
         array = np.asarray(value)
@@ -38,8 +40,9 @@ def as_float_array(name: str, value: ArrayLike) -> FloatArray:
 def as_shape(name: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True) -> FloatArray:
     """Return ``value`` as a float64 array of ``shape``, where None stands for any length."""
     array = as_float_array(name, value)
-    matches = array.ndim == len(shape) and all(
-        want is None or want == have for want, have in zip(shape, array.shape, strict=True)
+    matches = array.shape == shape or (
+        array.ndim == len(shape)
+        and all(want is None or want == have for want, have in zip(shape, array.shape, strict=True))
     )
     if not matches:
         wanted = "(" + ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
@@ -73,12 +76,24 @@ def as_covariance_stack(name: str, value: ArrayLike, size: int) -> FloatArray:
 def as_transform(name: str, value: ArrayLike) -> FloatArray:
     """Return a (4, 4) rigid transform; the rotation part must be orthonormal and right-handed to 1e-6."""
     transform = as_shape(name, value, (4, 4))
-    rotation = transform[:3, :3]
-    if not np.allclose(transform[3], (0.0, 0.0, 0.0, 1.0), atol=1e-9):
-        raise ValueError(f"{name}: expected the last row (0, 0, 0, 1), got {transform[3].tolist()}")
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0.0:
+    r = transform.tolist()
+    if abs(r[3][0]) > 1e-9 or abs(r[3][1]) > 1e-9 or abs(r[3][2]) > 1e-9 or abs(r[3][3] - 1.0) > 1e-9 + 1e-5:
+        raise ValueError(f"{name}: expected the last row (0, 0, 0, 1), got {r[3]}")
+    if not _is_rotation(r):
         raise ValueError(f"{name}: expected a right-handed rotation in the upper left (3, 3) block")
     return transform
+
+
+def _is_rotation(rows: list[list[float]]) -> bool:
+    """Whether the upper left (3, 3) block is orthonormal and right-handed; in scalars, for every plane is checked."""
+    (a, b, c, _), (d, e, f, _), (g, h, i, _), _ = rows
+    squares = (a * a + b * b + c * c, d * d + e * e + f * f, g * g + h * h + i * i)
+    products = (a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i)
+    return (
+        all(abs(square - 1.0) <= 1e-6 + 1e-5 for square in squares)
+        and all(abs(product) <= 1e-6 for product in products)
+        and a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0.0
+    )
 
 
 def as_number(name: str, value: Any, *, finite: bool = True) -> float:
