@@ -104,7 +104,8 @@ def as_variances(valid: np.ndarray, covariances: ArrayLike | None, sigma: ArrayL
         return np.full((*valid.shape, 1), sure**2)
     spread = as_shape("sigma", sigma, valid.shape, finite=False)  # type: ignore[arg-type]
     if not (spread[valid] >= LEAST_SIGMA_M).all() or not np.isfinite(spread[valid]).all():
-        raise ValueError(f"sigma: expected positive finite numbers, at least {LEAST_SIGMA_M:g} m, where there is a point")
+        expected = f"positive finite numbers of {LEAST_SIGMA_M:g} m or more where there is a point"
+        raise ValueError(f"sigma: expected {expected}, got others")
     return np.where(valid, spread, 1.0)[..., None] ** 2
 
 
