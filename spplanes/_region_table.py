@@ -1,4 +1,4 @@
-"""What `PlaneMapper` remembers of its regions: moments, shared errors, sides and outlines, but no points."""
+"""What `PlaneMapper` remembers of its regions: moments, noise, shared errors, sides and outlines, but no points."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ import numpy as np
 
 from spplanes import _pose_error, outline
 from spplanes._check import FloatArray
+from spplanes._own_noise import chi2_along, unbiased_frame
 from spplanes._raster import cells_of, distinct, projection_axis
 from spplanes.moments import ROW_SIZE, merge_rows
 from spplanes.plane import Plane
-from spplanes.segmentation._patches import eigenvalues
 from spplanes.segmentation.config import MapperConfig
-from spplanes.segmentation.planes import frames_of
 from spplanes.segmentation.sheet import is_determined
 
 
@@ -31,6 +30,7 @@ class RegionTable:
             "test": np.empty((0, ROW_SIZE)),
             "estimate": np.empty((0, ROW_SIZE)),
             "fit": np.empty((0, ROW_SIZE)),
+            "noise": np.empty((0, 6)),
             "views": np.empty((0, 3)),
             "anchor": np.empty((0, 3)),
             "pose": np.empty((0, 4, 4)),
@@ -87,6 +87,7 @@ class RegionTable:
         total, running = _pose_error.merge_sums(
             self.anchor[into], self.anchor[other], self.pose[other], self.running[other]
         )
+        self.noise[into] += self.noise[other]
         self.pose[into] += total
         self.running[into] += running
         self.views[into] += self.views[other]
@@ -132,13 +133,15 @@ class RegionTable:
         if not len(kept):
             return []
         rows = self.fit[kept]
-        frames, spreads = frames_of(rows, self.views[kept] / rows[:, :1])
+        eyes = self.views[kept] / rows[:, :1]
+        fits = [unbiased_frame(*region) for region in zip(rows, self.noise[kept], eyes, strict=True)]
+        frames, spreads, covariances = (np.array(column) for column in zip(*fits, strict=True))
         outlines = self._outlines(kept, frames, spreads, rows)
         result = []
         for k, r in enumerate(kept):
-            covariance = np.diag((1.0 + self.config.surface_sigma_m**2 * rows[k, 1]) / spreads[k])
+            covariance = covariances[k] + np.diag(self.config.surface_sigma_m**2 * rows[k, 1] / spreads[k])
             covariance += _pose_error.covariance_of(frames[k], spreads[k], self.anchor[r], self.pose[r])
-            chi2 = float(eigenvalues(rows[k])[0])
+            chi2 = chi2_along(rows[k], frames[k][:3, 2])
             result.append(Plane._trusted(frames[k], covariance, int(rows[k, 0]), outlines[k], chi2))
         return result
 

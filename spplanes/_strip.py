@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from spplanes import _pose_error
 from spplanes._check import FloatArray, as_float_array, as_shape
+from spplanes._own_noise import add_noise
 from spplanes._raster import along_axes, draw, keys_of, projection_axis
 from spplanes._region_table import RegionTable
 from spplanes.moments import ROW_SIZE, merge_rows
@@ -163,6 +164,8 @@ def _enter(
     points, own = sheet.points[part], strip.covariance[part]
     test = fit_regions(points, sheet.covariance[part], labels, sheet.rows, none, config.flatness_m**2)
     fit = fit_regions(points, own, labels, sheet.rows, none, 0.0)
+    noise = np.zeros((len(sheet.rows), 6))
+    add_noise(own, labels, hesse(sheet.rows), noise)
     shares = _shares(labels, len(sheet.rows))
     for r in np.flatnonzero(number >= 0):
         g = number[r]
@@ -170,6 +173,7 @@ def _enter(
         if shares[:, r].any():
             merge_rows(table.test[g], test[r], table.test[g])
             merge_rows(table.fit[g], fit[r], table.fit[g])
+            table.noise[g] += noise[r]
             table.views[g] += shares[:, r] @ strip.views[part]
     if strip.pose_covariances[part].any():
         _enter_pose_errors(strip, sheet, number, part, table, config)

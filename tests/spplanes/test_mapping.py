@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
-from spplanes import MapperConfig, PlaneMapper, _pose_error, segment_scans
+from spplanes import MapperConfig, PlaneMapper, _own_noise, _pose_error, fit_plane, segment_scans
+from spplanes._region_table import RegionTable
+from spplanes.moments import points_row
 from tests.spplanes.scenes import beam_covariances
 
 SIGMA = 0.01
@@ -167,3 +170,71 @@ def test_shared_pose_errors_reach_the_planes():
         sideways = abs(plane.normal[1]) > 0.5
         added = other.covariance[0, 0] - plane.covariance[0, 0]
         assert added == pytest.approx(1e-4 if sideways else 0.0, rel=0.02, abs=2e-7)
+
+
+def test_planes_of_slanted_beams_err_as_their_covariance_says():
+    values = []
+    for seed in range(15):
+        points, covariances, eyes, side = corridor(60, 20 + seed)
+        for plane in build((points, covariances, eyes, side), MapperConfig(**SMALL)).planes:
+            k = int(np.argmax(np.abs(plane.normal[[1, 1, 2]]) * [plane.normal[1] < 0, plane.normal[1] > 0, 1]))
+            normal, d = np.array([(0, -1, 0), (0, 1, 0), (0, 0, -1)][k]), [-1.0, -1.0, -1.5][k]
+            x, y, n = plane.frame[:3, :3].T
+            slope = normal / (normal @ n)
+            error = np.array([(d - normal @ plane.centre) / (normal @ n), slope @ x, -(slope @ y)])
+            values.append(error @ np.linalg.solve(plane.covariance, error))
+    assert len(values) == 45
+    low, high = chi2.ppf([0.001, 0.999], 3 * len(values)) / len(values)
+    assert low < np.mean(values) < high
+
+
+def slanted_wall(seed, scale=1.0):
+    """A wall at x = 2 swept by beams at 20 to 80 degrees to its normal, with noise of `scale` times what is stated."""
+    rng = np.random.default_rng(seed)
+    azimuth, elevation = rng.uniform(0.35, 1.4, 600), rng.uniform(-0.1, 0.4, 600)
+    u = np.column_stack((np.cos(azimuth), np.sin(azimuth), np.tan(elevation)))
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    points = u * (2.0 / u[:, 0] + 0.05 * scale * rng.standard_normal(600))[:, None]
+    return points, beam_covariances(u, 0.05)
+
+
+def sums_of(points, covariances):
+    """Moments and noise of points of the plane x = 2, weighted along its true normal."""
+    plane, row, noise = np.array([[1.0, 0.0, 0.0, 2.0]]), np.zeros(11), np.zeros((1, 6))
+    points_row(points, 1.0 / covariances[:, 0, 0], row)
+    flat = np.ascontiguousarray(covariances.reshape(1, -1, 9))
+    _own_noise.add_noise(flat, np.zeros((1, len(points)), dtype=np.int64), plane, noise)
+    return row, noise[0]
+
+
+def test_noise_taken_out_of_moments_gives_the_plane_of_maximum_likelihood():
+    for seed in range(5):
+        points, covariances = slanted_wall(seed)
+        row, noise = sums_of(points, covariances)
+        frame, spread, covariance = _own_noise.unbiased_frame(row, noise, np.zeros(3))
+        likely = fit_plane(points, covariances, viewpoint=np.zeros(3))
+        step = np.linalg.inv(likely.frame) @ frame
+        sigmas = np.sqrt(np.diag(likely.covariance))
+        assert abs(step[2, 3] / sigmas[0]) < 0.5
+        assert (np.abs(step[:2, 2] / sigmas[1:]) < 0.5).all()
+        np.testing.assert_allclose(np.diag(covariance), np.diag(likely.covariance), rtol=0.15)
+        np.testing.assert_allclose(1.0 / spread, np.diag(covariance), rtol=0.15)
+
+
+def test_noise_stated_too_large_does_not_turn_the_plane_the_other_way():
+    points, covariances = slanted_wall(9, scale=0.0)
+    frame, _, covariance = _own_noise.unbiased_frame(*sums_of(points, covariances), np.zeros(3))
+    np.testing.assert_allclose(frame[:3, 2], [-1.0, 0.0, 0.0], atol=1e-9)
+    assert (np.linalg.eigvalsh(covariance) > 0.0).all()
+
+
+def test_a_joined_region_keeps_the_noise_of_both():
+    table = RegionTable(MapperConfig())
+    points, covariances = slanted_wall(3)
+    rows, noises = zip(*(sums_of(points[k::2], covariances[k::2]) for k in range(2)), strict=True)
+    table.add(np.array(rows), np.zeros((2, 2)), np.zeros(2, dtype=np.int64))
+    table.fit[:2], table.noise[:2] = rows, noises
+    table.join(0, 1)
+    whole, noise = sums_of(points, covariances)
+    np.testing.assert_allclose(table.fit[0], whole)
+    np.testing.assert_allclose(table.noise[0], noise)
