@@ -68,7 +68,7 @@ def _about_y(angle: float) -> np.ndarray:
 
 
 def test_the_gap_is_told_where_it_is_known_best():
-    """Floor and ceiling open by 0.01: the gap is told at the middle of the ceiling, off it at the nearest place seen."""
+    """Floor and ceiling open by 0.01: told at the middle of the ceiling, or at the nearest place that was seen."""
     slope = 0.01
     low = Plane(np.eye(4), np.diag([0.001, 0.002, 0.002]) ** 2, 100, box(-10.0, -1.0, 10.0, 1.0))
     frame = np.eye(4)
