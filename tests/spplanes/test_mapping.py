@@ -11,17 +11,17 @@ SIGMA = 0.01
 SMALL = {"strip_scans": 16, "lookahead_scans": 4}
 
 
-def corridor(n_scans, seed=0, n_beams=120):
+def corridor(n_scans, seed=0, n_beams=120, sigma=SIGMA):
     """A vertical scanner driven along x through a corridor 2 m wide and 2 m high: points, covariances, eyes, truth."""
     angles = np.linspace(-np.pi / 2, np.pi / 2, n_beams)
     u = np.column_stack((np.zeros(n_beams), np.sin(angles), np.cos(angles)))
     with np.errstate(divide="ignore"):
         t = np.stack((1.0 / np.abs(u[:, 1]), np.where(u[:, 2] > 1e-9, 1.5 / u[:, 2], np.inf)))
     side = np.where(t[0] < t[1], np.where(u[:, 1] > 0, 0, 1), 2)
-    ranges = t.min(axis=0) + SIGMA * np.random.default_rng(seed).standard_normal((n_scans, n_beams))
+    ranges = t.min(axis=0) + sigma * np.random.default_rng(seed).standard_normal((n_scans, n_beams))
     eyes = np.column_stack((0.03 * np.arange(n_scans), np.zeros(n_scans), np.zeros(n_scans)))
     points = eyes[:, None] + ranges[..., None] * u
-    covariances = np.broadcast_to(beam_covariances(u, SIGMA), (n_scans, n_beams, 3, 3))
+    covariances = np.broadcast_to(beam_covariances(u, sigma), (n_scans, n_beams, 3, 3))
     return points, covariances, eyes, np.tile(side, (n_scans, 1))
 
 
@@ -175,7 +175,7 @@ def test_shared_pose_errors_reach_the_planes():
 def test_planes_of_slanted_beams_err_as_their_covariance_says():
     values = []
     for seed in range(15):
-        points, covariances, eyes, side = corridor(60, 20 + seed)
+        points, covariances, eyes, side = corridor(100, 20 + seed, sigma=0.03)
         for plane in build((points, covariances, eyes, side), MapperConfig(**SMALL)).planes:
             k = int(np.argmax(np.abs(plane.normal[[1, 1, 2]]) * [plane.normal[1] < 0, plane.normal[1] > 0, 1]))
             normal, d = np.array([(0, -1, 0), (0, 1, 0), (0, 0, -1)][k]), [-1.0, -1.0, -1.5][k]
@@ -189,12 +189,12 @@ def test_planes_of_slanted_beams_err_as_their_covariance_says():
 
 
 def slanted_wall(seed, scale=1.0):
-    """A wall at x = 2 swept by beams at 20 to 80 degrees to its normal, with noise of `scale` times what is stated."""
+    """A wall at x = 2 swept by beams at some 55 degrees to its normal, with noise of `scale` times what is stated."""
     rng = np.random.default_rng(seed)
-    azimuth, elevation = rng.uniform(0.35, 1.4, 600), rng.uniform(-0.1, 0.4, 600)
+    azimuth, elevation = rng.uniform(0.85, 1.1, 2000), rng.uniform(-0.1, 0.4, 2000)
     u = np.column_stack((np.cos(azimuth), np.sin(azimuth), np.tan(elevation)))
     u /= np.linalg.norm(u, axis=1)[:, None]
-    points = u * (2.0 / u[:, 0] + 0.05 * scale * rng.standard_normal(600))[:, None]
+    points = u * (2.0 / u[:, 0] + 0.05 * scale * rng.standard_normal(2000))[:, None]
     return points, beam_covariances(u, 0.05)
 
 
