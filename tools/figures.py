@@ -1,6 +1,6 @@
 """Make the figures of the README: `python tools/figures.py [FOLDER_OF_REAL_DATA]`.
 
-The simulated one always; that of the real corridor, its page in a browser, where the data and Chromium are.
+The simulated one always; those of real data where they are: the loop, and the corridor as its page in a browser.
 """
 
 from __future__ import annotations
@@ -27,10 +27,14 @@ WIDTH, USUAL_WIDTH = 8.0, 11.0
 
 
 def main(data: Path) -> None:
-    """Write docs/img/demo.png and corridor.png."""
+    """Write docs/img/demo.png, loop.png and corridor.png."""
     IMAGES.mkdir(parents=True, exist_ok=True)
     mission = simulate_mission("corridor", n_scans=400, seed=0)
     picture(run_slam(mission.log, mission.rig, SlamConfig()), IMAGES / "demo.png", "simulated push-broom mission")
+    loop = data / "loop5" / "loop5.clf.gz"
+    if loop.is_file():
+        log, rig = load(loop)
+        plan(run_slam(log, rig, SlamConfig()), IMAGES / "loop.png", "a corridor loop seen by one 2D laser")
     corridor = data / "3dtk_corridor"
     if corridor.is_dir():
         log, rig = load(corridor)
@@ -48,6 +52,16 @@ def picture(run: Run, path: Path, title: str) -> None:
     plan.set_title(f"{title}: {title_of(run)}", fontsize=10)
     plan.legend(loc="upper right", fontsize=7)
     figure.savefig(path, dpi=80, metadata={"Software": None})
+
+
+def plan(run: Run, path: Path, title: str) -> None:
+    """Plan view alone."""
+    figure = Figure(figsize=(WIDTH, view_height(run, "plan") * WIDTH / USUAL_WIDTH + 0.6), layout="constrained")
+    axes = figure.subplots()
+    draw_view(axes, run, "plan")
+    axes.set_title(f"{title}: {title_of(run)}", fontsize=10)
+    axes.legend(loc="lower left", fontsize=7)
+    figure.savefig(path, dpi=70, metadata={"Software": None})
 
 
 def page(run: Run, path: Path) -> None:

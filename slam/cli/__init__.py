@@ -22,6 +22,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+#: What click makes of Ctrl-C.
+_CLICK_INTERRUPTED = 130
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point: 0 done, 2 bad input or usage in one sentence on stderr, 1 anything else."""
@@ -32,6 +35,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _fail(error, 2)
     except KeyboardInterrupt:
         _fail("stopped", 1)
+    except SystemExit as end:
+        if end.code == _CLICK_INTERRUPTED:
+            _fail("stopped", 1)
+        raise
     except OSError as error:  # a full disk is nobody's bad input, and nothing unexpected
         _fail(error, 1)
     except Exception as error:  # the boundary: whatever it is, no traceback
