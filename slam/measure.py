@@ -10,6 +10,7 @@ import numpy as np
 from slam.config import SlamConfig
 from slam.frames import inverse
 from slam.goodness import is_one_plane
+from slam.io.arrange import arrange, grid_of
 from slam.io.log import CloudScan, LaserScan
 from slam.observations import LineObservation, PlaneObservation
 from slam.odometry import OdometryTrack
@@ -26,9 +27,14 @@ from spplanes.registration import register_scans
 def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list[PlaneObservation]:
     """Planes of one 3D scan in the body frame, each facing the sensor, largest first.
 
+    A scan without order is seen as lines or a range image first, as wide as the rig says, or as its points suggest.
     Where the rig knows of rough surfaces, what is on no plane is searched again for planes as flat as those.
     """
-    points = usable_points(scan.points if scan.points.ndim == 3 else scan.points[None], sensor)
+    points = usable_points(scan.points, sensor)
+    if not np.isfinite(points).any():
+        return []
+    if points.ndim == 2:
+        points = arrange(points, grid_of(sensor))
     observations, free = _flat_planes(points, sensor, config)
     if sensor.rough_sigma_m > sensor.surface_sigma_m:
         rough = sensor.model_copy(update={"surface_sigma_m": sensor.rough_sigma_m})

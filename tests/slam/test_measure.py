@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -26,7 +28,7 @@ SIGMA = 0.015
 TRUTH = Plane.from_hesse([0.0, 0.0, 1.0], 0.0, np.zeros((3, 3)))
 
 
-def sensor(**settings: float) -> Sensor:
+def sensor(**settings: Any) -> Sensor:
     return Sensor(kind="cloud", **{"range_sigma_m": 0.01, "range_max_m": 20.0, **settings})
 
 
@@ -157,6 +159,39 @@ def test_rough_fronts_are_found_where_the_rig_knows_of_them():
         for one in (flat, rough)
     ]
     assert sum(fronts[1]) > 2000 > sum(fronts[0])
+
+
+def room_without_order() -> np.ndarray:
+    """A room of 8 x 6 x 2.7 m seen by a spinning lidar of 32 rings, points shuffled, shape (N, 3)."""
+    rng = np.random.default_rng(0)
+    elevation, azimuth = np.meshgrid(np.linspace(0.5, -0.5, 32), 2.0 * np.pi * np.arange(720) / 720, indexing="ij")
+    level = np.cos(elevation)
+    rays = np.stack((level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)), axis=-1).reshape(-1, 3)
+    high = np.where(rays > 0.0, [5.0, 3.5, 1.5], [-3.0, -2.5, -1.2])
+    with np.errstate(divide="ignore"):
+        ranges = np.min(high / rays, axis=1, where=rays != 0.0, initial=np.inf)
+    points = rays * (ranges + 0.005 * rng.standard_normal(len(ranges)))[:, None]
+    points[rng.choice(len(points), 300, replace=False)] = np.nan
+    return rng.permutation(points)
+
+
+@pytest.mark.parametrize("stated", [{}, {"rows": 32, "columns": 720}], ids=["found", "stated"])
+def test_a_scan_without_order_is_arranged(stated: dict[str, int]):
+    seen = planes_of_cloud(
+        CloudScan(0, "lidar", room_without_order()), sensor(range_sigma_m=0.005, **stated), SlamConfig()
+    )
+    walls = [(1, 0, 0, -3.0), (-1, 0, 0, -5.0), (0, 1, 0, -2.5), (0, -1, 0, -3.5), (0, 0, 1, -1.2), (0, 0, -1, -1.5)]
+    for *normal, d in walls:
+        plane = next(one.plane for one in seen if one.plane.normal @ normal > 0.99)  # the largest comes first
+        assert plane.normal @ normal > np.cos(0.001)
+        assert plane.d == pytest.approx(d, abs=0.001)
+    assert sum(one.n_points for one in seen) > 0.9 * 32 * 720
+
+
+def test_scans_without_a_return_have_no_planes():
+    for points in (np.empty((0, 3)), np.full((40, 3), np.nan), np.full((4, 9, 3), np.nan), np.full((5, 3), 1e3)):
+        assert planes_of_cloud(CloudScan(0, "lidar", points), sensor(), SlamConfig()) == []
+    assert planes_of_cloud(CloudScan(0, "lidar", np.ones((1, 3))), sensor(), SlamConfig()) == []
 
 
 def test_ranges_outside_the_limits_are_no_returns():
