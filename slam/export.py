@@ -16,6 +16,7 @@ from plyfile import PlyData, PlyElement
 
 from slam.config import SlamConfig
 from slam.evaluation.metrics import Metric
+from slam.files import scratch_folder
 from slam.history import History
 from slam.io.g2o_writer import write_g2o
 from slam.io.trajectories import write_tum
@@ -44,17 +45,9 @@ def new_folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """
     out = Path(out)
     check_free(out, overwrite=overwrite)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    except OSError as error:
-        raise ValueError(f"{out}: cannot be made ({error.strerror})") from error
-    try:
-        work.chmod(0o755)
+    with scratch_folder(out) as work:
         yield work
         _put_in_place(work, out)
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
 
 
 def check_free(out: Path, *, overwrite: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -35,3 +36,22 @@ def whole_file(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
         raise ValueError(f"{path}: cannot be written ({error.strerror})") from error
     finally:
         scratch.unlink(missing_ok=True)
+
+
+@contextmanager
+def scratch_folder(out: Path) -> Iterator[Path]:
+    """A hidden folder beside `out`, to be moved to its place; gone at the end unless it was.
+
+    Raises:
+        ValueError: the folder that `out` should lie in cannot be written.
+    """
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    except OSError as error:
+        raise ValueError(f"{out}: cannot be made ({error.strerror})") from error
+    try:
+        work.chmod(0o755)
+        yield work
+    finally:
+        shutil.rmtree(work, ignore_errors=True)

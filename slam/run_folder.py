@@ -15,6 +15,7 @@ from slam._session_digest import fingerprint
 from slam.backend import BackendError
 from slam.config import SlamConfig
 from slam.export import check_free
+from slam.files import scratch_folder
 from slam.io.load import load
 from slam.io.log import Log
 from slam.keyframes import keyframes_of
@@ -168,20 +169,12 @@ def _fresh(out: Path, begin: Callable[[Path], None], *, overwrite: bool) -> Iter
     """A new folder that appears with its session in it; an old one of that name waits beside it until the end."""
     check_free(out, overwrite=overwrite)
     replaced: Path | None = None
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    except OSError as error:
-        raise ValueError(f"{out}: cannot be made ({error.strerror})") from error
-    try:
-        work.chmod(0o755)
+    with scratch_folder(out) as work:
         begin(work)
         if out.exists():
             replaced = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent)) / out.name
             os.replace(out, replaced)
         os.replace(work, out)
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
     try:
         yield out
     except BaseException:

@@ -8,13 +8,12 @@ from pathlib import Path
 from slam.io.arrange import grid_of
 from slam.io.carmen import read_carmen
 from slam.io.clouds import is_cloud_file
-from slam.io.default_rigs import bag_rig, cloud_rig, depth_rig
+from slam.io.default_rigs import bag_rig, cloud_rig, depth_rig, threedtk_rig
 from slam.io.depth_folder import is_depth_folder, read_depth_folder
 from slam.io.folders import has_clouds, read_cloud_folder, read_e57_log
 from slam.io.log import Log, LogError
 from slam.io.rosbag import Topics, is_rosbag, read_rosbag, sensor_name
-from slam.io.threedtk import SENSOR, is_3dtk_folder, read_3dtk
-from slam.motion import OdometryNoise
+from slam.io.threedtk import is_3dtk_folder, read_3dtk
 from slam.rig import Rig, Sensor, default_rig_for
 
 #: Name of the rig file that a folder of a mission carries.
@@ -113,35 +112,3 @@ def _with_one_sensor(path: Path, rig: Rig | None, default: Rig) -> tuple[Rig, st
         raise LogError(path, f"expected a rig with one sensor of kind cloud for these scans, got {len(sensors)}")
     ((name, sensor),) = sensors.items()
     return rig, name, sensor
-
-
-def threedtk_rig() -> Rig:
-    """A rig for 3DTK folders: a tilting SICK, and poses that come from odometry with a tilt estimate.
-
-    Beams scatter by 10 mm about small patches. The servo that tilts the laser lags and catches up: on floor and ceiling
-    the angle errs by 0.7 deg rms, a sawtooth 15 to 25 lines long that no number of beams averages out and that no two
-    scans share. Walls, which hardly feel it, leave 10 mm; fronts of windows and doors are as rough as 40 mm. With these
-    sigmas the NIS of plane factors on the corridor set is 1.0 per degree of freedom. Ranges below 0.5 m are the robot,
-    or read centimetres short. The motion sigmas cover, axis by axis, the distance between that set's initial poses and
-    its two registrations.
-    """
-    scanner = Sensor(
-        kind="cloud",
-        range_sigma_m=0.01,
-        range_min_m=0.55,
-        range_max_m=32.0,
-        surface_sigma_m=0.01,
-        surface_correlation_m=0.45,
-        rough_sigma_m=0.04,
-        tilt_sigma_rad=0.012,
-        tilt_correlation_lines=20,
-    )
-    odometry = OdometryNoise(
-        along_sigma_m_per_sqrt_m=0.04,
-        lateral_sigma_m_per_sqrt_m=0.03,
-        heading_sigma_rad_per_sqrt_m=0.01,
-        z_sigma_m=0.05,
-        pitch_sigma_rad=0.02,
-        roll_sigma_rad=0.01,
-    )
-    return Rig(sensors={SENSOR: scanner}, odometry=odometry)

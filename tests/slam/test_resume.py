@@ -98,7 +98,7 @@ def test_a_run_that_ended_early_goes_on_to_the_same_result(
     with monkeypatch.context() as patch:
         stop_after(patch, 5, error)
         code, err = run(capsys, "slam", mission, "--out", out, "--config", config)
-    assert code == {KeyboardInterrupt: 130, ValueError: 2, RuntimeError: 1}[type(error)]
+    assert code == {KeyboardInterrupt: 1, ValueError: 2, RuntimeError: 1}[type(error)]
     assert f"go on with: spplanes slam --resume {out}" in err
     assert {path.name.removeprefix(SESSION_FILE) for path in out.iterdir()} == {""}
     code, err = run(capsys, "slam", mission, "--out", out, "--config", config)
