@@ -85,26 +85,6 @@ def second_order(frames: FloatArray, covariances: FloatArray) -> tuple[FloatArra
     return mean, 0.5 * distances**2 * np.einsum("nij,nji->n", tilts, tilts)
 
 
-def two_point_information(points: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
-    """Distances of two body-frame points (2, 3) from a landmark as a native factor: "measured" normal, and R (3, 3).
-
-    n.q - d is a linear function of the factor's error [B^T n, d - d_measured] if q lies in the span of B: so the
-    measured plane is made the one through both points and the body's origin. Then n.q = (B^T q).(B^T n), exactly,
-    whatever the landmark; its own normal plays no part. R is upper triangular with an empty last row.
-    """
-    normal = np.cross(points[0], points[1])
-    length = np.linalg.norm(normal)
-    if length < 1e-9 * np.abs(points).max() ** 2:  # in line with the origin: any plane through that line will do
-        along = points[np.argmax(np.abs(points).max(axis=1))]
-        normal = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
-        length = np.linalg.norm(normal)
-    normal = normal / length
-    rows = np.column_stack([points @ unit_bases(normal[None])[0], -np.ones(2)]) / sigma
-    root = np.zeros((3, 3))
-    root[:2] = np.linalg.qr(rows, mode="r")
-    return normal, root
-
-
 def tangent_to_sp(frame: FloatArray) -> FloatArray:
     """Matrix M with p = M v, shape (3, 3), v being the tangent of ``OrientedPlane3.retract``."""
     matrix = error_to_sp(frame[None])[0].copy()

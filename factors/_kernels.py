@@ -118,6 +118,41 @@ def plane_error(world_T_anchor, world_T_body, coefficients, frame):
     return error, derivative
 
 
+@njit(cache=True)
+def two_point_information(points, sigma):
+    """Distances of two body-frame points (2, 3) from a landmark as a native factor: "measured" normal, and R (3, 3).
+
+    n.q - d is a linear function of the factor's error [B^T n, d - d_measured] if q lies in the span of B: so the
+    measured plane is made the one through both points and the body's origin. Then n.q = (B^T q).(B^T n), exactly,
+    whatever the landmark; its own normal plays no part. R is upper triangular with an empty last row.
+    """
+    normal = cross(points[0], points[1])
+    length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    first, second = np.abs(points[0]).max(), np.abs(points[1]).max()
+    if length < 1e-9 * max(first, second) ** 2:  # in line with the origin: any plane through that line will do
+        along = points[0] if first >= second else points[1]
+        axis = np.zeros(3)
+        axis[np.argmin(np.abs(along))] = 1.0
+        normal = cross(along, axis)
+        length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    normal /= length
+    basis = unit_basis(normal)
+    root = np.zeros((3, 3))
+    for i in range(2):
+        for j in range(2):
+            root[i, j] = (points[i, 0] * basis[0, j] + points[i, 1] * basis[1, j] + points[i, 2] * basis[2, j]) / sigma
+        root[i, 2] = -1.0 / sigma
+    if root[1, 0] != 0.0:  # the Householder reflection that empties it
+        beta = -np.copysign(np.sqrt(root[0, 0] ** 2 + root[1, 0] ** 2), root[0, 0])
+        tau, v = (beta - root[0, 0]) / beta, root[1, 0] / (root[0, 0] - beta)
+        for j in range(1, 3):
+            share = tau * (root[0, j] + v * root[1, j])
+            root[0, j] -= share
+            root[1, j] -= v * share
+        root[0, 0], root[1, 0] = beta, 0.0
+    return normal, root
+
+
 #: Sine of the angle between a plane and the scan plane below which `line_error` stops dividing by it.
 GRAZING = 0.02
 

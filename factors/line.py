@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from math import cos, hypot, isfinite, sin, sqrt
+
 import gtsam
 import gtsam_unstable
 import numpy as np
 
 from factors._check import as_definite_covariance, as_key, check_distinct
-from factors._conventions import hesse, oriented_plane, two_point_information
+from factors._conventions import hesse, oriented_plane
 from factors._custom import Recipe
-from factors._kernels import GRAZING
+from factors._kernels import GRAZING, two_point_information
 from factors.robust import Robust, gaussian
 from spplanes import ScanLine
 from spplanes._check import FloatArray, as_transform, check_instance
@@ -71,19 +73,28 @@ def decorrelated_points(line: ScanLine) -> tuple[FloatArray, float]:
     deviation sqrt(2) t. Together they are the covariance of (alpha, rho) exactly.
     """
     check_instance("line", line, ScanLine)
-    covariance = as_definite_covariance("line.covariance", line.covariance, 2)
-    position = covariance[0, 1] / covariance[0, 0]
-    spread = np.sqrt(covariance[1, 1] - covariance[0, 1] * position)
-    c, s = np.cos(line.alpha), np.sin(line.alpha)
-    along = position + np.array([-1.0, 1.0]) * spread / np.sqrt(covariance[0, 0])
-    points = line.rho * np.array([c, s]) + along[:, None] * np.array([-s, c])
-    return points, float(np.sqrt(2.0) * spread)
+    (a, b), (_, r) = _definite(line.covariance).tolist()
+    position = b / a
+    spread = sqrt(r - b * position)
+    c, s = cos(line.alpha), sin(line.alpha)
+    reach = spread / sqrt(a)
+    points = [(line.rho * c - along * s, line.rho * s + along * c) for along in (position - reach, position + reach)]
+    return np.array(points), sqrt(2.0) * spread
+
+
+def _definite(value: FloatArray) -> FloatArray:
+    """The covariance of a line, refused when it is singular; a glance tells most of them."""
+    if isinstance(value, np.ndarray) and value.shape == (2, 2) and value.dtype == np.float64:
+        (a, b), (b2, c) = value.tolist()
+        if b == b2 and a > 0.0 and c > 0.0 and isfinite(a + c) and b * b < (1.0 - 1e-9) * (a * c):
+            return value
+    return as_definite_covariance("line.covariance", value, 2)
 
 
 def _native(recipe: Recipe, normal: FloatArray) -> gtsam.NonlinearFactor:
     """The recipe of an anchored line as a native factor, for a landmark of about this ``normal`` (3,) in the body."""
     mount, points = (np.asarray(array) for array in recipe.data)
-    cut = float(np.linalg.norm(mount[:3, :2].T @ normal))
+    cut = hypot(*(normal @ mount[:3, :2]).tolist())
     if cut < GRAZING:
         raise ValueError(f"expected: expected a plane that cuts the scan plane, got one at {cut:.3g} rad to it")
     in_body = points @ mount[:3, :2].T + mount[:3, 3]

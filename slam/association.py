@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from math import log, pi
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from slam.backend import Backend, JointCovariance
 from slam.config import AssociationConfig
@@ -19,6 +20,7 @@ from spplanes._check import FloatArray
 
 #: Bounds drawn from a standard deviation are taken at this many of them.
 _SIGMAS = 3.0
+_LOG_2PI = log(2.0 * pi)
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Candidate:
     @property
     def p_value(self) -> float:
         """Probability of a larger chi2 if it is the same plane."""
-        return float(chi2_distribution.sf(self.chi2, self.dof))
+        return float(chdtrc(self.dof, max(self.chi2, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -96,11 +98,15 @@ def associate(
     state, honest = _State(joint), None if hint is None else _State(joint)
     if hint is not None:
         state.take(hint, pose_key, backend)
+    prospects = [
+        _prospects(observation, shortlist, pose_key, joint, backend)
+        for observation, shortlist in zip(observations, shortlists, strict=True)
+    ]
     decisions: dict[int, Decision] = {}
     firmest_first = sorted(range(len(observations)), key=lambda i: (-observations[i].n_points, i))
     for waits in (_is_open, lambda decision, config: False):
         for index in [index for index in firmest_first if index not in decisions]:
-            innovations = _innovations(observations[index], shortlists[index], pose_key, state, backend)
+            innovations = _innovations(prospects[index], state)
             decision = _decide(index, [innovation.candidate for innovation in innovations], chances[index], config)
             if waits(decision, config):
                 continue
@@ -126,7 +132,7 @@ class Hint:
 
 def _audited(decision: Decision, chosen: _Innovation, honest: _State, config: AssociationConfig) -> Decision:
     """The decision with the chi2 of the state that has no hint; unsure where that state refuses it."""
-    innovation = honest.again(chosen)
+    innovation = honest.innovation(chosen.prospect)
     if innovation.candidate.p_value < config.significance:
         return replace(decision, verdict="unsure", match=None)
     honest.condition(innovation)
@@ -217,13 +223,22 @@ def _joint_covariance(shortlists: Sequence[Sequence[Landmark]], keys: set[int], 
 
 
 @dataclass(frozen=True, eq=False)
-class _Innovation:
-    """An observation under the assumption that it is a certain landmark."""
+class _Prospect:
+    """A linearised factor of an observation under the assumption that it is a certain landmark."""
 
     candidate: Candidate
+    """Its log likelihood is that of no error and no spread yet."""
     columns: np.ndarray
     jacobian: FloatArray
     target: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Innovation:
+    """A prospect compared with a state."""
+
+    candidate: Candidate
+    prospect: _Prospect
     residual: FloatArray
     covariance: FloatArray
 
@@ -236,63 +251,68 @@ class _State:
         self._covariance = joint.full.copy()
         self._mean = np.zeros(len(self._covariance))
 
-    def innovation(self, landmark: Landmark, linear: Any, volume: float) -> _Innovation:
-        """Compare a linearised factor with the state; `volume` is that of the measurement's one-sigma box."""
-        columns = self._joint.columns(list(linear.keys()))
-        jacobian, target = linear.jacobian()
-        telling = np.abs(jacobian).max(axis=1) > 0.0  # a native line factor has an empty row: two dof, not three
-        candidate = Candidate(landmark.id, 0.0, int(telling.sum()), -np.log(volume), landmark.n_keyframes > 1)
-        return self._compare(candidate, columns, jacobian[telling], target[telling])
-
-    def again(self, other: _Innovation) -> _Innovation:
-        """The same comparison with this state."""
-        volume = other.candidate.log_likelihood + 0.5 * (other.candidate.chi2 + _log_det(other.covariance))
-        return self._compare(
-            replace(other.candidate, log_likelihood=volume), other.columns, other.jacobian, other.target
-        )
-
-    def _compare(
-        self, candidate: Candidate, columns: np.ndarray, jacobian: FloatArray, target: FloatArray
-    ) -> _Innovation:
-        """The candidate, whose log likelihood is that of no error and no spread yet, with chi2 and likelihood."""
-        residual = target - jacobian @ self._mean[columns]
-        covariance = jacobian @ self._covariance[np.ix_(columns, columns)] @ jacobian.T + np.eye(len(target))
-        chi2 = float(residual @ np.linalg.solve(covariance, residual))
-        log_likelihood = candidate.log_likelihood - 0.5 * (chi2 + _log_det(covariance))
-        compared = replace(candidate, chi2=chi2, log_likelihood=log_likelihood)
-        return _Innovation(compared, columns, jacobian, target, residual, covariance)
+    def innovation(self, prospect: _Prospect) -> _Innovation:
+        """Compare a prospect with the state: chi2 and likelihood."""
+        columns, jacobian = prospect.columns, prospect.jacobian
+        residual = prospect.target - jacobian @ self._mean[columns]
+        covariance = jacobian @ self._covariance[columns[:, None], columns] @ jacobian.T + np.eye(len(residual))
+        chi2, log_det = _chi2_and_log_det(residual.tolist(), covariance.tolist())
+        blank = prospect.candidate
+        log_likelihood = blank.log_likelihood - 0.5 * (chi2 + log_det)
+        candidate = Candidate(blank.landmark, chi2, blank.dof, log_likelihood, blank.confirmed)
+        return _Innovation(candidate, prospect, residual, covariance)
 
     def take(self, hint: Hint, pose_key: int, backend: Backend) -> None:
         """Take in what is known of the pose beside the observations."""
         linear = hint.motion.factors(hint.key, pose_key)[0].linearize(backend.values)
         jacobian, target = linear.jacobian()
         columns = self._joint.columns(list(linear.keys()))
-        self.condition(self._compare(Candidate(-1, 0.0, len(target), 0.0, False), columns, jacobian, target))
+        blank = Candidate(-1, 0.0, len(target), 0.0, False)
+        self.condition(self.innovation(_Prospect(blank, columns, jacobian, target)))
 
     def condition(self, innovation: _Innovation) -> None:
         """Take an innovation in: the Kalman update."""
-        spread = self._covariance[:, innovation.columns] @ innovation.jacobian.T
+        spread = self._covariance[:, innovation.prospect.columns] @ innovation.prospect.jacobian.T
         gain = np.linalg.solve(innovation.covariance, spread.T).T
         self._mean = self._mean + gain @ innovation.residual
         self._covariance = self._covariance - gain @ spread.T
 
 
-def _log_det(covariance: FloatArray) -> float:
-    return float(np.linalg.slogdet(2.0 * np.pi * covariance)[1])
+def _chi2_and_log_det(residual: list[float], covariance: list[list[float]]) -> tuple[float, float]:
+    """r^T C^-1 r and the log of det(2 pi C) of a symmetric C that is at least the identity: by L D L^T, in scalars."""
+    chi2, log_det = 0.0, len(residual) * _LOG_2PI
+    for i in range(len(residual)):
+        pivot, row = covariance[i][i], covariance[i]
+        chi2 += residual[i] ** 2 / pivot
+        log_det += log(abs(pivot))
+        for j in range(i + 1, len(residual)):
+            share = row[j] / pivot
+            residual[j] -= share * residual[i]
+            covariance[j] = [one - share * other for one, other in zip(covariance[j], row, strict=True)]
+    return chi2, log_det
 
 
-def _innovations(
-    observation: Observation, shortlist: Sequence[Landmark], pose_key: int, state: _State, backend: Backend
-) -> list[_Innovation]:
+def _prospects(
+    observation: Observation,
+    shortlist: Sequence[Landmark],
+    pose_key: int,
+    joint: JointCovariance,
+    backend: Backend,
+) -> list[_Prospect]:
+    """The observation's factor for each landmark of its shortlist, linearised at the estimate."""
+    blank, prospects = -log(observation.volume) if shortlist else 0.0, []
+    for landmark in shortlist:
+        linear = _linearised(observe(observation, pose_key, landmark, backend), backend)
+        jacobian, target = linear.jacobian()
+        telling = np.abs(jacobian).max(axis=1) > 0.0  # a native line factor has an empty row: two dof, not three
+        candidate = Candidate(landmark.id, 0.0, int(telling.sum()), blank, landmark.n_keyframes > 1)
+        prospects.append(_Prospect(candidate, joint.columns(list(linear.keys())), jacobian[telling], target[telling]))
+    return prospects
+
+
+def _innovations(prospects: Sequence[_Prospect], state: _State) -> list[_Innovation]:
     """The observation under each of its candidates, most likely first; equals in order of their birth."""
-    found = [
-        state.innovation(
-            landmark,
-            _linearised(observe(observation, pose_key, landmark, backend), backend),
-            observation.volume,
-        )
-        for landmark in shortlist
-    ]
+    found = [state.innovation(prospect) for prospect in prospects]
     return sorted(found, key=lambda one: (-one.candidate.log_likelihood, one.candidate.landmark))
 
 
