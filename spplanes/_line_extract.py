@@ -47,10 +47,16 @@ def ring_start(labels, count):
 
 @njit(cache=True, error_model="numpy")
 def fit_label(bearings, ranges, sigmas, bearing_sigma, breaks, labels, undecided, label, gate):
-    """Line of the decided beams of one label; the beams on it, ends trimmed and grown; how many were decided."""
+    """Line of one label; the beams on it, ends trimmed and grown; how many were decided, and how many of them fitted.
+
+    Decided beams beside another surface are on the line but not in the fit.
+    """
     members = np.nonzero(labels == label)[0]
     core = members[~undecided[members]]
     core = drop_doubtful_ends(beam_moments(bearings[core], ranges[core], sigmas[core]), core)
+    n_borders = core.size
+    core = drop_borders(breaks, labels, core)
+    n_borders -= core.size
     line = start_line(bearings, ranges, sigmas, core)
     if bearing_sigma > 0.0:
         sigmas = line_sigmas(bearings, sigmas, np.arange(bearings.size), line[0], line[1], bearing_sigma)
@@ -68,7 +74,23 @@ def fit_label(bearings, ranges, sigmas, bearing_sigma, breaks, labels, undecided
         labels[members] = label
         if core.size == n_before:
             break
-    return line, members, core.size
+    return line, members, core.size + n_borders, core.size
+
+
+@njit(cache=True, error_model="numpy")
+def drop_borders(breaks, labels, members):
+    """Members without those beside a return that is not on the line; all of them when fewer than three would be left.
+
+    Such a beam may already be on what joins the two surfaces. Of a door jamb hit by one beam within its noise of the
+    wall no residual tells, yet at the end of the line it turns it.
+    """
+    inner = np.empty(members.size, dtype=np.bool_)
+    for i, k in enumerate(members):
+        after = (k + 1) % labels.size
+        begins = breaks[k] < 2 and labels[k - 1] != labels[k]
+        ends = breaks[after] < 2 and labels[after] != labels[k]
+        inner[i] = not (begins or ends)
+    return members[inner] if inner.sum() >= 3 else members
 
 
 @njit(cache=True, error_model="numpy")
@@ -101,9 +123,11 @@ def start_line(bearings, ranges, sigmas, members):
 
 
 @njit(cache=True, error_model="numpy")
-def is_line(bearings, ranges, sigmas, members, n, line, min_points, max_turning, max_curvature, max_misfit):
-    """True when n fitted beams suffice, fit, are no arc that turns by `max_turning`, and (alpha, rho) is Gaussian."""
-    if n < max(min_points, 3) or not np.isfinite(line[5]) or line[5] > max_misfit * (n - 2):
+def is_line(
+    bearings, ranges, sigmas, members, n_decided, n_fitted, line, min_points, max_turning, max_curvature, max_misfit
+):
+    """True when the beams suffice, fit, are no arc that turns by `max_turning`, and (alpha, rho) is Gaussian."""
+    if n_decided < max(min_points, 3) or not np.isfinite(line[5]) or line[5] > max_misfit * (n_fitted - 2):
         return False
     _, rho, v_alpha, cov, v_rho, _ = line
     if 0.5 * rho * v_alpha > max_curvature * np.sqrt(v_rho - cov * cov / v_alpha):
@@ -160,11 +184,11 @@ def extract(
     counts = np.zeros(n_labels, dtype=np.int64)
     n_lines = n_support = 0
     for label in range(n_labels):
-        line, members, n_core = fit_label(
+        line, members, n_decided, n_fitted = fit_label(
             a, r, s, bearing_sigma, breaks, labels, undecided, label, -2.0 * np.log(significance)
         )
-        if is_line(a, r, s, members, n_core, line, min_points, max_turning, max_curvature, max_misfit):
-            write_row(rows[n_lines], line, n_core - 2, a[members[0]], a[members[-1]], flatness)
+        if is_line(a, r, s, members, n_decided, n_fitted, line, min_points, max_turning, max_curvature, max_misfit):
+            write_row(rows[n_lines], line, n_fitted - 2, a[members[0]], a[members[-1]], flatness)
             support[n_support : n_support + members.size] = beams[members]
             counts[n_lines] = members.size
             n_support += members.size

@@ -48,15 +48,9 @@ def test_walls_are_found_and_none_invented(world, sigma):
 @pytest.mark.parametrize("sigma", SIGMAS)
 @pytest.mark.parametrize("world", WORLDS)
 def test_the_covariance_is_honest(world, sigma):
-    """Mean NEES inside its 95 % band about 2, but for beams of door jambs within 3 sigma of the wall beside them.
-
-    Those cannot be told from it: in corridors with recesses of 8 to 30 cm under 30 mm of noise they raise the mean.
-    """
-    result = score(world, sigma)
-    undecidable = world == "corridors" and sigma == 0.03
-    values = result.nees_pure if undecidable else result.nees
+    """Mean NEES inside its 95 % band about 2, beams of the neighbouring surfaces taken in or not."""
+    values = score(world, sigma).nees
     assert abs(np.mean(values) - 2.0) < 1.96 * 2.0 / np.sqrt(len(values))
-    assert np.mean(result.nees) < (2.8 if undecidable else 2.2)
 
 
 @pytest.mark.parametrize("sigma", SIGMAS)
