@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -46,7 +47,7 @@ def run_map(
     A log with 3D scans is mapped by them (`slam.cloud_map`), any other by its push-broom laser.
 
     Raises:
-        LogError: no push-broom scans, scans without a pose, or beam counts that change.
+        LogError: no push-broom scans, scans without a pose or out of time order, or beam counts that change.
     """
     clock = clock or StageClock()
     if any(isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud") for scan in log.scans()):
@@ -54,6 +55,7 @@ def run_map(
         return MapResult(planes, poses, no_poses(), n_seen, n_represented, clock)
     name, sensor = _slice_sensor(log, rig)
     scans = [scan for scan in log.scans(name) if isinstance(scan, LaserScan)]
+    _check_alike(scans, log)
     pose_covariance = None if rig.localisation is None else rig.localisation.location_covariance()
     mapper = PlaneMapper(correlated(for_sensor(config.mapper, sensor), scans, rig, log))
     for done, scan in enumerate(scans):
@@ -112,6 +114,21 @@ def _slice_sensor(log: Log, rig: Rig) -> tuple[str, Sensor]:
         if log.scans(name):
             return name, sensor
     raise LogError(log.source, "expected scans of a sensor that the rig calls slice (push-broom), found none")
+
+
+def _check_alike(scans: list[LaserScan], log: Log) -> None:
+    """Raise where time runs backwards from scan to scan or the number of beams changes."""
+    for before, scan in pairwise(scans):
+        if scan.stamp_ns < before.stamp_ns:
+            raise LogError(
+                log.source,
+                f"expected scans of {scan.sensor!r} in time order, got {scan.stamp_ns} ns after {before.stamp_ns} ns",
+            )
+        if len(scan.ranges) != len(before.ranges):
+            raise LogError(
+                log.source,
+                f"expected {len(before.ranges)} beams in every scan of {scan.sensor!r}, got {len(scan.ranges)}",
+            )
 
 
 def _pose_of(scan: LaserScan, log: Log) -> FloatArray:

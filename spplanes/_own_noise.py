@@ -82,7 +82,8 @@ def _share(row: FloatArray, noise: FloatArray, frame: FloatArray) -> float:
     if not added[2, 2] > 0.0:
         return 0.0
     widest = float(np.linalg.eigvals(np.linalg.solve(scatter[:2, :2], added[:2, :2])).real.max())
-    return min(1.0 - 1.0 / row[0], scatter[2, 2] / added[2, 2], MAX_NOISE_SHARE / widest)
+    share = min(1.0 - 1.0 / row[0], scatter[2, 2] / added[2, 2])
+    return min(share, MAX_NOISE_SHARE / widest) if widest > 0.0 else share
 
 
 def chi2_along(row: FloatArray, normal: FloatArray) -> float:

@@ -18,7 +18,7 @@ from spplanes.segmentation.growing import fit_regions, hesse
 from spplanes.segmentation.pipeline import segment_sheet
 from spplanes.segmentation.planes import shared_by_scan
 from spplanes.segmentation.refining import BORDER_GAP
-from spplanes.segmentation.scans import as_covariances
+from spplanes.segmentation.scans import as_covariances, as_noise, check_near
 from spplanes.segmentation.sheet import Sheet, number_by_first_point
 
 #: Settled scans kept to show where regions reach in: as far as an occluder may part a plane.
@@ -65,24 +65,30 @@ class Strip:
 
     def append(
         self,
-        points: ArrayLike,
+        scan: FloatArray,
         covariances: ArrayLike,
         viewpoint: ArrayLike | None,
         pose_covariance: ArrayLike | None,
         scan_origin: ArrayLike | None,
     ) -> None:
-        """Check a scan and put it behind the others."""
+        """Check a scan, points of shape (B, 3), and put it behind the others."""
         k = self.n_context + self.n_open_rows
-        scan = as_shape("points", points, (self.n_beams, 3), finite=False)
         valid = np.asarray(np.isfinite(scan).all(axis=1))
-        matrices = as_covariances("covariances", covariances, (self.n_beams, 3, 3), valid)
+        scan = np.where(valid[:, None], scan, 0.0)
+        check_near(scan)
+        matrices = as_noise("covariances", covariances, valid)
+        if k and (viewpoint is None) != np.isnan(self.views[k - 1, 0]):
+            raise ValueError(
+                f"viewpoint: expected one with every scan or with none, got {'none' if viewpoint is None else 'one'}"
+                " unlike the scan before"
+            )
         if pose_covariance is not None:
             self.pose_covariances[k] = as_covariances("pose_covariance", pose_covariance, (6, 6))
         else:
             self.pose_covariances[k] = 0.0
         self.views[k] = np.nan if viewpoint is None else as_shape("viewpoint", viewpoint, (3,))
         self.origins[k] = 0.0 if scan_origin is None else as_shape("scan_origin", scan_origin, (3,))
-        self.points[k] = np.where(valid[:, None], scan, 0.0)
+        self.points[k] = scan
         self.covariance[k], self.valid[k], self.labels[k] = matrices.reshape(-1, 9), valid, -1
         self.n_open_rows += 1
 

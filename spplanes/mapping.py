@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from spplanes._check import as_shape
 from spplanes._region_table import RegionTable
 from spplanes._strip import Strip, settle
 from spplanes.plane import Plane
@@ -50,14 +51,16 @@ class PlaneMapper:
             scan_origin: the point about which that error turns, (3,), m; the map's origin by default.
 
         Raises:
-            ValueError: another number of beams than before, or covariances that are not positive semidefinite.
+            ValueError: another number of beams than before, covariances that are not positive semidefinite, a
+                viewpoint with some scans and none with others. A scan that is refused leaves no trace.
         """
-        if self._strip is None:
-            self._strip = Strip(np.shape(points)[0] if np.ndim(points) else 0, self.config)
-        self._strip.append(points, covariances, viewpoint, pose_covariance, scan_origin)
-        if self._strip.is_full:
-            settle(self._strip, self._table, self.config.strip_scans, self.config)
-            self._strip.advance(self.config.strip_scans)
+        scan = as_shape("points", points, (self._strip.n_beams if self._strip else None, 3), finite=False)
+        strip = self._strip or Strip(len(scan), self.config)
+        strip.append(scan, covariances, viewpoint, pose_covariance, scan_origin)
+        self._strip = strip
+        if strip.is_full:
+            settle(strip, self._table, self.config.strip_scans, self.config)
+            strip.advance(self.config.strip_scans)
 
     @property
     def planes(self) -> list[Plane]:

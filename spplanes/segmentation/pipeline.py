@@ -22,6 +22,8 @@ def segment_sheet(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None
     if len(sheet.points) >= FEW_ROWS or len(sheet.prior):
         _segment(sheet, views, config)
         return
+    if np.count_nonzero(sheet.valid.any(axis=1)) < 2:
+        return  # points of one scan lie on the scan's own plane, which is no surface
     wide, eyes = stretched(sheet, views, FEW_ROWS / len(sheet.points))
     _segment(wide, eyes, config.for_rows(len(sheet.points)))
     sheet.rows, sheet.prior, sheet.bias, sheet.alias = wide.rows, wide.prior, wide.bias, wide.alias

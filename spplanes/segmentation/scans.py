@@ -50,7 +50,7 @@ def segment_scans(
 
     Raises:
         ValueError: rows of different length, other shapes, covariances that are not positive semidefinite, noise that
-            is not positive.
+            is not positive, and numbers too large or too small to be squared.
 
     References:
         Weingarten, Gruener, Siegwart, "Probabilistic Plane Fitting in 3D", ICRA 2004, section IV.
@@ -85,9 +85,15 @@ def as_grid(points: ArrayLike) -> tuple[FloatArray, np.ndarray]:
         raise ValueError(f"points: expected shape (S, B, 3), got {grid.shape}")
     valid = np.asarray(np.isfinite(grid).all(axis=2))
     grid[~valid] = 0.0
-    if grid.size and np.abs(grid).max() > FARTHEST_M:
-        raise ValueError(f"points: expected coordinates up to {FARTHEST_M:g} m, got {np.abs(grid).max():g} m")
+    check_near(grid)
     return grid, valid
+
+
+def check_near(points: FloatArray) -> None:
+    """Raise where a coordinate is too large to be squared."""
+    largest = max(points.max(initial=0.0), -points.min(initial=0.0))
+    if largest > FARTHEST_M:
+        raise ValueError(f"points: expected coordinates up to {FARTHEST_M:g} m, got {largest:g} m")
 
 
 def as_variances(valid: np.ndarray, covariances: ArrayLike | None, sigma: ArrayLike | None) -> FloatArray:
@@ -95,8 +101,7 @@ def as_variances(valid: np.ndarray, covariances: ArrayLike | None, sigma: ArrayL
     if (covariances is None) == (sigma is None):
         raise ValueError("covariances: expected exactly one of covariances and sigma, got both or none")
     if covariances is not None:
-        checked = as_covariances("covariances", covariances, (*valid.shape, 3, 3), valid)
-        return checked.reshape(*valid.shape, 9)
+        return as_noise("covariances", covariances, valid).reshape(*valid.shape, 9)
     if np.ndim(sigma) == 0:  # type: ignore[arg-type]
         sure = as_positive("sigma", float(sigma))  # type: ignore[arg-type]
         if sure < LEAST_SIGMA_M:
@@ -107,6 +112,17 @@ def as_variances(valid: np.ndarray, covariances: ArrayLike | None, sigma: ArrayL
         expected = f"positive finite numbers of {LEAST_SIGMA_M:g} m or more where there is a point"
         raise ValueError(f"sigma: expected {expected}, got others")
     return np.where(valid, spread, 1.0)[..., None] ** 2
+
+
+def as_noise(name: str, value: ArrayLike, valid: np.ndarray) -> FloatArray:
+    """Covariances of points, shape (*valid.shape, 3, 3): singular ones are fine, zero ones are not."""
+    array = as_covariances(name, value, (*valid.shape, 3, 3), valid)
+    total = array[..., 0, 0] + array[..., 1, 1] + array[..., 2, 2]
+    low, high = total.min(initial=1.0), total.max(initial=1.0)
+    if low < LEAST_SIGMA_M**2 or high > FARTHEST_M**2:
+        wanted = f"traces from {LEAST_SIGMA_M**2:g} to {FARTHEST_M**2:g} m^2"
+        raise ValueError(f"{name}: expected {wanted}, got {low if low < LEAST_SIGMA_M**2 else high:g} m^2")
+    return array
 
 
 def as_covariances(name: str, value: ArrayLike, shape: tuple[int, ...], valid: np.ndarray | None = None) -> FloatArray:

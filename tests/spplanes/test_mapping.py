@@ -106,6 +106,73 @@ def test_bad_scans():
     assert mapper.n_points_seen == 5
 
 
+GOOD = np.ones((5, 3)), np.tile(np.eye(3), (5, 1, 1))
+
+
+@pytest.mark.parametrize(
+    ("points", "covariances", "more", "message"),
+    [
+        ([[1, 2, 3], [1, 2]], GOOD[1], {}, "points: expected an array of numbers"),
+        (3.0, GOOD[1], {}, r"points: expected shape \(N, 3\), got \(\)"),
+        (np.ones(3), GOOD[1], {}, r"points: expected shape \(N, 3\), got \(3,\)"),
+        (1e13 * GOOD[0], GOOD[1], {}, r"points: expected coordinates up to 1e\+12 m"),
+        (GOOD[0], GOOD[1][:4], {}, r"covariances: expected shape \(5, 3, 3\), got \(4, 3, 3\)"),
+        (GOOD[0], 0.0 * GOOD[1], {}, "covariances: expected traces from 1e-18"),
+        (GOOD[0], 1e30 * GOOD[1], {}, "covariances: expected traces from 1e-18"),
+        (GOOD[0], np.nan * GOOD[1], {}, "covariances: expected finite numbers"),
+        (GOOD[0], -GOOD[1], {}, "covariances: expected symmetric positive semidefinite"),
+        (*GOOD, {"pose_covariance": -np.eye(6)}, "pose_covariance: expected symmetric positive semidefinite"),
+        (*GOOD, {"viewpoint": [np.nan, 0.0, 0.0]}, "viewpoint: expected finite numbers"),
+        (*GOOD, {"scan_origin": [np.inf, 0.0, 0.0]}, "scan_origin: expected finite numbers"),
+    ],
+)
+def test_a_scan_that_is_refused_leaves_no_trace(points, covariances, more, message):
+    mapper = PlaneMapper()
+    with pytest.raises(ValueError, match=message):
+        mapper.add_scan(points, covariances, **more)
+    mapper.add_scan(np.ones((7, 3)), np.tile(np.eye(3), (7, 1, 1)))  # whatever its number of beams
+    assert mapper.n_points_seen == 7
+
+
+def test_viewpoints_come_with_all_scans_or_none():
+    mapper = PlaneMapper()
+    mapper.add_scan(*GOOD, viewpoint=np.zeros(3))
+    with pytest.raises(ValueError, match="viewpoint: expected one with every scan or with none, got none unlike"):
+        mapper.add_scan(*GOOD)
+    assert mapper.n_points_seen == 5
+
+
+@pytest.mark.parametrize("n_scans", [1, 60])
+@pytest.mark.parametrize(
+    "scan",
+    [
+        np.empty((0, 3)),
+        np.ones((1, 3)),
+        np.zeros((50, 3)),
+        np.full((50, 3), np.inf),
+        np.column_stack((np.zeros(50), np.linspace(0.0, 3.0, 50), np.ones(50))),
+    ],
+    ids=["no beam", "one beam", "zero range", "infinite range", "a robot that stands still"],
+)
+def test_scans_that_span_no_plane_are_points(scan, n_scans):
+    mapper = PlaneMapper(MapperConfig(**SMALL))
+    for _ in range(n_scans):
+        mapper.add_scan(scan, np.tile(1e-4 * np.eye(3), (len(scan), 1, 1)), viewpoint=np.zeros(3))
+    assert mapper.planes == []
+    assert mapper.n_points_represented == 0
+    assert mapper.n_points_seen == n_scans * int(np.isfinite(scan).all(axis=1).sum())
+
+
+def test_exact_points_and_singular_covariances_are_fine():
+    mapper = PlaneMapper(MapperConfig(**SMALL))
+    for x in np.arange(40) * 0.02:
+        scan = np.column_stack((np.full(90, x), np.linspace(0.0, 3.0, 90), np.ones(90)))
+        mapper.add_scan(scan, np.tile(np.diag([0.0, 0.0, 1e-4]), (90, 1, 1)), viewpoint=np.zeros(3))
+    (plane,) = mapper.planes
+    np.testing.assert_allclose(plane.normal, [0.0, 0.0, -1.0], atol=1e-12)
+    assert np.isfinite(plane.covariance).all()
+
+
 @pytest.mark.parametrize("decay", [0.0, 0.9])
 def test_pose_errors_are_summed_with_their_correlation(decay):
     rng = np.random.default_rng(4)

@@ -175,6 +175,19 @@ def test_degenerate_grids_have_no_planes(shape):
     assert (labels == -1).all()
 
 
+def test_the_plane_of_a_scan_is_no_surface():
+    points, covariances, origins, _ = corridor_slices(2, 0)
+    points[1] = np.nan
+    for n in (1, 2):
+        assert segment_scans(points[:n], covariances[:n], viewpoints=origins[:n])[1] == []
+
+
+def test_zero_range_has_no_planes():
+    labels, planes = segment_scans(np.zeros((30, 40, 3)), sigma=0.01, viewpoints=np.zeros(3))
+    assert planes == []
+    assert (labels == -1).all()
+
+
 def test_no_returns_have_no_planes():
     labels, planes = segment_scans(np.full((8, 9, 3), np.nan), sigma=0.01)
     assert labels.shape == (8, 9)
@@ -199,6 +212,13 @@ def test_infinite_and_missing_points_are_no_returns():
         (np.ones((4, 4, 3)), {"sigma": -np.ones((4, 4))}, "sigma: expected positive finite numbers"),
         (np.ones((4, 4, 3)), {"covariances": np.eye(3)}, r"covariances: expected shape \(4, 4, 3, 3\)"),
         (np.ones((4, 4, 3)), {"covariances": np.tile(-np.eye(3), (4, 4, 1, 1))}, "positive semidefinite"),
+        (np.ones((4, 4, 3)), {"covariances": np.zeros((4, 4, 3, 3))}, "covariances: expected traces from 1e-18"),
+        (np.ones((4, 4, 3)), {"covariances": np.full((4, 4, 3, 3), np.nan)}, "covariances: expected finite numbers"),
+        (
+            np.ones((4, 4, 3)),
+            {"sigma": 0.1, "pose_covariances": -np.tile(np.eye(6), (4, 1, 1))},
+            "pose_covariances: expected symmetric positive semidefinite",
+        ),
         (np.ones((4, 4, 3)), {"sigma": 0.1, "viewpoints": np.zeros((3, 3))}, r"viewpoints: expected shape \(4, 3\)"),
         (np.ones((4, 4, 3)), {"sigma": 0.1, "pose_covariances": np.eye(6)}, r"pose_covariances: expected shape \(4, 6"),
     ],
