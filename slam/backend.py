@@ -7,11 +7,14 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from scipy.linalg import block_diag
 
 from slam.clock import StageClock, timed
 from slam.config import BackendConfig
 from spplanes._check import FloatArray
+
+#: The turn of a pose's tangent: none.
+_STAYS = np.eye(6)
+_POSES = (ord("x"), ord("m"))  # of a keyframe, of a prior map
 
 
 class BackendError(RuntimeError):
@@ -40,6 +43,7 @@ class Backend:
         self._whole: gtsam.Values | None = None
         self._poses: dict[int, FloatArray] = {}
         self._planes: dict[int, gtsam.OrientedPlane3] = {}
+        self._delta: gtsam.VectorValues | None = None
 
     @property
     def values(self) -> gtsam.Values:
@@ -111,8 +115,10 @@ class Backend:
     def plane(self, key: int) -> gtsam.OrientedPlane3:
         """A landmark variable, in its anchor's frame."""
         if key not in self._planes:
+            if self._delta is None:
+                self._delta = self._isam.getDelta()  # a copy of all of it
             there = self._isam.getLinearizationPoint().atOrientedPlane3(key)
-            self._planes[key] = there.retract(self._isam.getDelta().at(key))
+            self._planes[key] = there.retract(self._delta.at(key))
         return self._planes[key]
 
     @timed("marginals")
@@ -141,7 +147,7 @@ class Backend:
         are those of its linearisation point.
         """
         if _is_pose(key):
-            return np.eye(6)
+            return _STAYS
         matrix = np.eye(3)
         here, there = self.plane(key), self._isam.getLinearizationPoint().atOrientedPlane3(key)
         matrix[:2, :2] = here.normal().basis().T @ there.normal().basis()
@@ -166,10 +172,14 @@ class JointCovariance:
     """A joint marginal covariance of a few variables, addressed by key."""
 
     def __init__(self, keys: Sequence[int], marginal: FloatArray, turns: Sequence[FloatArray]) -> None:
-        starts = np.concatenate(([0], np.cumsum([len(turn) for turn in turns])))
-        self._columns = {key: np.arange(starts[i], starts[i + 1]) for i, key in enumerate(keys)}
-        turn = np.asarray(block_diag(*turns))
-        self._full = turn @ marginal @ turn.T
+        ends = np.cumsum([len(turn) for turn in turns]).tolist()
+        self._columns = {key: np.arange(end - len(turn), end) for key, turn, end in zip(keys, turns, ends, strict=True)}
+        self._full = np.array(marginal)
+        for turn, end in zip(turns, ends, strict=True):
+            if turn is not _STAYS:
+                block = slice(end - len(turn), end)
+                self._full[block] = turn @ self._full[block]
+                self._full[:, block] = self._full[:, block] @ turn.T
 
     @property
     def full(self) -> FloatArray:
@@ -192,7 +202,7 @@ def pose_symbol(index: int) -> int:
 
 
 def _is_pose(key: int) -> bool:
-    return gtsam.Symbol(key).chr() in (ord("x"), ord("m"))  # of a keyframe, of a prior map
+    return key >> 56 in _POSES
 
 
 def _first_line(error: Exception) -> str:

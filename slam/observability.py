@@ -11,6 +11,7 @@ import numpy as np
 from slam.config import ObservabilityConfig
 from slam.observations import LineObservation, Observation
 from spplanes._check import FloatArray
+from spplanes.spmodel import skew
 
 Part = Literal["position", "orientation"]
 
@@ -90,9 +91,9 @@ def plane_information(observation: Observation) -> FloatArray:
     plane = observation.full_plane(1.0)
     x_axis, y_axis, normal = plane.frame[:3, :3].T
     jacobian = np.zeros((3, 6))
-    jacobian[0, :3], jacobian[0, 3:] = -np.cross(plane.centre, normal), -normal
-    jacobian[1, :3] = np.cross(x_axis, normal)
-    jacobian[2, :3] = -np.cross(y_axis, normal)
+    jacobian[0, :3], jacobian[0, 3:] = skew(normal) @ plane.centre, -normal
+    jacobian[1, :3] = -y_axis  # x cross n
+    jacobian[2, :3] = -x_axis  # n cross y
     told = 2 if isinstance(observation, LineObservation) else 3
     return jacobian[:told].T @ np.linalg.solve(plane.covariance[:told, :told], jacobian[:told])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import hypot
 from typing import Any, Protocol
 
 import gtsam
@@ -15,6 +16,7 @@ from slam.frames import lift
 from slam.outlines import flatten
 from spplanes import Plane, ScanLine
 from spplanes._check import FloatArray
+from spplanes.spmodel import skew
 
 #: Sine of the angle between a landmark and the scan plane from which on a line's factor is native.
 _MIN_CUT = 0.5
@@ -162,7 +164,7 @@ class LineObservation:
         """Rank-2 line factor; native, and so faster, where the landmark is known to cut the scan plane."""
         if expected is not None:
             # a weight that depends on the expected direction is only as good as that: not for planes near the scan's
-            cut = np.linalg.norm(self.body_T_sensor[:3, :2].T @ expected.normal().point3())
+            cut = hypot(*(expected.normal().point3() @ self.body_T_sensor[:3, :2]).tolist())
             expected = expected if cut >= _MIN_CUT else None
         return line_factor(
             self.line,
@@ -184,7 +186,7 @@ class LineObservation:
         z_axis = self.normal
         y_axis = self.body_T_sensor[:3, 2]
         frame = np.eye(4)
-        frame[:3, :3] = np.column_stack((np.cross(y_axis, z_axis), y_axis, z_axis))
+        frame[:3, :3] = np.column_stack((skew(y_axis) @ z_axis, y_axis, z_axis))
         frame[:3, 3] = middle
         covariance = np.zeros((3, 3))
         covariance[:2, :2] = _line_covariance_at_middle(self.line)
