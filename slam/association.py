@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from math import log, pi
-from typing import Any, Literal
+from typing import Literal
 
+import gtsam
 import numpy as np
 from scipy.special import chdtrc
 
@@ -94,12 +95,15 @@ def associate(
     if among is not None:
         shortlists = [[landmark for landmark in shortlist if landmark.id in among] for shortlist in shortlists]
     keys = {pose_key} if hint is None else {pose_key, hint.key}
-    joint = _joint_covariance(shortlists, keys, backend)
+    for landmark in (landmark for shortlist in shortlists for landmark in shortlist):
+        keys.update((landmark.key, landmark.anchor_key))
+    ordered = sorted(keys)
+    joint, values = backend.joint_covariance(ordered), backend.values_of(ordered)  # once is cheaper than for each pair
     state, honest = _State(joint), None if hint is None else _State(joint)
     if hint is not None:
-        state.take(hint, pose_key, backend)
+        state.take(hint, pose_key, values)
     prospects = [
-        _prospects(observation, shortlist, pose_key, joint, backend)
+        _prospects(observation, shortlist, pose_key, joint, values, backend)
         for observation, shortlist in zip(observations, shortlists, strict=True)
     ]
     decisions: dict[int, Decision] = {}
@@ -214,14 +218,6 @@ def _is_plausible(
     return landmark.region.is_within(margin, observation.patch_in(plane_T_body))
 
 
-def _joint_covariance(shortlists: Sequence[Sequence[Landmark]], keys: set[int], backend: Backend) -> JointCovariance:
-    """One joint marginal for all candidates of the keyframe: asking once is cheaper than asking for every pair."""
-    for shortlist in shortlists:
-        for landmark in shortlist:
-            keys.update((landmark.key, landmark.anchor_key))
-    return backend.joint_covariance(sorted(keys))
-
-
 @dataclass(frozen=True, eq=False)
 class _Prospect:
     """A linearised factor of an observation under the assumption that it is a certain landmark."""
@@ -262,9 +258,9 @@ class _State:
         candidate = Candidate(blank.landmark, chi2, blank.dof, log_likelihood, blank.confirmed)
         return _Innovation(candidate, prospect, residual, covariance)
 
-    def take(self, hint: Hint, pose_key: int, backend: Backend) -> None:
+    def take(self, hint: Hint, pose_key: int, values: gtsam.Values) -> None:
         """Take in what is known of the pose beside the observations."""
-        linear = hint.motion.factors(hint.key, pose_key)[0].linearize(backend.values)
+        linear = hint.motion.factors(hint.key, pose_key)[0].linearize(values)
         jacobian, target = linear.jacobian()
         columns = self._joint.columns(list(linear.keys()))
         blank = Candidate(-1, 0.0, len(target), 0.0, False)
@@ -297,12 +293,13 @@ def _prospects(
     shortlist: Sequence[Landmark],
     pose_key: int,
     joint: JointCovariance,
+    values: gtsam.Values,
     backend: Backend,
 ) -> list[_Prospect]:
     """The observation's factor for each landmark of its shortlist, linearised at the estimate."""
-    blank, prospects = -log(observation.volume) if shortlist else 0.0, []
+    blank, prospects = -float(np.log(observation.volume)) if shortlist else 0.0, []
     for landmark in shortlist:
-        linear = _linearised(observe(observation, pose_key, landmark, backend), backend)
+        linear = observe(observation, pose_key, landmark, backend).linearize(values)
         jacobian, target = linear.jacobian()
         telling = np.abs(jacobian).max(axis=1) > 0.0  # a native line factor has an empty row: two dof, not three
         candidate = Candidate(landmark.id, 0.0, int(telling.sum()), blank, landmark.n_keyframes > 1)
@@ -314,10 +311,6 @@ def _innovations(prospects: Sequence[_Prospect], state: _State) -> list[_Innovat
     """The observation under each of its candidates, most likely first; equals in order of their birth."""
     found = [state.innovation(prospect) for prospect in prospects]
     return sorted(found, key=lambda one: (-one.candidate.log_likelihood, one.candidate.landmark))
-
-
-def _linearised(factor: Any, backend: Backend) -> Any:
-    return factor.linearize(backend.values_of(factor.keys()))
 
 
 def _decide(index: int, candidates: list[Candidate], chance: float, config: AssociationConfig) -> Decision:
