@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +55,7 @@ def paper_rig() -> Rig:
     Its 180 deg are turned 30 deg to the right (bearings -120 to 60 deg), so that they reach from a strip of floor on
     the right over the ceiling to the upper left wall: all four sides of a corridor in every scan.
     """
-    noise = {"range_sigma_m": 0.015, "range_max_m": 40.0}
+    noise: dict[str, Any] = {"range_sigma_m": 0.015, "range_max_m": 40.0}
     level = Mount(xyz_m=(0.0, 0.0, 0.3))
     upright = Mount(xyz_m=(0.0, 0.0, 0.4), rpy_deg=(0.0, -90.0, 0.0))
     return Rig(
