@@ -115,7 +115,7 @@ def as_variances(valid: np.ndarray, covariances: ArrayLike | None, sigma: ArrayL
 
 
 def as_noise(name: str, value: ArrayLike, valid: np.ndarray) -> FloatArray:
-    """Covariances of points, shape (S, B, 3, 3) with (S, B) that of `valid`: singular ones are fine, zero ones are not."""
+    """Covariances of points (S, B, 3, 3), (S, B) that of `valid`: singular ones are fine, zero ones are not."""
     array = as_covariances(name, value, (*valid.shape, 3, 3), valid)
     total = array[..., 0, 0] + array[..., 1, 1] + array[..., 2, 2]
     low, high = total.min(initial=1.0), total.max(initial=1.0)
