@@ -113,9 +113,8 @@ def corridor() -> Row:
     done, times = timed_run(*loaded("3dtk_corridor"))
     pairs = facing_pairs(done.planes)
     size = {}
-    for name in ("height", "width"):  # behind a side of the corridor there are others, in doorways
-        mine = [pair for pair in pairs if pair.name == name]
-        size[name] = min(pair.distance_m for pair in mine if pair.overlap_m2 >= 0.5 * mine[0].overlap_m2)
+    for name in ("height", "width"):  # behind the window front of the corridor there is another wall
+        size[name] = min(pair.distance_m for pair in pairs if pair.name == name)
     folder, away = DATA / "3dtk_corridor", []
     for path in ("estimate", "cf17522d"):
         gaps = []
