@@ -33,7 +33,7 @@ from slam.observability import Observability, OpenStretch, stretch_of
 from slam.odometry import Motion
 from slam.places import found_motion, is_wide
 from slam.recorder import Recorder
-from slam.sights import birth_sights, matched_sights
+from slam.sights import Sight, birth_sights, matched_sights
 from slam.twins import find_twins
 from slam.views import step_by_view
 from spplanes._check import FloatArray
@@ -278,8 +278,7 @@ class PlaneSlam:
         indices = self.backend.update(factors, initial, remove=self._standing_in, relinearize=True)
         self._waiting, self._standing_in = [], []
         for sight, factor_index in zip(sights, indices, strict=False):
-            sighting = Sighting(len(self.keyframes), sight.number, factor_index, sight.observation.kind)
-            self.landmarks.see(sight.landmark, sight.observation, sighting, sight.plane_T_body)
+            self._see(sight, len(self.keyframes), factor_index)
         return {sight.landmark.id for sight in sights}
 
     def _match_late(self, touched: set[int]) -> None:
@@ -298,11 +297,15 @@ class PlaneSlam:
                 self.config.backend.robust,
             )
             [factor_index] = self.backend.update([sight.factor], gtsam.Values(), relinearize=True)
-            sighting = Sighting(match.keyframe, sight.number, factor_index, sight.observation.kind)
-            self.landmarks.see(sight.landmark, sight.observation, sighting, sight.plane_T_body)
+            self._see(sight, match.keyframe, factor_index)
         if late:
             self.landmarks.refresh(self.backend)
         self.late_matches += late
+
+    def _see(self, sight: Sight, keyframe: int, factor_index: int) -> None:
+        """Let a landmark know what a keyframe saw of it, now that it is in the graph."""
+        sighting = Sighting(keyframe, sight.number, factor_index, sight.observation.kind)
+        self.landmarks.see(sight.landmark, sight.observation, sighting, sight.plane_T_body)
 
     def _look_for_open_directions(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> None:
         """What of this motion nothing that was seen fixes, said before the graph is asked."""
