@@ -166,10 +166,6 @@ class LandmarkMap:
         """Where a landmark is, as of the last refresh."""
         return PlacedPlane(self._world_T_plane[self._rows[landmark_id]])
 
-    def placements(self) -> list[tuple[Landmark, PlacedPlane]]:
-        """Every landmark with its place, as of the last refresh."""
-        return [(self._landmarks[key], self.placed(key)) for key in self._rows]
-
     def near(
         self, normal: FloatArray, middle: FloatArray, reach: float, max_angle: float
     ) -> list[tuple[Landmark, PlacedPlane]]:
