@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,10 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NU
 Row = dict[str, Any]
 #: Names of the columns every measured row has.
 CPU, WALL, MEMORY, TIMES_OURS = "CPU ms", "wall ms", "peak memory MB", "time, x ours"
+#: Processor time of one of the many things that a call does.
+EACH = "us each"
+#: In short runs, what takes longer is timed twice at most, s.
+QUICK_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,8 @@ class Task:
     """Accuracy of what it returns; not timed."""
     repeats: int = 5
     """How many times it is timed, after once to warm up; 1: the first time counts, for what takes seconds."""
+    things: int = 0
+    """How many things one call does, where the time of one is a column of its own; 0: it is not."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,7 @@ class Peer:
     """How many times it is timed."""
 
 
-Case = Callable[[], list[Task | Peer]]
+Case = Callable[[], Sequence[Task | Peer]]
 
 
 def measured(module: str, cases: Mapping[str, Case], *, short: bool = False, memory: bool = True) -> list[Row]:
@@ -57,7 +63,7 @@ def measured(module: str, cases: Mapping[str, Case], *, short: bool = False, mem
     Args:
         module: where `cases` can be found again, as its `CASES`, by the process that measures memory.
         cases: what builds the contenders of each case, ours first.
-        short: two repeats at most.
+        short: two repeats at most of what takes longer than a moment.
         memory: measure memory as well.
     """
     rows: list[Row] = []
@@ -88,12 +94,17 @@ def in_turn(tasks: list[Task], *, short: bool = False) -> list[Row]:
         taken.append([seconds] if task.repeats == 1 else [])  # else it was there to warm up
     for k in range(max((task.repeats for task in tasks), default=0)):
         for task, times in zip(tasks, taken, strict=True):
-            if task.repeats > 1 and k < (min(task.repeats, 2) if short else task.repeats):
+            enough = short and k >= 2 and times[0][0] > QUICK_S
+            if 1 < task.repeats > k and not enough:
                 times.append(_timed(task.work)[1])
-    return [
-        {**score, **dict(zip((CPU, WALL), (1e3 * np.median(times, axis=0)).tolist(), strict=True))}
-        for score, times in zip(scores, taken, strict=True)
-    ]
+    return [score | _medians(task, times) for task, score, times in zip(tasks, scores, taken, strict=True)]
+
+
+def _medians(task: Task, times: list[tuple[float, float]]) -> Row:
+    """Columns of the times of a task."""
+    cpu, wall = (1e3 * np.median(times, axis=0)).tolist()
+    row: Row = {CPU: cpu, WALL: wall}
+    return row | {EACH: 1e3 * cpu / task.things} if task.things else row
 
 
 def _timed(work: Callable[[], Any]) -> tuple[Any, tuple[float, float]]:

@@ -50,8 +50,9 @@ WORKLOADS: dict[str, Workload] = {
     ),
     "factors": Workload(
         "Factors",
-        "Linearisation and batch solve beside the wheel's own factors: CPU time, the ratio is to the first row of a "
-        "kind.",
+        "Linearisation and batch solve beside the wheel's own factors. `us each` is the time of one factor; in a "
+        "Gauss-Newton step, whose optimiser copies all values at every call of a custom factor, what one line adds.",
+        short=_QUICK,
         gated=True,
     ),
     "views": Workload(
@@ -70,7 +71,12 @@ WORKLOADS: dict[str, Workload] = {
     ),
     "lines": Workload(
         "Line extraction",
-        "Speed per scan beside a textbook split, which has no covariance and no statistics; its ratio is that of time.",
+        "Scans of random rooms and corridors with truth, and of real logs, beside a textbook split (iterative end "
+        "points, three sigma), which has no covariance and no statistics. A wall is found when one true line holds 70 "
+        "% of its beams; a line is false when under 80 % of its beams are on one wall, when its chi2 to that wall "
+        "exceeds 27.6, or when a better line is on the same wall; the textbook's pieces are judged by their beams "
+        "alone. `us each` is the time of one scan; memory is that for all scans and their lines.",
+        short=_QUICK,
         gated=True,
     ),
     "end_to_end": Workload(

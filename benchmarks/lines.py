@@ -1,60 +1,51 @@
-"""Speed of line extraction beside a textbook split (no covariance, no merge, no statistics), in one run.
+"""Lines of laser scans beside a textbook split on the same scans: speed, what is found and what is false.
 
-Run as ``python -m benchmarks.lines``. One thread; medians of repeats, kernels warmed up. The scans are a simulated
-room with boxes and pillars and a corridor with doors, sigma 10 mm, and, where they are, the real logs.
+Run as ``python -m benchmarks.lines``. One thread. Random rooms and corridors of `benchmarks._line_world` with truth, 10
+and 30 mm of noise, and, where they are, the real logs. The textbook's split (iterative end points, three sigma) has no
+covariance and no statistics; its pieces are judged as lines by their beams alone, and that judging is not timed.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 from numba import njit
 
-from slam.io.carmen import read_carmen
-from slam.io.log import LaserScan
-from spplanes import extract_lines
+from benchmarks._line_score import Score
+from benchmarks._line_world import Truth, World, cast, random_corridor, random_room
+from benchmarks._measure import PROJECT, Case, Row, Task, measured
+from benchmarks._table import plain
+from spplanes import LineConfig, ScanLine, extract_lines
 
-REPEATS = 15
-SIGMA_M = 0.01
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-Scan = tuple[np.ndarray, np.ndarray]
-
-
-def rectangle(x: float, y: float, width: float, height: float) -> list[tuple[float, float, float, float]]:
-    """Sides of a rectangle with a corner at (x, y), as x0, y0, x1, y1."""
-    a, b = x + width, y + height
-    return [(x, y, a, y), (a, y, a, b), (a, b, x, b), (x, b, x, y)]
-
-
-def room() -> np.ndarray:
-    """Walls of a room with three boxes in it, shape (K, 4)."""
-    return np.array(
-        rectangle(-3, -2, 8, 5) + rectangle(2, 1, 0.8, 0.5) + rectangle(3, -1.5, 0.4, 1) + rectangle(-2, 1, 1, 1)
-    )
+DATA = PROJECT.parent / "shared" / "data"
+#: Bearings of lasers, by what they are called.
+LASERS = {
+    "361 beams, 180 deg": np.radians(np.arange(-90, 90.01, 0.5)),
+    "360 beams, 360 deg": np.radians(np.arange(-180, 180, 1.0)),
+    "1081 beams, 270 deg": np.radians(np.arange(-135, 135.01, 0.25)),
+}
+WORLDS = {"rooms": random_room, "corridors": random_corridor}
+SCANS = 100
+#: Of a piece nothing is known but its beams: a covariance with which any line through them passes.
+ANY = np.diag([1e6, 1e6])
+Extraction = Callable[[np.ndarray, np.ndarray, float], list[ScanLine]]
 
 
-def corridor() -> np.ndarray:
-    """Walls of a corridor with a recessed door every 3 m on both sides, shape (K, 4)."""
-    walls = [(25.0, -1.2, 25.0, 1.2)]
-    for x in np.arange(-6.0, 25.0, 3.0):
-        for y, deep in ((-1.0, -1.15), (1.0, 1.15)):
-            walls += [(x, y, x + 2, y), (x + 2, y, x + 2, deep), (x + 2, deep, x + 3, deep), (x + 3, deep, x + 3, y)]
-    return np.array(walls)
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """One scan, and what it is of where that is known."""
 
-
-def cast(walls: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Ranges (B,) of a laser at the origin, with noise."""
-    ray, start = np.stack((np.cos(angles), np.sin(angles))), walls[:, :2]
-    along = walls[:, 2:] - start
-    cross = np.outer(ray[0], along[:, 1]) - np.outer(ray[1], along[:, 0])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        reach = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / cross
-        share = (np.outer(ray[1], start[:, 0]) - np.outer(ray[0], start[:, 1])) / cross
-    reach[~((reach > 0) & (share >= 0) & (share <= 1))] = np.inf
-    return reach.min(axis=1) + np.random.default_rng(0).normal(0.0, SIGMA_M, angles.size)
+    ranges: np.ndarray
+    """Shape (B,), m; NaN = no return."""
+    angles: np.ndarray
+    """Shape (B,), rad."""
+    sigma: float
+    """Range noise, m."""
+    truth: tuple[World, tuple[float, float, float], Truth] | None = None
+    """World, pose in it, and the scan without noise."""
 
 
 @njit(cache=True)
@@ -80,69 +71,105 @@ def textbook_split(points: np.ndarray, threshold: float) -> np.ndarray:
     return np.nonzero(starts)[0]
 
 
-def textbook(ranges: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Points of the returns, split at three sigma."""
-    seen = np.isfinite(ranges)
-    points = np.stack((ranges[seen] * np.cos(angles[seen]), ranges[seen] * np.sin(angles[seen])), axis=1)
-    return textbook_split(points, 3.0 * SIGMA_M)
+def textbook(ranges: np.ndarray, angles: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of the returns, split at three sigma: beams, points, starts of the pieces."""
+    beams = np.flatnonzero(np.isfinite(ranges))
+    r, a = ranges[beams], angles[beams]
+    points = np.stack((r * np.cos(a), r * np.sin(a)), axis=1)
+    return beams, points, textbook_split(points, 3.0 * sigma) if len(points) else beams
 
 
-def median_ms(call: Callable[[], object], inner: int = 20) -> float:
-    """Median processor time of a call, ms, over REPEATS loops of `inner` calls."""
-    call()
-    times = []
-    for _ in range(REPEATS):
-        start = time.thread_time()
-        for _ in range(inner):
-            call()
-        times.append((time.thread_time() - start) / inner)
-    return 1e3 * float(np.median(times))
+def pieces_as_lines(beams: np.ndarray, points: np.ndarray, starts: np.ndarray) -> list[ScanLine]:
+    """The pieces of as many beams as our lines need, with the line of least squares through each."""
+    lines, least = [], LineConfig().min_points
+    for a, b in zip(starts, [*starts[1:], len(beams)], strict=True):
+        if b - a >= least:
+            centre = points[a:b].mean(axis=0)
+            normal = np.linalg.svd(points[a:b] - centre)[2][1]
+            normal *= 1.0 if normal @ centre >= 0.0 else -1.0
+            alpha, rho = float(np.arctan2(normal[1], normal[0])), float(normal @ centre)
+            lines.append(ScanLine(alpha, rho, ANY, points[[a, b - 1]], beams[a:b]))
+    return lines
 
 
-def simulated_scans() -> dict[str, Scan]:
-    """The scans that are always there, by name."""
-    half, full = np.radians(np.arange(-90, 90.01, 0.5)), np.radians(np.arange(-180, 180, 1.0))
-    wide = np.radians(np.arange(-135, 135.01, 0.25))
-    lasers = {"180 deg": half, "360 deg": full, "270 deg": wide}
-    worlds = {"room": room(), "corridor": corridor()}
-    return {f"{w}, {a}": (cast(walls, angles), angles) for w, walls in worlds.items() for a, angles in lasers.items()}
+@cache
+def simulated(world: str, laser: str, sigma: float) -> list[Scan]:
+    """Scans of random worlds, each with its truth."""
+    rng, angles, scans = np.random.default_rng(11), LASERS[laser], []
+    for _ in range(SCANS):
+        place, pose = WORLDS[world](rng)
+        truth = cast(place, angles, pose)
+        scans.append(Scan(truth.ranges + rng.normal(0.0, sigma, angles.size), angles, sigma, (place, pose, truth)))
+    return scans
 
 
-def row(name: str, scans: list[Scan]) -> dict:
-    """One line of the table: the mean over the scans."""
-    ours = median_ms(lambda: [extract_lines(*scan, sigma=SIGMA_M) for scan in scans], max(1, 20 // len(scans))) / len(
-        scans
-    )
-    split = median_ms(lambda: [textbook(*scan) for scan in scans], max(1, 20 // len(scans))) / len(scans)
-    lines = np.mean([len(extract_lines(*scan, sigma=SIGMA_M)) for scan in scans])
-    return {
-        "scan": name,
-        "beams": scans[0][0].size,
-        "lines": round(float(lines), 1),
-        "ms": round(ours, 3),
-        "kHz": round(1.0 / ours, 1),
-        "textbook split ms": round(split, 3),
-        "ratio": round(ours / split, 1),
+@cache
+def logged(log: str) -> list[Scan]:
+    """Scans spread over a real log."""
+    from slam.io.carmen import read_carmen
+    from slam.io.log import LaserScan
+
+    scans = [scan for scan in read_carmen(DATA / log / f"{log}.clf.gz").scans() if isinstance(scan, LaserScan)]
+    return [Scan(scan.ranges, scan.angles, 0.01) for scan in scans[:: len(scans) // SCANS]][:SCANS]
+
+
+def score(scans: list[Scan], found: list[list[ScanLine]], *, honest: bool = True) -> Row:
+    """Lines a scan; with truth the detectable walls found, the false lines and, of honest covariances, their NEES."""
+    row: Row = {"lines a scan": sum(map(len, found)) / len(scans)}
+    total = Score()
+    for scan, lines in zip(scans, found, strict=True):
+        if scan.truth is None:
+            return row
+        world, pose, truth = scan.truth
+        total.add_scan(world, pose, truth, lines, scan.angles, scan.sigma, LineConfig())
+    return row | {
+        "walls found": f"{total.found}/{total.detectable}",
+        "false lines": total.false,
+        "NEES (2)": float(np.mean(total.nees)) if honest else None,
     }
 
 
-def run() -> list[dict]:
-    """Rows of the table."""
-    rows = [row(name, [scan]) for name, scan in simulated_scans().items()]
-    for log in ("intel", "loop5"):
-        path = DATA / log / f"{log}.clf.gz"
-        if path.exists():
-            scans = [scan for scan in read_carmen(path).scans() if isinstance(scan, LaserScan)][::10]
-            rows.append(row(f"{log}, every 10th scan", [(scan.ranges, scan.angles) for scan in scans]))
-    return rows
+def contenders(scans: Callable[[], list[Scan]]) -> list[Task]:
+    """Ours and the textbook's."""
+    all_of_them = scans()
+
+    def ours() -> list[list[ScanLine]]:
+        return [extract_lines(scan.ranges, scan.angles, sigma=scan.sigma) for scan in all_of_them]
+
+    def theirs() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        return [textbook(scan.ranges, scan.angles, scan.sigma) for scan in all_of_them]
+
+    return [
+        Task("spplanes", ours, partial(score, all_of_them), repeats=9, things=len(all_of_them)),
+        Task(
+            "textbook split",
+            theirs,
+            lambda found: score(all_of_them, [pieces_as_lines(*one) for one in found], honest=False),
+            repeats=9,
+            things=len(all_of_them),
+        ),
+    ]
+
+
+CASES: dict[str, Case] = {}
+for _sigma in (0.01, 0.03):
+    for _world in WORLDS:
+        for _laser in LASERS:
+            _scans = partial(simulated, _world, _laser, _sigma)
+            CASES[f"{_world}, {_laser}, {1e3 * _sigma:.0f} mm"] = partial(contenders, _scans)
+for _log in ("intel", "loop5"):
+    if (DATA / _log).is_dir():
+        CASES[f"{_log}, {SCANS} scans"] = partial(contenders, partial(logged, _log))
+
+
+def run(*, short: bool = False) -> list[Row]:
+    """One row for each contender of each kind of scan."""
+    return measured("benchmarks.lines", CASES, short=short)
 
 
 def main() -> None:
     """Print the table."""
-    rows = run()
-    widths = [max(len(key), *(len(str(r[key])) for r in rows)) for key in rows[0]]
-    for cells in [list(rows[0]), *([str(value) for value in r.values()] for r in rows)]:
-        print("  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)))
+    print(plain(run()))
 
 
 if __name__ == "__main__":

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from benchmarks._line_world import Truth, World
 from spplanes import LineConfig, ScanLine
-from tests.spplanes.line_world import Truth, World
 
 
 def true_line(segment: np.ndarray, pose: tuple[float, float, float]) -> tuple[float, float]:
@@ -40,7 +40,9 @@ def walls_hit(world: World, truth: Truth) -> np.ndarray:
     return np.where(truth.hits >= 0, walls[np.maximum(truth.hits, 0)], truth.hits)
 
 
-def detectable_runs(walls: np.ndarray, angles: np.ndarray, alphas: dict, sigma: float, config: LineConfig):
+def detectable_runs(
+    walls: np.ndarray, angles: np.ndarray, alphas: dict[int, tuple[float, float]], sigma: float, config: LineConfig
+) -> list[np.ndarray]:
     """Runs of neighbouring beams on one wall that any extraction with `config` ought to report.
 
     At least twice `min_points` beams, and with exactly these beams both limits of `config` on what a line may be
@@ -52,7 +54,7 @@ def detectable_runs(walls: np.ndarray, angles: np.ndarray, alphas: dict, sigma: 
         for run in runs
         if run.size >= 2 * config.min_points
         and walls[run[0]] >= 0
-        and _well_defined(angles[run], *alphas[walls[run[0]]], sigma, config)
+        and _well_defined(angles[run], *alphas[int(walls[run[0]])], sigma, config)
     ]
 
 
@@ -77,10 +79,10 @@ class Score:
     found: int = 0
     lines: int = 0
     false: int = 0
-    nees: list = field(default_factory=list)
-    nees_pure: list = field(default_factory=list)
-    lost_beams: list = field(default_factory=list)
-    excess_beams: list = field(default_factory=list)
+    nees: list[float] = field(default_factory=list)
+    nees_pure: list[float] = field(default_factory=list)
+    lost_beams: list[float] = field(default_factory=list)
+    excess_beams: list[float] = field(default_factory=list)
 
     def add_scan(self, world: World, pose, truth: Truth, lines: list[ScanLine], angles, sigma, config) -> None:
         """Compare the lines of one scan with what the beams hit.

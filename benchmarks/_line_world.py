@@ -85,7 +85,9 @@ def random_room(rng: np.random.Generator) -> tuple[World, tuple[float, float, fl
     ), pose
 
 
-def _clear(rng: np.random.Generator, width: float, height: float, pose: tuple[float, float, float], radius: float):
+def _clear(
+    rng: np.random.Generator, width: float, height: float, pose: tuple[float, float, float], radius: float
+) -> tuple[float, float]:
     while True:
         x, y = rng.uniform(0.15, 0.85) * width, rng.uniform(0.15, 0.85) * height
         if np.hypot(x - pose[0], y - pose[1]) > radius + 0.3:
@@ -96,7 +98,8 @@ def _boxes(rng, width, height, pose) -> list[np.ndarray]:
     boxes = []
     for _ in range(rng.integers(0, 3)):
         size = rng.uniform(0.3, 1.0, 2)
-        boxes.append(box(*_clear(rng, width, height, pose, 0.8), *size, rng.uniform(0, np.pi)))
+        x, y = _clear(rng, width, height, pose, 0.8)
+        boxes.append(box(x, y, size[0], size[1], rng.uniform(0, np.pi)))
     return boxes
 
 
