@@ -69,6 +69,14 @@ WORKLOADS: dict[str, Workload] = {
         full={"keyframes": 10_000},
         short={"keyframes": 500},
     ),
+    "keyframe": Workload(
+        "A keyframe of 75,000 points",
+        "From the scan to the graph, processor time of every stage, medians over the keyframes once the map has its "
+        "planes. Arranging and segmenting are parts of measuring, measured by themselves; associating, updating and "
+        "iSAM2 are parts of estimating. In the simulated hall the last position and the planes are held against the "
+        "truth.",
+        short=_QUICK,
+    ),
     "lines": Workload(
         "Line extraction",
         "Scans of random rooms and corridors with truth, and of real logs, beside a textbook split (iterative end "
