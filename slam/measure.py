@@ -30,9 +30,10 @@ def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list
     A scan without order is seen as lines or a range image first, as wide as the rig says, or as its points suggest.
     Where the rig knows of rough surfaces, what is on no plane is searched again for planes as flat as those.
     """
-    if scan.points.ndim not in (2, 3) or scan.points.shape[-1] != 3:
-        raise ValueError(f"points: expected shape (S, B, 3) or (N, 3), got {scan.points.shape}")
-    points = usable_points(scan.points, sensor)
+    points = scan.points  # once: a stored cloud is read each time
+    if points.ndim not in (2, 3) or points.shape[-1] != 3:
+        raise ValueError(f"points: expected shape (S, B, 3) or (N, 3), got {points.shape}")
+    points = usable_points(points, sensor)
     if not np.isfinite(points).any():
         return []
     if points.ndim == 2:
