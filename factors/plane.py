@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 
 import gtsam
 import gtsam_unstable
@@ -39,8 +41,7 @@ def plane_factor(
     Sides are the caller's: the error is blind to a plane seen from behind (see `factors.facing`).
     ValueError: a key that is no integer, a singular covariance, an unknown kernel.
     """
-    keys = ([pose_key], [plane_key], None if anchor_key is None else [anchor_key])
-    return plane_factors([plane], *keys, robust=robust).at(0)
+    return _remembered(plane).factor(pose_key, plane_key, anchor_key, robust)
 
 
 def plane_factors(
@@ -64,26 +65,48 @@ def plane_factors(
     graph = gtsam.NonlinearFactorGraph()
     if not len(planes):
         return graph
-    frames, covariances = _stacked(planes)
-    mean, variance = second_order(frames, covariances)
-    distances = np.einsum("ni,ni->n", frames[:, :3, 2], frames[:, :3, 3]) + mean
-    inflated = covariances.copy()
-    inflated[:, 0, 0] += variance
-    roots, centre_roots = square_root_informations(frames, inflated), centre_root_informations(covariances)
-    for i, (pose, key, anchor) in enumerate(zip(pose_keys, plane_keys, anchors, strict=True)):
+    for one, pose, key, anchor in zip(_measured(planes), pose_keys, plane_keys, anchors, strict=True):
+        graph.push_back(one.factor(pose, key, anchor, robust))
+    return graph
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """What a plane's factors have in common, whatever they are between."""
+
+    frame: FloatArray
+    distance: float
+    root: FloatArray
+    centre_root: FloatArray
+
+    def factor(self, pose: int, key: int, anchor: int | None, robust: Robust) -> gtsam.NonlinearFactor:
+        """The factor between these keys."""
         plane_key, pose_key = as_key("plane_key", key), as_key("pose_key", pose)
         anchor_key = None if anchor is None else as_key("anchor_key", anchor)
         if plane_key in (pose_key, anchor_key):
             check_distinct(pose_key=pose_key, plane_key=plane_key)
             check_distinct(anchor_key=anchor_key, plane_key=plane_key)
         if anchor_key is not None and anchor_key != pose_key:
-            measured, noise = oriented_plane(frames[i, :3, 2], distances[i]), gaussian(roots[i], robust, 3)
-            factor = gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, pose_key, anchor_key, plane_key)
-        else:
-            recipe = Recipe("plane", (frames[i],), centre_roots[i], 3, plane_key, pose_key, anchor_key, robust=robust)
-            factor = recipe.factor()
-        graph.push_back(factor)
-    return graph
+            measured, noise = oriented_plane(self.frame[:3, 2], self.distance), gaussian(self.root, robust, 3)
+            return gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, pose_key, anchor_key, plane_key)
+        recipe = Recipe("plane", (self.frame,), self.centre_root, 3, plane_key, pose_key, anchor_key, robust=robust)
+        return recipe.factor()
+
+
+def _measured(planes: Sequence[Plane]) -> list[_Measured]:
+    frames, covariances = _stacked(planes)
+    mean, variance = second_order(frames, covariances)
+    distances = np.einsum("ni,ni->n", frames[:, :3, 2], frames[:, :3, 3]) + mean
+    inflated = covariances.copy()
+    inflated[:, 0, 0] += variance
+    roots, centre_roots = square_root_informations(frames, inflated), centre_root_informations(covariances)
+    return [_Measured(*one) for one in zip(frames, distances.tolist(), roots, centre_roots, strict=True)]
+
+
+@lru_cache(maxsize=1024)
+def _remembered(plane: Plane) -> _Measured:
+    """Of one plane, by identity: it is compared with many landmarks before it is in the graph once."""
+    return _measured([plane])[0]
 
 
 def plane_prior(plane: Plane, plane_key: int, *, robust: Robust = None) -> gtsam.CustomFactor:
