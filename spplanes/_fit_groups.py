@@ -15,6 +15,7 @@ from spplanes._pose_kernels import inflate
 from spplanes._robust import CUTOFF, FRACTIONS, robust_group
 from spplanes._rows import OK, ROW_SIZE, row_frame
 from spplanes._shared_pose import fit_shared_pose, sp_pose_term
+from spplanes._threads import in_parts
 from spplanes.plane import Plane
 
 
@@ -44,12 +45,20 @@ class Fits:
         return [Plane._trusted(frame, covariance, n, None, chi2) for frame, covariance, n, chi2 in rows]
 
 
-def fit_groups(job: FitJob, order: np.ndarray, bounds: np.ndarray) -> Fits:
-    """Fit every group ``order[bounds[g]:bounds[g + 1]]``."""
+def fit_groups(job: FitJob, order: np.ndarray, bounds: np.ndarray, viewpoints: FloatArray | None = None) -> Fits:
+    """Fit every group ``order[bounds[g]:bounds[g + 1]]``, seen from the job's viewpoint or from its own one, (P, 3)."""
     fits = Fits.empty(len(bounds) - 1)
     if job.shared is None:
+        eyes = job.viewpoint[None] if viewpoints is None else viewpoints
         arrays = (fits.status, fits.frames, fits.covariances, fits.counts, fits.chi2)
-        _run(_code(job), job.points, job.covariances, job.step, order, bounds, job.viewpoint, FRACTIONS, *arrays)
+        inputs = (_code(job), job.points, job.covariances, job.step, order, bounds, eyes, FRACTIONS)
+        largest_first = np.argsort(-np.diff(bounds), kind="stable")
+        in_parts(
+            lambda first, last: _run(largest_first[first:last], *inputs, *arrays),
+            len(fits.status),
+            len(order),
+            singly=True,
+        )
         return fits
     for g in range(len(bounds) - 1):
         whole = len(bounds) == 2 and len(order) == len(job.points)
@@ -66,12 +75,13 @@ def _code(job: FitJob) -> int:
     return _SP if job.method == "sp" else _ML
 
 
-@njit(cache=True)
-def _run(code, points, covs, step, order, bounds, viewpoint, fractions, status, frames, covariances, counts, chi2):
+@njit(cache=True, nogil=True)
+def _run(groups, code, points, covs, step, order, bounds, eyes, fractions, status, frames, covariances, counts, chi2):
     """Fit group after group."""
     sums = np.zeros(N_SUMS)
-    for g in range(bounds.shape[0] - 1):
+    for g in groups:
         lo, hi, frame, covariance = bounds[g], bounds[g + 1], frames[g], covariances[g]
+        viewpoint = eyes[g if eyes.shape[0] > 1 else 0]
         counts[g] = hi - lo
         if code == _SP:
             status[g], chi2[g] = kernels.sp_group(points, covs, step, order, lo, hi, viewpoint, frame, covariance)

@@ -66,7 +66,7 @@ def as_points(name: str, value: ArrayLike) -> FloatArray:
     points = as_float_array(name, value)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"{name}: expected shape (N, 3), got {points.shape}")
-    points = _writable(points)
+    points = writable(points)
     bad = _first_too_far(points, LARGEST_COORDINATE)
     if bad >= 0:
         wanted = (
@@ -84,7 +84,7 @@ class _Memory:
         self.__array_interface__ = {**array.__array_interface__, "data": (array.ctypes.data, False)}
 
 
-def _writable(array: FloatArray) -> FloatArray:
+def writable(array: FloatArray) -> FloatArray:
     """The same memory without its write protection: no kernel writes, but numba would compile all of them anew."""
     return array if array.flags.writeable else np.asarray(_Memory(array))
 
@@ -94,7 +94,7 @@ def as_covariances(name: str, value: ArrayLike, n: int) -> FloatArray:
     covariances = as_float_array(name, value)
     if covariances.shape != (n, 3, 3):
         raise ValueError(f"{name}: expected shape ({n}, 3, 3), one for each point, got {covariances.shape}")
-    covariances = _writable(covariances)
+    covariances = writable(covariances)
     bad, fault = _first_bad_covariance(covariances, COVARIANCE_TOLERANCE)
     if bad >= 0:
         raise ValueError(f"{name}: {_describe(fault, covariances[bad])} at index {bad}")

@@ -13,12 +13,12 @@ from spplanes._own_noise import add_noise
 from spplanes._raster import along_axes, draw, keys_of, projection_axis
 from spplanes._region_table import RegionTable
 from spplanes.moments import ROW_SIZE, merge_rows
+from spplanes.segmentation._inputs import as_noise, as_pose_covariances, check_near
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.growing import fit_regions, hesse
 from spplanes.segmentation.pipeline import segment_sheet
 from spplanes.segmentation.planes import shared_by_scan
 from spplanes.segmentation.refining import BORDER_GAP
-from spplanes.segmentation.scans import as_covariances, as_noise, check_near
 from spplanes.segmentation.sheet import Sheet, number_by_first_point
 
 #: Settled scans kept to show where regions reach in: as far as an occluder may part a plane.
@@ -83,7 +83,7 @@ class Strip:
                 " unlike the scan before"
             )
         if pose_covariance is not None:
-            self.pose_covariances[k] = as_covariances("pose_covariance", pose_covariance, (6, 6))
+            self.pose_covariances[k] = as_pose_covariances("pose_covariance", pose_covariance, (6, 6))
         else:
             self.pose_covariances[k] = 0.0
         self.views[k] = np.nan if viewpoint is None else as_shape("viewpoint", viewpoint, (3,))

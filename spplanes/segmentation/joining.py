@@ -7,7 +7,7 @@ from scipy.special import chdtri, ndtri  # scipy.stats would take 0.7 s of every
 
 from spplanes._check import FloatArray
 from spplanes._raster import distinct
-from spplanes.segmentation import cells, growing
+from spplanes.segmentation import cells, growing, steps
 from spplanes.segmentation.clustering import cluster
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.sheet import Sheet, append, fuse, is_determined
@@ -32,9 +32,9 @@ def join_cells(sheet: Sheet, quads: np.ndarray, size: int, config: MapperConfig)
     failed = cells.failed_quads(free, quads, size)
     planar = cells.planar_cells(moments, failed, free.shape, size, -ndtri(config.significance), CELL_SLACK)
     shared = sheet.shared[sheet.fresh] if len(sheet.shared) > 1 else sheet.shared
-    if size > cells.STRIPS and len(shared) == 1:
-        limit = CELL_SLACK * chdtri(1, config.significance / (2 * cells.STRIPS))
-        cells.reject_steps(planar, points, covariance, moments, free, size, floor, limit)
+    if size > steps.STRIPS and len(shared) == 1:
+        limit = CELL_SLACK * chdtri(1, config.significance / (2 * steps.STRIPS))
+        steps.reject_steps(planar, points, covariance, moments, free, size, floor, limit)
     if not planar.any():
         return
     bias = cells.shared_variances(moments, shared, free, planar, size, sheet.start)

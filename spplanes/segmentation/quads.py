@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from spplanes._threads import in_parts
 from spplanes.segmentation._patches import variance_along
 
 
@@ -42,7 +43,6 @@ def _literal_chi2(points, covariance, i, j, k, m):
     return np.sum(step * np.linalg.solve(total, step))
 
 
-@njit(cache=True)
 def links(points, covariance, valid, views, tangent, limit, literal):
     """Whether every point and its neighbour lie on one surface, to the right and below, shape (S, B) bool each.
 
@@ -55,10 +55,21 @@ def links(points, covariance, valid, views, tangent, limit, literal):
         limit: largest chi2: 1 degree of freedom, or 3 for the literal test.
         literal: test the whole displacement, as the paper prints it, in place of the jump in depth.
     """
+    linked = np.zeros((2, *valid.shape), dtype=np.bool_)
+
+    def some(first: int, last: int) -> None:
+        _link_rows(points, covariance, valid, views, tangent, limit, literal, first, last, linked)
+
+    in_parts(some, len(valid), valid.size)
+    return linked[0], linked[1]
+
+
+@njit(cache=True, nogil=True)
+def _link_rows(points, covariance, valid, views, tangent, limit, literal, first, last, linked):
+    """The links of the rows from first to last, into `linked`, shape (2, S, B)."""
     n_rows, n_cols = valid.shape
-    linked = np.zeros((2, n_rows, n_cols), dtype=np.bool_)
-    for step in range(2):
-        for i in range(n_rows - step):
+    for i in range(first, last):
+        for step in range(2 if i + 1 < n_rows else 1):
             for j in range(n_cols - 1 + step):
                 k, m = i + step, j + 1 - step
                 if not (valid[i, j] and valid[k, m]):
@@ -68,7 +79,6 @@ def links(points, covariance, valid, views, tangent, limit, literal):
                 else:
                     chi2 = _jump_chi2(points, covariance, i, j, k, m, views, tangent)
                 linked[step, i, j] = chi2 <= limit
-    return linked[0], linked[1]
 
 
 @njit(cache=True)

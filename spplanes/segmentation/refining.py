@@ -7,10 +7,10 @@ from scipy.special import chdtri
 
 from spplanes._check import FloatArray
 from spplanes.segmentation import borders, creases, dissolving, growing
-from spplanes.segmentation.cells import STEP_SHARE
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.joining import distinct_pairs, fuse_neighbours
 from spplanes.segmentation.sheet import Sheet, append, drop_small, refit
+from spplanes.segmentation.steps import STEP_SHARE
 
 BORDER_GAP = 12
 """Most points along a row or column that may be missing where a plane is taken to continue: a beam, a pole."""

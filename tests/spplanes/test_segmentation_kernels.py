@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from spplanes.segmentation import borders, cells, creases, dissolving, growing
+from spplanes.segmentation import borders, cells, creases, dissolving, growing, steps
 from spplanes.segmentation._patches import eigenvalues, merge_scaled, normal_of, variance_along
 from spplanes.segmentation.clustering import cluster, one_plane_chi2, step_chi2
 from spplanes.segmentation.quads import links, surviving_quads
@@ -221,7 +221,7 @@ def _cell(step, sigma, rng, size=32):
     free, variance = np.ones(i.shape, dtype=bool), np.full((*i.shape, 1), sigma**2 / 2.0)
     rows = cells.cell_moments(points, variance, free, size, 0.0)
     planar = np.ones(rows.shape[:2], dtype=bool)
-    cells.reject_steps(planar, points, variance, rows, free, size, 0.0, chi2.isf(0.001 / 16, 1))
+    steps.reject_steps(planar, points, variance, rows, free, size, 0.0, chi2.isf(0.001 / 16, 1))
     return planar
 
 

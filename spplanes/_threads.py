@@ -1,0 +1,85 @@
+"""The cores there are, for kernels that release Python's lock; results are the same bits whatever their number.
+
+Python's own threads and not numba's, whose pools end the process where it forks or where two threads call at a time.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from itertools import pairwise
+
+from numba import config
+
+#: Fewest points for which a second thread is worth waking, of each thread.
+LEAST = 1 << 15
+#: Parts for each thread, so that none waits long for another with more to do.
+SHARES = 4
+
+_lock, _pool = threading.Lock(), None
+
+
+def available() -> int:
+    """Threads to use: the cores this process may run on, at most NUMBA_NUM_THREADS."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(min(cores, config.NUMBA_NUM_THREADS), 1)  # type: ignore[attr-defined]
+
+
+def in_parts(work: Callable[[int, int], object], count: int, size: int, *, singly: bool = False) -> None:
+    """Call ``work(first, last)`` for parts of ``range(count)``, all of it once, on as many threads as are worth it.
+
+    Args:
+        work: releases Python's lock; what it does for one number depends on no other number, nor does where it writes.
+        count: numbers there are.
+        size: points that all of them together stand for.
+        singly: one number at a time, in order, where some take far longer than others: those come first.
+    """
+    threads = min(available(), count, size // LEAST)
+    if threads < 2:
+        work(0, count)
+        return
+    parts = count if singly else min(SHARES * threads, count)
+    bounds = [count * k // parts for k in range(parts + 1)]
+    left = list(pairwise(bounds))[::-1]
+
+    def take() -> None:
+        while True:
+            try:
+                first, last = left.pop()
+            except IndexError:
+                return
+            work(first, last)
+
+    helpers = []
+    try:
+        for _ in range(threads - 1):
+            helpers.append(_threads().submit(take))
+    except RuntimeError:
+        pass  # no thread to be had, as while Python ends: those there are do it all
+    try:
+        take()
+    finally:
+        wait(helpers)  # also when interrupted: nobody writes to arrays that the caller has back
+    for helper in helpers:
+        helper.result()
+
+
+def _threads() -> ThreadPoolExecutor:
+    """The pool, made when first needed."""
+    global _pool
+    with _lock:
+        if _pool is None:
+            _pool = ThreadPoolExecutor(max(available() - 1, 1), thread_name_prefix="spplanes")
+        return _pool
+
+
+def _forget() -> None:
+    """Threads stay behind where a process forks; the child makes its own."""
+    global _lock, _pool
+    _lock, _pool = threading.Lock(), None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)
