@@ -43,10 +43,12 @@ WORKLOADS: dict[str, Workload] = {
     ),
     "tables": Workload(
         "The paper's tables",
-        "Tables II and III on the simulated corridor; `paper` is what the paper printed, in the same order (planes, "
-        "represented %, s on a Pentium 4 at 1.7 GHz, KB).",
-        full={"seeds": 10},
-        short={"seeds": 2},
+        "Tables II and III on the simulated corridor, each row beside the paper's: its printed time is a Pentium 4's at "
+        "1.7 GHz, so no ratio is made of it. From registered scans to planes; purity, true planes found (of those with "
+        "more than 200 points) and those split are from truth, which the paper had none of. Table III: medians of the "
+        "errors of ceiling height, corridor width, the ceiling's normal and the lockers', with the shared pose error.",
+        short=_QUICK,
+        gated=True,
     ),
     "factors": Workload(
         "Factors",

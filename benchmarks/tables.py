@@ -1,16 +1,17 @@
 """The paper's Tables II and III, measured on the simulated corridor, beside what the paper printed.
 
-Run as ``python -m benchmarks.tables [seeds]``. The paper's times are a Pentium 4's at 1.7 GHz.
+Run as ``python -m benchmarks.tables``. The paper's times are a Pentium 4's at 1.7 GHz.
 """
 
 from __future__ import annotations
 
-import sys
-import time
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 
+from benchmarks._measure import MEMORY, WALL, Case, Peer, Row, Task, measured
+from benchmarks._table import plain
 from slam.rig import LocalisationNoise
 from slam.simulation import Mission, simulate_mission
 from spplanes import MapperConfig, Plane, PlaneMapper, segment_scans
@@ -28,11 +29,14 @@ PAPER = (
     (1083, 403598, 1742, 95.76, 334.74, 4512.2),
 )
 #: Errors the paper reports: ceiling height and corridor width, m; ceiling and locker normal, deg.
-PAPER_ERRORS = {"height_m": 0.004, "width_m": 0.002, "ceiling_deg": 0.12, "locker_deg": 0.26}
+PAPER_ERRORS = {"height, mm": 4.0, "width, mm": 2.0, "ceiling, deg": 0.12, "lockers, deg": 0.26}
+#: Missions of Table III, and their scans.
+SEEDS, SEED_SCANS = 20, 344
 #: A true plane counts when it has more points than this.
 LARGE = 200
 
 
+@cache
 def corridor_scans(n_scans: int, seed: int = 0) -> Mission:
     """The simulated mission."""
     return simulate_mission("corridor", n_scans=n_scans, seed=seed)
@@ -71,73 +75,86 @@ def quality(labels: np.ndarray, truth: np.ndarray) -> dict[str, float]:
         parts = shared[major == t]
         found, split = found + bool(hit), split + bool(not hit and len(parts) > 1 and parts.sum() >= 0.8 * n)
     return {
-        "purity_%": 100.0 * pure / max(sizes.sum(), 1),
-        "found_%": 100.0 * found / max(len(large), 1),
-        "split_%": 100.0 * split / max(len(large), 1),
+        "purity, %": 100.0 * float(pure) / max(int(sizes.sum()), 1),
+        "found, %": 100.0 * found / max(len(large), 1),
+        "split, %": 100.0 * split / max(len(large), 1),
     }
 
 
-def table_2(mission: Mission) -> list[dict]:
-    """Rows of Table II, scan by scan (`PlaneMapper`) and all at once (`segment_scans`)."""
-    registered, truth = points_of(mission), mission.arrays("vertical").labels
-    rows = []
-    for n_scans, *paper in PAPER:
-        if n_scans > len(truth):
-            continue
-        part = RegisteredScans(*(value[:n_scans] for value in vars(registered).values()))
-        for name, job in (("PlaneMapper", _scan_by_scan), ("segment_scans", _all_at_once)):
-            start = time.perf_counter()
-            labels, n_planes, memory = job(part)
-            taken = time.perf_counter() - start
-            seen = int(np.isfinite(part.points[..., 0]).sum())
-            flat = truth[:n_scans] >= 0
-            rows.append(
-                {
-                    "method": name,
-                    "scans": n_scans,
-                    "points": seen,
-                    "planes": n_planes,
-                    "represented_%": 100.0 * (labels >= 0).sum() / seen,
-                    "of_flat_%": 100.0 * ((labels >= 0) & flat).sum() / flat.sum(),
-                    "time_s": taken,
-                    "memory_KB": memory,
-                    **quality(labels, truth[:n_scans]),
-                    "paper": tuple(paper),
-                }
-            )
-    return rows
+Found = tuple[np.ndarray, int, float | None]
 
 
-def _scan_by_scan(scans: RegisteredScans) -> tuple[np.ndarray, int, float]:
+def scan_by_scan(scans: RegisteredScans) -> Found:
+    """The paper's way: labels, planes, size of the map (KB)."""
     mapper = PlaneMapper(MapperConfig(keep_labels=True))
     for k in range(len(scans.points)):
         mapper.add_scan(scans.points[k], scans.covariances[k], viewpoint=scans.viewpoints[k])
     return mapper.labels(), len(mapper.planes), mapper.memory_bytes / 1024.0
 
 
-def _all_at_once(scans: RegisteredScans) -> tuple[np.ndarray, int, float]:
+def all_at_once(scans: RegisteredScans) -> Found:
+    """Labels, planes."""
     labels, planes = segment_scans(scans.points, scans.covariances, viewpoints=scans.viewpoints)
-    return labels, len(planes), float("nan")
+    return labels, len(planes), None
 
 
-def table_3(seeds: int, n_scans: int = 344) -> list[dict]:
-    """Errors of ceiling, walls and lockers over seeds, and the planes' normalised errors (3 is right)."""
-    rows = []
+def score_2(scans: RegisteredScans, truth: np.ndarray, found: Found) -> Row:
+    """Columns of Table II, and from truth how pure and how whole the planes are."""
+    labels, n_planes, map_kb = found
+    flat = truth >= 0
+    return {
+        "planes": n_planes,
+        "represented, %": 100.0 * float((labels >= 0).sum() / np.isfinite(scans.points[..., 0]).sum()),
+        "of flat, %": 100.0 * float(((labels >= 0) & flat).sum() / flat.sum()),
+        **quality(labels, truth),
+        "map KB": map_kb,
+    }
+
+
+def table_2(n_scans: int) -> list[Task | Peer]:
+    """A row of Table II, scan by scan (`PlaneMapper`) and all at once (`segment_scans`), from registered scans on."""
+    mission = corridor_scans(PAPER[-1][0])
+    scans = RegisteredScans(*(value[:n_scans] for value in vars(points_of(mission)).values()))
+    score = partial(score_2, scans, mission.arrays("vertical").labels[:n_scans])
+    _, _, planes, represented, seconds, map_kb = next(row for row in PAPER if row[0] == n_scans)
+    printed = {"planes": planes, "represented, %": represented, WALL: 1e3 * seconds, "map KB": map_kb, MEMORY: None}
+    repeats = 9 if n_scans < 100 else 3
+    return [
+        Task("PlaneMapper", partial(scan_by_scan, scans), score, repeats=repeats),
+        Task("segment_scans", partial(all_at_once, scans), score, repeats=repeats),
+        Peer("the paper", lambda _: dict(printed)),
+    ]
+
+
+def errors(seed: int) -> dict[str, float | list[float]]:
+    """Errors of ceiling, walls and lockers of one mission, and the planes' normalised errors."""
+    planes, truth = _planes_of(corridor_scans(SEED_SCANS, seed))
+    ceiling, left, right, lockers = _pick(planes, truth)
+    floor = max((p for p, _ in truth if p.normal[2] > 0.99), key=lambda p: p.n_points)
+    return {
+        "height, mm": 1e3 * abs(_gap(ceiling[0], floor) - 2.700),
+        "width, mm": 1e3 * abs(_gap(left[0], right[0]) - 2.268),
+        "ceiling, deg": _angle(ceiling[0].normal, ceiling[1].normal),
+        "lockers, deg": float(np.median([_angle(p.normal, t.normal) for p, t in lockers])),
+        "NEES": [nees(p, t) for p, t in truth if p.n_points > LARGE],
+    }
+
+
+def score_3(found: list[dict[str, float | list[float]]]) -> Row:
+    """Medians over the missions; normalised errors of all their large planes, 3 is right."""
+    every = np.concatenate([one["NEES"] for one in found])
+    medians = {name: float(np.median([one[name] for one in found])) for name in PAPER_ERRORS}
+    return {**medians, "NEES (3), mean": float(every.mean()), "NEES (2.37), median": float(np.median(every))}
+
+
+def table_3(seeds: int = SEEDS) -> list[Task | Peer]:
+    """Table III: medians over seeded missions, which are simulated beforehand."""
     for seed in range(seeds):
-        mission = corridor_scans(n_scans, seed)
-        planes, truth = _planes_of(mission)
-        ceiling, left, right, lockers = _pick(planes, truth)
-        floor = max((p for p, _ in truth if p.normal[2] > 0.99), key=lambda p: p.n_points)
-        rows.append(
-            {
-                "height_m": abs(_gap(ceiling[0], floor) - 2.700),
-                "width_m": abs(_gap(left[0], right[0]) - 2.268),
-                "ceiling_deg": _angle(ceiling[0].normal, ceiling[1].normal),
-                "locker_deg": float(np.median([_angle(p.normal, t.normal) for p, t in lockers])),
-                "nees": [nees(p, t) for p, t in truth if p.n_points > LARGE],
-            }
-        )
-    return rows
+        corridor_scans(SEED_SCANS, seed)
+    return [
+        Task("segment_scans", lambda: [errors(seed) for seed in range(seeds)], score_3, repeats=1),
+        Peer("the paper", lambda _: {**PAPER_ERRORS, MEMORY: None}),
+    ]
 
 
 def _planes_of(mission: Mission) -> tuple[list[Plane], list[tuple[Plane, Plane]]]:
@@ -194,27 +211,20 @@ def nees(plane: Plane, truth: Plane) -> float:
     return float(error @ np.linalg.solve(plane.covariance, error))
 
 
-def run(seeds: int = 20) -> list[dict]:
-    """Rows of both tables."""
-    rows = table_2(corridor_scans(PAPER[-1][0]))
-    errors = table_3(seeds)
-    for key, paper in PAPER_ERRORS.items():
-        rows.append({"error": key, "median": float(np.median([row[key] for row in errors])), "paper": paper})
-    normalised = np.array([value for row in errors for value in row["nees"]])
-    rows.append(
-        {"error": "nees (3 is right)", "median": float(np.median(normalised)), "mean": float(normalised.mean())}
-    )
-    return rows
+CASES: dict[str, Case] = {
+    **{f"II: {row[0]} scans, {row[1]} points in the paper": partial(table_2, row[0]) for row in PAPER},
+    f"III: {SEEDS} missions of {SEED_SCANS} scans": table_3,
+}
+
+
+def run(*, short: bool = False) -> list[Row]:
+    """Rows of both tables, the paper's below ours."""
+    return measured("benchmarks.tables", CASES, short=short)
 
 
 def main() -> None:
     """Print both tables."""
-    for row in run(int(sys.argv[1]) if len(sys.argv) > 1 else 20):
-        print(
-            "  ".join(
-                f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}" for key, value in row.items()
-            )
-        )
+    print(plain(run()))
 
 
 if __name__ == "__main__":
