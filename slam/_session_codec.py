@@ -144,7 +144,7 @@ class _Reader:
         if kind == "tuple":
             return tuple(self.value(one) for one in content)
         if kind == "shape":
-            return shapely.from_wkb(bytes(self._get(*content)))
+            return self._shape(*content)
         if kind == "dict":
             return {key: self.value(one) for key, one in content.items()}
         if kind == "class" and content in _CLASSES:
@@ -152,6 +152,13 @@ class _Reader:
         raise CodecError(
             f"expected a record of a session, got an unknown {str(content if kind == 'class' else kind)!r:.60}"
         )
+
+    def _shape(self, start: int, size: int) -> Any:
+        with np.errstate(invalid="ignore"):  # a NaN that signals
+            found = shapely.from_wkb(bytes(self._get(start, size)))
+        if not np.isfinite(shapely.get_coordinates(found)).all():
+            raise CodecError("expected the outline of a plane, got one that is not finite")
+        return found
 
     def _array(self, dtype: str, shape: list[int], start: int, size: int) -> np.ndarray:
         kind = np.dtype(dtype)

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
+from shapely.geometry.base import BaseGeometry
 
 from slam.io.log import Log
 from slam.keyframes import Keyframe
 from slam.observations import LineObservation, PlaneObservation
 from slam.rig import Rig
-from spplanes._check import FloatArray
+from spplanes._check import FloatArray, as_transform
 
 #: A sensor is silent after so many of its own periods, and never before so many seconds.
 _PERIODS, _LEAST_S = 20.0, 2.0
+#: Poses lie within this of where they are measured from, planes within that of their own middle, m.
+_FARTHEST_M, _LARGEST_PLANE_M = 1e7, 2e3
+#: Standard deviations that the graph can tell from none and from ignorance, m and rad.
+_LEAST_SIGMA, _LARGEST_SIGMA = 1e-9, 1e9
 
 
 def check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
@@ -24,14 +29,29 @@ def check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
         raise ValueError(f"keyframe: expected a time after {after_ns} ns, got {keyframe.stamp_ns} ns")
     if keyframe.motion is not None:
         _check_covariance("keyframe.motion.covariance", keyframe.motion.covariance)
-        _check_finite("keyframe.motion.a_T_b", keyframe.motion.a_T_b)
+        _check_pose("keyframe.motion.a_T_b", keyframe.motion.a_T_b)
+    if keyframe.world_T_body_guess is not None:
+        _check_pose("keyframe.world_T_body_guess", keyframe.world_T_body_guess)
     for index, seen in enumerate(keyframe.observations):
         name = f"keyframe.observations[{index}]"
         if isinstance(seen, PlaneObservation):
-            _check_finite(f"{name}.plane.frame", seen.plane.frame)
+            check_extent(f"{name}.plane", seen.plane.frame, seen.plane.outline)
             _check_covariance(f"{name}.plane.covariance", seen.plane.covariance)
         elif isinstance(seen, LineObservation):
+            _check_pose(f"{name}.body_T_sensor", seen.body_T_sensor)
             _check_covariance(f"{name}.line.covariance", seen.line.covariance)
+            _check_near(f"{name}.line.endpoints", seen.line.endpoints, _LARGEST_PLANE_M)
+
+
+def check_extent(name: str, frame: FloatArray, outline: BaseGeometry | None) -> None:
+    """Refuse a plane that is nowhere, or larger than any: a region is kept in tiles, of which it would need too many.
+
+    Raises:
+        ValueError: a frame that is none or lies too far away, or an outline that is too large.
+    """
+    _check_pose(f"{name}.frame", frame)
+    if outline is not None and not outline.is_empty:
+        _check_near(f"{name}.outline", np.asarray(outline.bounds), _LARGEST_PLANE_M)
 
 
 def silences(log: Log, rig: Rig) -> list[str]:
@@ -69,9 +89,26 @@ def _check_covariance(name: str, covariance: FloatArray) -> None:
     _check_finite(name, covariance)
     if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-12):
         raise ValueError(f"{name}: expected a covariance, got a matrix that is not symmetric")
-    least = float(np.linalg.eigvalsh(covariance)[0])
+    least, *_, most = np.linalg.eigvalsh(covariance).tolist()
     if least <= 0.0:
         raise ValueError(f"{name}: expected a positive definite covariance, got the eigenvalue {least:.3g}")
+    if least < _LEAST_SIGMA**2 or most > _LARGEST_SIGMA**2:
+        extreme = (least if least < _LEAST_SIGMA**2 else most) ** 0.5
+        raise ValueError(
+            f"{name}: expected standard deviations from {_LEAST_SIGMA:g} to {_LARGEST_SIGMA:g}, got {extreme:.3g}"
+        )
+
+
+def _check_pose(name: str, pose: FloatArray) -> None:
+    _check_finite(name, pose)
+    as_transform(name, pose)
+    _check_near(name, pose[:3, 3], _FARTHEST_M)
+
+
+def _check_near(name: str, values: FloatArray, most: float) -> None:
+    largest = float(np.abs(values).max(initial=0.0))
+    if not largest <= most:
+        raise ValueError(f"{name}: expected coordinates up to {most:g} m, got {largest:.3g} m")
 
 
 def _check_finite(name: str, values: FloatArray) -> None:

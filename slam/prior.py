@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 from factors import anchored_plane_jacobian, map_prior, plane_landmark, pose_prior
 from slam._session_codec import CodecError, decode, encode
 from slam.backend import Backend
+from slam.health import check_extent
 from slam.io.log import LogError
 from slam.io.planes import read_planes
 from slam.landmarks import Landmark, LandmarkMap
@@ -46,6 +47,8 @@ class PriorMap:
     def __post_init__(self) -> None:
         if not self.planes:
             raise ValueError("planes: expected at least one plane, got none")
+        for known in self.planes:
+            check_extent(f"planes: plane {known.id}", known.plane.frame, known.seen)
         size = 3 * len(self.planes)
         object.__setattr__(self, "covariance", as_covariance("covariance", self.covariance, size))
         object.__setattr__(self, "world_T_start", as_transform("world_T_start", self.world_T_start))

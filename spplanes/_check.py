@@ -15,6 +15,8 @@ FloatArray = NDArray[np.float64]
 
 #: A covariance may be asymmetric, or have a negative eigenvalue, by this share of its largest entry.
 COVARIANCE_TOLERANCE = 1e-9
+#: Numbers as large as this are no measurements: their products would be infinite before anybody looks.
+TOO_LARGE = 1e50
 
 
 def as_float_array(name: str, value: ArrayLike) -> FloatArray:
@@ -47,9 +49,17 @@ def as_shape(name: str, value: ArrayLike, shape: tuple[int | None, ...], *, fini
     if not matches:
         wanted = "(" + ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
         raise ValueError(f"{name}: expected shape {wanted}, got {array.shape}")
-    if finite and not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+    if finite and array.size and not (array.max() < TOO_LARGE and array.min() > -TOO_LARGE):  # false for NaN, too
+        _refuse_numbers(name, array)
     return array
+
+
+def _refuse_numbers(name: str, array: FloatArray) -> None:
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+    largest = float(np.abs(array).max())
+    if largest >= TOO_LARGE:
+        raise ValueError(f"{name}: expected numbers below {TOO_LARGE:g}, got {largest:.3g}")
 
 
 def as_covariance(name: str, value: ArrayLike, size: int) -> FloatArray:
@@ -105,8 +115,9 @@ def as_number(name: str, value: Any, *, finite: bool = True) -> float:
         if not is_number or isinstance(value, bool | np.bool_):
             raise ValueError(f"{name}: expected a number, got {value!r}")
         number = float(as_float_array(name, np.asarray(value)))
-    if finite and not isfinite(number):
-        raise ValueError(f"{name}: expected a finite number, got {number}")
+    if finite and not abs(number) < TOO_LARGE:
+        kind = "a finite number" if not isfinite(number) else f"a number below {TOO_LARGE:g}"
+        raise ValueError(f"{name}: expected {kind}, got {number}")
     return number
 
 

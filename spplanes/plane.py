@@ -209,6 +209,8 @@ class Plane:
         except np.linalg.LinAlgError as error:
             raise ValueError(f"{name}: expected a plane with a regular covariance, got a singular one") from error
         weight = information[0, 0]
+        if not (np.isfinite(information).all() and weight > 0.0):
+            raise ValueError(f"{name}: expected a covariance that can be inverted, got {self.covariance[0].tolist()}")
         x, y = -information[0, 1] / weight, information[0, 2] / weight
         spread = np.array(
             [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal, DecimalException
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +63,7 @@ def nanoseconds(word: str) -> int:
     try:
         seconds = Decimal(word)
         plausible = abs(seconds) <= LATEST_S
-    except InvalidOperation:
+    except DecimalException:  # no number, or one that overflows
         plausible, seconds = False, Decimal(0)
     if not plausible:
         raise ValueError(f"expected a time in seconds, got {word[:20]!r}")

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.io.clouds.cloud import FARTHEST_M
 from slam.io.log import CloudScan, Event, Log, LogError, OdometryReading
 from slam.io.packed import read_unpacked
 from spplanes._check import FloatArray
@@ -75,6 +76,7 @@ def read_pose(path: Path) -> FloatArray:
 def read_points(path: Path) -> FloatArray:
     """Points of one scan, m, right-handed; shape (lines, beams, 3) if organised, else (1, N, 3)."""
     raw = _parse_points(path, _read_text(path))
+    raw = np.where(np.abs(raw) < FARTHEST_M, raw, FARTHEST_M)
     beams = beams_per_line(raw)
     points = raw @ AXES.T * METRES_PER_UNIT
     ranges = np.linalg.norm(points, axis=1)

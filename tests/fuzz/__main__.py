@@ -1,11 +1,13 @@
 """`python -m tests.fuzz [--seconds S] [NAME ...]`: coverage-guided fuzzing of each target, or of those named.
 
-Inputs that led further are kept in .fuzz/NAME and start the next round; one that breaks a target is left in .fuzz
+Each runs in a process of its own with a limit on its memory and on the time for one input, so that a crash, a hang or a
+blow-up of native code underneath a reader is found as well. Inputs that led further are kept in .fuzz/NAME and start the next round; one that breaks a target is left in .fuzz
 beside them, and ends the round with exit code 1. Needs the extra `fuzz`.
 """
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
 import tempfile
@@ -14,6 +16,10 @@ from pathlib import Path
 HOME = Path(".fuzz")
 #: Longest time for one input, s, and most memory of one target, MiB.
 _LIMITS = ("-timeout=20", "-rss_limit_mb=3000", "-max_len=65536")
+#: Most memory that may be asked for beyond what a process has once everything is loaded, bytes.
+_ROOM_BYTES = 1 << 30
+#: Besides our own: readers in Python that ours hand files to.
+_INSTRUMENTED = ("slam", "rosbags", "laspy", "pye57")
 _ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -42,7 +48,7 @@ def main(words: list[str]) -> int:
 def _fuzz(name: str, seconds: int) -> int:
     import atheris  # type: ignore[import-not-found]
 
-    with atheris.instrument_imports(include=["slam"], exclude=_compiled()):
+    with atheris.instrument_imports(include=list(_INSTRUMENTED), exclude=_compiled()):
         from tests.fuzz.targets import TARGETS
     target, corpus = TARGETS[name], HOME / name
     corpus.mkdir(parents=True, exist_ok=True)
@@ -51,6 +57,8 @@ def _fuzz(name: str, seconds: int) -> int:
     with tempfile.TemporaryDirectory(prefix="spplanes-fuzz-") as scratch:
         for seed in target.seeds():
             target.run(seed, Path(scratch))  # compiles the kernels, which is no hang
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + _ROOM_BYTES,) * 2)
         options = [*_LIMITS, f"-max_total_time={seconds}", f"-artifact_prefix={HOME}/{name}-", "-print_final_stats=1"]
         atheris.Setup(["fuzz", *options, str(corpus)], lambda data: target.run(data, Path(scratch)) and None)
         atheris.Fuzz()

@@ -7,13 +7,8 @@ from __future__ import annotations
 
 import gzip
 import io
-import json
-import warnings
-from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +20,6 @@ from slam.io.carmen import read_carmen
 from slam.io.carmen_writer import write_carmen
 from slam.io.clouds.read import read_cloud
 from slam.io.g2o import read_g2o
-from slam.io.log import CloudScan, LaserScan, Log, OdometryReading
 from slam.io.planes import read_planes, write_planes
 from slam.io.relations import read_relations
 from slam.io.threedtk import read_3dtk
@@ -34,74 +28,11 @@ from slam.rig import Rig
 from slam.simulation import simulate_mission
 from slam.simulation.rigs import paper_rig
 from slam.store import Session
-from spplanes import MapperConfig, Plane, extract_lines, fit_plane, segment_scans
+from spplanes import Plane
+from tests.fuzz.folders import FOLDERS
+from tests.fuzz.functions import FUNCTIONS
+from tests.fuzz.target import Target, check_log, check_plane, check_points, check_pose, written
 from tests.slam.scenes import drive, room_planes
-
-#: Longest sentence of an error.
-LONGEST_SENTENCE = 400
-
-
-@dataclass(frozen=True)
-class Target:
-    """Something that reads bytes."""
-
-    name: str
-    """What it is called on the command line."""
-    read: Callable[[Path], Any]
-    """Reads a file and checks that the answer holds together."""
-    seeds: Callable[[], list[bytes]]
-    """Valid inputs."""
-    suffix: str = ""
-    """Ending of the file's name."""
-
-    def run(self, data: bytes, folder: Path) -> bool:
-        """Feed it bytes; whether they were an answer. Everything but an answer and a ValueError gets through."""
-        path = folder / f"input{self.suffix}"
-        path.write_bytes(data)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error", RuntimeWarning)
-                warnings.filterwarnings("ignore", "invalid value encountered in cast")  # a NaN that signals
-                self.read(path)
-        except ValueError as error:
-            sentence = str(error)
-            if "\n" in sentence or not 0 < len(sentence) <= LONGEST_SENTENCE + len(str(path)):
-                raise AssertionError(f"not one sentence: {sentence!r}") from error
-            return False
-        return True
-
-
-def check_log(log: Log) -> None:
-    """Time ascends, numbers are numbers."""
-    stamps = [event.stamp_ns for event in log.events]
-    assert stamps and all(a <= b for a, b in pairwise(stamps))
-    for event in log.events:
-        if isinstance(event, OdometryReading):
-            check_pose(event.odom_T_body)
-        elif isinstance(event, LaserScan):
-            assert event.ranges.shape == event.angles.shape and np.isfinite(event.angles).all()
-            assert not np.isinf(event.ranges).any() and not (event.ranges <= 0.0).any()
-        elif isinstance(event, CloudScan):
-            check_points(event.points)
-
-
-def check_points(points: np.ndarray) -> None:
-    """Points of some shape (..., 3), none at infinity."""
-    assert points.shape[-1] == 3 and points.dtype == np.float64 and not np.isinf(points).any()
-
-
-def check_pose(pose: np.ndarray) -> None:
-    """A rigid transform."""
-    assert pose.shape == (4, 4) and np.isfinite(pose).all()
-    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-2)
-
-
-def check_plane(plane: Plane) -> None:
-    """A frame, a covariance that is one."""
-    check_pose(plane.frame)
-    assert np.isfinite(plane.covariance).all()
-    scale = float(np.abs(plane.covariance).max())
-    assert np.linalg.eigvalsh(plane.covariance)[0] >= -1e-6 * scale
 
 
 def _config(path: Path) -> None:
@@ -174,43 +105,6 @@ def _session(path: Path) -> None:
             assert entry.keyframe.stamp_ns >= 0
 
 
-def _numbers(path: Path) -> np.ndarray:
-    data = path.read_bytes()
-    return np.frombuffer(data[: len(data) // 8 * 8], dtype="<f8")
-
-
-def _fit(path: Path) -> None:
-    numbers = _numbers(path)
-    points = numbers[1 : 1 + (len(numbers) - 1) // 3 * 3].reshape(-1, 3)
-    check_plane(fit_plane(points, sigma=float(numbers[:1].sum())))
-
-
-def _lines(path: Path) -> None:
-    numbers = _numbers(path)
-    ranges = numbers[1:722]
-    angles = np.linspace(-np.pi, np.pi, len(ranges), endpoint=False)
-    for line in extract_lines(ranges, angles, sigma=float(numbers[:1].sum())):
-        assert np.isfinite([line.alpha, line.rho, *line.covariance.ravel(), *line.endpoints.ravel()]).all()
-
-
-def _segment(path: Path) -> None:
-    numbers = _numbers(path)[: 1 + 3 * 16 * 16]
-    beams = 16
-    points = numbers[1 : 1 + (len(numbers) - 1) // (3 * beams) * 3 * beams].reshape(-1, beams, 3)
-    labels, planes = segment_scans(points, sigma=float(numbers[:1].sum()), config=MapperConfig())
-    assert labels.shape == points.shape[:2] and labels.max(initial=-1) < len(planes)
-    for plane in planes:
-        check_plane(plane)
-
-
-def _plane_dict(path: Path) -> None:
-    try:
-        data = json.loads(path.read_bytes())
-    except RecursionError as error:
-        raise ValueError("too deep") from error
-    check_plane(Plane.from_dict(data))
-
-
 @cache
 def _mission() -> Any:
     mission = simulate_mission("room", n_scans=3, seed=0)
@@ -219,20 +113,12 @@ def _mission() -> Any:
 
 def _carmen_seeds() -> list[bytes]:
     log, rig = _mission()
-    text = _written(lambda path: write_carmen(log, rig, path), "log.clf")
+    text = written(lambda path: write_carmen(log, rig, path), "log.clf")
     flaser = b"PARAM robot_frontlaser_offset 0.2\nODOM 1 2 0.5 0 0 0 1.5 host 1.5\n" + b"".join(
         b"FLASER 3 1.0 2.0 81.91 1 2 0.5 0.8 2 0.5 %d.25 host %d.25\n" % (i, i) for i in range(2, 5)
     )
     whole = b"".join(text.splitlines(keepends=True)[:6])
     return [whole, gzip.compress(whole), flaser]
-
-
-def _written(write: Callable[[Path], None], name: str) -> bytes:
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as folder:
-        write(Path(folder) / name)
-        return (Path(folder) / name).read_bytes()
 
 
 def _trajectory() -> Trajectory:
@@ -247,22 +133,11 @@ def _session_seed() -> list[bytes]:
                 session.add_keyframe(keyframe)
                 session.add_decisions(index, [])
 
-    return [_written(write, "session.db")]
+    return [written(write, "session.db")]
 
 
 def _codec_seeds() -> list[bytes]:
     return [encode(without_scans(drive(0, count=2).keyframes[1])), encode([1, (2.5, "x"), {"a": np.arange(3)}])]
-
-
-def _numbers_seeds(*shapes: tuple[int, ...]) -> list[bytes]:
-    rng = np.random.default_rng(0)
-    return [np.concatenate(([0.01], 1.0 + 0.01 * rng.standard_normal(shape).ravel())).tobytes() for shape in shapes]
-
-
-def _wall_seeds() -> list[bytes]:
-    y, z = np.meshgrid(np.linspace(-1, 1, 16), np.linspace(0, 2, 12))
-    wall = np.stack((np.full(y.shape, 2.0), y, z), axis=2)
-    return [np.concatenate(([0.01], wall.ravel())).tobytes(), *_numbers_seeds((4, 16, 3))]
 
 
 def _cloud_seeds(suffix: str) -> list[bytes]:
@@ -313,19 +188,17 @@ TARGETS = {
         Target("carmen", lambda path: check_log(read_carmen(path)), _carmen_seeds, ".clf"),
         Target("carmen-rig", lambda path: check_log(read_carmen(path, rig=paper_rig())), _carmen_seeds, ".clf"),
         Target("3dtk", _threedtk, lambda: [b"100 200 300\n110 200 300\n\x000 0 0\n0 0 0\n"]),
-        Target("tum", _tum, lambda: [_written(lambda path: write_tum(path, _trajectory()), "t.tum")]),
-        Target("kitti", _kitti, lambda: [_written(lambda path: write_kitti(path, _trajectory().poses), "k.txt")]),
+        Target("tum", _tum, lambda: [written(lambda path: write_tum(path, _trajectory()), "t.tum")]),
+        Target("kitti", _kitti, lambda: [written(lambda path: write_kitti(path, _trajectory().poses), "k.txt")]),
         Target("relations", _relations, lambda: [b"1.5 2.5 1 0 0 0 0 0.1\n"]),
-        Target("planes", _planes, lambda: [_written(lambda path: write_planes(path, room_planes()), "planes.json")]),
+        Target("planes", _planes, lambda: [written(lambda path: write_planes(path, room_planes()), "planes.json")]),
         Target("g2o", _g2o, _g2o_seeds, ".g2o"),
-        Target("rig", _rig, lambda: [_written(lambda path: paper_rig().to_yaml(path), "rig.yaml")], ".yaml"),
+        Target("rig", _rig, lambda: [written(lambda path: paper_rig().to_yaml(path), "rig.yaml")], ".yaml"),
         Target("config", _config, lambda: [SlamConfig().to_yaml().encode(), b"mapper: {}\n"], ".yaml"),
         Target("codec", _codec, _codec_seeds),
         Target("session", _session, _session_seed, ".db"),
-        Target("fit_plane", _fit, lambda: _numbers_seeds((9, 3), (3, 3))),
-        Target("extract_lines", _lines, lambda: _numbers_seeds((90,), (7,))),
-        Target("segment_scans", _segment, _wall_seeds),
-        Target("Plane.from_dict", _plane_dict, lambda: [json.dumps(room_planes()[0].to_dict()).encode()]),
+        *FUNCTIONS,
+        *FOLDERS,
         *(
             Target(f"cloud{suffix}", _cloud, lambda suffix=suffix: _cloud_seeds(suffix), suffix)  # type: ignore[misc]
             for suffix in CLOUDS

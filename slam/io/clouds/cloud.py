@@ -10,6 +10,9 @@ import numpy as np
 from slam.io.log import LogError
 from spplanes._check import FloatArray
 
+#: What a file says lies farther away was never seen, m.
+FARTHEST_M = 1e9
+
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
@@ -32,8 +35,8 @@ class Cloud:
 
 
 def checked(path: Path, points: FloatArray, world_T_sensor: FloatArray | None = None) -> Cloud:
-    """A cloud with NaN for every point that is not finite as a whole; a `LogError` where no return is left."""
-    finite = np.asarray(np.isfinite(points).all(axis=-1))
+    """A cloud with NaN for every point that is no place; a `LogError` where no return is left."""
+    finite = np.asarray((np.abs(points) < FARTHEST_M).all(axis=-1))
     if not finite.any():
         raise LogError(path, "expected at least one point, got none" + (" that is finite" if finite.size else ""))
     if not finite.all():

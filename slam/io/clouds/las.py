@@ -65,6 +65,7 @@ def _check_header(path: Path) -> None:
     if len(head) < 227 or head[:4] != b"LASF":
         raise LogError(path, "expected a LAS or LAZ file, got one that does not begin like one, or ends in its header")
     header_size, offset, count = struct.unpack_from("<HII", head, 94)
+    check_room(path, "what is before the points", offset, size)
     check_room(path, f"{count} records before the points", count * _RECORD_BYTES, min(offset, size) - header_size)
     if head[25] >= 4 and len(head) >= 247:
         start, count = struct.unpack_from("<QI", head, 235)

@@ -1,0 +1,233 @@
+"""Readers of what other programs wrote, natively or in several files: bags, LAS, E57, depth images, folders, runs."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from contextlib import closing
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from slam.cloud_fit import fit_cloud
+from slam.config import SlamConfig
+from slam.history import History
+from slam.io.carmen_writer import write_carmen
+from slam.io.clouds import read_cloud
+from slam.io.default_rigs import cloud_rig
+from slam.io.load import load
+from slam.io.log import Log, LogError, OdometryReading
+from slam.io.planes import write_planes
+from slam.io.trajectories import Trajectory, write_tum
+from slam.planeslam import PlaneSlam
+from slam.prior import PriorMap
+from slam.salvage import salvage_session
+from slam.simulation import simulate_mission
+from slam.simulation.truth import Truth
+from slam.store import Session
+from slam.stored import StoredRun
+from tests.fuzz.target import Target, check_log, check_plane, check_points, check_pose, folded, unfolded, written
+from tests.slam.scenes import drive, room_planes
+from tests.slam.test_las_e57 import write_e57, write_las
+from tests.slam.test_rosbag import mission, write
+
+_POINTS = np.random.default_rng(0).normal((10.0, 20.0, 5.0), 3.0, (40, 3))
+_RUN = ("planes.json", "trajectory.tum", "view.json", "metrics.json", "odometry.tum")
+_TRUTH = ("planes.json", "trajectory.tum", "labels.npz")
+_CLOUDS = ("times.txt", "poses.tum", "odometry.tum", "rig.yaml", "scan 1.pcd", "scan 2.pcd")
+_DEPTH = ("intrinsics.txt", "depth.txt", "groundtruth.txt", "depth/a1.png", "depth/a2.png")
+
+
+def _bag(path: Path) -> None:
+    """As a whole bag, and for what comes before a break in it."""
+    try:
+        check_log(load(path)[0])
+    except LogError:
+        check_log(load(path, keep_partial=True)[0])
+
+
+def _bag_folder(path: Path) -> None:
+    folder = unfolded(path, ("metadata.yaml", "run 1 ü.db3"))
+    check_log(load(folder)[0])
+
+
+def _log_folder(names: tuple[str, ...]):
+    def read(path: Path) -> None:
+        check_log(load(unfolded(path, names))[0])
+
+    return read
+
+
+def _cloud(path: Path) -> None:
+    check_points(read_cloud(path).points)
+
+
+def _e57(path: Path) -> None:
+    check_log(load(path)[0])
+
+
+def _image(path: Path) -> None:
+    (path.parent / "intrinsics.txt").write_text("525 525 319.5 239.5\n")
+    _cloud(path)
+
+
+def _run(path: Path) -> None:
+    run = StoredRun.read(unfolded(path, _RUN))
+    for known in run.planes:
+        check_plane(known.plane)
+    for pose in run.trajectory.poses:
+        check_pose(pose)
+
+
+def _truth(path: Path) -> None:
+    truth = Truth.read(unfolded(path, _TRUTH))
+    for plane in truth.planes:
+        check_plane(plane)
+
+
+def _prior(path: Path) -> None:
+    """What can be a prior can begin a mission."""
+    slam = PlaneSlam(prior=PriorMap.load(path))
+    slam.add_keyframe(drive(0, count=1).keyframes[0])
+    check_pose(slam.trajectory.poses[0])
+
+
+def _prior_bytes(path: Path) -> None:
+    prior = PriorMap.from_bytes(path.read_bytes())
+    check_pose(prior.world_T_start)
+    PlaneSlam(prior=prior)
+
+
+def _fit(path: Path) -> None:
+    for plane in fit_cloud(read_cloud(path), path).planes:
+        check_plane(plane)
+
+
+def _salvage(path: Path) -> None:
+    """What is saved of a session is one."""
+    for left in path.parent.glob(f"{path.name}?*"):
+        left.unlink()
+    salvage_session(path)
+    with Session.open(path) as session:
+        assert all(entry.keyframe.stamp_ns >= 0 for entry in session.entries())
+
+
+def _bag_seeds(*kinds: str) -> list[bytes]:
+    seeds = []
+    for kind in kinds:
+        with tempfile.TemporaryDirectory() as folder:
+            path = write(Path(folder), kind, lambda messages: islice(mission(messages, columns=8), 5))
+            if path.is_dir():
+                seeds.append(folded(*((path / name).read_bytes() for name in ("metadata.yaml", "run 1 ü.db3"))))
+            else:
+                seeds.append(path.read_bytes())
+    return seeds
+
+
+def _e57_seeds() -> list[bytes]:
+    grid = _POINTS.reshape(5, 8, 3)
+    scans = [(grid, np.eye(4)), (grid, None)]
+
+    def make(ordered: bool) -> bytes:
+        return written(lambda path: write_e57(path, scans, organised=ordered) and None, "a.e57")  # type: ignore[misc]
+
+    return [make(False), make(True)]
+
+
+def _png() -> bytes:
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(np.arange(5000, 5000 + 12 * 16, dtype=np.uint16).reshape(12, 16)).save(stream, "png")
+    return stream.getvalue()
+
+
+def _pcd() -> bytes:
+    head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 8\nHEIGHT 5\nVIEWPOINT 1 0 0 1 0 0 0\n"
+    return f"{head}POINTS 40\nDATA binary\n".encode() + _POINTS.astype("<f4").tobytes()
+
+
+def _tum(count: int) -> bytes:
+    trajectory = Trajectory(np.arange(count) * 10**9, drive(0, count=count).world_T_body)
+    return written(lambda path: write_tum(path, trajectory), "t.tum")
+
+
+def _cloud_folder_seeds() -> list[bytes]:
+    return [folded(b"0.0\n1.0\n", _tum(2), _tum(2), written(cloud_rig().to_yaml, "rig.yaml"), _pcd(), _pcd())]
+
+
+def _depth_seeds() -> list[bytes]:
+    return [folded(b"525 525 8 6\n", b"0.0 depth/a1.png\n1.0 depth/a2.png\n", _tum(2), _png(), _png())]
+
+
+def _mission_seeds() -> list[bytes]:
+    made = simulate_mission("room", n_scans=2, seed=0)
+    log = Log([event for event in made.log.events if isinstance(event, OdometryReading)][:4], Path("x"))
+    log.events.extend(made.log.scans()[:2])
+    log.events.sort(key=lambda event: event.stamp_ns)
+    return [
+        folded(
+            written(made.rig.to_yaml, "rig.yaml"), written(lambda path: write_carmen(log, made.rig, path), "log.clf")
+        )
+    ]
+
+
+def _planes() -> bytes:
+    return written(lambda path: write_planes(path, room_planes_with_covariance()), "planes.json")
+
+
+def room_planes_with_covariance():
+    """Planes of a room that are known to a few millimetres."""
+    from dataclasses import replace
+
+    return [replace(plane, covariance=1e-5 * np.eye(3)) for plane in room_planes()]
+
+
+def _run_seeds() -> list[bytes]:
+    history = written(lambda path: History(nis={"plane": [(0, 1.5, 3)]}).write(path), "view.json")
+    metrics = b'{"metrics": [{"metric": "scans", "value": 3, "unit": "1"}]}'
+    return [folded(_planes(), _tum(3), history, metrics, _tum(3))]
+
+
+def _truth_seeds() -> list[bytes]:
+    labels = io.BytesIO()
+    np.savez_compressed(labels, laser=np.zeros((2, 5), dtype=np.int32))
+    return [folded(_planes(), _tum(3), labels.getvalue())]
+
+
+def _prior_seeds() -> list[bytes]:
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "planes.json").write_bytes(_planes())
+        return [PriorMap.load(Path(folder) / "planes.json").to_bytes()]
+
+
+def _session_seeds() -> list[bytes]:
+    def make(path: Path) -> None:
+        with closing(Session.create(path, SlamConfig())) as session:
+            for index, keyframe in enumerate(drive(0, count=2).keyframes):
+                session.add_keyframe(keyframe)
+                session.add_decisions(index, [])
+
+    return [written(make, "session.db")]
+
+
+FOLDERS = (
+    Target("bag.ros1", _bag, lambda: _bag_seeds("ros1", "ros1 bz2", "ros1 lz4"), ".bag"),
+    Target("bag.mcap", _bag, lambda: _bag_seeds("mcap alone", "mcap zstd alone"), ".mcap"),
+    Target("bag.db3", _bag, lambda: _bag_seeds("db3 alone"), ".db3"),
+    Target("bag.folder", _bag_folder, lambda: _bag_seeds("sqlite3")),
+    Target("cloud.las", _cloud, lambda: [written(lambda path: write_las(path, _POINTS) and None, "a.las")], ".las"),  # type: ignore[misc]
+    Target("cloud.laz", _cloud, lambda: [written(lambda path: write_las(path, _POINTS) and None, "a.laz")], ".laz"),  # type: ignore[misc]
+    Target("cloud.e57", _e57, _e57_seeds, ".e57"),
+    Target("cloud.png", _image, lambda: [_png()], ".png"),
+    Target("clouds", _log_folder(_CLOUDS), _cloud_folder_seeds),
+    Target("depth", _log_folder(_DEPTH), _depth_seeds),
+    Target("mission", _log_folder(("rig.yaml", "log.clf")), _mission_seeds),
+    Target("fit", _fit, lambda: [_pcd()], ".pcd"),
+    Target("run", _run, _run_seeds),
+    Target("truth", _truth, _truth_seeds),
+    Target("prior", _prior, lambda: [_planes()], ".json"),
+    Target("prior-bytes", _prior_bytes, _prior_seeds),
+    Target("salvage", _salvage, _session_seeds, ".db"),
+)
