@@ -32,7 +32,7 @@ def read_rows(
             raise LogError(path, f"expected {columns} numbers, got {len(words)} words", line=number)
         try:
             stamps.append([nanoseconds(word) for word in words[:stamp_columns]])
-            rows.append([float(word) for word in words[stamp_columns:]])
+            rows.append([number_of(word) for word in words[stamp_columns:]])
         except ValueError as error:
             raise LogError(path, f"expected numbers ({str(error)[:60]})", line=number) from error
         if not np.isfinite(rows[-1]).all():
@@ -58,10 +58,17 @@ def numbered_words(path: Path) -> list[tuple[int, list[str]]]:
     return found
 
 
+def number_of(word: str) -> float:
+    """A number as text; a ValueError for what is none, `1_000` of Python's among it."""
+    if "_" in word:
+        raise ValueError(f"expected a number, got {word[:20]!r}")
+    return float(word)
+
+
 def nanoseconds(word: str) -> int:
     """Seconds as text to integer nanoseconds, exactly; a ValueError for what is no time."""
     try:
-        seconds = Decimal(word)
+        seconds = Decimal(word if "_" not in word else "")
         plausible = abs(seconds) <= LATEST_S
     except DecimalException:  # no number, or one that overflows
         plausible, seconds = False, Decimal(0)

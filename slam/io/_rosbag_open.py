@@ -8,6 +8,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from slam.io._bounded_unpacking import bound_rosbags
 from slam.io._salvaged_bag import SalvagedBag
 from slam.io.log import LogError, MissingPackageError
 
@@ -23,6 +24,7 @@ def opened(path: Path, keep_partial: bool = False) -> Iterator[Any]:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise MissingPackageError(path, "rosbags", "ros") from error
+    bound_rosbags()
     if path.is_file() and path.stat().st_size == 0:
         raise LogError(path, "expected a bag, got an empty file")
     try:

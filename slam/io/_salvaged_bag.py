@@ -7,15 +7,14 @@ broke off does not have. `SalvagedBag` reads the records up to the break, all in
 
 from __future__ import annotations
 
-import bz2
 import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from slam.io._bounded_unpacking import TooLarge, unpack
 from slam.io.log import LogError
-from slam.io.packed import check_ratio
 
 _ROS1_MAGIC, _MCAP_MAGIC = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"
 _MESSAGE, _CHUNK, _CONNECTION = 0x02, 0x05, 0x07
@@ -124,8 +123,7 @@ class SalvagedBag:
             body, place = _sized(data, place)
             kind = fields.get(b"op", b"\0")[0]
             if kind == _CHUNK:
-                unpacked = _unpack(path, body, fields[b"compression"].decode(), *struct.unpack("<I", fields[b"size"]))
-                yield from self._ros1(path, unpacked, 0)
+                yield from self._ros1(path, _unpack(path, body, fields[b"compression"].decode()), 0)
             elif kind == _CONNECTION:
                 told = _fields(body)
                 msgtype = told[b"type"].decode()
@@ -145,10 +143,9 @@ class SalvagedBag:
             if place + 9 > len(data):
                 raise _Cut
             kind, size = struct.unpack_from("<BQ", data, place)
-            compression, unpacked_size = b"", 0
+            compression = b""
             if kind == _MCAP_CHUNK:
-                unpacked_size, at = struct.unpack_from("<Q", data, place + 25)[0], place + 37
-                compression, at = _sized(data, at)
+                compression, at = _sized(data, place + 37)
                 if not compression:
                     place = at + 8  # as above
                     continue
@@ -157,7 +154,7 @@ class SalvagedBag:
                 raise _Cut
             if kind == _MCAP_CHUNK:
                 packed = body[36 + len(compression) + 4 :]
-                yield from self._mcap(path, _unpack(path, packed, compression.decode(), unpacked_size), 0)
+                yield from self._mcap(path, _unpack(path, packed, compression.decode()), 0)
             elif kind == _MCAP_SCHEMA:
                 (number,) = struct.unpack_from("<H", body)
                 name, at = _sized(body, 2)
@@ -193,18 +190,11 @@ def _fields(header: bytes) -> dict[bytes, bytes]:
     return fields
 
 
-def _unpack(path: Path, data: bytes, compression: str, size: int) -> bytes:
+def _unpack(path: Path, data: bytes, compression: str) -> bytes:
     """The records of a chunk; a chunk that is damaged is where the bag ends."""
-    check_ratio(path, size, len(data))
     try:
-        if compression == "bz2":
-            return bz2.BZ2Decompressor().decompress(data, max_length=size)
-        if compression == "lz4":
-            import lz4.frame
-
-            return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
-        from rosbags.rosbag2.storage_mcap import zstd  # the standard library's, or its backport
-
-        return zstd.ZstdDecompressor().decompress(data, max_length=size)
+        return unpack(data, compression)
+    except TooLarge as error:
+        raise LogError(path, str(error)) from error
     except Exception as error:
         raise _Cut from error

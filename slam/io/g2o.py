@@ -12,7 +12,7 @@ import numpy as np
 
 from factors.robust import gaussian
 from slam.io._g2o_tangents import plane_jacobian, pose_jacobian, root_information
-from slam.io._numbers import numbered_words
+from slam.io._numbers import number_of, numbered_words
 from slam.io.log import LogError
 from spplanes._check import FloatArray
 
@@ -152,7 +152,7 @@ class _Reader:
                 self.path, f"expected {ids + size} numbers after {words[0]}, got {len(words) - 1}", line=line
             )
         try:
-            numbers = np.array([float(word) for word in words[1 + ids :]])
+            numbers = np.array([number_of(word) for word in words[1 + ids :]])
         except ValueError as error:
             raise LogError(self.path, f"expected numbers ({str(error)[:60]})", line=line) from error
         if not np.isfinite(numbers).all():

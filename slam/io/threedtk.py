@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.io._numbers import number_of
 from slam.io.clouds.cloud import FARTHEST_M
 from slam.io.log import CloudScan, Event, Log, LogError, OdometryReading
 from slam.io.packed import read_unpacked
@@ -164,7 +165,7 @@ def _parse_points(path: Path, text: str) -> FloatArray:
 
 def _floats(path: Path, line: str, number: int) -> list[float]:
     try:
-        values = [float(word) for word in line.split()]
+        values = [number_of(word) for word in line.split()]
     except ValueError as error:
         raise LogError(path, f"expected numbers, got {line.strip()[:60]!r}", line=number) from error
     if not np.isfinite(values).all():

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from slam.io.log import LogError
+from slam.io.packed import check_ratio
 from slam.io.planes import read_planes, write_planes
 from slam.io.trajectories import Trajectory, read_tum, write_tum
 from slam.simulation.rigs import HORIZONTAL
@@ -78,8 +80,13 @@ class Truth:
 
 def _read_labels(path: Path) -> dict[str, np.ndarray]:
     try:
+        with zipfile.ZipFile(path) as archive:
+            for member in archive.infolist():
+                check_ratio(path, member.file_size, member.compress_size)
         with np.load(path, allow_pickle=False) as data:
             return {name: data[name] for name in data.files}
+    except LogError:
+        raise
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from error
     except Exception as error:  # numpy and zipfile raise whatever the broken bytes lead them to

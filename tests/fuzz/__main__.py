@@ -1,8 +1,9 @@
 """`python -m tests.fuzz [--seconds S] [NAME ...]`: coverage-guided fuzzing of each target, or of those named.
 
 Each runs in a process of its own with a limit on its memory and on the time for one input, so that a crash, a hang or a
-blow-up of native code underneath a reader is found as well. Inputs that led further are kept in .fuzz/NAME and start the next round; one that breaks a target is left in .fuzz
-beside them, and ends the round with exit code 1. Needs the extra `fuzz`.
+blow-up of native code underneath a reader is found as well. Inputs that led further are kept in .fuzz/NAME and start
+the next round; one that breaks a target is left in .fuzz beside them, and ends the round with exit code 1. Needs the
+extra `fuzz`.
 """
 
 from __future__ import annotations

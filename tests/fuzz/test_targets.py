@@ -26,11 +26,55 @@ def _wall_with(*numbers: float) -> bytes:
     return wall.tobytes()
 
 
+def _las_with(place: int, word: bytes) -> bytes:
+    data = TARGETS["cloud.las"].seeds()[0]
+    return data[:place] + word + data[place + len(word) :]
+
+
+def _prior_with(old: str, new: str) -> bytes:
+    return TARGETS["prior"].seeds()[0].replace(old.encode(), new.encode())
+
+
+def _numbers_of(name: str) -> np.ndarray:
+    return np.frombuffer(TARGETS[name].seeds()[0]).copy()
+
+
+def _plane_with(number: float) -> bytes:
+    numbers = _numbers_of("Plane")
+    if number > 1.0:
+        numbers[3] = number
+    else:
+        numbers[48::7] = number
+    return numbers.tobytes()
+
+
+def _keyframe_with(motion: int, number: float) -> bytes:
+    numbers = _numbers_of("add_keyframe")
+    numbers[[16, 41][motion]] = number
+    return numbers.tobytes()
+
+
+def _factor_with(number: float) -> bytes:
+    numbers = _numbers_of("factors")
+    numbers[16] = number
+    return numbers.tobytes()
+
+
 #: What broke a target once: its name and the input.
 FOUND = {
     "a 3DTK scan of one beam": ("3dtk", b"1 2 3\n\x000 0 0\n0 0 0\n"),
     "points so far that their squares are infinite": ("segment_scans", _wall_with(1e308, -1e200)),
     "points whose squares are zero": ("segment_scans", _wall_with(5e-324, 1e-200)),
+    "a 3DTK scan with a number as Python writes it": ("3dtk", b"100 200 300\n110 2001_0 300\n\x000 0 0\n0 0 0\n"),
+    "a 3DTK scan beyond the squares of numbers": ("3dtk", b"10 2 0\n10 2000E200 2\n10 2 1\n\x000 0 0\n0 0 0\n"),
+    "a time that overflows": ("tum", b"1E999999999999999999 0 0 0 0 0 0 1\n"),
+    "records before the points of a LAS that would be gigabytes": ("cloud.las", _las_with(96, b"\xff" * 4)),
+    "a prior with a plane of kilometres": ("prior", _prior_with("3.0", "3e18")),
+    "planes whose frames are infinitely far": ("Plane", _plane_with(1e200)),
+    "a plane without a covariance": ("Plane", _plane_with(1e-320)),
+    "a keyframe whose noise is none": ("add_keyframe", _keyframe_with(0, 1e-320)),
+    "a keyframe whose motion is no number": ("add_keyframe", _keyframe_with(1, 1e200)),
+    "a factor without noise": ("factors", _factor_with(1e-312)),
     "noise whose square is zero": ("segment_scans", np.array([1e-200, *np.arange(96.0)]).tobytes()),
 }
 

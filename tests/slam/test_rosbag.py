@@ -18,6 +18,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin  #
 from rosbags.rosbag2 import Writer as Writer2  # noqa: E402
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
 
+from slam.io import packed  # noqa: E402
+from slam.io._bounded_unpacking import TooLarge, unpack  # noqa: E402
 from slam.io.load import load  # noqa: E402
 from slam.io.log import CloudScan, LaserScan, Log, LogError  # noqa: E402
 from slam.io.rosbag import Topics, is_rosbag, read_rosbag  # noqa: E402
@@ -425,3 +427,51 @@ def test_damaged_bytes_are_a_sentence_or_a_log(kind: str, tmp_path: Path):
 
 def test_a_log_of_a_bag_is_a_log(tmp_path: Path):
     assert isinstance(read_rosbag(write(tmp_path, "ros1", mission)), Log)
+
+
+@pytest.mark.parametrize("kind", ["ros1 bz2", "ros1 lz4", "mcap zstd alone"])
+def test_chunks_that_grow_out_of_proportion_are_refused(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(packed, "HARMLESS_BYTES", 1000)
+    path = write(tmp_path, kind, mission)
+    assert read_rosbag(path).scans()
+    monkeypatch.setattr(packed, "MOST_GROWTH", 0)
+    with pytest.raises(LogError, match="expected sensor data"):
+        read_rosbag(path)
+
+
+@pytest.mark.parametrize("kind", ["bz2", "lz4", "zstd"])
+def test_unpacking_stops_before_memory_is_taken(kind: str, monkeypatch: pytest.MonkeyPatch):
+    import bz2
+
+    import lz4.frame
+    from rosbags.rosbag2.storage_mcap import zstd
+
+    pack = {"bz2": bz2.compress, "lz4": lz4.frame.compress, "zstd": zstd.compress}[kind]
+    monkeypatch.setattr(packed, "HARMLESS_BYTES", 1 << 18)
+    monkeypatch.setattr(packed, "MOST_GROWTH", 2)
+    assert unpack(pack(b"abc") + pack(b"def"), kind) == b"abcdef"
+    with pytest.raises(TooLarge, match="grow out of all proportion"):
+        unpack(pack(bytes(1 << 20)), kind)
+    with pytest.raises(TooLarge, match="grow out of all proportion"):
+        unpack(pack(bytes(1 << 17)) * 3, kind)
+    with pytest.raises(EOFError, match="break off"):
+        unpack(pack(np.random.default_rng(0).bytes(1000))[:-20], kind)
+
+
+def test_compressed_messages_and_files_of_a_folder_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    for mode in (CompressionMode.MESSAGE, CompressionMode.FILE):
+        messages = Messages(ros1=False)
+        folder = tmp_path / mode.name
+        writer = Writer2(folder, version=9, storage_plugin=StoragePlugin.SQLITE3)
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+        with writer:
+            for topic, stamp_ns, message in islice(mission(messages), 5):
+                connection = next((c for c in writer.connections if c.topic == topic), None)
+                connection = connection or writer.add_connection(topic, message.__msgtype__, typestore=messages.store)
+                writer.write(connection, stamp_ns, messages.store.serialize_cdr(message, message.__msgtype__))
+        assert read_rosbag(folder).scans()
+        monkeypatch.setattr(packed, "HARMLESS_BYTES", 100)
+        monkeypatch.setattr(packed, "MOST_GROWTH", 0)
+        with pytest.raises(LogError, match="expected sensor data"):
+            read_rosbag(folder)
+        monkeypatch.undo()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.io._numbers import number_of
 from slam.io.log import LogError
 from spplanes._check import FloatArray
 
@@ -90,7 +91,7 @@ def _slow_rows(path: Path, text: str, columns: int, first_line: int, separator: 
         if len(words) != columns:
             raise LogError(path, f"expected {columns} numbers, got {len(words)} words", line=number)
         try:
-            rows.append([float(word) for word in words])
+            rows.append([number_of(word) for word in words])
         except ValueError as error:
             raise LogError(path, f"expected numbers, got {line.strip()[:60]!r}", line=number) from error
     return np.array(rows, dtype=np.float64).reshape(-1, columns)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slam.io._numbers import number_of
 from slam.io.clouds._files import check_byte_order, check_room, file_size, read_bytes, text_rows
 from slam.io.clouds.cloud import Cloud, checked
 from slam.io.clouds.lzf import lzf_decompress
@@ -159,7 +160,7 @@ def _dtype(path: Path, fields: list[str], sizes: list[int], types: list[str], co
 
 def _viewpoint(path: Path, words: list[str] | None) -> FloatArray:
     try:
-        values = np.array([float(word) for word in words or ["0", "0", "0", "1", "0", "0", "0"]])
+        values = np.array([number_of(word) for word in words or ["0", "0", "0", "1", "0", "0", "0"]])
     except ValueError:
         values = np.empty(0)
     if values.shape != (7,) or not np.isfinite(values).all() or abs(np.linalg.norm(values[3:]) - 1.0) > 1e-3:
