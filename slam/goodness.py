@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from slam._patch_kernels import along_normal, numbered, patches_of, strays
 from slam.config import MeasurementConfig
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -61,31 +62,17 @@ def has_step(
     chi2 of all points does, and hardly mind a noise level that is known to 10 % only. What all points of a scan share,
     its pose error, is taken out first.
     """
-    residuals = np.asarray(plane.distance(points))
-    variances = np.einsum("i,nij,j->n", plane.normal, covariances, plane.normal)
+    residuals, variances = along_normal(points, covariances, plane.frame)
     variances = np.maximum(variances, 1e-12)
     if scan_index is not None:
         residuals = residuals - _group_means(residuals, scan_index)[scan_index]
-    cells = np.floor((points - plane.centre) @ plane.frame[:3, :2] / rules.patch_m).astype(np.int64)
-    squares = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
-    strips = [np.unique(column, return_inverse=True)[1] for column in cells.T]
-    return any(_is_uneven(residuals, variances, group, rules, drift_m) for group in (squares, *strips))
-
-
-def _is_uneven(
-    residuals: FloatArray,
-    variances: FloatArray,
-    group: np.ndarray,
-    rules: MeasurementConfig,
-    drift_m: FloatArray | None,
-) -> bool:
-    """Whether the mean residual of some group of points is more than noise, drift and unevenness."""
-    weights = np.bincount(group, 1.0 / variances)
-    means = np.bincount(group, residuals / variances) / weights
-    spread = 1.0 / weights
-    if drift_m is not None:
-        spread = spread + np.bincount(group, drift_m**2 / variances) / weights  # weighted as the mean it shifts
-    return bool((np.abs(means) > np.maximum(rules.step_sigmas * np.sqrt(spread), rules.step_m)).any())
+    row, column, n_rows, n_columns = patches_of(points, plane.frame, rules.patch_m)
+    drift = np.empty(0) if drift_m is None else drift_m**2
+    groups = (row * n_columns + column, n_rows * n_columns), (row, n_rows), (column, n_columns)
+    return any(
+        strays(residuals, variances, drift, *numbered(code, span), rules.step_sigmas, rules.step_m)
+        for code, span in groups
+    )
 
 
 def _group_means(values: FloatArray, group: np.ndarray) -> FloatArray:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from slam._patch_kernels import numbered, patches_of, with_shared, within
 from slam.config import SlamConfig
 from slam.frames import inverse
 from slam.goodness import is_one_plane
@@ -18,7 +19,7 @@ from slam.outlines import flatten
 from slam.rig import Sensor
 from slam.sweep import middle_ns, place_beams
 from slam.window import window_poses
-from spplanes import LineConfig, MapperConfig, Plane, extract_lines, fit_plane, segment_scans
+from spplanes import LineConfig, MapperConfig, Plane, extract_lines, fit_plane, fit_planes, segment_scans
 from spplanes._check import FloatArray
 from spplanes.noise import SensorModel
 from spplanes.registration import register_scans
@@ -62,18 +63,27 @@ def _flat_planes(
         viewpoints=viewpoint,
         pose_covariances=line_tilt_covariances(sensor, len(points)) if servo else None,
     )
+    parts, noises, blurred = [], [], []
+    for plane, members in zip(planes, members_of(labels, len(planes)), strict=True):
+        part = points.reshape(-1, 3)[members]
+        noise = surface_covariances(part, covariances.reshape(-1, 3, 3)[members], plane, sensor)
+        parts.append(part)
+        noises.append(noise)
+        blurred.append(servo_covariances(part, noise, members // labels.shape[1], sensor))
     observations = []
-    for label, plane in enumerate(planes):
-        line, beam = np.nonzero(labels == label)
-        members = points[line, beam]
-        noise = surface_covariances(members, covariances[line, beam], plane, sensor)
-        refitted = _refit(members, servo_covariances(members, noise, line, sensor), plane, viewpoint=viewpoint)
+    for part, noise, refitted in zip(parts, noises, _refit_all(parts, blurred, planes, viewpoint), strict=True):
         if refitted is None:
             continue
-        drift = tilt_drift(refitted, members, sensor)
-        if is_one_plane(refitted, members, noise, viewpoint, config.measurements, drift_m=drift):
+        drift = tilt_drift(refitted, part, sensor) if sensor.tilt_sigma_rad > 0.0 else None
+        if is_one_plane(refitted, part, noise, viewpoint, config.measurements, drift_m=drift):
             observations.append(PlaneObservation(refitted.transform(sensor.body_T_sensor)))
     return observations, labels < 0
+
+
+def members_of(labels: np.ndarray, count: int) -> list[np.ndarray]:
+    """Indices into the flat grid of the points of every plane, ascending, from labels (S, B)."""
+    order, flat = np.argsort(labels, axis=None, kind="stable"), labels.ravel()
+    return np.split(order, np.searchsorted(flat[order], np.arange(count + 1)))[1:-1]
 
 
 def planes_of_window(
@@ -98,10 +108,10 @@ def planes_of_window(
         viewpoints=placed.viewpoints,
     )
     observations = []
-    for label, plane in enumerate(planes):
-        scan_index, beam = np.nonzero(labels == label)
-        points, viewpoint = placed.points[scan_index, beam], placed.viewpoints[scan_index].mean(axis=0)
-        noise = surface_covariances(points, placed.covariances[scan_index, beam], plane, sensor)
+    for plane, members in zip(planes, members_of(labels, len(planes)), strict=True):
+        scan_index = members // labels.shape[1]
+        points, viewpoint = placed.points.reshape(-1, 3)[members], placed.viewpoints[scan_index].mean(axis=0)
+        noise = surface_covariances(points, placed.covariances.reshape(-1, 3, 3)[members], plane, sensor)
         refitted = _refit(
             points, noise, plane, viewpoint=viewpoint, scan_index=scan_index, pose_covariances=pose_covariance
         )
@@ -149,8 +159,8 @@ def usable_ranges(ranges: FloatArray, sensor: Sensor) -> FloatArray:
 
 def usable_points(points: FloatArray, sensor: Sensor) -> FloatArray:
     """Points (..., 3) in the sensor frame with NaN for what lies outside the sensor's limits."""
-    inside = np.isfinite(usable_ranges(np.linalg.norm(points, axis=-1), sensor))
-    return np.where(inside[..., None], points, np.nan)
+    flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
+    return within(flat, sensor.range_min_m, sensor.range_max_m).reshape(points.shape)
 
 
 def surface_covariances(points: FloatArray, covariances: FloatArray, plane: Plane, sensor: Sensor) -> FloatArray:
@@ -162,11 +172,9 @@ def surface_covariances(points: FloatArray, covariances: FloatArray, plane: Plan
     """
     if sensor.surface_sigma_m == 0.0:
         return covariances
-    local = (points - plane.centre) @ plane.frame[:3, :2]
-    patches = np.floor(local / sensor.surface_correlation_m).astype(np.int64)
-    _, patch, counts = np.unique(patches, axis=0, return_inverse=True, return_counts=True)
-    shared = sensor.surface_sigma_m**2 * counts[patch.ravel()]
-    return covariances + shared[:, None, None] * np.outer(plane.normal, plane.normal)
+    row, column, n_rows, n_columns = patches_of(points, plane.frame, sensor.surface_correlation_m)
+    patch, count = numbered(row * n_columns + column, n_rows * n_columns)
+    return with_shared(covariances, patch, count, plane.normal[None], sensor.surface_sigma_m**2)
 
 
 def line_tilt_covariances(sensor: Sensor, n_lines: int) -> FloatArray | None:
@@ -184,17 +192,33 @@ def servo_covariances(points: FloatArray, covariances: FloatArray, line: np.ndar
     """
     if sensor.tilt_sigma_rad == 0.0:
         return covariances
-    blocks = (line / sensor.tilt_correlation_lines).astype(np.int64)
-    _, block, counts = np.unique(blocks, return_inverse=True, return_counts=True)
-    lever = np.cross([0.0, 1.0, 0.0], points)
-    shared = sensor.tilt_sigma_rad**2 * counts[block.ravel()]
-    return covariances + shared[:, None, None] * np.einsum("ni,nj->nij", lever, lever)
+    block = (line / sensor.tilt_correlation_lines).astype(np.int64)
+    return with_shared(covariances, block, int(block.max(initial=0)) + 1, _lever(points), sensor.tilt_sigma_rad**2)
 
 
 def tilt_drift(plane: Plane, points: FloatArray, sensor: Sensor) -> FloatArray:
     """Standard deviation of the shift along the plane's normal that the servo's error gives points (N, 3), (N,), m."""
-    lever = np.cross([0.0, 1.0, 0.0], points)
-    return sensor.tilt_sigma_rad * np.abs(lever @ plane.normal)
+    return sensor.tilt_sigma_rad * np.abs(_lever(points) @ plane.normal)
+
+
+def _lever(points: FloatArray) -> FloatArray:
+    """How points (N, 3) move when the servo turns them about y, m per rad, shape (N, 3)."""
+    return np.stack((points[:, 2], np.zeros(len(points)), -points[:, 0]), axis=1)
+
+
+def _refit_all(
+    points: Sequence[FloatArray], covariances: Sequence[FloatArray], planes: Sequence[Plane], viewpoint: FloatArray
+) -> list[Plane | None]:
+    """`_refit` of many planes at once, where all can be fitted."""
+    if not planes:
+        return []
+    labels = np.repeat(np.arange(len(planes)), [len(part) for part in points])
+    try:
+        fits = fit_planes(np.concatenate(points), np.concatenate(covariances), labels, viewpoint=viewpoint)
+    except ValueError:
+        parts = zip(points, covariances, planes, strict=True)
+        return [_refit(part, noise, plane, viewpoint=viewpoint) for part, noise, plane in parts]
+    return [_outlined(fitted, plane) for fitted, plane in zip(fits, planes, strict=True)]
 
 
 def _refit(points: FloatArray, covariances: FloatArray, plane: Plane, **fit: np.ndarray) -> Plane | None:
@@ -203,9 +227,14 @@ def _refit(points: FloatArray, covariances: FloatArray, plane: Plane, **fit: np.
     None where the points, errors counted, no longer determine a plane: one bad patch must not end a run.
     """
     try:
-        refitted = fit_plane(points, covariances, **fit)  # type: ignore[arg-type]
+        fitted = fit_plane(points, covariances, **fit)  # type: ignore[arg-type]
     except ValueError:
         return None
+    return _outlined(fitted, plane)
+
+
+def _outlined(fitted: Plane, plane: Plane) -> Plane:
+    """A plane fitted anew with the outline of what it was before."""
     if plane.outline is None:
-        return refitted
-    return replace(refitted, outline=flatten(plane.outline, inverse(refitted.frame) @ plane.frame))
+        return fitted
+    return replace(fitted, outline=flatten(plane.outline, inverse(fitted.frame) @ plane.frame))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from spplanes._check import FloatArray
 
@@ -12,6 +13,8 @@ from spplanes._check import FloatArray
 _MIN_TRIPLES = 100
 #: Neighbours lie within this share of each other's range: one surface, not an edge.
 _SAME_SURFACE = 0.05
+#: The wider of two steps between beams is less than so many times the narrower, as chords.
+_EVEN = 2.5
 #: Distances between the three beams that are looked at, and the widest angle between two of them, rad.
 _LAGS, _WIDEST_RAD = (1, 2, 4, 8), 0.06
 #: A normal deviate lies within this many standard deviations half of the time.
@@ -55,27 +58,47 @@ def range_sigma_of(grid: FloatArray, lag: int = 1) -> float | None:
     return float(np.median(np.abs(missed))) / _MEDIAN if len(missed) >= _MIN_TRIPLES else None
 
 
-def misses_of(grid: FloatArray, lag: int = 1) -> FloatArray:
+def misses_of(grid: FloatArray, lag: int = 1, *, closed: bool = False) -> FloatArray:
     """How far the middle of three beams in a row lies from the plane through the outer two, shape (S, B - 2 lag), m.
 
     On a plane, inverse ranges of three beams a, b and c in a row are linear in the sines of the angles between them,
     sin(ac) / r_b = sin(bc) / r_a + sin(ab) / r_c, whatever the plane. What b misses that by is the noise of three
     beams; it is scaled to that of one. NaN where the three are not all there, not evenly spaced, or not at similar
-    ranges.
+    ranges. In closed rows the first beam follows the last; then there is a value for every beam, shape (S, B).
     """
-    ranges = np.linalg.norm(grid, axis=-1)
-    first, middle, last = np.s_[:, : -2 * lag], np.s_[:, lag:-lag], np.s_[:, 2 * lag :]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        rays = grid / ranges[..., None]
-        a, b, c = ranges[first], ranges[middle], ranges[last]
-        ab, bc = _angle(rays[first], rays[middle]), _angle(rays[middle], rays[last])
-        whole = np.sin(ab + bc)
-        expected = whole / (np.sin(bc) / a + np.sin(ab) / c)
-        slope_a, slope_c = expected**2 * np.sin(bc) / (whole * a**2), expected**2 * np.sin(ab) / (whole * c**2)
-        missed = (b - expected) / np.sqrt(1.0 + slope_a**2 + slope_c**2)
-        near = np.maximum(np.abs(a - b), np.abs(c - b)) < _SAME_SURFACE * b
-        even = (ab > 0.0) & (bc > 0.0) & (np.maximum(ab, bc) < 2.5 * np.minimum(ab, bc))
-    return np.where(near & even, missed, np.nan)
+    return _misses(np.ascontiguousarray(grid), lag, closed)
+
+
+@njit(cache=True)
+def _misses(grid, lag, closed):
+    """See `misses_of`. Of the angle under a chord c between rays, sin = c sqrt(1 - c^2 / 4) and cos = 1 - c^2 / 2."""
+    n_rows, n_columns = grid.shape[:2]
+    first = 0 if closed else lag
+    width = max(n_columns - 2 * first, 0)
+    missed = np.full((n_rows, width), np.nan)
+    ranges = np.empty(n_columns)
+    for i in range(n_rows):
+        for j in range(n_columns):
+            ranges[j] = np.sqrt(grid[i, j, 0] ** 2 + grid[i, j, 1] ** 2 + grid[i, j, 2] ** 2)
+        for j in range(width):
+            at = j + first
+            left, right = (at - lag) % n_columns, (at + lag) % n_columns
+            a, b, c = ranges[left], ranges[at], ranges[right]
+            if not (max(abs(a - b), abs(c - b)) < _SAME_SURFACE * b):
+                continue
+            ab, bc = 0.0, 0.0
+            for k in range(3):
+                ray = grid[i, at, k] / b
+                ab += (ray - grid[i, left, k] / a) ** 2
+                bc += (ray - grid[i, right, k] / c) ** 2
+            if not (ab > 0.0 and bc > 0.0 and ab < 4.0 and bc < 4.0 and max(ab, bc) < _EVEN**2 * min(ab, bc)):
+                continue
+            sin_ab, sin_bc = np.sqrt(ab * (1.0 - 0.25 * ab)), np.sqrt(bc * (1.0 - 0.25 * bc))
+            whole = sin_ab * (1.0 - 0.5 * bc) + (1.0 - 0.5 * ab) * sin_bc
+            expected = whole / (sin_bc / a + sin_ab / c)
+            slope_a, slope_c = expected**2 * sin_bc / (whole * a**2), expected**2 * sin_ab / (whole * c**2)
+            missed[i, j] = (b - expected) / np.sqrt(1.0 + slope_a**2 + slope_c**2)
+    return missed
 
 
 def _median_step(grid: FloatArray) -> float:

@@ -8,11 +8,20 @@ are the rows. Else the cloud is seen as a range image round its sensor, with as 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slam.io._arrange_kernels import (
+    columns_of,
+    nearest_points,
+    occupied_cells,
+    phases_of,
+    returns_of,
+    rows_of,
+    turns_of,
+)
 from slam.noise_of import misses_of
 from spplanes._check import FloatArray
 
@@ -60,8 +69,7 @@ def arrange(points: FloatArray, grid: Grid | None = None) -> FloatArray:
     """
     if points.ndim == 3:
         return _cut_at_a_corner(points) if _closes(points) else points
-    used = points[np.isfinite(points).all(axis=1)]
-    used = used[(used != 0.0).any(axis=1)]
+    used = returns_of(np.ascontiguousarray(points, dtype=np.float64))
     lines = _lines_of(used) if grid is None else None
     return range_image(used, grid) if lines is None else lines
 
@@ -73,12 +81,12 @@ def range_image(points: FloatArray, grid: Grid | None = None) -> FloatArray:
     behind others), as few without (neighbours stay neighbours). For a spinning lidar that is its rings and its steps.
     """
     elevation, azimuth = _angles(points)
-    grid = grid or _best_grid(elevation, azimuth)
-    row, column = _row(elevation, grid.rows), _column(azimuth, grid.columns)
-    image = np.full((grid.rows, grid.columns, 3), np.nan)
-    far_first = np.argsort(-np.einsum("ij,ij->i", points, points), kind="stable")
-    image[row[far_first], column[far_first]] = points[far_first]
-    return _cut_at_a_corner(image)
+    if grid is None:
+        grid, row, column = _best_grid(elevation, azimuth)
+    else:
+        [phase] = phases_of(azimuth, np.array([grid.columns]))
+        row, column = rows_of(elevation, grid.rows), columns_of(azimuth, grid.columns, phase)
+    return _cut_at_a_corner(nearest_points(points, row, column, grid.rows, grid.columns))
 
 
 def _closes(grid: FloatArray) -> bool:
@@ -95,36 +103,32 @@ def _cut_at_a_corner(image: FloatArray) -> FloatArray:
     """The image turned so that its ends meet where fewest surfaces go on."""
     columns = image.shape[1]
     lag = max(round(columns * _CORNER_SHARE), 1)
-    missed = np.abs(misses_of(np.concatenate((image[:, -lag:], image, image[:, :lag]), axis=1), lag))
-    if not np.isfinite(missed).any():
+    missed = np.abs(misses_of(image, lag, closed=True))
+    seen = missed[np.isfinite(missed)]
+    if not len(seen):
         return image
-    flat = np.count_nonzero(missed < 3.0 * np.nanmedian(missed), axis=0)
+    flat = np.count_nonzero(missed < 3.0 * np.median(seen), axis=0)
     return np.roll(image, -int(flat.argmin()), axis=1)
 
 
-def _best_grid(elevation: FloatArray, azimuth: FloatArray) -> Grid:
-    best, most = Grid(_ROWS[0], _COLUMNS[0]), 0.0
-    columns = [(count, _column(azimuth, count)) for count in _COLUMNS]
-    for rows in _ROWS:
-        row = _row(elevation, rows)
-        for count, column in columns:
-            occupied = np.count_nonzero(np.bincount(row * count + column))
-            if occupied**2 / (rows * count) > most:
-                best, most = Grid(rows, count), occupied**2 / (rows * count)
-    return best
+def _best_grid(elevation: FloatArray, azimuth: FloatArray) -> tuple[Grid, np.ndarray, np.ndarray]:
+    """The shape whose cells times the square of their occupied share are most, and row and column (N,) of the points.
 
-
-def _row(elevation: FloatArray, rows: int) -> np.ndarray:
-    """The highest and the lowest lie in the middle of the first row and the last."""
-    span = max(float(np.ptp(elevation)), 1e-9)
-    return np.rint((elevation.max() - elevation) / span * (rows - 1)).astype(np.int64)
-
-
-def _column(azimuth: FloatArray, columns: int) -> np.ndarray:
-    """Columns are turned so that the beams, if there are as many of them, lie in the middle of theirs."""
-    steps = azimuth * (columns / (2.0 * np.pi))
-    phase = float(np.angle(np.exp(2j * np.pi * steps).mean())) / (2.0 * np.pi)
-    return np.rint(steps - phase).astype(np.int64) % columns
+    No more cells can be occupied than there are, nor than there are points: shapes that could do best are tried first,
+    and those that cannot do better than the best so far are not tried. Of equal shapes the first is taken.
+    """
+    rows = {count: rows_of(elevation, count) for count in _ROWS}
+    phases = phases_of(azimuth, np.array(_COLUMNS))
+    columns = {count: columns_of(azimuth, count, phase) for count, phase in zip(_COLUMNS, phases, strict=True)}
+    shapes = [(min(r * c, len(azimuth) ** 2 / (r * c)), -k, r, c) for k, (r, c) in enumerate(product(_ROWS, _COLUMNS))]
+    best, most = (0.0, 0), Grid(_ROWS[0], _COLUMNS[0])
+    for bound, order, r, c in sorted(shapes, reverse=True):
+        if bound < best[0]:
+            break
+        score = occupied_cells(rows[r], columns[c], r, c) ** 2 / (r * c), order
+        if score > best:
+            best, most = score, Grid(r, c)
+    return most, rows[most.rows], columns[most.columns]
 
 
 def _angles(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -136,8 +140,7 @@ def _lines_of(points: FloatArray) -> FloatArray | None:
     """The lines that the order of the points shows, shape (S, B, 3); None where it shows none."""
     if len(points) < _MIN_LINES * _MIN_BEAMS:
         return None
-    rays = points / np.linalg.norm(points, axis=1, keepdims=True)
-    turn = np.arccos(np.clip(np.einsum("ij,ij->i", rays[1:], rays[:-1]), -1.0, 1.0))
+    turn = turns_of(points)
     usual = float(np.median(turn))
     starts = np.concatenate(([0], np.flatnonzero(turn > max(_JUMP_RAD, _JUMP_STEPS * usual)) + 1, [len(points)]))
     lengths = np.diff(starts)
