@@ -223,7 +223,8 @@ def _damage(out: Path, rng: np.random.Generator) -> None:
     files = [out / f"{SESSION_FILE}{end}" for end in _FILES[:2] if (out / f"{SESSION_FILE}{end}").exists()]
     path = files[int(rng.integers(len(files)))]
     data = bytearray(path.read_bytes())
-    place, kind = int(rng.integers(len(data))), int(rng.integers(3))
+    used = max(len(data.rstrip(b"\0")), 1)  # behind it the journal has room only
+    place, kind = int(rng.integers(used)), int(rng.integers(3))
     if kind == 0:
         del data[place:]
     elif kind == 1:

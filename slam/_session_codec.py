@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,10 @@ _CLASSES: dict[str, type] = {
 #: Kinds of numbers an array may have: floats, integers, booleans.
 _KINDS = "fiub"
 _LENGTH = struct.Struct("<I")
+#: Written as they are.
+_PLAIN = {bool, int, float, str, type(None)}
+#: The fields of each class, in order.
+_FIELDS = {name: tuple(one.name for one in fields(kind)) for name, kind in _CLASSES.items()}
 
 
 class CodecError(ValueError):
@@ -95,10 +99,15 @@ class _Writer:
         self._end = 0
 
     def plain(self, value: Any) -> Any:
-        if value is None or isinstance(value, bool | int | float | str):
+        if type(value) in _PLAIN:
             return value
         if isinstance(value, np.ndarray):
             return {"array": self._array(value)}
+        name = type(value).__name__
+        if _CLASSES.get(name) is type(value):
+            return {"class": name, "fields": {one: self.plain(getattr(value, one)) for one in _FIELDS[name]}}
+        if isinstance(value, bool | int | float | str):
+            return value
         if isinstance(value, np.generic):
             return self.plain(value.item())
         if isinstance(value, tuple):
@@ -109,18 +118,17 @@ class _Writer:
             return {"dict": {_name(key): self.plain(one) for key, one in value.items()}}
         if isinstance(value, StoredCloud):
             return self.plain(value.loaded())
-        if is_dataclass(value) and _CLASSES.get(type(value).__name__) is type(value):
-            content = {one.name: self.plain(getattr(value, one.name)) for one in fields(value)}
-            return {"class": type(value).__name__, "fields": content}
         if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
             return [self.plain(one) for one in value]
-        raise CodecError(f"expected a measurement that a session knows, got {type(value).__name__}")
+        raise CodecError(f"expected a measurement that a session knows, got {name}")
 
     def _array(self, value: np.ndarray) -> list[Any]:
         if value.dtype.kind not in _KINDS:
             raise CodecError(f"expected an array of numbers, got one of {value.dtype}")
-        little = np.ascontiguousarray(value).astype(value.dtype.newbyteorder("<"), copy=False)
-        return [little.dtype.str, list(value.shape), *self._put(little.tobytes())]
+        little = value.dtype.str.replace(">", "<")
+        if little != value.dtype.str:
+            value = value.astype(little)
+        return [little, list(value.shape), *self._put(value.tobytes())]
 
     def _put(self, data: bytes) -> list[int]:
         start, self._end = self._end, self._end + len(data)
@@ -164,8 +172,8 @@ class _Reader:
         kind = np.dtype(dtype)
         if kind.kind not in _KINDS or min(shape, default=0) < 0:
             raise CodecError(f"expected an array of numbers, got {dtype} of shape {shape}")
-        flat = np.frombuffer(self._get(start, size), dtype=kind)
-        return flat.reshape(shape).astype(kind.newbyteorder("="))
+        flat = np.frombuffer(self._get(start, size), dtype=kind).reshape(shape)
+        return flat.copy() if kind.isnative else flat.astype(kind.newbyteorder("="))
 
     def _get(self, start: int, size: int) -> memoryview:
         if not 0 <= start <= start + size <= len(self._buffers):

@@ -21,7 +21,7 @@ from slam._session_file import (
     translated,
 )
 from slam._session_lock import WriterLock
-from slam._session_wal import lost_frames
+from slam._session_wal import lost_frames, make_room
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,8 @@ def open_file(path: Path, *, read_only: bool, damaged: bool) -> OpenFile:
             check_structure(path, connection)
             with translated(path):
                 connection.execute("PRAGMA journal_mode = WAL")
+                connection.execute("SELECT count(*) FROM session").fetchone()  # from here on there is a journal
+            make_room(path)
         return OpenFile(connection, lock, version)
     except BaseException:
         if connection is not None:

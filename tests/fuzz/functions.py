@@ -23,6 +23,10 @@ def _numbers(path: Path) -> np.ndarray:
     return np.frombuffer(data[: len(data) // 8 * 8], dtype="<f8")
 
 
+def _first(numbers: np.ndarray) -> float:
+    return float(numbers[0]) if len(numbers) else 0.0
+
+
 def _taken(numbers: np.ndarray, *shapes: tuple[int, ...]) -> list[np.ndarray]:
     """Arrays of these shapes one after another; zeros where the numbers end."""
     sizes = [int(np.prod(shape)) for shape in shapes]
@@ -34,7 +38,7 @@ def _taken(numbers: np.ndarray, *shapes: tuple[int, ...]) -> list[np.ndarray]:
 def _fit(path: Path) -> None:
     numbers = _numbers(path)
     points = numbers[1 : 1 + (len(numbers) - 1) // 3 * 3].reshape(-1, 3)
-    check_plane(fit_plane(points, sigma=float(numbers[:1].sum())))
+    check_plane(fit_plane(points, sigma=_first(numbers)))
 
 
 def _fit_covariances(path: Path) -> None:
@@ -51,7 +55,7 @@ def _lines(path: Path) -> None:
     numbers = _numbers(path)
     ranges = numbers[1:722]
     angles = np.linspace(-np.pi, np.pi, len(ranges), endpoint=False)
-    for line in extract_lines(ranges, angles, sigma=float(numbers[:1].sum())):
+    for line in extract_lines(ranges, angles, sigma=_first(numbers)):
         assert np.isfinite([line.alpha, line.rho, *line.covariance.ravel(), *line.endpoints.ravel()]).all()
 
 
@@ -59,7 +63,7 @@ def _segment(path: Path) -> None:
     numbers = _numbers(path)[: 1 + 3 * 16 * 16]
     beams = 16
     points = numbers[1 : 1 + (len(numbers) - 1) // (3 * beams) * 3 * beams].reshape(-1, beams, 3)
-    labels, planes = segment_scans(points, sigma=float(numbers[:1].sum()), config=MapperConfig())
+    labels, planes = segment_scans(points, sigma=_first(numbers), config=MapperConfig())
     assert labels.shape == points.shape[:2] and labels.max(initial=-1) < len(planes)
     for plane in planes:
         check_plane(plane)
