@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from spplanes._check import FloatArray
+from spplanes._threads import in_parts
 
 #: A cell is (region, i, j) in one int64: 21 bits for each of i and j, offset to be positive.
 _BITS, _OFFSET = 21, 1 << 20
@@ -37,7 +38,6 @@ def onto_planes(frames: FloatArray, cells: FloatArray) -> FloatArray:
     return np.concatenate((axes, shift[..., None]), axis=2) / cells[:, None, None]
 
 
-@njit(cache=True)
 def draw(points, labels, projections):
     """Rasters of all regions: the cells whose centres lie in a triangle of neighbouring points of one region.
 
@@ -53,42 +53,30 @@ def draw(points, labels, projections):
         corner: raster coordinates of each one's first cell, shape (R, 2).
         shape: cells of each along both axes, shape (R, 2); 0 where a region has no point.
     """
-    n_rows, n_cols = labels.shape
-    flat, low, high = _project(points, labels, projections)
+    flat, found = np.empty((*labels.shape, 2)), []
+    in_parts(
+        lambda begin, end: found.append(_project(points, labels, projections, begin, end, flat)),
+        len(labels),
+        labels.size,
+    )
+    low, high = np.min([part[0] for part in found], axis=0), np.max([part[1] for part in found], axis=0)
     scale, first, corner, shape = _layout(low, high)
-    for i in range(n_rows):
-        for j in range(n_cols):
-            r = labels[i, j]
-            if r >= 0:
-                flat[i, j, 0] = flat[i, j, 0] * scale[r] - corner[r, 0] - 0.5
-                flat[i, j, 1] = flat[i, j, 1] * scale[r] - corner[r, 1] - 0.5
-    for r in range(projections.shape[0]):
-        projections[r] *= scale[r]
+    projections *= scale[:, None, None]
     filled = np.zeros(first[-1], dtype=np.bool_)
-    for i in range(n_rows - 1):
-        for j in range(n_cols - 1):
-            a, b, c, d = labels[i, j], labels[i, j + 1], labels[i + 1, j + 1], labels[i + 1, j]
-            if a >= 0 and a == c:
-                if a == b:
-                    _triangle(filled, first[a], shape[a, 1], flat, i, j, i, j + 1, i + 1, j + 1)
-                if a == d:
-                    _triangle(filled, first[a], shape[a, 1], flat, i, j, i + 1, j + 1, i + 1, j)
-            elif b >= 0 and b == d:
-                if a == b:
-                    _triangle(filled, first[b], shape[b, 1], flat, i, j, i, j + 1, i + 1, j)
-                if c == b:
-                    _triangle(filled, first[b], shape[b, 1], flat, i, j + 1, i + 1, j + 1, i + 1, j)
+    in_parts(
+        lambda begin, end: _fill(filled, first, shape, flat, labels, scale, corner, begin, end),
+        max(len(labels) - 1, 0),
+        labels.size,
+    )
     return filled, first, corner, shape
 
 
-@njit(cache=True)
-def _project(points, labels, projections):
-    """Raster coordinates of the labelled points, (S, B, 2), and their least and largest of every region, (R, 2)."""
-    n_rows, n_cols = labels.shape
-    n_regions = projections.shape[0]
-    flat = np.empty((n_rows, n_cols, 2))
+@njit(cache=True, nogil=True)
+def _project(points, labels, projections, begin_row, end_row, flat):
+    """Raster coordinates of the labelled points, into (S, B, 2), and their least and largest of every region, (R, 2)."""
+    n_cols, n_regions = labels.shape[1], projections.shape[0]
     low, high = np.full((n_regions, 2), np.inf), np.full((n_regions, 2), -np.inf)
-    for i in range(n_rows):
+    for i in range(begin_row, end_row):
         end = 0
         while end < n_cols:
             r, begin = labels[i, end], end
@@ -102,7 +90,43 @@ def _project(points, labels, projections):
                     flat[i, j, k] = value
                     least, most = min(least, value), max(most, value)
                 low[r, k], high[r, k] = least, most
-    return flat, low, high
+    return low, high
+
+
+@njit(cache=True, nogil=True)
+def _fill(filled, first, shape, flat, labels, scale, corner, begin, end):
+    """Fill the triangles between the rows from begin to end and those below them.
+
+    Threads may fill the same cell; as they write the same, it does not matter which is first.
+    """
+    n_cols = labels.shape[1]
+    above, below = np.empty((n_cols, 2)), np.empty((n_cols, 2))
+    _cells_of_row(flat, labels, scale, corner, begin, below)
+    for i in range(begin, end):
+        above, below = below, above
+        _cells_of_row(flat, labels, scale, corner, i + 1, below)
+        for j in range(n_cols - 1):
+            a, b, c, d = labels[i, j], labels[i, j + 1], labels[i + 1, j + 1], labels[i + 1, j]
+            if a >= 0 and a == c:
+                if a == b:
+                    _triangle(filled, first[a], shape[a, 1], above, j, above, j + 1, below, j + 1)
+                if a == d:
+                    _triangle(filled, first[a], shape[a, 1], above, j, below, j + 1, below, j)
+            elif b >= 0 and b == d:
+                if a == b:
+                    _triangle(filled, first[b], shape[b, 1], above, j, above, j + 1, below, j)
+                if c == b:
+                    _triangle(filled, first[b], shape[b, 1], above, j + 1, below, j + 1, below, j)
+
+
+@njit(cache=True, nogil=True)
+def _cells_of_row(flat, labels, scale, corner, i, row):
+    """Coordinates of the labelled points of a row in their own rasters, whole numbers at the centres of cells."""
+    for j in range(labels.shape[1]):
+        r = labels[i, j]
+        if r >= 0:
+            row[j, 0] = flat[i, j, 0] * scale[r] - corner[r, 0] - 0.5
+            row[j, 1] = flat[i, j, 1] * scale[r] - corner[r, 1] - 0.5
 
 
 @njit(cache=True)
@@ -123,14 +147,14 @@ def _layout(low, high):
     return scale, first, corner, shape
 
 
-@njit(cache=True)
-def _triangle(filled, first, width, flat, pi, pj, qi, qj, ri, rj):
-    """Fill the cells whose centres lie in the triangle of three points of the grid."""
-    px, qx, rx = flat[pi, pj, 0], flat[qi, qj, 0], flat[ri, rj, 0]
+@njit(cache=True, nogil=True)
+def _triangle(filled, first, width, p_row, p, q_row, q, r_row, r):
+    """Fill the cells whose centres lie in the triangle of three points."""
+    px, qx, rx = p_row[p, 0], q_row[q, 0], r_row[r, 0]
     i0, i1 = int(np.ceil(min(px, qx, rx))), int(np.floor(max(px, qx, rx)))
     if i1 < i0:
         return
-    py, qy, ry = flat[pi, pj, 1], flat[qi, qj, 1], flat[ri, rj, 1]
+    py, qy, ry = p_row[p, 1], q_row[q, 1], r_row[r, 1]
     j0, j1 = int(np.ceil(min(py, qy, ry))), int(np.floor(max(py, qy, ry)))
     for x in range(i0, i1 + 1):
         for y in range(j0, j1 + 1):

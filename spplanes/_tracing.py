@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-#: Parts of one region that lie apart are bridged by closing the raster with up to this many cells.
-BRIDGES = (1, 2, 4, 8, 16)
+from spplanes._closing import one_part
+
 #: How far a simplified ring may leave the steps of the raster, cells.
 TOLERANCE = 0.75
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def rings_around(filled):
     """Rings around the filled cells, vertices (V, 2) in cells and the end of every ring (R,); the first is the shell.
 
@@ -20,10 +20,7 @@ def rings_around(filled):
     Args:
         filled: shape (I, J) bool with an empty frame around it; something is filled. Changed in place.
     """
-    _fill_pinches(filled)
-    part, sizes = _parts(filled)
-    if sizes.shape[0] > 1:
-        filled = _one_part(filled, part, sizes)
+    filled = one_part(filled)
     vertices, ends = _trace(filled)
     kept, first, count, n_rings = np.empty(vertices.shape[0], dtype=np.bool_), 0, 0, 0
     for k in range(ends.shape[0]):
@@ -40,98 +37,7 @@ def rings_around(filled):
     return vertices[:count], ends[:n_rings]
 
 
-@njit(cache=True)
-def _fill_pinches(filled):
-    """Fill a cell beside every two that touch at a corner only, in place, so that no ring meets itself."""
-    n_i, n_j = filled.shape
-    changed = True
-    while changed:
-        changed = False
-        for i in range(1, n_i - 2):
-            for j in range(1, n_j - 2):
-                a, b, c, d = filled[i, j], filled[i, j + 1], filled[i + 1, j], filled[i + 1, j + 1]
-                if a == d and b == c and a != b:
-                    if a:
-                        filled[i, j + 1] = True
-                    else:
-                        filled[i, j] = True
-                    changed = True
-
-
-@njit(cache=True)
-def _one_part(filled, part, sizes):
-    """The raster closed, or its largest part."""
-    for reach in BRIDGES:
-        closed = _closed(filled, reach)
-        _fill_pinches(closed)
-        if _parts(closed)[1].shape[0] == 1:
-            return closed
-    return part == sizes.argmax()
-
-
-@njit(cache=True)
-def _closed(filled, reach):
-    """Closing by a square that reaches so many cells to each side."""
-    n_i, n_j = filled.shape
-    wide = np.zeros((n_i + 2 * reach, n_j + 2 * reach), dtype=np.bool_)
-    wide[reach : reach + n_i, reach : reach + n_j] = filled
-    for value in (True, False):
-        _spread(wide, reach, value)
-    return wide[reach : reach + n_i, reach : reach + n_j] | filled
-
-
-@njit(cache=True)
-def _spread(filled, reach, value):
-    """Give every cell in a square around one that has the value, that value, in place."""
-    n_i, n_j = filled.shape
-    source, since = filled.copy(), np.empty(n_j, dtype=np.int64)
-    for backward in (False, True):
-        since[:] = reach
-        for step in range(n_i):
-            i = n_i - 1 - step if backward else step
-            for j in range(n_j):
-                since[j] = 0 if source[i, j] == value else since[j] + 1
-                if since[j] <= reach:
-                    filled[i, j] = value
-    source[:] = filled
-    for i in range(n_i):
-        for backward in (False, True):
-            last = reach
-            for step in range(n_j):
-                j = n_j - 1 - step if backward else step
-                last = 0 if source[i, j] == value else last + 1
-                if last <= reach:
-                    filled[i, j] = value
-
-
-@njit(cache=True)
-def _parts(filled):
-    """Number of the 4-connected part of every filled cell, -1 elsewhere, and the size of every part."""
-    part = np.full(filled.shape, -1, dtype=np.int64)
-    stack, sizes, n_parts = np.empty(filled.sum(), dtype=np.int64), np.zeros(filled.sum(), dtype=np.int64), 0
-    n_j = filled.shape[1]
-    for i0 in range(filled.shape[0]):
-        for j0 in range(n_j):
-            if not filled[i0, j0] or part[i0, j0] >= 0:
-                continue
-            top = 1
-            stack[0] = i0 * n_j + j0
-            part[i0, j0] = n_parts
-            while top > 0:
-                top -= 1
-                i, j = stack[top] // n_j, stack[top] % n_j
-                sizes[n_parts] += 1
-                for d in range(4):
-                    a, b = i + (d == 3) - (d == 1), j + (d == 0) - (d == 2)
-                    if filled[a, b] and part[a, b] < 0:
-                        part[a, b] = n_parts
-                        stack[top] = a * n_j + b
-                        top += 1
-            n_parts += 1
-    return part, sizes[:n_parts]
-
-
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _trace(filled):
     """Rings around the filled cells, corners only: vertices (V, 2) and the end of every ring.
 
@@ -170,7 +76,7 @@ def _trace(filled):
     return vertices[:n_vertices], ends[:n_rings]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _corner(i, j, d):
     """End of the side of cell (i, j) that is walked in direction d, the cell on its left."""
     if d == 0:
@@ -182,7 +88,7 @@ def _corner(i, j, d):
     return i + 1.0, j + 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _simplify(ring, kept):
     """Mark the vertices of a ring (V, 2) that Douglas and Peucker's algorithm keeps; returns their number."""
     n = ring.shape[0]
@@ -212,7 +118,7 @@ def _simplify(ring, kept):
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _from_segment(p, a, b):
     """Squared distance of a point from a segment."""
     ux, uy, vx, vy = b[0] - a[0], b[1] - a[1], p[0] - a[0], p[1] - a[1]

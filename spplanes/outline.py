@@ -13,6 +13,7 @@ from shapely import Polygon, box
 
 from spplanes._check import FloatArray
 from spplanes._raster import draw, onto_planes
+from spplanes._threads import in_parts
 from spplanes._tracing import rings_around
 
 #: A plane is not projected along an axis with which its normal has less than this cosine.
@@ -33,11 +34,16 @@ def outlines_of_grid(
     projections = onto_planes(frames, cells)
     filled, first, corner, shape = draw(points, labels, projections)
     sides = 1.0 / np.linalg.norm(projections[:, 0, :3], axis=1)
-    polygons: list[Polygon | None] = []
-    for r in range(len(frames)):
-        raster = filled[first[r] : first[r + 1]].reshape(shape[r])
-        polygons.append(_polygon(raster, lambda v, r=r: (v + corner[r]) * sides[r]) if raster.any() else None)
-    return _valid(polygons)
+    rings: list[tuple[FloatArray, np.ndarray] | None] = [None] * len(frames)
+    largest_first = np.argsort(-np.diff(first), kind="stable")
+
+    def trace(begin: int, end: int) -> None:
+        for r in largest_first[begin:end]:
+            raster = filled[first[r] : first[r + 1]].reshape(shape[r])
+            rings[r] = rings_around(raster) if raster.any() else None
+
+    in_parts(trace, len(frames), len(filled), singly=True)
+    return _valid([ring and _polygon((ring[0] + corner[r]) * sides[r], ring[1]) for r, ring in enumerate(rings)])
 
 
 def outline_from_cells(cells: np.ndarray, cell: float, axis: int, frame: FloatArray) -> Polygon | None:
@@ -54,13 +60,13 @@ def outline_from_cells(cells: np.ndarray, cell: float, axis: int, frame: FloatAr
     corner = cells.min(axis=0)
     filled = np.zeros(cells.max(axis=0) - corner + 3, dtype=np.bool_)
     filled[cells[:, 0] - corner[0] + 1, cells[:, 1] - corner[1] + 1] = True
-    return _valid([_polygon(filled, lambda v: _lift((v + (corner - 1)) * cell, axis, frame))])[0]
-
-
-def _polygon(filled: np.ndarray, place) -> Polygon:
-    """Polygon around the filled cells of a raster, its vertices put in place; perhaps not a valid one."""
     vertices, ends = rings_around(filled)
-    rings = np.split(place(vertices), ends[:-1])
+    return _valid([_polygon(_lift((vertices + (corner - 1)) * cell, axis, frame), ends)])[0]
+
+
+def _polygon(vertices: FloatArray, ends: np.ndarray) -> Polygon:
+    """Polygon of rings, their vertices behind each other; perhaps not a valid one."""
+    rings = np.split(vertices, ends[:-1])
     return Polygon(rings[0], rings[1:])
 
 
