@@ -73,7 +73,7 @@ def draw(points, labels, projections):
 
 @njit(cache=True, nogil=True)
 def _project(points, labels, projections, begin_row, end_row, flat):
-    """Raster coordinates of the labelled points, into (S, B, 2), and their least and largest of every region, (R, 2)."""
+    """Raster coordinates of the labelled points, into (S, B, 2); least and largest of every region, (R, 2)."""
     n_cols, n_regions = labels.shape[1], projections.shape[0]
     low, high = np.full((n_regions, 2), np.inf), np.full((n_regions, 2), -np.inf)
     for i in range(begin_row, end_row):
@@ -100,33 +100,53 @@ def _fill(filled, first, shape, flat, labels, scale, corner, begin, end):
     Threads may fill the same cell; as they write the same, it does not matter which is first.
     """
     n_cols = labels.shape[1]
-    above, below = np.empty((n_cols, 2)), np.empty((n_cols, 2))
-    _cells_of_row(flat, labels, scale, corner, begin, below)
+    place, inward = np.empty((2, n_cols, 2)), np.zeros((2, 4, n_cols), dtype=np.int32)
+    hit = np.empty(n_cols, dtype=np.bool_)
+    _cells_of_row(flat, labels, scale, corner, begin, place[begin % 2], inward[begin % 2])
     for i in range(begin, end):
-        above, below = below, above
-        _cells_of_row(flat, labels, scale, corner, i + 1, below)
+        u, v = i % 2, (i + 1) % 2
+        _cells_of_row(flat, labels, scale, corner, i + 1, place[v], inward[v])
+        _mark_quads(inward[0], inward[1], hit)
         for j in range(n_cols - 1):
+            if not hit[j]:
+                continue
             a, b, c, d = labels[i, j], labels[i, j + 1], labels[i + 1, j + 1], labels[i + 1, j]
             if a >= 0 and a == c:
                 if a == b:
-                    _triangle(filled, first[a], shape[a, 1], above, j, above, j + 1, below, j + 1)
+                    _triangle(filled, first[a], shape[a, 1], place, inward, u, j, u, j + 1, v, j + 1)
                 if a == d:
-                    _triangle(filled, first[a], shape[a, 1], above, j, below, j + 1, below, j)
+                    _triangle(filled, first[a], shape[a, 1], place, inward, u, j, v, j + 1, v, j)
             elif b >= 0 and b == d:
                 if a == b:
-                    _triangle(filled, first[b], shape[b, 1], above, j, above, j + 1, below, j)
+                    _triangle(filled, first[b], shape[b, 1], place, inward, u, j, u, j + 1, v, j)
                 if c == b:
-                    _triangle(filled, first[b], shape[b, 1], above, j + 1, below, j + 1, below, j)
+                    _triangle(filled, first[b], shape[b, 1], place, inward, u, j + 1, v, j + 1, v, j)
 
 
 @njit(cache=True, nogil=True)
-def _cells_of_row(flat, labels, scale, corner, i, row):
-    """Coordinates of the labelled points of a row in their own rasters, whole numbers at the centres of cells."""
+def _cells_of_row(flat, labels, scale, corner, i, place, inward):
+    """Places of the labelled points of a row in their own rasters, whole numbers at the centres of cells, (B, 2).
+
+    And the numbers next to them: from above along both axes, then from below, shape (4, B).
+    """
     for j in range(labels.shape[1]):
         r = labels[i, j]
         if r >= 0:
-            row[j, 0] = flat[i, j, 0] * scale[r] - corner[r, 0] - 0.5
-            row[j, 1] = flat[i, j, 1] * scale[r] - corner[r, 1] - 0.5
+            for k in range(2):
+                place[j, k] = flat[i, j, k] * scale[r] - corner[r, k] - 0.5
+                inward[k, j], inward[k + 2, j] = int(np.ceil(place[j, k])), int(np.floor(place[j, k]))
+
+
+@njit(cache=True, nogil=True)
+def _mark_quads(above, below, hit):
+    """Mark the quads that may hold a centre, by the box of their corners: whole rows at once, as compilers like it."""
+    for j in range(hit.shape[0] - 1):
+        hit[j] = True
+    for k in range(2):
+        for j in range(hit.shape[0] - 1):
+            least = min(min(above[k, j], above[k, j + 1]), min(below[k, j], below[k, j + 1]))
+            most = max(max(above[k + 2, j], above[k + 2, j + 1]), max(below[k + 2, j], below[k + 2, j + 1]))
+            hit[j] &= least <= most
 
 
 @njit(cache=True)
@@ -148,16 +168,20 @@ def _layout(low, high):
 
 
 @njit(cache=True, nogil=True)
-def _triangle(filled, first, width, p_row, p, q_row, q, r_row, r):
-    """Fill the cells whose centres lie in the triangle of three points."""
-    px, qx, rx = p_row[p, 0], q_row[q, 0], r_row[r, 0]
-    i0, i1 = int(np.ceil(min(px, qx, rx))), int(np.floor(max(px, qx, rx)))
-    if i1 < i0:
+def _triangle(filled, first, width, place, inward, pu, p, qu, q, ru, r):
+    """Fill the cells whose centres lie in the triangle of three points, given by row, 0 or 1, and column."""
+    i0 = min(inward[pu, 0, p], inward[qu, 0, q], inward[ru, 0, r])
+    i1 = max(inward[pu, 2, p], inward[qu, 2, q], inward[ru, 2, r])
+    j0 = min(inward[pu, 1, p], inward[qu, 1, q], inward[ru, 1, r])
+    j1 = max(inward[pu, 3, p], inward[qu, 3, q], inward[ru, 3, r])
+    if i1 < i0 or j1 < j0:
         return
-    py, qy, ry = p_row[p, 1], q_row[q, 1], r_row[r, 1]
-    j0, j1 = int(np.ceil(min(py, qy, ry))), int(np.floor(max(py, qy, ry)))
+    px, py, qx, qy = place[pu, p, 0], place[pu, p, 1], place[qu, q, 0], place[qu, q, 1]
+    rx, ry = place[ru, r, 0], place[ru, r, 1]
     for x in range(i0, i1 + 1):
         for y in range(j0, j1 + 1):
+            if filled[first + x * width + y]:
+                continue
             e = (qx - px) * (y - py) - (qy - py) * (x - px)
             f = (rx - qx) * (y - qy) - (ry - qy) * (x - qx)
             g = (px - rx) * (y - ry) - (py - ry) * (x - rx)
