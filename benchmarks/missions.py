@@ -1,70 +1,146 @@
 """Simulated missions with truth, poses unknown: how good, and how honest, over many seeds.
 
-`python -m benchmarks.missions [RUNS [SCANS]]`: the corridor; `python -m benchmarks.missions office [RUNS [FIRST]]`: two
-laps of an office of 79 m with rooms, seeds from FIRST on. A run of the office takes minutes: each row is printed as it
-comes.
+`python -m benchmarks.missions [RUNS [SCANS [FIRST]]]`: the corridor; `python -m benchmarks.missions office [RUNS
+[FIRST]]`: two laps of an office of 79 m with rooms; seeds from FIRST on. Each row is printed as it comes, the summary
+at the end.
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import gtsam
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from scipy.stats import chi2
 
+from benchmarks._table import plain
 from slam.config import SlamConfig
 from slam.demo import in_frame_of_truth
-from slam.evaluation import absolute_error, match_planes, plane_metrics
+from slam.evaluation import PlaneMatch, absolute_error, match_planes, plane_metrics
 from slam.frames import inverse
 from slam.planeslam import pose_symbol
 from slam.run import Run, run_slam
 from slam.simulation import Mission, Truth, simulate_mission
+from spplanes import Plane
 
 #: Tangent of Pose3 in the floor plane: yaw, x, y.
 IN_PLANE = [2, 3, 4]
+#: A plane beyond this NEES is none of its own covariance: 1 in 1000 is.
+BEYOND = float(chi2.isf(1e-3, 3))
+
+Row = dict[str, Any]
 
 
-def run(runs: int = 20, scans: int = 400) -> list[dict]:
-    """One row a seed."""
-    return [_row(seed, scans) for seed in range(runs)]
+def run(runs: int = 20, scans: int = 400, first: int = 0) -> list[Row]:
+    """One row a seed, the corridor."""
+    return list(corridor_rows(runs, scans, first))
 
 
-def run_office(runs: int = 10, first: int = 0) -> Iterator[dict]:
-    """One row a seed: two laps."""
+def corridor_rows(runs: int = 20, scans: int = 400, first: int = 0) -> Iterator[Row]:
+    """One row a seed; with height and width of the corridor, if its four sides were found."""
+    for seed in range(first, first + runs):
+        yield _measured(seed, simulate_mission("corridor", n_scans=scans, seed=seed), sides=True)
+
+
+def office_rows(runs: int = 10, first: int = 0) -> Iterator[Row]:
+    """One row a seed: two laps of the office."""
     for seed in range(first, first + runs):
         yield _measured(seed, simulate_mission("office", laps=2, seed=seed))
 
 
-def _row(seed: int, scans: int) -> dict:
-    return _measured(seed, simulate_mission("corridor", n_scans=scans, seed=seed))
+def summary(rows: Sequence[Row]) -> list[Row]:
+    """What the rows say together: medians, worst runs, and mean NEES with the bands they should lie in.
+
+    Final poses are independent, so the band of their mean is that of chi2. Planes of one run share poses: the band
+    stated is that of independent ones, thus too narrow.
+    """
+    poses, planes = [row["pose NEES"] for row in rows], [row["planes"] for row in rows]
+    all_planes = float(np.average([row["plane NEES"] for row in rows], weights=planes))
+    lines = [
+        _spread("position rmse", [1e3 * row["position rmse, m"] for row in rows], "mm"),
+        _spread("share of odometry's rmse", [row["share of odometry"] for row in rows], ""),
+        _spread("planes, distance (median of a run)", [1e3 * row["plane distance, m"] for row in rows], "mm"),
+        _spread("planes, angle (median of a run)", [row["plane angle, deg"] for row in rows], "deg"),
+        _spread("planes, duplicates", [row["duplicates, %"] for row in rows], "%"),
+        _spread("last pose, NEES", poses, "", _band(len(rows))),
+        _spread("planes, NEES (mean of a run)", [row["plane NEES"] for row in rows], ""),
+        {"over all": "planes, NEES (all planes)", "mean": all_planes, "band": _band(int(np.sum(planes)))},
+        _spread(f"planes beyond NEES {BEYOND:.1f}", [row["beyond, %"] for row in rows], "%"),
+    ]
+    for side in ("height", "width"):
+        errors = [abs(row[f"{side} error, mm"]) for row in rows if row.get(f"{side} error, mm") is not None]
+        if errors:
+            lines.append(_spread(f"corridor, {side} error", errors, "mm"))
+    return [{"runs": len(rows), **line} for line in lines]
 
 
-def _measured(seed: int, mission: Mission) -> dict:
-    start = time.perf_counter()
+def _spread(name: str, values: Sequence[float], unit: str, band: str | None = None) -> Row:
+    median, mean, worst = (float(f(values)) for f in (np.median, np.mean, np.max))
+    return {"over all": name, "unit": unit, "median": median, "mean": mean, "worst": worst, "band": band}
+
+
+def _band(count: int) -> str:
+    """The 95 % band of the mean of so many NEES of 3 degrees of freedom."""
+    low, high = chi2.ppf([0.025, 0.975], 3 * count) / count
+    return f"{low:.2f} to {high:.2f}"
+
+
+def _measured(seed: int, mission: Mission, *, sides: bool = False) -> Row:
+    start = time.process_time()
     done = run_slam(mission.log, mission.rig, SlamConfig())
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     truth = mission.truth
     planes = in_frame_of_truth(done, truth.trajectory)
     matches = match_planes(planes, truth.planes)
     shares = {row.name: row.value for row in plane_metrics(planes, truth.planes, visible=truth.visible_in_3d())}
-    return {
+    position, odometry = _rmse(done, truth), _rmse(done, truth, odometry=True)
+    nees = np.array([match.nees for match in matches])
+    row = {
         "seed": seed,
-        "position rmse, m": _rmse(done, truth),
-        "odometry rmse, m": _rmse(done, truth, odometry=True),
-        "pose NEES (3)": _pose_nees(done, truth),
-        "plane NEES, mean (3)": float(np.mean([match.nees for match in matches])),
-        "plane NEES, median (2.37)": float(np.median([match.nees for match in matches])),
-        "plane distance, median, m": shares["plane distance median"],
-        "plane angle, median, deg": shares["plane angle median"],
+        "position rmse, m": position,
+        "odometry rmse, m": odometry,
+        "share of odometry": position / odometry,
+        "pose NEES": _pose_nees(done, truth),
+        "planes": len(matches),
+        "plane NEES": float(nees.mean()),
+        "plane NEES, median (2.37)": float(np.median(nees)),
+        "beyond, %": 100.0 * float(np.mean(nees > BEYOND)),
+        "plane distance, m": shares["plane distance median"],
+        "plane angle, deg": shares["plane angle median"],
         "duplicates, %": shares["planes duplicate"],
         "missed, %": shares["planes missed"],
-        "s per keyframe": seconds / len(done.trajectory),
+        "CPU s": seconds,
     }
+    return row | _side_errors(planes, matches, truth.planes) if sides else row
+
+
+def _side_errors(planes: Sequence[Plane], matches: Sequence[PlaneMatch], true: Sequence[Plane]) -> Row:
+    """Height and width of the corridor less the true ones, mm; None where a side was not found."""
+    errors: Row = {}
+    for name, axis in (("height", 2), ("width", 1)):
+        pair = [_best_of(side, planes, matches) for side in _sides(true, axis)]
+        error = None
+        if pair[0] is not None and pair[1] is not None:
+            (a, true_a), (b, true_b) = ((planes[match.estimated], true[match.true]) for match in pair if match)
+            error = 1e3 * float(abs(a.distance(b.centre)) - abs(true_a.distance(true_b.centre)))
+        errors[f"{name} error, mm"] = error
+    return errors
+
+
+def _sides(true: Sequence[Plane], axis: int) -> list[int]:
+    """The largest of the planes that look up an axis, and of those that look down it."""
+    areas = [0.0 if plane.outline is None else plane.outline.area for plane in true]
+    ways = [[sign * plane.normal[axis] > 0.99 for plane in true] for sign in (1.0, -1.0)]
+    return [max(np.flatnonzero(way).tolist(), key=areas.__getitem__) for way in ways]
+
+
+def _best_of(side: int, planes: Sequence[Plane], matches: Sequence[PlaneMatch]) -> PlaneMatch | None:
+    """The estimated plane of a true one, the one with most points if there are several."""
+    mine = [match for match in matches if match.true == side]
+    return max(mine, key=lambda match: planes[match.estimated].n_points, default=None)
 
 
 def _rmse(done: Run, truth: Truth, *, odometry: bool = False) -> float:
@@ -84,24 +160,19 @@ def _pose_nees(done: Run, truth: Truth) -> float:
 
 
 def main() -> None:
-    """Print the rows, their medians, and the band that the mean pose NEES should lie in."""
-    arguments = [int(word) for word in sys.argv[1:4] if word.isdigit()]
-    world = "office" if "office" in sys.argv[1:2] else "corridor"
+    """Print the rows as they come, then the summary."""
+    numbers = [int(word) for word in sys.argv[1:5] if word.isdigit()]
+    office = "office" in sys.argv[1:2]
     rows = []
-    for row in run_office(*arguments) if world == "office" else run(*arguments):
+    for row in office_rows(*numbers) if office else corridor_rows(*numbers):
         rows.append(row)
-        if world == "office":
-            print(", ".join(f"{name} {value:.3g}" for name, value in row.items()), flush=True)
-    table = Table(title=f"{world} missions, poses unknown")
-    for name in rows[0]:
-        table.add_column(name, justify="right")
-    for row in rows:
-        table.add_row(*(f"{value:.3g}" for value in row.values()))
-    table.add_row("median", *(f"{np.median([row[name] for row in rows]):.3g}" for name in list(rows[0])[1:]))
-    Console(width=180).print(table)
-    low, high = chi2.ppf([0.025, 0.975], 3 * len(rows)) / len(rows)
-    mean = np.mean([row["pose NEES (3)"] for row in rows])
-    print(f"mean pose NEES {mean:.2f}, 95 % band of {len(rows)} runs {low:.2f} to {high:.2f}")
+        print(", ".join(f"{name} {cell_of(value)}" for name, value in row.items()), flush=True)
+    print(plain(summary(rows)))
+
+
+def cell_of(value: float | None) -> str:
+    """A value in three digits."""
+    return "-" if value is None else f"{value:.3g}"
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import numpy as np
 
 from slam.backend import Backend, JointCovariance
 from slam.config import AssociationConfig
-from slam.decisions import Candidate, Decision
+from slam.decisions import BEYOND_M, Candidate, Decision
 from slam.frames import inverse
 from slam.innovations import Prospect, State, prospects_of
 from slam.landmarks import Landmark, LandmarkMap, PlacedPlane
@@ -73,6 +73,7 @@ def associate(
     reader = Reader(
         prospects,
         chances,
+        _Beyond(observations, landmarks, world_T_body, config.gap_m),
         [observation.n_points for observation in observations],
         state=lambda: _informed(joint, hint, pose_key, values),
         honest=None if hint is None else lambda: State(joint),
@@ -102,6 +103,25 @@ def _informed(joint: JointCovariance, hint: Hint | None, pose_key: int, values: 
         columns = joint.columns(list(linear.keys()))
         state.condition(state.innovation(Prospect(blank, columns, jacobian, target)))
     return state
+
+
+class _Beyond:
+    """How much less likely, in nats, landmarks are for where observations lie: worked out once, for who has rivals."""
+
+    def __init__(
+        self, observations: Sequence[Observation], landmarks: LandmarkMap, world_T_body: FloatArray, gap_m: float
+    ) -> None:
+        self._observations, self._landmarks, self._gap_m = observations, landmarks, gap_m
+        self._world_T_body = world_T_body
+        self._known: dict[tuple[int, int], float] = {}
+
+    def __call__(self, index: int, landmark: int) -> float:
+        if (index, landmark) not in self._known:
+            plane_T_body = inverse(self._landmarks.placed(landmark).world_T_plane) @ self._world_T_body
+            patch = self._observations[index].patch_in(plane_T_body)
+            gap = self._landmarks[landmark].region.distance(patch, self._gap_m)
+            self._known[index, landmark] = gap / BEYOND_M
+        return self._known[index, landmark]
 
 
 @dataclass(frozen=True)

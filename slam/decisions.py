@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from scipy.special import chdtrc
 
 from slam.config import AssociationConfig
+
+#: Where two landmarks could both be it, one that was seen this much farther from the observation is e times less
+#: likely, m: a level laser's line half a metre below a notice-board is of the wall behind the board.
+BEYOND_M = 0.2
 
 
 @dataclass(frozen=True)
@@ -46,13 +50,29 @@ class Decision:
     """All landmarks it was compared with, most likely first; a confirmed one that passes goes before the others."""
 
 
-def decide(index: int, candidates: Sequence[Candidate], chance: float, config: AssociationConfig) -> Decision:
-    """The decision by the candidates alone; `chance` is the log density of other planes about the observation."""
+def decide(
+    index: int,
+    candidates: Sequence[Candidate],
+    chance: float,
+    away: Callable[[int], float],
+    config: AssociationConfig,
+) -> Decision:
+    """The decision about an observation by its candidates.
+
+    Args:
+        index: the observation.
+        candidates: most likely first.
+        chance: log density of other planes about the observation.
+        away: how much less likely, in nats, a landmark (its id) is for where the observation lies; see `BEYOND_M`.
+        config: the gates.
+    """
     accepted = [
         candidate
         for candidate in candidates
         if candidate.p_value >= config.significance and candidate.log_likelihood >= chance
     ]
+    if len(accepted) > 1:
+        accepted.sort(key=lambda one: away(one.landmark) - one.log_likelihood)
     if accepted:
         # a landmark that one look made may be a bad copy of a known one: it must not take the known one's measurements
         best = next((candidate for candidate in accepted if candidate.confirmed), accepted[0])
@@ -61,14 +81,13 @@ def decide(index: int, candidates: Sequence[Candidate], chance: float, config: A
     return Decision(index, "unsure" if near else "new", None, tuple(candidates))
 
 
-def is_open(decision: Decision, config: AssociationConfig) -> bool:
+def is_open(decision: Decision, away: Callable[[int], float], config: AssociationConfig) -> bool:
     """Whether more knowledge of the pose could change the decision: unsure, or a match that has a rival."""
-    if decision.match is None:
+    match = decision.match
+    if match is None:
         return decision.verdict == "unsure"
-    least = decision.match.log_likelihood - config.rival_log_ratio
-    return any(
-        candidate is not decision.match
-        and candidate.p_value >= config.significance
-        and candidate.log_likelihood >= least
-        for candidate in decision.candidates
-    )
+    rivals = [one for one in decision.candidates if one is not match and one.p_value >= config.significance]
+    if not rivals:
+        return False
+    least = match.log_likelihood - away(match.landmark) - config.rival_log_ratio
+    return any(one.log_likelihood - away(one.landmark) >= least for one in rivals)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from slam.config import AssociationConfig
-from slam.decisions import Decision, decide, is_open
+from slam.decisions import Candidate, Decision, decide, is_open
 from slam.innovations import Innovation, Prospect, State, innovations_of
 
 #: So many other first matches are tried, each of another landmark.
@@ -31,6 +32,8 @@ class Reader:
     """Of every observation: one for each landmark it may be."""
     chances: Sequence[float]
     """Of every observation: log density of other planes about it."""
+    away: Callable[[int, int], float]
+    """How much less likely, in nats, a landmark (its id) is for where an observation (its index) lies."""
     n_points: Sequence[int]
     """Of every observation: the more the firmer."""
     state: Callable[[], State]
@@ -65,11 +68,11 @@ class Reader:
                 compared = [one.candidate for one in found]
                 if stage == "start" and start is not None:
                     compared.sort(key=lambda one: one.landmark != start[1])
-                    decision = decide(index, compared[:1], self.chances[index], self.config)
+                    decision = self._decide(index, compared[:1])
                     decision = replace(decision, candidates=tuple(compared))
                 else:
-                    decision = decide(index, compared, self.chances[index], self.config)
-                if stage == "clear" and is_open(decision, self.config):
+                    decision = self._decide(index, compared)
+                if stage == "clear" and is_open(decision, partial(self.away, index), self.config):
                     continue
                 decision, likelihood = self._take_in(decision, found, state, honest)
                 reading[index], total = decision, total + likelihood
@@ -101,10 +104,13 @@ class Reader:
             if reading.decisions[index].match is not None or not self.prospects[index]:
                 continue
             found = [one.candidate for one in innovations_of(self.prospects[index], state)]
-            match = decide(index, found, self.chances[index], self.config).match
+            match = self._decide(index, found).match
             if match is not None and match.confirmed:
                 tried.setdefault(match.landmark, index)
         return [(index, landmark) for landmark, index in tried.items()][:_TRIED]
+
+    def _decide(self, index: int, candidates: Sequence[Candidate]) -> Decision:
+        return decide(index, candidates, self.chances[index], partial(self.away, index), self.config)
 
     def _firmest_first(self) -> list[int]:
         return sorted(range(len(self.n_points)), key=lambda i: (-self.n_points[i], i))

@@ -62,6 +62,13 @@ class Region:
         reach = np.asarray(patch.bounds) + np.array([-1.0, -1.0, 1.0, 1.0]) * distance_m
         return any(self._tiles[key].distance(patch) <= distance_m for key in self._tiles_in(reach))
 
+    def distance(self, patch: BaseGeometry, up_to_m: float) -> float:
+        """Distance of the region from a patch, m; `up_to_m` where it is no less."""
+        if self._line is not None:
+            return min(float(self._line.distance(patch)), up_to_m)
+        reach = np.asarray(patch.bounds) + np.array([-1.0, -1.0, 1.0, 1.0]) * up_to_m
+        return min((up_to_m, *(float(self._tiles[key].distance(patch)) for key in self._tiles_in(reach))))
+
     def _take(self, patch: BaseGeometry) -> None:
         low, high = np.split(np.asarray(patch.bounds), 2)
         self._bounds = np.concatenate((np.minimum(self._bounds[:2], low), np.maximum(self._bounds[2:], high)))

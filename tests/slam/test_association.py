@@ -9,6 +9,8 @@ from shapely import box
 
 from slam import PlaneSlam
 from slam.association import Candidate
+from slam.config import AssociationConfig
+from slam.decisions import decide, is_open
 from slam.innovations import chi2_and_log_det
 from slam.io.log import planar_transform
 from slam.keyframes import Keyframe
@@ -63,3 +65,22 @@ def test_a_board_that_is_seen_best_does_not_take_its_wall_and_the_pose_with_it()
 def step(way_m: float) -> Motion:
     delta = np.array([way_m, 0.0, 0.0])
     return Motion(planar_transform(*delta), NOISE.covariance(delta), (1e-3, 1e-3, 1e-3))
+
+
+def test_of_two_that_it_could_be_it_is_the_one_seen_there_and_it_waits_only_for_a_rival_that_is_near():
+    board, wall = Candidate(7, 0.5, 2, 8.4, True), Candidate(2, 7.8, 2, 5.2, True)
+    rules = AssociationConfig()
+
+    def decided(far_from_board: float) -> int:
+        decision = decide(0, [board, wall], 0.0, {7: far_from_board, 2: 0.0}.__getitem__, rules)
+        assert decision.match is not None
+        assert decision.candidates == (board, wall)
+        return decision.match.landmark
+
+    assert decided(0.0) == decided(3.0) == 7
+    assert decided(3.5) == 2
+    decision = decide(0, [board, wall], 0.0, {7: 3.5, 2: 0.0}.__getitem__, rules)
+    assert is_open(decision, {7: 3.5, 2: 0.0}.__getitem__, rules)
+    assert not is_open(decision, {7: 8.0, 2: 0.0}.__getitem__, rules)
+    alone = decide(0, [board], 0.0, {7: 8.0}.__getitem__, rules)
+    assert alone.match is board  # a wall goes on where it was not seen yet

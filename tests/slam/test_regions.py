@@ -58,3 +58,13 @@ def test_a_line_and_a_patch_are_kept_both():
     assert abs(area - 2.0) < 1e-9
     assert region.is_within(0.1, Point(6.5, 0.5))
     np.testing.assert_allclose(region.bounds, (0.0, 0.0, 7.0, 1.0))
+
+
+def test_the_distance_of_a_patch_is_that_of_the_whole_up_to_a_bound():
+    region = Region(box(0.0, 0.0, 5.0, 1.0))
+    assert region.distance(box(4.0, 0.5, 9.0, 2.0), 1.5) == 0.0
+    assert np.isclose(region.distance(box(5.7, 0.0, 6.0, 1.0), 1.5), 0.7, atol=0.01)
+    assert region.distance(box(7.0, 0.0, 8.0, 1.0), 1.5) == 1.5
+    line = Region(LineString([(0.0, 0.0), (3.0, 0.0)]))
+    assert np.isclose(line.distance(LineString([(1.0, 0.4), (2.0, 0.4)]), 1.5), 0.4)
+    assert line.distance(LineString([(1.0, 9.0), (2.0, 9.0)]), 1.5) == 1.5
