@@ -15,7 +15,7 @@ from slam.io.arrange import arrange, grid_of
 from slam.io.log import CloudScan, LaserScan
 from slam.observations import LineObservation, PlaneObservation
 from slam.odometry import OdometryTrack
-from slam.outlines import flatten
+from slam.outlines import coarse, flatten
 from slam.rig import Sensor
 from slam.sweep import middle_ns, place_beams
 from slam.window import window_poses
@@ -212,6 +212,7 @@ def _refit_all(
     """`_refit` of many planes at once, where all can be fitted."""
     if not planes:
         return []
+    planes = [plane if plane.outline is None else replace(plane, outline=coarse(plane.outline)) for plane in planes]
     labels = np.repeat(np.arange(len(planes)), [len(part) for part in points])
     try:
         fits = fit_planes(np.concatenate(points), np.concatenate(covariances), labels, viewpoint=viewpoint)

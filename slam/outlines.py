@@ -11,11 +11,21 @@ from spplanes._check import FloatArray
 
 #: Outlines are simplified to this after every union, m: far below any gap that association looks at.
 _TOLERANCE_M = 0.01
+#: Outlines measured may lie this share of the root of their area off, and this much at most, m: less than the distance
+#: between the points at the borders of large ones.
+_COARSE_SHARE, _COARSEST_M = 0.02, 0.1
 
 
 def flatten(outline: BaseGeometry, plane_T_outline: FloatArray) -> BaseGeometry:
     """An outline in one plane frame, seen along the normal of another, in that one's (x, y)."""
     return shapely.transform(outline, lambda xy: lift(xy, plane_T_outline)[:, :2])
+
+
+def coarse(outline: shapely.Polygon) -> shapely.Polygon:
+    """An outline with no more corners than its size needs: the border of a large one may be rougher."""
+    tolerance = min(_COARSEST_M, _COARSE_SHARE * float(np.sqrt(outline.area)))
+    simple = outline.simplify(tolerance)
+    return simple if isinstance(simple, shapely.Polygon) and not simple.is_empty else outline
 
 
 def grow(outline: BaseGeometry, patch: BaseGeometry) -> BaseGeometry:

@@ -8,11 +8,13 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from slam.outlines import grow
+from slam.outlines import grow, valid
 from spplanes._check import FloatArray
 
 #: Side of a tile, and how far each reaches into its neighbours so that simplified borders leave no gap between, m.
 _TILE_M, _LAP_M = 2.0, 0.05
+#: A tile is full, and what else is seen there not looked at, when no more than this is missing, m^2.
+_GAP_M2 = 1e-4
 
 
 class Region:
@@ -24,6 +26,7 @@ class Region:
     def __init__(self, geometry: BaseGeometry) -> None:
         self._line: BaseGeometry | None = None
         self._tiles: dict[tuple[int, int], BaseGeometry] = {}
+        self._full: set[tuple[int, int]] = set()
         self._whole: BaseGeometry | None = geometry
         self._bounds = np.array([np.inf, np.inf, -np.inf, -np.inf])
         self._take(geometry)
@@ -82,14 +85,27 @@ class Region:
         self._cut(patch)
 
     def _cut(self, patch: BaseGeometry) -> None:
+        _, low_y, _, high_y = patch.bounds
         x0, y0, x1, y1 = np.floor(np.asarray(patch.bounds) / _TILE_M).astype(int).tolist()
+        if (x0, y0) == (x1, y1):
+            self._join((x0, y0), patch)
+            return
         for i in range(x0, x1 + 1):
+            left, right = i * _TILE_M - _LAP_M, (i + 1) * _TILE_M + _LAP_M
+            column = patch if x0 == x1 else shapely.clip_by_rect(patch, left, low_y - _LAP_M, right, high_y + _LAP_M)
             for j in range(y0, y1 + 1):
-                low, high = np.array([i, j]) * _TILE_M - _LAP_M, np.array([i + 1, j + 1]) * _TILE_M + _LAP_M
-                piece = shapely.clip_by_rect(patch, *low, *high) if (x0, y0) != (x1, y1) else patch
-                if not piece.is_empty:
-                    here = self._tiles.get((i, j))
-                    self._tiles[i, j] = piece if here is None else grow(here, piece)
+                if (i, j) not in self._full and not column.is_empty:
+                    bottom, top = j * _TILE_M - _LAP_M, (j + 1) * _TILE_M + _LAP_M
+                    self._join((i, j), shapely.clip_by_rect(column, left, bottom, right, top))
+
+    def _join(self, key: tuple[int, int], piece: BaseGeometry) -> None:
+        """Take a piece into its tile, where it tells something new."""
+        here = self._tiles.get(key)
+        if piece.is_empty or (here is not None and valid(here).covers(piece := valid(piece))):
+            return
+        self._tiles[key] = here = piece if here is None else grow(here, piece)
+        if here.area > (_TILE_M + 2.0 * _LAP_M) ** 2 - _GAP_M2:
+            self._full.add(key)
 
     def _tiles_in(self, bounds: FloatArray) -> Iterator[tuple[int, int]]:
         """Keys of the tiles there are that a box touches, in order."""

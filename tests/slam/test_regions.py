@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import shapely
 from shapely import LineString, Point, box
 
+from slam.outlines import coarse
 from slam.regions import Region
 
 
@@ -68,3 +70,23 @@ def test_the_distance_of_a_patch_is_that_of_the_whole_up_to_a_bound():
     line = Region(LineString([(0.0, 0.0), (3.0, 0.0)]))
     assert np.isclose(line.distance(LineString([(1.0, 0.4), (2.0, 0.4)]), 1.5), 0.4)
     assert line.distance(LineString([(1.0, 9.0), (2.0, 9.0)]), 1.5) == 1.5
+
+
+def test_what_was_seen_before_changes_nothing():
+    region = Region(box(0.0, 0.0, 9.0, 9.0))
+    before = region.pieces
+    region.grow(box(1.0, 1.0, 7.5, 8.0))
+    assert all(after is piece for after, piece in zip(region.pieces, before, strict=True))
+    region.grow(box(8.0, 8.0, 9.5, 9.0))
+    np.testing.assert_allclose(region.geometry.area, 81.5, atol=1e-6)
+
+
+@pytest.mark.parametrize(("radius", "allowed"), [(5.0, 0.1), (0.2, 0.0072)])
+def test_an_outline_measured_keeps_the_corners_its_size_needs(radius: float, allowed: float):
+    angles = np.linspace(0.0, 2.0 * np.pi, 600, endpoint=False)
+    wavy = radius * (1.0 + 0.005 * np.sin(150.0 * angles))
+    outline = shapely.Polygon(np.stack((wavy * np.cos(angles), wavy * np.sin(angles)), axis=1))
+    few = coarse(outline)
+    assert shapely.get_num_coordinates(few) < 60
+    assert shapely.hausdorff_distance(few, outline) <= allowed
+    assert abs(few.area / outline.area - 1.0) < 0.02
