@@ -31,14 +31,16 @@ def make_room(path: Path) -> None:
     """
     journal = path.with_name(path.name + "-wal")
     try:
-        with journal.open("r+b") as file:
+        with journal.open("r+b", buffering=0) as file:
             size = file.seek(0, os.SEEK_END)
+            room = max(_ROOM - size, 0)
             try:
-                file.write(bytes(max(_ROOM - size, 0)))
-                file.flush()
-                os.fsync(file.fileno())
+                enough = file.write(bytes(room)) == room
             except OSError:
-                os.ftruncate(file.fileno(), size)
+                enough = False
+            if not enough:
+                file.truncate(size)
+            os.fsync(file.fileno())
     except OSError:
         return  # there is no journal to be made larger
 
@@ -51,7 +53,7 @@ def lost_frames(path: Path) -> int:
     journal = path.with_name(path.name + "-wal")
     data = journal.read_bytes() if journal.is_file() else b""
     if len(data) < _HEADER:
-        return _promised(path, None)
+        return _promised(path, None) or 0
     magic, _, page = struct.unpack_from(">III", data)
     order, salts = (">" if magic & 1 else "<"), data[16:24]
     page = 65536 if page == 1 else page
@@ -72,15 +74,18 @@ def lost_frames(path: Path) -> int:
                 committed = number if struct.unpack_from(">I", data, start + 4)[0] else committed
         if same:
             last = number
-    return max(_promised(path, salts) - committed, last - valid, 0)
+    promised = _promised(path, salts)
+    if promised is not None:  # what is behind it was begun and never committed: a kill, or a disk that was full
+        return max(promised - committed, 0)
+    return max(last - valid, 0)
 
 
-def _promised(path: Path, salts: bytes | None) -> int:
-    """Frames that the index beside the journal says were committed, if it is of the same generation."""
+def _promised(path: Path, salts: bytes | None) -> int | None:
+    """Frames that the index beside the journal says were committed; None: there is none of the same generation."""
     index = path.with_name(path.name + "-shm")
-    data = index.read_bytes()[:48] if index.is_file() else b""
-    if len(data) < 48 or not data[12] or (salts is not None and data[32:40] != salts):
-        return 0
+    data = index.read_bytes()[:96] if index.is_file() else b""
+    if len(data) < 96 or data[:48] != data[48:] or not data[12] or (salts is not None and data[32:40] != salts):
+        return None
     return struct.unpack_from("=I", data, 16)[0]
 
 

@@ -89,8 +89,7 @@ def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int) -> Iter
     stamps = _choose_stamps(log, rig, config.keyframes)
     lines = _scans_of(log, rig, "line")
     slices = _scans_of(log, rig, "slice")
-    line_home = _nearest(stamps, [scan.stamp_ns for scan in lines])
-    slice_home = _nearest(stamps, [scan.stamp_ns for scan in slices])
+    line_homes, slice_homes = _at_home(stamps, lines), _at_home(stamps, slices)
     for index, stamp in enumerate(stamps[start:], start):
         motion = None if index == 0 else track.motion(stamps[index - 1], stamp)
         observations: list[Observation] = []
@@ -98,13 +97,13 @@ def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int) -> Iter
         beams: list[FloatArray] = []
         notes: list[str] = []
         for name, sensor in rig.of_kind("slice").items():
-            window = [s for s, home in zip(slices, slice_home, strict=True) if home == index and s.sensor == name]
+            window = slice_homes.get((index, name), [])
             if window:
                 scans += window
                 measure = partial(planes_of_window, window, stamp, sensor, track, config)
                 observations += _measured(measure, stamp, config, notes)
         for name, sensor in rig.of_kind("line").items():
-            near = [s for s, home in zip(lines, line_home, strict=True) if home == index and s.sensor == name]
+            near = line_homes.get((index, name), [])
             if near:
                 scan = min(near, key=lambda s: abs(s.stamp_ns - stamp))
                 scans.append(scan)
@@ -170,6 +169,14 @@ def _track_of(log: Log, rig: Rig) -> OdometryTrack:
     if not readings:
         raise LogError(log.source, "expected odometry beside the scans, found none")
     return OdometryTrack(readings, rig.odometry)
+
+
+def _at_home(stamps: Sequence[int], scans: Sequence[LaserScan]) -> dict[tuple[int, str], list[LaserScan]]:
+    """The scans of each keyframe and sensor, in time order: those it is the nearest keyframe of."""
+    homes: dict[tuple[int, str], list[LaserScan]] = {}
+    for scan, home in zip(scans, _nearest(stamps, [scan.stamp_ns for scan in scans]).tolist(), strict=True):
+        homes.setdefault((home, scan.sensor), []).append(scan)
+    return homes
 
 
 def _nearest(stamps: Sequence[int], times: Sequence[int]) -> np.ndarray:

@@ -187,8 +187,9 @@ def _fresh(out: Path, begin: Callable[[Path], None], *, overwrite: bool) -> Iter
 
 
 def _holds_keyframes(folder: Path) -> bool:
+    """Whether there is anything to lose; in doubt there is."""
     try:
         with Session.open(folder / SESSION_FILE, read_only=True) as session:
             return len(session) > 0
-    except ValueError:
-        return False
+    except (ValueError, OSError):
+        return (folder / SESSION_FILE).exists()

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, MutableSequence, Sequence
+from collections.abc import MutableSequence, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
 from slam._session_codec import encode
 from slam.association import Decision
 from slam.config import SlamConfig
+from slam.forgetting import ForgottenKeyframes
 from slam.io.log import Log
 from slam.keyframes import Keyframe
-from slam.observations import Observation
 from slam.prior import PriorMap
 from slam.recorder import Recorder
 from slam.store import Session, SessionError, session_path
@@ -70,41 +70,6 @@ class SessionRecorder(Recorder):
     def close(self) -> None:
         """Close the session."""
         self.session.close()
-
-
-class ForgottenKeyframes(list[Keyframe]):
-    """Keyframes whose measurements stay on disk."""
-
-    def __init__(self, session: Session) -> None:
-        super().__init__()
-        self._session = session
-
-    def append(self, keyframe: Keyframe) -> None:
-        """Keep the time and the motion, not what was seen."""
-        seen = _StoredObservations(self._session, len(self), len(keyframe.observations))
-        super().append(replace(keyframe, observations=seen, scans=()))
-
-
-class _StoredObservations(Sequence[Observation]):
-    """The measurements of a keyframe, read when they are asked for."""
-
-    __slots__ = ("_index", "_session", "_size")
-
-    def __init__(self, session: Session, index: int, size: int) -> None:
-        self._session, self._index, self._size = session, index, size
-
-    def __len__(self) -> int:
-        return self._size
-
-    @overload
-    def __getitem__(self, item: int) -> Observation: ...
-    @overload
-    def __getitem__(self, item: slice) -> Sequence[Observation]: ...
-    def __getitem__(self, item: int | slice) -> Observation | Sequence[Observation]:
-        return self._session.keyframe(self._index).observations[item]
-
-    def __iter__(self) -> Iterator[Observation]:
-        return iter(self._session.keyframe(self._index).observations)
 
 
 def open_slam(

@@ -10,6 +10,7 @@ import sqlite3
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -250,6 +251,35 @@ def test_a_full_disk_is_one_sentence_and_what_was_recorded_is_safe(mission: Path
     with Session.open(out, read_only=True) as session:
         assert len(session) > 1
         assert all(entry.keyframe.observations for entry in session.entries())
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 300 kB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(place)], capture_output=True, text=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip(f"no file system can be mounted here: {mounted.stderr.strip()}")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+@pytest.mark.skipif(shutil.which("mount") is None, reason="no mount here")
+def test_a_full_disk_that_is_one(mission: Path, whole: Path, small_disk: Path, tmp_path: Path, capsys):
+    """With room somewhere else the run goes on to the result it would have had."""
+    config = mission.parent / "config.yaml"
+    code, err = run(capsys, "slam", mission, "--out", small_disk / "run", "--config", config)
+    assert code == 1 and "Traceback" not in err
+    assert "the disk is full" in err and "what was recorded before is safe" in err
+    with Session.open(small_disk / "run", read_only=True) as session:
+        assert len(session) > 1
+        assert all(entry.keyframe.observations for entry in session.entries())
+    moved = Path(shutil.copytree(small_disk / "run", tmp_path / "moved"))
+    assert run(capsys, "slam", "--resume", moved)[0] == 0
+    assert (moved / "planes.json").read_bytes() == (whole / "planes.json").read_bytes()
 
 
 def test_a_commit_that_fails_leaves_the_estimator_as_it_was(tmp_path: Path):

@@ -83,6 +83,7 @@ def test_measurements_on_disk_alone_make_the_same_map(tmp_path: Path, uninterrup
         for keyframe in drive(0).keyframes:
             slam.add_keyframe(keyframe)
         assert type(slam.keyframes[3].observations).__name__ == "_StoredObservations"
+        assert "returns" not in vars(slam.keyframes[3])
         assert encode(slam.keyframes[3].observations[2]) == encode(uninterrupted.keyframes[3].observations[2])
         assert_same_estimate(slam, uninterrupted)
 
