@@ -110,15 +110,16 @@ class LoopConfig(_Frozen):
 
 
 class CoastingConfig(_Frozen):
-    """How far motion that nobody measured may differ from the motion before: wide, for the planes are to say it."""
+    """How far motion that nobody measured may differ from the motion before: wide, for the planes are to say it, and
+    clouds that tell no time are taken as 1 s apart."""
 
-    speed_sigma_m_per_s: float = Field(default=1.0, gt=0)
+    speed_sigma_m_per_s: float = Field(default=2.0, gt=0)
     """Of the speed, as long as no motion before is known, m/s."""
-    turn_sigma_rad_per_s: float = Field(default=0.7, gt=0)
+    turn_sigma_rad_per_s: float = Field(default=1.4, gt=0)
     """Of the rate of turn, as long as no motion before is known, rad/s."""
-    acceleration_sigma_m_per_s2: float = Field(default=0.7, gt=0)
+    acceleration_sigma_m_per_s2: float = Field(default=2.0, gt=0)
     """Of the change of speed, m/s^2: somebody who carries the sensor starts and stops within a second or two."""
-    turn_change_sigma_rad_per_s2: float = Field(default=0.5, gt=0)
+    turn_change_sigma_rad_per_s2: float = Field(default=1.4, gt=0)
     """Of the change of the rate of turn, rad/s^2."""
     robust: RobustKernel | None = "cauchy"
     """Robust kernel on what is matched at a place that the planes had to find: some of it will be wrong."""

@@ -76,7 +76,7 @@ def _flat_planes(
             continue
         drift = tilt_drift(refitted, part, sensor) if sensor.tilt_sigma_rad > 0.0 else None
         if is_one_plane(refitted, part, noise, viewpoint, config.measurements, drift_m=drift):
-            observations.append(PlaneObservation(refitted.transform(sensor.body_T_sensor)))
+            observations.append(PlaneObservation(_in_scan(refitted, sensor).transform(sensor.body_T_sensor)))
     return observations, labels < 0
 
 
@@ -220,6 +220,12 @@ def _refit_all(
         parts = zip(points, covariances, planes, strict=True)
         return [_refit(part, noise, plane, viewpoint=viewpoint) for part, noise, plane in parts]
     return [_outlined(fitted, plane) for fitted, plane in zip(fits, planes, strict=True)]
+
+
+def _in_scan(plane: Plane, sensor: Sensor) -> Plane:
+    """The plane with the error that all points of a scan's plane share, whatever their number."""
+    shared = np.diag([sensor.plane_sigma_m**2, sensor.plane_sigma_rad**2, sensor.plane_sigma_rad**2])
+    return replace(plane, covariance=plane.covariance + shared) if shared.any() else plane
 
 
 def _refit(points: FloatArray, covariances: FloatArray, plane: Plane, **fit: np.ndarray) -> Plane | None:

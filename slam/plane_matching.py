@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -21,6 +22,8 @@ _MOST, _SEEDS = 28, 9
 _ANGLE, _DISTANCE, _GAP = np.deg2rad(3.5), 0.10, 0.5
 #: The same, as standard deviations, once a motion is worked out.
 _FINE_ANGLE, _FINE_DISTANCE = np.deg2rad(1.0), 0.03
+#: A motion is looked for as far as so many standard deviations; what it costs grows slower beyond the first few.
+_FAR, _TAIL = 6.0, 2.0
 #: Planes closer in direction than this define no rotation: cosine of 20 deg.
 _PARALLEL = 0.94
 #: Rotations that are looked at closer, pairs that make translations, and motions whose outlines are compared.
@@ -96,9 +99,16 @@ class _Planes:
 
 
 def _price(motion: FloatArray, sigmas: tuple[float, float]) -> float:
-    """What a motion of this size costs: half its chi2 by the expectation."""
+    """What a motion of this size costs: half its chi2 by the expectation while small, only the log of it far off.
+
+    Expectations fail: wheels slip, guesses are guesses, and what carries a sensor turns on its heel.
+    """
     angle = np.arccos(np.clip(0.5 * (np.trace(motion[:3, :3]) - 1.0), -1.0, 1.0))
-    return 0.5 * float((angle / sigmas[1]) ** 2 + motion[:3, 3] @ motion[:3, 3] / sigmas[0] ** 2)
+    return _tail((angle / sigmas[1]) ** 2) + _tail(motion[:3, 3] @ motion[:3, 3] / sigmas[0] ** 2)
+
+
+def _tail(chi2: Any) -> Any:
+    return _TAIL * np.log1p(0.5 * chi2 / _TAIL)
 
 
 def _rotations(mine: _Planes, theirs: _Planes, sigma_rad: float) -> list[FloatArray]:
@@ -110,10 +120,10 @@ def _rotations(mine: _Planes, theirs: _Planes, sigma_rad: float) -> list[FloatAr
     a, b = np.nonzero(np.abs(angles[:, None] - other_angles[None, :]) < _ANGLE)
     rotations = np.einsum("kij,klj->kil", others[b], frames[a])
     turns = np.arccos(np.clip(0.5 * (np.trace(rotations, axis1=1, axis2=2) - 1.0), -1.0, 1.0))
-    near = turns < max(3.0 * sigma_rad, 0.1)
+    near = turns < max(_FAR * sigma_rad, 0.1)
     rotations, turns = rotations[near], turns[near]
     agree = np.einsum("kij,nj,mi->knm", rotations, mine.normals, theirs.normals, optimize=True).max(axis=2)
-    scores = (agree > np.cos(_ANGLE)) @ mine.weights - 0.5 * (turns / sigma_rad) ** 2
+    scores = (agree > np.cos(_ANGLE)) @ mine.weights - _tail((turns / sigma_rad) ** 2)
     chosen: list[FloatArray] = []
     for index in np.argsort(-scores, kind="stable").tolist():
         candidate = rotations[index]
@@ -149,7 +159,7 @@ def _translations(
         return []
     weights = np.minimum(mine.weights[i], theirs.weights[j])
     offsets, normals = theirs.distances[j] - mine.distances[i], theirs.normals[j]
-    near = np.abs(offsets) < 3.0 * sigmas[0]
+    near = np.abs(offsets) < _FAR * sigmas[0]
     strongest = np.argsort(-np.where(near, weights, -1.0), kind="stable")[:_PAIRS]
     strongest = strongest[near[strongest]]
     triples = np.array(list(combinations(strongest.tolist(), min(3, len(strongest)))), dtype=np.int64)
@@ -162,7 +172,7 @@ def _translations(
     starts = np.flatnonzero(np.diff(i, prepend=-1))
     found = np.maximum.reduceat(np.where(fits, mine.weights[i], 0.0), starts, axis=1).sum(axis=1)
     results = []
-    for index in np.argsort(-(found - 0.5 * (shifts**2).sum(axis=1) / sigmas[0] ** 2), kind="stable")[:3].tolist():
+    for index in np.argsort(-(found - _tail((shifts**2).sum(axis=1) / sigmas[0] ** 2)), kind="stable")[:3].tolist():
         motion = np.eye(4)
         motion[:3, :3], motion[:3, 3] = rotation, shifts[index]
         results.append((float(found[index]) - _price(motion, sigmas), motion))

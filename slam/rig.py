@@ -55,6 +55,10 @@ class Sensor(Frozen):
     the scan share it."""
     tilt_correlation_lines: Positive = 20.0
     """Number of neighbouring lines of a tilting scanner that share one such error."""
+    plane_sigma_m: NotNegative = 0.0
+    """Systematic error of every plane of a 3D scan that no number of points averages away: along its normal, m."""
+    plane_sigma_rad: NotNegative = 0.0
+    """The same of its tilt, about each axis in the plane, rad: angles of a turned laser, motion within a scan."""
     range_min_m: NotNegative = 0.0
     """Ranges below this are the robot itself, or too near to be measured, m."""
 
