@@ -5,6 +5,7 @@ from slam.evaluation.labels import HooverCounts, LabelTable, hoover_counts, labe
 from slam.evaluation.metrics import Metric
 from slam.evaluation.planes import PlaneMatch, match_planes, plane_metrics
 from slam.evaluation.relations import relation_errors, relation_metrics
+from slam.evaluation.sharpness import Sharpness, compare_sharpness
 from slam.evaluation.trajectories import (
     PoseErrors,
     absolute_error,
@@ -21,10 +22,12 @@ __all__ = [
     "Metric",
     "PlaneMatch",
     "PoseErrors",
+    "Sharpness",
     "absolute_error",
     "align",
     "alignment_of",
     "common_poses",
+    "compare_sharpness",
     "evaluate_run",
     "hoover_counts",
     "label_metrics",

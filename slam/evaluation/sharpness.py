@@ -1,0 +1,124 @@
+"""How sharp a map is: how thin surfaces are that several scans saw, by two sets of poses of the same scans."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.evaluation.metrics import Metric
+from spplanes._check import FloatArray
+
+#: Cells of fewer points, or of points of fewer scans, say nothing.
+_MIN_POINTS, _MIN_SCANS = 30, 3
+#: A cell holds one plane where its thickness is at most this share of its smaller width (standard deviations).
+_FLAT = 0.2
+#: A plane this near to the face of a cube, in thicknesses, may be cut in two along itself, and seem thinner.
+_CUT = 4.0
+
+
+@dataclass(frozen=True)
+class Sharpness:
+    """Distances of points from the planes that scans share, by two sets of poses."""
+
+    estimate_m: float
+    """Median distance by the poses asked about, m; NaN where no plane is shared."""
+    reference_m: float
+    """Median distance of the same points by the poses beside them, m."""
+    cells: int
+    """Pieces of planes that were looked at."""
+    points: int
+    """Points on them."""
+
+    def metrics(self) -> list[Metric]:
+        """The rows of a table."""
+        return [
+            Metric("sharpness, median point to plane", self.estimate_m, "m"),
+            Metric("sharpness by the reference", self.reference_m, "m"),
+            Metric("sharpness, pieces of planes", self.cells, ""),
+        ]
+
+
+def compare_sharpness(
+    clouds: Sequence[FloatArray], poses: FloatArray, reference: FloatArray, *, cell_m: float = 1.0
+) -> Sharpness:
+    """Compare two sets of poses of the same scans by how thin they make the planes that at least three scans see.
+
+    The points are put where `poses` has them and gathered in cubes. A cube whose points, of all scans together, lie
+    about one plane by the one set of poses and by the other is one both see; of its points the distances from the
+    plane through them are taken, by either set with a plane of its own.
+
+    Args:
+        clouds: points of each scan in the body's frame, shape (N, 3) or (S, B, 3), m; NaN = no return.
+        poses: world_T_body of each scan, shape (K, 4, 4).
+        reference: the same by somebody else, in a world of its own, shape (K, 4, 4).
+        cell_m: side of the cubes, m.
+
+    Raises:
+        ValueError: not as many poses as clouds, or a side that is none.
+    """
+    if not len(clouds) == len(poses) == len(reference):
+        raise ValueError(f"poses: expected {len(clouds)}, one a cloud, got {len(poses)} and {len(reference)}")
+    if not cell_m > 0.0:
+        raise ValueError(f"cell_m: expected more than 0, got {cell_m}")
+    used = [flat[np.isfinite(flat).all(axis=1)] for flat in (np.reshape(cloud, (-1, 3)) for cloud in clouds)]
+    scan = np.repeat(np.arange(len(used)), [len(cloud) for cloud in used])
+    mine, theirs = _placed(used, poses), _placed(used, reference)
+    cell = np.unique(np.floor(mine / cell_m).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
+    shared = _shared(cell, scan)
+    mine, theirs, cell = mine[shared[cell]], theirs[shared[cell]], cell[shared[cell]]
+    cell = np.unique(cell, return_inverse=True)[1].ravel()
+    if not len(cell):
+        return Sharpness(np.nan, np.nan, 0, 0)
+    here, there = _Pieces.of(mine, cell), _Pieces.of(theirs, cell)
+    both = here.flat & there.flat & ~here.are_cut(cell_m)
+    if not both.any():
+        return Sharpness(np.nan, np.nan, 0, 0)
+    ours, others = np.median(here.distances[both[cell]]), np.median(there.distances[both[cell]])
+    return Sharpness(float(ours), float(others), int(both.sum()), int(both[cell].sum()))
+
+
+def _placed(clouds: Sequence[FloatArray], poses: FloatArray) -> FloatArray:
+    return np.concatenate([cloud @ T[:3, :3].T + T[:3, 3] for cloud, T in zip(clouds, poses, strict=True)])
+
+
+def _shared(cell: np.ndarray, scan: np.ndarray) -> np.ndarray:
+    """Which cells hold enough points of enough scans."""
+    pairs = np.unique(np.stack((cell, scan), axis=1), axis=0)
+    return (np.bincount(pairs[:, 0]) >= _MIN_SCANS) & (np.bincount(cell) >= _MIN_POINTS)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """The planes through the points of every cell."""
+
+    centres: FloatArray
+    normals: FloatArray
+    widths: FloatArray
+    distances: FloatArray
+
+    @classmethod
+    def of(cls, points: FloatArray, cell: np.ndarray) -> _Pieces:
+        """From points (N, 3) and the cell (N,) of each."""
+        counts = np.bincount(cell)
+        centres = np.stack([np.bincount(cell, column) for column in points.T], axis=1) / counts[:, None]
+        away = points - centres[cell]
+        scatter = np.empty((len(counts), 3, 3))
+        for i, j in np.ndindex(3, 3):
+            scatter[:, i, j] = np.bincount(cell, away[:, i] * away[:, j]) / counts
+        values, vectors = np.linalg.eigh(scatter)
+        normals = vectors[:, :, 0]
+        distances = np.abs(np.einsum("ni,ni->n", away, normals[cell]))
+        return cls(centres, normals, np.sqrt(np.maximum(values, 0.0)), distances)
+
+    @property
+    def flat(self) -> np.ndarray:
+        """Which are planes."""
+        return self.widths[:, 0] <= _FLAT * self.widths[:, 1]
+
+    def are_cut(self, cell_m: float) -> np.ndarray:
+        """Which lie along a face of their cube."""
+        axis = np.abs(self.normals).argmax(axis=1)
+        place = np.take_along_axis(self.centres, axis[:, None], axis=1)[:, 0] / cell_m
+        return np.abs(place - np.rint(place)) * cell_m < _CUT * self.widths[:, 0]
