@@ -15,14 +15,16 @@ MAX_PREDICTION = 5.0
 
 
 @njit(cache=True, error_model="numpy")
-def normal_equations(bearings, ranges, sigmas, members, alpha, rho):
+def normal_equations(cosines, sines, ranges, sigmas, members, alpha, rho):
     """Of the range residuals e: information sum J J^T / sigma^2 (3 entries), gradient sum J e / sigma^2 (2), chi2.
 
-    J is the derivative of the range rho / cos(a - alpha) by (alpha, rho): (-rho sin / cos^2, 1 / cos).
+    J is the derivative of the range rho / cos(a - alpha) by (alpha, rho): (-rho sin / cos^2, 1 / cos). Cosines and
+    sines are those of the bearings; those of a - alpha follow without another call for every beam.
     """
     i00 = i01 = i11 = g0 = g1 = chi2 = 0.0
+    nx, ny = np.cos(alpha), np.sin(alpha)
     for k in members:
-        c, s = np.cos(bearings[k] - alpha), np.sin(bearings[k] - alpha)
+        c, s = cosines[k] * nx + sines[k] * ny, sines[k] * nx - cosines[k] * ny
         by_rho = 1.0 / (c * sigmas[k])
         by_alpha = -rho * s / c * by_rho
         error = ranges[k] / sigmas[k] - rho * by_rho
@@ -32,10 +34,10 @@ def normal_equations(bearings, ranges, sigmas, members, alpha, rho):
 
 
 @njit(cache=True, error_model="numpy")
-def fit_beams(bearings, ranges, sigmas, members, alpha, rho):
+def fit_beams(cosines, sines, ranges, sigmas, members, alpha, rho):
     """Gauss-Newton from (alpha, rho): (alpha, rho, var alpha, cov, var rho, chi2); chi2 = inf: it did not converge."""
     for _ in range(MAX_STEPS):
-        i00, i01, i11, g0, g1, chi2 = normal_equations(bearings, ranges, sigmas, members, alpha, rho)
+        i00, i01, i11, g0, g1, chi2 = normal_equations(cosines, sines, ranges, sigmas, members, alpha, rho)
         det = i00 * i11 - i01 * i01
         if not det > 1e-13 * i00 * i11:
             break
@@ -103,7 +105,7 @@ def grow(bearings, ranges, sigmas, breaks, labels, members, line, gate):
 
 
 @njit(cache=True, error_model="numpy")
-def turning(bearings, ranges, sigmas, members, line):
+def turning(bearings, cosines, sines, ranges, sigmas, members, line):
     """Angle, rad, by which the beams turn from end to end if they are an arc, and its standard deviation.
 
     The second-order coefficient of the normal residual over 1, t, t^2 with t in [-1, 1] is the sagitta.
@@ -112,9 +114,10 @@ def turning(bearings, ranges, sigmas, members, line):
     first, last = rho * np.tan(bearings[members[0]] - alpha), rho * np.tan(bearings[members[-1]] - alpha)
     half, middle = 0.5 * (last - first), 0.5 * (last + first)
     w0 = w1 = w2 = w3 = w4 = g0 = g1 = g2 = 0.0
+    nx, ny = np.cos(alpha), np.sin(alpha)
     for k in members:
-        c = np.cos(bearings[k] - alpha)
-        t = (rho * np.tan(bearings[k] - alpha) - middle) / half
+        c = cosines[k] * nx + sines[k] * ny
+        t = (rho * (sines[k] * nx - cosines[k] * ny) / c - middle) / half
         error = ranges[k] * c - rho
         weight = 1.0 / (c * sigmas[k]) ** 2
         w0, g0 = w0 + weight, g0 + weight * error

@@ -21,12 +21,20 @@ UNDECIDED = 6.0
 
 
 @njit(cache=True, error_model="numpy")
+def full_turn(angle):
+    """The same angle in [0, 2 pi); of most it is seen without a division."""
+    return angle if 0.0 <= angle < 2.0 * np.pi else angle % (2.0 * np.pi)
+
+
+@njit(cache=True, error_model="numpy")
 def order_beams(ranges, angles, range_min, range_max):
     """Indices of the returns in order of bearing, from the widest gap on (V,); that gap and the median step, rad."""
     n = angles.size
-    turn = (angles - angles[0]) % (2.0 * np.pi)
-    order = np.arange(n)
-    if (np.diff(turn) < 0.0).any():
+    turn, order, ordered = np.empty(n), np.arange(n), True
+    for k in range(n):
+        turn[k] = full_turn(angles[k] - angles[0])
+        ordered &= k == 0 or not turn[k] - turn[k - 1] < 0.0
+    if not ordered:
         order = np.argsort(turn, kind="mergesort")
     steps = np.empty(n)
     for k in range(n - 1):
@@ -35,8 +43,8 @@ def order_beams(ranges, angles, range_min, range_max):
     widest = np.argmax(steps)
     valid = np.empty(n, dtype=np.int64)
     count = 0
-    for k in range(n):
-        beam = order[(widest + 1 + k) % n]
+    for k in range(widest + 1, widest + 1 + n):
+        beam = order[k if k < n else k - n]
         if range_min < ranges[beam] < range_max:
             valid[count] = beam
             count += 1
@@ -51,7 +59,7 @@ def slope_sigmas(bearings, ranges, sigmas, bearing_sigma):
         return sigmas
     slopes = np.empty(n)
     for k in range(n):
-        step = (bearings[k] - bearings[k - 1]) % (2.0 * np.pi)
+        step = full_turn(bearings[k] - bearings[k - 1])
         slopes[k] = abs(ranges[k] - ranges[k - 1]) / max(step, 1e-9)
     result = np.empty(n)
     for k in range(n):
@@ -60,11 +68,11 @@ def slope_sigmas(bearings, ranges, sigmas, bearing_sigma):
 
 
 @njit(cache=True, error_model="numpy")
-def beam_moments(bearings, ranges, sigmas):
+def beam_moments(cosines, sines, ranges, sigmas):
     """Share of every beam in the six sums (V, 6): w cc, w cs, w ss, w cq, w sq, w qq; q = 1/r, w = r^4 / sigma^2."""
-    moments = np.empty((bearings.size, N_SUMS))
-    for k in range(bearings.size):
-        c, s, r = np.cos(bearings[k]), np.sin(bearings[k]), ranges[k]
+    moments = np.empty((ranges.size, N_SUMS))
+    for k in range(ranges.size):
+        c, s, r = cosines[k], sines[k], ranges[k]
         scale = (r / sigmas[k]) ** 2
         moments[k, 0] = scale * r * r * c * c
         moments[k, 1] = scale * r * r * c * s
@@ -76,15 +84,21 @@ def beam_moments(bearings, ranges, sigmas):
 
 
 @njit(cache=True, error_model="numpy")
+def fit_of(cc, cs, ss, cq, sq, qq):
+    """(u, v, chi2) of the best line through beams with these six sums; one bearing only: the best perpendicular."""
+    det = cc * ss - cs * cs
+    if det <= SINGULAR * (cc + ss) ** 2:
+        weight = cc + ss
+        return cq / weight, sq / weight, max(0.0, qq - (cq * cq + sq * sq) / weight)
+    u = (ss * cq - cs * sq) / det
+    v = (cc * sq - cs * cq) / det
+    return u, v, max(0.0, qq - u * cq - v * sq)
+
+
+@njit(cache=True, error_model="numpy")
 def fit_sums(m):
-    """(u, v, chi2) of the best line through the beams whose sums are `m`; one bearing only: the best perpendicular."""
-    det = m[0] * m[2] - m[1] * m[1]
-    if det <= SINGULAR * (m[0] + m[2]) ** 2:
-        weight = m[0] + m[2]
-        return m[3] / weight, m[4] / weight, max(0.0, m[5] - (m[3] * m[3] + m[4] * m[4]) / weight)
-    u = (m[2] * m[3] - m[1] * m[4]) / det
-    v = (m[0] * m[4] - m[1] * m[3]) / det
-    return u, v, max(0.0, m[5] - u * m[3] - v * m[4])
+    """`fit_of` the six sums in an array."""
+    return fit_of(m[0], m[1], m[2], m[3], m[4], m[5])
 
 
 @njit(cache=True, error_model="numpy")
@@ -92,16 +106,19 @@ def sum_range(moments, low, high):
     """The six sums of the beams low..high-1."""
     total = np.zeros(N_SUMS)
     for k in range(low, high):
-        total += moments[k]
+        for i in range(N_SUMS):
+            total[i] += moments[k, i]
     return total
 
 
 @njit(cache=True, error_model="numpy")
-def triple_fails(bearings, ranges, sigmas, i, j, k, gate):
-    """True when three neighbouring beams are not on one line: chi2 with 1 dof of their collinearity above `gate`."""
-    left = np.sin(bearings[k] - bearings[j])
+def triple_fails(bearings, ranges, sigmas, sines, i, j, k, gate):
+    """True when three neighbouring beams are not on one line: chi2 with 1 dof of their collinearity above `gate`.
+
+    `sines` are those of the steps to each beam from the one before.
+    """
+    left, right = sines[k], sines[j]
     middle = -np.sin(bearings[k] - bearings[i])
-    right = np.sin(bearings[j] - bearings[i])
     error = left / ranges[i] + middle / ranges[j] + right / ranges[k]
     variance = (
         (left * sigmas[i] / ranges[i] ** 2) ** 2
@@ -115,13 +132,15 @@ def triple_fails(bearings, ranges, sigmas, i, j, k, gate):
 def find_breaks(bearings, ranges, sigmas, max_step, gate):
     """For each beam the kind of break before it (V,): 0 none, 1 the depth jumps, 2 beams are missing; closed ring."""
     n = bearings.size
+    sines = np.empty(n)
+    for k in range(n):
+        sines[k] = np.sin(bearings[k] - bearings[k - 1])
     fails = np.empty(n, dtype=np.bool_)
     for k in range(n):
-        fails[k] = triple_fails(bearings, ranges, sigmas, k - 1, k, (k + 1) % n, gate)
+        fails[k] = triple_fails(bearings, ranges, sigmas, sines, k - 1, k, k + 1 if k + 1 < n else 0, gate)
     breaks = np.zeros(n, dtype=np.int8)
     for k in range(n):
-        step = (bearings[k] - bearings[k - 1]) % (2.0 * np.pi)
-        if step > max_step:
+        if full_turn(bearings[k] - bearings[k - 1]) > max_step:
             breaks[k] = 2
         elif fails[k] and fails[k - 1]:
             breaks[k] = 1
@@ -135,17 +154,18 @@ def best_split(moments, low, high, cost):
     `cost` is scratch of `high` floats; cost[k] becomes the chi2 of a split before beam k plus PARAMETER_COST for each
     parameter used: without it two beams, which some line always fits, would leave the longer piece for nothing.
     """
-    total = np.zeros(N_SUMS)
-    before = 0.0
+    cc = cs = ss = cq = sq = qq = before = 0.0  # scalars: an array of six sums would be written back at every beam
     for k in range(low, high):
         cost[k] = before + PARAMETER_COST * min(2, k - low)
-        total += moments[k]
-        before = fit_sums(total)[2]
-    total[:] = 0.0
+        cc, cs, ss = cc + moments[k, 0], cs + moments[k, 1], ss + moments[k, 2]
+        cq, sq, qq = cq + moments[k, 3], sq + moments[k, 4], qq + moments[k, 5]
+        before = fit_of(cc, cs, ss, cq, sq, qq)[2]
+    cc = cs = ss = cq = sq = qq = 0.0
     at, best = low, np.inf
     for k in range(high - 1, low, -1):
-        total += moments[k]
-        cost[k] += fit_sums(total)[2] + PARAMETER_COST * min(2, high - k)
+        cc, cs, ss = cc + moments[k, 0], cs + moments[k, 1], ss + moments[k, 2]
+        cq, sq, qq = cq + moments[k, 3], sq + moments[k, 4], qq + moments[k, 5]
+        cost[k] += fit_of(cc, cs, ss, cq, sq, qq)[2] + PARAMETER_COST * min(2, high - k)
         if cost[k] < best:
             best, at = cost[k], k
     return at, before + 4.0 * PARAMETER_COST - best

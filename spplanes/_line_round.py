@@ -33,11 +33,11 @@ def solve_symmetric(a, b, c, d, e, f, x, y, z):
 
 
 @njit(cache=True, error_model="numpy")
-def circle_step(bearings, ranges, sigmas, low, high, x, y, radius):
+def circle_step(cosines, sines, ranges, sigmas, low, high, x, y, radius):
     """One Gauss-Newton step for the circle nearest to beams low..high-1: (x, y, radius, chi2 before the step)."""
     a = b = c = d = e = f = gx = gy = gr = chi2 = 0.0
     for k in range(low, high):
-        cosine, sine = np.cos(bearings[k]), np.sin(bearings[k])
+        cosine, sine = cosines[k], sines[k]
         dx, dy = ranges[k] * cosine - x, ranges[k] * sine - y
         distance = np.hypot(dx, dy) + 1e-12
         dx, dy = dx / distance, dy / distance
@@ -52,13 +52,13 @@ def circle_step(bearings, ranges, sigmas, low, high, x, y, radius):
 
 
 @njit(cache=True, error_model="numpy")
-def algebraic_circle(bearings, ranges, low, high):
+def algebraic_circle(cosines, sines, ranges, low, high):
     """Circle from the linear least squares of x^2 + y^2 = 2 a x + 2 b y + c about the middle beam: (x, y, radius)."""
     middle = (low + high) // 2
-    ox, oy = ranges[middle] * np.cos(bearings[middle]), ranges[middle] * np.sin(bearings[middle])
+    ox, oy = ranges[middle] * cosines[middle], ranges[middle] * sines[middle]
     a = b = c = d = e = gx = gy = 0.0
     for k in range(low, high):
-        x, y = ranges[k] * np.cos(bearings[k]) - ox, ranges[k] * np.sin(bearings[k]) - oy
+        x, y = ranges[k] * cosines[k] - ox, ranges[k] * sines[k] - oy
         square = x * x + y * y
         a, b, c, d, e = a + x * x, b + x * y, c + x, d + y * y, e + y
         gx, gy = gx + square * x, gy + square * y
@@ -80,13 +80,13 @@ def bulges(bearings, ranges, low, at, high):
 
 
 @njit(cache=True, error_model="numpy")
-def bulging_arc(bearings, ranges, sigmas, low, high, chi2_lines):
+def bulging_arc(cosines, sines, ranges, sigmas, low, high, chi2_lines):
     """Angle by which beams low..high-1 turn as an arc bulging to the sensor; 0 when lines of that chi2 fit better."""
-    x, y, radius = algebraic_circle(bearings, ranges, low, high)
+    x, y, radius = algebraic_circle(cosines, sines, ranges, low, high)
     chi2, previous = np.inf, np.inf
     for _ in range(MAX_STEPS):
         previous = chi2
-        x, y, radius, chi2 = circle_step(bearings, ranges, sigmas, low, high, x, y, radius)
+        x, y, radius, chi2 = circle_step(cosines, sines, ranges, sigmas, low, high, x, y, radius)
         if not 0.0 < radius < 1e3 or chi2 > HOPELESS * chi2_lines:
             return 0.0
         if abs(chi2 - previous) < CHI2_TOLERANCE:
@@ -94,13 +94,13 @@ def bulging_arc(bearings, ranges, sigmas, low, high, chi2_lines):
     if chi2 > chi2_lines or x * x + y * y <= ranges[(low + high) // 2] ** 2:
         return 0.0
     k = high - 1
-    first = np.arctan2(ranges[low] * np.sin(bearings[low]) - y, ranges[low] * np.cos(bearings[low]) - x)
-    last = np.arctan2(ranges[k] * np.sin(bearings[k]) - y, ranges[k] * np.cos(bearings[k]) - x)
+    first = np.arctan2(ranges[low] * sines[low] - y, ranges[low] * cosines[low] - x)
+    last = np.arctan2(ranges[k] * sines[k] - y, ranges[k] * cosines[k] - x)
     return abs((last - first + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 @njit(cache=True, error_model="numpy")
-def find_round(bearings, ranges, sigmas, moments, breaks, starts, significance, min_arc):
+def find_round(bearings, cosines, sines, ranges, sigmas, moments, breaks, starts, significance, min_arc):
     """Whether each beam (V,) is on an arc of at least `min_arc` that explains neighbouring pieces as lines do."""
     result = np.zeros(bearings.size, dtype=np.bool_)
     n_pieces = starts.size - 1
@@ -114,7 +114,8 @@ def find_round(bearings, ranges, sigmas, moments, breaks, starts, significance, 
             if breaks[starts[j]] == 2 or high - low < 5 or not bulges(bearings, ranges, low, starts[j], high):
                 break
             lines += chi2[j]
-            arc = bulging_arc(bearings, ranges, sigmas, low, high, lines + split_gate(high - low, significance))
+            gate = lines + split_gate(high - low, significance)
+            arc = bulging_arc(cosines, sines, ranges, sigmas, low, high, gate)
             if arc == 0.0:
                 break
             if arc > min_arc:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import atan2, cos, hypot, inf, isfinite, nan, pi, remainder, sin
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,6 +62,24 @@ class ScanLine:
         object.__setattr__(self, "indices", _as_indices(self.indices))
         object.__setattr__(self, "endpoints", _as_square("endpoints", self.endpoints))
         object.__setattr__(self, "covariance", _as_covariance(self.covariance))
+
+    @classmethod
+    def _trusted(
+        cls,
+        alpha: float,
+        rho: float,
+        covariance: FloatArray,
+        endpoints: FloatArray,
+        indices: np.ndarray,
+        chi2: float,
+        dof: int,
+    ) -> Self:
+        """A line from values that are known to be good, without checking them again."""
+        line = object.__new__(cls)
+        line.__dict__.update(
+            alpha=alpha, rho=rho, covariance=covariance, endpoints=endpoints, indices=indices, chi2=chi2, dof=dof
+        )
+        return line
 
     @property
     def normal(self) -> FloatArray:

@@ -98,7 +98,7 @@ def extract_lines(
     ends = np.cumsum(counts)
     blocks = rows[:, 4:].reshape(-1, 2, 2, 2)
     return [
-        ScanLine(alpha, rho, block[0], block[1], support[end - count : end], chi2, int(dof))
+        ScanLine._trusted(alpha, rho, block[0], block[1], support[end - count : end], chi2, int(dof))
         for (alpha, rho, chi2, dof), block, count, end in zip(rows[:, :4].tolist(), blocks, counts, ends, strict=True)
     ]
 
