@@ -27,6 +27,11 @@ def available() -> int:
     return max(min(cores, config.NUMBA_NUM_THREADS), 1)  # type: ignore[attr-defined]
 
 
+def threads_for(size: int) -> int:
+    """Threads that work on so many points is worth."""
+    return max(min(available(), size // LEAST), 1)
+
+
 def in_parts(work: Callable[[int, int], object], count: int, size: int, *, singly: bool = False) -> None:
     """Call ``work(first, last)`` for parts of ``range(count)``, all of it once, on as many threads as are worth it.
 
@@ -36,7 +41,7 @@ def in_parts(work: Callable[[int, int], object], count: int, size: int, *, singl
         size: points that all of them together stand for.
         singly: one number at a time, in order, where some take far longer than others: those come first.
     """
-    threads = min(available(), count, size // LEAST)
+    threads = min(threads_for(size), count)
     if threads < 2:
         work(0, count)
         return

@@ -29,6 +29,8 @@ def choose_blocks(points, covariance, labels, start, planes, gate, floor_varianc
     for i0 in range(start, n_rows, size):
         for j0 in range(0, n_cols, size):
             i1, j1 = min(i0 + size, n_rows), min(j0 + size, n_cols)
+            if _is_uniform(labels, i0, j0, i1, j1):
+                continue
             n_found = _regions_around(labels, i0, j0, i1, j1, found)
             if n_found < 2:
                 continue
@@ -70,6 +72,19 @@ def _misfit(points, covariance, labels, i0, j0, i1, j1, region, planes, floor_va
         return 0.0
     mean /= weight
     return mean * mean / (1.0 / weight + floor_variance)
+
+
+@njit(cache=True)
+def _is_uniform(labels, i0, j0, i1, j1):
+    """Whether a block and the frame one point wide around it have one label: most have, and rows compare fast."""
+    j0, j1 = max(j0 - 1, 0), min(j1 + 1, labels.shape[1])
+    one, unlike = labels[i0, j0], 0
+    for i in range(max(i0 - 1, 0), min(i1 + 1, labels.shape[0])):
+        for j in range(j0, j1):
+            unlike |= labels[i, j] ^ one
+        if unlike != 0:
+            return False
+    return True
 
 
 @njit(cache=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from spplanes._threads import in_parts, threads_for
 from spplanes.moments import merge_rows
 from spplanes.segmentation._patches import (
     add_run,
@@ -15,6 +16,9 @@ from spplanes.segmentation._patches import (
     residual_chi2,
     variance_from,
 )
+
+#: Threads that fit regions at most: each of them walks over all labels.
+MOST_SHARES = 4
 
 
 @njit(cache=True)
@@ -27,28 +31,49 @@ def hesse(rows):
     return planes
 
 
-@njit(cache=True)
 def fit_regions(points, covariance, labels, rows, prior, floor_variance):
     """Moments of the labelled points, added to `prior` (R, 11), weighted along the normal of `rows` (R, 11).
 
     Sums are taken about the centres of `rows`, near enough to the points to lose nothing.
     """
-    planes, sums = hesse(rows), np.zeros(rows.shape)
-    n_cols = labels.shape[1]
+    planes, fresh = hesse(rows), prior.copy()
+    n_shares = min(threads_for(labels.size), MOST_SHARES)
+    shares = _share_out(rows, n_shares)
+
+    def some(first: int, last: int) -> None:
+        for mine in range(first, last):
+            _fit_share(points, covariance, labels, rows, planes, prior, floor_variance, shares, mine, fresh)
+
+    in_parts(some, n_shares, labels.size, singly=True)
+    return fresh
+
+
+@njit(cache=True)
+def _share_out(rows, n_shares):
+    """A share for every region, (R,): largest regions first, each to the share with the fewest points so far."""
+    share, load = np.zeros(rows.shape[0], dtype=np.int64), np.zeros(n_shares)
+    for r in np.argsort(-rows[:, 0], kind="mergesort"):
+        share[r] = load.argmin()
+        load[share[r]] += rows[r, 0]
+    return share
+
+
+@njit(cache=True, nogil=True)
+def _fit_share(points, covariance, labels, rows, planes, prior, floor_variance, shares, mine, fresh):
+    """The moments of the regions of one share, added to those of `fresh`; each region's points in the grid's order."""
+    sums, n_cols = np.zeros(rows.shape), labels.shape[1]
     for i in range(labels.shape[0]):
         j = 0
         while j < n_cols:
             r, begin = labels[i, j], j
             while j < n_cols and labels[i, j] == r:
                 j += 1
-            if r >= 0:
+            if r >= 0 and shares[r] == mine:
                 add_run(sums[r], points, covariance, i, begin, j, rows[r, 2:5], planes[r], floor_variance, True)
-    fresh = prior.copy()
     for r in range(rows.shape[0]):
         if sums[r, 1] > 0.0:
             centre_sums(sums[r], rows[r, 2:5])
             merge_rows(prior[r], sums[r], fresh[r])
-    return fresh
 
 
 @njit(cache=True)
@@ -114,11 +139,20 @@ def _mark_sources(labels, valid, start, i, marked):
         marked[j] &= labels[i, j] >= 0
 
 
-@njit(cache=True)
 def release(points, covariance, labels, planes, bias, size, limit):
     """Unlabel, in place, the points that one region has in one cell where their mean distance is no chance (chi2)."""
+
+    def some(first: int, last: int) -> None:
+        _release_in(points, covariance, labels, planes, bias, size, limit, first, last)
+
+    in_parts(some, (len(labels) + size - 1) // size, labels.size)
+
+
+@njit(cache=True, nogil=True)
+def _release_in(points, covariance, labels, planes, bias, size, limit, first, last):
+    """The same in the rows of cells from first to last."""
     sums = np.zeros((planes.shape[0], 2))
-    for i0 in range(0, labels.shape[0], size):
+    for i0 in range(first * size, min(last * size, labels.shape[0]), size):
         for j0 in range(0, labels.shape[1], size):
             i1, j1 = min(i0 + size, labels.shape[0]), min(j0 + size, labels.shape[1])
             for sweep in range(3):
@@ -142,60 +176,3 @@ def release(points, covariance, labels, planes, bias, size, limit):
                     if labels[i, j] <= -2:
                         sums[-2 - labels[i, j], 0] = 0.0
                         labels[i, j] = -1
-
-
-@njit(cache=True)
-def border_pairs(points, covariance, valid, views, labels, planes, sizes, bias, gap, hidden):
-    """Pairs of unlike regions, (E, 2), that touch, or that an occluder parts along a row or column.
-
-    With an occluder, the points between lie clearly before the plane; at most `gap` of them are missing, up to four of
-    its edges lie on the plane. It is at most `gap` points wide, or `hidden` times as wide as the smaller region, which
-    else would not tell what is behind it. A gap of 0 asks for regions that touch. Points on the plane or behind it, a
-    seam or a doorway, show that the surface ends.
-    """
-    n_rows, n_cols = labels.shape
-    pairs = np.empty((4 * labels.size, 2), dtype=np.int64)
-    count = 0
-    for along in range(2):
-        outer, inner = (n_rows, n_cols) if along == 0 else (n_cols, n_rows)
-        for u in range(outer):
-            for v in range(1, inner):
-                i, j = (u, v) if along == 0 else (v, u)
-                r = labels[i, j]
-                if r < 0 or r == (labels[i, j - 1] if along == 0 else labels[i - 1, j]):
-                    continue
-                on_plane, before, missing = 0, 0, 0
-                widest = max(gap, int(hidden * np.sqrt(sizes[r]))) if gap else 0
-                for back in range(1, min(widest + 1, v) + 1):
-                    a, b = (i, j - back) if along == 0 else (i - back, j)
-                    q = labels[a, b]
-                    if q == r:
-                        break
-                    near = back <= gap + 1 or back <= hidden * np.sqrt(sizes[max(q, 0)])
-                    if q >= 0 and near and (back == 1 or before > 0) and count < pairs.shape[0]:
-                        pairs[count, 0], pairs[count, 1] = min(q, r), max(q, r)
-                        count += 1
-                    side = 1
-                    if valid[a, b]:
-                        side = _side(points, covariance, a, b, views, planes, r, bias[r])
-                    else:
-                        missing += 1
-                    if missing > gap:
-                        break
-                    if side > 0:
-                        before += 1
-                    elif side == 0 and q < 0 and on_plane < 4:
-                        on_plane += 1
-                    else:
-                        break
-    return pairs[:count]
-
-
-@njit(cache=True)
-def _side(points, covariance, i, j, views, planes, r, bias):
-    """1: the point lies before the plane, on the viewpoint's side; -1: behind it; 0: within its noise and tolerance."""
-    distance = distance_of(points, i, j, planes, r)
-    eye = views[i, 0] * planes[r, 0] + views[i, 1] * planes[r, 1] + views[i, 2] * planes[r, 2] - planes[r, 3]
-    if distance * distance <= 9.0 * variance_from(covariance, i, j, planes, r) + 25.0 * bias:
-        return 0
-    return 1 if distance * eye > 0.0 else -1

@@ -7,7 +7,7 @@ from scipy.special import chdtri, ndtri  # scipy.stats would take 0.7 s of every
 
 from spplanes._check import FloatArray
 from spplanes._raster import distinct
-from spplanes.segmentation import cells, growing, steps
+from spplanes.segmentation import cells, growing, meeting, steps
 from spplanes.segmentation.clustering import cluster
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.sheet import Sheet, append, fuse, is_determined
@@ -72,7 +72,7 @@ def fuse_neighbours(sheet: Sheet, views: FloatArray, gap: int, config: MapperCon
 def _neighbours(sheet: Sheet, views: FloatArray, planes: FloatArray, gap: int, config: MapperConfig) -> np.ndarray:
     """Pairs of regions that meet, each once, shape (E, 2)."""
     tolerance = config.flatness_m**2 + sheet.bias[:, 0]
-    pairs = growing.border_pairs(
+    pairs = meeting.border_pairs(
         sheet.points,
         sheet.covariance,
         sheet.valid,
