@@ -62,6 +62,8 @@ def as_variances(valid: np.ndarray, covariances: ArrayLike | None, sigma: ArrayL
         sure = as_positive("sigma", float(sigma))  # type: ignore[arg-type]
         if sure < LEAST_SIGMA_M:
             raise ValueError(f"sigma: expected at least {LEAST_SIGMA_M:g} m, got {sure:g} m")
+        if sure > FARTHEST_M:
+            raise ValueError(f"sigma: expected at most {FARTHEST_M:g} m, got {sure:g} m")
         return np.full((*valid.shape, 1), sure**2)
     spread = as_shape("sigma", sigma, valid.shape, finite=False)  # type: ignore[arg-type]
     if not (spread[valid] >= LEAST_SIGMA_M).all() or not np.isfinite(spread[valid]).all():
