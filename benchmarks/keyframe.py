@@ -25,8 +25,9 @@ from slam.io.default_rigs import cloud_rig, threedtk_rig
 from slam.io.load import load
 from slam.io.log import CloudScan, Log, OdometryReading
 from slam.keyframes import keyframes_of
-from slam.measure import for_sensor, line_tilt_covariances, model_of, usable_points
+from slam.measure import for_points, for_sensor, usable_points
 from slam.planeslam import PlaneSlam
+from slam.point_errors import line_tilt_covariances, model_of
 from slam.rig import OdometryNoise, Rig, Sensor
 from slam.simulation.hall import hall, hall_path
 from slam.simulation.noise import drifting_odometry, noisy_ranges
@@ -178,7 +179,7 @@ def _stages_of_measuring(scan: CloudScan, rig: Rig, config: SlamConfig) -> dict[
     noise = model_of(sensor).covariances(grid)
     find = partial(
         segment_scans,
-        config=for_sensor(config.mapper, sensor),
+        config=for_points(for_sensor(config.mapper, sensor), grid),
         viewpoints=np.zeros(3),
         pose_covariances=line_tilt_covariances(sensor, len(grid)),
     )

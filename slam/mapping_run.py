@@ -12,8 +12,9 @@ from slam.cloud_map import map_clouds
 from slam.config import SlamConfig
 from slam.io.log import CloudScan, LaserScan, Log, LogError
 from slam.io.trajectories import Trajectory
-from slam.measure import for_sensor, model_of, usable_ranges
+from slam.measure import for_sensor, usable_ranges
 from slam.planeslam import MapPlane
+from slam.point_errors import model_of
 from slam.rig import Rig, Sensor
 from slam.run import Progress, StageClock
 from spplanes import MapperConfig, PlaneMapper

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from shapely import Polygon
 
-from slam._patch_kernels import numbered, patches_of, with_shared, within
+from slam._patch_kernels import within
 from slam.config import SlamConfig
 from slam.frames import inverse
 from slam.goodness import is_one_plane
@@ -15,14 +16,17 @@ from slam.io.arrange import arrange, grid_of
 from slam.io.log import CloudScan, LaserScan
 from slam.observations import LineObservation, PlaneObservation
 from slam.odometry import OdometryTrack
-from slam.outlines import coarse, flatten
+from slam.outlines import coarse, flatten, largest_polygon
+from slam.point_errors import line_tilt_covariances, model_of, servo_covariances, surface_covariances, tilt_drift
 from slam.rig import Sensor
 from slam.sweep import middle_ns, place_beams
 from slam.window import window_poses
 from spplanes import LineConfig, MapperConfig, Plane, extract_lines, fit_plane, fit_planes, segment_scans
 from spplanes._check import FloatArray
-from spplanes.noise import SensorModel
 from spplanes.registration import register_scans
+
+#: Columns of a grid whose points tell how far apart rows lie: each of so many.
+_EVERY = 8
 
 
 def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list[PlaneObservation]:
@@ -59,7 +63,7 @@ def _flat_planes(
     labels, planes = segment_scans(
         points,
         covariances,
-        config=for_sensor(config.mapper, sensor),
+        config=for_points(for_sensor(config.mapper, sensor), points),
         viewpoints=viewpoint,
         pose_covariances=line_tilt_covariances(sensor, len(points)) if servo else None,
     )
@@ -129,15 +133,6 @@ def lines_of_scan(scan: LaserScan, sensor: Sensor, kf_T_body: FloatArray, config
     return [LineObservation(line, kf_T_body @ sensor.body_T_sensor) for line in lines]
 
 
-def model_of(sensor: Sensor) -> SensorModel:
-    """Errors of the sensor's beams."""
-    return SensorModel(
-        range_sigma_m=sensor.range_sigma_m,
-        bearing_sigma_rad=sensor.bearing_sigma_rad,
-        quantisation_m=sensor.quantisation_m,
-    )
-
-
 def for_sensor(config: MapperConfig, sensor: Sensor) -> MapperConfig:
     """The segmentation's settings with the flatness that the sensor's systematic error leaves to be seen.
 
@@ -148,6 +143,17 @@ def for_sensor(config: MapperConfig, sensor: Sensor) -> MapperConfig:
     if sensor.tilt_sigma_rad == 0.0:
         return replace(config, flatness_m=flatness)
     return replace(config, flatness_m=flatness, pose_correlation_scans=0.5 * sensor.tilt_correlation_lines)
+
+
+def for_points(config: MapperConfig, points: FloatArray) -> MapperConfig:
+    """The segmentation's settings with outlines as fine as points (S, B, 3) let them be.
+
+    Their cells are half as wide as what usually lies between points of neighbouring rows, up to twice what is asked.
+    """
+    steps = np.linalg.norm(np.diff(points[:, ::_EVERY], axis=0), axis=-1)
+    steps = steps[np.isfinite(steps)]
+    apart = float(np.median(steps)) if len(steps) else 0.0
+    return replace(config, outline_cell_m=min(max(0.5 * apart, config.outline_cell_m), 2.0 * config.outline_cell_m))
 
 
 def usable_ranges(ranges: FloatArray, sensor: Sensor) -> FloatArray:
@@ -163,63 +169,20 @@ def usable_points(points: FloatArray, sensor: Sensor) -> FloatArray:
     return within(flat, sensor.range_min_m, sensor.range_max_m).reshape(points.shape)
 
 
-def surface_covariances(points: FloatArray, covariances: FloatArray, plane: Plane, sensor: Sensor) -> FloatArray:
-    """Covariances (N, 3, 3) of a plane's points that also carry the surface's own error, which neighbours share.
-
-    The surface is cut into square patches of the correlation length; the points of one patch share an error of
-    `surface_sigma_m` along the normal. n points that share it say as much as n points with n times its variance each,
-    so a patch seen by many beams counts no more than its surface allows.
-    """
-    if sensor.surface_sigma_m == 0.0:
-        return covariances
-    row, column, n_rows, n_columns = patches_of(points, plane.frame, sensor.surface_correlation_m)
-    patch, count = numbered(row * n_columns + column, n_rows * n_columns)
-    return with_shared(covariances, patch, count, plane.normal[None], sensor.surface_sigma_m**2)
-
-
-def line_tilt_covariances(sensor: Sensor, n_lines: int) -> FloatArray | None:
-    """Covariances (S, 6, 6) of the errors (x, y, z, phi, theta, psi) of a tilting scanner's lines; None: none."""
-    if sensor.tilt_sigma_rad == 0.0:
-        return None
-    return np.tile(np.diag([0.0, 0.0, 0.0, 0.0, sensor.tilt_sigma_rad**2, 0.0]), (n_lines, 1, 1))
-
-
-def servo_covariances(points: FloatArray, covariances: FloatArray, line: np.ndarray, sensor: Sensor) -> FloatArray:
-    """Covariances (N, 3, 3) of a plane's points (N, 3) that also carry the servo's error, which lines (N,) share.
-
-    The lines are taken in blocks of `tilt_correlation_lines` that err alike, each block on its own. As with surfaces, n
-    points that share an error say as much as n points with n times its variance each.
-    """
-    if sensor.tilt_sigma_rad == 0.0:
-        return covariances
-    block = (line / sensor.tilt_correlation_lines).astype(np.int64)
-    return with_shared(covariances, block, int(block.max(initial=0)) + 1, _lever(points), sensor.tilt_sigma_rad**2)
-
-
-def tilt_drift(plane: Plane, points: FloatArray, sensor: Sensor) -> FloatArray:
-    """Standard deviation of the shift along the plane's normal that the servo's error gives points (N, 3), (N,), m."""
-    return sensor.tilt_sigma_rad * np.abs(_lever(points) @ plane.normal)
-
-
-def _lever(points: FloatArray) -> FloatArray:
-    """How points (N, 3) move when the servo turns them about y, m per rad, shape (N, 3)."""
-    return np.stack((points[:, 2], np.zeros(len(points)), -points[:, 0]), axis=1)
-
-
 def _refit_all(
     points: Sequence[FloatArray], covariances: Sequence[FloatArray], planes: Sequence[Plane], viewpoint: FloatArray
 ) -> list[Plane | None]:
     """`_refit` of many planes at once, where all can be fitted."""
     if not planes:
         return []
-    planes = [plane if plane.outline is None else replace(plane, outline=coarse(plane.outline)) for plane in planes]
     labels = np.repeat(np.arange(len(planes)), [len(part) for part in points])
     try:
         fits = fit_planes(np.concatenate(points), np.concatenate(covariances), labels, viewpoint=viewpoint)
     except ValueError:
         parts = zip(points, covariances, planes, strict=True)
         return [_refit(part, noise, plane, viewpoint=viewpoint) for part, noise, plane in parts]
-    return [_outlined(fitted, plane) for fitted, plane in zip(fits, planes, strict=True)]
+    coarsened = [None if plane.outline is None else coarse(plane.outline) for plane in planes]
+    return [_outlined(*one) for one in zip(fits, planes, coarsened, strict=True)]
 
 
 def _in_scan(plane: Plane, sensor: Sensor) -> Plane:
@@ -237,11 +200,12 @@ def _refit(points: FloatArray, covariances: FloatArray, plane: Plane, **fit: np.
         fitted = fit_plane(points, covariances, **fit)  # type: ignore[arg-type]
     except ValueError:
         return None
-    return _outlined(fitted, plane)
+    return _outlined(fitted, plane, plane.outline)
 
 
-def _outlined(fitted: Plane, plane: Plane) -> Plane:
-    """A plane fitted anew with the outline of what it was before."""
-    if plane.outline is None:
+def _outlined(fitted: Plane, plane: Plane, outline: Polygon | None) -> Plane:
+    """A plane fitted anew with an outline that is given in the frame it had before."""
+    if outline is None:
         return fitted
-    return replace(fitted, outline=flatten(plane.outline, inverse(fitted.frame) @ plane.frame))
+    moved = largest_polygon(flatten(outline, inverse(fitted.frame) @ plane.frame))
+    return Plane._trusted(fitted.frame, fitted.covariance, fitted.n_points, moved, fitted.chi2)

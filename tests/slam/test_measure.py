@@ -10,17 +10,10 @@ import pytest
 from slam.config import MeasurementConfig, SlamConfig
 from slam.goodness import could_be_seen, fits_its_noise, has_step, is_one_plane
 from slam.io.log import CloudScan
-from slam.measure import (
-    line_tilt_covariances,
-    planes_of_cloud,
-    servo_covariances,
-    surface_covariances,
-    tilt_drift,
-    usable_points,
-    usable_ranges,
-)
+from slam.measure import _refit_all, for_points, planes_of_cloud, usable_points, usable_ranges
+from slam.point_errors import line_tilt_covariances, servo_covariances, surface_covariances, tilt_drift
 from slam.rig import Sensor
-from spplanes import Plane, fit_plane
+from spplanes import MapperConfig, Plane, fit_plane
 from tests.statistics import assert_mean_in_band
 
 RULES = MeasurementConfig()
@@ -209,3 +202,29 @@ def test_ranges_outside_the_limits_are_no_returns():
 def test_a_rig_refuses_negative_sigmas(value: float):
     with pytest.raises(ValueError, match="tilt_sigma_rad"):
         sensor(tilt_sigma_rad=value)
+
+
+@pytest.mark.parametrize(("apart_m", "cell_m"), [(0.02, 0.05), (0.16, 0.08), (3.0, 0.1)])
+def test_outlines_are_as_fine_as_rows_of_points_lie_apart(apart_m: float, cell_m: float):
+    row, column = np.meshgrid(np.arange(20.0), np.arange(30.0), indexing="ij")
+    points = np.stack((np.full_like(row, 4.0), 0.01 * column, apart_m * row), axis=2)
+    points[3:5, :7] = np.nan
+    assert for_points(MapperConfig(outline_cell_m=0.05), points).outline_cell_m == pytest.approx(cell_m)
+    assert for_points(MapperConfig(outline_cell_m=0.05), np.full((4, 9, 3), np.nan)).outline_cell_m == 0.05
+
+
+def test_a_plane_that_can_no_longer_be_fitted_costs_the_others_nothing():
+    """Refitted all at once, or, where that fails, one by one: the same planes."""
+    rng = np.random.default_rng(12)
+    good = [patch(rng), patch(rng) + np.array([0.0, 0.0, 1.0])]
+    line = np.stack((np.linspace(0.0, 1.0, 50), np.zeros(50), np.zeros(50)), axis=1)
+    planes = [fit_plane(part, sigma=SIGMA, viewpoint=[0.0, 0.0, 9.0]) for part in good]
+    eye = np.array([0.0, 0.0, 9.0])
+    together = _refit_all(good, [isotropic(part) for part in good], planes, eye)
+    parts = [good[0], line, good[1]]
+    apart = _refit_all(parts, [isotropic(part) for part in parts], [planes[0], planes[0], planes[1]], eye)
+    assert apart[1] is None
+    for one, other in zip(together, (apart[0], apart[2]), strict=True):
+        assert one is not None and other is not None
+        np.testing.assert_array_equal(one.frame, other.frame)
+        np.testing.assert_array_equal(one.covariance, other.covariance)
