@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from spplanes._threads import in_parts
 from spplanes.segmentation._patches import distance_of, residual_chi2, variance_from
 
 #: Chi2 by which another region must explain the points of a block better before they change sides.
@@ -13,28 +14,61 @@ BLOCK_GAIN = 4.0
 BLOCK_MISFIT = 9.0
 #: Regions looked at around one block.
 MANY = 8
+#: Blocks that have one label, frame included; whose regions all fit; one of whose regions does not.
+UNIFORM, FITTING, MISFIT = 0, 1, 2
 
 
-@njit(cache=True)
 def choose_blocks(points, covariance, labels, start, planes, gate, floor_variance, size):
     """Move the points that a region has in a square block to the neighbouring region that explains them better.
 
     One point's noise may be wider than the step between two planes; that of a block is not. One sweep, in place.
+    Which points may move at all is found first, block by block: it does not depend on what others do.
 
     Returns:
         Number of points moved.
     """
-    n_rows, n_cols = labels.shape
-    found, sums, moved = np.empty(MANY, dtype=np.int64), np.empty(MANY), 0
-    for i0 in range(start, n_rows, size):
-        for j0 in range(0, n_cols, size):
-            i1, j1 = min(i0 + size, n_rows), min(j0 + size, n_cols)
+    state = np.zeros(((len(labels) - start + size - 1) // size, (labels.shape[1] + size - 1) // size), dtype=np.uint8)
+
+    def some(first: int, last: int) -> None:
+        _find_misfits(points, covariance, labels, start, planes, floor_variance, size, first, last, state)
+
+    in_parts(some, len(state), labels.size)
+    return _move_blocks(points, covariance, labels, start, planes, gate, floor_variance, size, state)
+
+
+@njit(cache=True, nogil=True)
+def _find_misfits(points, covariance, labels, start, planes, floor_variance, size, first, last, state):
+    """Write to `state`, shape (blocks, blocks), what the blocks in the rows of blocks from first to last are."""
+    found = np.empty(MANY, dtype=np.int64)
+    for u in range(first, last):
+        i0 = start + u * size
+        i1 = min(i0 + size, labels.shape[0])
+        for v in range(state.shape[1]):
+            j0, j1 = v * size, min((v + 1) * size, labels.shape[1])
             if _is_uniform(labels, i0, j0, i1, j1):
+                state[u, v] = UNIFORM
                 continue
             n_found = _regions_around(labels, i0, j0, i1, j1, found)
-            if n_found < 2:
-                continue
+            state[u, v] = MISFIT if n_found == MANY else FITTING  # of so many, others may be looked at later
             for k in range(n_found):
+                chi2 = _misfit(points, covariance, labels, i0, j0, i1, j1, found[k], planes, floor_variance)
+                if not chi2 < BLOCK_MISFIT:
+                    state[u, v] = MISFIT
+                    break
+
+
+@njit(cache=True)
+def _move_blocks(points, covariance, labels, start, planes, gate, floor_variance, size, state):
+    """The moves, block after block; see `choose_blocks`."""
+    found, sums, moved = np.empty(MANY, dtype=np.int64), np.empty(MANY), 0
+    for u in range(state.shape[0]):
+        for v in range(state.shape[1]):
+            if state[u, v] != MISFIT:
+                continue
+            i0, j0 = start + u * size, v * size
+            i1, j1 = min(i0 + size, labels.shape[0]), min(j0 + size, labels.shape[1])
+            n_found, before = _regions_around(labels, i0, j0, i1, j1, found), moved
+            for k in range(n_found if n_found > 1 else 0):
                 mine, inside = found[k], 0
                 if _misfit(points, covariance, labels, i0, j0, i1, j1, mine, planes, floor_variance) < BLOCK_MISFIT:
                     continue
@@ -55,7 +89,17 @@ def choose_blocks(points, covariance, labels, start, planes, gate, floor_varianc
                         for j in range(j0, j1):
                             if labels[i, j] == mine:
                                 labels[i, j] = found[best]
+            if moved > before:
+                _wake_neighbours(state, u, v)
     return moved
+
+
+@njit(cache=True)
+def _wake_neighbours(state, u, v):
+    """Look at the blocks beside and below a changed one that were alike all round: their frames may no longer be."""
+    for a, b in ((u, v + 1), (u + 1, v - 1), (u + 1, v), (u + 1, v + 1)):
+        if a < state.shape[0] and 0 <= b < state.shape[1] and state[a, b] == UNIFORM:
+            state[a, b] = MISFIT
 
 
 @njit(cache=True)

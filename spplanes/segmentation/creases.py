@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from spplanes._threads import in_parts
 from spplanes.segmentation._patches import distance_of, variance_from
 
 
-@njit(cache=True)
 def unlabel_creases(points, covariance, valid, labels, start, planes, max_angle, certainty):
     """Unlabel, in place, the points whose local normal is turned from that of their region.
 
@@ -26,19 +26,30 @@ def unlabel_creases(points, covariance, valid, labels, start, planes, max_angle,
         max_angle: turn a plane's surface may have anyway, rad.
         certainty: standard deviations of the local normal by which the turn must exceed that.
     """
-    n_rows, n_cols = labels.shape
-    first = max(start, 2)
-    across, down, full = _differences(points, valid, first)
+    top = max(start, 2)
+
+    def some(first: int, last: int) -> None:
+        _unlabel_in(points, covariance, valid, labels, planes, max_angle, certainty, top + first, top + last)
+
+    in_parts(some, max(len(labels) - 2 - top, 0), labels.size)
+
+
+@njit(cache=True, nogil=True)
+def _unlabel_in(points, covariance, valid, labels, planes, max_angle, certainty, first, last):
+    """The same in the rows from first to last."""
+    n_cols = labels.shape[1]
+    across, down, full = _differences(points[first - 2 : last + 2], valid[first - 2 : last + 2])
     u, v = np.empty(3), np.empty(3)
     cosine_limit = np.cos(max_angle)
-    for i in range(first, n_rows - 2):
+    for i in range(first, last):
+        a = i - first + 2
         for j in range(2, n_cols - 2):
             r = labels[i, j]
-            if r < 0 or not full[i, j]:
+            if r < 0 or not full[a, j]:
                 continue
             for k in range(3):
-                u[k] = across[i - 1, j, k] + across[i, j, k] + across[i + 1, j, k]
-                v[k] = down[i, j - 1, k] + down[i, j, k] + down[i, j + 1, k]
+                u[k] = across[a - 1, j, k] + across[a, j, k] + across[a + 1, j, k]
+                v[k] = down[a, j - 1, k] + down[a, j, k] + down[a, j + 1, k]
             nx, ny, nz = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
             square = nx * nx + ny * ny + nz * nz
             turned = abs(nx * planes[r, 0] + ny * planes[r, 1] + nz * planes[r, 2])
@@ -51,18 +62,18 @@ def unlabel_creases(points, covariance, valid, labels, start, planes, max_angle,
                 labels[i, j] = -1
 
 
-@njit(cache=True)
-def _differences(points, valid, first):
+@njit(cache=True, nogil=True)
+def _differences(points, valid):
     """Right minus left and below minus above, two points each, (S, B, 3), and whether the five by five are returns."""
     n_rows, n_cols = valid.shape
     across, down = np.empty(points.shape), np.empty(points.shape)
     five, full = np.zeros(valid.shape, dtype=np.bool_), np.zeros(valid.shape, dtype=np.bool_)
-    for i in range(first - 2, n_rows):
+    for i in range(n_rows):
         for j in range(2, n_cols - 2):
             five[i, j] = valid[i, j - 2] & valid[i, j - 1] & valid[i, j] & valid[i, j + 1] & valid[i, j + 2]
             for k in range(3):
                 across[i, j, k] = points[i, j + 1, k] + points[i, j + 2, k] - points[i, j - 1, k] - points[i, j - 2, k]
-    for i in range(first, n_rows - 2):
+    for i in range(2, n_rows - 2):
         for j in range(n_cols):
             full[i, j] = five[i - 2, j] & five[i - 1, j] & five[i, j] & five[i + 1, j] & five[i + 2, j]
             for k in range(3):
@@ -70,7 +81,6 @@ def _differences(points, valid, first):
     return across, down, full
 
 
-@njit(cache=True)
 def unlabel_seams(points, covariance, views, labels, start, planes, tolerance, flatness, reach, limit):
     """Unlabel, in place, the points around which a region's points lie behind its plane on average (chi2).
 
@@ -86,30 +96,55 @@ def unlabel_seams(points, covariance, views, labels, start, planes, tolerance, f
         reach: points that the window reaches to each side.
         limit: largest chi2 (1 dof) of the mean.
     """
-    n_rows, n_cols = labels.shape
     weight, moment = np.zeros(labels.shape), np.zeros(labels.shape)
-    for i in range(start, n_rows):
-        for j in range(n_cols):
+
+    def across(first: int, last: int) -> None:
+        _weigh_rows(points, covariance, labels, planes, reach, start + first, start + last, weight, moment)
+
+    def down(first: int, last: int) -> None:
+        sums = weight, moment
+        _judge_columns(covariance, views, labels, start, planes, tolerance, flatness, reach, limit, first, last, *sums)
+
+    in_parts(across, len(labels) - start, labels.size)
+    in_parts(down, labels.shape[1], labels.size)
+
+
+@njit(cache=True, nogil=True)
+def _weigh_rows(points, covariance, labels, planes, reach, first, last, weight, moment):
+    """Sums along the rows from first to last of weights, and of distances from planes times these."""
+    own_weight, own_moment = np.zeros((last - first, labels.shape[1])), np.zeros((last - first, labels.shape[1]))
+    for i in range(first, last):
+        for j in range(labels.shape[1]):
             r = labels[i, j]
             if r >= 0:
-                weight[i, j] = 1.0 / variance_from(covariance, i, j, planes, r)
-                moment[i, j] = weight[i, j] * distance_of(points, i, j, planes, r)
-    weight, moment = _sum_along(weight, labels, reach), _sum_along(moment, labels, reach)
-    across = np.ascontiguousarray(labels.T)
-    weight = _sum_along(np.ascontiguousarray(weight.T), across, reach)
-    moment = _sum_along(np.ascontiguousarray(moment.T), across, reach)
-    for i in range(start, n_rows):
-        for j in range(n_cols):
+                w = 1.0 / variance_from(covariance, i, j, planes, r)
+                own_weight[i - first, j], own_moment[i - first, j] = w, w * distance_of(points, i, j, planes, r)
+    own_labels = np.ascontiguousarray(labels[first:last])
+    weight[first:last] = _sum_along(own_weight, own_labels, reach)
+    moment[first:last] = _sum_along(own_moment, own_labels, reach)
+
+
+@njit(cache=True, nogil=True)
+def _judge_columns(
+    covariance, views, labels, start, planes, tolerance, flatness, reach, limit, first, last, weight, moment
+):
+    """Unlabel the points of the columns from first to last where the mean of their window lies behind the plane."""
+    own_labels = np.ascontiguousarray(labels[:, first:last].T)
+    own_weight = _sum_along(np.ascontiguousarray(weight[:, first:last].T), own_labels, reach)
+    own_moment = _sum_along(np.ascontiguousarray(moment[:, first:last].T), own_labels, reach)
+    for i in range(start, labels.shape[0]):
+        for j in range(first, last):
             r = labels[i, j]
             if r < 0 or variance_from(covariance, i, j, planes, r) <= flatness * flatness:
                 continue
-            if moment[j, i] ** 2 > limit * weight[j, i] * (1.0 + tolerance[r] * weight[j, i]):
+            w, m = own_weight[j - first, i], own_moment[j - first, i]
+            if m**2 > limit * w * (1.0 + tolerance[r] * w):
                 eye = views[i, 0] * planes[r, 0] + views[i, 1] * planes[r, 1] + views[i, 2] * planes[r, 2]
-                if moment[j, i] * (eye - planes[r, 3]) < 0.0:
+                if m * (eye - planes[r, 3]) < 0.0:
                     labels[i, j] = -1
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _sum_along(values, labels, reach):
     """Sums of the values within reach along every row that lie in the same run of equal labels."""
     n_rows, n_cols = values.shape
