@@ -62,10 +62,11 @@ class OpenStretch:
     @property
     def sentence(self) -> str:
         """One sentence for the screen."""
-        size = f"{self.sigma:.2g} m" if self.part == "position" else f"{np.rad2deg(self.sigma):.2g} deg"
+        size, unit = (self.sigma, "m") if self.part == "position" else (np.rad2deg(self.sigma), "deg")
+        number = f"{size:.2g}" if size < 100.0 else f"{size:.0f}"
         return (
             f"{name_of(self.part, self.direction)}: information only from {self.source} at {len(self.keyframes)} of "
-            f"{self.total} keyframes, sigma {size} at keyframe {self.keyframes[-1]}"
+            f"{self.total} keyframes, sigma {number} {unit} at keyframe {self.keyframes[-1]}"
         )
 
     def to_dict(self) -> dict[str, object]:
@@ -115,11 +116,24 @@ def open_directions(
     )
     for part, block, limit, silence in parts:
         variances, vectors = np.linalg.eigh(covariance[block, block])
-        for variance, vector in zip(variances[::-1], vectors.T[::-1], strict=True):
-            sigma = float(np.sqrt(variance))
-            if sigma > limit:
-                direction = _upright(world_T_body[:3, :3] @ vector)
-                found.append(OpenDirection(keyframe, part, direction, np.inf if sigma > silence else sigma))
+        sigmas, in_world = np.sqrt(variances[::-1]), world_T_body[:3, :3] @ vectors[:, ::-1]
+        silent, told = sigmas > silence, (sigmas > limit) & (sigmas <= silence)
+        open_ones = [(direction, np.inf) for direction in _along_axes(in_world[:, silent])]
+        open_ones += list(zip(in_world[:, told].T, sigmas[told].tolist(), strict=True))
+        found += [OpenDirection(keyframe, part, _upright(direction), sigma) for direction, sigma in open_ones]
+    return found
+
+
+def _along_axes(span: FloatArray) -> list[FloatArray]:
+    """Directions that span the same space (3, K), each as near to an axis of the world as may be: these have names.
+
+    Where nothing at all is known of two directions, eigenvectors are any two between them.
+    """
+    found = []
+    while span.shape[1]:
+        nearest = span @ span[np.linalg.norm(span, axis=1).argmax()]
+        found.append(nearest / np.linalg.norm(nearest))
+        span = span @ np.linalg.svd((found[-1] @ span)[None])[2][1:].T
     return found
 
 

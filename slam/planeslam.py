@@ -134,7 +134,7 @@ class PlaneSlam:
         keyframe = self.recorder.measured(len(self.keyframes), keyframe)
         pose_key = self._predict(keyframe)
         decisions = self._associate(keyframe, pose_key)
-        if not self._waiting:  # a motion found by the planes holds what they say: no innovation of theirs
+        if self._predicted is None or not is_wide(self._predicted):  # else the planes found it: no innovation of theirs
             self.audit.add(len(self.keyframes), (seen.kind for seen in keyframe.observations), decisions)
         self.recorder.decided(len(self.keyframes), decisions)
         self._look_for_open_directions(keyframe, pose_key, decisions)

@@ -132,3 +132,13 @@ def test_a_keyframe_without_odometry_and_without_planes_is_held_by_the_assumptio
         slam.add_keyframe(Keyframe(index * 10**9, []))
     assert {stretch.part for stretch in slam.open_directions} == {"position", "orientation"}
     assert np.isfinite(slam.marginal_covariance(pose_symbol(2))).all()
+
+
+def test_where_nothing_is_known_of_two_directions_they_are_called_by_the_axes():
+    """Seen a little askew, a wall alone leaves any direction in it open: those near the axes have names."""
+    wall = next(plane for plane in room_planes() if plane.normal[1] < -0.5)
+    turned = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.03, 0.05, 0.04), np.zeros(3)).matrix()
+    for slanted in (np.eye(4), turned):
+        seen = sight(wall.transform(inverse(turned)), np.diag([1e-4, 2e-6, 1e-6]))
+        found = open_directions(1, [seen], slanted, RULES)
+        assert sorted(one.name for one in found if one.part == "position") == ["along x", "along z"]
