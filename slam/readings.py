@@ -97,7 +97,7 @@ class Reader:
         return decision, likelihood
 
     def _shut_out(self, reading: Reading) -> list[tuple[int, int]]:
-        """Observations without a landmark that would have had a known one on their own, with it; each landmark once."""
+        """Observations without a landmark that would have had one on their own, with it; each landmark once."""
         state = self.state()
         tried: dict[int, int] = {}
         for index in self._firmest_first():
@@ -105,7 +105,7 @@ class Reader:
                 continue
             found = [one.candidate for one in innovations_of(self.prospects[index], state)]
             match = self._decide(index, found).match
-            if match is not None and match.confirmed:
+            if match is not None:
                 tried.setdefault(match.landmark, index)
         return [(index, landmark) for landmark, index in tried.items()][:_TRIED]
 
