@@ -1,6 +1,7 @@
 """How time and memory grow with the mission: lap after lap of an office, keyframes drawn from its true planes.
 
-`python -m benchmarks.growth [KEYFRAMES]`
+`python -m benchmarks.growth [KEYFRAMES] [PASSES]`; 10,000 keyframes, 64 laps, take ten minutes or more of processor
+time, so 2000 by default. PASSES: of `ThinningConfig`, 0 keeps every keyframe in the graph.
 
 Every keyframe sees a dozen planes near the robot, drawn from their own covariance, and drives half a metre on by an
 odometry that drifts; nothing is measured from points, so the time is that of the estimator alone.
@@ -8,17 +9,16 @@ odometry that drifts; nothing is measured from points, so the time is that of th
 
 from __future__ import annotations
 
-import resource
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from shapely import Polygon, box
 
-from slam import PlaneSlam
+from slam import PlaneSlam, SlamConfig
+from slam.config import ThinningConfig
 from slam.frames import inverse
 from slam.io.log import planar_transform
 from slam.keyframes import Keyframe
@@ -34,35 +34,77 @@ STEP_M, REACH_M, PATCH_M, MOST = 0.5, 5.0, 2.5, 12
 SIGMAS = np.array([0.003, 0.004, 0.004])
 
 
-def run(keyframes: int = 2000, seed: int = 0) -> list[dict]:
+def run(keyframes: int = 2000, passes: int | None = None, seed: int = 0) -> list[dict]:
     """One row for every tenth of a mission."""
-    slam, seconds, closing = PlaneSlam(), [], []
-    memory = _resident_mb()
-    for frame in mission(keyframes, seed):
-        loops, merges = len(slam.loops), len(slam.merges.history)
+    return list(tenths(keyframes, passes, seed))
+
+
+def tenths(keyframes: int, passes: int | None = None, seed: int = 0) -> Iterator[dict]:
+    """The rows, each as soon as it is known."""
+    rules = ThinningConfig() if passes is None else ThinningConfig(passes=passes)
+    slam, spent = PlaneSlam(SlamConfig(thinning=rules)), _Spent()
+    ends = {int(part[-1]) for part in np.array_split(np.arange(keyframes), 10)}
+    truth: list[np.ndarray] = []
+    first: float | None = None
+    for index, (frame, pose) in enumerate(mission(keyframes, seed)):
+        spent.add(slam, frame)
+        truth.append(pose)
+        if index in ends:
+            count = len(truth)
+            away = slam.trajectory.poses[index + 1 - count :, :2, 3] - np.array(truth)[:, :2, 3]
+            row = spent.row(slam)
+            first = first or row["median, ms"]
+            yield {
+                "keyframes": f"{index + 1 - count} to {index}",
+                **row,
+                "of the first tenth": row["median, ms"] / first,
+                "position, cm rms": 100.0 * float(np.sqrt((away**2).sum(axis=1).mean())),
+            }
+            truth.clear()
+
+
+class _Spent:
+    """Time and memory since the last row, loop closures apart."""
+
+    def __init__(self) -> None:
+        self._seconds: list[float] = []
+        self._closings: list[float] = []
+        self._memory = _resident_mb()
+
+    def add(self, slam: PlaneSlam, frame: Keyframe) -> None:
+        """Add a keyframe and take its time."""
+        loops = sum(merge.cause == "loop" for merge in slam.merges.history)
         start = time.process_time()
         slam.add_keyframe(frame)
-        seconds.append(time.process_time() - start)
-        closing.append(len(slam.merges.history) > merges and len(slam.loops) > loops)
-    memory = _resident_mb() - memory
-    tenths = np.array_split(np.arange(len(seconds)), 10)
-    times, apart = 1e3 * np.array(seconds), np.array(closing)
-    return [
-        {
-            "keyframes": f"{part[0]} to {part[-1]}",
-            "median, ms": float(np.median(times[part][~apart[part]])),
-            "90 %, ms": float(np.percentile(times[part][~apart[part]], 90)),
-            "loop closures": int(apart[part].sum()),
-            "of the first tenth": float(np.median(times[part][~apart[part]]) / np.median(times[tenths[0]])),
+        taken = time.process_time() - start
+        closed = sum(merge.cause == "loop" for merge in slam.merges.history) > loops
+        (self._closings if closed else self._seconds).append(taken)
+
+    def row(self, slam: PlaneSlam) -> dict[str, float]:
+        """What was spent, and starts anew."""
+        memory, count = _resident_mb(), len(self._seconds) + len(self._closings)
+        stages = {name: slam.backend.clock.seconds.get(name, 0.0) for name in ("optimise", "marginals")}
+        outer = sum(slam.clock.seconds.values())
+        row: dict[str, float] = {
+            "median, ms": 1e3 * float(np.median(self._seconds)),
+            "90 %, ms": 1e3 * float(np.percentile(self._seconds, 90)),
+            **{f"{name}, %": 100.0 * seconds / outer for name, seconds in stages.items()},
+            "closures": len(self._closings),
+            "longest, ms": 1e3 * max(self._closings, default=0.0),
+            "poses held": len(slam.keyframes) - slam.backend.n_left,
             "landmarks": len(slam.landmarks),
-            "kB per keyframe": 1e3 * memory / len(seconds),
+            "MB": memory,
+            "kB per keyframe": 1e3 * (memory - self._memory) / count,
         }
-        for part in tenths
-    ]
+        slam.clock.seconds.clear()
+        slam.backend.clock.seconds.clear()
+        self._memory = memory
+        self._seconds, self._closings = [], []
+        return row
 
 
-def mission(count: int, seed: int) -> Iterator[Keyframe]:
-    """Keyframes of a robot that drives round the office as often as it takes."""
+def mission(count: int, seed: int) -> Iterator[tuple[Keyframe, np.ndarray]]:
+    """Keyframes of a robot that drives round the office as often as it takes, with their true poses."""
     rng = np.random.default_rng(seed)
     laps = int(np.ceil(count * STEP_M / 78.0)) + 1
     path, planes, noise = office_path(laps), office().planes, OdometryNoise()
@@ -75,7 +117,7 @@ def mission(count: int, seed: int) -> Iterator[Keyframe]:
             covariance = noise.covariance(delta)
             drawn = delta + np.linalg.cholesky(covariance) @ rng.standard_normal(3)
             motion = Motion(planar_transform(*drawn), covariance, (1e-3, 1e-3, 1e-3))
-        yield Keyframe(index * 10**9, seen_from(pose, planes, rng), motion, pose if index == 0 else None)
+        yield Keyframe(index * 10**9, seen_from(pose, planes, rng), motion, pose if index == 0 else None), pose
         before = pose
 
 
@@ -114,18 +156,16 @@ def _measured(plane: Plane, patch: Polygon, body_T_world: np.ndarray, rng: np.ra
 
 
 def _resident_mb() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * 4096 / 1e6
 
 
 def main() -> None:
-    """Print the tenths of a mission."""
-    rows = run(*[int(word) for word in sys.argv[1:2]])
-    table = Table(title="time per keyframe over a mission, one core, CPU time")
-    for name in rows[0]:
-        table.add_column(name, justify="right")
-    for row in rows:
-        table.add_row(*(value if isinstance(value, str) else f"{value:.3g}" for value in row.values()))
-    Console(width=160).print(table)
+    """Print the tenths of a mission as they end."""
+    for number, row in enumerate(tenths(*[int(word) for word in sys.argv[1:3]] or [2000])):
+        if number == 0:
+            print("  ".join(row))
+        words = (value if isinstance(value, str) else f"{value:.4g}" for value in row.values())
+        print("  ".join(word.rjust(len(name)) for name, word in zip(row, words, strict=True)), flush=True)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import numpy as np
 
 from slam.clock import StageClock, timed
 from slam.config import BackendConfig
+from slam.past import PastPose, PastPoses
 from spplanes._check import FloatArray
 
 #: The turn of a pose's tangent: none.
@@ -36,6 +37,7 @@ class Backend:
         self._parameters.cacheLinearizedFactors = True
         self.clock = StageClock()
         self._isam = gtsam.ISAM2(self._parameters)
+        self._past = PastPoses()
         self._forget()
 
     def _forget(self) -> None:
@@ -44,6 +46,7 @@ class Backend:
         self._poses: dict[int, FloatArray] = {}
         self._planes: dict[int, gtsam.OrientedPlane3] = {}
         self._delta: gtsam.VectorValues | None = None
+        self._joint: JointCovariance | None = None
 
     @property
     def values(self) -> gtsam.Values:
@@ -104,13 +107,32 @@ class Backend:
     def pose(self, key: int) -> FloatArray:
         """world_T_body of a pose variable, shape (4, 4)."""
         if key not in self._poses:
-            self._poses[key] = self._isam.calculateEstimatePose3(key).matrix()
+            held = self.holds(key)
+            self._poses[key] = (
+                self._isam.calculateEstimatePose3(key).matrix() if held else self._past.pose(key, self.pose)
+            )
         return self._poses[key]
 
     def poses(self, keys: Sequence[int]) -> FloatArray:
         """world_T_body of many pose variables, shape (N, 4, 4)."""
         values = self.values
-        return np.array([values.atPose3(key).matrix() for key in keys]).reshape(-1, 4, 4)
+        self._poses |= {key: values.atPose3(key).matrix() for key in keys if key not in self._poses and self.holds(key)}
+        return np.array([self.pose(key) for key in keys]).reshape(-1, 4, 4)
+
+    def holds(self, key: int) -> bool:
+        """Whether a pose is a variable of the graph; if not, it has left it."""
+        return key not in self._past
+
+    @property
+    def n_left(self) -> int:
+        """How many poses have left the graph."""
+        return len(self._past)
+
+    def let_go(self, bases: dict[int, int]) -> None:
+        """Remember poses, which are about to leave the graph, each (key) by one that stays (value)."""
+        joint = self.joint_covariance(sorted({*bases, *bases.values()}))
+        for key, base in bases.items():
+            self._past.add(key, PastPose.of(base, self.pose(base), self.pose(key), joint.of([base, key])))
 
     def plane(self, key: int) -> gtsam.OrientedPlane3:
         """A landmark variable, in its anchor's frame."""
@@ -123,16 +145,26 @@ class Backend:
 
     @timed("marginals")
     def joint_covariance(self, keys: Sequence[int]) -> JointCovariance:
-        """Joint marginal covariance of a few variables, in the tangents of their current estimates."""
+        """Joint marginal covariance of a few variables, in the tangents of their current estimates.
+
+        What was asked last is kept until the graph changes.
+        """
+        if self._joint is not None and self._joint.has(keys):
+            return self._joint
         try:
             marginal = self._isam.jointMarginalCovariance(list(keys))
         except RuntimeError as error:
             raise BackendError(_first_line(error)) from error
-        return JointCovariance(keys, marginal.fullMatrix(), [self._to_estimate(key) for key in keys])
+        self._joint = JointCovariance(keys, marginal.fullMatrix(), [self._to_estimate(key) for key in keys])
+        return self._joint
 
     @timed("marginals")
     def covariance(self, key: int) -> FloatArray:
         """Marginal covariance of one variable in its GTSAM tangent order, in the tangent of its current estimate."""
+        if key in self._past:
+            return self._past.covariance(key, self.covariance)
+        if self._joint is not None and self._joint.has([key]):
+            return self._joint.of([key])
         try:
             marginal = self._isam.marginalCovariance(key)
         except RuntimeError as error:
@@ -180,6 +212,10 @@ class JointCovariance:
                 block = slice(end - len(turn), end)
                 self._full[block] = turn @ self._full[block]
                 self._full[:, block] = self._full[:, block] @ turn.T
+
+    def has(self, keys: Iterable[int]) -> bool:
+        """Whether it is of all these keys, and maybe of more."""
+        return all(key in self._columns for key in keys)
 
     @property
     def full(self) -> FloatArray:

@@ -42,6 +42,12 @@ class WheelCalibration:
         self.covariance *= np.sqrt(
             np.outer(*(2 * [np.minimum(1.0, np.diag(self._initial) / np.diag(self.covariance))]))
         )
+        return self.corrected(motion)
+
+    def corrected(self, motion: Motion) -> Motion:
+        """A motion as measured, by what is known of the wheels now."""
+        if motion.response is None or self.covariance is None:
+            return motion
         unknown = self.covariance - self._initial
         delta = planar_delta(motion.a_T_b) + motion.response @ self.mean
         covariance = motion.covariance + motion.response @ unknown @ motion.response.T

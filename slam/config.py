@@ -138,6 +138,21 @@ class ObservabilityConfig(_Frozen):
     """The same of the orientation, rad."""
 
 
+class ThinningConfig(_Frozen):
+    """Which keyframes leave the graph again, so that it grows with the area mapped, not with the length of the run."""
+
+    passes: int = Field(default=3, ge=0)
+    """Earlier passes through a place, in about the same direction, that make it known; 0: every keyframe stays."""
+    radius_m: float = Field(default=1.0, gt=0)
+    """Keyframes within this distance are of one place, m."""
+    angle_rad: float = Field(default=0.5, gt=0)
+    """And turned by less than this from each other, rad."""
+    apart: int = Field(default=20, gt=0)
+    """Keyframes between two of them that make them two passes."""
+    max_news: float = Field(default=0.05, ge=0)
+    """A keyframe that tells more of the landmarks stays, nats per degree of freedom: another one like ten before."""
+
+
 class BackendConfig(_Frozen):
     """iSAM2 and its priors."""
 
@@ -168,6 +183,7 @@ class SlamConfig(_Frozen):
     loops: LoopConfig = LoopConfig()
     coasting: CoastingConfig = CoastingConfig()
     observability: ObservabilityConfig = ObservabilityConfig()
+    thinning: ThinningConfig = ThinningConfig()
     backend: BackendConfig = BackendConfig()
     mapper: MapperConfig = MapperConfig()
     lines: LineConfig = LineConfig()

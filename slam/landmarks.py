@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, insort
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -39,6 +39,8 @@ class Landmark:
     """Points and beams behind it."""
     known: int = 0
     """Keyframes that saw it on earlier missions: it comes from a prior map."""
+    seen_by_past: list[int] = field(default_factory=list)
+    """Keyframes that saw it and have left the graph, ascending: their sightings are gone."""
 
     def __post_init__(self) -> None:
         self.region = Region(self.first_outline)
@@ -58,13 +60,22 @@ class Landmark:
     @property
     def n_keyframes(self) -> int:
         """Number of different keyframes that saw it."""
-        return self.known + len(self._frames())
+        return self.known + len(self._frames()) + len(self.seen_by_past)
 
     def was_seen_between(self, first: int, last: int) -> bool:
         """Whether a keyframe from the first to the last, both included, saw it."""
-        frames = self._frames()
-        place = bisect_left(frames, first)
-        return place < len(frames) and frames[place] <= last
+        return _is_any_between(self._frames(), first, last) or _is_any_between(self.seen_by_past, first, last)
+
+    def let_go(self, keyframe: int) -> list[int]:
+        """Forget what a keyframe saw of it, except that it did; indices of the factors of that."""
+        gone = [one.factor_index for one in self.sightings if one.keyframe == keyframe]
+        if gone:
+            frames = self._frames()
+            frames.remove(keyframe)
+            self.sightings = [one for one in self.sightings if one.keyframe != keyframe]
+            self._counted = (self.sightings, len(self.sightings))
+            insort(self.seen_by_past, keyframe)
+        return gone
 
     def _frames(self) -> list[int]:
         """The keyframes that saw it, ascending; what sightings have been added since is counted in."""
@@ -76,6 +87,11 @@ class Landmark:
                 self._seen_from.insert(place, sighting.keyframe)
         self._counted = (self.sightings, len(self.sightings))
         return self._seen_from
+
+
+def _is_any_between(ascending: list[int], first: int, last: int) -> bool:
+    place = bisect_left(ascending, first)
+    return place < len(ascending) and ascending[place] <= last
 
 
 @dataclass(frozen=True)
@@ -144,6 +160,11 @@ class LandmarkMap:
         landmark.sightings.append(sighting)
         landmark.n_points += observation.n_points
         landmark.region.grow(observation.patch_in(plane_T_body))
+
+    def let_go(self, keyframe: int) -> list[int]:
+        """Forget what a keyframe saw, which is about to leave the graph; indices of its factors."""
+        seen = [landmark for landmark in self if landmark.was_seen_between(keyframe, keyframe)]
+        return [index for landmark in seen for index in landmark.let_go(keyframe)]
 
     def refresh(self, backend: Backend) -> None:
         """Place every landmark anew by the current estimate."""

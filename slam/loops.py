@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from slam.backend import Backend, JointCovariance
+from slam.backend import Backend, JointCovariance, pose_symbol
 from slam.config import LoopConfig
 from slam.constellation import ConstellationMatch, Wall, match_constellations, match_near
 from slam.frames import inverse, lift
@@ -64,21 +64,35 @@ class LoopDecision:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Where the keyframes are by the current estimate."""
+    """The way so far, and where on it the keyframes are that the graph holds."""
 
-    keys: Sequence[int]
-    """Pose keys, in time order."""
+    frames: np.ndarray
+    """Those keyframes, ascending, shape (M,); the last is the newest of all."""
     poses: FloatArray
-    """world_T_body, shape (N, 4, 4)."""
+    """Their world_T_body by the current estimate, shape (M, 4, 4)."""
     lengths: FloatArray
-    """Length of the way to each, m, shape (N,)."""
+    """Length of the way to every keyframe, m, shape (N,)."""
 
     @classmethod
-    def of(cls, keys: Sequence[int], backend: Backend) -> Path:
-        """From the backend's estimate."""
-        poses = backend.poses(keys)
+    def of(cls, frames: Sequence[int], driven: FloatArray, backend: Backend) -> Path:
+        """By the backend's estimate; where keyframes have left the graph, by the way as it was driven, (N,) m."""
+        held = np.array(frames)
+        poses = backend.poses([pose_symbol(one) for one in frames])
         steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-        return cls(keys, poses, np.concatenate(([0.0], np.cumsum(steps))))
+        steps = np.where(np.diff(held) == 1, steps, np.diff(driven[held]))
+        lengths = np.concatenate(([0.0], np.cumsum(steps)))
+        rows = np.searchsorted(held, np.arange(len(driven)), side="right") - 1
+        return cls(held, poses, lengths[rows] + (driven - driven[held[rows]]))
+
+    def pose(self, frame: int) -> FloatArray:
+        """world_T_body of one of those keyframes, shape (4, 4)."""
+        return self.poses[np.searchsorted(self.frames, frame)]
+
+    def window(self, frame: int, window_m: float) -> tuple[int, int]:
+        """The first and the last of all keyframes within so much travel of one."""
+        way = self.lengths[frame]
+        first = np.searchsorted(self.lengths, way - window_m, side="left")
+        return int(first), int(np.searchsorted(self.lengths, way + window_m, side="right")) - 1
 
 
 def find_loop(
@@ -99,35 +113,37 @@ def find_loop(
     Returns:
         One decision for every old keyframe compared with; only the last of them may be "closed".
     """
-    now = len(path.keys) - 1
+    now = len(path.lengths) - 1
     here = _surroundings(now, path, landmarks, config, min_keyframes)
     decisions: list[LoopDecision] = []
     has_view = keyframes[now].returns is not None
     if len(here) < (1 if has_view else config.min_walls):
         return decisions
     view: Raster | None = None
-    walls = _walls_from(path.keys[now], here, landmarks, backend)
+    walls: list[Wall] = []
     for old in _old_keyframes(path, backend, config):
         there = _surroundings(old, path, landmarks, config, min_keyframes)
         shared = [one for one in here if one in there]
         if has_view and there and keyframes[old].returns is not None:
             if _fix_a_place(shared, landmarks, config):
                 continue
-            estimate = RelativePose.of(path.keys[old], path.keys[now], backend)
+            estimate = RelativePose.of(pose_symbol(old), pose_symbol(now), backend)
             if estimate.reach_m <= config.tied_m and shared:
                 continue
-            view = view or view_of(_members(now, path, config.window_m), now, keyframes, path.poses, config)
-            other = view_of(_members(old, path, config.window_m), old, keyframes, path.poses, config)
+            view = view or _view_about(now, path, keyframes, backend, config)
+            other = _view_about(old, path, keyframes, backend, config)
             if view is None or other is None:
                 continue
             way = float(path.lengths[now] - path.lengths[old])
             found = compare_views(view, other, estimate, config.drift_share * way, way)
-            others = _walls_from(path.keys[old], there, landmarks, backend)
+            walls = walls or _walls_from(pose_symbol(now), here, landmarks, backend)
+            others = _walls_from(pose_symbol(old), there, landmarks, backend)
             decisions.append(
                 _decide_by_view(found, estimate, old, path, (walls, here), (others, there), backend, config)
             )
         elif min(len(here), len(there)) >= config.min_walls > len(shared):
-            match = match_constellations(walls, _walls_from(path.keys[old], there, landmarks, backend))
+            walls = walls or _walls_from(pose_symbol(now), here, landmarks, backend)
+            match = match_constellations(walls, _walls_from(pose_symbol(old), there, landmarks, backend))
             decisions.append(_decide(match, old, path, here, there, backend, config))
         if decisions and decisions[-1].verdict == "closed":
             break
@@ -142,9 +158,14 @@ def _fix_a_place(shared: Sequence[Landmark], landmarks: LandmarkMap, config: Loo
     return bool(np.abs(np.cross(normals[0], normals)).max() > _ACROSS)
 
 
-def _members(index: int, path: Path, window_m: float) -> list[int]:
-    """Keyframes within the window of travel around one."""
-    return np.flatnonzero(np.abs(path.lengths - path.lengths[index]) <= window_m).tolist()
+def _view_about(
+    frame: int, path: Path, keyframes: Sequence[Keyframe], backend: Backend, config: LoopConfig
+) -> Raster | None:
+    """What level lasers saw within the window of travel around a keyframe, in its frame."""
+    first, last = path.window(frame, config.window_m)
+    members = list(range(first, last + 1))
+    poses = [backend.pose(pose_symbol(one)) for one in members]
+    return view_of([keyframes[one] for one in members], poses, path.pose(frame), config)
 
 
 def _decide_by_view(
@@ -158,7 +179,7 @@ def _decide_by_view(
     config: LoopConfig,
 ) -> LoopDecision:
     """Joined is what is one wall under the pose found by the views, if that is beyond doubt."""
-    now = len(path.keys) - 1
+    now = len(path.lengths) - 1
     if found.share < 1.0 - config.significance:
         verdict: LoopVerdict = "not seen" if found.evidence < 0.0 else "ambiguous"
         return LoopDecision(now, old, verdict, evidence=found.evidence)
@@ -198,8 +219,7 @@ def _surroundings(
     index: int, path: Path, landmarks: LandmarkMap, config: LoopConfig, min_keyframes: int
 ) -> list[Landmark]:
     """Confirmed landmarks seen within the window of travel around a keyframe."""
-    members = _members(index, path, config.window_m)
-    first, last = members[0], members[-1]
+    first, last = path.window(index, config.window_m)
     return [
         landmark
         for landmark in landmarks
@@ -209,16 +229,22 @@ def _surroundings(
 
 def _old_keyframes(path: Path, backend: Backend, config: LoopConfig) -> list[int]:
     """Keyframes of long ago within the search radius, nearest first, one in each stretch of the way."""
-    now = len(path.keys) - 1
-    since = path.lengths[now] - path.lengths
-    distances = np.linalg.norm(path.poses[:, :3, 3] - path.poses[now, :3, 3], axis=1)
-    radius = _radius(path.keys[now], backend) + config.drift_share * since + config.window_m
-    wanted = np.flatnonzero((since > 3.0 * config.window_m) & (distances <= radius))
+    ways = path.lengths[path.frames]
+    since = path.lengths[-1] - ways
+    distances = np.linalg.norm(path.poses[:, :3, 3] - path.poses[-1, :3, 3], axis=1)
+    reach = config.drift_share * since + config.window_m
+    far = 3.0 * config.window_m
+    if not np.any(since > far):
+        return []
+    radius = _radius(pose_symbol(int(path.frames[-1])), backend) + reach
+    wanted = np.flatnonzero((since > far) & (distances <= radius))
     chosen: list[int] = []
-    for index in wanted[np.argsort(distances[wanted], kind="stable")].tolist():
-        if all(abs(path.lengths[index] - path.lengths[other]) > config.window_m for other in chosen):
-            chosen.append(index)
-    return chosen[: config.max_candidates]
+    for row in wanted[np.argsort(distances[wanted], kind="stable")].tolist():
+        if len(chosen) == config.max_candidates:
+            break
+        if all(abs(ways[row] - ways[other]) > config.window_m for other in chosen):
+            chosen.append(row)
+    return path.frames[chosen].tolist()
 
 
 def _radius(pose_key: int, backend: Backend) -> float:
@@ -235,15 +261,15 @@ def _decide(
     backend: Backend,
     config: LoopConfig,
 ) -> LoopDecision:
-    now = len(path.keys) - 1
+    now = len(path.lengths) - 1
     if match is None:
         return LoopDecision(now, old, "not seen")
-    offset = inverse(inverse(path.poses[old]) @ path.poses[now]) @ match.b_T_a
+    offset = inverse(inverse(path.pose(old)) @ path.poses[-1]) @ match.b_T_a
     distance = float(np.linalg.norm(offset[:2, 3]))
     turn = float(np.arctan2(offset[1, 0], offset[0, 0]))
     found = [(here[i].id, there[j].id) for i, j in match.pairs.tolist() if here[i] is not there[j]]
     pairs = tuple((min(pair), max(pair)) for pair in found)
-    radius = _radius(path.keys[now], backend) + config.drift_share * float(path.lengths[now] - path.lengths[old])
+    radius = _radius(pose_symbol(now), backend) + config.drift_share * float(path.lengths[now] - path.lengths[old])
     verdict: LoopVerdict = "closed" if match.verdict == "closure" else match.verdict
     if verdict == "closed" and distance > radius:
         verdict = "far"

@@ -73,6 +73,7 @@ class Merges:
         factors = [observe(one, key, home, self._backend, robust) for one, key in zip(seen, keys, strict=True)]
         old = [sighting.factor_index for sighting in gone.sightings]
         indices = self._backend.update(factors, gtsam.Values(), remove=old, relinearize=True)
+        home.seen_by_past = sorted({*home.seen_by_past, *gone.seen_by_past})
         home_T_world = inverse(self._landmarks.placed(older).world_T_plane)
         for one, key, sighting, index in zip(seen, keys, gone.sightings, indices, strict=True):
             self._landmarks.see(
@@ -112,6 +113,7 @@ class Merges:
         mine = {(sighting.keyframe, sighting.observation) for sighting in merge.gone.sightings}
         taken = [one for one in holder.sightings if (one.keyframe, one.observation) in mine]
         back = replace(merge.gone, sightings=[], n_points=0)
+        holder.seen_by_past = sorted({*holder.seen_by_past}.difference(back.seen_by_past))
         self._landmarks.plant(back)
         self._move(taken, holder, back, initial=True)
         later = [one for one in holder.sightings if one.keyframe > merge.keyframe]
@@ -141,6 +143,8 @@ class Merges:
                 continue
             merge.next_look = now + max(2 * (now - merge.keyframe), 1)
             misfit, dof = self._residual(merge)
+            if not dof:  # all of it was seen from keyframes that have left the graph
+                continue
             limit = float(chi2_distribution.isf(self._config.association.new_significance, dof))
             if misfit > max(scale, 1.0) * limit:
                 found.append((misfit / limit, merge))

@@ -10,30 +10,27 @@ from typing import TYPE_CHECKING, Self
 import gtsam
 import numpy as np
 
-from factors import pose_prior
 from slam.association import Decision, Hint, associate
 from slam.audit import NisAudit
 from slam.backend import Backend, pose_symbol
-from slam.calibration import WheelCalibration, motion_covariance
+from slam.calibration import WheelCalibration
 from slam.clock import StageClock, timed
-from slam.coasting import coast
+from slam.closing import LoopCloser
 from slam.config import SlamConfig
 from slam.explaining import change_sentences, decision_sentence
-from slam.frames import inverse
 from slam.health import check_keyframe
 from slam.io.trajectories import Trajectory
 from slam.keyframes import Keyframe
 from slam.landmarks import LandmarkMap, Sighting
 from slam.late import LateMatch, Waiting
-from slam.loops import LoopDecision, disjoint, find_loop
-from slam.loops import Path as DrivenPath
+from slam.loops import LoopDecision
 from slam.map_planes import MapPlane, map_plane
 from slam.merging import Merges
 from slam.observability import Observability, OpenStretch, stretch_of
-from slam.odometry import Motion
-from slam.places import found_motion, is_wide
+from slam.prediction import Prediction
 from slam.recorder import Recorder
 from slam.sights import Sight, birth_sights, matched_sights
+from slam.thinning import Thinning
 from slam.twins import find_twins
 from slam.views import step_by_view
 from spplanes._check import FloatArray
@@ -82,14 +79,15 @@ class PlaneSlam:
         self.keyframes: MutableSequence[Keyframe] = self.recorder.keyframes()
         self.decisions: list[list[Decision]] = []
         self.merges = Merges(self.keyframes, self.landmarks, self.backend, self.config)
-        self.loops: list[LoopDecision] = []
         self.late_matches: list[LateMatch] = []
         self._unmatched = Waiting(self.config.landmarks)
-        self.calibration = WheelCalibration()
-        self._predicted: Motion | None = None
-        self._waiting: list[gtsam.NonlinearFactor] = []
-        self._standing_in: list[int] = []
-        self._since_look_m = 0.0
+        self._thinning = Thinning(self.config.thinning, self.backend, self.landmarks)
+        self._prediction = Prediction(
+            self.keyframes, self.landmarks, self.backend, self._thinning, self.config, self.prior
+        )
+        self._closer = LoopCloser(
+            self.keyframes, self.landmarks, self.backend, self.merges, self._thinning, self.config
+        )
         self._told_apart: dict[tuple[int, int], int] = {}
 
     @classmethod
@@ -134,7 +132,7 @@ class PlaneSlam:
         keyframe = self.recorder.measured(len(self.keyframes), keyframe)
         pose_key = self._predict(keyframe)
         decisions = self._associate(keyframe, pose_key)
-        if self._predicted is None or not is_wide(self._predicted):  # else the planes found it: no innovation of theirs
+        if not self._prediction.is_wide:  # else the planes found it: no innovation of theirs
             self.audit.add(len(self.keyframes), (seen.kind for seen in keyframe.observations), decisions)
         self.recorder.decided(len(self.keyframes), decisions)
         self._look_for_open_directions(keyframe, pose_key, decisions)
@@ -147,6 +145,16 @@ class PlaneSlam:
         self._merge_twins(touched)
         self._close_loops()
         return KeyframeReport(len(self.keyframes) - 1, self.backend.pose(pose_key), decisions)
+
+    @property
+    def calibration(self) -> WheelCalibration:
+        """What has been learnt of the wheels."""
+        return self._prediction.calibration
+
+    @property
+    def loops(self) -> list[LoopDecision]:
+        """Every comparison of what was seen with an old place."""
+        return self._closer.decisions
 
     @property
     def trajectory(self) -> Trajectory:
@@ -202,47 +210,16 @@ class PlaneSlam:
         moved = self.backend.rebuild(self.optimize_batch())
         for landmark in self.landmarks:
             landmark.sightings = [replace(one, factor_index=moved[one.factor_index]) for one in landmark.sightings]
+        self._thinning.renumber(moved)
         self.landmarks.refresh(self.backend)
 
     @timed("predict")
     def _predict(self, keyframe: Keyframe) -> int:
         """Put the new pose into the graph with what is known before looking: prior or odometry, and the floor."""
-        index = len(self.keyframes)
-        key, initial = pose_symbol(index), gtsam.Values()
-        if index == 0:
-            guess = np.eye(4) if keyframe.world_T_body_guess is None else keyframe.world_T_body_guess
-            settings = self.config.backend
-            sigmas = np.repeat([settings.prior_sigma_m, settings.prior_sigma_rad], 3)
-            covariance = np.diag(sigmas**2)
-            if self.prior is not None:
-                guess, covariance = self.prior.world_T_start, self.prior.start_covariance
-            factors = [pose_prior(key, guess, covariance)]
-        else:
-            motion = self._predicted = self._motion_to(keyframe)
-            guess = self.backend.pose(pose_symbol(index - 1)) @ motion.a_T_b
-            factors = motion.factors(pose_symbol(index - 1), key)
-            found = None
-            if is_wide(motion):
-                found = found_motion(keyframe, index, motion, self.backend.pose(pose_symbol(index - 1)), self.landmarks)
-            if found is not None:
-                self.merges.robust = self.config.coasting.robust or self.config.backend.robust
-                guess = self.backend.pose(pose_symbol(index - 1)) @ found.a_T_b
-                factors, self._waiting = found.factors(pose_symbol(index - 1), key), factors
-        initial.insert(key, gtsam.Pose3(guess))
-        indices = self.backend.update(factors, initial)
-        self._standing_in = indices if self._waiting else []
+        key = self._prediction.enter(keyframe)
+        if self._prediction.waiting:  # from then on merges are made by measurements some of which may be wrong
+            self.merges.robust = self.config.coasting.robust or self.config.backend.robust
         return key
-
-    def _motion_to(self, keyframe: Keyframe) -> Motion:
-        """Odometry, less what is known to be wrong with it; without any the motion before goes on."""
-        if keyframe.motion is not None:
-            return self.calibration.predict(keyframe.motion)
-        last, stamps = len(self.keyframes) - 1, [frame.stamp_ns * 1e-9 for frame in self.keyframes[-2:]]
-        ahead_s = keyframe.stamp_ns * 1e-9 - stamps[-1]
-        if last == 0:
-            return coast(None, 0.0, ahead_s, self.config.coasting)
-        step = inverse(self.backend.pose(pose_symbol(last - 1))) @ self.backend.pose(pose_symbol(last))
-        return coast(step, stamps[1] - stamps[0], ahead_s, self.config.coasting)
 
     @timed("associate")
     def _associate(self, keyframe: Keyframe, pose_key: int) -> list[Decision]:
@@ -253,32 +230,35 @@ class PlaneSlam:
     @timed("compare returns")
     def _hint(self, keyframe: Keyframe) -> Hint | None:
         """The motion to the keyframe by all its returns, for telling walls apart."""
-        if not self.keyframes or self._predicted is None:
+        if not self.keyframes or self._prediction.motion is None:
             return None
-        motion = step_by_view(keyframe, self._predicted, self.keyframes, self.backend, self.config.loops)
+        motion = step_by_view(keyframe, self._prediction.motion, self.keyframes, self.backend, self.config.loops)
         return None if motion is None else Hint(pose_symbol(len(self.keyframes) - 1), motion)
 
     @timed("update")
     def _update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> set[int]:
         """Add the factors of matches and of new landmarks, then count what was seen; the ids of those landmarks."""
         seen, initial = keyframe.observations, gtsam.Values()
-        every = self.config.landmarks.anchor_every
-        anchor_key = pose_symbol(max(len(self.keyframes) - 1, 0) // every * every)
-        robust = self.config.coasting.robust if self._standing_in else None
-        robust = robust or self.config.backend.robust
-        sights = matched_sights(seen, pose_key, decisions, self.landmarks, self.backend, robust)
-        sights += birth_sights(
-            seen, (anchor_key, pose_key), decisions, self.landmarks, self.backend, self.config, initial
-        )
+        at = len(self.keyframes)
+        sights = matched_sights(seen, pose_key, decisions, self.landmarks, self.backend, self._prediction.robust)
+        anchor = self._thinning.anchor(at, self.config.landmarks.anchor_every)
+        keys = pose_symbol(anchor), pose_key
+        births = birth_sights(seen, keys, decisions, self.landmarks, self.backend, self.config, initial)
+        if births:
+            self._thinning.stays(anchor)
+        matched = [sight.observation for sight in sights]
+        leaves = self._thinning.judge(at, matched, [sight.factor for sight in sights], may_leave=not births)
+        sights += births
         used = {sight.number for sight in sights}
-        self._unmatched.add(len(self.keyframes), keyframe, [i for i in range(len(seen)) if i not in used])
-        factors = [*(sight.factor for sight in sights), *self._waiting]
+        unused = [] if leaves else [i for i in range(len(seen)) if i not in used]
+        self._unmatched.add(at, keyframe, unused)
+        factors = [*(sight.factor for sight in sights), *self._prediction.waiting]
         if not factors:
             return set()
-        indices = self.backend.update(factors, initial, remove=self._standing_in, relinearize=True)
-        self._waiting, self._standing_in = [], []
+        indices = self.backend.update(factors, initial, remove=self._prediction.standing_in, relinearize=True)
+        self._prediction.confirmed()
         for sight, factor_index in zip(sights, indices, strict=False):
-            self._see(sight, len(self.keyframes), factor_index)
+            self._see(sight, at, factor_index)
         return {sight.landmark.id for sight in sights}
 
     def _match_late(self, touched: set[int]) -> None:
@@ -315,12 +295,7 @@ class PlaneSlam:
     @timed("learn wheels")
     def _learn(self) -> None:
         """What the last motion, now that its end has been seen, says about the wheels."""
-        if self._predicted is None or self._predicted.response is None or self.calibration.covariance is None:
-            return
-        keys = [pose_symbol(len(self.keyframes) - 2), pose_symbol(len(self.keyframes) - 1)]
-        a_T_b = inverse(self.backend.pose(keys[0])) @ self.backend.pose(keys[1])
-        covariance = motion_covariance(a_T_b, self.backend.joint_covariance(keys).of(keys))
-        self.calibration.learn(self._predicted, a_T_b, covariance)
+        self._prediction.learn()
 
     @timed("twins")
     def _split_wrong_merges(self, touched: set[int], decisions: Sequence[Decision]) -> None:
@@ -349,30 +324,11 @@ class PlaneSlam:
     @timed("loops")
     def _close_loops(self) -> None:
         """Every metre or so: is what is seen now a place of long ago? Then its walls are joined with those of then."""
-        rules, needed = self.config.loops, self.config.landmarks.min_observations
-        keys = [pose_symbol(i) for i in range(len(self.keyframes))]
-        if len(keys) > 1:
-            self._since_look_m += float(np.linalg.norm(np.subtract(*(self.backend.pose(k)[:3, 3] for k in keys[-2:]))))
-        if rules.max_candidates == 0 or self._since_look_m < rules.every_m:
-            return
-        self._since_look_m = 0.0
-        path = DrivenPath.of(keys, self.backend)
-        decisions = find_loop(path, self.keyframes, self.landmarks, self.backend, rules, needed)
-        self.loops += decisions
-        if not decisions or decisions[-1].verdict != "closed":
-            return
-        pairs = [pair for pair in disjoint(decisions[-1].pairs) if self.merges.may_be_one(*pair)]
-        if self.merges.close(pairs, self.audit.mean_per_dof):
+        pairs = self._closer.look(self.audit.mean_per_dof)
+        if pairs is not None:
             self._told_apart.clear()
             self._merge_twins({older for older, _ in pairs})
-            self._take(decisions[-1])
-
-    def _take(self, loop: LoopDecision) -> None:
-        """What the returns say of a closed loop beyond its walls: how far along a corridor the robot is."""
-        if loop.motion is not None:
-            step = loop.motion.factors(pose_symbol(loop.old_keyframe), pose_symbol(loop.keyframe))[0]
-            self.backend.update([step], gtsam.Values(), relinearize=True)
-            self.landmarks.refresh(self.backend)
+            self._closer.take_motion()
 
     def _remember(self, keyframe: Keyframe, decisions: list[Decision]) -> None:
         self.keyframes.append(keyframe)

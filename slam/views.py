@@ -47,16 +47,17 @@ class RelativePose:
 
 
 def view_of(
-    members: Sequence[int], base: int, keyframes: Sequence[Keyframe], poses: FloatArray, config: LoopConfig
+    keyframes: Sequence[Keyframe], poses: Sequence[FloatArray], base: FloatArray, config: LoopConfig
 ) -> Raster | None:
-    """The returns of some keyframes in the frame of one of them; None when there are none."""
-    all_of = [(index, keyframes[index].returns) for index in members]
-    seen = [(index, returns) for index, returns in all_of if returns is not None and len(returns)]
+    """The returns of keyframes at some poses in the frame of the pose `base`; None when there are none."""
+    seen = [
+        (pose, keyframe.returns)
+        for pose, keyframe in zip(poses, keyframes, strict=True)
+        if keyframe.returns is not None and len(keyframe.returns)
+    ]
     if not seen:
         return None
-    return Raster.of(
-        view_from(poses[base], [poses[i] for i, _ in seen], [returns for _, returns in seen]), config.look_m
-    )
+    return Raster.of(view_from(base, [pose for pose, _ in seen], [returns for _, returns in seen]), config.look_m)
 
 
 def compare_views(here: Raster, there: Raster, estimate: RelativePose, drift_m: float, way_m: float) -> Relocation:
@@ -85,8 +86,8 @@ def step_by_view(
     """
     if not motion.is_planar or keyframe.returns is None or not len(keyframe.returns):
         return None
-    members, poses = _recent(keyframes, backend, config.window_m)
-    recent = view_of(members, members[-1], keyframes, poses, config)
+    members, poses = _recent(len(keyframes) - 1, backend, config.window_m)
+    recent = view_of([keyframes[one] for one in members], poses, poses[-1], config)
     if recent is None:
         return None
     delta = planar_delta(motion.a_T_b)
@@ -97,17 +98,17 @@ def step_by_view(
     return replace(motion, a_T_b=planar_transform(*found.pose), covariance=found.covariance)
 
 
-def _recent(keyframes: Sequence[Keyframe], backend: Backend, window_m: float) -> tuple[list[int], FloatArray]:
-    """The last keyframes within a window of travel, in time order, and the poses of all: identity for older ones."""
-    members, poses, way = [len(keyframes) - 1], np.tile(np.eye(4), (len(keyframes), 1, 1)), 0.0
-    poses[-1] = backend.pose(pose_symbol(members[-1]))
-    for index in range(len(keyframes) - 2, -1, -1):
-        poses[index] = backend.pose(pose_symbol(index))
-        way += float(np.linalg.norm(poses[index, :3, 3] - poses[index + 1, :3, 3]))
+def _recent(last: int, backend: Backend, window_m: float) -> tuple[list[int], list[FloatArray]]:
+    """The keyframes within a window of travel before the last one and itself, in time order, and their poses."""
+    members, poses, way = [last], [backend.pose(pose_symbol(last))], 0.0
+    for index in range(last - 1, -1, -1):
+        pose = backend.pose(pose_symbol(index))
+        way += float(np.linalg.norm(pose[:3, 3] - poses[-1][:3, 3]))
         if way > window_m:
             break
         members.append(index)
-    return members[::-1], poses
+        poses.append(pose)
+    return members[::-1], poses[::-1]
 
 
 def left_open(found: FloatArray, by_walls: FloatArray) -> FloatArray | None:
