@@ -47,18 +47,19 @@ def seen(normal: tuple[float, float, float], d: float, n_points: int, half_m: fl
     return PlaneObservation(Plane(frame, np.diag([1e-3, 2e-3, 2e-3]) ** 2, n_points, box(-half_m, -1.0, half_m, 1.0)))
 
 
-def test_a_board_that_is_seen_best_does_not_take_its_wall_and_the_pose_with_it():
+@pytest.mark.parametrize("looks", [1, 4])
+def test_a_board_that_is_seen_best_does_not_take_its_wall_and_the_pose_with_it(looks: int):
     walls = [seen((0.0, -1.0, 0.0), -1.1, 400, 3.0), seen((0.0, 1.0, 0.0), -1.1, 300, 3.0)]
     walls += [seen((0.0, 0.0, 1.0), -0.4, 200, 3.0), seen((-1.0, 0.0, 0.0), -9.0, 100, 1.0)]
     slam = PlaneSlam()
-    for index in range(4):
+    for index in range(looks):
         slam.add_keyframe(Keyframe(index * PERIOD_NS, walls, None if index == 0 else step(0.01)))
     board = seen((0.0, -1.0, 0.0), -1.08, 1000, 0.5)
-    report = slam.add_keyframe(Keyframe(4 * PERIOD_NS, [board, *walls[:3]], step(0.5)))
+    report = slam.add_keyframe(Keyframe(looks * PERIOD_NS, [board, *walls[:3]], step(0.5)))
     matches = [None if one.match is None else one.match.landmark for one in report.decisions]
     assert matches == [None, 0, 1, 2]
     assert abs(report.world_T_body[1, 3]) < 1e-3
-    [alone] = slam.add_keyframe(Keyframe(5 * PERIOD_NS, [board], step(0.5))).decisions
+    [alone] = slam.add_keyframe(Keyframe((looks + 1) * PERIOD_NS, [board], step(0.5))).decisions
     assert alone.candidates[0].p_value > 1e-3  # by itself the board could be its wall
 
 
