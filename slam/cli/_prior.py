@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from slam.io.log import planar_transform
+from slam.keyframes import Keyframe
 from slam.prior import PriorMap, floor_start
+from slam.start_search import find_start
+
+#: Instead of numbers: look for the start in the map.
+FIND = "find"
 
 
-def read_prior(path: Path, start: str, sigma: str) -> PriorMap:
-    """The prior map, and the start as words: X,Y,HEADING and their standard deviations, m and deg."""
-    x, y, heading = _numbers("--start", start, 3)
+def read_prior(path: Path, start: str, sigma: str, first: Callable[[], Keyframe]) -> PriorMap:
+    """The prior map, and the start as words: X,Y,HEADING and their standard deviations, m and deg.
+
+    `first` gives the first keyframe of the mission, where its start is to be found by what it sees.
+    """
+    x, y, heading = _numbers("--start", "0,0,0" if start == FIND else start, 3)
     sigma_m, sigma_deg = _numbers("--start-sigma", sigma, 2)
     if min(sigma_m, sigma_deg) <= 0.0:
         raise ValueError(f"--start-sigma: expected two positive numbers, got {sigma!r}")
     world_T_start = planar_transform(x, y, float(np.deg2rad(heading)))
     covariance = floor_start(sigma_m, float(np.deg2rad(sigma_deg)))
-    return PriorMap.load(path, world_T_start=world_T_start, start_covariance=covariance)
+    prior = PriorMap.load(path, world_T_start=world_T_start, start_covariance=covariance)
+    return replace(prior, world_T_start=find_start(prior.planes, first())) if start == FIND else prior
 
 
 def _numbers(name: str, text: str, count: int) -> list[float]:

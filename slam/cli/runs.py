@@ -42,7 +42,9 @@ def slam(
         bool, typer.Option("--salvage", help="With --resume: of a damaged session keep what is whole.")
     ] = False,
     prior: Annotated[Path | None, typer.Option("--prior", help="Finished run (or planes.json) to localise in.")] = None,
-    start: Annotated[str, typer.Option("--start", help="With --prior: its first X,Y,HEADING (m, deg).")] = "0,0,0",
+    start: Annotated[
+        str, typer.Option("--start", help="With --prior: its first X,Y,HEADING (m, deg), or find.")
+    ] = "0,0,0",
     start_sigma: Annotated[
         str, typer.Option("--start-sigma", help="With --prior: standard deviations of that (m, deg).")
     ] = "0.3,6",
@@ -64,6 +66,7 @@ def slam(
     if log is None or out is None or salvage:
         raise typer.BadParameter("expected LOG --out DIR, or --resume RUN", param_hint="slam")
     from slam.cli._prior import read_prior
+    from slam.keyframes import keyframes_of
     from slam.run import run_slam
     from slam.run_folder import Source, new_run
 
@@ -80,7 +83,7 @@ def slam(
     if strict:
         keyframes = job.config.keyframes.model_copy(update={"strict": True})
         job = job._replace(config=job.config.model_copy(update={"keyframes": keyframes}))
-    known = None if prior is None else read_prior(prior, start, start_sigma)
+    known = None if prior is None else read_prior(prior, start, start_sigma, lambda: next(keyframes_of(*job[:3])))
     source = Source(log, keep_partial, "value" if keep_raw else "reference", forget_raw)
     with (
         hint_of(out),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pytest
+from shapely import box
 
 from factors import map_prior, plane_landmark
 from slam import PlaneSlam, SlamConfig
@@ -17,11 +19,13 @@ from slam.frames import inverse
 from slam.io.log import LogError, planar_transform
 from slam.keyframes import Keyframe
 from slam.map_planes import MapPlane
+from slam.observations import PlaneObservation
 from slam.planeslam import pose_symbol
 from slam.prior import PriorMap, finished_map, floor_start, map_covariance
+from slam.start_search import find_start
 from slam.store import Session, SessionError
 from spplanes import Plane
-from tests.slam.scenes import Drive, drive, room_planes
+from tests.slam.scenes import SIGMAS, Drive, drive, measured, room_planes
 from tests.statistics import assert_mean_in_band
 
 IN_PLANE = [2, 3, 4]
@@ -57,9 +61,9 @@ def rough_start(scene: Drive, rng: np.random.Generator) -> np.ndarray:
 
 
 def test_localising_in_a_prior_map_is_honest_and_extends_it():
-    """Pose NEES (3 dof in the floor plane) at the start and at the end, and of every plane, known or new; 16 runs."""
+    """Pose NEES (3 dof in the floor plane) at the start and at the end, and of every plane, known or new; 24 runs."""
     first, last, known, new = [], [], [], []
-    for seed in range(16):
+    for seed in range(24):
         rng = np.random.default_rng(seed)
         earlier, scene = mapped(seed), drive(1000 + seed)
         slam = second_mission(seed, prior_of(earlier, rough_start(scene, rng)), scene)
@@ -184,6 +188,51 @@ def test_a_map_is_known_again_without_any_odometry_prior_at_its_start():
     assert np.linalg.norm((inverse(scene.world_T_body[0]) @ report.world_T_body)[:3, 3]) < 0.02
 
 
+def corner_map() -> list[MapPlane]:
+    """The room with half of one wall a metre further out: no turn of it is the same."""
+    planes = room_planes()
+    bay = replace(planes[5], frame=planes[5].frame @ moved(2.0, 0.0, -1.0), outline=box(-2.0, -1.5, 2.0, 1.5))
+    rest = replace(planes[5], frame=planes[5].frame @ moved(-2.0, 0.0, 0.0), outline=box(-2.0, -1.5, 2.0, 1.5))
+    return [as_entry(number, plane) for number, plane in enumerate([*planes[:5], rest, bay])]
+
+
+def moved(x: float, y: float, z: float) -> np.ndarray:
+    step = np.eye(4)
+    step[:3, 3] = x, y, z
+    return step
+
+
+def as_entry(number: int, plane: Plane) -> MapPlane:
+    known = replace(plane, covariance=1e-5 * np.eye(3), n_points=500)
+    return MapPlane(number, known, known.outline, 5, ("plane",))  # type: ignore[arg-type]
+
+
+def seen_at(known: list[MapPlane], world_T_body: np.ndarray, seed: int) -> Keyframe:
+    rng = np.random.default_rng(seed)
+    planes = [measured(one.plane.transform(inverse(world_T_body)), rng) for one in known]
+    return Keyframe(0, [PlaneObservation(replace(plane, covariance=np.diag(SIGMAS**2))) for plane in planes])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_start_is_found_where_there_is_one(seed: int):
+    known, rng = corner_map(), np.random.default_rng(100 + seed)
+    truth = planar_transform(*rng.uniform((-3.0, -2.0, -np.pi), (3.0, 2.0, np.pi)).tolist())
+    error = inverse(truth) @ find_start(known, seen_at(known, truth, seed))
+    assert np.linalg.norm(error[:2, 3]) < 0.1 and abs(np.arctan2(error[1, 0], error[0, 0])) < 0.02
+
+
+def test_a_start_that_cannot_be_told_is_refused():
+    truth, room = planar_transform(1.0, 0.5, 0.3), [as_entry(*pair) for pair in enumerate(room_planes())]
+    with pytest.raises(ValueError, match=r"found (1\.0,0\.5,17|-1\.0,-0\.5,-163) and (?!\1)-?1\.0,"):
+        find_start(room, seen_at(room, truth, 0))
+    with pytest.raises(ValueError, match="expected two walls of the map in the first keyframe, found none"):
+        find_start(room, seen_at(room[:3], truth, 0))
+    elsewhere = replace(room[2].plane, frame=room[2].plane.frame @ moved(0.0, 0.0, -40.0))
+    stretched = [*room[3:], as_entry(2, elsewhere)]
+    with pytest.raises(ValueError, match=r"that explains 60 % of the walls .*, found \d+ %"):
+        find_start(room[:3] + room[4:5], seen_at(stretched, truth, 0))
+
+
 def test_a_session_without_a_map_is_no_prior(tmp_path: Path):
     with PlaneSlam.open(tmp_path / "session.db") as slam:
         slam.add_keyframe(Keyframe(0, []))
@@ -226,6 +275,9 @@ def test_a_second_mission_from_the_command_line(tmp_path: Path, capsys: pytest.C
     assert [one.plane.to_dict() for one in alone.planes] == [
         one.plane.to_dict() | {"chi2": 0.0} for one in first.planes if one.plane.outline is not None
     ]
+    code, err = run("slam", tmp_path / "m2", "--out", tmp_path / "no", "--prior", tmp_path / "first", "--start", "find")
+    assert (code == 0) != (code == 2 and "--start: expected" in err and not (tmp_path / "no").exists())
+    shutil.rmtree(tmp_path / "no", ignore_errors=True)
     for words, sentence in (
         (["--start", "1,2"], "--start: expected 3 numbers with commas between them, got '1,2'"),
         (["--start-sigma", "0,1"], "--start-sigma: expected two positive numbers"),

@@ -20,6 +20,8 @@ import slam.run as run_module
 from benchmarks import kill
 from slam import PlaneSlam
 from slam.cli import main
+from slam.io.load import load
+from slam.io.log import LaserScan
 from slam.planeslam import pose_symbol
 from slam.salvage import salvage_session
 from slam.store import SESSION_FILE, Session, SessionError, StorageError
@@ -219,6 +221,24 @@ def test_raw_scans_come_along_when_a_session_is_salvaged(mission: Path, tmp_path
         for first, second in zip(old, new, strict=True):
             assert first.scan is not None and second.scan is not None
             np.testing.assert_array_equal(first.scan.ranges, second.scan.ranges)  # type: ignore[union-attr]
+
+
+def test_a_reference_leads_to_the_scan_that_was_kept(mission: Path, tmp_path: Path, monkeypatch, capsys):
+    """By value and by reference: the log read anew has the same beams at the place that was recorded."""
+    out = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        stop_after(patch, 5, KeyboardInterrupt())
+        run(capsys, "slam", mission, "--out", out, "--keep-raw", "--config", mission.parent / "config.yaml")
+    with Session.open(out, read_only=True) as session:
+        kept = [one for index in range(len(session)) for one in session.scans(index)]
+        events = load(Path((session.log or {})["path"]), session.rig)[0].events
+    assert len(kept) >= 4
+    for one in kept:
+        assert one.position is not None and isinstance(one.scan, LaserScan)
+        event = events[one.position]
+        assert isinstance(event, LaserScan) and (event.stamp_ns, event.sensor) == (one.stamp_ns, one.sensor)
+        np.testing.assert_array_equal(event.ranges, one.scan.ranges)
+        np.testing.assert_array_equal(event.angles, one.scan.angles)
 
 
 def test_measurements_on_disk_alone_make_the_same_run(whole: Path, mission: Path, tmp_path: Path, capsys):
