@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from slam.io.log import Log
 from slam.keyframes import Keyframe
 from slam.observations import LineObservation, PlaneObservation
+from slam.odometry import Motion
 from slam.rig import Rig
-from spplanes._check import FloatArray, as_transform
+from spplanes._check import FloatArray, as_float_array, as_transform, check_instance
 
 #: A sensor is silent after so many of its own periods, and never before so many seconds.
 _PERIODS, _LEAST_S = 20.0, 2.0
@@ -23,12 +26,18 @@ def check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
     """Refuse what would leave the graph half changed.
 
     Raises:
-        ValueError: a time not after `after_ns`, or a covariance that is none: of the motion, or of what was seen.
+        ValueError: a time not after `after_ns`, or a covariance that is none: of the motion, or of what was seen; and
+            what is no keyframe at all.
     """
+    check_instance("keyframe", keyframe, Keyframe)
+    if not isinstance(keyframe.stamp_ns, int | np.integer):
+        raise ValueError(f"keyframe.stamp_ns: expected whole nanoseconds, got {keyframe.stamp_ns!r}")
+    check_instance("keyframe.observations", keyframe.observations, Sequence)
     if after_ns is not None and keyframe.stamp_ns <= after_ns:
         raise ValueError(f"keyframe: expected a time after {after_ns} ns, got {keyframe.stamp_ns} ns")
     if keyframe.motion is not None:
-        _check_covariance("keyframe.motion.covariance", keyframe.motion.covariance)
+        check_instance("keyframe.motion", keyframe.motion, Motion)
+        _check_covariance("keyframe.motion.covariance", keyframe.motion.covariance, (3, 6))
         _check_pose("keyframe.motion.a_T_b", keyframe.motion.a_T_b)
     if keyframe.world_T_body_guess is not None:
         _check_pose("keyframe.world_T_body_guess", keyframe.world_T_body_guess)
@@ -36,11 +45,13 @@ def check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
         name = f"keyframe.observations[{index}]"
         if isinstance(seen, PlaneObservation):
             check_extent(f"{name}.plane", seen.plane.frame, seen.plane.outline)
-            _check_covariance(f"{name}.plane.covariance", seen.plane.covariance)
+            _check_covariance(f"{name}.plane.covariance", seen.plane.covariance, (3,))
         elif isinstance(seen, LineObservation):
             _check_pose(f"{name}.body_T_sensor", seen.body_T_sensor)
-            _check_covariance(f"{name}.line.covariance", seen.line.covariance)
+            _check_covariance(f"{name}.line.covariance", seen.line.covariance, (2,))
             _check_near(f"{name}.line.endpoints", seen.line.endpoints, _LARGEST_PLANE_M)
+        elif not hasattr(seen, "factor"):
+            raise ValueError(f"{name}: expected a plane or a line that was seen, got {type(seen).__name__}")
 
 
 def check_extent(name: str, frame: FloatArray, outline: BaseGeometry | None) -> None:
@@ -85,9 +96,13 @@ def skipped(keyframes: list[str]) -> list[str]:
     return [f"{len(keyframes)} scans could not be used; the first: {keyframes[0]}"]
 
 
-def _check_covariance(name: str, covariance: FloatArray) -> None:
-    _check_finite(name, covariance)
-    if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-12):
+def _check_covariance(name: str, covariance: FloatArray, sizes: tuple[int, ...]) -> None:
+    check_instance(name, covariance, np.ndarray)
+    if covariance.shape not in [(size, size) for size in sizes]:
+        wanted = " or ".join(f"({size}, {size})" for size in sizes)
+        raise ValueError(f"{name}: expected shape {wanted}, got {covariance.shape}")
+    _check_finite(name, as_float_array(name, covariance))
+    if (np.abs(covariance - covariance.T) > 1e-12 + 1e-6 * np.abs(covariance)).any():
         raise ValueError(f"{name}: expected a covariance, got a matrix that is not symmetric")
     least, *_, most = np.linalg.eigvalsh(covariance).tolist()
     if least <= 0.0:

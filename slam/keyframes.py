@@ -55,26 +55,26 @@ def keyframes_of(log: Log, rig: Rig, config: SlamConfig, start: int = 0) -> Iter
     Raises:
         LogError: no scan of a sensor that the rig knows, or no odometry where it is needed.
     """
-    clouds = _clouds_of(log, rig, config.keyframes.strict)
+    clouds, late = _clouds_of(log, rig, config.keyframes.strict)
     if clouds:
-        yield from _cloud_keyframes(log, clouds, rig, config, start)
+        yield from _cloud_keyframes(log, clouds, late, rig, config, start)
     else:
         yield from _laser_keyframes(log, rig, config, start)
 
 
 def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
     """How many keyframes `keyframes_of` will give, without making them."""
-    clouds = _clouds_of(log, rig, config.keyframes.strict)
+    clouds, _ = _clouds_of(log, rig, config.keyframes.strict)
     return len(clouds) if clouds else len(_choose_stamps(log, rig, config.keyframes))
 
 
 def _cloud_keyframes(
-    log: Log, clouds: Sequence[CloudScan], rig: Rig, config: SlamConfig, start: int
+    log: Log, clouds: Sequence[CloudScan], late: dict[int, list[str]], rig: Rig, config: SlamConfig, start: int
 ) -> Iterator[Keyframe]:
     track = _track_of(log, rig) if log.odometry else None  # without it the estimator finds the motion by the planes
     previous = clouds[start - 1] if start else None
-    for scan in clouds[start:]:
-        notes: list[str] = []
+    for index, scan in enumerate(clouds[start:], start):
+        notes = list(late.get(index, ()))
         measure = partial(planes_of_cloud, scan, rig.sensors[scan.sensor], config)
         observations = _measured(measure, scan.stamp_ns, config, notes)
         motion = None
@@ -129,18 +129,23 @@ def _measured(measure: Callable[[], list[Seen]], stamp_ns: int, config: SlamConf
         return []
 
 
-def _clouds_of(log: Log, rig: Rig, strict: bool) -> list[CloudScan]:
-    """3D scans of the rig's sensors, in time order, no two of one time: of those the first."""
-    names, clouds = rig.of_kind("cloud"), []
+def _clouds_of(log: Log, rig: Rig, strict: bool) -> tuple[list[CloudScan], dict[int, list[str]]]:
+    """3D scans of the rig's sensors, each later than the one before, and a sentence on every one that is not.
+
+    Those are left out; their sentences go with the scan before, by its index. Of two scans of one time the first stays.
+    """
+    names, clouds, late = rig.of_kind("cloud"), [], {}
     for scan in log.scans():
         if not isinstance(scan, CloudScan) or scan.sensor not in names:
             continue
         if clouds and scan.stamp_ns <= clouds[-1].stamp_ns:
+            problem = f"expected a scan after {clouds[-1].stamp_ns} ns, got {scan.stamp_ns} ns"
             if strict:
-                raise LogError(log.source, f"expected a scan after {clouds[-1].stamp_ns} ns, got {scan.stamp_ns} ns")
+                raise LogError(log.source, problem)
+            late.setdefault(len(clouds) - 1, []).append(f"at {scan.stamp_ns * 1e-9:.3f} s: {problem}")
             continue
         clouds.append(scan)
-    return clouds
+    return clouds, late
 
 
 def _choose_stamps(log: Log, rig: Rig, config: KeyframeConfig) -> list[int]:

@@ -22,7 +22,7 @@ from slam.rig import Sensor
 from slam.sweep import middle_ns, place_beams
 from slam.window import window_poses
 from spplanes import LineConfig, MapperConfig, Plane, extract_lines, fit_plane, fit_planes, segment_scans
-from spplanes._check import FloatArray
+from spplanes._check import FloatArray, as_float_array
 from spplanes.registration import register_scans
 
 #: Columns of a grid whose points tell how far apart rows lie: each of so many.
@@ -35,7 +35,7 @@ def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list
     A scan without order is seen as lines or a range image first, as wide as the rig says, or as its points suggest.
     Where the rig knows of rough surfaces, what is on no plane is searched again for planes as flat as those.
     """
-    points = scan.points  # once: a stored cloud is read each time
+    points = as_float_array("points", scan.points)  # once: a stored cloud is read each time
     if points.ndim not in (2, 3) or points.shape[-1] != 3:
         raise ValueError(f"points: expected shape (S, B, 3) or (N, 3), got {points.shape}")
     points = usable_points(points, sensor)
@@ -165,7 +165,7 @@ def usable_ranges(ranges: FloatArray, sensor: Sensor) -> FloatArray:
 
 def usable_points(points: FloatArray, sensor: Sensor) -> FloatArray:
     """Points (..., 3) in the sensor frame with NaN for what lies outside the sensor's limits."""
-    flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
+    flat = as_float_array("points", points).reshape(-1, 3)
     return within(flat, sensor.range_min_m, sensor.range_max_m).reshape(points.shape)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from slam.config import KeyframeConfig, SlamConfig
 from slam.health import silences
 from slam.io.log import CloudScan, LaserScan, Log, LogError
 from slam.keyframes import Keyframe, count_keyframes, keyframes_of
+from slam.measure import planes_of_cloud
 from slam.metrics import warnings_of
 from slam.observations import PlaneObservation
 from slam.run import run_slam
@@ -83,10 +85,57 @@ def test_a_nan_in_the_motion_is_refused():
         slam.add_keyframe(replace(frame, motion=replace(frame.motion, a_T_b=moved)))
 
 
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"stamp_ns": 1.5}, "keyframe.stamp_ns: expected whole nanoseconds, got 1.5"),
+        ({"observations": None}, "keyframe.observations: expected a Sequence, got NoneType"),
+        ({"observations": [1]}, r"keyframe.observations\[0\]: expected a plane or a line that was seen, got int"),
+        ({"motion": 3}, "keyframe.motion: expected a Motion, got int"),
+        ({"covariance": "wide"}, "keyframe.motion.covariance: expected a ndarray, got str"),
+        ({"covariance": np.eye(2)}, r"keyframe.motion.covariance: expected shape \(3, 3\) or \(6, 6\), got \(2, 2\)"),
+        ({"covariance": np.array([[1.0, 5.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])}, "not symmetric"),
+    ],
+)
+def test_what_is_no_keyframe_is_refused_in_one_sentence(change: dict[str, Any], problem: str):
+    first, second = drive(0, count=2).keyframes
+    assert second.motion is not None
+    if "covariance" in change:
+        change = {"motion": replace(second.motion, **change)}
+    slam = PlaneSlam()
+    slam.add_keyframe(first)
+    with pytest.raises(ValueError, match=problem):
+        slam.add_keyframe(replace(second, **change))
+    slam.add_keyframe(second)
+    assert len(slam.trajectory) == 2
+
+
+@pytest.mark.parametrize(
+    ("points", "problem"),
+    [
+        (np.full((4, 5, 3), "a"), "points: expected an array of numbers, got <U1 array"),
+        (np.zeros((4, 5, 2)), r"points: expected shape \(S, B, 3\) or \(N, 3\), got \(4, 5, 2\)"),
+        (np.zeros(7), r"points: expected shape \(S, B, 3\) or \(N, 3\), got \(7,\)"),
+    ],
+)
+def test_points_that_are_none_are_refused_in_one_sentence(hall: Mission, points: np.ndarray, problem: str):
+    with pytest.raises(ValueError, match=problem):
+        planes_of_cloud(CloudScan(0, SPINNING, points), hall.rig.sensors[SPINNING], SlamConfig())
+
+
+@pytest.mark.parametrize("shape", [(0, 3), (0, 0, 3), (1, 1, 3), (2, 3), (40, 3), (3, 40, 3)])
+@pytest.mark.parametrize("value", [np.nan, 0.0, 1.0, 1e9])
+def test_clouds_without_a_plane_have_none(hall: Mission, shape: tuple[int, ...], value: float):
+    assert (
+        planes_of_cloud(CloudScan(0, SPINNING, np.full(shape, value)), hall.rig.sensors[SPINNING], SlamConfig()) == []
+    )
+
+
 def test_two_clouds_of_one_time_are_one_keyframe_and_end_a_strict_run(hall: Mission):
     twice = with_events(hall, lambda k, event: [event, event] if isinstance(event, CloudScan) else [event])
     frames = list(keyframes_of(twice, hall.rig, SlamConfig()))
     assert [frame.stamp_ns for frame in frames] == [scan.stamp_ns for scan in hall.log.scans()]
+    assert all(len(frame.notes) == 1 and "expected a scan after" in frame.notes[0] for frame in frames)
     assert count_keyframes(twice, hall.rig, SlamConfig()) == 4
     with pytest.raises(LogError, match="expected a scan after"):
         list(keyframes_of(twice, hall.rig, STRICT))
