@@ -13,6 +13,8 @@ _GOOD, _NOT_FINITE, _ASYMMETRIC, _INDEFINITE, _ZERO, _EXTREME = 0, 1, 2, 3, 4, 5
 #: Coordinates up to this, m, and variances from this on and up to that, m^2: their products stay within floats.
 LARGEST_COORDINATE = 1e15
 SMALLEST_VARIANCE, LARGEST_VARIANCE = 1e-30, 1e30
+#: Variances between which products of three neither vanish nor overflow.
+_USUAL = 1e-30, 1e30
 
 
 @njit(cache=True)
@@ -55,10 +57,23 @@ def _judge(c, tolerance: float) -> int:
 def _first_bad_covariance(covariances, tolerance: float) -> tuple[int, int]:
     """Index and fault of the first matrix that is no covariance, or (-1, 0)."""
     for i in range(covariances.shape[0]):
-        fault = _judge(covariances[i], tolerance)
-        if fault != _GOOD:
-            return i, fault
+        if not _is_plain(covariances, i):
+            fault = _judge(covariances[i], tolerance)
+            if fault != _GOOD:
+                return i, fault
     return -1, _GOOD
+
+
+@njit(cache=True)
+def _is_plain(covariances, i) -> bool:
+    """Whether a matrix is clearly a covariance, by products alone: exactly symmetric, minors well above zero."""
+    a, b, c = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 0, 2]
+    d, e, f = covariances[i, 1, 1], covariances[i, 1, 2], covariances[i, 2, 2]
+    symmetric = (covariances[i, 1, 0] == b) & (covariances[i, 2, 0] == c) & (covariances[i, 2, 1] == e)
+    minor, product = a * d - b * b, a * d
+    det = f * minor - a * e * e - c * (c * d - 2.0 * b * e)
+    usual = (min(a, d, f) > _USUAL[0]) & (max(a, d, f) < _USUAL[1])
+    return symmetric & usual & (minor > 1e-9 * product) & (det > 1e-9 * product * f)
 
 
 def as_points(name: str, value: ArrayLike) -> FloatArray:

@@ -47,7 +47,8 @@ def _pairs_of_rows(points, covariance, valid, views, labels, planes, sizes, bias
                     continue
                 on_plane, in_front, missing = 0, 0, 0
                 widest = max(gap, int(hidden * np.sqrt(sizes[r]))) if gap else 0
-                for back in range(1, min(widest + 1, before) + 1):
+                farthest = min(widest + 1, before)
+                for back in range(1, farthest + 1):
                     a, b = (i, j - back) if along == 0 else (i - back, j)
                     q = labels[a, b]
                     if q == r:
@@ -57,6 +58,8 @@ def _pairs_of_rows(points, covariance, valid, views, labels, planes, sizes, bias
                         if count == pairs.shape[0]:
                             pairs = np.concatenate((pairs, np.empty_like(pairs)))
                         count += _enter(pairs, count, recent, min(q, r), max(q, r))
+                    if back == farthest:
+                        break
                     side = 1
                     if valid[a, b]:
                         side = _side(points, covariance, a, b, views, planes, r, bias[r])
