@@ -10,9 +10,10 @@ import numpy as np
 
 from slam.backend import Backend, pose_symbol
 from slam.config import SlamConfig
+from slam.driven import DrivenPath
 from slam.keyframes import Keyframe
 from slam.landmarks import LandmarkMap
-from slam.loops import LoopDecision, Path, disjoint, find_loop
+from slam.loops import LoopDecision, disjoint, find_loop
 from slam.merging import Merges
 from slam.thinning import Thinning
 
@@ -45,7 +46,7 @@ class LoopCloser:
         if rules.max_candidates == 0 or self._ways[-1] - self._looked_at_m < rules.every_m:
             return None
         self._looked_at_m = self._ways[-1]
-        path = Path.of(self._thinning.held, np.array(self._ways), self._backend)
+        path = DrivenPath.of(self._thinning.held, np.array(self._ways), self._backend)
         decisions = find_loop(path, self._keyframes, self._landmarks, self._backend, rules, needed)
         self.decisions += decisions
         if not decisions or decisions[-1].verdict != "closed":

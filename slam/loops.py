@@ -9,26 +9,22 @@ from typing import Literal
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from slam.backend import Backend, JointCovariance, pose_symbol
+from slam.backend import Backend, pose_symbol
 from slam.config import LoopConfig
 from slam.constellation import ConstellationMatch, Wall, match_constellations, match_near
-from slam.frames import inverse, lift
+from slam.driven import DrivenPath, old_keyframes, radius_of
+from slam.frames import inverse
 from slam.io.log import planar_transform
 from slam.keyframes import Keyframe
 from slam.landmarks import Landmark, LandmarkMap
 from slam.odometry import Motion, planar_delta
 from slam.raster import Raster
 from slam.relocate import Relocation
-from slam.twins import hesse_from, landmark_keys
-from slam.views import RelativePose, compare_views, left_open, view_of
-from spplanes._check import FloatArray
+from slam.surroundings import surroundings, view_about, walls_from
+from slam.views import RelativePose, compare_views, left_open
 
 LoopVerdict = Literal["closed", "not seen", "ambiguous", "unobservable", "far", "too few"]
 
-#: Bounds drawn from a standard deviation are taken at this many of them.
-_SIGMAS = 3.0
-#: Walls that lean more than this from the body's vertical take no part: sine of the lean.
-_MAX_LEAN = 0.2
 #: Sine of the angle from which on two walls fix a place between them.
 _ACROSS = 0.26
 #: Of height (m), roll and pitch (rad) the views of level lasers say nothing.
@@ -62,41 +58,8 @@ class LoopDecision:
     """From the old keyframe to the keyframe, what the returns say of it beyond the walls."""
 
 
-@dataclass(frozen=True, eq=False)
-class Path:
-    """The way so far, and where on it the keyframes are that the graph holds."""
-
-    frames: np.ndarray
-    """Those keyframes, ascending, shape (M,); the last is the newest of all."""
-    poses: FloatArray
-    """Their world_T_body by the current estimate, shape (M, 4, 4)."""
-    lengths: FloatArray
-    """Length of the way to every keyframe, m, shape (N,)."""
-
-    @classmethod
-    def of(cls, frames: Sequence[int], driven: FloatArray, backend: Backend) -> Path:
-        """By the backend's estimate; where keyframes have left the graph, by the way as it was driven, (N,) m."""
-        held = np.array(frames)
-        poses = backend.poses([pose_symbol(one) for one in frames])
-        steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-        steps = np.where(np.diff(held) == 1, steps, np.diff(driven[held]))
-        lengths = np.concatenate(([0.0], np.cumsum(steps)))
-        rows = np.searchsorted(held, np.arange(len(driven)), side="right") - 1
-        return cls(held, poses, lengths[rows] + (driven - driven[held[rows]]))
-
-    def pose(self, frame: int) -> FloatArray:
-        """world_T_body of one of those keyframes, shape (4, 4)."""
-        return self.poses[np.searchsorted(self.frames, frame)]
-
-    def window(self, frame: int, window_m: float) -> tuple[int, int]:
-        """The first and the last of all keyframes within so much travel of one."""
-        way = self.lengths[frame]
-        first = np.searchsorted(self.lengths, way - window_m, side="left")
-        return int(first), int(np.searchsorted(self.lengths, way + window_m, side="right")) - 1
-
-
 def find_loop(
-    path: Path,
+    path: DrivenPath,
     keyframes: Sequence[Keyframe],
     landmarks: LandmarkMap,
     backend: Backend,
@@ -114,15 +77,15 @@ def find_loop(
         One decision for every old keyframe compared with; only the last of them may be "closed".
     """
     now = len(path.lengths) - 1
-    here = _surroundings(now, path, landmarks, config, min_keyframes)
+    here = surroundings(now, path, landmarks, config, min_keyframes)
     decisions: list[LoopDecision] = []
     has_view = keyframes[now].returns is not None
     if len(here) < (1 if has_view else config.min_walls):
         return decisions
     view: Raster | None = None
     walls: list[Wall] = []
-    for old in _old_keyframes(path, backend, config):
-        there = _surroundings(old, path, landmarks, config, min_keyframes)
+    for old in old_keyframes(path, backend, config):
+        there = surroundings(old, path, landmarks, config, min_keyframes)
         shared = [one for one in here if one in there]
         if has_view and there and keyframes[old].returns is not None:
             if _fix_a_place(shared, landmarks, config):
@@ -130,20 +93,20 @@ def find_loop(
             estimate = RelativePose.of(pose_symbol(old), pose_symbol(now), backend)
             if estimate.reach_m <= config.tied_m and shared:
                 continue
-            view = view or _view_about(now, path, keyframes, backend, config)
-            other = _view_about(old, path, keyframes, backend, config)
+            view = view or view_about(now, path, keyframes, backend, config)
+            other = view_about(old, path, keyframes, backend, config)
             if view is None or other is None:
                 continue
             way = float(path.lengths[now] - path.lengths[old])
             found = compare_views(view, other, estimate, config.drift_share * way, way)
-            walls = walls or _walls_from(pose_symbol(now), here, landmarks, backend)
-            others = _walls_from(pose_symbol(old), there, landmarks, backend)
+            walls = walls or walls_from(pose_symbol(now), here, landmarks, backend)
+            others = walls_from(pose_symbol(old), there, landmarks, backend)
             decisions.append(
                 _decide_by_view(found, estimate, old, path, (walls, here), (others, there), backend, config)
             )
         elif min(len(here), len(there)) >= config.min_walls > len(shared):
-            walls = walls or _walls_from(pose_symbol(now), here, landmarks, backend)
-            match = match_constellations(walls, _walls_from(pose_symbol(old), there, landmarks, backend))
+            walls = walls or walls_from(pose_symbol(now), here, landmarks, backend)
+            match = match_constellations(walls, walls_from(pose_symbol(old), there, landmarks, backend))
             decisions.append(_decide(match, old, path, here, there, backend, config))
         if decisions and decisions[-1].verdict == "closed":
             break
@@ -158,21 +121,11 @@ def _fix_a_place(shared: Sequence[Landmark], landmarks: LandmarkMap, config: Loo
     return bool(np.abs(np.cross(normals[0], normals)).max() > _ACROSS)
 
 
-def _view_about(
-    frame: int, path: Path, keyframes: Sequence[Keyframe], backend: Backend, config: LoopConfig
-) -> Raster | None:
-    """What level lasers saw within the window of travel around a keyframe, in its frame."""
-    first, last = path.window(frame, config.window_m)
-    members = list(range(first, last + 1))
-    poses = [backend.pose(pose_symbol(one)) for one in members]
-    return view_of([keyframes[one] for one in members], poses, path.pose(frame), config)
-
-
 def _decide_by_view(
     found: Relocation,
     estimate: RelativePose,
     old: int,
-    path: Path,
+    path: DrivenPath,
     here: tuple[Sequence[Wall], Sequence[Landmark]],
     there: tuple[Sequence[Wall], Sequence[Landmark]],
     backend: Backend,
@@ -215,47 +168,10 @@ def _motion_beyond(found: Relocation, match: ConstellationMatch) -> Motion | Non
     return Motion(planar_transform(*found.pose), covariance, _OUT_OF_PLANE)
 
 
-def _surroundings(
-    index: int, path: Path, landmarks: LandmarkMap, config: LoopConfig, min_keyframes: int
-) -> list[Landmark]:
-    """Confirmed landmarks seen within the window of travel around a keyframe."""
-    first, last = path.window(index, config.window_m)
-    return [
-        landmark
-        for landmark in landmarks
-        if landmark.n_keyframes >= min_keyframes and landmark.was_seen_between(first, last)
-    ]
-
-
-def _old_keyframes(path: Path, backend: Backend, config: LoopConfig) -> list[int]:
-    """Keyframes of long ago within the search radius, nearest first, one in each stretch of the way."""
-    ways = path.lengths[path.frames]
-    since = path.lengths[-1] - ways
-    distances = np.linalg.norm(path.poses[:, :3, 3] - path.poses[-1, :3, 3], axis=1)
-    reach = config.drift_share * since + config.window_m
-    far = 3.0 * config.window_m
-    if not np.any(since > far):
-        return []
-    radius = _radius(pose_symbol(int(path.frames[-1])), backend) + reach
-    wanted = np.flatnonzero((since > far) & (distances <= radius))
-    chosen: list[int] = []
-    for row in wanted[np.argsort(distances[wanted], kind="stable")].tolist():
-        if len(chosen) == config.max_candidates:
-            break
-        if all(abs(ways[row] - ways[other]) > config.window_m for other in chosen):
-            chosen.append(row)
-    return path.frames[chosen].tolist()
-
-
-def _radius(pose_key: int, backend: Backend) -> float:
-    covariance = backend.covariance(pose_key)[3:, 3:]
-    return _SIGMAS * float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
-
-
 def _decide(
     match: ConstellationMatch | None,
     old: int,
-    path: Path,
+    path: DrivenPath,
     here: Sequence[Landmark],
     there: Sequence[Landmark],
     backend: Backend,
@@ -269,43 +185,13 @@ def _decide(
     turn = float(np.arctan2(offset[1, 0], offset[0, 0]))
     found = [(here[i].id, there[j].id) for i, j in match.pairs.tolist() if here[i] is not there[j]]
     pairs = tuple((min(pair), max(pair)) for pair in found)
-    radius = _radius(pose_symbol(now), backend) + config.drift_share * float(path.lengths[now] - path.lengths[old])
+    radius = radius_of(pose_symbol(now), backend) + config.drift_share * float(path.lengths[now] - path.lengths[old])
     verdict: LoopVerdict = "closed" if match.verdict == "closure" else match.verdict
     if verdict == "closed" and distance > radius:
         verdict = "far"
     if verdict == "closed" and not pairs:
         verdict = "too few"
     return LoopDecision(now, old, verdict, pairs, distance, turn, match.chi2, match.n_dof, match.evidence)
-
-
-def _walls_from(pose_key: int, seen: Sequence[Landmark], landmarks: LandmarkMap, backend: Backend) -> list[Wall]:
-    """The landmarks as walls in the frame of a pose, with their covariance relative to it."""
-    keys = {pose_key}.union(*(landmark_keys(landmark) for landmark in seen))
-    joint = backend.joint_covariance(sorted(keys))
-    body_T_world = inverse(backend.pose(pose_key))
-    return [_wall_from(pose_key, one, body_T_world, landmarks, backend, joint) for one in seen]
-
-
-def _wall_from(
-    pose_key: int,
-    landmark: Landmark,
-    body_T_world: FloatArray,
-    landmarks: LandmarkMap,
-    backend: Backend,
-    joint: JointCovariance,
-) -> Wall:
-    normal, d, jacobian, keys = hesse_from(landmark, pose_key, backend)
-    covariance = jacobian @ joint.of(keys) @ jacobian.T
-    level = max(float(np.hypot(normal[0], normal[1])), 1.0 - _MAX_LEAN)
-    by_hesse = np.zeros((2, 4))  # of (alpha, rho): the wall's normal points into it, the landmark's out of it
-    by_hesse[0, :2] = np.array((-normal[1], normal[0])) / level**2
-    by_hesse[1, 3] = -1.0 / level
-    body_T_plane = body_T_world @ landmarks.placed(landmark.id).world_T_plane
-    corners = lift(landmark.region.corners, body_T_plane)[:, :2]
-    alpha = float(np.arctan2(-normal[1], -normal[0]))
-    along = corners @ np.array((-np.sin(alpha), np.cos(alpha)))
-    ends = corners[[int(np.argmin(along)), int(np.argmax(along))]]
-    return Wall(alpha, -d / level, by_hesse @ covariance @ by_hesse.T, ends)
 
 
 def disjoint(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
