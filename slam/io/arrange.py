@@ -74,6 +74,15 @@ def arrange(points: FloatArray, grid: Grid | None = None) -> FloatArray:
     return range_image(used, grid) if lines is None else lines
 
 
+def shows_lines(points: FloatArray) -> bool:
+    """Whether points (N, 3) come in the lines of a 2D laser that was turned, by their order; a grid (S, B, 3) does not
+    say."""
+    if points.ndim != 2:
+        return False
+    used = points[np.isfinite(points).all(axis=1)]
+    return _lines_of(used[(used != 0.0).any(axis=1)]) is not None
+
+
 def range_image(points: FloatArray, grid: Grid | None = None) -> FloatArray:
     """Points (N, 3) as seen from the sensor, shape (rows, columns, 3): highest row first; of two in a cell the nearer.
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from slam.io.arrange import grid_of
+from slam.io.arrange import grid_of, shows_lines
 from slam.io.carmen import read_carmen
-from slam.io.clouds import is_cloud_file
-from slam.io.default_rigs import bag_rig, cloud_rig, depth_rig, threedtk_rig
+from slam.io.clouds import is_cloud_file, read_cloud
+from slam.io.default_rigs import bag_rig, cloud_rig, depth_rig, threedtk_rig, turned_laser_rig
 from slam.io.depth_folder import is_depth_folder, read_depth_folder
-from slam.io.folders import has_clouds, read_cloud_folder, read_e57_log
+from slam.io.folders import clouds_in, has_clouds, read_cloud_folder, read_e57_log
 from slam.io.log import Log, LogError
 from slam.io.rosbag import Topics, is_rosbag, read_rosbag, sensor_name
 from slam.io.threedtk import is_3dtk_folder, read_3dtk
@@ -93,8 +93,17 @@ def _load_bag(path: Path, rig: Rig | None, topics: Topics, keep_partial: bool) -
 
 def _load_clouds(path: Path, rig: Rig | None, read: Callable[..., Log]) -> tuple[Log, Rig]:
     """Clouds of one 3D sensor, by the reader of their kind."""
-    rig, name, sensor = _with_one_sensor(path, rig, cloud_rig())
+    rig, name, sensor = _with_one_sensor(path, rig, turned_laser_rig() if _is_turned_laser(path) else cloud_rig())
     return read(path, sensor=name, grid=grid_of(sensor), body_T_sensor=sensor.body_T_sensor), rig
+
+
+def _is_turned_laser(path: Path) -> bool:
+    """Whether the order of the points of a folder's first cloud shows the lines of a 2D laser."""
+    clouds = clouds_in(path) if path.is_dir() else []
+    try:
+        return bool(clouds) and shows_lines(read_cloud(clouds[0]).points)
+    except LogError:  # a cloud that cannot be read is left out when its turn comes
+        return False
 
 
 def _load_depth(path: Path, rig: Rig | None) -> tuple[Log, Rig]:
