@@ -12,7 +12,7 @@ from spplanes._check import FloatArray, as_covariance
 #: Smallest eigenvalue of the correlation matrix below which a covariance counts as singular.
 _SINGULAR = 1e-12
 #: Standard deviations below this have no information that a float holds.
-_LEAST_SIGMA = 1e-50
+_LEAST_SIGMA = 1e-25
 
 
 def as_key(name: str, value: object) -> int:

@@ -75,6 +75,7 @@ FOUND = {
     "a keyframe whose noise is none": ("add_keyframe", _keyframe_with(0, 1e-320)),
     "a keyframe whose motion is no number": ("add_keyframe", _keyframe_with(1, 1e200)),
     "a factor without noise": ("factors", _factor_with(1e-312)),
+    "odometry without noise": ("factors", _factor_with(9.8e-91)),
     "noise whose square is infinite": ("segment_scans", b"iiiiii|t"),
     "noise whose square is zero": ("segment_scans", np.array([1e-200, *np.arange(96.0)]).tobytes()),
 }
