@@ -57,7 +57,8 @@ def find(parent, i):
 
 
 @njit(cache=True)
-def _push(keys, items, size, key, item):
+def push(keys, items, size, key, item):
+    """Put an entry into a heap of `size`; returns the new size."""
     i = size
     while i > 0:
         up = (i - 1) >> 1
@@ -70,7 +71,7 @@ def _push(keys, items, size, key, item):
 
 
 @njit(cache=True)
-def _pop(keys, items, size):
+def pop(keys, items, size):
     """Remove the first entry; the caller has read it."""
     size -= 1
     key, item = keys[size], items[size]
@@ -130,10 +131,10 @@ def cluster(rows, bias, edges, limits, flatness, correlation):
     work = np.empty(rows.shape[1])
     size = 0
     for e in range(n_edges):
-        size = _push(keys, items, size, merged_distance(rows[edges[e, 0]], rows[edges[e, 1]], work), e)
+        size = push(keys, items, size, merged_distance(rows[edges[e, 0]], rows[edges[e, 1]], work), e)
     while size > 0:
         key, e = keys[0], items[0]
-        size = _pop(keys, items, size)
+        size = pop(keys, items, size)
         a, b = find(parent, edges[e, 0]), find(parent, edges[e, 1])
         if a == b:
             continue
@@ -141,7 +142,7 @@ def cluster(rows, bias, edges, limits, flatness, correlation):
             stamp[e] = version[a] + version[b]
             fresh = merged_distance(rows[a], rows[b], work)
             if fresh > key:
-                size = _push(keys, items, size, fresh, e)
+                size = push(keys, items, size, fresh, e)
                 continue
         if not _are_one(rows, bias, a, b, flatness, correlation, limits, work):
             continue

@@ -9,7 +9,7 @@ from spplanes._check import FloatArray
 from spplanes.segmentation.config import FEW_ROWS, MapperConfig
 from spplanes.segmentation.joining import join_cells
 from spplanes.segmentation.quads import links, surviving_quads
-from spplanes.segmentation.refining import part_at_creases, release_misfits, spread
+from spplanes.segmentation.refining import part_at_creases, part_steps, release_misfits, spread
 from spplanes.segmentation.sheet import Sheet, drop_small, refit
 from spplanes.segmentation.stretching import stretched
 
@@ -36,6 +36,7 @@ def _segment(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
     quads = _filter(sheet, views, config)
     for repeat in range(ROUNDS):
         if repeat:
+            part_steps(sheet, config)
             release_misfits(sheet, config)
         size = config.largest_cell
         while size >= config.smallest_cell:
