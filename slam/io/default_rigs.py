@@ -72,7 +72,12 @@ def cloud_rig() -> Rig:
         plane_sigma_m=0.003,
         plane_sigma_rad=0.0009,
     )
-    odometry = MEASURED.model_copy(update={"along_sigma_m_per_sqrt_m": 0.35, "lateral_sigma_m_per_sqrt_m": 0.35})
+    guess = {
+        "along_sigma_m_per_sqrt_m": 0.35,
+        "lateral_sigma_m_per_sqrt_m": 0.35,
+        "heading_sigma_rad_per_sqrt_m": 0.05,
+    }
+    odometry = MEASURED.model_copy(update=guess)
     # poses that others estimated: 1 to 2 cm and 0.1 deg
     poses = LocalisationNoise(xy_sigma_m=0.01, heading_sigma_rad=0.001, z_sigma_m=0.01, tilt_sigma_rad=0.001)
     return Rig(sensors={CLOUD_SENSOR: scanner}, odometry=odometry, localisation=poses)
