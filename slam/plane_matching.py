@@ -124,13 +124,12 @@ def _rotations(mine: _Planes, theirs: _Planes, sigma_rad: float) -> list[FloatAr
     rotations, turns = rotations[near], turns[near]
     agree = np.einsum("kij,nj,mi->knm", rotations, mine.normals, theirs.normals, optimize=True).max(axis=2)
     scores = (agree > np.cos(_ANGLE)) @ mine.weights - _tail((turns / sigma_rad) ** 2)
+    left = rotations[np.argsort(-scores, kind="stable")].reshape(-1, 9)
     chosen: list[FloatArray] = []
-    for index in np.argsort(-scores, kind="stable").tolist():
-        candidate = rotations[index]
-        if all(np.trace(candidate.T @ one) < 1.0 + 2.0 * np.cos(_ANGLE) for one in chosen):
-            chosen.append(candidate)
-        if len(chosen) == _ROTATIONS:
-            break
+    while len(left) and len(chosen) < _ROTATIONS:
+        best = left[0]
+        chosen.append(best.reshape(3, 3))
+        left = left[left @ best < 1.0 + 2.0 * np.cos(_ANGLE)]  # the trace of one turned back by the other
     return chosen
 
 
