@@ -1,7 +1,7 @@
 """Plane extraction beside Open3D on the same points, in one run: quality by Hoover's count, time as a ratio.
 
-Run as ``python -m benchmarks.extraction [FOLDER OF REAL DATA]``. Medians of repeats, kernels warmed up. Open3D uses all
-cores it finds; this library uses one.
+Run as ``python -m benchmarks.extraction [FOLDER OF REAL DATA]``. Medians of repeats, kernels warmed up. Both use all
+cores they find; NUMBA_NUM_THREADS=1 keeps this library on one.
 """
 
 from __future__ import annotations
