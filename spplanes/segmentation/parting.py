@@ -57,12 +57,14 @@ def part(points, covariance, labels, start, planes, bias, size, limit, flatness,
     hides = hides_steps(nodes, planes.shape[0], flatness)
     pairs, edges = edges_of(first, nodes, hides)
     normals, tolerated = planes[:, :3].copy(), TOLERATED * flatness
-    for repeat in range(ROUNDS):
+    measure(nodes, rows, normals)
+    trees = nodes.copy()
+    parent = _fuse(trees, edges, limit, tolerated)
+    for _ in range(ROUNDS - 1):
+        common_normals(nodes, rows, parent, normals)
         measure(nodes, rows, normals)
         trees = nodes.copy()
         parent = _fuse(trees, edges, limit, tolerated)
-        if repeat < ROUNDS - 1:
-            common_normals(nodes, rows, parent, normals)
     while _rejoin(nodes, trees, parent, pairs, edges, bias, limit, tolerated, correlation):
         pass
     label_of, origin = _number(trees, parent, hides, start // size, first, min_points)
