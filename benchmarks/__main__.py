@@ -29,8 +29,8 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--short", action="store_true", help="few repeats and short missions")
     one.add_argument("--write", action="store_true", help="put the results into docs/benchmarks.json and its page")
     one.add_argument("--page", action="store_true", help="only write the page again from the results kept")
-    one.add_argument("--gate", action="store_true", help="exit code 1 where a ratio is worse than the baseline's")
-    one.add_argument("--baseline", action="store_true", help="keep the ratios measured as the baseline")
+    one.add_argument("--gate", action="store_true", help="exit code 1 where a ratio or an accuracy is worse")
+    one.add_argument("--baseline", action="store_true", help="keep what was measured as the baseline")
     return one
 
 
@@ -45,12 +45,11 @@ def main(words: list[str]) -> int:
         print(f"peers: {environment.make()}", flush=True)
         if not (asked.names or asked.write or asked.gate or asked.baseline):
             return 0
-    if asked.page:
+    if asked.page and not asked.write:
         _page.PAGE.write_text(_page.page(_page.store({})))
         return 0
-    results, failed = run_all(asked.names or default_names(gate=asked.gate or asked.baseline), short=asked.short)
-    if asked.write and results:
-        _page.PAGE.write_text(_page.page(_page.store(results)))
+    names = asked.names or default_names(gate=(asked.gate or asked.baseline) and not asked.write)
+    results, failed = run_all(names, short=asked.short, write=asked.write)
     return max(failed, conclude(results, asked))
 
 
@@ -59,8 +58,8 @@ def default_names(*, gate: bool) -> list[str]:
     return [name for name, one in WORKLOADS.items() if (one.gated if gate else not one.on_request)]
 
 
-def run_all(names: list[str], *, short: bool) -> tuple[dict[str, dict[str, Any]], int]:
-    """Results of the workloads that ran, and 1 where one did not."""
+def run_all(names: list[str], *, short: bool, write: bool) -> tuple[dict[str, dict[str, Any]], int]:
+    """Results of the workloads that ran, on the page as soon as they are there; and 1 where one did not run."""
     results, failed, here = {}, 0, _page.circumstances()
     for name in names:
         workload = WORKLOADS[name]
@@ -71,6 +70,8 @@ def run_all(names: list[str], *, short: bool) -> tuple[dict[str, dict[str, Any]]
             failed = 1
             continue
         results[name] = {**here, "short": short, **measured}
+        if write:
+            _page.PAGE.write_text(_page.page(_page.store({name: results[name]})))
         print(f"== {name}: {workload.title} ({measured['seconds']:.0f} s)\n{plain(measured['rows'])}\n", flush=True)
     return results, failed
 
@@ -95,18 +96,23 @@ def run_one(name: str, arguments: dict[str, Any]) -> dict[str, Any]:
 def conclude(results: dict[str, dict[str, Any]], asked: argparse.Namespace) -> int:
     """Compare with the baseline, or make it; the exit code."""
     gated = {name: one["rows"] for name, one in results.items() if WORKLOADS[name].gated}
-    ratios = {key: value for name, rows in gated.items() for key, value in _gate.ratios_of(name, rows).items()}
+    figures: _gate.Figures = {kind: {} for kind in _gate.TOLERANCES}
+    for name, rows in gated.items():
+        for kind, some in _gate.figures_of(name, rows).items():
+            figures[kind] |= some
     if asked.baseline:
-        _gate.write_baseline(ratios)
+        _gate.write_baseline(figures)
     if not asked.gate:
         return 0
-    baseline, tolerance = _gate.read_baseline()
-    verdict = _gate.judge(ratios, {k: v for k, v in baseline.items() if k.split(":")[0] in gated}, tolerance)
+    baseline, tolerances = _gate.read_baseline()
+    verdict = _gate.judge(figures, _gate.only(baseline, set(gated)), tolerances)
     for sentence in verdict.regressions:
         print(f"regression: {sentence}")
     for name in verdict.missing:
         print(f"not measured: {name}", file=sys.stderr)
-    print(f"{verdict.compared} ratios compared, {len(verdict.regressions)} regressions, {len(verdict.missing)} missing")
+    print(
+        f"{verdict.compared} figures compared, {len(verdict.regressions)} regressions, {len(verdict.missing)} missing"
+    )
     return verdict.exit_code
 
 

@@ -78,7 +78,7 @@ def measured(module: str, cases: Mapping[str, Case], *, short: bool = False, mem
             if isinstance(one, Task):
                 row |= next(timed) | {MEMORY: next(peaks)}
             else:
-                row |= _elsewhere(one, short)
+                row |= _elsewhere(one, short) | {"apart": True}
             row[TIMES_OURS] = row[CPU] / mine[0][CPU] if mine and row.get(CPU) else (None if mine else 1.0)
             mine.append(row)
         rows += mine

@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from benchmarks._measure import Row
 from benchmarks._registry import WORKLOADS
 from benchmarks._table import markdown
 from benchmarks.peers import environment
@@ -22,6 +23,10 @@ Written by `python -m benchmarks --write`; every table says when and where it wa
 the same input in the same run, on one core, in turn. Times are medians; *CPU* is processor time, which another process
 on the machine disturbs less. Memory is measured apart from time. `time, x ours` above 1 is how much longer a peer
 takes, below 1 how much faster it is.
+
+`python -m benchmarks --short --write` measures every table within minutes, the longest missions left out; without
+`--short` they are in. `--gate` compares ratios and accuracy with a committed baseline (`benchmarks/baseline.json`),
+made by `--baseline`; it is no part of the tests that every change has to pass, for it takes as long as a short run.
 """
 
 
@@ -53,25 +58,55 @@ def _version(name: str) -> str | None:
 
 
 def store(results: dict[str, dict[str, Any]], path: Path = RESULTS) -> dict[str, dict[str, Any]]:
-    """Put results among those kept; all of them."""
+    """Put results among those kept; all of them. What a short run leaves out stays,
+    with the date of the full run it is from."""
     kept = json.loads(path.read_text()) if path.exists() else {}
-    kept |= results
+    for name, result in results.items():
+        older = left_out(result, kept[name]) if result["short"] and name in kept else []
+        kept[name] = {**result, "older": older}
     path.write_text(json.dumps(kept, indent=1) + "\n")
     return kept
+
+
+def left_out(result: dict[str, Any], before: dict[str, Any]) -> list[dict[str, Any]]:
+    """Groups of rows, each with its circumstances, that a full run before had and this result has not."""
+    measured = {key(row) for row in result["rows"]}
+    groups = [
+        {name: group[name] for name in ("rows", "date", "machine", "short")}
+        | {"rows": [row for row in group["rows"] if key(row) not in measured]}
+        for group in (before, *before.get("older", []))
+        if not group["short"]
+    ]
+    return [group for group in groups if group["rows"]]
+
+
+def key(row: Row) -> tuple[Any, Any]:
+    """What a row is of: its first column, and whose it is."""
+    return next(iter(row.values())), row.get("by")
 
 
 def page(kept: dict[str, dict[str, Any]]) -> str:
     """The page of all results, in the order of the registry."""
     parts = [_INTRODUCTION]
     for name, workload in WORKLOADS.items():
-        if name not in kept:
-            continue
-        result = kept[name]
-        versions = ", ".join(f"{package} {number}" for package, number in result["versions"].items())
-        parts.append(
-            f"## {workload.title}\n\n{workload.says}\n\n{markdown(result['rows'])}\n\n"
-            f"`python -m benchmarks {name}`{' --short' if result['short'] else ''}, {result['date']}, "
-            f"{result['machine']}; {versions}. It took {result['seconds']:.0f} s, its process {result['peak_MB']:.0f} "
-            "MB at most.\n"
-        )
+        if name in kept:
+            older = kept[name].get("older", [])
+            rows = kept[name]["rows"] + [row for group in older for row in group["rows"]]
+            lines = [f"## {workload.title}", workload.says, markdown(rows), source(name, kept[name])]
+            parts.append("\n\n".join([*lines, *map(note, older)]) + "\n")
     return "\n".join(parts)
+
+
+def source(name: str, result: dict[str, Any]) -> str:
+    """The line below a table: what made it, when and where."""
+    versions = ", ".join(f"{package} {number}" for package, number in result["versions"].items())
+    return (
+        f"`python -m benchmarks {name}{' --short' if result['short'] else ''}`, {result['date']}, {result['machine']}; "
+        f"{versions}. It took {result['seconds']:.0f} s, its process {result['peak_MB']:.0f} MB at most."
+    )
+
+
+def note(group: dict[str, Any]) -> str:
+    """The line on rows that the last run left out."""
+    names = ", ".join(dict.fromkeys(str(key(row)[0]) for row in group["rows"]))
+    return f"Not measured again then, from the full run of {group['date']}, {group['machine']}: {names}."

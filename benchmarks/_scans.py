@@ -1,4 +1,4 @@
-"""Readers of the scans that ``benchmarks.extraction`` measures, and Hoover's count."""
+"""Readers of the scans that ``benchmarks.scenes`` measures, and Hoover's count."""
 
 from __future__ import annotations
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+#: What is in rows for the gate alone: accuracy in numbers; that a time was not taken in turn with the others.
+HIDDEN = ("gate", "apart")
+
 
 def columns_of(rows: list[dict[str, Any]]) -> list[str]:
-    """Every name that occurs, in the order in which they first do."""
-    return list(dict.fromkeys(name for row in rows for name in row))
+    """Every name that occurs, in the order in which they first do; not what is for the gate alone."""
+    return list(dict.fromkeys(name for row in rows for name in row if name not in HIDDEN))
 
 
 def cell(value: object) -> str:

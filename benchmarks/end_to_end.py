@@ -6,17 +6,15 @@ else. Nothing surveyed is known of `loop5`; the figure is how far its long walls
 
 from __future__ import annotations
 
-import multiprocessing
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from benchmarks._measure import PROJECT, Row
-from benchmarks._memory import process_peak_mb
+from benchmarks._own_process import in_own_process
 from benchmarks._table import plain
 
 DATA = PROJECT.parent / "shared" / "data"
@@ -59,7 +57,8 @@ def demo(scans: int = 400) -> Row:
         * float(np.sqrt(np.mean(absolute_error(path, mission.truth.trajectory, alignment="first").translation_m ** 2)))
         for path in (done.trajectory, done.odometry)
     ]
-    return {"accuracy": f"position {errors[0]:.2f} mm rmse, odometry {errors[1]:.1f} mm", **times}
+    words = f"position {errors[0]:.2f} mm rmse, odometry {errors[1]:.1f} mm"
+    return {"accuracy": words, "gate": {"position, mm": errors[0]}, **times}
 
 
 def loaded(name: str) -> tuple[Any, Any, float]:
@@ -85,8 +84,11 @@ def loop5() -> Row:
             angles.append(4.0 * np.arctan2(placed.normal[1], placed.normal[0]))
     apart = np.angle(np.exp(1j * (np.array(angles) - np.angle(np.exp(1j * np.array(angles)).mean()))))
     spread = float(np.rad2deg(np.abs(apart).max()) / 4.0)
-    return {"accuracy": f"{len(angles)} long walls at most {spread:.2f} deg from right angles", **times} | {
-        "real-time factor": None  # its stamps are line numbers
+    return {
+        "accuracy": f"{len(angles)} long walls at most {spread:.2f} deg from right angles",
+        "gate": {"walls, deg": spread},
+        **times,
+        "real-time factor": None,  # its stamps are line numbers
     }
 
 
@@ -97,12 +99,13 @@ def intel() -> Row:
 
     done, times = timed_run(*loaded("intel/intel.clf.gz"))
     relations = read_relations(DATA / "intel" / "intel.relations.gz")
-    words = []
+    words, gate = [], {}
     for path in (done.trajectory, done.odometry):
         errors = relation_errors(path, relations)
         turn = np.rad2deg(errors.rotation_rad.mean())
         words.append(f"{errors.translation_m.mean():.3f} m / {turn:.2f} deg")
-    return {"accuracy": f"relations {words[0]}, odometry {words[1]}", **times}
+        gate = gate or {"relations, m": float(errors.translation_m.mean()), "relations, deg": float(turn)}
+    return {"accuracy": f"relations {words[0]}, odometry {words[1]}", "gate": gate, **times}
 
 
 def corridor() -> Row:
@@ -130,6 +133,7 @@ def corridor() -> Row:
     return {
         "accuracy": f"height {size['height']:.3f} m (2.42), width {size['width']:.3f} m (2.39), "
         f"{away[0]:.1f} cm from a registration, which is {away[1]:.1f} cm from another",
+        "gate": {"size, m": max(abs(size["height"] - 2.42), abs(size["width"] - 2.39)), "registration, cm": away[0]},
         **times,
         "real-time factor": None,
     }
@@ -149,7 +153,8 @@ def hall() -> Row:
         * 1e-6
         / (times["ms per keyframe"] * len(done.trajectory) + 1e3 * times["load s"])
     )
-    return {"accuracy": f"{100 * error:.1f} cm rmse from lidar odometry", **times}
+    words = f"{100 * error:.1f} cm rmse from lidar odometry"
+    return {"accuracy": words, "gate": {"position, cm": 100.0 * error}, **times}
 
 
 def libraries() -> Row:
@@ -170,25 +175,35 @@ _MISSIONS: dict[str, tuple[str, Callable[[], Row]]] = {
 }
 
 
-def in_own_process(mission: Callable[[], Row]) -> Row:
-    """The row of a mission, with the memory of the process that ran it."""
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(partial(_with_memory, mission)).result()
-
-
-def _with_memory(mission: Callable[[], Row]) -> Row:
+def measured_mission(name: str) -> Row:
+    """The row of a mission, or what its log lacks; its time also by the yardstick's."""
+    ruler = yardstick()
     try:
-        row = mission()
-    except ValueError as error:  # what a log lacks
+        row: Row = _MISSIONS[name][1]()
+    except ValueError as error:
         row = {"accuracy": f"did not run: {error}".replace(str(DATA), "data")}
-    return row | {"peak memory MB": process_peak_mb()}
+    if row.get("CPU s"):
+        row["CPU, x yardstick"] = row["CPU s"] / (0.5 * (ruler + yardstick()))
+    return row
+
+
+def yardstick() -> float:
+    """Seconds of a fixed piece of work, processor time: small numpy, loops of Python, a matrix product."""
+    rng, start, total = np.random.default_rng(0), time.process_time(), 0.0
+    big = rng.standard_normal((400, 400))
+    for k in range(20_000):
+        matrix = big[k % 100 : k % 100 + 3, :3]
+        total += float((matrix @ matrix.T)[0, 0]) + sum(range(20))
+    for _ in range(10):
+        big = big @ big / np.linalg.norm(big @ big)
+    return time.process_time() - start
 
 
 def run(*, short: bool = False) -> list[Row]:
     """A row for each mission whose log is there; short: without the longest."""
     names = [name for name, (folder, _) in _MISSIONS.items() if (DATA / folder).is_dir()]
     wanted = [name for name in names if not (short and name == "intel")]
-    return [{"mission": name, **in_own_process(_MISSIONS[name][1])} for name in wanted]
+    return [{"mission": name, **in_own_process(partial(measured_mission, name))} for name in wanted]
 
 
 def main() -> None:

@@ -55,7 +55,7 @@ def tenths(keyframes: int, passes: int | None = None, seed: int = 0) -> Iterator
             row = spent.row(slam)
             first = first or row["median, ms"]
             yield {
-                "keyframes": f"{index + 1 - count} to {index}",
+                "keyframes": f"{index + 1 - count} to {index} of {keyframes}",
                 **row,
                 "of the first tenth": row["median, ms"] / first,
                 "position, cm rms": 100.0 * float(np.sqrt((away**2).sum(axis=1).mean())),
@@ -93,7 +93,7 @@ class _Spent:
             "longest, ms": 1e3 * max(self._closings, default=0.0),
             "poses held": len(slam.keyframes) - slam.backend.n_left,
             "landmarks": len(slam.landmarks),
-            "MB": memory,
+            "peak memory MB": memory,
             "kB per keyframe": 1e3 * (memory - self._memory) / count,
         }
         slam.clock.seconds.clear()

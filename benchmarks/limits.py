@@ -1,5 +1,5 @@
 """The slowest stages beside what the hardware allows: moving the data at a bare copy's bandwidth, a bare loop of the
-same arithmetic, GTSAM alone with the same factors.
+same arithmetic (`benchmarks._bare`), GTSAM alone with the same factors.
 
 Run as ``python -m benchmarks.limits``. One thread, processor time, medians of repeats; a stage and its limits in turn.
 """
@@ -7,107 +7,126 @@ Run as ``python -m benchmarks.limits``. One thread, processor time, medians of r
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import gtsam
 import numpy as np
-from numba import njit
 
-from benchmarks import fit, scenes
+from benchmarks import _bare, fit, lines, scenes
 from benchmarks._measure import CPU, PROJECT, Row, Task, in_turn
 from benchmarks._table import plain
-from spplanes import fit_plane
+from spplanes import extract_lines, fit_plane
+from spplanes._check import FloatArray
+from spplanes.fitting import Method
 
 DATA = PROJECT.parent / "shared" / "data"
 #: Numbers of the copy: far beyond every cache, 256 MB.
 COPIED = 32_000_000
 
 
-@njit(cache=True)
-def bare_copy(source: np.ndarray, target: np.ndarray) -> None:
-    """One number after the other."""
-    for k in range(source.size):
-        target[k] = source[k]
-
-
-@njit(cache=True)
-def bare_moments(points: np.ndarray, covariances: np.ndarray, n: np.ndarray, sums: np.ndarray) -> None:
-    """One pass of a fit: weight 1/(n^T C n), weighted moments of a point to second order."""
-    sums[:] = 0.0
-    for k in range(len(points)):
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
-        if np.isnan(x):
-            continue
-        c = covariances[k]
-        variance = n[0] * (c[0, 0] * n[0] + 2.0 * (c[0, 1] * n[1] + c[0, 2] * n[2]))
-        variance += n[1] * (c[1, 1] * n[1] + 2.0 * c[1, 2] * n[2]) + n[2] * c[2, 2] * n[2]
-        w = 1.0 / variance
-        sums[0] += w
-        sums[1] += w * x
-        sums[2] += w * y
-        sums[3] += w * z
-        sums[4] += w * x * x
-        sums[5] += w * x * y
-        sums[6] += w * x * z
-        sums[7] += w * y * y
-        sums[8] += w * y * z
-        sums[9] += w * z * z
-
-
 def bandwidth_gb_s() -> tuple[float, Row]:
     """Bytes moved a second, read and written, by the bare copy; and its row."""
     source, target = np.ones(COPIED), np.zeros(COPIED)
-    (row,) = in_turn([Task("copy", lambda: bare_copy(source, target), repeats=7)])
+    (row,) = in_turn([Task("copy", lambda: _bare.copy(source, target), repeats=7)])
     speed = 2.0 * source.nbytes / row[CPU] / 1e6
     return speed, {"stage": "bare copy, 256 MB", "CPU ms": row[CPU], "limit": f"{speed:.1f} GB/s, read and written"}
 
 
-def beside(stage: str, ours: Callable[[], Any], limits: dict[str, Callable[[], Any]], moved_mb: float, speed: float):
-    """Rows of a stage: itself, its limits, and the time to move its data once."""
-    tasks = [Task(stage, ours, repeats=3), *(Task(name, one, repeats=5) for name, one in limits.items())]
+def beside(
+    stage: str, ours: Callable[[], Any], limits: dict[str, Callable[[], Any]], moved_mb: float, speed: float, times=1
+) -> list[Row]:
+    """Rows of a stage: itself, its limits, and the time to move its data as many times as a bare loop reads them."""
+    tasks = [Task(stage, ours, repeats=5), *(Task(name, one, repeats=5) for name, one in limits.items())]
     measured = [row[CPU] for row in in_turn(tasks)]
     rows: list[Row] = [{"stage": stage, "CPU ms": measured[0], "limit": None}]
-    for name, ms in zip(limits, measured[1:], strict=True):
-        rows.append({"stage": stage, "CPU ms": ms, "limit": name, "stage, x limit": measured[0] / ms})
+    found = dict(zip(limits, measured[1:], strict=True))
     if moved_mb:
-        ms = moved_mb / speed
-        rows.append(
-            {"stage": stage, "CPU ms": ms, "limit": f"{moved_mb:.0f} MB moved once", "stage, x limit": measured[0] / ms}
-        )
+        found[f"{moved_mb:.0f} MB read {times} times"] = times * moved_mb / speed
+    for name, ms in found.items():
+        rows.append({"stage": stage, "CPU ms": ms, "limit": name, "stage, x limit": measured[0] / ms})
     return rows
 
 
 def fitting(speed: float) -> list[Row]:
-    """A million points with covariances."""
+    """A million points with covariances: a check, a start, and two steps ("ml") or sums of the covariance ("sp")."""
     points, covariances = fit.wall(fit.POINTS)
-    sums = np.zeros(10)
-    limits = {
-        "one bare pass of weights and moments": lambda: bare_moments(points, covariances, fit.NORMAL, sums),
+    frame, sums = np.eye(4), np.zeros(18)
+    frame[:3, :3], frame[:3, 3] = np.column_stack([fit.X, fit.Y, fit.NORMAL]), fit.CENTRE
+
+    def ml() -> None:
+        _bare.check(points, covariances)
+        _bare.start(points, covariances, sums)
+        _bare.step(points, covariances, frame, sums)
+        _bare.step(points, covariances, frame, sums)
+
+    def sp() -> None:
+        _bare.check(points, covariances)
+        _bare.start(points, covariances, sums)
+        _bare.spread(points, covariances, frame, sums)
+
+    limits: dict[Method, dict[str, Callable[[], None]]] = {
+        "ml": {"a bare check, start and two steps": ml},
+        "sp": {"a bare check, start and covariance": sp},
     }
-    moved = (points.nbytes + covariances.nbytes) / 1e6
-    return [
-        row
-        for method in ("ml", "sp")
-        for row in beside(
-            f"fit_plane, {method}", lambda m=method: fit_plane(points, covariances, method=m), limits, moved, speed
-        )
-    ]
+    moved, rows = (points.nbytes + covariances.nbytes) / 1e6, []
+    for method, passes in zip(limits, (4, 3), strict=True):
+        ours = partial(fit_plane, points, covariances, method=method)
+        rows += beside(f"fit_plane, {method}, 1,000,000 points", ours, limits[method], moved, speed, passes)
+    return rows
+
+
+def bare_segmentation(points: FloatArray, covariances: FloatArray, eyes: FloatArray) -> Callable[[], None]:
+    """The pass over a grid, and a start and two steps of the fit of all its points, as if they were on one plane."""
+    sums, grid, planes = np.zeros((*points.shape[:2], 10)), np.zeros((512, 512), dtype=np.bool_), np.eye(4)[:2].copy()
+    seen = np.isfinite(points[..., 0])
+    flat, noise, frame, totals = points[seen], covariances[seen], np.eye(4), np.zeros(18)
+
+    def work() -> None:
+        _bare.segmentation(points, covariances, eyes, planes, sums, grid)
+        _bare.start(flat, noise, totals)
+        _bare.step(flat, noise, frame, totals)
+        _bare.step(flat, noise, frame, totals)
+
+    return work
 
 
 def extraction(speed: float, n_scans: int) -> list[Row]:
-    """The push-broom mission."""
+    """The push-broom mission, and measuring a keyframe of a spinning lidar."""
     from benchmarks.tables import corridor_scans, points_of
 
-    mission = corridor_scans(n_scans)
-    scans = points_of(mission)
-    scene = scenes.mission(n_scans)
-    points, covariances = scans.points.reshape(-1, 3), scans.covariances.reshape(-1, 3, 3)
-    sums, normal = np.zeros(10), np.array([0.0, 0.0, 1.0])
-    limits = {
-        "one bare pass of weights and moments": lambda: bare_moments(points, covariances, normal, sums),
-    }
-    moved = (points.nbytes + covariances.nbytes) / 1e6
-    return beside(f"segment_scans, mission of {n_scans} scans", scene.segment, limits, moved, speed)
+    scans, name = points_of(corridor_scans(n_scans)), "a bare pass over the grid and a bare fit"
+    bare = bare_segmentation(scans.points, scans.covariances, scans.viewpoints)
+    moved = (scans.points.nbytes + scans.covariances.nbytes) / 1e6
+    stage = f"segment_scans, mission of {n_scans} scans"
+    return beside(stage, scenes.mission(n_scans).segment, {name: bare}, moved, speed, 4) + measuring(name, speed)
+
+
+def measuring(name: str, speed: float) -> list[Row]:
+    """Scans of 64 x 1172 beams to the planes of a keyframe each."""
+    from benchmarks.keyframe import SENSOR, spinning_hall
+    from slam import SlamConfig
+    from slam.io.log import CloudScan
+    from slam.keyframes import keyframes_of
+    from slam.measure import model_of
+
+    scene = spinning_hall(3)
+    grids = [scan.points for scan in scene.log.scans() if isinstance(scan, CloudScan)]
+    model = model_of(scene.rig.sensors[SENSOR])
+    bare = [bare_segmentation(grid, model.covariances(grid), np.zeros((len(grid), 3))) for grid in grids]
+    moved = sum(12 * grid.nbytes / 3 for grid in grids) / 1e6
+    stage = f"measure, {len(grids)} keyframes of {grids[0].shape[0]} x {grids[0].shape[1]}"
+    ours = partial(lambda: list(keyframes_of(scene.log, scene.rig, SlamConfig())))
+    return beside(stage, ours, {name: lambda: [one() for one in bare]}, moved, speed, 4)
+
+
+def scan_lines() -> list[Row]:
+    """Lines of a hundred scans."""
+    scans = lines.simulated("rooms", "361 beams, 180 deg", 0.01)
+    full = [(np.nan_to_num(scan.ranges, nan=5.0), scan.angles, np.empty(scan.angles.size)) for scan in scans]
+    limits = {"a bare pass of its sums and fits": lambda: [_bare.lines(r, a, 0.01, cost) for r, a, cost in full]}
+    ours = partial(lambda: [extract_lines(scan.ranges, scan.angles, sigma=scan.sigma) for scan in scans])
+    return beside(f"extract_lines, {len(scans)} scans of 361 beams", ours, limits, 0.0, 1.0)
 
 
 def estimation(name: str) -> list[Row]:
@@ -155,7 +174,7 @@ def estimation(name: str) -> list[Row]:
 def run(*, short: bool = False) -> list[Row]:
     """Rows of the stages and their limits."""
     speed, row = bandwidth_gb_s()
-    rows = [row, *fitting(speed), *extraction(speed, 344 if short else 1083)]
+    rows = [row, *fitting(speed), *extraction(speed, 344 if short else 1083), *scan_lines()]
     return rows + (estimation("loop5/loop5.clf.gz") if (DATA / "loop5").is_dir() else [])
 
 

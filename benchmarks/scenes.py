@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks._boxes import polyhedra_scan
 from benchmarks._measure import PROJECT, Case, Row, Task, measured
 from benchmarks._scans import CORRIDOR_SENSOR, correct_detections, corridor_scan, icl_frame, synpeb_scan
 from benchmarks._table import plain
@@ -82,6 +83,14 @@ def corridor() -> Scene:
         config=MapperConfig(flatness_m=0.5 * model.surface_sigma_m),
     )
     return Scene(points, segment, 0.05, None)
+
+
+@cache
+def polyhedra(seed: int) -> Scene:
+    """A room full of polyhedra, that nothing was tuned on."""
+    points, covariances, truth = polyhedra_scan(seed)
+    segment = partial(segment_scans, points, covariances, viewpoints=np.zeros(3))
+    return Scene(points, segment, 0.005, truth)
 
 
 def open3d_patches(points: FloatArray) -> list[tuple[FloatArray, Any]]:
@@ -175,12 +184,38 @@ def contenders(build: Callable[[], Scene], repeats: int = 5) -> list:
     ]
 
 
+def rooms(seeds: int = 6) -> list[Task]:
+    """Ours and Open3D's patches on several rooms of polyhedra, counts of all together."""
+    scenes = [polyhedra(seed) for seed in range(seeds)]
+    clouds = [np.ascontiguousarray(scene.points[scene.returns]) for scene in scenes]
+
+    def together(rows: list[Row]) -> Row:
+        correct = np.sum([[int(n) for n in row["correct"].split("/")] for row in rows], axis=0)
+        shares = {name: float(np.mean([row[name] for row in rows])) for name in ("represented, %", "purity, %")}
+        return {"correct": f"{correct[0]}/{correct[1]}", "planes": sum(row["planes"] for row in rows), **shares}
+
+    def score_ours(found: list[tuple[np.ndarray, list[Plane]]]) -> Row:
+        return together(
+            [score(scene, labels, len(planes)) for scene, (labels, planes) in zip(scenes, found, strict=True)]
+        )
+
+    def score_patches(found: list[list[tuple[FloatArray, Any]]]) -> Row:
+        every = zip(scenes, clouds, found, strict=True)
+        return together([score(one, spread(one, patch_labels(cloud, f)), len(f)) for one, cloud, f in every])
+
+    ours = Task("spplanes", lambda: [scene.segment() for scene in scenes], score_ours, 2)
+    if not find_spec("open3d"):
+        return [ours]
+    return [ours, Task("Open3D, patches", lambda: [open3d_patches(cloud) for cloud in clouds], score_patches, 1)]
+
+
 _ALL: dict[str, tuple[str, Case]] = {
     "corridor mission, 1083 scans": ("", partial(contenders, mission, 3)),
     "3dtk_corridor, scan 0": ("3dtk_corridor", partial(contenders, corridor)),
     "icl_labelled": ("icl_labelled", partial(contenders, partial(labelled, "icl"))),
     "icl_labelled with a Kinect's noise": ("icl_labelled", partial(contenders, partial(labelled, "kinect"))),
     "synpeb": ("synpeb", partial(contenders, partial(labelled, "synpeb"))),
+    "6 rooms of polyhedra, 500 x 500 each": ("", rooms),
 }
 CASES: dict[str, Case] = {name: case for name, (folder, case) in _ALL.items() if (DATA / folder).is_dir()}
 

@@ -65,6 +65,7 @@ def imports(repeats: int) -> list[Row]:
             {"what": name, "s": float(wall), "fastest s": fastest, "CPU s": float(cpu), "beyond numba s": beyond}
             | {
                 "beyond numba, CPU s": None if beyond is None else float(cpu - numba[1]),
+                "x numba": float(cpu / numba[1]),
                 "peak memory MB": float(memory),
             }
         )

@@ -4,8 +4,10 @@ import json
 
 import pytest
 
+import benchmarks.__main__ as command
 from benchmarks import _gate, _page
 from benchmarks.__main__ import main
+from benchmarks._registry import WORKLOADS
 
 
 def row(case: str, by: str, cpu: float | None, memory: float | None) -> dict:
@@ -21,62 +23,137 @@ ROWS = [
 ]
 
 
+def figures(
+    time: dict | None = None, memory: dict | None = None, accuracy: dict | None = None, apart: dict | None = None
+) -> _gate.Figures:
+    return {"time": time or {}, "apart": apart or {}, "memory": memory or {}, "accuracy": accuracy or {}}
+
+
 def test_ratios_are_ours_to_every_other_of_the_same_case():
-    assert _gate.ratios_of("fit", ROWS) == {
-        "fit: walls, ours to numpy, time": 0.25,
-        "fit: walls, ours to numpy, memory": 0.2,
-        "fit: planes, ours to Open3D, time": 1.5,
-    }
+    assert _gate.figures_of("fit", ROWS) == figures(
+        {"fit: walls, ours to numpy": 0.25, "fit: planes, ours to Open3D": 1.5}, {"fit: walls, ours to numpy": 0.2}
+    )
+
+
+def test_a_peer_that_times_itself_is_told_from_one_taken_in_turn():
+    rows = [row("walls", "spplanes", 10.0, 1.0), {**row("walls", "mrob", 20.0, 1.0), "apart": True}]
+    assert _gate.figures_of("fit", rows) == figures(apart={"fit: walls, ours to mrob": 0.5})
 
 
 def test_other_tables_give_their_own_ratio():
     rows = [{"scan": "room", "ms": 2.0, "ratio": 4.0}, {"scan": "log", "ms": 1.0}, {"scan": "none", "ratio": None}]
-    assert _gate.ratios_of("lines", rows) == {"lines: room": 4.0}
+    assert _gate.figures_of("lines", rows) == figures({"lines: room": 4.0})
+    tenths = [{"scans": name, "of the first tenth": value} for name, value in (("first", 1.0), ("last", 1.3))]
+    assert _gate.figures_of("growth", tenths) == figures(apart={"growth: last": 1.3})
+    limits = [{"stage": "fit", "limit": "a loop", "stage, x limit": 2.0}]
+    assert _gate.figures_of("limits", limits) == figures({"limits: fit, a loop": 2.0})
+
+
+def test_accuracy_is_that_of_ours_alone_and_grows_as_it_gets_worse():
+    ours = {"case": "frame", "by": "spplanes", "correct": "10/17", "purity, %": 99.0, "chi2/dof": 0.97}
+    theirs = {"case": "frame", "by": "Open3D", "correct": "4/17", "purity, %": 88.0}
+    found = _gate.figures_of("scenes", [ours, theirs])["accuracy"]
+    names = [f"scenes: frame: {column}" for column in ("correct", "purity, %", "chi2/dof")]
+    assert found == pytest.approx(dict(zip(names, (7.0, 1.0, 0.03), strict=True)))
+    mission = {"mission": "loop", "accuracy": "2 cm", "gate": {"position, cm": 2.0}}
+    assert _gate.figures_of("end", [mission])["accuracy"] == {"end: loop: position, cm": 2.0}
 
 
 def test_within_the_tolerance_nothing_is_said():
-    verdict = _gate.judge({"a": 0.74, "b": 1.2}, {"a": 0.5, "b": 2.0}, tolerance=1.5)
+    verdict = _gate.judge(figures({"a": 0.74, "b": 1.2}), figures({"a": 0.5, "b": 2.0}), {"time": 1.5})
     assert (verdict.regressions, verdict.missing, verdict.compared, verdict.exit_code) == ([], [], 2, 0)
 
 
-def test_a_regression_is_one_line_and_exit_code_1():
-    verdict = _gate.judge({"a": 0.76, "b": 2.0}, {"a": 0.5, "b": 2.0}, tolerance=1.5)
-    assert verdict.regressions == ["a: 0.76, baseline 0.5, 1.52 times as much"]
+def test_a_worse_ratio_is_one_line_and_exit_code_1():
+    verdict = _gate.judge(figures({"a": 0.76, "b": 2.0}), figures({"a": 0.5, "b": 2.0}), {"time": 1.5})
+    assert verdict.regressions == ["a (time): 0.76, baseline 0.5"]
     assert verdict.exit_code == 1
 
 
-def test_a_ratio_that_is_no_number_is_a_regression():
-    assert _gate.judge({"a": float("nan")}, {"a": 0.5}).exit_code == 1
+def test_a_plane_more_that_is_missed_is_a_regression_and_so_is_a_larger_error():
+    before = figures(accuracy={"scenes: frame: correct": 2.0, "views: c0: error, mm": 10.0})
+    worse = figures(accuracy={"scenes: frame: correct": 3.0, "views: c0: error, mm": 11.5})
+    assert len(_gate.judge(worse, before).regressions) == 2
+    assert _gate.judge(before, before).exit_code == 0
+
+
+def test_accuracy_has_its_slack_and_no_more():
+    name = "tables: III: width, mm"
+    slack = _gate.ACCURACY["width, mm"].slack
+    for more, expected in ((0.9 * slack, 0), (1.1 * slack, 1)):
+        measured = figures(accuracy={name: 1.1 + more})
+        assert _gate.judge(measured, figures(accuracy={name: 1.0}), {"accuracy": 1.1}).exit_code == expected
+
+
+def test_a_figure_that_is_no_number_is_a_regression():
+    assert _gate.judge(figures({"a": float("nan")}), figures({"a": 0.5})).exit_code == 1
 
 
 def test_what_was_not_measured_is_no_regression_but_said():
-    verdict = _gate.judge({"new": 9.0}, {"a": 0.5})
+    verdict = _gate.judge(figures({"new": 9.0}), figures({"a": 0.5}))
     assert (verdict.missing, verdict.compared, verdict.exit_code) == (["a"], 0, 0)
 
 
 def test_a_new_baseline_replaces_only_the_workloads_measured(tmp_path):
     path = tmp_path / "baseline.json"
-    _gate.write_baseline({"fit: a": 0.123456, "lines: b": 2.0}, path)
-    _gate.write_baseline({"fit: c": 0.5}, path)
-    assert _gate.read_baseline(path) == ({"fit: c": 0.5, "lines: b": 2.0}, _gate.TOLERANCE)
+    _gate.write_baseline(figures({"fit: a": 0.123456, "lines: b": 2.0}, accuracy={"fit: a: error, mm": 1.0}), path)
+    _gate.write_baseline(figures({"fit: c": 0.5}), path)
+    assert _gate.read_baseline(path) == (figures({"fit: c": 0.5, "lines: b": 2.0}), _gate.TOLERANCES)
 
 
-def test_the_committed_baseline_holds_ratios():
-    ratios, tolerance = _gate.read_baseline()
-    assert ratios and all(0.0 < value < 1e4 for value in ratios.values())
-    assert 1.0 < tolerance <= 2.0
+def test_the_committed_baseline_holds_ratios_and_accuracy_of_every_gated_workload():
+    kept, tolerances = _gate.read_baseline()
+    assert all(0.0 < value < 1e4 for kind in ("time", "apart", "memory") for value in kept[kind].values())
+    assert all(1.0 < value <= 2.5 for value in tolerances.values())
+    named = {name.split(":")[0] for some in kept.values() for name in some}
+    assert named == {name for name, one in WORKLOADS.items() if one.gated}
+
+
+def test_the_command_fails_on_a_worse_ratio_and_on_a_worse_accuracy(monkeypatch, tmp_path, capsys):
+    """The whole way from a workload's rows to the exit code; the workload itself is replaced by its rows."""
+    monkeypatch.setattr(_gate, "BASELINE", tmp_path / "baseline.json")
+    monkeypatch.setattr(_gate.write_baseline, "__defaults__", (tmp_path / "baseline.json",))
+    monkeypatch.setattr(_gate.read_baseline, "__defaults__", (tmp_path / "baseline.json",))
+    ours = {**row("c0", "spplanes", 10.0, 20.0), "error, mm": 5.0}
+
+    def exit_code(words: list[str], **changed: float) -> int:
+        rows = [ours | changed, row("c0", "mrob", 20.0, 30.0)]
+        monkeypatch.setattr(command, "run_one", lambda *_: {"rows": rows, "seconds": 1.0, "peak_MB": 1.0})
+        return main([*words, "views"])
+
+    assert exit_code(["--baseline"]) == 0
+    assert exit_code(["--gate"]) == 0
+    assert exit_code(["--gate"], **{"CPU ms": 17.0}) == 1
+    assert exit_code(["--gate"], **{"error, mm": 6.0}) == 1
+    assert "views: c0: error, mm (accuracy): 6, baseline 5" in capsys.readouterr().out
+
+
+def stored(rows: list[dict], *, short: bool, date: str = "2026-01-02") -> dict:
+    return {**_page.circumstances(), "date": date, "short": short, "seconds": 1.0, "peak_MB": 2.0, "rows": rows}
 
 
 def test_a_partial_run_updates_only_its_own_rows(tmp_path):
     path = tmp_path / "results.json"
-    here = {**_page.circumstances(), "short": True, "seconds": 1.0, "peak_MB": 2.0}
-    _page.store({"fit": {**here, "rows": ROWS}, "lines": {**here, "rows": [{"scan": "room", "ratio": 4.0}]}}, path)
-    kept = _page.store({"lines": {**here, "rows": [{"scan": "room", "ratio": 3.0}]}}, path)
+    _page.store({"fit": stored(ROWS, short=True), "lines": stored([{"scan": "room", "ratio": 4.0}], short=True)}, path)
+    kept = _page.store({"lines": stored([{"scan": "room", "ratio": 3.0}], short=True)}, path)
     assert kept["fit"]["rows"] == ROWS == json.loads(path.read_text())["fit"]["rows"]
     assert kept["lines"]["rows"] == [{"scan": "room", "ratio": 3.0}]
     page = _page.page(kept)
     assert page.index("## Plane fit") < page.index("## Line extraction")
     assert "| walls | numpy | 40 | 40 | 100 |" in page and "| room | 3 |" in page
+
+
+def test_a_short_run_leaves_the_rows_it_does_not_measure_with_their_date(tmp_path):
+    path = tmp_path / "results.json"
+    short, long = {"mission": "demo", "s": 1.0}, {"mission": "intel", "s": 90.0}
+    _page.store({"end_to_end": stored([short, long], short=False, date="2026-01-01")}, path)
+    for seconds in (2.0, 3.0):  # the second time the old row is among the older ones already
+        kept = _page.store({"end_to_end": stored([{**short, "s": seconds}], short=True)}, path)
+        page = _page.page(kept)
+        assert f"| demo | {seconds:.0f} |" in page and "| demo | 1 |" not in page and "| intel | 90 |" in page
+        assert "the full run of 2026-01-01" in page and "intel." in page
+    kept = _page.store({"end_to_end": stored([short], short=False)}, path)
+    assert "intel" not in _page.page(kept)
 
 
 def test_an_unknown_name_is_exit_code_2(capsys: pytest.CaptureFixture[str]):

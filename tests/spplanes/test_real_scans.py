@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import extraction
+from benchmarks import _scans
 from spplanes import MapperConfig, segment_scans
 from spplanes.segmentation import organise
 
@@ -19,24 +19,24 @@ def needs(folder):
 @needs("icl_labelled")
 @pytest.mark.parametrize(("noise_seed", "at_least"), [(None, 14), (0, 9), (1, 9), (2, 9)])
 def test_labelled_depth_image(noise_seed, at_least):
-    points, sigma, truth = extraction.icl_frame(DATA, noise_seed)
+    points, sigma, truth = _scans.icl_frame(DATA, noise_seed)
     labels, planes = segment_scans(points, sigma=sigma)
-    assert extraction.correct_detections(labels, truth) >= at_least
+    assert _scans.correct_detections(labels, truth) >= at_least
     assert all(plane.outline.is_valid for plane in planes)
 
 
 @needs("synpeb")
 def test_organised_terrestrial_scan():
-    points, sigma, truth = extraction.synpeb_scan(DATA)
+    points, sigma, truth = _scans.synpeb_scan(DATA)
     labels, _ = segment_scans(points, sigma=sigma)
-    assert extraction.correct_detections(labels, truth) >= 10
+    assert _scans.correct_detections(labels, truth) >= 10
 
 
 @needs("3dtk_corridor")
 @pytest.mark.parametrize("index", [0, 1, 2])
 def test_corridor_has_whole_floor_ceiling_and_left_wall(index):
-    points = extraction.corridor_scan(DATA, index)
-    model = extraction.CORRIDOR_SENSOR
+    points = _scans.corridor_scan(DATA, index)
+    model = _scans.CORRIDOR_SENSOR
     labels, planes = segment_scans(
         points,
         model.covariances(points),
@@ -63,7 +63,7 @@ def test_corridor_has_whole_floor_ceiling_and_left_wall(index):
 
 @needs("3dtk_corridor")
 def test_corridor_frames_at_other_depths_are_planes_of_their_own():
-    points, model = extraction.corridor_scan(DATA, 0), extraction.CORRIDOR_SENSOR
+    points, model = _scans.corridor_scan(DATA, 0), _scans.CORRIDOR_SENSOR
     config = MapperConfig(flatness_m=0.5 * model.surface_sigma_m)
     _, planes = segment_scans(points, model.covariances(points), viewpoints=(0.0, 0.0, 0.0), config=config)
     across = np.sort([p.d for p in planes if p.normal[1] < -0.99 and p.n_points > 500 and p.d < -3.0])
@@ -80,8 +80,8 @@ def pieces(planes, normal_z):
 @needs("pcl_room")
 @pytest.mark.parametrize("index", [1, 2])
 def test_room_from_vertical_slices(index):
-    points = extraction.room_slices(DATA, index)
-    model = extraction.ROOM_SENSOR
+    points = _scans.room_slices(DATA, index)
+    model = _scans.ROOM_SENSOR
     labels, planes = segment_scans(
         points,
         model.covariances(points),
@@ -103,10 +103,10 @@ def test_room_from_vertical_slices(index):
 
 @needs("balm_hall")
 def test_hall_from_an_unorganised_cloud():
-    points = extraction.hall_cloud(DATA, 0)
+    points = _scans.hall_cloud(DATA, 0)
     grid, index = organise(points, rows=64, cols=2048)
     assert (index >= 0).sum() > 0.99 * len(points)
-    labels, planes = segment_scans(grid, extraction.HALL_SENSOR.covariances(grid), viewpoints=(0.0, 0.0, 0.0))
+    labels, planes = segment_scans(grid, _scans.HALL_SENSOR.covariances(grid), viewpoints=(0.0, 0.0, 0.0))
     assert (labels >= 0).sum() > 0.7 * (index >= 0).sum()
     floor, others = pieces(planes, 1.0)
     assert floor.n_points > 35000
