@@ -211,7 +211,9 @@ def test_one_sentence_that_names_the_argument(make, message):
 
 
 def test_long_directions_do_not_overflow():
-    factor = direction_prior(L, (1e200, 0, 0), 0.1)
+    factor = direction_prior(L, (1e40, 0, 0), 0.1)
     values = gtsam.Values()
     values.insert(L, gtsam.OrientedPlane3(1, 0, 0, 0))
     assert factor.error(values) == 0.0
+    with pytest.raises(ValueError, match="direction: expected numbers below"):
+        direction_prior(L, (1e200, 0, 0), 0.1)

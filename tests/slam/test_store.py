@@ -290,7 +290,7 @@ def test_a_keyframe_of_strangers_is_refused_and_the_session_stays(recorded: Path
 
     with PlaneSlam.open(recorded) as slam:
         last = slam.keyframes[-1]
-        with pytest.raises(ValueError, match="expected a measurement that a session knows, got Strange"):
+        with pytest.raises(ValueError, match="expected a plane or a line that was seen, got Strange"):
             slam.add_keyframe(Keyframe(last.stamp_ns + 1, [Strange()], last.motion))  # type: ignore[list-item]
         slam.add_keyframe(drive(0).keyframes[7])
     with PlaneSlam.open(recorded) as slam:
