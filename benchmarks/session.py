@@ -27,7 +27,11 @@ from slam.simulation import simulate_mission
 from slam.simulation.rigs import VERTICAL
 
 #: Name, world, scans, and whether the robot has its push-broom laser: with lines alone keyframes are cheapest.
-MISSIONS = (("corridor", "corridor", 150, True), ("office, lines alone", "office", 400, False))
+MISSIONS = (
+    ("corridor", "corridor", 150, True),
+    ("office, lines alone", "office", 400, False),
+    ("office, lines alone, longer", "office", 2000, False),
+)
 
 
 def run(repeats: int = 3) -> list[dict]:
