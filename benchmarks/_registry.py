@@ -35,7 +35,8 @@ WORKLOADS: dict[str, Workload] = {
     ),
     "scenes": Workload(
         "Plane extraction",
-        "Whole scenes on one core. Open3D's patches need normals, which are part of the time; `segment_plane` is "
+        "Whole scenes, ours on one core, Open3D on all, as it does by itself. Open3D's patches need normals, which "
+        "are part of the time; `segment_plane` is "
         "called again on what is left until a plane has fewer points than asked. Correct: Hoover's "
         "count at 80 % overlap.",
         short=_QUICK,
