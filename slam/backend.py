@@ -149,14 +149,17 @@ class Backend:
 
         What was asked last is kept until the graph changes.
         """
-        if self._joint is not None and self._joint.has(keys):
-            return self._joint
+        if self._joint is None or not self._joint.has(keys):
+            self._joint = self.read_joint_covariance(keys)
+        return self._joint
+
+    def read_joint_covariance(self, keys: Sequence[int]) -> JointCovariance:
+        """The same for who looks at the map: made anew and not kept, so bits do not depend on who asked what before."""
         try:
             marginal = self._isam.jointMarginalCovariance(list(keys))
         except RuntimeError as error:
             raise BackendError(_first_line(error)) from error
-        self._joint = JointCovariance(keys, marginal.fullMatrix(), [self._to_estimate(key) for key in keys])
-        return self._joint
+        return JointCovariance(keys, marginal.fullMatrix(), [self._to_estimate(key) for key in keys])
 
     @timed("marginals")
     def covariance(self, key: int) -> FloatArray:

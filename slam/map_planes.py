@@ -38,7 +38,7 @@ def map_plane(landmark: Landmark, landmarks: LandmarkMap, backend: Backend) -> M
     plane = world_plane_from_joint(
         backend.plane(landmark.key),
         gtsam.Pose3(backend.pose(landmark.anchor_key)),
-        backend.joint_covariance(keys).of(keys),
+        backend.read_joint_covariance(keys).of(keys),
         centre=frame[:3, 3],
     )
     polygon = largest_polygon(landmark.outline)

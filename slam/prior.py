@@ -141,7 +141,7 @@ def map_covariance(planes: Sequence[MapPlane], landmarks: LandmarkMap, backend: 
     if not owners:
         return np.empty((0, 0))
     keys = sorted({key for one in owners for key in (one.anchor_key, one.key)})
-    joint = backend.joint_covariance(keys)
+    joint = backend.read_joint_covariance(keys)
     jacobian = np.zeros((3 * len(owners), len(joint.full)))
     for row, (known, one) in enumerate(zip(planes, owners, strict=True)):
         columns = joint.columns([one.anchor_key, one.key])
