@@ -20,10 +20,9 @@ _PACKAGES = ("spplanes", "numpy", "numba", "scipy", "gtsam", "shapely", "open3d"
 _INTRODUCTION = """# Benchmarks
 
 Written by `python -m benchmarks --write`; every table says when and where it was measured. Ours and its peers run on
-the same input in the same run, on one core where they can be told to, in turn. Times are medians; *CPU* is
-processor time, which another process
-on the machine disturbs less. Memory is measured apart from time. `time, x ours` above 1 is how much longer a peer
-takes, below 1 how much faster it is.
+the same input in the same run, on one core where they can be told to, in turn. Times are medians; *CPU* is processor
+time, which another process on the machine disturbs less. Memory is measured apart from time. `time, x ours` above 1 is
+how much longer a peer takes, below 1 how much faster it is.
 
 `python -m benchmarks --short --write` measures every table within minutes, the longest missions left out; without
 `--short` they are in. `--gate` compares ratios and accuracy with a committed baseline (`benchmarks/baseline.json`),

@@ -20,6 +20,8 @@ from spplanes._check import FloatArray, check_instance
 
 #: ``tangent_pose3 = differential_sp[SP_TO_POSE3]``.
 SP_TO_POSE3 = np.array([5, 4, 3, 0, 1, 2])
+#: The way back: ``differential_sp = tangent_pose3[POSE3_TO_SP]``.
+POSE3_TO_SP = np.array([3, 4, 5, 2, 1, 0])
 
 
 def oriented_plane(normal: FloatArray, d: float) -> gtsam.OrientedPlane3:

@@ -5,11 +5,9 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
+from factors._conventions import POSE3_TO_SP
 from slam.odometry import Motion
 from spplanes._check import FloatArray
-
-#: (x, y, z, phi, theta, psi) in the tangent (rx, ry, rz, x, y, z).
-_SP_ORDER = np.array([3, 4, 5, 2, 1, 0])
 
 
 def chained(first: Motion, second: Motion) -> Motion:
@@ -19,7 +17,7 @@ def chained(first: Motion, second: Motion) -> Motion:
     """
     a_T_c = first.a_T_b @ second.a_T_b
     if not first.is_planar:
-        carry = gtsam.Pose3(second.a_T_b).inverse().AdjointMap()[np.ix_(_SP_ORDER, _SP_ORDER)]
+        carry = gtsam.Pose3(second.a_T_b).inverse().AdjointMap()[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
         covariance = carry @ first.covariance @ carry.T + second.covariance
         return Motion(a_T_c, covariance, first.out_of_plane_sigmas)
     turn, carry = np.eye(3), np.eye(3)

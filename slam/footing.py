@@ -7,13 +7,12 @@ from collections.abc import Iterable
 import gtsam
 import numpy as np
 
+from factors._conventions import SP_TO_POSE3
 from slam.observability import plane_information
 from slam.observations import Observation
 from slam.odometry import Motion, spatial_covariance
 from spplanes._check import FloatArray
 
-#: (x, y, z, phi, theta, psi) in the tangent (rx, ry, rz, x, y, z).
-_SP_ORDER = np.array([5, 4, 3, 0, 1, 2])
 #: Variance of a pose of which nothing is known, m^2 and rad^2.
 _UNKNOWN = 1e4
 #: A pose is known as well by less when no variance is larger by more than this factor: 10 % of a standard deviation.
@@ -61,7 +60,7 @@ def _moved(covariance: FloatArray, motion: Motion | None) -> FloatArray:
     own = motion.covariance
     if motion.is_planar:
         own = spatial_covariance(own, motion.a_T_b, motion.out_of_plane_sigmas)
-    return carry @ covariance @ carry.T + own[np.ix_(_SP_ORDER, _SP_ORDER)]
+    return carry @ covariance @ carry.T + own[np.ix_(SP_TO_POSE3, SP_TO_POSE3)]
 
 
 def _seen(covariance: FloatArray, information: FloatArray) -> FloatArray:

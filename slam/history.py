@@ -13,6 +13,7 @@ from shapely.errors import ShapelyError
 from shapely.geometry import mapping, shape
 from shapely.geometry.base import BaseGeometry
 
+from factors._conventions import POSE3_TO_SP
 from slam.io.log import LogError
 from slam.map_planes import MapPlane
 from slam.planeslam import PlaneSlam, pose_symbol
@@ -21,8 +22,6 @@ from spplanes._check import FloatArray, as_shape
 FORMAT = "spplanes-view/1"
 #: Poses whose covariance is kept, evenly over the run: enough to draw, and quick to get.
 _MOST_POSES = 60
-#: (x, y, z, phi, theta, psi) out of GTSAM's (rx, ry, rz, x, y, z).
-_POSE3_TO_SP = np.array([3, 4, 5, 2, 1, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +47,7 @@ class History:
         count = len(slam.keyframes)
         chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_POSES)).round().astype(int)).tolist()
         covariances = {
-            keyframe: slam.marginal_covariance(pose_symbol(keyframe))[np.ix_(_POSE3_TO_SP, _POSE3_TO_SP)]
+            keyframe: slam.marginal_covariance(pose_symbol(keyframe))[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
             for keyframe in chosen
         }
         return cls(seen, kinds, {kind: list(rows) for kind, rows in slam.audit.history.items()}, covariances)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from factors._conventions import POSE3_TO_SP
 from slam.frames import inverse
 from slam.keyframes import Keyframe
 from slam.landmarks import Landmark, LandmarkMap
@@ -22,8 +23,6 @@ _WIDE_M, _WIDE_RAD = 0.25, 0.12
 _RECENT = 6
 #: What least squares over pairs leaves out, segmentation above all, against its covariance: factor, and least, m, rad.
 _SLACK, _LEAST_M, _LEAST_RAD = 1.5, 0.02, 0.004
-#: (x, y, z, phi, theta, psi) in the tangent (rx, ry, rz, x, y, z).
-_SP_ORDER = np.array([3, 4, 5, 2, 1, 0])
 
 
 def is_wide(motion: Motion) -> bool:
@@ -53,7 +52,7 @@ def found_motion(
     found = match_planes_widely(seen, known, _sigmas(motion))
     if found is None:
         return None
-    covariance = _SLACK**2 * found.covariance[np.ix_(_SP_ORDER, _SP_ORDER)]
+    covariance = _SLACK**2 * found.covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
     covariance = covariance + np.diag(np.repeat([_LEAST_M**2, _LEAST_RAD**2], 3))
     return replace(motion, a_T_b=motion.a_T_b @ found.known_T_seen, covariance=covariance, response=None)
 
