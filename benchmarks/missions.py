@@ -1,21 +1,26 @@
 """Simulated missions with truth, poses unknown: how good, and how honest, over many seeds.
 
-`python -m benchmarks.missions [RUNS [SCANS [FIRST]]]`: the corridor; `python -m benchmarks.missions office [RUNS
-[FIRST]]`: two laps of an office of 79 m with rooms; seeds from FIRST on. Each row is printed as it comes, the summary
-at the end.
+    python -m benchmarks.missions [RUNS [SCANS [FIRST]]] [--rows FILE]       the corridor
+    python -m benchmarks.missions office [RUNS [FIRST]] [--rows FILE]        two laps of an office of 79 m with rooms
+    python -m benchmarks.missions summary FILE...                            what several such files say together
+
+Seeds from FIRST on. Each row is printed as it comes, the summary at the end. With `--rows` every row is also appended
+to a file, a line of JSON each, and seeds that are in it already are left out: a run goes on where it was interrupted,
+and several processes may share the seeds out, each with a file of its own. Files hold one kind of mission.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, t
 
+from benchmarks._kept_rows import Row, append_row, read_rows, seeds_left
 from benchmarks._table import plain
 from slam.config import SlamConfig
 from slam.demo import in_frame_of_truth
@@ -31,23 +36,21 @@ IN_PLANE = [2, 3, 4]
 #: A plane beyond this NEES is none of its own covariance: 1 in 1000 is.
 BEYOND = float(chi2.isf(1e-3, 3))
 
-Row = dict[str, Any]
-
 
 def run(runs: int = 20, scans: int = 400, first: int = 0) -> list[Row]:
     """One row a seed, the corridor."""
-    return list(corridor_rows(runs, scans, first))
+    return list(corridor_rows(range(first, first + runs), scans))
 
 
-def corridor_rows(runs: int = 20, scans: int = 400, first: int = 0) -> Iterator[Row]:
+def corridor_rows(seeds: Iterable[int], scans: int = 400) -> Iterator[Row]:
     """One row a seed; with height and width of the corridor, if its four sides were found."""
-    for seed in range(first, first + runs):
+    for seed in seeds:
         yield _measured(seed, simulate_mission("corridor", n_scans=scans, seed=seed), sides=True)
 
 
-def office_rows(runs: int = 10, first: int = 0) -> Iterator[Row]:
+def office_rows(seeds: Iterable[int]) -> Iterator[Row]:
     """One row a seed: two laps of the office."""
-    for seed in range(first, first + runs):
+    for seed in seeds:
         yield _measured(seed, simulate_mission("office", laps=2, seed=seed))
 
 
@@ -55,7 +58,8 @@ def summary(rows: Sequence[Row]) -> list[Row]:
     """What the rows say together: medians, worst runs, and mean NEES with the bands they should lie in.
 
     Final poses are independent, so the band of their mean is that of chi2. Planes of one run share poses: the band
-    stated is that of independent ones, thus too narrow.
+    stated is that of independent ones, thus too narrow. Beside it stands the interval that the spread of the runs
+    themselves gives their mean: it holds 3 if the planes are honest.
     """
     poses, planes = [row["pose NEES"] for row in rows], [row["planes"] for row in rows]
     all_planes = float(np.average([row["plane NEES"] for row in rows], weights=planes))
@@ -66,7 +70,7 @@ def summary(rows: Sequence[Row]) -> list[Row]:
         _spread("planes, angle (median of a run)", [row["plane angle, deg"] for row in rows], "deg"),
         _spread("planes, duplicates", [row["duplicates, %"] for row in rows], "%"),
         _spread("last pose, NEES", poses, "", _band(len(rows))),
-        _spread("planes, NEES (mean of a run)", [row["plane NEES"] for row in rows], ""),
+        _spread("planes, NEES (mean of a run)", [row["plane NEES"] for row in rows], "", _interval(rows)),
         {"over all": "planes, NEES (all planes)", "mean": all_planes, "band": _band(int(np.sum(planes)))},
         _spread(f"planes beyond NEES {BEYOND:.1f}", [row["beyond, %"] for row in rows], "%"),
     ]
@@ -86,6 +90,15 @@ def _band(count: int) -> str:
     """The 95 % band of the mean of so many NEES of 3 degrees of freedom."""
     low, high = chi2.ppf([0.025, 0.975], 3 * count) / count
     return f"{low:.2f} to {high:.2f}"
+
+
+def _interval(rows: Sequence[Row]) -> str | None:
+    """The 95 % interval of the mean of the runs' mean NEES, from their spread."""
+    if len(rows) < 2:
+        return None
+    values = np.array([row["plane NEES"] for row in rows])
+    half = float(t.ppf(0.975, len(rows) - 1) * values.std(ddof=1) / np.sqrt(len(rows)))
+    return f"mean is {values.mean() - half:.2f} to {values.mean() + half:.2f}"
 
 
 def _measured(seed: int, mission: Mission, *, sides: bool = False) -> Row:
@@ -161,13 +174,38 @@ def _pose_nees(done: Run, truth: Truth) -> float:
 
 def main() -> None:
     """Print the rows as they come, then the summary."""
-    numbers = [int(word) for word in sys.argv[1:5] if word.isdigit()]
-    office = "office" in sys.argv[1:2]
-    rows = []
-    for row in office_rows(*numbers) if office else corridor_rows(*numbers):
-        rows.append(row)
-        print(", ".join(f"{name} {cell_of(value)}" for name, value in row.items()), flush=True)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.missions")
+    parser.add_argument("words", nargs="*", help="[office] and numbers, or summary and files; see above")
+    parser.add_argument("--rows", type=Path, help="file to which rows are appended, a line of JSON each")
+    given = parser.parse_args()
+    kind = given.words[0] if given.words and not given.words[0].isdigit() else "corridor"
+    words = given.words[kind != "corridor" :]
+    if kind == "summary":
+        rows = read_rows(Path(word) for word in words)
+    elif kind in ("corridor", "office") and all(word.isdigit() for word in words):
+        rows = _run_and_keep(kind, [int(word) for word in words], given.rows)
+    else:
+        parser.error(f"expected numbers after the kind of mission, corridor or office, got {' '.join(given.words)}")
+    if not rows:
+        parser.error("expected rows, found none")
     print(plain(summary(rows)))
+
+
+def _run_and_keep(kind: str, numbers: Sequence[int], path: Path | None) -> list[Row]:
+    """The rows asked for; those in the file already are not run again."""
+    runs, scans, first = (*numbers, *(20, 400, 0)[len(numbers) :])
+    if kind == "office":
+        runs, first = (*numbers, *(10, 0)[len(numbers) :])
+    seeds = range(first, first + runs)
+    kept = read_rows([path] if path else [])
+    left = seeds_left(seeds, kept)
+    rows = [row for row in kept if row["seed"] in seeds]
+    for row in office_rows(left) if kind == "office" else corridor_rows(left, scans):
+        rows.append(row)
+        if path:
+            append_row(path, row)
+        print(", ".join(f"{name} {cell_of(value)}" for name, value in row.items()), flush=True)
+    return rows
 
 
 def cell_of(value: float | None) -> str:
