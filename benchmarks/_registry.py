@@ -133,6 +133,12 @@ WORKLOADS: dict[str, Workload] = {
         short={"runs": 3, "scans": 200},
         on_request=True,
     ),
+    "candidates": Workload(
+        "Candidates",
+        "Which landmarks a keyframe's dozen observations may be, over the size of the map.",
+        short=_QUICK,
+        on_request=True,
+    ),
     "load": Workload("Long sessions", "Sessions on disk under load.", on_request=True),
     "session": Workload("Sessions", "What keeping a session on disk costs.", on_request=True),
     "kill": Workload(

@@ -16,6 +16,7 @@ from slam.backend import Backend
 from slam.frames import inverse
 from slam.observations import Observation
 from slam.regions import Region
+from slam.sphere_index import SphereIndex
 from spplanes._check import FloatArray
 
 
@@ -118,6 +119,7 @@ class LandmarkMap:
         self._world_T_plane = np.empty((0, 4, 4))
         self._middles = np.empty((0, 3))
         self._radii = np.empty(0)
+        self._index = SphereIndex()
 
     def __len__(self) -> int:
         return len(self._landmarks)
@@ -182,6 +184,7 @@ class LandmarkMap:
         rotations, origins = self._world_T_plane[:, :3, :3], self._world_T_plane[:, :3, 3]
         self._middles = np.einsum("nij,nj->ni", rotations[:, :, :2], middles) + origins
         self._radii = 0.5 * np.linalg.norm(high - low, axis=1)
+        self._index.place(np.array(list(self._rows)), self._middles, self._radii)
 
     def placed(self, landmark_id: int) -> PlacedPlane:
         """Where a landmark is, as of the last refresh."""
@@ -198,9 +201,8 @@ class LandmarkMap:
             reach: distance from there to the sphere around what was seen of the landmark, m.
             max_angle: largest angle between the normals, rad.
         """
-        if not self._rows:
-            return []
-        ids, rows = np.array(list(self._rows)), np.array(list(self._rows.values()))
+        ids = np.array([key for key in self._index.about(middle, reach) if key in self._rows], dtype=np.intp)
+        rows = np.array([self._rows[key] for key in ids.tolist()], dtype=np.intp)
         facing = self._world_T_plane[rows, :3, 2] @ normal >= np.cos(min(max_angle, np.pi))
         close = np.linalg.norm(self._middles[rows] - middle, axis=1) <= self._radii[rows] + reach
         return [(self._landmarks[key], self.placed(key)) for key in ids[facing & close].tolist()]
