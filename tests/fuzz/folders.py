@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import struct
 import tempfile
 from contextlib import closing
-from itertools import islice
+from functools import cache
+from itertools import islice, product
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ from slam.io.load import load
 from slam.io.log import Log, LogError, OdometryReading
 from slam.io.planes import write_planes
 from slam.io.trajectories import Trajectory, write_tum
+from slam.keyframes import Keyframe
 from slam.planeslam import PlaneSlam
 from slam.prior import PriorMap
 from slam.salvage import salvage_session
@@ -28,9 +31,10 @@ from slam.simulation.truth import Truth
 from slam.store import Session
 from slam.stored import StoredRun
 from tests.fuzz.target import Target, check_log, check_plane, check_points, check_pose, folded, unfolded, written
+from tests.fuzz.wrapping import e57, png, zipped
 from tests.slam.scenes import drive, room_planes
 from tests.slam.test_las_e57 import write_e57, write_las
-from tests.slam.test_rosbag import mission, write
+from tests.slam.test_rosbag import Messages, mission, write
 
 _POINTS = np.random.default_rng(0).normal((10.0, 20.0, 5.0), 3.0, (40, 3))
 _RUN = ("planes.json", "trajectory.tum", "view.json", "metrics.json", "odometry.tum")
@@ -89,8 +93,13 @@ def _truth(path: Path) -> None:
 def _prior(path: Path) -> None:
     """What can be a prior can begin a mission."""
     slam = PlaneSlam(prior=PriorMap.load(path))
-    slam.add_keyframe(drive(0, count=1).keyframes[0])
+    slam.add_keyframe(_first_keyframe())
     check_pose(slam.trajectory.poses[0])
+
+
+@cache
+def _first_keyframe() -> Keyframe:
+    return drive(0, count=1).keyframes[0]
 
 
 def _prior_bytes(path: Path) -> None:
@@ -113,11 +122,20 @@ def _salvage(path: Path) -> None:
         assert all(entry.keyframe.stamp_ns >= 0 for entry in session.entries())
 
 
+def _level(messages: Messages):
+    """A robot whose mount and way tf tells, with a level laser."""
+    yield "/tf", 0, messages.tf("base_link", "laser", np.eye(4))
+    for stamp in (10**9, 2 * 10**9):
+        yield "/tf", stamp, messages.tf("odom", "base_link", np.eye(4), stamp)
+        yield "/scan", stamp, messages.scan(stamp, np.array([1.0, 2.0, 30.0]))
+
+
 def _bag_seeds(*kinds: str) -> list[bytes]:
+    """A robot with a 3D laser and odometry, and one with a level laser and tf."""
     seeds = []
-    for kind in kinds:
+    for kind, make in product(kinds, (lambda messages: islice(mission(messages, columns=8), 5), _level)):
         with tempfile.TemporaryDirectory() as folder:
-            path = write(Path(folder), kind, lambda messages: islice(mission(messages, columns=8), 5))
+            path = write(Path(folder), kind, make)
             if path.is_dir():
                 seeds.append(folded(*((path / name).read_bytes() for name in ("metadata.yaml", "run 1 ü.db3"))))
             else:
@@ -141,6 +159,24 @@ def _png() -> bytes:
     stream = io.BytesIO()
     Image.fromarray(np.arange(5000, 5000 + 12 * 16, dtype=np.uint16).reshape(12, 16)).save(stream, "png")
     return stream.getvalue()
+
+
+def _pixel_seeds() -> list[bytes]:
+    """Header and rows of images of 4 by 3 pixels: depth in two bytes, grey in one, colours, a palette's indices."""
+    kinds = ((16, 0, 2), (8, 0, 1), (8, 2, 3), (16, 6, 8), (1, 0, 1))
+    return [
+        struct.pack(">IIBBBBB", 4, 3, depth, colour, 0, 0, 0) + 3 * (b"\0" + bytes(range(1, 1 + 4 * size)))
+        for depth, colour, size in kinds
+    ]
+
+
+def _member_seeds() -> list[bytes]:
+    def npy(values: np.ndarray) -> bytes:
+        stream = io.BytesIO()
+        np.save(stream, values)
+        return stream.getvalue()
+
+    return [folded(npy(_POINTS[:6]), npy(np.eye(4))), folded(npy(_POINTS[:6].reshape(2, 3, 3).astype(">f4")))]
 
 
 def _pcd() -> bytes:
@@ -219,8 +255,10 @@ FOLDERS = (
     Target("bag.folder", _bag_folder, lambda: _bag_seeds("sqlite3")),
     Target("cloud.las", _cloud, lambda: [written(lambda path: write_las(path, _POINTS) and None, "a.las")], ".las"),  # type: ignore[misc]
     Target("cloud.laz", _cloud, lambda: [written(lambda path: write_las(path, _POINTS) and None, "a.laz")], ".laz"),  # type: ignore[misc]
-    Target("cloud.e57", _e57, _e57_seeds, ".e57"),
+    Target("cloud.e57", _e57, _e57_seeds, ".e57", e57),
     Target("cloud.png", _image, lambda: [_png()], ".png"),
+    Target("cloud.png-pixels", _image, _pixel_seeds, ".png", png),
+    Target("cloud.npz-members", _cloud, _member_seeds, ".npz", zipped("points.npy", "other.npy")),
     Target("clouds", _log_folder(_CLOUDS), _cloud_folder_seeds),
     Target("depth", _log_folder(_DEPTH), _depth_seeds),
     Target("mission", _log_folder(("rig.yaml", "log.clf")), _mission_seeds),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 
 import gtsam
@@ -122,7 +123,7 @@ def _factors(path: Path) -> None:
 def _keyframes(path: Path) -> None:
     """A drive of two keyframes, then one of any numbers, then one that is right again."""
     frame, covariance, step, moved, stamp = _taken(_numbers(path), (4, 4), (3, 3), (4, 4), (3, 3), (1,))
-    known = drive(0, count=4).keyframes
+    known = _drive()
     slam = PlaneSlam()
     for keyframe in known[:2]:
         slam.add_keyframe(keyframe)
@@ -141,6 +142,11 @@ def _keyframes(path: Path) -> None:
         check_pose(pose)
     if problem is not None:
         raise problem
+
+
+@cache
+def _drive() -> list[Keyframe]:
+    return drive(0, count=4).keyframes
 
 
 def _numbers_seeds(*shapes: tuple[int, ...]) -> list[bytes]:

@@ -34,11 +34,13 @@ class Target:
     """Valid inputs."""
     suffix: str = ""
     """Ending of the file's name."""
+    wrap: Callable[[bytes], bytes] = bytes
+    """Makes the file out of an input: checksums and archives (`tests.fuzz.wrapping`)."""
 
     def run(self, data: bytes, folder: Path) -> bool:
         """Feed it bytes; whether they were an answer. Everything but an answer and a ValueError gets through."""
         path = folder / f"input{self.suffix}"
-        path.write_bytes(data)
+        path.write_bytes(self.wrap(data))
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error", RuntimeWarning)
