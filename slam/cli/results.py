@@ -14,13 +14,20 @@ from slam.cli._output import show
 def evaluate(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],
     truth: Annotated[Path, typer.Option("--truth", help="Simulated mission, TUM trajectory or relations.")],
+    clouds: Annotated[
+        Path | None, typer.Option("--clouds", help="Log of RUN: also how sharp its 3D scans are by either trajectory.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Score RUN against the truth; the numbers also go into its metrics.json."""
-    from slam.evaluation.folders import evaluate_run
+    from slam.evaluation.folders import evaluate_run, reference_for
     from slam.export import add_to_metrics
 
     rows = evaluate_run(run, truth)
+    if clouds is not None:
+        from slam.evaluation.clouds import sharpness_of_run
+
+        rows += sharpness_of_run(run, reference_for(run, truth), clouds)
     add_to_metrics(run, "evaluation", rows)
     show(f"{run.name} against {truth.name}", rows, as_json)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from slam.evaluation.metrics import Metric
 from slam.evaluation.planes import plane_metrics
 from slam.evaluation.relations import relation_metrics
-from slam.evaluation.trajectories import absolute_error, alignment_of, common_poses, relative_error
+from slam.evaluation.trajectories import absolute_error, alignment_of, at_times_of, common_poses, relative_error
 from slam.io.log import LogError
 from slam.io.planes import read_planes
 from slam.io.relations import read_relations
@@ -23,7 +23,8 @@ def evaluate_run(run: Path | str, truth: Path | str) -> list[Metric]:
     Args:
         run: the folder of a run.
         truth: a simulated mission's folder or its truth/ folder (trajectory and planes), a TUM file (trajectory), or a
-            file of relations, whose name holds "relations".
+            file of relations, whose name holds "relations". A TUM file none of whose times are the run's, but with as
+            many poses, is taken pose by pose: clouds that tell no time.
 
     Raises:
         LogError: a file that is missing or is not what it should be.
@@ -34,7 +35,7 @@ def evaluate_run(run: Path | str, truth: Path | str) -> list[Metric]:
         if "relations" in truth.name:
             relations = read_relations(truth)
             return _for_each_path(run, lambda path: relation_metrics(path, relations))
-        reference = read_tum(truth)
+        reference = reference_for(run, truth)
         return _for_each_path(run, lambda path: trajectory_metrics(path, reference))
     folder = truth / "truth" if (truth / "truth").is_dir() else truth
     if not folder.is_dir():
@@ -44,6 +45,13 @@ def evaluate_run(run: Path | str, truth: Path | str) -> list[Metric]:
     trajectory = read_tum(run / "trajectory.tum")
     planes = _in_frame_of(known.trajectory, trajectory, read_planes(run / "planes.json"))
     return rows + plane_metrics(planes, known.planes, visible=known.visible_in_3d())
+
+
+def reference_for(run: Path, truth: Path) -> Trajectory:
+    """The trajectory of a TUM file, or of a mission, to compare a run with, at times of the run."""
+    if truth.is_file():
+        return at_times_of(read_tum(run / "trajectory.tum"), read_tum(truth))
+    return Truth.read(truth / "truth" if (truth / "truth").is_dir() else truth).trajectory
 
 
 def _for_each_path(run: Path, score: Callable[[Trajectory], list[Metric]]) -> list[Metric]:
@@ -56,8 +64,9 @@ def _for_each_path(run: Path, score: Callable[[Trajectory], list[Metric]]) -> li
 
 
 def trajectory_metrics(estimate: Trajectory, truth: Trajectory) -> list[Metric]:
-    """Absolute error after SE(3) alignment and with the first pose made the same, relative error over 1 m."""
+    """Absolute error after SE(3) alignment of positions, of whole poses, and of the first pose; relative over 1 m."""
     rows = absolute_error(estimate, truth).metrics("ATE")
+    rows += absolute_error(estimate, truth, alignment="poses").metrics("ATE of aligned poses,")
     rows += absolute_error(estimate, truth, alignment="first").metrics("ATE from the first pose,")
     return rows + relative_error(estimate, truth).metrics("RPE over 1 m")
 

@@ -8,6 +8,7 @@ from shapely import Polygon, box
 from slam.evaluation import (
     absolute_error,
     align,
+    at_times_of,
     match_planes,
     nearest_stamps,
     plane_metrics,
@@ -56,6 +57,33 @@ def test_alignment_takes_out_where_the_world_lies():
     assert tilted.translation_m.max() > 0.5
     with pytest.raises(ValueError, match="alignment: expected 'se3'"):
         absolute_error(truth, truth, alignment="sim3")  # type: ignore[arg-type]
+
+
+def test_a_way_on_a_line_is_aligned_by_its_orientations_too():
+    """Two centimetres across a way of 1 m turn it by a degree; about the way itself positions tell nothing at all."""
+    rng = np.random.default_rng(3)
+    poses = np.tile(np.eye(4), (10, 1, 1))
+    poses[:, 0, 3] = np.linspace(0.0, 1.0, 10)
+    stamps = np.arange(10) * 10**9
+    off = poses.copy()
+    off[:, :3, 3] += rng.normal(0.0, 0.01, (10, 3))
+    off[:, :3, :3] = Rotation.from_rotvec(rng.normal(0.0, 1e-3, (10, 3))).as_matrix()
+    truth, estimate = Trajectory(stamps, poses), Trajectory(stamps, some_transform() @ off)
+    by_positions = absolute_error(estimate, truth).rotation_rad
+    by_poses = absolute_error(estimate, truth, alignment="poses")
+    assert by_positions.max() > 0.01
+    assert by_poses.rotation_rad.max() < 4e-3 and by_poses.translation_m.max() < 0.04
+    exact = absolute_error(moved(truth, some_transform()), truth, alignment="poses")
+    assert exact.rotation_rad.max() < 1e-6 and exact.translation_m.max() < 1e-9
+
+
+def test_poses_of_clouds_without_times_are_taken_in_order():
+    truth = helix(12)
+    numbered = Trajectory(np.arange(12) * 10**15 + 7, truth.poses)
+    assert absolute_error(numbered, at_times_of(numbered, truth)).translation_m.max() < 1e-9
+    assert at_times_of(truth, truth) is truth
+    fewer = Trajectory(numbered.stamps_ns[:5], numbered.poses[:5])
+    assert at_times_of(fewer, truth) is truth
 
 
 def test_alignment_never_mirrors():

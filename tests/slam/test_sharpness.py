@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from slam.cli import main
 from slam.evaluation import compare_sharpness
 from slam.frames import inverse
+from slam.io.trajectories import Trajectory, write_tum
 
 
 def scans_of_a_room(n: int, noise_m: float) -> tuple[list[np.ndarray], np.ndarray]:
@@ -56,3 +61,27 @@ def test_without_a_plane_that_three_scans_share_there_is_nothing_to_say():
     assert found.cells == 0 and np.isnan(found.estimate_m)
     with pytest.raises(ValueError, match="poses: expected 2, one a cloud, got 1 and 2"):
         compare_sharpness(clouds, poses[:1], poses)
+
+
+def test_a_run_is_as_sharp_as_its_clouds_say(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    clouds, poses = scans_of_a_room(4, 0.01)
+    wrong = poses.copy()
+    wrong[2, :3, 3] += 0.05
+    log, run, stamps = tmp_path / "log", tmp_path / "run", np.arange(4) * 10**9
+    log.mkdir(), run.mkdir()
+    for k, cloud in enumerate(clouds):
+        np.save(log / f"{k:03d}.npy", cloud)
+    write_tum(run / "trajectory.tum", Trajectory(stamps, wrong))
+    write_tum(tmp_path / "truth.tum", Trajectory(stamps + 10**15, poses))  # in order: other times
+    (run / "metrics.json").write_text('{"metrics": []}')
+    options = ["evaluate", str(run), "--truth", str(tmp_path / "truth.tum"), "--clouds", str(log), "--json"]
+    with pytest.raises(SystemExit, match="0"):
+        main(options)
+    rows = {row["metric"]: row["value"] for row in json.loads(capsys.readouterr().out)}
+    assert rows["sharpness by the reference"] == pytest.approx(0.6745 * 0.01, rel=0.1)
+    assert rows["sharpness, median point to plane"] > 1.5 * rows["sharpness by the reference"]
+    assert rows["ATE translation max"] > 0.03
+    write_tum(run / "trajectory.tum", Trajectory(stamps + 5 * 10**8, wrong))
+    with pytest.raises(SystemExit, match="2"):
+        main(options)
+    assert "expected 3D scans at the times of the run's poses, found none" in capsys.readouterr().err
