@@ -59,7 +59,7 @@ def found_motion(
 
 def _placed(landmark: Landmark, landmarks: LandmarkMap) -> Plane:
     frame = landmarks.placed(landmark.id).world_T_plane
-    return Plane(frame, 1e-6 * np.eye(3), landmark.n_points, largest_polygon(landmark.outline))
+    return Plane._trusted(frame, 1e-6 * np.eye(3), landmark.n_points, largest_polygon(landmark.outline))
 
 
 def _sigmas(motion: Motion) -> tuple[float, float]:

@@ -10,9 +10,9 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from slam._matching_kernels import best_shifts, directions_found, near_rotations, normal_equations
 from slam.frames import inverse
-from slam.outlines import flatten, valid
-from slam.twins import skew
+from slam.outlines import flatten, largest_polygon, valid
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -20,6 +20,8 @@ from spplanes._check import FloatArray
 _MOST, _SEEDS = 28, 9
 #: Two planes are one under a motion up to these, rad and m, and when their outlines come this near, m.
 _ANGLE, _DISTANCE, _GAP = np.deg2rad(3.5), 0.10, 0.5
+#: Outlines are simplified to this, m.
+_ROUGH = 0.05
 #: The same, as standard deviations, once a motion is worked out.
 _FINE_ANGLE, _FINE_DISTANCE = np.deg2rad(1.0), 0.03
 #: A motion is looked for as far as so many standard deviations; what it costs grows slower beyond the first few.
@@ -28,6 +30,10 @@ _FAR, _TAIL = 6.0, 2.0
 _PARALLEL = 0.94
 #: Rotations that are looked at closer, pairs that make translations, and motions whose outlines are compared.
 _ROTATIONS, _PAIRS, _MOTIONS = 40, 26, 16
+#: Motions worked out are one when no entry of their matrices differs by more, m and rad.
+_SAME = 1e-3
+#: Scores are told apart beyond this.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +70,14 @@ def match_planes_widely(
         return None
     motions = [one for R in _rotations(mine, theirs, sigmas[1]) for one in _translations(R, mine, theirs, sigmas)]
     best: tuple[float, PlaneMatching] | None = None
+    tried: list[FloatArray] = []
     for _, motion in sorted(motions, key=lambda one: -one[0])[:_MOTIONS]:
         found = _refined(motion, _partners(motion, mine, theirs), mine, theirs, sigmas)
-        if found is None:
+        if found is None or any(np.abs(found.known_T_seen - one).max() < _SAME for one in tried):
             continue
-        score = _agreement(found.known_T_seen, mine, theirs) - _price(found.known_T_seen, sigmas)
+        tried.append(found.known_T_seen)
+        price = _price(found.known_T_seen, sigmas)
+        score = _agreement(found.known_T_seen, mine, theirs, None if best is None else best[0] + price) - price
         if best is None or score > best[0]:
             best = score, found
     return None if best is None else best[1]
@@ -88,7 +97,7 @@ class _Planes:
     def of(cls, planes: Sequence[Plane]) -> _Planes:
         areas = np.array([0.0 if plane.outline is None else plane.outline.area for plane in planes])
         order = np.argsort(-areas, kind="stable")[:_MOST].tolist()
-        chosen = [planes[k] for k in order]
+        chosen = [_drawn_coarsely(planes[k]) for k in order]
         return cls(
             chosen,
             order,
@@ -96,6 +105,14 @@ class _Planes:
             np.array([plane.d for plane in chosen]),
             np.sqrt(np.maximum(areas[order], 1e-3)),
         )
+
+
+def _drawn_coarsely(plane: Plane) -> Plane:
+    """The plane with an outline as rough as what is asked of it: whether two meet, and what they have in common."""
+    if plane.outline is None:
+        return plane
+    outline = largest_polygon(valid(plane.outline.simplify(_ROUGH)))
+    return Plane._trusted(plane.frame, plane.covariance, plane.n_points, outline)
 
 
 def _price(motion: FloatArray, sigmas: tuple[float, float]) -> float:
@@ -117,13 +134,11 @@ def _rotations(mine: _Planes, theirs: _Planes, sigma_rad: float) -> list[FloatAr
     others, other_angles = _frames(theirs.normals, ordered=True)
     if not len(frames) or not len(others):
         return []
-    a, b = np.nonzero(np.abs(angles[:, None] - other_angles[None, :]) < _ANGLE)
-    rotations = np.einsum("kij,klj->kil", others[b], frames[a])
-    turns = np.arccos(np.clip(0.5 * (np.trace(rotations, axis1=1, axis2=2) - 1.0), -1.0, 1.0))
-    near = turns < max(_FAR * sigma_rad, 0.1)
-    rotations, turns = rotations[near], turns[near]
-    agree = np.einsum("kij,nj,mi->knm", rotations, mine.normals, theirs.normals, optimize=True).max(axis=2)
-    scores = (agree > np.cos(_ANGLE)) @ mine.weights - _tail((turns / sigma_rad) ** 2)
+    furthest = min(max(_FAR * sigma_rad, 0.1), np.pi)
+    rotations, traces = near_rotations(frames, angles, others, other_angles, _ANGLE, 1.0 + 2.0 * np.cos(furthest))
+    turns = np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0))
+    agree = directions_found(rotations, mine.normals, theirs.normals, mine.weights, np.cos(_ANGLE))
+    scores = agree - _tail((turns / sigma_rad) ** 2)
     left = rotations[np.argsort(-scores, kind="stable")].reshape(-1, 9)
     chosen: list[FloatArray] = []
     while len(left) and len(chosen) < _ROTATIONS:
@@ -161,20 +176,12 @@ def _translations(
     near = np.abs(offsets) < _FAR * sigmas[0]
     strongest = np.argsort(-np.where(near, weights, -1.0), kind="stable")[:_PAIRS]
     strongest = strongest[near[strongest]]
-    triples = np.array(list(combinations(strongest.tolist(), min(3, len(strongest)))), dtype=np.int64)
-    if not len(triples) or triples.shape[1] < 3:
-        return []
-    chosen, told = normals[triples], offsets[triples]
-    information = np.einsum("kpi,kpj->kij", chosen, chosen) / _DISTANCE**2 + np.eye(3) / sigmas[0] ** 2
-    shifts = np.linalg.solve(information, np.einsum("kpi,kp->ki", chosen, told)[..., None] / _DISTANCE**2)[..., 0]
-    fits = np.abs(shifts @ normals.T - offsets) < _DISTANCE
-    starts = np.flatnonzero(np.diff(i, prepend=-1))
-    found = np.maximum.reduceat(np.where(fits, mine.weights[i], 0.0), starts, axis=1).sum(axis=1)
+    shifts, found = best_shifts(i, normals, offsets, mine.weights, strongest, _DISTANCE, sigmas[0], _TAIL)
     results = []
-    for index in np.argsort(-(found - _tail((shifts**2).sum(axis=1) / sigmas[0] ** 2)), kind="stable")[:3].tolist():
+    for shift, weight in zip(shifts, found.tolist(), strict=True):
         motion = np.eye(4)
-        motion[:3, :3], motion[:3, 3] = rotation, shifts[index]
-        results.append((float(found[index]) - _price(motion, sigmas), motion))
+        motion[:3, :3], motion[:3, 3] = rotation, shift
+        results.append((weight - _price(motion, sigmas), motion))
     return results
 
 
@@ -195,16 +202,26 @@ def _partners(motion: FloatArray, mine: _Planes, theirs: _Planes) -> list[tuple[
     return pairs
 
 
-def _agreement(motion: FloatArray, mine: _Planes, theirs: _Planes) -> float:
-    """How much of what is seen is known under a motion worked out: by size, closeness and common area."""
+def _agreement(motion: FloatArray, mine: _Planes, theirs: _Planes, needed: float | None = None) -> float:
+    """How much of what is seen is known under a motion worked out: by size, closeness and common area.
+
+    Where that turns out to be less than what is needed, just so much less as is known by then.
+    """
     turned = mine.normals @ motion[:3, :3].T
     offsets = mine.distances + turned @ motion[:3, 3]
     angles = np.arccos(np.clip(turned @ theirs.normals.T, -1.0, 1.0)) / _FINE_ANGLE
     far = angles**2 + ((offsets[:, None] - theirs.distances[None, :]) / _FINE_DISTANCE) ** 2
-    total = 0.0
-    for i, plane in enumerate(mine.planes):
-        shares = [_common(plane, theirs.planes[j], motion) / (1.0 + far[i, j]) for j in np.flatnonzero(far[i] < 9.0)]
-        total += float(mine.weights[i]) * max(shares, default=0.0)
+    closeness = np.where(far < 9.0, 1.0 / (1.0 + far), 0.0)
+    total = float(mine.weights @ closeness.max(axis=1))
+    for i, plane in enumerate(mine.planes):  # the largest first
+        if needed is not None and total < needed - _ROUNDING:
+            break
+        share, order = 0.0, np.argsort(-closeness[i], kind="stable")
+        for j in order.tolist():
+            if closeness[i, j] <= share:
+                break  # outlines have all in common at most
+            share = max(share, min(_common(plane, theirs.planes[j], motion), 1.0) * float(closeness[i, j]))
+        total -= float(mine.weights[i]) * (float(closeness[i, order[0]]) - share)
     return total
 
 
@@ -214,7 +231,7 @@ def _common(seen: Plane, known: Plane, motion: FloatArray) -> float:
         return 0.0
     moved = valid(flatten(seen.outline, inverse(known.frame) @ motion @ seen.frame))
     least = min(moved.area, known.outline.area)
-    return moved.intersection(valid(known.outline)).area / least if least > 0.0 else 0.0
+    return moved.intersection(known.outline).area / least if least > 0.0 else 0.0
 
 
 def _meet(seen: Plane, known: Plane, motion: FloatArray) -> bool:
@@ -241,23 +258,12 @@ def _refined(
     spread = np.diag(1.0 / np.repeat([sigmas[1], sigmas[0]], 3) ** 2)
     estimate = motion
     information = spread
+    own, known = (mine.normals[i], mine.distances[i]), (theirs.normals[j], theirs.distances[j])
+    sizes = np.minimum(mine.weights[i], 3.0)
     for _ in range(5):
-        rotation, shift = estimate[:3, :3], estimate[:3, 3]
-        turned = mine.normals[i] @ rotation.T
-        normals = theirs.normals[j]
         information, told = spread.copy(), -spread @ gtsam.Pose3.Logmap(gtsam.Pose3(estimate))
-        sizes = np.minimum(mine.weights[i], 3.0)
-        for own, moved, n, d_own, d, size in zip(
-            mine.normals[i], turned, normals, mine.distances[i], theirs.distances[j], sizes, strict=True
-        ):
-            jacobian = np.zeros((4, 6))
-            jacobian[:3, :3] = -rotation @ skew(own)
-            jacobian[3, :3], jacobian[3, 3:] = shift @ jacobian[:3, :3], moved @ rotation
-            residual = np.append(n - moved, d - d_own - moved @ shift)
-            far = residual / np.array([_ANGLE, _ANGLE, _ANGLE, _DISTANCE]) * 3.0
-            weighted = jacobian.T / np.array([_ANGLE**2, _ANGLE**2, _ANGLE**2, _DISTANCE**2]) * 9.0
-            weighted = weighted * size / (1.0 + far @ far)
-            information, told = information + weighted @ jacobian, told + weighted @ residual
+        rotation, shift = estimate[:3, :3], estimate[:3, 3]
+        normal_equations(rotation, shift, *own, *known, sizes, _ANGLE, _DISTANCE, information, told)
         estimate = estimate @ gtsam.Pose3.Expmap(np.linalg.solve(information, told)).matrix()
     directions = np.linalg.svd(theirs.normals[j])[1]
     if directions[1] < 0.3:

@@ -27,9 +27,9 @@ class Region:
         self._line: BaseGeometry | None = None
         self._tiles: dict[tuple[int, int], BaseGeometry] = {}
         self._full: set[tuple[int, int]] = set()
-        self._whole: BaseGeometry | None = geometry
         self._bounds = np.array([np.inf, np.inf, -np.inf, -np.inf])
         self._take(geometry)
+        self._whole: BaseGeometry | None = geometry
 
     @property
     def geometry(self) -> BaseGeometry:
@@ -55,7 +55,6 @@ class Region:
 
     def grow(self, patch: BaseGeometry) -> None:
         """Take a patch in."""
-        self._whole = None
         self._take(patch)
 
     def is_within(self, distance_m: float, patch: BaseGeometry) -> bool:
@@ -77,10 +76,10 @@ class Region:
         self._bounds = np.concatenate((np.minimum(self._bounds[:2], low), np.maximum(self._bounds[2:], high)))
         lines_only = not self._tiles and (self._line is None or self._line.geom_type == "LineString")
         if lines_only and patch.geom_type in ("LineString", "Point"):
-            self._line = patch if self._line is None else grow(self._line, patch)
+            self._line, self._whole = patch if self._line is None else grow(self._line, patch), None
             return
         if self._line is not None:
-            line, self._line = self._line, None
+            line, self._line, self._whole = self._line, None, None
             self._cut(line)
         self._cut(patch)
 
@@ -103,6 +102,7 @@ class Region:
         here = self._tiles.get(key)
         if piece.is_empty or (here is not None and valid(here).covers(piece := valid(piece))):
             return
+        self._whole = None
         self._tiles[key] = here = piece if here is None else grow(here, piece)
         if here.area > (_TILE_M + 2.0 * _LAP_M) ** 2 - _GAP_M2:
             self._full.add(key)

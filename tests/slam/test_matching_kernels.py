@@ -1,0 +1,98 @@
+"""Kernels of finding a motion by planes against the same written in whole arrays."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam._matching_kernels import BEST, best_shifts, directions_found, near_rotations, normal_equations
+
+DISTANCE, SIGMA, TAIL = 0.1, 0.5, 2.0
+
+
+def directions(rng: np.random.Generator, count: int) -> np.ndarray:
+    normals = rng.standard_normal((count, 3))
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def rotations(rng: np.random.Generator, count: int) -> np.ndarray:
+    return np.array([gtsam.Rot3.Expmap(rng.standard_normal(3)).matrix() for _ in range(count)])
+
+
+def test_rotations_are_those_of_equal_angles_that_turn_little():
+    rng = np.random.default_rng(0)
+    frames, others = rotations(rng, 12), rotations(rng, 15)
+    angles, other_angles = rng.uniform(0.5, 1.5, 12), rng.uniform(0.5, 1.5, 15)
+    found, traces = near_rotations(frames, angles, others, other_angles, 0.3, 0.4)
+    wanted = [
+        other @ frame.T
+        for frame, angle in zip(frames, angles, strict=True)
+        for other, other_angle in zip(others, other_angles, strict=True)
+        if abs(angle - other_angle) < 0.3 and np.trace(other @ frame.T) > 0.4
+    ]
+    assert 16 < len(wanted) < 12 * 15
+    np.testing.assert_allclose(found, wanted, atol=1e-12)
+    np.testing.assert_allclose(traces, np.trace(found, axis1=1, axis2=2), atol=1e-12)
+
+
+def test_directions_found_weigh_every_normal_once():
+    rng = np.random.default_rng(1)
+    turns, normals, others = rotations(rng, 20), directions(rng, 7), directions(rng, 30)
+    weights = rng.uniform(0.5, 2.0, 7)
+    agree = np.einsum("kij,nj,mi->knm", turns, normals, others).max(axis=2) > 0.95
+    assert 0.1 < agree.mean() < 0.9
+    found = directions_found(turns, normals, others, weights, 0.95)
+    np.testing.assert_allclose(found, agree @ weights, rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_best_shifts_are_the_best_of_all_threes(seed):
+    rng = np.random.default_rng(seed)
+    weights = np.sort(rng.uniform(0.2, 3.0, 12))[::-1].copy()
+    own = np.sort(rng.integers(0, 12, 40))
+    normals, offsets = directions(rng, 40), rng.normal(0.0, 0.3, 40)
+    strongest = rng.permutation(40)[:14]
+    shifts, found, scores = [], [], []
+    for triple in combinations(strongest, 3):
+        n, d = normals[list(triple)], offsets[list(triple)]
+        shift = np.linalg.solve(n.T @ n / DISTANCE**2 + np.eye(3) / SIGMA**2, n.T @ d / DISTANCE**2)
+        fits = np.abs(normals @ shift - offsets) < DISTANCE
+        weight = weights[np.unique(own[fits])].sum()
+        shifts.append(shift)
+        found.append(weight)
+        scores.append(weight - TAIL * np.log1p(0.5 * shift @ shift / SIGMA**2 / TAIL))
+    order = np.argsort(-np.array(scores), kind="stable")[:BEST]
+    got, weight = best_shifts(own, normals, offsets, weights, strongest, DISTANCE, SIGMA, TAIL)
+    np.testing.assert_allclose(got, np.array(shifts)[order], atol=1e-9)
+    np.testing.assert_allclose(weight, np.array(found)[order], rtol=1e-12)
+
+
+def test_normal_equations_are_those_of_the_errors():
+    """Residuals and their derivative by the tangent, by central differences, weighed as they are documented to be."""
+    rng = np.random.default_rng(3)
+    pose = gtsam.Pose3.Expmap(rng.normal(0.0, 0.3, 6))
+    normals, others = directions(rng, 6), directions(rng, 6)
+    distances, known, sizes = rng.uniform(1.0, 4.0, 6), rng.uniform(1.0, 4.0, 6), rng.uniform(0.5, 3.0, 6)
+    angle, distance = 0.06, 0.1
+
+    def residual(k: int, at: gtsam.Pose3) -> np.ndarray:
+        moved = at.rotation().matrix() @ normals[k]
+        return np.append(others[k] - moved, known[k] - distances[k] - moved @ at.translation())
+
+    spread, told = np.zeros((6, 6)), np.zeros(6)
+    precision = 9.0 / np.array([angle, angle, angle, distance]) ** 2
+    for k in range(6):
+        steps = 1e-6 * np.eye(6)
+        ends = [(residual(k, pose.retract(step)), residual(k, pose.retract(-step))) for step in steps]
+        jacobian = -np.array([(ahead - behind) / 2e-6 for ahead, behind in ends]).T
+        error = residual(k, pose)
+        weight = precision * sizes[k] / (1.0 + error**2 @ precision)
+        spread, told = spread + jacobian.T * weight @ jacobian, told + jacobian.T * weight @ error
+    got_spread, got_told = np.eye(6), np.ones(6)
+    rotation, shift = pose.rotation().matrix(), pose.translation()
+    normal_equations(rotation, shift, normals, distances, others, known, sizes, angle, distance, got_spread, got_told)
+    np.testing.assert_allclose(got_spread - np.eye(6), spread, rtol=1e-5, atol=1e-5 * spread.max())
+    np.testing.assert_allclose(got_told - 1.0, told, rtol=1e-5, atol=1e-5 * np.abs(told).max())
