@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from slam.association import Candidate, Decision
+from slam.closing import Tie
 from slam.loops import LoopDecision
 from slam.merging import Merge
 from slam.observations import Observation
@@ -24,8 +25,10 @@ def decision_sentence(decision: Decision, observation: Observation) -> str:
     return f"{what} is not used, it may be one and may be none: {compared}"
 
 
-def change_sentences(keyframe: int, merges: Iterable[Merge], loops: Sequence[LoopDecision]) -> list[str]:
-    """What a keyframe changed in the map: merges, merges taken back, loops looked for."""
+def change_sentences(
+    keyframe: int, merges: Iterable[Merge], loops: Sequence[LoopDecision], ties: Iterable[Tie]
+) -> list[str]:
+    """What a keyframe changed in the map: merges, merges taken back, loops looked for, loops taken back."""
     sentences = []
     for merge in merges:
         if merge.keyframe == keyframe:
@@ -35,6 +38,10 @@ def change_sentences(keyframe: int, merges: Iterable[Merge], loops: Sequence[Loo
     for loop in loops:
         if loop.keyframe == keyframe:
             sentences.append(f"compared with the surroundings of keyframe {loop.old_keyframe}: {loop.verdict}")
+    for tie in ties:
+        if tie.undone == keyframe:
+            ends = tie.loop.keyframe, tie.loop.old_keyframe
+            sentences.append("keyframe {} was found not to have come back to the place of keyframe {}".format(*ends))
     return sentences
 
 

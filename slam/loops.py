@@ -23,7 +23,7 @@ from slam.relocate import Relocation
 from slam.surroundings import surroundings, view_about, walls_from
 from slam.views import RelativePose, compare_views, left_open
 
-LoopVerdict = Literal["closed", "not seen", "ambiguous", "unobservable", "far", "too few"]
+LoopVerdict = Literal["closed", "refused", "not seen", "ambiguous", "unobservable", "far", "too few"]
 
 #: Sine of the angle from which on two walls fix a place between them.
 _ACROSS = 0.26
@@ -40,7 +40,8 @@ class LoopDecision:
     old_keyframe: int
     """The keyframe it was compared with."""
     verdict: LoopVerdict
-    """closed: one place, its walls are joined; not seen: no match; ambiguous, unobservable: as the constellations say;
+    """closed: one place, its walls are joined; refused: it looks like one, but the graph as a whole is against it; not
+    seen: no match; ambiguous, unobservable: as the constellations say;
     far: the match contradicts the estimate beyond the search radius; too few: no pair of walls was left to join."""
     pairs: tuple[tuple[int, int], ...] = ()
     """Landmarks found to be one, as (older, younger)."""

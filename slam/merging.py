@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import gtsam
+import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from factors import plane_factor, plane_landmark
-from slam.backend import Backend, pose_symbol
+from slam.backend import Backend, BackendError, pose_symbol
 from slam.config import SlamConfig
 from slam.frames import inverse
 from slam.keyframes import Keyframe
 from slam.landmarks import Landmark, LandmarkMap, Sighting, observe
+from slam.merge import Cause, Merge
 from slam.observations import Observation
 from slam.regions import Region
 from slam.twins import twin_chi2
-
-Cause = Literal["twins", "loop"]
 
 #: After an undone merge the estimate goes back a long way: so often iSAM2 relinearises.
 _ROUNDS = 5
@@ -27,26 +28,6 @@ _ROUNDS = 5
 _SAMPLE = 30
 #: A merge is looked at during so many keyframes whether it is seen or not: what bends the way is seen no more.
 _FRESH = 10
-
-
-@dataclass(eq=False)
-class Merge:
-    """Two landmarks that were taken for one."""
-
-    keyframe: int
-    """When: index of the keyframe."""
-    older: int
-    """Id of the landmark that took everything."""
-    younger: int
-    """Id of the one that is gone."""
-    cause: Cause
-    """twins: their difference passed its chi2; loop: a closure paired them."""
-    gone: Landmark
-    """The younger as it was."""
-    undone: int | None = None
-    """The keyframe at which the merge was found wrong; None: it stands."""
-    next_look: int = 0
-    """Keyframe from which on its residuals are looked at again."""
 
 
 class Merges:
@@ -66,43 +47,63 @@ class Merges:
 
     def merge(self, older: int, younger: int, cause: Cause) -> Merge:
         """Give a landmark everything that was seen of another one; its factors are re-keyed, its variable goes."""
-        gone, home = self._landmarks.remove(younger), self._landmarks[older]
-        robust = self.robust or (self._config.backend.robust_loops if cause == "loop" else None)
-        keys = [pose_symbol(sighting.keyframe) for sighting in gone.sightings]
-        seen = [self._observation(sighting) for sighting in gone.sightings]
-        factors = [observe(one, key, home, self._backend, robust) for one, key in zip(seen, keys, strict=True)]
-        old = [sighting.factor_index for sighting in gone.sightings]
+        factors, old = self._rekeyed(older, younger, cause)
         indices = self._backend.update(factors, gtsam.Values(), remove=old, relinearize=True)
-        home.seen_by_past = sorted({*home.seen_by_past, *gone.seen_by_past})
-        home_T_world = inverse(self._landmarks.placed(older).world_T_plane)
-        for one, key, sighting, index in zip(seen, keys, gone.sightings, indices, strict=True):
-            self._landmarks.see(
-                home, one, replace(sighting, factor_index=index), home_T_world @ self._backend.pose(key)
-            )
-        self._landmarks.refresh(self._backend)
-        now = len(self._keyframes) - 1
-        self.history.append(Merge(now, older, younger, cause, gone, next_look=now + 1))
-        return self.history[-1]
+        return self._joined([(older, younger)], [indices], cause)[0]
 
     def close(self, pairs: Sequence[tuple[int, int]], scale: float) -> bool:
-        """Merge the pairs of a loop closure, and take all of them back when the graph as a whole speaks against it.
+        """Merge the pairs of a loop closure, no landmark in two of them, unless the graph as a whole is against it.
 
-        What a true closure adds to the chi2 of the graph is chi2 with 3 degrees of freedom a pair. `scale` as in
+        What a true closure adds to the chi2 of the graph is chi2 with 3 degrees of freedom a pair. All pairs are tried
+        at once; a graph that refuses them is as it was before, and they are never merged again. `scale` as in
         `doubted`.
         """
-        before = self._backend.chi2()
-        made = [self.merge(older, younger, "loop") for older, younger in pairs]
-        self._backend.settle(_ROUNDS)
+        before, undisturbed = self._backend.chi2(), self._backend.snapshot()
         limit = float(chi2_distribution.isf(self._config.association.new_significance, max(3 * len(pairs), 1)))
-        if self._backend.chi2() - before <= max(scale, 1.0) * limit:
-            self._landmarks.refresh(self._backend)
-            return True
-        for merge in reversed(made):
-            self.undo(merge)
-        for one in {key: None for pair in pairs for key in pair}:  # of the first, grown while others were still wrong
-            self._regrow(self._landmarks[one])
+        parts = [self._rekeyed(older, younger, "loop") for older, younger in pairs]
+        factors, old = ([one for part in parts for one in part[side]] for side in (0, 1))
+        try:
+            indices = self._backend.exchange(factors, old, [self._landmarks[younger].key for _, younger in pairs])
+            fits = self._backend.settles_below(before + max(scale, 1.0) * limit, _ROUNDS)
+        except BackendError:
+            indices, fits = [], False
+        if fits:
+            ends = np.cumsum([0, *(len(mine) for mine, _ in parts)]).tolist()
+            self._joined(pairs, [indices[start:end] for start, end in pairwise(ends)], "loop")
+        else:
+            self._backend.restore(undisturbed)
+            self._apart.update(frozenset(pair) for pair in pairs)
+        return fits
+
+    def _rekeyed(self, older: int, younger: int, cause: Cause) -> tuple[list[Any], list[int]]:
+        """Factors of what was seen of the younger, now of the older, and the indices of those they replace."""
+        gone, home = self._landmarks[younger], self._landmarks[older]
+        robust = self.robust or (self._config.backend.robust_loops if cause == "loop" else None)
+        factors = [
+            observe(self._observation(one), pose_symbol(one.keyframe), home, self._backend, robust)
+            for one in gone.sightings
+        ]
+        return factors, [one.factor_index for one in gone.sightings]
+
+    def _joined(
+        self, pairs: Sequence[tuple[int, int]], factor_indices: Sequence[Sequence[int]], cause: Cause
+    ) -> list[Merge]:
+        """Let landmarks know that everything seen of others is of them: the graph holds it so, by these factors."""
+        now, made = len(self._keyframes) - 1, [self._landmarks.remove(younger) for _, younger in pairs]
         self._landmarks.refresh(self._backend)
-        return False
+        for (older, _), gone, indices in zip(pairs, made, factor_indices, strict=True):
+            home, home_T_world = self._landmarks[older], inverse(self._landmarks.placed(older).world_T_plane)
+            home.seen_by_past = sorted({*home.seen_by_past, *gone.seen_by_past})
+            for one, index in zip(gone.sightings, indices, strict=True):
+                plane_T_body = home_T_world @ self._backend.pose(pose_symbol(one.keyframe))
+                self._landmarks.see(home, self._observation(one), replace(one, factor_index=index), plane_T_body)
+        self._landmarks.refresh(self._backend)
+        merges = [
+            Merge(now, older, gone.id, cause, gone, next_look=now + 1)
+            for (older, _), gone in zip(pairs, made, strict=True)
+        ]
+        self.history += merges
+        return merges
 
     def undo(self, merge: Merge) -> None:
         """Take a merge back: the younger returns with its own factors and those of later sightings that fit it better.
@@ -125,6 +126,14 @@ class Merges:
         self._landmarks.refresh(self._backend)
         self._apart.add(frozenset((holder.id, back.id)))
         merge.undone = now
+
+    def redraw(self, since: int) -> None:
+        """Draw anew what was seen of the landmarks that a keyframe from `since` on saw: the poses were wrong."""
+        now = len(self._keyframes) - 1
+        for landmark in self._landmarks:
+            if landmark.was_seen_between(since, now):
+                self._regrow(landmark)
+        self._landmarks.refresh(self._backend)
 
     def doubted(self, touched: Iterable[int], scale: float) -> list[Merge]:
         """Merges of the landmarks at hand whose re-keyed measurements no longer fit, worst first.

@@ -195,7 +195,7 @@ class PlaneSlam:
             raise ValueError(f"keyframe: expected an index from 0 to {len(self.decisions) - 1}, got {keyframe}")
         seen = self.keyframes[keyframe].observations
         sentences = [decision_sentence(one, seen[one.observation]) for one in self.decisions[keyframe]]
-        return sentences + change_sentences(keyframe, self.merges.history, self.loops)
+        return sentences + change_sentences(keyframe, self.merges.history, self.loops, self._closer.ties)
 
     def marginal_covariance(self, key: int) -> FloatArray:
         """Marginal covariance of a variable, in its GTSAM tangent order: (rx, ry, rz, x, y, z) for a pose."""
@@ -211,6 +211,7 @@ class PlaneSlam:
         for landmark in self.landmarks:
             landmark.sightings = [replace(one, factor_index=moved[one.factor_index]) for one in landmark.sightings]
         self._thinning.renumber(moved)
+        self._closer.renumber(moved)
         self.landmarks.refresh(self.backend)
 
     @timed("predict")
@@ -304,6 +305,7 @@ class PlaneSlam:
         for merge in self.merges.doubted(touched | compared, self.audit.mean_per_dof):
             if merge.undone is None:
                 self.merges.split_if_two(merge)
+        self._closer.take_back(self.audit.mean_per_dof)
 
     @timed("twins")
     def _merge_twins(self, touched: set[int]) -> None:
@@ -328,7 +330,7 @@ class PlaneSlam:
         if pairs is not None:
             self._told_apart.clear()
             self._merge_twins({older for older, _ in pairs})
-            self._closer.take_motion()
+            self._closer.take_motion(pairs)
 
     def _remember(self, keyframe: Keyframe, decisions: list[Decision]) -> None:
         self.keyframes.append(keyframe)

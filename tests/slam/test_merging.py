@@ -98,6 +98,12 @@ def test_a_false_closure_is_refused_by_the_graph_and_leaves_no_trace():
     slam, untouched = run(scene), run(scene)
     assert not slam.merges.close([(2, 4), (3, 5)], 1.0)
     assert_same_map(slam, untouched)
+    assert slam.merges.history == []
+    assert not slam.merges.may_be_one(2, 4) and not slam.merges.may_be_one(3, 5)
+    for keyframe in drive(5, count=20, turns=0.95).keyframes[15:]:  # what comes after is bit for bit the same, too
+        for one in (slam, untouched):
+            one.add_keyframe(keyframe)
+    assert np.array_equal(slam.trajectory.poses, untouched.trajectory.poses)
 
 
 def with_loop_of_twins(seed: int) -> PlaneSlam:
