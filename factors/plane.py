@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import gtsam
 import gtsam_unstable
@@ -41,7 +41,19 @@ def plane_factor(
     Sides are the caller's: the error is blind to a plane seen from behind (see `factors.facing`).
     ValueError: a key that is no integer, a singular covariance, an unknown kernel.
     """
-    return _remembered(plane).factor(pose_key, plane_key, anchor_key, robust)
+    get_ready([plane])
+    return _ready[plane].factor(pose_key, plane_key, anchor_key, robust)
+
+
+def get_ready(planes: Sequence[Plane]) -> None:
+    """Work out what factors of these planes have in common, once and together, for the calls of `plane_factor` to come.
+
+    A plane is compared with many landmarks before it is in the graph once. ValueError: a singular covariance.
+    """
+    for plane in planes:
+        check_instance("plane", plane, Plane)
+    if new := [plane for plane in planes if plane not in _ready]:
+        _ready.update(zip(new, _measured(new), strict=True))
 
 
 def plane_factors(
@@ -93,6 +105,10 @@ class _Measured:
         return recipe.factor()
 
 
+#: Of planes, by identity, for as long as they are there.
+_ready: WeakKeyDictionary[Plane, _Measured] = WeakKeyDictionary()
+
+
 def _measured(planes: Sequence[Plane]) -> list[_Measured]:
     frames, covariances = _stacked(planes)
     mean, variance = second_order(frames, covariances)
@@ -101,12 +117,6 @@ def _measured(planes: Sequence[Plane]) -> list[_Measured]:
     inflated[:, 0, 0] += variance
     roots, centre_roots = square_root_informations(frames, inflated), centre_root_informations(covariances)
     return [_Measured(*one) for one in zip(frames, distances.tolist(), roots, centre_roots, strict=True)]
-
-
-@lru_cache(maxsize=1024)
-def _remembered(plane: Plane) -> _Measured:
-    """Of one plane, by identity: it is compared with many landmarks before it is in the graph once."""
-    return _measured([plane])[0]
 
 
 def plane_prior(plane: Plane, plane_key: int, *, robust: Robust = None) -> gtsam.CustomFactor:

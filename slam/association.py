@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from factors import get_ready
 from slam.backend import Backend, JointCovariance
 from slam.config import AssociationConfig
 from slam.decisions import BEYOND_M, Candidate, Decision
 from slam.frames import inverse
 from slam.innovations import Prospect, State, prospects_of
 from slam.landmarks import Landmark, LandmarkMap, PlacedPlane
-from slam.observations import Observation
+from slam.observations import Observation, PlaneObservation
 from slam.odometry import Motion
 from slam.readings import Reader
 from spplanes._check import FloatArray
@@ -66,6 +67,7 @@ def associate(
         keys.update((landmark.key, landmark.anchor_key))
     ordered = sorted(keys)
     joint, values = backend.joint_covariance(ordered), backend.values_of(ordered)  # once is cheaper than for each pair
+    get_ready([one.plane for one in observations if isinstance(one, PlaneObservation)])
     prospects = [
         prospects_of(observation, shortlist, pose_key, joint, values, backend)
         for observation, shortlist in zip(observations, shortlists, strict=True)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TypeVar
+
 import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
 from slam.frames import lift
 from spplanes._check import FloatArray
+
+Key = TypeVar("Key")
 
 #: Outlines are simplified to this after every union, m: far below any gap that association looks at.
 _TOLERANCE_M = 0.01
@@ -33,6 +38,26 @@ def grow(outline: BaseGeometry, patch: BaseGeometry) -> BaseGeometry:
     if outline.geom_type == "LineString" and patch.geom_type in ("LineString", "Point"):
         return _cover_on_line(outline, patch)
     return shapely.union(valid(outline), valid(patch)).simplify(_TOLERANCE_M)
+
+
+def grow_all(
+    outlines: Sequence[BaseGeometry], patches: Sequence[BaseGeometry], names: Sequence[Key]
+) -> dict[Key, BaseGeometry]:
+    """`grow` of many outlines at once, those by name that do not cover their patch already."""
+    here, there = _all_valid(outlines), _all_valid(patches)
+    new = np.flatnonzero(~shapely.covers(here, there))
+    simple = shapely.simplify(shapely.union(here[new], there[new]), _TOLERANCE_M)
+    grown = {names[k]: one for k, one in zip(new.tolist(), simple, strict=True)}
+    lines = [k for k in new.tolist() if outlines[k].geom_type == "LineString"]
+    return grown | {names[k]: grow(outlines[k], patches[k]) for k in lines}
+
+
+def _all_valid(geometries: Sequence[BaseGeometry]) -> np.ndarray:
+    array = np.array(geometries, dtype=object)
+    bad = ~shapely.is_valid(array)
+    if bad.any():
+        array[bad] = shapely.make_valid(array[bad])
+    return array
 
 
 def valid(geometry: BaseGeometry) -> BaseGeometry:

@@ -8,13 +8,13 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from slam.outlines import grow, valid
+from slam.outlines import grow, grow_all
 from spplanes._check import FloatArray
 
 #: Side of a tile, and how far each reaches into its neighbours so that simplified borders leave no gap between, m.
 _TILE_M, _LAP_M = 2.0, 0.05
-#: A tile is full, and what else is seen there not looked at, when no more than this is missing, m^2.
-_GAP_M2 = 1e-4
+#: A tile is full, and what else is seen there not looked at, when so much of it is there, m^2.
+_FULL_M2 = (_TILE_M + 2.0 * _LAP_M) ** 2 - 1e-4
 
 
 class Region:
@@ -87,25 +87,33 @@ class Region:
         _, low_y, _, high_y = patch.bounds
         x0, y0, x1, y1 = np.floor(np.asarray(patch.bounds) / _TILE_M).astype(int).tolist()
         if (x0, y0) == (x1, y1):
-            self._join((x0, y0), patch)
+            self._join({} if patch.is_empty else {(x0, y0): patch})
             return
+        pieces: dict[tuple[int, int], BaseGeometry] = {}
         for i in range(x0, x1 + 1):
+            wanted = [j for j in range(y0, y1 + 1) if (i, j) not in self._full]
+            if not wanted:
+                continue
             left, right = i * _TILE_M - _LAP_M, (i + 1) * _TILE_M + _LAP_M
             column = patch if x0 == x1 else shapely.clip_by_rect(patch, left, low_y - _LAP_M, right, high_y + _LAP_M)
-            for j in range(y0, y1 + 1):
-                if (i, j) not in self._full and not column.is_empty:
-                    bottom, top = j * _TILE_M - _LAP_M, (j + 1) * _TILE_M + _LAP_M
-                    self._join((i, j), shapely.clip_by_rect(column, left, bottom, right, top))
+            for j in wanted if not column.is_empty else ():
+                bottom, top = j * _TILE_M - _LAP_M, (j + 1) * _TILE_M + _LAP_M
+                piece = shapely.clip_by_rect(column, left, bottom, right, top)
+                if not piece.is_empty:
+                    pieces[i, j] = piece
+        self._join(pieces)
 
-    def _join(self, key: tuple[int, int], piece: BaseGeometry) -> None:
-        """Take a piece into its tile, where it tells something new."""
-        here = self._tiles.get(key)
-        if piece.is_empty or (here is not None and valid(here).covers(piece := valid(piece))):
+    def _join(self, pieces: dict[tuple[int, int], BaseGeometry]) -> None:
+        """Take pieces into their tiles, where they tell something new."""
+        grown = {key: piece for key, piece in pieces.items() if key not in self._tiles}
+        known = [key for key in pieces if key in self._tiles]
+        grown.update(grow_all([self._tiles[key] for key in known], [pieces[key] for key in known], known))
+        if not grown:
             return
         self._whole = None
-        self._tiles[key] = here = piece if here is None else grow(here, piece)
-        if here.area > (_TILE_M + 2.0 * _LAP_M) ** 2 - _GAP_M2:
-            self._full.add(key)
+        self._tiles.update(grown)
+        areas = shapely.area(list(grown.values()))
+        self._full.update(key for key, area in zip(grown, areas.tolist(), strict=True) if area > _FULL_M2)
 
     def _tiles_in(self, bounds: FloatArray) -> Iterator[tuple[int, int]]:
         """Keys of the tiles there are that a box touches, in order."""

@@ -1,5 +1,7 @@
 """What comes of bad input: one sentence that names the argument, or a documented meaning."""
 
+from copy import copy
+
 import gtsam
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ import pytest
 from factors import (
     direction_prior,
     distance_factor,
+    get_ready,
     line_factor,
     odometry_factor,
     odometry_factor_2d,
@@ -217,3 +220,18 @@ def test_long_directions_do_not_overflow():
     assert factor.error(values) == 0.0
     with pytest.raises(ValueError, match="direction: expected numbers below"):
         direction_prior(L, (1e200, 0, 0), 0.1)
+
+
+def test_planes_made_ready_together_give_the_factors_they_give_alone():
+    rng = np.random.default_rng(5)
+    planes = [random_plane(rng) for _ in range(4)]
+    alone = [plane_factor(copy(plane), X, L, anchor_key=A) for plane in planes]
+    get_ready(planes)
+    values = values_of(x0=random_pose(rng), a0=random_pose(rng), l0=gtsam.OrientedPlane3(0.6, 0.0, 0.8, 2.0))
+    for one, plane in zip(alone, planes, strict=True):
+        other = plane_factor(plane, X, L, anchor_key=A)
+        assert one.linearize(values).equals(other.linearize(values), 0.0)
+    with pytest.raises(ValueError, match="singular"):
+        get_ready([planes[0], Plane._trusted(np.eye(4), np.zeros((3, 3)), 3)])
+    with pytest.raises(ValueError, match="plane: expected a Plane, got int"):
+        get_ready([3])  # type: ignore[list-item]

@@ -7,7 +7,7 @@ import pytest
 import shapely
 from shapely import LineString, Point, box
 
-from slam.outlines import coarse
+from slam.outlines import coarse, grow, grow_all
 from slam.regions import Region
 
 
@@ -90,3 +90,16 @@ def test_an_outline_measured_keeps_the_corners_its_size_needs(radius: float, all
     assert shapely.get_num_coordinates(few) < 60
     assert shapely.hausdorff_distance(few, outline) <= allowed
     assert abs(few.area / outline.area - 1.0) < 0.02
+
+
+def test_outlines_that_grow_together_grow_as_alone():
+    outlines = [*scattered(3, 30), LineString([(0, 0), (1, 0)])]
+    bow_tie = shapely.Polygon([(0, 0), (2, 2), (2, 0), (0, 2)])
+    patches = [*(box(*one.buffer(0.3).bounds) for one in outlines[:-2]), bow_tie, LineString([(0.5, 0), (3, 0.1)])]
+    outlines[0] = outlines[0].buffer(5.0)  # covers its patch
+    grown = grow_all(outlines, patches, list("abcdefghijklmnopqrstuvwxyzABCDE"))
+    assert list(grown)[:2] == ["b", "c"]
+    assert len(grown) == 30
+    for name, one in grown.items():
+        k = "abcdefghijklmnopqrstuvwxyzABCDE".index(name)
+        assert one.equals_exact(grow(outlines[k], patches[k]), 0.0)
