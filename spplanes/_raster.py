@@ -13,6 +13,8 @@ _BITS, _OFFSET = 21, 1 << 20
 _MASK = (1 << _BITS) - 1
 #: A region with a larger raster than this, cells, is drawn with larger ones.
 LARGEST_RASTER = 1 << 20
+#: Centres this near a side, cells, lie in the triangles on both sides of it.
+_ROUNDING = 1e-9
 
 
 @njit(cache=True)
@@ -167,7 +169,7 @@ def _layout(low, high):
     return scale, first, corner, shape
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _triangle(filled, first, width, place, inward, pu, p, qu, q, ru, r):
     """Fill the cells whose centres lie in the triangle of three points, given by row, 0 or 1, and column."""
     i0 = min(inward[pu, 0, p], inward[qu, 0, q], inward[ru, 0, r])
@@ -178,15 +180,22 @@ def _triangle(filled, first, width, place, inward, pu, p, qu, q, ru, r):
         return
     px, py, qx, qy = place[pu, p, 0], place[pu, p, 1], place[qu, q, 0], place[qu, q, 1]
     rx, ry = place[ru, r, 0], place[ru, r, 1]
-    for x in range(i0, i1 + 1):
-        for y in range(j0, j1 + 1):
-            if filled[first + x * width + y]:
-                continue
-            e = (qx - px) * (y - py) - (qy - py) * (x - px)
-            f = (rx - qx) * (y - qy) - (ry - qy) * (x - qx)
-            g = (px - rx) * (y - ry) - (py - ry) * (x - rx)
-            if (e >= 0.0 and f >= 0.0 and g >= 0.0) or (e <= 0.0 and f <= 0.0 and g <= 0.0):
-                filled[first + x * width + y] = True
+    if px > qx:
+        px, py, qx, qy = qx, qy, px, py
+    if qx > rx:
+        qx, qy, rx, ry = rx, ry, qx, qy
+        if px > qx:
+            px, py, qx, qy = qx, qy, px, py
+    if px == rx:
+        return  # no area
+    whole, rising, falling = (ry - py) / (rx - px), (qy - py) / (qx - px), (ry - qy) / (rx - qx)
+    for x in range(i0, i1 + 1):  # row by row from the one side to the other
+        one = py + (x - px) * whole
+        other = py + (x - px) * rising if x < qx else (qy + (x - qx) * falling if qx < rx else qy)
+        least, most = int(np.ceil(min(one, other) - _ROUNDING)), int(np.floor(max(one, other) + _ROUNDING))
+        start = first + x * width
+        for y in range(start + max(least, j0), start + min(most, j1) + 1):
+            filled[y] = True
 
 
 @njit(cache=True)
