@@ -6,6 +6,7 @@ Only the classes listed here can come out of a file; nothing in a file is ever r
 from __future__ import annotations
 
 import json
+import re
 import struct
 from collections.abc import Sequence
 from dataclasses import fields
@@ -17,6 +18,7 @@ from shapely.geometry.base import BaseGeometry
 
 from slam.association import Candidate, Decision
 from slam.io.log import CloudScan, LaserScan, StoredCloud
+from slam.io.spool import StoredScan
 from slam.keyframes import Keyframe
 from slam.map_planes import MapPlane
 from slam.observations import LineObservation, PlaneObservation
@@ -39,8 +41,9 @@ _CLASSES: dict[str, type] = {
         ScanLine,
     )
 }
-#: Kinds of numbers an array may have: floats, integers, booleans.
+#: Kinds of numbers an array may have: floats, integers, booleans; and how one is named in a record.
 _KINDS = "fiub"
+_NAME_OF_NUMBERS = re.compile(r"[<|][fiub][0-9]{1,2}")
 _LENGTH = struct.Struct("<I")
 #: Written as they are.
 _PLAIN = {bool, int, float, str, type(None)}
@@ -116,7 +119,7 @@ class _Writer:
             return {"shape": self._put(shapely.to_wkb(value, byte_order=1))}
         if isinstance(value, dict):
             return {"dict": {_name(key): self.plain(one) for key, one in value.items()}}
-        if isinstance(value, StoredCloud):
+        if isinstance(value, StoredCloud | StoredScan):
             return self.plain(value.loaded())
         if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
             return [self.plain(one) for one in value]
@@ -169,9 +172,9 @@ class _Reader:
         return found
 
     def _array(self, dtype: str, shape: list[int], start: int, size: int) -> np.ndarray:
+        if not _NAME_OF_NUMBERS.fullmatch(dtype) or min(shape, default=0) < 0:
+            raise CodecError(f"expected an array of numbers, got {dtype:.20} of shape {str(shape)[:60]}")
         kind = np.dtype(dtype)
-        if kind.kind not in _KINDS or min(shape, default=0) < 0:
-            raise CodecError(f"expected an array of numbers, got {dtype} of shape {shape}")
         flat = np.frombuffer(self._get(start, size), dtype=kind).reshape(shape)
         return flat.copy() if kind.isnative else flat.astype(kind.newbyteorder("="))
 

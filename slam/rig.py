@@ -188,6 +188,9 @@ def _first_problem(error: ValidationError) -> str:
 #: Standard deviation taken for a 2D laser nobody describes: the data sheet of a SICK LMS 200 (15 mm) at 1 cm steps.
 DEFAULT_RANGE_SIGMA_M = 0.015
 
+#: Steps of ranges that lasers use, m.
+_STEPS_M = (0.1, 0.05, 0.01, 0.005, 0.001)
+
 #: A 2D laser whose axis is nearer to upright than this (cosine) sees lines; any other is taken for a push-broom one.
 _LEVEL = 0.97
 
@@ -210,16 +213,20 @@ def default_rig_for(log: Log) -> Rig:
 
 
 def _default_laser(name: str, log: Log) -> Sensor:
-    ranges = np.concatenate([scan.ranges for scan in log.scans(name) if isinstance(scan, LaserScan)])
-    seen = ranges[np.isfinite(ranges)]
+    steps, largest = _STEPS_M, 0.0
+    for scan in log.scans(name):
+        if isinstance(scan, LaserScan):
+            seen = scan.ranges[np.isfinite(scan.ranges)]
+            steps = _steps_of(seen, steps)
+            largest = max(largest, float(seen.max(initial=0.0)))
     told = log.mounts.get(name)
     return Sensor(
         kind="line" if told is None or abs(told[2, 2]) > _LEVEL else "slice",
         record=name,
         body_T_sensor=_default_mount(name, log),
         range_sigma_m=DEFAULT_RANGE_SIGMA_M,
-        quantisation_m=_step_of(seen),
-        range_max_m=float(seen.max()) + 0.01 if seen.size else 80.0,
+        quantisation_m=max(steps, default=0.0) if largest else 0.0,
+        range_max_m=largest + 0.01 if largest else 80.0,
         surface_sigma_m=DEFAULT_SURFACE_SIGMA_M,
         surface_correlation_m=DEFAULT_SURFACE_CORRELATION_M,
     )
@@ -241,9 +248,6 @@ def _is_level(transform: FloatArray) -> bool:
     return bool(np.abs(transform[2, :2]).max() < 1e-9 and transform[2, 2] > 0.0)
 
 
-def _step_of(ranges: FloatArray) -> float:
-    """The coarsest step, of those lasers use, that all ranges are multiples of, m; 0 when there is none."""
-    for step in (0.1, 0.05, 0.01, 0.005, 0.001):
-        if ranges.size and np.allclose(ranges / step, np.round(ranges / step), rtol=0.0, atol=1e-3):
-            return step
-    return 0.0
+def _steps_of(ranges: FloatArray, steps: tuple[float, ...]) -> tuple[float, ...]:
+    """Those of some steps that all ranges are multiples of, m."""
+    return tuple(step for step in steps if np.allclose(ranges / step, np.round(ranges / step), rtol=0.0, atol=1e-3))

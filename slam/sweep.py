@@ -35,7 +35,7 @@ def unswept(scan: LaserScan, sensor: Sensor, track: OdometryTrack) -> LaserScan:
     turned = np.where(hit, np.arctan2(moved[:, 1], moved[:, 0]) - scan.angles, 0.0)
     angles = scan.angles + np.remainder(turned + np.pi, 2.0 * np.pi) - np.pi
     ranges = np.where(hit, np.hypot(moved[:, 0], moved[:, 1]), np.nan)
-    return replace(scan, ranges=ranges, angles=np.maximum.accumulate(angles))
+    return LaserScan(scan.stamp_ns, scan.sensor, ranges, np.maximum.accumulate(angles), scan.world_T_body)
 
 
 def place_beams(

@@ -26,8 +26,8 @@ class LaserRecord:
     """FLASER, RLASER, ROBOTLASER1 and so on."""
     ranges: FloatArray
     """As written, shape (B,), m."""
-    angles: FloatArray | None
-    """Bearings, shape (B,), rad; None for FLASER and RLASER, which do not say."""
+    bearings: tuple[float, float] | None
+    """Of the first beam, and from one to the next, rad; None for FLASER and RLASER, which do not say."""
     range_max_m: float | None
     """Maximum range the record states, m."""
     laser_pose: FloatArray | None
@@ -103,7 +103,7 @@ def _numbered_laser(words: list[str]) -> LaserRecord:
     return LaserRecord(
         name=words[0],
         ranges=_numbers(words[9 : 9 + n]),
-        angles=start + step * np.arange(n),
+        bearings=(float(start), float(step)),
         range_max_m=float(range_max) if range_max > 0.0 else None,
         laser_pose=_pose(words, tail) if has_pose else None,
         robot_pose=_pose(words, tail + 3) if has_pose else None,

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from slam.io._carmen_records import LaserRecord, OdomRecord
+from slam.io._carmen_scans import TableScans, robot_pose
 from slam.io._carmen_stream import RawLog, read_records
-from slam.io.log import Event, LaserScan, Log, LogError, OdometryReading, planar_transform
+from slam.io.log import Event, Log, LogError, OdometryReading, planar_transform
+from slam.io.spool import StoredReading, StoredScan
 from spplanes._check import FloatArray
 
 if TYPE_CHECKING:
@@ -45,61 +46,77 @@ def read_carmen(
 
     Raises:
         LogError: one sentence with file and line: no lasers, a wrong count, text for a number, time running backwards
-            within the records of one sensor, beam counts that change, a stream cut in the middle.
+            within the records of one sensor, beam counts that change, a stream cut in the middle, no room for scans.
+
+    The ranges of a long log wait on the disk (`slam.io.spool`); every scan reads its own when it is asked for them.
     """
     path = Path(path)
     raw = read_records(path, keep_partial)
-    if not any(isinstance(record, LaserRecord) for record in raw.records):
+    rows = raw.rows()
+    if not (rows["name"] > 0).any():
         raise LogError(path, "expected a CARMEN log with laser records, got none")
-    which = _choose_clock(raw, clock)
-    _check_order(path, raw, which)
-    lasers = [record for record in raw.records if isinstance(record, LaserRecord)]
-    names = _names_of(path, lasers, rig, raw)
-    limits = {name: _range_limit([r for r in lasers if r.name == name], rig, names[name]) for name in names}
-    mounts = {name: _stated_mount(name, lasers, raw.offsets) for name in names}
-    own_odometry = any(isinstance(r, OdomRecord) or r.angles is None for r in raw.records)
-
-    events: list[Event] = []
-    for record in raw.records:
-        stamp = record.stamps_ns[which]
-        if isinstance(record, OdomRecord):
-            events.append(OdometryReading(stamp, planar_transform(*record.pose)))
-        elif record.name in names:
-            events += _events_of(record, stamp, names[record.name], limits[record.name], mounts[record.name], rig)
-            if record.robot_pose is not None and (record.angles is None or not own_odometry):
-                events.append(OdometryReading(stamp, planar_transform(*record.robot_pose)))
-    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
-    stated = {names[name]: mount for name, mount in mounts.items() if mount is not None}
+    stamps = _stamps(raw, rows, clock)
+    _check_order(path, raw, rows, stamps)
+    names = _names_of(path, raw, rows, rig)
+    lasers = {raw.names[name]: _laser_of(name, sensor, raw, rows, rig) for name, sensor in names.items()}
+    sensors = {raw.names[name]: sensor for name, sensor in names.items()}
+    events = _events_of(rows, stamps, lasers, sensors)
+    stated = {sensors[number]: laser.mount for number, laser in lasers.items() if laser.mount is not None}
     return Log(events, path, raw.notes, stated)
 
 
-def _choose_clock(raw: RawLog, clock: str) -> int:
-    """Index of the time to take: 0 the sensor's, 1 the logger's."""
-    stuck = len(raw.records) > 1 and len({record.stamps_ns[0] for record in raw.records}) == 1
-    if clock == "ipc" and stuck and len({record.stamps_ns[1] for record in raw.records}) > 1:
+def _events_of(
+    rows: np.ndarray, stamps: np.ndarray, lasers: dict[int, TableScans], sensors: dict[int, str]
+) -> list[Event]:
+    """Scans and readings of a table, in time order."""
+    own_odometry = bool(((rows["name"] == 0) | np.isnan(rows["start"])).any())
+    tells_odometry = np.isfinite(rows["robot_pose"][:, 0]) & (np.isnan(rows["start"]) | (not own_odometry))
+    readers = {number: (laser.ranges, laser.pose) for number, laser in lasers.items()}
+    told = [rows[name].tolist() for name in ("name", "beams", "start", "step")]
+    pose = partial(robot_pose, rows)
+    events: list[Event] = []
+    for row, (stamp, number, *bearings) in enumerate(zip(stamps.tolist(), *told, strict=True)):
+        if number in lasers:
+            angles = lasers[number].angles(*bearings)
+            events.append(StoredScan(stamp, sensors[number], angles, row, *readers[number]))
+        if (number == 0 or number in lasers) and tells_odometry[row]:
+            events.append(StoredReading(stamp, row, pose))
+    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
+    return events
+
+
+def _stamps(raw: RawLog, rows: np.ndarray, clock: str) -> np.ndarray:
+    """Time of every record, shape (N,), ns: the sensor's, or the logger's."""
+    sensors, loggers = rows["stamps_ns"].T
+    if clock == "ipc" and (sensors == sensors[0]).all() and (loggers != loggers[0]).any():
         raw.notes.append("all ipc times are the same; took the logger's")
-        return 1
-    return 0 if clock == "ipc" else 1
+        return loggers
+    return sensors if clock == "ipc" else loggers
 
 
-def _check_order(path: Path, raw: RawLog, which: int) -> None:
+def _check_order(path: Path, raw: RawLog, rows: np.ndarray, stamps: np.ndarray) -> None:
     """Within the records of one name, time must not run backwards and the number of beams must not change."""
-    last: dict[str, tuple[int, int]] = {}
-    for record, number in zip(raw.records, raw.lines, strict=True):
-        name = record.name if isinstance(record, LaserRecord) else "ODOM"
-        beams = record.ranges.size if isinstance(record, LaserRecord) else 0
-        stamp, seen = last.get(name, (record.stamps_ns[which], beams))
-        if record.stamps_ns[which] < stamp:
-            late = (stamp - record.stamps_ns[which]) / 1e9
-            raise LogError(path, f"time runs backwards by {late:.6f} s in {name}", line=number)
-        if beams != seen:
-            raise LogError(path, f"expected {seen} beams as in the {name} records before, got {beams}", line=number)
-        last[name] = (record.stamps_ns[which], beams)
+    problems: list[tuple[int, str]] = []
+    for name, number in raw.names.items():
+        (own,) = np.nonzero(rows["name"] == number)
+        beams, times, lines = rows["beams"][own].tolist(), stamps[own].tolist(), rows["line"][own].tolist()
+        for place in range(1, len(own)):
+            if times[place] < times[place - 1]:
+                late = (times[place - 1] - times[place]) / 1e9
+                problems.append((lines[place], f"time runs backwards by {late:.6f} s in {name}"))
+                break
+            if beams[place] != beams[place - 1]:
+                expected = f"expected {beams[place - 1]} beams as in the {name} records before, got {beams[place]}"
+                problems.append((lines[place], expected))
+                break
+    if problems:
+        line, problem = min(problems)
+        raise LogError(path, problem, line=line)
 
 
-def _names_of(path: Path, lasers: list[LaserRecord], rig: Rig | None, raw: RawLog) -> dict[str, str]:
+def _names_of(path: Path, raw: RawLog, rows: np.ndarray, rig: Rig | None) -> dict[str, str]:
     """Name of the sensor for each record name that is kept."""
-    counts = Counter(record.name for record in lasers)
+    counts = {name: int((rows["name"] == number).sum()) for name, number in raw.names.items() if number}
     if rig is None:
         return {name: name for name in counts}
     names = {name: sensor for name in counts if (sensor := rig.name_of_record(name)) is not None}
@@ -111,25 +128,33 @@ def _names_of(path: Path, lasers: list[LaserRecord], rig: Rig | None, raw: RawLo
     return names
 
 
-def _range_limit(records: list[LaserRecord], rig: Rig | None, sensor: str) -> float:
-    """Ranges at or beyond this are no returns, m."""
-    if rig is not None:
-        return rig.sensors[sensor].range_max_m
-    stated = [record.range_max_m for record in records if record.range_max_m is not None]
-    limit = min(stated, default=np.inf)
-    ranges = np.concatenate([record.ranges for record in records])
-    largest = float(np.max(ranges, initial=0.0, where=np.isfinite(ranges)))
+def _laser_of(name: str, sensor: str, raw: RawLog, rows: np.ndarray, rig: Rig | None) -> TableScans:
+    """The scans of one laser."""
+    own = rows[rows["name"] == raw.names[name]]
+    mount = _stated_mount(name, own, raw.offsets)
+    if rig is None:
+        return TableScans(rows, raw.spool, 0.0, _range_limit(own), mount, None, None)
+    told = rig.sensors[sensor]
+    angles = told.first_angle_deg, told.angle_step_deg
+    return TableScans(rows, raw.spool, told.range_min_m, told.range_max_m, mount, *angles)
+
+
+def _range_limit(own: np.ndarray) -> float:
+    """Ranges of a laser at or beyond this are no returns, m."""
+    stated, largest = own["range_max_m"], float(own["largest"].max())
+    limit = float(np.min(stated, initial=np.inf, where=~np.isnan(stated)))
     return min([limit, *(none for low, high, none in _SICK_MODES if low <= largest <= high)])
 
 
-def _stated_mount(name: str, lasers: list[LaserRecord], offsets: dict[str, float]) -> FloatArray | None:
+def _stated_mount(name: str, own: np.ndarray, offsets: dict[str, float]) -> FloatArray | None:
     """body_T_sensor as PARAM lines, or poses of laser and robot that keep one distance, tell it; None: not told."""
-    pairs = [r for r in lasers if r.name == name and r.laser_pose is not None and r.robot_pose is not None]
+    pairs = own[np.isfinite(own["laser_pose"][:, 0]) & np.isfinite(own["robot_pose"][:, 0])]
     if name in offsets:
         return planar_transform(offsets[name], 0.0, np.pi if name == "RLASER" else 0.0)
-    if not pairs:
+    if not len(pairs):
         return None
-    relative = np.array([_relative(r.robot_pose, r.laser_pose) for r in pairs])  # type: ignore[arg-type]
+    poses = zip(pairs["robot_pose"], pairs["laser_pose"], strict=True)
+    relative = np.array([_relative(robot, laser) for robot, laser in poses])
     middle = np.median(relative, axis=0)
     if np.abs(relative - middle).max() > _SAME_MOUNT or (name == "RLASER" and not middle.any()):
         return None
@@ -142,31 +167,3 @@ def _relative(robot: FloatArray, laser: FloatArray) -> FloatArray:
     dx, dy = (laser - robot)[:2].tolist()
     turn = math.remainder(laser[2] - robot[2], 2.0 * math.pi)
     return np.array([c * dx + s * dy, -s * dx + c * dy, turn], dtype=np.float64)
-
-
-def _events_of(
-    record: LaserRecord, stamp: int, sensor: str, limit: float, mount: FloatArray | None, rig: Rig | None
-) -> list[Event]:
-    least = 0.0 if rig is None else rig.sensors[sensor].range_min_m
-    ranges = np.where((record.ranges > least) & (record.ranges < limit), record.ranges, np.nan)
-    return [LaserScan(stamp, sensor, ranges, _angles(record, sensor, rig), _world_T_body(record, mount))]
-
-
-def _angles(record: LaserRecord, sensor: str, rig: Rig | None) -> FloatArray:
-    """Bearings: the rig's, else the record's, else those of a SICK with that many beams."""
-    n = record.ranges.size
-    if rig is not None:
-        described = rig.sensors[sensor]
-        if described.first_angle_deg is not None and described.angle_step_deg is not None:
-            return np.deg2rad(described.first_angle_deg + described.angle_step_deg * np.arange(n))
-    if record.angles is not None:
-        return record.angles
-    return np.pi * np.arange(n, dtype=np.float64) / max(n - n % 2, 1) - np.pi / 2.0
-
-
-def _world_T_body(record: LaserRecord, mount: FloatArray | None) -> FloatArray | None:
-    if record.angles is not None:
-        return None if record.robot_pose is None else planar_transform(*record.robot_pose)
-    assert record.laser_pose is not None
-    world_T_laser = planar_transform(*record.laser_pose)
-    return world_T_laser if mount is None else world_T_laser @ np.linalg.inv(mount)

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from slam.io._ros_frames import BODIES, WORLDS, Frames
-from slam.io._ros_messages import RosScan, frame_of, points_of, scan_of, stamp_of, transform_of
+from slam.io._ros_messages import frame_of, points_of, scan_of, stamp_of, transform_of
 from slam.io._rosbag_open import in_short, kept_open, opened
 from slam.io._salvaged_bag import SalvagedBag
 from slam.io.arrange import Grid, arrange
-from slam.io.log import Event, LaserScan, Log, LogError, OdometryReading, StoredCloud
+from slam.io.log import Event, Log, LogError, OdometryReading, StoredCloud
+from slam.io.spool import SharedAngles, Spool, StoredScan
 from spplanes._check import FloatArray
 
 SCAN, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
@@ -37,13 +38,17 @@ class Topics:
 class _Found:
     """What has been read so far."""
 
+    spool: Spool
+    """Ranges of 2D scans."""
+    angles: SharedAngles = field(default_factory=SharedAngles)
+    """Their bearings."""
     frames: Frames = field(default_factory=Frames)
     moves: list[tuple[int, str, str, FloatArray]] = field(default_factory=list)
     """Transforms out of frames of the world: time, parent, child, parent_T_child."""
     odometry: list[tuple[int, str, FloatArray]] = field(default_factory=list)
     """Time, frame of the body, odom_T_child."""
-    scans: list[tuple[int, str, str, RosScan]] = field(default_factory=list)
-    """Time, topic, frame, scan."""
+    scans: list[tuple[int, str, str, FloatArray, tuple[int, int]]] = field(default_factory=list)
+    """Time, topic, frame, angles, and the ranges' place and number in the spool."""
     clouds: list[tuple[int, str, str, int]] = field(default_factory=list)
     """Time, topic, frame, time of recording."""
 
@@ -94,8 +99,9 @@ def read_rosbag(
     body, odometry = _odometry_of(found, notes)
     names = {topic: (names or {}).get(sensor_name(topic), sensor_name(topic)) for topic in chosen.scans}
     events: list[Event] = [OdometryReading(stamp, pose) for stamp, pose in odometry]
-    for stamp, topic, _, scan in found.scans:
-        events.append(LaserScan(stamp, names[topic], scan.ranges, scan.angles))
+    ranges = [kept for *_, kept in found.scans]
+    for row, (stamp, topic, _, angles, _) in enumerate(found.scans):
+        events.append(StoredScan(stamp, names[topic], angles, row, lambda row: found.spool.get(*ranges[row])))
     for stamp, topic, _, received in found.clouds:
         grid = (grids or {}).get(names[topic])
         events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received, grid, keep_partial)))
@@ -132,7 +138,7 @@ _KINDS = (CLOUD, SCAN, ODOMETRY)
 
 def _read(path: Path, reader: Any, chosen: Topics, notes: list[str], keep_partial: bool) -> _Found:
     """All messages of the chosen topics and of tf."""
-    found = _Found()
+    found = _Found(Spool(path))
     wanted = {*chosen.scans, chosen.odometry}
     connections = [c for c in reader.connections if c.topic in wanted or c.msgtype in TF]
     messages = reader.messages(connections)
@@ -144,6 +150,8 @@ def _read(path: Path, reader: Any, chosen: Topics, notes: list[str], keep_partia
             _take(found, topic, received, reader.deserialize(raw, connection.msgtype))
         except StopIteration:
             return found
+        except LogError:  # no room for its scans
+            raise
         except Exception as error:  # as in opened
             if not keep_partial:
                 raise LogError(path, f"{topic}: {in_short(error)}") from error
@@ -165,7 +173,10 @@ def _take(found: _Found, topic: str, received: int, message: Any) -> None:
         pose = transform_of(message.pose.pose.position, message.pose.pose.orientation)
         found.odometry.append((stamp_of(message, received), str(message.child_frame_id).lstrip("/"), pose))
     elif kind == SCAN:
-        found.scans.append((stamp_of(message, received), topic, frame_of(message), scan_of(message)))
+        scan = scan_of(message)
+        kept = found.spool.put(scan.ranges), scan.ranges.size
+        angles = found.angles.of(topic, scan.angles)
+        found.scans.append((stamp_of(message, received), topic, frame_of(message), angles, kept))
     else:
         points_of(message)  # a wrong layout is said before any work is done
         found.clouds.append((stamp_of(message, received), topic, frame_of(message), received))
@@ -191,7 +202,7 @@ def _usual_body(frames: Frames) -> str | None:
 
 def _mounts(found: _Found, body: str | None, names: dict[str, str], notes: list[str]) -> dict[str, FloatArray]:
     """body_T_sensor by name of the sensor, where tf tells it."""
-    frames = {topic: frame for _, topic, frame, _ in (*found.scans[::-1], *found.clouds[::-1])}
+    frames = {topic: frame for _, topic, frame, *_ in (*found.scans[::-1], *found.clouds[::-1])}
     mounts = {}
     for topic, frame in sorted(frames.items()):
         mount = np.eye(4) if frame == body else None if body is None else found.frames.body_T(body, frame)
