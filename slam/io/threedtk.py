@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -157,10 +158,16 @@ def _parse_points(path: Path, text: str) -> FloatArray:
     except ValueError:
         points = np.empty((0, 0))
     if points.shape[1:] != (3,) or not np.isfinite(points).all():
-        for number, line in enumerate(text.splitlines(), start=1):
-            if line.strip() and len(_floats(path, line, number)) != 3:
-                raise LogError(path, f"expected three numbers, got {line.strip()[:60]!r}", line=number)
+        rows = [(_floats(path, line, number), number, line) for number, line in _lines(text)]
+        for values, number, line in rows:
+            if len(values) != 3:
+                raise LogError(path, f"expected three numbers, got {line[:60]!r}", line=number)
+        return np.array([values for values, _, _ in rows])  # as Python breaks lines, where numpy does not
     return points
+
+
+def _lines(text: str) -> Iterator[tuple[int, str]]:
+    return ((number, line.strip()) for number, line in enumerate(text.splitlines(), start=1) if line.strip())
 
 
 def _floats(path: Path, line: str, number: int) -> list[float]:

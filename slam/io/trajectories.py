@@ -62,7 +62,8 @@ def read_tum(path: Path | str) -> Trajectory:
     path = Path(path)
     stamps, rows, lines = read_rows(path, columns=8, stamp_columns=1)
     values = np.array(rows)
-    norms = np.linalg.norm(values[:, 3:], axis=1)
+    with np.errstate(over="ignore"):  # infinite is no unit either
+        norms = np.linalg.norm(values[:, 3:], axis=1)
     for bad in np.flatnonzero(np.abs(norms - 1.0) > _TOLERANCE)[:1]:
         raise LogError(path, f"expected a unit quaternion, got one of norm {norms[bad]:.6g}", line=lines[bad])
     times = np.array(stamps, dtype=np.int64)[:, 0]
@@ -95,8 +96,10 @@ def read_kitti(path: Path | str) -> FloatArray:
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3] = np.array(rows).reshape(-1, 3, 4)
     rotations = poses[:, :3, :3]
-    errors = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    for bad in np.flatnonzero((errors > _TOLERANCE) | (np.linalg.det(rotations) < 0.0))[:1]:
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers whose squares are infinite: no rotation either
+        errors = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        proper = (errors <= _TOLERANCE) & (np.linalg.det(rotations) > 0.0)
+    for bad in np.flatnonzero(~proper)[:1]:
         raise LogError(path, "expected a right-handed rotation in columns 1-3, 5-7, 9-11", line=lines[bad])
     return poses
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import tempfile
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from slam._session_codec import encode
 from tests.fuzz.targets import TARGETS
 
 #: Bytes that formats are made of, and numbers that are hard to be right about.
@@ -54,6 +56,11 @@ def _keyframe_with(motion: int, number: float) -> bytes:
     return numbers.tobytes()
 
 
+def _array_of(name: str) -> bytes:
+    size, data = struct.Struct("<I"), encode(np.arange(3.0)).replace(b"<f8", name.encode())
+    return size.pack(size.unpack_from(data)[0] + len(name) - 3) + data[4:]
+
+
 def _factor_with(number: float) -> bytes:
     numbers = _numbers_of("factors")
     numbers[16] = number
@@ -77,6 +84,10 @@ FOUND = {
     "a factor without noise": ("factors", _factor_with(1e-312)),
     "odometry without noise": ("factors", _factor_with(9.8e-91)),
     "noise whose square is infinite": ("segment_scans", b"iiiiii|t"),
+    "a 3DTK scan whose lines only Python breaks": ("3dtk", b"\r" * 32 + b"1 2 0\0" + b"0 0 0\n0 0 0\n"),
+    "a rotation whose squares are infinite": ("kitti", b".0 0.0 1.5 1.0 3e166 -1.0 0.0 1.5 0.0 0.0 1.0 1.0 "),
+    "a quaternion of infinite norm": ("tum", b"0 9 5 0.0 0 1. 1e307\r2"),
+    "numbers of a session named by an expression": ("codec", _array_of(",f8")),
     "noise whose square is zero": ("segment_scans", np.array([1e-200, *np.arange(96.0)]).tobytes()),
 }
 
