@@ -2,6 +2,7 @@
 
 `python -m benchmarks.load [HOURS]`; 24 hours are 864,000 scans and many hours of computing, so 0.5 by default.
 The robot drives laps round a ring of corridors; scans are made one at a time, and measurements stay on the disk.
+Each tenth is printed when it is reached, so that a run that is ended keeps what it has measured.
 """
 
 from __future__ import annotations
@@ -14,8 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from slam import PlaneSlam
 from slam.frames import inverse
@@ -36,21 +35,26 @@ BODY_T_SENSOR = np.eye(4)
 
 def run(hours: float = 0.5, *, slices: int = 10, seed: int = 0) -> list[dict]:
     """One row a tenth of the mission."""
-    rows: list[dict] = []
+    return list(rows_of(hours, slices=slices, seed=seed))
+
+
+def rows_of(hours: float, *, slices: int = 10, seed: int = 0) -> Iterator[dict]:
+    """The same, each as it is reached."""
     scans = round(hours * 3600e9 / PERIOD_NS)
     with tempfile.TemporaryDirectory(prefix="spplanes-load-") as folder:
         path = Path(folder) / "session.db"
         with PlaneSlam.open(path, forget_raw=True) as slam:
             taken: list[float] = []
+            reached = 1
             for scan, keyframe in _keyframes(scans, np.random.default_rng(seed)):
                 start = time.process_time()
                 slam.add_keyframe(keyframe)
                 taken.append(time.process_time() - start)
-                if scan >= (len(rows) + 1) * scans / slices:
-                    rows.append(_row(scan, slam, taken, path))
+                if reached < slices and scan >= reached * scans / slices:
+                    yield _row(scan, slam, taken, path)
+                    reached += 1
                     taken.clear()
-            rows.append(_row(scans, slam, taken or [0.0], path))
-    return rows[:slices]
+            yield _row(scans, slam, taken or [0.0], path)
 
 
 def _row(scan: int, slam: PlaneSlam, taken: list[float], path: Path) -> dict:
@@ -151,13 +155,18 @@ def _ranges(pose: np.ndarray, walls: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    """Print the table."""
+    """Print each row when it is reached."""
     start = time.perf_counter()
-    rows = run(*(float(word) for word in sys.argv[1:2]))
-    table = Table(*rows[0])
-    for row in rows:
-        table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
-    Console().print(table)
+    rows: list[dict] = []
+    for row in rows_of(*(float(word) for word in sys.argv[1:2] or ["0.5"])):
+        if not rows:
+            print(" | ".join(row))
+        print(
+            " | ".join(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()), flush=True
+        )
+        rows.append(row)
+    if len(rows) < 2:
+        return
     first, last = rows[0], rows[-1]
     grown = (last["memory, MB"] - first["memory, MB"]) * 1e3 / (last["keyframes"] - first["keyframes"])
     slower = last["CPU ms per keyframe, median"] / first["CPU ms per keyframe, median"]

@@ -65,7 +65,8 @@ def warnings_of(run: Run) -> list[str]:
     # what a flat floor or the motion model holds to less than a tenth of that is no news to whoever drives
     limits = {"position": 0.1 * rules.max_sigma_m, "orientation": 0.1 * rules.max_sigma_rad}
     directions = [one.sentence for one in run.slam.open_directions if one.sigma >= limits[one.part]]
-    return [*skipped(notes), *silences(run.log, run.rig), *run.slam.audit.warnings(), *directions]
+    known = run.slam.prior.warnings if run.slam.prior is not None else []
+    return [*known, *skipped(notes), *silences(run.log, run.rig), *run.slam.audit.warnings(), *directions]
 
 
 def _pair_rows(pairs: list[FacingPair]) -> list[Metric]:

@@ -84,6 +84,20 @@ class PriorMap:
         start = np.eye(4) if world_T_start is None else world_T_start
         return cls(planes, covariance, start, floor_start() if start_covariance is None else start_covariance)
 
+    @property
+    def warnings(self) -> list[str]:
+        """What whoever reads the results must know: one sentence each."""
+        size = 3 * len(self.planes)
+        beside = self.covariance.copy()
+        for start in range(0, size, 3):
+            beside[start : start + 3, start : start + 3] = 0.0
+        if size <= 3 or beside.any():
+            return []
+        return [
+            f"the {len(self.planes)} planes of the prior map are taken as independent, for it does not tell what they "
+            "share (the drift of its mission): standard deviations come out too small; give the run's folder instead"
+        ]
+
     def plant(self, landmarks: LandmarkMap, backend: Backend) -> None:
         """Put the planes into an empty graph and an empty map as landmarks, with their joint prior."""
         values, keys = gtsam.Values(), []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 from functools import cache
@@ -275,6 +276,10 @@ def test_a_second_mission_from_the_command_line(tmp_path: Path, capsys: pytest.C
     assert [one.plane.to_dict() for one in alone.planes] == [
         one.plane.to_dict() | {"chi2": 0.0} for one in first.planes if one.plane.outline is not None
     ]
+    assert alone.warnings and not first.warnings and "independent" not in err
+    code, err = run("slam", tmp_path / "m2", "--out", tmp_path / "alone", "--prior", tmp_path / "first" / "planes.json")
+    assert code == 0 and f"warning: the {len(alone.planes)} planes of the prior map are taken as independent" in err
+    assert alone.warnings[0] in json.loads((tmp_path / "alone" / "metrics.json").read_text())["warnings"]
     code, err = run("slam", tmp_path / "m2", "--out", tmp_path / "no", "--prior", tmp_path / "first", "--start", "find")
     assert (code == 0) != (code == 2 and "--start: expected" in err and not (tmp_path / "no").exists())
     shutil.rmtree(tmp_path / "no", ignore_errors=True)
