@@ -74,7 +74,8 @@ def best_shifts(own, normals, offsets, weights, strongest, distance, sigma, tail
         tail: see sigma.
 
     Returns:
-        translations (K, 3), best first, of equal ones the first, and the weight each finds (K,), K <= BEST.
+        translations (K, 3), best first, none within half of `distance` of a better one, and the weight each finds (K,),
+        K <= BEST.
     """
     shifts, found, scores, count = np.zeros((BEST, 3)), np.zeros(BEST), np.full(BEST, -np.inf), 0
     shift, left = np.empty(3), _weight_left(own, weights)
@@ -87,13 +88,31 @@ def best_shifts(own, normals, offsets, weights, strongest, distance, sigma, tail
                 price = tail * np.log1p(0.5 * squared / sigma**2 / tail)
                 weight = _weight_found(own, normals, offsets, weights, left, shift, distance, scores[-1] + price)
                 if weight - price > scores[-1]:
-                    k = BEST - 1
-                    while k > 0 and weight - price > scores[k - 1]:
-                        shifts[k], found[k], scores[k] = shifts[k - 1], found[k - 1], scores[k - 1]
-                        k -= 1
-                    shifts[k], found[k], scores[k] = shift, weight, weight - price
-                    count = min(count + 1, BEST)
+                    count = _keep(shift, weight, weight - price, shifts, found, scores, count, 0.5 * distance)
     return shifts[:count], found[:count]
+
+
+@njit(cache=True)
+def _keep(shift, weight, score, shifts, found, scores, count, apart):
+    """Put a translation among the best, in place of those as near as `apart` that are worse; how many there are then.
+
+    One that is as near to a better one is the same again, and left out.
+    """
+    kept = 0
+    for k in range(count):
+        square = (shifts[k, 0] - shift[0]) ** 2 + (shifts[k, 1] - shift[1]) ** 2 + (shifts[k, 2] - shift[2]) ** 2
+        if square < apart**2 and scores[k] >= score:
+            return count
+        if square >= apart**2:
+            shifts[kept], found[kept], scores[kept] = shifts[k], found[k], scores[k]
+            kept += 1
+    scores[kept:] = -np.inf
+    k = min(kept, BEST - 1)
+    while k > 0 and score > scores[k - 1]:
+        shifts[k], found[k], scores[k] = shifts[k - 1], found[k - 1], scores[k - 1]
+        k -= 1
+    shifts[k], found[k], scores[k] = shift, weight, score
+    return min(kept + 1, BEST)
 
 
 @njit(cache=True)
@@ -138,54 +157,3 @@ def _shift_of(pairs, normals, offsets, distance, sigma, shift):
         (b * x + e * y + f * z) * scale,
         ((c * x + f * y + g * z) * scale),
     )
-
-
-@njit(cache=True)
-def normal_equations(
-    rotation, shift, normals, distances, others, other_distances, sizes, angle, distance, spread, told
-):
-    """Add the pairs of planes to the equations of a pose's tangent on the right (rotation, translation), in place.
-
-    Errors are the differences of normals and of distances, of standard deviations a third of `angle` and `distance`;
-    those far off weigh hardly at all.
-
-    Args:
-        rotation: known_R_seen, shape (3, 3).
-        shift: known_t_seen, shape (3,), m.
-        normals: of the planes seen, shape (P, 3).
-        distances: of the planes seen, shape (P,), m.
-        others: normals of the known ones, shape (P, 3).
-        other_distances: of the known ones, shape (P,), m.
-        sizes: weights, shape (P,).
-        angle: rad.
-        distance: m.
-        spread: information, shape (6, 6).
-        told: right side, shape (6,).
-    """
-    jacobian, residual, moved = np.zeros((4, 6)), np.empty(4), np.empty(3)
-    precision = np.array([9.0 / angle**2, 9.0 / angle**2, 9.0 / angle**2, 9.0 / distance**2])
-    for p in range(normals.shape[0]):
-        n = normals[p]
-        for i in range(3):
-            R = rotation[i]
-            moved[i] = R[0] * n[0] + R[1] * n[1] + R[2] * n[2]
-            jacobian[i, 0] = R[2] * n[1] - R[1] * n[2]
-            jacobian[i, 1] = R[0] * n[2] - R[2] * n[0]
-            jacobian[i, 2] = R[1] * n[0] - R[0] * n[1]
-        residual[3] = other_distances[p] - distances[p]
-        for i in range(3):
-            residual[i] = others[p, i] - moved[i]
-            residual[3] -= moved[i] * shift[i]
-            jacobian[3, i], jacobian[3, 3 + i] = 0.0, 0.0
-            for k in range(3):
-                jacobian[3, i] += shift[k] * jacobian[k, i]
-                jacobian[3, 3 + i] += moved[k] * rotation[k, i]
-        far = 0.0
-        for i in range(4):
-            far += residual[i] ** 2 * precision[i]
-        for i in range(4):
-            weight = precision[i] * sizes[p] / (1.0 + far)
-            for a in range(6):
-                told[a] += weight * jacobian[i, a] * residual[i]
-                for b in range(6):
-                    spread[a, b] += weight * jacobian[i, a] * jacobian[i, b]

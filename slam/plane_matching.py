@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
-import gtsam
 import numpy as np
 
-from slam._matching_kernels import best_shifts, directions_found, near_rotations, normal_equations
+from slam._matching_kernels import best_shifts, directions_found, near_rotations
 from slam.frames import inverse
 from slam.outlines import flatten, largest_polygon, valid
+from slam.plane_fit import fit_planes_on
+from slam.plane_sight import LinesOfSight
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -24,12 +25,15 @@ _ANGLE, _DISTANCE, _GAP = np.deg2rad(3.5), 0.10, 0.5
 _ROUGH = 0.05
 #: The same, as standard deviations, once a motion is worked out.
 _FINE_ANGLE, _FINE_DISTANCE = np.deg2rad(1.0), 0.03
+#: A motion is worked out with the pairs that it has roughly, then once more with those it has by then: times that
+#: planes may be off what they usually are.
+_LOOSE = (5.0, 1.0)
 #: A motion is looked for as far as so many standard deviations; what it costs grows slower beyond the first few.
 _FAR, _TAIL = 6.0, 2.0
 #: Planes closer in direction than this define no rotation: cosine of 20 deg.
 _PARALLEL = 0.94
 #: Rotations that are looked at closer, pairs that make translations, and motions whose outlines are compared.
-_ROTATIONS, _PAIRS, _MOTIONS = 40, 26, 16
+_ROTATIONS, _PAIRS, _MOTIONS = 20, 20, 10
 #: Motions worked out are one when no entry of their matrices differs by more, m and rad.
 _SAME = 1e-3
 #: Scores are told apart beyond this.
@@ -55,7 +59,8 @@ def match_planes_widely(
 
     Two pairs of planes that enclose the same angle give a rotation, three offsets a translation. Every motion is scored
     by the planes that find a partner, by the root of their area, less what it costs to move that far. The best are
-    worked out with all their pairs by least squares, and scored anew by what the planes have in common.
+    worked out with all their pairs by least squares, and scored anew by what the planes have in common, less what would
+    be seen through walls: halls look alike from both ends.
 
     Args:
         seen: planes in the frame of the body now.
@@ -69,18 +74,35 @@ def match_planes_widely(
     if min(len(mine.normals), len(theirs.normals)) < 2:
         return None
     motions = [one for R in _rotations(mine, theirs, sigmas[1]) for one in _translations(R, mine, theirs, sigmas)]
+    sight = LinesOfSight.between(mine.planes, mine.weights, theirs.planes)
     best: tuple[float, PlaneMatching] | None = None
     tried: list[FloatArray] = []
     for _, motion in sorted(motions, key=lambda one: -one[0])[:_MOTIONS]:
-        found = _refined(motion, _partners(motion, mine, theirs), mine, theirs, sigmas)
+        found = _worked_out(motion, mine, theirs, sigmas)
         if found is None or any(np.abs(found.known_T_seen - one).max() < _SAME for one in tried):
             continue
         tried.append(found.known_T_seen)
         price = _price(found.known_T_seen, sigmas)
         score = _agreement(found.known_T_seen, mine, theirs, None if best is None else best[0] + price) - price
         if best is None or score > best[0]:
+            score -= sight.blocked(found.known_T_seen)
+        if best is None or score > best[0]:
             best = score, found
     return None if best is None else best[1]
+
+
+def _worked_out(
+    motion: FloatArray, mine: _Planes, theirs: _Planes, sigmas: tuple[float, float]
+) -> PlaneMatching | None:
+    """A rough motion after least squares over the pairs it has, and over those it has then; None without enough."""
+    pairs, covariance = _partners(motion, mine, theirs), np.eye(6)
+    for loose in _LOOSE:
+        fit = fit_planes_on(motion, [(mine.planes[i], theirs.planes[j]) for i, j in pairs], sigmas, loose)
+        if fit is None:
+            return None
+        motion, covariance = fit
+        pairs = _partners(motion, mine, theirs)
+    return PlaneMatching(motion, covariance, tuple((mine.order[i], theirs.order[j]) for i, j in pairs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,34 +261,3 @@ def _meet(seen: Plane, known: Plane, motion: FloatArray) -> bool:
         return True
     moved = flatten(seen.outline, inverse(known.frame) @ motion @ seen.frame)
     return moved.distance(known.outline) <= _GAP
-
-
-def _refined(
-    motion: FloatArray,
-    pairs: Sequence[tuple[int, int]],
-    mine: _Planes,
-    theirs: _Planes,
-    sigmas: tuple[float, float],
-) -> PlaneMatching | None:
-    """Least squares over all pairs, with the expectation where they are silent.
-
-    Pairs weigh by their size, and those far off hardly at all: one wrong partner must not shift the place.
-    """
-    if len(pairs) < 3:
-        return None
-    i, j = np.array(pairs).T
-    spread = np.diag(1.0 / np.repeat([sigmas[1], sigmas[0]], 3) ** 2)
-    estimate = motion
-    information = spread
-    own, known = (mine.normals[i], mine.distances[i]), (theirs.normals[j], theirs.distances[j])
-    sizes = np.minimum(mine.weights[i], 3.0)
-    for _ in range(5):
-        information, told = spread.copy(), -spread @ gtsam.Pose3.Logmap(gtsam.Pose3(estimate))
-        rotation, shift = estimate[:3, :3], estimate[:3, 3]
-        normal_equations(rotation, shift, *own, *known, sizes, _ANGLE, _DISTANCE, information, told)
-        estimate = estimate @ gtsam.Pose3.Expmap(np.linalg.solve(information, told)).matrix()
-    directions = np.linalg.svd(theirs.normals[j])[1]
-    if directions[1] < 0.3:
-        return None
-    real = tuple((mine.order[a], theirs.order[b]) for a, b in pairs)
-    return PlaneMatching(estimate, np.linalg.inv(information).astype(np.float64), real)
