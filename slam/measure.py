@@ -14,6 +14,7 @@ from slam.frames import inverse
 from slam.goodness import is_one_plane
 from slam.io.arrange import arrange, grid_of
 from slam.io.log import CloudScan, LaserScan
+from slam.mixtures import purified
 from slam.observations import LineObservation, PlaneObservation
 from slam.odometry import OdometryTrack
 from slam.outlines import coarse, flatten, largest_polygon
@@ -105,12 +106,10 @@ def planes_of_window(
     ranges, model = np.stack([usable_ranges(scan.ranges, sensor) for scan in scans]), model_of(sensor)
     placed = register_scans(ranges, scans[0].angles, kf_T_body, model, body_T_sensor=sensor.body_T_sensor)
     placed = place_beams(placed, scans, kf_T_body, sensor, track, model)
-    labels, planes = segment_scans(
-        placed.points,
-        placed.covariances,
-        config=for_sensor(config.mapper, sensor),
-        viewpoints=placed.viewpoints,
-    )
+    mapper = for_sensor(config.mapper, sensor)
+    labels, planes = segment_scans(placed.points, placed.covariances, config=mapper, viewpoints=placed.viewpoints)
+    uneven = sensor.surface_sigma_m
+    labels, planes = purified(placed, labels, planes, pose_covariance, uneven, mapper, config.measurements)
     observations = []
     for plane, members in zip(planes, members_of(labels, len(planes)), strict=True):
         scan_index = members // labels.shape[1]
