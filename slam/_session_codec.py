@@ -6,7 +6,6 @@ Only the classes listed here can come out of a file; nothing in a file is ever r
 from __future__ import annotations
 
 import json
-import re
 import struct
 from collections.abc import Sequence
 from dataclasses import fields
@@ -41,14 +40,16 @@ _CLASSES: dict[str, type] = {
         ScanLine,
     )
 }
-#: Kinds of numbers an array may have: floats, integers, booleans; and how one is named in a record.
-_KINDS = "fiub"
-_NAME_OF_NUMBERS = re.compile(r"[<|][fiub][0-9]{1,2}")
+#: Numbers an array may have, by their name in a record: floats, integers, booleans.
+_NUMBERS = {
+    np.dtype(one).newbyteorder("<").str: np.dtype(one).newbyteorder("<")
+    for one in ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?", np.longdouble)
+}
 _LENGTH = struct.Struct("<I")
 #: Written as they are.
 _PLAIN = {bool, int, float, str, type(None)}
 #: The fields of each class, in order.
-_FIELDS = {name: tuple(one.name for one in fields(kind)) for name, kind in _CLASSES.items()}
+_FIELDS = {kind: tuple(one.name for one in fields(kind)) for kind in _CLASSES.values()}
 
 
 class CodecError(ValueError):
@@ -102,13 +103,16 @@ class _Writer:
         self._end = 0
 
     def plain(self, value: Any) -> Any:
-        if type(value) in _PLAIN:
+        kind = type(value)
+        if kind in _PLAIN:
             return value
+        if kind is np.ndarray:
+            return {"array": self._array(value)}
+        if kind in _FIELDS:
+            content = {one: self.plain(getattr(value, one)) for one in _FIELDS[kind]}
+            return {"class": kind.__name__, "fields": content}
         if isinstance(value, np.ndarray):
             return {"array": self._array(value)}
-        name = type(value).__name__
-        if _CLASSES.get(name) is type(value):
-            return {"class": name, "fields": {one: self.plain(getattr(value, one)) for one in _FIELDS[name]}}
         if isinstance(value, bool | int | float | str):
             return value
         if isinstance(value, np.generic):
@@ -123,13 +127,14 @@ class _Writer:
             return self.plain(value.loaded())
         if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
             return [self.plain(one) for one in value]
-        raise CodecError(f"expected a measurement that a session knows, got {name}")
+        raise CodecError(f"expected a measurement that a session knows, got {kind.__name__}")
 
     def _array(self, value: np.ndarray) -> list[Any]:
-        if value.dtype.kind not in _KINDS:
+        name = value.dtype.str
+        little = name.replace(">", "<")
+        if little not in _NUMBERS:
             raise CodecError(f"expected an array of numbers, got one of {value.dtype}")
-        little = value.dtype.str.replace(">", "<")
-        if little != value.dtype.str:
+        if little != name:
             value = value.astype(little)
         return [little, list(value.shape), *self._put(value.tobytes())]
 
@@ -171,10 +176,10 @@ class _Reader:
             raise CodecError("expected the outline of a plane, got one that is not finite")
         return found
 
-    def _array(self, dtype: str, shape: list[int], start: int, size: int) -> np.ndarray:
-        if not _NAME_OF_NUMBERS.fullmatch(dtype) or min(shape, default=0) < 0:
-            raise CodecError(f"expected an array of numbers, got {dtype:.20} of shape {str(shape)[:60]}")
-        kind = np.dtype(dtype)
+    def _array(self, name: str, shape: list[int], start: int, size: int) -> np.ndarray:
+        kind = _NUMBERS.get(name)
+        if kind is None or min(shape, default=0) < 0:
+            raise CodecError(f"expected an array of numbers, got {name:.20} of shape {str(shape)[:60]}")
         flat = np.frombuffer(self._get(start, size), dtype=kind).reshape(shape)
         return flat.copy() if kind.isnative else flat.astype(kind.newbyteorder("="))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -44,9 +45,11 @@ class StorageError(OSError):
 
 
 def create(path: Path) -> sqlite3.Connection:
-    """A new session file with the tables of today."""
+    """A new session file with the tables of today, under a name nobody knows yet; to be synced once, when whole."""
     connection = connect(path, read_only=False)
     with translated(path):
+        connection.execute("PRAGMA synchronous = OFF")
+        connection.execute("PRAGMA journal_mode = MEMORY")
         connection.execute("PRAGMA page_size = 4096")
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         _run(connection, f"{_TABLES_1}{_TABLES_2}", VERSION)
@@ -124,6 +127,20 @@ def translated(path: Path) -> Iterator[None]:
         if name.startswith(("SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM", "SQLITE_AUTH")):
             raise SessionError(f"{path}: cannot be opened as asked ({error})") from error
         raise SessionDamaged(f"{path}: expected a session, got a damaged or foreign file ({error})") from error
+
+
+def sync_folder(path: Path) -> None:
+    """Let the names in a folder outlive a power cut, where the file system can be told to."""
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        return
+    try:
+        os.fsync(handle)
+    except OSError:
+        pass  # not every file system knows how
+    finally:
+        os.close(handle)
 
 
 def _run(connection: sqlite3.Connection, script: str, version: int) -> None:

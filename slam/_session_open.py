@@ -13,10 +13,12 @@ from slam._session_digest import digest
 from slam._session_file import (
     SessionDamaged,
     SessionError,
+    StorageError,
     check_structure,
     check_version,
     connect,
     create,
+    sync_folder,
     transaction,
     translated,
 )
@@ -47,12 +49,23 @@ def make_file(path: Path, values: Mapping[str, bytes]) -> None:
     lock, work = _locked(path), path.with_name(path.name + ".new")
     try:
         work.unlink(missing_ok=True)
-        with closing(create(work)) as made, transaction(work, made):
-            for key, value in values.items():
-                put(made, "session", key, value)
+        with closing(create(work)) as made:
+            with transaction(work, made):
+                for key, value in values.items():
+                    put(made, "session", key, value)
+            with translated(work):
+                made.execute("PRAGMA journal_mode = WAL")
+        with work.open("rb") as file:
+            os.fsync(file.fileno())
         os.replace(work, path)
+        sync_folder(path.parent)
+    except StorageError:
+        raise
+    except OSError as error:
+        raise StorageError(f"{path}: cannot be written ({error.strerror or error})") from error
     finally:
-        work.unlink(missing_ok=True)
+        for left in (work, *(work.with_name(work.name + end) for end in ("-wal", "-shm"))):
+            left.unlink(missing_ok=True)
         lock.release()
 
 

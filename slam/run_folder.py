@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from slam._session_digest import fingerprint
+from slam._session_file import sync_folder
 from slam.backend import BackendError
 from slam.config import SlamConfig
 from slam.export import check_free
@@ -161,7 +162,7 @@ def _check_log(session: Session, source: Source, log: Log, rig: Rig) -> None:
 
 
 def _begin(folder: Path, config: SlamConfig, rig: Rig, prior: bytes | None, log: dict[str, Any]) -> None:
-    Session.create(folder / SESSION_FILE, config, rig=rig, prior=prior, log=log).close()
+    Session.make(folder / SESSION_FILE, config, rig=rig, prior=prior, log=log)
 
 
 @contextmanager
@@ -175,6 +176,7 @@ def _fresh(out: Path, begin: Callable[[Path], None], *, overwrite: bool) -> Iter
             replaced = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent)) / out.name
             os.replace(out, replaced)
         os.replace(work, out)
+    sync_folder(out.parent)
     try:
         yield out
     except BaseException:

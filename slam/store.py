@@ -47,7 +47,20 @@ class Session(SessionRecords):
         prior: bytes | None = None,
         log: dict[str, Any] | None = None,
     ) -> Self:
-        """A new session with the parameters of a run; an existing file is refused.
+        """A new session, open for writing; as `make` makes it."""
+        cls.make(path, config, rig=rig, prior=prior, log=log)
+        return cls.open(path)
+
+    @staticmethod
+    def make(
+        path: Path | str,
+        config: SlamConfig,
+        *,
+        rig: Rig | None = None,
+        prior: bytes | None = None,
+        log: dict[str, Any] | None = None,
+    ) -> None:
+        """The file of a new session with the parameters of a run; an existing file is refused.
 
         Args:
             path: the file to make.
@@ -68,7 +81,6 @@ class Session(SessionRecords):
             "state": json.dumps({"state": "running", "keyframes": 0}).encode(),
         }
         make_file(path, {key: value for key, value in values.items() if value is not None})
-        return cls.open(path)
 
     @classmethod
     def open(cls, path: Path | str, *, read_only: bool = False, damaged: bool = False) -> Self:
@@ -155,7 +167,7 @@ class Session(SessionRecords):
             return
         try:
             if not self.is_finished:
-                with transaction(self.path, self._db):
+                with self._on_the_way():  # to fold the journal back begins with a sync of it
                     self._seal("running")
             with translated(self.path):
                 self._db.execute("PRAGMA journal_mode = DELETE")
