@@ -33,7 +33,7 @@ _FAR, _TAIL = 6.0, 2.0
 #: Planes closer in direction than this define no rotation: cosine of 20 deg.
 _PARALLEL = 0.94
 #: Rotations that are looked at closer, pairs that make translations, and motions whose outlines are compared.
-_ROTATIONS, _PAIRS, _MOTIONS = 20, 20, 10
+_ROTATIONS, _PAIRS, _MOTIONS = 40, 26, 20
 #: Motions worked out are one when no entry of their matrices differs by more, m and rad.
 _SAME = 1e-3
 #: Scores are told apart beyond this.
@@ -58,9 +58,9 @@ def match_planes_widely(
     """Find the motion that explains the largest planes, with no more of a guess than "about where it was".
 
     Two pairs of planes that enclose the same angle give a rotation, three offsets a translation. Every motion is scored
-    by the planes that find a partner, by the root of their area, less what it costs to move that far. The best are
-    worked out with all their pairs by least squares, and scored anew by what the planes have in common, less what would
-    be seen through walls: halls look alike from both ends.
+    by the planes that find a partner, by the root of their area, less what it costs to move that far. The best, and the
+    place where the body is expected, are worked out with all their pairs by least squares, and scored anew by what the
+    planes have in common, less what would be seen through walls: halls look alike from both ends.
 
     Args:
         seen: planes in the frame of the body now.
@@ -77,7 +77,8 @@ def match_planes_widely(
     sight = LinesOfSight.between(mine.planes, mine.weights, theirs.planes)
     best: tuple[float, PlaneMatching] | None = None
     tried: list[FloatArray] = []
-    for _, motion in sorted(motions, key=lambda one: -one[0])[:_MOTIONS]:
+    likely = [motion for _, motion in sorted(motions, key=lambda one: -one[0])[:_MOTIONS]]
+    for motion in [np.eye(4), *likely]:
         found = _worked_out(motion, mine, theirs, sigmas)
         if found is None or any(np.abs(found.known_T_seen - one).max() < _SAME for one in tried):
             continue
