@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,7 +20,8 @@ class NisAudit:
 
     Innovations are taken before the update, with state and measurement covariance, so their sum over a run is chi2
     with the summed degrees of freedom when every covariance is honest. The gate cuts the upper tail off, which moves
-    the mean down by less than its significance.
+    the mean down by less than its significance. Of a keyframe without odometry the pose is taken as unknown: what its
+    planes say beyond finding it is an innovation (`slam/unpredicted.py`).
     """
 
     history: dict[str, list[tuple[int, float, int]]] = field(default_factory=dict)
@@ -28,12 +29,17 @@ class NisAudit:
 
     _sums: tuple[float, int] = (0.0, 0)
 
-    def add(self, keyframe: int, kinds: Iterable[str], decisions: Iterable[Decision]) -> None:
-        """Count the accepted matches of a keyframe."""
-        for kind, decision in zip(kinds, decisions, strict=True):
+    def add(self, keyframe: int, kinds: Sequence[str], decisions: Iterable[Decision]) -> None:
+        """Count the accepted matches of a keyframe: `kinds` of all its observations."""
+        for decision in decisions:
             if decision.match is not None:
-                self.history.setdefault(kind, []).append((keyframe, decision.match.chi2, decision.match.dof))
-                self._sums = self._sums[0] + decision.match.chi2, self._sums[1] + decision.match.dof
+                self.count(keyframe, kinds[decision.observation], decision.match.chi2, decision.match.dof)
+
+    def count(self, keyframe: int, kind: str, chi2: float, dof: int) -> None:
+        """Count one measurement; without a degree of freedom it says nothing."""
+        if dof:
+            self.history.setdefault(kind, []).append((keyframe, chi2, dof))
+            self._sums = self._sums[0] + chi2, self._sums[1] + dof
 
     def summary(self) -> list[NisSummary]:
         """Mean NIS per degree of freedom and its band, one row a factor type, in alphabetical order."""

@@ -89,6 +89,17 @@ def silences(log: Log, rig: Rig) -> list[str]:
     return sentences
 
 
+def blind(keyframes: Sequence[Keyframe]) -> list[str]:
+    """The sentence that says so where most keyframes saw nothing: noise stated too small makes every surface rough."""
+    without = sum(not frame.observations for frame in keyframes)
+    if 2 * without <= len(keyframes):
+        return []
+    return [
+        f"{without} of {len(keyframes)} keyframes saw no plane and no line; where there are some, "
+        "the rig states too little noise, or limits of range that leave nothing"
+    ]
+
+
 def skipped(keyframes: list[str]) -> list[str]:
     """The sentence that counts what could not be used, and the first of them."""
     if not keyframes:

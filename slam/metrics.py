@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from slam.evaluation.metrics import Metric
-from slam.health import silences, skipped
+from slam.health import blind, silences, skipped
 from slam.mapping_run import MapResult
 from slam.run import Run, path_length_m
 from slam.summary import FacingPair, facing_pairs
@@ -52,6 +52,7 @@ def details_of(run: Run) -> dict[str, Any]:
         "facing_pairs": [pair.__dict__ for pair in facing_pairs(run.planes)],
         "nis": [{**summary.__dict__, "verdict": summary.verdict} for summary in run.slam.audit.summary()],
         "open_directions": [stretch.to_dict() for stretch in run.slam.open_directions],
+        "open_in_map": [one.to_dict() for one in run.slam.open_in_map] if _has_no_odometry(run) else [],
         "stages_s": dict(run.clock.seconds),
         "warnings": warnings_of(run),
         "notes": [*run.log.notes],
@@ -66,7 +67,14 @@ def warnings_of(run: Run) -> list[str]:
     limits = {"position": 0.1 * rules.max_sigma_m, "orientation": 0.1 * rules.max_sigma_rad}
     directions = [one.sentence for one in run.slam.open_directions if one.sigma >= limits[one.part]]
     known = run.slam.prior.warnings if run.slam.prior is not None else []
-    return [*known, *skipped(notes), *silences(run.log, run.rig), *run.slam.audit.warnings(), *directions]
+    health = [*skipped(notes), *silences(run.log, run.rig), *blind(run.slam.keyframes)]
+    whole = [one.sentence for one in run.slam.open_in_map] if _has_no_odometry(run) else []
+    return [*known, *health, *run.slam.audit.warnings(), *directions, *whole]
+
+
+def _has_no_odometry(run: Run) -> bool:
+    """Whether nothing but what was seen holds some keyframe."""
+    return any(frame.motion is None for frame in run.slam.keyframes[1:])
 
 
 def _pair_rows(pairs: list[FacingPair]) -> list[Metric]:

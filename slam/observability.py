@@ -16,7 +16,7 @@ from spplanes.spmodel import skew
 Part = Literal["position", "orientation"]
 
 #: Keeps the information matrices invertible: the pose is known to a kilometre and to 30 rad anyway.
-_NOTHING = np.diag([1e-3] * 3 + [1e-6] * 3)
+NOTHING = np.diag([1e-3] * 3 + [1e-6] * 3)
 #: A direction closer than this to an axis is called by its name: cosine of 10 deg.
 _NEAR_AXIS = 0.985
 #: Directions of different keyframes are one when they are closer than this: cosine of 25 deg.
@@ -107,8 +107,21 @@ def open_directions(
     Of each part, with the other marginalised out: the eigenvectors of its covariance whose standard deviation exceeds
     the rule's. The planes are taken as known and odometry as silent: what is open here nothing that was seen fixes.
     """
-    information = sum((plane_information(one) for one in matched), start=_NOTHING)
-    covariance = np.linalg.inv(information)
+    information = sum((plane_information(one) for one in matched), start=NOTHING)
+    return wide_directions(keyframe, np.asarray(np.linalg.inv(information), float), world_T_body[:3, :3], rules)
+
+
+def wide_directions(
+    keyframe: int, covariance: FloatArray, world_R: FloatArray, rules: ObservabilityConfig
+) -> list[OpenDirection]:
+    """Directions of position and orientation in which a covariance (6, 6) of (rotation, translation) is wide.
+
+    Args:
+        keyframe: whose.
+        covariance: along the axes that `world_R` (3, 3) turns to those of the world.
+        world_R: see there.
+        rules: from which standard deviation on.
+    """
     found: list[OpenDirection] = []
     parts: tuple[tuple[Part, slice, float, float], ...] = (
         ("position", slice(3, 6), rules.max_sigma_m, 100.0),
@@ -116,7 +129,7 @@ def open_directions(
     )
     for part, block, limit, silence in parts:
         variances, vectors = np.linalg.eigh(covariance[block, block])
-        sigmas, in_world = np.sqrt(variances[::-1]), world_T_body[:3, :3] @ vectors[:, ::-1]
+        sigmas, in_world = np.sqrt(np.maximum(variances[::-1], 0.0)), world_R @ vectors[:, ::-1]
         silent, told = sigmas > silence, (sigmas > limit) & (sigmas <= silence)
         open_ones = [(direction, np.inf) for direction in _along_axes(in_world[:, silent])]
         open_ones += list(zip(in_world[:, told].T, sigmas[told].tolist(), strict=True))
@@ -154,14 +167,19 @@ class Observability:
 
     def directions(self) -> list[list[OpenDirection]]:
         """The open directions of the run, those that are the same gathered, most frequent first."""
-        groups: list[list[OpenDirection]] = []
-        for one in (one for found in self.history for one in found):
-            home = next((g for g in groups if g[0].part == one.part and _is_same(g[0].direction, one.direction)), None)
-            if home is None:
-                groups.append([one])
-            else:
-                home.append(one)
-        return sorted(groups, key=lambda group: -len({one.keyframe for one in group}))
+        return gathered(one for found in self.history for one in found)
+
+
+def gathered(directions: Iterable[OpenDirection]) -> list[list[OpenDirection]]:
+    """Directions that are the same in groups, those of most keyframes first."""
+    groups: list[list[OpenDirection]] = []
+    for one in directions:
+        home = next((g for g in groups if g[0].part == one.part and _is_same(g[0].direction, one.direction)), None)
+        if home is None:
+            groups.append([one])
+        else:
+            home.append(one)
+    return sorted(groups, key=lambda group: -len({one.keyframe for one in group}))
 
 
 def stretch_of(

@@ -24,6 +24,7 @@ from slam.keyframes import Keyframe
 from slam.landmarks import LandmarkMap, Sighting
 from slam.late import LateMatch, Waiting
 from slam.loops import LoopDecision
+from slam.map_observability import OpenMapDirection, open_in_map
 from slam.map_planes import MapPlane, map_plane
 from slam.merging import Merges
 from slam.observability import Observability, OpenStretch, stretch_of
@@ -32,6 +33,7 @@ from slam.recorder import Recorder
 from slam.sights import Sight, birth_sights, matched_sights
 from slam.thinning import Thinning
 from slam.twins import find_twins
+from slam.unpredicted import innovations_without_prediction
 from slam.views import step_by_view
 from spplanes._check import FloatArray
 
@@ -132,8 +134,7 @@ class PlaneSlam:
         keyframe = self.recorder.measured(len(self.keyframes), keyframe)
         pose_key = self._predict(keyframe)
         decisions = self._associate(keyframe, pose_key)
-        if not self._prediction.is_wide:  # else the planes found it: no innovation of theirs
-            self.audit.add(len(self.keyframes), (seen.kind for seen in keyframe.observations), decisions)
+        self._audit(keyframe, pose_key, decisions)
         self.recorder.decided(len(self.keyframes), decisions)
         self._look_for_open_directions(keyframe, pose_key, decisions)
         touched = self._update(keyframe, pose_key, decisions)
@@ -185,6 +186,12 @@ class PlaneSlam:
             stretches.append(stretch_of(group, len(self.keyframes) - 1, covariance, pose, source))
         return stretches
 
+    @property
+    def open_in_map(self) -> list[OpenMapDirection]:
+        """Directions in which all planes together, odometry left out, do not fix the keyframes against the first."""
+        rules = self.config.observability
+        return open_in_map(self._thinning.held, self.keyframes, self.landmarks, self.backend, rules)
+
     def explain(self, keyframe: int) -> list[str]:
         """Why a keyframe's measurements became what they did, and what it changed in the map; one sentence each.
 
@@ -235,6 +242,17 @@ class PlaneSlam:
             return None
         motion = step_by_view(keyframe, self._prediction.motion, self.keyframes, self.backend, self.config.loops)
         return None if motion is None else Hint(pose_symbol(len(self.keyframes) - 1), motion)
+
+    def _audit(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> None:
+        """Hold what was matched against what was known: without odometry nothing of the pose."""
+        index, seen = len(self.keyframes), keyframe.observations
+        if not self._prediction.is_wide:
+            self.audit.add(index, [one.kind for one in seen], decisions)
+            return
+        for number, chi2, dof in innovations_without_prediction(
+            seen, decisions, pose_key, self.landmarks, self.backend
+        ):
+            self.audit.count(index, seen[number].kind, chi2, dof)
 
     @timed("update")
     def _update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> set[int]:

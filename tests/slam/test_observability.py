@@ -11,12 +11,14 @@ import pytest
 from slam import PlaneSlam
 from slam.config import ObservabilityConfig
 from slam.frames import inverse
+from slam.io.log import planar_transform
 from slam.keyframes import Keyframe
-from slam.observability import open_directions, plane_information
+from slam.observability import name_of, open_directions, plane_information
 from slam.observations import LineObservation, PlaneObservation
+from slam.odometry import Motion
 from slam.planeslam import pose_symbol
 from spplanes import Plane
-from tests.slam.scenes import drive, room_planes
+from tests.slam.scenes import drive, measured, room_planes
 
 RULES = ObservabilityConfig()
 ROOM_SIGMAS = np.array([0.004, 0.003, 0.005])
@@ -142,3 +144,52 @@ def test_where_nothing_is_known_of_two_directions_they_are_called_by_the_axes():
         seen = sight(wall.transform(inverse(turned)), np.diag([1e-4, 2e-6, 1e-6]))
         found = open_directions(1, [seen], slanted, RULES)
         assert sorted(one.name for one in found if one.part == "position") == ["along x", "along z"]
+
+
+def test_a_corridor_seen_by_planes_alone_is_open_as_a_whole_along_itself():
+    slam = corridor_run(with_odometry=False)
+    (found,) = slam.open_in_map
+    assert found.keyframes == tuple(range(1, 8)) and found.looked_at == 7
+    assert found.sentence == (
+        "the map as a whole, along x: planes alone leave 7 of 7 keyframes open against the first, without bound"
+    )
+
+
+def test_a_room_is_fixed_as_a_whole():
+    slam = PlaneSlam()
+    for frame in drive(0, count=8).keyframes:
+        slam.add_keyframe(frame)
+    assert slam.open_in_map == []
+
+
+def test_two_rooms_that_only_a_bare_corridor_links_are_open_against_each_other():
+    """Every keyframe at the ends is fixed by what it sees; what lies between says nothing of how far they are apart."""
+    slam = PlaneSlam()
+    planes = [plane for plane in room_planes() if abs(plane.normal[0]) < 0.5]
+    ends = [plane for plane in room_planes() if abs(plane.normal[0]) > 0.5]
+    rng = np.random.default_rng(0)
+    for index in range(9):
+        pose = np.eye(4)
+        pose[:3, 3] = 0.4 * index, 0.0, 0.0
+        near = [*planes, *(ends[:1] if index < 3 else ends[1:] if index > 5 else [])]
+        seen = [PlaneObservation(measured(plane.transform(inverse(pose)), rng)) for plane in near]
+        step = planar_transform(0.4, 0.0, 0.0)
+        motion = Motion(step, np.diag([1e-4, 1e-4, 1e-5]), (1e-3, 1e-3, 1e-3)) if index else None
+        slam.add_keyframe(Keyframe(index * 10**9, seen, motion, None if index else pose))
+    assert {one.keyframe for found in slam.observability.history for one in found} == {3, 4, 5, 6}  # 6: a new wall
+    (found,) = slam.open_in_map
+    assert found.keyframes == (3, 4, 5, 6, 7, 8)
+    assert name_of(found.part, found.direction) == "along x" and np.isinf(found.sigma)
+
+
+def test_the_size_of_what_is_open_is_that_of_the_normal_equations():
+    """Each of two end walls, seen with 0.4 m from both keyframes, leaves 0.4 m times the root of two between them."""
+    slam, badly, scene = PlaneSlam(), np.diag([0.16, 9e-6, 9e-6]), drive(0, count=2, turns=0.02)
+    for frame, pose in zip(scene.keyframes, scene.world_T_body, strict=True):
+        planes = [plane.transform(inverse(pose)) for plane in room_planes()]
+        ends = [abs(plane.normal[0]) > 0.5 for plane in room_planes()]
+        seen = [sight(plane, badly if end else None) for plane, end in zip(planes, ends, strict=True)]
+        slam.add_keyframe(Keyframe(frame.stamp_ns, seen, frame.motion, frame.world_T_body_guess))
+    (found,) = slam.open_in_map
+    assert name_of(found.part, found.direction) == "along x" and found.keyframes == (1,)
+    assert found.sigma == pytest.approx(0.4, rel=0.01)
