@@ -14,6 +14,10 @@ from slam.observations import LineObservation, Observation
 from slam.outlines import grow
 from spplanes import Plane
 
+#: A plane of so many points whose tilt is known to this share of what is asked starts a landmark though it has only
+#: this share of the area asked: a push-broom window sees half a metre of anything.
+FIRM_POINTS, FIRM_TILT, FIRM_AREA = 200, 0.2, 0.5
+
 
 def may_start(observation: Observation, rules: LandmarkConfig) -> bool:
     """Whether a measurement is firm enough to start a landmark."""
@@ -23,7 +27,17 @@ def may_start(observation: Observation, rules: LandmarkConfig) -> bool:
         return long_enough and observation.n_points >= rules.min_line_points
     plane = observation.full_plane(0.0)
     tilt = float(np.sqrt(np.linalg.eigvalsh(plane.covariance[1:, 1:])[-1]))
-    return is_large(plane, rules) and tilt <= rules.max_tilt_sigma_rad
+    return (is_large(plane, rules) and tilt <= rules.max_tilt_sigma_rad) or _is_firm(plane, tilt, rules)
+
+
+def _is_firm(plane: Plane, tilt: float, rules: LandmarkConfig) -> bool:
+    """Whether a patch too small to start a landmark is too sure to be the edge of something: the front of a lamp."""
+    return (
+        plane.n_points >= FIRM_POINTS
+        and tilt <= FIRM_TILT * rules.max_tilt_sigma_rad
+        and plane.outline is not None
+        and plane.outline.area >= FIRM_AREA * rules.min_area_m2
+    )
 
 
 def is_large(plane: Plane, rules: LandmarkConfig) -> bool:

@@ -69,7 +69,8 @@ class LandmarkConfig(_Frozen):
     min_points: int = Field(default=30, ge=3)
     """Points of a plane that starts a landmark: below, planes are mostly clutter."""
     min_area_m2: float = Field(default=0.2, ge=0)
-    """Area of a plane that starts a landmark, m^2: the edge of a notice-board that a window cut is not the board."""
+    """Area of a plane that starts a landmark, m^2: the edge of a notice-board that a window cut is not the board.
+    Half of it will do for 200 points that tell the tilt to a fifth of `max_tilt_sigma_rad`: the front of a lamp."""
     max_tilt_sigma_rad: float = Field(default=0.1, gt=0)
     """Standard deviation of tilt, rad, above which a plane does not start a landmark: it could be anything."""
     min_line_points: int = Field(default=12, ge=3)
