@@ -2,36 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import MutableSequence, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 import gtsam
-import numpy as np
 
 from slam.association import Decision, Hint, associate
-from slam.audit import NisAudit
-from slam.backend import Backend, pose_symbol
-from slam.calibration import WheelCalibration
-from slam.clock import StageClock, timed
-from slam.closing import LoopCloser
+from slam.backend import pose_symbol
+from slam.clock import timed
 from slam.config import SlamConfig
-from slam.explaining import change_sentences, decision_sentence
+from slam.estimate import Estimate
 from slam.health import check_keyframe
-from slam.io.trajectories import Trajectory
 from slam.keyframes import Keyframe
-from slam.landmarks import LandmarkMap, Sighting
-from slam.late import LateMatch, Waiting
-from slam.loops import LoopDecision
-from slam.map_observability import OpenMapDirection, open_in_map
-from slam.map_planes import MapPlane, map_plane
-from slam.merging import Merges
-from slam.observability import Observability, OpenStretch, stretch_of
-from slam.prediction import Prediction
+from slam.map_planes import MapPlane
 from slam.recorder import Recorder
-from slam.sights import Sight, birth_sights, matched_sights
-from slam.thinning import Thinning
 from slam.twins import find_twins
 from slam.unpredicted import innovations_without_prediction
 from slam.views import step_by_view
@@ -55,7 +41,7 @@ class KeyframeReport:
     """One for every observation of the keyframe, in their order."""
 
 
-class PlaneSlam:
+class PlaneSlam(Estimate):
     """Incremental plane-based SLAM on iSAM2.
 
     Poses are gtsam Pose3 variables under symbols x0, x1, ...; landmarks OrientedPlane3 under p0, p1, ..., each in the
@@ -68,28 +54,7 @@ class PlaneSlam:
     def __init__(
         self, config: SlamConfig | None = None, *, prior: PriorMap | None = None, recorder: Recorder | None = None
     ) -> None:
-        self.config = config or SlamConfig()
-        self.backend = Backend(self.config.backend)
-        self.landmarks = LandmarkMap()
-        self.clock = StageClock()
-        self.audit = NisAudit()
-        self.observability = Observability(self.config.observability)
-        self.prior = prior
-        if prior is not None:
-            prior.plant(self.landmarks, self.backend)
-        self.recorder = recorder or Recorder()
-        self.keyframes: MutableSequence[Keyframe] = self.recorder.keyframes()
-        self.decisions: list[list[Decision]] = []
-        self.merges = Merges(self.keyframes, self.landmarks, self.backend, self.config)
-        self.late_matches: list[LateMatch] = []
-        self._unmatched = Waiting(self.config.landmarks)
-        self._thinning = Thinning(self.config.thinning, self.backend, self.landmarks)
-        self._prediction = Prediction(
-            self.keyframes, self.landmarks, self.backend, self._thinning, self.config, self.prior
-        )
-        self._closer = LoopCloser(
-            self.keyframes, self.landmarks, self.backend, self.merges, self._thinning, self.config
-        )
+        super().__init__(config, prior=prior, recorder=recorder)
         self._told_apart: dict[tuple[int, int], int] = {}
 
     @classmethod
@@ -138,75 +103,15 @@ class PlaneSlam:
         self.recorder.decided(len(self.keyframes), decisions)
         self._look_for_open_directions(keyframe, pose_key, decisions)
         touched = self._update(keyframe, pose_key, decisions)
-        self._remember(keyframe, decisions)
+        self.keyframes.append(keyframe)
+        self.decisions.append(decisions)
         self._learn()
         self.landmarks.refresh(self.backend)
-        self._match_late(touched)
+        self._growth.match_late(touched)
         self._split_wrong_merges(touched, decisions)
         self._merge_twins(touched)
         self._close_loops()
         return KeyframeReport(len(self.keyframes) - 1, self.backend.pose(pose_key), decisions)
-
-    @property
-    def calibration(self) -> WheelCalibration:
-        """What has been learnt of the wheels."""
-        return self._prediction.calibration
-
-    @property
-    def loops(self) -> list[LoopDecision]:
-        """Every comparison of what was seen with an old place."""
-        return self._closer.decisions
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """world_T_body of every keyframe by the current estimate."""
-        poses = np.array([self.backend.pose(pose_symbol(i)) for i in range(len(self.keyframes))])
-        stamps = np.array([frame.stamp_ns for frame in self.keyframes], dtype=np.int64)
-        return Trajectory(stamps, poses.reshape(-1, 4, 4))
-
-    @property
-    def planes(self) -> list[MapPlane]:
-        """The map: landmarks seen often enough, in the world, with covariance and outline, in order of birth."""
-        wanted = self.config.landmarks.min_observations
-        return [
-            map_plane(landmark, self.landmarks, self.backend)
-            for landmark in self.landmarks
-            if landmark.n_keyframes >= wanted
-        ]
-
-    @property
-    def open_directions(self) -> list[OpenStretch]:
-        """Directions that what was seen left open, most frequent first, with what is known of them by all means."""
-        stretches = []
-        for group in self.observability.directions():
-            last = group[-1].keyframe
-            key, measured = pose_symbol(last), self.keyframes[last].motion is not None
-            source = "odometry" if measured else "the assumption of constant velocity"
-            covariance, pose = self.backend.covariance(key), self.backend.pose(key)
-            stretches.append(stretch_of(group, len(self.keyframes) - 1, covariance, pose, source))
-        return stretches
-
-    @property
-    def open_in_map(self) -> list[OpenMapDirection]:
-        """Directions in which all planes together, odometry left out, do not fix the keyframes against the first."""
-        rules = self.config.observability
-        return open_in_map(self._thinning.held, self.keyframes, self.landmarks, self.backend, rules)
-
-    def explain(self, keyframe: int) -> list[str]:
-        """Why a keyframe's measurements became what they did, and what it changed in the map; one sentence each.
-
-        Raises:
-            ValueError: no such keyframe.
-        """
-        if not 0 <= keyframe < len(self.decisions):
-            raise ValueError(f"keyframe: expected an index from 0 to {len(self.decisions) - 1}, got {keyframe}")
-        seen = self.keyframes[keyframe].observations
-        sentences = [decision_sentence(one, seen[one.observation]) for one in self.decisions[keyframe]]
-        return sentences + change_sentences(keyframe, self.merges.history, self.loops, self._closer.ties)
-
-    def marginal_covariance(self, key: int) -> FloatArray:
-        """Marginal covariance of a variable, in its GTSAM tangent order: (rx, ry, rz, x, y, z) for a pose."""
-        return self.backend.covariance(key)
 
     def optimize_batch(self) -> gtsam.Values:
         """The same graph solved as a batch by Levenberg-Marquardt; the incremental state stays as it is."""
@@ -257,54 +162,7 @@ class PlaneSlam:
     @timed("update")
     def _update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> set[int]:
         """Add the factors of matches and of new landmarks, then count what was seen; the ids of those landmarks."""
-        seen, initial = keyframe.observations, gtsam.Values()
-        at = len(self.keyframes)
-        sights = matched_sights(seen, pose_key, decisions, self.landmarks, self.backend, self._prediction.robust)
-        anchor = self._thinning.anchor(at, self.config.landmarks.anchor_every)
-        keys = pose_symbol(anchor), pose_key
-        births = birth_sights(seen, keys, decisions, self.landmarks, self.backend, self.config, initial)
-        if births:
-            self._thinning.stays(anchor)
-        matched = [sight.observation for sight in sights]
-        leaves = self._thinning.judge(at, matched, [sight.factor for sight in sights], may_leave=not births)
-        sights += births
-        used = {sight.number for sight in sights}
-        unused = [] if leaves else [i for i in range(len(seen)) if i not in used]
-        self._unmatched.add(at, keyframe, unused)
-        factors = [*(sight.factor for sight in sights), *self._prediction.waiting]
-        if not factors:
-            return set()
-        indices = self.backend.update(factors, initial, remove=self._prediction.standing_in, relinearize=True)
-        self._prediction.confirmed()
-        for sight, factor_index in zip(sights, indices, strict=False):
-            self._see(sight, at, factor_index)
-        return {sight.landmark.id for sight in sights}
-
-    def _match_late(self, touched: set[int]) -> None:
-        """Match what earlier keyframes saw of the landmarks that this one started."""
-        at = len(self.keyframes) - 1
-        born = {number for number in touched if self.landmarks[number].first_keyframe == at}
-        late = self._unmatched.match(born, at, self.keyframes, self.landmarks, self.backend, self.config.association)
-        for match in late:
-            observations = self.keyframes[match.keyframe].observations
-            [sight] = matched_sights(
-                observations,
-                pose_symbol(match.keyframe),
-                [match.decision],
-                self.landmarks,
-                self.backend,
-                self.config.backend.robust,
-            )
-            [factor_index] = self.backend.update([sight.factor], gtsam.Values(), relinearize=True)
-            self._see(sight, match.keyframe, factor_index)
-        if late:
-            self.landmarks.refresh(self.backend)
-        self.late_matches += late
-
-    def _see(self, sight: Sight, keyframe: int, factor_index: int) -> None:
-        """Let a landmark know what a keyframe saw of it, now that it is in the graph."""
-        sighting = Sighting(keyframe, sight.number, factor_index, sight.observation.kind)
-        self.landmarks.see(sight.landmark, sight.observation, sighting, sight.plane_T_body)
+        return self._growth.update(keyframe, pose_key, decisions)
 
     def _look_for_open_directions(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> None:
         """What of this motion nothing that was seen fixes, said before the graph is asked."""
@@ -349,7 +207,3 @@ class PlaneSlam:
             self._told_apart.clear()
             self._merge_twins({older for older, _ in pairs})
             self._closer.take_motion(pairs)
-
-    def _remember(self, keyframe: Keyframe, decisions: list[Decision]) -> None:
-        self.keyframes.append(keyframe)
-        self.decisions.append(decisions)
