@@ -69,7 +69,7 @@ def best_shifts(own, normals, offsets, weights, strongest, distance, sigma, tail
         offsets: how far the plane seen has to move along it, shape (P,), m.
         weights: of the planes seen, largest first, shape (N,).
         strongest: pairs that make translations, shape (S,).
-        distance: two planes are one up to this, m.
+        distance: two planes are one up to this, the less the further apart, m.
         sigma: standard deviation of the translation, m; what it costs is `tail` log(1 + chi2 / (2 tail)).
         tail: see sigma.
 
@@ -126,17 +126,18 @@ def _weight_left(own, weights):
 
 @njit(cache=True)
 def _weight_found(own, normals, offsets, weights, left, shift, distance, needed):
-    """Weight of the planes that a translation brings to a known one, -inf where it cannot be more than is needed."""
+    """Weight of the planes that a translation brings to a known one, all on it and none at `distance` from it.
+
+    -inf where it cannot be more than is needed.
+    """
     weight, p = 0.0, 0
     while p < own.size and weight + left[p] > needed:
-        plane = own[p]
+        plane, nearest = own[p], distance
         while p < own.size and own[p] == plane:
             along = normals[p, 0] * shift[0] + normals[p, 1] * shift[1] + normals[p, 2] * shift[2]
+            nearest = min(nearest, abs(along - offsets[p]))
             p += 1
-            if abs(along - offsets[p - 1]) < distance:
-                weight += weights[plane]
-                while p < own.size and own[p] == plane:
-                    p += 1
+        weight += weights[plane] * (1.0 - nearest / distance)
     return weight if p == own.size else -np.inf
 
 

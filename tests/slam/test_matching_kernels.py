@@ -59,8 +59,8 @@ def test_best_shifts_are_the_best_of_all_threes(seed):
     for triple in combinations(strongest, 3):
         n, d = normals[list(triple)], offsets[list(triple)]
         shift = np.linalg.solve(n.T @ n / DISTANCE**2 + np.eye(3) / SIGMA**2, n.T @ d / DISTANCE**2)
-        fits = np.abs(normals @ shift - offsets) < DISTANCE
-        weight = weights[np.unique(own[fits])].sum()
+        near = np.maximum(1.0 - np.abs(normals @ shift - offsets) / DISTANCE, 0.0)
+        weight = sum(weights[k] * near[own == k].max() for k in np.unique(own))
         shifts.append(shift)
         found.append(weight)
         scores.append(weight - TAIL * np.log1p(0.5 * shift @ shift / SIGMA**2 / TAIL))

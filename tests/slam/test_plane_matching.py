@@ -114,7 +114,15 @@ def test_a_hall_is_told_from_itself_turned_round_by_what_would_be_seen_through_a
     rng = np.random.default_rng(2)
     screen = wall((5.0, 0.0, 1.5), (1.0, 0.0, 0.0), 8.0, 3.0)
     true = body(2.0, 0.5, 0.2)
-    seen = measured([*hall()[:4], hall()[5]], true, rng)
+    half, middle = HIGH / 2.0, (4.0 - LONG) / 2.0  # of the room this side of the screen
+    in_sight = [
+        wall((middle, 0.0, 0.0), (0.0, 0.0, 1.0), 2.0 * WIDE, LONG + 4.0),
+        wall((middle, 0.0, HIGH), (0.0, 0.0, -1.0), 2.0 * WIDE, LONG + 4.0),
+        wall((middle, WIDE, half), (0.0, -1.0, 0.0), LONG + 4.0, HIGH),
+        wall((middle, -WIDE, half), (0.0, 1.0, 0.0), LONG + 4.0, HIGH),
+        wall((-LONG, 0.0, half), (1.0, 0.0, 0.0), 2.0 * WIDE, HIGH),
+    ]
+    seen = measured(in_sight, true, rng)
     expected = body(0.0, 0.0, 0.2 + np.pi / 2.0 + lean)
     known = [plane.transform(inverse(expected)) for plane in [*hall(), screen]]
     found = match_planes_widely(seen, known, (2.0, 1.4))
