@@ -177,7 +177,7 @@ class SessionRecords:
         if index < 0:
             return self._root
         row = self._one("SELECT digest FROM keyframes WHERE id = ?", index)
-        if row is None:
+        if row is None or not isinstance(row[0], bytes):
             raise self._damaged(index)
         return row[0]
 

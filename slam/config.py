@@ -200,7 +200,7 @@ class SlamConfig(_Frozen):
             raise ValueError(f"{path}: expected a YAML file") from error
         except ValidationError as error:
             first = error.errors()[0]
-            raise ValueError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+            raise ValueError(f"{path}: {'.'.join(map(str, first['loc'])):.100}: {first['msg']}") from error
 
     def to_yaml(self) -> str:
         """The configuration as YAML, every field written out."""

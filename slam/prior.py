@@ -25,6 +25,8 @@ from spplanes._check import FloatArray, as_covariance, as_transform
 MAP_KEY = gtsam.symbol("m", 0)
 #: The map's own frame is where it is: sigma of its pose, m and rad.
 _EXACT = 1e-6
+#: Standard deviations of planes that a map can tell from none and from ignorance, m and rad.
+_LEAST_SIGMA, _LARGEST_SIGMA = 1e-9, 1e3
 #: Where a mission begins when nobody says: sigmas of x and y, m, and of the heading, rad.
 START_SIGMA_M, START_SIGMA_RAD = 0.3, 0.1
 #: What a robot on a floor may be off it at the start: sigma of z, m, and of pitch and roll, rad.
@@ -49,8 +51,15 @@ class PriorMap:
             raise ValueError("planes: expected at least one plane, got none")
         for known in self.planes:
             check_extent(f"planes: plane {known.id}", known.plane.frame, known.seen)
+        numbers = [known.id for known in self.planes]
+        if len(set(numbers)) < len(numbers) or min(numbers, default=0) < 0:
+            raise ValueError(f"planes: expected each with a number of its own, got {str(sorted(numbers))[:60]}")
         size = 3 * len(self.planes)
         object.__setattr__(self, "covariance", as_covariance("covariance", self.covariance, size))
+        sigmas = np.sqrt(np.diag(self.covariance))
+        if sigmas.size and not _LEAST_SIGMA <= sigmas.min() <= sigmas.max() <= _LARGEST_SIGMA:
+            wanted = f"standard deviations of planes from {_LEAST_SIGMA:g} to {_LARGEST_SIGMA:g}"
+            raise ValueError(f"covariance: expected {wanted}, got {sigmas.min():.3g} to {sigmas.max():.3g}")
         object.__setattr__(self, "world_T_start", as_transform("world_T_start", self.world_T_start))
         covariance = as_covariance("start_covariance", self.start_covariance, 6)
         if np.linalg.eigvalsh(covariance)[0] <= 0.0:

@@ -176,7 +176,7 @@ class Rig(Frozen):
 def _first_problem(error: ValidationError) -> str:
     """One sentence on the first thing pydantic found wrong, naming the key."""
     first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"]) or "rig"
+    key = f"{'.'.join(str(part) for part in first['loc']):.100}" or "rig"
     if first["type"] == "extra_forbidden":
         return f"{key}: unknown key"
     if first["type"] == "missing":

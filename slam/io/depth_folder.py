@@ -50,8 +50,10 @@ def read_depth_folder(folder: Path, *, sensor: str = SENSOR, body_T_sensor: Floa
     camera, mount = read_intrinsics(folder / INTRINSICS), CAMERA_MOUNT if body_T_sensor is None else body_T_sensor
     images = _images(folder)
     for path, _ in images:
-        if not path.is_file():
-            raise LogError(path, "expected the depth image that the list names, found no such file")
+        if not _is_there(path):
+            raise LogError(
+                path.parent / path.name[:60], "expected the depth image that the list names, found no such file"
+            )
     stamps = [k * PERIOD_NS if stamp is None else stamp for k, (_, stamp) in enumerate(images)]
     if any(later <= earlier for earlier, later in pairwise(stamps)):
         raise LogError(folder, "expected times of the images that ascend, got one that repeats or runs backwards")
@@ -65,6 +67,13 @@ def read_depth_folder(folder: Path, *, sensor: str = SENSOR, body_T_sensor: Floa
         events.append(StoredCloud(stamp, sensor, partial(_points_of, path, camera), world_T_body))
     notes = [] if truth is None else [f"no odometry: the poses of {truth.name} stand in for it"]
     return Log(events, folder, notes)
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name too long for any file
+        return False
 
 
 def _points_of(path: Path, camera: Camera) -> FloatArray:

@@ -67,8 +67,14 @@ def segment_scans(
     eyes = np.zeros((len(grid), 3)) if views is None else views
     sheet = Sheet(grid, total, shared, valid, np.full(valid.shape, -1, dtype=np.int64))
     segment_sheet(sheet, eyes, config)
-    labels, _ = number_by_first_point(sheet.labels, len(sheet.rows))
+    labels, _ = number_by_first_point(_without_specks(sheet.labels), len(sheet.rows))
     return labels.astype(np.int32), planes_of(grid, variance, labels, views, poses, config)
+
+
+def _without_specks(labels: np.ndarray) -> np.ndarray:
+    """Labels without those of one or two points, all that the borders may leave of a region: that is no plane."""
+    counts = np.bincount(labels[labels >= 0], minlength=1)
+    return np.where((labels >= 0) & (counts[labels] >= 3), labels, -1)
 
 
 def _per_scan(name: str, value: ArrayLike, n_scans: int) -> FloatArray:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sqlite3
 import struct
 import tempfile
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +14,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from slam._session_codec import encode
+from slam._session_codec import decode, encode
+from tests.fuzz.target import folded
 from tests.fuzz.targets import TARGETS
 
 #: Bytes that formats are made of, and numbers that are hard to be right about.
@@ -61,6 +65,34 @@ def _array_of(name: str) -> bytes:
     return size.pack(size.unpack_from(data)[0] + len(name) - 3) + data[4:]
 
 
+def _cloud_with(points: dict[int, tuple[float, float, float]]) -> bytes:
+    data = TARGETS["fit"].seeds()[0]
+    start = data.index(b"DATA binary\n") + 12
+    numbers = np.frombuffer(data[start:], dtype="<f4").reshape(-1, 3).copy()
+    for index, point in points.items():
+        numbers[index] = point
+    return data[:start] + numbers.tobytes()
+
+
+def _numbered(*numbers: int) -> bytes:
+    content = decode(TARGETS["prior-bytes"].seeds()[0])
+    planes = [replace(plane, id=number) for plane, number in zip(content["planes"], numbers, strict=False)]
+    return encode({**content, "planes": planes, "covariance": 1e-4 * np.eye(3 * len(planes))})
+
+
+def _session_with(change: str) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "session.db"
+        path.write_bytes(TARGETS["session"].seeds()[0])
+        with closing(sqlite3.connect(path)) as connection, connection:
+            connection.execute("PRAGMA ignore_check_constraints = ON")
+            connection.execute("PRAGMA writable_schema = ON")
+            connection.execute("UPDATE sqlite_schema SET sql = replace(sql, ' NOT NULL', '')")
+        with closing(sqlite3.connect(path)) as connection, connection:
+            connection.execute(change)
+        return path.read_bytes()
+
+
 def _factor_with(number: float) -> bytes:
     numbers = _numbers_of("factors")
     numbers[16] = number
@@ -88,6 +120,29 @@ FOUND = {
     "a rotation whose squares are infinite": ("kitti", b".0 0.0 1.5 1.0 3e166 -1.0 0.0 1.5 0.0 0.0 1.0 1.0 "),
     "a quaternion of infinite norm": ("tum", b"0 9 5 0.0 0 1. 1e307\r2"),
     "numbers of a session named by an expression": ("codec", _array_of(",f8")),
+    "points so far apart that one alone is left of a plane": (
+        "fit",
+        _cloud_with(
+            {
+                0: (10.377191, 19.603685, 110.74029),
+                28: (-0.047, 1.36e16, 3.0178),
+                29: (0, 2.079e11, 0),
+                30: (5.07e7, 12399.9, 0),
+                31: (0, 12392.3, 0),
+            }
+        ),
+    ),
+    "a prior with a plane that nobody knows": ("prior", _prior_with("0.0,\n     1e-05,", "0.0,\n     1.7e48,")),
+    "a prior with two planes of one number": ("prior-bytes", _numbered(0, 0)),
+    "a rig that takes its numbers for a key": (
+        "mission",
+        TARGETS["mission"].seeds()[0].replace(b"kind: line", b"kind: line\n    " + b"1234 " * 200 + b": 1", 1),
+    ),
+    "a list of depth images whose names are too long": (
+        "depth",
+        folded(b"525 525 8 6\n", b"0.0 depth/" + b"a" * 300 + b".png\n"),
+    ),
+    "a session whose checksum is none": ("session", _session_with("UPDATE keyframes SET digest = NULL WHERE id = 1")),
     "noise whose square is zero": ("segment_scans", np.array([1e-200, *np.arange(96.0)]).tobytes()),
 }
 

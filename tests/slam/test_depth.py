@@ -157,3 +157,23 @@ def test_fit_on_a_labelled_image(capsys: pytest.CaptureFixture[str]):
     answer = json.loads(out)
     assert 8 <= len(answer["planes"]) <= 20
     assert answer["planes"][0]["n_points"] > 80_000
+
+
+@pytest.mark.parametrize("missing", [1, 2000])
+def test_an_image_with_fewer_pixels_than_it_has_room_for_is_refused(missing: int, folder: Path):
+    """Pillow fills up with zeros, which would be pixels without a return."""
+    rows = b"".join(b"\0" + (10_000 * np.ones(40, ">u2")).tobytes() for _ in range(30))
+    (folder / "intrinsics.txt").write_text("100 100 20 15\n")
+    for data, whole in ((rows, True), (rows[:-missing], False)):
+        head = struct.pack(">IIBBBBB", 40, 30, 16, 0, 0, 0, 0)
+        pieces = (b"IHDR", head), (b"IDAT", zlib.compress(data)), (b"IEND", b"")
+        framed = [
+            struct.pack(">I", len(part)) + kind + part + struct.pack(">I", zlib.crc32(kind + part))
+            for kind, part in pieces
+        ]
+        (folder / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(framed))
+        if whole:
+            assert read_cloud(folder / "a.png").points.shape == (30, 40, 3)
+        else:
+            with pytest.raises(LogError, match="expected 30 rows of 40 pixels, got a PNG that ends before"):
+                read_cloud(folder / "a.png")

@@ -7,6 +7,8 @@ down (up where fy is negative), z forward.
 
 from __future__ import annotations
 
+import struct
+import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -71,6 +73,7 @@ def read_depth_image(path: Path, camera: Camera | None = None) -> Cloud:
             if image.mode not in ("I;16", "I;16B", "I", "L"):
                 raise LogError(path, f"expected one channel of 8 or 16 bits, got the mode {image.mode}")
             depth = np.asarray(image, dtype=np.float64) / camera.units_per_m
+        _check_whole(path)
     except LogError:
         raise
     except FileNotFoundError as error:
@@ -78,6 +81,25 @@ def read_depth_image(path: Path, camera: Camera | None = None) -> Cloud:
     except Exception as error:  # damaged PNGs raise OSError, SyntaxError, struct.error, zlib.error and others
         raise LogError(path, "expected a whole PNG, got one that cannot be read") from error
     return replace(checked(path, camera.points(depth)), is_depth_image=True)
+
+
+def _check_whole(path: Path) -> None:
+    """Refuse a PNG with fewer pixels than it has room for: Pillow fills up with zeros what a stream that ends lacks."""
+    data = read_bytes(path)
+    width, height, bits, _, _, _, interlaced = struct.unpack(">IIBBBBB", data[16:29])
+    row = (width * bits + 7) // 8
+    wanted = height * (row if interlaced else row + 1)
+    stream, found, place = zlib.decompressobj(), 0, 8
+    while place + 8 <= len(data) and found < wanted:
+        size, kind = struct.unpack(">I4s", data[place : place + 8])
+        if kind == b"IDAT":
+            rest = data[place + 8 : place + 8 + size]
+            while rest and found < wanted:
+                found += len(stream.decompress(rest, 1 << 20))
+                rest = stream.unconsumed_tail
+        place += size + 12
+    if found < wanted:
+        raise LogError(path, f"expected {height} rows of {width} pixels, got a PNG that ends before")
 
 
 def read_intrinsics(path: Path) -> Camera:
