@@ -43,8 +43,8 @@ def purified(
         rules: how far patches may lie off their plane; a step may be twice that.
     """
     window = Window(placed.points, placed.covariances, pose_covariances)
-    fewest = mapper.for_rows(len(labels)).min_points
-    fresh = pure_labels(window, labels, [plane.frame for plane in planes], uneven_m, 2.0 * rules.step_m, fewest)
+    frames = [plane.frame for plane in planes]
+    fresh = pure_labels(window, labels, frames, uneven_m, 2.0 * rules.step_m, mapper.for_rows(len(labels)))
     if fresh is labels:
         return labels, planes
     noise = np.ascontiguousarray(placed.covariances).reshape(*labels.shape, 9)
@@ -52,7 +52,12 @@ def purified(
 
 
 def pure_labels(
-    window: Window, labels: np.ndarray, frames: Sequence[FloatArray], uneven_m: float, step_m: float, fewest: int
+    window: Window,
+    labels: np.ndarray,
+    frames: Sequence[FloatArray],
+    uneven_m: float,
+    step_m: float,
+    mapper: MapperConfig,
 ) -> np.ndarray:
     """Labels (S, B) of the planes that those of `labels` really are; the very same array where nothing changes.
 
@@ -62,7 +67,7 @@ def pure_labels(
         frames: of the planes, shape (4, 4) each.
         uneven_m: standard deviation of surfaces from planes, m.
         step_m: smaller steps are none, m.
-        fewest: points of a plane; what is parted and smaller is none.
+        mapper: what a plane is at least, in a window of so many scans; what is parted and is less is none.
     """
     grid = without_chimeras(window, labels, frames)
     fresh, count = np.full_like(grid, -1), 0
@@ -72,10 +77,19 @@ def pure_labels(
         parts = parts_of(window, members, frame, uneven_m, step_m) if len(members) else []
         parted |= len(parts) > 1
         for part in parts:
-            if len(part) >= fewest or len(parts) == 1:
+            if len(parts) == 1 or _is_determined(window, part, frame, mapper):
                 fresh.ravel()[part] = count
                 count += 1
     return fresh if parted else labels
+
+
+def _is_determined(window: Window, part: np.ndarray, frame: FloatArray, mapper: MapperConfig) -> bool:
+    """Whether points are enough, and spread enough along a plane, to tell its tilt."""
+    points, covariances = window.points.reshape(-1, 3)[part], window.covariances.reshape(-1, 3, 3)[part]
+    place, _, weights = _along(points, covariances, frame)
+    aside = place - np.average(place, axis=0, weights=weights)
+    least = float(np.linalg.eigvalsh((aside * weights[:, None]).T @ aside)[0])
+    return len(part) >= mapper.min_points and least * mapper.max_tilt_rad**2 >= 1.0
 
 
 def parts_of(

@@ -7,7 +7,7 @@ import pytest
 
 from slam.chimeras import Window, without_chimeras
 from slam.mixtures import drift_of_scans, parts_of, pure_labels
-from spplanes import fit_plane
+from spplanes import MapperConfig, fit_plane
 
 SCANS, STEP_M, NOISE_M = 18, 0.006, 0.015
 #: A laser 0.4 m above the floor sees a wall 1.1 m beside it from 0.2 m below itself to 1.5 m above.
@@ -155,6 +155,17 @@ def test_nothing_changes_where_nothing_is_mixed():
     labels = np.zeros(view.points.shape[:2], dtype=np.int32)
     labels[:, :3] = -1
     frames = [frame_of(view, np.flatnonzero(labels == 0))]
-    assert pure_labels(view, labels, frames, 0.0, STEP_M, 60) is labels
+    assert pure_labels(view, labels, frames, 0.0, STEP_M, MapperConfig()) is labels
     nothing = np.full_like(labels, -1)
-    assert pure_labels(view, nothing, [], 0.0, STEP_M, 60) is nothing
+    assert pure_labels(view, nothing, [], 0.0, STEP_M, MapperConfig()) is nothing
+
+
+def test_what_is_parted_and_tells_no_tilt_is_no_plane():
+    """Of a board's first scan and its wall, the wall is left: points of one scan lean as they like."""
+    view = window(3, board(0, 57, SCANS - 1, SCANS))
+    labels = np.zeros(view.points.shape[:2], dtype=np.int32)
+    frames = [frame_of(view, np.flatnonzero(labels == 0))]
+    fresh = pure_labels(view, labels, frames, 0.0, STEP_M, MapperConfig(min_points=20))
+    assert set(np.unique(fresh)) == {-1, 0}
+    assert (fresh[-1] == -1).mean() > 0.9
+    assert (fresh[:-1] == 0).mean() > 0.9
