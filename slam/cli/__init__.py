@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from slam.cli._output import visible
 from slam.cli.clouds import fit
 from slam.cli.missions import simulate
 from slam.cli.results import evaluate, export, view
@@ -47,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _fail(error: object, code: int) -> None:
     sentence = " ".join(str(error).split())
-    print(f"spplanes: {sentence}", file=sys.stderr)
+    print(f"spplanes: {visible(sentence)}", file=sys.stderr)
     sys.exit(code)
 
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from slam.cli._output import say
+
 if TYPE_CHECKING:
     from slam.config import SlamConfig
     from slam.io.log import Log
@@ -62,5 +64,5 @@ def open_job(
         chosen = Topics(tuple(topics or ()), odometry_topic)
         read, sensors = load(log, given, keep_partial=keep_partial, topics=chosen)
     for note in read.notes:
-        typer.echo(f"{log.name}: {note}", err=True)
+        say(f"{log.name}: {note}")
     return Job(read, sensors, settings, clock)

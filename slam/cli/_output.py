@@ -41,19 +41,29 @@ def show(title: str, rows: Sequence[Metric], as_json: bool) -> None:
 
     from slam.report import format_value
 
-    table = Table(title=escape(title), title_justify="left")
+    table = Table(title=escape(visible(title)), title_justify="left")
     table.add_column("metric")
     table.add_column("value", justify="right")
     table.add_column("unit")
     for row in rows:
-        table.add_row(row.name, format_value(row.value), row.unit)
+        table.add_row(escape(visible(row.name)), format_value(row.value), row.unit)
     Console().print(table)
+
+
+def visible(text: object) -> str:
+    """Text in which nothing steers a terminal: names in files may hold escape sequences, or turn the reading round."""
+    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in str(text))
+
+
+def say(text: object) -> None:
+    """One line on stderr."""
+    typer.echo(visible(text), err=True)
 
 
 def warn_of(sentences: Sequence[str]) -> None:
     """One line each on stderr."""
     for sentence in sentences:
-        typer.echo(f"warning: {sentence}", err=True)
+        say(f"warning: {sentence}")
 
 
 @contextmanager
@@ -63,5 +73,5 @@ def hint_of(folder: Path) -> Iterator[None]:
         yield
     except BaseException:
         if (folder / "session.db").exists():
-            typer.echo(f"what was recorded is safe; go on with: spplanes slam --resume {folder}", err=True)
+            say(f"what was recorded is safe; go on with: spplanes slam --resume {folder}")
         raise

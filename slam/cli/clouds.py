@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slam.cli._job import OverwriteOption
-from slam.cli._output import warn_of
+from slam.cli._output import visible, warn_of
 
 if TYPE_CHECKING:
     from slam.cloud_fit import CloudPlanes
@@ -61,7 +61,7 @@ def _show(name: str, found: CloudPlanes, as_json: bool) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=f"{escape(name)}, points of {1000 * found.sigma_m:.3g} mm", title_justify="left")
+    table = Table(title=f"{escape(visible(name))}, points of {1000 * found.sigma_m:.3g} mm", title_justify="left")
     headings = ("", "normal", "d\n(m)", "sigma d\n(mm)", "sigma tilt\n(deg)", "points", "area\n(m2)")
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)

@@ -18,7 +18,7 @@ from slam.cli._job import (
     TopicOption,
     open_job,
 )
-from slam.cli._output import hint_of, progress_bar, show, warn_of
+from slam.cli._output import hint_of, progress_bar, say, show, warn_of
 
 if TYPE_CHECKING:
     from slam.run import Run
@@ -101,7 +101,7 @@ def _resume(folder: Path, log: Path | None, *, salvage: bool, as_json: bool) -> 
     from slam.salvage import salvage_session
 
     if salvage:
-        typer.echo(salvage_session(folder).sentence, err=True)
+        say(salvage_session(folder).sentence)
     clock = StageClock()
     with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
         with progress_bar("keyframes") as progress:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from slam.observations import PlaneObservation
 from slam.run import run_slam
 from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Mission, simulate_mission
 from tests.slam.scenes import drive
+from tests.slam.test_cli import refused
 
 STRICT = SlamConfig(keyframes=KeyframeConfig(strict=True))
 
@@ -193,3 +195,26 @@ def test_a_batch_is_the_same_graph_and_the_run_can_go_on(hall: Mission):
     assert all(landmark.key in list(factors.at(one.factor_index).keys()) for one in landmark.sightings)
     last = whole.slam.keyframes[-1]
     whole.slam.add_keyframe(Keyframe(last.stamp_ns + 1, last.observations, last.motion))
+
+
+def test_nothing_in_a_name_steers_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """A log whose name and records bring escape sequences and rich's own markup: they are shown, not done."""
+    evil = tmp_path / "a\x1b[2J\x1b]0;owned\x07[red]\u202egol.clf"
+    evil.write_text("FLASER 3 1 2 3 0 0 0 0 0 0 1 host 1\nX\x1b[31mODOM 1\n")
+    said = refused(capsys, "slam", evil, "--out", tmp_path / "out")
+    assert not any(character in said for character in "\x1b\x07\u202e")
+    assert "\\x1b[2J" in said and "[red]" in said
+
+
+def test_a_pickle_in_an_archive_of_numbers_is_not_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    class Runs:
+        def __reduce__(self):
+            return (tmp_path / "ran").write_text, ("ran",)
+
+    np.savez(tmp_path / "a.npz", points=np.array([Runs()], dtype=object))
+    np.save(tmp_path / "a.npy", np.array([Runs()], dtype=object))
+    for name in ("a.npz", "a.npy"):
+        refused(capsys, "fit", tmp_path / name)
+    assert not (tmp_path / "ran").exists()
+    np.load(tmp_path / "a.npy", allow_pickle=True)  # which would have run it
+    assert (tmp_path / "ran").exists()
