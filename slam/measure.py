@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from shapely import Polygon
 
 from slam._patch_kernels import within
 from slam.config import SlamConfig
@@ -25,6 +24,8 @@ from slam.window import window_poses
 from spplanes import LineConfig, MapperConfig, Plane, extract_lines, fit_plane, fit_planes, segment_scans
 from spplanes._check import FloatArray, as_float_array
 from spplanes.registration import register_scans
+from spplanes.segmentation.planes import frames_of, moments_of, outlines_in
+from spplanes.segmentation.scans import label_scans
 
 #: Columns of a grid whose points tell how far apart rows lie: each of so many.
 _EVERY = 8
@@ -59,30 +60,41 @@ def _flat_planes(
     With `servo` the search grants them the servo's error. Rough surfaces are granted enough: both would swallow what
     is beside them.
     """
-    covariances = model_of(sensor).covariances(points)
+    covariances, settings = model_of(sensor).covariances(points), for_points(for_sensor(config.mapper, sensor), points)
     viewpoint = np.zeros(3)
-    labels, planes = segment_scans(
-        points,
-        covariances,
-        config=for_points(for_sensor(config.mapper, sensor), points),
-        viewpoints=viewpoint,
-        pose_covariances=line_tilt_covariances(sensor, len(points)) if servo else None,
-    )
+    tilts = line_tilt_covariances(sensor, len(points)) if servo else None
+    found = label_scans(points, covariances, config=settings, viewpoints=viewpoint, pose_covariances=tilts)
+    rows = moments_of(found.points, found.covariance, found.labels, settings)
+    rough, spreads = frames_of(rows, np.zeros((len(rows), 3)))
     parts, noises, blurred = [], [], []
-    for plane, members in zip(planes, members_of(labels, len(planes)), strict=True):
+    for frame, members in zip(rough, members_of(found.labels, len(rough)), strict=True):
         part = points.reshape(-1, 3)[members]
-        noise = surface_covariances(part, covariances.reshape(-1, 3, 3)[members], plane, sensor)
+        noise = surface_covariances(part, covariances.reshape(-1, 3, 3)[members], frame, sensor)
         parts.append(part)
         noises.append(noise)
-        blurred.append(servo_covariances(part, noise, members // labels.shape[1], sensor))
-    observations = []
-    for part, noise, refitted in zip(parts, noises, _refit_all(parts, blurred, planes, viewpoint), strict=True):
-        if refitted is None:
+        blurred.append(servo_covariances(part, noise, members // points.shape[1], sensor))
+    kept: dict[int, Plane] = {}
+    for k, plane in enumerate(_fit_all(parts, blurred, viewpoint)):
+        if plane is None:
             continue
-        drift = tilt_drift(refitted, part, sensor) if sensor.tilt_sigma_rad > 0.0 else None
-        if is_one_plane(refitted, part, noise, viewpoint, config.measurements, drift_m=drift):
-            observations.append(PlaneObservation(_in_scan(refitted, sensor).transform(sensor.body_T_sensor)))
-    return observations, labels < 0
+        drift = tilt_drift(plane, parts[k], sensor) if sensor.tilt_sigma_rad > 0.0 else None
+        if is_one_plane(plane, parts[k], noises[k], viewpoint, config.measurements, drift_m=drift):
+            kept[k] = plane
+    drawn = _drawn(kept, points, found.labels, np.sqrt(spreads[:, 1:] / rows[:, 1:2]), settings)
+    observations = [PlaneObservation(_in_scan(plane, sensor).transform(sensor.body_T_sensor)) for plane in drawn]
+    return observations, found.labels < 0
+
+
+def _drawn(
+    planes: dict[int, Plane], points: FloatArray, labels: np.ndarray, extents: FloatArray, config: MapperConfig
+) -> list[Plane]:
+    """Planes, by their label, with outlines as rough as their size allows; see `outlines_in`."""
+    chosen = list(planes)
+    number = np.full(len(extents) + 1, -1)  # the last is that of points on no plane
+    number[chosen] = np.arange(len(chosen))
+    frames = np.array([plane.frame for plane in planes.values()]).reshape(-1, 4, 4)
+    outlines = outlines_in(frames, points, number[labels], extents[chosen], config)
+    return [replace(plane, outline=coarse(one)) for plane, one in zip(planes.values(), outlines, strict=True)]
 
 
 def members_of(labels: np.ndarray, count: int) -> list[np.ndarray]:
@@ -114,14 +126,12 @@ def planes_of_window(
     for plane, members in zip(planes, members_of(labels, len(planes)), strict=True):
         scan_index = members // labels.shape[1]
         points, viewpoint = placed.points.reshape(-1, 3)[members], placed.viewpoints[scan_index].mean(axis=0)
-        noise = surface_covariances(points, placed.covariances.reshape(-1, 3, 3)[members], plane, sensor)
-        refitted = _refit(
-            points, noise, plane, viewpoint=viewpoint, scan_index=scan_index, pose_covariances=pose_covariance
-        )
-        if refitted is None:
+        noise = surface_covariances(points, placed.covariances.reshape(-1, 3, 3)[members], plane.frame, sensor)
+        fitted = _fit(points, noise, viewpoint=viewpoint, scan_index=scan_index, pose_covariances=pose_covariance)
+        if fitted is None:
             continue
-        if is_one_plane(refitted, points, noise, viewpoint, config.measurements, scan_index):
-            observations.append(PlaneObservation(refitted))
+        if is_one_plane(fitted, points, noise, viewpoint, config.measurements, scan_index):
+            observations.append(PlaneObservation(_outlined(fitted, plane)))
     return sorted(observations, key=lambda seen: -seen.n_points)
 
 
@@ -168,20 +178,17 @@ def usable_points(points: FloatArray, sensor: Sensor) -> FloatArray:
     return within(flat, sensor.range_min_m, sensor.range_max_m).reshape(points.shape)
 
 
-def _refit_all(
-    points: Sequence[FloatArray], covariances: Sequence[FloatArray], planes: Sequence[Plane], viewpoint: FloatArray
-) -> list[Plane | None]:
-    """`_refit` of many planes at once, where all can be fitted."""
-    if not planes:
+def _fit_all(
+    points: Sequence[FloatArray], covariances: Sequence[FloatArray], viewpoint: FloatArray
+) -> list[Plane] | list[Plane | None]:
+    """The planes of the points of each region; None where they, errors counted, do not determine one."""
+    if not points:
         return []
-    labels = np.repeat(np.arange(len(planes)), [len(part) for part in points])
+    labels = np.repeat(np.arange(len(points)), [len(part) for part in points])
     try:
-        fits = fit_planes(np.concatenate(points), np.concatenate(covariances), labels, viewpoint=viewpoint)
+        return fit_planes(np.concatenate(points), np.concatenate(covariances), labels, viewpoint=viewpoint)
     except ValueError:
-        parts = zip(points, covariances, planes, strict=True)
-        return [_refit(part, noise, plane, viewpoint=viewpoint) for part, noise, plane in parts]
-    coarsened = [None if plane.outline is None else coarse(plane.outline) for plane in planes]
-    return [_outlined(*one) for one in zip(fits, planes, coarsened, strict=True)]
+        return [_fit(part, noise, viewpoint=viewpoint) for part, noise in zip(points, covariances, strict=True)]
 
 
 def _in_scan(plane: Plane, sensor: Sensor) -> Plane:
@@ -190,21 +197,17 @@ def _in_scan(plane: Plane, sensor: Sensor) -> Plane:
     return replace(plane, covariance=plane.covariance + shared) if shared.any() else plane
 
 
-def _refit(points: FloatArray, covariances: FloatArray, plane: Plane, **fit: np.ndarray) -> Plane | None:
-    """The plane with everything the sensor is known to err in, and the outline that was found for it.
-
-    None where the points, errors counted, no longer determine a plane: one bad patch must not end a run.
-    """
+def _fit(points: FloatArray, covariances: FloatArray, **fit: np.ndarray) -> Plane | None:
+    """The plane of points, or None where they do not determine one: one bad patch must not end a run."""
     try:
-        fitted = fit_plane(points, covariances, **fit)  # type: ignore[arg-type]
+        return fit_plane(points, covariances, **fit)  # type: ignore[arg-type]
     except ValueError:
         return None
-    return _outlined(fitted, plane, plane.outline)
 
 
-def _outlined(fitted: Plane, plane: Plane, outline: Polygon | None) -> Plane:
-    """A plane fitted anew with an outline that is given in the frame it had before."""
-    if outline is None:
+def _outlined(fitted: Plane, plane: Plane) -> Plane:
+    """A plane fitted anew with everything the sensor is known to err in, and the outline that it was given before."""
+    if plane.outline is None:
         return fitted
-    moved = largest_polygon(flatten(outline, inverse(fitted.frame) @ plane.frame))
+    moved = largest_polygon(flatten(plane.outline, inverse(fitted.frame) @ plane.frame))
     return Plane._trusted(fitted.frame, fitted.covariance, fitted.n_points, moved, fitted.chi2)

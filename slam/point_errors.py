@@ -20,8 +20,8 @@ def model_of(sensor: Sensor) -> SensorModel:
     )
 
 
-def surface_covariances(points: FloatArray, covariances: FloatArray, plane: Plane, sensor: Sensor) -> FloatArray:
-    """Covariances (N, 3, 3) of a plane's points that also carry the surface's own error, which neighbours share.
+def surface_covariances(points: FloatArray, covariances: FloatArray, frame: FloatArray, sensor: Sensor) -> FloatArray:
+    """Covariances (N, 3, 3) of the points of a plane, frame (4, 4), that carry the surface's own error as well.
 
     The surface is cut into square patches of the correlation length; the points of one patch share an error of
     `surface_sigma_m` along the normal. n points that share it say as much as n points with n times its variance each,
@@ -29,9 +29,9 @@ def surface_covariances(points: FloatArray, covariances: FloatArray, plane: Plan
     """
     if sensor.surface_sigma_m == 0.0:
         return covariances
-    row, column, n_rows, n_columns = patches_of(points, plane.frame, sensor.surface_correlation_m)
+    row, column, n_rows, n_columns = patches_of(points, frame, sensor.surface_correlation_m)
     patch, count = numbered(row * n_columns + column, n_rows * n_columns)
-    return with_shared(covariances, patch, count, plane.normal[None], sensor.surface_sigma_m**2)
+    return with_shared(covariances, patch, count, frame[None, :3, 2], sensor.surface_sigma_m**2)
 
 
 def line_tilt_covariances(sensor: Sensor, n_lines: int) -> FloatArray | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import njit
 
@@ -16,6 +18,9 @@ from spplanes.plane import Plane
 from spplanes.segmentation._patches import eigenvalues
 from spplanes.segmentation.config import FEW_ROWS, MapperConfig
 from spplanes.segmentation.growing import fit_regions
+
+if TYPE_CHECKING:
+    from shapely import Polygon
 
 #: A region's outline has at least this many cells across its smaller rms extent.
 CELLS_PER_EXTENT = 8.0
@@ -40,26 +45,35 @@ def planes_of(
         config: flatness and outlines.
     """
     n_regions = int(labels.max(initial=-1)) + 1
-    rows = np.zeros((n_regions, 11))
-    rows[:, 5], rows[:, 8] = 1.0, 2.0
-    isotropic = covariance.shape[2] == 1  # then weights do not wait for a normal
-    for floor in (0.0, 0.0) if isotropic else (config.flatness_m**2, 0.0, 0.0):
-        rows = fit_regions(points, covariance, labels, rows, np.zeros_like(rows), floor)
+    if n_regions == 0:
+        return []
+    rows = moments_of(points, covariance, labels, config)
     eyes = _eyes(labels, n_regions, views)
     frames, spreads = frames_of(rows, eyes)
-    if len(points) < FEW_ROWS or not isotropic:
+    if len(points) < FEW_ROWS or covariance.shape[2] == 9:
         _maximise_likelihood(points, covariance, labels, eyes, frames, rows, spreads)
     covariances = np.zeros((n_regions, 3, 3))
     covariances[:, (0, 1, 2), (0, 1, 2)] = 1.0 / spreads
     covariances[:, (0, 1, 2), (0, 1, 2)] += config.surface_sigma_m**2 * rows[:, 1:2] / spreads
     if poses is not None:
         covariances += _shared_parts(points, covariance, labels, frames, spreads, *poses, config.pose_decay)
-    polygons = _outlines(points, labels, rows, frames, spreads, config)
+    polygons = outlines_in(frames, points, labels, np.sqrt(spreads[:, 1:] / rows[:, 1:2]), config)
     chi2 = [eigenvalues(row)[0] for row in rows]
     return [
         Plane._trusted(frames[r], covariances[r], int(rows[r, 0]), polygons[r], float(chi2[r]))
         for r in range(n_regions)
     ]
+
+
+def moments_of(points: FloatArray, covariance: FloatArray, labels: np.ndarray, config: MapperConfig) -> FloatArray:
+    """Moments of the points of every region, weighted along its normal, shape (R, 11); arguments as of `planes_of`."""
+    n_regions = int(labels.max(initial=-1)) + 1
+    rows = np.zeros((n_regions, 11))
+    rows[:, 5], rows[:, 8] = 1.0, 2.0
+    isotropic = covariance.shape[2] == 1  # then weights do not wait for a normal
+    for floor in (0.0, 0.0) if isotropic else (config.flatness_m**2, 0.0, 0.0):
+        rows = fit_regions(points, covariance, labels, rows, np.zeros_like(rows), floor)
+    return rows
 
 
 def _maximise_likelihood(points, covariance, labels, eyes, frames, rows, spreads) -> None:
@@ -137,9 +151,20 @@ def _share_poses(points, pose_covariances, origins, first, last, result):
                 result[i, j, 3 * a + 2] = half[a, 2] - x * half[a, 4] + y * half[a, 5]
 
 
-def _outlines(points, labels, rows, frames, spreads, config) -> list:
-    """Outline of every region: its quads on a raster, or a rectangle where it is finer than that."""
-    extents = np.sqrt(spreads[:, 1:] / rows[:, 1:2])
+def outlines_in(
+    frames: FloatArray, points: FloatArray, labels: np.ndarray, extents: FloatArray, config: MapperConfig
+) -> list[Polygon]:
+    """Outline of every region: its quads on a raster, or a rectangle where it is finer than that.
+
+    Args:
+        frames: of the planes the outlines are drawn in, shape (R, 4, 4).
+        points: shape (S, B, 3), m.
+        labels: shape (S, B), 0..R-1, -1 = none.
+        extents: standard deviations of the points along x and y, shape (R, 2), m.
+        config: cells.
+    """
+    if not len(frames):
+        return []
     cell = np.minimum(config.outline_cell_m, extents[:, 1] / CELLS_PER_EXTENT)
     polygons = outline.outlines_of_grid(points, labels, frames, cell)
     return [polygon or outline.outline_from_extent(*(np.sqrt(3.0) * extents[r])) for r, polygon in enumerate(polygons)]

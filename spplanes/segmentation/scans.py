@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -51,11 +53,51 @@ def segment_scans(
     References:
         Weingarten, Gruener, Siegwart, "Probabilistic Plane Fitting in 3D", ICRA 2004, section IV.
     """
+    found = label_scans(
+        points,
+        covariances,
+        sigma=sigma,
+        config=config,
+        viewpoints=viewpoints,
+        pose_covariances=pose_covariances,
+        scan_origins=scan_origins,
+    )
+    planes = planes_of(found.points, found.covariance, found.labels, found.views, found.poses, config)
+    return found.labels.astype(np.int32), planes
+
+
+@dataclass(frozen=True, eq=False)
+class Labelled:
+    """A grid of points with the region of each, and what was given with it, checked."""
+
+    points: FloatArray
+    """Shape (S, B, 3), m."""
+    covariance: FloatArray
+    """Of the points, shape (S, B, 1) isotropic or (S, B, 9), m^2."""
+    labels: np.ndarray
+    """Region of every point, in the order of their first points, shape (S, B), int64, -1 = none."""
+    views: FloatArray | None
+    """Viewpoint of every row, shape (S, 3), m."""
+    poses: tuple[FloatArray, FloatArray] | None
+    """Pose covariances (S, 6, 6) and the points they turn about (S, 3)."""
+
+
+def label_scans(
+    points: ArrayLike,
+    covariances: ArrayLike | None = None,
+    *,
+    sigma: ArrayLike | None = None,
+    config: MapperConfig = _DEFAULT,
+    viewpoints: ArrayLike | None = None,
+    pose_covariances: ArrayLike | None = None,
+    scan_origins: ArrayLike | None = None,
+) -> Labelled:
+    """The regions of `segment_scans`, for those who fit their planes themselves; same arguments, same errors."""
     grid, valid = as_grid(points)
     variance = as_variances(valid, covariances, sigma)
     views = None if viewpoints is None else _per_scan("viewpoints", viewpoints, len(grid))
     if not valid.any():
-        return np.full(valid.shape, -1, dtype=np.int32), []
+        return Labelled(grid, variance, np.full(valid.shape, -1), views, None)
     poses, total, shared = None, variance, np.zeros((1, 1, 1))
     if pose_covariances is not None:
         origins = (
@@ -68,7 +110,7 @@ def segment_scans(
     sheet = Sheet(grid, total, shared, valid, np.full(valid.shape, -1, dtype=np.int64))
     segment_sheet(sheet, eyes, config)
     labels, _ = number_by_first_point(_without_specks(sheet.labels), len(sheet.rows))
-    return labels.astype(np.int32), planes_of(grid, variance, labels, views, poses, config)
+    return Labelled(grid, variance, labels, views, poses)
 
 
 def _without_specks(labels: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 from slam.config import MeasurementConfig, SlamConfig
 from slam.goodness import could_be_seen, fits_its_noise, has_step, is_one_plane
 from slam.io.log import CloudScan
-from slam.measure import _refit_all, for_points, planes_of_cloud, usable_points, usable_ranges
+from slam.measure import _fit_all, for_points, planes_of_cloud, usable_points, usable_ranges
 from slam.point_errors import line_tilt_covariances, servo_covariances, surface_covariances, tilt_drift
 from slam.rig import Sensor
 from spplanes import MapperConfig, Plane, fit_plane
@@ -45,7 +45,7 @@ def test_a_fit_with_errors_shared_by_patches_is_consistent_and_without_them_is_n
         cells = np.floor((points - first.centre) @ first.frame[:3, :2] / 0.4).astype(int)
         _, cell = np.unique(cells, axis=0, return_inverse=True)
         points[:, 2] += 0.02 * rng.standard_normal(cell.max() + 1)[cell.ravel()]
-        noise = surface_covariances(points, isotropic(points), first, rough)
+        noise = surface_covariances(points, isotropic(points), first.frame, rough)
         told.append(fit_plane(points, noise, viewpoint=[0, 0, 1]).mahalanobis(TRUTH))
         untold.append(fit_plane(points, sigma=SIGMA, viewpoint=[0, 0, 1]).mahalanobis(TRUTH))
     assert_mean_in_band(np.array(told), 3)
@@ -55,7 +55,7 @@ def test_a_fit_with_errors_shared_by_patches_is_consistent_and_without_them_is_n
 def test_without_a_surface_error_covariances_stay_as_they_are():
     points = patch(np.random.default_rng(1))
     noise = isotropic(points)
-    assert surface_covariances(points, noise, TRUTH, sensor()) is noise
+    assert surface_covariances(points, noise, TRUTH.frame, sensor()) is noise
 
 
 def test_a_notice_board_of_two_centimetres_is_a_step_and_a_wall_is_none():
@@ -214,15 +214,14 @@ def test_outlines_are_as_fine_as_rows_of_points_lie_apart(apart_m: float, cell_m
 
 
 def test_a_plane_that_can_no_longer_be_fitted_costs_the_others_nothing():
-    """Refitted all at once, or, where that fails, one by one: the same planes."""
+    """Fitted all at once, or, where that fails, one by one: the same planes."""
     rng = np.random.default_rng(12)
     good = [patch(rng), patch(rng) + np.array([0.0, 0.0, 1.0])]
     line = np.stack((np.linspace(0.0, 1.0, 50), np.zeros(50), np.zeros(50)), axis=1)
-    planes = [fit_plane(part, sigma=SIGMA, viewpoint=[0.0, 0.0, 9.0]) for part in good]
     eye = np.array([0.0, 0.0, 9.0])
-    together = _refit_all(good, [isotropic(part) for part in good], planes, eye)
+    together = _fit_all(good, [isotropic(part) for part in good], eye)
     parts = [good[0], line, good[1]]
-    apart = _refit_all(parts, [isotropic(part) for part in parts], [planes[0], planes[0], planes[1]], eye)
+    apart = _fit_all(parts, [isotropic(part) for part in parts], eye)
     assert apart[1] is None
     for one, other in zip(together, (apart[0], apart[2]), strict=True):
         assert one is not None and other is not None
