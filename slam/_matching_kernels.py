@@ -60,7 +60,7 @@ def directions_found(rotations, normals, others, weights, least_cosine):
 
 
 @njit(cache=True)
-def best_shifts(own, normals, offsets, weights, strongest, distance, sigma, tail):
+def best_shifts(own, normals, offsets, weights, middles, reaches, strongest, distance, sigma, tail):
     """The translations that most planes agree with, of all that three of the strongest pairs define.
 
     Args:
@@ -68,6 +68,8 @@ def best_shifts(own, normals, offsets, weights, strongest, distance, sigma, tail
         normals: known normal of every pair, shape (P, 3).
         offsets: how far the plane seen has to move along it, shape (P,), m.
         weights: of the planes seen, largest first, shape (N,).
+        middles: from the middle of the plane seen to that of the known one, shape (P, 3), m.
+        reaches: how near these have to come for the two to meet, shape (P,), m.
         strongest: pairs that make translations, shape (S,).
         distance: two planes are one up to this, the less the further apart, m.
         sigma: standard deviation of the translation, m; what it costs is `tail` log(1 + chi2 / (2 tail)).
@@ -86,7 +88,8 @@ def best_shifts(own, normals, offsets, weights, strongest, distance, sigma, tail
                 _shift_of(triple, normals, offsets, distance, sigma, shift)
                 squared = shift[0] ** 2 + shift[1] ** 2 + shift[2] ** 2
                 price = tail * np.log1p(0.5 * squared / sigma**2 / tail)
-                weight = _weight_found(own, normals, offsets, weights, left, shift, distance, scores[-1] + price)
+                needed = scores[-1] + price
+                weight = _weight_found(own, normals, offsets, weights, middles, reaches, left, shift, distance, needed)
                 if weight - price > scores[-1]:
                     count = _keep(shift, weight, weight - price, shifts, found, scores, count, 0.5 * distance)
     return shifts[:count], found[:count]
@@ -125,8 +128,8 @@ def _weight_left(own, weights):
 
 
 @njit(cache=True)
-def _weight_found(own, normals, offsets, weights, left, shift, distance, needed):
-    """Weight of the planes that a translation brings to a known one, all on it and none at `distance` from it.
+def _weight_found(own, normals, offsets, weights, middles, reaches, left, shift, distance, needed):
+    """Weight of the planes that a translation brings to a known one that they meet, none at `distance` from it.
 
     -inf where it cannot be more than is needed.
     """
@@ -135,7 +138,13 @@ def _weight_found(own, normals, offsets, weights, left, shift, distance, needed)
         plane, nearest = own[p], distance
         while p < own.size and own[p] == plane:
             along = normals[p, 0] * shift[0] + normals[p, 1] * shift[1] + normals[p, 2] * shift[2]
-            nearest = min(nearest, abs(along - offsets[p]))
+            off = abs(along - offsets[p])
+            if off < nearest:
+                square = 0.0
+                for k in range(3):
+                    square += (middles[p, k] - shift[k]) ** 2
+                if square < reaches[p] ** 2:
+                    nearest = off
             p += 1
         weight += weights[plane] * (1.0 - nearest / distance)
     return weight if p == own.size else -np.inf

@@ -10,19 +10,18 @@ from typing import Any
 import numpy as np
 
 from slam._matching_kernels import best_shifts, directions_found, near_rotations
+from slam._plane_arrays import PlaneArrays
 from slam.frames import inverse
-from slam.outlines import flatten, largest_polygon, valid
+from slam.outlines import flatten, valid
 from slam.plane_fit import fit_planes_on
 from slam.plane_sight import LinesOfSight
 from spplanes import Plane
 from spplanes._check import FloatArray
 
-#: Most planes of either side that take part, largest first; of those seen, so many make hypotheses.
-_MOST, _SEEDS = 28, 9
+#: Of the planes seen so many make hypotheses, the largest.
+_SEEDS = 9
 #: Two planes are one under a motion up to these, rad and m, and when their outlines come this near, m.
 _ANGLE, _DISTANCE, _GAP = np.deg2rad(3.5), 0.10, 0.5
-#: Outlines are simplified to this, m.
-_ROUGH = 0.05
 #: The same, as standard deviations, once a motion is worked out.
 _FINE_ANGLE, _FINE_DISTANCE = np.deg2rad(1.0), 0.03
 #: A motion is worked out with the pairs that it has roughly, then once more with those it has by then: times that
@@ -70,7 +69,7 @@ def match_planes_widely(
     Returns:
         None where fewer than three planes, in two directions at least, find partners.
     """
-    mine, theirs = _Planes.of(seen), _Planes.of(known)
+    mine, theirs = PlaneArrays.of(seen), PlaneArrays.of(known)
     if min(len(mine.normals), len(theirs.normals)) < 2:
         return None
     motions = [one for R in _rotations(mine, theirs, sigmas[1]) for one in _translations(R, mine, theirs, sigmas)]
@@ -93,7 +92,7 @@ def match_planes_widely(
 
 
 def _worked_out(
-    motion: FloatArray, mine: _Planes, theirs: _Planes, sigmas: tuple[float, float]
+    motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float]
 ) -> PlaneMatching | None:
     """A rough motion after least squares over the pairs it has, and over those it has then; None without enough."""
     pairs, covariance = _partners(motion, mine, theirs), np.eye(6)
@@ -104,38 +103,6 @@ def _worked_out(
         motion, covariance = fit
         pairs = _partners(motion, mine, theirs)
     return PlaneMatching(motion, covariance, tuple((mine.order[i], theirs.order[j]) for i, j in pairs))
-
-
-@dataclass(frozen=True, eq=False)
-class _Planes:
-    """The largest planes as arrays."""
-
-    planes: list[Plane]
-    order: list[int]
-    normals: FloatArray
-    distances: FloatArray
-    weights: FloatArray
-
-    @classmethod
-    def of(cls, planes: Sequence[Plane]) -> _Planes:
-        areas = np.array([0.0 if plane.outline is None else plane.outline.area for plane in planes])
-        order = np.argsort(-areas, kind="stable")[:_MOST].tolist()
-        chosen = [_drawn_coarsely(planes[k]) for k in order]
-        return cls(
-            chosen,
-            order,
-            np.array([plane.normal for plane in chosen]).reshape(-1, 3),
-            np.array([plane.d for plane in chosen]),
-            np.sqrt(np.maximum(areas[order], 1e-3)),
-        )
-
-
-def _drawn_coarsely(plane: Plane) -> Plane:
-    """The plane with an outline as rough as what is asked of it: whether two meet, and what they have in common."""
-    if plane.outline is None:
-        return plane
-    outline = largest_polygon(valid(plane.outline.simplify(_ROUGH)))
-    return Plane._trusted(plane.frame, plane.covariance, plane.n_points, outline)
 
 
 def _price(motion: FloatArray, sigmas: tuple[float, float]) -> float:
@@ -151,7 +118,7 @@ def _tail(chi2: Any) -> Any:
     return _TAIL * np.log1p(0.5 * chi2 / _TAIL)
 
 
-def _rotations(mine: _Planes, theirs: _Planes, sigma_rad: float) -> list[FloatArray]:
+def _rotations(mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float) -> list[FloatArray]:
     """Rotations under which most directions agree, best first, none twice."""
     frames, angles = _frames(mine.normals[:_SEEDS], ordered=False)
     others, other_angles = _frames(theirs.normals, ordered=True)
@@ -187,7 +154,7 @@ def _frames(normals: FloatArray, *, ordered: bool) -> tuple[FloatArray, FloatArr
 
 
 def _translations(
-    rotation: FloatArray, mine: _Planes, theirs: _Planes, sigmas: tuple[float, float]
+    rotation: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float]
 ) -> list[tuple[float, FloatArray]]:
     """The best motions with a rotation, with their scores: from threes of pairs, and what is expected beside them."""
     turned = mine.normals @ rotation.T
@@ -199,7 +166,10 @@ def _translations(
     near = np.abs(offsets) < _FAR * sigmas[0]
     strongest = np.argsort(-np.where(near, weights, -1.0), kind="stable")[:_PAIRS]
     strongest = strongest[near[strongest]]
-    shifts, found = best_shifts(i, normals, offsets, mine.weights, strongest, _DISTANCE, sigmas[0], _TAIL)
+    middles, reaches = theirs.middles[j] - (mine.middles @ rotation.T)[i], mine.reaches[i] + theirs.reaches[j] + _GAP
+    shifts, found = best_shifts(
+        i, normals, offsets, mine.weights, middles, reaches, strongest, _DISTANCE, sigmas[0], _TAIL
+    )
     results = []
     for shift, weight in zip(shifts, found.tolist(), strict=True):
         motion = np.eye(4)
@@ -208,7 +178,7 @@ def _translations(
     return results
 
 
-def _partners(motion: FloatArray, mine: _Planes, theirs: _Planes) -> list[tuple[int, int]]:
+def _partners(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays) -> list[tuple[int, int]]:
     """For every plane seen, the known plane nearest in offset that it is under a motion, where their outlines meet."""
     turned = mine.normals @ motion[:3, :3].T
     offsets = mine.distances + turned @ motion[:3, 3]
@@ -225,7 +195,7 @@ def _partners(motion: FloatArray, mine: _Planes, theirs: _Planes) -> list[tuple[
     return pairs
 
 
-def _agreement(motion: FloatArray, mine: _Planes, theirs: _Planes, needed: float | None = None) -> float:
+def _agreement(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, needed: float | None = None) -> float:
     """How much of what is seen is known under a motion worked out: by size, closeness and common area.
 
     Where that turns out to be less than what is needed, just so much less as is known by then.

@@ -54,17 +54,18 @@ def test_best_shifts_are_the_best_of_all_threes(seed):
     weights = np.sort(rng.uniform(0.2, 3.0, 12))[::-1].copy()
     own = np.sort(rng.integers(0, 12, 40))
     normals, offsets = directions(rng, 40), rng.normal(0.0, 0.3, 40)
-    strongest = rng.permutation(40)[:14]
+    strongest, middles, reaches = rng.permutation(40)[:14], rng.normal(0.0, 0.5, (40, 3)), rng.uniform(0.0, 2.0, 40)
     shifts, found, scores = [], [], []
     for triple in combinations(strongest, 3):
         n, d = normals[list(triple)], offsets[list(triple)]
         shift = np.linalg.solve(n.T @ n / DISTANCE**2 + np.eye(3) / SIGMA**2, n.T @ d / DISTANCE**2)
         near = np.maximum(1.0 - np.abs(normals @ shift - offsets) / DISTANCE, 0.0)
+        near[np.linalg.norm(middles - shift, axis=1) >= reaches] = 0.0
         weight = sum(weights[k] * near[own == k].max() for k in np.unique(own))
         shifts.append(shift)
         found.append(weight)
         scores.append(weight - TAIL * np.log1p(0.5 * shift @ shift / SIGMA**2 / TAIL))
-    got, weight = best_shifts(own, normals, offsets, weights, strongest, DISTANCE, SIGMA, TAIL)
+    got, weight = best_shifts(own, normals, offsets, weights, middles, reaches, strongest, DISTANCE, SIGMA, TAIL)
     known = np.array(shifts)
     rows = [int(np.argmin(np.linalg.norm(known - one, axis=1))) for one in got]
     np.testing.assert_allclose(known[rows], got, atol=1e-9)
