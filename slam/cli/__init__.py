@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             _fail("stopped", 1)
         raise
     except OSError as error:  # a full disk is nobody's bad input, and nothing unexpected
-        _fail(error, 1)
+        _fail(f"{error.filename or 'a file'}: {error.strerror}" if error.strerror else error, 1)
     except Exception as error:  # the boundary: whatever it is, no traceback
         _fail(f"unexpected {type(error).__name__}: {error}", 1)
 

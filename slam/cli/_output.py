@@ -71,7 +71,9 @@ def hint_of(folder: Path) -> Iterator[None]:
     """When a run ends early and left a session, say how to go on."""
     try:
         yield
-    except BaseException:
-        if (folder / "session.db").exists():
+    except BaseException as error:
+        from slam.store import SessionError
+
+        if (folder / "session.db").exists() and not isinstance(error, SessionError):  # one in use, finished or damaged
             say(f"what was recorded is safe; go on with: spplanes slam --resume {folder}")
         raise
