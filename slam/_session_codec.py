@@ -77,7 +77,7 @@ def decode(data: bytes) -> Any:
         raise
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError) as error:
         raise CodecError(f"expected a record of a session, got other bytes ({str(error)[:80]})") from error
-    except (struct.error, RecursionError, MemoryError, shapely.errors.ShapelyError) as error:
+    except (struct.error, RecursionError, MemoryError, NotImplementedError, shapely.errors.ShapelyError) as error:
         raise CodecError(f"expected a record of a session, got other bytes ({type(error).__name__})") from error
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -132,6 +133,7 @@ FOUND = {
             }
         ),
     ),
+    "an outline of arcs": ("codec", encode(shapely.Point(1, 2)).replace(b"\1\1\0\0\0", b"\1\x08\0\0\0")),
     "a prior with a plane that nobody knows": ("prior", _prior_with("0.0,\n     1e-05,", "0.0,\n     1.7e48,")),
     "a prior with two planes of one number": ("prior-bytes", _numbered(0, 0)),
     "a rig that takes its numbers for a key": (
