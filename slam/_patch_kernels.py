@@ -79,7 +79,7 @@ def with_shared(covariances, group, n_groups, direction, variance):
 
 @njit(cache=True)
 def strays(residuals, variances, drift, group, n_groups, sigmas, least):
-    """Whether the weighted mean residual of some group is more than noise, drift and unevenness.
+    """Whether the weighted mean residual of each group is more than noise, drift and unevenness, shape (n_groups,).
 
     Args:
         residuals, variances: of every point along the plane's normal, shape (N,), m and m^2.
@@ -95,10 +95,12 @@ def strays(residuals, variances, drift, group, n_groups, sigmas, least):
         sums[group[k], 1] += weight * residuals[k]
         if drift.shape[0] > 0:
             sums[group[k], 2] += weight * drift[k]
-    for weight, mean, slow in sums:
-        if weight > 0.0 and abs(mean / weight) > max(sigmas * np.sqrt((1.0 + slow) / weight), least):
-            return True
-    return False
+    result = np.zeros(n_groups, np.bool_)
+    for g in range(n_groups):
+        weight, mean, slow = sums[g]
+        if weight > 0.0:
+            result[g] = abs(mean / weight) > max(sigmas * np.sqrt((1.0 + slow) / weight), least)
+    return result
 
 
 @njit(cache=True)

@@ -70,9 +70,36 @@ def has_step(
     drift = np.empty(0) if drift_m is None else drift_m**2
     groups = (row * n_columns + column, n_rows * n_columns), (row, n_rows), (column, n_columns)
     return any(
-        strays(residuals, variances, drift, *numbered(code, span), rules.step_sigmas, rules.step_m)
+        strays(residuals, variances, drift, *numbered(code, span), rules.step_sigmas, rules.step_m).any()
         for code, span in groups
     )
+
+
+def without_strays(
+    plane: Plane,
+    points: FloatArray,
+    covariances: FloatArray,
+    rules: MeasurementConfig,
+    drift_m: FloatArray | None = None,
+) -> np.ndarray | None:
+    """Which points of a plane to keep, shape (N,): those that lie in no patch that strays from it, nor beside one.
+
+    A floor of two thousand patches has one that strays by chance, or for a foot that stands on it: there is something
+    else, of which the patches around have their share, and the floor is a plane without it.
+
+    Returns:
+        None where no patch strays.
+    """
+    residuals, variances = along_normal(points, covariances, plane.frame)
+    row, column, n_rows, n_columns = patches_of(points, plane.frame, rules.patch_m)
+    wide = n_columns + 2  # room for the patches around
+    places = (row + 1) * wide + column + 1
+    patch, count = numbered(places, (n_rows + 2) * wide)
+    drift = np.empty(0) if drift_m is None else drift_m**2
+    off = strays(residuals, np.maximum(variances, 1e-12), drift, patch, count, rules.step_sigmas, rules.step_m)[patch]
+    around = np.add.outer((-wide, 0, wide), (-1, 0, 1)).ravel()
+    left = np.isin(places, np.add.outer(np.unique(places[off]), around))
+    return ~left if left.any() else None
 
 
 def _group_means(values: FloatArray, group: np.ndarray) -> FloatArray:

@@ -17,11 +17,12 @@ from slam.mixtures import purified
 from slam.observations import LineObservation, PlaneObservation
 from slam.odometry import OdometryTrack
 from slam.outlines import coarse, flatten, largest_polygon
-from slam.point_errors import line_tilt_covariances, model_of, servo_covariances, surface_covariances, tilt_drift
+from slam.point_errors import line_tilt_covariances, model_of, surface_covariances
 from slam.rig import Sensor
+from slam.scan_part import ScanPart, believed_plane, fit_if_any
 from slam.sweep import middle_ns, place_beams
 from slam.window import window_poses
-from spplanes import LineConfig, MapperConfig, Plane, extract_lines, fit_plane, fit_planes, segment_scans
+from spplanes import LineConfig, MapperConfig, Plane, extract_lines, fit_planes, segment_scans
 from spplanes._check import FloatArray, as_float_array
 from spplanes.registration import register_scans
 from spplanes.segmentation.planes import frames_of, moments_of, outlines_in
@@ -66,23 +67,20 @@ def _flat_planes(
     found = label_scans(points, covariances, config=settings, viewpoints=viewpoint, pose_covariances=tilts)
     rows = moments_of(found.points, found.covariance, found.labels, settings)
     rough, spreads = frames_of(rows, np.zeros((len(rows), 3)))
-    parts, noises, blurred = [], [], []
-    for frame, members in zip(rough, members_of(found.labels, len(rough)), strict=True):
-        part = points.reshape(-1, 3)[members]
-        noise = surface_covariances(part, covariances.reshape(-1, 3, 3)[members], frame, sensor)
-        parts.append(part)
-        noises.append(noise)
-        blurred.append(servo_covariances(part, noise, members // points.shape[1], sensor))
+    parts = [
+        ScanPart(points, covariances, members, frame, sensor)
+        for frame, members in zip(rough, members_of(found.labels, len(rough)), strict=True)
+    ]
     kept: dict[int, Plane] = {}
-    for k, plane in enumerate(_fit_all(parts, blurred, viewpoint)):
-        if plane is None:
-            continue
-        drift = tilt_drift(plane, parts[k], sensor) if sensor.tilt_sigma_rad > 0.0 else None
-        if is_one_plane(plane, parts[k], noises[k], viewpoint, config.measurements, drift_m=drift):
-            kept[k] = plane
-    drawn = _drawn(kept, points, found.labels, np.sqrt(spreads[:, 1:] / rows[:, 1:2]), settings)
+    labels = found.labels.copy()
+    for k, plane in enumerate(_fit_all([one.points for one in parts], [one.blurred for one in parts], viewpoint)):
+        believed = None if plane is None else believed_plane(parts[k], plane, viewpoint, config.measurements)
+        if believed is not None:
+            kept[k] = believed[0]
+            labels.ravel()[believed[1]] = -1
+    drawn = _drawn(kept, points, labels, np.sqrt(spreads[:, 1:] / rows[:, 1:2]), settings)
     observations = [PlaneObservation(_in_scan(plane, sensor).transform(sensor.body_T_sensor)) for plane in drawn]
-    return observations, found.labels < 0
+    return observations, labels < 0
 
 
 def _drawn(
@@ -127,7 +125,7 @@ def planes_of_window(
         scan_index = members // labels.shape[1]
         points, viewpoint = placed.points.reshape(-1, 3)[members], placed.viewpoints[scan_index].mean(axis=0)
         noise = surface_covariances(points, placed.covariances.reshape(-1, 3, 3)[members], plane.frame, sensor)
-        fitted = _fit(points, noise, viewpoint=viewpoint, scan_index=scan_index, pose_covariances=pose_covariance)
+        fitted = fit_if_any(points, noise, viewpoint=viewpoint, scan_index=scan_index, pose_covariances=pose_covariance)
         if fitted is None:
             continue
         if is_one_plane(fitted, points, noise, viewpoint, config.measurements, scan_index):
@@ -188,21 +186,13 @@ def _fit_all(
     try:
         return fit_planes(np.concatenate(points), np.concatenate(covariances), labels, viewpoint=viewpoint)
     except ValueError:
-        return [_fit(part, noise, viewpoint=viewpoint) for part, noise in zip(points, covariances, strict=True)]
+        return [fit_if_any(part, noise, viewpoint=viewpoint) for part, noise in zip(points, covariances, strict=True)]
 
 
 def _in_scan(plane: Plane, sensor: Sensor) -> Plane:
     """The plane with the error that all points of a scan's plane share, whatever their number."""
     shared = np.diag([sensor.plane_sigma_m**2, sensor.plane_sigma_rad**2, sensor.plane_sigma_rad**2])
     return replace(plane, covariance=plane.covariance + shared) if shared.any() else plane
-
-
-def _fit(points: FloatArray, covariances: FloatArray, **fit: np.ndarray) -> Plane | None:
-    """The plane of points, or None where they do not determine one: one bad patch must not end a run."""
-    try:
-        return fit_plane(points, covariances, **fit)  # type: ignore[arg-type]
-    except ValueError:
-        return None
 
 
 def _outlined(fitted: Plane, plane: Plane) -> Plane:

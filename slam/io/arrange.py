@@ -37,6 +37,8 @@ _MIN_LINES, _MIN_BEAMS, _LONGEST = 8, 8, 1.6
 #: Rows and columns, in a whole turn, of the range images that are tried.
 _ROWS = (16, 32, 40, 48, 64, 80, 96, 128, 192, 256, 384, 512)
 _COLUMNS = (180, 256, 360, 512, 720, 900, 1024, 1440, 1800, 2048, 3600, 4096)
+#: Of shapes that spread the points this well beside the best, the one with the squarest cells is taken.
+_AS_GOOD = 0.95
 #: Corners are looked for between beams that are this share of a turn apart.
 _CORNER_SHARE = 1.0 / 360.0
 #: The longest row of a grid made of lines.
@@ -51,6 +53,11 @@ class Grid:
     """Steps of elevation: rings."""
     columns: int
     """Steps of azimuth in a whole turn."""
+
+    def stretch(self, height_rad: float) -> float:
+        """How far cells are from squares: the log of their sides' ratio, for rows over so much of elevation."""
+        step, turn = max(height_rad, 1e-9) / self.rows, 2.0 * np.pi / self.columns
+        return abs(float(np.log(step / turn)))
 
 
 def grid_of(sensor: Sensor) -> Grid | None:
@@ -123,21 +130,26 @@ def _cut_at_a_corner(image: FloatArray) -> FloatArray:
 def _best_grid(elevation: FloatArray, azimuth: FloatArray) -> tuple[Grid, np.ndarray, np.ndarray]:
     """The shape whose cells times the square of their occupied share are most, and row and column (N,) of the points.
 
-    No more cells can be occupied than there are, nor than there are points: shapes that could do best are tried first,
-    and those that cannot do better than the best so far are not tried. Of equal shapes the first is taken.
+    A thinned cloud fits many shapes about as well, down to rows of four rings each, whose points lie on a zigzag: of
+    shapes nearly as good the one with the squarest cells is taken, of equal ones the first. No more cells can be
+    occupied than there are, nor than there are points: shapes that could do best are tried first, and those that cannot
+    come near the best so far are not tried.
     """
     rows = {count: rows_of(elevation, count) for count in _ROWS}
     phases = phases_of(azimuth, np.array(_COLUMNS))
     columns = {count: columns_of(azimuth, count, phase) for count, phase in zip(_COLUMNS, phases, strict=True)}
     shapes = [(min(r * c, len(azimuth) ** 2 / (r * c)), -k, r, c) for k, (r, c) in enumerate(product(_ROWS, _COLUMNS))]
-    best, most = (0.0, 0), Grid(_ROWS[0], _COLUMNS[0])
+    best, tried = 0.0, []
     for bound, order, r, c in sorted(shapes, reverse=True):
-        if bound < best[0]:
+        if bound < _AS_GOOD * best:
             break
-        score = occupied_cells(rows[r], columns[c], r, c) ** 2 / (r * c), order
-        if score > best:
-            best, most = score, Grid(r, c)
-    return most, rows[most.rows], columns[most.columns]
+        score = occupied_cells(rows[r], columns[c], r, c) ** 2 / (r * c)
+        best = max(best, score)
+        tried.append((score, order, Grid(r, c)))
+    height = float(np.ptp(elevation))
+    good = [one for one in tried if one[0] >= _AS_GOOD * best]
+    grid = min(good, key=lambda one: (one[2].stretch(height), -one[1]))[2]
+    return grid, rows[grid.rows], columns[grid.columns]
 
 
 def _angles(points: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -212,6 +212,15 @@ def test_rings_are_found_in_any_order(order: str, columns: int):
     np.testing.assert_array_equal(np.roll(image, -first[0], axis=1), grid)
 
 
+@pytest.mark.parametrize("share", [0.5, 0.3, 0.15])
+def test_cells_of_a_thinned_cloud_are_about_as_wide_as_high(share: float):
+    """Rows of several rings each, cut as finely as the beams were, would leave neighbours that lie on a zigzag."""
+    points = seen_from(pose(0.3, -0.2, 0.4), 1, 1024).reshape(-1, 3)
+    rng = np.random.default_rng(0)
+    rows, columns, _ = range_image(points[rng.random(len(points)) < share]).shape
+    assert 0.25 < (60.0 / rows) / (360.0 / columns) < 4.0
+
+
 def test_a_rig_states_the_range_image(folder: Path):
     _, rig = load(folder)
     scanner = rig.sensors["scanner"].model_copy(update={"rows": 16, "columns": 180})

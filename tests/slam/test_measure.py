@@ -13,6 +13,7 @@ from slam.io.log import CloudScan
 from slam.measure import _fit_all, for_points, planes_of_cloud, usable_points, usable_ranges
 from slam.point_errors import line_tilt_covariances, servo_covariances, surface_covariances, tilt_drift
 from slam.rig import Sensor
+from slam.scan_part import ScanPart, believed_plane
 from spplanes import MapperConfig, Plane, fit_plane
 from tests.statistics import assert_mean_in_band
 
@@ -70,6 +71,40 @@ def test_a_notice_board_of_two_centimetres_is_a_step_and_a_wall_is_none():
         found += has_step(plane, points, isotropic(points), RULES)
     assert false_alarms <= 2
     assert found >= 198
+
+
+def test_a_floor_with_a_foot_on_it_is_the_floor_without_the_foot():
+    rng = np.random.default_rng(4)
+    above, chi2, lost = np.array([0.0, 0.0, 1.0]), [], 0
+    for _ in range(200):
+        points = patch(rng, 9000, x=8.0, y=6.0)
+        foot = (np.abs(points[:, :2] - [0.8, 3.0]) < 0.15).all(axis=1)
+        points[foot, 2] += 0.08
+        part, plane = as_part(points)
+        assert not is_one_plane(plane, points, part.noise, above, RULES)
+        believed = believed_plane(part, plane, above, RULES)
+        if believed is None:
+            lost += 1
+            continue
+        assert np.isin(np.flatnonzero(foot), believed[1]).all()
+        assert believed[0].n_points == len(points) - len(believed[1])
+        chi2.append(believed[0].mahalanobis(TRUTH))
+    assert lost <= 4
+    assert_mean_in_band(np.array(chi2), 3)
+
+
+def test_a_plane_of_which_much_strays_is_none():
+    points = patch(np.random.default_rng(5), 3000, x=4.0, y=3.0)
+    points[points[:, 1] > 2.7, 2] += 0.06
+    part, plane = as_part(points)
+    assert believed_plane(part, plane, np.array([0.0, 0.0, 1.0]), RULES) is None
+
+
+def as_part(points: np.ndarray) -> tuple[ScanPart, Plane]:
+    """Points as a region of a grid, with the plane fitted to them."""
+    noise, plane = isotropic(points), fit_plane(points, sigma=SIGMA, viewpoint=[0, 0, 1])
+    grid = points.reshape(30, -1, 3)
+    return ScanPart(grid, noise.reshape(30, -1, 3, 3), np.arange(len(points)), plane.frame, sensor()), plane
 
 
 def test_the_pose_error_that_a_scan_shares_is_no_step():
