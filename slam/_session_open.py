@@ -76,6 +76,8 @@ def open_file(path: Path, *, read_only: bool, damaged: bool) -> OpenFile:
     try:
         if not damaged:
             _check_journal(path, writer_may_live=read_only)
+        if read_only:
+            _roll_back(path)
         connection = connect(path, read_only=read_only)
         version = check_version(path, connection, read_only=read_only)
         if not read_only:
@@ -107,6 +109,25 @@ def _locked(path: Path) -> WriterLock:
     if not taken:
         raise SessionError(f"{path}: another process is writing it")
     return lock
+
+
+def _roll_back(path: Path) -> None:
+    """Undo the last write of a writer that was killed while it closed the session: no reader may, nor can it read.
+
+    Where that cannot be done, on a read-only disk or beside a writer, SQLite says what it needs.
+    """
+    if not path.with_name(f"{path.name}-journal").exists():
+        return
+    try:
+        lock = _locked(path)
+    except SessionError:
+        return
+    try:
+        connect(path, read_only=False).close()
+    except (SessionError, OSError):
+        return
+    finally:
+        lock.release()
 
 
 def _check_journal(path: Path, *, writer_may_live: bool) -> None:

@@ -135,6 +135,24 @@ def test_one_writer_and_any_number_of_readers(tmp_path: Path):
         assert len(writer.keyframes) == 5
 
 
+def test_a_reader_takes_back_what_a_writer_killed_while_closing_left_half_done(recorded: Path, tmp_path: Path):
+    """A rollback journal beside the file, as a kill while SQLite leaves its write-ahead log makes one."""
+    left = tmp_path / "left"
+    left.mkdir()
+    with Session.open(recorded, read_only=True) as session:
+        known = len(session)
+    with closing(sqlite3.connect(recorded, isolation_level=None)) as writer:
+        writer.execute("PRAGMA journal_mode = DELETE")
+        writer.execute("PRAGMA cache_size = 1")  # so that pages reach the disk before the end
+        writer.execute("BEGIN IMMEDIATE")
+        writer.execute("UPDATE keyframes SET data = zeroblob(20000)")
+        assert recorded.with_name(f"{recorded.name}-journal").exists()
+        for path in recorded.parent.glob(f"{recorded.name}*"):
+            (left / path.name).write_bytes(path.read_bytes())
+    with Session.open(left / recorded.name, read_only=True) as session:
+        assert len(list(session.entries())) == known
+
+
 def test_another_configuration_is_refused(recorded: Path):
     other = SlamConfig.model_validate({"association": {"gap_m": 0.1}})
     with pytest.raises(SessionError, match="expected the configuration that it was made with"):
