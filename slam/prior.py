@@ -56,7 +56,7 @@ class PriorMap:
             raise ValueError(f"planes: expected each with a number of its own, got {str(sorted(numbers))[:60]}")
         size = 3 * len(self.planes)
         object.__setattr__(self, "covariance", as_covariance("covariance", self.covariance, size))
-        sigmas = np.sqrt(np.diag(self.covariance))
+        sigmas = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         if sigmas.size and not _LEAST_SIGMA <= sigmas.min() <= sigmas.max() <= _LARGEST_SIGMA:
             wanted = f"standard deviations of planes from {_LEAST_SIGMA:g} to {_LARGEST_SIGMA:g}"
             raise ValueError(f"covariance: expected {wanted}, got {sigmas.min():.3g} to {sigmas.max():.3g}")

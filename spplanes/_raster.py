@@ -159,9 +159,10 @@ def _layout(low, high):
     corner, shape = np.zeros((n_regions, 2), dtype=np.int64), np.zeros((n_regions, 2), dtype=np.int64)
     for r in range(n_regions):
         if low[r, 0] <= high[r, 0]:
-            area = (high[r, 0] - low[r, 0] + 3.0) * (high[r, 1] - low[r, 1] + 3.0)
-            if area > LARGEST_RASTER:
-                scale[r] = np.sqrt(LARGEST_RASTER / area)
+            a, b = high[r, 0] - low[r, 0], high[r, 1] - low[r, 1]
+            if (a + 3.0) * (b + 3.0) > LARGEST_RASTER:  # the frame of a sliver does not shrink with it
+                room, edge = LARGEST_RASTER - 9.0, 3.0 * (a + b)
+                scale[r] = 2.0 * room / (edge + np.sqrt(edge * edge + 4.0 * a * b * room))
             for k in range(2):
                 corner[r, k] = int(np.floor(low[r, k] * scale[r])) - 1
                 shape[r, k] = int(np.floor(high[r, k] * scale[r])) + 2 - corner[r, k]

@@ -107,3 +107,13 @@ def test_cells_change_projection_with_the_plane():
     assert area[1] == pytest.approx(area[0], rel=0.1)
     assert len(outline.in_projection(drawn, np.full(400, 2), 1, 0.1, frame)) == 0
     np.testing.assert_array_equal(outline.in_projection(drawn, np.full(400, 1), 1, 0.1, frame), drawn)
+
+
+def test_a_sliver_of_any_length_fits_into_the_largest_raster():
+    """Found by fuzzing: the frame of empty cells around a long thin raster took 150 GiB."""
+    points = np.zeros((2, 3, 3))
+    points[:, :, 0] = np.linspace(0.0, 1e9, 3)
+    points[1, :, 1] = 1e-3
+    projections = np.array([[[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]])
+    filled, _, _, _ = _raster.draw(points, np.zeros((2, 3), dtype=np.int64), projections)
+    assert len(filled) <= 1.01 * _raster.LARGEST_RASTER
