@@ -163,6 +163,8 @@ def test_bad_priors_are_refused():
     entry = MapPlane(0, plane, plane.outline, 3, ("plane",))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="start_covariance: expected a positive definite covariance"):
         PriorMap([entry], np.eye(3), np.eye(4), np.zeros((6, 6)))
+    with pytest.raises(ValueError, match="covariance: expected standard deviations of planes"):
+        PriorMap([entry], np.diag([1.0, 1.0, -1e-14]), np.eye(4), np.eye(6))  # below zero by rounding
 
 
 def test_a_session_keeps_its_prior(tmp_path: Path):
