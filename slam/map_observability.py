@@ -16,6 +16,7 @@ from slam.landmarks import Landmark, LandmarkMap
 from slam.observability import NOTHING, OpenDirection, Part, gathered, name_of, wide_directions
 from slam.observations import LineObservation, Observation
 from spplanes._check import FloatArray
+from spplanes._hesse import frame_from_hesse
 
 #: Normals that differ by less than so many of their standard deviations say nothing by their difference.
 _SIGMAS = 3.0
@@ -157,8 +158,8 @@ def _derivatives(
     x_axis = frame[:3, 0] - normal * (normal @ frame[:3, 0])
     x_axis /= np.linalg.norm(x_axis)
     y_axis = np.cross(normal, x_axis)
-    arm, u_axis = frame[:3, 3] - world_T_body[:3, 3], _across(normal)
-    v_axis, out = np.cross(normal, u_axis), frame[:3, 3] - origin
+    arm, out = frame[:3, 3] - world_T_body[:3, 3], frame[:3, 3] - origin
+    u_axis, v_axis = frame_from_hesse(normal, 0.0, None)[:3, :2].T
     by_pose, by_plane = np.zeros((3, 6)), np.zeros((3, 3))
     by_pose[0, :3], by_pose[0, 3:] = np.cross(arm, normal), normal
     by_pose[1, :3], by_pose[2, :3] = y_axis, x_axis
@@ -169,12 +170,6 @@ def _derivatives(
     root = np.linalg.cholesky(plane.covariance[:told, :told])
     both = np.asarray(np.linalg.solve(root, np.hstack((by_pose, by_plane))[:told]), float)
     return both[:, :6], both[:, 6:]
-
-
-def _across(normal: FloatArray) -> FloatArray:
-    """A unit vector at right angles to a normal."""
-    axis = np.asarray(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]), dtype=np.float64)
-    return axis / float(np.linalg.norm(axis))
 
 
 def _settled_normals(landmarks: LandmarkMap, keyframes: Sequence[Keyframe]) -> list[FloatArray]:
