@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from slam._patch_kernels import along_normal, numbered, patches_of, strays
@@ -56,50 +58,64 @@ def has_step(
     scan_index: np.ndarray | None = None,
     drift_m: FloatArray | None = None,
 ) -> bool:
-    """Whether some patch of the plane lies off it by more than noise and unevenness: two surfaces fitted as one.
-
-    Averages over patches, and over strips right across the plane, see a step of 2 cm in noise of 15 mm long before the
-    chi2 of all points does, and hardly mind a noise level that is known to 10 % only. What all points of a scan share,
-    its pose error, is taken out first.
-    """
-    residuals, variances = along_normal(points, covariances, plane.frame)
-    variances = np.maximum(variances, 1e-12)
-    if scan_index is not None:
-        residuals = residuals - _group_means(residuals, scan_index)[scan_index]
-    row, column, n_rows, n_columns = patches_of(points, plane.frame, rules.patch_m)
-    drift = np.empty(0) if drift_m is None else drift_m**2
-    groups = (row * n_columns + column, n_rows * n_columns), (row, n_rows), (column, n_columns)
-    return any(
-        strays(residuals, variances, drift, *numbered(code, span), rules.step_sigmas, rules.step_m).any()
-        for code, span in groups
-    )
+    """Whether some patch of the plane lies off it: see `InPatches.has_step`; for the arguments `is_one_plane`."""
+    return InPatches(plane, points, covariances, rules, scan_index, drift_m).has_step
 
 
-def without_strays(
-    plane: Plane,
-    points: FloatArray,
-    covariances: FloatArray,
-    rules: MeasurementConfig,
-    drift_m: FloatArray | None = None,
-) -> np.ndarray | None:
-    """Which points of a plane to keep, shape (N,): those that lie in no patch that strays from it, nor beside one.
+class InPatches:
+    """How the points of a plane lie about it, patch by patch and strip by strip right across it."""
 
-    A floor of two thousand patches has one that strays by chance, or for a foot that stands on it: there is something
-    else, of which the patches around have their share, and the floor is a plane without it.
+    def __init__(
+        self,
+        plane: Plane,
+        points: FloatArray,
+        covariances: FloatArray,
+        rules: MeasurementConfig,
+        scan_index: np.ndarray | None = None,
+        drift_m: FloatArray | None = None,
+    ) -> None:
+        """For the arguments see `is_one_plane`. What all points of a scan share, its pose error, is taken out."""
+        residuals, variances = along_normal(points, covariances, plane.frame)
+        if scan_index is not None:
+            residuals = residuals - _group_means(residuals, scan_index)[scan_index]
+        self._of_points = residuals, np.maximum(variances, 1e-12), np.empty(0) if drift_m is None else drift_m**2
+        self._limits = rules.step_sigmas, rules.step_m
+        self._row, self._column, self._n_rows, self._n_columns = patches_of(points, plane.frame, rules.patch_m)
+        self._wide = self._n_columns + 2  # room for the patches around
+        self._place = (self._row + 1) * self._wide + self._column + 1
 
-    Returns:
-        None where no patch strays.
-    """
-    residuals, variances = along_normal(points, covariances, plane.frame)
-    row, column, n_rows, n_columns = patches_of(points, plane.frame, rules.patch_m)
-    wide = n_columns + 2  # room for the patches around
-    places = (row + 1) * wide + column + 1
-    patch, count = numbered(places, (n_rows + 2) * wide)
-    drift = np.empty(0) if drift_m is None else drift_m**2
-    off = strays(residuals, np.maximum(variances, 1e-12), drift, patch, count, rules.step_sigmas, rules.step_m)[patch]
-    around = np.add.outer((-wide, 0, wide), (-1, 0, 1)).ravel()
-    left = np.isin(places, np.add.outer(np.unique(places[off]), around))
-    return ~left if left.any() else None
+    @cached_property
+    def has_step(self) -> bool:
+        """Whether some patch or strip lies off the plane by more than noise and unevenness: two surfaces as one.
+
+        Averages over patches, and over strips right across the plane, see a step of 2 cm in noise of 15 mm long before
+        the chi2 of all points does, and hardly mind a noise level that is known to 10 % only.
+        """
+        strips = (self._row, self._n_rows), (self._column, self._n_columns)
+        return bool(self._off.any()) or any(self._strip_is_off(*strip) for strip in strips)
+
+    def without_strays(self) -> np.ndarray | None:
+        """Which points of the plane to keep, shape (N,): those that lie in no patch that strays, nor beside one.
+
+        A floor of two thousand patches has one that strays by chance, or for a foot that stands on it: there is
+        something else, of which the patches around have their share, and the floor is a plane without it.
+
+        Returns:
+            None where no patch strays.
+        """
+        if not self._off.any():
+            return None
+        around = np.add.outer((-self._wide, 0, self._wide), (-1, 0, 1)).ravel()
+        return ~np.isin(self._place, np.add.outer(np.unique(self._place[self._off]), around))
+
+    @cached_property
+    def _off(self) -> np.ndarray:
+        """Which points lie in a patch that strays, shape (N,)."""
+        patch, count = numbered(self._place, (self._n_rows + 2) * self._wide)
+        return strays(*self._of_points, patch, count, *self._limits)[patch]
+
+    def _strip_is_off(self, strip: np.ndarray, count: int) -> bool:
+        return bool(strays(*self._of_points, *numbered(strip, count), *self._limits).any())
 
 
 def _group_means(values: FloatArray, group: np.ndarray) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slam.config import MeasurementConfig
-from slam.goodness import is_one_plane, without_strays
+from slam.goodness import InPatches, could_be_seen, fits_its_noise
 from slam.point_errors import servo_covariances, surface_covariances, tilt_drift
 from slam.rig import Sensor
 from spplanes import Plane, fit_plane
@@ -47,10 +47,10 @@ def believed_plane(
     """
     rest = part
     for _ in range(_ROUNDS):
-        drift = rest.drift(plane)
-        if is_one_plane(plane, rest.points, rest.noise, viewpoint, rules, drift_m=drift):
+        patches = InPatches(plane, rest.points, rest.noise, rules, drift_m=rest.drift(plane))
+        if could_be_seen(plane, viewpoint, rules) and fits_its_noise(plane, rules) and not patches.has_step:
             return plane, np.setdiff1d(part.members, rest.members, assume_unique=True)
-        chosen = without_strays(plane, rest.points, rest.noise, rules, drift)
+        chosen = patches.without_strays()
         if chosen is None or np.count_nonzero(chosen) < _LEAST_SHARE * len(part.members):
             return None
         rest = rest.only(chosen)
