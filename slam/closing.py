@@ -12,14 +12,11 @@ import numpy as np
 from scipy.special import chdtri
 
 from slam.backend import Backend, pose_symbol
-from slam.config import SlamConfig
 from slam.driven import DrivenPath
-from slam.keyframes import Keyframe
-from slam.landmarks import LandmarkMap
 from slam.loops import LoopDecision, disjoint, find_loop
 from slam.merging import Merges
 from slam.odometry import Motion
-from slam.thinning import Thinning
+from slam.parts import Parts
 
 #: After a tie that is taken back the estimate goes back a long way: so often iSAM2 relinearises.
 _ROUNDS = 5
@@ -49,17 +46,9 @@ class Tie:
 class LoopCloser:
     """Looks for loops on the way, closes those it finds, and takes back what turns out to be none."""
 
-    def __init__(
-        self,
-        keyframes: Sequence[Keyframe],
-        landmarks: LandmarkMap,
-        backend: Backend,
-        merges: Merges,
-        thinning: Thinning,
-        config: SlamConfig,
-    ) -> None:
-        self._keyframes, self._landmarks, self._backend = keyframes, landmarks, backend
-        self._merges, self._thinning, self._config = merges, thinning, config
+    def __init__(self, parts: Parts, merges: Merges) -> None:
+        self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
+        self._merges, self._thinning, self._config = merges, parts.thinning, parts.config
         self.decisions: list[LoopDecision] = []
         self.ties: list[Tie] = []
         self._ways = array("d")

@@ -25,6 +25,7 @@ from slam.map_observability import OpenMapDirection, open_in_map
 from slam.map_planes import MapPlane, map_plane
 from slam.merging import Merges
 from slam.observability import Observability, OpenStretch, stretch_of
+from slam.parts import Parts
 from slam.prediction import Prediction
 from slam.recorder import Recorder
 from slam.thinning import Thinning
@@ -52,17 +53,12 @@ class Estimate:
         self.recorder = recorder or Recorder()
         self.keyframes: MutableSequence[Keyframe] = self.recorder.keyframes()
         self.decisions: list[list[Decision]] = []
-        self.merges = Merges(self.keyframes, self.landmarks, self.backend, self.config)
         self._thinning = Thinning(self.config.thinning, self.backend, self.landmarks)
-        self._prediction = Prediction(
-            self.keyframes, self.landmarks, self.backend, self._thinning, self.config, self.prior
-        )
-        self._closer = LoopCloser(
-            self.keyframes, self.landmarks, self.backend, self.merges, self._thinning, self.config
-        )
-        self._growth = Growth(
-            self.keyframes, self.landmarks, self.backend, self._thinning, self._prediction, self.config
-        )
+        parts = Parts(self.keyframes, self.landmarks, self.backend, self._thinning, self.config)
+        self.merges = Merges(parts)
+        self._prediction = Prediction(parts, self.prior)
+        self._closer = LoopCloser(parts, self.merges)
+        self._growth = Growth(parts, self._prediction)
 
     @property
     def calibration(self) -> WheelCalibration:

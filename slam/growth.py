@@ -7,31 +7,22 @@ from collections.abc import Sequence
 import gtsam
 
 from slam.association import Decision
-from slam.backend import Backend, pose_symbol
-from slam.config import SlamConfig
+from slam.backend import pose_symbol
 from slam.keyframes import Keyframe
-from slam.landmarks import LandmarkMap, Sighting
+from slam.landmarks import Sighting
 from slam.late import LateMatch, Waiting
+from slam.parts import Parts
 from slam.prediction import Prediction
 from slam.sights import Sight, birth_sights, matched_sights
-from slam.thinning import Thinning
 
 
 class Growth:
     """Puts observations into the graph and lets the map know."""
 
-    def __init__(
-        self,
-        keyframes: Sequence[Keyframe],
-        landmarks: LandmarkMap,
-        backend: Backend,
-        thinning: Thinning,
-        prediction: Prediction,
-        config: SlamConfig,
-    ) -> None:
-        self._keyframes, self._landmarks, self._backend = keyframes, landmarks, backend
-        self._thinning, self._prediction, self._config = thinning, prediction, config
-        self._unmatched = Waiting(config.landmarks)
+    def __init__(self, parts: Parts, prediction: Prediction) -> None:
+        self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
+        self._thinning, self._prediction, self._config = parts.thinning, prediction, parts.config
+        self._unmatched = Waiting(parts.config.landmarks)
         self.late_matches: list[LateMatch] = []
 
     def update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> set[int]:

@@ -12,13 +12,12 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from factors import plane_factor, plane_landmark
-from slam.backend import Backend, BackendError, pose_symbol
-from slam.config import SlamConfig
+from slam.backend import BackendError, pose_symbol
 from slam.frames import inverse
-from slam.keyframes import Keyframe
-from slam.landmarks import Landmark, LandmarkMap, Sighting, observe
+from slam.landmarks import Landmark, Sighting, observe
 from slam.merge import Cause, Merge
 from slam.observations import Observation
+from slam.parts import Parts
 from slam.regions import Region
 from slam.twins import twin_chi2
 
@@ -33,12 +32,11 @@ _FRESH = 10
 class Merges:
     """Every merge of a run, and the landmarks that must never be merged again."""
 
-    def __init__(
-        self, keyframes: Sequence[Keyframe], landmarks: LandmarkMap, backend: Backend, config: SlamConfig
-    ) -> None:
+    def __init__(self, parts: Parts) -> None:
         self.history: list[Merge] = []
-        self._keyframes, self._landmarks, self._backend, self._config = keyframes, landmarks, backend, config
-        self.robust: str | None = config.backend.robust
+        self._keyframes, self._landmarks = parts.keyframes, parts.landmarks
+        self._backend, self._config = parts.backend, parts.config
+        self.robust: str | None = parts.config.backend.robust
         self._apart: set[frozenset[int]] = set()
 
     def may_be_one(self, first: int, second: int) -> bool:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import gtsam
 import numpy as np
 
 from factors import pose_prior
-from slam.backend import Backend, pose_symbol
+from slam.backend import pose_symbol
 from slam.calibration import WheelCalibration, motion_covariance
 from slam.coasting import coast
-from slam.config import SlamConfig
 from slam.frames import inverse
 from slam.keyframes import Keyframe
-from slam.landmarks import LandmarkMap
 from slam.odometry import Motion
+from slam.parts import Parts
 from slam.places import found_motion, is_wide
-from slam.thinning import Link, Thinning
+from slam.thinning import Link
 from spplanes._check import FloatArray
 
 if TYPE_CHECKING:
@@ -32,17 +30,9 @@ class Prediction:
     what they will say.
     """
 
-    def __init__(
-        self,
-        keyframes: Sequence[Keyframe],
-        landmarks: LandmarkMap,
-        backend: Backend,
-        thinning: Thinning,
-        config: SlamConfig,
-        prior: PriorMap | None,
-    ) -> None:
-        self._keyframes, self._landmarks, self._backend = keyframes, landmarks, backend
-        self._thinning, self._config, self._prior = thinning, config, prior
+    def __init__(self, parts: Parts, prior: PriorMap | None) -> None:
+        self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
+        self._thinning, self._config, self._prior = parts.thinning, parts.config, prior
         self.calibration = WheelCalibration()
         self.motion: Motion | None = None
         """The predicted motion to the newest keyframe; None for the first."""
