@@ -10,10 +10,10 @@ from slam.cli._job import OutOption, OverwriteOption
 
 
 def simulate(
-    world: Annotated[str, typer.Argument(help="World to drive through, such as corridor.")],
+    world: Annotated[str, typer.Argument(help="World to drive through: corridor, office, room, or hall for 3D scans.")],
     out: OutOption,
     scans: Annotated[
-        int | None, typer.Option("--scans", min=2, help="Push-broom scans; default: the whole world.")
+        int | None, typer.Option("--scans", min=2, help="Push-broom or 3D scans; default: the whole way.")
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of all noise.")] = 0,
     laps: Annotated[int, typer.Option("--laps", min=1, help="Times round a world that is a loop.")] = 1,

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.io.carmen_writer import write_carmen
+from slam.io.folder_writer import write_cloud_folder
 from slam.io.log import LaserScan, Log
 from slam.rig import Rig
 from slam.simulation.corridor import corridor
@@ -84,10 +85,12 @@ class Mission:
         )
 
     def save(self, folder: Path | str) -> None:
-        """Write log.clf.gz, rig.yaml and truth/ into a folder that is new or empty; all of it or nothing.
+        """Write log, rig.yaml and truth/ into a folder that is new or empty; all of it or nothing.
+
+        The log is log.clf.gz, or a folder of clouds with times and odometry where the scans are 3D.
 
         Raises:
-            ValueError: the folder holds something, or the mission has 3D scans, which a CARMEN log has no record for.
+            ValueError: the folder holds something, or the mission has 2D and 3D scans, for which there is no format.
         """
         folder = Path(folder)
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -96,7 +99,10 @@ class Mission:
         stage = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
         try:
             (stage / "truth").mkdir()
-            write_carmen(self.log, self.rig, stage / "log.clf.gz")
+            if self.rig.of_kind("cloud"):
+                write_cloud_folder(self.log, stage)
+            else:
+                write_carmen(self.log, self.rig, stage / "log.clf.gz")
             self.rig.to_yaml(stage / "rig.yaml")
             self.truth.write(stage / "truth")
             stage.chmod(0o755)

@@ -123,6 +123,23 @@ def finished(mission: Path) -> Path:
     return folder
 
 
+def test_a_mission_of_3d_scans_from_simulation_to_score(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    for words in (
+        ["simulate", "hall", "--scans", "6", "--out", str(tmp_path / "hall")],
+        ["slam", str(tmp_path / "hall"), "--out", str(tmp_path / "run")],
+        ["evaluate", str(tmp_path / "run"), "--truth", str(tmp_path / "hall")],
+    ):
+        with pytest.raises(SystemExit) as stop:
+            main(words)
+        assert stop.value.code in (0, None), capsys.readouterr().err
+    scores = {
+        row["metric"]: row["value"]
+        for row in json.loads((tmp_path / "run" / "metrics.json").read_text(encoding="utf-8"))["evaluation"]
+    }
+    assert scores["ATE translation max"] < 0.01 < scores["odometry alone: ATE translation max"]
+    assert scores["planes estimated"] >= 8 and scores["planes duplicate"] == 0.0
+
+
 def test_a_mission_from_simulation_to_score(finished: Path, mission: Path, capsys: pytest.CaptureFixture[str]):
     names = {path.name for path in finished.iterdir()}
     assert names >= {

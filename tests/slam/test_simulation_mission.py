@@ -7,10 +7,11 @@ import pytest
 from scipy.stats import chi2, kstest
 
 from slam.io.carmen import read_carmen
+from slam.io.load import load
 from slam.io.log import CloudScan, LaserScan, LogError
 from slam.motion import OdometryNoise
 from slam.rig import LocalisationNoise, Rig, Sensor
-from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Path, Truth, paper_rig, simulate_mission
+from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Path, Truth, paper_rig, simulate_mission, spinning_rig
 from slam.simulation.noise import drifting_odometry, localised_poses, noisy_ranges, relative_motions
 from slam.simulation.path import pose_matrices
 from spplanes.noise import SensorModel
@@ -280,17 +281,39 @@ def test_a_mission_on_disk_is_the_same_mission(tmp_path):
     assert data["format"] == "spplanes/1" and [p["id"] for p in data["planes"]] == list(range(len(truth.planes)))
 
 
-def test_equal_missions_give_equal_files(tmp_path):
+def test_a_mission_of_3d_scans_reads_back_from_disk(tmp_path):
+    mission = simulate_mission("hall", n_scans=3, seed=1)
+    mission.save(tmp_path / "hall")
+    log, rig = load(tmp_path / "hall")
+    assert rig == mission.rig
+    assert [event.stamp_ns for event in log.events] == [event.stamp_ns for event in mission.log.events]
+    for a, b in zip(mission.log.events, log.events, strict=True):
+        if isinstance(a, CloudScan):
+            assert isinstance(b, CloudScan) and a.sensor == b.sensor and b.world_T_body is None
+            np.testing.assert_array_equal(a.points, b.points)
+        else:
+            np.testing.assert_allclose(a.odom_T_body, b.odom_T_body, atol=1e-14)
+    np.testing.assert_array_equal(
+        Truth.read(tmp_path / "hall" / "truth").labels[SPINNING], mission.truth.labels[SPINNING]
+    )
+
+
+@pytest.mark.parametrize("world", ["room", "hall"])
+def test_equal_missions_give_equal_files(tmp_path, world: str):
     for name in ("a", "b"):
-        simulate_mission("room", n_scans=10, seed=1).save(tmp_path / name)
+        simulate_mission(world, n_scans=4, seed=1).save(tmp_path / name)
+    assert len(list((tmp_path / "a").rglob("*.*"))) >= 5
     for file in (tmp_path / "a").rglob("*.*"):
         assert file.read_bytes() == (tmp_path / "b" / file.relative_to(tmp_path / "a")).read_bytes()
 
 
 def test_saving_is_all_or_nothing(tmp_path):
     mission = simulate_mission("room", n_scans=5)
-    with pytest.raises(ValueError, match="expected 2D scans and odometry only"):
-        simulate_mission("hall", n_scans=2).save(tmp_path / "cloud")
+    both = Rig(sensors={**paper_rig().sensors, **spinning_rig().sensors}, odometry=OdometryNoise())
+    with pytest.raises(
+        ValueError, match="expected scans of one 3D sensor, got those of horizontal, spinning, vertical"
+    ):
+        simulate_mission("hall", n_scans=2, rig=both).save(tmp_path / "cloud")
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("x")
