@@ -15,6 +15,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from slam._field_types import check_fields, holds
 from slam.association import Candidate, Decision
 from slam.io.log import CloudScan, LaserScan, StoredCloud
 from slam.io.spool import StoredScan
@@ -92,9 +93,27 @@ def keyframe_of(data: bytes) -> Keyframe:
     if not isinstance(values, dict):
         raise CodecError(f"expected the fields of a keyframe, got {type(values).__name__}")
     try:
-        return Keyframe(**values)
-    except TypeError as error:
+        made = Keyframe(**values)
+        check_fields("keyframe", made)
+    except (TypeError, ValueError) as error:
         raise CodecError(f"expected the fields of a keyframe, got others ({error})") from error
+    return made
+
+
+def decisions_of(data: bytes) -> list[Decision]:
+    """The decisions about a keyframe."""
+    return _held(decode(data), list[Decision])
+
+
+def scan_of(data: bytes) -> LaserScan | CloudScan:
+    """A raw scan."""
+    return _held(decode(data), LaserScan | CloudScan)
+
+
+def _held(value: Any, hint: Any) -> Any:
+    if not holds(value, hint):
+        raise CodecError(f"expected a record of {hint}, got {type(value).__name__}")
+    return value
 
 
 class _Writer:
@@ -164,7 +183,9 @@ class _Reader:
         if kind == "dict":
             return {key: self.value(one) for key, one in content.items()}
         if kind == "class" and content in _CLASSES:
-            return _CLASSES[content](**{key: self.value(one) for key, one in plain["fields"].items()})
+            made = _CLASSES[content](**{key: self.value(one) for key, one in plain["fields"].items()})
+            check_fields(content, made)
+            return made
         raise CodecError(
             f"expected a record of a session, got an unknown {str(content if kind == 'class' else kind)!r:.60}"
         )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from slam._session_codec import CodecError, decode, keyframe_of
+from slam._session_codec import CodecError, decisions_of, keyframe_of, scan_of
 from slam._session_digest import digest
 from slam._session_file import SessionDamaged, SessionError, translated
 from slam._session_open import OpenFile
@@ -127,7 +127,7 @@ class SessionRecords:
             return None
         if digest(chain or self._digest_of(index), row[0]) != row[1]:
             raise self._damaged(index)
-        return self._checked(decode, row[0], index)
+        return self._checked(decisions_of, row[0], index)
 
     def scans(self, index: int) -> list[RawScan]:
         """The raw scans behind a keyframe: what they are, where they lie in the log, and they themselves if kept."""
@@ -143,7 +143,7 @@ class SessionRecords:
             if digest(self._digest_of(index), *row) != checksum:
                 raise self._damaged(index)
             _, sensor, stamp_ns, position, data = row
-            scan = None if data is None else self._checked(decode, data, index)
+            scan = None if data is None else self._checked(scan_of, data, index)
             found.append(RawScan(sensor, stamp_ns, position, scan))
         return found
 

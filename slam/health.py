@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
+from slam._field_types import check_fields
 from slam.io.log import Log
 from slam.keyframes import Keyframe
 from slam.observations import LineObservation, PlaneObservation
 from slam.odometry import Motion
 from slam.rig import Rig
-from spplanes._check import FloatArray, as_float_array, as_transform, check_instance
+from spplanes._check import FloatArray, as_float_array, as_shape, as_transform, check_instance
 
 #: A sensor is silent after so many of its own periods, and never before so many seconds.
 _PERIODS, _LEAST_S = 20.0, 2.0
@@ -37,12 +38,16 @@ def check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
         raise ValueError(f"keyframe: expected a time after {after_ns} ns, got {keyframe.stamp_ns} ns")
     if keyframe.motion is not None:
         check_instance("keyframe.motion", keyframe.motion, Motion)
+        check_fields("keyframe.motion", keyframe.motion)
         _check_covariance("keyframe.motion.covariance", keyframe.motion.covariance, (3, 6))
         _check_pose("keyframe.motion.a_T_b", keyframe.motion.a_T_b)
+        _check_wheels("keyframe.motion", keyframe.motion)
     if keyframe.world_T_body_guess is not None:
         _check_pose("keyframe.world_T_body_guess", keyframe.world_T_body_guess)
     for index, seen in enumerate(keyframe.observations):
         name = f"keyframe.observations[{index}]"
+        if isinstance(seen, PlaneObservation | LineObservation):
+            check_fields(name, seen)
         if isinstance(seen, PlaneObservation):
             check_extent(f"{name}.plane", seen.plane.frame, seen.plane.outline)
             _check_covariance(f"{name}.plane.covariance", seen.plane.covariance, (3,))
@@ -123,6 +128,21 @@ def _check_covariance(name: str, covariance: FloatArray, sizes: tuple[int, ...])
         raise ValueError(
             f"{name}: expected standard deviations from {_LEAST_SIGMA:g} to {_LARGEST_SIGMA:g}, got {extreme:.3g}"
         )
+
+
+def _check_wheels(name: str, motion: Motion) -> None:
+    """What a planar motion says beside its covariance."""
+    if not motion.is_planar:
+        return
+    for sigma in motion.out_of_plane_sigmas:
+        if not _LEAST_SIGMA <= sigma <= _LARGEST_SIGMA:
+            wanted = f"standard deviations from {_LEAST_SIGMA:g} to {_LARGEST_SIGMA:g}"
+            raise ValueError(f"{name}.out_of_plane_sigmas: expected {wanted}, got {sigma}")
+    if motion.response is not None:
+        as_shape(f"{name}.response", motion.response, (3, 2))
+        if not all(0.0 <= sigma <= _LARGEST_SIGMA for sigma in motion.calibration_sigmas):
+            wanted = "standard deviations of scale and curvature"
+            raise ValueError(f"{name}.calibration_sigmas: expected {wanted}, got {motion.calibration_sigmas}")
 
 
 def _check_pose(name: str, pose: FloatArray) -> None:

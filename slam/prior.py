@@ -11,6 +11,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from factors import anchored_plane_jacobian, map_prior, plane_landmark, pose_prior
+from slam._field_types import check_fields
 from slam._session_codec import CodecError, decode, encode
 from slam.backend import Backend
 from slam.health import check_extent
@@ -19,7 +20,7 @@ from slam.io.planes import read_planes
 from slam.landmarks import Landmark, LandmarkMap
 from slam.map_planes import MapPlane
 from slam.store import Session, SessionError, session_path
-from spplanes._check import FloatArray, as_covariance, as_transform
+from spplanes._check import FloatArray, as_covariance, as_transform, check_instance
 
 #: GTSAM key of the pose in whose frame the planes of a prior map live: that of the map itself.
 MAP_KEY = gtsam.symbol("m", 0)
@@ -27,6 +28,8 @@ MAP_KEY = gtsam.symbol("m", 0)
 _EXACT = 1e-6
 #: Standard deviations of planes that a map can tell from none and from ignorance, m and rad.
 _LEAST_SIGMA, _LARGEST_SIGMA = 1e-9, 1e3
+#: Numbers of planes are below this; GTSAM's keys have 56 bits for them, and new landmarks are counted from the last on.
+_MOST_NUMBERS = 1 << 48
 #: Where a mission begins when nobody says: sigmas of x and y, m, and of the heading, rad.
 START_SIGMA_M, START_SIGMA_RAD = 0.3, 0.1
 #: What a robot on a floor may be off it at the start: sigma of z, m, and of pitch and roll, rad.
@@ -47,12 +50,15 @@ class PriorMap:
     """Covariance (6, 6) of it in the SP order (x, y, z, phi, theta, psi), composed on the right."""
 
     def __post_init__(self) -> None:
+        check_instance("planes", self.planes, Sequence)
         if not self.planes:
             raise ValueError("planes: expected at least one plane, got none")
-        for known in self.planes:
+        for index, known in enumerate(self.planes):
+            check_instance(f"planes[{index}]", known, MapPlane)
+            check_fields(f"planes[{index}]", known)
             check_extent(f"planes: plane {known.id}", known.plane.frame, known.seen)
         numbers = [known.id for known in self.planes]
-        if len(set(numbers)) < len(numbers) or min(numbers, default=0) < 0:
+        if len(set(numbers)) < len(numbers) or not 0 <= min(numbers) <= max(numbers) < _MOST_NUMBERS:
             raise ValueError(f"planes: expected each with a number of its own, got {str(sorted(numbers))[:60]}")
         size = 3 * len(self.planes)
         object.__setattr__(self, "covariance", as_covariance("covariance", self.covariance, size))
@@ -179,6 +185,8 @@ def _of_run(path: Path) -> tuple[list[MapPlane], FloatArray]:
     if data is None:
         raise SessionError(f"{path}: expected a finished run, got one that has no map yet")
     content = decode(data)
+    if not isinstance(content, dict) or content.keys() != {"planes", "covariance"}:
+        raise SessionError(f"{path}: expected the map of a finished run, got something else")
     return content["planes"], content["covariance"]
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slam._session_codec import encode, keyframe_of, without_scans
 from slam.cloud_fit import fit_cloud
 from slam.config import SlamConfig
 from slam.history import History
@@ -23,6 +24,7 @@ from slam.io.log import Log, LogError, OdometryReading
 from slam.io.planes import write_planes
 from slam.io.trajectories import Trajectory, write_tum
 from slam.keyframes import Keyframe
+from slam.observations import LineObservation
 from slam.planeslam import PlaneSlam
 from slam.prior import PriorMap
 from slam.salvage import salvage_session
@@ -30,8 +32,9 @@ from slam.simulation import simulate_mission
 from slam.simulation.truth import Truth
 from slam.store import Session
 from slam.stored import StoredRun
+from spplanes import ScanLine
 from tests.fuzz.target import Target, check_log, check_plane, check_points, check_pose, folded, unfolded, written
-from tests.fuzz.wrapping import e57, png, zipped
+from tests.fuzz.wrapping import e57, png, record, unrecorded, zipped
 from tests.slam.scenes import drive, room_planes
 from tests.slam.test_las_e57 import write_e57, write_las
 from tests.slam.test_rosbag import Messages, mission, write
@@ -106,6 +109,17 @@ def _prior_bytes(path: Path) -> None:
     prior = PriorMap.from_bytes(path.read_bytes())
     check_pose(prior.world_T_start)
     PlaneSlam(prior=prior)
+
+
+def _keyframe_bytes(path: Path) -> None:
+    """What a session hands a run that goes on."""
+    keyframe = keyframe_of(path.read_bytes())
+    slam = PlaneSlam()
+    if keyframe.motion is not None:
+        slam.add_keyframe(_first_keyframe())
+    slam.add_keyframe(keyframe)
+    for pose in slam.trajectory.poses:
+        check_pose(pose)
 
 
 def _fit(path: Path) -> None:
@@ -235,7 +249,14 @@ def _truth_seeds() -> list[bytes]:
 def _prior_seeds() -> list[bytes]:
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "planes.json").write_bytes(_planes())
-        return [PriorMap.load(Path(folder) / "planes.json").to_bytes()]
+        return [unrecorded(PriorMap.load(Path(folder) / "planes.json").to_bytes())]
+
+
+def _keyframe_seeds() -> list[bytes]:
+    line = ScanLine(0.3, 2.0, 1e-4 * np.eye(2), np.array([[1.9, 0.6], [1.6, 1.5]]), np.arange(9))
+    first, second = drive(0, count=2).keyframes
+    lines = Keyframe(second.stamp_ns, [LineObservation(line, np.eye(4))], second.motion, returns=np.ones((3, 4)))
+    return [unrecorded(encode(without_scans(one))) for one in (first, second, lines)]
 
 
 def _session_seeds() -> list[bytes]:
@@ -266,6 +287,7 @@ FOLDERS = (
     Target("run", _run, _run_seeds),
     Target("truth", _truth, _truth_seeds),
     Target("prior", _prior, lambda: [_planes()], ".json"),
-    Target("prior-bytes", _prior_bytes, _prior_seeds),
+    Target("prior-bytes", _prior_bytes, _prior_seeds, wrap=record),
+    Target("keyframe-bytes", _keyframe_bytes, _keyframe_seeds, wrap=record),
     Target("salvage", _salvage, _session_seeds, ".db"),
 )

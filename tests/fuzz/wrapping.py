@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -12,6 +13,7 @@ import numpy as np
 from tests.fuzz.target import NEXT_FILE
 
 _PAGE, _SUM = 1024, 4
+_LENGTH = struct.Struct("<I")
 #: CRC-32C (Castagnoli) by byte.
 _TABLE = np.arange(256, dtype=np.uint32)
 for _ in range(8):
@@ -29,6 +31,19 @@ def zipped(*names: str) -> Callable[[bytes], bytes]:
         return stream.getvalue()
 
     return wrap
+
+
+def record(data: bytes) -> bytes:
+    """A record of a session out of its text and its arrays, a NUL between them; the length before them holds."""
+    text, _, arrays = data.partition(b"\0")
+    return _LENGTH.pack(len(text)) + text + arrays
+
+
+def unrecorded(data: bytes) -> bytes:
+    """Inverse of `record`."""
+    (size,) = _LENGTH.unpack_from(data)
+    text = data[_LENGTH.size : _LENGTH.size + size]
+    return text + b"\0" + data[_LENGTH.size + size :]
 
 
 def png(data: bytes) -> bytes:

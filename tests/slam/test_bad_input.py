@@ -94,7 +94,7 @@ def test_a_nan_in_the_motion_is_refused():
         ({"observations": None}, "keyframe.observations: expected a Sequence, got NoneType"),
         ({"observations": [1]}, r"keyframe.observations\[0\]: expected a plane or a line that was seen, got int"),
         ({"motion": 3}, "keyframe.motion: expected a Motion, got int"),
-        ({"covariance": "wide"}, "keyframe.motion.covariance: expected a ndarray, got str"),
+        ({"covariance": "wide"}, "keyframe.motion.covariance: expected FloatArray, got str"),
         ({"covariance": np.eye(2)}, r"keyframe.motion.covariance: expected shape \(3, 3\) or \(6, 6\), got \(2, 2\)"),
         ({"covariance": np.array([[1.0, 5.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])}, "not symmetric"),
     ],
