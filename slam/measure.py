@@ -19,10 +19,10 @@ from slam.odometry import OdometryTrack
 from slam.outlines import coarse, flatten, largest_polygon
 from slam.point_errors import line_tilt_covariances, model_of, surface_covariances
 from slam.rig import Sensor
-from slam.scan_part import ScanPart, believed_plane, fit_if_any
+from slam.scan_part import believed_plane, fit_if_any, fitted, parts_of
 from slam.sweep import middle_ns, place_beams
 from slam.window import window_poses
-from spplanes import LineConfig, MapperConfig, Plane, extract_lines, fit_planes, segment_scans
+from spplanes import LineConfig, MapperConfig, Plane, extract_lines, segment_scans
 from spplanes._check import FloatArray, as_float_array
 from spplanes.registration import register_scans
 from spplanes.segmentation.planes import frames_of, moments_of, outlines_in
@@ -67,13 +67,10 @@ def _flat_planes(
     found = label_scans(points, covariances, config=settings, viewpoints=viewpoint, pose_covariances=tilts)
     rows = moments_of(found.points, found.covariance, found.labels, settings)
     rough, spreads = frames_of(rows, np.zeros((len(rows), 3)))
-    parts = [
-        ScanPart(points, covariances, members, frame, sensor)
-        for frame, members in zip(rough, members_of(found.labels, len(rough)), strict=True)
-    ]
+    parts = parts_of(points, covariances, found.labels, rough, sensor)
     kept: dict[int, Plane] = {}
     labels = found.labels.copy()
-    for k, plane in enumerate(_fit_all([one.points for one in parts], [one.blurred for one in parts], viewpoint)):
+    for k, plane in enumerate(fitted(parts, viewpoint)):
         believed = None if plane is None else believed_plane(parts[k], plane, viewpoint, config.measurements)
         if believed is not None:
             kept[k] = believed[0]
@@ -92,7 +89,10 @@ def _drawn(
     number[chosen] = np.arange(len(chosen))
     frames = np.array([plane.frame for plane in planes.values()]).reshape(-1, 4, 4)
     outlines = outlines_in(frames, points, number[labels], extents[chosen], config)
-    return [replace(plane, outline=coarse(one)) for plane, one in zip(planes.values(), outlines, strict=True)]
+    return [
+        Plane._trusted(plane.frame, plane.covariance, plane.n_points, outline, plane.chi2)
+        for plane, outline in zip(planes.values(), coarse(outlines), strict=True)
+    ]
 
 
 def members_of(labels: np.ndarray, count: int) -> list[np.ndarray]:
@@ -174,19 +174,6 @@ def usable_points(points: FloatArray, sensor: Sensor) -> FloatArray:
     """Points (..., 3) in the sensor frame with NaN for what lies outside the sensor's limits."""
     flat = as_float_array("points", points).reshape(-1, 3)
     return within(flat, sensor.range_min_m, sensor.range_max_m).reshape(points.shape)
-
-
-def _fit_all(
-    points: Sequence[FloatArray], covariances: Sequence[FloatArray], viewpoint: FloatArray
-) -> list[Plane] | list[Plane | None]:
-    """The planes of the points of each region; None where they, errors counted, do not determine one."""
-    if not points:
-        return []
-    labels = np.repeat(np.arange(len(points)), [len(part) for part in points])
-    try:
-        return fit_planes(np.concatenate(points), np.concatenate(covariances), labels, viewpoint=viewpoint)
-    except ValueError:
-        return [fit_if_any(part, noise, viewpoint=viewpoint) for part, noise in zip(points, covariances, strict=True)]
 
 
 def _in_scan(plane: Plane, sensor: Sensor) -> Plane:

@@ -26,11 +26,12 @@ def flatten(outline: BaseGeometry, plane_T_outline: FloatArray) -> BaseGeometry:
     return shapely.transform(outline, lambda xy: lift(xy, plane_T_outline)[:, :2])
 
 
-def coarse(outline: shapely.Polygon) -> shapely.Polygon:
-    """An outline with no more corners than its size needs: the border of a large one may be rougher."""
-    tolerance = min(_COARSEST_M, _COARSE_SHARE * float(np.sqrt(outline.area)))
-    simple = outline.simplify(tolerance)
-    return simple if isinstance(simple, shapely.Polygon) and not simple.is_empty else outline
+def coarse(outlines: Sequence[shapely.Polygon]) -> list[shapely.Polygon]:
+    """Outlines with no more corners than their size needs: the border of a large one may be rougher."""
+    given = np.array(outlines, dtype=object)
+    simple = shapely.simplify(given, np.minimum(_COARSEST_M, _COARSE_SHARE * np.sqrt(shapely.area(given))))
+    good = (shapely.get_type_id(simple) == shapely.GeometryType.POLYGON) & ~shapely.is_empty(simple)
+    return np.where(good, simple, given).tolist()
 
 
 def grow(outline: BaseGeometry, patch: BaseGeometry) -> BaseGeometry:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 import numpy as np
 
 from slam.config import MeasurementConfig
@@ -10,6 +13,10 @@ from slam.point_errors import servo_covariances, surface_covariances, tilt_drift
 from slam.rig import Sensor
 from spplanes import Plane, fit_plane
 from spplanes._check import FloatArray
+from spplanes._fit_groups import fit_groups
+from spplanes._fit_job import FitJob, group_by_label
+from spplanes._rows import OK
+from spplanes._threads import in_parts
 
 #: So often a plane is fitted anew without what strays from it, and so much of its points must be left.
 _ROUNDS, _LEAST_SHARE = 4, 0.9
@@ -19,23 +26,66 @@ class ScanPart:
     """Points of a region of a 3D scan, with all that the sensor errs in."""
 
     def __init__(
-        self, grid: FloatArray, covariances: FloatArray, members: np.ndarray, frame: FloatArray, sensor: Sensor
+        self,
+        points: FloatArray,
+        covariances: FloatArray,
+        members: np.ndarray,
+        n_columns: int,
+        frame: FloatArray,
+        sensor: Sensor,
     ) -> None:
-        """Points `members` of a flat grid (S, B, 3) with covariances (S, B, 3, 3) about a plane of frame (4, 4)."""
-        self._source = grid, covariances, frame, sensor
-        self.members, self.sensor = members, sensor
-        self.points = grid.reshape(-1, 3)[members]
-        self.noise = surface_covariances(self.points, covariances.reshape(-1, 3, 3)[members], frame, sensor)
-        self.blurred = servo_covariances(self.points, self.noise, members // grid.shape[1], sensor)
+        """Points (N, 3) with the covariances of their beams (N, 3, 3) about a plane of frame (4, 4).
+
+        They are those with indices `members`, (N,), of a grid that has so many columns, flat.
+        """
+        self._source = covariances, n_columns, frame
+        self.points, self.members, self.sensor = points, members, sensor
+        self.noise = surface_covariances(points, covariances, frame, sensor)
+        self.blurred = servo_covariances(points, self.noise, members // n_columns, sensor)
 
     def drift(self, plane: Plane) -> FloatArray | None:
         """What the servo's slow error shifts every point by, (N,), m; None: there is none."""
         return tilt_drift(plane, self.points, self.sensor) if self.sensor.tilt_sigma_rad > 0.0 else None
 
+    def fitted(self, viewpoint: FloatArray) -> Plane | None:
+        """The plane of the points, all errors counted; None where they do not determine one.
+
+        Nothing is checked again: they come from a segmentation, which has looked at points and covariances.
+        """
+        job, n = FitJob(self.points, self.blurred, 1, viewpoint, "ml", None, None), len(self.points)
+        fits = fit_groups(job, np.arange(n), np.array([0, n]))
+        return fits.planes()[0] if fits.status[0] == OK else None
+
     def only(self, chosen: np.ndarray) -> ScanPart:
         """The points of a mask (N,)."""
-        grid, covariances, frame, sensor = self._source
-        return ScanPart(grid, covariances, self.members[chosen], frame, sensor)
+        covariances, n_columns, frame = self._source
+        kept = np.flatnonzero(chosen)
+        return ScanPart(self.points[kept], covariances[kept], self.members[kept], n_columns, frame, self.sensor)
+
+
+def parts_of(
+    points: FloatArray, covariances: FloatArray, labels: np.ndarray, frames: FloatArray, sensor: Sensor
+) -> list[ScanPart]:
+    """The regions of a grid of points (S, B, 3), covariances (S, B, 3, 3), labels (S, B) and planes (R, 4, 4)."""
+    _, order, bounds = group_by_label(labels.ravel(), labels.size)
+    own, noise = points.reshape(-1, 3)[order], covariances.reshape(-1, 3, 3)[order]
+    return [
+        ScanPart(own[a:b], noise[a:b], order[a:b], labels.shape[1], frame, sensor)
+        for frame, (a, b) in zip(frames, pairwise(bounds.tolist()), strict=True)
+    ]
+
+
+def fitted(parts: Sequence[ScanPart], viewpoint: FloatArray) -> list[Plane | None]:
+    """The planes of parts, all errors counted; None where a part does not determine one."""
+    planes: list[Plane | None] = [None] * len(parts)
+    largest_first = sorted(range(len(parts)), key=lambda k: -len(parts[k].points))
+
+    def fit(first: int, last: int) -> None:
+        for k in largest_first[first:last]:
+            planes[k] = parts[k].fitted(viewpoint)
+
+    in_parts(fit, len(parts), sum(len(part.points) for part in parts), singly=True)
+    return planes
 
 
 def believed_plane(
@@ -49,12 +99,13 @@ def believed_plane(
     for _ in range(_ROUNDS):
         patches = InPatches(plane, rest.points, rest.noise, rules, drift_m=rest.drift(plane))
         if could_be_seen(plane, viewpoint, rules) and fits_its_noise(plane, rules) and not patches.has_step:
-            return plane, np.setdiff1d(part.members, rest.members, assume_unique=True)
+            strayed = part.members[:0] if rest is part else np.setdiff1d(part.members, rest.members, assume_unique=True)
+            return plane, strayed
         chosen = patches.without_strays()
         if chosen is None or np.count_nonzero(chosen) < _LEAST_SHARE * len(part.members):
             return None
         rest = rest.only(chosen)
-        again = fit_if_any(rest.points, rest.blurred, viewpoint=viewpoint)
+        again = rest.fitted(viewpoint)
         if again is None:
             return None
         plane = again

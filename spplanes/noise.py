@@ -51,9 +51,17 @@ class SensorModel:
             incidence_rad: angle between beam and surface normal, rad; it only matters with a beam divergence.
         """
         ranges = as_float_array("ranges", ranges)
-        spot = ranges * self.beam_divergence_rad * np.tan(np.minimum(np.abs(incidence_rad), 1.5))
-        constant = self.range_sigma_m**2 + self.quantisation_m**2 / 12.0
-        return constant + (self.range_sigma_share * ranges) ** 2 + spot**2 / 16.0
+        spot = ranges * self._spot_share(incidence_rad)
+        return self._least_variance + (self.range_sigma_share * ranges) ** 2 + spot**2 / 16.0
+
+    @property
+    def _least_variance(self) -> float:
+        """Variance of a range on a surface that the beam meets square, however near, m^2."""
+        return self.range_sigma_m**2 + self.quantisation_m**2 / 12.0
+
+    def _spot_share(self, incidence_rad: ArrayLike) -> FloatArray:
+        """How much the range changes across the spot of a beam, m per m of range."""
+        return self.beam_divergence_rad * np.tan(np.minimum(np.abs(incidence_rad), 1.5))
 
     def covariances(
         self, points: ArrayLike, viewpoints: ArrayLike = (0.0, 0.0, 0.0), incidence_rad: ArrayLike = 0.0
@@ -71,13 +79,13 @@ class SensorModel:
         points = as_float_array("points", points)
         if points.ndim < 1 or points.shape[-1] != 3:
             raise ValueError(f"points: expected shape (..., 3), got {points.shape}")
-        rays = (points - as_float_array("viewpoints", viewpoints)).reshape(-1, 3)
-        ranges = np.sqrt(np.einsum("ij,ij->i", rays, rays))
-        if (ranges == 0.0).any():
+        eyes = np.broadcast_to(as_float_array("viewpoints", viewpoints), points.shape).reshape(-1, 3)
+        spot = np.broadcast_to(self._spot_share(incidence_rad), points.shape[:-1]).reshape(-1)
+        result = np.empty((spot.size, 9))
+        known = self._least_variance, self.range_sigma_share, self.bearing_sigma_rad
+        if not _beam_covariances(points.reshape(-1, 3), eyes, spot, *known, result):
             raise ValueError("points: expected points away from their viewpoint, got a range of 0")
-        incidence = np.broadcast_to(np.asarray(incidence_rad, dtype=np.float64), points.shape[:-1]).reshape(-1)
-        variance = self.range_variance(ranges, incidence)
-        return _beam_covariances(rays, ranges, variance, self.bearing_sigma_rad).reshape(*points.shape, 3)
+        return result.reshape(*points.shape, 3)
 
     def scan_covariance(self) -> FloatArray:
         """Covariance of (x, y, z, phi, theta, psi) that all points of a scan share, about the sensor, shape (6, 6)."""
@@ -118,14 +126,18 @@ class DepthCameraModel:
 
 
 @njit(cache=True)
-def _beam_covariances(rays, ranges, variance, bearing_sigma):
-    """u u^T var(r) + (I - u u^T) (r sigma_bearing)^2 for every ray, shape (N, 9)."""
-    result = np.empty((rays.shape[0], 9))
-    for k in range(rays.shape[0]):
-        across = (ranges[k] * bearing_sigma) ** 2
-        along = variance[k] - across
+def _beam_covariances(points, eyes, spot, least, share, bearing_sigma, result):
+    """u u^T var(r) + (I - u u^T) (r sigma_bearing)^2 of every ray, into (N, 9); False where a ray has no length."""
+    for k in range(points.shape[0]):
+        ray = points[k, 0] - eyes[k, 0], points[k, 1] - eyes[k, 1], points[k, 2] - eyes[k, 2]
+        square = ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]
+        if square == 0.0:
+            return False
+        ranges = np.sqrt(square)
+        across = (ranges * bearing_sigma) ** 2
+        along = (least + (share * ranges) ** 2 + (ranges * spot[k]) ** 2 / 16.0 - across) / square
         for a in range(3):
             for b in range(3):
-                entry = along * rays[k, a] * rays[k, b] / (ranges[k] * ranges[k])
-                result[k, 3 * a + b] = entry + (across if a == b else 0.0)
-    return result
+                result[k, 3 * a + b] = along * ray[a] * ray[b]
+            result[k, 4 * a] += across
+    return True

@@ -43,7 +43,8 @@ def outlines_of_grid(
             rings[r] = rings_around(raster) if raster.any() else None
 
     in_parts(trace, len(frames), len(filled), singly=True)
-    return _valid([ring and _polygon((ring[0] + corner[r]) * sides[r], ring[1]) for r, ring in enumerate(rings)])
+    polygons = iter(_polygons([((ring[0] + corner[r]) * sides[r], ring[1]) for r, ring in enumerate(rings) if ring]))
+    return [ring and next(polygons) for ring in rings]
 
 
 def outline_from_cells(cells: np.ndarray, cell: float, axis: int, frame: FloatArray) -> Polygon | None:
@@ -61,19 +62,23 @@ def outline_from_cells(cells: np.ndarray, cell: float, axis: int, frame: FloatAr
     filled = np.zeros(cells.max(axis=0) - corner + 3, dtype=np.bool_)
     filled[cells[:, 0] - corner[0] + 1, cells[:, 1] - corner[1] + 1] = True
     vertices, ends = rings_around(filled)
-    return _valid([_polygon(_lift((vertices + (corner - 1)) * cell, axis, frame), ends)])[0]
+    return _polygons([(_lift((vertices + (corner - 1)) * cell, axis, frame), ends)])[0]
 
 
-def _polygon(vertices: FloatArray, ends: np.ndarray) -> Polygon:
-    """Polygon of rings, their vertices behind each other; perhaps not a valid one."""
-    rings = np.split(vertices, ends[:-1])
-    return Polygon(rings[0], rings[1:])
+def _polygons(rings: list[tuple[FloatArray, np.ndarray]]) -> list[Polygon]:
+    """Polygons of rings, each their vertices behind each other and where every ring ends; all made at once.
 
-
-def _valid(polygons: list[Polygon | None]) -> list[Polygon | None]:
-    """The same with those mended that simplification has made cross themselves."""
-    good = shapely.is_valid(np.array(polygons, dtype=object))
-    return [p if p is None or ok else _mended(p) for p, ok in zip(polygons, good, strict=True)]
+    Those that simplification has made cross themselves are mended.
+    """
+    if not rings:
+        return []
+    counts = np.concatenate([np.diff(ends, prepend=0) for _, ends in rings])
+    corners = np.concatenate(([0], np.cumsum(counts)))
+    parts = np.concatenate(([0], np.cumsum([len(ends) for _, ends in rings])))
+    vertices = np.concatenate([corner for corner, _ in rings])
+    polygons = shapely.from_ragged_array(shapely.GeometryType.POLYGON, vertices, (corners, parts))
+    good = shapely.is_valid(polygons)
+    return [one if ok else _mended(one) for one, ok in zip(polygons, good.tolist(), strict=True)]
 
 
 def _mended(polygon: Polygon) -> Polygon:

@@ -10,10 +10,10 @@ import pytest
 from slam.config import MeasurementConfig, SlamConfig
 from slam.goodness import could_be_seen, fits_its_noise, has_step, is_one_plane
 from slam.io.log import CloudScan
-from slam.measure import _fit_all, for_points, planes_of_cloud, usable_points, usable_ranges
+from slam.measure import for_points, planes_of_cloud, usable_points, usable_ranges
 from slam.point_errors import line_tilt_covariances, servo_covariances, surface_covariances, tilt_drift
 from slam.rig import Sensor
-from slam.scan_part import ScanPart, believed_plane
+from slam.scan_part import ScanPart, believed_plane, fitted, parts_of
 from spplanes import MapperConfig, Plane, fit_plane
 from tests.statistics import assert_mean_in_band
 
@@ -103,8 +103,7 @@ def test_a_plane_of_which_much_strays_is_none():
 def as_part(points: np.ndarray) -> tuple[ScanPart, Plane]:
     """Points as a region of a grid, with the plane fitted to them."""
     noise, plane = isotropic(points), fit_plane(points, sigma=SIGMA, viewpoint=[0, 0, 1])
-    grid = points.reshape(30, -1, 3)
-    return ScanPart(grid, noise.reshape(30, -1, 3, 3), np.arange(len(points)), plane.frame, sensor()), plane
+    return ScanPart(points, noise, np.arange(len(points)), len(points) // 30, plane.frame, sensor()), plane
 
 
 def test_the_pose_error_that_a_scan_shares_is_no_step():
@@ -249,16 +248,38 @@ def test_outlines_are_as_fine_as_rows_of_points_lie_apart(apart_m: float, cell_m
 
 
 def test_a_plane_that_can_no_longer_be_fitted_costs_the_others_nothing():
-    """Fitted all at once, or, where that fails, one by one: the same planes."""
     rng = np.random.default_rng(12)
     good = [patch(rng), patch(rng) + np.array([0.0, 0.0, 1.0])]
     line = np.stack((np.linspace(0.0, 1.0, 50), np.zeros(50), np.zeros(50)), axis=1)
     eye = np.array([0.0, 0.0, 9.0])
-    together = _fit_all(good, [isotropic(part) for part in good], eye)
-    parts = [good[0], line, good[1]]
-    apart = _fit_all(parts, [isotropic(part) for part in parts], eye)
+
+    def parts(regions: list[np.ndarray]) -> list[ScanPart]:
+        return [ScanPart(one, isotropic(one), np.arange(len(one)), 10, np.eye(4), sensor()) for one in regions]
+
+    together, apart = fitted(parts(good), eye), fitted(parts([good[0], line, good[1]]), eye)
     assert apart[1] is None
     for one, other in zip(together, (apart[0], apart[2]), strict=True):
         assert one is not None and other is not None
         np.testing.assert_array_equal(one.frame, other.frame)
         np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
+def test_the_parts_of_a_grid_have_its_points_and_are_fitted_as_each_alone():
+    rng, eye = np.random.default_rng(13), np.array([0.0, 0.0, 9.0])
+    points = np.concatenate((patch(rng), patch(rng) + np.array([0.0, 0.0, 1.0]))).reshape(20, -1, 3)
+    labels = np.repeat([1, 0], 10)[:, None] * np.ones(points.shape[1], dtype=np.int64)
+    labels[3, :7] = -1
+    parts = parts_of(
+        points,
+        isotropic(points.reshape(-1, 3)).reshape(*points.shape, 3),
+        labels,
+        np.eye(4)[None].repeat(2, 0),
+        sensor(),
+    )
+    for k, (part, plane) in enumerate(zip(parts, fitted(parts, eye), strict=True)):
+        np.testing.assert_array_equal(part.members, np.flatnonzero(labels == k))
+        np.testing.assert_array_equal(part.points, points[labels == k])
+        alone = fit_plane(points[labels == k], isotropic(points[labels == k]), viewpoint=eye)
+        assert plane is not None
+        np.testing.assert_array_equal(plane.frame, alone.frame)
+        np.testing.assert_array_equal(plane.covariance, alone.covariance)
