@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from slam.outlines import grow, grow_all
+from slam.outlines import grow, grow_all, valid
 from spplanes._check import FloatArray
 
 #: Side of a tile, and how far each reaches into its neighbours so that simplified borders leave no gap between, m.
@@ -95,10 +95,10 @@ class Region:
             if not wanted:
                 continue
             left, right = i * _TILE_M - _LAP_M, (i + 1) * _TILE_M + _LAP_M
-            column = patch if x0 == x1 else shapely.clip_by_rect(patch, left, low_y - _LAP_M, right, high_y + _LAP_M)
+            column = patch if x0 == x1 else _within(patch, left, low_y - _LAP_M, right, high_y + _LAP_M)
             for j in wanted if not column.is_empty else ():
                 bottom, top = j * _TILE_M - _LAP_M, (j + 1) * _TILE_M + _LAP_M
-                piece = shapely.clip_by_rect(column, left, bottom, right, top)
+                piece = _within(column, left, bottom, right, top)
                 if not piece.is_empty:
                     pieces[i, j] = piece
         self._join(pieces)
@@ -124,3 +124,11 @@ class Region:
             return
         for i in range(int(x0), int(x1) + 1):
             yield from ((i, j) for j in range(int(y0), int(y1) + 1) if (i, j) in self._tiles)
+
+
+def _within(patch: BaseGeometry, left: float, bottom: float, right: float, top: float) -> BaseGeometry:
+    """What of a patch lies in a rectangle."""
+    try:
+        return shapely.clip_by_rect(patch, left, bottom, right, top)
+    except shapely.errors.GEOSException:  # a corner that pokes in by less than a rounding leaves a ring of two points
+        return shapely.intersection(valid(patch), shapely.box(left, bottom, right, top))

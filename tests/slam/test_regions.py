@@ -103,3 +103,14 @@ def test_outlines_that_grow_together_grow_as_alone():
     for name, one in grown.items():
         k = "abcdefghijklmnopqrstuvwxyzABCDE".index(name)
         assert one.equals_exact(grow(outlines[k], patches[k]), 0.0)
+
+
+def test_a_corner_that_pokes_into_a_tile_by_less_than_a_rounding_is_taken_in():
+    """The fast clipping of GEOS throws at it; corners of outlines lie on a raster, as the borders of tiles do."""
+    poking = 0.049999999999999906
+    corners = [(poking, -2.75), (0.7, -6.85), (0.7, -12.0), (-1.0, -12.0), (-1.0, -11.0), (0.2, -11.0), (0.2, -4.75)]
+    patch = shapely.Polygon(corners)
+    with pytest.raises(shapely.errors.GEOSException):
+        shapely.clip_by_rect(patch, -2.05, -20.0, 0.05, 20.0)
+    region = Region(patch)
+    assert region.geometry.symmetric_difference(patch).area < 1e-6
