@@ -8,6 +8,7 @@ from typing import Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from slam._yaml import read_yaml
 from spplanes import LineConfig, MapperConfig
 
 RobustKernel = Literal["huber", "cauchy", "geman-mcclure", "dcs"]
@@ -192,12 +193,9 @@ class SlamConfig(_Frozen):
     @classmethod
     def from_yaml(cls, path: Path) -> SlamConfig:
         """Read a configuration; a ValueError names the file and the key that is wrong."""
+        data = read_yaml(Path(path))
         try:
-            return cls.model_validate(yaml.safe_load(Path(path).read_text(encoding="utf-8")) or {})
-        except OSError as error:
-            raise ValueError(f"{path}: cannot be read ({error.strerror})") from error
-        except (UnicodeDecodeError, yaml.YAMLError) as error:
-            raise ValueError(f"{path}: expected a YAML file") from error
+            return cls.model_validate({} if data is None else data)
         except ValidationError as error:
             first = error.errors()[0]
             raise ValueError(f"{path}: {'.'.join(map(str, first['loc'])):.100}: {first['msg']}") from error

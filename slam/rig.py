@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,6 +11,7 @@ import yaml
 from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError, field_validator, model_validator
 
+from slam._yaml import read_yaml
 from slam.io.log import LaserScan, Log, LogError
 from slam.motion import UNCALIBRATED_WHEELS, OdometryNoise
 from slam.mount import Finite, Frozen, Mount, NotNegative, Positive
@@ -147,15 +149,7 @@ class Rig(Frozen):
     def from_yaml(cls, path: Path | str) -> Rig:
         """Read a rig; anything wrong is a `LogError` whose one sentence names the file and the key."""
         path = Path(path)
-        try:
-            data = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise LogError(path, f"cannot be read: {error.strerror or error}") from error
-        except UnicodeDecodeError as error:
-            raise LogError(path, "expected text in UTF-8, got other bytes") from error
-        except yaml.YAMLError as error:
-            mark = getattr(error, "problem_mark", None)
-            raise LogError(path, "expected YAML, got a syntax error", line=mark.line + 1 if mark else None) from error
+        data = read_yaml(path)
         if not isinstance(data, dict):
             raise LogError(path, f"expected a mapping with the key 'sensors', got {type(data).__name__}")
         try:
@@ -182,7 +176,7 @@ def _first_problem(error: ValidationError) -> str:
     if first["type"] == "missing":
         return f"{key}: missing"
     message = first["msg"].removeprefix("Value error, ")
-    return f"{key}: {message[0].lower()}{message[1:]}, got {first['input']!r:.60}"
+    return f"{key}: {message[0].lower()}{message[1:]}, got {reprlib.repr(first['input']):.60}"
 
 
 #: Standard deviation taken for a 2D laser nobody describes: the data sheet of a SICK LMS 200 (15 mm) at 1 cm steps.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Sequence
 from math import isfinite
 from numbers import Integral, Real
@@ -113,7 +114,7 @@ def as_number(name: str, value: Any, *, finite: bool = True) -> float:
     else:
         is_number = isinstance(value, Real) or (isinstance(value, np.ndarray) and value.ndim == 0)
         if not is_number or isinstance(value, bool | np.bool_):
-            raise ValueError(f"{name}: expected a number, got {value!r}")
+            raise ValueError(f"{name}: expected a number, got {_told(value)}")
         number = float(as_float_array(name, np.asarray(value)))
     if finite and not abs(number) < TOO_LARGE:
         kind = "a finite number" if not isfinite(number) else f"a number below {TOO_LARGE:g}"
@@ -124,7 +125,7 @@ def as_number(name: str, value: Any, *, finite: bool = True) -> float:
 def as_count(name: str, value: object) -> int:
     """Return ``value`` as a whole number >= 0."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value < 0:
-        raise ValueError(f"{name}: expected a whole number >= 0, got {value!r}")
+        raise ValueError(f"{name}: expected a whole number >= 0, got {_told(value)}")
     return int(value)
 
 
@@ -133,6 +134,11 @@ def check_instance(name: str, value: object, kind: type) -> None:
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIO" else "a"
         raise ValueError(f"{name}: expected {article} {kind.__name__}, got {type(value).__name__}")
+
+
+def _told(value: object) -> str:
+    """A value in one line of a sentence."""
+    return " ".join(reprlib.repr(value).split())
 
 
 def as_positive(name: str, value: float) -> float:
@@ -160,7 +166,7 @@ def as_rows(name: str, value: Sequence[int]) -> tuple[int, ...]:
     try:
         rows = tuple(index(row) for row in value)
     except TypeError as error:
-        raise ValueError(f"{name}: expected ascending, distinct rows out of 0..5, got {value!r}") from error
+        raise ValueError(f"{name}: expected ascending, distinct rows out of 0..5, got {_told(value)}") from error
     if not rows or list(rows) != sorted(set(rows)) or rows[0] < 0 or rows[-1] > 5:
         raise ValueError(f"{name}: expected ascending, distinct rows out of 0..5, got {rows}")
     return rows

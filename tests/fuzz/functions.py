@@ -191,13 +191,13 @@ def _factor_seeds() -> list[bytes]:
 
 
 FUNCTIONS = (
-    Target("fit_plane", _fit, lambda: _numbers_seeds((9, 3), (3, 3))),
-    Target("fit_plane-covariances", _fit_covariances, _fit_seeds),
-    Target("extract_lines", _lines, lambda: _numbers_seeds((90,), (7,))),
-    Target("segment_scans", _segment, _wall_seeds),
-    Target("PlaneMapper", _mapper, _scan_seeds),
+    Target("fit_plane", _fit, lambda: _numbers_seeds((9, 3), (3, 3)), is_numbers=True),
+    Target("fit_plane-covariances", _fit_covariances, _fit_seeds, is_numbers=True),
+    Target("extract_lines", _lines, lambda: _numbers_seeds((90,), (7,)), is_numbers=True),
+    Target("segment_scans", _segment, _wall_seeds, is_numbers=True),
+    Target("PlaneMapper", _mapper, _scan_seeds, is_numbers=True),
     Target("Plane.from_dict", _plane_dict, lambda: [json.dumps(room_planes()[0].to_dict()).encode()]),
-    Target("Plane", _two_planes, _plane_seeds),
-    Target("factors", _factors, _factor_seeds),
-    Target("add_keyframe", _keyframes, _frame_seeds),
+    Target("Plane", _two_planes, _plane_seeds, is_numbers=True),
+    Target("factors", _factors, _factor_seeds, is_numbers=True),
+    Target("add_keyframe", _keyframes, _frame_seeds, is_numbers=True),
 )

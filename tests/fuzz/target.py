@@ -36,6 +36,8 @@ class Target:
     """Ending of the file's name."""
     wrap: Callable[[bytes], bytes] = bytes
     """Makes the file out of an input: checksums and archives (`tests.fuzz.wrapping`)."""
+    is_numbers: bool = False
+    """Whether an input is numbers of eight bytes, one after another."""
 
     def run(self, data: bytes, folder: Path) -> bool:
         """Feed it bytes; whether they were an answer. Everything but an answer and a ValueError gets through."""

@@ -82,6 +82,18 @@ def _numbered(*numbers: int) -> bytes:
     return unrecorded(encode({**content, "planes": planes, "covariance": 1e-4 * np.eye(3 * len(planes))}))
 
 
+def _prior_of_arrays() -> bytes:
+    """A plane whose chi2 is an array, of which numpy tells in several lines."""
+    text, nul, arrays = TARGETS["prior-bytes"].seeds()[0].partition(b"\0")
+    return text.replace(b'"chi2":0.0', b'"chi2":{"array":["<f8",[4,4],0,128]}', 1) + nul + arrays
+
+
+def _aliases(last: str) -> bytes:
+    """Ten billion numbers in eleven lines."""
+    levels = [f"a{level}: &a{level} [{', '.join(10 * [f'*a{level - 1}'])}]" for level in range(1, 10)]
+    return "\n".join([f"a0: &a0 [{', '.join(10 * ['1'])}]", *levels, last, ""]).encode()
+
+
 def _session_with(change: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "session.db"
@@ -146,6 +158,12 @@ FOUND = {
         folded(b"525 525 8 6\n", b"0.0 depth/" + b"a" * 300 + b".png\n"),
     ),
     "a session whose checksum is none": ("session", _session_with("UPDATE keyframes SET digest = NULL WHERE id = 1")),
+    "a rig with a number that is none": ("rig", b"sensors: !!int ''\n"),
+    "a rig with a truth that is none": ("rig", b"sensors: !!bool x\n"),
+    "a rig that holds itself": ("rig", b"sensors: &a\n  laser: *a\n"),
+    "a configuration of aliases of aliases": ("config", _aliases("mapper: *a9")),
+    "a rig of aliases of aliases": ("rig", _aliases("sensors: {laser: {kind: line, body_T_sensor: *a9}}")),
+    "a prior whose number is an array": ("prior-bytes", _prior_of_arrays()),
     "noise whose square is zero": ("segment_scans", np.array([1e-200, *np.arange(96.0)]).tobytes()),
 }
 

@@ -95,7 +95,7 @@ def test_unknown_keys_of_configurations_are_named(tmp_path: Path, capsys: pytest
     sentence = refused(capsys, "slam", tmp_path / "scans", "--out", tmp_path / "run", "--config", config)
     assert "config.yaml: mapper.speed" in sentence
     config.write_text("{{{")
-    assert "expected a YAML file" in refused(
+    assert "expected YAML, got a syntax error" in refused(
         capsys, "slam", tmp_path / "scans", "--out", tmp_path / "run", "--config", config
     )
 
