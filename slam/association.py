@@ -55,11 +55,9 @@ def associate(
     """
     world_T_body = backend.pose(pose_key)
     spread = Spread.of(backend.covariance(pose_key))
-    shortlists = [_shortlist(observation, landmarks, world_T_body, spread, config) for observation in observations]
-    chances = [
-        _log_density(observation, len(shortlist), spread, config)
-        for observation, shortlist in zip(observations, shortlists, strict=True)
-    ]
+    seen = [_Seen.of(observation, spread, config) for observation in observations]
+    shortlists = [_shortlist(one, landmarks, world_T_body) for one in seen]
+    chances = [_log_density(one, len(shortlist), config) for one, shortlist in zip(seen, shortlists, strict=True)]
     if among is not None:
         shortlists = [[landmark for landmark in shortlist if landmark.id in among] for shortlist in shortlists]
     keys = {pose_key} if hint is None else {pose_key, hint.key}
@@ -144,58 +142,52 @@ class Spread:
         )
 
 
-def _bounds(observation: Observation, spread: Spread, config: AssociationConfig) -> tuple[float, float]:
-    """How far (m) and how much turned (rad) a landmark may lie from where the observation puts it."""
-    reach = float(np.linalg.norm(observation.vertices, axis=1).max())
-    margin = config.gap_m + _SIGMAS * (spread.position_m + reach * spread.angle_rad)
-    return margin, config.max_angle_rad + _SIGMAS * spread.angle_rad
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """An observation on its way to the landmarks that it may be of."""
+
+    observation: Observation
+    vertices: FloatArray
+    """Corners of the seen patch in the body frame, shape (N, 3), m."""
+    margin: float
+    """How far a landmark may lie from where the observation puts it, m."""
+    angle: float
+    """How much turned it may be, rad."""
+
+    @classmethod
+    def of(cls, observation: Observation, spread: Spread, config: AssociationConfig) -> _Seen:
+        vertices = observation.vertices
+        reach = float(np.linalg.norm(vertices, axis=1).max())
+        margin = config.gap_m + _SIGMAS * (spread.position_m + reach * spread.angle_rad)
+        return cls(observation, vertices, margin, config.max_angle_rad + _SIGMAS * spread.angle_rad)
 
 
-def _log_density(observation: Observation, n_near: int, spread: Spread, config: AssociationConfig) -> float:
+def _log_density(seen: _Seen, n_near: int, config: AssociationConfig) -> float:
     """Log of how many other planes there are about an observation, per rad (of a plane: rad^2) and m.
 
     As many, and one, lie within the bounds as landmarks do: a place with many walls has more that are not known yet.
     """
-    margin, angle = _bounds(observation, spread, config)
-    turns = 1 if observation.kind == "line" else 2
-    volume = 2.0 * margin * (2.0 * min(angle, 0.5 * np.pi)) ** turns
+    turns = 1 if seen.observation.kind == "line" else 2
+    volume = 2.0 * seen.margin * (2.0 * min(seen.angle, 0.5 * np.pi)) ** turns
     return float(np.log(config.chance_factor * (n_near + 1) / volume))
 
 
-def _shortlist(
-    observation: Observation,
-    landmarks: LandmarkMap,
-    world_T_body: FloatArray,
-    spread: Spread,
-    config: AssociationConfig,
-) -> list[Landmark]:
+def _shortlist(seen: _Seen, landmarks: LandmarkMap, world_T_body: FloatArray) -> list[Landmark]:
     """Landmarks that the observation is compared with: those near by their bounds, then by their outlines."""
-    vertices = observation.vertices
-    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-    radius = float(np.linalg.norm(vertices - middle, axis=1).max())
-    margin, angle = _bounds(observation, spread, config)
-    normal = world_T_body[:3, :3] @ observation.normal
-    near = landmarks.near(normal, world_T_body[:3, :3] @ middle + world_T_body[:3, 3], radius + margin, angle)
-    return [
-        landmark
-        for landmark, placed in near
-        if _is_plausible(observation, landmark, placed, world_T_body, margin, angle)
-    ]
+    middle = 0.5 * (seen.vertices.min(axis=0) + seen.vertices.max(axis=0))
+    radius = float(np.linalg.norm(seen.vertices - middle, axis=1).max())
+    normal = world_T_body[:3, :3] @ seen.observation.normal
+    place = world_T_body[:3, :3] @ middle + world_T_body[:3, 3]
+    near = landmarks.near(normal, place, radius + seen.margin, seen.angle)
+    return [landmark for landmark, placed in near if _is_plausible(seen, landmark, placed, world_T_body)]
 
 
-def _is_plausible(
-    observation: Observation,
-    landmark: Landmark,
-    placed: PlacedPlane,
-    world_T_body: FloatArray,
-    margin: float,
-    angle: float,
-) -> bool:
+def _is_plausible(seen: _Seen, landmark: Landmark, placed: PlacedPlane, world_T_body: FloatArray) -> bool:
     """Same side, similar direction, and near enough: bounds so wide that the chi2 test decides, not they."""
     plane_T_body = inverse(placed.world_T_plane) @ world_T_body
-    if float(plane_T_body[2, :3] @ observation.normal) < np.cos(min(angle, 0.5 * np.pi)):
+    if float(plane_T_body[2, :3] @ seen.observation.normal) < np.cos(min(seen.angle, 0.5 * np.pi)):
         return False
-    heights = observation.vertices @ plane_T_body[2, :3] + plane_T_body[2, 3]
-    if np.abs(heights).min() > margin:
+    heights = seen.vertices @ plane_T_body[2, :3] + plane_T_body[2, 3]
+    if np.abs(heights).min() > seen.margin:
         return False
-    return landmark.region.is_within(margin, observation.patch_in(plane_T_body))
+    return landmark.region.is_within(seen.margin, seen.observation.patch_in(plane_T_body))

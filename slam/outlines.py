@@ -44,16 +44,17 @@ def grow(outline: BaseGeometry, patch: BaseGeometry) -> BaseGeometry:
 def grow_all(
     outlines: Sequence[BaseGeometry], patches: Sequence[BaseGeometry], names: Sequence[Key]
 ) -> dict[Key, BaseGeometry]:
-    """`grow` of many outlines at once, those by name that do not cover their patch already."""
-    here, there = _all_valid(outlines), _all_valid(patches)
+    """`grow` of many valid outlines at once, those by name that do not cover their patch already; valid again."""
+    here, there = np.array(outlines, dtype=object), np.array(patches, dtype=object)
     new = np.flatnonzero(~shapely.covers(here, there))
-    simple = shapely.simplify(shapely.union(here[new], there[new]), _TOLERANCE_M)
+    simple = all_valid(shapely.simplify(shapely.union(here[new], all_valid(there[new])), _TOLERANCE_M))
     grown = {names[k]: one for k, one in zip(new.tolist(), simple, strict=True)}
     lines = [k for k in new.tolist() if outlines[k].geom_type == "LineString"]
     return grown | {names[k]: grow(outlines[k], patches[k]) for k in lines}
 
 
-def _all_valid(geometries: Sequence[BaseGeometry]) -> np.ndarray:
+def all_valid(geometries: Sequence[BaseGeometry] | np.ndarray) -> np.ndarray:
+    """The geometries themselves, or their repairs where rings cross themselves."""
     array = np.array(geometries, dtype=object)
     bad = ~shapely.is_valid(array)
     if bad.any():

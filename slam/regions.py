@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from slam.outlines import grow, grow_all, valid
+from slam.outlines import all_valid, grow, grow_all
 from spplanes._check import FloatArray
 
 #: Side of a tile, and how far each reaches into its neighbours so that simplified borders leave no gap between, m.
-_TILE_M, _LAP_M = 2.0, 0.05
+_TILE_M, _LAP_M = 4.0, 0.05
 #: A tile is full, and what else is seen there not looked at, when so much of it is there, m^2.
 _FULL_M2 = (_TILE_M + 2.0 * _LAP_M) ** 2 - 1e-4
 
@@ -84,28 +85,30 @@ class Region:
         self._cut(patch)
 
     def _cut(self, patch: BaseGeometry) -> None:
-        _, low_y, _, high_y = patch.bounds
+        """Take a patch in, cut along the tiles: into columns first, and those all at once into rows."""
         x0, y0, x1, y1 = np.floor(np.asarray(patch.bounds) / _TILE_M).astype(int).tolist()
         if (x0, y0) == (x1, y1):
             self._join({} if patch.is_empty else {(x0, y0): patch})
             return
+        low_x, low_y, high_x, high_y = (np.asarray(patch.bounds) + _LAP_M * np.array([-1.0, -1.0, 1.0, 1.0])).tolist()
+        columns = np.full(x1 - x0 + 1, patch)
+        for i in range(x0, x1 + 1) if x1 > x0 else ():
+            if any((i, j) not in self._full for j in range(y0, y1 + 1)):
+                left, right = i * _TILE_M - _LAP_M, (i + 1) * _TILE_M + _LAP_M
+                columns[i - x0] = _within(patch, left, low_y, right, high_y)
         pieces: dict[tuple[int, int], BaseGeometry] = {}
-        for i in range(x0, x1 + 1):
-            wanted = [j for j in range(y0, y1 + 1) if (i, j) not in self._full]
-            if not wanted:
-                continue
-            left, right = i * _TILE_M - _LAP_M, (i + 1) * _TILE_M + _LAP_M
-            column = patch if x0 == x1 else _within(patch, left, low_y - _LAP_M, right, high_y + _LAP_M)
-            for j in wanted if not column.is_empty else ():
-                bottom, top = j * _TILE_M - _LAP_M, (j + 1) * _TILE_M + _LAP_M
-                piece = _within(column, left, bottom, right, top)
-                if not piece.is_empty:
-                    pieces[i, j] = piece
-        self._join(pieces)
+        for j in range(y0, y1 + 1):
+            wanted = np.array([i for i in range(x0, x1 + 1) if (i, j) not in self._full], dtype=int)
+            bottom, top = j * _TILE_M - _LAP_M, (j + 1) * _TILE_M + _LAP_M
+            row = _within(columns[wanted - x0], low_x, bottom, high_x, top)
+            there = ~shapely.is_empty(row)
+            pieces.update(((i, j), piece) for i, piece in zip(wanted[there].tolist(), row[there], strict=True))
+        self._join(dict(sorted(pieces.items())))
 
     def _join(self, pieces: dict[tuple[int, int], BaseGeometry]) -> None:
         """Take pieces into their tiles, where they tell something new."""
-        grown = {key: piece for key, piece in pieces.items() if key not in self._tiles}
+        new = [key for key in pieces if key not in self._tiles]
+        grown = dict(zip(new, all_valid([pieces[key] for key in new]), strict=True))
         known = [key for key in pieces if key in self._tiles]
         grown.update(grow_all([self._tiles[key] for key in known], [pieces[key] for key in known], known))
         if not grown:
@@ -126,9 +129,9 @@ class Region:
             yield from ((i, j) for j in range(int(y0), int(y1) + 1) if (i, j) in self._tiles)
 
 
-def _within(patch: BaseGeometry, left: float, bottom: float, right: float, top: float) -> BaseGeometry:
-    """What of a patch lies in a rectangle."""
+def _within(geometries: Any, x_low: float, y_low: float, x_high: float, y_high: float) -> Any:
+    """What of a geometry, or of each of an array, lies in a rectangle."""
     try:
-        return shapely.clip_by_rect(patch, left, bottom, right, top)
+        return shapely.clip_by_rect(geometries, x_low, y_low, x_high, y_high)
     except shapely.errors.GEOSException:  # a corner that pokes in by less than a rounding leaves a ring of two points
-        return shapely.intersection(valid(patch), shapely.box(left, bottom, right, top))
+        return shapely.intersection(all_valid(geometries), shapely.box(x_low, y_low, x_high, y_high))

@@ -15,6 +15,8 @@ _SLACK_M = 0.5
 _ROUNDING_M = 1e-6
 #: Most spheres beside the tree, all of which are looked at, before it is made anew; to it comes the root of all.
 _BESIDE = 32
+#: So few in the tree are all of them "about": to test them takes less time than to ask the tree.
+_FEW = 64
 
 
 class SphereIndex:
@@ -61,6 +63,8 @@ class SphereIndex:
 
         One that has been taken out since the last `place` may be among them.
         """
+        if len(self._packed) <= _FEW:
+            return sorted({*self._packed.tolist(), *self._beside.tolist()})
         (x, y), away = middle[:2].tolist(), reach + _ROUNDING_M
         found = self._tree.query(shapely.box(x - away, y - away, x + away, y + away))
         return sorted({*self._packed[found].tolist(), *self._beside.tolist()})

@@ -46,10 +46,11 @@ def find_twins(
         for second, second_place in landmarks.near(place.normal, middle, radius + config.gap_m, config.max_angle_rad):
             if second is first or second.n_keyframes < min_keyframes:
                 continue
+            ids = min(first.id, second.id), max(first.id, second.id)
+            if told_apart is not None and _sightings((first, second)) < 1.25 * told_apart.get(ids, 0):
+                continue
             if _may_be_one(first, place, second, second_place, config):
-                pairs[min(first.id, second.id), max(first.id, second.id)] = (first, second)
-    if told_apart is not None:
-        pairs = {ids: pair for ids, pair in pairs.items() if _sightings(pair) >= 1.25 * told_apart.get(ids, 0)}
+                pairs[ids] = (first, second)
     if not pairs:
         return []
     joint = backend.joint_covariance(

@@ -23,13 +23,16 @@ _lock, _pool = threading.Lock(), None
 
 def available() -> int:
     """Threads to use: the cores this process may run on, at most NUMBA_NUM_THREADS."""
+    most = config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+    if most < 2:
+        return 1  # without asking the system, which takes its time
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(min(cores, config.NUMBA_NUM_THREADS), 1)  # type: ignore[attr-defined]
+    return max(min(cores, most), 1)
 
 
 def threads_for(size: int) -> int:
     """Threads that work on so many points is worth."""
-    return max(min(available(), size // LEAST), 1)
+    return min(available(), size // LEAST) if size >= 2 * LEAST else 1
 
 
 def in_parts(work: Callable[[int, int], object], count: int, size: int, *, singly: bool = False) -> None:

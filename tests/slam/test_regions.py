@@ -7,7 +7,7 @@ import pytest
 import shapely
 from shapely import LineString, Point, box
 
-from slam.outlines import coarse, grow, grow_all
+from slam.outlines import all_valid, coarse, grow, grow_all
 from slam.regions import Region
 
 
@@ -97,7 +97,7 @@ def test_outlines_that_grow_together_grow_as_alone():
     bow_tie = shapely.Polygon([(0, 0), (2, 2), (2, 0), (0, 2)])
     patches = [*(box(*one.buffer(0.3).bounds) for one in outlines[:-2]), bow_tie, LineString([(0.5, 0), (3, 0.1)])]
     outlines[0] = outlines[0].buffer(5.0)  # covers its patch
-    grown = grow_all(outlines, patches, list("abcdefghijklmnopqrstuvwxyzABCDE"))
+    grown = grow_all(all_valid(outlines), patches, list("abcdefghijklmnopqrstuvwxyzABCDE"))
     assert list(grown)[:2] == ["b", "c"]
     assert len(grown) == 30
     for name, one in grown.items():
