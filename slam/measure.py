@@ -8,18 +8,20 @@ from dataclasses import replace
 import numpy as np
 
 from slam._patch_kernels import within
+from slam.chimeras import Window
 from slam.config import SlamConfig
 from slam.frames import inverse
 from slam.goodness import is_one_plane
 from slam.io.arrange import arrange, grid_of
 from slam.io.log import CloudScan, LaserScan
-from slam.mixtures import purified
+from slam.mixtures import purified, tells_tilt
 from slam.observations import LineObservation, PlaneObservation
 from slam.odometry import OdometryTrack
 from slam.outlines import coarse, flatten, largest_polygon
 from slam.point_errors import line_tilt_covariances, model_of, surface_covariances
 from slam.rig import Sensor
 from slam.scan_part import believed_plane, fit_if_any, fitted, parts_of
+from slam.seams import sure_points
 from slam.sweep import middle_ns, place_beams
 from slam.window import window_poses
 from spplanes import LineConfig, MapperConfig, Plane, extract_lines, segment_scans
@@ -120,8 +122,12 @@ def planes_of_window(
     labels, planes = segment_scans(placed.points, placed.covariances, config=mapper, viewpoints=placed.viewpoints)
     uneven = sensor.surface_sigma_m
     labels, planes = purified(placed, labels, planes, pose_covariance, uneven, mapper, config.measurements)
+    window, frames = Window(placed.points, placed.covariances, pose_covariance), [plane.frame for plane in planes]
+    sure = np.where(sure_points(window, labels, frames, mapper.flatness_m), labels, -1)
     observations = []
-    for plane, members in zip(planes, members_of(labels, len(planes)), strict=True):
+    for plane, members in zip(planes, members_of(sure, len(planes)), strict=True):
+        if not tells_tilt(window, members, plane.frame, mapper.for_rows(len(scans)).max_tilt_rad):
+            continue
         scan_index = members // labels.shape[1]
         points, viewpoint = placed.points.reshape(-1, 3)[members], placed.viewpoints[scan_index].mean(axis=0)
         noise = surface_covariances(points, placed.covariances.reshape(-1, 3, 3)[members], plane.frame, sensor)

@@ -77,19 +77,22 @@ def pure_labels(
         parts = parts_of(window, members, frame, uneven_m, step_m) if len(members) else []
         parted |= len(parts) > 1
         for part in parts:
-            if len(parts) == 1 or _is_determined(window, part, frame, mapper):
+            if len(parts) == 1 or (
+                len(part) >= mapper.min_points and tells_tilt(window, part, frame, mapper.max_tilt_rad)
+            ):
                 fresh.ravel()[part] = count
                 count += 1
     return fresh if parted else labels
 
 
-def _is_determined(window: Window, part: np.ndarray, frame: FloatArray, mapper: MapperConfig) -> bool:
-    """Whether points are enough, and spread enough along a plane, to tell its tilt."""
+def tells_tilt(window: Window, part: np.ndarray, frame: FloatArray, max_tilt_rad: float) -> bool:
+    """Whether points, flat indices (N,), are spread enough along a plane to tell its tilt."""
+    if len(part) < 3:
+        return False
     points, covariances = window.points.reshape(-1, 3)[part], window.covariances.reshape(-1, 3, 3)[part]
     place, _, weights = _along(points, covariances, frame)
     aside = place - np.average(place, axis=0, weights=weights)
-    least = float(np.linalg.eigvalsh((aside * weights[:, None]).T @ aside)[0])
-    return len(part) >= mapper.min_points and least * mapper.max_tilt_rad**2 >= 1.0
+    return float(np.linalg.eigvalsh((aside * weights[:, None]).T @ aside)[0]) * max_tilt_rad**2 >= 1.0
 
 
 def parts_of(
