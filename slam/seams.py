@@ -33,7 +33,7 @@ def sure_points(window: Window, labels: np.ndarray, frames: Sequence[FloatArray]
         frames: of the planes, shape (4, 4) each.
         uneven_m: standard deviation of surfaces from planes, m.
     """
-    sure = (labels >= 0) & ~_ends(labels, np.isfinite(window.points).all(axis=2))
+    sure = (labels >= 0) & ~_ends(labels, np.isfinite(window.points[..., 0]))
     masks = [labels == r for r in range(len(frames))]
     near = [maximum_filter(mask, size=tuple(2 * reach + 1 for reach in _REACH)) for mask in masks]
     for a, mine in enumerate(frames):

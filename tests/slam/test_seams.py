@@ -102,7 +102,7 @@ def test_a_row_of_something_that_was_not_found_bends_no_wall():
 def test_planes_that_nothing_adjoins_keep_their_points():
     view = view_of(to_wall(), 0)
     labels = np.zeros(view.points.shape[:2], dtype=np.int32)
-    across = np.linalg.inv(ceiling(0.5).frame)  # any frame of a plane that no point is of
+    across = ceiling(0.5).frame  # of a plane that no point is of
     assert sure_points(view, labels, [wall().frame, across], 0.0).all()
     silent = view.points.copy()
     silent[:, 100:] = np.nan  # glass: no return says that the wall ends there
