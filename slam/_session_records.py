@@ -70,9 +70,10 @@ class SessionRecords:
         except ValueError as error:
             raise SessionError(f"{self.path}: expected the parameters of a run, got others") from error
         self.prior = parameters["prior"]
+        self._last = b""
         self._root = digest(*(parameters[key] for key in _PARAMETERS))
         if damaged:  # nobody knows how many there were
-            self._size, self._last = sys.maxsize, b""
+            self._size = sys.maxsize
             return
         self._size = int(self._one("SELECT count(*) FROM keyframes")[0])
         self._last = self._digest_of(self._size - 1)
@@ -176,6 +177,8 @@ class SessionRecords:
     def _digest_of(self, index: int) -> bytes:
         if index < 0:
             return self._root
+        if index == self._size - 1 and self._last:
+            return self._last
         row = self._one("SELECT digest FROM keyframes WHERE id = ?", index)
         if row is None or not isinstance(row[0], bytes):
             raise self._damaged(index)

@@ -86,6 +86,7 @@ def new_run(
         _fresh(Path(out), lambda folder: _begin(folder, config, rig, data, known), overwrite=overwrite) as folder,
         Session.open(folder / SESSION_FILE) as session,
     ):
+        sync_folder(folder.parent)  # after the session is open: its own sync of the journal has done most of this
         recorder = SessionRecorder(session, log=log, raw=source.raw, forget=source.forget_raw)
         yield PlaneSlam(config, prior=prior, recorder=recorder)
 
@@ -176,7 +177,6 @@ def _fresh(out: Path, begin: Callable[[Path], None], *, overwrite: bool) -> Iter
             replaced = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent)) / out.name
             os.replace(out, replaced)
         os.replace(work, out)
-    sync_folder(out.parent)
     try:
         yield out
     except BaseException:

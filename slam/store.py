@@ -5,12 +5,20 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
-from slam._session_codec import encode, keyframe_of, without_scans
+from slam._session_codec import encode, encode_and_compare, keyframe_of, without_scans
 from slam._session_digest import digest
-from slam._session_file import SessionDamaged, SessionError, StorageError, transaction, translated
+from slam._session_file import (
+    SessionDamaged,
+    SessionError,
+    StorageError,
+    fold_journal,
+    transaction,
+    translated,
+)
 from slam._session_open import make_file, open_file, put
 from slam._session_records import Entry, RawScan, SessionRecords
 from slam.association import Decision
@@ -106,14 +114,14 @@ class Session(SessionRecords):
             raise
 
     def add_keyframe(self, keyframe: Keyframe, scans: Sequence[tuple[int | None, bytes | None]] = ()) -> Keyframe:
-        """Record measurements; returns the keyframe as it will be read, which is what to work with.
+        """Record measurements; returns the keyframe as it will be read, without its scans: what to work with.
 
         Args:
             keyframe: with its raw scans.
             scans: place in the log and content of each of them, as far as they are to be kept.
         """
         self._check_writable()
-        index, data = self._size, encode(without_scans(keyframe))
+        index, (data, same) = self._size, encode_and_compare(without_scans(keyframe))
         checksum = digest(self._last, index, keyframe.stamp_ns, data)
         with transaction(self.path, self._db):
             self._db.execute(
@@ -125,7 +133,7 @@ class Session(SessionRecords):
                     "INSERT INTO scans VALUES (?, ?, ?, ?, ?, ?, ?)", (index, *row, digest(checksum, *row))
                 )
         self._size, self._last = index + 1, checksum
-        return keyframe_of(data)
+        return replace(keyframe, scans=()) if same else keyframe_of(data)
 
     def add_decisions(self, index: int, decisions: Sequence[Decision]) -> None:
         """Record what the measurements of a keyframe were taken for."""
@@ -170,7 +178,7 @@ class Session(SessionRecords):
                 with self._on_the_way():  # to fold the journal back begins with a sync of it
                     self._seal("running")
             with translated(self.path):
-                self._db.execute("PRAGMA journal_mode = DELETE")
+                fold_journal(self._db)
         except (SessionError, StorageError):
             pass  # a reader holds it, the disk is full, or it is closed: the journal stays and is as good
         finally:

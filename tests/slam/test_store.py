@@ -251,6 +251,14 @@ def test_numbers_come_back_bit_for_bit():
     assert type(back["number"]) is float and back["number"] == 0.1
 
 
+def test_a_closed_session_is_a_file_that_needs_no_journal(tmp_path: Path):
+    path = tmp_path / "session.db"
+    with Session.create(path, SlamConfig()) as session:
+        session.add_keyframe(drive(0).keyframes[0])
+    assert [one.name for one in tmp_path.iterdir()] == ["session.db"]
+    assert path.read_bytes()[18:20] == b"\1\1"  # a rollback journal when it is written, not a write-ahead log
+
+
 @pytest.mark.parametrize("value", [object(), {1: 2}, np.array([object()]), {"a": lambda: None}, b"bytes"])
 def test_what_a_session_has_no_form_for_is_refused(value: object):
     with pytest.raises(CodecError, match="expected"):

@@ -1,0 +1,63 @@
+"""Measurements that are read as they were written, and those that are not: what `encode_and_compare` says of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from slam import SlamConfig
+from slam._session_codec import decode, encode_and_compare, without_scans
+from slam.io.spool import StoredScan
+from slam.keyframes import keyframes_of
+from slam.simulation import simulate_mission
+from spplanes import Plane, ScanLine
+
+
+@pytest.mark.parametrize("world", ["office", "corridor"])
+def test_what_is_said_to_be_read_as_it_was_is(world: str):
+    """The estimator works with the measurements as they will be read: those that are the same are not read for it."""
+    mission = simulate_mission(world, n_scans=30, seed=0)
+    for keyframe in keyframes_of(mission.log, mission.rig, SlamConfig()):
+        values = without_scans(keyframe)
+        data, same = encode_and_compare(values)
+        assert same and _is_same(decode(data), values)
+
+
+def _is_same(a: object, b: object) -> bool:
+    """Type by type and bit by bit."""
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return a.dtype == b.dtype and a.flags.c_contiguous and b.flags.c_contiguous and a.tobytes() == b.tobytes()
+    if isinstance(a, list | tuple) and isinstance(b, list | tuple):
+        return len(a) == len(b) and all(map(_is_same, a, b))
+    if isinstance(a, dict) and isinstance(b, dict):
+        return _is_same(list(a.items()), list(b.items()))
+    if isinstance(a, shapely.Geometry) and isinstance(b, shapely.Geometry):
+        return shapely.to_wkb(a) == shapely.to_wkb(b)
+    return _is_same(vars(a), vars(b)) if hasattr(a, "__dict__") else repr(a) == repr(b)
+
+
+_LINE = ScanLine(0.3, 2.0, 1e-4 * np.eye(2), np.eye(2), np.arange(3))
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        np.asfortranarray(np.arange(12.0).reshape(3, 4)),
+        np.arange(12.0)[::2],
+        np.arange(3, dtype=">f8"),
+        np.float64(0.1),
+        range(3),
+        shapely.LinearRing([(0, 0), (1, 0), (1, 1)]),
+        Plane._trusted(np.eye(4), np.array([[1.0, 1e-9, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), 3),
+        ScanLine._trusted(4.0, 2.0, _LINE.covariance, _LINE.endpoints, _LINE.indices, 0.0, 1),
+        ScanLine._trusted(0.3, 2.0, _LINE.covariance, _LINE.endpoints, np.arange(3, dtype=np.int32), 0.0, 1),
+        StoredScan(0, "laser", np.zeros(3), 0, lambda _: np.ones(3)),
+    ],
+    ids=str,
+)
+def test_what_is_read_as_something_else_is_not_said_to_be_the_same(value: object):
+    data, same = encode_and_compare({"value": [value]})
+    assert not same and not _is_same(decode(data)["value"][0], value)
