@@ -23,24 +23,25 @@ def returns_of(points):
 
 @njit(cache=True)
 def turns_of(points):
-    """Angle from every point to the next as seen from the origin, shape (N - 1,), rad."""
-    turns = np.empty(max(points.shape[0] - 1, 0))
-    for k in range(turns.shape[0]):
-        ax, ay, az = points[k, 0], points[k, 1], points[k, 2]
-        bx, by, bz = points[k + 1, 0], points[k + 1, 1], points[k + 1, 2]
-        lengths = np.sqrt(ax * ax + ay * ay + az * az) * np.sqrt(bx * bx + by * by + bz * bz)
-        turns[k] = np.arccos(min(max((ax * bx + ay * by + az * bz) / lengths, -1.0), 1.0))
-    return turns
+    """Cosine of the angle from every point to the next as seen from the origin, shape (N - 1,)."""
+    cosines, before = np.empty(max(points.shape[0] - 1, 0)), 0.0
+    for k in range(points.shape[0]):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        length = np.sqrt(x * x + y * y + z * z)
+        if k > 0:
+            along = x * points[k - 1, 0] + y * points[k - 1, 1] + z * points[k - 1, 2]
+            cosines[k - 1] = min(max(along / (before * length), -1.0), 1.0)
+        before = length
+    return cosines
 
 
 @njit(cache=True)
-def rows_of(elevation, rows):
-    """Row of every elevation (N,), int64: highest and lowest lie in the middle of the first row and the last."""
-    highest, lowest = elevation.max(), elevation.min()
+def rows_of(elevation, highest, lowest, rows):
+    """Row of every elevation (N,), int32: highest and lowest lie in the middle of the first row and the last."""
     scale = (rows - 1) / max(highest - lowest, 1e-9)
-    result = np.empty(elevation.shape[0], np.int64)
+    result = np.empty(elevation.shape[0], np.int32)
     for k in range(result.shape[0]):
-        result[k] = int(np.rint((highest - elevation[k]) * scale))
+        result[k] = np.int32(np.rint((highest - elevation[k]) * scale))
     return result
 
 
@@ -83,14 +84,13 @@ def _multiply(one, other, size):
 
 @njit(cache=True)
 def columns_of(azimuth, columns, phase):
-    """Column of every azimuth (N,), rad, of so many in a whole turn, int64: those at the phase lie in the middle."""
-    per_rad = columns / (2.0 * np.pi)
-    result = np.empty(azimuth.shape[0], np.int64)
+    """Column of every azimuth (N,), rad, of so many in a whole turn, int32: those at the phase lie in the middle."""
+    per_rad, turn = columns / (2.0 * np.pi), np.int32(columns)
+    result = np.empty(azimuth.shape[0], np.int32)
     for k in range(result.shape[0]):
-        column = int(np.rint(azimuth[k] * per_rad - phase))
-        if column < 0:
-            column += columns
-        result[k] = column - columns if column >= columns else column
+        column = np.int32(np.rint(azimuth[k] * per_rad - phase))
+        column += turn if column < 0 else np.int32(0)
+        result[k] = column - (turn if column >= turn else np.int32(0))
     return result
 
 

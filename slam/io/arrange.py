@@ -101,7 +101,8 @@ def range_image(points: FloatArray, grid: Grid | None = None) -> FloatArray:
         grid, row, column = _best_grid(elevation, azimuth)
     else:
         [phase] = phases_of(azimuth, np.array([grid.columns]))
-        row, column = rows_of(elevation, grid.rows), columns_of(azimuth, grid.columns, phase)
+        row = rows_of(elevation, elevation.max(), elevation.min(), grid.rows)
+        column = columns_of(azimuth, grid.columns, phase)
     return _cut_at_a_corner(nearest_points(points, row, column, grid.rows, grid.columns))
 
 
@@ -135,7 +136,8 @@ def _best_grid(elevation: FloatArray, azimuth: FloatArray) -> tuple[Grid, np.nda
     occupied than there are, nor than there are points: shapes that could do best are tried first, and those that cannot
     come near the best so far are not tried.
     """
-    rows = {count: rows_of(elevation, count) for count in _ROWS}
+    ends = elevation.max(), elevation.min()
+    rows = {count: rows_of(elevation, *ends, count) for count in _ROWS}
     phases = phases_of(azimuth, np.array(_COLUMNS))
     columns = {count: columns_of(azimuth, count, phase) for count, phase in zip(_COLUMNS, phases, strict=True)}
     shapes = [(min(r * c, len(azimuth) ** 2 / (r * c)), -k, r, c) for k, (r, c) in enumerate(product(_ROWS, _COLUMNS))]
@@ -146,7 +148,7 @@ def _best_grid(elevation: FloatArray, azimuth: FloatArray) -> tuple[Grid, np.nda
         score = occupied_cells(rows[r], columns[c], r, c) ** 2 / (r * c)
         best = max(best, score)
         tried.append((score, order, Grid(r, c)))
-    height = float(np.ptp(elevation))
+    height = float(ends[0] - ends[1])
     good = [one for one in tried if one[0] >= _AS_GOOD * best]
     grid = min(good, key=lambda one: (one[2].stretch(height), -one[1]))[2]
     return grid, rows[grid.rows], columns[grid.columns]
@@ -161,9 +163,11 @@ def _lines_of(points: FloatArray) -> FloatArray | None:
     """The lines that the order of the points shows, shape (S, B, 3); None where it shows none."""
     if len(points) < _MIN_LINES * _MIN_BEAMS:
         return None
-    turn = turns_of(points)
-    usual = float(np.median(turn))
-    starts = np.concatenate(([0], np.flatnonzero(turn > max(_JUMP_RAD, _JUMP_STEPS * usual)) + 1, [len(points)]))
+    cosines = turns_of(points)
+    limit = max(_JUMP_RAD, _JUMP_STEPS * float(np.arccos(np.median(cosines))))
+    if limit >= np.pi:
+        return None
+    starts = np.concatenate(([0], np.flatnonzero(cosines < np.cos(limit)) + 1, [len(points)]))
     lengths = np.diff(starts)
     if len(lengths) < _MIN_LINES or np.median(lengths) < _MIN_BEAMS or lengths.max() > _LONGEST * np.median(lengths):
         return None
