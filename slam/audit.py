@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from slam.association import Decision
+from slam.growing import Rows
 
 #: Two-sided probability of the band that a mean NIS is held against.
 BAND = 0.95
@@ -24,7 +25,7 @@ class NisAudit:
     planes say beyond finding it is an innovation (`slam/unpredicted.py`).
     """
 
-    history: dict[str, list[tuple[int, float, int]]] = field(default_factory=dict)
+    history: dict[str, Rows] = field(default_factory=dict)
     """(keyframe, chi2, dof) of every accepted measurement, by factor type."""
 
     _sums: tuple[float, int] = (0.0, 0)
@@ -38,7 +39,7 @@ class NisAudit:
     def count(self, keyframe: int, kind: str, chi2: float, dof: int) -> None:
         """Count one measurement; without a degree of freedom it says nothing."""
         if dof:
-            self.history.setdefault(kind, []).append((keyframe, chi2, dof))
+            self.history.setdefault(kind, Rows("idh")).append((keyframe, chi2, dof))
             self._sums = self._sums[0] + chi2, self._sums[1] + dof
 
     def summary(self) -> list[NisSummary]:
@@ -83,7 +84,7 @@ class NisSummary:
         return "cautious" if self.mean_per_dof < self.low else "consistent"
 
     @classmethod
-    def of(cls, kind: str, history: list[tuple[int, float, int]]) -> NisSummary:
+    def of(cls, kind: str, history: Sequence[tuple[int, float, int]]) -> NisSummary:
         """Summarise the measurements of one type."""
         total = float(np.sum([chi2 for _, chi2, _ in history]))
         dof = int(np.sum([dof for _, _, dof in history]))

@@ -52,7 +52,7 @@ class Estimate:
             prior.plant(self.landmarks, self.backend)
         self.recorder = recorder or Recorder()
         self.keyframes: MutableSequence[Keyframe] = self.recorder.keyframes()
-        self.decisions: list[list[Decision]] = []
+        self.decisions: MutableSequence[list[Decision]] = self.recorder.decisions()
         self._thinning = Thinning(self.config.thinning, self.backend, self.landmarks)
         parts = Parts(self.keyframes, self.landmarks, self.backend, self._thinning, self.config)
         self.merges = Merges(parts)

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from slam.config import ObservabilityConfig
+from slam.growing import Growing, Rows
 from slam.observations import LineObservation, Observation
 from spplanes._check import FloatArray
 from spplanes.spmodel import skew
@@ -150,24 +151,43 @@ def _along_axes(span: FloatArray) -> list[FloatArray]:
     return found
 
 
+class Directions(Growing[OpenDirection]):
+    """Open directions as the numbers they are made of."""
+
+    def __init__(self) -> None:
+        self._rows = Rows("ibdddd")
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def append(self, value: OpenDirection) -> None:
+        """Add one."""
+        self._rows.append((value.keyframe, value.part == "position", value.sigma_seen, *value.direction.tolist()))
+
+    def at(self, index: int) -> OpenDirection:
+        """One of them, made anew."""
+        keyframe, is_position, sigma, *direction = self._rows.at(index)
+        return OpenDirection(keyframe, "position" if is_position else "orientation", np.array(direction), sigma)
+
+
 @dataclass
 class Observability:
     """What the keyframes of a run left open."""
 
     rules: ObservabilityConfig
     """From which standard deviation on a direction is open."""
-    history: list[list[OpenDirection]] = field(default_factory=list)
-    """Open directions of every keyframe."""
+    history: Directions = field(default_factory=Directions)
+    """Open directions of all keyframes, one after another."""
 
     def add(self, keyframe: int, matched: Iterable[Observation], world_T_body: FloatArray) -> list[OpenDirection]:
         """Look at a keyframe before the graph does; the first has nothing to be fixed by and leaves nothing open."""
         found = [] if keyframe == 0 else open_directions(keyframe, matched, world_T_body, self.rules)
-        self.history.append(found)
+        self.history.extend(found)
         return found
 
     def directions(self) -> list[list[OpenDirection]]:
         """The open directions of the run, those that are the same gathered, most frequent first."""
-        return gathered(one for found in self.history for one in found)
+        return gathered(self.history)
 
 
 def gathered(directions: Iterable[OpenDirection]) -> list[list[OpenDirection]]:

@@ -18,6 +18,10 @@ class Recorder:
         """Where the estimator keeps its keyframes: in memory."""
         return []
 
+    def decisions(self) -> MutableSequence[list[Decision]]:
+        """Where the estimator keeps its decisions: in memory."""
+        return []
+
     def measured(self, index: int, keyframe: Keyframe) -> Keyframe:
         """The measurements of a keyframe, before anything is done with them; returns those to work with."""
         return keyframe

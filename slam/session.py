@@ -12,7 +12,7 @@ import numpy as np
 from slam._session_codec import encode
 from slam.association import Decision
 from slam.config import SlamConfig
-from slam.forgetting import ForgottenKeyframes
+from slam.forgetting import ForgottenDecisions, ForgottenKeyframes
 from slam.io.log import Log
 from slam.keyframes import Keyframe
 from slam.prior import PriorMap
@@ -48,6 +48,10 @@ class SessionRecorder(Recorder):
     def keyframes(self) -> MutableSequence[Keyframe]:
         """In memory, or each read anew from the session when somebody looks at its measurements."""
         return ForgottenKeyframes(self.session) if self._forget else []
+
+    def decisions(self) -> MutableSequence[list[Decision]]:
+        """In memory, or read from the session when somebody looks at them."""
+        return ForgottenDecisions(self.session) if self._forget else []
 
     def measured(self, index: int, keyframe: Keyframe) -> Keyframe:
         """Commit measurements, or find them committed."""

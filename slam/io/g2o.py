@@ -14,7 +14,7 @@ from factors.robust import gaussian
 from slam.io._g2o_tangents import plane_jacobian, pose_jacobian, root_information
 from slam.io._numbers import number_of, numbered_words
 from slam.io.log import LogError
-from spplanes._check import FloatArray
+from spplanes._check import TOO_LARGE, FloatArray
 
 #: Vertices that a file may have: more cannot be numbered by a GTSAM symbol, and none has.
 _MOST_VERTICES = 10_000_000
@@ -157,6 +157,8 @@ class _Reader:
             raise LogError(self.path, f"expected numbers ({str(error)[:60]})", line=line) from error
         if not np.isfinite(numbers).all():
             raise LogError(self.path, "expected finite numbers, got NaN or infinity", line=line)
+        if np.abs(numbers).max() >= TOO_LARGE:
+            raise LogError(self.path, f"expected numbers below {TOO_LARGE:g}, got larger ones", line=line)
         return [self._id(word, line) for word in words[1 : 1 + ids]], numbers
 
     def _id(self, word: str, line: int) -> int:

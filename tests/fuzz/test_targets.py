@@ -163,6 +163,10 @@ FOUND = {
     "a rig that holds itself": ("rig", b"sensors: &a\n  laser: *a\n"),
     "a configuration of aliases of aliases": ("config", _aliases("mapper: *a9")),
     "a rig of aliases of aliases": ("rig", _aliases("sensors: {laser: {kind: line, body_T_sensor: *a9}}")),
+    "a graph with a normal whose square is infinite": (
+        "g2o",
+        TARGETS["g2o"].seeds()[0].replace(b"VERTEX_PLANE 2 0", b"VERTEX_PLANE 2 1e308"),
+    ),
     "a prior whose number is an array": ("prior-bytes", _prior_of_arrays()),
     "noise whose square is zero": ("segment_scans", np.array([1e-200, *np.arange(96.0)]).tobytes()),
 }

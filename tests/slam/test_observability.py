@@ -176,7 +176,7 @@ def test_two_rooms_that_only_a_bare_corridor_links_are_open_against_each_other()
         step = planar_transform(0.4, 0.0, 0.0)
         motion = Motion(step, np.diag([1e-4, 1e-4, 1e-5]), (1e-3, 1e-3, 1e-3)) if index else None
         slam.add_keyframe(Keyframe(index * 10**9, seen, motion, None if index else pose))
-    assert {one.keyframe for found in slam.observability.history for one in found} == {3, 4, 5, 6}  # 6: a new wall
+    assert {one.keyframe for one in slam.observability.history} == {3, 4, 5, 6}  # 6: a new wall
     (found,) = slam.open_in_map
     assert found.keyframes == (3, 4, 5, 6, 7, 8)
     assert name_of(found.part, found.direction) == "along x" and np.isinf(found.sigma)
