@@ -104,7 +104,8 @@ def transform_of(translation: Any, rotation: Any) -> FloatArray:
     """
     place = np.array([translation.x, translation.y, translation.z], dtype=np.float64)
     turn = np.array([rotation.x, rotation.y, rotation.z, rotation.w], dtype=np.float64)
-    norm = np.linalg.norm(turn)
+    with np.errstate(over="ignore"):  # infinite is no unit either
+        norm = np.linalg.norm(turn)
     if not (np.isfinite(place).all() and abs(norm - 1.0) < _QUATERNION_TOLERANCE):
         raise ValueError(f"expected a finite position and a unit quaternion, got {place} and one of norm {norm:.6g}")
     transform = np.eye(4)

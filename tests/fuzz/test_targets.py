@@ -82,6 +82,10 @@ def _numbered(*numbers: int) -> bytes:
     return unrecorded(encode({**content, "planes": planes, "covariance": 1e-4 * np.eye(3 * len(planes))}))
 
 
+def _pcd_from(viewpoint: bytes) -> bytes:
+    return TARGETS["cloud.pcd"].seeds()[0].replace(b"VIEWPOINT 0 0 0 1 0 0 0", b"VIEWPOINT " + viewpoint)
+
+
 def _prior_of_arrays() -> bytes:
     """A plane whose chi2 is an array, of which numpy tells in several lines."""
     text, nul, arrays = TARGETS["prior-bytes"].seeds()[0].partition(b"\0")
@@ -167,6 +171,7 @@ FOUND = {
         "g2o",
         TARGETS["g2o"].seeds()[0].replace(b"VERTEX_PLANE 2 0", b"VERTEX_PLANE 2 1e308"),
     ),
+    "a cloud from a viewpoint whose square is infinite": ("cloud.pcd", _pcd_from(b"0 0 0 1e155 0 0 0")),
     "a prior whose number is an array": ("prior-bytes", _prior_of_arrays()),
     "noise whose square is zero": ("segment_scans", np.array([1e-200, *np.arange(96.0)]).tobytes()),
 }

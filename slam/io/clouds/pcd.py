@@ -163,7 +163,9 @@ def _viewpoint(path: Path, words: list[str] | None) -> FloatArray:
         values = np.array([number_of(word) for word in words or ["0", "0", "0", "1", "0", "0", "0"]])
     except ValueError:
         values = np.empty(0)
-    if values.shape != (7,) or not np.isfinite(values).all() or abs(np.linalg.norm(values[3:]) - 1.0) > 1e-3:
+    with np.errstate(over="ignore"):  # infinite is no unit either
+        is_unit = abs(np.linalg.norm(values[3:]) - 1.0) <= 1e-3
+    if values.shape != (7,) or not np.isfinite(values).all() or not is_unit:
         raise LogError(path, "expected a position and a unit quaternion in VIEWPOINT")
     return values
 
