@@ -15,6 +15,11 @@ from spplanes.registration import beam_directions
 HORIZONTAL, VERTICAL, SPINNING = "horizontal", "vertical", "spinning"
 
 
+#: The floors of the simulated worlds are level, and the robots neither pitch nor roll: a rig that said otherwise would
+#: make every map look more cautious than it is.
+ON_LEVEL_FLOOR = OdometryNoise(z_sigma_m=1e-4, pitch_sigma_rad=1e-4, roll_sigma_rad=1e-4)
+
+
 @dataclass(frozen=True, eq=False)
 class Beams:
     """Directions of the beams of a sensor, in fans that each lie in one plane."""
@@ -63,7 +68,7 @@ def paper_rig() -> Rig:
             HORIZONTAL: Sensor(kind="line", body_T_sensor=level, record="ROBOTLASER1", **noise),
             VERTICAL: Sensor(kind="slice", body_T_sensor=upright, record="ROBOTLASER2", **noise),
         },
-        odometry=OdometryNoise(),
+        odometry=ON_LEVEL_FLOOR,
         localisation=LocalisationNoise(),
     )
 
@@ -72,7 +77,7 @@ def spinning_rig() -> Rig:
     """A robot with a 3D laser 0.8 m above the floor: 32 rings from -30 to 60 deg, 1 deg in azimuth, sigma 15 mm."""
     mount = Mount(xyz_m=(0.1, 0.0, 0.8))
     sensor = Sensor(kind="cloud", body_T_sensor=mount, range_sigma_m=0.015, range_max_m=60.0)
-    return Rig(sensors={SPINNING: sensor}, odometry=OdometryNoise())
+    return Rig(sensors={SPINNING: sensor}, odometry=ON_LEVEL_FLOOR)
 
 
 def checked_rig(rig: Rig) -> Rig:

@@ -157,6 +157,15 @@ def test_odometry_errs_as_the_noise_model_says(noise, scale):
     assert_mean_in_band(values, 3, level=0.999)
 
 
+@pytest.mark.parametrize("rig", [paper_rig(), spinning_rig()], ids=["paper", "spinning"])
+def test_a_rig_states_no_motion_off_the_floor_that_is_not_simulated(mission, rig: Rig):
+    """What is stated and not there makes every covariance larger than the error: of leans by a quarter at 1 mrad."""
+    poses, stated = mission.truth.world_T_body, rig.odometry
+    assert np.ptp(poses[:, 2, 3]) == 0.0
+    np.testing.assert_allclose(poses[:, 2, :3], np.tile([0.0, 0.0, 1.0], (len(poses), 1)), atol=1e-12)
+    assert max(stated.z_sigma_m, stated.pitch_sigma_rad, stated.roll_sigma_rad) <= 1e-4
+
+
 def test_odometry_covariance_does_not_depend_on_how_often_it_is_read():
     noise = OdometryNoise(scale_sigma=0.03, curvature_sigma_rad_per_m=0.02)
     whole = np.array([1.2, 0.0, 0.0])
