@@ -20,7 +20,7 @@ from slam.odometry import OdometryTrack
 from slam.outlines import coarse, flatten, largest_polygon
 from slam.point_errors import line_tilt_covariances, model_of, surface_covariances
 from slam.rig import Sensor
-from slam.scan_part import believed_plane, fit_if_any, fitted, parts_of
+from slam.scan_part import believed_planes, fit_if_any
 from slam.seams import sure_points
 from slam.sweep import middle_ns, place_beams
 from slam.window import window_poses
@@ -69,14 +69,12 @@ def _flat_planes(
     found = label_scans(points, covariances, config=settings, viewpoints=viewpoint, pose_covariances=tilts)
     rows = moments_of(found.points, found.covariance, found.labels, settings)
     rough, spreads = frames_of(rows, np.zeros((len(rows), 3)))
-    parts = parts_of(points, covariances, found.labels, rough, sensor)
-    kept: dict[int, Plane] = {}
+    believed = believed_planes(points, covariances, found.labels, rough, sensor, viewpoint, config.measurements)
+    kept = {k: one[0] for k, one in enumerate(believed) if one is not None}
     labels = found.labels.copy()
-    for k, plane in enumerate(fitted(parts, viewpoint)):
-        believed = None if plane is None else believed_plane(parts[k], plane, viewpoint, config.measurements)
-        if believed is not None:
-            kept[k] = believed[0]
-            labels.ravel()[believed[1]] = -1
+    for one in believed:
+        if one is not None:
+            labels.ravel()[one[1]] = -1
     drawn = _drawn(kept, points, labels, np.sqrt(spreads[:, 1:] / rows[:, 1:2]), settings)
     observations = [PlaneObservation(_in_scan(plane, sensor).transform(sensor.body_T_sensor)) for plane in drawn]
     return observations, labels < 0

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
-
 import numpy as np
 
 from slam.config import MeasurementConfig
@@ -63,29 +60,36 @@ class ScanPart:
         return ScanPart(self.points[kept], covariances[kept], self.members[kept], n_columns, frame, self.sensor)
 
 
-def parts_of(
-    points: FloatArray, covariances: FloatArray, labels: np.ndarray, frames: FloatArray, sensor: Sensor
-) -> list[ScanPart]:
-    """The regions of a grid of points (S, B, 3), covariances (S, B, 3, 3), labels (S, B) and planes (R, 4, 4)."""
+def believed_planes(
+    points: FloatArray,
+    covariances: FloatArray,
+    labels: np.ndarray,
+    frames: FloatArray,
+    sensor: Sensor,
+    viewpoint: FloatArray,
+    rules: MeasurementConfig,
+) -> list[tuple[Plane, np.ndarray] | None]:
+    """`believed_plane` of every region of a grid, fitted with all errors counted.
+
+    Args:
+        points, covariances, labels: shapes (S, B, 3), (S, B, 3, 3) and (S, B), -1 = none.
+        frames: of about the planes, shape (R, 4, 4).
+        sensor, viewpoint, rules: what errs, whence it was seen, and how much is allowed.
+    """
     _, order, bounds = group_by_label(labels.ravel(), labels.size)
-    own, noise = points.reshape(-1, 3)[order], covariances.reshape(-1, 3, 3)[order]
-    return [
-        ScanPart(own[a:b], noise[a:b], order[a:b], labels.shape[1], frame, sensor)
-        for frame, (a, b) in zip(frames, pairwise(bounds.tolist()), strict=True)
-    ]
+    largest_first = np.argsort(-np.diff(bounds), kind="stable").tolist()
+    found: list[tuple[Plane, np.ndarray] | None] = [None] * len(frames)
 
-
-def fitted(parts: Sequence[ScanPart], viewpoint: FloatArray) -> list[Plane | None]:
-    """The planes of parts, all errors counted; None where a part does not determine one."""
-    planes: list[Plane | None] = [None] * len(parts)
-    largest_first = sorted(range(len(parts)), key=lambda k: -len(parts[k].points))
-
-    def fit(first: int, last: int) -> None:
+    def measure(first: int, last: int) -> None:
         for k in largest_first[first:last]:
-            planes[k] = parts[k].fitted(viewpoint)
+            members = order[bounds[k] : bounds[k + 1]]
+            own, noise = points.reshape(-1, 3).take(members, 0), covariances.reshape(-1, 3, 3).take(members, 0)
+            part = ScanPart(own, noise, members, labels.shape[1], frames[k], sensor)
+            plane = part.fitted(viewpoint)
+            found[k] = None if plane is None else believed_plane(part, plane, viewpoint, rules)
 
-    in_parts(fit, len(parts), sum(len(part.points) for part in parts), singly=True)
-    return planes
+    in_parts(measure, len(frames), len(order), singly=True)
+    return found
 
 
 def believed_plane(

@@ -134,8 +134,8 @@ def accumulate(points, covs, step, order, lo, hi, frame, cutoff2, sums) -> None:
         least = FLOOR * (c00 + c11 + c22)
         if variance < least:
             variance, ux, uy = least, 0.0, 0.0
-        w = 1.0 / variance
-        square = z * z * w
+        inverse = 1.0 / variance
+        w, square = inverse, z * z * inverse
         if robust:
             keep = 1.0 - square / cutoff2
             if keep <= 0.0:
@@ -147,7 +147,7 @@ def accumulate(points, covs, step, order, lo, hi, frame, cutoff2, sums) -> None:
             cost += square
         used += 1.0
         chi2 += square
-        fx, fy = x - ux * z / variance, y - uy * z / variance
+        fx, fy = x - ux * z * inverse, y - uy * z * inverse
         g0 += w * z
         g1 += w * z * fx
         g2 += w * z * fy
@@ -168,9 +168,9 @@ def accumulate(points, covs, step, order, lo, hi, frame, cutoff2, sums) -> None:
         b0 = c00 * y0 + c01 * y1 + c02 * y2
         b1 = c01 * y0 + c11 * y1 + c12 * y2
         b2 = c02 * y0 + c12 * y1 + c22 * y2
-        txx += w * (x0 * a0 + x1 * a1 + x2 * a2 - ux * ux / variance)
-        txy += w * (y0 * a0 + y1 * a1 + y2 * a2 - ux * uy / variance)
-        tyy += w * (y0 * b0 + y1 * b1 + y2 * b2 - uy * uy / variance)
+        txx += w * (x0 * a0 + x1 * a1 + x2 * a2 - ux * ux * inverse)
+        txy += w * (y0 * a0 + y1 * a1 + y2 * a2 - ux * uy * inverse)
+        tyy += w * (y0 * b0 + y1 * b1 + y2 * b2 - uy * uy * inverse)
     sums[0], sums[1], sums[2], sums[3] = cost, g0, g1, g2
     sums[4], sums[5], sums[6], sums[7], sums[8], sums[9] = h00, h01, h02, h11, h12, h22
     sums[10], sums[11], sums[12], sums[13], sums[14] = sx, sy, sxx, sxy, syy

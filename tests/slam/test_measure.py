@@ -13,7 +13,7 @@ from slam.io.log import CloudScan
 from slam.measure import for_points, planes_of_cloud, usable_points, usable_ranges
 from slam.point_errors import line_tilt_covariances, servo_covariances, surface_covariances, tilt_drift
 from slam.rig import Sensor
-from slam.scan_part import ScanPart, believed_plane, fitted, parts_of
+from slam.scan_part import ScanPart, believed_plane, believed_planes
 from spplanes import MapperConfig, Plane, fit_plane
 from tests.statistics import assert_mean_in_band
 
@@ -247,39 +247,18 @@ def test_outlines_are_as_fine_as_rows_of_points_lie_apart(apart_m: float, cell_m
     assert for_points(MapperConfig(outline_cell_m=0.05), np.full((4, 9, 3), np.nan)).outline_cell_m == 0.05
 
 
-def test_a_plane_that_can_no_longer_be_fitted_costs_the_others_nothing():
-    rng = np.random.default_rng(12)
-    good = [patch(rng), patch(rng) + np.array([0.0, 0.0, 1.0])]
-    line = np.stack((np.linspace(0.0, 1.0, 50), np.zeros(50), np.zeros(50)), axis=1)
-    eye = np.array([0.0, 0.0, 9.0])
-
-    def parts(regions: list[np.ndarray]) -> list[ScanPart]:
-        return [ScanPart(one, isotropic(one), np.arange(len(one)), 10, np.eye(4), sensor()) for one in regions]
-
-    together, apart = fitted(parts(good), eye), fitted(parts([good[0], line, good[1]]), eye)
-    assert apart[1] is None
-    for one, other in zip(together, (apart[0], apart[2]), strict=True):
-        assert one is not None and other is not None
-        np.testing.assert_array_equal(one.frame, other.frame)
-        np.testing.assert_array_equal(one.covariance, other.covariance)
-
-
-def test_the_parts_of_a_grid_have_its_points_and_are_fitted_as_each_alone():
+def test_the_planes_of_a_grid_are_those_of_their_points_alone_and_a_line_is_none():
     rng, eye = np.random.default_rng(13), np.array([0.0, 0.0, 9.0])
     points = np.concatenate((patch(rng), patch(rng) + np.array([0.0, 0.0, 1.0]))).reshape(20, -1, 3)
-    labels = np.repeat([1, 0], 10)[:, None] * np.ones(points.shape[1], dtype=np.int64)
-    labels[3, :7] = -1
-    parts = parts_of(
-        points,
-        isotropic(points.reshape(-1, 3)).reshape(*points.shape, 3),
-        labels,
-        np.eye(4)[None].repeat(2, 0),
-        sensor(),
-    )
-    for k, (part, plane) in enumerate(zip(parts, fitted(parts, eye), strict=True)):
-        np.testing.assert_array_equal(part.members, np.flatnonzero(labels == k))
-        np.testing.assert_array_equal(part.points, points[labels == k])
-        alone = fit_plane(points[labels == k], isotropic(points[labels == k]), viewpoint=eye)
-        assert plane is not None
-        np.testing.assert_array_equal(plane.frame, alone.frame)
-        np.testing.assert_array_equal(plane.covariance, alone.covariance)
+    labels = np.repeat([2, 0], 10)[:, None] * np.ones(points.shape[1], dtype=np.int64)
+    labels[3, :7], labels[4, :9] = -1, 1
+    points[4, :9] = np.linspace(0.0, 1.0, 9)[:, None] * np.array([1.0, 0.0, 0.0])
+    noise = isotropic(points.reshape(-1, 3)).reshape(*points.shape, 3)
+    found = believed_planes(points, noise, labels, np.tile(np.eye(4), (3, 1, 1)), sensor(), eye, RULES)
+    assert found[1] is None
+    for k in (0, 2):
+        alone, measured = fit_plane(points[labels == k], noise[labels == k], viewpoint=eye), found[k]
+        assert measured is not None
+        assert len(measured[1]) == 0
+        np.testing.assert_array_equal(measured[0].frame, alone.frame)
+        np.testing.assert_array_equal(measured[0].covariance, alone.covariance)
