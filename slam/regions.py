@@ -14,6 +14,8 @@ from spplanes._check import FloatArray
 
 #: Side of a tile, and how far each reaches into its neighbours so that simplified borders leave no gap between, m.
 _TILE_M, _LAP_M = 4.0, 0.05
+#: So many patches wait before they are cut into tiles together: neighbours in time, they show much the same.
+_AT_ONCE = 4
 #: A tile is full, and what else is seen there not looked at, when so much of it is there, m^2.
 _FULL_M2 = (_TILE_M + 2.0 * _LAP_M) ** 2 - 1e-4
 
@@ -27,6 +29,7 @@ class Region:
     def __init__(self, geometry: BaseGeometry) -> None:
         self._line: BaseGeometry | None = None
         self._tiles: dict[tuple[int, int], BaseGeometry] = {}
+        self._waiting: list[BaseGeometry] = []
         self._full: set[tuple[int, int]] = set()
         self._bounds = np.array([np.inf, np.inf, -np.inf, -np.inf])
         self._take(geometry)
@@ -36,7 +39,7 @@ class Region:
     def geometry(self) -> BaseGeometry:
         """All of it as one geometry."""
         if self._whole is None:
-            self._whole = self._line if self._line is not None else shapely.union_all(list(self._tiles.values()))
+            self._whole = self._line if self._line is not None else shapely.union_all(all_valid(self.pieces))
         return self._whole
 
     @property
@@ -46,8 +49,8 @@ class Region:
 
     @property
     def pieces(self) -> list[BaseGeometry]:
-        """All of it in pieces, which overlap a little: for whoever needs no outline."""
-        return [self._line] if self._line is not None else list(self._tiles.values())
+        """All of it in pieces, which overlap: for whoever needs no outline."""
+        return [self._line] if self._line is not None else [*self._tiles.values(), *self._waiting]
 
     @property
     def corners(self) -> FloatArray:
@@ -60,29 +63,38 @@ class Region:
 
     def is_within(self, distance_m: float, patch: BaseGeometry) -> bool:
         """Whether the region comes within a distance of a patch."""
-        if self._line is not None:
-            return self._line.distance(patch) <= distance_m
-        reach = np.asarray(patch.bounds) + np.array([-1.0, -1.0, 1.0, 1.0]) * distance_m
-        return any(self._tiles[key].distance(patch) <= distance_m for key in self._tiles_in(reach))
+        return any(piece.distance(patch) <= distance_m for piece in self._pieces_about(patch, distance_m))
 
     def distance(self, patch: BaseGeometry, up_to_m: float) -> float:
         """Distance of the region from a patch, m; `up_to_m` where it is no less."""
+        return min((up_to_m, *(float(piece.distance(patch)) for piece in self._pieces_about(patch, up_to_m))))
+
+    def _pieces_about(self, patch: BaseGeometry, distance_m: float) -> Iterator[BaseGeometry]:
+        """The pieces that may come within a distance of a patch."""
         if self._line is not None:
-            return min(float(self._line.distance(patch)), up_to_m)
-        reach = np.asarray(patch.bounds) + np.array([-1.0, -1.0, 1.0, 1.0]) * up_to_m
-        return min((up_to_m, *(float(self._tiles[key].distance(patch)) for key in self._tiles_in(reach))))
+            yield self._line
+            return
+        reach = np.asarray(patch.bounds) + np.array([-1.0, -1.0, 1.0, 1.0]) * distance_m
+        yield from (self._tiles[key] for key in self._tiles_in(reach))
+        yield from self._waiting
 
     def _take(self, patch: BaseGeometry) -> None:
         low, high = np.split(np.asarray(patch.bounds), 2)
         self._bounds = np.concatenate((np.minimum(self._bounds[:2], low), np.maximum(self._bounds[2:], high)))
-        lines_only = not self._tiles and (self._line is None or self._line.geom_type == "LineString")
+        lines_only = (
+            not self._tiles and not self._waiting and (self._line is None or self._line.geom_type == "LineString")
+        )
         if lines_only and patch.geom_type in ("LineString", "Point"):
             self._line, self._whole = patch if self._line is None else grow(self._line, patch), None
             return
         if self._line is not None:
-            line, self._line, self._whole = self._line, None, None
+            line, self._line = self._line, None
             self._cut(line)
-        self._cut(patch)
+        self._waiting.append(patch)
+        self._whole = None
+        if len(self._waiting) == _AT_ONCE:
+            waiting, self._waiting = self._waiting, []
+            self._cut(shapely.union_all(all_valid(waiting)))
 
     def _cut(self, patch: BaseGeometry) -> None:
         """Take a patch in, cut along the tiles: into columns first, and those all at once into rows."""

@@ -8,7 +8,7 @@ import shapely
 from shapely import LineString, Point, box
 
 from slam.outlines import all_valid, coarse, grow, grow_all
-from slam.regions import Region
+from slam.regions import _AT_ONCE, Region
 
 
 def scattered(seed: int, count: int = 60) -> list[shapely.Polygon]:
@@ -27,6 +27,16 @@ def test_the_whole_is_the_union_to_the_tolerance_of_outlines():
     assert shapely.hausdorff_distance(region.geometry, union) < 0.05
     np.testing.assert_allclose(region.bounds, union.bounds)
     assert len(shapely.get_parts(region.geometry)) == len(shapely.get_parts(union))
+
+
+def test_to_look_at_a_region_changes_nothing_of_it():
+    seen, unseen = Region(scattered(4)[0]), Region(scattered(4)[0])
+    for patch in scattered(4)[1:]:
+        for region in (seen, unseen):
+            region.grow(patch)
+        assert seen.geometry.area > 0.0
+    assert seen.geometry.equals_exact(unseen.geometry, 0.0)
+    assert all(one.equals_exact(other, 0.0) for one, other in zip(seen.pieces, unseen.pieces, strict=True))
 
 
 def test_near_is_what_is_near_the_union():
@@ -74,8 +84,11 @@ def test_the_distance_of_a_patch_is_that_of_the_whole_up_to_a_bound():
 
 def test_what_was_seen_before_changes_nothing():
     region = Region(box(0.0, 0.0, 9.0, 9.0))
+    for _ in range(_AT_ONCE - 1):
+        region.grow(box(1.0, 1.0, 7.5, 8.0))
     before = region.pieces
-    region.grow(box(1.0, 1.0, 7.5, 8.0))
+    for _ in range(_AT_ONCE):
+        region.grow(box(1.0, 1.0, 7.5, 8.0))
     assert all(after is piece for after, piece in zip(region.pieces, before, strict=True))
     region.grow(box(8.0, 8.0, 9.5, 9.0))
     np.testing.assert_allclose(region.geometry.area, 81.5, atol=1e-6)
