@@ -146,8 +146,8 @@ def as_positive(name: str, value: float) -> float:
     number = as_number(name, value, finite=False)
     if not (isfinite(number) and number > 0.0):
         raise ValueError(f"{name}: expected a positive finite number, got {value}")
-    if number >= TOO_LARGE:
-        raise ValueError(f"{name}: expected a number below {TOO_LARGE:g}, got {value}")
+    if not 1.0 / TOO_LARGE < number < TOO_LARGE:
+        raise ValueError(f"{name}: expected a number from {1.0 / TOO_LARGE:g} to {TOO_LARGE:g}, got {value}")
     return number
 
 

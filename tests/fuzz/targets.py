@@ -31,6 +31,7 @@ from slam.store import Session
 from spplanes import Plane
 from tests.fuzz.folders import FOLDERS
 from tests.fuzz.functions import FUNCTIONS
+from tests.fuzz.public import PUBLIC
 from tests.fuzz.target import Target, check_log, check_plane, check_points, check_pose, written
 from tests.slam.scenes import drive, room_planes
 
@@ -198,6 +199,7 @@ TARGETS = {
         Target("codec", _codec, _codec_seeds),
         Target("session", _session, _session_seed, ".db"),
         *FUNCTIONS,
+        *PUBLIC,
         *FOLDERS,
         *(
             Target(f"cloud{suffix}", _cloud, lambda suffix=suffix: _cloud_seeds(suffix), suffix)  # type: ignore[misc]

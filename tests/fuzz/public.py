@@ -1,0 +1,189 @@
+"""Every other public function that takes arrays, each fed with any floats: the first number chooses which."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+
+import factors
+from spplanes import Location, Moments, Plane, ScanLine
+from tests.fuzz.target import Target, check_plane, check_pose
+from tests.slam.scenes import room_planes
+
+
+class Numbers:
+    """Arrays out of the numbers of an input, one after another; zeros where these end."""
+
+    def __init__(self, numbers: np.ndarray) -> None:
+        self._numbers, self._place = numbers, 0
+
+    def array(self, *shape: int) -> np.ndarray:
+        """The next of this shape."""
+        size = int(np.prod(shape))
+        found = self._numbers[self._place : self._place + size]
+        self._place += size
+        return np.concatenate((found, np.zeros(size - len(found)))).reshape(shape)
+
+    def number(self) -> float:
+        """The next number."""
+        return float(self.array(1)[0])
+
+    def plane(self) -> Plane:
+        """A plane of any frame and covariance."""
+        return Plane(self.array(4, 4), self.array(3, 3), 10)
+
+    def line(self) -> ScanLine:
+        """A line of any numbers."""
+        return ScanLine(self.number(), self.number(), self.array(2, 2), self.array(2, 2), np.arange(3), 1.0)
+
+    def location(self) -> Location:
+        """A location of all six rows."""
+        return Location(self.array(4, 4), self.array(6, 6))
+
+    def landmark(self) -> gtsam.OrientedPlane3:
+        """A landmark of GTSAM."""
+        return factors.plane_landmark(self.plane())
+
+
+Call = Callable[[Numbers], Any]
+
+#: What is called of each public name, and what must hold of the answer is checked by its kind (`_check`).
+CALLS: dict[str, Call] = {
+    "spplanes.Location": Numbers.location,
+    "spplanes.Location.point": lambda n: Location.point(n.array(3), n.array(3, 3)),
+    "spplanes.Location.plane": lambda n: Location.plane(n.array(4, 4), n.array(3, 3)),
+    "spplanes.Location.line_2d": lambda n: Location.line_2d(n.number(), n.number(), n.number(), n.array(2, 2)),
+    "spplanes.Location.robot_2d": lambda n: Location.robot_2d(n.number(), n.number(), n.number(), n.array(3, 3)),
+    "spplanes.Location.pose": lambda n: Location.pose(n.array(4, 4), n.array(6, 6)),
+    "spplanes.Location.perturbed": lambda n: n.location().perturbed(n.array(6)),
+    "spplanes.Location.perturbation_to": lambda n: n.location().perturbation_to(n.array(4, 4)),
+    "spplanes.Location.compose": lambda n: n.location().compose(n.location()),
+    "spplanes.Location.inverse": lambda n: n.location().inverse(),
+    "spplanes.Location.relative": lambda n: n.location().relative(n.location()),
+    "spplanes.Moments.from_points": lambda n: Moments.from_points(n.array(5, 3), n.array(5)).scatter,
+    "spplanes.Moments.merge": lambda n: (
+        Moments.from_points(n.array(3, 3), n.array(3)).merge(Moments.from_points(n.array(3, 3), n.array(3))).scatter
+    ),
+    "spplanes.Moments.plane": lambda n: Moments.from_points(n.array(5, 3), n.array(5)).plane(),
+    "spplanes.Plane.from_hesse": lambda n: Plane.from_hesse(n.array(3), n.number(), n.array(3, 3), centre=n.array(3)),
+    "spplanes.Plane.distance": lambda n: n.plane().distance(n.array(4, 3)),
+    "spplanes.Plane.project": lambda n: n.plane().project(n.array(4, 3)),
+    "spplanes.ScanLine": Numbers.line,
+    "spplanes.ScanLine.transform": lambda n: n.line().transform(n.array(4, 4), n.array(3, 3)),
+    "spplanes.ScanLine.mahalanobis": lambda n: n.line().mahalanobis(n.line()),
+    "factors.anchored_plane_jacobian": lambda n: factors.anchored_plane_jacobian(
+        n.landmark(), n.array(4, 4), n.array(4, 4)
+    ),
+    "factors.change_anchor": lambda n: factors.change_anchor(n.landmark(), n.array(4, 4), n.array(4, 4)),
+    "factors.direction_prior": lambda n: factors.direction_prior(2, n.array(3), n.number()),
+    "factors.distance_factor": lambda n: factors.distance_factor(2, 3, n.number(), n.number(), at=n.array(3)),
+    "factors.facing": lambda n: factors.facing(n.plane(), n.array(3)),
+    "factors.get_ready": lambda n: factors.get_ready([n.plane(), n.plane()]),
+    "factors.landmark_hesse": lambda n: factors.landmark_hesse(n.landmark())[0],
+    "factors.landmark_to_plane": lambda n: factors.landmark_to_plane(n.landmark(), n.array(3, 3), centre=n.array(3)),
+    "factors.line_factor_2d": lambda n: factors.line_factor_2d(n.line(), n.array(4, 4), 4, 2),
+    "factors.map_prior": lambda n: factors.map_prior([n.plane(), n.plane()], [2, 3], n.array(6, 6)),
+    "factors.odometry_factor_2d": lambda n: factors.odometry_factor_2d(4, 5, n.array(3), n.array(3, 3)),
+    "factors.parallel_factor": lambda n: factors.parallel_factor(2, 3, n.number()),
+    "factors.perpendicular_factor": lambda n: factors.perpendicular_factor(2, 3, n.number()),
+    "factors.planar_motion_factor": lambda n: factors.planar_motion_factor(
+        0, height=n.number(), sigmas=n.array(3).tolist()
+    ),
+    "factors.plane_factors": lambda n: factors.plane_factors([n.plane()], [0], [2], [1]),
+    "factors.plane_landmark": lambda n: factors.plane_landmark(n.plane(), n.array(4, 4)),
+    "factors.plane_prior": lambda n: factors.plane_prior(n.plane(), 2),
+    "factors.pose_prior": lambda n: factors.pose_prior(0, n.array(4, 4), n.array(6, 6)),
+    "factors.relative_pose_factor": lambda n: factors.relative_pose_factor(0, 1, n.array(4, 4), n.array(6, 6)),
+    "factors.upright_prior": lambda n: factors.upright_prior(2, n.number(), up=n.array(3)),
+    "factors.world_plane_from_joint": lambda n: factors.world_plane_from_joint(
+        n.landmark(), n.array(4, 4), n.array(9, 9), centre=n.array(3)
+    ),
+}
+#: Those that a target of their own feeds (`tests.fuzz.functions`).
+ELSEWHERE = {
+    *("spplanes.Plane", "spplanes.Plane.transform", "spplanes.Plane.merge", "spplanes.Plane.mahalanobis"),
+    *("spplanes.Plane.to_dict", "spplanes.Plane.from_dict", "spplanes.PlaneMapper", "spplanes.PlaneMapper.add_scan"),
+    *("spplanes.extract_lines", "spplanes.fit_plane", "spplanes.fit_planes", "spplanes.segment_scans"),
+    *("factors.line_factor", "factors.odometry_factor", "factors.plane_factor"),
+    *("slam.PlaneSlam", "slam.PlaneSlam.add_keyframe", "slam.Keyframe"),
+}
+#: Those that take no array: settings, paths, what GTSAM made itself, or nothing.
+WITHOUT_ARRAYS = {
+    *("spplanes.__version__", "spplanes.LineConfig", "spplanes.MapperConfig", "spplanes.MapperConfig.for_rows"),
+    *("spplanes.Moments", "spplanes.Moments.from_row", "spplanes.Moments.as_row", "spplanes.PlaneMapper.labels"),
+    *("factors.isam_covariance", "factors.joint_covariance", "factors.seen_plane", "factors.world_plane"),
+    *("slam.SlamConfig", "slam.SlamConfig.from_yaml", "slam.SlamConfig.to_yaml", "slam.PlaneSlam.open"),
+    *("slam.PlaneSlam.close", "slam.PlaneSlam.optimize_batch", "slam.PlaneSlam.adopt_batch"),
+}
+
+
+def _read(path: Path) -> None:
+    data = path.read_bytes()
+    numbers = np.frombuffer(data[: len(data) // 8 * 8], dtype="<f8")
+    chosen = numbers[0] if len(numbers) and np.isfinite(numbers[0]) else 0.0
+    _check(list(CALLS.values())[int(abs(chosen)) % len(CALLS)](Numbers(numbers[1:])))
+
+
+def _check(answer: Any) -> None:
+    """What holds of every answer of its kind."""
+    if isinstance(answer, Plane):
+        check_plane(answer)
+    elif isinstance(answer, Location):
+        check_pose(answer.transform)
+        assert np.isfinite(answer.covariance).all()
+    elif isinstance(answer, ScanLine):
+        assert np.isfinite([answer.alpha, answer.rho, *answer.covariance.ravel()]).all()
+    elif isinstance(answer, np.ndarray | float):
+        assert not np.isnan(answer).any()
+    elif isinstance(answer, gtsam.NonlinearFactor | gtsam.NonlinearFactorGraph):
+        assert not np.isnan(answer.error(_values()))
+
+
+def _values() -> gtsam.Values:
+    values = gtsam.Values()
+    for key in (0, 1):
+        values.insert(key, gtsam.Pose3())
+        values.insert(key + 2, gtsam.OrientedPlane3(0.0, 0.6, 0.8, 1.0 + key))
+        values.insert(key + 4, gtsam.Pose2())
+    return values
+
+
+def _seeds() -> list[bytes]:
+    return [seed_of(number) for number in range(len(CALLS))]
+
+
+def seed_of(number: int) -> bytes:
+    """Numbers that one of them takes."""
+    return np.concatenate(([float(number)], _numbers_for(list(CALLS)[number]))).tobytes()
+
+
+def _numbers_for(name: str) -> np.ndarray:
+    class Asked(Numbers):
+        """Gives what will do for each shape, and remembers it."""
+
+        def __init__(self) -> None:
+            super().__init__(np.empty(0))
+            self.given: list[np.ndarray] = []
+
+        def array(self, *shape: int) -> np.ndarray:
+            if shape == (4, 4):
+                found = np.eye(4) if "ScanLine" in name or "2d" in name else room_planes()[len(self.given) % 4].frame
+            elif len(shape) == 2 and shape[0] == shape[1]:
+                found = 1e-3 * np.eye(shape[0])
+            elif shape == (3,):
+                found = np.array([0.48, 0.6, 0.64])
+            else:
+                found = np.random.default_rng(len(self.given)).uniform(0.1, 1.0, shape)
+            self.given.append(found)
+            return found
+
+    asked = Asked()
+    CALLS[name](asked)
+    return np.concatenate([one.ravel() for one in asked.given])
+
+
+PUBLIC = (Target("public", _read, _seeds, is_numbers=True),)
