@@ -119,6 +119,7 @@ def fold_journal(connection: sqlite3.Connection) -> None:
     leaves is all the same. It neither needs a sync nor a rollback journal, which a kill would leave to the next reader.
     Without a word the journal stays where a reader still holds it.
     """
+    connection.execute("PRAGMA busy_timeout = 500")  # the last thing asked of it: not worth a longer wait
     busy, _, _ = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
     if busy:
         return

@@ -303,7 +303,7 @@ BAD: dict[str, tuple[str, bytes, str]] = {
     "npy flat": ("c.npy", npy(np.arange(9.0)), r"expected an array of shape \(N, 3\) or \(S, B, 3\), got \(9,\)"),
     "npy all nan": ("c.npy", npy(NO_POINTS), "got none that is finite"),
     "npz cut": ("c.npz", npz(points=POINTS)[:-40], "expected an array in numpy's format"),
-    "npz of several": ("c.npz", npz(a=POINTS, b=POINTS), "expected an array 'points' or only one array, got a, b"),
+    "npz of several": ("c.npz", npz(a=POINTS, b=POINTS), "expected an array 'points' or only one array, got 'a, b'"),
     "npz bomb": ("c.npz", zip_bomb(), "bytes that grow to 2047 MiB or more: refused"),
     "unknown": ("c.doc", b"x", "expected a cloud .*, got the ending '.doc'"),
 }

@@ -84,7 +84,8 @@ def _member(path: Path, archive: zipfile.ZipFile) -> zipfile.ZipInfo:
         if name in members:
             return members[name]
     if len(members) != 1:
-        raise LogError(path, f"expected an array 'points' or only one array, got {', '.join(members)[:60] or 'none'}")
+        names = ascii(", ".join(members)[:60]) if members else "none"
+        raise LogError(path, f"expected an array 'points' or only one array, got {names}")
     return next(iter(members.values()))
 
 
