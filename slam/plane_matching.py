@@ -198,13 +198,13 @@ def _partners(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays) -> lis
 def _agreement(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, needed: float | None = None) -> float:
     """How much of what is seen is known under a motion worked out: by size, closeness and common area.
 
+    Within one standard deviation planes are as close as can be: noise must not tell two ends of a hall apart.
     Where that turns out to be less than what is needed, just so much less as is known by then.
     """
     turned = mine.normals @ motion[:3, :3].T
-    offsets = mine.distances + turned @ motion[:3, 3]
     angles = np.arccos(np.clip(turned @ theirs.normals.T, -1.0, 1.0)) / _FINE_ANGLE
-    far = angles**2 + ((offsets[:, None] - theirs.distances[None, :]) / _FINE_DISTANCE) ** 2
-    closeness = np.where(far < 9.0, 1.0 / (1.0 + far), 0.0)
+    far = angles**2 + (_heights(motion, mine, theirs) / _FINE_DISTANCE) ** 2
+    closeness = np.where(far < 9.0, 1.0 / np.maximum(far, 1.0), 0.0)
     total = float(mine.weights @ closeness.max(axis=1))
     for i, plane in enumerate(mine.planes):  # the largest first
         if needed is not None and total < needed - _ROUNDING:
@@ -216,6 +216,17 @@ def _agreement(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, neede
             share = max(share, min(_common(plane, theirs.planes[j], motion), 1.0) * float(closeness[i, j]))
         total -= float(mine.weights[i]) * (float(closeness[i, order[0]]) - share)
     return total
+
+
+def _heights(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays) -> FloatArray:
+    """How far planes seen lie from known ones under a motion, at the middle of the smaller of the two, (N, M), m.
+
+    Not at the origin: there a tilt that is off shifts a plane by as much as it is away.
+    """
+    turned = mine.normals @ motion[:3, :3].T
+    seen = (mine.middles @ motion[:3, :3].T + motion[:3, 3]) @ theirs.normals.T - theirs.distances
+    known = (mine.distances + turned @ motion[:3, 3])[:, None] - turned @ theirs.middles.T
+    return np.where(mine.weights[:, None] <= theirs.weights, seen, known)
 
 
 def _common(seen: Plane, known: Plane, motion: FloatArray) -> float:
