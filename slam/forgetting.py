@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
-from typing import overload
+from typing import Any, overload
 
 from slam.decisions import Decision
 from slam.growing import Growing, Rows
@@ -47,6 +47,10 @@ class ForgottenKeyframes(Growing[Keyframe]):
 
 class StoredKeyframe(Keyframe):
     """A keyframe that was recorded: what it measured is read from the session when it is asked for."""
+
+    def __new__(cls, *given: Any, **fields: Any) -> Any:
+        """Of the fields of a keyframe, as `dataclasses.replace` gives them, one in memory."""
+        return Keyframe(**fields) if "motion" in fields else super().__new__(cls)
 
     def __init__(self, stamp_ns: int, count: int, notes: tuple[str, ...], read: Read, there: Sequence[int]) -> None:
         seen = _StoredObservations(read, count)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -59,6 +60,10 @@ class CloudScan:
 
 class StoredCloud(CloudScan):
     """A 3D scan that stays in its file until its points are asked for: long logs need not fit into memory."""
+
+    def __new__(cls, *given: Any, **fields: Any) -> Any:
+        """Of the fields of a scan, as `dataclasses.replace` gives them, one in memory."""
+        return CloudScan(**fields) if "points" in fields else super().__new__(cls)
 
     def __init__(
         self, stamp_ns: int, sensor: str, read: Callable[[], FloatArray], world_T_body: FloatArray | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +48,10 @@ class Spool:
 class StoredScan(LaserScan):
     """A 2D scan whose ranges, and pose if there is one, are read each time they are asked for."""
 
+    def __new__(cls, *given: Any, **fields: Any) -> Any:
+        """Of the fields of a scan, as `dataclasses.replace` gives them, one in memory."""
+        return LaserScan(**fields) if "ranges" in fields else super().__new__(cls)
+
     def __init__(
         self,
         stamp_ns: int,
@@ -80,6 +85,10 @@ class StoredScan(LaserScan):
 
 class StoredReading(OdometryReading):
     """An odometry reading whose transform is made each time it is asked for."""
+
+    def __new__(cls, *given: Any, **fields: Any) -> Any:
+        """Of the fields of a reading, as `dataclasses.replace` gives them, one in memory."""
+        return OdometryReading(**fields) if "odom_T_body" in fields else super().__new__(cls)
 
     def __init__(self, stamp_ns: int, place: int, pose: Callable[[int], FloatArray]) -> None:
         for name, value in {"stamp_ns": stamp_ns, "_place": place, "_pose": pose}.items():
