@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import struct
 import zipfile
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +17,14 @@ import pytest
 from slam.glb import write_glb
 from slam.history import History
 from slam.io.clouds import read_cloud
+from slam.io.load import load
 from slam.io.log import LogError
 from slam.rerun_export import write_rerun
 from slam.simulation.truth import Truth
 from slam.stored import StoredRun
 from tests.fuzz.target import NEXT_FILE
 from tests.fuzz.targets import TARGETS
+from tests.slam.test_rosbag import mission, write
 
 NAMES = ("<script>", "../x", "/tmp/x", "a\nb\x1b[31m\0c", "n" * 10_000, "..", "C:\\x", "\u202e")
 
@@ -61,6 +65,21 @@ def test_members_of_an_archive_are_read_where_they_are(name: str, tmp_path: Path
         read_cloud(two)
     assert str(error.value).isprintable() and len(error.value.problem) < 200
     assert _files_about(inside) == before
+
+
+@pytest.mark.parametrize("where", ["..", "/", "file:"])
+def test_a_bag_is_read_from_its_own_folder(where: str, tmp_path: Path):
+    """The list of a bag's files names one outside of it: a whole one, which is left alone all the same."""
+    pytest.importorskip("rosbags")
+    folder = write(tmp_path, "sqlite3", lambda messages: islice(mission(messages, columns=8), 5))
+    outside = (folder / "run 1 ü.db3").rename(tmp_path / "outside.db3")
+    named = {"..": "../outside.db3", "/": str(outside), "file:": f"file:{outside}"}[where]
+    metadata = folder / "metadata.yaml"
+    text = metadata.read_text(encoding="utf-8")
+    assert "run 1 ü.db3" in text
+    metadata.write_text(re.sub(r"run 1 (ü|\\xFC)\.db3", named, text), encoding="utf-8")
+    with pytest.raises(LogError, match=r"files are missing|cannot be read"):
+        load(folder)
 
 
 @pytest.mark.parametrize("name", NAMES, ids=ascii)
