@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 
-from slam.outlines import largest_polygon, valid
+from slam.outlines import polygonal, valid
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -22,7 +23,7 @@ class PlaneArrays:
     """The largest planes as arrays."""
 
     planes: list[Plane]
-    """Largest first, their outlines drawn roughly."""
+    """Largest first, their outlines drawn roughly; an outline may be of several polygons."""
     order: list[int]
     """Which each is of those given."""
     normals: FloatArray
@@ -56,12 +57,12 @@ def _reach(plane: Plane) -> float:
     """How far from its centre a plane was seen, m; any distance of one without an outline."""
     if plane.outline is None or plane.outline.is_empty:
         return np.inf
-    return float(np.linalg.norm(np.array(plane.outline.exterior.coords), axis=1).max())
+    return float(np.linalg.norm(shapely.get_coordinates(plane.outline), axis=1).max())
 
 
 def _drawn_coarsely(plane: Plane) -> Plane:
     """The plane with an outline as rough as what is asked of it: whether two meet, and what they have in common."""
     if plane.outline is None:
         return plane
-    outline = largest_polygon(valid(plane.outline.simplify(_ROUGH)))
-    return Plane._trusted(plane.frame, plane.covariance, plane.n_points, outline)
+    outline = polygonal(valid(plane.outline.simplify(_ROUGH)))
+    return Plane._trusted(plane.frame, plane.covariance, plane.n_points, outline)  # type: ignore[arg-type]

@@ -35,6 +35,7 @@ def associate(
     hint: Hint | None = None,
     *,
     among: Collection[int] | None = None,
+    trusted: Collection[int] | None = None,
 ) -> list[Decision]:
     """Decide for every observation of a keyframe whose pose is already predicted in the graph.
 
@@ -48,7 +49,7 @@ def associate(
     With a `hint`, such as all returns give, the decisions are made by a state that knows it; the chi2 they are gated by
     and report is that of the state without it, for the hint is made of the same returns as the lines.
 
-    Only the landmarks `among` are looked at when it is given.
+    Only the landmarks `among` are looked at when it is given, and only for the observations `trusted`.
 
     Returns:
         One decision for each observation, in their order.
@@ -58,6 +59,8 @@ def associate(
     seen = [_Seen.of(observation, spread, config) for observation in observations]
     shortlists = [_shortlist(one, landmarks, world_T_body) for one in seen]
     chances = [_log_density(one, len(shortlist), config) for one, shortlist in zip(seen, shortlists, strict=True)]
+    if trusted is not None:
+        shortlists = [shortlist if index in trusted else [] for index, shortlist in enumerate(shortlists)]
     if among is not None:
         shortlists = [[landmark for landmark in shortlist if landmark.id in among] for shortlist in shortlists]
     keys = {pose_key} if hint is None else {pose_key, hint.key}

@@ -82,6 +82,12 @@ def largest_polygon(geometry: BaseGeometry) -> shapely.Polygon | None:
     return max(polygons_of(geometry), key=lambda part: part.area, default=None)
 
 
+def polygonal(geometry: BaseGeometry) -> shapely.Polygon | shapely.MultiPolygon | None:
+    """All polygons of a geometry as one; None when it has none."""
+    parts = polygons_of(geometry)
+    return shapely.MultiPolygon(parts) if len(parts) > 1 else parts[0] if parts else None
+
+
 def _singles(geometry: BaseGeometry) -> list[BaseGeometry]:
     if not hasattr(geometry, "geoms"):
         return [geometry]

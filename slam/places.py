@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from slam.keyframes import Keyframe
 from slam.landmarks import Landmark, LandmarkMap
 from slam.observations import PlaneObservation
 from slam.odometry import Motion
-from slam.outlines import largest_polygon
+from slam.outlines import polygonal
 from slam.plane_matching import match_planes_widely
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -31,12 +31,31 @@ def is_wide(motion: Motion) -> bool:
     return place > _WIDE_M or turn > _WIDE_RAD
 
 
-def found_motion(
-    keyframe: Keyframe, index: int, motion: Motion, world_T_a: FloatArray, landmarks: LandmarkMap
-) -> Motion | None:
-    """The motion by which most of what a keyframe sees was seen before; None when that cannot be said.
+@dataclass(frozen=True, eq=False)
+class FoundPlace:
+    """Where a body is by the planes it sees again."""
 
-    It stands in for the real one while observations are matched, and for no longer: it holds what they will say.
+    motion: Motion
+    """The motion to there; it stands in for the real one while observations are matched."""
+    seen_again: frozenset[int]
+    """Indices of the observations that found it."""
+
+    @property
+    def trusted(self) -> frozenset[int] | None:
+        """Observations that may be matched; None: all.
+
+        Where even the planes leave a place open, a plane that was not seen again there fits any landmark along the
+        open direction: the next of a row of pillars as well as the first.
+        """
+        return self.seen_again if is_wide(self.motion) else None
+
+
+def found_place(
+    keyframe: Keyframe, index: int, motion: Motion, world_T_a: FloatArray, landmarks: LandmarkMap
+) -> FoundPlace | None:
+    """The place from which most of what a keyframe sees was seen before; None when that cannot be said.
+
+    Its motion is used for matching observations and for nothing later: it holds what they will say.
 
     Args:
         keyframe: what is seen.
@@ -45,6 +64,7 @@ def found_motion(
         world_T_a: the pose before, shape (4, 4).
         landmarks: as of the last refresh.
     """
+    numbers = [k for k, one in enumerate(keyframe.observations) if isinstance(one, PlaneObservation)]
     seen = [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
     expected_T_world = inverse(world_T_a @ motion.a_T_b)
     recent = [one for one in landmarks if one.was_seen_between(index - _RECENT, index)]
@@ -54,12 +74,14 @@ def found_motion(
         return None
     covariance = _SLACK**2 * found.covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
     covariance = covariance + np.diag(np.repeat([_LEAST_M**2, _LEAST_RAD**2], 3))
-    return replace(motion, a_T_b=motion.a_T_b @ found.known_T_seen, covariance=covariance, response=None)
+    there = replace(motion, a_T_b=motion.a_T_b @ found.known_T_seen, covariance=covariance, response=None)
+    return FoundPlace(there, frozenset(numbers[i] for i, _ in found.pairs))
 
 
 def _placed(landmark: Landmark, landmarks: LandmarkMap) -> Plane:
-    frame = landmarks.placed(landmark.id).world_T_plane
-    return Plane._trusted(frame, 1e-6 * np.eye(3), landmark.n_points, largest_polygon(landmark.outline))
+    """A landmark with all parts that were seen of it: a wall behind pillars has many."""
+    frame, outline = landmarks.placed(landmark.id).world_T_plane, polygonal(landmark.outline)
+    return Plane._trusted(frame, 1e-6 * np.eye(3), landmark.n_points, outline)  # type: ignore[arg-type]
 
 
 def _sigmas(motion: Motion) -> tuple[float, float]:

@@ -35,8 +35,11 @@ _PARALLEL = 0.94
 _ROTATIONS, _PAIRS, _MOTIONS = 40, 26, 20
 #: Motions worked out are one when no entry of their matrices differs by more, m and rad.
 _SAME = 1e-3
-#: Scores are told apart beyond this.
-_ROUNDING = 1e-9
+#: Scores are told apart beyond this; and what is hidden from one place and not from the next changes them by such a
+#: share of what is seen.
+_ROUNDING, _ALIKE = 1e-9, 0.03
+#: Motions that cost so much more are other ones, not the same a little off.
+_CHEAP = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +62,8 @@ def match_planes_widely(
     Two pairs of planes that enclose the same angle give a rotation, three offsets a translation. Every motion is scored
     by the planes that find a partner, by the root of their area, less what it costs to move that far. The best, and the
     place where the body is expected, are worked out with all their pairs by least squares, and scored anew by what the
-    planes have in common, less what would be seen through walls: halls look alike from both ends.
+    planes have in common, less what would be seen through walls: halls look alike from both ends. Of those that this
+    does not tell apart, the least is taken.
 
     Args:
         seen: planes in the frame of the body now.
@@ -74,21 +78,22 @@ def match_planes_widely(
         return None
     motions = [one for R in _rotations(mine, theirs, sigmas[1]) for one in _translations(R, mine, theirs, sigmas)]
     sight = LinesOfSight.between(mine.planes, mine.weights, theirs.planes)
-    best: tuple[float, PlaneMatching] | None = None
-    tried: list[FloatArray] = []
+    best, alike = -np.inf, _ALIKE * float(mine.weights.sum())
+    tried: list[tuple[float, float, PlaneMatching]] = []
     likely = [motion for _, motion in sorted(motions, key=lambda one: -one[0])[:_MOTIONS]]
     for motion in [np.eye(4), *likely]:
         found = _worked_out(motion, mine, theirs, sigmas)
-        if found is None or any(np.abs(found.known_T_seen - one).max() < _SAME for one in tried):
+        if found is None or any(np.abs(found.known_T_seen - one.known_T_seen).max() < _SAME for *_, one in tried):
             continue
-        tried.append(found.known_T_seen)
         price = _price(found.known_T_seen, sigmas)
-        score = _agreement(found.known_T_seen, mine, theirs, None if best is None else best[0] + price) - price
-        if best is None or score > best[0]:
+        score = _agreement(found.known_T_seen, mine, theirs, best - alike + price) - price
+        if score > best - alike:
             score -= sight.blocked(found.known_T_seen)
-        if best is None or score > best[0]:
-            best = score, found
-    return None if best is None else best[1]
+        tried.append((score, price, found))
+        best = max(best, score)
+    equals = [one for one in tried if one[0] >= best - alike]
+    least = min((price for _, price, _ in equals), default=0.0)
+    return max((one for one in equals if one[1] <= least + _CHEAP), key=lambda one: one[0], default=(0.0, 0.0, None))[2]
 
 
 def _worked_out(
@@ -195,8 +200,8 @@ def _partners(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays) -> lis
     return pairs
 
 
-def _agreement(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, needed: float | None = None) -> float:
-    """How much of what is seen is known under a motion worked out: by size, closeness and common area.
+def _agreement(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, needed: float = -np.inf) -> float:
+    """How much of what is seen is known under a motion worked out: the root of the area in common, and how close.
 
     Within one standard deviation planes are as close as can be: noise must not tell two ends of a hall apart.
     Where that turns out to be less than what is needed, just so much less as is known by then.
@@ -205,16 +210,18 @@ def _agreement(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, neede
     angles = np.arccos(np.clip(turned @ theirs.normals.T, -1.0, 1.0)) / _FINE_ANGLE
     far = angles**2 + (_heights(motion, mine, theirs) / _FINE_DISTANCE) ** 2
     closeness = np.where(far < 9.0, 1.0 / np.maximum(far, 1.0), 0.0)
-    total = float(mine.weights @ closeness.max(axis=1))
+    most = closeness * np.minimum(mine.weights[:, None], theirs.weights)  # a wall has a pillar's face in common
+    total = float(most.max(axis=1).sum())
     for i, plane in enumerate(mine.planes):  # the largest first
-        if needed is not None and total < needed - _ROUNDING:
+        if total < needed - _ROUNDING:
             break
-        share, order = 0.0, np.argsort(-closeness[i], kind="stable")
+        shared, order = 0.0, np.argsort(-most[i], kind="stable")
         for j in order.tolist():
-            if closeness[i, j] <= share:
+            if most[i, j] <= shared:
                 break  # outlines have all in common at most
-            share = max(share, min(_common(plane, theirs.planes[j], motion), 1.0) * float(closeness[i, j]))
-        total -= float(mine.weights[i]) * (float(closeness[i, order[0]]) - share)
+            share = min(_common(plane, theirs.planes[j], motion), 1.0)
+            shared = max(shared, float(np.sqrt(share) * most[i, j]))
+        total -= float(most[i, order[0]]) - shared
     return total
 
 

@@ -137,8 +137,10 @@ class PlaneSlam(Estimate):
     @timed("associate")
     def _associate(self, keyframe: Keyframe, pose_key: int) -> list[Decision]:
         """Which landmark each observation is of, told apart by all returns where there are any."""
+        found, rules = self._prediction.found, self.config.association
+        trusted = None if found is None else found.trusted
         hint = self._hint(keyframe)
-        return associate(keyframe.observations, pose_key, self.landmarks, self.backend, self.config.association, hint)
+        return associate(keyframe.observations, pose_key, self.landmarks, self.backend, rules, hint, trusted=trusted)
 
     @timed("compare returns")
     def _hint(self, keyframe: Keyframe) -> Hint | None:

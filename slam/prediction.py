@@ -15,7 +15,7 @@ from slam.frames import inverse
 from slam.keyframes import Keyframe
 from slam.odometry import Motion
 from slam.parts import Parts
-from slam.places import found_motion, is_wide
+from slam.places import FoundPlace, found_place, is_wide
 from slam.thinning import Link
 from spplanes._check import FloatArray
 
@@ -40,6 +40,8 @@ class Prediction:
         """Factors of the wide motion that another one stands in for."""
         self.standing_in: list[int] = []
         """Indices of the factors of that other one."""
+        self.found: FoundPlace | None = None
+        """Where the planes found the newest keyframe, if they were asked and could say."""
 
     @property
     def is_wide(self) -> bool:
@@ -94,11 +96,11 @@ class Prediction:
         before, key = pose_symbol(index - 1), pose_symbol(index)
         world_T_before = self._backend.pose(before)
         motion = self.motion = self._motion_to(keyframe)
-        found = found_motion(keyframe, index, motion, world_T_before, self._landmarks) if is_wide(motion) else None
-        if found is None:
+        self.found = found_place(keyframe, index, motion, world_T_before, self._landmarks) if is_wide(motion) else None
+        if self.found is None:
             return world_T_before @ motion.a_T_b, motion.factors(before, key)
-        self.waiting = motion.factors(before, key)
-        return world_T_before @ found.a_T_b, found.factors(before, key)
+        self.waiting, there = motion.factors(before, key), self.found.motion
+        return world_T_before @ there.a_T_b, there.factors(before, key)
 
     def _motion_to(self, keyframe: Keyframe) -> Motion:
         """Odometry, less what is known to be wrong with it; without any the motion before goes on."""

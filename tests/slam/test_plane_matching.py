@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from shapely import box
 
+from slam._plane_arrays import PlaneArrays
 from slam.frames import inverse
 from slam.plane_fit import _off, fit_planes_on
-from slam.plane_matching import match_planes_widely
+from slam.plane_matching import _agreement, match_planes_widely
 from slam.plane_sight import LinesOfSight
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -57,6 +58,13 @@ def measured(planes: list[Plane], world_T_body: FloatArray, rng: np.random.Gener
         off[:3, :3], off[2, 3] = gtsam.Rot3.RzRyRx(psi, theta, 0.0).matrix(), shift
         seen.append(Plane(moved.frame @ off, moved.covariance, moved.n_points, moved.outline))
     return seen
+
+
+def test_a_wall_and_the_face_of_a_pillar_have_the_pillar_in_common():
+    gable, face = wall((0.0, 0.0, 2.0), (1.0, 0.0, 0.0), 10.0, 4.0), wall((0.0, 1.0, 2.0), (1.0, 0.0, 0.0), 0.5, 4.0)
+    seen = PlaneArrays.of([gable])
+    assert _agreement(np.eye(4), seen, PlaneArrays.of([gable])) == pytest.approx(np.sqrt(40.0))
+    assert _agreement(np.eye(4), seen, PlaneArrays.of([face])) == pytest.approx(np.sqrt(2.0))
 
 
 def test_derivatives_of_what_planes_are_off():
