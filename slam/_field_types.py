@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import cache
-from numbers import Integral
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -79,7 +78,7 @@ def _simple(hint: Any) -> Test:
 
 
 def _is_whole(value: Any) -> bool:
-    return isinstance(value, Integral) and not isinstance(value, bool) and -_MOST <= value < _MOST
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and -_MOST <= int(value) < _MOST
 
 
 def _is_sequence(value: Any) -> bool:
