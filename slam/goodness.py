@@ -34,7 +34,7 @@ def is_one_plane(
     return (
         could_be_seen(plane, viewpoint, rules)
         and fits_its_noise(plane, rules)
-        and not has_step(plane, points, covariances, rules, scan_index, drift_m)
+        and not InPatches(plane, points, covariances, rules, scan_index, drift_m).has_step
     )
 
 
@@ -48,18 +48,6 @@ def fits_its_noise(plane: Plane, rules: MeasurementConfig) -> bool:
     """Whether chi2 of the fit is what it should be, up to the slack that the noise level is known to."""
     dof = max(plane.n_points - 3, 1)
     return plane.chi2 <= dof * (1.0 + rules.noise_slack) + rules.misfit_sigmas * np.sqrt(2.0 * dof)
-
-
-def has_step(
-    plane: Plane,
-    points: FloatArray,
-    covariances: FloatArray,
-    rules: MeasurementConfig,
-    scan_index: np.ndarray | None = None,
-    drift_m: FloatArray | None = None,
-) -> bool:
-    """Whether some patch of the plane lies off it: see `InPatches.has_step`; for the arguments `is_one_plane`."""
-    return InPatches(plane, points, covariances, rules, scan_index, drift_m).has_step
 
 
 class InPatches:

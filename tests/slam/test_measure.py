@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam.config import MeasurementConfig, SlamConfig
-from slam.goodness import could_be_seen, fits_its_noise, has_step, is_one_plane
+from slam.goodness import InPatches, could_be_seen, fits_its_noise, is_one_plane
 from slam.io.log import CloudScan
 from slam.measure import for_points, planes_of_cloud, usable_points, usable_ranges
 from slam.point_errors import line_tilt_covariances, servo_covariances, surface_covariances, tilt_drift
@@ -65,10 +65,10 @@ def test_a_notice_board_of_two_centimetres_is_a_step_and_a_wall_is_none():
     for _ in range(200):
         points = patch(rng, 3000)
         plane = fit_plane(points, sigma=SIGMA)
-        false_alarms += has_step(plane, points, isotropic(points), RULES)
+        false_alarms += InPatches(plane, points, isotropic(points), RULES).has_step
         points[points[:, 1] > 0.9, 2] += 0.02
         plane = fit_plane(points, sigma=SIGMA)
-        found += has_step(plane, points, isotropic(points), RULES)
+        found += InPatches(plane, points, isotropic(points), RULES).has_step
     assert false_alarms <= 2
     assert found >= 198
 
@@ -112,8 +112,8 @@ def test_the_pose_error_that_a_scan_shares_is_no_step():
     scan = np.floor(points[:, 0] / 0.1).astype(int)
     points[:, 2] += 0.02 * rng.standard_normal(scan.max() + 1)[scan]
     plane = fit_plane(points, sigma=SIGMA)
-    assert has_step(plane, points, isotropic(points), RULES)
-    assert not has_step(plane, points, isotropic(points), RULES, scan)
+    assert InPatches(plane, points, isotropic(points), RULES).has_step
+    assert not InPatches(plane, points, isotropic(points), RULES, scan).has_step
 
 
 def test_a_slow_drift_of_the_sensor_is_no_step():
@@ -121,8 +121,8 @@ def test_a_slow_drift_of_the_sensor_is_no_step():
     points = patch(rng)
     points[:, 2] += 0.03 * np.sin(4.0 * points[:, 0])
     plane = fit_plane(points, sigma=SIGMA)
-    assert has_step(plane, points, isotropic(points), RULES)
-    assert not has_step(plane, points, isotropic(points), RULES, drift_m=np.full(len(points), 0.02))
+    assert InPatches(plane, points, isotropic(points), RULES).has_step
+    assert not InPatches(plane, points, isotropic(points), RULES, drift_m=np.full(len(points), 0.02)).has_step
 
 
 def test_chi2_far_beyond_the_noise_and_planes_seen_edge_on_are_refused():
