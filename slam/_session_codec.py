@@ -70,6 +70,9 @@ def encode_and_compare(value: Any) -> tuple[bytes, bool]:
 
     It does not of what is no array in C order, of a class derived from the known ones, of numbers of numpy, and of what
     the known classes put right when they are made.
+
+    Raises:
+        ValueError: a field of a known class holds something else than the class states; a value there is no form for.
     """
     buffers: list[bytes] = []
     writer = _Writer(buffers)
@@ -143,6 +146,7 @@ class _Writer:
         if kind is np.ndarray:
             return {"array": self._array(value)}
         if kind in _FIELDS:
+            check_fields(kind.__name__, value)  # as the reader will: what it would refuse must not be written
             self.same &= _stays(value)
             content = {one: self.plain(getattr(value, one)) for one in _FIELDS[kind]}
             return {"class": kind.__name__, "fields": content}

@@ -57,6 +57,7 @@ def check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
             _check_near(f"{name}.line.endpoints", seen.line.endpoints, _LARGEST_PLANE_M)
         elif not hasattr(seen, "factor"):
             raise ValueError(f"{name}: expected a plane or a line that was seen, got {type(seen).__name__}")
+    check_fields("keyframe", keyframe)
 
 
 def check_extent(name: str, frame: FloatArray, outline: BaseGeometry | None) -> None:

@@ -45,7 +45,7 @@ class FoundPlace:
         """Observations that may be matched; None: all.
 
         Where even the planes leave a place open, a plane that was not seen again there fits any landmark along the
-        open direction: the next of a row of pillars as well as the first.
+        open direction: the next of a row of pillars as well as the first. Lines, which find no place, wait as well.
         """
         return self.seen_again if is_wide(self.motion) else None
 

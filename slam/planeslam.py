@@ -92,6 +92,8 @@ class PlaneSlam(Estimate):
     def add_keyframe(self, keyframe: Keyframe) -> KeyframeReport:
         """Predict the pose, match what was seen, update the graph, let the landmarks grow.
 
+        The keyframe is kept: its arrays must not be written to afterwards.
+
         Raises:
             ValueError: the keyframe is not later than the last one, or has a covariance that is none; it left no trace.
         """

@@ -122,6 +122,7 @@ class Session(SessionRecords):
         """
         self._check_writable()
         index, (data, same) = self._size, encode_and_compare(without_scans(keyframe))
+        read = replace(keyframe, scans=()) if same else keyframe_of(data)  # before it is written: it can be read
         checksum = digest(self._last, index, keyframe.stamp_ns, data)
         with transaction(self.path, self._db):
             self._db.execute(
@@ -133,7 +134,7 @@ class Session(SessionRecords):
                     "INSERT INTO scans VALUES (?, ?, ?, ?, ?, ?, ?)", (index, *row, digest(checksum, *row))
                 )
         self._size, self._last = index + 1, checksum
-        return replace(keyframe, scans=()) if same else keyframe_of(data)
+        return read
 
     def add_decisions(self, index: int, decisions: Sequence[Decision]) -> None:
         """Record what the measurements of a keyframe were taken for."""

@@ -27,7 +27,7 @@ def write_cloud_folder(log: Log, folder: Path | str) -> None:
     for index, scan in enumerate(scans):
         write_pcd(folder / "clouds" / f"{index:06d}.pcd", scan.points)
     stamps = [scan.stamp_ns for scan in scans]
-    (folder / "times.txt").write_text("".join(seconds_from_ns(stamp) + "\n" for stamp in stamps), encoding="ascii")
+    (folder / "times.txt").write_bytes("".join(seconds_from_ns(stamp) + "\n" for stamp in stamps).encode("ascii"))
     odometry = [event for event in log.events if isinstance(event, OdometryReading)]
     _write_poses(folder / "odometry.tum", [one.stamp_ns for one in odometry], [one.odom_T_body for one in odometry])
     _write_poses(folder / "poses.tum", stamps, [one.world_T_body for one in scans if one.world_T_body is not None])

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 import shapely
 
-from slam import SlamConfig
+from slam import PlaneSlam, SlamConfig
 from slam._session_codec import decode, encode_and_compare, without_scans
 from slam.io.spool import StoredScan
 from slam.keyframes import keyframes_of
+from slam.observations import LineObservation
 from slam.simulation import simulate_mission
 from spplanes import Plane, ScanLine
+from tests.slam.scenes import drive
 
 
 @pytest.mark.parametrize("world", ["office", "corridor"])
@@ -61,3 +67,39 @@ _LINE = ScanLine(0.3, 2.0, 1e-4 * np.eye(2), np.eye(2), np.arange(3))
 def test_what_is_read_as_something_else_is_not_said_to_be_the_same(value: object):
     data, same = encode_and_compare({"value": [value]})
     assert not same and not _is_same(decode(data)["value"][0], value)
+
+
+def _seen(**line: Any) -> LineObservation:
+    return LineObservation(replace(_LINE, **line), np.eye(4))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"notes": "dusty"},
+        {"notes": (1,)},
+        {"observations": [_seen(dof=8.0)]},
+        {"observations": [_seen(dof=np.float64(8))]},
+        {"observations": [_seen(chi2=np.array(8.0))]},
+        {"observations": [_seen(dof=np.int64(8))]},
+        {"observations": (_seen(),)},
+        {"returns": np.zeros((2, 4), dtype=bool)},
+        {"returns": np.zeros((2, 4), dtype=int)},
+        {"notes": ("dusty",)},
+    ],
+    ids=str,
+)
+def test_a_session_holds_nothing_that_it_cannot_read(change: dict[str, Any], tmp_path: Path):
+    """A keyframe is accepted and read again, or refused with a sentence and leaves no trace."""
+    first, second, third = drive(0, count=3).keyframes
+    with PlaneSlam.open(tmp_path / "session.db", SlamConfig()) as slam:
+        slam.add_keyframe(first)
+        try:
+            slam.add_keyframe(replace(second, **change))
+        except ValueError as error:
+            assert "\n" not in str(error)
+        count = len(slam.keyframes)
+        slam.add_keyframe(third)
+    with PlaneSlam.open(tmp_path / "session.db") as again:
+        assert len(again.keyframes) == count + 1
+        assert again.keyframes[count].stamp_ns == third.stamp_ns
