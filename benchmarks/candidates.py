@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from slam.sphere_index import SphereIndex
+from slam.geometry.sphere_index import SphereIndex
 
 #: Side of a hall, m; its planes; how far an update moves a landmark, m; how near to a place a candidate must come, m.
 SIDE_M, PLANES, MOVED_M, REACH_M = 8.0, 12, 0.003, 1.5

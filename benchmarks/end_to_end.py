@@ -25,7 +25,7 @@ LONG_M, OFTEN = 6.0, 5
 def timed_run(log: Any, rig: Any, load_s: float) -> tuple[Any, Row]:
     """A run and the columns of its times."""
     from slam.config import SlamConfig
-    from slam.run import run_slam
+    from slam.runs.slam_run import run_slam
 
     start, cpu = time.perf_counter(), time.process_time()
     done = run_slam(log, rig, SlamConfig())
@@ -110,8 +110,8 @@ def intel() -> Row:
 
 def corridor() -> Row:
     """Height and width of the corridor, and the distance to its better registration beside that of the two."""
-    from slam.io.threedtk import read_frames
-    from slam.summary import facing_pairs
+    from slam.evaluation.map_summary import facing_pairs
+    from slam.io.folders.threedtk import read_frames
 
     done, times = timed_run(*loaded("3dtk_corridor"))
     pairs = facing_pairs(done.planes)
@@ -160,7 +160,7 @@ def hall() -> Row:
 def libraries() -> Row:
     """What is resident before anything is done."""
     import slam.planeslam
-    import slam.run  # noqa: F401
+    import slam.runs.slam_run  # noqa: F401
 
     return {}
 

@@ -18,7 +18,7 @@ from benchmarks._measure import Case, Peer, Row, Task, measured
 from benchmarks._table import plain
 from benchmarks.peers import environment
 from spplanes import Plane, fit_plane, fit_planes
-from spplanes.fitting import Method
+from spplanes.fitting.fit import Method
 
 POINTS = 1_000_000
 PLANES, FEWER, PER_PLANE = 10_000, 2_000, 100

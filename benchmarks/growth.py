@@ -19,12 +19,11 @@ from shapely import Polygon, box
 
 from slam import PlaneSlam, SlamConfig
 from slam.config import ThinningConfig
-from slam.frames import inverse
-from slam.io.log import planar_transform
-from slam.keyframes import Keyframe
-from slam.motion import OdometryNoise
-from slam.observations import PlaneObservation
-from slam.odometry import Motion, planar_delta
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import PlaneObservation
+from slam.frontend.odometry import Motion, planar_delta
+from slam.geometry.frames import inverse, planar_transform
+from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation.office import office, office_path
 from spplanes import Plane
 

@@ -18,21 +18,21 @@ import numpy as np
 from benchmarks._measure import PROJECT, Row
 from benchmarks._own_process import in_own_process
 from benchmarks._table import plain
-from slam.clock import StageClock
 from slam.config import SlamConfig
-from slam.io.arrange import arrange, grid_of
+from slam.frontend.keyframes import keyframes_of
+from slam.frontend.measurement import for_points, for_sensor, usable_points
 from slam.io.clouds import read_cloud
+from slam.io.clouds.arrange import arrange, grid_of
 from slam.io.default_rigs import cloud_rig, threedtk_rig
 from slam.io.load import load
-from slam.io.log import CloudScan, Log, OdometryReading
-from slam.keyframes import keyframes_of
-from slam.measure import for_points, for_sensor, usable_points
 from slam.planeslam import PlaneSlam
-from slam.point_errors import line_tilt_covariances, model_of
-from slam.rig import OdometryNoise, Rig, Sensor
+from slam.sensors.log import CloudScan, Log, OdometryReading
+from slam.sensors.rig import OdometryNoise, Rig, Sensor
+from slam.sensors.scan_noise import line_tilt_covariances, model_of
 from slam.simulation.hall import hall, hall_path
 from slam.simulation.noise import drifting_odometry, noisy_ranges
 from slam.simulation.path import pose_matrices
+from slam.timing import StageClock
 from spplanes import segment_scans
 from spplanes._check import FloatArray
 

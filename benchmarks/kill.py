@@ -24,13 +24,13 @@ from rich.table import Table
 
 from slam import PlaneSlam, SlamConfig
 from slam.io.load import load
-from slam.rig import Rig
-from slam.run import run_slam
-from slam.run_folder import Source, conclude, new_run, resumed_run
-from slam.salvage import salvage_session
+from slam.output.run_folder import Source, conclude, new_run, resumed_run
+from slam.runs.slam_run import run_slam
+from slam.sensors.rig import Rig
+from slam.session.salvage import salvage_session
+from slam.session.store import SESSION_FILE, Session, SessionDamaged, SessionError
 from slam.simulation import simulate_mission
 from slam.simulation.rigs import VERTICAL
-from slam.store import SESSION_FILE, Session, SessionDamaged, SessionError
 
 #: Short keyframes, so that there are many commits to be killed in.
 CONFIG = SlamConfig.model_validate({"keyframes": {"distance_m": 0.1}})

@@ -18,7 +18,7 @@ from benchmarks._measure import CPU, PROJECT, Row, Task, in_turn
 from benchmarks._table import plain
 from spplanes import extract_lines, fit_plane
 from spplanes._check import FloatArray
-from spplanes.fitting import Method
+from spplanes.fitting.fit import Method
 
 DATA = PROJECT.parent / "shared" / "data"
 #: Numbers of the copy: far beyond every cache, 256 MB.
@@ -106,9 +106,9 @@ def measuring(name: str, speed: float) -> list[Row]:
     """Scans of 64 x 1172 beams to the planes of a keyframe each."""
     from benchmarks.keyframe import SENSOR, spinning_hall
     from slam import SlamConfig
-    from slam.io.log import CloudScan
-    from slam.keyframes import keyframes_of
-    from slam.measure import model_of
+    from slam.frontend.keyframes import keyframes_of
+    from slam.frontend.measurement import model_of
+    from slam.sensors.log import CloudScan
 
     scene = spinning_hall(3)
     grids = [scan.points for scan in scene.log.scans() if isinstance(scan, CloudScan)]
@@ -132,9 +132,9 @@ def scan_lines() -> list[Row]:
 def estimation(name: str) -> list[Row]:
     """The estimator over a log beside iSAM2 alone that is given the same factors in the same order."""
     from slam import PlaneSlam, SlamConfig
-    from slam.backend import Backend
+    from slam.backend.estimator import Backend
+    from slam.frontend.keyframes import keyframes_of
     from slam.io.load import load
-    from slam.keyframes import keyframes_of
 
     log, rig = load(DATA / name)
     frames = list(keyframes_of(log, rig, SlamConfig()))

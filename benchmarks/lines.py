@@ -106,8 +106,8 @@ def simulated(world: str, laser: str, sigma: float) -> list[Scan]:
 @cache
 def logged(log: str) -> list[Scan]:
     """Scans spread over a real log."""
-    from slam.io.carmen import read_carmen
-    from slam.io.log import LaserScan
+    from slam.io.carmen.reader import read_carmen
+    from slam.sensors.log import LaserScan
 
     scans = [scan for scan in read_carmen(DATA / log / f"{log}.clf.gz").scans() if isinstance(scan, LaserScan)]
     return [Scan(scan.ranges, scan.angles, 0.01) for scan in scans[:: len(scans) // SCANS]][:SCANS]

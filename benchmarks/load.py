@@ -17,12 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from slam import PlaneSlam
-from slam.frames import inverse
-from slam.io.log import planar_transform
-from slam.keyframes import Keyframe
-from slam.motion import OdometryNoise
-from slam.observations import LineObservation
-from slam.odometry import Motion, planar_delta
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import LineObservation
+from slam.frontend.odometry import Motion, planar_delta
+from slam.geometry.frames import inverse, planar_transform
+from slam.sensors.wheel_noise import OdometryNoise
 from spplanes import extract_lines
 
 PERIOD_NS, SPEED_M_PER_S, KEYFRAME_M = 100_000_000, 0.5, 0.5

@@ -23,11 +23,11 @@ from scipy.stats import chi2, t
 from benchmarks._kept_rows import Row, append_row, read_rows, seeds_left
 from benchmarks._table import plain
 from slam.config import SlamConfig
-from slam.demo import in_frame_of_truth
 from slam.evaluation import PlaneMatch, absolute_error, match_planes, plane_metrics
-from slam.frames import inverse
+from slam.geometry.frames import inverse
 from slam.planeslam import pose_symbol
-from slam.run import Run, run_slam
+from slam.runs.demo import in_frame_of_truth
+from slam.runs.slam_run import Run, run_slam
 from slam.simulation import Mission, Truth, simulate_mission
 from spplanes import Plane
 

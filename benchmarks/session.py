@@ -17,12 +17,12 @@ from rich.console import Console
 from rich.table import Table
 
 from slam import SlamConfig
-from slam.io.log import Log
-from slam.recorder import Recorder
-from slam.rig import Rig
-from slam.run import run_slam
-from slam.run_folder import Source, new_run
-from slam.session import RawScans
+from slam.output.run_folder import Source, new_run
+from slam.runs.slam_run import run_slam
+from slam.sensors.log import Log
+from slam.sensors.rig import Rig
+from slam.session.recorder import Recorder
+from slam.session.replay import RawScans
 from slam.simulation import simulate_mission
 from slam.simulation.rigs import VERTICAL
 

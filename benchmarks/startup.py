@@ -38,7 +38,8 @@ FIRST_CALLS: dict[str, str] = {
     "segment_scans(np.dstack([*np.mgrid[:40, :40] * 0.05, np.ones((40, 40))]), sigma=0.01)",
     "extract_lines": "from spplanes import extract_lines; "
     "a = np.linspace(-1, 1, 181); extract_lines(2 / np.cos(a), a, sigma=0.01)",
-    "a keyframe of a corridor": "from slam.simulation import simulate_mission; from slam.run import run_slam; "
+    "a keyframe of a corridor": "from slam.simulation import simulate_mission; "
+    "from slam.runs.slam_run import run_slam; "
     "from slam.config import SlamConfig; m = simulate_mission('corridor', n_scans=30, seed=0); "
     "run_slam(m.log, m.rig, SlamConfig())",
 }

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks._measure import MEMORY, WALL, Case, Peer, Row, Task, measured
 from benchmarks._table import plain
-from slam.rig import LocalisationNoise
+from slam.sensors.rig import LocalisationNoise
 from slam.simulation import Mission, simulate_mission
 from spplanes import MapperConfig, Plane, PlaneMapper, segment_scans
 from spplanes._check import FloatArray

@@ -11,11 +11,11 @@ import numpy as np
 
 from slam import PlaneSlam, SlamConfig
 from slam.evaluation import absolute_error, match_planes
-from slam.keyframes import keyframes_of
+from slam.evaluation.map_summary import facing_pairs
+from slam.frontend.keyframes import keyframes_of
 from slam.planeslam import pose_symbol
-from slam.run import path_length_m, run_slam
+from slam.runs.slam_run import path_length_m, run_slam
 from slam.simulation import simulate_mission
-from slam.summary import facing_pairs
 
 
 def main() -> None:

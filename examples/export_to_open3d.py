@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from slam import SlamConfig
-from slam.history import History
-from slam.open3d_export import (
+from slam.runs.history import History
+from slam.runs.slam_run import run_slam
+from slam.simulation import VERTICAL, simulate_mission
+from slam.visualization.open3d_export import (
     ellipsoids_to_lines,
     outlines_to_lines,
     planes_to_mesh,
     points_to_cloud,
     trajectory_to_lines,
 )
-from slam.run import run_slam
-from slam.simulation import VERTICAL, simulate_mission
-from slam.uncertainty import position_covariances
+from slam.visualization.uncertainty import position_covariances
 from spplanes import segment_scans
 from spplanes.noise import SensorModel
 from spplanes.registration import register_scans

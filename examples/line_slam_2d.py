@@ -9,8 +9,8 @@ import numpy as np
 
 from slam import SlamConfig
 from slam.evaluation import absolute_error
-from slam.outlines import segments_of
-from slam.run import run_slam
+from slam.geometry.polygons import segments_of
+from slam.runs.slam_run import run_slam
 from slam.simulation import HORIZONTAL, simulate_mission
 
 

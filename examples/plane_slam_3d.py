@@ -12,10 +12,10 @@ import numpy as np
 
 from slam import SlamConfig
 from slam.evaluation import absolute_error, match_planes
-from slam.export import new_folder, write_run
-from slam.run import run_slam
+from slam.output.export import export_run
+from slam.output.run_files import new_folder, write_run
+from slam.runs.slam_run import run_slam
 from slam.simulation import simulate_mission
-from slam.targets import export_run
 
 
 def main() -> None:

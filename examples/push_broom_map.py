@@ -9,9 +9,9 @@ import numpy as np
 
 from slam import SlamConfig
 from slam.evaluation import match_planes
-from slam.mapping_run import run_map
+from slam.evaluation.map_summary import facing_pairs
+from slam.runs.mapping_run import run_map
 from slam.simulation import simulate_mission
-from slam.summary import facing_pairs
 
 
 def main() -> None:

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from slam.config import SlamConfig
-    from slam.keyframes import Keyframe
+    from slam.frontend.keyframes import Keyframe
     from slam.planeslam import PlaneSlam
 
 __all__ = ["Keyframe", "PlaneSlam", "SlamConfig"]
 
-_HOMES = {"Keyframe": "slam.keyframes", "PlaneSlam": "slam.planeslam", "SlamConfig": "slam.config"}
+_HOMES = {"Keyframe": "slam.frontend.keyframes", "PlaneSlam": "slam.planeslam", "SlamConfig": "slam.config"}
 
 
 def __getattr__(name: str) -> Any:

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from slam.io.log import LogError
+from slam.errors import LogError
 
 #: Values that one file may come to when every alias is written out: arrays are made of them, so that a few lines of
 #: aliases of aliases would be more than there is memory.

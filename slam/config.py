@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from slam._yaml import read_yaml
 from spplanes import LineConfig, MapperConfig
+from spplanes.segmentation.validation.config import ValidationConfig
 
 RobustKernel = Literal["huber", "cauchy", "geman-mcclure", "dcs"]
 
@@ -27,23 +28,6 @@ class KeyframeConfig(_Frozen):
     """Turn since the last keyframe, rad."""
     strict: bool = False
     """Whether a scan that cannot be used ends the run; else it is left out, and counted."""
-
-
-class MeasurementConfig(_Frozen):
-    """Which fitted planes are believed to be one plane, seen properly."""
-
-    misfit_sigmas: float = Field(default=3.0, gt=0)
-    """A fit's chi2 may exceed its mean by this many standard deviations; beyond, two surfaces were taken for one."""
-    noise_slack: float = Field(default=0.05, ge=0)
-    """Share by which the true noise variance may exceed the stated one without that counting as misfit."""
-    step_m: float = Field(default=0.003, ge=0)
-    """Mean residual of a patch or strip below which a plane is uneven but not two, m: plaster, not notice-boards."""
-    step_sigmas: float = Field(default=4.0, gt=0)
-    """The mean residual of a patch or strip lies within this many of its standard deviations, or it is a step."""
-    patch_m: float = Field(default=0.25, gt=0)
-    """Side of the patches, and width of the strips, whose mean residuals are looked at, m."""
-    max_incidence_rad: float = Field(default=1.5, gt=0, lt=1.5708)
-    """A plane seen more edge-on than this from the middle of its points is an artefact of one scan line, rad."""
 
 
 class AssociationConfig(_Frozen):
@@ -179,7 +163,7 @@ class SlamConfig(_Frozen):
     model_config = ConfigDict(allow_inf_nan=True)  # no limit to a line's range is one; the parts check their own
 
     keyframes: KeyframeConfig = KeyframeConfig()
-    measurements: MeasurementConfig = MeasurementConfig()
+    measurements: ValidationConfig = ValidationConfig()
     association: AssociationConfig = AssociationConfig()
     landmarks: LandmarkConfig = LandmarkConfig()
     loops: LoopConfig = LoopConfig()

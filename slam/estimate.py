@@ -7,32 +7,32 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slam.association import Decision
-from slam.audit import NisAudit
-from slam.backend import Backend, pose_symbol
-from slam.calibration import WheelCalibration
-from slam.clock import StageClock
-from slam.closing import LoopCloser
+from slam.association.data_association import Decision
+from slam.backend.estimator import Backend, pose_symbol
 from slam.config import SlamConfig
-from slam.explaining import change_sentences, decision_sentence
-from slam.growth import Growth
+from slam.diagnostics.consistency import NisAudit
+from slam.diagnostics.explanations import change_sentences, decision_sentence
+from slam.diagnostics.map_observability import OpenMapDirection, open_in_map
+from slam.diagnostics.observability import Observability, OpenStretch, stretch_of
+from slam.frontend.keyframes import Keyframe
 from slam.io.trajectories import Trajectory
-from slam.keyframes import Keyframe
-from slam.landmarks import LandmarkMap
-from slam.late import LateMatch
-from slam.loops import LoopDecision
-from slam.map_observability import OpenMapDirection, open_in_map
-from slam.map_planes import MapPlane, map_plane
-from slam.merging import Merges
-from slam.observability import Observability, OpenStretch, stretch_of
-from slam.parts import Parts
-from slam.prediction import Prediction
-from slam.recorder import Recorder
-from slam.thinning import Thinning
+from slam.loop_closure.closing import LoopCloser
+from slam.loop_closure.verification import LoopDecision
+from slam.map.landmarks import LandmarkMap
+from slam.map.map_planes import MapPlane, map_plane
+from slam.map.sparsification import Thinning
+from slam.map.state import Parts
+from slam.mapping.fusion import Merges
+from slam.mapping.late_association import LateMatch
+from slam.mapping.map_update import Growth
+from slam.session.recorder import Recorder
+from slam.timing import StageClock
+from slam.tracking.prediction import Prediction, StartPose
+from slam.tracking.wheel_calibration import WheelCalibration
 from spplanes._check import FloatArray
 
 if TYPE_CHECKING:
-    from slam.prior import PriorMap
+    from slam.session.prior_map import PriorMap
 
 
 class Estimate:
@@ -56,7 +56,9 @@ class Estimate:
         self._thinning = Thinning(self.config.thinning, self.backend, self.landmarks)
         parts = Parts(self.keyframes, self.landmarks, self.backend, self._thinning, self.config)
         self.merges = Merges(parts)
-        self._prediction = Prediction(parts, self.prior)
+        self._prediction = Prediction(
+            parts, None if prior is None else StartPose(prior.world_T_start, prior.start_covariance)
+        )
         self._closer = LoopCloser(parts, self.merges)
         self._growth = Growth(parts, self._prediction)
 

@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING, Self
 
 import gtsam
 
-from slam.association import Decision, Hint, associate
-from slam.backend import pose_symbol
-from slam.clock import timed
+from slam.association.data_association import Decision, Hint, associate
+from slam.backend.estimator import pose_symbol
 from slam.config import SlamConfig
+from slam.diagnostics.pose_free_innovations import innovations_without_prediction
 from slam.estimate import Estimate
-from slam.health import check_keyframe
-from slam.keyframes import Keyframe
-from slam.map_planes import MapPlane
-from slam.recorder import Recorder
-from slam.twins import find_twins
-from slam.unpredicted import innovations_without_prediction
-from slam.views import step_by_view
+from slam.frontend.input_checks import check_keyframe
+from slam.frontend.keyframes import Keyframe
+from slam.map.map_planes import MapPlane
+from slam.mapping.same_plane import find_twins
+from slam.registration.submaps import step_by_view
+from slam.session.recorder import Recorder
+from slam.timing import timed
 from spplanes._check import FloatArray
 
 if TYPE_CHECKING:
-    from slam.prior import PriorMap
+    from slam.session.prior_map import PriorMap
 
 __all__ = ["KeyframeReport", "MapPlane", "PlaneSlam", "pose_symbol"]
 
@@ -75,7 +75,7 @@ class PlaneSlam(Estimate):
         Raises:
             SessionError: no session, a damaged one, one that another process writes, or one of another configuration.
         """
-        from slam.session import open_slam  # which needs this class
+        from slam.session.replay import open_slam  # which needs this class
 
         return open_slam(cls, path, config, read_only=read_only, forget_raw=forget_raw)
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 from spplanes._version import __version__
 
 if TYPE_CHECKING:
-    from spplanes.fitting import fit_plane, fit_planes
+    from spplanes.fitting.fit import fit_plane, fit_planes
     from spplanes.line import ScanLine
-    from spplanes.lines import LineConfig, extract_lines
-    from spplanes.mapping import PlaneMapper
+    from spplanes.lines.extraction import LineConfig, extract_lines
+    from spplanes.mapping.mapper import PlaneMapper
     from spplanes.moments import Moments
     from spplanes.plane import Plane
     from spplanes.segmentation import MapperConfig, segment_scans

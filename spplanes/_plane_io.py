@@ -6,27 +6,34 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spplanes._check import as_number, as_shape, as_transform
+from spplanes._check import FloatArray, as_number, as_shape, as_transform
 
 if TYPE_CHECKING:
     from shapely import Polygon
-
-    from spplanes.plane import Plane
 
 #: normal and d are written for readers of the file; the frame is what counts, and they must agree with it to this.
 AGREEMENT = 1e-6
 
 
-def plane_to_dict(plane: Plane) -> dict[str, Any]:
-    """Keys normal, d, frame, covariance, n_points, chi2, outline."""
+def as_plain(
+    *,
+    normal: FloatArray,
+    d: float,
+    frame: FloatArray,
+    covariance: FloatArray,
+    n_points: int,
+    chi2: float,
+    outline: Polygon | None,
+) -> dict[str, Any]:
+    """The fields of a plane as numbers and lists, in the order of the file."""
     return {
-        "normal": plane.normal.tolist(),
-        "d": plane.d,
-        "frame": plane.frame.tolist(),
-        "covariance": plane.covariance.tolist(),
-        "n_points": int(plane.n_points),
-        "chi2": float(plane.chi2),
-        "outline": None if plane.outline is None or plane.outline.is_empty else _rings(plane.outline),
+        "normal": normal.tolist(),
+        "d": d,
+        "frame": frame.tolist(),
+        "covariance": covariance.tolist(),
+        "n_points": int(n_points),
+        "chi2": float(chi2),
+        "outline": None if outline is None or outline.is_empty else _rings(outline),
     }
 
 

@@ -191,7 +191,15 @@ class Plane:
 
         The outline is a list of rings of [x, y], the exterior first, then the holes, each closed.
         """
-        return _plane_io.plane_to_dict(self)
+        return _plane_io.as_plain(
+            normal=self.normal,
+            d=self.d,
+            frame=self.frame,
+            covariance=self.covariance,
+            n_points=self.n_points,
+            chi2=self.chi2,
+            outline=self.outline,
+        )
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Self:

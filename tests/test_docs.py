@@ -11,9 +11,9 @@ import factors
 import slam
 import spplanes
 from slam.cli import app
-from slam.motion import OdometryNoise
-from slam.mount import Mount
-from slam.rig import LocalisationNoise, Rig, Sensor
+from slam.sensors.mount import Mount
+from slam.sensors.rig import LocalisationNoise, Rig, Sensor
+from slam.sensors.wheel_noise import OdometryNoise
 from spplanes import __version__
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -1,12 +1,12 @@
-"""Are the outputs of two versions the same to the bit? Hashes of trajectory.tum and planes.json over real and simulated drives.
+"""Are the outputs of two versions the same to the bit? Hashes of trajectory.tum and planes.json over many drives.
 
 Usage:
     python tools/compare_outputs.py record HASHES.json [--tree FOLDER] [--data FOLDER] [--only NAME ...]
     python tools/compare_outputs.py compare BEFORE.json AFTER.json
 
-`record` runs the command line of the checkout in FOLDER (default: this one) as it stands, a drive after another, each in a
-process of its own, and writes the hashes. Drives whose data is absent are left out, by name. `compare` ends with 1 where a
-hash differs or is missing.
+`record` runs the command line of the checkout in FOLDER (default: this one) as it stands, real logs and simulated
+missions one after another, and writes the hashes. Drives whose data is absent are left out, by name. `compare` ends
+with 1 where a hash differs or is missing.
 """
 
 from __future__ import annotations

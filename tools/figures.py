@@ -14,11 +14,11 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from slam.config import SlamConfig
-from slam.export import new_folder, write_run
 from slam.io.load import load
-from slam.pictures import draw_view, title_of, view_height
-from slam.run import Run, run_slam
+from slam.output.run_files import new_folder, write_run
+from slam.runs.slam_run import Run, run_slam
 from slam.simulation import simulate_mission
+from slam.visualization.pictures import draw_view, title_of, view_height
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "img"

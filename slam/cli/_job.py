@@ -12,9 +12,9 @@ from slam.cli._output import say
 
 if TYPE_CHECKING:
     from slam.config import SlamConfig
-    from slam.io.log import Log
-    from slam.rig import Rig
-    from slam.run import StageClock
+    from slam.runs.slam_run import StageClock
+    from slam.sensors.log import Log
+    from slam.sensors.rig import Rig
 
 OutOption = Annotated[Path, typer.Option("--out", help="Folder for the results; must not exist.")]
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace the folder if it exists.")]
@@ -50,11 +50,11 @@ def open_job(
 ) -> Job:
     """Read all that a command is given; whatever is wrong is said before any work is done."""
     from slam.config import SlamConfig
-    from slam.export import check_free
     from slam.io.load import load
-    from slam.io.rosbag import Topics
-    from slam.rig import Rig
-    from slam.run import StageClock
+    from slam.io.rosbags.reader import Topics
+    from slam.output.run_files import check_free
+    from slam.runs.slam_run import StageClock
+    from slam.sensors.rig import Rig
 
     check_free(out, overwrite=overwrite)
     settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)

@@ -31,7 +31,7 @@ def show(title: str, rows: Sequence[Metric], as_json: bool) -> None:
     if as_json:
         import json
 
-        from slam.export import as_json as rows_as_json
+        from slam.output.run_files import as_json as rows_as_json
 
         print(json.dumps(rows_as_json(rows), indent=1))
         return
@@ -39,7 +39,7 @@ def show(title: str, rows: Sequence[Metric], as_json: bool) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from slam.report import format_value
+    from slam.visualization.report import format_value
 
     table = Table(title=escape(visible(title)), title_justify="left")
     table.add_column("metric")
@@ -72,7 +72,7 @@ def hint_of(folder: Path) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        from slam.store import SessionError
+        from slam.session.store import SessionError
 
         if (folder / "session.db").exists() and not isinstance(error, SessionError):  # one in use, finished or damaged
             say(f"what was recorded is safe; go on with: spplanes slam --resume {folder}")

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.io.log import planar_transform
-from slam.keyframes import Keyframe
-from slam.prior import PriorMap, floor_start
-from slam.start_search import find_start
+from slam.frontend.keyframes import Keyframe
+from slam.geometry.frames import planar_transform
+from slam.registration.initial_pose import find_start
+from slam.session.prior_map import PriorMap, floor_start
 
 #: Instead of numbers: look for the start in the map.
 FIND = "find"

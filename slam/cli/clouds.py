@@ -11,7 +11,7 @@ from slam.cli._job import OverwriteOption
 from slam.cli._output import visible, warn_of
 
 if TYPE_CHECKING:
-    from slam.cloud_fit import CloudPlanes
+    from slam.runs.cloud_fit import CloudPlanes
 
 
 def fit(
@@ -31,9 +31,9 @@ def fit(
     as_json: Annotated[bool, typer.Option("--json", help="Print the planes as JSON.")] = False,
 ) -> None:
     """Find the planes of one CLOUD."""
-    from slam.cloud_fit import fit_cloud
-    from slam.export import check_free, new_folder
     from slam.io.clouds import read_cloud
+    from slam.output.run_files import check_free, new_folder
+    from slam.runs.cloud_fit import fit_cloud
 
     if sigma is not None and not 0.0 < sigma < 1e3:
         raise ValueError(f"--sigma: expected a standard deviation above 0 in metres, got {sigma}")
@@ -41,7 +41,7 @@ def fit(
         check_free(out, overwrite=overwrite)
     found = fit_cloud(read_cloud(cloud), cloud, sigma_m=sigma, viewpoint=viewpoint).at_least(min_points)
     if out is not None:
-        from slam.cloud_files import write_cloud_planes
+        from slam.output.cloud_files import write_cloud_planes
 
         with new_folder(out, overwrite=overwrite) as folder:
             write_cloud_planes(found, folder)

@@ -20,7 +20,7 @@ def simulate(
     overwrite: OverwriteOption = False,
 ) -> None:
     """Write a simulated mission: log, rig.yaml and the truth."""
-    from slam.export import check_free, new_folder
+    from slam.output.run_files import check_free, new_folder
     from slam.simulation import simulate_mission
 
     check_free(out, overwrite=overwrite)

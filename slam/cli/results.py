@@ -21,7 +21,7 @@ def evaluate(
 ) -> None:
     """Score RUN against the truth; the numbers also go into its metrics.json."""
     from slam.evaluation.folders import evaluate_run, reference_for
-    from slam.export import add_to_metrics
+    from slam.output.run_files import add_to_metrics
 
     rows = evaluate_run(run, truth)
     if clouds is not None:
@@ -41,7 +41,7 @@ def export(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
 ) -> None:
     """Write planes, graph or trajectory of RUN as files of other tools; --to may be given more than once."""
-    from slam.targets import check_target, export_run
+    from slam.output.export import check_target, export_run
 
     for target in to:
         check_target(target, overwrite=overwrite)
@@ -57,13 +57,13 @@ def view(
     rerun: Annotated[Path | None, typer.Option("--rerun", help="Also write a recording for Rerun, FILE.rrd.")] = None,
 ) -> None:
     """Draw RUN: plan, side view, uncertainty as PNG, and a page to turn and ask the map in a browser."""
-    from slam.view import view_run
+    from slam.visualization.view import view_run
 
     written = view_run(run, out)
     if rerun is not None:
         from slam.files import whole_file
-        from slam.rerun_export import write_rerun
-        from slam.stored import StoredRun
+        from slam.runs.stored_run import StoredRun
+        from slam.visualization.rerun_export import write_rerun
 
         with whole_file(rerun) as scratch:
             write_rerun(StoredRun.read(run), scratch)

@@ -21,7 +21,7 @@ from slam.cli._job import (
 from slam.cli._output import hint_of, progress_bar, say, show, warn_of
 
 if TYPE_CHECKING:
-    from slam.run import Run
+    from slam.runs.slam_run import Run
 
 
 def slam(
@@ -66,9 +66,9 @@ def slam(
     if log is None or out is None or salvage:
         raise typer.BadParameter("expected LOG --out DIR, or --resume RUN", param_hint="slam")
     from slam.cli._prior import read_prior
-    from slam.keyframes import keyframes_of
-    from slam.run import run_slam
-    from slam.run_folder import Source, new_run
+    from slam.frontend.keyframes import keyframes_of
+    from slam.output.run_folder import Source, new_run
+    from slam.runs.slam_run import run_slam
 
     job = open_job(
         log,
@@ -96,9 +96,9 @@ def slam(
 
 def _resume(folder: Path, log: Path | None, *, salvage: bool, as_json: bool) -> None:
     """Go on with a run."""
-    from slam.run import StageClock, run_slam
-    from slam.run_folder import resumed_run
-    from slam.salvage import salvage_session
+    from slam.output.run_folder import resumed_run
+    from slam.runs.slam_run import StageClock, run_slam
+    from slam.session.salvage import salvage_session
 
     if salvage:
         say(salvage_session(folder).sentence)
@@ -111,9 +111,9 @@ def _resume(folder: Path, log: Path | None, *, salvage: bool, as_json: bool) -> 
 
 def _conclude(run: Run, folder: Path, as_json: bool) -> None:
     """Write the results of a run into its folder, and its table on the screen."""
-    from slam.export import write_run
-    from slam.metrics import metrics_of, warnings_of
-    from slam.run_folder import conclude
+    from slam.output.run_files import write_run
+    from slam.output.run_folder import conclude
+    from slam.output.run_metrics import metrics_of, warnings_of
 
     name = run.log.source.name
     conclude(run.slam, folder, lambda work: write_run(run, work, title=f"spplanes slam {name}"))
@@ -131,8 +131,8 @@ def map_(
     as_json: JsonOption = False,
 ) -> None:
     """The paper's mapping: planes of LOG at the poses it gives."""
-    from slam.export import new_folder, write_map
-    from slam.mapping_run import run_map
+    from slam.output.run_files import new_folder, write_map
+    from slam.runs.mapping_run import run_map
 
     job = open_job(log, out, rig=rig, config=config, overwrite=overwrite, keep_partial=keep_partial)
     with progress_bar("scans") as progress:
@@ -151,9 +151,9 @@ def demo(
 ) -> None:
     """Simulate a corridor mission, map it with the poses unknown, and compare with the truth."""
     from slam.config import SlamConfig
-    from slam.demo import compare
-    from slam.export import check_free, new_folder, write_run
-    from slam.run import StageClock, run_slam
+    from slam.output.run_files import check_free, new_folder, write_run
+    from slam.runs.demo import compare
+    from slam.runs.slam_run import StageClock, run_slam
     from slam.simulation import simulate_mission
 
     check_free(out, overwrite=overwrite)

@@ -6,16 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.errors import LogError
 from slam.evaluation.metrics import Metric
 from slam.evaluation.sharpness import compare_sharpness
 from slam.evaluation.trajectories import common_poses
-from slam.frames import lift
+from slam.frontend.measurement import usable_points
+from slam.geometry.frames import lift
 from slam.io.load import load
-from slam.io.log import CloudScan, LogError
 from slam.io.trajectories import Trajectory, read_tum
-from slam.measure import usable_points
-from slam.rig import Rig
-from slam.store import Session, session_path
+from slam.sensors.log import CloudScan
+from slam.sensors.rig import Rig
+from slam.session.store import Session, session_path
 from spplanes._check import FloatArray
 
 #: So many points of all scans together are enough, evenly taken.

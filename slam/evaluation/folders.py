@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from slam.errors import LogError
 from slam.evaluation.metrics import Metric
 from slam.evaluation.planes import plane_metrics
 from slam.evaluation.relations import relation_metrics
 from slam.evaluation.trajectories import absolute_error, alignment_of, at_times_of, common_poses, relative_error
-from slam.io.log import LogError
-from slam.io.planes import read_planes
+from slam.io.planes_json import read_planes
 from slam.io.relations import read_relations
 from slam.io.trajectories import Trajectory, read_tum
 from slam.simulation.truth import Truth

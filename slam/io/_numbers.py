@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.io.log import LogError
+from slam.errors import LogError
 from slam.io.packed import BROKEN, numbered_lines
 
 #: The largest time, s, that integer nanoseconds in 64 bits hold.

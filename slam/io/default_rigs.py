@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from slam.io.depth_folder import CAMERA_MOUNT
-from slam.io.depth_folder import SENSOR as CAMERA
-from slam.io.folders import SENSOR as CLOUD_SENSOR
-from slam.io.log import CloudScan, LaserScan, Log
-from slam.io.rosbag import Topics
-from slam.io.threedtk import SENSOR as THREEDTK_SENSOR
-from slam.motion import UNCALIBRATED_WHEELS, OdometryNoise
-from slam.rig import LocalisationNoise, Mount, Rig, Sensor, default_rig_for
+from slam.io.folders.clouds import SENSOR as CLOUD_SENSOR
+from slam.io.folders.depth_images import CAMERA_MOUNT
+from slam.io.folders.depth_images import SENSOR as CAMERA
+from slam.io.folders.threedtk import SENSOR as THREEDTK_SENSOR
+from slam.io.rosbags.reader import Topics
+from slam.sensors.log import CloudScan, LaserScan, Log
+from slam.sensors.rig import LocalisationNoise, Mount, Rig, Sensor, default_rig_for
+from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS, OdometryNoise
 
 #: Odometry of a body that carries a 3D sensor and of which nothing else is known.
 MEASURED = OdometryNoise(

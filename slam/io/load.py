@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from slam.io.arrange import grid_of, shows_lines
-from slam.io.carmen import read_carmen
+from slam.errors import LogError
+from slam.io.carmen.reader import read_carmen
 from slam.io.clouds import is_cloud_file, read_cloud
+from slam.io.clouds.arrange import grid_of, shows_lines
 from slam.io.default_rigs import bag_rig, cloud_rig, depth_rig, threedtk_rig, turned_laser_rig
-from slam.io.depth_folder import is_depth_folder, read_depth_folder
-from slam.io.folders import clouds_in, has_clouds, read_cloud_folder, read_e57_log
-from slam.io.log import Log, LogError
-from slam.io.rosbag import Topics, is_rosbag, read_rosbag, sensor_name
-from slam.io.threedtk import is_3dtk_folder, read_3dtk
-from slam.rig import Rig, Sensor, default_rig_for
+from slam.io.folders.clouds import clouds_in, has_clouds, read_cloud_folder, read_e57_log
+from slam.io.folders.depth_images import is_depth_folder, read_depth_folder
+from slam.io.folders.threedtk import is_3dtk_folder, read_3dtk
+from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag, sensor_name
+from slam.sensors.log import Log
+from slam.sensors.rig import Rig, Sensor, default_rig_for
 
 #: Name of the rig file that a folder of a mission carries.
 RIG_FILE = "rig.yaml"
@@ -26,9 +27,9 @@ def load(
 ) -> tuple[Log, Rig]:
     """Read a log of any known kind.
 
-    Known are ROS bags, folders of 3DTK scans, folders of clouds (`slam.io.folders`) and of depth images
-    (`slam.io.depth_folder`), E57 files, folders made by `spplanes simulate` (log.clf.gz beside rig.yaml), and CARMEN
-    logs, plain or gzip.
+    Known are ROS bags, folders of 3DTK scans, folders of clouds (`slam.io.folders.clouds`) and of depth images
+    (`slam.io.folders.depth_images`), E57 files, folders made by `spplanes simulate` (log.clf.gz beside rig.yaml), and
+    CARMEN logs, plain or gzip.
 
     Args:
         path: the log.

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from io import BufferedIOBase
 from pathlib import Path
 
-from slam.io.log import LogError
+from slam.errors import LogError
 
 #: What a gzip stream raises that is cut off or damaged.
 BROKEN = (EOFError, zlib.error, gzip.BadGzipFile)

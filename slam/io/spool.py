@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from slam.io.log import LaserScan, LogError, OdometryReading
+from slam.errors import LogError
+from slam.sensors.log import LaserScan, OdometryReading
 from spplanes._check import FloatArray
 
 #: So much of a log stays in memory, bytes; a longer one goes into the folder for temporary files (TMPDIR).

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
+from slam.errors import LogError
 from slam.io._numbers import read_rows, seconds_from_ns
-from slam.io.log import LogError
 from spplanes._check import FloatArray, as_shape
 
 #: A quaternion or a rotation in a file may miss unit norm, or orthonormality, by this much.

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slam.frames import inverse
-from slam.io.log import Event, LaserScan, Log, OdometryReading, planar_transform
+from slam.geometry.frames import inverse, planar_transform
+from slam.sensors.log import Event, LaserScan, Log, OdometryReading
 from spplanes._check import FloatArray
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.io.carmen_writer import write_carmen
-from slam.io.folder_writer import write_cloud_folder
-from slam.io.log import LaserScan, Log
-from slam.rig import Rig
+from slam.io.carmen.writer import write_carmen
+from slam.io.folders.writer import write_cloud_folder
+from slam.sensors.log import LaserScan, Log
+from slam.sensors.rig import Rig
 from slam.simulation.corridor import corridor
 from slam.simulation.hall import hall, hall_path, room, room_path
 from slam.simulation.office import office, office_path

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.motion import OdometryNoise
-from slam.rig import LocalisationNoise, Sensor
+from slam.sensors.rig import LocalisationNoise, Sensor
+from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray
 
 

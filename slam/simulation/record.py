@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.io.log import CloudScan, Event, LaserScan, Log, OdometryReading
-from slam.rig import Rig, Sensor
+from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading
+from slam.sensors.rig import Rig, Sensor
 from slam.simulation.noise import drifting_odometry, localised_poses, noisy_ranges
 from slam.simulation.path import Path as DrivenPath
 from slam.simulation.path import pose_matrices

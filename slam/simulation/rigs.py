@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from slam.rig import LocalisationNoise, Mount, OdometryNoise, Rig, Sensor
+from slam.sensors.rig import LocalisationNoise, Mount, OdometryNoise, Rig, Sensor
 from spplanes._check import FloatArray
 from spplanes.registration import beam_directions
 

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_float_array, as_positive, as_shape
-from spplanes._point_checks import writable
+from spplanes.fitting._point_checks import writable
 
 #: Coordinates beyond this are nobody's measurement, and their squares come to nothing, m.
 FARTHEST_M = 1e12

@@ -68,16 +68,16 @@ class MapperConfig:
 
     def __post_init__(self) -> None:
         for name in ("significance", "edge_significance"):
-            _check_range(name, getattr(self, name), 0.0, 0.5)
+            check_range(name, getattr(self, name), 0.0, 0.5)
         for name in ("gate_sigma", "outline_cell_m", "max_tilt_rad", "max_crease_rad"):
-            _check_range(name, getattr(self, name), 0.0, np.inf)
-        _check_range("max_incidence_rad", self.max_incidence_rad, 0.0, np.pi / 2)
+            check_range(name, getattr(self, name), 0.0, np.inf)
+        check_range("max_incidence_rad", self.max_incidence_rad, 0.0, np.pi / 2)
         for name in ("flatness_m", "surface_sigma_m", "border_smoothness"):
-            _check_range(name, getattr(self, name), 0.0, np.inf, closed=True)
+            check_range(name, getattr(self, name), 0.0, np.inf, closed=True)
         for name in ("min_points", "largest_cell", "smallest_cell"):
             if int(getattr(self, name)) < 3:
                 raise ValueError(f"{name}: expected at least 3, got {getattr(self, name)}")
-        _check_range("pose_correlation_scans", self.pose_correlation_scans, 0.0, np.inf, closed=True)
+        check_range("pose_correlation_scans", self.pose_correlation_scans, 0.0, np.inf, closed=True)
         for name, least in (("strip_scans", 2), ("lookahead_scans", 0)):
             if int(getattr(self, name)) < least:
                 raise ValueError(f"{name}: expected at least {least}, got {getattr(self, name)}")
@@ -101,7 +101,7 @@ class MapperConfig:
         return replace(self, min_points=fewest, max_tilt_rad=self.max_tilt_rad / share**1.5)
 
 
-def _check_range(name: str, value: float, low: float, high: float, *, closed: bool = False) -> None:
+def check_range(name: str, value: float, low: float, high: float, *, closed: bool = False) -> None:
     """Raise unless value lies in (low, high), or in [low, high) when closed."""
     inside = np.isfinite(value) and value < high and (value > low or (closed and value == low))
     if not inside:

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.special import chdtri
 
 from spplanes._check import FloatArray
+from spplanes.segmentation.clustering.joining import join_cells
 from spplanes.segmentation.config import FEW_ROWS, MapperConfig
-from spplanes.segmentation.joining import join_cells
 from spplanes.segmentation.quads import links, surviving_quads
-from spplanes.segmentation.refining import part_at_creases, part_steps, release_misfits, spread
+from spplanes.segmentation.refinement.refining import part_at_creases, part_steps, release_misfits, spread
 from spplanes.segmentation.sheet import Sheet, drop_small, refit
 from spplanes.segmentation.stretching import stretched
 

@@ -7,17 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from spplanes import _pose_error, outline
 from spplanes._check import FloatArray
-from spplanes._fit_groups import fit_groups
-from spplanes._fit_job import FitJob, group_by_label
+from spplanes._moment_patches import eigenvalues
 from spplanes._rows import NO_VIEWPOINT, OK
 from spplanes._threads import in_parts
+from spplanes.fitting import _pose_error
+from spplanes.fitting._groups import fit_groups
+from spplanes.fitting._job import FitJob, group_by_label
 from spplanes.moments import row_frame
+from spplanes.outlines import outline
 from spplanes.plane import Plane
-from spplanes.segmentation._patches import eigenvalues
+from spplanes.segmentation.clustering.growing import fit_regions
 from spplanes.segmentation.config import FEW_ROWS, MapperConfig
-from spplanes.segmentation.growing import fit_regions
 
 if TYPE_CHECKING:
     from shapely import Polygon

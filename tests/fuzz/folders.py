@@ -12,32 +12,33 @@ from pathlib import Path
 
 import numpy as np
 
-from slam._session_codec import encode, keyframe_of, without_scans
-from slam.cloud_fit import fit_cloud
 from slam.config import SlamConfig
-from slam.history import History
-from slam.io.carmen_writer import write_carmen
+from slam.errors import LogError
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import LineObservation
+from slam.io.carmen.writer import write_carmen
 from slam.io.clouds import read_cloud
 from slam.io.default_rigs import cloud_rig
 from slam.io.load import load
-from slam.io.log import Log, LogError, OdometryReading
-from slam.io.planes import write_planes
+from slam.io.planes_json import write_planes
 from slam.io.trajectories import Trajectory, write_tum
-from slam.keyframes import Keyframe
-from slam.observations import LineObservation
 from slam.planeslam import PlaneSlam
-from slam.prior import PriorMap
-from slam.salvage import salvage_session
+from slam.runs.cloud_fit import fit_cloud
+from slam.runs.history import History
+from slam.runs.stored_run import StoredRun
+from slam.sensors.log import Log, OdometryReading
+from slam.session._codec import encode, keyframe_of, without_scans
+from slam.session.prior_map import PriorMap
+from slam.session.salvage import salvage_session
+from slam.session.store import Session
 from slam.simulation import simulate_mission
 from slam.simulation.truth import Truth
-from slam.store import Session
-from slam.stored import StoredRun
 from spplanes import ScanLine
 from tests.fuzz.target import Target, check_log, check_plane, check_points, check_pose, folded, unfolded, written
 from tests.fuzz.wrapping import e57, png, record, unrecorded, zipped
+from tests.slam.io.test_las_e57 import write_e57, write_las
+from tests.slam.io.test_rosbag import Messages, mission, write
 from tests.slam.scenes import drive, room_planes
-from tests.slam.test_las_e57 import write_e57, write_las
-from tests.slam.test_rosbag import Messages, mission, write
 
 _POINTS = np.random.default_rng(0).normal((10.0, 20.0, 5.0), 3.0, (40, 3))
 _RUN = ("planes.json", "trajectory.tum", "view.json", "metrics.json", "odometry.tum")

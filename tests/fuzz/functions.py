@@ -11,9 +11,9 @@ import numpy as np
 
 from factors import line_factor, odometry_factor, plane_factor
 from slam import PlaneSlam
-from slam.keyframes import Keyframe
-from slam.observations import LineObservation, PlaneObservation
-from slam.odometry import Motion
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import LineObservation, PlaneObservation
+from slam.frontend.odometry import Motion
 from spplanes import MapperConfig, Plane, PlaneMapper, ScanLine, extract_lines, fit_plane, fit_planes, segment_scans
 from tests.fuzz.target import Target, check_plane, check_pose
 from tests.slam.scenes import drive, room_planes

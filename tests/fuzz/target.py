@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from slam.io.log import CloudScan, LaserScan, Log, OdometryReading
+from slam.sensors.log import CloudScan, LaserScan, Log, OdometryReading
 from spplanes import Plane
 
 #: Longest sentence of an error.

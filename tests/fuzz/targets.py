@@ -14,20 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from slam._session_codec import decode, encode, without_scans
 from slam.config import SlamConfig
-from slam.io.carmen import read_carmen
-from slam.io.carmen_writer import write_carmen
+from slam.io.carmen.reader import read_carmen
+from slam.io.carmen.writer import write_carmen
 from slam.io.clouds.read import read_cloud
-from slam.io.g2o import read_g2o
-from slam.io.planes import read_planes, write_planes
+from slam.io.folders.threedtk import read_3dtk
+from slam.io.g2o.reader import read_g2o
+from slam.io.planes_json import read_planes, write_planes
 from slam.io.relations import read_relations
-from slam.io.threedtk import read_3dtk
 from slam.io.trajectories import Trajectory, read_kitti, read_tum, write_kitti, write_tum
-from slam.rig import Rig
+from slam.sensors.rig import Rig
+from slam.session._codec import decode, encode, without_scans
+from slam.session.store import Session
 from slam.simulation import simulate_mission
 from slam.simulation.rigs import paper_rig
-from slam.store import Session
 from spplanes import Plane
 from tests.fuzz.folders import FOLDERS
 from tests.fuzz.functions import FUNCTIONS

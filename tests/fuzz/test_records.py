@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slam._session_codec import decisions_of, decode, encode
-from slam.association import Candidate, Decision
-from slam.session import _choice, _numbers
+from slam.association.data_association import Candidate, Decision
+from slam.session._codec import decisions_of, decode, encode
+from slam.session.replay import _choice, _numbers
 from tests.fuzz.target import Target
 from tests.fuzz.targets import TARGETS
 from tests.fuzz.wrapping import record, unrecorded

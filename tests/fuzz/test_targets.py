@@ -15,7 +15,7 @@ import shapely
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from slam._session_codec import decode, encode
+from slam.session._codec import decode, encode
 from tests.fuzz.target import folded
 from tests.fuzz.targets import TARGETS
 from tests.fuzz.wrapping import record, unrecorded

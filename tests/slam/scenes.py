@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from shapely import box
 
-from slam.frames import inverse
-from slam.io.log import planar_transform
-from slam.keyframes import Keyframe
-from slam.motion import OdometryNoise
-from slam.observations import Observation, PlaneObservation
-from slam.odometry import Motion, planar_delta
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import Observation, PlaneObservation
+from slam.frontend.odometry import Motion, planar_delta
+from slam.geometry.frames import inverse, planar_transform
+from slam.sensors.wheel_noise import OdometryNoise
 from spplanes import Plane
 
 NOISE = OdometryNoise()

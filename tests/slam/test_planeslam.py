@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from slam import PlaneSlam
-from slam.frames import inverse
-from slam.keyframes import Keyframe
+from slam.frontend.keyframes import Keyframe
+from slam.geometry.frames import inverse
+from slam.mapping.same_plane import find_twins, twin_chi2
 from slam.planeslam import pose_symbol
-from slam.twins import find_twins, twin_chi2
 from tests.slam.scenes import Drive, drive, room_planes
 from tests.statistics import assert_mean_in_band
 

@@ -51,7 +51,7 @@ def test_the_unit_of_length_does_not_matter(scale, method):
 
 
 def test_read_only_arrays_share_their_memory_and_the_compiled_kernels():
-    from spplanes import _fit_groups
+    from spplanes.fitting import _groups as _fit_groups
 
     fit_plane(POINTS, COVARIANCES)
     compiled = len(_fit_groups._run.signatures)

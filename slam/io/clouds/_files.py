@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.errors import LogError
 from slam.io._numbers import number_of
-from slam.io.log import LogError
 from spplanes._check import FloatArray
 
 #: Coordinates of real points lie between these, m.

@@ -11,9 +11,9 @@ from typing import IO
 import numpy as np
 from numpy.lib import format as npy
 
+from slam.errors import LogError
 from slam.io.clouds._files import check_byte_order, file_size
 from slam.io.clouds.cloud import Cloud, checked
-from slam.io.log import LogError
 from slam.io.packed import check_ratio
 from spplanes._check import FloatArray
 

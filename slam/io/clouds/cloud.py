@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.io.log import LogError
+from slam.errors import LogError
 from spplanes._check import FloatArray
 
 #: What a file says lies farther away was never seen, m.

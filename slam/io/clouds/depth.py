@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.errors import LogError
 from slam.io.clouds._files import read_bytes, text_rows
 from slam.io.clouds.cloud import Cloud, checked
-from slam.io.log import LogError
 from spplanes._check import FloatArray
 
 INTRINSICS = "intrinsics.txt"

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slam.errors import LogError, MissingPackageError
 from slam.io.clouds._files import file_size, read_head
 from slam.io.clouds.cloud import Cloud, checked
-from slam.io.log import LogError, MissingPackageError
 from spplanes._check import FloatArray
 
 #: Bits that a point of an E57 file takes at least; constant columns take none, so this is generous.

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.errors import LogError
 from slam.io.clouds._files import check_byte_order, file_size, read_bytes
 from slam.io.clouds.cloud import Cloud, checked
-from slam.io.log import LogError
 
 _BYTES = 16
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.errors import LogError, MissingPackageError
 from slam.io.clouds._files import check_room, file_size, read_head
 from slam.io.clouds.cloud import Cloud, checked
-from slam.io.log import LogError, MissingPackageError
 from slam.io.packed import check_ratio
 
 #: Bytes of a record of variable length without its content: before the points, and after them.

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slam.errors import LogError
 from slam.io._numbers import number_of
 from slam.io.clouds._files import check_byte_order, check_room, file_size, read_bytes, text_rows
 from slam.io.clouds.cloud import Cloud, checked
 from slam.io.clouds.lzf import lzf_decompress
-from slam.io.log import LogError
 from spplanes._check import FloatArray
 
 #: A header may be this long, bytes.

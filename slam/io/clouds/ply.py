@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.errors import LogError
 from slam.io.clouds._files import check_byte_order, check_room, file_size, read_bytes, read_head, text_rows
 from slam.io.clouds.cloud import Cloud, checked
-from slam.io.log import LogError
 from spplanes._check import FloatArray
 
 _LONGEST_HEADER = 1 << 16

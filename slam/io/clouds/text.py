@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from slam.errors import LogError
 from slam.io.clouds._files import read_bytes, text_rows
 from slam.io.clouds.cloud import Cloud, checked
-from slam.io.log import LogError
 
 _BLANKS = str.maketrans(",;", "  ")
 _COMMENTS = (b"#", b"//")

@@ -1,0 +1,104 @@
+"""Observations compared with a state: innovations, their chi2 and likelihood, and the Kalman update by them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import log, pi
+
+import gtsam
+import numpy as np
+
+from slam.association.decisions import Candidate
+from slam.backend.estimator import Backend, JointCovariance
+from slam.frontend.observations import Observation
+from slam.map.landmarks import Landmark, observe
+from spplanes._check import FloatArray
+
+_LOG_2PI = log(2.0 * pi)
+
+
+@dataclass(frozen=True, eq=False)
+class Prospect:
+    """A linearised factor of an observation under the assumption that it is a certain landmark."""
+
+    candidate: Candidate
+    """Its log likelihood is that of no error and no spread yet."""
+    columns: np.ndarray
+    jacobian: FloatArray
+    target: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Innovation:
+    """A prospect compared with a state."""
+
+    candidate: Candidate
+    prospect: Prospect
+    residual: FloatArray
+    covariance: FloatArray
+
+
+class State:
+    """Mean and covariance of the tangents of all variables that a keyframe may touch."""
+
+    def __init__(self, joint: JointCovariance) -> None:
+        self._covariance = joint.full.copy()
+        self._mean = np.zeros(len(self._covariance))
+
+    def innovation(self, prospect: Prospect) -> Innovation:
+        """Compare a prospect with the state: chi2 and likelihood."""
+        columns, jacobian = prospect.columns, prospect.jacobian
+        residual = prospect.target - jacobian @ self._mean[columns]
+        covariance = jacobian @ self._covariance[columns[:, None], columns] @ jacobian.T + np.eye(len(residual))
+        chi2, log_det = chi2_and_log_det(residual.tolist(), covariance.tolist())
+        blank = prospect.candidate
+        log_likelihood = blank.log_likelihood - 0.5 * (chi2 + log_det)
+        candidate = Candidate(blank.landmark, chi2, blank.dof, log_likelihood, blank.confirmed)
+        return Innovation(candidate, prospect, residual, covariance)
+
+    def condition(self, innovation: Innovation) -> None:
+        """Take an innovation in: the Kalman update."""
+        spread = self._covariance[:, innovation.prospect.columns] @ innovation.prospect.jacobian.T
+        gain = np.linalg.solve(innovation.covariance, spread.T).T
+        self._mean = self._mean + gain @ innovation.residual
+        self._covariance = self._covariance - gain @ spread.T
+
+
+def chi2_and_log_det(residual: list[float], covariance: list[list[float]]) -> tuple[float, float]:
+    """r^T C^-1 r and the log of det(2 pi C) of a symmetric C that is at least the identity: by L D L^T, in scalars."""
+    chi2, log_det = 0.0, len(residual) * _LOG_2PI
+    for i in range(len(residual)):
+        pivot, row = covariance[i][i], covariance[i]
+        chi2 += residual[i] ** 2 / pivot
+        log_det += log(abs(pivot))
+        for j in range(i + 1, len(residual)):
+            share = row[j] / pivot
+            residual[j] -= share * residual[i]
+            covariance[j] = [one - share * other for one, other in zip(covariance[j], row, strict=True)]
+    return chi2, log_det
+
+
+def prospects_of(
+    observation: Observation,
+    shortlist: Sequence[Landmark],
+    pose_key: int,
+    joint: JointCovariance,
+    values: gtsam.Values,
+    backend: Backend,
+) -> list[Prospect]:
+    """The observation's factor for each landmark of its shortlist, linearised at the estimate."""
+    blank, prospects = -float(np.log(observation.volume)) if shortlist else 0.0, []
+    for landmark in shortlist:
+        linear = observe(observation, pose_key, landmark, backend).linearize(values)
+        jacobian, target = linear.jacobian()
+        telling = np.abs(jacobian).max(axis=1) > 0.0  # a native line factor has an empty row: two dof, not three
+        candidate = Candidate(landmark.id, 0.0, int(telling.sum()), blank, landmark.n_keyframes > 1)
+        prospects.append(Prospect(candidate, joint.columns(list(linear.keys())), jacobian[telling], target[telling]))
+    return prospects
+
+
+def innovations_of(prospects: Sequence[Prospect], state: State) -> list[Innovation]:
+    """The observation under each of its candidates, most likely first; equals in order of their birth."""
+    found = [state.innovation(prospect) for prospect in prospects]
+    return sorted(found, key=lambda one: (-one.candidate.log_likelihood, one.candidate.landmark))

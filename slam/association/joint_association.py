@@ -1,0 +1,116 @@
+"""All observations of a keyframe at once: decided one after another, and again where that shuts out what fits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from slam.association.decisions import Candidate, Decision, decide, is_open
+from slam.association.gating import Innovation, Prospect, State, innovations_of
+from slam.config import AssociationConfig
+
+#: So many other first matches are tried, each of another landmark.
+_TRIED = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What all observations of a keyframe are, taken together."""
+
+    decisions: dict[int, Decision]
+    """By index of the observation."""
+    log_likelihood: float
+    """Of all of them: of a match that of its innovation, of everything else that of another plane there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reader:
+    """Decides the observations of a keyframe, the firmest first, the state conditioned on every match."""
+
+    prospects: Sequence[Sequence[Prospect]]
+    """Of every observation: one for each landmark it may be."""
+    chances: Sequence[float]
+    """Of every observation: log density of other planes about it."""
+    away: Callable[[int, int], float]
+    """How much less likely, in nats, a landmark (its id) is for where an observation (its index) lies."""
+    n_points: Sequence[int]
+    """Of every observation: the more the firmer."""
+    state: Callable[[], State]
+    """The state before the keyframe's observations, anew."""
+    honest: Callable[[], State] | None
+    """The state that chi2 are reported of, where the other one knows a hint."""
+    config: AssociationConfig
+    """The gates."""
+
+    def best(self) -> Reading:
+        """The most likely of a few readings.
+
+        The firmest observation comes first, so when that one is taken for the wall behind it, a notice-board's wall
+        say, the pose goes with it and everything that is the wall no longer fits. Where an observation is left without
+        a landmark that it would have had on its own, everything is read once more with that match first, and the
+        reading is kept under which all that was seen is likelier.
+        """
+        first = self.read()
+        others = [self.read(match) for match in self._shut_out(first)]
+        return max([first, *others], key=lambda reading: reading.log_likelihood)  # of equals the first
+
+    def read(self, start: tuple[int, int] | None = None) -> Reading:
+        """Decide everything; `start` is an observation and the landmark that it is taken for before all others."""
+        state, honest = self.state(), None if self.honest is None else self.honest()
+        reading: dict[int, Decision] = {}
+        total = 0.0
+        for stage in ("start", "clear", "open"):
+            for index in self._firmest_first():
+                if index in reading or (stage == "start" and (start is None or index != start[0])):
+                    continue
+                found = innovations_of(self.prospects[index], state)
+                compared = [one.candidate for one in found]
+                if stage == "start" and start is not None:
+                    compared.sort(key=lambda one: one.landmark != start[1])
+                    decision = self._decide(index, compared[:1])
+                    decision = replace(decision, candidates=tuple(compared))
+                else:
+                    decision = self._decide(index, compared)
+                if stage == "clear" and is_open(decision, partial(self.away, index), self.config):
+                    continue
+                decision, likelihood = self._take_in(decision, found, state, honest)
+                reading[index], total = decision, total + likelihood
+        return Reading(reading, total)
+
+    def _take_in(
+        self, decision: Decision, found: Sequence[Innovation], state: State, honest: State | None
+    ) -> tuple[Decision, float]:
+        """Condition the states on a match; the decision, unsure where the honest state refuses it, and its share."""
+        chance = self.chances[decision.observation]
+        if decision.match is None:
+            return decision, chance
+        chosen = next(one for one in found if one.candidate is decision.match)
+        likelihood = chosen.candidate.log_likelihood
+        if honest is not None:
+            innovation = honest.innovation(chosen.prospect)
+            if innovation.candidate.p_value < self.config.significance:
+                return replace(decision, verdict="unsure", match=None), chance
+            honest.condition(innovation)
+            decision = replace(decision, match=innovation.candidate)
+        state.condition(chosen)
+        return decision, likelihood
+
+    def _shut_out(self, reading: Reading) -> list[tuple[int, int]]:
+        """Observations without a landmark that would have had one on their own, with it; each landmark once."""
+        state = self.state()
+        tried: dict[int, int] = {}
+        for index in self._firmest_first():
+            if reading.decisions[index].match is not None or not self.prospects[index]:
+                continue
+            found = [one.candidate for one in innovations_of(self.prospects[index], state)]
+            match = self._decide(index, found).match
+            if match is not None:
+                tried.setdefault(match.landmark, index)
+        return [(index, landmark) for landmark, index in tried.items()][:_TRIED]
+
+    def _decide(self, index: int, candidates: Sequence[Candidate]) -> Decision:
+        return decide(index, candidates, self.chances[index], partial(self.away, index), self.config)
+
+    def _firmest_first(self) -> list[int]:
+        return sorted(range(len(self.n_points)), key=lambda i: (-self.n_points[i], i))

@@ -1,0 +1,1 @@
+"""Diagnostics: consistency (NIS), observability and degeneracy, explanations of decisions."""

@@ -1,0 +1,92 @@
+"""The run watches its own honesty: chi2 of every accepted measurement against what chi2 should be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from slam.association.data_association import Decision
+from slam.growable import Rows
+
+#: Two-sided probability of the band that a mean NIS is held against.
+BAND = 0.95
+
+
+@dataclass
+class NisAudit:
+    """Normalised innovation squared, summed by factor type.
+
+    Innovations are taken before the update, with state and measurement covariance, so their sum over a run is chi2
+    with the summed degrees of freedom when every covariance is honest. The gate cuts the upper tail off, which moves
+    the mean down by less than its significance. Of a keyframe without odometry the pose is taken as unknown: what its
+    planes say beyond finding it is an innovation (`slam/diagnostics/pose_free_innovations.py`).
+    """
+
+    history: dict[str, Rows] = field(default_factory=dict)
+    """(keyframe, chi2, dof) of every accepted measurement, by factor type."""
+
+    _sums: tuple[float, int] = (0.0, 0)
+
+    def add(self, keyframe: int, kinds: Sequence[str], decisions: Iterable[Decision]) -> None:
+        """Count the accepted matches of a keyframe: `kinds` of all its observations."""
+        for decision in decisions:
+            if decision.match is not None:
+                self.count(keyframe, kinds[decision.observation], decision.match.chi2, decision.match.dof)
+
+    def count(self, keyframe: int, kind: str, chi2: float, dof: int) -> None:
+        """Count one measurement; without a degree of freedom it says nothing."""
+        if dof:
+            self.history.setdefault(kind, Rows("idh")).append((keyframe, chi2, dof))
+            self._sums = self._sums[0] + chi2, self._sums[1] + dof
+
+    def summary(self) -> list[NisSummary]:
+        """Mean NIS per degree of freedom and its band, one row a factor type, in alphabetical order."""
+        return [NisSummary.of(kind, self.history[kind]) for kind in sorted(self.history)]
+
+    @property
+    def mean_per_dof(self) -> float:
+        """Mean NIS per degree of freedom of all factor types together; 1 without any."""
+        return self._sums[0] / self._sums[1] if self._sums[1] else 1.0
+
+    def warnings(self) -> list[str]:
+        """One sentence for every factor type whose covariances claim too much."""
+        return [
+            f"the {row.kind} factors are over-confident: mean NIS per degree of freedom {row.mean_per_dof:.2f}, "
+            f"above its 95 % band up to {row.high:.2f}; state more noise in the rig"
+            for row in self.summary()
+            if row.verdict == "over-confident"
+        ]
+
+
+@dataclass(frozen=True)
+class NisSummary:
+    """Mean NIS of one factor type against its chi2 band."""
+
+    kind: str
+    """Factor type."""
+    count: int
+    """Number of measurements."""
+    mean_per_dof: float
+    """Sum of chi2 over sum of degrees of freedom: 1 when covariances are honest."""
+    low: float
+    """Lower end of the 95 % band of that mean."""
+    high: float
+    """Upper end of the 95 % band of that mean."""
+
+    @property
+    def verdict(self) -> str:
+        """over-confident, cautious or consistent."""
+        if self.mean_per_dof > self.high:
+            return "over-confident"
+        return "cautious" if self.mean_per_dof < self.low else "consistent"
+
+    @classmethod
+    def of(cls, kind: str, history: Sequence[tuple[int, float, int]]) -> NisSummary:
+        """Summarise the measurements of one type."""
+        total = float(np.sum([chi2 for _, chi2, _ in history]))
+        dof = int(np.sum([dof for _, _, dof in history]))
+        low, high = chi2_distribution.ppf([(1 - BAND) / 2, (1 + BAND) / 2], dof) / dof
+        return cls(kind, len(history), total / dof, float(low), float(high))

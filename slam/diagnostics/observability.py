@@ -1,0 +1,218 @@
+"""Which motions what was seen does not fix: by name and size, before a solver has to find out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from slam.config import ObservabilityConfig
+from slam.frontend.information import plane_information
+from slam.frontend.observations import Observation
+from slam.growable import Growing, Rows
+from spplanes._check import FloatArray
+
+Part = Literal["position", "orientation"]
+
+#: Keeps the information matrices invertible: the pose is known to a kilometre and to 30 rad anyway.
+NOTHING = np.diag([1e-3] * 3 + [1e-6] * 3)
+#: A direction closer than this to an axis is called by its name: cosine of 10 deg.
+_NEAR_AXIS = 0.985
+#: Directions of different keyframes are one when they are closer than this: cosine of 25 deg.
+_SAME = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class OpenDirection:
+    """A direction of a keyframe's motion that the planes it was matched to leave open."""
+
+    keyframe: int
+    """Index of the keyframe."""
+    part: Part
+    """position: along the direction; orientation: about it."""
+    direction: FloatArray
+    """Unit vector in the world, shape (3,), its largest component positive."""
+    sigma_seen: float
+    """Standard deviation that the planes alone, taken as known, leave there, m or rad; inf where they say nothing."""
+
+    @property
+    def name(self) -> str:
+        """Such as "along x" or "about z"."""
+        return name_of(self.part, self.direction)
+
+
+@dataclass(frozen=True, eq=False)
+class OpenStretch:
+    """The same direction left open over a run."""
+
+    part: Part
+    """position or orientation."""
+    direction: FloatArray
+    """Mean direction in the world, shape (3,)."""
+    keyframes: tuple[int, ...]
+    """The keyframes that leave it open, ascending."""
+    total: int
+    """Keyframes of the run that could have fixed it: all but the first."""
+    sigma: float
+    """Standard deviation there of the last of these keyframes in the whole graph, everything known: m or rad."""
+    source: str
+    """What alone moves the estimate there: odometry, or the assumption of constant velocity."""
+
+    @property
+    def sentence(self) -> str:
+        """One sentence for the screen."""
+        size, unit = (self.sigma, "m") if self.part == "position" else (np.rad2deg(self.sigma), "deg")
+        number = f"{size:.2g}" if size < 100.0 else f"{size:.0f}"
+        return (
+            f"{name_of(self.part, self.direction)}: information only from {self.source} at {len(self.keyframes)} of "
+            f"{self.total} keyframes, sigma {number} {unit} at keyframe {self.keyframes[-1]}"
+        )
+
+    def to_dict(self) -> dict[str, object]:
+        """For metrics.json."""
+        return {
+            "part": self.part,
+            "direction": [float(x) for x in self.direction],
+            "keyframes": list(self.keyframes),
+            "of": self.total,
+            "sigma": self.sigma,
+            "unit": "m" if self.part == "position" else "rad",
+            "source": self.source,
+            "sentence": self.sentence,
+        }
+
+
+def open_directions(
+    keyframe: int, matched: Iterable[Observation], world_T_body: FloatArray, rules: ObservabilityConfig
+) -> list[OpenDirection]:
+    """Directions of position and orientation that the matched planes of a keyframe leave open, widest first.
+
+    Of each part, with the other marginalised out: the eigenvectors of its covariance whose standard deviation exceeds
+    the rule's. The planes are taken as known and odometry as silent: what is open here nothing that was seen fixes.
+    """
+    information = sum((plane_information(one) for one in matched), start=NOTHING)
+    return wide_directions(keyframe, np.asarray(np.linalg.inv(information), float), world_T_body[:3, :3], rules)
+
+
+def wide_directions(
+    keyframe: int, covariance: FloatArray, world_R: FloatArray, rules: ObservabilityConfig
+) -> list[OpenDirection]:
+    """Directions of position and orientation in which a covariance (6, 6) of (rotation, translation) is wide.
+
+    Args:
+        keyframe: whose.
+        covariance: along the axes that `world_R` (3, 3) turns to those of the world.
+        world_R: see there.
+        rules: from which standard deviation on.
+    """
+    found: list[OpenDirection] = []
+    parts: tuple[tuple[Part, slice, float, float], ...] = (
+        ("position", slice(3, 6), rules.max_sigma_m, 100.0),
+        ("orientation", slice(0, 3), rules.max_sigma_rad, 3.0),
+    )
+    for part, block, limit, silence in parts:
+        variances, vectors = np.linalg.eigh(covariance[block, block])
+        sigmas, in_world = np.sqrt(np.maximum(variances[::-1], 0.0)), world_R @ vectors[:, ::-1]
+        silent, told = sigmas > silence, (sigmas > limit) & (sigmas <= silence)
+        open_ones = [(direction, np.inf) for direction in _along_axes(in_world[:, silent])]
+        open_ones += list(zip(in_world[:, told].T, sigmas[told].tolist(), strict=True))
+        found += [OpenDirection(keyframe, part, _upright(direction), sigma) for direction, sigma in open_ones]
+    return found
+
+
+def _along_axes(span: FloatArray) -> list[FloatArray]:
+    """Directions that span the same space (3, K), each as near to an axis of the world as may be: these have names.
+
+    Where nothing at all is known of two directions, eigenvectors are any two between them.
+    """
+    found = []
+    while span.shape[1]:
+        nearest = span @ span[np.linalg.norm(span, axis=1).argmax()]
+        found.append(nearest / np.linalg.norm(nearest))
+        span = span @ np.linalg.svd((found[-1] @ span)[None])[2][1:].T
+    return found
+
+
+class Directions(Growing[OpenDirection]):
+    """Open directions as the numbers they are made of."""
+
+    def __init__(self) -> None:
+        self._rows = Rows("ibdddd")
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def append(self, value: OpenDirection) -> None:
+        """Add one."""
+        self._rows.append((value.keyframe, value.part == "position", value.sigma_seen, *value.direction.tolist()))
+
+    def at(self, index: int) -> OpenDirection:
+        """One of them, made anew."""
+        keyframe, is_position, sigma, *direction = self._rows.at(index)
+        return OpenDirection(keyframe, "position" if is_position else "orientation", np.array(direction), sigma)
+
+
+@dataclass
+class Observability:
+    """What the keyframes of a run left open."""
+
+    rules: ObservabilityConfig
+    """From which standard deviation on a direction is open."""
+    history: Directions = field(default_factory=Directions)
+    """Open directions of all keyframes, one after another."""
+
+    def add(self, keyframe: int, matched: Iterable[Observation], world_T_body: FloatArray) -> list[OpenDirection]:
+        """Look at a keyframe before the graph does; the first has nothing to be fixed by and leaves nothing open."""
+        found = [] if keyframe == 0 else open_directions(keyframe, matched, world_T_body, self.rules)
+        self.history.extend(found)
+        return found
+
+    def directions(self) -> list[list[OpenDirection]]:
+        """The open directions of the run, those that are the same gathered, most frequent first."""
+        return gathered(self.history)
+
+
+def gathered(directions: Iterable[OpenDirection]) -> list[list[OpenDirection]]:
+    """Directions that are the same in groups, those of most keyframes first."""
+    groups: list[list[OpenDirection]] = []
+    for one in directions:
+        home = next((g for g in groups if g[0].part == one.part and _is_same(g[0].direction, one.direction)), None)
+        if home is None:
+            groups.append([one])
+        else:
+            home.append(one)
+    return sorted(groups, key=lambda group: -len({one.keyframe for one in group}))
+
+
+def stretch_of(
+    group: Sequence[OpenDirection], total: int, covariance: FloatArray, world_T_body: FloatArray, source: str
+) -> OpenStretch:
+    """Sum up one direction of a run; covariance (6, 6) and pose are those of its last keyframe in the whole graph."""
+    signs = [1.0 if one.direction @ group[0].direction > 0.0 else -1.0 for one in group]
+    mean = _upright(np.sum([sign * one.direction for sign, one in zip(signs, group, strict=True)], axis=0))
+    block = slice(3, 6) if group[0].part == "position" else slice(0, 3)
+    in_body = world_T_body[:3, :3].T @ mean
+    sigma = float(np.sqrt(max(in_body @ covariance[block, block] @ in_body, 0.0)))
+    keyframes = tuple(sorted({one.keyframe for one in group}))
+    return OpenStretch(group[0].part, mean, keyframes, total, sigma, source)
+
+
+def name_of(part: Part, direction: FloatArray) -> str:
+    """Name of a direction in the world: along or about an axis, or the vector itself."""
+    word = "along" if part == "position" else "about"
+    axis = int(np.argmax(np.abs(direction)))
+    if abs(direction[axis]) >= _NEAR_AXIS:
+        return f"{word} {'xyz'[axis]}"
+    return f"{word} ({', '.join(f'{x:.2f}' for x in direction)})"
+
+
+def _upright(vector: FloatArray) -> FloatArray:
+    """The unit vector of a direction without a sense: its largest component positive."""
+    unit = vector / np.linalg.norm(vector)
+    return unit if unit[np.argmax(np.abs(unit))] > 0.0 else -unit
+
+
+def _is_same(a: FloatArray, b: FloatArray) -> bool:
+    return abs(float(a @ b)) >= _SAME

@@ -1,0 +1,163 @@
+"""What is wrong with the data rather than with the estimate: keyframes that cannot be one, sensors that fall silent."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from shapely.geometry.base import BaseGeometry
+
+from slam._field_types import check_fields
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import LineObservation, PlaneObservation
+from slam.frontend.odometry import Motion
+from slam.sensors.log import Log
+from slam.sensors.rig import Rig
+from spplanes._check import FloatArray, as_float_array, as_shape, as_transform, check_instance
+
+#: A sensor is silent after so many of its own periods, and never before so many seconds.
+_PERIODS, _LEAST_S = 20.0, 2.0
+#: Poses lie within this of where they are measured from, planes within that of their own middle, m.
+_FARTHEST_M, _LARGEST_PLANE_M = 1e7, 2e3
+#: Standard deviations that the graph can tell from none and from ignorance, m and rad.
+_LEAST_SIGMA, _LARGEST_SIGMA = 1e-9, 1e9
+
+
+def check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
+    """Refuse what would leave the graph half changed.
+
+    Raises:
+        ValueError: a time not after `after_ns`, or a covariance that is none: of the motion, or of what was seen; and
+            what is no keyframe at all.
+    """
+    check_instance("keyframe", keyframe, Keyframe)
+    if not isinstance(keyframe.stamp_ns, int | np.integer):
+        raise ValueError(f"keyframe.stamp_ns: expected whole nanoseconds, got {keyframe.stamp_ns!r}")
+    check_instance("keyframe.observations", keyframe.observations, Sequence)
+    if after_ns is not None and keyframe.stamp_ns <= after_ns:
+        raise ValueError(f"keyframe: expected a time after {after_ns} ns, got {keyframe.stamp_ns} ns")
+    if keyframe.motion is not None:
+        check_instance("keyframe.motion", keyframe.motion, Motion)
+        check_fields("keyframe.motion", keyframe.motion)
+        _check_covariance("keyframe.motion.covariance", keyframe.motion.covariance, (3, 6))
+        _check_pose("keyframe.motion.a_T_b", keyframe.motion.a_T_b)
+        _check_wheels("keyframe.motion", keyframe.motion)
+    if keyframe.world_T_body_guess is not None:
+        _check_pose("keyframe.world_T_body_guess", keyframe.world_T_body_guess)
+    for index, seen in enumerate(keyframe.observations):
+        name = f"keyframe.observations[{index}]"
+        if isinstance(seen, PlaneObservation | LineObservation):
+            check_fields(name, seen)
+        if isinstance(seen, PlaneObservation):
+            check_extent(f"{name}.plane", seen.plane.frame, seen.plane.outline)
+            _check_covariance(f"{name}.plane.covariance", seen.plane.covariance, (3,))
+        elif isinstance(seen, LineObservation):
+            _check_pose(f"{name}.body_T_sensor", seen.body_T_sensor)
+            _check_covariance(f"{name}.line.covariance", seen.line.covariance, (2,))
+            _check_near(f"{name}.line.endpoints", seen.line.endpoints, _LARGEST_PLANE_M)
+        elif not hasattr(seen, "factor"):
+            raise ValueError(f"{name}: expected a plane or a line that was seen, got {type(seen).__name__}")
+    check_fields("keyframe", keyframe)
+
+
+def check_extent(name: str, frame: FloatArray, outline: BaseGeometry | None) -> None:
+    """Refuse a plane that is nowhere, or larger than any: a region is kept in tiles, of which it would need too many.
+
+    Raises:
+        ValueError: a frame that is none or lies too far away, or an outline that is too large.
+    """
+    _check_pose(f"{name}.frame", frame)
+    if outline is not None and not outline.is_empty:
+        _check_near(f"{name}.outline", np.asarray(outline.bounds), _LARGEST_PLANE_M)
+
+
+def silences(log: Log, rig: Rig) -> list[str]:
+    """One sentence for every sensor of the rig that says nothing, or nothing more."""
+    scans = log.scans()
+    if not scans:
+        return []
+    last_ns, sentences = max(scan.stamp_ns for scan in scans), []
+    for name in rig.sensors:
+        stamps = np.array([scan.stamp_ns for scan in scans if scan.sensor == name], dtype=np.int64)
+        if not len(stamps):
+            sentences.append(f"sensor {name!r} is silent: no scan of it in the log")
+            continue
+        period_s = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.0
+        limit_s = max(_PERIODS * period_s, _LEAST_S)
+        gaps = np.diff(np.append(stamps, last_ns)) * 1e-9
+        if gaps.max() > limit_s:
+            at = int(np.argmax(gaps))
+            ends = "to the end" if at == len(stamps) - 1 else "and then goes on"
+            sentences.append(
+                f"sensor {name!r} is silent for {gaps[at]:.1f} s from {stamps[at] * 1e-9:.3f} s on {ends}; "
+                f"it scans every {period_s:.2g} s"
+            )
+    return sentences
+
+
+def blind(keyframes: Sequence[Keyframe]) -> list[str]:
+    """The sentence that says so where most keyframes saw nothing: noise stated too small makes every surface rough."""
+    without = sum(not frame.observations for frame in keyframes)
+    if 2 * without <= len(keyframes):
+        return []
+    return [
+        f"{without} of {len(keyframes)} keyframes saw no plane and no line; where there are some, "
+        "the rig states too little noise, or limits of range that leave nothing"
+    ]
+
+
+def skipped(keyframes: list[str]) -> list[str]:
+    """The sentence that counts what could not be used, and the first of them."""
+    if not keyframes:
+        return []
+    return [f"{len(keyframes)} scans could not be used; the first: {keyframes[0]}"]
+
+
+def _check_covariance(name: str, covariance: FloatArray, sizes: tuple[int, ...]) -> None:
+    check_instance(name, covariance, np.ndarray)
+    if covariance.shape not in [(size, size) for size in sizes]:
+        wanted = " or ".join(f"({size}, {size})" for size in sizes)
+        raise ValueError(f"{name}: expected shape {wanted}, got {covariance.shape}")
+    _check_finite(name, as_float_array(name, covariance))
+    if (np.abs(covariance - covariance.T) > 1e-12 + 1e-6 * np.abs(covariance)).any():
+        raise ValueError(f"{name}: expected a covariance, got a matrix that is not symmetric")
+    least, *_, most = np.linalg.eigvalsh(covariance).tolist()
+    if least <= 0.0:
+        raise ValueError(f"{name}: expected a positive definite covariance, got the eigenvalue {least:.3g}")
+    if least < _LEAST_SIGMA**2 or most > _LARGEST_SIGMA**2:
+        extreme = (least if least < _LEAST_SIGMA**2 else most) ** 0.5
+        raise ValueError(
+            f"{name}: expected standard deviations from {_LEAST_SIGMA:g} to {_LARGEST_SIGMA:g}, got {extreme:.3g}"
+        )
+
+
+def _check_wheels(name: str, motion: Motion) -> None:
+    """What a planar motion says beside its covariance."""
+    if not motion.is_planar:
+        return
+    for sigma in motion.out_of_plane_sigmas:
+        if not _LEAST_SIGMA <= sigma <= _LARGEST_SIGMA:
+            wanted = f"standard deviations from {_LEAST_SIGMA:g} to {_LARGEST_SIGMA:g}"
+            raise ValueError(f"{name}.out_of_plane_sigmas: expected {wanted}, got {sigma}")
+    if motion.response is not None:
+        as_shape(f"{name}.response", motion.response, (3, 2))
+        if not all(0.0 <= sigma <= _LARGEST_SIGMA for sigma in motion.calibration_sigmas):
+            wanted = "standard deviations of scale and curvature"
+            raise ValueError(f"{name}.calibration_sigmas: expected {wanted}, got {motion.calibration_sigmas}")
+
+
+def _check_pose(name: str, pose: FloatArray) -> None:
+    _check_finite(name, pose)
+    as_transform(name, pose)
+    _check_near(name, pose[:3, 3], _FARTHEST_M)
+
+
+def _check_near(name: str, values: FloatArray, most: float) -> None:
+    largest = float(np.abs(values).max(initial=0.0))
+    if not largest <= most:
+        raise ValueError(f"{name}: expected coordinates up to {most:g} m, got {largest:.3g} m")
+
+
+def _check_finite(name: str, values: FloatArray) -> None:
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name}: expected finite numbers, got {values[~np.isfinite(values)][0]}")

@@ -1,0 +1,194 @@
+"""Keyframes: where a log is cut, and what each piece saw, in the frame of the body at that moment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+
+from slam.config import KeyframeConfig, SlamConfig
+from slam.errors import LogError
+from slam.frontend.deskewing import unswept
+from slam.frontend.measurement import lines_of_scan, planes_of_cloud, planes_of_window, usable_ranges
+from slam.frontend.observations import Observation, on_real_wall
+from slam.frontend.occupancy import beams_of
+from slam.frontend.odometry import Motion, OdometryTrack
+from slam.geometry.frames import inverse
+from slam.sensors.log import CloudScan, LaserScan, Log
+from slam.sensors.rig import Rig
+from spplanes._check import FloatArray
+
+Seen = TypeVar("Seen", bound=Observation)
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """One pose of the trajectory and what was seen from it."""
+
+    stamp_ns: int
+    """Time of the pose, ns."""
+    observations: Sequence[Observation]
+    """Planes and lines in the body frame, in an order that depends on the data alone."""
+    motion: Motion | None = None
+    """Motion from the keyframe before; None for the first one, and where nobody measured it."""
+    world_T_body_guess: FloatArray | None = None
+    """Where the first pose is, shape (4, 4); None: at the origin."""
+    notes: tuple[str, ...] = field(default=())
+    """What could not be used, one sentence each."""
+    scans: tuple[LaserScan | CloudScan, ...] = field(default=())
+    """The raw scans it was measured from; the estimator does without them."""
+    returns: FloatArray | None = None
+    """Beams of level lasers that met a surface, in the body's plane of motion, rows (x0, y0, x1, y1), shape (N, 4), m:
+    what loops are verified with; None: no such laser."""
+
+
+def keyframes_of(log: Log, rig: Rig, config: SlamConfig, start: int = 0) -> Iterator[Keyframe]:
+    """Cut a log into keyframes, in time order.
+
+    Every 3D scan is a keyframe by itself. Without 3D scans, keyframes lie on scans of the line lasers (or of the
+    push-broom lasers, if there are no others) by distance and angle of the odometry; the push-broom scans nearest to a
+    keyframe are its window, so that each of them is used once. The first `start` keyframes are left out unmeasured:
+    those a session has already.
+
+    Raises:
+        LogError: no scan of a sensor that the rig knows, or no odometry where it is needed.
+    """
+    clouds, late = _clouds_of(log, rig, config.keyframes.strict)
+    if clouds:
+        yield from _cloud_keyframes(log, clouds, late, rig, config, start)
+    else:
+        yield from _laser_keyframes(log, rig, config, start)
+
+
+def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
+    """How many keyframes `keyframes_of` will give, without making them."""
+    clouds, _ = _clouds_of(log, rig, config.keyframes.strict)
+    return len(clouds) if clouds else len(_choose_stamps(log, rig, config.keyframes))
+
+
+def _cloud_keyframes(
+    log: Log, clouds: Sequence[CloudScan], late: dict[int, list[str]], rig: Rig, config: SlamConfig, start: int
+) -> Iterator[Keyframe]:
+    track = _track_of(log, rig) if log.odometry else None  # without it the estimator finds the motion by the planes
+    previous = clouds[start - 1] if start else None
+    for index, scan in enumerate(clouds[start:], start):
+        notes = list(late.get(index, ()))
+        measure = partial(planes_of_cloud, scan, rig.sensors[scan.sensor], config)
+        observations = _measured(measure, scan.stamp_ns, config, notes)
+        motion = None
+        if previous is not None and track is not None:
+            motion = track.motion(previous.stamp_ns, scan.stamp_ns)
+        yield Keyframe(scan.stamp_ns, observations, motion, notes=tuple(notes), scans=(scan,))
+        previous = scan
+
+
+def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int) -> Iterator[Keyframe]:
+    track = _track_of(log, rig)
+    stamps = _choose_stamps(log, rig, config.keyframes)
+    lines = _scans_of(log, rig, "line")
+    slices = _scans_of(log, rig, "slice")
+    line_homes, slice_homes = _at_home(stamps, lines), _at_home(stamps, slices)
+    for index, stamp in enumerate(stamps[start:], start):
+        motion = None if index == 0 else track.motion(stamps[index - 1], stamp)
+        observations: list[Observation] = []
+        scans: list[LaserScan] = []
+        beams: list[FloatArray] = []
+        notes: list[str] = []
+        for name, sensor in rig.of_kind("slice").items():
+            window = slice_homes.get((index, name), [])
+            if window:
+                scans += window
+                measure = partial(planes_of_window, window, stamp, sensor, track, config)
+                observations += _measured(measure, stamp, config, notes)
+        for name, sensor in rig.of_kind("line").items():
+            near = line_homes.get((index, name), [])
+            if near:
+                scan = min(near, key=lambda s: abs(s.stamp_ns - stamp))
+                scans.append(scan)
+                kf_T_body = inverse(track.poses_at([stamp])[0]) @ track.poses_at([scan.stamp_ns])[0]
+                measure = partial(lines_of_scan, unswept(scan, sensor, track), sensor, kf_T_body, config.lines)
+                observations += [
+                    on_real_wall(line, sensor.surface_sigma_m, sensor.surface_correlation_m)
+                    for line in _measured(measure, stamp, config, notes)
+                ]
+                beams += beams_of(scan, usable_ranges(scan.ranges, sensor), kf_T_body @ sensor.body_T_sensor)
+        returns = np.concatenate(beams) if beams else None
+        yield Keyframe(stamp, observations, motion, notes=tuple(notes), scans=tuple(scans), returns=returns)
+
+
+def _measured(measure: Callable[[], list[Seen]], stamp_ns: int, config: SlamConfig, notes: list[str]) -> list[Seen]:
+    """What a scan gives; of one that cannot be used nothing and a note, unless the run is strict."""
+    try:
+        return measure()
+    except (ValueError, np.linalg.LinAlgError) as error:
+        if config.keyframes.strict:
+            raise
+        notes.append(f"at {stamp_ns * 1e-9:.3f} s: {error}")
+        return []
+
+
+def _clouds_of(log: Log, rig: Rig, strict: bool) -> tuple[list[CloudScan], dict[int, list[str]]]:
+    """3D scans of the rig's sensors, each later than the one before, and a sentence on every one that is not.
+
+    Those are left out; their sentences go with the scan before, by its index. Of two scans of one time the first stays.
+    """
+    names, clouds, late = rig.of_kind("cloud"), [], {}
+    for scan in log.scans():
+        if not isinstance(scan, CloudScan) or scan.sensor not in names:
+            continue
+        if clouds and scan.stamp_ns <= clouds[-1].stamp_ns:
+            problem = f"expected a scan after {clouds[-1].stamp_ns} ns, got {scan.stamp_ns} ns"
+            if strict:
+                raise LogError(log.source, problem)
+            late.setdefault(len(clouds) - 1, []).append(f"at {scan.stamp_ns * 1e-9:.3f} s: {problem}")
+            continue
+        clouds.append(scan)
+    return clouds, late
+
+
+def _choose_stamps(log: Log, rig: Rig, config: KeyframeConfig) -> list[int]:
+    """Times of keyframes: the first scan, then whenever the odometry has gone far enough or turned enough."""
+    scans = _scans_of(log, rig, "line") or _scans_of(log, rig, "slice")
+    if not scans:
+        raise LogError(log.source, f"expected scans of the rig's sensors ({', '.join(rig.sensors)}), found none")
+    candidates = sorted({scan.stamp_ns for scan in scans})
+    poses = _track_of(log, rig).poses_at(candidates)
+    chosen = [0]
+    for index in range(1, len(candidates)):
+        step = inverse(poses[chosen[-1]]) @ poses[index]
+        angle = np.arccos(np.clip(0.5 * (np.trace(step[:3, :3]) - 1.0), -1.0, 1.0))
+        if np.linalg.norm(step[:3, 3]) >= config.distance_m or angle >= config.angle_rad:
+            chosen.append(index)
+    return [candidates[index] for index in chosen]
+
+
+def _scans_of(log: Log, rig: Rig, kind: str) -> list[LaserScan]:
+    names = rig.of_kind(kind)
+    return [scan for scan in log.scans() if isinstance(scan, LaserScan) and scan.sensor in names]
+
+
+def _track_of(log: Log, rig: Rig) -> OdometryTrack:
+    readings = log.odometry
+    if not readings:
+        raise LogError(log.source, "expected odometry beside the scans, found none")
+    return OdometryTrack(readings, rig.odometry)
+
+
+def _at_home(stamps: Sequence[int], scans: Sequence[LaserScan]) -> dict[tuple[int, str], list[LaserScan]]:
+    """The scans of each keyframe and sensor, in time order: those it is the nearest keyframe of."""
+    homes: dict[tuple[int, str], list[LaserScan]] = {}
+    for scan, home in zip(scans, _nearest(stamps, [scan.stamp_ns for scan in scans]).tolist(), strict=True):
+        homes.setdefault((home, scan.sensor), []).append(scan)
+    return homes
+
+
+def _nearest(stamps: Sequence[int], times: Sequence[int]) -> np.ndarray:
+    """Index of the stamp nearest to each time; of two equally near the earlier."""
+    grid, wanted = np.asarray(stamps, dtype=np.int64), np.asarray(times, dtype=np.int64)
+    right = np.clip(np.searchsorted(grid, wanted), 1, max(len(grid) - 1, 1))
+    left = right - 1
+    right = np.minimum(right, len(grid) - 1)
+    return np.where(np.abs(wanted - grid[left]) <= np.abs(grid[right] - wanted), left, right)

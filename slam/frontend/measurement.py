@@ -1,0 +1,194 @@
+"""From raw scans to observations: planes of a 3D scan or a push-broom window, lines of a 2D scan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from slam.config import SlamConfig
+from slam.frontend.deskewing import middle_ns, place_beams
+from slam.frontend.observations import LineObservation, PlaneObservation
+from slam.frontend.odometry import OdometryTrack
+from slam.frontend.push_broom import window_poses
+from slam.frontend.scan_regions import believed_planes, fit_if_any
+from slam.geometry.frames import inverse
+from slam.geometry.polygons import coarse, flatten, largest_polygon
+from slam.io.clouds.arrange import arrange, grid_of
+from slam.sensors.log import CloudScan, LaserScan
+from slam.sensors.rig import Sensor
+from slam.sensors.scan_noise import line_tilt_covariances, model_of, surface_covariances
+from spplanes import LineConfig, MapperConfig, Plane, extract_lines, segment_scans
+from spplanes._check import FloatArray, as_float_array
+from spplanes.registration import register_scans
+from spplanes.segmentation.planes import frames_of, moments_of, outlines_in
+from spplanes.segmentation.scans import label_scans
+from spplanes.segmentation.validation._patch_kernels import within
+from spplanes.segmentation.validation.one_plane import is_one_plane
+from spplanes.segmentation.validation.plane_ends import sure_points
+from spplanes.segmentation.validation.splitting import purified, tells_tilt
+from spplanes.segmentation.validation.spurious import Window
+
+#: Columns of a grid whose points tell how far apart rows lie: each of so many.
+_EVERY = 8
+
+
+def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list[PlaneObservation]:
+    """Planes of one 3D scan in the body frame, each facing the sensor, largest first.
+
+    A scan without order is seen as lines or a range image first, as wide as the rig says, or as its points suggest.
+    Where the rig knows of rough surfaces, what is on no plane is searched again for planes as flat as those.
+    """
+    points = as_float_array("points", scan.points)  # once: a stored cloud is read each time
+    if points.ndim not in (2, 3) or points.shape[-1] != 3:
+        raise ValueError(f"points: expected shape (S, B, 3) or (N, 3), got {points.shape}")
+    points = usable_points(points, sensor)
+    if not np.isfinite(points).any():
+        return []
+    if points.ndim == 2:
+        points = arrange(points, grid_of(sensor))
+    observations, free = _flat_planes(points, sensor, config)
+    if sensor.rough_sigma_m > sensor.surface_sigma_m:
+        rough = sensor.model_copy(update={"surface_sigma_m": sensor.rough_sigma_m})
+        observations += _flat_planes(np.where(free[..., None], points, np.nan), rough, config, servo=False)[0]
+    return sorted(observations, key=lambda seen: -seen.n_points)
+
+
+def _flat_planes(
+    points: FloatArray, sensor: Sensor, config: SlamConfig, *, servo: bool = True
+) -> tuple[list[PlaneObservation], np.ndarray]:
+    """Planes of points (S, B, 3), in the body frame, and which points are on none, shape (S, B).
+
+    With `servo` the search grants them the servo's error. Rough surfaces are granted enough: both would swallow what
+    is beside them.
+    """
+    covariances, settings = model_of(sensor).covariances(points), for_points(for_sensor(config.mapper, sensor), points)
+    viewpoint = np.zeros(3)
+    tilts = line_tilt_covariances(sensor, len(points)) if servo else None
+    found = label_scans(points, covariances, config=settings, viewpoints=viewpoint, pose_covariances=tilts)
+    rows = moments_of(found.points, found.covariance, found.labels, settings)
+    rough, spreads = frames_of(rows, np.zeros((len(rows), 3)))
+    believed = believed_planes(points, covariances, found.labels, rough, sensor, viewpoint, config.measurements)
+    kept = {k: one[0] for k, one in enumerate(believed) if one is not None}
+    labels = found.labels.copy()
+    for one in believed:
+        if one is not None:
+            labels.ravel()[one[1]] = -1
+    drawn = _drawn(kept, points, labels, np.sqrt(spreads[:, 1:] / rows[:, 1:2]), settings)
+    observations = [PlaneObservation(_in_scan(plane, sensor).transform(sensor.body_T_sensor)) for plane in drawn]
+    return observations, labels < 0
+
+
+def _drawn(
+    planes: dict[int, Plane], points: FloatArray, labels: np.ndarray, extents: FloatArray, config: MapperConfig
+) -> list[Plane]:
+    """Planes, by their label, with outlines as rough as their size allows; see `outlines_in`."""
+    chosen = list(planes)
+    number = np.full(len(extents) + 1, -1)  # the last is that of points on no plane
+    number[chosen] = np.arange(len(chosen))
+    frames = np.array([plane.frame for plane in planes.values()]).reshape(-1, 4, 4)
+    outlines = outlines_in(frames, points, number[labels], extents[chosen], config)
+    return [
+        Plane._trusted(plane.frame, plane.covariance, plane.n_points, outline, plane.chi2)
+        for plane, outline in zip(planes.values(), coarse(outlines), strict=True)
+    ]
+
+
+def members_of(labels: np.ndarray, count: int) -> list[np.ndarray]:
+    """Indices into the flat grid of the points of every plane, ascending, from labels (S, B)."""
+    order, flat = np.argsort(labels, axis=None, kind="stable"), labels.ravel()
+    return np.split(order, np.searchsorted(flat[order], np.arange(count + 1)))[1:-1]
+
+
+def planes_of_window(
+    scans: Sequence[LaserScan], stamp_ns: int, sensor: Sensor, track: OdometryTrack, config: SlamConfig
+) -> list[PlaneObservation]:
+    """Planes of a push-broom window in the body frame at `stamp_ns`.
+
+    The scans are placed by odometry. Its error inside the window is shared by all points of a scan and grows along the
+    window, so it goes into the fit as one joint covariance of the scan poses, never into the points' own. A scan that
+    takes time has each beam where the body was at its moment; it errs with the pose of its middle.
+    """
+    if len(scans) < 2:
+        return []
+    kf_T_body, pose_covariance = window_poses([middle_ns(scan, sensor) for scan in scans], stamp_ns, track)
+    ranges, model = np.stack([usable_ranges(scan.ranges, sensor) for scan in scans]), model_of(sensor)
+    placed = register_scans(ranges, scans[0].angles, kf_T_body, model, body_T_sensor=sensor.body_T_sensor)
+    placed = place_beams(placed, scans, kf_T_body, sensor, track, model)
+    mapper = for_sensor(config.mapper, sensor)
+    labels, planes = segment_scans(placed.points, placed.covariances, config=mapper, viewpoints=placed.viewpoints)
+    uneven = sensor.surface_sigma_m
+    labels, planes = purified(placed, labels, planes, pose_covariance, uneven, mapper, config.measurements)
+    window, frames = Window(placed.points, placed.covariances, pose_covariance), [plane.frame for plane in planes]
+    sure = np.where(sure_points(window, labels, frames, mapper.flatness_m), labels, -1)
+    observations = []
+    for plane, members in zip(planes, members_of(sure, len(planes)), strict=True):
+        if not tells_tilt(window, members, plane.frame, mapper.for_rows(len(scans)).max_tilt_rad):
+            continue
+        scan_index = members // labels.shape[1]
+        points, viewpoint = placed.points.reshape(-1, 3)[members], placed.viewpoints[scan_index].mean(axis=0)
+        noise = surface_covariances(points, placed.covariances.reshape(-1, 3, 3)[members], plane.frame, sensor)
+        fitted = fit_if_any(points, noise, viewpoint=viewpoint, scan_index=scan_index, pose_covariances=pose_covariance)
+        if fitted is None:
+            continue
+        if is_one_plane(fitted, points, noise, viewpoint, config.measurements, scan_index):
+            observations.append(PlaneObservation(_outlined(fitted, plane)))
+    return sorted(observations, key=lambda seen: -seen.n_points)
+
+
+def lines_of_scan(scan: LaserScan, sensor: Sensor, kf_T_body: FloatArray, config: LineConfig) -> list[LineObservation]:
+    """Lines of one 2D scan, with the mount as the keyframe's body sees it."""
+    sigma = float(np.sqrt(sensor.range_variance_m2 + sensor.surface_sigma_m**2))
+    lines = extract_lines(usable_ranges(scan.ranges, sensor), scan.angles, sigma=sigma, config=config)
+    return [LineObservation(line, kf_T_body @ sensor.body_T_sensor) for line in lines]
+
+
+def for_sensor(config: MapperConfig, sensor: Sensor) -> MapperConfig:
+    """The segmentation's settings with the flatness that the sensor's systematic error leaves to be seen.
+
+    Half of it: inside a region, which is fitted to the error, less of it is left than between regions. A servo's error
+    goes into the segmentation as that of the lines' poses, alike in half of what errs as one block.
+    """
+    flatness = max(config.flatness_m, 0.5 * sensor.surface_sigma_m)
+    if sensor.tilt_sigma_rad == 0.0:
+        return replace(config, flatness_m=flatness)
+    return replace(config, flatness_m=flatness, pose_correlation_scans=0.5 * sensor.tilt_correlation_lines)
+
+
+def for_points(config: MapperConfig, points: FloatArray) -> MapperConfig:
+    """The segmentation's settings with outlines as fine as points (S, B, 3) let them be.
+
+    Their cells are half as wide as what usually lies between points of neighbouring rows, up to twice what is asked.
+    """
+    steps = np.linalg.norm(np.diff(points[:, ::_EVERY], axis=0), axis=-1)
+    steps = steps[np.isfinite(steps)]
+    apart = float(np.median(steps)) if len(steps) else 0.0
+    return replace(config, outline_cell_m=min(max(0.5 * apart, config.outline_cell_m), 2.0 * config.outline_cell_m))
+
+
+def usable_ranges(ranges: FloatArray, sensor: Sensor) -> FloatArray:
+    """Ranges (B,) with NaN for what lies outside the sensor's limits."""
+    with np.errstate(invalid="ignore"):
+        inside = (ranges > sensor.range_min_m) & (ranges < sensor.range_max_m)
+    return np.where(inside, ranges, np.nan)
+
+
+def usable_points(points: FloatArray, sensor: Sensor) -> FloatArray:
+    """Points (..., 3) in the sensor frame with NaN for what lies outside the sensor's limits."""
+    flat = as_float_array("points", points).reshape(-1, 3)
+    return within(flat, sensor.range_min_m, sensor.range_max_m).reshape(points.shape)
+
+
+def _in_scan(plane: Plane, sensor: Sensor) -> Plane:
+    """The plane with the error that all points of a scan's plane share, whatever their number."""
+    shared = np.diag([sensor.plane_sigma_m**2, sensor.plane_sigma_rad**2, sensor.plane_sigma_rad**2])
+    return replace(plane, covariance=plane.covariance + shared) if shared.any() else plane
+
+
+def _outlined(fitted: Plane, plane: Plane) -> Plane:
+    """A plane fitted anew with everything the sensor is known to err in, and the outline that it was given before."""
+    if plane.outline is None:
+        return fitted
+    moved = largest_polygon(flatten(plane.outline, inverse(fitted.frame) @ plane.frame))
+    return Plane._trusted(fitted.frame, fitted.covariance, fitted.n_points, moved, fitted.chi2)

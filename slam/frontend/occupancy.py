@@ -1,0 +1,118 @@
+"""What the laser saw around a place, as a raster: occupied, free or unknown, for comparing two such views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slam.frontend._occupancy_kernels import mark, squared_distances, widen
+from slam.sensors.log import LaserScan
+from spplanes._check import FloatArray
+
+#: Side of a cell, m.
+CELL_M = 0.05
+#: Standard deviation of a return from where the raster has its surface, m: noise, the cell and the wall's unevenness.
+SIGMA_M = 0.05
+#: Points are thinned to one in squares of at least this side, m, and to at most so many.
+SPACING_M = 0.1
+MOST_POINTS = 300
+#: A return is of a surface when a neighbouring beam's lies within this, m: others graze it, or hit its edge.
+SURFACE_GAP_M = 0.3
+#: Share of returns that come from what was not there, or not seen, when the other view was taken.
+NOVEL_SHARE = 0.1
+#: Blocks of motions have sides of 2^level cells.
+LEVELS = 5
+_REACH = 3
+#: Cosine of the largest lean of a laser whose scans are compared across poses: 3 deg.
+_LEVEL_COSINE = float(np.cos(np.radians(3.0)))
+_SIGMAS_TO_FREE = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Raster:
+    """Beams of one view, rasterised: for each cell the log ratio of a return's density there to that in the unknown."""
+
+    origin: FloatArray
+    """Corner of the first cell, shape (2,), m."""
+    table: FloatArray
+    """Log ratios, shape (H, W): positive on what is occupied, negative in what is free, 0 in what was not seen."""
+    points: FloatArray
+    """Returns, one in every square of some side, shape (N, 2), m."""
+    weight: float
+    """Independent looks that a point is."""
+    _widened: dict[int, FloatArray] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, beams: FloatArray, look_m: float) -> Raster:
+        """From beams (N, 4) as rows (x0, y0, x1, y1); a length `look_m` of wall counts as one independent look."""
+        low = np.minimum(beams[:, :2], beams[:, 2:]).min(axis=0) - _REACH * CELL_M
+        high = np.maximum(beams[:, :2], beams[:, 2:]).max(axis=0) + _REACH * CELL_M
+        columns, rows = np.ceil((high - low) / CELL_M).astype(int) + 1
+        hits, passes = np.zeros((rows, columns), dtype=np.int32), np.zeros((rows, columns), dtype=np.int32)
+        mark(beams, low, CELL_M, _SIGMAS_TO_FREE * SIGMA_M, hits, passes)
+        squared = squared_distances(hits, _REACH)
+        mean_range = float(np.linalg.norm(beams[:, 2:] - beams[:, :2], axis=1).mean())
+        points, spacing = thin(beams[:, 2:])
+        return cls(low, _log_ratios(squared, passes, mean_range), points, spacing / look_m)
+
+    def bound(self, level: int, *, turned: bool = False) -> FloatArray:
+        """The table, widened so that it bounds what a block of motions of this level finds in a cell.
+
+        With `turned`, of a block whose axes are turned by any angle.
+        """
+        reach = 0 if level == 0 else int(np.ceil(0.71 * 2**level)) if turned else 2 ** (level - 1)
+        if reach not in self._widened:
+            self._widened[reach] = self.table if reach == 0 else widen(self.table, reach)
+        return self._widened[reach]
+
+
+def thin(points: FloatArray) -> tuple[FloatArray, float]:
+    """The first point in every square, shape (M, 2), and the side of the squares, m: the smallest with few enough."""
+    spacing = SPACING_M
+    while True:
+        squares = np.floor((points - points.min(axis=0)) / spacing).astype(np.int64)
+        _, first = np.unique(squares[:, 0] * (squares[:, 1].max() + 1) + squares[:, 1], return_index=True)
+        if first.size <= MOST_POINTS:
+            return points[np.sort(first)], spacing
+        spacing *= 1.25
+
+
+def _log_ratios(squared: np.ndarray, passes: np.ndarray, mean_range: float) -> FloatArray:
+    """A return near a surface: normal about it, or novel; where beams went through: novel; in the unknown: anything."""
+    steps = np.arange(2 * _REACH**2 + 1) * CELL_M**2
+    normal = np.exp(-0.5 * steps / SIGMA_M**2) / (np.sqrt(2.0 * np.pi) * SIGMA_M)
+    by_step = np.append(np.log((1.0 - NOVEL_SHARE) * normal * mean_range + NOVEL_SHARE), 0.0)
+    free = (squared == len(steps)) & (passes >= 2)
+    return np.where(free, np.log(NOVEL_SHARE), by_step[squared])
+
+
+def beams_of(scan: LaserScan, ranges: FloatArray, body_T_sensor: FloatArray) -> list[FloatArray]:
+    """Beams of a level laser that met a surface, in the body's plane of motion, rows (x0, y0, x1, y1), shape (N, 4).
+
+    In a list: none from a laser whose scan plane leans from the body's by more than some degrees, for it sees other
+    walls from elsewhere.
+    """
+    if body_T_sensor[2, 2] < _LEVEL_COSINE:
+        return []
+    away = np.stack((np.cos(scan.angles), np.sin(scan.angles)), axis=1) * ranges[:, None]
+    gaps = np.linalg.norm(np.diff(away, axis=0), axis=1)
+    seen = np.zeros(len(ranges), dtype=bool)
+    seen[1:] |= gaps <= SURFACE_GAP_M
+    seen[:-1] |= gaps <= SURFACE_GAP_M
+    away = away[seen]
+    ends = away @ body_T_sensor[:2, :2].T + body_T_sensor[:2, 3]
+    return [np.hstack((np.broadcast_to(body_T_sensor[:2, 3], ends.shape), ends))]
+
+
+def moved(beams: FloatArray, pose: FloatArray) -> FloatArray:
+    """Beams (N, 4) through a planar (4, 4) transform."""
+    ends = beams.reshape(-1, 2) @ pose[:2, :2].T + pose[:2, 3]
+    return ends.reshape(-1, 4)
+
+
+def view_from(base: FloatArray, poses: Sequence[FloatArray], views: Sequence[FloatArray]) -> FloatArray:
+    """Beams of several bodies in the frame of another one, all (4, 4) poses of one world, shape (N, 4)."""
+    to_base = np.linalg.inv(base)
+    return np.concatenate([moved(view, to_base @ pose) for pose, view in zip(poses, views, strict=True)])

@@ -1,0 +1,124 @@
+"""A region of a 3D scan: its points with all that the sensor errs in, and the plane that they are believed to be."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.sensors.rig import Sensor
+from slam.sensors.scan_noise import servo_covariances, surface_covariances, tilt_drift
+from spplanes import Plane, fit_plane
+from spplanes._check import FloatArray
+from spplanes._rows import OK
+from spplanes._threads import in_parts
+from spplanes.fitting._groups import fit_groups
+from spplanes.fitting._job import FitJob, group_by_label
+from spplanes.segmentation.validation.config import ValidationConfig
+from spplanes.segmentation.validation.one_plane import InPatches, could_be_seen, fits_its_noise
+
+#: So often a plane is fitted anew without what strays from it, and so much of its points must be left.
+_ROUNDS, _LEAST_SHARE = 4, 0.9
+
+
+class ScanPart:
+    """Points of a region of a 3D scan, with all that the sensor errs in."""
+
+    def __init__(
+        self,
+        points: FloatArray,
+        covariances: FloatArray,
+        members: np.ndarray,
+        n_columns: int,
+        frame: FloatArray,
+        sensor: Sensor,
+    ) -> None:
+        """Points (N, 3) with the covariances of their beams (N, 3, 3) about a plane of frame (4, 4).
+
+        They are those with indices `members`, (N,), of a grid that has so many columns, flat.
+        """
+        self._source = covariances, n_columns, frame
+        self.points, self.members, self.sensor = points, members, sensor
+        self.noise = surface_covariances(points, covariances, frame, sensor)
+        self.blurred = servo_covariances(points, self.noise, members // n_columns, sensor)
+
+    def drift(self, plane: Plane) -> FloatArray | None:
+        """What the servo's slow error shifts every point by, (N,), m; None: there is none."""
+        return tilt_drift(plane, self.points, self.sensor) if self.sensor.tilt_sigma_rad > 0.0 else None
+
+    def fitted(self, viewpoint: FloatArray) -> Plane | None:
+        """The plane of the points, all errors counted; None where they do not determine one.
+
+        Nothing is checked again: they come from a segmentation, which has looked at points and covariances.
+        """
+        job, n = FitJob(self.points, self.blurred, 1, viewpoint, "ml", None, None), len(self.points)
+        fits = fit_groups(job, np.arange(n), np.array([0, n]))
+        return fits.planes()[0] if fits.status[0] == OK else None
+
+    def only(self, chosen: np.ndarray) -> ScanPart:
+        """The points of a mask (N,)."""
+        covariances, n_columns, frame = self._source
+        kept = np.flatnonzero(chosen)
+        return ScanPart(self.points[kept], covariances[kept], self.members[kept], n_columns, frame, self.sensor)
+
+
+def believed_planes(
+    points: FloatArray,
+    covariances: FloatArray,
+    labels: np.ndarray,
+    frames: FloatArray,
+    sensor: Sensor,
+    viewpoint: FloatArray,
+    rules: ValidationConfig,
+) -> list[tuple[Plane, np.ndarray] | None]:
+    """`believed_plane` of every region of a grid, fitted with all errors counted.
+
+    Args:
+        points, covariances, labels: shapes (S, B, 3), (S, B, 3, 3) and (S, B), -1 = none.
+        frames: of about the planes, shape (R, 4, 4).
+        sensor, viewpoint, rules: what errs, whence it was seen, and how much is allowed.
+    """
+    _, order, bounds = group_by_label(labels.ravel(), labels.size)
+    largest_first = np.argsort(-np.diff(bounds), kind="stable").tolist()
+    found: list[tuple[Plane, np.ndarray] | None] = [None] * len(frames)
+
+    def measure(first: int, last: int) -> None:
+        for k in largest_first[first:last]:
+            members = order[bounds[k] : bounds[k + 1]]
+            own, noise = points.reshape(-1, 3).take(members, 0), covariances.reshape(-1, 3, 3).take(members, 0)
+            part = ScanPart(own, noise, members, labels.shape[1], frames[k], sensor)
+            plane = part.fitted(viewpoint)
+            found[k] = None if plane is None else believed_plane(part, plane, viewpoint, rules)
+
+    in_parts(measure, len(frames), len(order), singly=True)
+    return found
+
+
+def believed_plane(
+    part: ScanPart, plane: Plane, viewpoint: FloatArray, rules: ValidationConfig
+) -> tuple[Plane, np.ndarray] | None:
+    """The plane of a region, if it is one, and which members of the region are not on it; None: it is none.
+
+    A plane is fitted anew without the patches that stray, which moves it and its patches: so a few times over.
+    """
+    rest = part
+    for _ in range(_ROUNDS):
+        patches = InPatches(plane, rest.points, rest.noise, rules, drift_m=rest.drift(plane))
+        if could_be_seen(plane, viewpoint, rules) and fits_its_noise(plane, rules) and not patches.has_step:
+            strayed = part.members[:0] if rest is part else np.setdiff1d(part.members, rest.members, assume_unique=True)
+            return plane, strayed
+        chosen = patches.without_strays()
+        if chosen is None or np.count_nonzero(chosen) < _LEAST_SHARE * len(part.members):
+            return None
+        rest = rest.only(chosen)
+        again = rest.fitted(viewpoint)
+        if again is None:
+            return None
+        plane = again
+    return None
+
+
+def fit_if_any(points: FloatArray, covariances: FloatArray, **fit: np.ndarray) -> Plane | None:
+    """The plane of points, or None where they do not determine one: one bad patch must not end a run."""
+    try:
+        return fit_plane(points, covariances, **fit)  # type: ignore[arg-type]
+    except ValueError:
+        return None

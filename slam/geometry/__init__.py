@@ -1,0 +1,1 @@
+"""Geometry: rigid transforms, polygons, extents of planes, a spatial index."""

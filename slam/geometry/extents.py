@@ -1,0 +1,149 @@
+"""What was seen of a plane, kept in tiles: growing it costs what the new patch is, not what the whole has become."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from slam.geometry.polygons import all_valid, grow, grow_all
+from spplanes._check import FloatArray
+
+#: Side of a tile, and how far each reaches into its neighbours so that simplified borders leave no gap between, m.
+_TILE_M, _LAP_M = 4.0, 0.05
+#: So many patches wait before they are cut into tiles together: neighbours in time, they show much the same.
+_AT_ONCE = 4
+#: A tile is full, and what else is seen there not looked at, when so much of it is there, m^2.
+_FULL_M2 = (_TILE_M + 2.0 * _LAP_M) ** 2 - 1e-4
+
+
+class Region:
+    """A growing part of a plane, in the plane's (x, y): polygons, segments, or both.
+
+    Laser lines alone, all of one wall, stay one segment.
+    """
+
+    def __init__(self, geometry: BaseGeometry) -> None:
+        self._line: BaseGeometry | None = None
+        self._tiles: dict[tuple[int, int], BaseGeometry] = {}
+        self._waiting: list[BaseGeometry] = []
+        self._full: set[tuple[int, int]] = set()
+        self._bounds = np.array([np.inf, np.inf, -np.inf, -np.inf])
+        self._take(geometry)
+        self._whole: BaseGeometry | None = geometry
+
+    @property
+    def geometry(self) -> BaseGeometry:
+        """All of it as one geometry."""
+        if self._whole is None:
+            self._whole = self._line if self._line is not None else shapely.union_all(all_valid(self.pieces))
+        return self._whole
+
+    @property
+    def bounds(self) -> FloatArray:
+        """(x low, y low, x high, y high), shape (4,), m."""
+        return self._bounds
+
+    @property
+    def pieces(self) -> list[BaseGeometry]:
+        """All of it in pieces, which overlap: for whoever needs no outline."""
+        return [self._line] if self._line is not None else [*self._tiles.values(), *self._waiting]
+
+    @property
+    def corners(self) -> FloatArray:
+        """Corners of all pieces, shape (N, 2), m."""
+        return shapely.get_coordinates(self.pieces)
+
+    def grow(self, patch: BaseGeometry) -> None:
+        """Take a patch in."""
+        self._take(patch)
+
+    def is_within(self, distance_m: float, patch: BaseGeometry) -> bool:
+        """Whether the region comes within a distance of a patch."""
+        return any(piece.distance(patch) <= distance_m for piece in self._pieces_about(patch, distance_m))
+
+    def distance(self, patch: BaseGeometry, up_to_m: float) -> float:
+        """Distance of the region from a patch, m; `up_to_m` where it is no less."""
+        return min((up_to_m, *(float(piece.distance(patch)) for piece in self._pieces_about(patch, up_to_m))))
+
+    def _pieces_about(self, patch: BaseGeometry, distance_m: float) -> Iterator[BaseGeometry]:
+        """The pieces that may come within a distance of a patch."""
+        if self._line is not None:
+            yield self._line
+            return
+        reach = np.asarray(patch.bounds) + np.array([-1.0, -1.0, 1.0, 1.0]) * distance_m
+        yield from (self._tiles[key] for key in self._tiles_in(reach))
+        yield from self._waiting
+
+    def _take(self, patch: BaseGeometry) -> None:
+        low, high = np.split(np.asarray(patch.bounds), 2)
+        self._bounds = np.concatenate((np.minimum(self._bounds[:2], low), np.maximum(self._bounds[2:], high)))
+        lines_only = (
+            not self._tiles and not self._waiting and (self._line is None or self._line.geom_type == "LineString")
+        )
+        if lines_only and patch.geom_type in ("LineString", "Point"):
+            self._line, self._whole = patch if self._line is None else grow(self._line, patch), None
+            return
+        if self._line is not None:
+            line, self._line = self._line, None
+            self._cut(line)
+        self._waiting.append(patch)
+        self._whole = None
+        if len(self._waiting) == _AT_ONCE:
+            waiting, self._waiting = self._waiting, []
+            self._cut(shapely.union_all(all_valid(waiting)))
+
+    def _cut(self, patch: BaseGeometry) -> None:
+        """Take a patch in, cut along the tiles: into columns first, and those all at once into rows."""
+        x0, y0, x1, y1 = np.floor(np.asarray(patch.bounds) / _TILE_M).astype(int).tolist()
+        if (x0, y0) == (x1, y1):
+            self._join({} if patch.is_empty else {(x0, y0): patch})
+            return
+        low_x, low_y, high_x, high_y = (np.asarray(patch.bounds) + _LAP_M * np.array([-1.0, -1.0, 1.0, 1.0])).tolist()
+        columns = np.full(x1 - x0 + 1, patch)
+        for i in range(x0, x1 + 1) if x1 > x0 else ():
+            if any((i, j) not in self._full for j in range(y0, y1 + 1)):
+                left, right = i * _TILE_M - _LAP_M, (i + 1) * _TILE_M + _LAP_M
+                columns[i - x0] = _within(patch, left, low_y, right, high_y)
+        pieces: dict[tuple[int, int], BaseGeometry] = {}
+        for j in range(y0, y1 + 1):
+            wanted = np.array([i for i in range(x0, x1 + 1) if (i, j) not in self._full], dtype=int)
+            bottom, top = j * _TILE_M - _LAP_M, (j + 1) * _TILE_M + _LAP_M
+            row = _within(columns[wanted - x0], low_x, bottom, high_x, top)
+            there = ~shapely.is_empty(row)
+            pieces.update(((i, j), piece) for i, piece in zip(wanted[there].tolist(), row[there], strict=True))
+        self._join(dict(sorted(pieces.items())))
+
+    def _join(self, pieces: dict[tuple[int, int], BaseGeometry]) -> None:
+        """Take pieces into their tiles, where they tell something new."""
+        new = [key for key in pieces if key not in self._tiles]
+        grown = dict(zip(new, all_valid([pieces[key] for key in new]), strict=True))
+        known = [key for key in pieces if key in self._tiles]
+        grown.update(grow_all([self._tiles[key] for key in known], [pieces[key] for key in known], known))
+        if not grown:
+            return
+        self._whole = None
+        self._tiles.update(grown)
+        areas = shapely.area(list(grown.values()))
+        self._full.update(key for key, area in zip(grown, areas.tolist(), strict=True) if area > _FULL_M2)
+
+    def _tiles_in(self, bounds: FloatArray) -> Iterator[tuple[int, int]]:
+        """Keys of the tiles there are that a box touches, in order."""
+        x0, y0 = np.floor((bounds[:2] - _LAP_M) / _TILE_M).tolist()
+        x1, y1 = np.floor((bounds[2:] + _LAP_M) / _TILE_M).tolist()
+        if (x1 - x0 + 1.0) * (y1 - y0 + 1.0) > len(self._tiles):
+            yield from (key for key in sorted(self._tiles) if x0 <= key[0] <= x1 and y0 <= key[1] <= y1)
+            return
+        for i in range(int(x0), int(x1) + 1):
+            yield from ((i, j) for j in range(int(y0), int(y1) + 1) if (i, j) in self._tiles)
+
+
+def _within(geometries: Any, x_low: float, y_low: float, x_high: float, y_high: float) -> Any:
+    """What of a geometry, or of each of an array, lies in a rectangle."""
+    try:
+        return shapely.clip_by_rect(geometries, x_low, y_low, x_high, y_high)
+    except shapely.errors.GEOSException:  # a corner that pokes in by less than a rounding leaves a ring of two points
+        return shapely.intersection(all_valid(geometries), shapely.box(x_low, y_low, x_high, y_high))

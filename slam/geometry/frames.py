@@ -1,0 +1,45 @@
+"""Small rigid-frame helpers of the run: inverse, moving points, plane frames that follow an estimate."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from spplanes import Plane
+from spplanes._check import FloatArray
+from spplanes._hesse import covariance_from_hesse
+from spplanes.spmodel import inverse_transform as inverse
+
+__all__ = ["covariance_in", "inverse", "lift", "settle_frame"]
+
+
+def lift(points: FloatArray, transform: FloatArray) -> FloatArray:
+    """Points (N, 2), lying in z = 0, or (N, 3) through a (4, 4) transform, shape (N, 3)."""
+    return points @ transform[:3, : points.shape[1]].T + transform[:3, 3]
+
+
+def settle_frame(frame: FloatArray, normal: FloatArray, d: float) -> FloatArray:
+    """The plane frame nearest to `frame` on the plane normal.x = d: origin projected, x axis kept as far as it can be.
+
+    Args:
+        frame: Plane frame to start from, shape (4, 4).
+        normal: Unit normal, shape (3,), less than 90 deg from the frame's z axis.
+        d: Hesse distance, m.
+    """
+    settled = np.eye(4)
+    x_axis = frame[:3, 0] - normal * (normal @ frame[:3, 0])
+    x_axis = x_axis / np.linalg.norm(x_axis)
+    settled[:3, :3] = np.column_stack((x_axis, np.cross(normal, x_axis), normal))
+    origin = frame[:3, 3]
+    settled[:3, 3] = origin + normal * (d - normal @ origin)
+    return settled
+
+
+def covariance_in(plane: Plane, frame: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of (z, theta, psi) of a plane in another frame (4, 4) lying on it."""
+    return covariance_from_hesse(frame, plane.hesse_covariance)
+
+
+def planar_transform(x: float, y: float, theta: float) -> FloatArray:
+    """(4, 4) transform of a pose on the floor."""
+    c, s = np.cos(theta), np.sin(theta)
+    return np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])

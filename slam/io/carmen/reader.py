@@ -1,0 +1,171 @@
+"""Reader of CARMEN logs: FLASER, RLASER, ODOM, ROBOTLASERk and RAWLASERk, plain or gzip."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from slam.errors import LogError
+from slam.geometry.frames import planar_transform
+from slam.io.carmen._scans import TableScans, robot_pose
+from slam.io.carmen._stream import RawLog, read_records
+from slam.io.spool import StoredReading, StoredScan
+from slam.sensors.log import Event, Log, OdometryReading
+from spplanes._check import FloatArray
+
+if TYPE_CHECKING:
+    from slam.sensors.rig import Rig
+
+#: A SICK LMS reports errors as the largest of its 13-bit readings: what they look like, and what to take as none, m.
+_SICK_MODES = ((8.1, 8.2, 7.95), (81.0, 82.0, 40.0))
+#: Offsets of a laser pose against the robot's that differ by less than this are one mount, m and rad.
+_SAME_MOUNT = 1e-4
+
+
+def read_carmen(
+    path: Path | str, *, rig: Rig | None = None, keep_partial: bool = False, clock: Literal["ipc", "logger"] = "ipc"
+) -> Log:
+    """Read a CARMEN log.
+
+    Sensors carry the rig's names; lasers the rig does not have are left out. Without a rig a sensor has the name of its
+    records. Ranges at or beyond the maximum (the rig's, the record's, or, for FLASER and RLASER alone, what the
+    readings of a SICK show), at or below the rig's minimum, and not above zero become NaN. FLASER and RLASER do not
+    state their bearings: odd counts span -90 to 90 deg, even ones -90 deg to one step short of 90.
+
+    Odometry is that of ODOM, FLASER and RLASER; of ROBOTLASERk only in a log that has no other. A scan's
+    `world_T_body` is the pose its record gives, with the laser's mount taken off where the log tells it.
+
+    Args:
+        path: the log, plain or gzip, whatever its name.
+        rig: sensors, or None.
+        keep_partial: keep what was read before a gzip stream or the last line breaks off.
+        clock: "ipc": the time the sensor stamped (the log's third word from the end); "logger": the time the logger
+            wrote the record (the last word). Where all ipc times are the same, the logger's are taken.
+
+    Raises:
+        LogError: one sentence with file and line: no lasers, a wrong count, text for a number, time running backwards
+            within the records of one sensor, beam counts that change, a stream cut in the middle, no room for scans.
+
+    The ranges of a long log wait on the disk (`slam.io.spool`); every scan reads its own when it is asked for them.
+    """
+    path = Path(path)
+    raw = read_records(path, keep_partial)
+    rows = raw.rows()
+    if not (rows["name"] > 0).any():
+        raise LogError(path, "expected a CARMEN log with laser records, got none")
+    stamps = _stamps(raw, rows, clock)
+    _check_order(path, raw, rows, stamps)
+    names = _names_of(path, raw, rows, rig)
+    lasers = {raw.names[name]: _laser_of(name, sensor, raw, rows, rig) for name, sensor in names.items()}
+    sensors = {raw.names[name]: sensor for name, sensor in names.items()}
+    events = _events_of(rows, stamps, lasers, sensors)
+    stated = {sensors[number]: laser.mount for number, laser in lasers.items() if laser.mount is not None}
+    return Log(events, path, raw.notes, stated)
+
+
+def _events_of(
+    rows: np.ndarray, stamps: np.ndarray, lasers: dict[int, TableScans], sensors: dict[int, str]
+) -> list[Event]:
+    """Scans and readings of a table, in time order."""
+    own_odometry = bool(((rows["name"] == 0) | np.isnan(rows["start"])).any())
+    tells_odometry = np.isfinite(rows["robot_pose"][:, 0]) & (np.isnan(rows["start"]) | (not own_odometry))
+    readers = {number: (laser.ranges, laser.pose) for number, laser in lasers.items()}
+    told = [rows[name].tolist() for name in ("name", "beams", "start", "step")]
+    pose = partial(robot_pose, rows)
+    events: list[Event] = []
+    for row, (stamp, number, *bearings) in enumerate(zip(stamps.tolist(), *told, strict=True)):
+        if number in lasers:
+            angles = lasers[number].angles(*bearings)
+            events.append(StoredScan(stamp, sensors[number], angles, row, *readers[number]))
+        if (number == 0 or number in lasers) and tells_odometry[row]:
+            events.append(StoredReading(stamp, row, pose))
+    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
+    return events
+
+
+def _stamps(raw: RawLog, rows: np.ndarray, clock: str) -> np.ndarray:
+    """Time of every record, shape (N,), ns: the sensor's, or the logger's."""
+    sensors, loggers = rows["stamps_ns"].T
+    if clock == "ipc" and (sensors == sensors[0]).all() and (loggers != loggers[0]).any():
+        raw.notes.append("all ipc times are the same; took the logger's")
+        return loggers
+    return sensors if clock == "ipc" else loggers
+
+
+def _check_order(path: Path, raw: RawLog, rows: np.ndarray, stamps: np.ndarray) -> None:
+    """Within the records of one name, time must not run backwards and the number of beams must not change."""
+    problems: list[tuple[int, str]] = []
+    for name, number in raw.names.items():
+        (own,) = np.nonzero(rows["name"] == number)
+        beams, times, lines = rows["beams"][own].tolist(), stamps[own].tolist(), rows["line"][own].tolist()
+        for place in range(1, len(own)):
+            if times[place] < times[place - 1]:
+                late = (times[place - 1] - times[place]) / 1e9
+                problems.append((lines[place], f"time runs backwards by {late:.6f} s in {name}"))
+                break
+            if beams[place] != beams[place - 1]:
+                expected = f"expected {beams[place - 1]} beams as in the {name} records before, got {beams[place]}"
+                problems.append((lines[place], expected))
+                break
+    if problems:
+        line, problem = min(problems)
+        raise LogError(path, problem, line=line)
+
+
+def _names_of(path: Path, raw: RawLog, rows: np.ndarray, rig: Rig | None) -> dict[str, str]:
+    """Name of the sensor for each record name that is kept."""
+    counts = {name: int((rows["name"] == number).sum()) for name, number in raw.names.items() if number}
+    if rig is None:
+        return {name: name for name in counts}
+    names = {name: sensor for name in counts if (sensor := rig.name_of_record(name)) is not None}
+    raw.notes += [
+        f"skipped {n} {name} records, which the rig does not have" for name, n in counts.items() if name not in names
+    ]
+    if not names:
+        raise LogError(path, f"expected records of the rig's sensors, got only {', '.join(counts)}")
+    return names
+
+
+def _laser_of(name: str, sensor: str, raw: RawLog, rows: np.ndarray, rig: Rig | None) -> TableScans:
+    """The scans of one laser."""
+    own = rows[rows["name"] == raw.names[name]]
+    mount = _stated_mount(name, own, raw.offsets)
+    if rig is None:
+        return TableScans(rows, raw.spool, 0.0, _range_limit(own), mount, None, None)
+    told = rig.sensors[sensor]
+    angles = told.first_angle_deg, told.angle_step_deg
+    return TableScans(rows, raw.spool, told.range_min_m, told.range_max_m, mount, *angles)
+
+
+def _range_limit(own: np.ndarray) -> float:
+    """Ranges of a laser at or beyond this are no returns, m."""
+    stated, largest = own["range_max_m"], float(own["largest"].max())
+    limit = float(np.min(stated, initial=np.inf, where=~np.isnan(stated)))
+    return min([limit, *(none for low, high, none in _SICK_MODES if low <= largest <= high)])
+
+
+def _stated_mount(name: str, own: np.ndarray, offsets: dict[str, float]) -> FloatArray | None:
+    """body_T_sensor as PARAM lines, or poses of laser and robot that keep one distance, tell it; None: not told."""
+    pairs = own[np.isfinite(own["laser_pose"][:, 0]) & np.isfinite(own["robot_pose"][:, 0])]
+    if name in offsets:
+        return planar_transform(offsets[name], 0.0, np.pi if name == "RLASER" else 0.0)
+    if not len(pairs):
+        return None
+    poses = zip(pairs["robot_pose"], pairs["laser_pose"], strict=True)
+    relative = np.array([_relative(robot, laser) for robot, laser in poses])
+    middle = np.median(relative, axis=0)
+    if np.abs(relative - middle).max() > _SAME_MOUNT or (name == "RLASER" and not middle.any()):
+        return None
+    return planar_transform(*(middle + 0.0))  # no negative zeros
+
+
+def _relative(robot: FloatArray, laser: FloatArray) -> FloatArray:
+    """Pose of the laser in the frame of the robot, (x, y, theta)."""
+    c, s = math.cos(robot[2]), math.sin(robot[2])
+    dx, dy = (laser - robot)[:2].tolist()
+    turn = math.remainder(laser[2] - robot[2], 2.0 * math.pi)
+    return np.array([c * dx + s * dy, -s * dx + c * dy, turn], dtype=np.float64)

@@ -1,0 +1,1 @@
+"""Folders of scans: clouds, depth images, 3DTK; reading and writing."""

@@ -1,0 +1,181 @@
+"""Reader of 3DTK scan folders: `scanNNN.3d` (or `.3d.gz`) with `scanNNN.pose`.
+
+3DTK is left-handed and in centimetres: x right, y up, z forward. This project is right-handed and in metres:
+x forward, y left, z up. A point goes over as p = C q / 100 with C below, a transform as C T C^-1.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from slam.errors import LogError
+from slam.io._numbers import number_of
+from slam.io.clouds.cloud import FARTHEST_M
+from slam.io.packed import read_unpacked
+from slam.sensors.log import CloudScan, Event, Log, OdometryReading
+from spplanes._check import FloatArray
+
+SENSOR = "scanner"
+#: Scans of a folder have no clock; they are given one second each.
+SCAN_PERIOD_NS = 1_000_000_000
+#: Ranges beyond this are the scanner's "no return", m.
+NO_RETURN_M = 32.0
+#: right-handed axes from left-handed ones.
+AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+METRES_PER_UNIT = 0.01
+
+_SCAN_NAME = re.compile(r"scan(\d+)\.3d(\.gz)?$")
+
+
+def is_3dtk_folder(path: Path) -> bool:
+    """Whether a folder holds 3DTK scans."""
+    return path.is_dir() and any(_SCAN_NAME.match(entry.name) for entry in path.iterdir())
+
+
+def read_3dtk(folder: Path) -> Log:
+    """Read a folder of 3DTK scans in the order of their numbers.
+
+    Returns:
+        Organised scans of shape (lines, beams, 3) where the lines of the scanner can be told apart, NaN = no return,
+        each with the pose of its `.pose` file as odometry.
+
+    Raises:
+        LogError: a missing or unreadable file, a line that is not three numbers, a scan without a return.
+    """
+    folder = Path(folder)
+    scans = sorted((int(match[1]), path) for path in folder.iterdir() if (match := _SCAN_NAME.match(path.name)))
+    if not scans:
+        raise LogError(folder, "expected files named scanNNN.3d or scanNNN.3d.gz, found none")
+    events: list[Event] = []
+    for order, (_, path) in enumerate(scans):
+        stamp_ns = order * SCAN_PERIOD_NS
+        odom_T_body = read_pose(path.with_name(path.name.split(".")[0] + ".pose"))
+        events.append(OdometryReading(stamp_ns, odom_T_body))
+        events.append(CloudScan(stamp_ns, SENSOR, read_points(path)))
+    return Log(events, folder)
+
+
+def read_pose(path: Path) -> FloatArray:
+    """odom_T_body, shape (4, 4), from a `.pose` file: x y z in cm, then rotations about x, y, z in degrees."""
+    try:
+        text = path.read_text(encoding="ascii")
+    except FileNotFoundError as error:
+        raise LogError(path, "expected the pose of the scan beside it, found no such file") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise LogError(path, "expected six numbers in plain text, got a file that is not text") from error
+    values = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        values += _floats(path, line, number)
+    if len(values) != 6:
+        raise LogError(path, f"expected six numbers (x y z rx ry rz), got {len(values)}")
+    return to_right_handed(_euler_transform(np.array(values[:3]), np.deg2rad(values[3:])))
+
+
+def read_points(path: Path) -> FloatArray:
+    """Points of one scan, m, right-handed; shape (lines, beams, 3) if organised, else (1, N, 3)."""
+    raw = _parse_points(path, _read_text(path))
+    raw = np.where(np.abs(raw) < FARTHEST_M, raw, FARTHEST_M)
+    beams = beams_per_line(raw)
+    points = raw @ AXES.T * METRES_PER_UNIT
+    ranges = np.linalg.norm(points, axis=1)
+    points[(ranges > NO_RETURN_M) | (ranges <= 0.0)] = np.nan
+    if not np.isfinite(points).any():
+        raise LogError(path, f"expected at least one return within {NO_RETURN_M:g} m, got none")
+    return points.reshape(-1, beams, 3)
+
+
+def beams_per_line(points: FloatArray) -> int:
+    """Beams of one scanner line: the distance between the jumps back of the bearing, if it divides the scan evenly.
+
+    The lines of a scanner that tilts about 3DTK's x axis sweep from one end of that axis to the other, whatever the
+    tilt; so the angle to the x axis moves one way inside a line and jumps back between lines.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        bearing = np.arccos(np.clip(points[:, 0] / np.linalg.norm(points, axis=1), -1.0, 1.0))
+    step = np.diff(bearing)
+    if not np.isfinite(step).any():
+        return len(points)
+    direction = np.sign(np.nanmedian(step))
+    back = np.flatnonzero(direction * step < -np.pi / 2.0) + 1
+    lengths = np.unique(np.diff(np.concatenate(([0], back, [len(points)]))))
+    return int(lengths[0]) if len(lengths) == 1 else len(points)
+
+
+def to_right_handed(transform: FloatArray) -> FloatArray:
+    """Transform (4, 4) in 3DTK's axes and centimetres to this project's axes and metres."""
+    result = np.eye(4)
+    result[:3, :3] = AXES @ transform[:3, :3] @ AXES.T
+    result[:3, 3] = AXES @ transform[:3, 3] * METRES_PER_UNIT
+    return result
+
+
+def read_frames(path: Path) -> FloatArray:
+    """Final transform of a `.frames` file, shape (4, 4), right-handed, m: the registration's answer for the scan."""
+    try:
+        lines = Path(path).read_text(encoding="ascii").split("\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise LogError(path, "expected a readable text file of transforms") from error
+    numbered = [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
+    if not numbered:
+        raise LogError(path, "expected at least one transform, got an empty file")
+    number, last = numbered[-1]
+    values = _floats(path, last, number)
+    if len(values) < 16:
+        raise LogError(path, f"expected 16 numbers of a 4x4 transform, got {len(values)}", line=number)
+    return to_right_handed(np.array(values[:16]).reshape(4, 4, order="F"))
+
+
+def _euler_transform(translation: FloatArray, angles: FloatArray) -> FloatArray:
+    """3DTK's own Euler convention: R = Rx Ry Rz."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
+    about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
+    transform = np.eye(4)
+    transform[:3, :3] = about_x @ about_y @ about_z
+    transform[:3, 3] = translation
+    return transform
+
+
+def _read_text(path: Path) -> str:
+    data = read_unpacked(path)
+    try:
+        return data.decode("ascii")
+    except UnicodeDecodeError as error:
+        raise LogError(path, "expected lines of text with three numbers each, got binary data") from error
+
+
+def _parse_points(path: Path, text: str) -> FloatArray:
+    """Parse quickly; only when that fails walk the lines to name the first bad one."""
+    if not text.strip():
+        raise LogError(path, "expected lines of three numbers, got an empty file")
+    try:
+        points = np.loadtxt(io.StringIO(text), dtype=np.float64, ndmin=2, comments=None)
+    except ValueError:
+        points = np.empty((0, 0))
+    if points.shape[1:] != (3,) or not np.isfinite(points).all():
+        rows = [(_floats(path, line, number), number, line) for number, line in _lines(text)]
+        for values, number, line in rows:
+            if len(values) != 3:
+                raise LogError(path, f"expected three numbers, got {line[:60]!r}", line=number)
+        return np.array([values for values, _, _ in rows])  # as Python breaks lines, where numpy does not
+    return points
+
+
+def _lines(text: str) -> Iterator[tuple[int, str]]:
+    return ((number, line.strip()) for number, line in enumerate(text.splitlines(), start=1) if line.strip())
+
+
+def _floats(path: Path, line: str, number: int) -> list[float]:
+    try:
+        values = [number_of(word) for word in line.split()]
+    except ValueError as error:
+        raise LogError(path, f"expected numbers, got {line.strip()[:60]!r}", line=number) from error
+    if not np.isfinite(values).all():
+        raise LogError(path, f"expected finite numbers, got {line.strip()[:60]!r}", line=number)
+    return values

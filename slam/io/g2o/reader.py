@@ -1,0 +1,228 @@
+"""g2o files with poses and planes as GTSAM graphs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import gtsam_unstable
+import numpy as np
+
+from factors.robust import gaussian
+from slam.errors import LogError
+from slam.io._numbers import number_of, numbered_words
+from slam.io.g2o._tangents import plane_jacobian, pose_jacobian, root_information
+from spplanes._check import TOO_LARGE, FloatArray
+
+#: Vertices that a file may have: more cannot be numbered by a GTSAM symbol, and none has.
+_MOST_VERTICES = 10_000_000
+#: A quaternion or a normal in a file may miss unit norm by this much.
+_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class G2oGraph:
+    """The graph of a g2o file."""
+
+    graph: gtsam.NonlinearFactorGraph
+    """Odometry, priors, sightings of planes, and constraints that hold the fixed vertices where they are."""
+    values: gtsam.Values
+    """Poses (Pose3) and planes (OrientedPlane3), as the file has them; planes in the world."""
+    poses: dict[int, int]
+    """GTSAM key of every pose, by vertex id: symbol x and the id."""
+    planes: dict[int, int]
+    """GTSAM key of every plane, by vertex id: symbol p and the id."""
+
+
+def read_g2o(path: Path | str) -> G2oGraph:
+    """Read a g2o file of poses and planes.
+
+    It may hold ``VERTEX_SE3:QUAT``, ``VERTEX_PLANE``, ``EDGE_SE3:QUAT``, ``EDGE_SE3_PRIOR``, ``EDGE_SE3_PLANE_CALIB``,
+    ``PARAMS_SE3OFFSET`` (the body itself) and ``FIX``.
+
+    Planes live in the frame of one more pose, symbol w0, held at the origin: with it every sighting has a native
+    factor. Errors are those of g2o's edges to first order. Information may be of any rank.
+
+    Raises:
+        LogError: one sentence with file and line: a word that is none of these, too few numbers, numbers that are not
+            finite, a quaternion or a normal that is not one, an id given twice or missing, an information matrix that
+            is not positive semidefinite, a sensor that is not a fixed vertex, or no pose at all.
+    """
+    path = Path(path)
+    reader = _Reader(path)
+    for line, words in numbered_words(path):
+        reader.read(line, words)
+    return reader.finish()
+
+
+@dataclass
+class _Reader:
+    """What was read so far."""
+
+    path: Path
+    poses: dict[int, gtsam.Pose3] = field(default_factory=dict)
+    planes: dict[int, gtsam.OrientedPlane3] = field(default_factory=dict)
+    fixed: dict[int, int] = field(default_factory=dict)
+    offsets: dict[int, gtsam.Pose3] = field(default_factory=dict)
+    edges: list[tuple[int, str, list[int], FloatArray]] = field(default_factory=list)
+
+    def read(self, line: int, words: list[str]) -> None:
+        """One line."""
+        kind = words[0]
+        if kind == "FIX":
+            self.fixed.update((self._id(word, line), line) for word in words[1:])
+        elif kind in _VERTICES:
+            (number,), numbers = self._split(words, line, 1, _VERTICES[kind])
+            kept = {"VERTEX_PLANE": self.planes, "PARAMS_SE3OFFSET": self.offsets}.get(kind, self.poses)
+            taken = number in kept if kind == "PARAMS_SE3OFFSET" else number in self.poses or number in self.planes
+            if taken:
+                raise LogError(self.path, f"expected each id once, got {number} again", line=line)
+            if len(kept) >= _MOST_VERTICES:
+                raise LogError(self.path, f"expected at most {_MOST_VERTICES} vertices", line=line)
+            kept[number] = self._plane(numbers, line) if kind == "VERTEX_PLANE" else self._pose(numbers, line)
+        elif kind in _EDGES:
+            ids, size = _EDGES[kind]
+            self.edges.append((line, kind, *self._split(words, line, ids, size)))
+        else:
+            known = ", ".join([*_VERTICES, *_EDGES, "FIX"])
+            raise LogError(self.path, f"expected one of {known}, got {kind[:40]!r}", line=line)
+
+    def finish(self) -> G2oGraph:
+        """The graph of all that was read."""
+        if not self.poses:
+            raise LogError(self.path, "expected at least one VERTEX_SE3:QUAT, got none")
+        for number, line in self.fixed.items():
+            if number not in self.poses:
+                raise LogError(self.path, f"expected a pose to fix, got the id {number}", line=line)
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        sensors = {ids[2] for _, kind, ids, _ in self.edges if kind == "EDGE_SE3_PLANE_CALIB"}
+        used = {number for _, kind, ids, _ in self.edges for number in ids[: _POSES_OF[kind]]}
+        for number in sorted(set(self.poses) - (sensors - used)):
+            values.insert(gtsam.symbol("x", number), self.poses[number])
+            if number in self.fixed:
+                graph.push_back(_held(gtsam.symbol("x", number), self.poses[number]))
+        if self.planes:
+            values.insert(_WORLD, gtsam.Pose3())
+            graph.push_back(_held(_WORLD, gtsam.Pose3()))
+        for number, plane in sorted(self.planes.items()):
+            values.insert(gtsam.symbol("p", number), plane)
+        for line, kind, ids, numbers in self.edges:
+            graph.push_back(self._factor(line, kind, ids, numbers))
+        poses = {number: gtsam.symbol("x", number) for number in self.poses if number not in sensors - used}
+        return G2oGraph(graph, values, poses, {number: gtsam.symbol("p", number) for number in self.planes})
+
+    def _factor(self, line: int, kind: str, ids: list[int], numbers: FloatArray) -> gtsam.NonlinearFactor:
+        poses = ids[: _POSES_OF[kind]]
+        for number in poses:
+            self._known(self.poses, number, line, "pose")
+        keys = [gtsam.symbol("x", number) for number in poses]
+        if kind == "EDGE_SE3_PLANE_CALIB":
+            return self._sighting(line, ids, keys[0], numbers)
+        root = self._root(numbers[7:], 6, line) @ pose_jacobian()
+        measured = self._pose(numbers[:7], line)
+        if kind == "EDGE_SE3:QUAT":
+            return gtsam.BetweenFactorPose3(keys[0], keys[1], measured, _noise(root))
+        offset = self._known(self.offsets, ids[1], line, "PARAMS_SE3OFFSET")
+        if not offset.equals(gtsam.Pose3(), 1e-12):
+            raise LogError(self.path, "expected a prior on the pose itself, got one with an offset", line=line)
+        return _prior(keys[0], measured, root)
+
+    def _sighting(self, line: int, ids: list[int], pose_key: int, numbers: FloatArray) -> gtsam.NonlinearFactor:
+        self._known(self.planes, ids[1], line, "plane")
+        body_T_sensor = self._known(self.poses, ids[2], line, "pose")
+        if ids[2] not in self.fixed:
+            raise LogError(self.path, f"expected a fixed sensor, got the free vertex {ids[2]}", line=line)
+        in_sensor = self._plane(numbers[:7], line)
+        measured = in_sensor.transform(body_T_sensor.inverse())
+        in_g2o = plane_jacobian(in_sensor, np.eye(3)) @ _to_sensor(in_sensor, measured, body_T_sensor)
+        noise = _noise(self._root(numbers[7:], 3, line) @ in_g2o)
+        plane_key = gtsam.symbol("p", ids[1])
+        return gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, pose_key, _WORLD, plane_key)
+
+    def _known(self, kept: dict[int, Any], number: int, line: int, what: str) -> Any:
+        if number not in kept:
+            raise LogError(self.path, f"expected the id of a {what}, got {number}", line=line)
+        return kept[number]
+
+    def _split(self, words: list[str], line: int, ids: int, size: int) -> tuple[list[int], FloatArray]:
+        if len(words) != 1 + ids + size:
+            raise LogError(
+                self.path, f"expected {ids + size} numbers after {words[0]}, got {len(words) - 1}", line=line
+            )
+        try:
+            numbers = np.array([number_of(word) for word in words[1 + ids :]])
+        except ValueError as error:
+            raise LogError(self.path, f"expected numbers ({str(error)[:60]})", line=line) from error
+        if not np.isfinite(numbers).all():
+            raise LogError(self.path, "expected finite numbers, got NaN or infinity", line=line)
+        if np.abs(numbers).max() >= TOO_LARGE:
+            raise LogError(self.path, f"expected numbers below {TOO_LARGE:g}, got larger ones", line=line)
+        return [self._id(word, line) for word in words[1 : 1 + ids]], numbers
+
+    def _id(self, word: str, line: int) -> int:
+        if not (word.isdecimal() and len(word) <= 15):
+            raise LogError(self.path, f"expected an id, a whole number, got {word[:20]!r}", line=line)
+        return int(word)
+
+    def _pose(self, numbers: FloatArray, line: int) -> gtsam.Pose3:
+        norm = np.linalg.norm(numbers[3:7])
+        if abs(norm - 1.0) > _TOLERANCE:
+            raise LogError(self.path, f"expected a unit quaternion, got one of norm {norm:.6g}", line=line)
+        x, y, z, w = numbers[3:7] / norm
+        return gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), numbers[:3])
+
+    def _plane(self, numbers: FloatArray, line: int) -> gtsam.OrientedPlane3:
+        norm = np.linalg.norm(numbers[:3])
+        if norm == 0.0:
+            raise LogError(self.path, "expected the normal of a plane, got zero", line=line)
+        return gtsam.OrientedPlane3(numbers[:4] / norm)
+
+    def _root(self, upper: FloatArray, size: int, line: int) -> FloatArray:
+        matrix = np.zeros((size, size))
+        matrix[np.triu_indices(size)] = upper
+        try:
+            return root_information(matrix + np.triu(matrix, 1).T)
+        except ValueError as error:
+            raise LogError(self.path, str(error), line=line) from error
+
+
+def _to_sensor(
+    in_sensor: gtsam.OrientedPlane3, in_body: gtsam.OrientedPlane3, body_T_sensor: gtsam.Pose3
+) -> FloatArray:
+    """Derivative (3, 3) of a plane's error in the sensor's frame by that in the body's, both as GTSAM writes it."""
+    axes = in_body.normal().basis()
+    jacobian = np.eye(3)
+    jacobian[:2, :2] = in_sensor.normal().basis().T @ body_T_sensor.rotation().matrix().T @ axes
+    jacobian[2, :2] = -body_T_sensor.translation() @ axes  # d in the sensor's frame is d - n . translation
+    return jacobian
+
+
+def _prior(key: int, measured: gtsam.Pose3, root: FloatArray) -> gtsam.NonlinearFactor:
+    """Prior on a pose; one on the position or the rotation alone does not mix them, as GTSAM's whole one would."""
+    if not root[:, :3].any():
+        return gtsam.PoseTranslationPrior3D(
+            key, measured.translation(), _noise(root[:, 3:] @ measured.rotation().matrix().T)
+        )
+    if not root[:, 3:].any():
+        return gtsam.PoseRotationPrior3D(key, measured.rotation(), _noise(root[:, :3]))
+    return gtsam.PriorFactorPose3(key, measured, _noise(root))
+
+
+def _noise(root: FloatArray) -> gtsam.noiseModel.Base:
+    """Noise model with |root e|^2 as its squared norm; `root` has as many columns as e has components."""
+    return gaussian(np.asarray(np.linalg.qr(root, mode="r")), None, root.shape[1])
+
+
+def _held(key: int, pose: gtsam.Pose3) -> gtsam.PriorFactorPose3:
+    return gtsam.PriorFactorPose3(key, pose, gtsam.noiseModel.Constrained.All(6))
+
+
+_WORLD = gtsam.symbol("w", 0)
+#: Numbers after the id.
+_VERTICES = {"VERTEX_SE3:QUAT": 7, "VERTEX_PLANE": 7, "PARAMS_SE3OFFSET": 7}
+#: Number of ids, and of numbers after them.
+_EDGES = {"EDGE_SE3:QUAT": (2, 28), "EDGE_SE3_PRIOR": (2, 28), "EDGE_SE3_PLANE_CALIB": (3, 13)}
+#: How many of the ids, from the first, are poses that the error depends on.
+_POSES_OF = {"EDGE_SE3:QUAT": 2, "EDGE_SE3_PRIOR": 1, "EDGE_SE3_PLANE_CALIB": 1}

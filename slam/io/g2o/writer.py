@@ -1,0 +1,221 @@
+"""Graphs as g2o files: poses and planes in g2o's own vertices, odometry, priors and sightings as its edges."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.io.g2o._observations import Sighting, anchoring_of, gaussian_of, linearised, sighting_of
+from slam.io.g2o._tangents import (
+    LEVEL,
+    UPRIGHT,
+    measured_plane,
+    plane_jacobian,
+    pose_jacobian,
+    sensor_rotation,
+)
+from spplanes._check import FloatArray
+
+#: Newton steps to where the error of a prior is zero.
+_STEPS = 20
+_PLANE_RGB = "0.6 0.6 0.65"
+
+
+@dataclass(frozen=True)
+class G2oContent:
+    """What went into a g2o file, and what g2o has no word for."""
+
+    poses: dict[int, int]
+    """Vertex id of every pose, by GTSAM key."""
+    planes: dict[int, int]
+    """Vertex id of every plane, by GTSAM key."""
+    left_out: dict[str, int] = field(default_factory=dict)
+    """Number of factors and variables that a g2o file cannot hold, by type."""
+
+
+_Linearised = Callable[[Any], tuple[FloatArray, FloatArray]]
+
+
+def write_g2o(path: Path | str, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> G2oContent:
+    """Write a graph of poses and planes as g2o's ``VERTEX_SE3:QUAT``, ``VERTEX_PLANE`` and their edges.
+
+    Landmarks anchored at a pose are written in the world: the same planes by other coordinates. Every factor of one
+    plane becomes an ``EDGE_SE3_PLANE_CALIB`` with the factor's own information, and with what it measured so chosen
+    that error and slope at ``values`` are the factor's: for `factors.plane_factor` that is its own measurement,
+    exactly; a line has information of rank 2 and a measured tilt that weighs nothing. Priors on a pose, of any type,
+    become ``EDGE_SE3_PRIOR``. The sensor of every edge is one of two fixed vertices at the origin of the body. Give the
+    optimum as ``values``: it is then the optimum of the file, too.
+
+    A g2o file has no robust kernels, no relations between two planes and no 2D poses beside 3D ones: kernels are
+    dropped, factors without a counterpart are left out; both are counted in what comes back and said in a comment.
+
+    Raises:
+        ValueError: a factor of variables that have no value, or one landmark with two different anchors.
+    """
+    writer = _Writer(graph, values)
+    Path(path).write_text("\n".join(writer.lines()) + "\n", encoding="ascii")
+    return G2oContent(writer.poses, writer.planes, dict(writer.left_out))
+
+
+class _Writer:
+    """The vertices and edges of one graph."""
+
+    def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+        self.values = values
+        self.left_out: Counter[str] = Counter()
+        poses, planes = self._variables()
+        self.poses = {key: index for index, key in enumerate(poses)}
+        self.planes = {key: len(poses) + index for index, key in enumerate(planes)}
+        self._level = len(poses) + len(planes)
+        self._factors: list[Any] = [graph.at(i) for i in range(graph.size()) if graph.exists(i)]
+        for key in graph.keyVector():
+            if not values.exists(key):
+                raise ValueError(f"values: expected one for every variable, got none for {_name(key)}")
+        self._anchors = self._anchors_of_planes()
+
+    def lines(self) -> list[str]:
+        """The whole file, line by line."""
+        edges = [line for factor in self._factors for line in self._edge(factor)]
+        parameters = "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"  # the sensor of the priors: the body itself
+        return [*self._comments(), parameters, *self._vertices(), *edges]
+
+    def _comments(self) -> list[str]:
+        lines = ["# planes n.x = d: nx ny nz -d, then a colour; written by spplanes"]
+        return lines + [f"# left out: {count} of {kind}" for kind, count in sorted(self.left_out.items())]
+
+    def _vertices(self) -> list[str]:
+        lines = [f"VERTEX_SE3:QUAT {i} {_pose(self.values.atPose3(key))}" for key, i in self.poses.items()]
+        for offset, rotation in ((self._level, LEVEL), (self._level + 1, UPRIGHT)):
+            pose = gtsam.Pose3(gtsam.Rot3(rotation), np.zeros(3))
+            lines += [f"VERTEX_SE3:QUAT {offset} {_pose(pose)}", f"FIX {offset}"]
+        for key, i in self.planes.items():
+            lines.append(f"VERTEX_PLANE {i} {_numbers(self._in_world(key).planeCoefficients())} {_PLANE_RGB}")
+        return lines
+
+    def _edge(self, factor: Any) -> list[str]:
+        if isinstance(factor.noiseModel(), gtsam.noiseModel.Robust):
+            self.left_out["robust kernels"] += 1
+        if isinstance(factor, gtsam.BetweenFactorPose3):
+            return [self._between(factor)]
+        sighting = sighting_of(factor)
+        if sighting is not None and sighting.plane_key in self.planes:
+            return [self._plane_edge(sighting)]
+        keys = list(factor.keys())
+        if len(keys) == 1 and keys[0] in self.poses:
+            return [self._prior(keys[0], factor)]
+        self.left_out[type(factor).__name__] += 1
+        return []
+
+    def _between(self, factor: gtsam.BetweenFactorPose3) -> str:
+        a, b = (self.poses[key] for key in factor.keys())  # noqa: SIM118 - not a mapping
+        to_g2o = np.linalg.inv(pose_jacobian())
+        root = gaussian_of(factor).R() @ to_g2o
+        return f"EDGE_SE3:QUAT {a} {b} {_pose(factor.measured())} {_upper(root.T @ root)}"
+
+    def _prior(self, key: int, factor: Any) -> str:
+        def at(pose: gtsam.Pose3) -> tuple[FloatArray, FloatArray]:
+            values = gtsam.Values()
+            values.insert(key, pose)
+            return linearised(factor, values)
+
+        measured, matrix = _zero_of(self.values.atPose3(key), at)
+        root = matrix @ np.linalg.inv(pose_jacobian())
+        return f"EDGE_SE3_PRIOR {self.poses[key]} 0 {_pose(measured)} {_upper(root.T @ root)}"
+
+    def _plane_edge(self, sighting: Sighting) -> str:
+        others = [key for key in sighting.factor.keys() if key != sighting.plane_key]  # noqa: SIM118
+
+        def at(plane: gtsam.OrientedPlane3) -> tuple[FloatArray, FloatArray]:
+            values = gtsam.Values()
+            values.insert(sighting.plane_key, plane)
+            for key in others:
+                values.insert(key, gtsam.Pose3())
+            matrix, rest = linearised(sighting.factor, values)
+            return matrix[:, -3:], rest
+
+        observer = sighting.pose_key
+        if observer is None and not sighting.in_world:
+            observer = self._anchors.get(sighting.plane_key)
+        seen = self._in_world(sighting.plane_key)
+        if observer is not None:
+            seen = seen.transform(self.values.atPose3(observer))
+        matrix, rest = at(seen)
+        step = np.asarray(np.linalg.lstsq(matrix, -rest, rcond=1e-12)[0], dtype=np.float64)
+        measured, slope = measured_plane(seen, step)
+        rotation = sensor_rotation(measured.normal().point3())
+        offset = self._level + int(rotation is UPRIGHT)
+        root = matrix @ np.linalg.inv(plane_jacobian(measured, rotation) @ slope)
+        in_sensor = measured.transform(gtsam.Pose3(gtsam.Rot3(rotation), np.zeros(3)))
+        pose = self._level if observer is None else self.poses[observer]
+        ids = f"{pose} {self.planes[sighting.plane_key]} {offset}"
+        coefficients = _numbers(in_sensor.planeCoefficients())
+        return f"EDGE_SE3_PLANE_CALIB {ids} {coefficients} {_PLANE_RGB} {_upper(root.T @ root)}"
+
+    def _in_world(self, plane_key: int) -> gtsam.OrientedPlane3:
+        landmark, anchor = self.values.atOrientedPlane3(plane_key), self._anchors.get(plane_key)
+        return landmark if anchor is None else landmark.transform(self.values.atPose3(anchor).inverse())
+
+    def _variables(self) -> tuple[list[int], list[int]]:
+        poses, planes = [], []
+        for key in sorted(self.values.keys()):
+            if _holds(self.values.atPose3, key):
+                poses.append(key)
+            elif _holds(self.values.atOrientedPlane3, key):
+                planes.append(key)
+            else:
+                self.left_out["variables that are neither Pose3 nor OrientedPlane3"] += 1
+        return poses, planes
+
+    def _anchors_of_planes(self) -> dict[int, int]:
+        anchors: dict[int, int | None] = {}
+        for factor in self._factors:
+            plane_key, anchor_key = anchoring_of(factor)
+            if plane_key is None:
+                continue
+            if anchors.setdefault(plane_key, anchor_key) != anchor_key:
+                raise ValueError(f"graph: expected one anchor for each landmark, got two for {_name(plane_key)}")
+        return {plane: anchor for plane, anchor in anchors.items() if anchor is not None}
+
+
+def _zero_of(start: gtsam.Pose3, at: _Linearised) -> tuple[gtsam.Pose3, FloatArray]:
+    """Where a factor's error vanishes, by Newton steps of least norm, and its whitened Jacobian there."""
+    pose = start
+    for _ in range(_STEPS):
+        matrix, rest = at(pose)
+        step = np.linalg.lstsq(matrix, rest, rcond=1e-12)[0]
+        pose = pose.retract(step)
+        if np.abs(step).max() < 1e-14:
+            break
+    return pose, at(pose)[0]
+
+
+def _holds(read: Callable[[int], object], key: int) -> bool:
+    try:
+        read(key)
+    except RuntimeError:
+        return False
+    return True
+
+
+def _name(key: int) -> str:
+    return str(gtsam.DefaultKeyFormatter(key))
+
+
+def _pose(pose: gtsam.Pose3) -> str:
+    quaternion = pose.rotation().toQuaternion()
+    turn = np.array([quaternion.x(), quaternion.y(), quaternion.z(), quaternion.w()])
+    return _numbers([*pose.translation(), *(turn if turn[3] >= 0.0 else -turn)])
+
+
+def _upper(matrix: FloatArray) -> str:
+    return _numbers(matrix[np.triu_indices(len(matrix))])
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)

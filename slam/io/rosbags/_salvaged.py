@@ -1,0 +1,200 @@
+"""What is left of a ROS 1 bag or an MCAP file that was cut off: its records one after another, without the index.
+
+Both formats are rows of records, some of them chunks of further ones, with an index at the end that a recording which
+broke off does not have. `SalvagedBag` reads the records up to the break, all into memory, and offers what
+`slam.io.rosbags.reader` needs of a bag.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from slam.errors import LogError
+from slam.io.rosbags._bounded_unpacking import TooLarge, unpack
+
+_ROS1_MAGIC, _MCAP_MAGIC = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"
+_MESSAGE, _CHUNK, _CONNECTION = 0x02, 0x05, 0x07
+_MCAP_SCHEMA, _MCAP_CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK = 0x03, 0x04, 0x05, 0x06
+
+
+class _Cut(Exception):
+    """The records end here."""
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A topic and the type of its messages."""
+
+    topic: str
+    """Its name."""
+    msgtype: str
+    """Such as sensor_msgs/msg/LaserScan."""
+    msgdef: str
+    """The definition of the type."""
+
+
+@dataclass
+class TopicInfo:
+    """What a bag has of a topic."""
+
+    msgtype: str
+    """Such as sensor_msgs/msg/LaserScan."""
+    msgcount: int
+    """Whole messages of it."""
+
+
+class SalvagedBag:
+    """The whole messages before the break."""
+
+    def __init__(self, path: Path) -> None:
+        self._messages: list[tuple[Connection, int, bytes]] = []
+        self._connections: dict[int, Connection] = {}
+        self._schemas: dict[int, tuple[str, str]] = {}
+        data = path.read_bytes()
+        if data.startswith(_ROS1_MAGIC):
+            self._take(self._ros1(path, data, len(_ROS1_MAGIC)))
+        elif data.startswith(_MCAP_MAGIC):
+            self._take(self._mcap(path, data, len(_MCAP_MAGIC)))
+        else:
+            raise LogError(path, "expected a ROS 1 bag or an MCAP file to salvage, got another")
+        self.is_ros1 = data.startswith(_ROS1_MAGIC)
+        self._messages.sort(key=lambda one: one[1])
+        self._typestore = self._make_typestore()
+
+    @property
+    def connections(self) -> list[Connection]:
+        """Topics that were announced before the break."""
+        return list(self._connections.values())
+
+    @property
+    def topics(self) -> dict[str, TopicInfo]:
+        """Topics with the number of whole messages."""
+        found = {one.topic: TopicInfo(one.msgtype, 0) for one in self.connections}
+        for connection, _, _ in self._messages:
+            found[connection.topic].msgcount += 1
+        return found
+
+    def messages(
+        self, connections: Collection[Connection] = (), start: int | None = None, stop: int | None = None
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """Messages of some connections, in the order of their times, ns."""
+        wanted = {one.topic for one in connections}
+        for connection, stamp, raw in self._messages:
+            inside = (start is None or stamp >= start) and (stop is None or stamp < stop)
+            if inside and connection.topic in wanted:
+                yield connection, stamp, raw
+
+    def deserialize(self, raw: bytes, msgtype: str) -> Any:
+        """A message."""
+        if self.is_ros1:
+            return self._typestore.deserialize_ros1(raw, msgtype)
+        return self._typestore.deserialize_cdr(raw, msgtype)
+
+    def _make_typestore(self) -> Any:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        store = get_typestore(Stores.EMPTY)
+        types: dict[Any, Any] = {}
+        for one in self.connections:
+            types.update(get_types_from_msg(one.msgdef, one.msgtype))
+        store.register(types)
+        return store
+
+    def _take(self, messages: Iterator[tuple[int, int, bytes]]) -> None:
+        try:
+            for number, stamp, raw in messages:
+                if number in self._connections:
+                    self._messages.append((self._connections[number], stamp, raw))
+        except (_Cut, struct.error):
+            pass
+
+    def _ros1(self, path: Path, data: bytes, place: int) -> Iterator[tuple[int, int, bytes]]:
+        """Record by record: header with fields name=value, then data."""
+        while place < len(data):
+            header, place = _sized(data, place)
+            fields = _fields(header)
+            if fields.get(b"op") == bytes([_CHUNK]) and fields.get(b"compression") == b"none":
+                place += 4  # its records are records like others: those before the break are whole
+                continue
+            body, place = _sized(data, place)
+            kind = fields.get(b"op", b"\0")[0]
+            if kind == _CHUNK:
+                yield from self._ros1(path, _unpack(path, body, fields[b"compression"].decode()), 0)
+            elif kind == _CONNECTION:
+                told = _fields(body)
+                msgtype = told[b"type"].decode()
+                if "/msg/" not in msgtype:
+                    msgtype = msgtype.replace("/", "/msg/")
+                (number,) = struct.unpack("<I", fields[b"conn"])
+                self._connections[number] = Connection(
+                    fields[b"topic"].decode(), msgtype, told[b"message_definition"].decode(errors="replace")
+                )
+            elif kind == _MESSAGE:
+                seconds, rest = struct.unpack("<II", fields[b"time"])
+                yield struct.unpack("<I", fields[b"conn"])[0], seconds * 1_000_000_000 + rest, body
+
+    def _mcap(self, path: Path, data: bytes, place: int) -> Iterator[tuple[int, int, bytes]]:
+        """Record by record: a byte for its kind, its length, its content."""
+        while place < len(data):
+            if place + 9 > len(data):
+                raise _Cut
+            kind, size = struct.unpack_from("<BQ", data, place)
+            compression = b""
+            if kind == _MCAP_CHUNK:
+                compression, at = _sized(data, place + 37)
+                if not compression:
+                    place = at + 8  # as above
+                    continue
+            body, place = data[place + 9 : place + 9 + size], place + 9 + size
+            if len(body) < size:
+                raise _Cut
+            if kind == _MCAP_CHUNK:
+                packed = body[36 + len(compression) + 4 :]
+                yield from self._mcap(path, _unpack(path, packed, compression.decode()), 0)
+            elif kind == _MCAP_SCHEMA:
+                (number,) = struct.unpack_from("<H", body)
+                name, at = _sized(body, 2)
+                _, at = _sized(body, at)
+                self._schemas[number] = (name.decode(), _sized(body, at)[0].decode(errors="replace"))
+            elif kind == _MCAP_CHANNEL:
+                number, schema = struct.unpack_from("<HH", body)
+                if schema in self._schemas:
+                    self._connections[number] = Connection(_sized(body, 4)[0].decode(), *self._schemas[schema])
+            elif kind == _MCAP_MESSAGE:
+                number, _, stamp, _ = struct.unpack_from("<HIQQ", body)
+                yield number, stamp, body[22:]
+
+
+def _sized(data: bytes, place: int) -> tuple[bytes, int]:
+    """Bytes with their length in front of them, and where they end."""
+    if place + 4 > len(data):
+        raise _Cut
+    (size,) = struct.unpack_from("<I", data, place)
+    end = place + 4 + size
+    if end > len(data):
+        raise _Cut
+    return data[place + 4 : end], end
+
+
+def _fields(header: bytes) -> dict[bytes, bytes]:
+    """The fields name=value of a header."""
+    fields, place = {}, 0
+    while place < len(header):
+        field, place = _sized(header, place)
+        name, _, value = field.partition(b"=")
+        fields[name] = value
+    return fields
+
+
+def _unpack(path: Path, data: bytes, compression: str) -> bytes:
+    """The records of a chunk; a chunk that is damaged is where the bag ends."""
+    try:
+        return unpack(data, compression)
+    except TooLarge as error:
+        raise LogError(path, str(error)) from error
+    except Exception as error:
+        raise _Cut from error

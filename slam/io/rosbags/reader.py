@@ -1,0 +1,240 @@
+"""Reader of ROS 1 and ROS 2 bags: LaserScan, PointCloud2, Odometry, and mounts from tf (needs rosbags)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slam.errors import LogError
+from slam.io.clouds.arrange import Grid, arrange
+from slam.io.rosbags._frames import BODIES, WORLDS, Frames
+from slam.io.rosbags._messages import frame_of, points_of, scan_of, stamp_of, transform_of
+from slam.io.rosbags._opening import in_short, kept_open, opened
+from slam.io.rosbags._salvaged import SalvagedBag
+from slam.io.spool import SharedAngles, Spool, StoredScan
+from slam.sensors.log import Event, Log, OdometryReading, StoredCloud
+from spplanes._check import FloatArray
+
+SCAN, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
+ODOMETRY, TF = "nav_msgs/msg/Odometry", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_SUFFIXES = (".bag", ".mcap", ".db3")
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Which topics of a bag are read."""
+
+    scans: tuple[str, ...] = ()
+    """Of LaserScan and PointCloud2; none: the clouds that come most often, or without clouds all laser scans."""
+    odometry: str | None = None
+    """Of Odometry; None: that which comes most often; without any, tf."""
+
+
+@dataclass(eq=False)
+class _Found:
+    """What has been read so far."""
+
+    spool: Spool
+    """Ranges of 2D scans."""
+    angles: SharedAngles = field(default_factory=SharedAngles)
+    """Their bearings."""
+    frames: Frames = field(default_factory=Frames)
+    moves: list[tuple[int, str, str, FloatArray]] = field(default_factory=list)
+    """Transforms out of frames of the world: time, parent, child, parent_T_child."""
+    odometry: list[tuple[int, str, FloatArray]] = field(default_factory=list)
+    """Time, frame of the body, odom_T_child."""
+    scans: list[tuple[int, str, str, FloatArray, tuple[int, int]]] = field(default_factory=list)
+    """Time, topic, frame, angles, and the ranges' place and number in the spool."""
+    clouds: list[tuple[int, str, str, int]] = field(default_factory=list)
+    """Time, topic, frame, time of recording."""
+
+
+def is_rosbag(path: Path) -> bool:
+    """Whether a path is a bag by its name, or a folder with the metadata of one."""
+    return (path.is_file() and path.suffix in _SUFFIXES) or (path / "metadata.yaml").is_file()
+
+
+def sensor_name(topic: str) -> str:
+    """Name of the sensor of a topic where no rig gives one."""
+    return topic.strip("/")
+
+
+def read_rosbag(
+    path: Path,
+    topics: Topics | None = None,
+    *,
+    names: dict[str, str] | None = None,
+    grids: dict[str, Grid] | None = None,
+    keep_partial: bool = False,
+) -> Log:
+    """Read a bag: ROS 1 (.bag), ROS 2 (folder with metadata.yaml, .db3, .mcap).
+
+    Times are those of the headers. Clouds stay in the bag until they are asked for. The body is the child frame of the
+    odometry, else base_link or the like; mounts are the transforms from there to the frames of the sensors, as tf tells
+    them, as far as they do not move.
+
+    Args:
+        path: the bag.
+        topics: what to read; None: chosen as `Topics` says. A note says what was chosen and what else there is.
+        names: name of the sensor by topic without slashes at its ends; others have that of their topic.
+        grids: by name of the sensor, the range image of clouds that come without order; others: found in each.
+        keep_partial: of a bag that breaks off, use what comes before.
+
+    Raises:
+        LogError: one sentence with the file: no bag, a damaged one, no such topic, no scans, a message that is wrong.
+        MissingPackageError: rosbags is not installed.
+    """
+    notes: list[str] = []
+    with opened(path, keep_partial) as reader:
+        if isinstance(reader, SalvagedBag):
+            notes.append("the bag breaks off and has no index; kept the messages that are whole")
+        chosen = _choose(path, reader, topics or Topics(), notes)
+        found = _read(path, reader, chosen, notes, keep_partial)
+    if not found.scans and not found.clouds:
+        raise LogError(path, "expected scans in the bag, found none before its end")
+    body, odometry = _odometry_of(found, notes)
+    names = {topic: (names or {}).get(sensor_name(topic), sensor_name(topic)) for topic in chosen.scans}
+    events: list[Event] = [OdometryReading(stamp, pose) for stamp, pose in odometry]
+    ranges = [kept for *_, kept in found.scans]
+    for row, (stamp, topic, _, angles, _) in enumerate(found.scans):
+        events.append(StoredScan(stamp, names[topic], angles, row, lambda row: found.spool.get(*ranges[row])))
+    for stamp, topic, _, received in found.clouds:
+        grid = (grids or {}).get(names[topic])
+        events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received, grid, keep_partial)))
+    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
+    return Log(_without_doubles(events, notes), path, notes, _mounts(found, body, names, notes))
+
+
+def _choose(path: Path, reader: Any, wanted: Topics, notes: list[str]) -> Topics:
+    """The topics that are read, and a note of them."""
+    kinds = {topic: info.msgtype for topic, info in reader.topics.items()}
+    counts = {topic: info.msgcount for topic, info in reader.topics.items()}
+    by_name = {sensor_name(topic): topic for topic in kinds}
+    wanted = Topics(
+        tuple(by_name.get(sensor_name(topic), topic) for topic in wanted.scans),
+        wanted.odometry and by_name.get(sensor_name(wanted.odometry), wanted.odometry),
+    )
+    usable = {kind: [t for t in sorted(kinds, key=lambda t: (-counts[t], t)) if kinds[t] == kind] for kind in _KINDS}
+    for topic in (*wanted.scans, *filter(None, [wanted.odometry])):
+        if topic not in kinds or kinds[topic] not in _KINDS:
+            there = ", ".join(t for kind in _KINDS for t in usable[kind]) or "none that can be used"
+            raise LogError(path, f"expected the topic {topic}, which the bag does not have; it has {there}")
+    scans = wanted.scans or tuple(usable[CLOUD][:1]) or tuple(usable[SCAN])
+    if not scans:
+        raise LogError(path, "expected a topic of LaserScan or PointCloud2, found none")
+    odometry = wanted.odometry or next(iter(usable[ODOMETRY]), None)
+    read = [f"{topic} ({counts[topic]} {kinds[topic].rsplit('/', 1)[1]})" for topic in (*scans, odometry) if topic]
+    rest = [topic for kind in _KINDS for topic in usable[kind] if topic not in (*scans, odometry)]
+    notes.append("read " + ", ".join(read) + (f"; also there: {', '.join(rest)}" if rest else ""))
+    return Topics(scans, odometry)
+
+
+_KINDS = (CLOUD, SCAN, ODOMETRY)
+
+
+def _read(path: Path, reader: Any, chosen: Topics, notes: list[str], keep_partial: bool) -> _Found:
+    """All messages of the chosen topics and of tf."""
+    found = _Found(Spool(path))
+    wanted = {*chosen.scans, chosen.odometry}
+    connections = [c for c in reader.connections if c.topic in wanted or c.msgtype in TF]
+    messages = reader.messages(connections)
+    while True:
+        topic = "the bag"
+        try:
+            connection, received, raw = next(messages)
+            topic = connection.topic
+            _take(found, topic, received, reader.deserialize(raw, connection.msgtype))
+        except StopIteration:
+            return found
+        except LogError:  # no room for its scans
+            raise
+        except Exception as error:  # as in opened
+            if not keep_partial:
+                raise LogError(path, f"{topic}: {in_short(error)}") from error
+            notes.append(f"{topic} breaks off ({in_short(error)}); kept what came before")
+            return found
+
+
+def _take(found: _Found, topic: str, received: int, message: Any) -> None:
+    kind = message.__msgtype__
+    if kind in TF:
+        for one in message.transforms:
+            parent, child = frame_of(one), str(one.child_frame_id).lstrip("/")
+            transform = transform_of(one.transform.translation, one.transform.rotation)
+            if parent in WORLDS:
+                found.moves.append((stamp_of(one, received), parent, child, transform))
+            else:
+                found.frames.add(parent, child, transform)
+    elif kind == ODOMETRY:
+        pose = transform_of(message.pose.pose.position, message.pose.pose.orientation)
+        found.odometry.append((stamp_of(message, received), str(message.child_frame_id).lstrip("/"), pose))
+    elif kind == SCAN:
+        scan = scan_of(message)
+        kept = found.spool.put(scan.ranges), scan.ranges.size
+        angles = found.angles.of(topic, scan.angles)
+        found.scans.append((stamp_of(message, received), topic, frame_of(message), angles, kept))
+    else:
+        points_of(message)  # a wrong layout is said before any work is done
+        found.clouds.append((stamp_of(message, received), topic, frame_of(message), received))
+
+
+def _odometry_of(found: _Found, notes: list[str]) -> tuple[str | None, list[tuple[int, FloatArray]]]:
+    """Frame of the body, and its poses: of Odometry, else of tf from odom (or another frame of the world)."""
+    if found.odometry:
+        body = next((child for _, child, _ in found.odometry if child), None)
+        return body or _usual_body(found.frames), [(stamp, pose) for stamp, _, pose in found.odometry]
+    for world in ("odom", *WORLDS):
+        children = Counter(child for _, parent, child, _ in found.moves if parent == world and child not in WORLDS)
+        if children:
+            body = children.most_common(1)[0][0]
+            notes.append(f"no Odometry: took tf from {world} to {body}")
+            return body, [(t, pose) for t, parent, child, pose in found.moves if (parent, child) == (world, body)]
+    return _usual_body(found.frames), []
+
+
+def _usual_body(frames: Frames) -> str | None:
+    return next((frame for frame in BODIES if frame in frames), None)
+
+
+def _mounts(found: _Found, body: str | None, names: dict[str, str], notes: list[str]) -> dict[str, FloatArray]:
+    """body_T_sensor by name of the sensor, where tf tells it."""
+    frames = {topic: frame for _, topic, frame, *_ in (*found.scans[::-1], *found.clouds[::-1])}
+    mounts = {}
+    for topic, frame in sorted(frames.items()):
+        mount = np.eye(4) if frame == body else None if body is None else found.frames.body_T(body, frame)
+        if mount is None:
+            notes.append(f"no transform from {body or 'a body'} to {frame or 'the sensor'}: {topic} taken at the body")
+        else:
+            mounts[names[topic]] = mount
+    return mounts
+
+
+def _without_doubles(events: list[Event], notes: list[str]) -> list[Event]:
+    """Without scans and readings that have the time of the one before."""
+    last: dict[str, int] = {}
+    kept: list[Event] = []
+    for event in events:
+        name = "" if isinstance(event, OdometryReading) else event.sensor
+        if last.get(name) != event.stamp_ns:
+            kept.append(event)
+        last[name] = event.stamp_ns
+    if len(kept) < len(events):
+        notes.append(f"left out {len(events) - len(kept)} messages with the time of the one before")
+    return kept
+
+
+def _cloud_at(path: Path, topic: str, received: int, grid: Grid | None, keep_partial: bool) -> FloatArray:
+    """One cloud of a bag as a grid, shape (S, B, 3), m."""
+    reader = kept_open(path, keep_partial)
+    connections = [connection for connection in reader.connections if connection.topic == topic]
+    try:
+        for connection, _, raw in reader.messages(connections, start=received, stop=received + 1):
+            return arrange(points_of(reader.deserialize(raw, connection.msgtype)), grid)
+    except Exception as error:  # as in opened
+        raise LogError(path, f"{topic}: {in_short(error)}") from error
+    raise LogError(path, f"expected a message of {topic} at {received} ns, found none")

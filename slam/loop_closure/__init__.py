@@ -1,0 +1,1 @@
+"""Loop closure: candidates, their verification, and closing."""

@@ -1,0 +1,1 @@
+"""The map: landmarks, the state that the steps share, and sparsification."""

@@ -1,0 +1,189 @@
+"""Keyframes that leave the graph again: where the map is known, one more says next to nothing about it."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from slam.backend.estimator import Backend, pose_symbol
+from slam.config import ThinningConfig
+from slam.frontend.observations import Observation
+from slam.frontend.odometry import Motion
+from slam.frontend.odometry_chain import chained
+from slam.map.landmarks import LandmarkMap
+from slam.map.pose_support import Footing
+from spplanes._check import FloatArray
+
+#: Most keyframes that leave at once: more would be a jolt.
+_AT_ONCE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """What ties a keyframe to the one before it in the graph."""
+
+    motion: Motion
+    """The motion from there as measured."""
+    step: list[int]
+    """Index of its factor."""
+    floor: list[int]
+    """Indices of the factors that hold the keyframe to the floor."""
+
+    @property
+    def factors(self) -> list[int]:
+        """All of them."""
+        return [*self.step, *self.floor]
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """What changes in the graph when keyframes leave it."""
+
+    motions: list[tuple[int, int, Motion]] = field(default_factory=list)
+    """Motions as measured to put in, each from a keyframe to a later one."""
+    stale: list[int] = field(default_factory=list)
+    """Indices of the factors to take out."""
+
+
+class Thinning:
+    """Decides which keyframes stay in the graph, and takes the others out of it.
+
+    A place that has been driven through several times is mapped: of a further keyframe there the graph keeps neither
+    pose nor measurements, only the odometry through it, once the newest pose is known as well without (`Footing`). So
+    the graph is as large as the area it maps, not as the mission is long. Nothing is counted twice: what the
+    measurements said of the keyframe's own pose is kept beside the graph, as a place relative to the nearest keyframe
+    that stays (`PastPose`); what they said of the map is given away, and it is little: that is what is asked first.
+
+    References:
+        Ila, Porta, Andrade-Cetto, "Information-based compact pose SLAM", T-RO 2010, for keeping what informs.
+    """
+
+    def __init__(self, config: ThinningConfig, backend: Backend, landmarks: LandmarkMap) -> None:
+        self._config, self._backend, self._landmarks = config, backend, landmarks
+        self.held: list[int] = []
+        self._leaving: set[int] = set()
+        self._links: dict[int, Link] = {}
+        self._footing = Footing()
+
+    def entered(self, keyframe: int, link: Link | None) -> None:
+        """A keyframe is in the graph; None: by something else than odometry, so it stays, and those before it."""
+        self.held.append(keyframe)
+        if link is not None:
+            self._links[keyframe] = link
+
+    def judge(self, keyframe: int, matched: Sequence[Observation], factors: Sequence[Any], *, may_leave: bool) -> bool:
+        """Whether a keyframe need not stay: it saw known landmarks, by `factors`, and is of no other use."""
+        link = self._links.get(keyframe)
+        self._footing.step(keyframe, None if link is None else link.motion, matched)
+        if not (may_leave and self._config.passes and link and factors and self._is_known_place()):
+            return False
+        if news(factors, pose_symbol(keyframe), self._backend) > self._config.max_news:
+            return False
+        self._leaving.add(keyframe)
+        return True
+
+    def stays(self, keyframe: int) -> None:
+        """A keyframe is needed after all."""
+        self._leaving.discard(keyframe)
+
+    def anchor(self, keyframe: int, every: int) -> int:
+        """The keyframe in whose frame landmarks born at a keyframe live: one of every so many, if it stays."""
+        wanted = max(keyframe - 1, 0) // every * every
+        staying = [one for one in self.held[-2 * every :] if one <= wanted and one not in self._leaving]
+        return staying[-1] if staying and staying[-1] > wanted - every else max(keyframe - 1, 0)
+
+    def make_room(self, keyframe: int) -> Room:
+        """Before a keyframe comes: who goes, the last two excepted."""
+        due = sorted(one for one in self._leaving if one < min(self._footing.needed_from, keyframe - 1))
+        going = due[:_AT_ONCE]
+        self._leaving.difference_update(going)
+        going = [one for one in going if self._after(one) in self._links]
+        if not going:
+            return Room()
+        self._backend.let_go(self._bases(going))
+        stale: list[int] = []
+        anew: set[int] = set()
+        for one in going:
+            after = self._after(one)
+            own, link = self._links.pop(one), self._links[after]
+            stale += [*own.factors, *link.step, *self._landmarks.let_go(one)]
+            self._links[after] = Link(chained(own.motion, link.motion), [], link.floor)
+            self.held.remove(one)
+            anew = anew - {one} | {after}
+        return Room([(self._before(one), one, self._links[one].motion) for one in sorted(anew)], stale)
+
+    def made_room(self, room: Room, factor_indices: Sequence[int]) -> None:
+        """The indices of the factors of the room's motions."""
+        for (_, one, motion), index in zip(room.motions, factor_indices, strict=True):
+            self._links[one] = Link(motion, [index], self._links[one].floor)
+
+    def renumber(self, moved: Mapping[int, int]) -> None:
+        """The graph has been made anew: the new index of every factor by its old one."""
+        for one, link in self._links.items():
+            self._links[one] = Link(link.motion, [moved[i] for i in link.step], [moved[i] for i in link.floor])
+
+    def _before(self, keyframe: int) -> int:
+        return self.held[bisect_left(self.held, keyframe) - 1]
+
+    def _after(self, keyframe: int) -> int:
+        return self.held[bisect_left(self.held, keyframe) + 1]
+
+    def _bases(self, going: Sequence[int]) -> dict[int, int]:
+        """For the keys of those that go, the keys of those nearest to them that stay."""
+        staying = [one for one in self.held if one not in self._leaving and one not in going]
+        keys = [pose_symbol(one) for one in staying]
+        places = self._backend.poses(keys)[:, :3, 3]
+        bases = {}
+        for key in map(pose_symbol, going):
+            away = np.linalg.norm(places - self._backend.pose(key)[:3, 3], axis=1)
+            bases[key] = keys[int(np.argmin(away))]
+        return bases
+
+    def _is_known_place(self) -> bool:
+        """Whether so many earlier passes have left keyframes about the place of the last one."""
+        poses = self._backend.poses([pose_symbol(one) for one in self.held])
+        here = poses[-1]
+        near = np.linalg.norm(poses[:, :3, 3] - here[:3, 3], axis=1) <= self._config.radius_m
+        alike = 0.5 * (np.trace(here[:3, :3].T @ poses[:, :3, :3], axis1=1, axis2=2) - 1.0) >= np.cos(
+            self._config.angle_rad
+        )
+        frames = np.array(self.held)[near & alike]
+        return 1 + int((np.diff(frames) > self._config.apart).sum()) > self._config.passes
+
+
+def news(factors: Sequence[Any], pose_key: int, backend: Backend) -> float:
+    """What factors of a pose and known landmarks tell of the landmarks, nats per degree of freedom.
+
+    The mutual information of the measurements and everything but the pose: with A the whitened derivatives, P the joint
+    covariance before and X that of the pose when all else is known, it is half of log det(A P A^T + I) less half of
+    log det(A_x X A_x^T + I). Of a landmark known as well as n measurements make it, another such tells 1 / (2 n).
+    """
+    keys = sorted({key for factor in factors for key in list(factor.keys())} | {pose_key})
+    joint, values = backend.joint_covariance(keys), backend.values_of(keys)
+    covariance = joint.of(keys)
+    rows, starts = [], dict(zip(keys, np.cumsum([0, *(_size(joint, key) for key in keys)]).tolist(), strict=False))
+    for factor in factors:
+        linear = factor.linearize(values)
+        jacobian, _ = linear.jacobian()
+        columns = np.concatenate([starts[key] + np.arange(_size(joint, key)) for key in list(linear.keys())])
+        wide = np.zeros((len(jacobian), len(covariance)))
+        wide[:, columns] = jacobian
+        rows.append(wide[np.abs(jacobian).max(axis=1) > 0.0])
+    if not rows:
+        return 0.0
+    stacked = np.vstack(rows)
+    own = starts[pose_key] + np.arange(6)
+    given_rest = np.asarray(np.linalg.inv(np.linalg.inv(covariance)[np.ix_(own, own)]), dtype=np.float64)
+    return (_log_det(stacked, covariance) - _log_det(stacked[:, own], given_rest)) / (2.0 * len(stacked))
+
+
+def _size(joint: Any, key: int) -> int:
+    return len(joint.columns([key]))
+
+
+def _log_det(jacobian: FloatArray, covariance: FloatArray) -> float:
+    return float(np.linalg.slogdet(jacobian @ covariance @ jacobian.T + np.eye(len(jacobian)))[1])

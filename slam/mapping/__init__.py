@@ -1,0 +1,1 @@
+"""Mapping: landmark initialization, map update, and the fusion of landmarks that are one plane."""

@@ -1,0 +1,247 @@
+"""Landmarks that are one plane become one inside iSAM2, and become two again when that turns out to be wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import gtsam
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from factors import plane_factor, plane_landmark
+from slam.backend.estimator import BackendError, pose_symbol
+from slam.frontend.observations import Observation
+from slam.geometry.extents import Region
+from slam.geometry.frames import inverse
+from slam.map.landmarks import Landmark, Sighting, observe
+from slam.map.state import Parts
+from slam.mapping.merge import Cause, Merge
+from slam.mapping.same_plane import twin_chi2
+
+#: After an undone merge the estimate goes back a long way: so often iSAM2 relinearises.
+_ROUNDS = 5
+#: Sightings of a merged landmark whose residuals are looked at: more say no more.
+_SAMPLE = 30
+#: A merge is looked at during so many keyframes whether it is seen or not: what bends the way is seen no more.
+_FRESH = 10
+
+
+class Merges:
+    """Every merge of a run, and the landmarks that must never be merged again."""
+
+    def __init__(self, parts: Parts) -> None:
+        self.history: list[Merge] = []
+        self._keyframes, self._landmarks = parts.keyframes, parts.landmarks
+        self._backend, self._config = parts.backend, parts.config
+        self.robust: str | None = parts.config.backend.robust
+        self._apart: set[frozenset[int]] = set()
+
+    def may_be_one(self, first: int, second: int) -> bool:
+        """Whether two landmarks were never found to be two after all."""
+        return first != second and frozenset((first, second)) not in self._apart
+
+    def merge(self, older: int, younger: int, cause: Cause) -> Merge:
+        """Give a landmark everything that was seen of another one; its factors are re-keyed, its variable goes."""
+        factors, old = self._rekeyed(older, younger, cause)
+        indices = self._backend.update(factors, gtsam.Values(), remove=old, relinearize=True)
+        return self._joined([(older, younger)], [indices], cause)[0]
+
+    def close(self, pairs: Sequence[tuple[int, int]], scale: float) -> bool:
+        """Merge the pairs of a loop closure, no landmark in two of them, unless the graph as a whole is against it.
+
+        What a true closure adds to the chi2 of the graph is chi2 with 3 degrees of freedom a pair. All pairs are tried
+        at once; a graph that refuses them is as it was before, and they are never merged again. `scale` as in
+        `doubted`.
+        """
+        before, undisturbed = self._backend.chi2(), self._backend.snapshot()
+        limit = float(chi2_distribution.isf(self._config.association.new_significance, max(3 * len(pairs), 1)))
+        parts = [self._rekeyed(older, younger, "loop") for older, younger in pairs]
+        factors, old = ([one for part in parts for one in part[side]] for side in (0, 1))
+        try:
+            indices = self._backend.exchange(factors, old, [self._landmarks[younger].key for _, younger in pairs])
+            fits = self._backend.settles_below(before + max(scale, 1.0) * limit, _ROUNDS)
+        except BackendError:
+            indices, fits = [], False
+        if fits:
+            ends = np.cumsum([0, *(len(mine) for mine, _ in parts)]).tolist()
+            self._joined(pairs, [indices[start:end] for start, end in pairwise(ends)], "loop")
+        else:
+            self._backend.restore(undisturbed)
+            self._apart.update(frozenset(pair) for pair in pairs)
+        return fits
+
+    def _rekeyed(self, older: int, younger: int, cause: Cause) -> tuple[list[Any], list[int]]:
+        """Factors of what was seen of the younger, now of the older, and the indices of those they replace."""
+        gone, home = self._landmarks[younger], self._landmarks[older]
+        robust = self.robust or (self._config.backend.robust_loops if cause == "loop" else None)
+        factors = [
+            observe(self._observation(one), pose_symbol(one.keyframe), home, self._backend, robust)
+            for one in gone.sightings
+        ]
+        return factors, [one.factor_index for one in gone.sightings]
+
+    def _joined(
+        self, pairs: Sequence[tuple[int, int]], factor_indices: Sequence[Sequence[int]], cause: Cause
+    ) -> list[Merge]:
+        """Let landmarks know that everything seen of others is of them: the graph holds it so, by these factors."""
+        now, made = len(self._keyframes) - 1, [self._landmarks.remove(younger) for _, younger in pairs]
+        self._landmarks.refresh(self._backend)
+        for (older, _), gone, indices in zip(pairs, made, factor_indices, strict=True):
+            home, home_T_world = self._landmarks[older], inverse(self._landmarks.placed(older).world_T_plane)
+            home.seen_by_past = sorted({*home.seen_by_past, *gone.seen_by_past})
+            for one, index in zip(gone.sightings, indices, strict=True):
+                plane_T_body = home_T_world @ self._backend.pose(pose_symbol(one.keyframe))
+                self._landmarks.see(home, self._observation(one), replace(one, factor_index=index), plane_T_body)
+        self._landmarks.refresh(self._backend)
+        merges = [
+            Merge(now, older, gone.id, cause, gone, next_look=now + 1)
+            for (older, _), gone in zip(pairs, made, strict=True)
+        ]
+        self.history += merges
+        return merges
+
+    def undo(self, merge: Merge) -> None:
+        """Take a merge back: the younger returns with its own factors and those of later sightings that fit it better.
+
+        The older may itself have been merged since: the sightings are taken from wherever they are now.
+        """
+        now, holder = len(self._keyframes) - 1, self._holder(merge)
+        mine = {(sighting.keyframe, sighting.observation) for sighting in merge.gone.sightings}
+        taken = [one for one in holder.sightings if (one.keyframe, one.observation) in mine]
+        back = replace(merge.gone, sightings=[], n_points=0)
+        holder.seen_by_past = sorted({*holder.seen_by_past}.difference(back.seen_by_past))
+        self._landmarks.plant(back)
+        self._move(taken, holder, back, initial=True)
+        later = [one for one in holder.sightings if one.keyframe > merge.keyframe]
+        self._move([one for one in later if self._misfit(one, back) < self._misfit(one, holder)], holder, back)
+        self._backend.settle(_ROUNDS)
+        self._landmarks.refresh(self._backend)
+        self._regrow(holder)
+        self._regrow(back)
+        self._landmarks.refresh(self._backend)
+        self._apart.add(frozenset((holder.id, back.id)))
+        merge.undone = now
+
+    def redraw(self, since: int) -> None:
+        """Draw anew what was seen of the landmarks that a keyframe from `since` on saw: the poses were wrong."""
+        now = len(self._keyframes) - 1
+        for landmark in self._landmarks:
+            if landmark.was_seen_between(since, now):
+                self._regrow(landmark)
+        self._landmarks.refresh(self._backend)
+
+    def doubted(self, touched: Iterable[int], scale: float) -> list[Merge]:
+        """Merges of the landmarks at hand whose re-keyed measurements no longer fit, worst first.
+
+        Args:
+            touched: ids of landmarks that were seen, or that something was compared with.
+            scale: mean NIS per degree of freedom of the run, 1 if its covariances are honest: misfit that every
+                measurement has is no sign of a wrong merge.
+        """
+        now, seen = len(self._keyframes) - 1, set(touched)
+        found = []
+        for merge in self.history:
+            if merge.undone is not None or merge.next_look > now:
+                continue
+            if now > merge.keyframe + _FRESH and self._holder(merge).id not in seen:
+                continue
+            merge.next_look = now + max(2 * (now - merge.keyframe), 1)
+            misfit, dof = self._residual(merge)
+            if not dof:  # all of it was seen from keyframes that have left the graph
+                continue
+            limit = float(chi2_distribution.isf(self._config.association.new_significance, dof))
+            if misfit > max(scale, 1.0) * limit:
+                found.append((misfit / limit, merge))
+        return [merge for _, merge in sorted(found, key=lambda one: (-one[0], one[1].keyframe, one[1].younger))]
+
+    def split_if_two(self, merge: Merge) -> bool:
+        """Undo a doubted merge, and merge again if the two, each by its own measurements, still pass for one."""
+        holder = self._holder(merge)
+        self.undo(merge)
+        back = self._landmarks[merge.younger]
+        limit = float(chi2_distribution.isf(self._config.association.new_significance, 3))
+        if twin_chi2(holder, back, self._backend) > limit:
+            return True
+        self._apart.discard(frozenset((holder.id, back.id)))
+        again = self.merge(holder.id, back.id, merge.cause)
+        again.next_look = merge.next_look
+        return False
+
+    def _holder(self, merge: Merge) -> Landmark:
+        """The landmark that has the sightings of a merged one now."""
+        key = merge.older
+        while key not in self._landmarks:
+            key = next(one.older for one in reversed(self.history) if one.younger == key and one.undone is None)
+        return self._landmarks[key]
+
+    def _observation(self, sighting: Sighting) -> Observation:
+        return self._keyframes[sighting.keyframe].observations[sighting.observation]
+
+    def _residual(self, merge: Merge) -> tuple[float, int]:
+        """Chi2 and degrees of freedom of the merged landmark's own measurements, as they are explained now."""
+        mine = {(sighting.keyframe, sighting.observation) for sighting in merge.gone.sightings}
+        holder = self._holder(merge)
+        taken = [one for one in holder.sightings if (one.keyframe, one.observation) in mine][:_SAMPLE]
+        dof = sum(3 if one.kind == "plane" else 2 for one in taken)
+        return sum(self._misfit(one, holder) for one in taken), dof
+
+    def _misfit(self, sighting: Sighting, landmark: Landmark) -> float:
+        """Chi2 of a sighting if it is of a landmark."""
+        factor = observe(self._observation(sighting), pose_symbol(sighting.keyframe), landmark, self._backend)
+        return 2.0 * float(factor.error(self._backend.values_of(factor.keys())))
+
+    def _move(
+        self, sightings: Sequence[Sighting], source: Landmark, target: Landmark, *, initial: bool = False
+    ) -> None:
+        """Re-key sightings from one landmark to another; `initial`: with them its variable comes into the graph."""
+        if not sightings:
+            return
+        values, factors = gtsam.Values(), []
+        rest = list(sightings)
+        if initial:
+            first = rest.pop(0)
+            factors.append(self._founding_factor(first, target, values))
+        known = values if initial else self._backend.values_of([target.key])
+        for sighting in rest:
+            anchor_T_body = inverse(self._backend.pose(target.anchor_key)) @ self._backend.pose(
+                pose_symbol(sighting.keyframe)
+            )
+            expected = known.atOrientedPlane3(target.key).transform(gtsam.Pose3(anchor_T_body))
+            factors.append(
+                self._observation(sighting).factor(
+                    pose_symbol(sighting.keyframe),
+                    target.key,
+                    target.anchor_key,
+                    self.robust,
+                    None if target.anchor_key == pose_symbol(sighting.keyframe) else expected,
+                )
+            )
+        old = [sighting.factor_index for sighting in sightings]
+        indices = self._backend.update(factors, values, remove=old, relinearize=True)
+        moved = {(one.keyframe, one.observation) for one in sightings}
+        points = sum(self._observation(one).n_points for one in sightings)
+        source.n_points, target.n_points = source.n_points - points, target.n_points + points
+        source.sightings = [one for one in source.sightings if (one.keyframe, one.observation) not in moved]
+        target.sightings = target.sightings + [
+            replace(one, factor_index=i) for one, i in zip(sightings, indices, strict=True)
+        ]
+
+    def _founding_factor(self, sighting: Sighting, landmark: Landmark, values: gtsam.Values) -> gtsam.NonlinearFactor:
+        """The factor that a landmark starts with: of full rank, what a line leaves open closed by the rule's tilt."""
+        plane = self._observation(sighting).full_plane(self._config.landmarks.wall_tilt_sigma_rad)
+        pose_key = pose_symbol(sighting.keyframe)
+        anchor_T_body = inverse(self._backend.pose(landmark.anchor_key)) @ self._backend.pose(pose_key)
+        values.insert(landmark.key, plane_landmark(plane.transform(anchor_T_body)))
+        return plane_factor(plane, pose_key, landmark.key, anchor_key=landmark.anchor_key)
+
+    def _regrow(self, landmark: Landmark) -> None:
+        """What was seen of a landmark, from its sightings alone."""
+        plane_T_world = inverse(self._landmarks.placed(landmark.id).world_T_plane)
+        landmark.sightings.sort(key=lambda one: (one.keyframe, one.observation))
+        landmark.region = Region(landmark.first_outline)
+        for one in landmark.sightings:
+            plane_T_body = plane_T_world @ self._backend.pose(pose_symbol(one.keyframe))
+            landmark.region.grow(self._observation(one).patch_in(plane_T_body))

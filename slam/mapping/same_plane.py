@@ -1,0 +1,168 @@
+"""Landmarks that turn out to be one plane."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from factors import landmark_hesse
+from slam.backend.estimator import Backend, JointCovariance
+from slam.config import AssociationConfig
+from slam.geometry.frames import inverse
+from slam.geometry.polygons import flatten
+from slam.map.landmarks import Landmark, LandmarkMap, PlacedPlane
+from spplanes._check import FloatArray
+
+
+def find_twins(
+    touched: Iterable[int],
+    landmarks: LandmarkMap,
+    backend: Backend,
+    config: AssociationConfig,
+    *,
+    min_keyframes: int,
+    told_apart: dict[tuple[int, int], int] | None = None,
+) -> list[tuple[int, int]]:
+    """Pairs (older, younger) of landmarks that are one plane by chi2 with the covariance of the whole state.
+
+    Args:
+        touched: ids of landmarks whose estimate or outline has just changed; only pairs with one of them are looked at.
+        landmarks, backend, config: the map, as of its last refresh.
+        min_keyframes: landmarks seen from fewer are left alone: what one look says may be wrong, a merge would keep it.
+        told_apart: sightings of both when a pair was last found to be two; it is looked at again when they are a
+            quarter more. Kept up to date. None: every pair is looked at.
+
+    Returns:
+        Disjoint pairs, best first.
+    """
+    pairs: dict[tuple[int, int], tuple[Landmark, Landmark]] = {}
+    for first in (landmarks[key] for key in sorted(touched)):
+        if first.n_keyframes < min_keyframes:
+            continue
+        middle, radius = landmarks.sphere(first.id)
+        place = landmarks.placed(first.id)
+        for second, second_place in landmarks.near(place.normal, middle, radius + config.gap_m, config.max_angle_rad):
+            if second is first or second.n_keyframes < min_keyframes:
+                continue
+            ids = min(first.id, second.id), max(first.id, second.id)
+            if told_apart is not None and _sightings((first, second)) < 1.25 * told_apart.get(ids, 0):
+                continue
+            if _may_be_one(first, place, second, second_place, config):
+                pairs[ids] = (first, second)
+    if not pairs:
+        return []
+    joint = backend.joint_covariance(
+        sorted({key for pair in pairs.values() for one in pair for key in landmark_keys(one)})
+    )
+    limit = float(chi2_distribution.isf(config.significance, 3))
+    found = [(_twin_chi2(*pair, backend, joint), *ids) for ids, pair in pairs.items()]
+    if told_apart is not None:
+        told_apart.update({(a, b): _sightings(pairs[a, b]) for chi2, a, b in found if chi2 > limit})
+    return _disjoint(sorted(one for one in found if one[0] <= limit))
+
+
+def _sightings(pair: tuple[Landmark, Landmark]) -> int:
+    return sum(len(one.sightings) for one in pair)
+
+
+def twin_chi2(first: Landmark, second: Landmark, backend: Backend) -> float:
+    """Squared Mahalanobis distance of two landmarks of one state, chi2 with 3 degrees of freedom if they are one.
+
+    Their difference is taken in the frame of the second's anchor, in a basis that stays fixed: that of
+    ``Unit3.basis()`` jumps where components of the normal tie.
+    """
+    keys = sorted({*landmark_keys(first), *landmark_keys(second)})
+    return _twin_chi2(first, second, backend, backend.joint_covariance(keys))
+
+
+def landmark_keys(landmark: Landmark) -> tuple[int, int]:
+    """The keys its place depends on: its own and its anchor's."""
+    return landmark.key, landmark.anchor_key
+
+
+def _twin_chi2(first: Landmark, second: Landmark, backend: Backend, joint: JointCovariance) -> float:
+    difference, jacobian, keys = difference_of(first, second, backend)
+    covariance = jacobian @ joint.of(keys) @ jacobian.T
+    return float(difference @ np.linalg.solve(covariance, difference))
+
+
+def difference_of(first: Landmark, second: Landmark, backend: Backend) -> tuple[FloatArray, FloatArray, list[int]]:
+    """How two landmarks differ: (tangent of the normals, distance) of the first minus the second, shape (3,).
+
+    In the second's anchor frame b: n' = R n, d' = d + t.n' of the first, with b_T_a = (R, t), and n'.t does not depend
+    on b's orientation.
+
+    Returns:
+        The difference, its derivative (3, K) and the distinct keys whose stacked tangents, K in all, it is by.
+    """
+    anchor = inverse(backend.pose(second.anchor_key)) @ backend.pose(first.anchor_key)
+    rotation, shift = anchor[:3, :3], anchor[:3, 3]
+    one, other = backend.plane(first.key), backend.plane(second.key)
+    (normal, d), (normal_b, d_b) = landmark_hesse(one), landmark_hesse(other)
+    basis, moved = other.normal().basis(), rotation @ normal
+    turned = np.vstack((basis.T, shift))  # of a change of n': its tangent, and what it does to d'
+    difference = np.append(basis.T @ (moved - normal_b), d + shift @ moved - d_b)
+    by_first = np.zeros((3, 3))
+    by_first[:, :2], by_first[2, 2] = turned @ rotation @ one.normal().basis(), -1.0
+    by_pose_a = np.hstack((-turned @ rotation @ skew(normal), np.zeros((3, 3))))
+    by_pose_a[2, 3:] = normal
+    by_pose_b = np.zeros((3, 6))
+    by_pose_b[:2, :3], by_pose_b[2, 3:] = basis.T @ skew(moved), -moved
+    blocks: dict[int, FloatArray] = {first.key: by_first, second.key: np.diag([-1.0, -1.0, 1.0])}
+    for key, block in ((first.anchor_key, by_pose_a), (second.anchor_key, by_pose_b)):
+        blocks[key] = blocks.get(key, np.zeros((3, 6))) + block
+    return difference, np.hstack(list(blocks.values())), list(blocks)
+
+
+def hesse_from(landmark: Landmark, pose_key: int, backend: Backend) -> tuple[FloatArray, float, FloatArray, list[int]]:
+    """A landmark as a pose sees it.
+
+    Returns:
+        Normal (3,) and Hesse distance in the pose's frame, the derivative (4, K) of both and the keys it is by.
+    """
+    anchor = inverse(backend.pose(pose_key)) @ backend.pose(landmark.anchor_key)
+    rotation, shift = anchor[:3, :3], anchor[:3, 3]
+    plane = backend.plane(landmark.key)
+    normal, d = landmark_hesse(plane)
+    moved = rotation @ normal
+    turned = np.vstack((np.eye(3), shift))
+    by_plane = np.zeros((4, 3))
+    by_plane[:, :2], by_plane[3, 2] = turned @ rotation @ plane.normal().basis(), -1.0
+    by_anchor = np.hstack((-turned @ rotation @ skew(normal), np.zeros((4, 3))))
+    by_anchor[3, 3:] = normal
+    by_pose = np.zeros((4, 6))
+    by_pose[:3, :3], by_pose[3, 3:] = skew(moved), -moved
+    blocks: dict[int, FloatArray] = {landmark.key: by_plane, landmark.anchor_key: by_anchor}
+    blocks[pose_key] = blocks.get(pose_key, np.zeros((4, 6))) + by_pose
+    return moved, float(d + shift @ moved), np.hstack(list(blocks.values())), list(blocks)
+
+
+def skew(vector: FloatArray) -> FloatArray:
+    """The matrix [v] with [v] w = v x w, shape (3, 3)."""
+    x, y, z = vector.tolist()
+    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+
+
+def _may_be_one(
+    first: Landmark, first_place: PlacedPlane, second: Landmark, second_place: PlacedPlane, config: AssociationConfig
+) -> bool:
+    """Same side, similar direction, patches near each other along the plane and across it."""
+    if first_place.normal @ second_place.normal < np.cos(config.max_angle_rad):
+        return False
+    first_T_second = inverse(first_place.world_T_plane) @ second_place.world_T_plane
+    if abs(first_T_second[2, 3]) > config.gap_m:
+        return False
+    pieces = (flatten(piece, first_T_second) for piece in second.region.pieces)
+    return any(first.region.is_within(config.gap_m, piece) for piece in pieces)
+
+
+def _disjoint(pairs: Sequence[tuple[float, int, int]]) -> list[tuple[int, int]]:
+    used: set[int] = set()
+    chosen = []
+    for _, first, second in pairs:
+        if first not in used and second not in used:
+            chosen.append((min(first, second), max(first, second)))
+            used.update((first, second))
+    return chosen

@@ -1,0 +1,1 @@
+"""Output: the files and the folder of a run, numbers, exports."""

@@ -1,0 +1,163 @@
+"""The run folder: configuration, trajectory, planes, mesh, numbers and pictures, all or nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from plyfile import PlyData, PlyElement
+
+from slam.config import SlamConfig
+from slam.evaluation.metrics import Metric
+from slam.files import scratch_folder
+from slam.io.g2o.writer import write_g2o
+from slam.io.trajectories import write_tum
+from slam.output.run_metrics import details_of, map_metrics_of, metrics_of
+from slam.planeslam import MapPlane
+from slam.runs.history import History
+from slam.runs.mapping_run import MapResult
+from slam.runs.slam_run import Run
+from slam.sensors.rig import Rig
+from slam.visualization.mesh import Mesh, mesh_of
+from slam.visualization.pictures import Drawn, draw_map
+from slam.visualization.report import write_report
+from slam.visualization.scene import scene_of
+from slam.visualization.uncertainty import draw_uncertainty
+
+PLANES_FORMAT = "spplanes/1"
+
+
+@contextmanager
+def new_folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """A folder that appears under its name only when everything in it is written.
+
+    The work happens in a hidden folder beside it; when anything fails, that one goes and `out` is as it was.
+
+    Raises:
+        ValueError: `out` exists and may not be overwritten, or the folder it should lie in cannot be written.
+    """
+    out = Path(out)
+    check_free(out, overwrite=overwrite)
+    with scratch_folder(out) as work:
+        yield work
+        _put_in_place(work, out)
+
+
+def check_free(out: Path, *, overwrite: bool) -> None:
+    """Refuse an output that exists, before any work is done for it."""
+    if out.exists() and not (overwrite and out.is_dir()):
+        hint = "it is not a folder" if not out.is_dir() else "give --overwrite to replace it"
+        raise ValueError(f"{out}: exists already; {hint}")
+
+
+def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, Sequence[Metric]]] = ()) -> None:
+    """Write everything about a run into a folder that exists; `extra` tables go into the numbers and the page."""
+    rows = metrics_of(run)
+    numbers = {"metrics": as_json(rows), **details_of(run), **{caption: as_json(table) for caption, table in extra}}
+    write_result(run, folder, run.slam.config, run.rig, numbers)
+    if len(run.odometry):
+        write_tum(folder / "odometry.tum", run.odometry)
+    write_g2o(folder / "graph.g2o", run.slam.backend.graph, run.slam.backend.values)
+    history = History.of(run.planes, run.slam)
+    history.write(folder / "view.json")
+    draw_uncertainty(run, history, folder / "uncertainty.png")
+    pictures = [folder / "map.png", folder / "uncertainty.png"]
+    write_report(folder / "report.html", title, [*extra, ("the run", rows)], pictures, scene_of(run, history))
+
+
+def write_map(result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, title: str) -> list[Metric]:
+    """Write a map made at given poses into a folder that exists; returns the table."""
+    rows = map_metrics_of(result)
+    write_result(result, folder, config, rig, {"metrics": as_json(rows)})
+    history = History.of(result.planes)
+    history.write(folder / "view.json")
+    write_report(folder / "report.html", title, [("the map", rows)], [folder / "map.png"], scene_of(result, history))
+    return rows
+
+
+def write_result(drawn: Drawn, folder: Path, config: SlamConfig, rig: Rig, numbers: dict[str, Any]) -> None:
+    """What every run leaves: how it was made, where it went, what it saw, in numbers and as a picture."""
+    (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
+    rig.to_yaml(folder / "rig.yaml")
+    write_tum(folder / "trajectory.tum", drawn.trajectory)
+    write_json(folder / "planes.json", planes_json(drawn.planes))
+    write_ply(folder / "map.ply", mesh_of(drawn.planes))
+    write_json(folder / "metrics.json", numbers)
+    draw_map(drawn, folder / "map.png")
+
+
+def add_to_metrics(folder: Path, key: str, rows: Sequence[Metric]) -> None:
+    """Put a table into the metrics.json of a run, beside what is there.
+
+    Raises:
+        ValueError: the folder has no metrics.json that can be read and written.
+    """
+    path = folder / "metrics.json"
+    try:
+        numbers = json.loads(path.read_text(encoding="utf-8"))
+        numbers[key] = as_json(rows)
+        scratch = path.with_suffix(".json.new")
+        write_json(scratch, numbers)
+        os.replace(scratch, path)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read and written ({error.strerror})") from error
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: expected the metrics.json of a run, got something else") from error
+
+
+def as_json(rows: Sequence[Metric]) -> list[dict[str, Any]]:
+    """Rows of a table as JSON; what could not be measured, NaN, becomes null."""
+    return [
+        {"metric": row.name, "value": None if row.value != row.value else row.value, "unit": row.unit} for row in rows
+    ]
+
+
+def planes_json(planes: Sequence[MapPlane]) -> dict[str, Any]:
+    """The map in the project's own format."""
+    entries = []
+    for plane in planes:
+        data = plane.plane.to_dict()
+        keys = ("normal", "d", "frame", "covariance", "n_points", "outline")
+        entries.append({"id": plane.id, **{key: data[key] for key in keys}, "observations": plane.observations})
+    return {"format": PLANES_FORMAT, "frame": "world", "planes": entries}
+
+
+def write_ply(path: Path, mesh: Mesh) -> None:
+    """Binary PLY with a colour per corner and the landmark id of its plane."""
+    fields = [("x", "f8"), ("y", "f8"), ("z", "f8"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("plane", "i4")]
+    corners = np.empty(len(mesh.vertices), dtype=fields)
+    for name, column in zip("xyz", mesh.vertices.T, strict=True):
+        corners[name] = column
+    for name, column in zip(("red", "green", "blue"), mesh.colours.T, strict=True):
+        corners[name] = column
+    corners["plane"] = mesh.plane_ids
+    faces = np.empty(len(mesh.triangles), dtype=[("vertex_indices", "i4", (3,))])
+    faces["vertex_indices"] = mesh.triangles
+    PlyData([PlyElement.describe(corners, "vertex"), PlyElement.describe(faces, "face")]).write(str(path))
+
+
+def write_json(path: Path, data: dict[str, Any]) -> None:
+    """Strict JSON: NaN is refused rather than written as a word no other reader knows."""
+    path.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _put_in_place(work: Path, out: Path) -> None:
+    """Rename; an old folder is moved aside first and deleted only when the new one is in its place."""
+    if not out.exists():
+        os.replace(work, out)
+        return
+    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent))
+    os.replace(out, aside / out.name)
+    try:
+        os.replace(work, out)
+    except OSError:
+        os.replace(aside / out.name, out)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)

@@ -1,0 +1,197 @@
+"""The folder of a run with its session in it: there from the first keyframe on, complete when the session says so."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from slam.backend.estimator import BackendError
+from slam.config import SlamConfig
+from slam.files import scratch_folder
+from slam.frontend.keyframes import keyframes_of
+from slam.io.load import load
+from slam.output.run_files import check_free
+from slam.planeslam import PlaneSlam
+from slam.sensors.log import Log
+from slam.sensors.rig import Rig
+from slam.session._digest import fingerprint
+from slam.session._file import sync_folder
+from slam.session.prior_map import PriorMap, finished_map
+from slam.session.replay import RawScans, SessionRecorder, is_measured_again, resumed
+from slam.session.store import SESSION_FILE, Session, SessionError, session_path
+
+_WORK = ".results-"
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the data of a run come from, and what is kept of them."""
+
+    path: Path
+    """The log."""
+    keep_partial: bool = False
+    """Use what precedes a cut in it."""
+    raw: RawScans = "reference"
+    """Whether the session keeps the raw scans themselves, or where they are."""
+    forget_raw: bool = False
+    """Whether measurements stay on the disk alone while the run goes on."""
+
+    def as_json(self) -> dict[str, Any]:
+        """For the session, with the log's fingerprint."""
+        try:
+            known = fingerprint(self.path)
+        except OSError as error:
+            raise SessionError(f"{self.path}: cannot be read ({error.strerror})") from error
+        options = {"keep_partial": self.keep_partial, "raw": self.raw, "forget_raw": self.forget_raw}
+        return {"path": str(self.path.resolve()), **options, **known}
+
+    @classmethod
+    def of(cls, session: Session, moved_to: Path | None = None) -> Source:
+        """The source of a session, at its old path or at a new one."""
+        known = session.log
+        if known is None:
+            raise SessionError(f"{session.path}: expected the session of a log, got one that was fed by a program")
+        path = Path(known["path"]) if moved_to is None else moved_to
+        return cls(path, known["keep_partial"], known["raw"], known["forget_raw"])
+
+
+class Resumed(NamedTuple):
+    """A run that goes on."""
+
+    slam: PlaneSlam
+    """The estimator as the run left it."""
+    log: Log
+    """The log it goes on with."""
+    rig: Rig
+    """The rig it began with."""
+
+
+@contextmanager
+def new_run(
+    out: Path, log: Log, rig: Rig, config: SlamConfig, source: Source, *, prior: PriorMap | None, overwrite: bool
+) -> Iterator[PlaneSlam]:
+    """An estimator that records into the new folder `out`.
+
+    What fails before the first keyframe leaves nothing behind, and a folder that was to be replaced as it was; what
+    fails later, or is killed, leaves a session to go on with.
+    """
+    known, data = source.as_json(), None if prior is None else prior.to_bytes()
+    with (
+        _fresh(Path(out), lambda folder: _begin(folder, config, rig, data, known), overwrite=overwrite) as folder,
+        Session.open(folder / SESSION_FILE) as session,
+    ):
+        sync_folder(folder.parent)  # after the session is open: its own sync of the journal has done most of this
+        recorder = SessionRecorder(session, log=log, raw=source.raw, forget=source.forget_raw)
+        yield PlaneSlam(config, prior=prior, recorder=recorder)
+
+
+@contextmanager
+def resumed_run(folder: Path, log_path: Path | None = None) -> Iterator[Resumed]:
+    """The run of a folder in the state in which it ended, however it ended.
+
+    Args:
+        folder: the run's folder.
+        log_path: the log, where it lies elsewhere by now; it may have grown.
+
+    Raises:
+        SessionError: no session, a damaged one, one in use or finished; or another log.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise SessionError(
+            f"{folder}: expected the folder of a run, found {'a file' if folder.exists() else 'nothing'}"
+        )
+    with Session.open(session_path(folder)) as session:
+        if session.is_finished:
+            raise SessionError(f"{folder}: finished already; nothing is left to do")
+        source = Source.of(session, log_path)
+        if session.rig is None:
+            raise SessionError(f"{session.path}: expected the session of a log, got one without a rig")
+        log, rig = load(source.path, session.rig, keep_partial=source.keep_partial)
+        _check_log(session, source, log, rig)
+        recorder = SessionRecorder(session, log=log, raw=source.raw, forget=source.forget_raw)
+        yield Resumed(resumed(PlaneSlam, session, recorder), log, rig)
+
+
+def conclude(slam: PlaneSlam, folder: Path, write: Callable[[Path], None]) -> None:
+    """Put the results of a run beside its session, then say in the session that it is finished.
+
+    `write` writes them into a folder given; each is moved into its place when all are written. A run that dies in here
+    is not finished: to resume it writes them again.
+    """
+    work = Path(tempfile.mkdtemp(prefix=_WORK, dir=folder))
+    try:
+        write(work)
+        for made in sorted(work.iterdir()):
+            target = folder / made.name
+            if target.is_dir():
+                shutil.rmtree(target)
+            os.replace(made, target)
+    finally:
+        for left in folder.glob(f"{_WORK}*"):
+            shutil.rmtree(left, ignore_errors=True)
+    recorder = slam.recorder
+    if isinstance(recorder, SessionRecorder):
+        recorder.session.finish(**_results(slam))
+    for replaced in folder.parent.glob(f".{folder.name}-old-*"):
+        shutil.rmtree(replaced, ignore_errors=True)
+
+
+def _results(slam: PlaneSlam) -> dict[str, bytes]:
+    try:
+        return {"map": finished_map(slam.planes, slam.landmarks, slam.backend)}
+    except BackendError:  # a map that cannot be a prior is a map all the same
+        return {}
+
+
+def _check_log(session: Session, source: Source, log: Log, rig: Rig) -> None:
+    """The log must be the one that was, or one that has grown: then a keyframe of it is measured again."""
+    known, now = session.log or {}, source.as_json()
+    if all(known.get(key) == now[key] for key in ("bytes", "blake2b")):
+        return
+    index = max(len(session) - 2, 0)
+    again = next(keyframes_of(log, rig, session.config, index), None)
+    if len(session) and (again is None or not is_measured_again(session, index, again)):
+        raise SessionError(f"{source.path}: expected the log that the run began with, got another one")
+    session.set_log(now)
+
+
+def _begin(folder: Path, config: SlamConfig, rig: Rig, prior: bytes | None, log: dict[str, Any]) -> None:
+    Session.make(folder / SESSION_FILE, config, rig=rig, prior=prior, log=log)
+
+
+@contextmanager
+def _fresh(out: Path, begin: Callable[[Path], None], *, overwrite: bool) -> Iterator[Path]:
+    """A new folder that appears with its session in it; an old one of that name waits beside it until the end."""
+    check_free(out, overwrite=overwrite)
+    replaced: Path | None = None
+    with scratch_folder(out) as work:
+        begin(work)
+        if out.exists():
+            replaced = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent)) / out.name
+            os.replace(out, replaced)
+        os.replace(work, out)
+    try:
+        yield out
+    except BaseException:
+        if not _holds_keyframes(out):
+            shutil.rmtree(out, ignore_errors=True)
+            if replaced is not None:
+                os.replace(replaced, out)
+                replaced.parent.rmdir()
+        raise
+
+
+def _holds_keyframes(folder: Path) -> bool:
+    """Whether there is anything to lose; in doubt there is."""
+    try:
+        with Session.open(folder / SESSION_FILE, read_only=True) as session:
+            return len(session) > 0
+    except (ValueError, OSError):
+        return (folder / SESSION_FILE).exists()

@@ -1,0 +1,87 @@
+"""The numbers of a run: one list of (metric, value, unit), for the screen, metrics.json and the report."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from slam.evaluation.map_summary import FacingPair, facing_pairs
+from slam.evaluation.metrics import Metric
+from slam.evaluation.wall_density import metres_of_wall
+from slam.frontend.input_checks import blind, silences, skipped
+from slam.runs.mapping_run import MapResult
+from slam.runs.slam_run import Run, path_length_m
+
+
+def metrics_of(run: Run) -> list[Metric]:
+    """What can be said of a run without knowing the truth."""
+    rows = [
+        Metric("keyframes", len(run.trajectory), ""),
+        Metric("path length", path_length_m(run.trajectory), "m"),
+        Metric("planes in the map", len(run.planes), ""),
+        Metric("landmarks tried", len(run.slam.landmarks), ""),
+    ]
+    n_walls, length = metres_of_wall(run.planes)
+    if length > 0.0:
+        rows.append(Metric("metres of wall", length, "m"))
+        rows.append(Metric("wall landmarks per metre of wall", n_walls / length, "1/m"))
+    rows += _pair_rows(facing_pairs(run.planes)[:6])
+    for summary in run.slam.audit.summary():
+        band = f"{summary.low:.3f} to {summary.high:.3f}"
+        rows.append(Metric(f"NIS per dof, {summary.kind} factors (95 % band {band})", summary.mean_per_dof, ""))
+        rows.append(Metric(f"{summary.kind} factors", summary.count, ""))
+    rows += [Metric(f"time, {stage}", seconds, "s") for stage, seconds in run.clock.seconds.items()]
+    return rows
+
+
+def map_metrics_of(result: MapResult) -> list[Metric]:
+    """The table of a map made at given poses: the columns of the paper's, and the room."""
+    seen = result.n_points_seen
+    rows = [
+        Metric("scans", len(result.trajectory), ""),
+        Metric("points", seen, ""),
+        Metric("planes", len(result.planes), ""),
+        Metric("points represented", 100.0 * result.n_points_represented / seen if seen else 0.0, "%"),
+    ]
+    rows += _pair_rows(facing_pairs(result.planes)[:6])
+    return rows + [Metric(f"time, {stage}", seconds, "s") for stage, seconds in result.clock.seconds.items()]
+
+
+def details_of(run: Run) -> dict[str, Any]:
+    """What a table has no room for, for metrics.json."""
+    return {
+        "facing_pairs": [pair.__dict__ for pair in facing_pairs(run.planes)],
+        "nis": [{**summary.__dict__, "verdict": summary.verdict} for summary in run.slam.audit.summary()],
+        "open_directions": [stretch.to_dict() for stretch in run.slam.open_directions],
+        "open_in_map": [one.to_dict() for one in run.slam.open_in_map] if _has_no_odometry(run) else [],
+        "stages_s": dict(run.clock.seconds),
+        "warnings": warnings_of(run),
+        "notes": [*run.log.notes],
+    }
+
+
+def warnings_of(run: Run) -> list[str]:
+    """What whoever reads the numbers must know: one sentence each."""
+    notes = [note for frame in run.slam.keyframes for note in frame.notes]
+    rules = run.slam.config.observability
+    # what a flat floor or the motion model holds to less than a tenth of that is no news to whoever drives
+    limits = {"position": 0.1 * rules.max_sigma_m, "orientation": 0.1 * rules.max_sigma_rad}
+    directions = [one.sentence for one in run.slam.open_directions if one.sigma >= limits[one.part]]
+    known = run.slam.prior.warnings if run.slam.prior is not None else []
+    health = [*skipped(notes), *silences(run.log, run.rig), *blind(run.slam.keyframes)]
+    whole = [one.sentence for one in run.slam.open_in_map] if _has_no_odometry(run) else []
+    return [*known, *health, *run.slam.audit.warnings(), *directions, *whole]
+
+
+def _has_no_odometry(run: Run) -> bool:
+    """Whether nothing but what was seen holds some keyframe."""
+    return any(frame.motion is None for frame in run.slam.keyframes[1:])
+
+
+def _pair_rows(pairs: list[FacingPair]) -> list[Metric]:
+    rows = []
+    for pair in pairs:
+        between = f"planes {pair.first} and {pair.second}"
+        rows.append(Metric(f"{pair.name} between {between}", pair.distance_m, "m"))
+        rows.append(Metric(f"  its standard deviation ({between})", pair.sigma_m, "m"))
+        rows.append(Metric(f"  from parallel ({between})", pair.angle_deg, "deg"))
+    return rows

@@ -1,0 +1,1 @@
+"""Registration: where am I? Planes laid on planes, scan matching, place recognition, visibility, relocalization."""

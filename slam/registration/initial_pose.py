@@ -1,0 +1,114 @@
+"""Where in a known map a mission starts, by the walls that its first keyframe sees; or that it cannot be told.
+
+Two walls that are not parallel, each taken for one of the map, make a pose on the floor. Every such pose is a
+hypothesis; it explains those lengths of the walls seen that lie along walls of the map. The best must explain most of
+what was seen, and far more than any other place does: a room of two equal halves has no start that can be told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+import shapely
+
+from slam.frontend.keyframes import Keyframe
+from slam.geometry.frames import lift, planar_transform
+from slam.map.map_planes import MapPlane
+from spplanes._check import FloatArray
+
+#: Walls are upright to this, and one wall in two views to that, rad and m.
+_UPRIGHT, _TURN_RAD, _SHIFT_M = 0.1, np.deg2rad(3.0), 0.15
+#: Two walls fix a place when their directions differ by this, sine of the angle.
+_ACROSS = 0.3
+#: Shorter ones say too little, m; and only so many of the longest are paired.
+_LEAST_M, _MOST_WALLS = 0.5, 12
+#: Share of the lengths seen that the best place explains at least; another place explains at most this share of it.
+_ENOUGH, _CLEAR = 0.6, 0.85
+#: Places nearer to each other than this are one, m and rad.
+_SAME_M, _SAME_RAD = 0.5, np.deg2rad(10.0)
+
+
+def find_start(planes: Sequence[MapPlane], keyframe: Keyframe) -> FloatArray:
+    """world_T_body (4, 4) of a keyframe on the floor of a map.
+
+    Raises:
+        ValueError: no two walls were seen, no place explains enough of what was seen, or several do.
+    """
+    known = _walls([_ends_of(one) for one in planes])
+    seen = _walls([(one.normal, one.vertices) for one in keyframe.observations])
+    seen = seen[np.argsort(seen[:, 2] - seen[:, 3], kind="stable")][:_MOST_WALLS]
+    poses = _hypotheses(known, seen)
+    if not len(poses):
+        raise ValueError("--start: expected two walls of the map in the first keyframe, found none; give X,Y,HEADING")
+    shares = np.array([_explained(known, seen, pose) for pose in poses])
+    best = int(np.argmax(shares))
+    turns = np.angle(np.exp(1j * (poses[:, 2] - poses[best, 2])))
+    elsewhere = (np.linalg.norm(poses[:, :2] - poses[best, :2], axis=1) > _SAME_M) | (np.abs(turns) > _SAME_RAD)
+    second = float(shares[elsewhere].max(initial=0.0))
+    if shares[best] < _ENOUGH:
+        raise ValueError(
+            f"--start: expected a place in the map that explains {100 * _ENOUGH:.0f} % of the walls in the first "
+            f"keyframe, found {100 * shares[best]:.0f} %; give X,Y,HEADING"
+        )
+    if second > _CLEAR * shares[best]:
+        other = poses[elsewhere][int(np.argmax(shares[elsewhere]))]
+        raise ValueError(
+            f"--start: expected one place in the map that explains the first keyframe, found {_told(poses[best])} and "
+            f"{_told(other)}; give X,Y,HEADING"
+        )
+    return planar_transform(*poses[best].tolist())
+
+
+def _ends_of(one: MapPlane) -> tuple[FloatArray, FloatArray]:
+    shape = one.plane.outline if one.seen.is_empty and one.plane.outline is not None else one.seen
+    return one.plane.normal, lift(shapely.get_coordinates(shape), one.plane.frame)
+
+
+def _walls(found: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
+    """Rows (direction of the normal, rad; d, first and last place along the wall, m) of the upright ones."""
+    rows = []
+    for normal, points in found:
+        if abs(normal[2]) > _UPRIGHT or not len(points):
+            continue
+        angle = np.arctan2(normal[1], normal[0])
+        across, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
+        places = points[:, :2] @ along
+        if np.ptp(places) >= _LEAST_M:
+            rows.append((angle, float((points[:, :2] @ across).mean()), places.min(), places.max()))
+    return np.array(rows).reshape(-1, 4)
+
+
+def _hypotheses(known: FloatArray, seen: FloatArray) -> FloatArray:
+    """Poses (N, 3), x, y, heading, at which two walls seen are two of the map."""
+    poses = []
+    for first, second in combinations(seen, 2):
+        if abs(np.sin(first[0] - second[0])) < _ACROSS:
+            continue
+        for one in known:
+            heading = one[0] - first[0]
+            other = known[np.abs(np.angle(np.exp(1j * (known[:, 0] - second[0] - heading)))) < _TURN_RAD]
+            for two in other:
+                normals = np.array([[np.cos(one[0]), np.sin(one[0])], [np.cos(two[0]), np.sin(two[0])]])
+                place = np.linalg.solve(normals, (one[1] - first[1], two[1] - second[1]))
+                poses.append((*place, np.angle(np.exp(1j * heading))))
+    return np.array(poses).reshape(-1, 3)
+
+
+def _explained(known: FloatArray, seen: FloatArray, pose: FloatArray) -> float:
+    """Share of the lengths seen that lie along walls of the map."""
+    x, y, heading = pose
+    angles = seen[:, 0] + heading
+    offsets = seen[:, 1] + np.cos(angles) * x + np.sin(angles) * y
+    shifts = np.cos(angles) * y - np.sin(angles) * x
+    turned = np.abs(np.angle(np.exp(1j * (known[None, :, 0] - angles[:, None])))) < _TURN_RAD
+    fits = turned & (np.abs(known[None, :, 1] - offsets[:, None]) < _SHIFT_M)
+    starts, ends = seen[:, 2] + shifts, seen[:, 3] + shifts
+    low, high = np.maximum(known[None, :, 2], starts[:, None]), np.minimum(known[None, :, 3], ends[:, None])
+    covered = np.where(fits, np.maximum(high - low, 0.0), 0.0).max(axis=1, initial=0.0)
+    return float(covered.sum() / (seen[:, 3] - seen[:, 2]).sum())
+
+
+def _told(pose: FloatArray) -> str:
+    return f"{pose[0]:.1f},{pose[1]:.1f},{np.rad2deg(pose[2]):.0f}"

@@ -1,0 +1,252 @@
+"""Where a body is, found from its planes and those it knew, when the motion between is hardly known at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from slam.geometry.frames import inverse
+from slam.geometry.polygons import flatten, valid
+from slam.registration._plane_arrays import PlaneArrays
+from slam.registration._plane_kernels import best_shifts, directions_found, near_rotations
+from slam.registration.motion_from_planes import fit_planes_on
+from slam.registration.visibility import LinesOfSight
+from spplanes import Plane
+from spplanes._check import FloatArray
+
+#: Of the planes seen so many make hypotheses, the largest.
+_SEEDS = 9
+#: Two planes are one under a motion up to these, rad and m, and when their outlines come this near, m.
+_ANGLE, _DISTANCE, _GAP = np.deg2rad(3.5), 0.10, 0.5
+#: The same, as standard deviations, once a motion is worked out.
+_FINE_ANGLE, _FINE_DISTANCE = np.deg2rad(1.0), 0.03
+#: A motion is worked out with the pairs that it has roughly, then once more with those it has by then: times that
+#: planes may be off what they usually are.
+_LOOSE = (5.0, 1.0)
+#: A motion is looked for as far as so many standard deviations; what it costs grows slower beyond the first few.
+_FAR, _TAIL = 6.0, 2.0
+#: Planes closer in direction than this define no rotation: cosine of 20 deg.
+_PARALLEL = 0.94
+#: Rotations that are looked at closer, pairs that make translations, and motions whose outlines are compared.
+_ROTATIONS, _PAIRS, _MOTIONS = 40, 26, 20
+#: Motions worked out are one when no entry of their matrices differs by more, m and rad.
+_SAME = 1e-3
+#: Scores are told apart beyond this; and what is hidden from one place and not from the next changes them by such a
+#: share of what is seen.
+_ROUNDING, _ALIKE = 1e-9, 0.03
+#: Motions that cost so much more are other ones, not the same a little off.
+_CHEAP = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneMatching:
+    """The motion under which most of what is seen is known."""
+
+    known_T_seen: FloatArray
+    """Takes the seen planes' frame to the known ones', shape (4, 4)."""
+    covariance: FloatArray
+    """Of its tangent on the right, GTSAM order (rotation, translation), shape (6, 6); wide where no pair speaks."""
+    pairs: tuple[tuple[int, int], ...]
+    """(seen, known) of the planes that are one under it."""
+
+
+def match_planes_widely(
+    seen: Sequence[Plane], known: Sequence[Plane], sigmas: tuple[float, float]
+) -> PlaneMatching | None:
+    """Find the motion that explains the largest planes, with no more of a guess than "about where it was".
+
+    Two pairs of planes that enclose the same angle give a rotation, three offsets a translation. Every motion is scored
+    by the planes that find a partner, by the root of their area, less what it costs to move that far. The best, and the
+    place where the body is expected, are worked out with all their pairs by least squares, and scored anew by what the
+    planes have in common, less what would be seen through walls: halls look alike from both ends. Of those that this
+    does not tell apart, the least is taken.
+
+    Args:
+        seen: planes in the frame of the body now.
+        known: planes in the frame where the body is expected.
+        sigmas: standard deviations of that expectation, m and rad, the same in all directions.
+
+    Returns:
+        None where fewer than three planes, in two directions at least, find partners.
+    """
+    mine, theirs = PlaneArrays.of(seen), PlaneArrays.of(known)
+    if min(len(mine.normals), len(theirs.normals)) < 2:
+        return None
+    motions = [one for R in _rotations(mine, theirs, sigmas[1]) for one in _translations(R, mine, theirs, sigmas)]
+    sight = LinesOfSight.between(mine.planes, mine.weights, theirs.planes)
+    best, alike = -np.inf, _ALIKE * float(mine.weights.sum())
+    tried: list[tuple[float, float, PlaneMatching]] = []
+    likely = [motion for _, motion in sorted(motions, key=lambda one: -one[0])[:_MOTIONS]]
+    for motion in [np.eye(4), *likely]:
+        found = _worked_out(motion, mine, theirs, sigmas)
+        if found is None or any(np.abs(found.known_T_seen - one.known_T_seen).max() < _SAME for *_, one in tried):
+            continue
+        price = _price(found.known_T_seen, sigmas)
+        score = _agreement(found.known_T_seen, mine, theirs, best - alike + price) - price
+        if score > best - alike:
+            score -= sight.blocked(found.known_T_seen)
+        tried.append((score, price, found))
+        best = max(best, score)
+    equals = [one for one in tried if one[0] >= best - alike]
+    least = min((price for _, price, _ in equals), default=0.0)
+    return max((one for one in equals if one[1] <= least + _CHEAP), key=lambda one: one[0], default=(0.0, 0.0, None))[2]
+
+
+def _worked_out(
+    motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float]
+) -> PlaneMatching | None:
+    """A rough motion after least squares over the pairs it has, and over those it has then; None without enough."""
+    pairs, covariance = _partners(motion, mine, theirs), np.eye(6)
+    for loose in _LOOSE:
+        fit = fit_planes_on(motion, [(mine.planes[i], theirs.planes[j]) for i, j in pairs], sigmas, loose)
+        if fit is None:
+            return None
+        motion, covariance = fit
+        pairs = _partners(motion, mine, theirs)
+    return PlaneMatching(motion, covariance, tuple((mine.order[i], theirs.order[j]) for i, j in pairs))
+
+
+def _price(motion: FloatArray, sigmas: tuple[float, float]) -> float:
+    """What a motion of this size costs: half its chi2 by the expectation while small, only the log of it far off.
+
+    Expectations fail: wheels slip, guesses are guesses, and what carries a sensor turns on its heel.
+    """
+    angle = np.arccos(np.clip(0.5 * (np.trace(motion[:3, :3]) - 1.0), -1.0, 1.0))
+    return _tail((angle / sigmas[1]) ** 2) + _tail(motion[:3, 3] @ motion[:3, 3] / sigmas[0] ** 2)
+
+
+def _tail(chi2: Any) -> Any:
+    return _TAIL * np.log1p(0.5 * chi2 / _TAIL)
+
+
+def _rotations(mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float) -> list[FloatArray]:
+    """Rotations under which most directions agree, best first, none twice."""
+    frames, angles = _frames(mine.normals[:_SEEDS], ordered=False)
+    others, other_angles = _frames(theirs.normals, ordered=True)
+    if not len(frames) or not len(others):
+        return []
+    furthest = min(max(_FAR * sigma_rad, 0.1), np.pi)
+    rotations, traces = near_rotations(frames, angles, others, other_angles, _ANGLE, 1.0 + 2.0 * np.cos(furthest))
+    turns = np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0))
+    agree = directions_found(rotations, mine.normals, theirs.normals, mine.weights, np.cos(_ANGLE))
+    scores = agree - _tail((turns / sigma_rad) ** 2)
+    left = rotations[np.argsort(-scores, kind="stable")].reshape(-1, 9)
+    chosen: list[FloatArray] = []
+    while len(left) and len(chosen) < _ROTATIONS:
+        best = left[0]
+        chosen.append(best.reshape(3, 3))
+        left = left[left @ best < 1.0 + 2.0 * np.cos(_ANGLE)]  # the trace of one turned back by the other
+    return chosen
+
+
+def _frames(normals: FloatArray, *, ordered: bool) -> tuple[FloatArray, FloatArray]:
+    """Right-handed frames (K, 3, 3) of all pairs of normals that are not parallel, and their angles (K,)."""
+    pairs = np.array(list(combinations(range(len(normals)), 2)), dtype=np.int64).reshape(-1, 2)
+    if ordered:
+        pairs = np.vstack((pairs, pairs[:, ::-1]))
+    first, second = normals[pairs[:, 0]], normals[pairs[:, 1]]
+    cosines = np.einsum("ki,ki->k", first, second)
+    usable = np.abs(cosines) < _PARALLEL
+    first, second, cosines = first[usable], second[usable], cosines[usable]
+    across = np.cross(first, second)
+    across = across / np.linalg.norm(across, axis=1, keepdims=True)
+    angles = np.arccos(np.clip(cosines, -1.0, 1.0)).astype(np.float64)
+    return np.stack((first, across, np.cross(first, across)), axis=2).astype(np.float64), angles
+
+
+def _translations(
+    rotation: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float]
+) -> list[tuple[float, FloatArray]]:
+    """The best motions with a rotation, with their scores: from threes of pairs, and what is expected beside them."""
+    turned = mine.normals @ rotation.T
+    i, j = np.nonzero(turned @ theirs.normals.T > np.cos(_ANGLE))
+    if len(i) < 3:
+        return []
+    weights = np.minimum(mine.weights[i], theirs.weights[j])
+    offsets, normals = theirs.distances[j] - mine.distances[i], theirs.normals[j]
+    near = np.abs(offsets) < _FAR * sigmas[0]
+    strongest = np.argsort(-np.where(near, weights, -1.0), kind="stable")[:_PAIRS]
+    strongest = strongest[near[strongest]]
+    middles, reaches = theirs.middles[j] - (mine.middles @ rotation.T)[i], mine.reaches[i] + theirs.reaches[j] + _GAP
+    shifts, found = best_shifts(
+        i, normals, offsets, mine.weights, middles, reaches, strongest, _DISTANCE, sigmas[0], _TAIL
+    )
+    results = []
+    for shift, weight in zip(shifts, found.tolist(), strict=True):
+        motion = np.eye(4)
+        motion[:3, :3], motion[:3, 3] = rotation, shift
+        results.append((weight - _price(motion, sigmas), motion))
+    return results
+
+
+def _partners(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays) -> list[tuple[int, int]]:
+    """For every plane seen, the known plane nearest in offset that it is under a motion, where their outlines meet."""
+    turned = mine.normals @ motion[:3, :3].T
+    offsets = mine.distances + turned @ motion[:3, 3]
+    alike = turned @ theirs.normals.T > np.cos(_ANGLE)
+    apart = np.abs(offsets[:, None] - theirs.distances[None, :])
+    pairs = []
+    for i, plane in enumerate(mine.planes):
+        for j in np.argsort(np.where(alike[i], apart[i], np.inf), kind="stable").tolist():
+            if not alike[i, j] or apart[i, j] > _DISTANCE:
+                break
+            if _meet(plane, theirs.planes[j], motion):
+                pairs.append((i, j))
+                break
+    return pairs
+
+
+def _agreement(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, needed: float = -np.inf) -> float:
+    """How much of what is seen is known under a motion worked out: the root of the area in common, and how close.
+
+    Within one standard deviation planes are as close as can be: noise must not tell two ends of a hall apart.
+    Where that turns out to be less than what is needed, just so much less as is known by then.
+    """
+    turned = mine.normals @ motion[:3, :3].T
+    angles = np.arccos(np.clip(turned @ theirs.normals.T, -1.0, 1.0)) / _FINE_ANGLE
+    far = angles**2 + (_heights(motion, mine, theirs) / _FINE_DISTANCE) ** 2
+    closeness = np.where(far < 9.0, 1.0 / np.maximum(far, 1.0), 0.0)
+    most = closeness * np.minimum(mine.weights[:, None], theirs.weights)  # a wall has a pillar's face in common
+    total = float(most.max(axis=1).sum())
+    for i, plane in enumerate(mine.planes):  # the largest first
+        if total < needed - _ROUNDING:
+            break
+        shared, order = 0.0, np.argsort(-most[i], kind="stable")
+        for j in order.tolist():
+            if most[i, j] <= shared:
+                break  # outlines have all in common at most
+            share = min(_common(plane, theirs.planes[j], motion), 1.0)
+            shared = max(shared, float(np.sqrt(share) * most[i, j]))
+        total -= float(most[i, order[0]]) - shared
+    return total
+
+
+def _heights(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays) -> FloatArray:
+    """How far planes seen lie from known ones under a motion, at the middle of the smaller of the two, (N, M), m.
+
+    Not at the origin: there a tilt that is off shifts a plane by as much as it is away.
+    """
+    turned = mine.normals @ motion[:3, :3].T
+    seen = (mine.middles @ motion[:3, :3].T + motion[:3, 3]) @ theirs.normals.T - theirs.distances
+    known = (mine.distances + turned @ motion[:3, 3])[:, None] - turned @ theirs.middles.T
+    return np.where(mine.weights[:, None] <= theirs.weights, seen, known)
+
+
+def _common(seen: Plane, known: Plane, motion: FloatArray) -> float:
+    """Common area of two outlines as a share of the smaller one."""
+    if seen.outline is None or known.outline is None:
+        return 0.0
+    moved = valid(flatten(seen.outline, inverse(known.frame) @ motion @ seen.frame))
+    least = min(moved.area, known.outline.area)
+    return moved.intersection(known.outline).area / least if least > 0.0 else 0.0
+
+
+def _meet(seen: Plane, known: Plane, motion: FloatArray) -> bool:
+    if seen.outline is None or known.outline is None:
+        return True
+    moved = flatten(seen.outline, inverse(known.frame) @ motion @ seen.frame)
+    return moved.distance(known.outline) <= _GAP

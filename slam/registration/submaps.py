@@ -1,0 +1,135 @@
+"""What the laser saw along a stretch of the way, compared return by return with what it saw along an old one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slam.backend.estimator import Backend, pose_symbol
+from slam.backend.joint_covariance import motion_covariance
+from slam.config import LoopConfig
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.occupancy import CELL_M, Raster, view_from
+from slam.frontend.odometry import Motion, planar_delta
+from slam.geometry.frames import inverse, planar_transform
+from slam.registration.scan_matching import Relocation, relocate
+from spplanes._check import FloatArray
+
+#: Bounds drawn from a standard deviation are taken at this many of them.
+_SIGMAS = 3.0
+#: Information about a motion, 1 / m^2 and 1 / rad^2, that stands for none.
+_NO_INFORMATION = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class RelativePose:
+    """Where a keyframe is from an old one by the estimate."""
+
+    delta: FloatArray
+    """(x, y, theta), shape (3,)."""
+    covariance: FloatArray
+    """Its covariance, shape (3, 3), x and y along the axes of the old one."""
+
+    @classmethod
+    def of(cls, old_key: int, key: int, backend: Backend) -> RelativePose:
+        """By the joint marginal of both."""
+        old_T_now = inverse(backend.pose(old_key)) @ backend.pose(key)
+        joint = backend.joint_covariance([old_key, key]).of([old_key, key])
+        return cls(planar_delta(old_T_now), motion_covariance(old_T_now, joint))
+
+    @property
+    def reach_m(self) -> float:
+        """Three sigma of the position in its least known direction, m."""
+        return _SIGMAS * float(np.sqrt(max(np.linalg.eigvalsh(self.covariance[:2, :2])[-1], 0.0)))
+
+
+def view_of(
+    keyframes: Sequence[Keyframe], poses: Sequence[FloatArray], base: FloatArray, config: LoopConfig
+) -> Raster | None:
+    """The returns of keyframes at some poses in the frame of the pose `base`; None when there are none."""
+    seen = [
+        (pose, keyframe.returns)
+        for pose, keyframe in zip(poses, keyframes, strict=True)
+        if keyframe.returns is not None and len(keyframe.returns)
+    ]
+    if not seen:
+        return None
+    return Raster.of(view_from(base, [pose for pose, _ in seen], [returns for _, returns in seen]), config.look_m)
+
+
+def compare_views(here: Raster, there: Raster, estimate: RelativePose, drift_m: float, way_m: float) -> Relocation:
+    """The pose of the view here in that there, each in the frame of its keyframe.
+
+    Args:
+        here, there: the views.
+        estimate: the pose by the estimate.
+        drift_m: how far the estimate may have drifted beyond what it says, but no further than what it says.
+        way_m: length of the way between the two.
+    """
+    drift_m = min(drift_m, estimate.reach_m)
+    beyond = np.array((drift_m, drift_m, 2.0 * drift_m / max(way_m, drift_m))) / _SIGMAS
+    covariance = estimate.covariance + np.diag(beyond**2)
+    reach = np.minimum(_SIGMAS * np.sqrt(np.diag(covariance)), (np.inf, np.inf, np.pi))
+    return relocate(here, there, estimate.delta, covariance, reach)
+
+
+def step_by_view(
+    keyframe: Keyframe, motion: Motion, keyframes: Sequence[Keyframe], backend: Backend, config: LoopConfig
+) -> Motion | None:
+    """The motion to a keyframe from the one before, by odometry and by all its returns in what was seen of late.
+
+    For telling walls apart only: the returns are those the lines are made of, so as a factor they would count twice.
+    None where there is no level laser, or the returns do not fit anything in one way alone.
+    """
+    if not motion.is_planar or keyframe.returns is None or not len(keyframe.returns):
+        return None
+    members, poses = _recent(len(keyframes) - 1, backend, config.window_m)
+    recent = view_of([keyframes[one] for one in members], poses, poses[-1], config)
+    if recent is None:
+        return None
+    delta = planar_delta(motion.a_T_b)
+    reach = _SIGMAS * np.sqrt(np.diag(motion.covariance)) + (CELL_M, CELL_M, CELL_M / config.window_m)
+    found = relocate(Raster.of(keyframe.returns, config.look_m), recent, delta, motion.covariance, reach)
+    if found.share < 1.0 - config.significance:
+        return None
+    return replace(motion, a_T_b=planar_transform(*found.pose), covariance=found.covariance)
+
+
+def _recent(last: int, backend: Backend, window_m: float) -> tuple[list[int], list[FloatArray]]:
+    """The keyframes within a window of travel before the last one and itself, in time order, and their poses."""
+    members, poses, way = [last], [backend.pose(pose_symbol(last))], 0.0
+    for index in range(last - 1, -1, -1):
+        pose = backend.pose(pose_symbol(index))
+        way += float(np.linalg.norm(pose[:3, 3] - poses[-1][:3, 3]))
+        if way > window_m:
+            break
+        members.append(index)
+        poses.append(pose)
+    return members[::-1], poses[::-1]
+
+
+def left_open(found: FloatArray, by_walls: FloatArray) -> FloatArray | None:
+    """Covariance of what returns say of a motion beyond what the matched walls say of it already; None: nothing.
+
+    The walls' factors are in the graph, and come from the same returns. Along a corridor they say nothing, door frames
+    and corners do. In the axes in which both covariances are diagonal, information of the walls is taken off.
+
+    Args:
+        found: covariance of (x, y, theta) by all returns, shape (3, 3).
+        by_walls: covariance by the walls, large where they leave it open, shape (3, 3).
+    """
+    values, vectors = np.linalg.eigh(found)
+    root = vectors / np.sqrt(values)  # information = root root^T
+    shares, axes = np.linalg.eigh(np.linalg.inv(root) @ np.linalg.inv(by_walls) @ np.linalg.inv(root).T)
+    gained = np.maximum(1.0 - shares, 0.0)
+    if gained.max() < _WORTH:
+        return None
+    turned = root @ axes
+    values, vectors = np.linalg.eigh((turned * gained) @ turned.T + _NO_INFORMATION * np.eye(3))
+    return (vectors / np.maximum(values, _NO_INFORMATION)) @ vectors.T
+
+
+#: Information that adds less than this share to that of the walls is left out.
+_WORTH = 0.5

@@ -1,0 +1,1 @@
+"""Runs: from a log or a cloud to an estimate."""

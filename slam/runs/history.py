@@ -1,0 +1,99 @@
+"""view.json: what the pictures of a run need and no other of its files holds."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from shapely.errors import ShapelyError
+from shapely.geometry import mapping, shape
+from shapely.geometry.base import BaseGeometry
+
+from factors._conventions import POSE3_TO_SP
+from slam.errors import LogError
+from slam.map.map_planes import MapPlane
+from slam.planeslam import PlaneSlam, pose_symbol
+from spplanes._check import FloatArray, as_shape
+
+FORMAT = "spplanes-view/1"
+#: Poses whose covariance is kept, evenly over the run: enough to draw, and quick to get.
+_MOST_POSES = 60
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """What happened on the way to a map."""
+
+    seen: dict[int, BaseGeometry] = field(default_factory=dict)
+    """All that was seen of a plane, in (x, y) of its frame, where that is more than its outline; by landmark id."""
+    kinds: dict[int, tuple[str, ...]] = field(default_factory=dict)
+    """Factor types that saw a plane, by landmark id."""
+    nis: dict[str, list[tuple[int, float, int]]] = field(default_factory=dict)
+    """(keyframe, chi2, dof) of every accepted measurement, by factor type."""
+    pose_covariances: dict[int, FloatArray] = field(default_factory=dict)
+    """Covariance (6, 6) of (x, y, z, phi, theta, psi), along the body's own axes, of some poses, by keyframe."""
+
+    @classmethod
+    def of(cls, planes: Sequence[MapPlane], slam: PlaneSlam | None = None) -> History:
+        """The history of a map, and of the estimator that made it."""
+        seen = {plane.id: plane.seen for plane in planes if not _is_outline(plane)}
+        kinds = {plane.id: plane.kinds for plane in planes}
+        if slam is None:
+            return cls(seen, kinds)
+        count = len(slam.keyframes)
+        chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_POSES)).round().astype(int)).tolist()
+        covariances = {
+            keyframe: slam.marginal_covariance(pose_symbol(keyframe))[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+            for keyframe in chosen
+        }
+        return cls(seen, kinds, {kind: list(rows) for kind, rows in slam.audit.history.items()}, covariances)
+
+    def write(self, path: Path) -> None:
+        """Write as JSON; floats survive exactly."""
+        document = {
+            "format": FORMAT,
+            "seen": {str(key): mapping(value) for key, value in self.seen.items()},
+            "kinds": {str(key): list(value) for key, value in self.kinds.items()},
+            "nis": self.nis,
+            "pose_covariances": {str(key): value.tolist() for key, value in self.pose_covariances.items()},
+        }
+        path.write_text(json.dumps(document, allow_nan=False) + "\n", encoding="utf-8")
+
+    @classmethod
+    def read(cls, path: Path) -> History:
+        """Read what `write` wrote.
+
+        Raises:
+            LogError: the file is something else.
+        """
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"))
+            if not isinstance(document, dict) or document.get("format") != FORMAT:
+                raise LogError(path, f"expected the format {FORMAT!r}")
+            return cls(
+                {int(key): shape(value) for key, value in document["seen"].items()},
+                {int(key): tuple(map(str, value)) for key, value in document["kinds"].items()},
+                {str(kind): [_row(row) for row in rows] for kind, rows in document["nis"].items()},
+                {int(key): as_shape("pose", value, (6, 6)) for key, value in document["pose_covariances"].items()},
+            )
+        except LogError:
+            raise
+        except OSError as error:
+            raise LogError(path, f"cannot be read: {error.strerror or error}") from error
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, ShapelyError) as error:
+            raise LogError(path, "expected the view.json of a run, got something else") from error
+
+
+def _is_outline(plane: MapPlane) -> bool:
+    return plane.plane.outline is not None and plane.seen.equals_exact(plane.plane.outline, 0.0)
+
+
+def _row(row: Any) -> tuple[int, float, int]:
+    keyframe, chi2, dof = row
+    if not (int(keyframe) >= 0 and np.isfinite(chi2) and int(dof) > 0):
+        raise ValueError("nis: expected (keyframe, chi2, dof)")
+    return int(keyframe), float(chi2), int(dof)

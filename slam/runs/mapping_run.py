@@ -1,0 +1,139 @@
+"""The paper's mapping: poses given, planes out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import shapely
+
+from slam.config import SlamConfig
+from slam.errors import LogError
+from slam.frontend.measurement import for_sensor, usable_ranges
+from slam.io.trajectories import Trajectory
+from slam.planeslam import MapPlane
+from slam.runs.cloud_mapping import map_clouds
+from slam.runs.slam_run import Progress, StageClock
+from slam.sensors.log import CloudScan, LaserScan, Log
+from slam.sensors.rig import Rig, Sensor
+from slam.sensors.scan_noise import model_of
+from spplanes import MapperConfig, PlaneMapper
+from spplanes._check import FloatArray
+from spplanes.registration import register_scans
+
+
+@dataclass(frozen=True, eq=False)
+class MapResult:
+    """A finished map."""
+
+    planes: list[MapPlane]
+    """The planes, in the frame of the given poses."""
+    trajectory: Trajectory
+    """The poses that were given."""
+    odometry: Trajectory
+    """Empty: the poses are given."""
+    n_points_seen: int
+    """Returns in all scans."""
+    n_points_represented: int
+    """Those that belong to a plane."""
+    clock: StageClock
+    """Time per stage."""
+
+
+def run_map(
+    log: Log, rig: Rig, config: SlamConfig, *, clock: StageClock | None = None, progress: Progress | None = None
+) -> MapResult:
+    """Planes of the scans of a log, at the poses that the log gives, with the localisation's covariance.
+
+    A log with 3D scans is mapped by them (`slam.runs.cloud_mapping`), any other by its push-broom laser.
+
+    Raises:
+        LogError: no push-broom scans, scans without a pose or out of time order, or beam counts that change.
+    """
+    clock = clock or StageClock()
+    if any(isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud") for scan in log.scans()):
+        planes, poses, n_seen, n_represented = map_clouds(log, rig, config, clock, progress)
+        return MapResult(planes, poses, no_poses(), n_seen, n_represented, clock)
+    name, sensor = _slice_sensor(log, rig)
+    scans = [scan for scan in log.scans(name) if isinstance(scan, LaserScan)]
+    _check_alike(scans, log)
+    pose_covariance = None if rig.localisation is None else rig.localisation.location_covariance()
+    mapper = PlaneMapper(correlated(for_sensor(config.mapper, sensor), scans, rig, log))
+    for done, scan in enumerate(scans):
+        with clock.stage("register"):
+            placed = register_scans(
+                usable_ranges(scan.ranges, sensor)[None],
+                scan.angles,
+                _pose_of(scan, log)[None],
+                model_of(sensor),
+                body_T_sensor=sensor.body_T_sensor,
+                pose_covariances=pose_covariance,
+            )
+        with clock.stage("map"):
+            mapper.add_scan(
+                placed.points[0],
+                placed.covariances[0],
+                viewpoint=placed.viewpoints[0],
+                pose_covariance=None if placed.pose_covariances is None else placed.pose_covariances[0],
+                scan_origin=placed.scan_origins[0],
+            )
+        if progress is not None:
+            progress(done + 1, len(scans))
+    with clock.stage("map"):
+        planes = mapper.planes
+    stamps = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
+    poses = np.array([_pose_of(scan, log) for scan in scans])
+    return MapResult(
+        [MapPlane(index, plane, plane.outline or shapely.Polygon(), 1, ("map",)) for index, plane in enumerate(planes)],
+        Trajectory(stamps, poses),
+        no_poses(),
+        mapper.n_points_seen,
+        mapper.n_points_represented,
+        clock,
+    )
+
+
+def no_poses() -> Trajectory:
+    """A trajectory without poses."""
+    return Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
+
+
+def correlated(config: MapperConfig, scans: list[LaserScan], rig: Rig, log: Log) -> MapperConfig:
+    """The settings with the number of scans over which the localisation's error stays nearly the same."""
+    if rig.localisation is None or len(scans) < 2:
+        return config
+    places = np.array([_pose_of(scan, log)[:3, 3] for scan in scans])
+    spacing_m = float(np.linalg.norm(np.diff(places, axis=0), axis=1).mean())
+    if spacing_m <= 0.0:
+        return config
+    return replace(config, pose_correlation_scans=rig.localisation.correlation_length_m / spacing_m)
+
+
+def _slice_sensor(log: Log, rig: Rig) -> tuple[str, Sensor]:
+    """The push-broom laser: the one in the rig that has scans in the log."""
+    for name, sensor in rig.of_kind("slice").items():
+        if log.scans(name):
+            return name, sensor
+    raise LogError(log.source, "expected scans of a sensor that the rig calls slice (push-broom), found none")
+
+
+def _check_alike(scans: list[LaserScan], log: Log) -> None:
+    """Raise where time runs backwards from scan to scan or the number of beams changes."""
+    for before, scan in pairwise(scans):
+        if scan.stamp_ns < before.stamp_ns:
+            raise LogError(
+                log.source,
+                f"expected scans of {scan.sensor!r} in time order, got {scan.stamp_ns} ns after {before.stamp_ns} ns",
+            )
+        if len(scan.ranges) != len(before.ranges):
+            raise LogError(
+                log.source,
+                f"expected {len(before.ranges)} beams in every scan of {scan.sensor!r}, got {len(scan.ranges)}",
+            )
+
+
+def _pose_of(scan: LaserScan, log: Log) -> FloatArray:
+    if scan.world_T_body is None:
+        raise LogError(log.source, f"expected a pose with every scan of {scan.sensor!r}, got one without; use slam")
+    return scan.world_T_body

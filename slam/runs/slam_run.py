@@ -1,0 +1,109 @@
+"""A run from log to map: keyframes through `PlaneSlam`, with the time of every stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slam.config import SlamConfig
+from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
+from slam.frontend.odometry import OdometryTrack
+from slam.geometry.frames import inverse
+from slam.io.trajectories import Trajectory
+from slam.planeslam import MapPlane, PlaneSlam
+from slam.sensors.log import Log
+from slam.sensors.rig import Rig
+from slam.timing import StageClock
+
+__all__ = ["Progress", "Run", "StageClock", "odometry_of", "path_length_m", "run_slam"]
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A finished run."""
+
+    slam: PlaneSlam
+    """The estimator in its final state."""
+    planes: list[MapPlane]
+    """The map."""
+    trajectory: Trajectory
+    """world_T_body of every keyframe."""
+    odometry: Trajectory
+    """The same keyframes by odometry alone, from the same first pose."""
+    log: Log
+    """What it was made from."""
+    rig: Rig
+    """With which sensors."""
+    clock: StageClock
+    """Time per stage."""
+
+
+def run_slam(
+    log: Log,
+    rig: Rig,
+    config: SlamConfig,
+    *,
+    slam: PlaneSlam | None = None,
+    batch: bool = False,
+    clock: StageClock | None = None,
+    progress: Progress | None = None,
+) -> Run:
+    """Estimate trajectory and planes of a log.
+
+    Args:
+        log, rig, config: what to work on, with which sensors, and how.
+        slam: an estimator to go on with, which has the first keyframes of the log already; None: a new one.
+        batch: solve the same graph once more as a whole at the end.
+        clock: takes the time of every stage.
+        progress: is told how many keyframes are done, and how many there are.
+
+    Raises:
+        LogError: the log lacks what the rig needs.
+    """
+    clock = clock or StageClock()
+    slam = slam or PlaneSlam(config)
+    slam.clock = slam.backend.clock = clock
+    done_before = len(slam.keyframes)
+    total = count_keyframes(log, rig, config)
+    frames = keyframes_of(log, rig, config, done_before)
+    for done in range(done_before, total):
+        with clock.stage("measure"):
+            keyframe = next(frames)
+        with clock.stage("estimate"):
+            _add(slam, keyframe, strict=config.keyframes.strict)
+        if progress is not None:
+            progress(done + 1, total)
+    if batch:
+        with clock.stage("batch"):
+            slam.adopt_batch()
+    with clock.stage("map"):
+        planes = slam.planes
+    trajectory = slam.trajectory
+    return Run(slam, planes, trajectory, odometry_of(log, rig, trajectory), log, rig, clock)
+
+
+def _add(slam: PlaneSlam, keyframe: Keyframe, *, strict: bool) -> None:
+    """Add a keyframe; what it saw is left out, with a note, where it is refused."""
+    try:
+        slam.add_keyframe(keyframe)
+    except ValueError as error:
+        if strict:
+            raise
+        slam.add_keyframe(replace(keyframe, observations=[], notes=(*keyframe.notes, str(error))))
+
+
+def odometry_of(log: Log, rig: Rig, trajectory: Trajectory) -> Trajectory:
+    """Odometry alone at the times of a trajectory, started at its first pose; empty without odometry."""
+    if not len(trajectory) or not log.odometry:
+        return Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
+    poses = OdometryTrack(log.odometry, rig.odometry).poses_at(trajectory.stamps_ns.tolist())
+    return Trajectory(trajectory.stamps_ns, trajectory.poses[0] @ inverse(poses[0]) @ poses)
+
+
+def path_length_m(trajectory: Trajectory) -> float:
+    """Length of a trajectory, m."""
+    return float(np.linalg.norm(np.diff(trajectory.poses[:, :3, 3], axis=0), axis=1).sum())

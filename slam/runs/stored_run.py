@@ -1,0 +1,83 @@
+"""A finished run, read back from its folder alone."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+
+from slam.errors import LogError
+from slam.evaluation.metrics import Metric
+from slam.io.planes_json import read_map
+from slam.io.trajectories import Trajectory, read_tum
+from slam.map.map_planes import MapPlane
+from slam.runs.history import History
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRun:
+    """The files of a run's folder."""
+
+    folder: Path
+    """Where it is."""
+    planes: list[MapPlane]
+    """The map."""
+    trajectory: Trajectory
+    """world_T_body of every keyframe, or the poses that were given."""
+    odometry: Trajectory
+    """Odometry alone; empty where the run had none."""
+    history: History
+    """What happened on the way."""
+    tables: list[tuple[str, list[Metric]]]
+    """The tables of metrics.json, with their captions; the run's own first."""
+
+    @classmethod
+    def read(cls, folder: Path | str) -> StoredRun:
+        """Read a run's folder; view.json and odometry.tum may be missing.
+
+        Raises:
+            LogError: no folder, or a file of it that is missing or is not what it should be.
+        """
+        folder = Path(folder)
+        if not (folder / "planes.json").is_file():
+            raise LogError(folder, "expected the folder of a run, found no planes.json in it")
+        history = History.read(folder / "view.json") if (folder / "view.json").exists() else History()
+        odometry = read_tum(folder / "odometry.tum") if (folder / "odometry.tum").exists() else _no_poses()
+        planes = []
+        for stored in read_map(folder / "planes.json"):
+            seen = history.seen.get(stored.id, stored.plane.outline or shapely.Polygon())
+            kinds = history.kinds.get(stored.id, ())
+            planes.append(MapPlane(stored.id, stored.plane, seen, stored.observations, kinds))
+        trajectory = read_tum(folder / "trajectory.tum")
+        return cls(folder, planes, trajectory, odometry, history, _tables(folder / "metrics.json"))
+
+
+def _tables(path: Path) -> list[tuple[str, list[Metric]]]:
+    """Every list of (metric, value, unit) in a metrics.json; none where there is no such file."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        pairs = [("the run" if key == "metrics" else str(key), value) for key, value in document.items()]
+        return [(caption, [_metric(row) for row in rows]) for caption, rows in pairs if _is_table(rows)]
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
+    except (ValueError, AttributeError, TypeError, KeyError, RecursionError) as error:
+        raise LogError(path, "expected the metrics.json of a run, got something else") from error
+
+
+def _is_table(rows: Any) -> bool:
+    return isinstance(rows, list) and bool(rows) and all(isinstance(row, dict) and "metric" in row for row in rows)
+
+
+def _metric(row: dict[str, Any]) -> Metric:
+    value = row["value"]
+    return Metric(str(row["metric"]), float("nan") if value is None else value, str(row["unit"]))
+
+
+def _no_poses() -> Trajectory:
+    return Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))

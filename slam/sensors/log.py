@@ -1,0 +1,107 @@
+"""What every reader returns: sensor data in time order, metric, right-handed, time in integer nanoseconds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from spplanes._check import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class LaserScan:
+    """One revolution of a 2D laser."""
+
+    stamp_ns: int
+    """Time of the first beam, ns."""
+    sensor: str
+    """Name of the sensor in the rig."""
+    ranges: FloatArray
+    """Range per beam, shape (B,), m; NaN = no return."""
+    angles: FloatArray
+    """Bearing per beam in the sensor's scan plane (x forward, y left), shape (B,), rad."""
+    world_T_body: FloatArray | None = None
+    """Pose of the robot that the record itself gives, localised or not, shape (4, 4); None: it gives none."""
+
+
+@dataclass(frozen=True, eq=False)
+class CloudScan:
+    """One 3D scan in the sensor's frame."""
+
+    stamp_ns: int
+    """Time of the scan, ns."""
+    sensor: str
+    """Name of the sensor in the rig."""
+    points: FloatArray
+    """Organised, shape (S, B, 3), or unorganised, shape (N, 3), m; NaN = no return."""
+    world_T_body: FloatArray | None = None
+    """Pose of the robot that comes with the scan, shape (4, 4); None: none does."""
+
+
+class StoredCloud(CloudScan):
+    """A 3D scan that stays in its file until its points are asked for: long logs need not fit into memory."""
+
+    def __new__(cls, *given: Any, **fields: Any) -> Any:
+        """Of the fields of a scan, as `dataclasses.replace` gives them, one in memory."""
+        return CloudScan(**fields) if "points" in fields else super().__new__(cls)
+
+    def __init__(
+        self, stamp_ns: int, sensor: str, read: Callable[[], FloatArray], world_T_body: FloatArray | None = None
+    ) -> None:
+        known = {"stamp_ns": stamp_ns, "sensor": sensor, "world_T_body": world_T_body, "_read": read}
+        for name, value in known.items():
+            object.__setattr__(self, name, value)  # frozen: set once, here
+
+    def loaded(self) -> CloudScan:
+        """The scan with its points in memory."""
+        return CloudScan(self.stamp_ns, self.sensor, self.points, self.world_T_body)
+
+    def __repr__(self) -> str:
+        return f"StoredCloud(stamp_ns={self.stamp_ns}, sensor={self.sensor!r})"  # without reading it
+
+    @property
+    def points(self) -> FloatArray:  # type: ignore[override]  # a field there, read each time here
+        """Organised, shape (S, B, 3), m; NaN = no return. Raises `LogError` where the file is damaged."""
+        return self._read()  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True, eq=False)
+class OdometryReading:
+    """Pose of the robot according to its odometry."""
+
+    stamp_ns: int
+    """Time of the reading, ns."""
+    odom_T_body: FloatArray
+    """Body in the odometry frame, shape (4, 4)."""
+
+
+Event = LaserScan | CloudScan | OdometryReading
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """A mission as the sensors told it."""
+
+    events: list[Event]
+    """In time order; of equal times odometry comes first."""
+    source: Path
+    """File or folder it was read from."""
+    notes: list[str] = field(default_factory=list)
+    """What the reader skipped or repaired, one sentence each."""
+    mounts: dict[str, FloatArray] = field(default_factory=dict)
+    """body_T_sensor (4, 4) of the sensors whose mount the log itself tells."""
+
+    @property
+    def odometry(self) -> list[OdometryReading]:
+        """The odometry readings, in time order."""
+        return [event for event in self.events if isinstance(event, OdometryReading)]
+
+    def scans(self, sensor: str | None = None) -> list[LaserScan | CloudScan]:
+        """The scans of one sensor, or of all, in time order."""
+        return [
+            event
+            for event in self.events
+            if not isinstance(event, OdometryReading) and (sensor is None or event.sensor == sensor)
+        ]

@@ -1,0 +1,63 @@
+"""What the points of a plane err in: each beam by itself, patches of a surface and lines of a servo alike."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.sensors.rig import Sensor
+from spplanes import Plane
+from spplanes._check import FloatArray
+from spplanes.noise import SensorModel
+from spplanes.segmentation.validation._patch_kernels import numbered, patches_of, with_shared
+
+
+def model_of(sensor: Sensor) -> SensorModel:
+    """Errors of the sensor's beams."""
+    return SensorModel(
+        range_sigma_m=sensor.range_sigma_m,
+        bearing_sigma_rad=sensor.bearing_sigma_rad,
+        quantisation_m=sensor.quantisation_m,
+    )
+
+
+def surface_covariances(points: FloatArray, covariances: FloatArray, frame: FloatArray, sensor: Sensor) -> FloatArray:
+    """Covariances (N, 3, 3) of the points of a plane, frame (4, 4), that carry the surface's own error as well.
+
+    The surface is cut into square patches of the correlation length; the points of one patch share an error of
+    `surface_sigma_m` along the normal. n points that share it say as much as n points with n times its variance each,
+    so a patch seen by many beams counts no more than its surface allows.
+    """
+    if sensor.surface_sigma_m == 0.0:
+        return covariances
+    row, column, n_rows, n_columns = patches_of(points, frame, sensor.surface_correlation_m)
+    patch, count = numbered(row * n_columns + column, n_rows * n_columns)
+    return with_shared(covariances, patch, count, frame[None, :3, 2], sensor.surface_sigma_m**2)
+
+
+def line_tilt_covariances(sensor: Sensor, n_lines: int) -> FloatArray | None:
+    """Covariances (S, 6, 6) of the errors (x, y, z, phi, theta, psi) of a tilting scanner's lines; None: none."""
+    if sensor.tilt_sigma_rad == 0.0:
+        return None
+    return np.tile(np.diag([0.0, 0.0, 0.0, 0.0, sensor.tilt_sigma_rad**2, 0.0]), (n_lines, 1, 1))
+
+
+def servo_covariances(points: FloatArray, covariances: FloatArray, line: np.ndarray, sensor: Sensor) -> FloatArray:
+    """Covariances (N, 3, 3) of a plane's points (N, 3) that also carry the servo's error, which lines (N,) share.
+
+    The lines are taken in blocks of `tilt_correlation_lines` that err alike, each block on its own. As with surfaces, n
+    points that share an error say as much as n points with n times its variance each.
+    """
+    if sensor.tilt_sigma_rad == 0.0:
+        return covariances
+    block = (line / sensor.tilt_correlation_lines).astype(np.int64)
+    return with_shared(covariances, block, int(block.max(initial=0)) + 1, _lever(points), sensor.tilt_sigma_rad**2)
+
+
+def tilt_drift(plane: Plane, points: FloatArray, sensor: Sensor) -> FloatArray:
+    """Standard deviation of the shift along the plane's normal that the servo's error gives points (N, 3), (N,), m."""
+    return sensor.tilt_sigma_rad * np.abs(_lever(points) @ plane.normal)
+
+
+def _lever(points: FloatArray) -> FloatArray:
+    """How points (N, 3) move when the servo turns them about y, m per rad, shape (N, 3)."""
+    return np.stack((points[:, 2], np.zeros(len(points)), -points[:, 0]), axis=1)

@@ -1,0 +1,1 @@
+"""Sessions: the run on disk, replay and resume, salvage, prior maps."""

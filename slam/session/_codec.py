@@ -1,0 +1,245 @@
+"""Measurements and decisions as bytes and back, bit for bit: JSON for the structure, raw arrays behind it.
+
+Only the classes listed here can come out of a file; nothing in a file is ever run.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Sequence
+from dataclasses import fields
+from math import pi
+from typing import Any
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from slam._field_types import check_fields, holds
+from slam.association.data_association import Candidate, Decision
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import LineObservation, PlaneObservation
+from slam.frontend.odometry import Motion
+from slam.io.spool import StoredScan
+from slam.map.map_planes import MapPlane
+from slam.sensors.log import CloudScan, LaserScan, StoredCloud
+from spplanes import Plane, ScanLine
+
+_CLASSES: dict[str, type] = {
+    one.__name__: one
+    for one in (
+        Candidate,
+        CloudScan,
+        Decision,
+        Keyframe,
+        LaserScan,
+        LineObservation,
+        MapPlane,
+        Motion,
+        Plane,
+        PlaneObservation,
+        ScanLine,
+    )
+}
+#: Numbers an array may have, by their name in a record: floats, integers, booleans.
+_NUMBERS = {
+    np.dtype(one).newbyteorder("<").str: np.dtype(one).newbyteorder("<")
+    for one in ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?", np.longdouble)
+}
+_LENGTH = struct.Struct("<I")
+#: Written as they are.
+_PLAIN = {bool, int, float, str, type(None)}
+#: What is put together of others, and read as it was written.
+_READ_AS_THEY_ARE = {tuple, list, dict, shapely.Polygon, shapely.MultiPolygon, shapely.LineString, shapely.Point}
+#: The fields of each class, in order.
+_FIELDS = {kind: tuple(one.name for one in fields(kind)) for kind in _CLASSES.values()}
+
+
+class CodecError(ValueError):
+    """Bytes that are not what `encode` writes, or a value it has no form for."""
+
+
+def encode(value: Any) -> bytes:
+    """A value out of plain numbers, strings, lists, tuples, dicts, arrays, shapely geometries and the known classes."""
+    return encode_and_compare(value)[0]
+
+
+def encode_and_compare(value: Any) -> tuple[bytes, bool]:
+    """A value as `encode` writes it, and whether `decode` is known to make the very same of it.
+
+    It does not of what is no array in C order, of a class derived from the known ones, of numbers of numpy, and of what
+    the known classes put right when they are made.
+
+    Raises:
+        ValueError: a field of a known class holds something else than the class states; a value there is no form for.
+    """
+    buffers: list[bytes] = []
+    writer = _Writer(buffers)
+    text = json.dumps(writer.plain(value), separators=(",", ":")).encode()
+    return b"".join((_LENGTH.pack(len(text)), text, *buffers)), writer.same
+
+
+def decode(data: bytes) -> Any:
+    """Inverse of `encode`; arrays are C-contiguous copies of their own.
+
+    Raises:
+        CodecError: the bytes are not of this form, name a class that is none of ours, or make no such object.
+    """
+    try:
+        (size,) = _LENGTH.unpack_from(data)
+        text, buffers = data[_LENGTH.size : _LENGTH.size + size], memoryview(data)[_LENGTH.size + size :]
+        return _Reader(buffers).value(json.loads(text))
+    except CodecError:
+        raise
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError) as error:
+        raise CodecError(f"expected a record of a session, got other bytes ({str(error)[:80]})") from error
+    except (struct.error, RecursionError, MemoryError, NotImplementedError, shapely.errors.ShapelyError) as error:
+        raise CodecError(f"expected a record of a session, got other bytes ({type(error).__name__})") from error
+
+
+def without_scans(keyframe: Keyframe) -> dict[str, Any]:
+    """The fields of a keyframe that the estimator needs: all but its raw scans."""
+    return {one.name: getattr(keyframe, one.name) for one in fields(keyframe) if one.name != "scans"}
+
+
+def keyframe_of(data: bytes) -> Keyframe:
+    """A keyframe out of the bytes of `without_scans`."""
+    values = decode(data)
+    if not isinstance(values, dict):
+        raise CodecError(f"expected the fields of a keyframe, got {type(values).__name__}")
+    try:
+        made = Keyframe(**values)
+        check_fields("keyframe", made)
+    except (TypeError, ValueError) as error:
+        raise CodecError(f"expected the fields of a keyframe, got others ({error})") from error
+    return made
+
+
+def decisions_of(data: bytes) -> list[Decision]:
+    """The decisions about a keyframe."""
+    return _held(decode(data), list[Decision])
+
+
+def scan_of(data: bytes) -> LaserScan | CloudScan:
+    """A raw scan."""
+    return _held(decode(data), LaserScan | CloudScan)
+
+
+def _held(value: Any, hint: Any) -> Any:
+    if not holds(value, hint):
+        raise CodecError(f"expected a record of {hint}, got {type(value).__name__}")
+    return value
+
+
+class _Writer:
+    def __init__(self, buffers: list[bytes]) -> None:
+        self._buffers = buffers
+        self._end = 0
+        #: Whether all that was written so far will be read as it was.
+        self.same = True
+
+    def plain(self, value: Any) -> Any:
+        kind = type(value)
+        if kind in _PLAIN:
+            return value
+        if kind is np.ndarray:
+            return {"array": self._array(value)}
+        if kind in _FIELDS:
+            check_fields(kind.__name__, value)  # as the reader will: what it would refuse must not be written
+            self.same &= _stays(value)
+            content = {one: self.plain(getattr(value, one)) for one in _FIELDS[kind]}
+            return {"class": kind.__name__, "fields": content}
+        self.same &= kind in _READ_AS_THEY_ARE
+        if isinstance(value, np.ndarray):
+            return {"array": self._array(value)}
+        if isinstance(value, bool | int | float | str):
+            return value
+        if isinstance(value, np.generic):
+            return self.plain(value.item())
+        if isinstance(value, tuple):
+            return {"tuple": [self.plain(one) for one in value]}
+        if isinstance(value, BaseGeometry):
+            return {"shape": self._put(shapely.to_wkb(value, byte_order=1))}
+        if isinstance(value, dict):
+            return {"dict": {_name(key): self.plain(one) for key, one in value.items()}}
+        if isinstance(value, StoredCloud | StoredScan):
+            return self.plain(value.loaded())
+        if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
+            return [self.plain(one) for one in value]
+        raise CodecError(f"expected a measurement that a session knows, got {kind.__name__}")
+
+    def _array(self, value: np.ndarray) -> list[Any]:
+        name = value.dtype.str
+        little = name.replace(">", "<")
+        if little not in _NUMBERS:
+            raise CodecError(f"expected an array of numbers, got one of {value.dtype}")
+        self.same &= little == name and value.flags.c_contiguous
+        if little != name:
+            value = value.astype(little)
+        return [little, list(value.shape), *self._put(value.tobytes())]
+
+    def _put(self, data: bytes) -> list[int]:
+        start, self._end = self._end, self._end + len(data)
+        self._buffers.append(data)
+        return [start, len(data)]
+
+
+def _stays(value: Any) -> bool:
+    """Whether a value of a known class is one that its constructor leaves as it is."""
+    if type(value) is Plane:
+        return value.covariance.tobytes() == value.covariance.T.tobytes()
+    return type(value) is not ScanLine or (-pi < value.alpha <= pi and value.indices.dtype == np.int64)
+
+
+class _Reader:
+    def __init__(self, buffers: memoryview) -> None:
+        self._buffers = buffers
+
+    def value(self, plain: Any) -> Any:
+        if isinstance(plain, list):
+            return [self.value(one) for one in plain]
+        if not isinstance(plain, dict):
+            return plain
+        kind = next(iter(plain), None)
+        content: Any = plain[kind] if kind else None
+        if kind == "array":
+            return self._array(*content)
+        if kind == "tuple":
+            return tuple(self.value(one) for one in content)
+        if kind == "shape":
+            return self._shape(*content)
+        if kind == "dict":
+            return {key: self.value(one) for key, one in content.items()}
+        if kind == "class" and content in _CLASSES:
+            made = _CLASSES[content](**{key: self.value(one) for key, one in plain["fields"].items()})
+            check_fields(content, made)
+            return made
+        raise CodecError(
+            f"expected a record of a session, got an unknown {str(content if kind == 'class' else kind)!r:.60}"
+        )
+
+    def _shape(self, start: int, size: int) -> Any:
+        with np.errstate(invalid="ignore"):  # a NaN that signals
+            found = shapely.from_wkb(bytes(self._get(start, size)))
+        if not np.isfinite(shapely.get_coordinates(found)).all():
+            raise CodecError("expected the outline of a plane, got one that is not finite")
+        return found
+
+    def _array(self, name: str, shape: list[int], start: int, size: int) -> np.ndarray:
+        kind = _NUMBERS.get(name)
+        if kind is None or min(shape, default=0) < 0:
+            raise CodecError(f"expected an array of numbers, got {name:.20} of shape {str(shape)[:60]}")
+        flat = np.frombuffer(self._get(start, size), dtype=kind).reshape(shape)
+        return flat.copy() if kind.isnative else flat.astype(kind.newbyteorder("="))
+
+    def _get(self, start: int, size: int) -> memoryview:
+        if not 0 <= start <= start + size <= len(self._buffers):
+            raise CodecError("expected a record of a session, got one that breaks off")
+        return self._buffers[start : start + size]
+
+
+def _name(key: object) -> str:
+    if not isinstance(key, str):
+        raise CodecError(f"expected names as keys, got {key!r}")
+    return key

@@ -1,0 +1,194 @@
+"""What a session tells: every record checked against its checksum whenever it is read."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from slam.association.data_association import Decision
+from slam.config import SlamConfig
+from slam.frontend.keyframes import Keyframe
+from slam.sensors.log import CloudScan, LaserScan
+from slam.sensors.rig import Rig
+from slam.session._codec import CodecError, decisions_of, keyframe_of, scan_of
+from slam.session._digest import digest
+from slam.session._file import SessionDamaged, SessionError, translated
+from slam.session._opening import OpenFile
+
+#: Parameters in the order in which the chain of checksums begins with them.
+_PARAMETERS = ("config", "rig", "prior", "program")
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """What a session knows about one keyframe."""
+
+    keyframe: Keyframe
+    """Its measurements, without the raw scans."""
+    decisions: list[Decision] | None
+    """What they were taken for; None: the run ended before that was known."""
+
+
+@dataclass(frozen=True, eq=False)
+class RawScan:
+    """A raw scan behind a keyframe."""
+
+    sensor: str
+    """Name of the sensor."""
+    stamp_ns: int
+    """Time of the scan, ns."""
+    position: int | None
+    """Its place among the events of the log, counted from 0; None: it came from no log."""
+    scan: LaserScan | CloudScan | None
+    """The scan itself, where the session keeps it by value."""
+
+
+class SessionRecords:
+    """The records of an open session; all methods raise `SessionError`."""
+
+    def __init__(self, path: Path, found: OpenFile, *, damaged: bool = False) -> None:
+        self.path, self._file = path, found
+        self._db, self._version = found.connection, found.version
+        with translated(path):
+            self._db.execute("BEGIN")  # one state of the file, whatever its writer does meanwhile
+        try:
+            self._load(damaged)
+        finally:
+            with translated(path):
+                if self._db.in_transaction:
+                    self._db.execute("COMMIT")
+
+    def _load(self, damaged: bool) -> None:
+        parameters = {key: self._read("session", key) for key in _PARAMETERS}
+        try:
+            self.config = SlamConfig.model_validate(json.loads(parameters["config"] or b"null"))
+            self.rig = Rig.model_validate_json(parameters["rig"]) if parameters["rig"] is not None else None
+        except ValueError as error:
+            raise SessionError(f"{self.path}: expected the parameters of a run, got others") from error
+        self.prior = parameters["prior"]
+        self._last = b""
+        self._root = digest(*(parameters[key] for key in _PARAMETERS))
+        if damaged:  # nobody knows how many there were
+            self._size = sys.maxsize
+            return
+        self._size = int(self._one("SELECT count(*) FROM keyframes")[0])
+        self._last = self._digest_of(self._size - 1)
+        self._check_seal()
+
+    def __len__(self) -> int:
+        """Number of keyframes recorded, as of opening when another process writes."""
+        return self._size
+
+    @property
+    def read_only(self) -> bool:
+        """Whether it was opened to be read."""
+        return self._file.lock is None
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the run came to its end, results written."""
+        return self._state["state"] == "finished"
+
+    @property
+    def log(self) -> dict[str, Any] | None:
+        """Where the data come from, as given to `create`."""
+        return json.loads(self._read("session", "log") or b"null")
+
+    def entries(self) -> Iterator[Entry]:
+        """All keyframes with their decisions, in order.
+
+        Raises:
+            SessionDamaged: at the first record that is not what was written; those before it have been given.
+        """
+        chain = self._root
+        for index in range(self._size):
+            row = self._one("SELECT stamp_ns, data, digest FROM keyframes WHERE id = ?", index)
+            chain = digest(chain, index, row[0], row[1]) if row is not None else b""
+            if row is None or chain != row[2]:
+                raise self._damaged(index)
+            yield Entry(self._checked(keyframe_of, row[1], index), self.decisions(index, chain))
+
+    def keyframe(self, index: int) -> Keyframe:
+        """The measurements of one keyframe."""
+        row = self._one("SELECT stamp_ns, data, digest FROM keyframes WHERE id = ?", index)
+        if row is None or digest(self._digest_of(index - 1), index, row[0], row[1]) != row[2]:
+            raise self._damaged(index)
+        return self._checked(keyframe_of, row[1], index)
+
+    def decisions(self, index: int, chain: bytes | None = None) -> list[Decision] | None:
+        """What the measurements of a keyframe were taken for; None: not recorded."""
+        row = self._one("SELECT data, digest FROM decisions WHERE keyframe = ?", index)
+        if row is None:
+            if index < self._size - 1 < sys.maxsize - 1:
+                raise self._damaged(index)
+            return None
+        if digest(chain or self._digest_of(index), row[0]) != row[1]:
+            raise self._damaged(index)
+        return self._checked(decisions_of, row[0], index)
+
+    def scans(self, index: int) -> list[RawScan]:
+        """The raw scans behind a keyframe: what they are, where they lie in the log, and they themselves if kept."""
+        if self._version < 2:
+            return []
+        with translated(self.path):
+            rows = self._db.execute(
+                "SELECT number, sensor, stamp_ns, position, data, digest FROM scans WHERE keyframe = ? ORDER BY number",
+                (index,),
+            ).fetchall()
+        found = []
+        for *row, checksum in rows:
+            if digest(self._digest_of(index), *row) != checksum:
+                raise self._damaged(index)
+            _, sensor, stamp_ns, position, data = row
+            scan = None if data is None else self._checked(scan_of, data, index)
+            found.append(RawScan(sensor, stamp_ns, position, scan))
+        return found
+
+    def result(self, key: str) -> bytes | None:
+        """Something that `finish` kept."""
+        return self._read("results", key) if self._version >= 2 else None
+
+    @property
+    def _state(self) -> dict[str, Any]:
+        return json.loads(self._read("session", "state") or b'{"state": "running", "keyframes": 0}')
+
+    def _check_seal(self) -> None:
+        seal = self._state
+        extra = self._one("SELECT count(*) FROM decisions WHERE keyframe >= ?", self._size)[0]
+        if self._size < seal["keyframes"] or extra:
+            raise self._damaged(self._size, max(seal["keyframes"], self._size + extra))
+        if seal["keyframes"] and self._digest_of(seal["keyframes"] - 1).hex() != seal["chain"]:
+            raise self._damaged(seal["keyframes"] - 1)
+
+    def _one(self, query: str, *values: object) -> Any:
+        with translated(self.path):
+            return self._db.execute(query, values).fetchone()
+
+    def _read(self, table: str, key: str) -> bytes | None:
+        row = self._one(f"SELECT data, digest FROM {table} WHERE key = ?", key)
+        if row is not None and digest(key, row[0]) != row[1]:
+            raise SessionDamaged(f"{self.path}: damaged; the record of its {key} is not what was written")
+        return None if row is None else row[0]
+
+    def _digest_of(self, index: int) -> bytes:
+        if index < 0:
+            return self._root
+        if index == self._size - 1 and self._last:
+            return self._last
+        row = self._one("SELECT digest FROM keyframes WHERE id = ?", index)
+        if row is None or not isinstance(row[0], bytes):
+            raise self._damaged(index)
+        return row[0]
+
+    def _checked(self, read: Any, data: bytes, index: int) -> Any:
+        try:
+            return read(data)
+        except CodecError as error:
+            raise SessionError(f"{self.path}: keyframe {index}: {error}") from error
+
+    def _damaged(self, index: int, size: int | None = None) -> SessionDamaged:
+        return SessionDamaged(f"{self.path}: damaged at keyframe {index} of {size or self._size}")

@@ -1,0 +1,199 @@
+"""A finished map as what the next mission knows beforehand: to localise in it, and to extend it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import gtsam
+import numpy as np
+from scipy.linalg import block_diag
+
+from factors import anchored_plane_jacobian, map_prior, plane_landmark, pose_prior
+from slam._field_types import check_fields
+from slam.backend.estimator import Backend
+from slam.errors import LogError
+from slam.frontend.input_checks import check_extent
+from slam.io.planes_json import read_planes
+from slam.map.landmarks import Landmark, LandmarkMap
+from slam.map.map_planes import MapPlane
+from slam.session._codec import CodecError, decode, encode
+from slam.session.store import Session, SessionError, session_path
+from spplanes._check import FloatArray, as_covariance, as_transform, check_instance
+
+#: GTSAM key of the pose in whose frame the planes of a prior map live: that of the map itself.
+MAP_KEY = gtsam.symbol("m", 0)
+#: The map's own frame is where it is: sigma of its pose, m and rad.
+_EXACT = 1e-6
+#: Standard deviations of planes that a map can tell from none and from ignorance, m and rad.
+_LEAST_SIGMA, _LARGEST_SIGMA = 1e-9, 1e3
+#: Numbers of planes are below this; GTSAM's keys have 56 bits for them, and new landmarks are counted from the last on.
+_MOST_NUMBERS = 1 << 48
+#: Where a mission begins when nobody says: sigmas of x and y, m, and of the heading, rad.
+START_SIGMA_M, START_SIGMA_RAD = 0.3, 0.1
+#: What a robot on a floor may be off it at the start: sigma of z, m, and of pitch and roll, rad.
+_FLOOR_SIGMA_M, _FLOOR_SIGMA_RAD = 1e-3, 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class PriorMap:
+    """The planes of an earlier mission, how sure they are together, and where in them the new mission starts."""
+
+    planes: Sequence[MapPlane]
+    """Planes in the world of the earlier mission, which is the world of the new one too."""
+    covariance: FloatArray
+    """Of the (z, theta, psi) of all planes in their frames, stacked, shape (3 N, 3 N)."""
+    world_T_start: FloatArray
+    """First pose of the new mission, shape (4, 4)."""
+    start_covariance: FloatArray
+    """Covariance (6, 6) of it in the SP order (x, y, z, phi, theta, psi), composed on the right."""
+
+    def __post_init__(self) -> None:
+        check_instance("planes", self.planes, Sequence)
+        if not self.planes:
+            raise ValueError("planes: expected at least one plane, got none")
+        for index, known in enumerate(self.planes):
+            check_instance(f"planes[{index}]", known, MapPlane)
+            check_fields(f"planes[{index}]", known)
+            check_extent(f"planes: plane {known.id}", known.plane.frame, known.seen)
+        numbers = [known.id for known in self.planes]
+        if len(set(numbers)) < len(numbers) or not 0 <= min(numbers) <= max(numbers) < _MOST_NUMBERS:
+            raise ValueError(f"planes: expected each with a number of its own, got {str(sorted(numbers))[:60]}")
+        size = 3 * len(self.planes)
+        object.__setattr__(self, "covariance", as_covariance("covariance", self.covariance, size))
+        sigmas = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        if sigmas.size and not _LEAST_SIGMA <= sigmas.min() <= sigmas.max() <= _LARGEST_SIGMA:
+            wanted = f"standard deviations of planes from {_LEAST_SIGMA:g} to {_LARGEST_SIGMA:g}"
+            raise ValueError(f"covariance: expected {wanted}, got {sigmas.min():.3g} to {sigmas.max():.3g}")
+        object.__setattr__(self, "world_T_start", as_transform("world_T_start", self.world_T_start))
+        covariance = as_covariance("start_covariance", self.start_covariance, 6)
+        if np.linalg.eigvalsh(covariance)[0] <= 0.0:
+            raise ValueError("start_covariance: expected a positive definite covariance, got a singular one")
+        object.__setattr__(self, "start_covariance", covariance)
+
+    @classmethod
+    def load(
+        cls, path: Path | str, *, world_T_start: FloatArray | None = None, start_covariance: FloatArray | None = None
+    ) -> PriorMap:
+        """The map of a finished run (its folder or session), or a planes.json.
+
+        A run knows how its planes hang together. A planes.json has the covariance of each alone; they are then taken as
+        independent, which says too much of what they share: the earlier mission's drift.
+
+        Args:
+            path: the run, or the file.
+            world_T_start: where the mission starts in the map, shape (4, 4); None: where the earlier one did.
+            start_covariance: of it, as in the class; None: 0.3 m and 0.1 rad on the floor.
+
+        Raises:
+            ValueError: no such file, no finished run, no planes.
+        """
+        path = Path(path)
+        if path.suffix == ".json":
+            planes, covariance = _independent(path)
+        else:
+            planes, covariance = _of_run(path)
+        if not planes:
+            raise LogError(path, "expected a map with planes, got none")
+        start = np.eye(4) if world_T_start is None else world_T_start
+        return cls(planes, covariance, start, floor_start() if start_covariance is None else start_covariance)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What whoever reads the results must know: one sentence each."""
+        size = 3 * len(self.planes)
+        beside = self.covariance.copy()
+        for start in range(0, size, 3):
+            beside[start : start + 3, start : start + 3] = 0.0
+        if size <= 3 or beside.any():
+            return []
+        return [
+            f"the {len(self.planes)} planes of the prior map are taken as independent, for it does not tell what they "
+            "share (the drift of its mission): standard deviations come out too small; give the run's folder instead"
+        ]
+
+    def plant(self, landmarks: LandmarkMap, backend: Backend) -> None:
+        """Put the planes into an empty graph and an empty map as landmarks, with their joint prior."""
+        values, keys = gtsam.Values(), []
+        values.insert(MAP_KEY, gtsam.Pose3())
+        for known in self.planes:
+            key = gtsam.symbol("p", known.id)
+            values.insert(key, plane_landmark(known.plane))
+            keys.append(key)
+            seen, frame = max(known.observations, 2), known.plane.frame
+            landmarks.plant(
+                Landmark(known.id, key, MAP_KEY, frame, known.seen, n_points=known.plane.n_points, known=seen)
+            )
+        factors = [
+            pose_prior(MAP_KEY, np.eye(4), _EXACT**2 * np.eye(6)),
+            map_prior([known.plane for known in self.planes], keys, self.covariance),
+        ]
+        backend.update(factors, values)
+        landmarks.refresh(backend)
+
+    def to_bytes(self) -> bytes:
+        """For a session."""
+        return encode(
+            {
+                "planes": list(self.planes),
+                "covariance": self.covariance,
+                "world_T_start": self.world_T_start,
+                "start_covariance": self.start_covariance,
+            }
+        )
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> PriorMap:
+        """Inverse of `to_bytes`; a ValueError where it is not that."""
+        content = decode(data)
+        try:
+            return cls(**content)
+        except TypeError as error:
+            raise CodecError(f"expected a prior map, got something else ({error})") from error
+
+
+def floor_start(sigma_m: float = START_SIGMA_M, sigma_rad: float = START_SIGMA_RAD) -> FloatArray:
+    """Covariance (6, 6) of the start of a robot on the floor whose place is known to ``sigma_m`` and ``sigma_rad``."""
+    sigmas = (sigma_m, sigma_m, _FLOOR_SIGMA_M, sigma_rad, _FLOOR_SIGMA_RAD, _FLOOR_SIGMA_RAD)
+    return np.diag(np.square(sigmas))
+
+
+def finished_map(planes: Sequence[MapPlane], landmarks: LandmarkMap, backend: Backend) -> bytes:
+    """The map of a run with the joint covariance of its planes, for a session to keep."""
+    return encode({"planes": list(planes), "covariance": map_covariance(planes, landmarks, backend)})
+
+
+def map_covariance(planes: Sequence[MapPlane], landmarks: LandmarkMap, backend: Backend) -> FloatArray:
+    """Joint covariance of the (z, theta, psi) of map planes in their frames, stacked, shape (3 N, 3 N)."""
+    owners = [landmarks[known.id] for known in planes]
+    if not owners:
+        return np.empty((0, 0))
+    keys = sorted({key for one in owners for key in (one.anchor_key, one.key)})
+    joint = backend.read_joint_covariance(keys)
+    jacobian = np.zeros((3 * len(owners), len(joint.full)))
+    for row, (known, one) in enumerate(zip(planes, owners, strict=True)):
+        columns = joint.columns([one.anchor_key, one.key])
+        block = anchored_plane_jacobian(backend.plane(one.key), backend.pose(one.anchor_key), known.plane.frame)
+        jacobian[3 * row : 3 * row + 3, columns] = block
+    return jacobian @ joint.full @ jacobian.T
+
+
+def _of_run(path: Path) -> tuple[list[MapPlane], FloatArray]:
+    with Session.open(session_path(path), read_only=True) as session:
+        data = session.result("map")
+    if data is None:
+        raise SessionError(f"{path}: expected a finished run, got one that has no map yet")
+    content = decode(data)
+    if not isinstance(content, dict) or content.keys() != {"planes", "covariance"}:
+        raise SessionError(f"{path}: expected the map of a finished run, got something else")
+    return content["planes"], content["covariance"]
+
+
+def _independent(path: Path) -> tuple[list[MapPlane], FloatArray]:
+    entries = [
+        MapPlane(number, plane, plane.outline, 2, ("plane",))
+        for number, plane in enumerate(read_planes(path))
+        if plane.outline is not None
+    ]
+    return entries, np.asarray(block_diag(*(entry.plane.covariance for entry in entries)))

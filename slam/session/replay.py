@@ -1,0 +1,150 @@
+"""A `PlaneSlam` with its session: recording while it runs, and replaying what was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import MutableSequence, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, Protocol, TypeVar
+
+import numpy as np
+
+from slam.association.data_association import Decision
+from slam.config import SlamConfig
+from slam.frontend.keyframes import Keyframe
+from slam.sensors.log import Log
+from slam.session._codec import encode
+from slam.session.forgetting import ForgottenDecisions, ForgottenKeyframes
+from slam.session.prior_map import PriorMap
+from slam.session.recorder import Recorder
+from slam.session.store import Session, SessionError, session_path
+
+
+class Estimator(Protocol):
+    """What a session can be replayed into: made of a configuration, a prior map and a recorder, and fed keyframes."""
+
+    def __init__(
+        self, config: SlamConfig | None = None, *, prior: PriorMap | None = None, recorder: Recorder | None = None
+    ) -> None: ...
+
+    def add_keyframe(self, keyframe: Keyframe) -> Any:
+        """Take in what a keyframe saw."""
+        ...
+
+
+Slam = TypeVar("Slam", bound=Estimator)
+RawScans = Literal["reference", "value"]
+#: Numbers of a decision made again may differ by this share from those recorded; choices may not differ at all.
+_SAME = 1e-9
+
+
+class SessionRecorder(Recorder):
+    """Commits what it is told; of keyframes that the session has already it checks that they come out the same.
+
+    Args:
+        session: open for writing, or read only to replay it.
+        log: the log whose scans these are, so that each is recorded with its place there.
+        raw: "reference": sensor, time and place in the log of every raw scan; "value": the scan itself as well.
+        forget: keep measurements on disk alone, so that memory does not grow with them.
+    """
+
+    def __init__(
+        self, session: Session, *, log: Log | None = None, raw: RawScans = "reference", forget: bool = False
+    ) -> None:
+        self.session = session
+        self._by_value, self._forget = raw == "value", forget
+        self._places = {} if log is None else {id(event): place for place, event in enumerate(log.events)}
+
+    def keyframes(self) -> MutableSequence[Keyframe]:
+        """In memory, or each read anew from the session when somebody looks at its measurements."""
+        return ForgottenKeyframes(self.session) if self._forget else []
+
+    def decisions(self) -> MutableSequence[list[Decision]]:
+        """In memory, or read from the session when somebody looks at them."""
+        return ForgottenDecisions(self.session) if self._forget else []
+
+    def measured(self, index: int, keyframe: Keyframe) -> Keyframe:
+        """Commit measurements, or find them committed."""
+        if index < len(self.session):
+            return keyframe
+        if self.session.read_only:
+            raise SessionError(f"{self.session.path}: opened to be read only")
+        scans = [(self._places.get(id(one)), encode(one) if self._by_value else None) for one in keyframe.scans]
+        stored = self.session.add_keyframe(keyframe, scans)
+        return stored if self._forget else replace(stored, scans=keyframe.scans)
+
+    def decided(self, index: int, decisions: Sequence[Decision]) -> None:
+        """Commit decisions, or compare them with those committed."""
+        recorded = self.session.decisions(index) if index < len(self.session) else None
+        if recorded is not None:
+            _check_same(self.session, index, recorded, decisions)
+        elif not self.session.read_only:
+            self.session.add_decisions(index, decisions)
+
+    def close(self) -> None:
+        """Close the session."""
+        self.session.close()
+
+
+def open_slam(
+    kind: type[Slam], path: Path | str, config: SlamConfig | None, *, read_only: bool, forget_raw: bool
+) -> Slam:
+    """What `PlaneSlam.open` does."""
+    path = session_path(path)
+    if not path.exists() and not read_only:
+        session = Session.create(path, config or SlamConfig())
+    else:
+        session = Session.open(path, read_only=read_only)
+    try:
+        if config is not None and config != session.config:
+            raise SessionError(f"{path}: expected the configuration that it was made with, got another one")
+        return resumed(kind, session, SessionRecorder(session, forget=forget_raw))
+    except BaseException:
+        session.close()
+        raise
+
+
+def resumed(kind: type[Slam], session: Session, recorder: SessionRecorder) -> Slam:
+    """An estimator in the state that a session ended in."""
+    prior = None if session.prior is None else PriorMap.from_bytes(session.prior)
+    slam = kind(session.config, prior=prior, recorder=recorder)
+    replay(session, slam)
+    return slam
+
+
+def replay(session: Session, slam: Estimator) -> None:
+    """Feed an estimator everything a session knows; decisions that come out otherwise are a SessionError."""
+    for entry in session.entries():
+        slam.add_keyframe(entry.keyframe)
+
+
+def is_measured_again(session: Session, index: int, keyframe: Keyframe) -> bool:
+    """Whether a keyframe measured anew is the one that was recorded, bit for bit."""
+    again, before = replace(keyframe, scans=()), session.keyframe(index)
+    return encode(again) == encode(before)
+
+
+def _check_same(session: Session, index: int, recorded: Sequence[Decision], decisions: Sequence[Decision]) -> None:
+    for before, now in zip(recorded, decisions, strict=False):
+        if _choice(before) != _choice(now) or not np.allclose(_numbers(before), _numbers(now), rtol=_SAME, atol=_SAME):
+            raise SessionError(
+                f"{session.path}: keyframe {index}, observation {now.observation}: recorded as {_say(before)}, "
+                f"decided again as {_say(now)}; go on with the version that began it"
+            )
+    if len(recorded) != len(decisions):
+        raise SessionError(
+            f"{session.path}: keyframe {index}: expected {len(recorded)} decisions, got {len(decisions)}"
+        )
+
+
+def _choice(decision: Decision) -> tuple[Any, ...]:
+    found = tuple((one.landmark, one.dof, one.confirmed) for one in decision.candidates)
+    return decision.observation, decision.verdict, decision.match and decision.match.landmark, found
+
+
+def _numbers(decision: Decision) -> list[float]:
+    return [number for one in decision.candidates for number in (one.chi2, one.log_likelihood)]
+
+
+def _say(decision: Decision) -> str:
+    return decision.verdict if decision.match is None else f"landmark {decision.match.landmark}"

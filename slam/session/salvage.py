@@ -1,0 +1,109 @@
+"""What can be saved of a damaged session: the longest beginning of it that is what was written."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from itertools import count
+from pathlib import Path
+
+from slam.session._codec import encode
+from slam.session._lock import WriterLock
+from slam.session.store import RawScan, Session, SessionDamaged, SessionError, session_path
+
+_SUFFIXES = ("", "-wal", "-shm")
+
+
+@dataclass(frozen=True)
+class Salvage:
+    """What became of a damaged session."""
+
+    saved: int
+    """Keyframes in the new session."""
+    damage: str
+    """What was wrong with the old one; empty: nothing."""
+    kept_as: Path | None
+    """Where the damaged file is now."""
+
+    @property
+    def sentence(self) -> str:
+        """For the screen."""
+        if self.kept_as is None:
+            return f"nothing is damaged; {self.saved} keyframes"
+        return f"{self.damage}; saved {self.saved} keyframes; the damaged file is now {self.kept_as.name}"
+
+
+def salvage_session(path: Path | str) -> Salvage:
+    """Make a session of the longest valid beginning of a damaged one, in its place; the old one stays beside it.
+
+    Decisions, raw scans and parameters come along. A session without damage is left as it is.
+
+    Raises:
+        SessionError: nothing of it can be read, or another process writes it.
+    """
+    path = session_path(path)
+    if not path.is_file():
+        raise SessionError(f"{path}: expected a session, found nothing")
+    damage = _damage_of(path)
+    if damage is None:
+        with Session.open(path, read_only=True) as session:
+            return Salvage(len(session), "", None)
+    work, kept = path.with_name(path.name + ".salvaged"), path.with_name(path.name + ".damaged")
+    lock = WriterLock(path)
+    if not lock.take():
+        raise SessionError(f"{path}: another process is writing it")
+    try:
+        saved = _copy_beginning(path, work)
+        for suffix in _SUFFIXES:
+            if path.with_name(path.name + suffix).exists():
+                os.replace(path.with_name(path.name + suffix), kept.with_name(kept.name + suffix))
+        os.replace(work, path)
+    finally:
+        for suffix in (*_SUFFIXES, "-lock"):
+            work.with_name(work.name + suffix).unlink(missing_ok=True)
+        lock.release()
+    return Salvage(saved, damage, kept)
+
+
+def _damage_of(path: Path) -> str | None:
+    try:
+        with Session.open(path) as session:
+            for _ in session.entries():
+                pass
+            for index in range(len(session)):
+                session.scans(index)
+    except SessionDamaged as error:
+        return str(error)
+    return None
+
+
+def _copy_beginning(path: Path, target: Path) -> int:
+    """Copy keyframes until one is damaged; returns how many there are."""
+    with (
+        Session.open(path, read_only=True, damaged=True) as old,
+        Session.create(target, old.config, rig=old.rig, prior=old.prior, log=old.log) as new,
+    ):
+        for index in count():
+            try:
+                keyframe = old.keyframe(index)
+            except SessionDamaged:
+                break
+            scans = _scans_of(old, index)
+            contents = [(one.position, None if one.scan is None else encode(one.scan)) for one in scans]
+            new.add_keyframe(replace(keyframe, scans=scans), contents)  # type: ignore[arg-type]  # they know as much
+            try:
+                decisions = old.decisions(index)
+            except SessionDamaged:
+                break  # they will be made again
+            if decisions is None:
+                break
+            new.add_decisions(index, decisions)
+        return len(new)
+
+
+def _scans_of(session: Session, index: int) -> tuple[RawScan, ...]:
+    """Raw scans are beside the point: damaged, they are left out."""
+    try:
+        return tuple(session.scans(index))
+    except SessionDamaged:
+        return ()

@@ -1,0 +1,208 @@
+"""A run on disk: what every keyframe measured and what it was taken for, committed before the graph uses it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self
+
+from slam.association.data_association import Decision
+from slam.config import SlamConfig
+from slam.frontend.keyframes import Keyframe
+from slam.sensors.rig import Rig
+from slam.session._codec import encode, encode_and_compare, keyframe_of, without_scans
+from slam.session._digest import digest
+from slam.session._file import (
+    SessionDamaged,
+    SessionError,
+    StorageError,
+    fold_journal,
+    transaction,
+    translated,
+)
+from slam.session._opening import make_file, open_file, put
+from slam.session._records import Entry, RawScan, SessionRecords
+from spplanes import __version__
+
+__all__ = ["Entry", "RawScan", "Session", "SessionDamaged", "SessionError", "StorageError", "session_path"]
+
+#: Name of the session in the folder of a run.
+SESSION_FILE = "session.db"
+
+
+def session_path(path: Path | str) -> Path:
+    """The session file: the path itself, or session.db in the folder of a run."""
+    path = Path(path)
+    return path / SESSION_FILE if path.is_dir() else path
+
+
+class Session(SessionRecords):
+    """The file of a run. One process writes it, others may read it meanwhile; all methods raise `SessionError`.
+
+    Every record carries a checksum over itself and all before it, which is checked whenever it is read.
+    """
+
+    @classmethod
+    def create(
+        cls,
+        path: Path | str,
+        config: SlamConfig,
+        *,
+        rig: Rig | None = None,
+        prior: bytes | None = None,
+        log: dict[str, Any] | None = None,
+    ) -> Self:
+        """A new session, open for writing; as `make` makes it."""
+        cls.make(path, config, rig=rig, prior=prior, log=log)
+        return cls.open(path)
+
+    @staticmethod
+    def make(
+        path: Path | str,
+        config: SlamConfig,
+        *,
+        rig: Rig | None = None,
+        prior: bytes | None = None,
+        log: dict[str, Any] | None = None,
+    ) -> None:
+        """The file of a new session with the parameters of a run; an existing file is refused.
+
+        Args:
+            path: the file to make.
+            config: of the estimator.
+            rig: of the robot, where the session shall resume with its log alone.
+            prior: a `PriorMap` as bytes.
+            log: where the data come from, in terms of JSON.
+        """
+        path = session_path(path)
+        if path.exists():
+            raise SessionError(f"{path}: exists already")
+        values = {
+            "config": json.dumps(config.model_dump(mode="json")).encode(),  # JSON of Python's: it knows infinity
+            "rig": None if rig is None else _rig_json(rig),
+            "prior": prior,
+            "program": __version__.encode(),
+            "log": json.dumps(log).encode(),
+            "state": json.dumps({"state": "running", "keyframes": 0}).encode(),
+        }
+        make_file(path, {key: value for key, value in values.items() if value is not None})
+
+    @classmethod
+    def open(cls, path: Path | str, *, read_only: bool = False, damaged: bool = False) -> Self:
+        """A session that exists; a writer brings an older version up to today's.
+
+        Args:
+            path: the file, or the folder of a run.
+            read_only: only look; another process may be writing meanwhile.
+            damaged: it is known to be, and each record is to be asked for by itself (see `slam.session.salvage`).
+
+        Raises:
+            SessionError: no such file, no session, another process writes it (and this one wants to).
+            SessionDamaged: a checksum fails.
+        """
+        path = session_path(path)
+        if not path.is_file():
+            raise SessionError(f"{path}: expected a session, found nothing")
+        found = open_file(path, read_only=read_only, damaged=damaged)
+        try:
+            return cls(path, found, damaged=damaged)
+        except BaseException:
+            found.close()
+            raise
+
+    def add_keyframe(self, keyframe: Keyframe, scans: Sequence[tuple[int | None, bytes | None]] = ()) -> Keyframe:
+        """Record measurements; returns the keyframe as it will be read, without its scans: what to work with.
+
+        Args:
+            keyframe: with its raw scans.
+            scans: place in the log and content of each of them, as far as they are to be kept.
+        """
+        self._check_writable()
+        index, (data, same) = self._size, encode_and_compare(without_scans(keyframe))
+        read = replace(keyframe, scans=()) if same else keyframe_of(data)  # before it is written: it can be read
+        checksum = digest(self._last, index, keyframe.stamp_ns, data)
+        with transaction(self.path, self._db):
+            self._db.execute(
+                "INSERT INTO keyframes VALUES (?, ?, ?, ?)", (index, int(keyframe.stamp_ns), data, checksum)
+            )
+            for number, (scan, kept) in enumerate(zip(keyframe.scans, scans, strict=False)):
+                row = (number, scan.sensor, int(scan.stamp_ns), *kept)
+                self._db.execute(
+                    "INSERT INTO scans VALUES (?, ?, ?, ?, ?, ?, ?)", (index, *row, digest(checksum, *row))
+                )
+        self._size, self._last = index + 1, checksum
+        return read
+
+    def add_decisions(self, index: int, decisions: Sequence[Decision]) -> None:
+        """Record what the measurements of a keyframe were taken for."""
+        self._check_writable()
+        data = encode(list(decisions))
+        row = (index, data, digest(self._digest_of(index), data))
+        with self._on_the_way():
+            self._db.execute("INSERT INTO decisions VALUES (?, ?, ?)", row)
+
+    @contextmanager
+    def _on_the_way(self) -> Iterator[None]:
+        """A commit that outlives the process at once, and a power cut from the next keyframe's commit on."""
+        with translated(self.path):
+            self._db.execute("PRAGMA synchronous = NORMAL")
+            try:
+                with transaction(self.path, self._db):
+                    yield
+            finally:
+                self._db.execute("PRAGMA synchronous = FULL")
+
+    def finish(self, **results: bytes) -> None:
+        """The run came to its end; `results` are kept with it."""
+        self._check_writable()
+        with transaction(self.path, self._db):
+            for key, data in results.items():
+                put(self._db, "results", key, data)
+            self._seal("finished")
+
+    def set_log(self, log: dict[str, Any]) -> None:
+        """Say anew where the data come from."""
+        self._check_writable()
+        with transaction(self.path, self._db):
+            put(self._db, "session", "log", json.dumps(log).encode())
+
+    def close(self) -> None:
+        """Let go of the file; what a writer leaves is one file without journal. Twice is once."""
+        if self._file.lock is None:
+            self._file.close()
+            return
+        try:
+            if not self.is_finished:
+                with self._on_the_way():  # to fold the journal back begins with a sync of it
+                    self._seal("running")
+            with translated(self.path):
+                fold_journal(self._db)
+        except (SessionError, StorageError):
+            pass  # a reader holds it, the disk is full, or it is closed: the journal stays and is as good
+        finally:
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _seal(self, state: str) -> None:
+        """Write down how far it goes: what is missing from the end has no checksum of its own."""
+        seal = {"state": state, "keyframes": self._size, "chain": self._last.hex()}
+        put(self._db, "session", "state", json.dumps(seal).encode())
+
+    def _check_writable(self) -> None:
+        if self._file.lock is None:
+            raise SessionError(f"{self.path}: opened to be read only")
+
+
+def _rig_json(rig: Rig) -> bytes:
+    plain = rig.model_dump(mode="json", by_alias=True, exclude_none=True)
+    for sensor in plain["sensors"].values():
+        sensor["body_T_sensor"] = sensor["body_T_sensor"].get("matrix", sensor["body_T_sensor"])
+    return json.dumps(plain).encode()

@@ -1,0 +1,1 @@
+"""Visualization: pictures, pages, meshes, Open3D and Rerun."""

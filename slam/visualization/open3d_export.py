@@ -1,0 +1,266 @@
+"""Maps as Open3D geometry: planes as a mesh, outlines, trajectory, confidence as lines, points coloured by plane.
+
+Every function returns legacy geometry (``open3d.geometry``), or with ``tensor=True`` tensor geometry
+(``open3d.t.geometry``), which also carries the landmark's id as attribute "plane" and, on meshes, the standard
+deviation along the normal as "sigma_m". Nothing here opens a window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import chi2 as chi2_distribution
+from shapely import get_coordinates
+
+from slam.geometry.frames import lift
+from slam.geometry.polygons import polygons_of, segments_of
+from slam.io.trajectories import Trajectory
+from slam.map.map_planes import MapPlane
+from slam.visualization.mesh import Mesh, colour_of, mesh_of
+from spplanes import Plane
+from spplanes._check import FloatArray, as_covariance, as_float_array, as_positive, as_shape
+
+ColourBy = Literal["plane", "sigma"]
+
+#: Grey for points that belong to no plane, RGB in 0..1.
+_NO_PLANE_RGB = (0.6, 0.6, 0.6)
+#: Corners of a drawn ellipse.
+_ELLIPSE_CORNERS = 48
+#: Hues follow each other by the golden ratio: neighbours in a list are far apart in colour.
+_GOLDEN_RATIO = 0.6180339887498949
+
+
+def planes_to_mesh(
+    planes: Sequence[MapPlane | Plane],
+    *,
+    colour_by: ColourBy = "plane",
+    sigma_limit_m: float | None = None,
+    tensor: bool = False,
+) -> Any:
+    """Triangle mesh of the outlines, holes left open, counter-clockwise seen from the side a plane was seen from.
+
+    Args:
+        planes: of a map, or fitted ones that have an outline; the id of the latter is their place in the sequence.
+            Those without a polygon have no triangles.
+        colour_by: "plane": floor and ceiling grey, walls by direction. "sigma": the standard deviation of the plane's
+            height over its own patch, at each corner, from dark blue (0) to yellow. Between corners the renderer
+            interpolates; the deviation is convex in (x, y), so what it shows is never too small.
+        sigma_limit_m: standard deviation that gets the last colour, m; None: the largest in the mesh.
+        tensor: ``open3d.t.geometry.TriangleMesh`` in place of ``open3d.geometry.TriangleMesh``.
+
+    Raises:
+        ImportError: Open3D is not there.
+        ValueError: an unknown ``colour_by``, or a limit that is not positive.
+    """
+    o3d = _open3d()
+    shown = _as_map_planes(planes)
+    mesh = mesh_of(shown)
+    sigmas = vertex_sigmas(shown, mesh)
+    if colour_by not in ("plane", "sigma"):
+        raise ValueError(f"colour_by: expected 'plane' or 'sigma', got {colour_by!r}")
+    colours = mesh.colours / 255.0 if colour_by == "plane" else _sigma_colours(sigmas, sigma_limit_m)
+    normals = np.zeros((len(mesh.vertices), 3))
+    for plane in shown:
+        normals[mesh.plane_ids == plane.id] = plane.plane.normal
+    if not tensor:
+        legacy = o3d.geometry.TriangleMesh(_vectors(mesh.vertices), o3d.utility.Vector3iVector(mesh.triangles))
+        legacy.vertex_normals, legacy.vertex_colors = _vectors(normals), _vectors(colours)
+        return legacy
+    result = o3d.t.geometry.TriangleMesh()
+    result.vertex.positions, result.triangle.indices = _tensor(mesh.vertices), _tensor(mesh.triangles)
+    result.vertex.normals, result.vertex.colors = _tensor(normals), _tensor(colours, np.float32)
+    result.vertex["plane"] = _tensor(mesh.plane_ids[:, None])
+    result.vertex["sigma_m"] = _tensor(sigmas[:, None])
+    return result
+
+
+def outlines_to_lines(planes: Sequence[MapPlane | Plane], *, tensor: bool = False) -> Any:
+    """Line set of all rings of the outlines, and of the segments where only lines were seen, coloured by plane.
+
+    Args:
+        planes: as in `planes_to_mesh`.
+        tensor: ``open3d.t.geometry.LineSet`` in place of ``open3d.geometry.LineSet``.
+
+    Raises:
+        ImportError: Open3D is not there.
+    """
+    chains, ids, colours = [], [], []
+    for plane in _as_map_planes(planes):
+        rings = [get_coordinates(ring) for part in polygons_of(plane.seen) for ring in (part.exterior, *part.interiors)]
+        mine = [lift(chain, plane.plane.frame) for chain in rings + segments_of(plane.seen)]
+        chains += mine
+        ids += [plane.id] * sum(len(chain) - 1 for chain in mine)
+        colours += [colour_of(plane)] * sum(len(chain) - 1 for chain in mine)
+    return _line_set(chains, np.array(colours).reshape(-1, 3) / 255.0, np.array(ids, dtype=np.int32), tensor)
+
+
+def trajectory_to_lines(
+    trajectory: Trajectory, *, rgb: tuple[float, float, float] = (0.0, 0.0, 0.0), tensor: bool = False
+) -> Any:
+    """Line set through the positions of a trajectory in one colour, RGB in 0..1; `tensor` as in `outlines_to_lines`."""
+    positions = trajectory.poses[:, :3, 3]
+    colours = np.tile(np.asarray(rgb, dtype=np.float64), (max(len(positions) - 1, 0), 1))
+    return _line_set([positions], colours, None, tensor)
+
+
+def ellipsoids_to_lines(
+    centres: ArrayLike,
+    covariances: ArrayLike,
+    *,
+    confidence: float = 0.95,
+    scale: float = 1.0,
+    rgb: tuple[float, float, float] = (0.2, 0.4, 0.9),
+    tensor: bool = False,
+) -> Any:
+    """Confidence ellipsoids of positions, each as three great ellipses in its principal planes.
+
+    The positions of a run and their covariances in the world are what
+    `slam.visualization.uncertainty.position_covariances` gives.
+
+    Args:
+        centres: shape (N, 3), m.
+        covariances: of each, shape (N, 3, 3), m^2; semidefinite ones are flat.
+        confidence: probability that a position lies inside, 3 degrees of freedom.
+        scale: enlarges every ellipsoid by this factor, so that millimetres can be seen in a corridor.
+        rgb: colour, in 0..1.
+        tensor: ``open3d.t.geometry.LineSet``, whose attribute "plane" is the number of the ellipsoid.
+
+    Raises:
+        ImportError: Open3D is not there.
+        ValueError: wrong shapes, a covariance that is not positive semidefinite, a confidence outside (0, 1), or a
+            scale that is not positive.
+    """
+    points = as_shape("centres", centres, (None, 3))
+    matrices = as_shape("covariances", covariances, (len(points), 3, 3))
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"confidence: expected a probability between 0 and 1, got {confidence}")
+    reach = as_positive("scale", scale) * np.sqrt(chi2_distribution.ppf(confidence, 3))
+    turns = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_CORNERS + 1)
+    circles = np.zeros((3, len(turns), 3))
+    for axis in range(3):
+        circles[axis, :, axis - 2], circles[axis, :, axis - 1] = np.cos(turns), np.sin(turns)
+    chains = []
+    for centre, matrix in zip(points, matrices, strict=True):
+        values, vectors = np.linalg.eigh(as_covariance("covariances", matrix, 3))
+        axes = reach * np.sqrt(np.maximum(values, 0.0)) * vectors
+        chains += list(circles @ axes.T + centre)
+    ids = np.repeat(np.arange(len(points), dtype=np.int32), 3 * _ELLIPSE_CORNERS)
+    return _line_set(chains, np.tile(np.asarray(rgb, dtype=np.float64), (len(ids), 1)), ids, tensor)
+
+
+def points_to_cloud(points: ArrayLike, labels: ArrayLike | None = None, *, tensor: bool = False) -> Any:
+    """Point cloud of the points that are returns, coloured by plane; grey where there is none.
+
+    Args:
+        points: shape (..., 3), m; a point that is not finite is left out.
+        labels: plane of each point as `spplanes.segment_scans` gives it, shape (...,), integers, negative = none.
+        tensor: ``open3d.t.geometry.PointCloud`` with the attribute "plane" in place of the legacy one.
+
+    Raises:
+        ImportError: Open3D is not there.
+        ValueError: points of another shape, or labels that are not one integer per point.
+    """
+    o3d = _open3d()
+    array = as_float_array("points", points)
+    if array.ndim < 1 or array.shape[-1] != 3:
+        raise ValueError(f"points: expected shape (..., 3), got {array.shape}")
+    numbers = np.full(array.shape[:-1], -1) if labels is None else np.asarray(labels)
+    if numbers.shape != array.shape[:-1] or numbers.dtype.kind not in "iu":
+        raise ValueError(
+            f"labels: expected integers of shape {array.shape[:-1]}, got {numbers.dtype} of {numbers.shape}"
+        )
+    seen = np.isfinite(array).all(axis=-1)
+    kept, plane = array[seen], numbers[seen].astype(np.int32)
+    colours = label_colours(plane)
+    if not tensor:
+        cloud = o3d.geometry.PointCloud(_vectors(kept))
+        cloud.colors = _vectors(colours)
+        return cloud
+    result = o3d.t.geometry.PointCloud(_tensor(kept))
+    result.point.colors, result.point["plane"] = _tensor(colours, np.float32), _tensor(plane[:, None])
+    return result
+
+
+def vertex_sigmas(planes: Sequence[MapPlane], mesh: Mesh) -> FloatArray:
+    """Standard deviation of each corner of a mesh of these planes along its plane's normal, shape (V,), m.
+
+    The height of a perturbed plane is p_z - theta x + psi y, so its variance at (x, y) is h C h^T, h = (1, -x, y).
+    """
+    sigmas = np.zeros(len(mesh.vertices))
+    for plane in planes:
+        mine = mesh.plane_ids == plane.id
+        x, y = ((mesh.vertices[mine] - plane.plane.centre) @ plane.plane.frame[:3, :2]).T
+        slopes = np.column_stack((np.ones(len(x)), -x, y))
+        variances = np.einsum("ni,ij,nj->n", slopes, plane.plane.covariance, slopes)
+        sigmas[mine] = np.sqrt(np.maximum(variances, 0.0))
+    return sigmas
+
+
+def label_colours(labels: np.ndarray) -> FloatArray:
+    """One colour per label, shape (N, 3), RGB in 0..1, the same for equal labels in every call; grey where negative."""
+    from matplotlib.colors import hsv_to_rgb
+
+    hues = labels * _GOLDEN_RATIO % 1.0
+    colours = hsv_to_rgb(np.column_stack((hues, np.full(len(labels), 0.75), np.full(len(labels), 0.9))))
+    return np.where((labels < 0)[:, None], _NO_PLANE_RGB, colours)
+
+
+def _sigma_colours(sigmas: FloatArray, limit_m: float | None) -> FloatArray:
+    from matplotlib import colormaps
+
+    largest = as_positive("sigma_limit_m", limit_m) if limit_m is not None else float(sigmas.max(initial=0.0)) or 1.0
+    return colormaps["viridis"](np.minimum(sigmas / largest, 1.0))[:, :3]
+
+
+def _as_map_planes(planes: Sequence[MapPlane | Plane]) -> list[MapPlane]:
+    """The planes of a map as they are; fitted ones with what is known of them."""
+    result = []
+    for index, plane in enumerate(planes):
+        if isinstance(plane, MapPlane):
+            result.append(plane)
+        elif plane.outline is not None:
+            result.append(MapPlane(index, plane, plane.outline, 1, ("plane",)))
+    return result
+
+
+def _line_set(chains: Sequence[FloatArray], colours: FloatArray, ids: np.ndarray | None, tensor: bool) -> Any:
+    """Chains of corners (N, 3) as a line set, a colour and an id per line."""
+    o3d = _open3d()
+    points = np.concatenate([np.empty((0, 3)), *chains])
+    starts = np.cumsum([0, *(len(chain) for chain in chains)])
+    pairs = [np.arange(a, b - 1)[:, None] + [0, 1] for a, b in pairwise(starts) if b - a > 1]
+    lines = np.concatenate([np.empty((0, 2), dtype=np.int32), *pairs]).astype(np.int32)
+    if not tensor:
+        legacy = o3d.geometry.LineSet(_vectors(points), o3d.utility.Vector2iVector(lines))
+        legacy.colors = _vectors(colours)
+        return legacy
+    result = o3d.t.geometry.LineSet()
+    result.point.positions, result.line.indices = _tensor(points), _tensor(lines)
+    result.line.colors = _tensor(colours, np.float32)
+    if ids is not None:
+        result.line["plane"] = _tensor(ids[:, None])
+    return result
+
+
+def _vectors(rows: FloatArray) -> Any:
+    return _open3d().utility.Vector3dVector(np.ascontiguousarray(rows, dtype=np.float64))
+
+
+def _tensor(array: np.ndarray, dtype: type[np.generic] | None = None) -> Any:
+    return _open3d().core.Tensor(np.ascontiguousarray(array, dtype=dtype))
+
+
+def _open3d() -> Any:
+    """Open3D, or what to do about its absence."""
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        raise ImportError(
+            "open3d cannot be imported; install it with `pip install spplanes[open3d]`, and the system library "
+            f"libusb-1.0 (Debian, Ubuntu: apt-get install libusb-1.0-0): {error}"
+        ) from error
+    return open3d

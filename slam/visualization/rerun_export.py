@@ -1,0 +1,118 @@
+"""A run as a Rerun recording: planes, both trajectories, poses and NIS on one timeline."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2 as chi2_distribution
+from shapely import get_coordinates
+
+from slam.geometry.frames import lift
+from slam.geometry.polygons import polygons_of, segments_of
+from slam.io.trajectories import Trajectory
+from slam.map.map_planes import MapPlane
+from slam.runs.stored_run import StoredRun
+from slam.visualization.mesh import colour_of, mesh_of
+from slam.visualization.uncertainty import CONFIDENCE, position_covariances
+
+#: Timelines: number of the keyframe, and its time in the log.
+KEYFRAME, STAMP = "keyframe", "stamp"
+_BLACK, _RED, _BLUE = (20, 20, 20), (197, 48, 48), (43, 108, 176)
+
+
+def write_rerun(run: StoredRun, path: Path | str) -> None:
+    """Write a run as a .rrd file for the Rerun viewer.
+
+    Entities: ``map/plane_ID`` (a mesh with its outline, the numbers as text), ``trajectory``, ``odometry``, ``body``
+    (the pose of every keyframe), ``confidence`` (ellipsoids of 95 % at the positions), ``nis/TYPE`` (chi2 per degree of
+    freedom, mean of the keyframe). Timelines: keyframe, stamp.
+
+    Raises:
+        ImportError: the Rerun SDK is not there; the message says what to install.
+    """
+    rr = _rerun()
+    recording = rr.RecordingStream("spplanes", recording_id=run.folder.resolve().name or "run")
+    recording.save(str(path))
+    recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    for plane in run.planes:
+        _log_plane(rr, recording, plane)
+    for name, trajectory, colour in (("trajectory", run.trajectory, _BLACK), ("odometry", run.odometry, _RED)):
+        if len(trajectory):
+            strip = rr.LineStrips3D([trajectory.poses[:, :3, 3]], colors=[colour])
+            recording.log(name, strip, static=True)
+    _log_confidence(rr, recording, run)
+    _log_poses(rr, recording, run.trajectory)
+    _log_nis(rr, recording, run)
+    recording.flush()
+    recording.disconnect()
+
+
+def _log_plane(rr: Any, recording: Any, plane: MapPlane) -> None:
+    entity, colour = f"map/plane_{plane.id}", colour_of(plane)
+    mesh = mesh_of([plane])
+    if len(mesh.triangles):
+        normals = np.tile(plane.plane.normal, (len(mesh.vertices), 1))
+        shape = rr.Mesh3D(
+            vertex_positions=mesh.vertices,
+            triangle_indices=mesh.triangles,
+            vertex_normals=normals,
+            vertex_colors=mesh.colours,
+        )
+        recording.log(entity, shape, static=True)
+    rings = [get_coordinates(ring) for part in polygons_of(plane.seen) for ring in (part.exterior, *part.interiors)]
+    chains = [lift(chain, plane.plane.frame) for chain in rings + segments_of(plane.seen)]
+    if chains:
+        recording.log(f"{entity}/outline", rr.LineStrips3D(chains, colors=[colour] * len(chains)), static=True)
+    sigmas = np.sqrt(np.diag(plane.plane.covariance))
+    numbers = (
+        f"normal {np.round(plane.plane.normal, 5).tolist()}, d {plane.plane.d:.5f} m, "
+        f"sigma z {1e3 * sigmas[0]:.3g} mm, tilts {np.rad2deg(sigmas[1]):.2g}, {np.rad2deg(sigmas[2]):.2g} deg, "
+        f"{plane.plane.n_points} points, {plane.observations} keyframes"
+    )
+    recording.log(f"{entity}/numbers", rr.TextDocument(numbers), static=True)
+
+
+def _log_confidence(rr: Any, recording: Any, run: StoredRun) -> None:
+    places, covariances = position_covariances(run, run.history)
+    if not len(places):
+        return
+    values, vectors = np.linalg.eigh(covariances)
+    vectors[np.linalg.det(vectors) < 0.0, :, 0] *= -1.0
+    half = np.sqrt(np.maximum(values, 0.0) * chi2_distribution.ppf(CONFIDENCE, 3))
+    turns = [rr.Quaternion(xyzw=Rotation.from_matrix(axes).as_quat()) for axes in vectors]
+    ellipsoids = rr.Ellipsoids3D(centers=places, half_sizes=half, quaternions=turns, colors=[_BLUE] * len(places))
+    recording.log("confidence", ellipsoids, static=True)
+
+
+def _log_poses(rr: Any, recording: Any, trajectory: Trajectory) -> None:
+    for keyframe, (stamp, pose) in enumerate(zip(trajectory.stamps_ns.tolist(), trajectory.poses, strict=True)):
+        recording.set_time(KEYFRAME, sequence=keyframe)
+        recording.set_time(STAMP, duration=np.timedelta64(stamp, "ns"))
+        recording.log("body", rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+
+
+def _log_nis(rr: Any, recording: Any, run: StoredRun) -> None:
+    stamps = run.trajectory.stamps_ns.tolist()
+    for kind, rows in sorted(run.history.nis.items()):
+        for keyframe, group in groupby(sorted(rows), key=lambda row: row[0]):
+            mine = list(group)
+            recording.set_time(KEYFRAME, sequence=keyframe)
+            if keyframe < len(stamps):
+                recording.set_time(STAMP, duration=np.timedelta64(stamps[keyframe], "ns"))
+            mean = sum(row[1] for row in mine) / sum(row[2] for row in mine)
+            recording.log(["nis", kind], rr.Scalars([mean]))
+
+
+def _rerun() -> Any:
+    """The Rerun SDK, or what to do about its absence."""
+    try:
+        import rerun
+    except (ImportError, OSError) as error:
+        raise ImportError(
+            f"rerun cannot be imported; install it with `pip install spplanes[rerun]`: {error}"
+        ) from error
+    return rerun

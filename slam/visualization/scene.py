@@ -1,0 +1,130 @@
+"""A run as the JSON that its page draws: faces in the world, paths, NIS by blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+from shapely import LineString, Point, get_coordinates
+from shapely.geometry.base import BaseGeometry
+
+from slam.diagnostics.consistency import BAND
+from slam.geometry.frames import lift
+from slam.geometry.polygons import polygons_of, segments_of
+from slam.io.trajectories import Trajectory
+from slam.map.map_planes import MapPlane
+from slam.runs.history import History
+from slam.visualization.mesh import colour_of
+from slam.visualization.pictures import Drawn, without_slits
+from spplanes._check import FloatArray
+
+#: Coordinates are rounded to this many decimals, m: far below what one sees.
+_DECIMALS = 4
+#: Poses and single measurements that are drawn at most.
+_MOST_POSES, _MOST_DOTS = 5000, 1500
+#: Blocks that a chart of NIS has at most, and measurements that a block has at least.
+_MOST_BLOCKS, _LEAST_IN_BLOCK = 60, 20
+
+
+def scene_of(run: Drawn, history: History) -> dict[str, Any]:
+    """Everything the page's script needs, as plain numbers, strings and lists."""
+    planes = [_plane(plane) for plane in run.planes if not plane.seen.is_empty]
+    estimate, odometry = _path(run.trajectory), _path(run.odometry)
+    return {
+        "planes": planes,
+        "estimate": estimate,
+        "odometry": odometry,
+        "bounds": _bounds(planes, [estimate, odometry]),
+        "keyframes": len(run.trajectory),
+        "nis": [_series(kind, history.nis[kind]) for kind in sorted(history.nis) if history.nis[kind]],
+    }
+
+
+def nis_blocks(rows: Sequence[tuple[int, float, int]]) -> list[dict[str, float]]:
+    """Mean NIS per degree of freedom of consecutive measurements, with the 95 % band of each block's own size."""
+    size = max(_LEAST_IN_BLOCK, -(-len(rows) // _MOST_BLOCKS))
+    count = max(len(rows) // size, 1)
+    blocks = []
+    for chosen in np.array_split(np.arange(len(rows)), count):
+        part = [rows[i] for i in chosen]
+        dof = sum(row[2] for row in part)
+        low, high = chi2_distribution.ppf([(1 - BAND) / 2, (1 + BAND) / 2], dof) / dof
+        mean = sum(row[1] for row in part) / dof
+        blocks.append({"from": part[0][0], "to": part[-1][0], "mean": mean, "low": float(low), "high": float(high)})
+    return blocks
+
+
+def _series(kind: str, rows: Sequence[tuple[int, float, int]]) -> dict[str, Any]:
+    rows = sorted(rows)
+    blocks = nis_blocks(rows)
+    inside = sum(block["low"] <= block["mean"] <= block["high"] for block in blocks)
+    every = -(-len(rows) // _MOST_DOTS)
+    return {
+        "kind": kind,
+        "blocks": blocks,
+        "dots": [[row[0], round(row[1] / row[2], 3)] for row in rows[::every]],
+        "caption": (
+            f"Blue: means of {len(rows) // len(blocks)} measurements each; green: where such a mean lies in 95 % of "
+            f"cases when the covariances are honest. {inside} of {len(blocks)} are inside. Dots: single measurements. "
+            "Above the band the run claims to know more than it does, below it less."
+        ),
+    }
+
+
+def _plane(plane: MapPlane) -> dict[str, Any]:
+    frame = plane.plane.frame
+    seen = without_slits(plane.seen)
+    segments = [_rounded(lift(chain, frame)) for chain in segments_of(seen)]
+    inside = _inside(plane.seen)
+    sigmas = np.sqrt(np.diag(plane.plane.covariance))
+    return {
+        "id": plane.id,
+        "normal": plane.plane.normal.tolist(),
+        "d": plane.plane.d,
+        "sigma_mm": 1e3 * float(sigmas[0]),
+        "tilts_deg": np.rad2deg(sigmas[1:]).tolist(),
+        "points": int(plane.plane.n_points),
+        "observations": plane.observations,
+        "kinds": list(plane.kinds),
+        "area_m2": float(plane.seen.area),
+        "colour": list(colour_of(plane)),
+        "faces": [[_ring(ring, frame) for ring in (part.exterior, *part.interiors)] for part in polygons_of(seen)],
+        "segments": segments,
+        "inside": _rounded(lift(np.array([[inside.x, inside.y]]), frame))[0],
+    }
+
+
+def _inside(seen: BaseGeometry) -> Point:
+    """A point on what was seen: on the largest polygon, else in the middle of the longest line."""
+    polygons, lines = polygons_of(seen), [LineString(chain) for chain in segments_of(seen)]
+    if polygons:
+        return max(polygons, key=lambda polygon: polygon.area).representative_point()
+    if lines:
+        return max(lines, key=lambda line: line.length).interpolate(0.5, normalized=True)
+    return seen.representative_point()
+
+
+def _ring(ring: Any, frame: FloatArray) -> list[list[float]]:
+    return _rounded(lift(get_coordinates(ring)[:-1], frame))
+
+
+def _path(trajectory: Trajectory) -> list[list[float]]:
+    every = -(-len(trajectory) // _MOST_POSES) or 1
+    return _rounded(trajectory.poses[::every, :3, 3])
+
+
+def _rounded(points: FloatArray) -> list[list[float]]:
+    return np.round(points, _DECIMALS).tolist()
+
+
+def _bounds(planes: Sequence[dict[str, Any]], paths: Sequence[list[list[float]]]) -> list[list[float]]:
+    points = [point for path in paths[:1] for point in path]
+    for plane in planes:
+        points += [point for face in plane["faces"] for ring in face for point in ring]
+        points += [point for segment in plane["segments"] for point in segment]
+    if not points:
+        return [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
+    array = np.array(points)
+    return [array.min(axis=0).tolist(), array.max(axis=0).tolist()]

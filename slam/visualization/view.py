@@ -1,0 +1,41 @@
+"""Pictures and the page of a finished run, from its folder alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from slam.files import whole_file
+from slam.runs.stored_run import StoredRun
+from slam.visualization.pictures import draw_one
+from slam.visualization.report import write_report
+from slam.visualization.scene import scene_of
+from slam.visualization.uncertainty import draw_uncertainty
+
+
+def view_run(run: Path | str, out: Path | str | None = None) -> list[Path]:
+    """Draw plan.png, side.png, uncertainty.png and report.html of a run; returns what was written.
+
+    Args:
+        run: its folder.
+        out: folder for the pictures; None: the run's own, whose older pictures are replaced.
+
+    Raises:
+        LogError: no run, or a file of it that is missing or broken.
+        ValueError: a place where nothing can be written.
+    """
+    stored = StoredRun.read(run)
+    folder = stored.folder if out is None else Path(out)
+    pictures: dict[str, Callable[[Path], None]] = {
+        "plan.png": lambda path: draw_one(stored, "plan", path),
+        "side.png": lambda path: draw_one(stored, "side", path),
+        "uncertainty.png": lambda path: draw_uncertainty(stored, stored.history, path),
+    }
+    for name, draw in pictures.items():
+        with whole_file(folder / name) as scratch:
+            draw(scratch)
+    drawn = [folder / name for name in pictures]
+    with whole_file(folder / "report.html") as scratch:
+        scene = scene_of(stored, stored.history)
+        write_report(scratch, f"spplanes: {stored.folder.resolve().name}", stored.tables, drawn, scene)
+    return [*drawn, folder / "report.html"]

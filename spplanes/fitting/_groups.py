@@ -1,0 +1,138 @@
+"""The fit of every group of points of a job."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+
+from spplanes._check import FloatArray
+from spplanes._rows import OK, ROW_SIZE, row_frame
+from spplanes._threads import in_parts
+from spplanes.fitting import _kernels as kernels
+from spplanes.fitting._job import FitJob
+from spplanes.fitting._pose_kernels import inflate
+from spplanes.fitting._robust import CUTOFF, FRACTIONS, robust_group
+from spplanes.fitting._shared_pose import fit_shared_pose, sp_pose_term
+from spplanes.fitting._sums import CHI2, N_SUMS, USED, start_row
+from spplanes.plane import Plane
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """Outcome of a fit for every group."""
+
+    status: np.ndarray
+    """OK or why not, shape (P,), int64."""
+    frames: FloatArray
+    """World_T_plane, shape (P, 4, 4)."""
+    covariances: FloatArray
+    """Of (z, theta, psi), shape (P, 3, 3)."""
+    counts: np.ndarray
+    """Points used, shape (P,), int64."""
+    chi2: FloatArray
+    """Sum of squared normalised residuals, shape (P,)."""
+
+    @classmethod
+    def empty(cls, n: int) -> Fits:
+        """Room for ``n`` fits."""
+        return cls(np.empty(n, np.int64), np.empty((n, 4, 4)), np.empty((n, 3, 3)), np.empty(n, np.int64), np.empty(n))
+
+    def planes(self) -> list[Plane]:
+        """One plane a group."""
+        rows = zip(self.frames, self.covariances, self.counts.tolist(), self.chi2.tolist(), strict=True)
+        return [Plane._trusted(frame, covariance, n, None, chi2) for frame, covariance, n, chi2 in rows]
+
+
+def fit_groups(job: FitJob, order: np.ndarray, bounds: np.ndarray, viewpoints: FloatArray | None = None) -> Fits:
+    """Fit every group ``order[bounds[g]:bounds[g + 1]]``, seen from the job's viewpoint or from its own one, (P, 3)."""
+    fits = Fits.empty(len(bounds) - 1)
+    if job.shared is None:
+        eyes = job.viewpoint[None] if viewpoints is None else viewpoints
+        arrays = (fits.status, fits.frames, fits.covariances, fits.counts, fits.chi2)
+        inputs = (_code(job), job.points, job.covariances, job.step, order, bounds, eyes, FRACTIONS)
+        largest_first = np.argsort(-np.diff(bounds), kind="stable")
+        in_parts(
+            lambda first, last: _run(largest_first[first:last], *inputs, *arrays),
+            len(fits.status),
+            len(order),
+            singly=True,
+        )
+        return fits
+    for g in range(len(bounds) - 1):
+        whole = len(bounds) == 2 and len(order) == len(job.points)
+        _fit_with_poses(job if whole else job.select(order[bounds[g] : bounds[g + 1]]), fits, g)
+    return fits
+
+
+_ML, _SP, _TUKEY = 0, 1, 2
+
+
+def _code(job: FitJob) -> int:
+    if job.robust:
+        return _TUKEY
+    return _SP if job.method == "sp" else _ML
+
+
+@njit(cache=True, nogil=True)
+def _run(groups, code, points, covs, step, order, bounds, eyes, fractions, status, frames, covariances, counts, chi2):
+    """Fit group after group."""
+    sums = np.zeros(N_SUMS)
+    for g in groups:
+        lo, hi, frame, covariance = bounds[g], bounds[g + 1], frames[g], covariances[g]
+        viewpoint = eyes[g if eyes.shape[0] > 1 else 0]
+        counts[g] = hi - lo
+        if code == _SP:
+            status[g], chi2[g] = kernels.sp_group(points, covs, step, order, lo, hi, viewpoint, frame, covariance)
+            continue
+        if code == _ML:
+            status[g] = kernels.ml_group(points, covs, step, order, lo, hi, viewpoint, frame, covariance, sums)
+        else:
+            status[g] = robust_group(points, covs, step, order, lo, hi, viewpoint, fractions, frame, covariance, sums)
+            if status[g] == OK:
+                counts[g] = int(sums[USED])
+        chi2[g] = sums[CHI2]
+
+
+def _fit_with_poses(job: FitJob, fits: Fits, g: int) -> None:
+    """Fit one group whose scans have pose errors, from a start that does not know of them."""
+    if job.robust:
+        job = job.select(_inliers(job))
+    plain = fit_groups(
+        replace(job, shared=None, robust=None), np.arange(len(job.points)), np.array([0, len(job.points)])
+    )
+    fits.status[g], fits.counts[g] = plain.status[0], len(job.points)
+    if plain.status[0] != OK or job.shared is None:
+        return
+    if job.method == "sp":
+        spread = _sp_spread(job)
+        term = sp_pose_term(job.points, job.covariances, job.step, job.shared, plain.frames[0], spread)
+        fits.frames[g], fits.covariances[g], fits.chi2[g] = plain.frames[0], plain.covariances[0] + term, plain.chi2[0]
+        return
+    fits.status[g], fits.frames[g], fits.covariances[g], fits.chi2[g] = fit_shared_pose(
+        job.points, job.covariances, job.step, job.viewpoint, job.shared, plain.frames[0]
+    )
+
+
+def _sp_spread(job: FitJob) -> FloatArray:
+    """W, lambda_x - lambda_z, lambda_y - lambda_z of the paper's fit, shape (3,)."""
+    row, values, frame = np.empty(ROW_SIZE), np.empty(3), np.empty((4, 4))
+    start_row(job.points, job.covariances, job.step, np.arange(len(job.points)), 0, len(job.points), 2, row)
+    row_frame(row, job.viewpoint, frame, values)
+    return np.array([row[1], values[2] - values[0], values[1] - values[0]])
+
+
+def _inliers(job: FitJob) -> np.ndarray:
+    """Indices of the points that a robust fit keeps, their scans' pose errors folded into their own covariances."""
+    n, shared = len(job.points), job.shared
+    if shared is None:
+        return np.arange(n)
+    noise = np.empty((n, 3, 3))
+    inflate(job.points, job.covariances, job.step, shared.scan, shared.origins, shared.marginal_roots, noise)
+    fits = fit_groups(replace(job, covariances=noise, step=1, shared=None), np.arange(n), np.array([0, n]))
+    if fits.status[0] != OK:
+        return np.arange(0)
+    normal, centre = fits.frames[0, :3, 2], fits.frames[0, :3, 3]
+    distance, variance = (job.points - centre) @ normal, np.einsum("i,nij,j->n", normal, noise, normal)
+    return np.flatnonzero(distance**2 < CUTOFF**2 * variance)

@@ -1,0 +1,96 @@
+"""Planes from moments whose points err along slanted beams, freed from what that noise adds to the scatter.
+
+The scatter S = sum w (p - c)(p - c)^T of points with covariances C_i is expected to be that of the true points plus
+V = sum w C_i. V is no multiple of the identity: its part that couples the normal with the plane turns the least
+eigenvector of S, the more the steeper the beams. S - V has the true normal for its eigenvector. V needs no points once
+they are added, and that of a union is the sum: planes stay honest in constant memory.
+
+References:
+    Van Huffel, Vandewalle, "The Total Least Squares Problem", SIAM 1991, chapter 8 (known error covariance).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes._check import FloatArray
+from spplanes._moment_patches import variance_along
+from spplanes._rows import row_frame
+from spplanes.fitting._kernels import MAX_NOISE_SHARE
+
+#: The share of V that is taken out depends on the normal, and the normal on it; it is found in steps.
+_STEPS = 4
+
+
+@njit(cache=True)
+def add_noise(points_covariance, labels, planes, total):
+    """Add w C of every labelled point to the sum of its region, in place; w = 1 / (n^T C n).
+
+    Args:
+        points_covariance: shape (S, B, 9), m^2.
+        labels: shape (S, B), region of every point, -1 = none.
+        planes: (normal, d) of the regions, shape (R, 4).
+        total: V of every region as (xx, xy, xz, yy, yz, zz), shape (R, 6).
+    """
+    for i in range(labels.shape[0]):
+        for j in range(labels.shape[1]):
+            r = labels[i, j]
+            if r >= 0:
+                w = 1.0 / variance_along(points_covariance, i, j, planes[r, 0], planes[r, 1], planes[r, 2])
+                total[r, 0] += w * points_covariance[i, j, 0]
+                total[r, 1] += w * points_covariance[i, j, 1]
+                total[r, 2] += w * points_covariance[i, j, 2]
+                total[r, 3] += w * points_covariance[i, j, 4]
+                total[r, 4] += w * points_covariance[i, j, 5]
+                total[r, 5] += w * points_covariance[i, j, 8]
+
+
+def unbiased_frame(row: FloatArray, noise: FloatArray, eye: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Plane of moments and of the noise in them.
+
+    At most so much of V is taken out as the points scatter along the normal: noise that was stated too large does not
+    turn the normal the other way.
+
+    Args:
+        row: moments, shape (11,).
+        noise: V, shape (6,).
+        eye: the normal points there, shape (3,), or NaN for d >= 0.
+
+    Returns:
+        frame: world_T_plane, shape (4, 4).
+        spread: W and the sums of w x^2 and w y^2 of the points without their noise, shape (3,).
+        covariance: of (z, theta, psi), without shared errors, shape (3, 3).
+    """
+    frame, values, clean = np.empty((4, 4)), np.empty(3), row.copy()
+    row_frame(row, eye, frame, values)
+    share = 0.0
+    for _ in range(_STEPS):
+        share = _share(row, noise, frame)
+        clean[5:] = row[5:] - share * noise
+        row_frame(clean, eye, frame, values)
+    spread = np.array([row[1], values[2], values[1]])
+    gain = np.diag([-1.0, 1.0]) @ frame[:3, :2].T
+    covariance = np.diag(1.0 / spread)
+    covariance[1:, 1:] += share * (gain @ _matrix(noise) @ gain.T) / np.outer(spread[1:], spread[1:])
+    return frame, spread, covariance
+
+
+def _share(row: FloatArray, noise: FloatArray, frame: FloatArray) -> float:
+    """Share of V in the scatter: what the points show along the normal, and no more than their extent allows."""
+    scatter, added = (frame[:3, :3].T @ _matrix(six) @ frame[:3, :3] for six in (row[5:], noise))
+    if not added[2, 2] > 0.0:
+        return 0.0
+    widest = float(np.linalg.eigvals(np.linalg.solve(scatter[:2, :2], added[:2, :2])).real.max())
+    share = min(1.0 - 1.0 / row[0], scatter[2, 2] / added[2, 2])
+    return min(share, MAX_NOISE_SHARE / widest) if widest > 0.0 else share
+
+
+def chi2_along(row: FloatArray, normal: FloatArray) -> float:
+    """Weighted sum of the squared distances from the plane through the centre."""
+    return float(normal @ _matrix(row[5:]) @ normal)
+
+
+def _matrix(six: FloatArray) -> FloatArray:
+    xx, xy, xz, yy, yz, zz = six
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -1,0 +1,114 @@
+"""Pose errors shared by the points of a scan, summed over scans into a plane's covariance, without keeping points.
+
+With h = (1, x, y) a plane's perturbation is -A^-1 sum_s K_s xi_s, K_s = sum_{i in s} w_i h_i n^T dp_i/dxi. As h is
+linear in (1, p - r) for any fixed point r, the sums are kept for that: m_s, shape (4, 6), and
+D = sum_st m_s E[xi_s xi_t^T] m_t^T, shape (4, 4). The plane's frame may turn and shift afterwards; only the normal in
+n^T dp/dxi is that of the time.
+
+Errors of successive scans may be correlated, rho^|s - t|: a running sum u carries what the scans before contribute.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes._check import FloatArray
+from spplanes._moment_patches import variance_along
+
+
+def roots(pose_covariances: FloatArray) -> FloatArray:
+    """Symmetric square roots of covariances, shape (S, 6, 6)."""
+    values, vectors = np.linalg.eigh(pose_covariances)
+    return (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ vectors.transpose(0, 2, 1)
+
+
+@njit(cache=True)
+def accumulate(points, covariance, labels, planes, anchors, pose_roots, origins, decay, total, running):
+    """Add the scans of a grid to the sums of their regions, in place.
+
+    Args:
+        points, covariance, labels: the grid, shapes (S, B, 3), (S, B, K), (S, B); labels index the regions.
+        planes: (normal, d) of the regions, shape (R, 4).
+        anchors: the points r, shape (R, 3).
+        pose_roots: square root of every scan's pose covariance, shape (S, 6, 6).
+        origins: points about which the errors turn, shape (S, 3).
+        decay: correlation rho of the errors of successive scans, 0 for independent ones.
+        total: D of every region, shape (R, 4, 4).
+        running: u of every region, shape (R, 6, 4).
+    """
+    n_regions = planes.shape[0]
+    moments = np.zeros((n_regions, 4, 6))
+    seen = np.zeros(n_regions, dtype=np.bool_)
+    for i in range(labels.shape[0]):
+        for j in range(labels.shape[1]):
+            r = labels[i, j]
+            if r >= 0:
+                if not seen[r]:
+                    moments[r] = 0.0
+                    seen[r] = True
+                _add(moments, points, covariance, i, j, planes, r, anchors, origins)
+        for r in range(n_regions):
+            if seen[r]:
+                _close_scan(total[r], running[r], moments[r] @ pose_roots[i])
+            running[r] *= decay
+            seen[r] = False
+
+
+@njit(cache=True)
+def _close_scan(total, running, gain):
+    """Add one scan's gain (4, 6) to D and, transposed, to the running sum."""
+    for a in range(4):
+        for b in range(4):
+            for k in range(6):
+                total[a, b] += gain[a, k] * (gain[b, k] + running[k, b]) + running[k, a] * gain[b, k]
+    for k in range(6):
+        for a in range(4):
+            running[k, a] += gain[a, k]
+
+
+@njit(cache=True)
+def _add(moments, points, covariance, i, j, planes, r, anchors, origins):
+    """Add w (1, p - r) (n^T dp/dxi) of point (i, j) to m (4, 6) of region r."""
+    nx, ny, nz = planes[r, 0], planes[r, 1], planes[r, 2]
+    w = 1.0 / variance_along(covariance, i, j, nx, ny, nz)
+    px, py, pz = points[i, j, 0] - origins[i, 0], points[i, j, 1] - origins[i, 1], points[i, j, 2] - origins[i, 2]
+    turn_x, turn_y, turn_z = py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx
+    for k in range(4):
+        h = w if k == 0 else w * (points[i, j, k - 1] - anchors[r, k - 1])
+        moments[r, k, 0] += h * nx
+        moments[r, k, 1] += h * ny
+        moments[r, k, 2] += h * nz
+        moments[r, k, 3] += h * turn_z
+        moments[r, k, 4] += h * turn_y
+        moments[r, k, 5] += h * turn_x
+
+
+def merge_sums(
+    anchor_a: FloatArray, anchor_b: FloatArray, total_b: FloatArray, running_b: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The sums of region b, (4, 4) and (6, 4), about the anchor of region a.
+
+    What the two regions share in scans that both have points in is not in their sums; it is left out.
+    """
+    shift = np.eye(4)
+    shift[1:, 0] = anchor_b - anchor_a
+    return shift @ total_b @ shift.T, running_b @ shift.T
+
+
+def covariance_of(frame: FloatArray, spread: FloatArray, anchor: FloatArray, total: FloatArray) -> FloatArray:
+    """What the pose errors add to the covariance of (z, theta, psi) of a plane, shape (3, 3).
+
+    Args:
+        frame: world_T_plane, shape (4, 4).
+        spread: diagonal of the plane's information: W, sum w x^2, sum w y^2, shape (3,).
+        anchor: the point r, shape (3,).
+        total: D, shape (4, 4).
+    """
+    to_plane = np.zeros((3, 4))
+    to_plane[0, 0] = 1.0
+    to_plane[1:, 1:] = frame[:3, :2].T
+    to_plane[1:, 0] = frame[:3, :2].T @ (anchor - frame[:3, 3])
+    gain = (np.array([1.0, -1.0, 1.0]) / spread)[:, None] * to_plane
+    covariance = gain @ total @ gain.T
+    return 0.5 * (covariance + covariance.T)

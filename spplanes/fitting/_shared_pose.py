@@ -1,0 +1,248 @@
+"""Points of one scan share the error of its pose: the plane fit that knows.
+
+The error of scan s is a world-side perturbation xi_s = (x, y, z, phi, theta, psi) with covariance S_s, independent
+between scans: p' = p + t + phi (z x q) + theta (y x q) + psi (x x q), q = p - o_s. A point is then off the plane by its
+own noise and by g.xi_s, g = n^T dp/dxi. Maximum likelihood estimates plane and xi together; each scan's xi is
+eliminated, so the cost is one 6x6 solve a scan. Where the errors of scans hang together, as those of poses from
+odometry do, their joint covariance takes the place of the S_s, and all xi are eliminated in one solve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from spplanes._check import FloatArray, as_covariance, as_covariance_stack, as_shape
+from spplanes._rows import COLLINEAR, OK, OPEN_POSES
+from spplanes.fitting import _kernels as kernels
+from spplanes.fitting._pose_kernels import scan_sums, sp_pose_derivative
+from spplanes.fitting._sums import INFORMATION, N_SUMS, RAW, accumulate
+
+
+@dataclass(frozen=True, eq=False)
+class SharedPose:
+    """Which point belongs to which scan, and how uncertain the scans' poses are."""
+
+    scan: np.ndarray
+    """Scan of each point, shape (N,), int64, in 0..S-1."""
+    roots: FloatArray
+    """Square roots L of the pose covariances, S = L L^T: (S, 6, 6), or of their joint covariance (1, 6 S, M)."""
+    origins: FloatArray
+    """Points about which the rotations act, shape (S, 3), m."""
+
+    @classmethod
+    def checked(
+        cls,
+        points: FloatArray,
+        scan_index: ArrayLike | None,
+        pose_covariances: ArrayLike | None,
+        scan_origins: ArrayLike | None,
+    ) -> SharedPose | None:
+        """Check what the caller gave beside the ``points`` (N, 3); None when there is no shared pose error."""
+        if scan_index is None and pose_covariances is None and scan_origins is None:
+            return None
+        if scan_index is None or pose_covariances is None:
+            missing = "scan_index" if scan_index is None else "pose_covariances"
+            raise ValueError(f"{missing}: expected it beside the other arguments of the shared pose error, got None")
+        covariances = _pose_covariances(pose_covariances)
+        scans = covariances.shape[0] * covariances.shape[1] // 6
+        origins = np.zeros((scans, 3)) if scan_origins is None else as_shape("scan_origins", scan_origins, (scans, 3))
+        return cls(_scan_index(scan_index, len(points), scans), _square_roots(covariances), origins).centred(points)
+
+    def centred(self, points: FloatArray) -> SharedPose:
+        """The same errors with every scan's rotations about the middle of its ``points`` (N, 3).
+
+        Far from the point a scan turns about, shift and rotation are all but one: 1,000 km away too much so for floats.
+        """
+        counts = np.maximum(np.bincount(self.scan, minlength=len(self.origins)), 1)[:, None]
+        lever = points - self.origins[self.scan]
+        arms = np.stack([np.bincount(self.scan, lever[:, k], len(self.origins)) for k in range(3)], axis=1) / counts
+        roots = self.roots_by_scan.copy()
+        for column, axis in ((3, (0.0, 0.0, 1.0)), (4, (0.0, 1.0, 0.0)), (5, (1.0, 0.0, 0.0))):
+            roots[:, :3] += np.cross(axis, arms)[:, :, None] * roots[:, None, column]
+        return SharedPose(self.scan, roots.reshape(self.roots.shape), self.origins + arms)
+
+    def select(self, chosen: np.ndarray) -> SharedPose:
+        """The same for a subset of the points."""
+        present, scan = np.unique(self.scan[chosen], return_inverse=True)
+        roots = self.roots_by_scan[present]
+        if self.is_joint:
+            roots = roots.reshape(1, 6 * len(present), -1)
+        return SharedPose(scan, roots, self.origins[present])
+
+    @property
+    def is_joint(self) -> bool:
+        """Whether the scans' errors hang together."""
+        return self.roots.shape[1] != 6 or len(self.roots) != len(self.origins)
+
+    @property
+    def roots_by_scan(self) -> FloatArray:
+        """L by scan, shape (S, 6, M): xi_s = L_s u with u of unit covariance."""
+        return self.roots.reshape(len(self.origins), 6, -1)
+
+    @property
+    def marginal_roots(self) -> FloatArray:
+        """Square roots of every scan's own covariance, shape (S, 6, 6)."""
+        roots = self.roots_by_scan
+        return roots if roots.shape[2] == 6 else _square_roots(roots @ roots.transpose(0, 2, 1))
+
+
+def _pose_covariances(value: ArrayLike) -> FloatArray:
+    """Covariances (S, 6, 6), one for each scan, or the joint one of all scans as (1, 6 S, 6 S)."""
+    if np.ndim(value) != 2:
+        return as_covariance_stack("pose_covariances", value, 6)
+    size = np.shape(value)[0]
+    if size % 6 or not size:
+        raise ValueError(f"pose_covariances: expected shape (S, 6, 6) or (6 S, 6 S), got {np.shape(value)}")
+    return as_covariance("pose_covariances", value, size)[None]
+
+
+def _scan_index(value: ArrayLike, n: int, scans: int) -> np.ndarray:
+    index = np.asarray(value)
+    if index.shape != (n,) or index.dtype.kind not in "iu":
+        raise ValueError(f"scan_index: expected {n} integers, one for each point, got {index.dtype} of {index.shape}")
+    if n and (index.min() < 0 or index.max() >= scans):
+        raise ValueError(f"scan_index: expected indices of {scans} scans, got {index.min()}..{index.max()}")
+    return np.ascontiguousarray(index, dtype=np.int64)
+
+
+def _square_roots(covariances: FloatArray) -> FloatArray:
+    """Roots L, S = L L^T, shape (K, N, M); M < N where no covariance of the stack says anything of some entries."""
+    size = covariances.shape[-1]
+    open_ = np.flatnonzero((covariances != 0.0).any(axis=(0, 1))) if len(covariances) == 1 else np.arange(size)
+    values, vectors = np.linalg.eigh(covariances[:, open_[:, None], open_])
+    roots = np.zeros((len(covariances), size, max(len(open_), 1)))
+    roots[:, open_, : len(open_)] = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    return roots
+
+
+def fit_shared_pose(
+    points: FloatArray, covs: FloatArray, step: int, viewpoint: FloatArray, shared: SharedPose, base: FloatArray
+) -> tuple[int, FloatArray, FloatArray, float]:
+    """Joint maximum likelihood of the plane and the scans' pose errors.
+
+    Args:
+        points, covs, step: as in the kernels.
+        viewpoint: shape (3,), NaN for none.
+        shared: the shared pose errors.
+        base: (4, 4) frame to start from; it is moved to the optimum.
+
+    Returns:
+        Outcome, frame (4, 4), covariance (3, 3) of (z, theta, psi), and chi2.
+    """
+    u = np.zeros((len(shared.roots), shared.roots.shape[2]))
+    left, chi2 = np.eye(3), 0.0
+    for _ in range(kernels.MAX_ITERATIONS):
+        info, cross, plane_side, pose_side, middle, cost = _normal_equations(points, covs, step, shared, base, u)
+        chi2 = cost + float(np.sum(u * u))
+        coupling = cross @ shared.roots
+        open_side = (shared.roots.transpose(0, 2, 1) @ pose_side[..., None])[..., 0] - u
+        sides = np.concatenate([coupling.transpose(0, 2, 1), open_side[..., None]], axis=2)
+        try:
+            solved = np.linalg.solve(middle, sides)
+        except np.linalg.LinAlgError:  # pose errors so large that one more than them is no more: rounding decides
+            return OPEN_POSES, base, left, chi2
+        information = (info - coupling @ solved[..., :3]).sum(axis=0)
+        gradient = (plane_side - (coupling @ solved[..., 3:])[..., 0]).sum(axis=0)
+        left = np.empty((3, 3))
+        if not _invert(information[np.triu_indices(3)], left):
+            return OPEN_POSES, base, left, chi2
+        gradient -= 0.5 * _volume_gradient(points, covs, step, shared, base, u, np.sqrt(np.diag(left)))
+        step_b = left @ gradient
+        step_u = solved[..., 3] - solved[..., :3] @ step_b
+        u += step_u
+        kernels.move_frame(base.copy(), step_b[0], step_b[1], step_b[2], base)
+        if gradient @ step_b < kernels.TOLERANCE and np.sum(step_u * step_u) < kernels.TOLERANCE:
+            break
+    return *_finish(points, covs, step, viewpoint, base, left), chi2
+
+
+def _normal_equations(
+    points: FloatArray, covs: FloatArray, step: int, shared: SharedPose, base: FloatArray, u: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
+    """Sums of a Gauss-Newton step, by scan or stacked where their errors hang together; information on u; sum w r^2."""
+    scans = len(shared.origins)
+    info, cross, pose = np.zeros((scans, 3, 3)), np.zeros((scans, 3, 6)), np.zeros((scans, 6, 6))
+    plane_side, pose_side = np.zeros((scans, 3)), np.zeros((scans, 6))
+    xi = (shared.roots @ u[..., None]).reshape(scans, 6)
+    cost = scan_sums(
+        points, covs, step, shared.scan, shared.origins, base, xi, info, cross, pose, plane_side, pose_side
+    )
+    pose_roots = (pose @ shared.roots_by_scan).reshape(shared.roots.shape)
+    if shared.is_joint:
+        info, cross, plane_side, pose_side = _stacked(info, cross, plane_side, pose_side)
+    middle = np.eye(u.shape[1]) + shared.roots.transpose(0, 2, 1) @ pose_roots
+    return info, cross, plane_side, pose_side, middle, cost
+
+
+def _volume_gradient(
+    points: FloatArray, covs: FloatArray, step: int, shared: SharedPose, base: FloatArray, u: FloatArray, by: FloatArray
+) -> FloatArray:
+    """Derivative, by (z, theta, psi), of log det of the information on u, by central differences of ``by`` (3,).
+
+    What the data say of the pose errors depends on where the plane is thought to be. Their best values alone would
+    draw it to where they are told sharply, so they are integrated out (Laplace): that adds half this determinant.
+    """
+    gradient, moved = np.empty(3), np.empty((4, 4))
+    for k in range(3):
+        volumes = []
+        for sign in (1.0, -1.0):
+            z, theta, psi = (sign * by[j] * (j == k) for j in range(3))
+            kernels.move_frame(base, z, theta, psi, moved)
+            middle = _normal_equations(points, covs, step, shared, moved, u)[4]
+            volumes.append(np.linalg.slogdet(middle)[1].sum())
+        gradient[k] = (volumes[0] - volumes[1]) / (2.0 * by[k])
+    return gradient
+
+
+def _invert(upper: FloatArray, out: FloatArray) -> bool:
+    """Inverse of the matrix with this upper triangle, shape (6,); False where it is not definite."""
+    a, b, c, d, e, f = upper.tolist()
+    return kernels.invert3(a, b, c, d, e, f, out)
+
+
+def _stacked(
+    info: FloatArray, cross: FloatArray, plane_side: FloatArray, pose_side: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The sums of all scans as those of a single one whose pose error is theirs, stacked."""
+    scans = len(pose_side)
+    return (
+        info.sum(axis=0)[None],
+        cross.transpose(1, 0, 2).reshape(1, 3, 6 * scans),
+        plane_side.sum(axis=0)[None],
+        pose_side.reshape(1, 6 * scans),
+    )
+
+
+def _finish(
+    points: FloatArray, covs: FloatArray, step: int, viewpoint: FloatArray, base: FloatArray, left: FloatArray
+) -> tuple[int, FloatArray, FloatArray]:
+    """Outcome, frame and covariance at the optimum.
+
+    ``left``, shape (3, 3): the inverse of the information on the slopes that the pose errors leave. The covariance is
+    that, and what the noise along the plane adds without pose errors.
+    """
+    sums, frame, to_p, covariance = np.zeros(N_SUMS), np.empty((4, 4)), np.empty((3, 3)), np.empty((3, 3))
+    accumulate(points, covs, step, np.arange(len(points)), 0, len(points), base, np.inf, sums)
+    status = kernels.settle(base, sums, viewpoint, frame, to_p)
+    score, plain = sums[INFORMATION:RAW], np.empty((3, 3))
+    if status == OK and not (_invert(score, plain) and kernels.write_covariance(sums, score, to_p, covariance)):
+        status = COLLINEAR
+    if status == OK:
+        covariance += to_p @ (left - plain) @ to_p.T
+        covariance = 0.5 * (covariance + covariance.T)
+    return status, frame, covariance
+
+
+def sp_pose_term(
+    points: FloatArray, covs: FloatArray, step: int, shared: SharedPose, frame: FloatArray, spread: FloatArray
+) -> FloatArray:
+    """sum_s G_s S_s G_s^T, shape (3, 3): what the shared pose errors add to the covariance of the paper's fit."""
+    derivative = np.zeros((len(shared.origins), 3, 6))
+    sp_pose_derivative(points, covs, step, shared.scan, shared.origins, frame, spread, derivative)
+    if shared.is_joint:
+        derivative = derivative.transpose(1, 0, 2).reshape(1, 3, -1)
+    half = derivative @ shared.roots
+    return np.einsum("sij,skj->ik", half, half)

@@ -1,0 +1,116 @@
+"""Probabilistic plane fit: a plane and its covariance from points and theirs.
+
+Two methods. ``"ml"`` minimises sum (n.p_i - d)^2 / (n^T C_i n): maximum likelihood for Gaussian points. ``"sp"`` is the
+paper's: weighted principal components with weights 1 / trace(C_i)^2, the covariance by the derivative of the plane by
+every coordinate.
+
+References:
+    Weingarten, Gruener, Siegwart, "Probabilistic Plane Fitting in 3D", ICRA 2004, section III. Its signs are mended:
+    with z + b0 + b1 x + b2 y = 0, (z, theta, psi) = (-b0, arctan b1, -arctan b2).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from spplanes._rows import OK
+from spplanes.fitting._groups import fit_groups
+from spplanes.fitting._job import FitJob, Method, Robust, group_by_label
+from spplanes.moments import describe_status
+from spplanes.plane import Plane
+
+
+def fit_plane(
+    points: ArrayLike,
+    covariances: ArrayLike | None = None,
+    *,
+    sigma: float | None = None,
+    method: Method = "ml",
+    viewpoint: ArrayLike | None = None,
+    scan_index: ArrayLike | None = None,
+    pose_covariances: ArrayLike | None = None,
+    scan_origins: ArrayLike | None = None,
+    robust: Robust | None = None,
+) -> Plane:
+    """Fit one plane to uncertain points.
+
+    Args:
+        points: shape (N, 3), N >= 3, m.
+        covariances: of the points, shape (N, 3, 3), m^2; singular ones are fine, zero ones are not.
+        sigma: instead of ``covariances``: standard deviation of every coordinate, m.
+        method: ``"ml"``, or ``"sp"`` as in the paper, with weights 1 / trace^2.
+        viewpoint: the normal points to it, shape (3,), m; without it d >= 0.
+        scan_index: scan of each point, shape (N,), whose pose error its points share.
+        pose_covariances: of the scans' pose errors, shape (S, 6, 6), or (6 S, 6 S) where errors of different scans
+            are correlated; in (x, y, z, phi, theta, psi) order, m and rad: world-side perturbations
+            p' = p + t + phi (z x q) + theta (y x q) + psi (x x q).
+        scan_origins: points about which these rotations act, q = p - o, shape (S, 3), m; the world's origin if None.
+        robust: ``"tukey"`` for up to 30 % gross outliers, which n_points and chi2 then leave out; only with ``"ml"``.
+
+    Returns:
+        The plane, its frame at the weighted centre, x and y along the principal axes.
+
+    Raises:
+        ValueError: fewer than 3 points, coincident or collinear ones, NaN, or what is no covariance.
+    """
+    job = FitJob.checked(
+        points,
+        covariances,
+        sigma=sigma,
+        method=method,
+        viewpoint=viewpoint,
+        robust=robust,
+        scan_index=scan_index,
+        pose_covariances=pose_covariances,
+        scan_origins=scan_origins,
+    )
+    fits = fit_groups(job, np.arange(len(job.points)), np.array([0, len(job.points)]))
+    if fits.status[0] != OK:
+        raise ValueError("points: " + describe_status(int(fits.status[0]), int(fits.counts[0])))
+    return fits.planes()[0]
+
+
+def fit_planes(
+    points: ArrayLike,
+    covariances: ArrayLike | None = None,
+    labels: ArrayLike | None = None,
+    *,
+    sigma: float | None = None,
+    method: Method = "ml",
+    viewpoint: ArrayLike | None = None,
+    scan_index: ArrayLike | None = None,
+    pose_covariances: ArrayLike | None = None,
+    scan_origins: ArrayLike | None = None,
+    robust: Robust | None = None,
+) -> list[Plane]:
+    """Fit many planes at once, one to the points of each label.
+
+    Args:
+        points: shape (N, 3), m.
+        covariances: of the points, shape (N, 3, 3), m^2.
+        labels: plane of each point, shape (N,), integers; negative ones are left out.
+        sigma, method, viewpoint, scan_index, pose_covariances, scan_origins, robust: as in ``fit_plane``.
+
+    Returns:
+        The planes in ascending order of label, ``np.unique(labels[labels >= 0])``.
+
+    Raises:
+        ValueError: as ``fit_plane``; the sentence names the label.
+    """
+    job = FitJob.checked(
+        points,
+        covariances,
+        sigma=sigma,
+        method=method,
+        viewpoint=viewpoint,
+        robust=robust,
+        scan_index=scan_index,
+        pose_covariances=pose_covariances,
+        scan_origins=scan_origins,
+    )
+    names, order, bounds = group_by_label(labels, len(job.points))
+    fits = fit_groups(job, order, bounds)
+    for g in np.flatnonzero(fits.status != OK)[:1]:
+        raise ValueError(f"points of label {names[g]}: " + describe_status(int(fits.status[g]), int(fits.counts[g])))
+    return fits.planes()

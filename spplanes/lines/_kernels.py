@@ -1,0 +1,240 @@
+"""Kernels of line extraction: order the beams, find breaks, split and merge.
+
+Along a straight line the inverse range is linear in (cos a, sin a) of the bearing a: 1/r = u cos a + v sin a with
+(u, v) = (cos alpha, sin alpha) / rho. Range noise sigma becomes sigma / r^2 of the inverse range, so the weighted
+least-squares fit of any set of beams follows from six sums (the columns of `beam_moments`), and sums add: a fit, its
+chi2 and the chi2 of a merge are O(1). The fit is first order in sigma / r; `spplanes.lines._fit` refines it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+N_SUMS = 6
+#: Below this share of m[0] m[2] the bearings of a set are one bearing and do not define a line.
+SINGULAR = 1e-13
+#: Chi2 a parameter must earn when the place of a split is chosen: the 95 % quantile of chi2 with 1 dof, rounded up.
+PARAMETER_COST = 4.0
+#: A beam's side of a corner is undecided when a split beyond it costs less than this chi2 more than the best one.
+UNDECIDED = 6.0
+
+
+@njit(cache=True, error_model="numpy")
+def full_turn(angle):
+    """The same angle in [0, 2 pi); of most it is seen without a division."""
+    return angle if 0.0 <= angle < 2.0 * np.pi else angle % (2.0 * np.pi)
+
+
+@njit(cache=True, error_model="numpy")
+def order_beams(ranges, angles, range_min, range_max):
+    """Indices of the returns in order of bearing, from the widest gap on (V,); that gap and the median step, rad."""
+    n = angles.size
+    turn, order, ordered = np.empty(n), np.arange(n), True
+    for k in range(n):
+        turn[k] = full_turn(angles[k] - angles[0])
+        ordered &= k == 0 or not turn[k] - turn[k - 1] < 0.0
+    if not ordered:
+        order = np.argsort(turn, kind="mergesort")
+    steps = np.empty(n)
+    for k in range(n - 1):
+        steps[k] = turn[order[k + 1]] - turn[order[k]]
+    steps[n - 1] = turn[order[0]] + 2.0 * np.pi - turn[order[n - 1]]
+    widest = np.argmax(steps)
+    valid = np.empty(n, dtype=np.int64)
+    count = 0
+    for k in range(widest + 1, widest + 1 + n):
+        beam = order[k if k < n else k - n]
+        if range_min < ranges[beam] < range_max:
+            valid[count] = beam
+            count += 1
+    return valid[:count], steps[widest], np.median(steps)
+
+
+@njit(cache=True, error_model="numpy")
+def slope_sigmas(bearings, ranges, sigmas, bearing_sigma):
+    """Range noise with the bearing noise in it, (V,): times the slope dr/da, at a jump that of the flatter side."""
+    n = bearings.size
+    if bearing_sigma == 0.0:
+        return sigmas
+    slopes = np.empty(n)
+    for k in range(n):
+        step = full_turn(bearings[k] - bearings[k - 1])
+        slopes[k] = abs(ranges[k] - ranges[k - 1]) / max(step, 1e-9)
+    result = np.empty(n)
+    for k in range(n):
+        result[k] = np.hypot(sigmas[k], bearing_sigma * min(slopes[k], slopes[(k + 1) % n]))
+    return result
+
+
+@njit(cache=True, error_model="numpy")
+def beam_moments(cosines, sines, ranges, sigmas):
+    """Share of every beam in the six sums (V, 6): w cc, w cs, w ss, w cq, w sq, w qq; q = 1/r, w = r^4 / sigma^2."""
+    moments = np.empty((ranges.size, N_SUMS))
+    for k in range(ranges.size):
+        c, s, r = cosines[k], sines[k], ranges[k]
+        scale = (r / sigmas[k]) ** 2
+        moments[k, 0] = scale * r * r * c * c
+        moments[k, 1] = scale * r * r * c * s
+        moments[k, 2] = scale * r * r * s * s
+        moments[k, 3] = scale * r * c
+        moments[k, 4] = scale * r * s
+        moments[k, 5] = scale
+    return moments
+
+
+@njit(cache=True, error_model="numpy")
+def fit_of(cc, cs, ss, cq, sq, qq):
+    """(u, v, chi2) of the best line through beams with these six sums; one bearing only: the best perpendicular."""
+    det = cc * ss - cs * cs
+    if det <= SINGULAR * (cc + ss) ** 2:
+        weight = cc + ss
+        return cq / weight, sq / weight, max(0.0, qq - (cq * cq + sq * sq) / weight)
+    u = (ss * cq - cs * sq) / det
+    v = (cc * sq - cs * cq) / det
+    return u, v, max(0.0, qq - u * cq - v * sq)
+
+
+@njit(cache=True, error_model="numpy")
+def fit_sums(m):
+    """`fit_of` the six sums in an array."""
+    return fit_of(m[0], m[1], m[2], m[3], m[4], m[5])
+
+
+@njit(cache=True, error_model="numpy")
+def sum_range(moments, low, high):
+    """The six sums of the beams low..high-1."""
+    total = np.zeros(N_SUMS)
+    for k in range(low, high):
+        for i in range(N_SUMS):
+            total[i] += moments[k, i]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def triple_fails(bearings, ranges, sigmas, sines, i, j, k, gate):
+    """True when three neighbouring beams are not on one line: chi2 with 1 dof of their collinearity above `gate`.
+
+    `sines` are those of the steps to each beam from the one before.
+    """
+    left, right = sines[k], sines[j]
+    middle = -np.sin(bearings[k] - bearings[i])
+    error = left / ranges[i] + middle / ranges[j] + right / ranges[k]
+    variance = (
+        (left * sigmas[i] / ranges[i] ** 2) ** 2
+        + (middle * sigmas[j] / ranges[j] ** 2) ** 2
+        + (right * sigmas[k] / ranges[k] ** 2) ** 2
+    )
+    return error * error > gate * variance
+
+
+@njit(cache=True, error_model="numpy")
+def find_breaks(bearings, ranges, sigmas, max_step, gate):
+    """For each beam the kind of break before it (V,): 0 none, 1 the depth jumps, 2 beams are missing; closed ring."""
+    n = bearings.size
+    sines = np.empty(n)
+    for k in range(n):
+        sines[k] = np.sin(bearings[k] - bearings[k - 1])
+    fails = np.empty(n, dtype=np.bool_)
+    for k in range(n):
+        fails[k] = triple_fails(bearings, ranges, sigmas, sines, k - 1, k, k + 1 if k + 1 < n else 0, gate)
+    breaks = np.zeros(n, dtype=np.int8)
+    for k in range(n):
+        if full_turn(bearings[k] - bearings[k - 1]) > max_step:
+            breaks[k] = 2
+        elif fails[k] and fails[k - 1]:
+            breaks[k] = 1
+    return breaks
+
+
+@njit(cache=True, error_model="numpy")
+def best_split(moments, low, high, cost):
+    """Where two lines explain low..high-1 best: (first beam of the second line, chi2 gained over one line).
+
+    `cost` is scratch of `high` floats; cost[k] becomes the chi2 of a split before beam k plus PARAMETER_COST for each
+    parameter used: without it two beams, which some line always fits, would leave the longer piece for nothing.
+    """
+    cc = cs = ss = cq = sq = qq = before = 0.0  # scalars: an array of six sums would be written back at every beam
+    for k in range(low, high):
+        cost[k] = before + PARAMETER_COST * min(2, k - low)
+        cc, cs, ss = cc + moments[k, 0], cs + moments[k, 1], ss + moments[k, 2]
+        cq, sq, qq = cq + moments[k, 3], sq + moments[k, 4], qq + moments[k, 5]
+        before = fit_of(cc, cs, ss, cq, sq, qq)[2]
+    cc = cs = ss = cq = sq = qq = 0.0
+    at, best = low, np.inf
+    for k in range(high - 1, low, -1):
+        cc, cs, ss = cc + moments[k, 0], cs + moments[k, 1], ss + moments[k, 2]
+        cq, sq, qq = cq + moments[k, 3], sq + moments[k, 4], qq + moments[k, 5]
+        cost[k] += fit_of(cc, cs, ss, cq, sq, qq)[2] + PARAMETER_COST * min(2, high - k)
+        if cost[k] < best:
+            best, at = cost[k], k
+    return at, before + 4.0 * PARAMETER_COST - best
+
+
+@njit(cache=True, error_model="numpy")
+def split_gate(n, significance):
+    """Quantile of chi2 with 2 dof for the best of n places to split (Bonferroni)."""
+    return -2.0 * np.log(significance / n)
+
+
+@njit(cache=True, error_model="numpy")
+def split(moments, breaks, significance):
+    """Cut the sequence into pieces that no further cut improves significantly: the first beam of each, (M + 1,)."""
+    n = moments.shape[0]
+    is_start = np.zeros(n + 1, dtype=np.bool_)
+    is_start[0] = is_start[n] = True
+    left = np.empty(n)
+    stack = np.empty((n + 1, 2), dtype=np.int64)
+    low, depth = 0, 0
+    for k in range(1, n + 1):
+        if k == n or breaks[k] > 0:
+            is_start[low] = True
+            stack[0, 0], stack[0, 1], depth = low, k, 1
+            while depth > 0:
+                depth -= 1
+                a, b = stack[depth, 0], stack[depth, 1]
+                if b - a < 3:
+                    continue
+                at, gain = best_split(moments, a, b, left)
+                if gain > split_gate(b - a, significance):
+                    is_start[at] = True
+                    stack[depth, 0], stack[depth, 1] = a, at
+                    stack[depth + 1, 0], stack[depth + 1, 1] = at, b
+                    depth += 2
+            low = k
+    return np.nonzero(is_start)[0]
+
+
+@njit(cache=True, error_model="numpy")
+def refine(moments, breaks, starts, significance):
+    """Move the boundary of neighbouring pieces to where it is best; drop it when it gains too little.
+
+    Returns the boundaries, and for each beam whether the piece it belongs to is undecided (V,).
+    """
+    cost = np.empty(moments.shape[0])
+    undecided = np.zeros(moments.shape[0], dtype=np.bool_)
+    kept = starts.copy()
+    count = 1
+    for i in range(1, starts.size - 1):
+        low, high = kept[count - 1], starts[i + 1]
+        at, gain = starts[i], np.inf
+        if breaks[starts[i]] < 2 and high - low >= 3:
+            at, gain = best_split(moments, low, high, cost)
+            if gain > split_gate(high - low, significance):
+                mark_undecided(cost, low, high, at, undecided)
+        if gain > split_gate(high - low, significance):
+            kept[count] = at
+            count += 1
+    kept[count] = starts[-1]
+    return kept[: count + 1], undecided
+
+
+@njit(cache=True, error_model="numpy")
+def mark_undecided(cost, low, high, at, undecided):
+    """Mark the beams between the first and the last split that are about as good as the best one, `at`."""
+    first = last = at
+    while first - 1 >= low + 3 and cost[first - 1] < cost[at] + UNDECIDED:
+        first -= 1
+    while last + 1 <= high - 3 and cost[last + 1] < cost[at] + UNDECIDED:
+        last += 1
+    undecided[first:last] = True

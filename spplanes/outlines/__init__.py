@@ -1,0 +1,1 @@
+"""Outlines of planar regions: rasters, their rings, polygons with holes."""

@@ -1,0 +1,127 @@
+"""Rings around the filled cells of a raster: one part, no pinches, few vertices."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes.outlines._closing import one_part
+
+#: How far a simplified ring may leave the steps of the raster, cells.
+TOLERANCE = 0.75
+
+
+@njit(cache=True, nogil=True)
+def rings_around(filled):
+    """Rings around the filled cells, vertices (V, 2) in cells and the end of every ring (R,); the first is the shell.
+
+    Parts that lie apart are bridged by closing the gaps between them; where that takes too much, the largest stays.
+
+    Args:
+        filled: shape (I, J) bool with an empty frame around it; something is filled. Changed in place.
+    """
+    filled = one_part(filled)
+    vertices, ends = _trace(filled)
+    kept, first, count, n_rings = np.empty(vertices.shape[0], dtype=np.bool_), 0, 0, 0
+    for k in range(ends.shape[0]):
+        last = ends[k]
+        few = _simplify(vertices[first:last], kept[first:last]) < 3
+        if k == 0 or not few:
+            for v in range(first, last):
+                if kept[v] or few:
+                    vertices[count] = vertices[v]
+                    count += 1
+            ends[n_rings] = count
+            n_rings += 1
+        first = last
+    return vertices[:count], ends[:n_rings]
+
+
+@njit(cache=True, nogil=True)
+def _trace(filled):
+    """Rings around the filled cells, corners only: vertices (V, 2) and the end of every ring.
+
+    Every side of a filled cell is walked once with the cell on its left; the direction of a walk is 0: +j, 1: -i,
+    2: -j, 3: +i. The first ring found is the shell of a part.
+    """
+    n_i, n_j = filled.shape
+    seen = np.zeros((n_i, n_j), dtype=np.bool_)  # sides walked in direction 2, of which every ring has one
+    n_cells = filled.sum()
+    vertices = np.empty((4 * n_cells + 1, 2), dtype=np.float64)
+    ends = np.empty(4 * n_cells + 1, dtype=np.int64)
+    n_vertices, n_rings = 0, 0
+    di, dj = np.array([0, -1, 0, 1]), np.array([1, 0, -1, 0])
+    for i0 in range(1, n_i - 1):
+        for j0 in range(1, n_j - 1):
+            if not filled[i0, j0] or filled[i0 - 1, j0] or seen[i0, j0]:
+                continue
+            i, j, d = i0, j0, 2
+            while d != 2 or not seen[i, j]:
+                if d == 2:
+                    seen[i, j] = True
+                a, b = i + di[d], j + dj[d]
+                right = (d + 3) % 4
+                if not filled[a, b]:
+                    vertices[n_vertices] = _corner(i, j, d)
+                    n_vertices += 1
+                    d = (d + 1) % 4
+                elif filled[a + di[right], b + dj[right]]:
+                    vertices[n_vertices] = _corner(i, j, d)
+                    n_vertices += 1
+                    i, j, d = a + di[right], b + dj[right], right
+                else:
+                    i, j = a, b
+            ends[n_rings] = n_vertices
+            n_rings += 1
+    return vertices[:n_vertices], ends[:n_rings]
+
+
+@njit(cache=True, nogil=True)
+def _corner(i, j, d):
+    """End of the side of cell (i, j) that is walked in direction d, the cell on its left."""
+    if d == 0:
+        return i + 1.0, j + 1.0
+    if d == 1:
+        return i + 0.0, j + 1.0
+    if d == 2:
+        return i + 0.0, j + 0.0
+    return i + 1.0, j + 0.0
+
+
+@njit(cache=True, nogil=True)
+def _simplify(ring, kept):
+    """Mark the vertices of a ring (V, 2) that Douglas and Peucker's algorithm keeps; returns their number."""
+    n = ring.shape[0]
+    kept[:] = False
+    far, best = 0, -1.0
+    for k in range(n):
+        distance = (ring[k, 0] - ring[0, 0]) ** 2 + (ring[k, 1] - ring[0, 1]) ** 2
+        if distance > best:
+            far, best = k, distance
+    kept[0], kept[far] = True, True
+    stack = np.empty((n + 2, 2), dtype=np.int64)
+    stack[0, 0], stack[0, 1], stack[1, 0], stack[1, 1] = 0, far, far, n
+    top, count = 2, 2
+    while top > 0:
+        top -= 1
+        first, last = stack[top, 0], stack[top, 1]
+        middle, best = -1, TOLERANCE * TOLERANCE
+        for k in range(first + 1, last):
+            distance = _from_segment(ring[k], ring[first], ring[last % n])
+            if distance > best:
+                middle, best = k, distance
+        if middle >= 0:
+            kept[middle] = True
+            count += 1
+            stack[top, 0], stack[top, 1], stack[top + 1, 0], stack[top + 1, 1] = first, middle, middle, last
+            top += 2
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _from_segment(p, a, b):
+    """Squared distance of a point from a segment."""
+    ux, uy, vx, vy = b[0] - a[0], b[1] - a[1], p[0] - a[0], p[1] - a[1]
+    length = ux * ux + uy * uy
+    along = 0.0 if length == 0.0 else min(1.0, max(0.0, (ux * vx + uy * vy) / length))
+    return (vx - along * ux) ** 2 + (vy - along * uy) ** 2

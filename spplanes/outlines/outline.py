@@ -1,0 +1,123 @@
+"""Outlines of planar regions: what the quads of a region cover, as a polygon with holes in plane coordinates.
+
+A region of one grid is drawn in the coordinates of its plane. One that grows scan after scan is drawn on a raster that
+does not turn with the plane: the projection along the world axis nearest to the first normal. So outlines of two
+regions unite without keeping points.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from shapely import Polygon, box
+
+from spplanes._check import FloatArray
+from spplanes._threads import in_parts
+from spplanes.outlines._raster import draw, onto_planes
+from spplanes.outlines._tracing import rings_around
+
+#: A plane is not projected along an axis with which its normal has less than this cosine.
+STEEPEST = 0.2
+
+
+def outlines_of_grid(
+    points: FloatArray, labels: np.ndarray, frames: FloatArray, cells: FloatArray
+) -> list[Polygon | None]:
+    """Outlines of the regions of a grid; None where a region covers no cell.
+
+    Args:
+        points: shape (S, B, 3), m.
+        labels: shape (S, B), 0..R-1, -1 = none.
+        frames: world_T_plane of every region, shape (R, 4, 4).
+        cells: side of the cells of every region, shape (R,), m.
+    """
+    projections = onto_planes(frames, cells)
+    filled, first, corner, shape = draw(points, labels, projections)
+    sides = 1.0 / np.linalg.norm(projections[:, 0, :3], axis=1)
+    rings: list[tuple[FloatArray, np.ndarray] | None] = [None] * len(frames)
+    largest_first = np.argsort(-np.diff(first), kind="stable")
+
+    def trace(begin: int, end: int) -> None:
+        for r in largest_first[begin:end]:
+            raster = filled[first[r] : first[r + 1]].reshape(shape[r])
+            rings[r] = rings_around(raster) if raster.any() else None
+
+    in_parts(trace, len(frames), len(filled), singly=True)
+    polygons = iter(_polygons([((ring[0] + corner[r]) * sides[r], ring[1]) for r, ring in enumerate(rings) if ring]))
+    return [ring and next(polygons) for ring in rings]
+
+
+def outline_from_cells(cells: np.ndarray, cell: float, axis: int, frame: FloatArray) -> Polygon | None:
+    """Polygon in plane coordinates around cells of a region, m; None when there is no cell.
+
+    Args:
+        cells: shape (K, 2), int64.
+        cell: side of a cell, m.
+        axis: projection axis of the cells.
+        frame: world_T_plane, shape (4, 4).
+    """
+    if not len(cells):
+        return None
+    corner = cells.min(axis=0)
+    filled = np.zeros(cells.max(axis=0) - corner + 3, dtype=np.bool_)
+    filled[cells[:, 0] - corner[0] + 1, cells[:, 1] - corner[1] + 1] = True
+    vertices, ends = rings_around(filled)
+    return _polygons([(_lift((vertices + (corner - 1)) * cell, axis, frame), ends)])[0]
+
+
+def _polygons(rings: list[tuple[FloatArray, np.ndarray]]) -> list[Polygon]:
+    """Polygons of rings, each their vertices behind each other and where every ring ends; all made at once.
+
+    Those that simplification has made cross themselves are mended.
+    """
+    if not rings:
+        return []
+    counts = np.concatenate([np.diff(ends, prepend=0) for _, ends in rings])
+    corners = np.concatenate(([0], np.cumsum(counts)))
+    parts = np.concatenate(([0], np.cumsum([len(ends) for _, ends in rings])))
+    vertices = np.concatenate([corner for corner, _ in rings])
+    polygons = shapely.from_ragged_array(shapely.GeometryType.POLYGON, vertices, (corners, parts))
+    good = shapely.is_valid(polygons)
+    return [one if ok else _mended(one) for one, ok in zip(polygons, good.tolist(), strict=True)]
+
+
+def _mended(polygon: Polygon) -> Polygon:
+    """The largest piece of what a polygon that crosses itself encloses."""
+    with np.errstate(all="ignore"):  # GEOS divides by the length of edges, zero where a spike folds back
+        pieces = shapely.get_parts(shapely.make_valid(polygon))
+    areas = [piece.area if isinstance(piece, Polygon) else -1.0 for piece in pieces]
+    return pieces[int(np.argmax(areas))]
+
+
+def in_projection(cells: np.ndarray, axes: np.ndarray, axis: int, cell: float, frame: FloatArray) -> np.ndarray:
+    """Cells (K, 2) of one plane that were drawn along different axes (K,), all along the one given.
+
+    Those drawn along an axis that the plane, better known by now, turned out to be almost parallel to are left out.
+    """
+    usable = np.abs(frame[axes, 2]) > STEEPEST
+    cells, axes = cells[usable], axes[usable]
+    other = axes != axis
+    if not other.any():
+        return cells
+    moved = cells.copy()
+    for old in np.unique(axes[other]):
+        mine = axes == old
+        x_y = _lift((cells[mine] + 0.5) * cell, int(old), frame)
+        world = frame[:3, 3] + x_y @ frame[:3, :2].T
+        moved[mine] = np.floor(world[:, [(axis + 1) % 3, (axis + 2) % 3]] / cell)
+    return moved
+
+
+def _lift(flat: FloatArray, axis: int, frame: FloatArray) -> FloatArray:
+    """Plane coordinates of the points of the plane that project to ``flat`` (N, 2)."""
+    n, origin = frame[:3, 2], frame[:3, 3]
+    u, v = (axis + 1) % 3, (axis + 2) % 3
+    delta = np.empty((len(flat), 3))
+    delta[:, u], delta[:, v] = flat[:, 0] - origin[u], flat[:, 1] - origin[v]
+    delta[:, axis] = -(delta[:, u] * n[u] + delta[:, v] * n[v]) / n[axis]
+    return delta @ frame[:3, :2]
+
+
+def outline_from_extent(half_x: float, half_y: float) -> Polygon:
+    """Rectangle of a patch that is too small for the raster."""
+    return box(-half_x, -half_y, half_x, half_y)

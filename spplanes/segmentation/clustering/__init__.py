@@ -1,0 +1,1 @@
+"""Clustering: planar cells, agglomerative hierarchical clustering (AHC) and region growing."""

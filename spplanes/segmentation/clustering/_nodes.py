@@ -1,0 +1,140 @@
+"""What small cells show of the regions that have points in them: moments, offsets from planes, neighbours."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes._moment_patches import centre_sums, eigenvalues, merge_scaled, normal_of, variance_from
+from spplanes.moments import ROW_SIZE
+
+#: What is known of a node, the points of one region in one cell: number, weight, mean distance from the plane, mean row
+#: of the grid, region.
+N, WEIGHT, OFFSET, ROW, REGION = range(5)
+
+
+@njit(cache=True)
+def nodes_of(points, covariance, labels, planes, size):
+    """First node of every cell, shape (R, C + 1), the nodes (K, 5) in the order of their cells, and moments (K, 11)."""
+    n_rows, n_cols = (labels.shape[0] + size - 1) // size, (labels.shape[1] + size - 1) // size
+    first, count = np.zeros((n_rows, n_cols + 1), dtype=np.int64), 0
+    nodes, rows, about = np.zeros((1024, 5)), np.zeros((1024, ROW_SIZE)), np.zeros((1024, 3))
+    for ci in range(n_rows):
+        for cj in range(n_cols):
+            first[ci, cj] = count
+            for i in range(ci * size, min((ci + 1) * size, labels.shape[0])):
+                for j in range(cj * size, min((cj + 1) * size, labels.shape[1])):
+                    r = labels[i, j]
+                    if r < 0:
+                        continue
+                    k = first[ci, cj]
+                    while k < count and nodes[k, REGION] != r:
+                        k += 1
+                    if k == count:
+                        count += 1
+                        if count == nodes.shape[0]:
+                            nodes = np.concatenate((nodes, np.zeros(nodes.shape)))
+                            rows = np.concatenate((rows, np.zeros(rows.shape)))
+                            about = np.concatenate((about, np.zeros(about.shape)))
+                        nodes[k, REGION] = r
+                        about[k] = points[i, j]
+                    w = 1.0 / variance_from(covariance, i, j, planes, r)
+                    _add(rows[k], w, points[i, j, 0], points[i, j, 1], points[i, j, 2], about[k])
+                    nodes[k, ROW] += i
+        first[ci, n_cols] = count
+    for k in range(count):
+        centre_sums(rows[k], about[k])
+        nodes[k, N], nodes[k, WEIGHT] = rows[k, 0], rows[k, 1]
+        nodes[k, ROW] /= nodes[k, N]
+    return first, nodes[:count].copy(), rows[:count].copy()
+
+
+@njit(cache=True)
+def _add(sums, w, x, y, z, about):
+    """Add a point to sums about a point near it."""
+    x, y, z = x - about[0], y - about[1], z - about[2]
+    sums[0] += 1.0
+    sums[1] += w
+    sums[2] += w * x
+    sums[3] += w * y
+    sums[4] += w * z
+    sums[5] += w * x * x
+    sums[6] += w * x * y
+    sums[7] += w * x * z
+    sums[8] += w * y * y
+    sums[9] += w * y * z
+    sums[10] += w * z * z
+
+
+@njit(cache=True)
+def node_of(first, nodes, ci, cj, region):
+    """The node of a region in a cell, or -1."""
+    for k in range(first[ci, cj], first[ci, cj + 1]):
+        if nodes[k, REGION] == region:
+            return k
+    return -1
+
+
+@njit(cache=True)
+def edges_of(first, nodes, hides):
+    """Pairs of nodes of one region in neighbouring cells, and those one cell further on either side or -1: (E, 2)."""
+    pairs, edges = np.empty((2 * nodes.shape[0], 2), dtype=np.int64), np.empty((2 * nodes.shape[0], 2), dtype=np.int64)
+    n_rows, n_cols, count = first.shape[0], first.shape[1] - 1, 0
+    for ci in range(n_rows):
+        for cj in range(n_cols):
+            for k in range(first[ci, cj], first[ci, cj + 1]):
+                r = int(nodes[k, REGION])
+                for step in range(2 if hides[r] else 0):
+                    di, dj = step, 1 - step
+                    if ci + di >= n_rows or cj + dj >= n_cols:
+                        continue
+                    other = node_of(first, nodes, ci + di, cj + dj, r)
+                    if other < 0:
+                        continue
+                    inside = ci >= di and cj >= dj
+                    pairs[count, 0] = node_of(first, nodes, ci - di, cj - dj, r) if inside else -1
+                    inside = ci + 2 * di < n_rows and cj + 2 * dj < n_cols
+                    pairs[count, 1] = node_of(first, nodes, ci + 2 * di, cj + 2 * dj, r) if inside else -1
+                    edges[count, 0], edges[count, 1] = k, other
+                    count += 1
+    return pairs[:count], edges[:count]
+
+
+@njit(cache=True)
+def hides_steps(nodes, n_regions, flatness):
+    """Whether the points of a region have more noise than surfaces are granted, shape (R,) bool."""
+    total = np.zeros((n_regions, 2))
+    for k in range(nodes.shape[0]):
+        total[int(nodes[k, REGION]), 0] += nodes[k, N]
+        total[int(nodes[k, REGION]), 1] += nodes[k, WEIGHT]
+    return total[:, 0] > flatness * flatness * total[:, 1]
+
+
+@njit(cache=True)
+def measure(nodes, rows, normals):
+    """Offsets of the nodes along the normals of their regions, in place, from the region's first node."""
+    origin = np.full(normals.shape[0], -1)
+    for k in range(nodes.shape[0]):
+        r = int(nodes[k, REGION])
+        if origin[r] < 0:
+            origin[r] = k
+        nodes[k, OFFSET] = 0.0
+        for m in range(3):
+            nodes[k, OFFSET] += normals[r, m] * (rows[k, 2 + m] - rows[origin[r], 2 + m])
+
+
+@njit(cache=True)
+def common_normals(nodes, rows, parent, normals):
+    """The normals of parallel planes, one through each tree of a region, in place."""
+    trees, inside = rows.copy(), np.zeros((normals.shape[0], ROW_SIZE))
+    work = np.empty(ROW_SIZE)
+    for k in range(rows.shape[0]):
+        if parent[k] != k:
+            merge_scaled(work, trees[parent[k]], 1.0, rows[k], 1.0)
+            trees[parent[k]] = work
+    for k in range(rows.shape[0]):
+        if parent[k] == k:
+            inside[int(nodes[k, REGION]), 5:] += trees[k, 5:]
+    for r in range(normals.shape[0]):
+        if inside[r, 5] + inside[r, 8] + inside[r, 10] > 0.0:
+            normals[r, 0], normals[r, 1], normals[r, 2] = normal_of(inside[r], eigenvalues(inside[r])[0])

@@ -1,0 +1,158 @@
+"""Agglomerative hierarchical clustering (AHC) of patches into planes, with a heap and a chi2 test."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes._moment_patches import eigenvalues, merge_scaled, normal_of
+
+
+@njit(cache=True)
+def one_plane_chi2(a, b, bias, work):
+    """Chi2 (3 dof) of the hypothesis that two rows of moments are one plane, up to a systematic error between them.
+
+    It is the growth of the sum of squared normalised residuals when both are fitted by one plane, which to first order
+    is (b_a - b_b)^T (C_a + C_b)^-1 (b_a - b_b); it stays defined when one patch does not determine a plane. The
+    systematic error, variance `bias` along z and a tilt of as much per rms extent, is granted to the smaller patch: its
+    weights shrink by 1 + bias W, which is adding it to its covariance. Granted to a large but narrow patch as well, it
+    would let that one turn about its long axis by more than its points allow.
+    """
+    if a[1] < b[1]:
+        a, b = b, a
+    scale = 1.0 / (1.0 + bias * b[1])
+    merge_scaled(work, a, 1.0, b, scale)
+    return eigenvalues(work)[0] - eigenvalues(a)[0] - scale * eigenvalues(b)[0]
+
+
+@njit(cache=True)
+def step_chi2(a, b, tolerance, work):
+    """Chi2 (1 dof) of the step between two parallel planes, one through each of two rows of moments.
+
+    Two planes that are free to tilt meet each other half way, where a large and a small one or two small ones meet; if
+    both have the tilt of all points together, the step is what it is. `tolerance` is the variance it may have, m^2.
+    """
+    merge_scaled(work, a, 1.0, b, 1.0)
+    one = eigenvalues(work)[0]
+    for k in range(5, 11):
+        work[k] = a[k] + b[k]
+    two = eigenvalues(work)[0]
+    if one <= two:
+        return 0.0
+    nx, ny, nz = normal_of(work, two)
+    step = (b[2] - a[2]) * nx + (b[3] - a[3]) * ny + (b[4] - a[4]) * nz
+    gain = one - two
+    if step == 0.0:
+        return gain
+    return gain / (1.0 + gain * tolerance / (step * step))
+
+
+@njit(cache=True)
+def find(parent, i):
+    """Root of i, with path halving."""
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@njit(cache=True)
+def push(keys, items, size, key, item):
+    """Put an entry into a heap of `size`; returns the new size."""
+    i = size
+    while i > 0:
+        up = (i - 1) >> 1
+        if keys[up] < key or (keys[up] == key and items[up] <= item):
+            break
+        keys[i], items[i] = keys[up], items[up]
+        i = up
+    keys[i], items[i] = key, item
+    return size + 1
+
+
+@njit(cache=True)
+def pop(keys, items, size):
+    """Remove the first entry; the caller has read it."""
+    size -= 1
+    key, item = keys[size], items[size]
+    i = 0
+    while True:
+        child = 2 * i + 1
+        if child >= size:
+            break
+        other = child + 1
+        if other < size and (keys[other] < keys[child] or (keys[other] == keys[child] and items[other] < items[child])):
+            child = other
+        if keys[child] > key or (keys[child] == key and items[child] >= item):
+            break
+        keys[i], items[i] = keys[child], items[child]
+        i = child
+    keys[i], items[i] = key, item
+    return size
+
+
+@njit(cache=True)
+def merged_distance(a, b, work):
+    """Mean squared normalised distance of the points of both rows to their common plane."""
+    merge_scaled(work, a, 1.0, b, 1.0)
+    return eigenvalues(work)[0] / max(work[0] - 3.0, 1.0)
+
+
+@njit(cache=True)
+def _are_one(rows, bias, a, b, flatness, correlation, limits, work):
+    """Whether two patches are one plane: what they share with scans counts as far as their scans differ."""
+    apart = 1.0 - np.exp(-abs(bias[a, 1] - bias[b, 1]) / correlation)
+    total = 2.0 * flatness * flatness + apart * (bias[a, 0] + bias[b, 0])
+    if step_chi2(rows[a], rows[b], total, work) > limits[0]:
+        return False
+    return one_plane_chi2(rows[a], rows[b], total, work) <= limits[1]
+
+
+@njit(cache=True)
+def cluster(rows, bias, edges, limits, flatness, correlation):
+    """Fuse patches along edges, the pair with the smallest mean distance to its common plane first.
+
+    Args:
+        rows: moments, shape (N, 11); on return the row of a root holds the sum of its tree.
+        bias: variance along the normal that a patch shares with its scans, m^2, and mean scan: (N, 2); kept up to date.
+        edges: pairs of neighbouring patches, shape (E, 2).
+        limits: largest chi2 at which two patches are one plane: of the step between them (1 dof), of both (3 dof).
+        flatness: deviation from a plane that every patch is granted, m.
+        correlation: scans over which errors shared with scans change.
+
+    Returns:
+        Root of every patch, shape (N,). The keys in the heap are brought up to date when they come to its top.
+    """
+    n_edges = edges.shape[0]
+    parent = np.arange(rows.shape[0])
+    version = np.zeros(rows.shape[0], dtype=np.int64)
+    stamp = np.zeros(n_edges, dtype=np.int64)
+    keys, items = np.empty(n_edges), np.empty(n_edges, dtype=np.int64)
+    work = np.empty(rows.shape[1])
+    size = 0
+    for e in range(n_edges):
+        size = push(keys, items, size, merged_distance(rows[edges[e, 0]], rows[edges[e, 1]], work), e)
+    while size > 0:
+        key, e = keys[0], items[0]
+        size = pop(keys, items, size)
+        a, b = find(parent, edges[e, 0]), find(parent, edges[e, 1])
+        if a == b:
+            continue
+        if stamp[e] != version[a] + version[b]:
+            stamp[e] = version[a] + version[b]
+            fresh = merged_distance(rows[a], rows[b], work)
+            if fresh > key:
+                size = push(keys, items, size, fresh, e)
+                continue
+        if not _are_one(rows, bias, a, b, flatness, correlation, limits, work):
+            continue
+        if b < a:
+            a, b = b, a
+        merge_scaled(work, rows[a], 1.0, rows[b], 1.0)
+        bias[a] = (bias[a] * rows[a, 1] + bias[b] * rows[b, 1]) / work[1]
+        rows[a] = work
+        parent[b] = a
+        version[a] += version[b] + 1
+    for i in range(parent.shape[0]):
+        parent[i] = find(parent, i)
+    return parent

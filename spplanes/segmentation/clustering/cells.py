@@ -1,0 +1,196 @@
+"""Square cells of an organised grid: moments, planarity and neighbourhood."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes._moment_patches import add_run, centre_sums, eigenvalues, normal_of, variance_along
+from spplanes._threads import in_parts
+from spplanes.moments import ROW_SIZE
+
+
+def cell_moments(points, covariance, free, size, floor_variance):
+    """Moments of the free points of every cell that is filled, weighted along the cell's own normal.
+
+    Args:
+        points: shape (S, B, 3), m.
+        covariance: shape (S, B, 1) isotropic variances or (S, B, 9), m^2.
+        free: shape (S, B) bool, points to use.
+        size: side of a cell.
+        floor_variance: added to the variance of every point, m^2.
+
+    Returns:
+        Rows, shape (R, C, 11); zeros where too few points are free.
+    """
+    n_rows, n_cols = (points.shape[0] + size - 1) // size, (points.shape[1] + size - 1) // size
+    rows = np.zeros((n_rows, n_cols, ROW_SIZE))
+
+    def some(first: int, last: int) -> None:
+        _moments_of(rows, points, covariance, free, size, floor_variance, first, last)
+
+    in_parts(some, n_rows, free.size)
+    return rows
+
+
+@njit(cache=True)
+def _is_filled(count, ci, cj, shape, size):
+    """Whether a cell has enough points to be judged."""
+    area = min(size, shape[0] - ci * size) * min(size, shape[1] - cj * size)
+    return count >= max(0.4 * area, 4.0)
+
+
+@njit(cache=True, nogil=True)
+def _moments_of(rows, points, covariance, free, size, floor_variance, first, last):
+    """The moments of the rows of cells from first to last."""
+    counts = np.empty(rows.shape[1], dtype=np.int64)
+    for ci in range(first, last):
+        counts[:] = 0
+        for i in range(ci * size, min((ci + 1) * size, free.shape[0])):
+            for cj in range(rows.shape[1]):
+                for j in range(cj * size, min((cj + 1) * size, free.shape[1])):
+                    counts[cj] += free[i, j]
+        for cj in range(rows.shape[1]):
+            if _is_filled(counts[cj], ci, cj, free.shape, size):
+                _one_cell(rows[ci, cj], points, covariance, free, ci * size, cj * size, size, floor_variance)
+
+
+@njit(cache=True)
+def _one_cell(row, points, covariance, free, i0, j0, size, floor_variance):
+    i1, j1 = min(i0 + size, points.shape[0]), min(j0 + size, points.shape[1])
+    about, normal, isotropic = np.zeros(3), np.array([0.0, 0.0, 1.0]), covariance.shape[2] == 1
+    for last in (False, True):
+        if not last and isotropic:
+            continue
+        row[:] = 0.0
+        for i in range(i0, i1):
+            j = j0
+            while j < j1:
+                begin = j
+                while j < j1 and free[i, j]:
+                    j += 1
+                if j > begin:
+                    if row[0] == 0.0:
+                        about[:] = points[i, begin]
+                    add_run(row, points, covariance, i, begin, j, about, normal, floor_variance, last)
+                while j < j1 and not free[i, j]:
+                    j += 1
+        if row[0] == 0.0:
+            return
+        centre_sums(row, about)
+        if not last:
+            normal[0], normal[1], normal[2] = normal_of(row, eigenvalues(row)[0])
+
+
+@njit(cache=True)
+def failed_quads(free, quads, size):
+    """Number of quads between free points inside every cell that the filter threw away, shape (R, C)."""
+    n_rows, n_cols = (free.shape[0] + size - 1) // size, (free.shape[1] + size - 1) // size
+    failed = np.zeros((n_rows, n_cols), dtype=np.int64)
+    for i in range(quads.shape[0]):
+        if (i + 1) % size == 0:
+            continue
+        for cj in range(n_cols):
+            for j in range(cj * size, min((cj + 1) * size - 1, quads.shape[1])):
+                if not quads[i, j] and free[i, j] and free[i, j + 1] and free[i + 1, j] and free[i + 1, j + 1]:
+                    failed[i // size, cj] += 1
+    return failed
+
+
+@njit(cache=True)
+def planar_cells(rows, failed, shape, size, quantile, slack):
+    """Cells whose points fit one plane: filled, without jumps, residuals as noise explains; shape (R, C) bool."""
+    planar = np.zeros(rows.shape[:2], dtype=np.bool_)
+    for ci in range(rows.shape[0]):
+        for cj in range(rows.shape[1]):
+            row = rows[ci, cj]
+            dof = row[0] - 3.0
+            if not _is_filled(row[0], ci, cj, shape, size) or failed[ci, cj] > size // 2:
+                continue
+            spread = 2.0 / (9.0 * dof)
+            limit = slack * dof * (1.0 - spread + quantile * np.sqrt(spread)) ** 3
+            planar[ci, cj] = eigenvalues(row)[0] <= limit
+    return planar
+
+
+@njit(cache=True)
+def shared_variances(rows, shared, free, planar, size, start):
+    """Of planar cells: mean variance along the normal that points share with their scans, and mean scan, (K, 2)."""
+    result = np.zeros((planar.sum(), 2))
+    count = 0
+    for ci in range(rows.shape[0]):
+        for cj in range(rows.shape[1]):
+            if not planar[ci, cj]:
+                continue
+            result[count, 1] = start + (ci + 0.5) * size
+            nx, ny, nz = normal_of(rows[ci, cj], eigenvalues(rows[ci, cj])[0])
+            if shared.shape[0] > 1:
+                for i in range(ci * size, min((ci + 1) * size, free.shape[0])):
+                    for j in range(cj * size, min((cj + 1) * size, free.shape[1])):
+                        if free[i, j]:
+                            result[count, 0] += variance_along(shared, i, j, nx, ny, nz) / rows[ci, cj, 0]
+            count += 1
+    return result
+
+
+@njit(cache=True)
+def cell_edges(node, labels, start, size):
+    """Pairs of neighbouring nodes: cells beside cells, and cells beside regions labelled already.
+
+    Args:
+        node: node number of every planar cell, shape (R, C), -1 = none; cells come after the regions.
+        labels: region of every point, shape (S, B), -1 = none; also the node number of the region.
+        start: row of the labels at which the cells begin.
+        size: side of a cell.
+
+    Returns:
+        shape (E, 2), int64.
+    """
+    n_rows, n_cols = node.shape
+    edges = np.empty((n_rows * n_cols * (2 + 4 * size), 2), dtype=np.int64)
+    count = 0
+    for ci in range(n_rows):
+        for cj in range(n_cols):
+            if node[ci, cj] < 0:
+                continue
+            if cj + 1 < n_cols and node[ci, cj + 1] >= 0:
+                edges[count, 0], edges[count, 1] = node[ci, cj], node[ci, cj + 1]
+                count += 1
+            if ci + 1 < n_rows and node[ci + 1, cj] >= 0:
+                edges[count, 0], edges[count, 1] = node[ci, cj], node[ci + 1, cj]
+                count += 1
+            count = _region_edges(edges, count, node[ci, cj], labels, start + ci * size, cj * size, size)
+    return edges[:count]
+
+
+@njit(cache=True)
+def _region_edges(edges, count, me, labels, i0, j0, size):
+    """Append an edge to every region that touches the frame of points around a cell; runs are counted once."""
+    n_rows, n_cols = labels.shape
+    for side in range(4):
+        last = -1
+        for k in range(size):
+            i = i0 - 1 if side == 0 else i0 + size if side == 1 else i0 + k
+            j = j0 - 1 if side == 2 else j0 + size if side == 3 else j0 + k
+            if i < 0 or j < 0 or i >= n_rows or j >= n_cols:
+                continue
+            region = labels[i, j]
+            if region >= 0 and region != last:
+                edges[count, 0], edges[count, 1] = region, me
+                count += 1
+                last = region
+    return count
+
+
+@njit(cache=True)
+def paint(labels, node, cluster_label, free, size):
+    """Give the free points of every clustered cell the label of its cluster."""
+    for ci in range(node.shape[0]):
+        for cj in range(node.shape[1]):
+            if node[ci, cj] < 0 or cluster_label[node[ci, cj]] < 0:
+                continue
+            for i in range(ci * size, min((ci + 1) * size, labels.shape[0])):
+                for j in range(cj * size, min((cj + 1) * size, labels.shape[1])):
+                    if free[i, j]:
+                        labels[i, j] = cluster_label[node[ci, cj]]
+                        free[i, j] = False

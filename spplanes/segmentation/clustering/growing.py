@@ -1,0 +1,178 @@
+"""Regions grow over the points around them, are fitted again, and fuse where a chi2 test says they are one plane."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes._moment_patches import (
+    add_run,
+    centre_sums,
+    distance_of,
+    eigenvalues,
+    normal_of,
+    residual_chi2,
+    variance_from,
+)
+from spplanes._threads import in_parts, threads_for
+from spplanes.moments import merge_rows
+
+#: Threads that fit regions at most: each of them walks over all labels.
+MOST_SHARES = 4
+
+
+@njit(cache=True)
+def hesse(rows):
+    """(normal, d) of every row of moments, shape (R, 4)."""
+    planes = np.empty((rows.shape[0], 4))
+    for r in range(rows.shape[0]):
+        nx, ny, nz = normal_of(rows[r], eigenvalues(rows[r])[0])
+        planes[r] = nx, ny, nz, nx * rows[r, 2] + ny * rows[r, 3] + nz * rows[r, 4]
+    return planes
+
+
+def fit_regions(points, covariance, labels, rows, prior, floor_variance):
+    """Moments of the labelled points, added to `prior` (R, 11), weighted along the normal of `rows` (R, 11).
+
+    Sums are taken about the centres of `rows`, near enough to the points to lose nothing.
+    """
+    planes, fresh = hesse(rows), prior.copy()
+    n_shares = min(threads_for(labels.size), MOST_SHARES)
+    shares = _share_out(rows, n_shares)
+
+    def some(first: int, last: int) -> None:
+        for mine in range(first, last):
+            _fit_share(points, covariance, labels, rows, planes, prior, floor_variance, shares, mine, fresh)
+
+    in_parts(some, n_shares, labels.size, singly=True)
+    return fresh
+
+
+@njit(cache=True)
+def _share_out(rows, n_shares):
+    """A share for every region, (R,): largest regions first, each to the share with the fewest points so far."""
+    share, load = np.zeros(rows.shape[0], dtype=np.int64), np.zeros(n_shares)
+    for r in np.argsort(-rows[:, 0], kind="mergesort"):
+        share[r] = load.argmin()
+        load[share[r]] += rows[r, 0]
+    return share
+
+
+@njit(cache=True, nogil=True)
+def _fit_share(points, covariance, labels, rows, planes, prior, floor_variance, shares, mine, fresh):
+    """The moments of the regions of one share, added to those of `fresh`; each region's points in the grid's order."""
+    sums, n_cols = np.zeros(rows.shape), labels.shape[1]
+    for i in range(labels.shape[0]):
+        j = 0
+        while j < n_cols:
+            r, begin = labels[i, j], j
+            while j < n_cols and labels[i, j] == r:
+                j += 1
+            if r >= 0 and shares[r] == mine:
+                add_run(sums[r], points, covariance, i, begin, j, rows[r, 2:5], planes[r], floor_variance, True)
+    for r in range(rows.shape[0]):
+        if sums[r, 1] > 0.0:
+            centre_sums(sums[r], rows[r, 2:5])
+            merge_rows(prior[r], sums[r], fresh[r])
+
+
+@njit(cache=True)
+def shared_of_regions(shared, labels, planes):
+    """Of every region: mean variance along the normal that points share with their scans, and mean scan, (R, 2)."""
+    total, count = np.zeros((planes.shape[0], 2)), np.zeros(planes.shape[0])
+    for i in range(labels.shape[0]):
+        for j in range(labels.shape[1]):
+            r = labels[i, j]
+            if r >= 0:
+                count[r] += 1.0
+                total[r, 1] += i
+                if shared.shape[0] > 1:
+                    total[r, 0] += variance_from(shared, i, j, planes, r)
+    return total / np.maximum(count, 1.0).reshape(-1, 1)
+
+
+@njit(cache=True)
+def grow(points, covariance, valid, labels, start, planes, gate, floor_variance):
+    """Spread regions over unlabelled points beside them that lie within the gate (chi2), ring by ring, in place.
+
+    Rows before `start` stay as they are; regions grow out of the last of them.
+    """
+    n_rows, n_cols = labels.shape
+    queue = np.empty(labels.size, dtype=np.int64)
+    head, tail = 0, 0
+    marked = np.empty(n_cols, dtype=np.bool_)
+    for i in range(max(start - 1, 0), n_rows):
+        _mark_sources(labels, valid, start, i, marked)
+        for j in range(n_cols):
+            if marked[j]:
+                queue[tail] = i * n_cols + j
+                tail += 1
+    while head < tail:
+        i, j = queue[head] // n_cols, queue[head] % n_cols
+        head += 1
+        r = labels[i, j]
+        for step in range(4):
+            a = i + (step == 1) - (step == 0)
+            b = j + (step == 3) - (step == 2)
+            if a < start or b < 0 or a >= n_rows or b >= n_cols or not valid[a, b] or labels[a, b] >= 0:
+                continue
+            if residual_chi2(points, covariance, a, b, planes, r, floor_variance) <= gate:
+                labels[a, b] = r
+                queue[tail] = a * n_cols + b
+                tail += 1
+
+
+@njit(cache=True)
+def _mark_sources(labels, valid, start, i, marked):
+    """Mark the labelled points of row i beside a free one in the rows from `start` on, whole rows at once."""
+    n_rows, n_cols = labels.shape
+    marked[:] = False
+    for a in range(max(i - 1, start), min(i + 2, n_rows)):
+        if a != i:
+            for j in range(n_cols):
+                marked[j] |= valid[a, j] & (labels[a, j] < 0)
+    if i >= start:
+        for j in range(1, n_cols):
+            marked[j] |= valid[i, j - 1] & (labels[i, j - 1] < 0)
+            marked[j - 1] |= valid[i, j] & (labels[i, j] < 0)
+    for j in range(n_cols):
+        marked[j] &= labels[i, j] >= 0
+
+
+def release(points, covariance, labels, planes, bias, size, limit):
+    """Unlabel, in place, the points that one region has in one cell where their mean distance is no chance (chi2)."""
+
+    def some(first: int, last: int) -> None:
+        _release_in(points, covariance, labels, planes, bias, size, limit, first, last)
+
+    in_parts(some, (len(labels) + size - 1) // size, labels.size)
+
+
+@njit(cache=True, nogil=True)
+def _release_in(points, covariance, labels, planes, bias, size, limit, first, last):
+    """The same in the rows of cells from first to last."""
+    sums = np.zeros((planes.shape[0], 2))
+    for i0 in range(first * size, min(last * size, labels.shape[0]), size):
+        for j0 in range(0, labels.shape[1], size):
+            i1, j1 = min(i0 + size, labels.shape[0]), min(j0 + size, labels.shape[1])
+            for sweep in range(3):
+                for i in range(i0, i1):
+                    for j in range(j0, j1):
+                        r = labels[i, j]
+                        if r < 0:
+                            continue
+                        if sweep == 0:
+                            w = 1.0 / (variance_from(covariance, i, j, planes, r) + bias[r])
+                            sums[r, 0] += w
+                            sums[r, 1] += w * distance_of(points, i, j, planes, r)
+                        elif sweep == 1 and sums[r, 0] > 0.0:
+                            mean = sums[r, 1] / sums[r, 0]
+                            off = mean * mean > limit * (1.0 / sums[r, 0] + bias[r])
+                            sums[r, 0], sums[r, 1] = (-1.0 if off else 0.0), 0.0
+                        elif sweep == 2 and sums[r, 0] < 0.0:
+                            labels[i, j] = -2 - r
+            for i in range(i0, i1):
+                for j in range(j0, j1):
+                    if labels[i, j] <= -2:
+                        sums[-2 - labels[i, j], 0] = 0.0
+                        labels[i, j] = -1

@@ -1,0 +1,99 @@
+"""Steps inside planar cells: two parallel planes, little more than their noise apart, that pass for one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes._moment_patches import eigenvalues, normal_of, variance_along
+from spplanes._threads import in_parts
+
+#: Strips into which a cell is cut, along rows and along columns, in search of a step.
+STRIPS = 8
+#: Share of the variance of flatness that a step inside a cell may have: surfaces wander over metres, not at once.
+STEP_SHARE = 0.1
+
+
+def reject_steps(planar, points, covariance, rows, free, size, floor_variance, limit):
+    """Take from the planar cells, in place, those with a step along some row or column of the grid (chi2).
+
+    A step of little more than the noise hides in the residuals of a cell's points, most of all when the plane tilts to
+    meet both sides. Residuals are explained by place in the grid, linearly, and by the step: unlike coordinates, places
+    have no noise, which along slanted beams goes together with that of the residuals.
+
+    Args:
+        planar: planar cells, shape (R, C) bool.
+        points, covariance, rows, free, size, floor_variance: see `cells.cell_moments`.
+        limit: largest chi2 (1 dof) of a step, the largest of all.
+    """
+
+    def some(first: int, last: int) -> None:
+        _reject_in(planar, points, covariance, rows, free, size, floor_variance, limit, first, last)
+
+    in_parts(some, len(planar), size * size * int(planar.sum()))
+
+
+@njit(cache=True, nogil=True)
+def _reject_in(planar, points, covariance, rows, free, size, floor_variance, limit, first, last):
+    """Take them from the rows of cells from first to last."""
+    side, tolerance = size // STRIPS, STEP_SHARE * floor_variance
+    strips, total = np.empty((2, STRIPS, 4)), np.empty(5)
+    for ci in range(first, last):
+        for cj in range(rows.shape[1]):
+            if not planar[ci, cj]:
+                continue
+            row = rows[ci, cj]
+            nx, ny, nz = normal_of(row, eigenvalues(row)[0])
+            d = nx * row[2] + ny * row[3] + nz * row[4]
+            strips[:], total[:] = 0.0, 0.0
+            for i in range(ci * size, min((ci + 1) * size, points.shape[0])):
+                for j in range(cj * size, min((cj + 1) * size, points.shape[1])):
+                    if not free[i, j]:
+                        continue
+                    w = 1.0 / (variance_along(covariance, i, j, nx, ny, nz) + floor_variance)
+                    r = w * (points[i, j, 0] * nx + points[i, j, 1] * ny + points[i, j, 2] * nz - d)
+                    u, v = i - ci * size, j - cj * size
+                    for along in range(2):
+                        k = u // side if along == 0 else v // side
+                        strips[along, k, 0] += w
+                        strips[along, k, 1] += w * u
+                        strips[along, k, 2] += w * v
+                        strips[along, k, 3] += r
+                    total[0] += w * u * u
+                    total[1] += w * u * v
+                    total[2] += w * v * v
+                    total[3] += r * u
+                    total[4] += r * v
+            chi2 = max(_step_chi2(strips[0], total, tolerance), _step_chi2(strips[1], total, tolerance))
+            planar[ci, cj] = chi2 <= limit
+
+
+@njit(cache=True)
+def _step_chi2(strips, total, tolerance):
+    """Largest chi2 (1 dof) of a step between strips, beside a linear trend: weighted regression, step by step.
+
+    Args:
+        strips: sums of w, w u, w v, w r of every strip, shape (STRIPS, 4).
+        total: sums of w u u, w u v, w v v, w r u, w r v of all.
+        tolerance: variance that a step may have anyway, m^2.
+    """
+    matrix, right = np.empty((3, 3)), np.empty((3, 2))
+    w, u, v = strips[:, 0].sum(), strips[:, 1].sum(), strips[:, 2].sum()
+    matrix[0] = w, u, v
+    matrix[1] = u, total[0], total[1]
+    matrix[2] = v, total[1], total[2]
+    for k in range(3):
+        matrix[k, k] += 1e-6 * w  # a cell of one row has no trend across rows
+    right[0, 0], right[1, 0], right[2, 0] = strips[:, 3].sum(), total[3], total[4]
+    best, beyond = 0.0, np.zeros(4)
+    for k in range(strips.shape[0] - 1, 0, -1):
+        beyond += strips[k]
+        if beyond[0] == 0.0 or beyond[0] == w:
+            continue
+        right[:, 1] = beyond[:3]
+        solved = np.linalg.solve(matrix, right)
+        share = beyond[0] - (beyond[:3] * solved[:, 1]).sum()
+        if share > 1e-3 * w:
+            step = (beyond[3] - (beyond[:3] * solved[:, 0]).sum()) / share
+            best = max(best, step * step / (1.0 / share + tolerance))
+    return best

@@ -1,0 +1,1 @@
+"""Refinement of labelled regions: borders, creases, steps, parallel planes."""

@@ -1,0 +1,214 @@
+"""Where a surface bends: local normals that contradict a region's plane part regions that are coplanar by chance.
+
+Two cushions in one plane with a seam between are two planes; every point of the seam lies within the tolerance of their
+common plane, but the surface there is turned. Where noise drowns the local normal, the test stays silent.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes._moment_patches import distance_of, variance_from
+from spplanes._threads import in_parts
+
+
+def unlabel_creases(points, covariance, valid, labels, start, planes, max_angle, certainty):
+    """Unlabel, in place, the points whose local normal is turned from that of their region.
+
+    The local normal is that of the differences between means of six points, right minus left and below minus above, in
+    a window of five by five; it is only judged where all of them are returns.
+
+    Args:
+        points, covariance, valid, labels: the grid; see `Sheet`.
+        start: first row to work on.
+        planes: (normal, d) of the regions, shape (R, 4).
+        max_angle: turn a plane's surface may have anyway, rad.
+        certainty: standard deviations of the local normal by which the turn must exceed that.
+    """
+    top = max(start, 2)
+
+    def some(first: int, last: int) -> None:
+        _unlabel_in(points, covariance, valid, labels, planes, max_angle, certainty, top + first, top + last)
+
+    in_parts(some, max(len(labels) - 2 - top, 0), labels.size)
+
+
+@njit(cache=True, nogil=True)
+def _unlabel_in(points, covariance, valid, labels, planes, max_angle, certainty, first, last):
+    """The same in the rows from first to last."""
+    n_cols = labels.shape[1]
+    across, down, full = _differences(points[first - 2 : last + 2], valid[first - 2 : last + 2])
+    u, v = np.empty(3), np.empty(3)
+    cosine_limit = np.cos(max_angle)
+    for i in range(first, last):
+        a = i - first + 2
+        for j in range(2, n_cols - 2):
+            r = labels[i, j]
+            if r < 0 or not full[a, j]:
+                continue
+            for k in range(3):
+                u[k] = across[a - 1, j, k] + across[a, j, k] + across[a + 1, j, k]
+                v[k] = down[a, j - 1, k] + down[a, j, k] + down[a, j + 1, k]
+            nx, ny, nz = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+            square = nx * nx + ny * ny + nz * nz
+            turned = abs(nx * planes[r, 0] + ny * planes[r, 1] + nz * planes[r, 2])
+            if square == 0.0 or turned * turned >= cosine_limit * cosine_limit * square:
+                continue
+            length = np.sqrt(square)
+            shorter = length / np.sqrt(max(u[0] ** 2 + u[1] ** 2 + u[2] ** 2, v[0] ** 2 + v[1] ** 2 + v[2] ** 2))
+            noise = np.sqrt(variance_from(covariance, i, j, planes, r) * 12.0)
+            if np.arccos(turned / length) > max_angle + certainty * noise / shorter:
+                labels[i, j] = -1
+
+
+@njit(cache=True, nogil=True)
+def _differences(points, valid):
+    """Right minus left and below minus above, two points each, (S, B, 3), and whether the five by five are returns."""
+    n_rows, n_cols = valid.shape
+    across, down = np.empty(points.shape), np.empty(points.shape)
+    five, full = np.zeros(valid.shape, dtype=np.bool_), np.zeros(valid.shape, dtype=np.bool_)
+    for i in range(n_rows):
+        for j in range(2, n_cols - 2):
+            five[i, j] = valid[i, j - 2] & valid[i, j - 1] & valid[i, j] & valid[i, j + 1] & valid[i, j + 2]
+            for k in range(3):
+                across[i, j, k] = points[i, j + 1, k] + points[i, j + 2, k] - points[i, j - 1, k] - points[i, j - 2, k]
+    for i in range(2, n_rows - 2):
+        for j in range(n_cols):
+            full[i, j] = five[i - 2, j] & five[i - 1, j] & five[i, j] & five[i + 1, j] & five[i + 2, j]
+            for k in range(3):
+                down[i, j, k] = points[i + 1, j, k] + points[i + 2, j, k] - points[i - 1, j, k] - points[i - 2, j, k]
+    return across, down, full
+
+
+def unlabel_seams(points, covariance, views, labels, start, planes, tolerance, flatness, reach, limit):
+    """Unlabel, in place, the points around which a region's points lie behind its plane on average (chi2).
+
+    A seam between two cushions is a groove of millimetres, less than the noise of a point but not than that of the
+    mean in a window. Where it parts a region, there are two; where it does not, the region grows over it again. Where
+    surfaces are granted more than the noise, nothing hides in it, and what shows are the surfaces' own waves.
+
+    Args:
+        points, covariance, labels, start, planes: see `unlabel_creases`.
+        views: viewpoint of every row, shape (S, 3), m.
+        tolerance: variance that the mean of a window may have beside its noise, of every region, shape (R,), m^2.
+        flatness: deviation from a plane that surfaces are granted, m.
+        reach: points that the window reaches to each side.
+        limit: largest chi2 (1 dof) of the mean.
+    """
+    weight, moment = np.zeros(labels.shape), np.zeros(labels.shape)
+
+    def across(first: int, last: int) -> None:
+        _weigh_rows(points, covariance, labels, planes, reach, start + first, start + last, weight, moment)
+
+    def down(first: int, last: int) -> None:
+        sums = weight, moment
+        _judge_columns(covariance, views, labels, start, planes, tolerance, flatness, reach, limit, first, last, *sums)
+
+    in_parts(across, len(labels) - start, labels.size)
+    in_parts(down, labels.shape[1], labels.size)
+
+
+@njit(cache=True, nogil=True)
+def _weigh_rows(points, covariance, labels, planes, reach, first, last, weight, moment):
+    """Sums along the rows from first to last of weights, and of distances from planes times these."""
+    own_weight, own_moment = np.zeros((last - first, labels.shape[1])), np.zeros((last - first, labels.shape[1]))
+    for i in range(first, last):
+        for j in range(labels.shape[1]):
+            r = labels[i, j]
+            if r >= 0:
+                w = 1.0 / variance_from(covariance, i, j, planes, r)
+                own_weight[i - first, j], own_moment[i - first, j] = w, w * distance_of(points, i, j, planes, r)
+    own_labels = np.ascontiguousarray(labels[first:last])
+    weight[first:last] = _sum_along(own_weight, own_labels, reach)
+    moment[first:last] = _sum_along(own_moment, own_labels, reach)
+
+
+@njit(cache=True, nogil=True)
+def _judge_columns(
+    covariance, views, labels, start, planes, tolerance, flatness, reach, limit, first, last, weight, moment
+):
+    """Unlabel the points of the columns from first to last where the mean of their window lies behind the plane."""
+    own_labels = np.ascontiguousarray(labels[:, first:last].T)
+    own_weight = _sum_along(np.ascontiguousarray(weight[:, first:last].T), own_labels, reach)
+    own_moment = _sum_along(np.ascontiguousarray(moment[:, first:last].T), own_labels, reach)
+    for i in range(start, labels.shape[0]):
+        for j in range(first, last):
+            r = labels[i, j]
+            if r < 0 or variance_from(covariance, i, j, planes, r) <= flatness * flatness:
+                continue
+            w, m = own_weight[j - first, i], own_moment[j - first, i]
+            if m**2 > limit * w * (1.0 + tolerance[r] * w):
+                eye = views[i, 0] * planes[r, 0] + views[i, 1] * planes[r, 1] + views[i, 2] * planes[r, 2]
+                if m * (eye - planes[r, 3]) < 0.0:
+                    labels[i, j] = -1
+
+
+@njit(cache=True, nogil=True)
+def _sum_along(values, labels, reach):
+    """Sums of the values within reach along every row that lie in the same run of equal labels."""
+    n_rows, n_cols = values.shape
+    result = np.zeros(values.shape)
+    for i in range(n_rows):
+        end = 0
+        while end < n_cols:
+            begin, r = end, labels[i, end]
+            while end < n_cols and labels[i, end] == r:
+                end += 1
+            if r < 0:
+                continue
+            total = 0.0
+            for j in range(begin, min(begin + reach, end)):
+                total += values[i, j]
+            for j in range(begin, end):
+                if j + reach < end:
+                    total += values[i, j + reach]
+                if j - reach - 1 >= begin:
+                    total -= values[i, j - reach - 1]
+                result[i, j] = total
+    return result
+
+
+@njit(cache=True)
+def split_regions(labels, start, n_regions):
+    """Give every connected part of a region, in place, a number of its own: the first n_regions are kept for those.
+
+    The part of a region that the rows before `start` hold keeps its number, all other parts but the first get new ones.
+
+    Returns:
+        The region every new number was part of, shape (K,).
+    """
+    n_rows, n_cols = labels.shape
+    done = np.zeros(labels.shape, dtype=np.bool_)
+    taken = np.zeros(n_regions, dtype=np.bool_)
+    stack = np.empty(labels.size, dtype=np.int64)
+    origin, count = np.empty(labels.size, dtype=np.int64), 0
+    for seed in range(labels.size + start * n_cols):
+        settled = seed < start * n_cols
+        place = seed if settled else seed - start * n_cols
+        i, j = place // n_cols, place % n_cols
+        old = labels[i, j]
+        if old < 0 or done[i, j]:
+            continue
+        new = old
+        if taken[old] and not settled:
+            new = n_regions + count
+            origin[count] = old
+            count += 1
+        taken[old] = True
+        top = 1
+        stack[0] = i * n_cols + j
+        done[i, j] = True
+        labels[i, j] = new
+        while top > 0:
+            top -= 1
+            a, b = stack[top] // n_cols, stack[top] % n_cols
+            for step in range(4):
+                c = a + (step == 1) - (step == 0)
+                d = b + (step == 3) - (step == 2)
+                if 0 <= c < n_rows and 0 <= d < n_cols and not done[c, d] and labels[c, d] == old:
+                    done[c, d] = True
+                    labels[c, d] = new
+                    stack[top] = c * n_cols + d
+                    top += 1
+    return origin[:count].copy()

@@ -1,0 +1,149 @@
+"""Small regions that their larger neighbours explain as well are no planes: strips along a noisy corner, fringes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from spplanes._moment_patches import residual_chi2
+
+#: Points are explained block by block, this many on a side: a point alone always finds some plane that suits it.
+BLOCK = 4
+#: A plane of its own must lower the mean chi2 of its points by this much ...
+MEAN_GAIN = 0.15
+#: ... and the sum by this much, what three parameters gain by chance at 0.001.
+SUM_GAIN = 16.3
+
+
+@njit(cache=True)
+def dissolve(points, covariance, labels, start, sizes, pairs, planes, floor_variance):
+    """Give the points of superfluous regions to their neighbours, in place; smallest regions first.
+
+    Args:
+        points, covariance, labels: the grid; see `Sheet`. Regions with points before row `start` stay.
+        start: first row to work on.
+        sizes: number of points of every region, shape (R,).
+        pairs: regions near each other, shape (E, 2), each pair once.
+        planes: (normal, d) of the regions, shape (R, 4).
+        floor_variance: added to the variance of every point, m^2.
+
+    Returns:
+        Number of regions dissolved.
+    """
+    members, first = _members(labels, start, sizes.shape[0])
+    candidates = np.empty(sizes.shape[0], dtype=np.int64)
+    fixed = np.zeros(sizes.shape[0], dtype=np.bool_)
+    for i in range(start):
+        for j in range(labels.shape[1]):
+            if labels[i, j] >= 0:
+                fixed[labels[i, j]] = True
+    count = 0
+    for r in np.argsort(sizes):
+        n = first[r + 1] - first[r]
+        if n == 0 or fixed[r]:
+            continue
+        n_candidates = 0
+        for e in range(pairs.shape[0]):
+            other = pairs[e, 1] if pairs[e, 0] == r else (pairs[e, 0] if pairs[e, 1] == r else -1)
+            if other >= 0 and sizes[other] > sizes[r]:
+                candidates[n_candidates] = other
+                n_candidates += 1
+        mine = members[first[r] : first[r + 1]]
+        if n_candidates and _is_superfluous(
+            points, covariance, labels.shape[1], mine, r, candidates[:n_candidates], planes, floor_variance
+        ):
+            _hand_over(points, covariance, labels, mine, candidates[:n_candidates], planes, floor_variance)
+            sizes[r] = 0
+            count += 1
+    return count
+
+
+@njit(cache=True)
+def near_pairs(labels, gap):
+    """Pairs of unlike regions at most `gap` points apart along every fourth row and column: (E, 2), many times each."""
+    n_rows, n_cols = labels.shape
+    pairs = np.empty((2 * labels.size + 16, 2), dtype=np.int64)
+    longest = max(n_rows, n_cols)
+    run, stop = np.empty(longest, dtype=np.int64), np.empty(longest, dtype=np.int64)
+    count = 0
+    for along in range(2):
+        outer, inner = (n_rows, n_cols) if along == 0 else (n_cols, n_rows)
+        for u in range(0, outer, BLOCK):
+            n_runs = 0
+            for v in range(inner):
+                r = labels[u, v] if along == 0 else labels[v, u]
+                if n_runs and run[n_runs - 1] == r:
+                    stop[n_runs - 1] = v
+                    continue
+                if r >= 0:
+                    k = n_runs - 1
+                    while k >= 0 and v - stop[k] <= gap and count < pairs.shape[0]:
+                        if run[k] >= 0 and run[k] != r:
+                            pairs[count, 0], pairs[count, 1] = min(r, run[k]), max(r, run[k])
+                            count += 1
+                        k -= 1
+                run[n_runs], stop[n_runs] = r, v
+                n_runs += 1
+    return pairs[:count]
+
+
+@njit(cache=True)
+def _members(labels, start, n_regions):
+    """Points of every region in the order of their blocks, as flat indices, and where each region begins."""
+    first = np.zeros(n_regions + 1, dtype=np.int64)
+    for i in range(start, labels.shape[0]):
+        for j in range(labels.shape[1]):
+            if labels[i, j] >= 0:
+                first[labels[i, j] + 1] += 1
+    first = np.cumsum(first)
+    place, members = first.copy(), np.empty(first[-1], dtype=np.int64)
+    for i0 in range(start, labels.shape[0], BLOCK):
+        for j0 in range(0, labels.shape[1], BLOCK):
+            for i in range(i0, min(i0 + BLOCK, labels.shape[0])):
+                for j in range(j0, min(j0 + BLOCK, labels.shape[1])):
+                    r = labels[i, j]
+                    if r >= 0:
+                        members[place[r]] = i * labels.shape[1] + j
+                        place[r] += 1
+    return members, first
+
+
+@njit(cache=True)
+def _is_superfluous(points, covariance, n_cols, mine, region, candidates, planes, floor_variance):
+    """Whether the best neighbour of every block explains the points nearly as well as the region itself."""
+    limit = MEAN_GAIN * mine.shape[0] + SUM_GAIN
+    for k in range(mine.shape[0]):
+        i, j = mine[k] // n_cols, mine[k] % n_cols
+        limit += residual_chi2(points, covariance, i, j, planes, region, floor_variance)
+    other, sums = 0.0, np.zeros(candidates.shape[0])
+    in_block = 0
+    for k in range(mine.shape[0]):
+        i, j = mine[k] // n_cols, mine[k] % n_cols
+        for m in range(candidates.shape[0]):
+            sums[m] += residual_chi2(points, covariance, i, j, planes, candidates[m], floor_variance)
+        in_block += 1
+        if in_block == BLOCK * BLOCK or k == mine.shape[0] - 1:
+            other += sums.min()
+            if other > limit:
+                return False
+            sums[:] = 0.0
+            in_block = 0
+    return True
+
+
+@njit(cache=True)
+def _hand_over(points, covariance, labels, mine, candidates, planes, floor_variance):
+    """Label every block of points with the neighbour that explains it best."""
+    n_cols = labels.shape[1]
+    sums = np.zeros(candidates.shape[0])
+    block_start = 0
+    for k in range(mine.shape[0]):
+        i, j = mine[k] // n_cols, mine[k] % n_cols
+        for m in range(candidates.shape[0]):
+            sums[m] += residual_chi2(points, covariance, i, j, planes, candidates[m], floor_variance)
+        if k - block_start == BLOCK * BLOCK - 1 or k == mine.shape[0] - 1:
+            best = candidates[sums.argmin()]
+            for q in range(block_start, k + 1):
+                labels[mine[q] // n_cols, mine[q] % n_cols] = best
+            sums[:] = 0.0
+            block_start = k + 1

@@ -1,0 +1,110 @@
+"""Is it one plane, seen properly? Tests on a fit before its covariance is believed."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from spplanes import Plane
+from spplanes._check import FloatArray
+from spplanes.segmentation.validation._patch_kernels import along_normal, numbered, patches_of, strays
+from spplanes.segmentation.validation.config import ValidationConfig
+
+
+def is_one_plane(
+    plane: Plane,
+    points: FloatArray,
+    covariances: FloatArray,
+    viewpoint: FloatArray,
+    rules: ValidationConfig,
+    scan_index: np.ndarray | None = None,
+    drift_m: FloatArray | None = None,
+) -> bool:
+    """Whether points (N, 3) with covariances (N, 3, 3) lie about the plane as their noise says, patch by patch too.
+
+    Args:
+        plane: the fit.
+        points, covariances: what it was fitted to.
+        viewpoint: where it was seen from, shape (3,).
+        rules: how much is allowed.
+        scan_index: scan of every point, shape (N,), where the points of a scan share a pose error.
+        drift_m: standard deviation of what a slow error of the sensor shifts every point by, shape (N,), m.
+    """
+    return (
+        could_be_seen(plane, viewpoint, rules)
+        and fits_its_noise(plane, rules)
+        and not InPatches(plane, points, covariances, rules, scan_index, drift_m).has_step
+    )
+
+
+def could_be_seen(plane: Plane, viewpoint: FloatArray, rules: ValidationConfig) -> bool:
+    """Whether the plane is seen less edge-on than `max_incidence_rad` from the middle of its points."""
+    away = float(np.linalg.norm(plane.centre - viewpoint))
+    return abs(float(plane.distance(viewpoint))) >= away * np.cos(rules.max_incidence_rad)
+
+
+def fits_its_noise(plane: Plane, rules: ValidationConfig) -> bool:
+    """Whether chi2 of the fit is what it should be, up to the slack that the noise level is known to."""
+    dof = max(plane.n_points - 3, 1)
+    return plane.chi2 <= dof * (1.0 + rules.noise_slack) + rules.misfit_sigmas * np.sqrt(2.0 * dof)
+
+
+class InPatches:
+    """How the points of a plane lie about it, patch by patch and strip by strip right across it."""
+
+    def __init__(
+        self,
+        plane: Plane,
+        points: FloatArray,
+        covariances: FloatArray,
+        rules: ValidationConfig,
+        scan_index: np.ndarray | None = None,
+        drift_m: FloatArray | None = None,
+    ) -> None:
+        """For the arguments see `is_one_plane`. What all points of a scan share, its pose error, is taken out."""
+        residuals, variances = along_normal(points, covariances, plane.frame)
+        if scan_index is not None:
+            residuals = residuals - _group_means(residuals, scan_index)[scan_index]
+        self._of_points = residuals, np.maximum(variances, 1e-12), np.empty(0) if drift_m is None else drift_m**2
+        self._limits = rules.step_sigmas, rules.step_m
+        self._row, self._column, self._n_rows, self._n_columns = patches_of(points, plane.frame, rules.patch_m)
+        self._wide = self._n_columns + 2  # room for the patches around
+        self._place = (self._row + 1) * self._wide + self._column + 1
+
+    @cached_property
+    def has_step(self) -> bool:
+        """Whether some patch or strip lies off the plane by more than noise and unevenness: two surfaces as one.
+
+        Averages over patches, and over strips right across the plane, see a step of 2 cm in noise of 15 mm long before
+        the chi2 of all points does, and hardly mind a noise level that is known to 10 % only.
+        """
+        strips = (self._row, self._n_rows), (self._column, self._n_columns)
+        return bool(self._off.any()) or any(self._strip_is_off(*strip) for strip in strips)
+
+    def without_strays(self) -> np.ndarray | None:
+        """Which points of the plane to keep, shape (N,): those that lie in no patch that strays, nor beside one.
+
+        A floor of two thousand patches has one that strays by chance, or for a foot that stands on it: there is
+        something else, of which the patches around have their share, and the floor is a plane without it.
+
+        Returns:
+            None where no patch strays.
+        """
+        if not self._off.any():
+            return None
+        around = np.add.outer((-self._wide, 0, self._wide), (-1, 0, 1)).ravel()
+        return ~np.isin(self._place, np.add.outer(np.unique(self._place[self._off]), around))
+
+    @cached_property
+    def _off(self) -> np.ndarray:
+        """Which points lie in a patch that strays, shape (N,)."""
+        patch, count = numbered(self._place, (self._n_rows + 2) * self._wide)
+        return strays(*self._of_points, patch, count, *self._limits)[patch]
+
+    def _strip_is_off(self, strip: np.ndarray, count: int) -> bool:
+        return bool(strays(*self._of_points, *numbered(strip, count), *self._limits).any())
+
+
+def _group_means(values: FloatArray, group: np.ndarray) -> FloatArray:
+    return np.bincount(group, values) / np.maximum(np.bincount(group), 1)

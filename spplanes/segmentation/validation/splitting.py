@@ -1,0 +1,190 @@
+"""A plane of a push-broom window that is two: a wall and the board on it, a wall and a row of the ceiling."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from spplanes import MapperConfig, Plane
+from spplanes._check import FloatArray
+from spplanes.registration import RegisteredScans
+from spplanes.segmentation.planes import planes_of
+from spplanes.segmentation.validation._cut_kernels import FEWEST, best_cut
+from spplanes.segmentation.validation.config import ValidationConfig
+from spplanes.segmentation.validation.spurious import Window, without_chimeras
+
+#: Largest chi2 (1 dof) of a step between two parts of one plane, the largest of some hundred cuts.
+LIMIT = 18.0
+#: Variance of the offset of a scan that is granted in any case, m^2.
+_LEAST_DRIFT = 1e-8
+
+Cut = Callable[[np.ndarray], tuple[np.ndarray, float]]
+
+
+def purified(
+    placed: RegisteredScans,
+    labels: np.ndarray,
+    planes: list[Plane],
+    pose_covariances: FloatArray,
+    uneven_m: float,
+    mapper: MapperConfig,
+    rules: ValidationConfig,
+) -> tuple[np.ndarray, list[Plane]]:
+    """Labels (S, B) and planes of a window, each of one plane; the same where each is one already.
+
+    Args:
+        placed: the window.
+        labels: plane of every point, shape (S, B), -1 = none.
+        planes: those that were found.
+        pose_covariances: joint covariance of the poses of the scans, shape (6 S, 6 S), in the order of the SPmodel.
+        uneven_m: standard deviation of surfaces from planes, m.
+        mapper: what the window was segmented with.
+        rules: how far patches may lie off their plane; a step may be twice that.
+    """
+    window = Window(placed.points, placed.covariances, pose_covariances)
+    frames = [plane.frame for plane in planes]
+    fresh = pure_labels(window, labels, frames, uneven_m, 2.0 * rules.step_m, mapper.for_rows(len(labels)))
+    if fresh is labels:
+        return labels, planes
+    noise = np.ascontiguousarray(placed.covariances).reshape(*labels.shape, 9)
+    return fresh, planes_of(placed.points, noise, fresh, placed.viewpoints, None, mapper)
+
+
+def pure_labels(
+    window: Window,
+    labels: np.ndarray,
+    frames: Sequence[FloatArray],
+    uneven_m: float,
+    step_m: float,
+    mapper: MapperConfig,
+) -> np.ndarray:
+    """Labels (S, B) of the planes that those of `labels` really are; the very same array where nothing changes.
+
+    Args:
+        window: what was segmented.
+        labels: plane of every point, shape (S, B), -1 = none.
+        frames: of the planes, shape (4, 4) each.
+        uneven_m: standard deviation of surfaces from planes, m.
+        step_m: smaller steps are none, m.
+        mapper: what a plane is at least, in a window of so many scans; what is parted and is less is none.
+    """
+    grid = without_chimeras(window, labels, frames)
+    fresh, count = np.full_like(grid, -1), 0
+    parted = grid is not labels
+    for r, frame in enumerate(frames):
+        members = np.flatnonzero(grid == r)
+        parts = parts_of(window, members, frame, uneven_m, step_m) if len(members) else []
+        parted |= len(parts) > 1
+        for part in parts:
+            if len(parts) == 1 or (
+                len(part) >= mapper.min_points and tells_tilt(window, part, frame, mapper.max_tilt_rad)
+            ):
+                fresh.ravel()[part] = count
+                count += 1
+    return fresh if parted else labels
+
+
+def tells_tilt(window: Window, part: np.ndarray, frame: FloatArray, max_tilt_rad: float) -> bool:
+    """Whether points, flat indices (N,), are spread enough along a plane to tell its tilt."""
+    if len(part) < 3:
+        return False
+    points, covariances = window.points.reshape(-1, 3)[part], window.covariances.reshape(-1, 3, 3)[part]
+    place, _, weights = _along(points, covariances, frame)
+    aside = place - np.average(place, axis=0, weights=weights)
+    return float(np.linalg.eigvalsh((aside * weights[:, None]).T @ aside)[0]) * max_tilt_rad**2 >= 1.0
+
+
+def parts_of(
+    window: Window, members: np.ndarray, frame: FloatArray, uneven_m: float, step_m: float
+) -> list[np.ndarray]:
+    """Points of each of the planes that what was taken for one consists of, largest first; one as a rule.
+
+    A step of a few centimetres hides in the noise of the points, most of all when the plane tilts to meet both sides;
+    not in that of all points beyond it. The points are parted where a step explains the residuals best, until no step
+    is left, and parts between which there is none become one again.
+
+    Args:
+        window: the grid.
+        members: the points, ascending flat indices, shape (N,).
+        frame: of the plane that was fitted to them, shape (4, 4).
+        uneven_m: standard deviation of surfaces from planes, m.
+        step_m: smaller steps are none, m.
+    """
+    cut = _cutter(window, members, frame, uneven_m, step_m)
+    parts, unsure = [], [np.arange(len(members))]
+    while unsure:
+        part = unsure.pop()
+        beyond, chi2 = cut(part)
+        if chi2 <= LIMIT:
+            parts.append(part)
+        else:
+            unsure += [part[beyond], part[~beyond]]
+    parts.sort(key=lambda part: (-len(part), part[0]))
+    return [members[part] for part in _rejoined(parts, cut)]
+
+
+def _cutter(window: Window, members: np.ndarray, frame: FloatArray, uneven_m: float, step_m: float) -> Cut:
+    """What cuts a subset of the members best: which of the subset are beyond, and the chi2 of the step."""
+    scan, beam = np.divmod(members, window.points.shape[1])
+    points, covariances = window.points.reshape(-1, 3)[members], window.covariances.reshape(-1, 3, 3)[members]
+    place, residuals, weights = _along(points, covariances, frame)
+    drift = drift_of_scans(points, frame[:3, 2], scan, window.pose_covariances)
+
+    def cut(part: np.ndarray) -> tuple[np.ndarray, float]:
+        if len(part) < 2 * FEWEST:
+            return np.zeros(len(part), dtype=bool), 0.0
+        scans, row = np.unique(scan[part], return_inverse=True)
+        information = np.linalg.inv(drift[np.ix_(scans, scans)])
+        column = beam[part] - beam[part].min()
+        return best_cut(row, column, place[part], residuals[part], weights[part], information, uneven_m**2, step_m)
+
+    return cut
+
+
+def _rejoined(parts: list[np.ndarray], cut: Cut) -> list[np.ndarray]:
+    """Parts between which there is no step, as one; a board parts the wall that goes on beyond it."""
+    if len(parts) < 3:
+        return parts
+    whole: list[np.ndarray] = []
+    for part in parts:
+        for k, other in enumerate(whole):
+            both = np.sort(np.concatenate((other, part)))
+            if cut(both)[1] <= LIMIT:
+                whole[k] = both
+                break
+        else:
+            whole.append(part)
+    return whole
+
+
+def drift_of_scans(
+    points: FloatArray, normal: FloatArray, scan: np.ndarray, pose_covariances: FloatArray
+) -> FloatArray:
+    """Covariance (S, S) of what the errors of the poses shift the scans by along a plane's normal, m^2.
+
+    Args:
+        points: shape (N, 3), m; those of one scan are taken at their middle.
+        normal: shape (3,).
+        scan: of every point, shape (N,).
+        pose_covariances: shape (6 S, 6 S), in the order of the SPmodel.
+    """
+    n_scans = len(pose_covariances) // 6
+    counts = np.maximum(np.bincount(scan, minlength=n_scans), 1)
+    middles = np.stack([np.bincount(scan, points[:, k], minlength=n_scans) / counts for k in range(3)], axis=1)
+    levers = [np.cross(axis, middles) @ normal for axis in np.eye(3)[::-1]]
+    jacobian = np.column_stack([np.tile(normal, (n_scans, 1)), *levers])
+    joint = np.asarray(pose_covariances).reshape(n_scans, 6, n_scans, 6)
+    return np.einsum("ia,iajb,jb->ij", jacobian, joint, jacobian) + _LEAST_DRIFT * np.eye(n_scans)
+
+
+def _along(points: FloatArray, covariances: FloatArray, frame: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Places (N, 2) on the plane, distances (N,) from it and their weights.
+
+    Places are where the points most likely are on the plane: their errors do not go with those of the distances.
+    """
+    residuals = (points - frame[:3, 3]) @ frame[:3, 2]
+    toward = covariances @ frame[:3, 2]
+    variances = np.maximum(toward @ frame[:3, 2], 1e-12)
+    on_plane = points - toward * (residuals / variances)[:, None]
+    return (on_plane - frame[:3, 3]) @ frame[:3, :2], residuals, 1.0 / variances

@@ -1,0 +1,87 @@
+"""The arithmetic by which observations are told apart, against numpy and scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2 as chi2_distribution
+from shapely import box
+
+from slam import PlaneSlam
+from slam.association.data_association import Candidate
+from slam.association.decisions import decide, is_open
+from slam.association.gating import chi2_and_log_det
+from slam.config import AssociationConfig
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import PlaneObservation
+from slam.frontend.odometry import Motion
+from slam.geometry.frames import planar_transform
+from spplanes import Plane
+from tests.slam.scenes import NOISE, PERIOD_NS
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 6])
+def test_chi2_and_log_det_are_those_of_numpy(size: int):
+    rng = np.random.default_rng(size)
+    for scale in (1e-6, 1.0, 1e6):
+        root = scale * rng.normal(size=(size, size))
+        covariance, residual = root @ root.T + np.eye(size), rng.normal(size=size)
+        chi2, log_det = chi2_and_log_det(residual.tolist(), covariance.tolist())
+        assert np.isclose(chi2, residual @ np.linalg.solve(covariance, residual), rtol=1e-6)
+        assert np.isclose(log_det, np.linalg.slogdet(2.0 * np.pi * covariance)[1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3, 6])
+@pytest.mark.parametrize("chi2", [0.0, 1e-12, 1.0, 30.0, 1e4, np.inf, -1e-15])
+def test_p_value_is_that_of_the_chi2_distribution(dof: int, chi2: float):
+    assert Candidate(0, chi2, dof, 0.0, True).p_value == chi2_distribution.sf(chi2, dof)
+
+
+def seen(normal: tuple[float, float, float], d: float, n_points: int, half_m: float) -> PlaneObservation:
+    """A wall at x = 0 of the body, measured to 1 mm and 2 mrad without error."""
+    frame = np.eye(4)
+    frame[:3, 2] = normal
+    frame[:3, 0] = (1.0, 0.0, 0.0) if normal[0] == 0.0 else (0.0, 1.0, 0.0)
+    frame[:3, 1] = np.cross(frame[:3, 2], frame[:3, 0])
+    frame[:3, 3] = d * frame[:3, 2]
+    return PlaneObservation(Plane(frame, np.diag([1e-3, 2e-3, 2e-3]) ** 2, n_points, box(-half_m, -1.0, half_m, 1.0)))
+
+
+@pytest.mark.parametrize("looks", [1, 4])
+def test_a_board_that_is_seen_best_does_not_take_its_wall_and_the_pose_with_it(looks: int):
+    walls = [seen((0.0, -1.0, 0.0), -1.1, 400, 3.0), seen((0.0, 1.0, 0.0), -1.1, 300, 3.0)]
+    walls += [seen((0.0, 0.0, 1.0), -0.4, 200, 3.0), seen((-1.0, 0.0, 0.0), -9.0, 100, 1.0)]
+    slam = PlaneSlam()
+    for index in range(looks):
+        slam.add_keyframe(Keyframe(index * PERIOD_NS, walls, None if index == 0 else step(0.01)))
+    board = seen((0.0, -1.0, 0.0), -1.08, 1000, 0.5)
+    report = slam.add_keyframe(Keyframe(looks * PERIOD_NS, [board, *walls[:3]], step(0.5)))
+    matches = [None if one.match is None else one.match.landmark for one in report.decisions]
+    assert matches == [None, 0, 1, 2]
+    assert abs(report.world_T_body[1, 3]) < 1e-3
+    [alone] = slam.add_keyframe(Keyframe((looks + 1) * PERIOD_NS, [board], step(0.5))).decisions
+    assert alone.candidates[0].p_value > 1e-3  # by itself the board could be its wall
+
+
+def step(way_m: float) -> Motion:
+    delta = np.array([way_m, 0.0, 0.0])
+    return Motion(planar_transform(*delta), NOISE.covariance(delta), (1e-3, 1e-3, 1e-3))
+
+
+def test_of_two_that_it_could_be_it_is_the_one_seen_there_and_it_waits_only_for_a_rival_that_is_near():
+    board, wall = Candidate(7, 0.5, 2, 8.4, True), Candidate(2, 7.8, 2, 5.2, True)
+    rules = AssociationConfig()
+
+    def decided(far_from_board: float) -> int:
+        decision = decide(0, [board, wall], 0.0, {7: far_from_board, 2: 0.0}.__getitem__, rules)
+        assert decision.match is not None
+        assert decision.candidates == (board, wall)
+        return decision.match.landmark
+
+    assert decided(0.0) == decided(3.0) == 7
+    assert decided(3.5) == 2
+    decision = decide(0, [board, wall], 0.0, {7: 3.5, 2: 0.0}.__getitem__, rules)
+    assert is_open(decision, {7: 3.5, 2: 0.0}.__getitem__, rules)
+    assert not is_open(decision, {7: 8.0, 2: 0.0}.__getitem__, rules)
+    alone = decide(0, [board], 0.0, {7: 8.0}.__getitem__, rules)
+    assert alone.match is board  # a wall goes on where it was not seen yet

@@ -1,0 +1,205 @@
+"""The command line: exit codes, one sentence on stderr, nothing half-written."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from slam.cli import main
+from spplanes import __version__
+from tests.slam.io.test_threedtk import scanner_points, write_scan
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of a command."""
+    code = 0
+    try:
+        main([str(argument) for argument in arguments])
+    except SystemExit as stop:
+        code = stop.code if isinstance(stop.code, int) else 0
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The one sentence of a command that must end with exit code 2."""
+    code, _, err = run(capsys, *arguments)
+    assert code == 2, err
+    assert "Traceback" not in err
+    assert len(err.strip().splitlines()) == 1, err
+    return err.strip()
+
+
+def test_version_and_help(capsys: pytest.CaptureFixture[str]):
+    assert run(capsys, "--version")[:2] == (0, f"spplanes {__version__}\n")
+    code, out, _ = run(capsys, "--help")
+    assert code == 0
+    for command in ("slam", "demo", "simulate", "evaluate"):
+        assert command in out
+        assert run(capsys, command, "--help")[0] == 0
+
+
+def test_help_does_not_load_what_only_runs_need():
+    script = (
+        "import sys; from slam.cli import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "print(sorted({'gtsam', 'numba', 'matplotlib', 'open3d', 'scipy', 'shapely'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip().splitlines()[-1] == "[]"
+
+
+def test_unknown_commands_and_options_are_usage_errors(capsys: pytest.CaptureFixture[str]):
+    assert run(capsys, "fly")[0] == 2
+    assert run(capsys, "slam", "x", "--out", "y", "--nonsense")[0] == 2
+    assert run(capsys, "slam")[0] == 2
+
+
+def test_a_missing_log_is_one_sentence_and_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    sentence = refused(capsys, "slam", tmp_path / "no where", "--out", tmp_path / "run")
+    assert "no where: expected a log file or a folder of scans, found nothing" in sentence
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_broken_scan_leaves_nothing_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder = tmp_path / "scans"
+    write_scan(folder, 0, scanner_points(), packed=False)
+    (folder / "scan000.3d").write_text("1 2 3\n4 five 6\n")
+    sentence = refused(capsys, "slam", folder, "--out", tmp_path / "run")
+    assert "scan000.3d:2: expected numbers, got '4 five 6'" in sentence
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["scans"]
+
+
+def test_an_output_that_exists_is_refused_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "mine.txt").write_text("keep")
+    sentence = refused(capsys, "slam", tmp_path / "nowhere", "--out", tmp_path / "run")
+    assert "run: exists already; give --overwrite to replace it" in sentence
+    assert (tmp_path / "run" / "mine.txt").read_text() == "keep"
+    (tmp_path / "file").write_text("x")
+    assert "it is not a folder" in refused(capsys, "demo", "--out", tmp_path / "file", "--overwrite")
+
+
+def test_unknown_keys_of_configurations_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    config = tmp_path / "config.yaml"
+    config.write_text("association:\n  gap: 3\n")
+    write_scan(tmp_path / "scans", 0, scanner_points())
+    sentence = refused(capsys, "slam", tmp_path / "scans", "--out", tmp_path / "run", "--config", config)
+    assert "config.yaml: association.gap" in sentence
+    config.write_text("mapper:\n  speed: 3\n")
+    sentence = refused(capsys, "slam", tmp_path / "scans", "--out", tmp_path / "run", "--config", config)
+    assert "config.yaml: mapper.speed" in sentence
+    config.write_text("{{{")
+    assert "expected YAML, got a syntax error" in refused(
+        capsys, "slam", tmp_path / "scans", "--out", tmp_path / "run", "--config", config
+    )
+
+
+def test_unknown_worlds_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert "world: expected" in refused(capsys, "simulate", "moon", "--out", tmp_path / "mission")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def mission(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("missions") / "corridor"
+    with pytest.raises(SystemExit) as stop:
+        main(["simulate", "corridor", "--out", str(folder), "--scans", "80", "--seed", "3"])
+    assert stop.value.code in (0, None)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(mission: Path) -> Path:
+    folder = mission.parent / "run"
+    with pytest.raises(SystemExit) as stop:
+        main(["slam", str(mission), "--out", str(folder)])
+    assert stop.value.code in (0, None)
+    return folder
+
+
+def test_a_mission_of_3d_scans_from_simulation_to_score(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    for words in (
+        ["simulate", "hall", "--scans", "6", "--out", str(tmp_path / "hall")],
+        ["slam", str(tmp_path / "hall"), "--out", str(tmp_path / "run")],
+        ["evaluate", str(tmp_path / "run"), "--truth", str(tmp_path / "hall")],
+    ):
+        with pytest.raises(SystemExit) as stop:
+            main(words)
+        assert stop.value.code in (0, None), capsys.readouterr().err
+    scores = {
+        row["metric"]: row["value"]
+        for row in json.loads((tmp_path / "run" / "metrics.json").read_text(encoding="utf-8"))["evaluation"]
+    }
+    assert scores["ATE translation max"] < 0.01 < scores["odometry alone: ATE translation max"]
+    assert scores["planes estimated"] >= 8 and scores["planes duplicate"] == 0.0
+
+
+def test_a_mission_from_simulation_to_score(finished: Path, mission: Path, capsys: pytest.CaptureFixture[str]):
+    names = {path.name for path in finished.iterdir()}
+    assert names >= {
+        "config.yaml",
+        "rig.yaml",
+        "trajectory.tum",
+        "odometry.tum",
+        "planes.json",
+        "map.ply",
+        "metrics.json",
+        "map.png",
+        "report.html",
+    }
+    planes = json.loads((finished / "planes.json").read_text())
+    assert planes["format"] == "spplanes/1" and planes["frame"] == "world"
+    assert set(planes["planes"][0]) == {
+        "id",
+        "normal",
+        "d",
+        "frame",
+        "covariance",
+        "n_points",
+        "outline",
+        "observations",
+    }
+    code, out, _ = run(capsys, "evaluate", finished, "--truth", mission / "truth", "--json")
+    assert code == 0
+    rows = {row["metric"]: row["value"] for row in json.loads(out)}
+    assert rows["ATE from the first pose, translation rmse"] < 0.02
+    assert json.loads((finished / "metrics.json").read_text())["evaluation"] == json.loads(out)
+
+
+def test_a_run_of_a_run_is_the_same_bit_for_bit(finished: Path, mission: Path, capsys: pytest.CaptureFixture[str]):
+    again = mission.parent / "again"
+    assert run(capsys, "slam", mission, "--out", again)[0] == 0
+    for name in ("trajectory.tum", "planes.json", "map.ply", "map.png", "config.yaml"):
+        assert (finished / name).read_bytes() == (again / name).read_bytes(), name
+
+
+def test_overwrite_replaces_the_folder_whole(mission: Path, capsys: pytest.CaptureFixture[str]):
+    out = mission.parent / "third"
+    out.mkdir()
+    (out / "old.txt").write_text("old")
+    assert run(capsys, "slam", mission, "--out", out, "--overwrite")[0] == 0
+    assert not (out / "old.txt").exists()
+    assert (out / "planes.json").exists()
+    assert not [path for path in mission.parent.iterdir() if path.name.startswith(".")]
+
+
+def test_scoring_what_is_no_run_is_refused(tmp_path: Path, mission: Path, capsys: pytest.CaptureFixture[str]):
+    assert "trajectory.tum" in refused(capsys, "evaluate", tmp_path, "--truth", mission / "truth")
+
+
+def test_demo_beats_odometry_and_leaves_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    code, out, _ = run(capsys, "demo", "--out", tmp_path / "demo", "--scans", "150", "--json")
+    assert code == 0
+    rows = {row["metric"]: row["value"] for row in json.loads(out)}
+    assert rows["position error, rmse, estimate"] < 0.5 * rows["position error, rmse, odometry alone"]
+    assert abs(rows["corridor height, estimate"] - rows["corridor height, truth"]) < 0.004
+    assert abs(rows["corridor width, estimate"] - rows["corridor width, truth"]) < 0.004
+    page = (tmp_path / "demo" / "report.html").read_text()
+    assert "data:image/png;base64," in page and "corridor width, truth" in page
+    assert "http://" not in page and "https://" not in page

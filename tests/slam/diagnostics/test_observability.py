@@ -1,0 +1,194 @@
+"""What a keyframe leaves open is said by name and size, and a graph without odometry is never indeterminate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam import PlaneSlam
+from slam.config import ObservabilityConfig
+from slam.diagnostics.observability import name_of, open_directions, plane_information
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import LineObservation, PlaneObservation
+from slam.frontend.odometry import Motion
+from slam.geometry.frames import inverse, planar_transform
+from slam.planeslam import pose_symbol
+from spplanes import Plane
+from tests.slam.scenes import drive, measured, room_planes
+
+RULES = ObservabilityConfig()
+ROOM_SIGMAS = np.array([0.004, 0.003, 0.005])
+
+
+def sight(plane: Plane, covariance: np.ndarray | None = None) -> PlaneObservation:
+    return PlaneObservation(replace(plane, covariance=np.diag(ROOM_SIGMAS**2) if covariance is None else covariance))
+
+
+def sp_error(plane: Plane, delta: np.ndarray) -> np.ndarray:
+    """(z, theta, psi) of the plane as a body moved by a Pose3 tangent sees it, in the plane's frame before."""
+    moved = plane.transform(inverse(gtsam.Pose3.Expmap(delta).matrix()))
+    x_axis, y_axis = plane.frame[:3, 0], plane.frame[:3, 1]
+    return np.array([moved.d - moved.normal @ plane.centre, x_axis @ moved.normal, -(y_axis @ moved.normal)])
+
+
+def test_information_is_that_of_the_measurement_by_central_differences():
+    rng = np.random.default_rng(0)
+    half = rng.standard_normal((3, 3))
+    covariance = half @ half.T + 0.1 * np.eye(3)  # correlated, so that a wrong sign of one row shows
+    for plane in room_planes():
+        seen = replace(plane, frame=gtsam.Pose3.Expmap(rng.standard_normal(6)).matrix() @ plane.frame)
+        step = 1e-6 * np.eye(6)
+        jacobian = np.column_stack([(sp_error(seen, row) - sp_error(seen, -row)) / 2e-6 for row in step])
+        expected = jacobian.T @ np.linalg.solve(covariance, jacobian)
+        np.testing.assert_allclose(plane_information(sight(seen, covariance)), expected, rtol=1e-5, atol=1e-5)
+
+
+def test_a_room_leaves_nothing_open():
+    assert open_directions(1, [sight(plane) for plane in room_planes()], np.eye(4), RULES) == []
+
+
+def test_floor_ceiling_and_two_walls_leave_the_way_between_them_open():
+    corridor = [plane for plane in room_planes() if abs(plane.normal[0]) < 0.5]
+    turned = gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.zeros(3)).matrix()
+    (found,) = open_directions(4, [sight(plane.transform(inverse(turned))) for plane in corridor], turned, RULES)
+    assert (found.keyframe, found.part, found.name, found.sigma_seen) == (4, "position", "along x", np.inf)
+
+
+def test_one_floor_leaves_what_a_floor_must():
+    found = open_directions(1, [sight(room_planes()[0])], np.eye(4), RULES)
+    assert sorted(one.name for one in found if one.part == "position") == ["along x", "along y"]
+    assert [one.name for one in found if one.part == "orientation"] == ["about z"]
+
+
+def test_an_end_wall_seen_badly_is_not_nothing_and_has_its_size():
+    planes = room_planes()
+    corridor = [sight(plane) for plane in planes if abs(plane.normal[0]) < 0.5]
+    poor = sight(planes[2], np.diag([0.5**2, 1.0, 1.0]))
+    (found,) = open_directions(1, [*corridor, poor], np.eye(4), RULES)
+    assert found.sigma_seen == pytest.approx(0.5, rel=1e-3)
+    assert open_directions(1, [*corridor, poor], np.eye(4), ObservabilityConfig(max_sigma_m=0.6)) == []
+
+
+def test_lines_of_a_level_laser_say_nothing_of_the_height():
+    from spplanes import ScanLine
+
+    walls = [(0.0, 3.0), (np.pi / 2.0, 2.0), (np.pi, 4.0), (-np.pi / 2.0, 2.0)]
+    seen = [
+        LineObservation(
+            ScanLine(
+                alpha=alpha,
+                rho=rho,
+                covariance=np.diag([1e-5, 1e-5]),
+                endpoints=ends(alpha, rho),
+                indices=np.arange(50),
+            ),
+            np.eye(4),
+        )
+        for alpha, rho in walls
+    ]
+    found = open_directions(1, seen, np.eye(4), RULES)
+    assert {one.name for one in found} == {"along z", "about x", "about y"}
+
+
+def ends(alpha: float, rho: float) -> np.ndarray:
+    along = np.array([-np.sin(alpha), np.cos(alpha)])
+    return rho * np.array([np.cos(alpha), np.sin(alpha)]) + np.array([[-1.0], [1.0]]) * along
+
+
+def corridor_run(*, with_odometry: bool, count: int = 8) -> PlaneSlam:
+    """A drive that sees floor, ceiling and the two walls along x only."""
+    slam = PlaneSlam()
+    for frame in drive(0, count=count).keyframes:
+        seen = [one for one, plane in zip(frame.observations, room_planes(), strict=True) if abs(plane.normal[0]) < 0.5]
+        motion = frame.motion if with_odometry else None
+        slam.add_keyframe(Keyframe(frame.stamp_ns, seen, motion, frame.world_T_body_guess))
+    return slam
+
+
+def test_a_run_says_what_only_odometry_holds_and_how_well():
+    slam = corridor_run(with_odometry=True)
+    (stretch,) = slam.open_directions
+    assert stretch.keyframes == tuple(range(1, 8)) and stretch.total == 7
+    pose = slam.trajectory.poses[-1]
+    covariance = slam.marginal_covariance(pose_symbol(7))[3:, 3:]
+    sigma = np.sqrt((pose[:3, :3] @ covariance @ pose[:3, :3].T)[0, 0])
+    assert stretch.sigma == pytest.approx(sigma, rel=1e-2)
+    assert stretch.sentence.startswith("along x: information only from odometry at 7 of 7 keyframes, sigma 0.0")
+
+
+def test_without_odometry_the_graph_stands_and_says_what_is_assumed():
+    slam = corridor_run(with_odometry=False, count=4)
+    along = next(stretch for stretch in slam.open_directions if stretch.sentence.startswith("along x"))
+    assert "information only from the assumption of constant velocity at 3 of 3 keyframes" in along.sentence
+    assert along.sigma > 0.5
+    assert len(slam.optimize_batch().keys()) == 4 + len(slam.landmarks)
+
+
+def test_a_keyframe_without_odometry_and_without_planes_is_held_by_the_assumption_alone():
+    slam = PlaneSlam()
+    for index in range(3):
+        slam.add_keyframe(Keyframe(index * 10**9, []))
+    assert {stretch.part for stretch in slam.open_directions} == {"position", "orientation"}
+    assert np.isfinite(slam.marginal_covariance(pose_symbol(2))).all()
+
+
+def test_where_nothing_is_known_of_two_directions_they_are_called_by_the_axes():
+    """Seen a little askew, a wall alone leaves any direction in it open: those near the axes have names."""
+    wall = next(plane for plane in room_planes() if plane.normal[1] < -0.5)
+    turned = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.03, 0.05, 0.04), np.zeros(3)).matrix()
+    for slanted in (np.eye(4), turned):
+        seen = sight(wall.transform(inverse(turned)), np.diag([1e-4, 2e-6, 1e-6]))
+        found = open_directions(1, [seen], slanted, RULES)
+        assert sorted(one.name for one in found if one.part == "position") == ["along x", "along z"]
+
+
+def test_a_corridor_seen_by_planes_alone_is_open_as_a_whole_along_itself():
+    slam = corridor_run(with_odometry=False)
+    (found,) = slam.open_in_map
+    assert found.keyframes == tuple(range(1, 8)) and found.looked_at == 7
+    assert found.sentence == (
+        "the map as a whole, along x: planes alone leave 7 of 7 keyframes open against the first, without bound"
+    )
+
+
+def test_a_room_is_fixed_as_a_whole():
+    slam = PlaneSlam()
+    for frame in drive(0, count=8).keyframes:
+        slam.add_keyframe(frame)
+    assert slam.open_in_map == []
+
+
+def test_two_rooms_that_only_a_bare_corridor_links_are_open_against_each_other():
+    """Every keyframe at the ends is fixed by what it sees; what lies between says nothing of how far they are apart."""
+    slam = PlaneSlam()
+    planes = [plane for plane in room_planes() if abs(plane.normal[0]) < 0.5]
+    ends = [plane for plane in room_planes() if abs(plane.normal[0]) > 0.5]
+    rng = np.random.default_rng(0)
+    for index in range(9):
+        pose = np.eye(4)
+        pose[:3, 3] = 0.4 * index, 0.0, 0.0
+        near = [*planes, *(ends[:1] if index < 3 else ends[1:] if index > 5 else [])]
+        seen = [PlaneObservation(measured(plane.transform(inverse(pose)), rng)) for plane in near]
+        step = planar_transform(0.4, 0.0, 0.0)
+        motion = Motion(step, np.diag([1e-4, 1e-4, 1e-5]), (1e-3, 1e-3, 1e-3)) if index else None
+        slam.add_keyframe(Keyframe(index * 10**9, seen, motion, None if index else pose))
+    assert {one.keyframe for one in slam.observability.history} == {3, 4, 5, 6}  # 6: a new wall
+    (found,) = slam.open_in_map
+    assert found.keyframes == (3, 4, 5, 6, 7, 8)
+    assert name_of(found.part, found.direction) == "along x" and np.isinf(found.sigma)
+
+
+def test_the_size_of_what_is_open_is_that_of_the_normal_equations():
+    """Each of two end walls, seen with 0.4 m from both keyframes, leaves 0.4 m times the root of two between them."""
+    slam, badly, scene = PlaneSlam(), np.diag([0.16, 9e-6, 9e-6]), drive(0, count=2, turns=0.02)
+    for frame, pose in zip(scene.keyframes, scene.world_T_body, strict=True):
+        planes = [plane.transform(inverse(pose)) for plane in room_planes()]
+        ends = [abs(plane.normal[0]) > 0.5 for plane in room_planes()]
+        seen = [sight(plane, badly if end else None) for plane, end in zip(planes, ends, strict=True)]
+        slam.add_keyframe(Keyframe(frame.stamp_ns, seen, frame.motion, frame.world_T_body_guess))
+    (found,) = slam.open_in_map
+    assert name_of(found.part, found.direction) == "along x" and found.keyframes == (1,)
+    assert found.sigma == pytest.approx(0.4, rel=0.01)

@@ -1,0 +1,265 @@
+"""Planes as measurements: errors of surfaces that neighbours share, steps that averages show, sensors' limits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slam.config import SlamConfig
+from slam.frontend.measurement import for_points, planes_of_cloud, usable_points, usable_ranges
+from slam.frontend.scan_regions import ScanPart, believed_plane, believed_planes
+from slam.sensors.log import CloudScan
+from slam.sensors.rig import Sensor
+from slam.sensors.scan_noise import line_tilt_covariances, servo_covariances, surface_covariances, tilt_drift
+from spplanes import MapperConfig, Plane, fit_plane
+from spplanes.segmentation.validation.config import ValidationConfig
+from spplanes.segmentation.validation.one_plane import InPatches, could_be_seen, fits_its_noise, is_one_plane
+from tests.statistics import assert_mean_in_band
+
+RULES = ValidationConfig()
+SIGMA = 0.015
+TRUTH = Plane.from_hesse([0.0, 0.0, 1.0], 0.0, np.zeros((3, 3)))
+
+
+def sensor(**settings: Any) -> Sensor:
+    return Sensor(kind="cloud", **{"range_sigma_m": 0.01, "range_max_m": 20.0, **settings})
+
+
+def patch(rng: np.random.Generator, count: int = 900, *, x: float = 2.0, y: float = 1.5) -> np.ndarray:
+    """Points of z = 0, denser on one side as from a near scanner, with noise, shape (N, 3)."""
+    places = np.column_stack((x * rng.beta(1.0, 2.5, count), rng.uniform(0.0, y, count)))
+    return np.column_stack((places, SIGMA * rng.standard_normal(count)))
+
+
+def isotropic(points: np.ndarray) -> np.ndarray:
+    return np.tile(SIGMA**2 * np.eye(3), (len(points), 1, 1))
+
+
+def test_a_fit_with_errors_shared_by_patches_is_consistent_and_without_them_is_not():
+    rng = np.random.default_rng(0)
+    rough = sensor(surface_sigma_m=0.02, surface_correlation_m=0.4)
+    told, untold = [], []
+    for _ in range(400):
+        points = patch(rng)
+        first = fit_plane(points, sigma=SIGMA, viewpoint=[0, 0, 1])
+        cells = np.floor((points - first.centre) @ first.frame[:3, :2] / 0.4).astype(int)
+        _, cell = np.unique(cells, axis=0, return_inverse=True)
+        points[:, 2] += 0.02 * rng.standard_normal(cell.max() + 1)[cell.ravel()]
+        noise = surface_covariances(points, isotropic(points), first.frame, rough)
+        told.append(fit_plane(points, noise, viewpoint=[0, 0, 1]).mahalanobis(TRUTH))
+        untold.append(fit_plane(points, sigma=SIGMA, viewpoint=[0, 0, 1]).mahalanobis(TRUTH))
+    assert_mean_in_band(np.array(told), 3)
+    assert np.mean(untold) > 30.0
+
+
+def test_without_a_surface_error_covariances_stay_as_they_are():
+    points = patch(np.random.default_rng(1))
+    noise = isotropic(points)
+    assert surface_covariances(points, noise, TRUTH.frame, sensor()) is noise
+
+
+def test_a_notice_board_of_two_centimetres_is_a_step_and_a_wall_is_none():
+    rng = np.random.default_rng(2)
+    false_alarms, found = 0, 0
+    for _ in range(200):
+        points = patch(rng, 3000)
+        plane = fit_plane(points, sigma=SIGMA)
+        false_alarms += InPatches(plane, points, isotropic(points), RULES).has_step
+        points[points[:, 1] > 0.9, 2] += 0.02
+        plane = fit_plane(points, sigma=SIGMA)
+        found += InPatches(plane, points, isotropic(points), RULES).has_step
+    assert false_alarms <= 2
+    assert found >= 198
+
+
+def test_a_floor_with_a_foot_on_it_is_the_floor_without_the_foot():
+    rng = np.random.default_rng(4)
+    above, chi2, lost = np.array([0.0, 0.0, 1.0]), [], 0
+    for _ in range(200):
+        points = patch(rng, 9000, x=8.0, y=6.0)
+        foot = (np.abs(points[:, :2] - [0.8, 3.0]) < 0.15).all(axis=1)
+        points[foot, 2] += 0.08
+        part, plane = as_part(points)
+        assert not is_one_plane(plane, points, part.noise, above, RULES)
+        believed = believed_plane(part, plane, above, RULES)
+        if believed is None:
+            lost += 1
+            continue
+        assert np.isin(np.flatnonzero(foot), believed[1]).all()
+        assert believed[0].n_points == len(points) - len(believed[1])
+        chi2.append(believed[0].mahalanobis(TRUTH))
+    assert lost <= 4
+    assert_mean_in_band(np.array(chi2), 3)
+
+
+def test_a_plane_of_which_much_strays_is_none():
+    points = patch(np.random.default_rng(5), 3000, x=4.0, y=3.0)
+    points[points[:, 1] > 2.7, 2] += 0.06
+    part, plane = as_part(points)
+    assert believed_plane(part, plane, np.array([0.0, 0.0, 1.0]), RULES) is None
+
+
+def as_part(points: np.ndarray) -> tuple[ScanPart, Plane]:
+    """Points as a region of a grid, with the plane fitted to them."""
+    noise, plane = isotropic(points), fit_plane(points, sigma=SIGMA, viewpoint=[0, 0, 1])
+    return ScanPart(points, noise, np.arange(len(points)), len(points) // 30, plane.frame, sensor()), plane
+
+
+def test_the_pose_error_that_a_scan_shares_is_no_step():
+    rng = np.random.default_rng(3)
+    points = patch(rng)
+    scan = np.floor(points[:, 0] / 0.1).astype(int)
+    points[:, 2] += 0.02 * rng.standard_normal(scan.max() + 1)[scan]
+    plane = fit_plane(points, sigma=SIGMA)
+    assert InPatches(plane, points, isotropic(points), RULES).has_step
+    assert not InPatches(plane, points, isotropic(points), RULES, scan).has_step
+
+
+def test_a_slow_drift_of_the_sensor_is_no_step():
+    rng = np.random.default_rng(4)
+    points = patch(rng)
+    points[:, 2] += 0.03 * np.sin(4.0 * points[:, 0])
+    plane = fit_plane(points, sigma=SIGMA)
+    assert InPatches(plane, points, isotropic(points), RULES).has_step
+    assert not InPatches(plane, points, isotropic(points), RULES, drift_m=np.full(len(points), 0.02)).has_step
+
+
+def test_chi2_far_beyond_the_noise_and_planes_seen_edge_on_are_refused():
+    points = patch(np.random.default_rng(5))
+    plane = fit_plane(points, sigma=SIGMA, viewpoint=[0.0, 0.0, 2.0])
+    assert fits_its_noise(plane, RULES)
+    assert not fits_its_noise(fit_plane(points, sigma=0.7 * SIGMA), RULES)
+    assert could_be_seen(plane, np.array([0.5, 0.5, 2.0]), RULES)
+    assert not could_be_seen(plane, np.array([9.0, 0.5, 0.05]), RULES)
+    assert is_one_plane(plane, points, isotropic(points), np.array([0.5, 0.5, 2.0]), RULES)
+
+
+def test_the_servos_error_grows_with_the_lever_and_spares_side_walls():
+    tilting = sensor(tilt_sigma_rad=0.02)
+    floor = Plane.from_hesse([0.0, 0.0, 1.0], -0.5, np.zeros((3, 3)))
+    np.testing.assert_allclose(tilt_drift(floor, np.array([[3.0, 1.0, -0.5]]), tilting), [0.06])
+    side = Plane.from_hesse([0.0, 1.0, 0.0], -1.0, np.zeros((3, 3)))
+    np.testing.assert_allclose(tilt_drift(side, np.array([[3.0, -1.0, 0.7]]), tilting), [0.0])
+
+
+def test_lines_of_a_tilting_scanner_share_the_servos_error_block_by_block():
+    """A floor of 40 lines, tilted by blocks of 10: the plane's error is within its covariance, and of its size.
+
+    Points that share an error are counted as that many worse ones; what they say of slopes inside a block is lost.
+    """
+    tilting = sensor(tilt_sigma_rad=0.01, tilt_correlation_lines=10)
+    rng, truth = np.random.default_rng(8), Plane.from_hesse([0.0, 0.0, 1.0], -0.5, np.zeros((3, 3)))
+    x, y = np.meshgrid(np.linspace(0.8, 3.0, 40), np.linspace(-1.0, 1.0, 21), indexing="ij")
+    floor = np.stack((x, y, np.full_like(x, -0.5)), axis=2)
+    line = np.repeat(np.arange(40), 21)
+    nees = []
+    for _ in range(400):
+        turn = np.repeat(0.01 * rng.standard_normal(4), 10)[:, None, None] * np.array([0.0, 1.0, 0.0])
+        points = (floor + np.cross(turn, floor)).reshape(-1, 3) + SIGMA * rng.standard_normal((len(line), 3))
+        noise = servo_covariances(points, isotropic(points), line, tilting)
+        nees.append(fit_plane(points, noise, viewpoint=np.zeros(3)).mahalanobis(truth))
+    assert 1.0 < np.mean(nees) < 3.0
+
+
+def test_without_a_servo_nothing_is_added():
+    points = patch(np.random.default_rng(3))
+    noise = isotropic(points)
+    assert servo_covariances(points, noise, np.zeros(len(points), dtype=int), sensor()) is noise
+    assert line_tilt_covariances(sensor(), 5) is None
+    tilting = line_tilt_covariances(sensor(tilt_sigma_rad=0.02), 5)
+    assert tilting is not None
+    np.testing.assert_allclose(tilting[:, 4, 4], 4e-4)
+
+
+def test_rough_fronts_are_found_where_the_rig_knows_of_them():
+    """A wall and, beside it, a hedge whose leaves are 25 mm deep."""
+    rng = np.random.default_rng(4)
+    z, x = np.meshgrid(np.linspace(-1.0, 1.0, 60), np.linspace(0.5, 3.5, 90), indexing="ij")
+    depth = np.where(x < 2.0, 2.0, 2.5 + 0.025 * rng.standard_normal(x.shape))
+    points = np.stack((x, depth, z), axis=2) + 0.004 * rng.standard_normal((60, 90, 3))
+    scan = CloudScan(0, "scanner", points)
+    flat = sensor(range_sigma_m=0.004, surface_sigma_m=0.005)
+    rough = flat.model_copy(update={"rough_sigma_m": 0.06})
+    fronts = [
+        [seen.plane.n_points for seen in planes_of_cloud(scan, one, SlamConfig()) if abs(seen.plane.d + 2.5) < 0.05]
+        for one in (flat, rough)
+    ]
+    assert sum(fronts[1]) > 2000 > sum(fronts[0])
+
+
+def room_without_order() -> np.ndarray:
+    """A room of 8 x 6 x 2.7 m seen by a spinning lidar of 32 rings, points shuffled, shape (N, 3)."""
+    rng = np.random.default_rng(0)
+    elevation, azimuth = np.meshgrid(np.linspace(0.5, -0.5, 32), 2.0 * np.pi * np.arange(720) / 720, indexing="ij")
+    level = np.cos(elevation)
+    rays = np.stack((level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)), axis=-1).reshape(-1, 3)
+    high = np.where(rays > 0.0, [5.0, 3.5, 1.5], [-3.0, -2.5, -1.2])
+    with np.errstate(divide="ignore"):
+        ranges = np.min(high / rays, axis=1, where=rays != 0.0, initial=np.inf)
+    points = rays * (ranges + 0.005 * rng.standard_normal(len(ranges)))[:, None]
+    points[rng.choice(len(points), 300, replace=False)] = np.nan
+    return rng.permutation(points)
+
+
+@pytest.mark.parametrize("stated", [{}, {"rows": 32, "columns": 720}], ids=["found", "stated"])
+def test_a_scan_without_order_is_arranged(stated: dict[str, int]):
+    seen = planes_of_cloud(
+        CloudScan(0, "lidar", room_without_order()), sensor(range_sigma_m=0.005, **stated), SlamConfig()
+    )
+    walls = [(1, 0, 0, -3.0), (-1, 0, 0, -5.0), (0, 1, 0, -2.5), (0, -1, 0, -3.5), (0, 0, 1, -1.2), (0, 0, -1, -1.5)]
+    for *normal, d in walls:
+        plane = next(one.plane for one in seen if one.plane.normal @ normal > 0.99)  # the largest comes first
+        assert plane.normal @ normal > np.cos(0.001)
+        assert plane.d == pytest.approx(d, abs=0.001)
+    assert sum(one.n_points for one in seen) > 0.9 * 32 * 720
+
+
+def test_scans_without_a_return_have_no_planes():
+    for points in (np.empty((0, 3)), np.full((40, 3), np.nan), np.full((4, 9, 3), np.nan), np.full((5, 3), 1e3)):
+        assert planes_of_cloud(CloudScan(0, "lidar", points), sensor(), SlamConfig()) == []
+    assert planes_of_cloud(CloudScan(0, "lidar", np.ones((1, 3))), sensor(), SlamConfig()) == []
+
+
+def test_ranges_outside_the_limits_are_no_returns():
+    limited = sensor(range_min_m=0.5)
+    np.testing.assert_array_equal(
+        np.isnan(usable_ranges(np.array([0.4, 0.6, 19.0, 20.0, np.nan, np.inf]), limited)),
+        [True, False, False, True, True, True],
+    )
+    points = usable_points(np.array([[0.3, 0.0, 0.0], [3.0, 0.0, 0.0]]), limited)
+    assert np.isnan(points[0]).all()
+    assert np.isfinite(points[1]).all()
+
+
+@pytest.mark.parametrize("value", [-0.01, float("nan")])
+def test_a_rig_refuses_negative_sigmas(value: float):
+    with pytest.raises(ValueError, match="tilt_sigma_rad"):
+        sensor(tilt_sigma_rad=value)
+
+
+@pytest.mark.parametrize(("apart_m", "cell_m"), [(0.02, 0.05), (0.16, 0.08), (3.0, 0.1)])
+def test_outlines_are_as_fine_as_rows_of_points_lie_apart(apart_m: float, cell_m: float):
+    row, column = np.meshgrid(np.arange(20.0), np.arange(30.0), indexing="ij")
+    points = np.stack((np.full_like(row, 4.0), 0.01 * column, apart_m * row), axis=2)
+    points[3:5, :7] = np.nan
+    assert for_points(MapperConfig(outline_cell_m=0.05), points).outline_cell_m == pytest.approx(cell_m)
+    assert for_points(MapperConfig(outline_cell_m=0.05), np.full((4, 9, 3), np.nan)).outline_cell_m == 0.05
+
+
+def test_the_planes_of_a_grid_are_those_of_their_points_alone_and_a_line_is_none():
+    rng, eye = np.random.default_rng(13), np.array([0.0, 0.0, 9.0])
+    points = np.concatenate((patch(rng), patch(rng) + np.array([0.0, 0.0, 1.0]))).reshape(20, -1, 3)
+    labels = np.repeat([2, 0], 10)[:, None] * np.ones(points.shape[1], dtype=np.int64)
+    labels[3, :7], labels[4, :9] = -1, 1
+    points[4, :9] = np.linspace(0.0, 1.0, 9)[:, None] * np.array([1.0, 0.0, 0.0])
+    noise = isotropic(points.reshape(-1, 3)).reshape(*points.shape, 3)
+    found = believed_planes(points, noise, labels, np.tile(np.eye(4), (3, 1, 1)), sensor(), eye, RULES)
+    assert found[1] is None
+    for k in (0, 2):
+        alone, measured = fit_plane(points[labels == k], noise[labels == k], viewpoint=eye), found[k]
+        assert measured is not None
+        assert len(measured[1]) == 0
+        np.testing.assert_array_equal(measured[0].frame, alone.frame)
+        np.testing.assert_array_equal(measured[0].covariance, alone.covariance)

@@ -1,0 +1,103 @@
+"""Lines as planes: the covariance that a laser line gives to the plane through it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.frontend.observations import LineObservation, PlaneObservation
+from slam.geometry.frames import covariance_in, inverse, lift, settle_frame
+from slam.geometry.polygons import grow, largest_polygon, polygons_of, segments_of
+from spplanes import Plane, ScanLine
+from tests.slam.scenes import measured, room_planes
+from tests.statistics import assert_mean_in_band
+
+MOUNT = np.array([[0.0, -1.0, 0.0, 0.2], [1.0, 0.0, 0.0, -0.1], [0.0, 0.0, 1.0, 0.5], [0.0, 0.0, 0.0, 1.0]])
+
+
+def line(alpha: float, rho: float, covariance: np.ndarray) -> ScanLine:
+    along = np.array([-np.sin(alpha), np.cos(alpha)])
+    foot = rho * np.array([np.cos(alpha), np.sin(alpha)])
+    ends = np.array([foot - 0.4 * along, foot + 1.7 * along])
+    return ScanLine(alpha, rho, covariance, ends, np.arange(30))
+
+
+def test_plane_of_a_line_is_square_to_the_scan_plane_and_faces_the_sensor():
+    seen = LineObservation(line(0.7, 2.0, np.diag([1e-6, 1e-6])), MOUNT)
+    plane = seen.full_plane(0.02)
+    np.testing.assert_allclose(plane.normal @ MOUNT[:3, 2], 0.0, atol=1e-12)
+    assert plane.distance(MOUNT[:3, 3]) > 0.0
+    np.testing.assert_allclose(plane.distance(seen.vertices), 0.0, atol=1e-12)
+    assert plane.covariance[2, 2] == 0.02**2
+    assert np.linalg.det(plane.frame[:3, :3]) > 0.0
+
+
+def test_covariance_of_the_plane_is_that_of_the_sampled_line():
+    """NEES of (z, theta) over draws of (alpha, rho) with a strong correlation: a flipped sign fails here."""
+    rng = np.random.default_rng(0)
+    covariance = np.array([[4e-6, 5.5e-6], [5.5e-6, 9e-6]])
+    root = np.linalg.cholesky(covariance)
+    estimate = LineObservation(line(2.4, 3.0, covariance), MOUNT).full_plane(0.01)
+    values = []
+    for _ in range(3000):
+        alpha, rho = np.array([2.4, 3.0]) + root @ rng.standard_normal(2)
+        truth = LineObservation(line(alpha, rho, covariance), MOUNT).full_plane(0.01)
+        relative = inverse(estimate.frame) @ truth.frame
+        normal = relative[:3, 2]
+        error = np.array([normal @ relative[:3, 3] / normal[2], normal[0]])
+        values.append(error @ np.linalg.solve(estimate.covariance[:2, :2], error))
+    assert_mean_in_band(np.array(values), 2)
+
+
+def test_patch_of_a_line_is_its_segment():
+    seen = LineObservation(line(0.0, 2.0, np.eye(2)), np.eye(4))
+    plane = seen.full_plane(0.01)
+    patch = seen.patch_in(inverse(plane.frame))
+    assert patch.geom_type == "LineString"
+    assert abs(patch.length - 2.1) < 1e-12
+
+
+def test_plane_frames_follow_an_estimate_the_shortest_way():
+    rng = np.random.default_rng(1)
+    plane = measured(room_planes()[2], rng, np.array([0.2, 0.3, 0.3]))
+    settled = settle_frame(room_planes()[2].frame, plane.normal, plane.d)
+    np.testing.assert_allclose(settled[:3, 2], plane.normal, atol=1e-12)
+    assert abs(plane.distance(settled[:3, 3])) < 1e-12
+    np.testing.assert_allclose(settled[:3, :3].T @ settled[:3, :3], np.eye(3), atol=1e-12)
+    same = settle_frame(plane.frame, plane.normal, plane.d)
+    np.testing.assert_allclose(same, plane.frame, atol=1e-12)
+
+
+def test_covariance_in_another_frame_of_the_plane_is_that_of_samples():
+    rng = np.random.default_rng(2)
+    sigmas = np.array([0.01, 0.02, 0.004])
+    truth = room_planes()[4]
+    estimate = Plane(truth.frame, np.diag(sigmas**2))
+    turn = np.eye(4)
+    turn[:2, :2] = [[0.6, -0.8], [0.8, 0.6]]
+    turn[:2, 3] = [1.5, -2.0]
+    frame = estimate.frame @ turn
+    covariance = covariance_in(estimate, frame)
+    values = []
+    for _ in range(3000):
+        sample = measured(truth, rng, sigmas)
+        relative = inverse(frame) @ sample.frame
+        normal = relative[:3, 2]
+        error = np.array([normal @ relative[:3, 3] / normal[2], normal[0], -normal[1]])
+        values.append(error @ np.linalg.solve(covariance, error))
+    assert_mean_in_band(np.array(values), 3)
+
+
+def test_outlines_grow_by_union_and_come_apart_again():
+    wall = PlaneObservation(room_planes()[4])
+    plane_T_body = inverse(room_planes()[4].frame)
+    outline = wall.patch_in(plane_T_body)
+    six_metres_on = np.eye(4)
+    six_metres_on[0, 3] = 6.0
+    shifted = PlaneObservation(room_planes()[4].transform(six_metres_on))
+    both = grow(outline, shifted.patch_in(plane_T_body))
+    assert abs(both.area - (24.0 + 6.0 * 3.0)) < 1e-9
+    assert largest_polygon(both) is not None
+    mixed = grow(both, LineObservation(line(0.0, 2.0, np.eye(2)), np.eye(4)).patch_in(np.eye(4)))
+    assert len(polygons_of(mixed)) == 1
+    assert len(segments_of(mixed)) <= 1
+    np.testing.assert_allclose(lift(np.zeros((1, 2)), MOUNT), [MOUNT[:3, 3]])

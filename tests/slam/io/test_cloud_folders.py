@@ -1,0 +1,303 @@
+"""Folders of clouds: order, times, poses and odometry found in names and in files beside them; slam and map on them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam.errors import LogError
+from slam.io.clouds.arrange import Grid, arrange, range_image
+from slam.io.folders.clouds import SCAN_PERIOD_NS, clouds_in, read_cloud_folder
+from slam.io.load import load
+from slam.io.trajectories import Trajectory, write_kitti, write_tum
+from slam.sensors.log import CloudScan
+from spplanes._check import FloatArray
+from tests.slam.cli.test_commands import refused, run
+from tests.slam.real_data import needs
+
+#: Half sizes of the room round the world's origin, m.
+ROOM = np.array([4.0, 3.0, 1.3])
+
+
+def beams(columns: int = 360, rows: int = 32) -> FloatArray:
+    """Directions of a spinning lidar, shape (rows, columns, 3)."""
+    elevation, azimuth = np.meshgrid(
+        np.deg2rad(np.linspace(30, -30, rows)), np.deg2rad(np.arange(columns) * 360 / columns)
+    )
+    level = np.cos(elevation)
+    return np.stack((level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)), axis=-1).transpose(1, 0, 2)
+
+
+def pose(x: float, y: float, yaw: float) -> FloatArray:
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+
+
+def seen_from(world_T_sensor: FloatArray, seed: int, columns: int = 360) -> FloatArray:
+    """The room from a pose with 10 mm of noise, in the sensor's frame, shape (32, columns, 3)."""
+    local = beams(columns)
+    rays = local @ world_T_sensor[:3, :3].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = ((np.sign(rays) * ROOM - world_T_sensor[:3, 3]) / rays).min(axis=-1, initial=np.inf, where=rays != 0.0)
+    return (reach + np.random.default_rng(seed).normal(0.0, 0.01, reach.shape))[..., None] * local
+
+
+POSES = np.array([pose(0.4 * k, 0.2 * k, 0.1 * k) for k in range(4)])
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Four unordered clouds with a start in the middle of a ring."""
+    place = tmp_path / "Räume 1"
+    place.mkdir()
+    for k, world_T_sensor in enumerate(POSES):
+        np.save(place / f"scan {k + 8}.npy", seen_from(world_T_sensor, k).reshape(-1, 3).astype(np.float32))
+    return place
+
+
+def test_numbers_in_names_are_numbers(folder: Path):
+    assert [path.name for path in clouds_in(folder)] == ["scan 8.npy", "scan 9.npy", "scan 10.npy", "scan 11.npy"]
+    log = read_cloud_folder(folder)
+    assert [scan.stamp_ns for scan in log.scans()] == [k * SCAN_PERIOD_NS for k in range(4)]
+    assert log.odometry == []
+    assert all(isinstance(scan, CloudScan) and scan.points.shape == (32, 360, 3) for scan in log.scans())
+
+
+@pytest.mark.parametrize(
+    ("names", "stamps"),
+    [
+        (("1305031102.5", "1305031103.25"), (1305031102500000000, 1305031103250000000)),
+        (("1305031102", "1305031104"), (1305031102000000000, 1305031104000000000)),
+        (("1305031102500", "1305031102600"), (1305031102500000000, 1305031102600000000)),
+        (("1305031102500000", "1305031102500001"), (1305031102500000000, 1305031102500001000)),
+        (("1305031102500000000", "1305031102500000007"), (1305031102500000000, 1305031102500000007)),
+        (("0000000000", "0000000001"), (0, SCAN_PERIOD_NS)),
+        (("cloud_1_of_2", "cloud_2_of_2"), (0, SCAN_PERIOD_NS)),
+    ],
+)
+def test_times_in_names(names: tuple[str, ...], stamps: tuple[int, ...], tmp_path: Path):
+    for name in names:
+        np.save(tmp_path / f"{name}.npy", np.eye(3))
+    assert tuple(scan.stamp_ns for scan in read_cloud_folder(tmp_path).scans()) == stamps
+
+
+def test_times_beside(folder: Path):
+    (folder / "times.txt").write_text("0.0\n0.103\n0.206\n3.09e-01\n")
+    assert [scan.stamp_ns for scan in read_cloud_folder(folder).scans()] == [0, 103_000_000, 206_000_000, 309_000_000]
+    (folder / "times.txt").write_text("0.0\n0.1\n")
+    with pytest.raises(LogError, match=r"times\.txt: expected 4 times, one for each cloud, got 2"):
+        read_cloud_folder(folder)
+    (folder / "times.txt").write_text("0.0\n0.2\n0.1\n0.3\n")
+    with pytest.raises(LogError, match="expected times of the clouds that ascend"):
+        read_cloud_folder(folder)
+
+
+def poses_of(log) -> FloatArray:
+    return np.array([scan.world_T_body for scan in log.scans()])
+
+
+def test_tum_poses_of_clouds_without_times_are_their_times_too(folder: Path):
+    stamps = np.array([5, 6, 8, 9]) * 10**9
+    write_tum(folder / "poses.tum", Trajectory(stamps, POSES))
+    log = read_cloud_folder(folder)
+    assert [scan.stamp_ns for scan in log.scans()] == stamps.tolist()
+    np.testing.assert_allclose(poses_of(log), POSES, atol=1e-12)
+    np.testing.assert_allclose([reading.odom_T_body for reading in log.odometry], POSES, atol=1e-12)
+    assert log.notes == ["no odometry: the poses stand in for it"]
+
+
+def test_tum_poses_at_other_times_are_interpolated(folder: Path):
+    (folder / "times.txt").write_text("10.0\n10.25\n10.5\n11.0\n")
+    straight = np.array([pose(t, 0.0, 0.0) for t in (0.0, 0.5, 1.0)])
+    write_tum(folder / "poses.txt", Trajectory(np.array([100, 105, 110]) * 10**8, straight))
+    np.testing.assert_allclose(poses_of(read_cloud_folder(folder))[:, 0, 3], [0.0, 0.25, 0.5, 1.0], atol=1e-12)
+    write_tum(folder / "poses.txt", Trajectory(np.array([100, 105, 109]) * 10**8, straight))
+    read_cloud_folder(folder)
+    write_tum(folder / "poses.txt", Trajectory(np.array([90, 92, 101]) * 10**8, straight))
+    with pytest.raises(LogError, match=r"scan 11\.npy: expected a pose within 0\.5 s of the cloud's time, found none"):
+        read_cloud_folder(folder)
+
+
+def test_kitti_poses_in_order_or_by_number(folder: Path):
+    write_kitti(folder / "poses.txt", POSES)
+    np.testing.assert_array_equal(poses_of(read_cloud_folder(folder)), POSES)
+    many = np.array([pose(float(k), 0.0, 0.0) for k in range(12)])
+    write_kitti(folder / "poses.txt", many)
+    np.testing.assert_array_equal(poses_of(read_cloud_folder(folder))[:, 0, 3], [8.0, 9.0, 10.0, 11.0])
+    write_kitti(folder / "poses.txt", many[:11])
+    with pytest.raises(LogError, match="expected a pose for each of the 4 clouds, got 11"):
+        read_cloud_folder(folder)
+
+
+def test_odometry_beside_poses(folder: Path):
+    write_kitti(folder / "poses.txt", POSES)
+    drifting = np.array([pose(0.5 * k, 0.0, 0.0) for k in range(4)])
+    write_kitti(folder / "odometry.txt", drifting)
+    log = read_cloud_folder(folder)
+    np.testing.assert_array_equal(poses_of(log), POSES)
+    np.testing.assert_array_equal([reading.odom_T_body for reading in log.odometry], drifting)
+    assert log.notes == []
+
+
+def test_kitti_layout(tmp_path: Path):
+    (tmp_path / "velodyne").mkdir()
+    for k in range(3):
+        points = np.hstack((np.random.default_rng(k).normal(0.0, 5.0, (50, 3)), np.zeros((50, 1))))
+        points.astype("<f4").tofile(tmp_path / "velodyne" / f"{k:06d}.bin")
+    (tmp_path / "times.txt").write_text("0.0\n0.1\n0.2\n")
+    write_kitti(tmp_path / "poses.txt", POSES[:3])
+    log, rig = load(tmp_path)
+    assert [scan.stamp_ns for scan in log.scans()] == [0, 10**8, 2 * 10**8] and rig.of_kind("cloud")
+    np.testing.assert_array_equal(poses_of(log), POSES[:3])
+
+
+def test_the_most_clouds_of_one_format_are_the_scans(folder: Path):
+    (folder / "notes.txt").write_text("seen on Monday\n")
+    (folder / "whole.ply").write_text("ply\n")
+    assert {path.suffix for path in clouds_in(folder)} == {".ply"}  # arrays may be anything, PLY files are clouds
+    (folder / "whole.ply").unlink()
+    assert {path.suffix for path in clouds_in(folder)} == {".npy"}
+
+
+def test_a_wrong_cloud_is_one_sentence_and_leaves_nothing(folder: Path, capsys: pytest.CaptureFixture[str]):
+    (folder / "scan 9.npy").write_bytes((folder / "scan 9.npy").read_bytes()[:-8])
+    sentence = refused(capsys, "slam", folder, "--out", folder.parent / "run")
+    assert "scan 9.npy: expected 138240 bytes for an array of shape (11520, 3), got 138232" in sentence
+    assert not (folder.parent / "run").exists()
+
+
+def test_a_map_needs_poses(folder: Path, capsys: pytest.CaptureFixture[str]):
+    assert "expected a pose with every scan" in refused(capsys, "map", folder, "--out", folder.parent / "map")
+
+
+def walls_of(path: Path) -> list[tuple[FloatArray, float]]:
+    document = json.loads((path / "planes.json").read_text())
+    return [(np.array(plane["normal"]), plane["d"]) for plane in document["planes"] if plane["n_points"] > 2000]
+
+
+@pytest.mark.parametrize("command", ["map", "slam"])
+def test_the_room_comes_out(command: str, folder: Path, capsys: pytest.CaptureFixture[str]):
+    write_kitti(folder / "poses.txt", POSES)
+    code, _, err = run(capsys, command, folder, "--out", folder.parent / "run")
+    assert code == 0, err
+    walls = walls_of(folder.parent / "run")
+    for axis in range(3):
+        for side in (1.0, -1.0):
+            normal = np.eye(3)[axis] * -side
+            found = [d for n, d in walls if n @ normal > 0.9999]
+            assert len(found) == 1
+            assert found[0] == pytest.approx(-ROOM[axis], abs=0.01)
+
+
+def test_clouds_are_kept_in_the_session_on_request(folder: Path, capsys: pytest.CaptureFixture[str]):
+    write_kitti(folder / "odometry.txt", POSES)
+    code, _, err = run(capsys, "slam", folder, "--out", folder.parent / "run", "--keep-raw")
+    assert code == 0, err
+    assert (folder.parent / "run" / "session.db").stat().st_size > 4 * 32 * 360 * 3 * 8
+
+
+@pytest.mark.parametrize("order", ["by row", "by column", "shuffled"])
+@pytest.mark.parametrize("columns", [360, 1024])
+def test_rings_are_found_in_any_order(order: str, columns: int):
+    grid = seen_from(pose(0.3, -0.2, 0.4), 1, columns)
+    points = grid.reshape(-1, 3) if order == "by row" else grid.transpose(1, 0, 2).reshape(-1, 3)
+    if order == "shuffled":
+        points = np.random.default_rng(0).permutation(points)
+    image = range_image(points)
+    assert image.shape == grid.shape
+    assert np.isfinite(image).all()
+    first = np.flatnonzero((image[0] == grid[0, 0]).all(axis=-1))
+    np.testing.assert_array_equal(np.roll(image, -first[0], axis=1), grid)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.3, 0.15])
+def test_cells_of_a_thinned_cloud_are_about_as_wide_as_high(share: float):
+    """Rows of several rings each, cut as finely as the beams were, would leave neighbours that lie on a zigzag."""
+    points = seen_from(pose(0.3, -0.2, 0.4), 1, 1024).reshape(-1, 3)
+    rng = np.random.default_rng(0)
+    rows, columns, _ = range_image(points[rng.random(len(points)) < share]).shape
+    assert 0.25 < (60.0 / rows) / (360.0 / columns) < 4.0
+
+
+def test_a_rig_states_the_range_image(folder: Path):
+    _, rig = load(folder)
+    scanner = rig.sensors["scanner"].model_copy(update={"rows": 16, "columns": 180})
+    rig.model_copy(update={"sensors": {"top": scanner}}).to_yaml(folder / "rig.yaml")
+    log, read = load(folder)
+    assert read.sensors["top"].rows == 16
+    assert [scan.points.shape for scan in log.scans("top") if isinstance(scan, CloudScan)] == [(16, 180, 3)] * 4
+    text = (folder / "rig.yaml").read_text().replace("columns: 180", "range_min_m: 0.1")
+    (folder / "rig.yaml").write_text(text)
+    with pytest.raises(LogError, match=r"rig\.yaml: sensors\.top"):
+        load(folder)
+
+
+def test_poses_of_the_files_themselves_are_the_sensors(tmp_path: Path):
+    from tests.slam.io.test_clouds import pcd
+
+    for k in range(2):
+        data = pcd().replace(b"VIEWPOINT 0 0 0", f"VIEWPOINT {k} 0 1".encode())
+        (tmp_path / f"{k}.pcd").write_bytes(data)
+    mounted = (
+        "sensors:\n  top: {kind: cloud, body_T_sensor: {xyz_m: [0, 0, 1]}, range_sigma_m: 0.01, range_max_m: 50}\n"
+    )
+    (tmp_path / "rig.yaml").write_text(mounted)
+    log, _ = load(tmp_path)
+    np.testing.assert_allclose(poses_of(log), [pose(0.0, 0.0, 0.0), pose(1.0, 0.0, 0.0)], atol=1e-12)
+
+
+def test_the_nearer_of_two_points_hides_the_other():
+    image = range_image(np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 1.0, 0.5], [0.0, -1.0, -0.5]]), Grid(3, 4))
+    kept = image[np.isfinite(image[..., 0])].tolist()
+    assert [1.0, 0.0, 0.0] in kept and [2.0, 0.0, 0.0] not in kept and len(kept) == 3
+
+
+def test_lines_of_a_turning_laser_keep_their_order_and_lose_their_doubles():
+    elevation, azimuth = np.meshgrid(np.deg2rad(np.arange(-60, 81.0)), np.deg2rad(np.arange(0.0, 160.0, 4.0)))
+    level = np.cos(elevation)
+    grid = 3.0 * np.stack((level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)), axis=-1)
+    lost = np.random.default_rng(0).random(grid.shape[:2]) < 0.05
+    lost[0, [0, -1]] = False
+    rows = [line[~gone] for line, gone in zip(grid, lost, strict=True)]
+    twice = np.concatenate([np.concatenate((row, row)) for row in rows])
+    arranged = arrange(twice)
+    np.testing.assert_array_equal(arranged, np.where(lost[..., None], np.nan, grid))
+
+
+def test_organised_points_stay_as_they_are():
+    grid = beams()[:, 20:120]
+    assert arrange(grid) is grid
+
+
+def test_whole_turns_begin_at_a_corner():
+    here = pose(0.3, -0.2, 0.4)
+    grid = seen_from(here, 1)
+    turned = arrange(grid)
+    first = turned[16, 0] @ here[:3, :3].T + here[:3, 3]
+    np.testing.assert_allclose(np.abs(first[:2]), ROOM[:2], atol=0.15)
+    offset = int(np.flatnonzero((grid[16] == turned[16, 0]).all(axis=-1))[0])
+    np.testing.assert_array_equal(np.roll(turned, offset, axis=1), grid)
+
+
+def test_one_point_alone():
+    image = arrange(np.array([[1.0, 2.0, 3.0]]))
+    assert np.isfinite(image[..., 0]).sum() == 1
+
+
+def test_the_room_of_pcl_in_lines():
+    log, rig = load(needs("pcl_room"))
+    (name,) = rig.of_kind("cloud")
+    assert [scan.points.shape for scan in log.scans(name) if isinstance(scan, CloudScan)] == [(318, 181, 3)] * 2
+
+
+def test_the_hall_in_rings():
+    log, _ = load(needs("balm_hall"))
+    scans = log.scans()
+    assert len(scans) == 20 and log.odometry == []
+    for scan in (scans[0], scans[-1]):
+        assert isinstance(scan, CloudScan)
+        points = scan.points
+        assert points.shape == (64, 2048, 3) and np.isfinite(points[..., 0]).sum() > 70_000

@@ -1,0 +1,175 @@
+"""LAS, LAZ and E57 as laspy and pye57 write them."""
+
+from __future__ import annotations
+
+import builtins
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam.errors import LogError, MissingPackageError
+from slam.io.clouds import read_cloud
+from slam.io.clouds.e57 import count_e57, read_e57
+from slam.io.load import load
+from tests.slam.cli.test_commands import refused, run
+from tests.slam.io.test_cloud_folders import POSES, ROOM, seen_from, walls_of
+
+POINTS = np.random.default_rng(0).normal((1000.0, 2000.0, 50.0), 5.0, (300, 3))
+
+
+def write_las(path: Path, points: np.ndarray = POINTS) -> Path:
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(point_format=3, version="1.2")
+    header.offsets, header.scales = np.floor(points.min(axis=0)), np.full(3, 0.001)
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    las.write(str(path))
+    return path
+
+
+def write_e57(path: Path, scans: list[tuple[np.ndarray, np.ndarray | None]], *, organised: bool = False) -> Path:
+    pye57 = pytest.importorskip("pye57")
+    from scipy.spatial.transform import Rotation
+
+    with pye57.E57(str(path), mode="w") as file:
+        for grid, pose in scans:
+            points = grid.reshape(-1, 3)
+            finite = np.isfinite(points).all(axis=1)
+            data = {f"cartesian{axis}": points[finite, k] for k, axis in enumerate("XYZ")}
+            if organised:
+                rows, columns = np.indices(grid.shape[:2])
+                data["rowIndex"] = rows.ravel()[finite].astype(np.int32)
+                data["columnIndex"] = columns.ravel()[finite].astype(np.int32)
+            turn = None if pose is None else Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
+            file.write_scan_raw(data, rotation=turn, translation=None if pose is None else pose[:3, 3])
+    return path
+
+
+@pytest.mark.parametrize("name", ["a b.las", "ä.laz"])
+def test_las(name: str, tmp_path: Path):
+    np.testing.assert_allclose(read_cloud(write_las(tmp_path / name)).points, POINTS, atol=6e-4)
+
+
+@pytest.mark.parametrize("name", ["a.las", "a.laz"])
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 0.9, 0.999])
+def test_cut_las_is_one_sentence(name: str, share: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = write_las(tmp_path / name)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    assert str(path) in refused(capsys, "fit", path)
+
+
+@pytest.mark.parametrize("name", ["a.las", "a.laz"])
+def test_las_that_declares_too_much(name: str, tmp_path: Path):
+    path = write_las(tmp_path / name)
+    data = bytearray(path.read_bytes())
+    data[107:111] = (4_000_000_000).to_bytes(4, "little")
+    path.write_bytes(bytes(data))
+    with pytest.raises(
+        LogError, match=r"bytes for 4000000000 points, got|expected sensor data, got \d+ bytes that grow to"
+    ):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize("name", ["a.las", "a.laz"])
+def test_las_with_billions_of_records_or_chunks(name: str, tmp_path: Path):
+    path = write_las(tmp_path / name)
+    whole = path.read_bytes()
+    data = bytearray(whole)
+    data[100:104] = (4_000_000_000).to_bytes(4, "little")
+    path.write_bytes(bytes(data))
+    with pytest.raises(LogError, match="bytes for 4000000000 records before the points"):
+        read_cloud(path)
+    if name == "a.laz":
+        start = int.from_bytes(whole[96:100], "little")
+        table = int.from_bytes(whole[start : start + 8], "little")
+        data = bytearray(whole)
+        data[table + 4 : table + 8] = (4_000_000_000).to_bytes(4, "little")
+        path.write_bytes(bytes(data))
+        with pytest.raises(LogError, match="bytes for 4000000000 chunks of points"):
+            read_cloud(path)
+
+
+def test_e57_with_a_pose(tmp_path: Path):
+    path = write_e57(tmp_path / "ä b.e57", [(POINTS, POSES[2])])
+    cloud = read_cloud(path)
+    np.testing.assert_allclose(cloud.points, POINTS, atol=1e-9)
+    assert cloud.world_T_sensor is not None
+    np.testing.assert_allclose(cloud.world_T_sensor, POSES[2], atol=1e-9)
+
+
+def test_e57_organised(tmp_path: Path):
+    grid = seen_from(POSES[1], 0)
+    grid[3, 5:9] = np.nan
+    path = write_e57(tmp_path / "a.e57", [(grid, None)], organised=True)
+    cloud = read_cloud(path)
+    np.testing.assert_allclose(cloud.points, grid, atol=1e-9)
+    assert cloud.world_T_sensor is None
+
+
+def test_e57_of_several_scans_is_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    scans = [(seen_from(pose, k), pose) for k, pose in enumerate(POSES)]
+    path = write_e57(tmp_path / "house.e57", scans, organised=True)
+    assert count_e57(path) == 4
+    np.testing.assert_allclose(read_e57(path, 2).points, scans[2][0], atol=1e-9)
+    assert "expected one scan, got 4" in refused(capsys, "fit", path)
+    log, _ = load(path)
+    np.testing.assert_allclose([scan.world_T_body for scan in log.scans()], POSES, atol=1e-9)
+    code, _, err = run(capsys, "map", path, "--out", tmp_path / "map")
+    assert code == 0, err
+    walls = walls_of(tmp_path / "map")
+    for axis in range(3):
+        assert len([d for n, d in walls if abs(n[axis]) > 0.9999 and abs(d + ROOM[axis]) < 0.01]) == 2
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.9, 0.999])
+def test_cut_e57_is_one_sentence_and_stays_where_it_is(
+    share: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    path = write_e57(tmp_path / "a.e57", [(POINTS, None)])
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    assert str(path) in refused(capsys, "fit", path)
+    assert path.is_file()
+
+
+def test_damaged_e57(tmp_path: Path):
+    path = write_e57(tmp_path / "a.e57", [(POINTS, None)])
+    data, rng = path.read_bytes(), np.random.default_rng(0)
+    for _ in range(30):
+        damaged = bytearray(data)
+        for place in rng.integers(0, len(data), 5):
+            damaged[place] = rng.integers(0, 256)
+        path.write_bytes(bytes(damaged))
+        with pytest.raises(LogError):  # every page has a checksum
+            read_cloud(path)
+    path.write_bytes(b"PK\x03\x04" + bytes(99))
+    with pytest.raises(LogError, match="expected an E57 file, got one that does not begin like one"):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize(
+    ("package", "name", "sentence"),
+    [
+        ("laspy", "a.las", "reading this needs laspy: pip install 'spplanes[las]'"),
+        ("pye57", "a.e57", "reading this needs pye57: pip install 'spplanes[e57]'"),
+        ("rosbags", "a.bag", "reading this needs rosbags: pip install 'spplanes[ros]'"),
+    ],
+)
+def test_what_to_install(package: str, name: str, sentence: str, tmp_path: Path, monkeypatch, capsys):
+    (tmp_path / name).write_bytes(b"ASTM-E57" + bytes(100))
+    real = builtins.__import__
+
+    def without(module: str, *rest):
+        if module.split(".")[0] == package:
+            raise ImportError(module)
+        return real(module, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    said = refused(
+        capsys, *(["slam", tmp_path / name, "--out", tmp_path / "o"] if name == "a.bag" else ["fit", tmp_path / name])
+    )
+    assert sentence in said
+    with pytest.raises(MissingPackageError):
+        load(tmp_path / name) if name == "a.bag" else read_cloud(tmp_path / name)

@@ -1,0 +1,478 @@
+"""ROS 1 and ROS 2 bags, written by rosbags: every layout of a cloud, mounts from tf, topics chosen and named."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+rosbags = pytest.importorskip("rosbags", reason="rosbags is not installed")
+
+from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin  # noqa: E402
+from rosbags.rosbag2 import Writer as Writer2  # noqa: E402
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
+
+from slam.errors import LogError  # noqa: E402
+from slam.io import packed  # noqa: E402
+from slam.io.load import load  # noqa: E402
+from slam.io.rosbags._bounded_unpacking import TooLarge, unpack  # noqa: E402
+from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag  # noqa: E402
+from slam.sensors.log import CloudScan, LaserScan, Log  # noqa: E402
+from slam.sensors.rig import Rig, Sensor  # noqa: E402
+from spplanes._check import FloatArray  # noqa: E402
+from tests.slam.cli.test_commands import refused, run  # noqa: E402
+from tests.slam.io.test_cloud_folders import ROOM, pose, seen_from, walls_of  # noqa: E402
+
+KINDS = ["ros1", "sqlite3", "mcap", "db3 alone", "mcap alone"]
+TF = "tf2_msgs/msg/TFMessage"
+SECOND = 1_000_000_000
+#: Where the lidar sits on the body.
+MOUNT = pose(0.2, -0.1, 0.5)
+MOUNT[2, 3] = 0.4
+PATH = np.array([pose(0.4 * k, 0.1 * k, 0.1 * k) for k in range(4)])
+
+
+class Messages:
+    """Makes messages of one typestore."""
+
+    def __init__(self, ros1: bool) -> None:
+        self.store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+        if ros1:
+            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+        self.types, self.ros1 = self.store.types, ros1
+
+    def make(self, kind: str, **values: Any) -> Any:
+        return self.types[kind](**values)
+
+    def header(self, stamp_ns: int, frame: str) -> Any:
+        seconds, rest = divmod(stamp_ns, SECOND)
+        stamp = self.make("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
+        more = {"seq": 0} if self.ros1 else {}
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **more)
+
+    def _turn(self, transform: FloatArray) -> Any:
+        from scipy.spatial.transform import Rotation
+
+        x, y, z, w = Rotation.from_matrix(transform[:3, :3]).as_quat().tolist()
+        return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+    def _xyz(self, kind: str, transform: FloatArray) -> Any:
+        x, y, z = transform[:3, 3].tolist()
+        return self.make(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
+
+    def odometry(self, stamp_ns: int, odom_T_body: FloatArray, child: str = "base_link") -> Any:
+        pose_ = self.make(
+            "geometry_msgs/msg/Pose", position=self._xyz("Point", odom_T_body), orientation=self._turn(odom_T_body)
+        )
+        zero = self._xyz("Vector3", np.eye(4))
+        twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
+        return self.make(
+            "nav_msgs/msg/Odometry",
+            header=self.header(stamp_ns, "odom"),
+            child_frame_id=child,
+            pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose_, covariance=np.zeros(36)),
+            twist=self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+        )
+
+    def tf(self, parent: str, child: str, transform: FloatArray, stamp_ns: int = 0) -> Any:
+        inside = self.make(
+            "geometry_msgs/msg/Transform",
+            translation=self._xyz("Vector3", transform),
+            rotation=self._turn(transform),
+        )
+        one = self.make(
+            "geometry_msgs/msg/TransformStamped",
+            header=self.header(stamp_ns, parent),
+            child_frame_id=child,
+            transform=inside,
+        )
+        return self.make(TF, transforms=[one])
+
+    def scan(self, stamp_ns: int, ranges: FloatArray, frame: str = "laser", **other: float) -> Any:
+        values = {
+            "angle_min": -1.5,
+            "angle_max": 1.5,
+            "angle_increment": 3.0 / (len(ranges) - 1),
+            "time_increment": 1e-4,
+            "scan_time": 0.1,
+            "range_min": 0.1,
+            "range_max": 20.0,
+        }
+        return self.make(
+            "sensor_msgs/msg/LaserScan",
+            header=self.header(stamp_ns, frame),
+            ranges=ranges.astype(np.float32),
+            intensities=np.empty(0, np.float32),
+            **{**values, **other},
+        )
+
+    def cloud(
+        self,
+        stamp_ns: int,
+        points: FloatArray,
+        frame: str = "lidar",
+        *,
+        layout: str = "plain",
+        **other: Any,
+    ) -> Any:
+        """`layout`: plain, shuffled (fields in another order, room between), padded (rows), big (endian), double."""
+        grid = points if points.ndim == 3 else points[None]
+        order = ">" if layout == "big" else "<"
+        float_ = order + ("f8" if layout == "double" else "f4")
+        size = np.dtype(float_).itemsize
+        places = {"z": 4, "ring": 4 + size, "x": 16 + size, "y": 20 + 2 * size} if layout == "shuffled" else {}
+        places = places or {"x": 0, "y": size, "z": 2 * size}
+        step = max(places.values()) + size + (4 if layout != "plain" else 0)
+        names = list(places)
+        formats = [float_ if name in "xyz" else "<u2" for name in names]
+        dtype = np.dtype({"names": names, "formats": formats, "offsets": list(places.values()), "itemsize": step})
+        padding = 24 if layout == "padded" else 0
+        rows = []
+        for row in grid:
+            table = np.zeros(len(row), dtype=dtype)
+            for k, axis in enumerate("xyz"):
+                table[axis] = row[:, k]
+            rows.append(table.tobytes() + bytes(padding))
+        fields = [
+            self.make(
+                "sensor_msgs/msg/PointField",
+                name=name,
+                offset=place,
+                datatype=(8 if size == 8 else 7) if name in "xyz" else 4,
+                count=1,
+            )
+            for name, place in places.items()
+        ]
+        values = {
+            "height": grid.shape[0],
+            "width": grid.shape[1],
+            "fields": fields,
+            "is_bigendian": layout == "big",
+            "point_step": step,
+            "row_step": step * grid.shape[1] + padding,
+            "data": np.frombuffer(b"".join(rows), dtype=np.uint8),
+            "is_dense": False,
+        }
+        return self.make("sensor_msgs/msg/PointCloud2", header=self.header(stamp_ns, frame), **{**values, **other})
+
+
+def write(folder: Path, kind: str, make: Any) -> Path:
+    """A bag of `make(messages)`: tuples of topic, time of recording and message."""
+    ros1 = kind.startswith("ros1")
+    messages = Messages(ros1)
+    path = folder / ("run 1 ü.bag" if ros1 else "run 1 ü")
+    plugin = StoragePlugin.MCAP if "mcap" in kind else StoragePlugin.SQLITE3
+    writer: Any = Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=plugin)
+    connections: dict[str, Any] = {}
+    if kind in ("ros1 bz2", "ros1 lz4"):
+        writer.set_compression(Writer1.CompressionFormat[kind[-3:].upper()])
+        writer.chunk_threshold = 1000  # so that there are several
+    if "zstd" in kind:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        for topic, stamp_ns, message in make(messages):
+            name = message.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, name, typestore=messages.store)
+            pack = messages.store.serialize_ros1 if ros1 else messages.store.serialize_cdr
+            writer.write(connections[topic], stamp_ns, pack(message, name))
+    if kind.endswith("alone"):
+        (inside,) = [entry for entry in path.iterdir() if entry.suffix in (".db3", ".mcap")]
+        return Path(shutil.move(inside, folder / f"alone{inside.suffix}"))
+    return path
+
+
+def mission(messages: Messages, organised: bool = False, columns: int = 360):
+    """A room from four places by a lidar on a robot, with a laser that is not wanted."""
+    yield "/tf_static", SECOND, messages.tf("base_link", "mast", pose(0.2, -0.1, 0.0))
+    up = np.eye(4)
+    up[2, 3] = 0.4
+    yield "/tf_static", SECOND, messages.tf("mast", "lidar", up @ pose(0.0, 0.0, 0.5))
+    for k, odom_T_body in enumerate(PATH):
+        stamp = (10 + k) * SECOND + 5
+        points = seen_from(odom_T_body @ MOUNT, k, columns)
+        yield "/odom", stamp, messages.odometry(stamp, odom_T_body)
+        yield "/front/scan", stamp + 1, messages.scan(stamp, np.full(181, 2.0))
+        cloud = messages.cloud(stamp, points if organised else points.reshape(-1, 3))
+        yield "/lidar/points", stamp + 2, cloud
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_mission_in_every_kind_of_bag(kind: str, tmp_path: Path):
+    path = write(tmp_path, kind, mission)
+    assert is_rosbag(path)
+    log, rig = load(path)
+    assert log.notes[0] == "read /lidar/points (4 PointCloud2), /odom (4 Odometry); also there: /front/scan"
+    scans = log.scans()
+    assert [scan.stamp_ns for scan in scans] == [(10 + k) * SECOND + 5 for k in range(4)]
+    assert [reading.stamp_ns for reading in log.odometry] == [scan.stamp_ns for scan in scans]
+    np.testing.assert_allclose([reading.odom_T_body for reading in log.odometry], PATH, atol=1e-9)
+    np.testing.assert_allclose(rig.sensors["lidar/points"].body_T_sensor, MOUNT, atol=1e-9)
+    assert isinstance(scans[3], CloudScan)
+    wanted = seen_from(PATH[3] @ MOUNT, 3)
+    points = scans[3].points
+    assert points.shape == wanted.shape
+    shift = int(np.flatnonzero(np.isclose(points[0, :, 0], wanted[0, 0, 0], atol=1e-6))[0])
+    np.testing.assert_allclose(np.roll(points, -shift, axis=1), wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap"])
+def test_slam_on_a_bag(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = write(tmp_path, kind, lambda messages: mission(messages, organised=True))
+    code, _, err = run(capsys, "slam", path, "--out", tmp_path / "out")
+    assert code == 0, err
+    assert "read /lidar/points (4 PointCloud2)" in err
+    walls = walls_of(tmp_path / "out")
+    assert len([d for n, d in walls if abs(n[0]) > 0.999 and abs(d + ROOM[0]) < 0.02]) == 2
+    rig = Rig.from_yaml(tmp_path / "out" / "rig.yaml")
+    again, _ = load(path, rig)
+    assert [scan.sensor for scan in again.scans()] == ["lidar/points"] * 4
+
+
+@pytest.mark.parametrize("layout", ["plain", "shuffled", "padded", "big", "double"])
+@pytest.mark.parametrize("kind", ["ros1", "sqlite3"])
+def test_clouds_of_every_layout(layout: str, kind: str, tmp_path: Path):
+    points = (np.arange(4 * 50 * 3).reshape(4, 50, 3) * 0.25 + 1.0) * np.array([1.0, -0.01, 0.02])
+    points[2, 7] = np.nan
+    expected = points.copy()
+    points[1, 3] = 0.0
+    expected[1, 3] = np.nan
+    path = write(tmp_path, kind, lambda m: [("/c", SECOND, m.cloud(SECOND, points, layout=layout))])
+    (scan,) = read_rosbag(path).scans()
+    assert isinstance(scan, CloudScan)
+    np.testing.assert_allclose(scan.points, expected, atol=1e-5)
+
+
+def test_laser_scans_turn_left_and_no_returns_are_nan(tmp_path: Path):
+    ranges = np.linspace(1.0, 10.0, 31)
+    ranges[[3, 4, 5, 6]] = np.nan, np.inf, 0.05, 20.0
+
+    def make(messages: Messages):
+        yield "/a", SECOND, messages.scan(SECOND, ranges)
+        backward = {"angle_min": 1.5, "angle_max": -1.5, "angle_increment": -0.1}
+        yield "/b", SECOND, messages.scan(SECOND, ranges[::-1], **backward)
+
+    log, rig = load(write(tmp_path, "ros1", make))
+    assert set(rig.of_kind("line")) == {"a", "b"}
+    for scan in log.scans():
+        assert isinstance(scan, LaserScan)
+        assert np.flatnonzero(np.isnan(scan.ranges)).tolist() == [3, 4, 5, 6]
+        np.testing.assert_allclose(scan.angles, np.linspace(-1.5, 1.5, 31), atol=1e-6)
+        np.testing.assert_allclose(scan.ranges[7:], ranges[7:], atol=1e-6)
+
+
+def test_an_upright_laser_is_a_push_broom_one(tmp_path: Path):
+    upright = np.eye(4)
+    upright[:3, :3] = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
+
+    def make(messages: Messages):
+        yield "/tf_static", SECOND, messages.tf("/base_link", "/up", upright)
+        yield "/odom", SECOND, messages.odometry(SECOND, np.eye(4))
+        yield "/up", SECOND, messages.scan(SECOND, np.full(31, 2.0), "/up")
+
+    _, rig = load(write(tmp_path, "ros1", make))
+    assert list(rig.of_kind("slice")) == ["up"]
+    np.testing.assert_allclose(rig.sensors["up"].body_T_sensor, upright, atol=1e-12)
+
+
+def test_tf_is_odometry_where_there_is_none(tmp_path: Path):
+    def make(messages: Messages):
+        yield "/tf_static", SECOND, messages.tf("base_link", "lidar", MOUNT)
+        for k, odom_T_body in enumerate(PATH):
+            stamp = (k + 1) * SECOND
+            yield "/tf", stamp, messages.tf("map", "odom", pose(0.1 * k, 0.0, 0.0), stamp)
+            yield "/tf", stamp, messages.tf("odom", "base_link", odom_T_body, stamp)
+            yield "/tf", stamp, messages.tf("base_link", "wheel", pose(0.0, 0.0, float(k)), stamp)
+            yield "/points", stamp, messages.cloud(stamp, np.ones((9, 3)))
+
+    log, rig = load(write(tmp_path, "sqlite3", make))
+    np.testing.assert_allclose([reading.odom_T_body for reading in log.odometry], PATH, atol=1e-9)
+    np.testing.assert_allclose(rig.sensors["points"].body_T_sensor, MOUNT, atol=1e-9)
+    assert "no Odometry: took tf from odom to base_link" in log.notes
+
+
+def test_what_tf_does_not_tell_is_said(tmp_path: Path):
+    def make(messages: Messages):
+        yield "/odom", SECOND, messages.odometry(SECOND, np.eye(4))
+        yield "/points", SECOND, messages.cloud(SECOND, np.ones((9, 3)))
+        yield "/points", SECOND + 1, messages.cloud(SECOND, np.ones((9, 3)))
+
+    log, rig = load(write(tmp_path, "mcap", make))
+    assert "no transform from base_link to lidar: /points taken at the body" in log.notes
+    assert "left out 1 messages with the time of the one before" in log.notes
+    np.testing.assert_array_equal(rig.sensors["points"].body_T_sensor, np.eye(4))
+
+
+def test_topics_by_option_and_by_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = write(tmp_path, "ros1", mission)
+    log = read_rosbag(path, Topics(scans=("front/scan",)))
+    assert all(isinstance(scan, LaserScan) and scan.sensor == "front/scan" for scan in log.scans())
+    laser = Sensor(kind="line", record="/front/scan", range_sigma_m=0.01, range_max_m=30.0)
+    log, rig = load(path, Rig(sensors={"front": laser}, odometry_record="/odom"))
+    assert {scan.sensor for scan in log.scans()} == {"front"} and rig.sensors["front"] is laser
+    sentence = refused(capsys, "slam", path, "--out", tmp_path / "out", "--topic", "/rear/scan")
+    assert (
+        "expected the topic /rear/scan, which the bag does not have; it has /lidar/points, /front/scan, /odom"
+        in sentence
+    )
+    sentence = refused(capsys, "slam", path, "--out", tmp_path / "out", "--odometry-topic", "/tf_static")
+    assert "expected the topic /tf_static" in sentence
+
+
+def test_a_bag_without_scans(tmp_path: Path):
+    path = write(tmp_path, "ros1", lambda m: [("/odom", SECOND, m.odometry(SECOND, np.eye(4)))])
+    with pytest.raises(LogError, match="expected a topic of LaserScan or PointCloud2, found none"):
+        read_rosbag(path)
+
+
+WRONG = {
+    "no z": ({"fields": []}, "expected the fields x, y and z, got none"),
+    "huge": ({"width": 2**31, "row_step": 2**32 - 1}, "expected 1 rows of 2147483648 points"),
+    "short": ({"data": np.zeros(50, np.uint8)}, "expected 1 rows of 9 points of 12 bytes, got 50 bytes"),
+    "step": ({"point_step": 6}, "expected fields within the 6 bytes of a point"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_clouds_name_their_topic(case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    change, sentence = WRONG[case]
+    path = write(tmp_path, "ros1", lambda m: [("/p", SECOND, m.cloud(SECOND, np.ones((9, 3)), **change))])
+    assert f"run 1 ü.bag: /p: {sentence}" in refused(capsys, "slam", path, "--out", tmp_path / "out").replace(
+        "   ", " "
+    )
+
+
+def test_a_wrong_quaternion(tmp_path: Path):
+    def make(messages: Messages):
+        message = messages.odometry(SECOND, np.eye(4))
+        message.pose.pose.orientation.w = 0.0
+        yield "/odom", SECOND, message
+        yield "/points", SECOND, messages.cloud(SECOND, np.ones((9, 3)))
+
+    with pytest.raises(LogError, match=r"/odom: expected a finite position and a unit quaternion.*norm 0"):
+        read_rosbag(write(tmp_path, "ros1", make))
+
+
+@pytest.mark.parametrize("kind", ["ros1", "db3 alone", "mcap alone"])
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.9, 0.999])
+def test_a_cut_bag_is_one_sentence(kind: str, share: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = write(tmp_path, kind, mission)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    sentence = refused(capsys, "slam", path, "--out", tmp_path / "out")
+    assert str(path) in sentence
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("kind", ["ros1", "ros1 bz2", "ros1 lz4", "mcap alone"])
+@pytest.mark.parametrize("share", [0.6, 0.95])
+def test_what_comes_before_the_break_is_kept(kind: str, share: float, tmp_path: Path):
+    path = write(tmp_path, kind, mission)
+    whole, _ = load(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    log, _ = load(path, keep_partial=True)
+    assert log.notes[0] == "the bag breaks off and has no index; kept the messages that are whole"
+    assert 1 <= len(log.scans()) <= 4 and len(log.scans()) >= int(4 * share) - 1
+    for kept, scan in zip(log.scans(), whole.scans(), strict=False):
+        assert isinstance(kept, CloudScan) and kept.stamp_ns == scan.stamp_ns and kept.points.shape == (32, 360, 3)
+    with pytest.raises(LogError, match="expected a whole bag"):
+        load(path)
+
+
+def test_whole_chunks_of_a_compressed_mcap_are_kept(tmp_path: Path):
+    path = write(tmp_path, "mcap zstd alone", lambda messages: mission(messages, columns=1024))
+    data = path.read_bytes()
+    path.write_bytes(data[:-2000])
+    log, _ = load(path, keep_partial=True)
+    assert len(log.scans()) in (3, 4)
+    np.testing.assert_allclose([reading.odom_T_body for reading in log.odometry][:3], PATH[:3], atol=1e-9)
+
+
+def test_nothing_is_left_of_a_bag_cut_at_its_head(tmp_path: Path):
+    path = write(tmp_path, "ros1", mission)
+    path.write_bytes(path.read_bytes()[:3000])
+    with pytest.raises(LogError):
+        load(path, keep_partial=True)
+
+
+def test_other_files_with_the_name_of_a_bag(tmp_path: Path):
+    for name in ("a.bag", "a.mcap", "a.db3"):
+        (tmp_path / name).write_bytes(b"not a bag at all\n" * 20)
+        with pytest.raises(LogError, match="expected a whole bag"):
+            read_rosbag(tmp_path / name)
+    (tmp_path / "metadata.yaml").write_text("{{{")
+    with pytest.raises(LogError, match="expected a whole bag"):
+        load(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "ros1 lz4", "db3 alone", "mcap alone"])
+def test_damaged_bytes_are_a_sentence_or_a_log(kind: str, tmp_path: Path):
+    path = write(tmp_path, kind, lambda messages: islice(mission(messages), 5))
+    whole, rng = path.read_bytes(), np.random.default_rng(1)
+    for trial in range(20):
+        data = bytearray(whole)
+        for place in rng.integers(0, 600 if trial % 2 else len(data), 4):
+            data[place] = rng.integers(0, 256)
+        path.write_bytes(bytes(data))
+        with suppress(LogError):
+            log, _ = load(path, keep_partial=trial % 4 > 1)
+            assert isinstance(log, Log) and log.scans()
+
+
+def test_a_log_of_a_bag_is_a_log(tmp_path: Path):
+    assert isinstance(read_rosbag(write(tmp_path, "ros1", mission)), Log)
+
+
+@pytest.mark.parametrize("kind", ["ros1 bz2", "ros1 lz4", "mcap zstd alone"])
+def test_chunks_that_grow_out_of_proportion_are_refused(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(packed, "HARMLESS_BYTES", 1000)
+    path = write(tmp_path, kind, mission)
+    assert read_rosbag(path).scans()
+    monkeypatch.setattr(packed, "MOST_GROWTH", 0)
+    with pytest.raises(LogError, match="expected sensor data"):
+        read_rosbag(path)
+
+
+@pytest.mark.parametrize("kind", ["bz2", "lz4", "zstd"])
+def test_unpacking_stops_before_memory_is_taken(kind: str, monkeypatch: pytest.MonkeyPatch):
+    import bz2
+
+    import lz4.frame
+    from rosbags.rosbag2.storage_mcap import zstd
+
+    pack = {"bz2": bz2.compress, "lz4": lz4.frame.compress, "zstd": zstd.compress}[kind]
+    monkeypatch.setattr(packed, "HARMLESS_BYTES", 1 << 18)
+    monkeypatch.setattr(packed, "MOST_GROWTH", 2)
+    assert unpack(pack(b"abc") + pack(b"def"), kind) == b"abcdef"
+    with pytest.raises(TooLarge, match="grow out of all proportion"):
+        unpack(pack(bytes(1 << 20)), kind)
+    with pytest.raises(TooLarge, match="grow out of all proportion"):
+        unpack(pack(bytes(1 << 17)) * 3, kind)
+    with pytest.raises(EOFError, match="break off"):
+        unpack(pack(np.random.default_rng(0).bytes(1000))[:-20], kind)
+
+
+def test_compressed_messages_and_files_of_a_folder_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    for mode in (CompressionMode.MESSAGE, CompressionMode.FILE):
+        messages = Messages(ros1=False)
+        folder = tmp_path / mode.name
+        writer = Writer2(folder, version=9, storage_plugin=StoragePlugin.SQLITE3)
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+        with writer:
+            for topic, stamp_ns, message in islice(mission(messages), 5):
+                connection = next((c for c in writer.connections if c.topic == topic), None)
+                connection = connection or writer.add_connection(topic, message.__msgtype__, typestore=messages.store)
+                writer.write(connection, stamp_ns, messages.store.serialize_cdr(message, message.__msgtype__))
+        assert read_rosbag(folder).scans()
+        monkeypatch.setattr(packed, "HARMLESS_BYTES", 100)
+        monkeypatch.setattr(packed, "MOST_GROWTH", 0)
+        with pytest.raises(LogError, match="expected sensor data"):
+            read_rosbag(folder)
+        monkeypatch.undo()

@@ -1,0 +1,72 @@
+"""Planes that were seen before their landmark was born."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from shapely import box
+
+from slam import PlaneSlam, SlamConfig
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import PlaneObservation
+from spplanes import Plane
+from tests.slam.scenes import drive
+
+#: Whether a plane starts a landmark: a tilt of 0.2 rad is more than LandmarkConfig.max_tilt_sigma_rad.
+UNCERTAIN = np.diag([0.01, 0.2, 0.2]) ** 2
+
+
+def uncertain(
+    seen: PlaneObservation, shift_m: float = 0.0, outline: tuple[float, float] | None = None
+) -> PlaneObservation:
+    """The same plane known less well, moved along its normal, with an outline of another size."""
+    frame = seen.plane.frame.copy()
+    frame[:3, 3] += shift_m * seen.plane.normal
+    patch = seen.plane.outline if outline is None else box(0.0, 0.0, *outline)
+    return PlaneObservation(Plane(frame, UNCERTAIN, seen.plane.n_points, patch))
+
+
+def run(first: PlaneObservation | None, config: SlamConfig | None = None) -> PlaneSlam:
+    """A drive whose first keyframe sees its last plane only as `first`, or not at all."""
+    frames: list[Keyframe] = drive(0, count=4).keyframes
+    seen = [one for one in frames[0].observations[:-1] if isinstance(one, PlaneObservation)]
+    slam = PlaneSlam(config)
+    slam.add_keyframe(replace(frames[0], observations=[*seen, *([] if first is None else [first])]))
+    for frame in frames[1:]:
+        slam.add_keyframe(frame)
+    return slam
+
+
+def last_of_first() -> PlaneObservation:
+    seen = drive(0, count=4).keyframes[0].observations[-1]
+    assert isinstance(seen, PlaneObservation)
+    return seen
+
+
+def sightings(slam: PlaneSlam) -> list[int]:
+    """Keyframes that saw the landmark born last."""
+    return [one.keyframe for one in list(slam.landmarks)[-1].sightings]
+
+
+def test_a_plane_too_uncertain_to_start_a_landmark_is_matched_once_it_is_there():
+    slam = run(uncertain(last_of_first()))
+    assert len(slam.landmarks) == 6
+    assert sightings(slam) == [1, 0, 2, 3]
+    [late] = slam.late_matches
+    assert (late.at, late.keyframe, late.decision.observation) == (1, 0, 5)
+    assert late.decision.match is not None and late.decision.match.chi2 < 16.3
+    # its factor is in the graph: the batch of the same graph agrees
+    batch = slam.optimize_batch()
+    assert slam.backend.values.size() == batch.size()
+
+
+def test_what_lies_elsewhere_or_is_the_edge_of_something_is_not():
+    assert sightings(run(uncertain(last_of_first(), shift_m=0.3))) == [1, 2, 3]
+    assert sightings(run(uncertain(last_of_first(), outline=(0.3, 0.3)))) == [1, 2, 3]
+
+
+def test_nothing_waits_longer_than_it_is_told_to():
+    rules = SlamConfig()
+    never = rules.model_copy(update={"landmarks": rules.landmarks.model_copy(update={"waiting_keyframes": 0})})
+    assert sightings(run(uncertain(last_of_first()), never)) == [1, 2, 3]

@@ -1,0 +1,50 @@
+"""A hall that looks alike from both ends, its pillars alike one by one: a scanner without odometry is not misled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from slam.config import SlamConfig
+from slam.evaluation import absolute_error
+from slam.io.trajectories import Trajectory
+from slam.planeslam import pose_symbol
+from slam.runs.slam_run import Run, run_slam
+from slam.sensors.log import CloudScan
+from slam.simulation import Mission, simulate_mission
+
+
+@cache
+def mission(seed: int) -> Mission:
+    return simulate_mission("hall", n_scans=83, seed=seed)
+
+
+def without_odometry(seed: int, chosen: slice) -> tuple[Run, np.ndarray, np.ndarray]:
+    """A run over some of the scans, and how far off its poses are from the first on, m and rad."""
+    whole = mission(seed)
+    scans = [event for event in whole.log.events if isinstance(event, CloudScan)][chosen]
+    run = run_slam(replace(whole.log, events=scans), whole.rig, SlamConfig())
+    true = Trajectory(run.trajectory.stamps_ns, whole.truth.poses_at(run.trajectory.stamps_ns))
+    errors = absolute_error(run.trajectory, true, alignment="first")
+    return run, errors.translation_m, errors.rotation_rad
+
+
+@pytest.mark.parametrize(("seed", "chosen"), [(30, slice(0, 3)), (33, slice(0, 3)), (30, slice(0, 6, 2))])
+def test_a_hall_is_not_taken_for_itself_turned_round(seed: int, chosen: slice):
+    _, positions, angles = without_odometry(seed, chosen)
+    assert angles.max() < np.deg2rad(0.1)
+    assert positions.max() < 0.01
+
+
+@pytest.mark.parametrize("seed", [30, 33])
+def test_a_pillar_is_not_taken_for_the_next_where_the_way_along_them_is_open(seed: int):
+    """At the ninth of these scans only walls along the way and pillars are seen: where along it, nobody knows."""
+    run, positions, _ = without_odometry(seed, slice(70, 82))
+    assert np.delete(positions, 8).max() < 0.01
+    covariance = run.slam.marginal_covariance(pose_symbol(8))
+    sigma = np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1])
+    assert positions[8] < max(3.0 * sigma, 0.01)
+    assert [stretch.keyframes for stretch in run.slam.open_directions] == [(8,)]

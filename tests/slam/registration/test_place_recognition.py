@@ -1,0 +1,270 @@
+"""Constellations of walls: the same place is found with an honest covariance; other places and corridors are not."""
+
+import time
+
+import numpy as np
+import pytest
+
+from benchmarks._line_world import World, box, cast, polygon, random_corridor, random_room
+from slam.geometry.frames import planar_transform
+from slam.io.carmen.reader import read_carmen
+from slam.registration.place_recognition import Wall, match_constellations
+from slam.sensors.log import LaserScan
+from spplanes import LineConfig, ScanLine, extract_lines
+from tests.slam.real_data import needs
+from tests.statistics import assert_mean_in_band
+
+FULL = np.radians(np.arange(-180, 180, 0.5))
+SIGMA = 0.01
+
+
+def random_place(rng, n=16, size=8.0):
+    """Ends of walls in four directions and a few others, shape (n, 2, 2); each is seen from one side."""
+    middles = rng.uniform(-size / 2, size / 2, (n, 2))
+    angles = rng.choice([0.0, np.pi / 2, np.pi, -np.pi / 2], n) + np.where(
+        rng.random(n) < 0.2, rng.uniform(-1, 1, n), 0
+    )
+    half = rng.uniform(0.5, 2.0, n)[:, None] * np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    return np.stack((middles - half, middles + half), axis=1)
+
+
+def see(place, pose, rng, kept=1.0, sigma=0.005):
+    """Walls of a place in the frame of `pose`, each with noise of its own covariance; and which walls they are."""
+    seen = np.flatnonzero(rng.random(len(place)) < kept)
+    walls = []
+    for segment in place[seen]:
+        ends = (segment - pose[:2]) @ planar_transform(0, 0, pose[2])[:2, :2]
+        along = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
+        length, middle = np.hypot(*(ends[1] - ends[0])), ends.mean(axis=0) @ along
+        jacobian = np.array(((1.0, 0.0), (middle, 1.0)))
+        covariance = jacobian @ np.diag((12 * sigma**2 / length**2, sigma**2)) @ jacobian.T
+        error = rng.multivariate_normal((0.0, 0.0), covariance)
+        alpha = np.arctan2(-along[0], along[1])
+        rho = ends[0] @ (np.cos(alpha), np.sin(alpha))
+        walls.append(Wall(alpha + error[0], rho + error[1], covariance, ends))
+    return walls, seen
+
+
+def error_of(match, pose_a, pose_b):
+    b_T_a = np.linalg.inv(planar_transform(*pose_b)) @ planar_transform(*pose_a)
+    found = match.b_T_a
+    turn = np.arctan2(found[1, 0], found[0, 0]) - np.arctan2(b_T_a[1, 0], b_T_a[0, 0])
+    return np.array((*(found[:2, 3] - b_T_a[:2, 3]), (turn + np.pi) % (2 * np.pi) - np.pi))
+
+
+def random_pose(rng, reach=2.0):
+    return np.array((*rng.uniform(-reach, reach, 2), rng.uniform(-np.pi, np.pi)))
+
+
+def test_the_same_place_is_found_and_its_covariance_holds():
+    rng = np.random.default_rng(0)
+    errors, chi2_per_dof, right, closures = [], [], [], 0
+    for _ in range(100):
+        place, pose_a, pose_b = random_place(rng), random_pose(rng), random_pose(rng)
+        (a, seen_a), (b, seen_b) = see(place, pose_a, rng, 0.9), see(place, pose_b, rng, 0.9)
+        match = match_constellations(a, b)
+        if match is None or match.verdict != "closure":
+            continue
+        closures += 1
+        right += (seen_a[match.pairs[:, 0]] == seen_b[match.pairs[:, 1]]).tolist()
+        error = error_of(match, pose_a, pose_b)
+        errors.append(error @ np.linalg.solve(match.covariance, error))
+        chi2_per_dof.append(match.chi2 / match.n_dof)
+        common = len(np.intersect1d(seen_a, seen_b))
+        assert len(match.pairs) >= common - 1
+    assert closures >= 90
+    assert np.mean(right) > 0.98
+    assert_mean_in_band(np.array(errors), 3)
+    assert 0.9 < np.mean(chi2_per_dof) < 1.1
+
+
+def test_other_places_are_not_found():
+    rng = np.random.default_rng(1)
+    verdicts = []
+    for _ in range(100):
+        a, b = see(random_place(rng), random_pose(rng), rng)[0], see(random_place(rng), random_pose(rng), rng)[0]
+        verdicts.append(match_constellations(a, b))
+    assert sum(match is not None and match.verdict == "closure" for match in verdicts) == 0
+
+
+def test_the_motion_back_is_the_inverse():
+    rng = np.random.default_rng(2)
+    place = random_place(rng)
+    a, b = see(place, random_pose(rng), rng)[0], see(place, random_pose(rng), rng)[0]
+    there, back = match_constellations(a, b), match_constellations(b, a)
+    np.testing.assert_allclose(there.b_T_a @ back.b_T_a, np.eye(4), atol=1e-3)
+    assert np.array_equal(there.pairs, back.pairs[np.argsort(back.pairs[:, 1])][:, ::-1])
+
+
+def test_a_wall_is_not_its_own_back():
+    rng = np.random.default_rng(3)
+    place, pose = random_place(rng), random_pose(rng)
+    a, b = see(place, pose, rng)[0], see(place[:, ::-1], pose, rng)[0]
+    assert match_constellations(a, b) is None
+
+
+def test_extents_must_overlap():
+    rng = np.random.default_rng(4)
+    place = random_place(rng)
+    along = place[:, 1] - place[:, 0]
+    shifted = place + 2.0 * along[:, None, :]
+    a, b = see(place, np.zeros(3), rng)[0], see(shifted, np.zeros(3), rng)[0]
+    match = match_constellations(a, b)
+    assert match is None or match.verdict == "unobservable"
+    assert match_constellations(a, see(place, np.zeros(3), rng)[0]) is not None
+
+
+def views(world, poses, seed=0, angles=FULL):
+    rng = np.random.default_rng(seed)
+    ranges = [cast(world, angles, tuple(pose)).ranges + rng.normal(0, SIGMA, angles.size) for pose in poses]
+    return [extract_lines(r, angles, sigma=SIGMA) for r in ranges]
+
+
+CORRIDOR = [
+    [(-9, -1), (-4, -1)],
+    [(-4, -1.1), (0.1, -1.1)],
+    [(0, -1.25), (9, -1.25)],
+    [(9, 1), (1, 1)],
+    [(1, 1.3), (-9, 1.3)],
+    [(-9, 1.45), (-12, 1.45)],
+]
+NICHE = [(0, 0), (3, 0), (3, -1), (5, -1), (5, 0), (7, 0), (7, 5), (4, 5), (4, 4.2), (2.2, 4.2), (2.2, 5), (0, 5)]
+
+
+def test_lines_of_two_scans_of_a_room():
+    world = World(np.concatenate((polygon(NICHE), box(5.5, 3, 0.8, 0.6, 0.5))), np.array([(1.0, 3.5, 0.2)]))
+    poses = np.array([(3.0, 2.0, 0.0), (3.8, 1.5, 2.5)])
+    match = match_constellations(*views(world, poses))
+    assert match.verdict == "closure"
+    assert np.hypot(*error_of(match, *poses)[:2]) < 0.02
+
+
+def test_a_room_that_looks_the_same_turned_round_is_ambiguous():
+    """A rectangle with equal alcoves on opposite sides: every wall has its twin half a turn away."""
+    half = [(-3, -2), (-1, -2), (-1, -3), (1, -3), (1, -2), (3, -2)]
+    corners = half + [(-x, -y) for x, y in half]
+    world = World(polygon(corners), np.empty((0, 3)))
+    match = match_constellations(*views(world, [(0.3, 0.2, 0.0), (-0.2, 0.4, 1.0)]))
+    assert match is not None
+    assert match.verdict in ("ambiguous", "unobservable")
+    assert match.rival_evidence > 0.0
+
+
+def test_a_corridor_leaves_open_how_far_along_it():
+    """Walls of four depths on both sides of a corridor without an end: all matched, none across."""
+    rng = np.random.default_rng(5)
+    a, b = (see(np.array(CORRIDOR, dtype=float), pose, rng)[0] for pose in ((-1.0, 0.0, 0.0), (0.5, 0.2, 0.1)))
+    match = match_constellations(a, b)
+    assert match.verdict == "unobservable"
+    assert len(match.pairs) >= 5
+    direction, sigma = match.weakest_direction
+    assert sigma > 1.0
+    assert abs(direction @ (np.cos(0.1), -np.sin(0.1))) > 0.99
+
+
+def test_one_wall_across_a_corridor_is_no_proof():
+    """Two floors of one building: the same corridor, long walls at ten depths, but its end wall 2 m farther."""
+    depths = [((-9, y), (9, y)) for y in (-1.0, -1.3, -1.7, -2.2, -2.8)]
+    depths += [((9, y), (-9, y)) for y in (1.1, 1.5, 1.9, 2.6, 3.1)]
+    rng = np.random.default_rng(6)
+    a, b = (see(np.array([*depths, ((x, -1), (x, 1))], dtype=float), (0.0, 0.0, 0.0), rng)[0] for x in (6, 8))
+    match = match_constellations(a, b)
+    assert len(match.pairs) == 11
+    assert match.verdict == "unobservable"
+
+
+@pytest.mark.parametrize("make", [random_room, random_corridor])
+def test_random_worlds_give_no_wrong_closure(make):
+    rng = np.random.default_rng(7)
+    closures, wrong, before = 0, 0, []
+    for _ in range(40):
+        world, pose = make(rng)
+        poses = np.array((pose, (pose[0] + rng.uniform(-0.2, 0.2), pose[1], rng.uniform(-np.pi, np.pi))))
+        a, b = views(world, poses, seed=int(rng.integers(1 << 30)))
+        match = match_constellations(a, b)
+        if match is not None and match.verdict == "closure":
+            error = error_of(match, *poses)
+            closures += 1
+            wrong += error @ np.linalg.solve(match.covariance, error) > 30.0
+        for other in before[-2:]:
+            match = match_constellations(other, b)
+            wrong += match is not None and match.verdict == "closure"
+        before.append(a)
+    assert wrong == 0
+    assert closures >= (30 if make is random_room else 0)
+
+
+def test_moved_lines_keep_their_side():
+    line = ScanLine(0.3, 0.5, np.diag((1e-4, 1e-4)), np.array([(0.5, 0.0), (0.3, 0.6)]), np.arange(5))
+    frame = planar_transform(-3.0, 0.4, 0.2)
+    wall, moved = Wall.from_line(line, frame), line.transform(frame)
+    assert wall.rho < 0 < moved.rho
+    assert abs(np.cos(wall.alpha - moved.alpha) + 1.0) < 1e-12
+    flip = np.array(((1.0, -1.0), (-1.0, 1.0)))
+    np.testing.assert_allclose(wall.covariance, flip * moved.covariance, atol=1e-15)
+    np.testing.assert_allclose(wall.endpoints, moved.endpoints)
+
+
+def test_the_same_input_gives_the_same_match():
+    rng = np.random.default_rng(8)
+    place = random_place(rng)
+    a, b = see(place, random_pose(rng), rng)[0], see(place, random_pose(rng), rng)[0]
+    first, second = match_constellations(a, b), match_constellations(a, b)
+    assert np.array_equal(first.b_T_a, second.b_T_a) and first.evidence == second.evidence
+    turned = match_constellations(a[::-1], b[::-1])
+    assert {(len(a) - 1 - i, len(b) - 1 - j) for i, j in turned.pairs} == {(int(i), int(j)) for i, j in first.pairs}
+
+
+def test_large_constellations_take_bounded_time():
+    rng = np.random.default_rng(9)
+    place = random_place(rng, 60, 30.0)
+    poses = np.array(((0.0, 0.0, 0.0), (3.0, 1.0, 1.0)))
+    a, b = (see(place, pose, rng)[0] for pose in poses)
+    start = time.process_time()
+    match = match_constellations(a, b)
+    assert time.process_time() - start < 20.0
+    assert match.verdict == "closure"
+    assert np.hypot(*error_of(match, *poses)[:2]) < 0.02
+
+
+def test_too_few_walls_are_no_match():
+    rng = np.random.default_rng(10)
+    walls = see(random_place(rng, 3), np.zeros(3), rng)[0]
+    assert match_constellations([], walls) is None
+    assert match_constellations(walls, walls) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"significance": 0.0}, r"significance: expected a probability in \(0, 0.5\), got 0.0"),
+        ({"min_matches": 2}, "min_matches: expected at least 3, got 2"),
+        ({"min_overlap": 1.5}, r"min_overlap: expected a share in \[0, 1\], got 1.5"),
+    ],
+)
+def test_bad_parameters_are_one_sentence(change, message):
+    with pytest.raises(ValueError, match=message):
+        match_constellations([], [], **change)
+
+
+def test_real_scans_close_where_the_robot_was_before_and_nowhere_else():
+    """Single scans of intel, 180 deg and about five lines each: few places suffice alone, and none may be wrong."""
+    log = read_carmen(needs("intel/intel.clf.gz"))
+    reference = np.loadtxt(needs("intel/reference.tum"))
+    poses = np.column_stack((reference[:, 1:3], 2.0 * np.arctan2(reference[:, 6], reference[:, 7])))
+    scans = [scan for scan in log.scans() if isinstance(scan, LaserScan)]
+    config = LineConfig(flatness=0.003)
+    lines = {k: extract_lines(scans[k].ranges, scans[k].angles, sigma=0.01, config=config) for k in range(910)}
+    errors, wrong = [], 0
+    for i in range(0, 910, 18):
+        apart = {j: np.hypot(*(poses[j] - poses[i])[:2]) for j in lines}
+        turns = {j: abs((poses[j, 2] - poses[i, 2] + np.pi) % (2 * np.pi) - np.pi) for j in lines}
+        near = [j for j in lines if apart[j] < 0.7 and turns[j] < 0.5 and abs(i - j) > 80]
+        for j in near[:3] + [j for j in lines if apart[j] > 6.0][:: len(lines) // 3]:
+            match = match_constellations(lines[i], lines[j])
+            if match is not None and match.verdict == "closure":
+                errors += [np.hypot(*error_of(match, poses[i], poses[j])[:2])] if apart[j] < 0.7 else []
+                wrong += apart[j] > 6.0
+    assert wrong == 0
+    assert len(errors) >= 5
+    assert max(errors) < 0.2

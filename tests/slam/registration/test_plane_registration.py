@@ -1,0 +1,139 @@
+"""A place found by its planes alone: worked out to what they were measured to, and not behind walls."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+from shapely import box
+
+from slam.geometry.frames import inverse
+from slam.registration._plane_arrays import PlaneArrays
+from slam.registration.motion_from_planes import _off, fit_planes_on
+from slam.registration.plane_registration import _agreement, match_planes_widely
+from slam.registration.visibility import LinesOfSight
+from spplanes import Plane
+from spplanes._check import FloatArray
+
+#: A hall that looks the same from both ends: half its length, half its width, height, m.
+LONG, WIDE, HIGH = 9.0, 5.0, 4.0
+
+
+def wall(middle: tuple[float, float, float], normal: tuple[float, float, float], width: float, height: float) -> Plane:
+    """A rectangle about its middle, seen from the side of its normal, known to 2 mm and 0.05 deg."""
+    z = np.array(normal) / np.linalg.norm(normal)
+    x = np.cross((0.0, 0.0, 1.0) if abs(z[2]) < 0.9 else (0.0, 1.0, 0.0), z)
+    frame = np.eye(4)
+    frame[:3, 0], frame[:3, 1], frame[:3, 2], frame[:3, 3] = x, np.cross(z, x), z, middle
+    outline = box(-width / 2.0, -height / 2.0, width / 2.0, height / 2.0)
+    return Plane(frame, np.diag([2e-3, 1e-3, 1e-3]) ** 2, 1000, outline)
+
+
+def hall() -> list[Plane]:
+    half = HIGH / 2.0
+    return [
+        wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 2.0 * WIDE, 2.0 * LONG),
+        wall((0.0, 0.0, HIGH), (0.0, 0.0, -1.0), 2.0 * WIDE, 2.0 * LONG),
+        wall((0.0, WIDE, half), (0.0, -1.0, 0.0), 2.0 * LONG, HIGH),
+        wall((0.0, -WIDE, half), (0.0, 1.0, 0.0), 2.0 * LONG, HIGH),
+        wall((LONG, 0.0, half), (-1.0, 0.0, 0.0), 2.0 * WIDE, HIGH),
+        wall((-LONG, 0.0, half), (1.0, 0.0, 0.0), 2.0 * WIDE, HIGH),
+    ]
+
+
+def body(x: float, y: float, yaw: float) -> FloatArray:
+    pose = np.eye(4)
+    pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    pose[:3, 3] = (x, y, 1.5)
+    return pose
+
+
+def measured(planes: list[Plane], world_T_body: FloatArray, rng: np.random.Generator) -> list[Plane]:
+    """The planes as a body sees them: each off by what its covariance says."""
+    seen = []
+    for plane in planes:
+        moved = plane.transform(inverse(world_T_body))
+        shift, theta, psi = rng.multivariate_normal(np.zeros(3), moved.covariance)
+        off = np.eye(4)
+        off[:3, :3], off[2, 3] = gtsam.Rot3.RzRyRx(psi, theta, 0.0).matrix(), shift
+        seen.append(Plane(moved.frame @ off, moved.covariance, moved.n_points, moved.outline))
+    return seen
+
+
+def test_a_wall_and_the_face_of_a_pillar_have_the_pillar_in_common():
+    gable, face = wall((0.0, 0.0, 2.0), (1.0, 0.0, 0.0), 10.0, 4.0), wall((0.0, 1.0, 2.0), (1.0, 0.0, 0.0), 0.5, 4.0)
+    seen = PlaneArrays.of([gable])
+    assert _agreement(np.eye(4), seen, PlaneArrays.of([gable])) == pytest.approx(np.sqrt(40.0))
+    assert _agreement(np.eye(4), seen, PlaneArrays.of([face])) == pytest.approx(np.sqrt(2.0))
+
+
+def test_derivatives_of_what_planes_are_off():
+    rng = np.random.default_rng(0)
+    known = hall()
+    motion = gtsam.Pose3.Expmap(rng.normal(0.0, 0.3, 6)).matrix()
+    seen = measured(known, body(1.0, 0.5, 0.3), rng)
+    given = np.array([one.frame for one in seen]), np.array([one.normal for one in known])
+    distances = np.array([one.d for one in known])
+    _, jacobian = _off(motion, *given, distances)
+    for k, step in enumerate(1e-5 * np.eye(6)):
+        ahead = _off(motion @ gtsam.Pose3.Expmap(step).matrix(), *given, distances)[0]
+        behind = _off(motion @ gtsam.Pose3.Expmap(-step).matrix(), *given, distances)[0]
+        np.testing.assert_allclose(jacobian[:, :, k], (ahead - behind) / 2e-5, atol=1e-6)
+
+
+def test_a_motion_is_worked_out_as_well_as_it_says():
+    """The covariance grants planes a centimetre more than these have; one pair in seven is wrong."""
+    rng = np.random.default_rng(1)
+    known, nees = hall(), []
+    for _ in range(40):
+        true = body(*rng.uniform((-4.0, -2.0, -0.3), (4.0, 2.0, 0.3)))
+        seen = measured(known, true, rng)
+        wrong = known[4].transform(body(0.12, 0.0, 0.02)), seen[4]
+        pairs = [*zip(seen, known, strict=True), wrong[::-1]]
+        rough = true @ gtsam.Pose3.Expmap(rng.normal(0.0, 1.0, 6) * np.repeat([0.01, 0.03], 3)).matrix()
+        motion, covariance = rough, np.eye(6)
+        for loose in (5.0, 1.0):
+            motion, covariance = fit_planes_on(motion, pairs, (10.0, 3.0), loose)  # type: ignore[misc]
+        error = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(motion) @ true))
+        assert np.linalg.norm(error[3:]) < 0.02
+        nees.append(error @ np.linalg.solve(covariance, error))
+    assert 0.2 < np.mean(nees) < 6.0
+
+
+def test_planes_that_leave_a_motion_open_are_refused():
+    floor, ceiling, *_ = hall()
+    assert fit_planes_on(np.eye(4), [(floor, floor), (ceiling, ceiling)], (1.0, 1.0)) is None
+    assert fit_planes_on(np.eye(4), [(floor, floor), (ceiling, ceiling), (floor, floor)], (1.0, 1.0)) is None
+
+
+def test_walls_stand_in_the_way_from_the_wrong_end_only():
+    screen = wall((5.0, 0.0, 1.5), (1.0, 0.0, 0.0), 8.0, 3.0)
+    true = body(2.0, 0.5, 0.2)
+    end = hall()[5].transform(inverse(true))
+    sight = LinesOfSight.between([end], np.array([3.0]), [*hall(), screen])
+    assert sight.blocked(true) == 0.0
+    assert sight.blocked(body(-2.0, -0.5, 0.2 + np.pi)) == pytest.approx(3.0)
+    assert LinesOfSight.between([end], np.array([3.0]), hall()).blocked(body(-2.0, -0.5, 0.2 + np.pi)) == 0.0
+
+
+@pytest.mark.parametrize("lean", [-0.2, 0.2])
+def test_a_hall_is_told_from_itself_turned_round_by_what_would_be_seen_through_a_screen(lean: float):
+    """All that is seen has a partner either way; the expectation lies nearer to the wrong end, or to the right one."""
+    rng = np.random.default_rng(2)
+    screen = wall((5.0, 0.0, 1.5), (1.0, 0.0, 0.0), 8.0, 3.0)
+    true = body(2.0, 0.5, 0.2)
+    half, middle = HIGH / 2.0, (4.0 - LONG) / 2.0  # of the room this side of the screen
+    in_sight = [
+        wall((middle, 0.0, 0.0), (0.0, 0.0, 1.0), 2.0 * WIDE, LONG + 4.0),
+        wall((middle, 0.0, HIGH), (0.0, 0.0, -1.0), 2.0 * WIDE, LONG + 4.0),
+        wall((middle, WIDE, half), (0.0, -1.0, 0.0), LONG + 4.0, HIGH),
+        wall((middle, -WIDE, half), (0.0, 1.0, 0.0), LONG + 4.0, HIGH),
+        wall((-LONG, 0.0, half), (1.0, 0.0, 0.0), 2.0 * WIDE, HIGH),
+    ]
+    seen = measured(in_sight, true, rng)
+    expected = body(0.0, 0.0, 0.2 + np.pi / 2.0 + lean)
+    known = [plane.transform(inverse(expected)) for plane in [*hall(), screen]]
+    found = match_planes_widely(seen, known, (2.0, 1.4))
+    assert found is not None
+    error = inverse(inverse(expected) @ true) @ found.known_T_seen
+    assert np.linalg.norm(error[:3, 3]) < 0.02 and error[0, 0] > 0.9999

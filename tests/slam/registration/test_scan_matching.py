@@ -1,0 +1,151 @@
+"""Where one view lies in another: found by returns and free space, unsure where that is all the same."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.frontend._occupancy_kernels import widen
+from slam.frontend.occupancy import CELL_M, NOVEL_SHARE, Raster, beams_of, moved
+from slam.geometry.frames import planar_transform
+from slam.registration.scan_matching import _fit, _split, relocate
+from slam.registration.submaps import left_open
+from slam.sensors.log import LaserScan
+from slam.simulation.floorplan import FloorPlan, cast
+
+ANGLES = np.linspace(-np.pi, np.pi, 361)
+WIDE = np.diag((0.5, 0.5, 0.1)) ** 2
+REACH = np.array((1.5, 1.5, 0.3))
+
+
+def room(width: float = 6.0, depth: float = 4.0) -> FloorPlan:
+    plan = FloorPlan()
+    half = np.array((width, depth)) / 2.0
+    corners = [(-half[0], -half[1]), (half[0], -half[1]), (half[0], half[1]), (-half[0], half[1]), (-half[0], -half[1])]
+    plan.add_chain(corners)
+    plan.add_box(0.8, -1.2, 0.6, 0.9)
+    return plan
+
+
+def corridor() -> FloorPlan:
+    plan = FloorPlan()
+    plan.walls = [((-30.0, -1.0), (30.0, -1.0)), ((30.0, 1.0), (-30.0, 1.0))]
+    return plan
+
+
+def view(plan: FloorPlan, pose: tuple[float, float, float], seed: int = 0, range_max: float = 8.0) -> np.ndarray:
+    """Beams (N, 4) of a full turn from a pose, in the frame of the pose."""
+    walls = np.array(plan.walls)
+    ranges = cast(walls, np.zeros((len(walls), 256)), np.array(pose), ANGLES)
+    ranges += np.random.default_rng(seed).normal(0.0, 0.01, ANGLES.size)
+    scan = LaserScan(0, "laser", np.where(ranges < range_max, ranges, np.nan), ANGLES)
+    return beams_of(scan, scan.ranges, np.eye(4))[0]
+
+
+def raster(plan: FloorPlan, pose: tuple[float, float, float], seed: int = 0) -> Raster:
+    return Raster.of(view(plan, pose, seed), 0.5)
+
+
+@pytest.mark.parametrize("pose", [(0.7, 0.4, 0.2), (-0.9, 0.3, -0.25), (-0.2, -0.9, 0.0)])
+def test_a_pose_in_a_room_is_found(pose):
+    found = relocate(raster(room(), pose, 1), raster(room(), (0.0, 0.0, 0.0), 2), np.zeros(3), WIDE, REACH)
+    error = found.pose - pose
+    assert np.linalg.norm(error[:2]) < 0.03
+    assert abs(error[2]) < 0.01
+    assert found.share > 0.999
+    assert error @ np.linalg.solve(found.covariance, error) < 16.3
+
+
+def test_a_bare_corridor_leaves_open_how_far_along_it():
+    here, there = raster(corridor(), (0.4, 0.2, 0.1), 1), raster(corridor(), (0.0, 0.0, 0.0), 2)
+    found = relocate(here, there, np.zeros(3), WIDE, REACH)
+    sigmas = np.sqrt(np.diag(found.covariance))
+    assert abs(found.pose[1] - 0.2) < 0.03
+    assert sigmas[0] > 0.2
+    assert sigmas[1] < 0.05
+
+
+def test_other_walls_are_not_taken_for_the_same():
+    found = relocate(raster(room(3.1, 2.3), (0.0, 0.0, 0.7)), raster(room(), (0.0, 0.0, 0.0)), np.zeros(3), WIDE, REACH)
+    assert found.share < 0.999
+
+
+def test_two_places_that_look_alike_are_ambiguous():
+    """A view of one of two equal alcoves, 2 m apart."""
+    plan, one = FloorPlan(), FloorPlan()
+    plan.add_chain(
+        [
+            (5.0, 0.0),
+            (1.5, 0.0),
+            (1.5, -1.0),
+            (0.5, -1.0),
+            (0.5, 0.0),
+            (-0.5, 0.0),
+            (-0.5, -1.0),
+            (-1.5, -1.0),
+            (-1.5, 0.0),
+            (-5.0, 0.0),
+        ][::-1]
+    )
+    one.add_chain([(1.2, 0.0), (0.5, 0.0), (0.5, -1.0), (-0.5, -1.0), (-0.5, 0.0), (-1.2, 0.0)][::-1])
+    found = relocate(raster(one, (0.0, 0.3, 0.0)), raster(plan, (0.0, 0.3, 0.0)), np.zeros(3), WIDE, REACH)
+    assert found.share < 0.9
+    assert abs(abs(found.pose[0]) - 1.0) < 0.06
+
+
+def test_a_block_bounds_all_motions_in_it():
+    a, b = raster(room(), (0.3, 0.1, 0.2), 3), raster(room(), (0.0, 0.0, 0.0), 4)
+    rng = np.random.default_rng(0)
+    unit = np.array((0.5 * CELL_M, 0.5 * CELL_M, 0.02))
+    for level in (1, 2, 3):
+        blocks = np.column_stack((rng.integers(-30, 30, (20, 2)), rng.integers(-8, 8, 20))).astype(float)
+        bounds, inside = _fit(a, b, blocks * unit, level), blocks
+        for below in range(level, 0, -1):
+            inside = _split(inside, below)
+        fits = _fit(a, b, inside * unit, 0).reshape(20, -1)
+        assert (fits <= bounds[:, None] + 1e-9).all()
+        assert fits.shape[1] == 4**level
+
+
+def test_a_raster_knows_occupied_free_and_unknown():
+    beams = view(room(), (0.0, 0.0, 0.0))
+    raster = Raster.of(beams, 0.5)
+
+    def at(x: float, y: float) -> float:
+        column, row = np.floor((np.array((x, y)) - raster.origin) / CELL_M).astype(int)
+        return float(raster.table[row, column])
+
+    assert at(2.98, 0.5) > 2.0
+    assert at(0.5, 0.4) == pytest.approx(np.log(NOVEL_SHARE))
+    assert at(1.1, -0.8) == 0.0  # inside the box
+    assert raster.weight == pytest.approx(0.2)
+
+
+def test_widening_takes_the_largest_value_around_and_unknown_beyond_the_edge():
+    table = np.full((5, 6), -1.0)
+    table[2, 3] = 4.0
+    wide = widen(table, 1)
+    assert (wide[1:4, 2:5] == 4.0).all()
+    assert wide[2, 1] == -1.0
+    assert wide[0, 0] == 0.0
+
+
+def test_a_leaning_laser_gives_no_beams_and_lone_returns_are_no_surface():
+    scan = LaserScan(0, "laser", np.array((2.0, 2.0, 5.0, np.nan, 2.0)), np.radians((0.0, 1.0, 2.0, 3.0, 4.0)))
+    lean = np.eye(4)
+    lean[1:3, 1:3] = ((0.0, -1.0), (1.0, 0.0))
+    assert beams_of(scan, scan.ranges, lean) == []
+    (beams,) = beams_of(scan, scan.ranges, planar_transform(1.0, 0.0, np.pi / 2))
+    np.testing.assert_allclose(beams[0], (1.0, 0.0, 1.0, 2.0), atol=1e-12)
+    assert len(beams) == 2
+    np.testing.assert_allclose(moved(beams, planar_transform(0.0, 1.0, 0.0))[0], (1.0, 1.0, 1.0, 3.0), atol=1e-12)
+
+
+def test_what_the_walls_say_already_is_taken_off():
+    found = np.diag((0.1, 0.02, 0.01)) ** 2
+    walls = np.diag((100.0, 0.01, 0.005)) ** 2
+    rest = left_open(found, walls)
+    assert rest is not None
+    assert np.sqrt(rest[0, 0]) == pytest.approx(0.1, rel=0.01)
+    assert min(rest[1, 1], rest[2, 2]) > 10.0
+    assert left_open(found, 0.25 * found) is None

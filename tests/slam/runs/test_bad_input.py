@@ -1,0 +1,221 @@
+"""Bad scans are left out and counted, bad keyframes leave no trace, silent sensors are named; strict runs end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slam import PlaneSlam
+from slam.config import KeyframeConfig, SlamConfig
+from slam.errors import LogError
+from slam.frontend.input_checks import silences
+from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
+from slam.frontend.measurement import planes_of_cloud
+from slam.frontend.observations import PlaneObservation
+from slam.output.run_metrics import warnings_of
+from slam.runs.slam_run import run_slam
+from slam.sensors.log import CloudScan, LaserScan, Log
+from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Mission, simulate_mission
+from tests.slam.cli.test_commands import refused
+from tests.slam.scenes import drive
+
+STRICT = SlamConfig(keyframes=KeyframeConfig(strict=True))
+
+
+@pytest.fixture(scope="module")
+def hall() -> Mission:
+    return simulate_mission("hall", n_scans=4, seed=0)
+
+
+@pytest.fixture(scope="module")
+def room() -> Mission:
+    return simulate_mission("room", n_scans=120, seed=0)
+
+
+def with_events(mission: Mission, change) -> Log:
+    """The mission's log with its 3D scans (or all events) changed: a list of events for each."""
+    events = [after for k, event in enumerate(mission.log.events) for after in change(k, event)]
+    return replace(mission.log, events=events)
+
+
+def without(log: Log, sensor: str, after_ns: int = -1) -> Log:
+    kept = [one for one in log.events if not (getattr(one, "sensor", "") == sensor and one.stamp_ns > after_ns)]
+    return replace(log, events=kept)
+
+
+@pytest.mark.parametrize("part", ["plane", "motion"])
+def test_a_covariance_that_is_none_is_refused_and_leaves_no_trace(part: str):
+    scene = drive(0, count=4)
+    slam = PlaneSlam()
+    for frame in scene.keyframes[:2]:
+        slam.add_keyframe(frame)
+    good = scene.keyframes[2]
+    wrong = np.diag([1e-4, 1e-4, -1e-4])
+    if part == "plane":
+        first = good.observations[0]
+        assert isinstance(first, PlaneObservation)
+        seen = PlaneObservation(replace(first.plane, covariance=np.diag([1e-4, 1e-4, 1e-4])))
+        seen.plane.covariance[:] = wrong
+        bad = replace(good, observations=[seen, *good.observations[1:]])
+        problem = r"keyframe.observations\[0\].plane.covariance: expected a positive definite covariance, got the eigen"
+    else:
+        assert good.motion is not None
+        bad = replace(good, motion=replace(good.motion, covariance=wrong))
+        problem = "keyframe.motion.covariance: expected a positive definite covariance, got the eigenvalue -0.0001"
+    with pytest.raises(ValueError, match=problem):
+        slam.add_keyframe(bad)
+    assert len(slam.trajectory) == 2
+    for frame in scene.keyframes[2:]:
+        slam.add_keyframe(frame)
+    clean = PlaneSlam()
+    for frame in scene.keyframes:
+        clean.add_keyframe(frame)
+    np.testing.assert_array_equal(slam.trajectory.poses, clean.trajectory.poses)
+
+
+def test_a_nan_in_the_motion_is_refused():
+    frame = drive(0, count=2).keyframes[1]
+    assert frame.motion is not None
+    moved = frame.motion.a_T_b.copy()
+    moved[0, 3] = np.nan
+    slam = PlaneSlam()
+    slam.add_keyframe(drive(0, count=2).keyframes[0])
+    with pytest.raises(ValueError, match=r"keyframe\.motion\.a_T_b: expected finite numbers, got nan"):
+        slam.add_keyframe(replace(frame, motion=replace(frame.motion, a_T_b=moved)))
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"stamp_ns": 1.5}, "keyframe.stamp_ns: expected whole nanoseconds, got 1.5"),
+        ({"observations": None}, "keyframe.observations: expected a Sequence, got NoneType"),
+        ({"observations": [1]}, r"keyframe.observations\[0\]: expected a plane or a line that was seen, got int"),
+        ({"motion": 3}, "keyframe.motion: expected a Motion, got int"),
+        ({"covariance": "wide"}, "keyframe.motion.covariance: expected FloatArray, got str"),
+        ({"covariance": np.eye(2)}, r"keyframe.motion.covariance: expected shape \(3, 3\) or \(6, 6\), got \(2, 2\)"),
+        ({"covariance": np.array([[1.0, 5.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])}, "not symmetric"),
+    ],
+)
+def test_what_is_no_keyframe_is_refused_in_one_sentence(change: dict[str, Any], problem: str):
+    first, second = drive(0, count=2).keyframes
+    assert second.motion is not None
+    if "covariance" in change:
+        change = {"motion": replace(second.motion, **change)}
+    slam = PlaneSlam()
+    slam.add_keyframe(first)
+    with pytest.raises(ValueError, match=problem):
+        slam.add_keyframe(replace(second, **change))
+    slam.add_keyframe(second)
+    assert len(slam.trajectory) == 2
+
+
+@pytest.mark.parametrize(
+    ("points", "problem"),
+    [
+        (np.full((4, 5, 3), "a"), "points: expected an array of numbers, got <U1 array"),
+        (np.zeros((4, 5, 2)), r"points: expected shape \(S, B, 3\) or \(N, 3\), got \(4, 5, 2\)"),
+        (np.zeros(7), r"points: expected shape \(S, B, 3\) or \(N, 3\), got \(7,\)"),
+    ],
+)
+def test_points_that_are_none_are_refused_in_one_sentence(hall: Mission, points: np.ndarray, problem: str):
+    with pytest.raises(ValueError, match=problem):
+        planes_of_cloud(CloudScan(0, SPINNING, points), hall.rig.sensors[SPINNING], SlamConfig())
+
+
+@pytest.mark.parametrize("shape", [(0, 3), (0, 0, 3), (1, 1, 3), (2, 3), (40, 3), (3, 40, 3)])
+@pytest.mark.parametrize("value", [np.nan, 0.0, 1.0, 1e9])
+def test_clouds_without_a_plane_have_none(hall: Mission, shape: tuple[int, ...], value: float):
+    assert (
+        planes_of_cloud(CloudScan(0, SPINNING, np.full(shape, value)), hall.rig.sensors[SPINNING], SlamConfig()) == []
+    )
+
+
+def test_two_clouds_of_one_time_are_one_keyframe_and_end_a_strict_run(hall: Mission):
+    twice = with_events(hall, lambda k, event: [event, event] if isinstance(event, CloudScan) else [event])
+    frames = list(keyframes_of(twice, hall.rig, SlamConfig()))
+    assert [frame.stamp_ns for frame in frames] == [scan.stamp_ns for scan in hall.log.scans()]
+    assert all(len(frame.notes) == 1 and "expected a scan after" in frame.notes[0] for frame in frames)
+    assert count_keyframes(twice, hall.rig, SlamConfig()) == 4
+    with pytest.raises(LogError, match="expected a scan after"):
+        list(keyframes_of(twice, hall.rig, STRICT))
+
+
+def test_a_cloud_that_cannot_be_used_is_counted_and_ends_a_strict_run(hall: Mission):
+    third = hall.log.scans()[2].stamp_ns
+
+    def break_third(_, event):
+        if isinstance(event, CloudScan) and event.stamp_ns == third:
+            return [replace(event, points=np.zeros((5, 7, 2)))]
+        return [event]
+
+    log = with_events(hall, break_third)
+    run = run_slam(log, hall.rig, SlamConfig())
+    assert len(run.trajectory) == 4
+    (warning,) = [one for one in warnings_of(run) if "could not be used" in one]
+    assert warning.startswith("1 scans could not be used; the first: at")
+    with pytest.raises(ValueError):
+        run_slam(log, hall.rig, STRICT)
+
+
+def test_scans_without_planes_only_move(hall: Mission):
+    def blind(_, event):
+        return [replace(event, points=np.full_like(event.points, np.nan))] if isinstance(event, CloudScan) else [event]
+
+    run = run_slam(with_events(hall, blind), hall.rig, SlamConfig())
+    assert len(run.trajectory) == 4 and run.planes == []
+    assert any("information only from odometry at 3 of 3 keyframes" in one for one in warnings_of(run))
+
+
+def test_a_silent_sensor_is_named(room: Mission):
+    assert silences(room.log, room.rig) == []
+    never = without(room.log, VERTICAL)
+    assert silences(never, room.rig) == [f"sensor '{VERTICAL}' is silent: no scan of it in the log"]
+    stamps = [scan.stamp_ns for scan in room.log.scans(HORIZONTAL)]
+    early = without(room.log, HORIZONTAL, after_ns=stamps[3])
+    (sentence,) = silences(early, room.rig)
+    assert sentence.startswith(f"sensor '{HORIZONTAL}' is silent for") and "to the end" in sentence
+    run = run_slam(never, room.rig, SlamConfig())
+    assert len(run.trajectory) > 2
+    assert any("is silent" in one for one in warnings_of(run))
+    assert all(isinstance(scan, LaserScan) for scan in never.scans())
+
+
+def test_a_batch_is_the_same_graph_and_the_run_can_go_on(hall: Mission):
+    steps, whole = (run_slam(hall.log, hall.rig, SlamConfig(), batch=batch) for batch in (False, True))
+    np.testing.assert_allclose(whole.trajectory.poses, steps.trajectory.poses, atol=2e-3)
+    assert [one.id for one in whole.planes] == [one.id for one in steps.planes]
+    assert SPINNING in {scan.sensor for scan in hall.log.scans()}
+    chi2 = whole.slam.backend.chi2()
+    assert chi2 <= steps.slam.backend.chi2() + 1e-6
+    landmark = next(one for one in whole.slam.landmarks if one.n_keyframes == 4)
+    factors = whole.slam.backend.graph
+    assert all(landmark.key in list(factors.at(one.factor_index).keys()) for one in landmark.sightings)
+    last = whole.slam.keyframes[-1]
+    whole.slam.add_keyframe(Keyframe(last.stamp_ns + 1, last.observations, last.motion))
+
+
+def test_nothing_in_a_name_steers_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """A log whose name and records bring escape sequences and rich's own markup: they are shown, not done."""
+    evil = tmp_path / "a\x1b[2J\x1b]0;owned\x07[red]\u202egol.clf"
+    evil.write_text("FLASER 3 1 2 3 0 0 0 0 0 0 1 host 1\nX\x1b[31mODOM 1\n")
+    said = refused(capsys, "slam", evil, "--out", tmp_path / "out")
+    assert not any(character in said for character in "\x1b\x07\u202e")
+    assert "\\x1b[2J" in said and "[red]" in said
+
+
+def test_a_pickle_in_an_archive_of_numbers_is_not_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    class Runs:
+        def __reduce__(self):
+            return (tmp_path / "ran").write_text, ("ran",)
+
+    np.savez(tmp_path / "a.npz", points=np.array([Runs()], dtype=object))
+    np.save(tmp_path / "a.npy", np.array([Runs()], dtype=object))
+    for name in ("a.npz", "a.npy"):
+        refused(capsys, "fit", tmp_path / name)
+    assert not (tmp_path / "ran").exists()
+    np.load(tmp_path / "a.npy", allow_pickle=True)  # which would have run it
+    assert (tmp_path / "ran").exists()

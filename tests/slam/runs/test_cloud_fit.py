@@ -1,0 +1,124 @@
+"""`spplanes fit`: planes of one cloud, with the noise measured where nobody states it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plyfile import PlyData
+
+from slam.errors import LogError
+from slam.io.clouds import Cloud, read_cloud
+from slam.io.planes_json import read_planes
+from slam.runs.cloud_fit import fit_cloud
+from slam.sensors.noise_estimation import range_sigma_of, scatter_of
+from tests.slam.cli.test_commands import refused, run
+from tests.slam.io.test_cloud_folders import ROOM, beams, pose, seen_from
+from tests.slam.real_data import needs
+
+HERE = pose(0.3, -0.4, 0.2)
+
+
+@pytest.fixture
+def room(tmp_path: Path) -> Path:
+    path = tmp_path / "Zimmer [7] Süd.npy"
+    np.save(path, seen_from(HERE, 5))
+    return path
+
+
+@pytest.mark.parametrize("sigma", [0.001, 0.01, 0.05])
+@pytest.mark.parametrize("columns", [360, 1024])
+def test_the_noise_of_ranges_is_measured(sigma: float, columns: int):
+    quiet = seen_from(HERE, 0, columns)
+    noise = np.random.default_rng(1).normal(0.0, sigma, quiet.shape[:2])
+    directions = beams(columns)
+    exact = np.linalg.norm(quiet, axis=-1) - np.random.default_rng(0).normal(0.0, 0.01, quiet.shape[:2])
+    assert range_sigma_of((exact + noise)[..., None] * directions) == pytest.approx(sigma, rel=0.08)
+
+
+def test_what_neighbours_share_is_seen_from_farther_apart():
+    quiet = np.linalg.norm(seen_from(HERE, 0, 1024), axis=-1) * 0.0 + 5.0
+    waves = 0.03 * np.sin(np.arange(1024) * 2.0 * np.pi / 32.0)
+    noise = np.random.default_rng(1).normal(0.0, 0.005, quiet.shape)
+    scatter = scatter_of((quiet + waves + noise)[..., None] * beams(1024))
+    assert scatter is not None
+    assert scatter.beam_m == pytest.approx(0.005, rel=0.1)
+    assert 0.02 < scatter.surface_m < 0.06
+
+
+def test_too_little_to_measure_noise():
+    assert scatter_of(np.full((4, 10, 3), np.nan)) is None
+    assert scatter_of(np.ones((1, 2, 3))) is None
+
+
+def test_planes_of_a_room(room: Path, capsys: pytest.CaptureFixture[str]):
+    code, out, _ = run(capsys, "fit", room, "--json", "--min-points", 500)
+    assert code == 0
+    answer = json.loads(out)
+    assert answer["sigma_m"] == pytest.approx(0.01, rel=0.1) and answer["sigma_note"].startswith("measured")
+    assert len(answer["planes"]) == 6
+    for plane in answer["planes"]:
+        normal, d = HERE[:3, :3] @ plane["normal"], plane["d"] + (HERE[:3, :3] @ plane["normal"]) @ HERE[:3, 3]
+        axis = int(np.abs(normal).argmax())
+        assert abs(d + ROOM[axis]) < 5.0 * plane["sigma_d_m"] + 0.002
+        assert plane["sigma_tilt_deg"] < 0.2 and plane["area_m2"] > 4.0
+    counts = [plane["n_points"] for plane in answer["planes"]]
+    assert counts == sorted(counts, reverse=True)
+
+
+def test_a_stated_sigma_is_used_and_the_table_says_so(room: Path, capsys: pytest.CaptureFixture[str]):
+    code, out, _ = run(capsys, "fit", room, "--sigma", 0.02)
+    assert code == 0 and "Zimmer [7] Süd.npy, points of 20 mm" in out and "as given" in out
+    assert "expected a standard deviation above 0" in refused(capsys, "fit", room, "--sigma", -1)
+
+
+def test_what_fit_leaves(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert run(capsys, "fit", room, "--out", tmp_path / "found", "--min-points", 500)[0] == 0
+    assert {path.name for path in (tmp_path / "found").iterdir()} == {
+        "planes.json",
+        "planes.ply",
+        "planes.png",
+        "points.ply",
+    }
+    assert len(read_planes(tmp_path / "found" / "planes.json")) == 6
+    points = PlyData.read(str(tmp_path / "found" / "points.ply"))["vertex"]
+    assert len(points) == 32 * 360 and set(np.unique(points["plane"])) - {-1} == set(range(6))
+    assert "exists already" in refused(capsys, "fit", room, "--out", tmp_path / "found")
+    # what it wrote is a cloud again
+    assert len(read_cloud(tmp_path / "found" / "points.ply").points) == 32 * 360
+
+
+def test_planes_are_in_the_frame_of_the_file():
+    found = fit_cloud(Cloud(seen_from(HERE, 5), HERE), Path("x")).at_least(500)
+    for plane in found.planes:
+        axis = int(np.abs(plane.normal).argmax())
+        assert abs(plane.normal[axis]) > 0.9999 and plane.d == pytest.approx(-ROOM[axis], abs=0.005)
+        assert np.abs(plane.distance(found.points[found.labels == found.planes.index(plane)])).max() < 0.06
+    np.testing.assert_allclose(found.viewpoint, HERE[:3, 3])
+
+
+def test_a_registered_cloud_seen_from_a_place():
+    world = seen_from(HERE, 5).reshape(-1, 3) @ HERE[:3, :3].T + HERE[:3, 3] + [100.0, 200.0, 0.0]
+    found = fit_cloud(Cloud(world), Path("x"), viewpoint=(100.3, 199.6, 0.0)).at_least(500)
+    assert len(found.planes) == 6
+    for plane in found.planes:
+        assert plane.distance(found.viewpoint) > 0.0
+        assert plane.distance([100.0, 200.0, 0.0]) == pytest.approx(ROOM[np.abs(plane.normal).argmax()], abs=0.02)
+
+
+def test_nothing_to_fit(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "two.xyz").write_text("1 2 3\n4 5 6\n")
+    assert "two.xyz: expected at least three points, got fewer" in refused(capsys, "fit", tmp_path / "two.xyz")
+    (tmp_path / "three.xyz").write_text("1 2 3\n4 5 6\n1 0 1\n")
+    code, out, err = run(capsys, "fit", tmp_path / "three.xyz")
+    assert code == 0 and "no planes of 30 points" in err and "assumed" in out
+    with pytest.raises(LogError):
+        fit_cloud(Cloud(np.full((5, 3), np.nan)), Path("x"))
+
+
+def test_synpeb_has_its_planes_and_its_noise():
+    found = fit_cloud(read_cloud(needs("synpeb/test_100.pcd")), Path("x"))
+    assert found.sigma_m == pytest.approx(0.001, rel=0.15)
+    assert len(found.planes) >= 10 and found.share > 0.95

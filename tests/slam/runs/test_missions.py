@@ -1,0 +1,85 @@
+"""Simulated missions with truth, poses unknown: better than odometry, and honest about poses and planes."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.config import SlamConfig
+from slam.evaluation import absolute_error, match_planes
+from slam.geometry.frames import inverse
+from slam.io.trajectories import Trajectory
+from slam.planeslam import pose_symbol
+from slam.runs.demo import compare, in_frame_of_truth
+from slam.runs.slam_run import Run, run_slam
+from slam.simulation import Mission, simulate_mission
+from tests.statistics import mean_nees_band
+
+SEEDS = range(6)
+IN_PLANE = [2, 3, 4]
+
+
+@pytest.fixture(scope="module")
+def missions() -> list[tuple[Mission, Run]]:
+    result = []
+    for seed in SEEDS:
+        mission = simulate_mission("corridor", n_scans=200, seed=seed)
+        result.append((mission, run_slam(mission.log, mission.rig, SlamConfig())))
+    return result
+
+
+def rmse(path: Trajectory, mission: Mission) -> float:
+    errors = absolute_error(path, mission.truth.trajectory, alignment="first").translation_m
+    return float(np.sqrt(np.mean(errors**2)))
+
+
+def test_positions_are_a_fraction_of_the_odometrys_error(missions: list[tuple[Mission, Run]]):
+    estimate = [rmse(run.trajectory, mission) for mission, run in missions]
+    odometry = [rmse(run.odometry, mission) for mission, run in missions]
+    assert np.median(estimate) < 0.25 * np.median(odometry)
+    assert max(estimate) < 0.01
+
+
+def test_pose_nees_is_in_its_band(missions: list[tuple[Mission, Run]]):
+    values = []
+    for mission, run in missions:
+        true = mission.truth.poses_at(run.trajectory.stamps_ns)
+        poses = run.trajectory.poses
+        error = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(inverse(true[0]) @ true[-1]) @ inverse(poses[0]) @ poses[-1]))[
+            IN_PLANE
+        ]
+        covariance = run.slam.marginal_covariance(pose_symbol(len(true) - 1))[np.ix_(IN_PLANE, IN_PLANE)]
+        values.append(error @ np.linalg.solve(covariance, error))
+    low, high = mean_nees_band(len(values), 3, 0.99)
+    assert low <= np.mean(values) <= high
+
+
+def test_map_planes_are_honest_single_and_right(missions: list[tuple[Mission, Run]]):
+    """Most planes of one run share poses, so the band is wide; a mixture of two surfaces would be in the hundreds."""
+    for mission, run in missions:
+        planes = in_frame_of_truth(run, mission.truth.trajectory)
+        matches = match_planes(planes, mission.truth.planes)
+        assert len(matches) == len(planes), "an invented plane"
+        assert len({match.true for match in matches}) >= len(matches) - 1
+        nees = [match.nees for match in matches]
+        assert 0.5 < np.mean(nees) < 9.0
+        assert np.median([abs(match.distance_m) for match in matches]) < 0.002
+
+
+def test_the_audit_finds_the_measurements_about_as_far_off_as_they_say(missions: list[tuple[Mission, Run]]):
+    """Not one by one: planes of a window share the odometry's error, which the pose takes for its own and lines see."""
+    rows = [row for _, run in missions for row in run.slam.audit.summary()]
+    for kind in ("line", "plane"):
+        means = [row.mean_per_dof for row in rows if row.kind == kind]
+        assert 0.8 < np.mean(means) < 1.2
+    assert [row.verdict for row in rows].count("over-confident") <= 2
+
+
+def test_the_demos_table_compares_room_and_planes_with_the_truth(missions: list[tuple[Mission, Run]]):
+    mission, run = missions[0]
+    rows = {row.name: row.value for row in compare(run, mission.truth)}
+    assert rows["corridor height, truth"] == pytest.approx(2.7, abs=1e-9)
+    assert rows["corridor width, truth"] == pytest.approx(2.268, abs=1e-9)
+    assert rows["corridor height, estimate"] == pytest.approx(2.7, abs=0.004)
+    assert rows["corridor width, estimate"] == pytest.approx(2.268, abs=0.004)

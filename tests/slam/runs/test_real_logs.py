@@ -1,0 +1,139 @@
+"""Logs of real robots with one laser and raw wheel odometry: the loop closes, walls are single, relations hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from slam import PlaneSlam, SlamConfig
+from slam.evaluation.relations import relation_errors
+from slam.evaluation.trajectories import absolute_error
+from slam.evaluation.wall_density import metres_of_wall
+from slam.io.load import load
+from slam.io.relations import read_relations
+from slam.io.trajectories import read_tum
+from slam.runs.slam_run import Run, run_slam
+from tests.slam.real_data import needs
+
+#: Keyframes of loop5 before the robot first leaves the corridor it starts in, and after it has come back to it.
+FIRST, LAST = 20, 108
+
+
+def run(name: str) -> Run:
+    log, rig = load(needs(name))
+    return run_slam(log, rig, SlamConfig())
+
+
+@pytest.fixture(scope="module")
+def loop5() -> Run:
+    """The office corridor loop."""
+    return run("loop5/loop5.clf.gz")
+
+
+@pytest.fixture(scope="module")
+def corridors(loop5) -> PlaneSlam:
+    return loop5.slam
+
+
+@pytest.fixture(scope="module")
+def intel() -> Run:
+    """Four laps of the Intel Research Lab."""
+    return run("intel/intel.clf.gz")
+
+
+def ends_of(slam: PlaneSlam, landmark_id: int) -> np.ndarray:
+    """Ends of what was seen of a wall, in the world, shape (2, 2)."""
+    frame = slam.landmarks.placed(landmark_id).world_T_plane
+    corners = shapely.get_coordinates(slam.landmarks[landmark_id].outline) @ frame[:2, :2].T + frame[:2, 3]
+    along = corners @ frame[:2, 0]
+    return corners[[np.argmin(along), np.argmax(along)]]
+
+
+def test_the_corridor_loop_closes(corridors):
+    """The walls on both sides of the first corridor are the same landmarks at the end."""
+    again = [
+        landmark
+        for landmark in corridors.landmarks
+        if landmark.sightings[0].keyframe < FIRST and landmark.sightings[-1].keyframe > LAST
+    ]
+    assert len(again) >= 2
+    normals = [corridors.landmarks.placed(landmark.id).normal[1] for landmark in again]
+    assert min(normals) < -0.9 and max(normals) > 0.9  # both sides of it
+
+
+def returns_of(slam: PlaneSlam, keyframes: range) -> np.ndarray:
+    """Ends of the beams of some keyframes in the world, shape (N, 2)."""
+    poses = slam.trajectory.poses
+    beams = [(index, slam.keyframes[index].returns) for index in keyframes]
+    return np.concatenate([b[:, 2:] @ poses[i, :2, :2].T + poses[i, :2, 3] for i, b in beams if b is not None])
+
+
+def test_what_is_seen_at_the_end_lies_on_what_was_seen_at_the_start(corridors):
+    """Most returns of the end are within 30 cm of some of the start, and half of those within 5 cm, in plan."""
+    start, end = returns_of(corridors, range(FIRST)), returns_of(corridors, range(114, 120))
+    shared = end[(end[:, 0] > -3.0) & (end[:, 0] < 5.0)]
+    gaps = np.linalg.norm(shared[:, None, :] - start[None, :, :], axis=2).min(axis=1)
+    assert len(shared) > 300
+    assert np.mean(gaps < 0.3) > 0.5
+    assert np.median(gaps[gaps < 0.3]) < 0.05
+
+
+def test_odometry_alone_misses_the_start_corridor(loop5):
+    """Raw odometry comes back turned by 40 deg and more; the estimate's last heading is along the first corridor."""
+    turned = [np.arctan2(path.poses[-1][1, 0], path.poses[-1][0, 0]) for path in (loop5.trajectory, loop5.odometry)]
+    estimate, odometry = (abs(np.rad2deg(np.remainder(angle, 2.0 * np.pi) - np.pi)) for angle in turned)
+    assert estimate < 6.0  # the first corridor itself lies 3 deg off the x axis
+    assert odometry > 30.0
+
+
+def test_the_corridors_are_square_and_few_walls_are_double(corridors):
+    """Long walls of a rectangular building differ by multiples of 90 deg."""
+    walls = [one for one in corridors.landmarks if one.n_keyframes >= 5]
+    long = [one for one in walls if np.linalg.norm(np.subtract(*ends_of(corridors, one.id))) > 6.0]
+    normals = np.array([corridors.landmarks.placed(one.id).normal for one in long])
+    angles = np.rad2deg(np.arctan2(normals[:, 1], normals[:, 0])) * 4.0
+    mean = np.rad2deg(np.angle(np.exp(1j * np.deg2rad(angles)).mean()))
+    spread = np.abs((angles - mean + 180.0) % 360.0 - 180.0) / 4.0
+    assert len(long) >= 5
+    assert spread.max() < 5.0
+    assert len(corridors.landmarks) <= 50
+
+
+def test_the_audit_finds_the_covariances_of_both_logs_honest(corridors, intel):
+    for slam, least in ((corridors, 250), (intel.slam, 2000)):
+        (row,) = slam.audit.summary()
+        assert row.kind == "line" and row.count > least
+        assert row.verdict != "over-confident"
+        assert row.mean_per_dof > 0.4
+
+
+def test_the_intel_log_keeps_its_relations(intel):
+    """All 97 verified relations; a grid particle filter has 0.036 m and 0.56 deg, raw odometry 3.2 m and 17 deg."""
+    errors = relation_errors(intel.trajectory, read_relations(needs("intel/intel.relations.gz")))
+    assert errors.translation_m.size == 97
+    assert errors.translation_m.mean() < 0.05
+    assert np.rad2deg(errors.rotation_rad).mean() < 0.9
+    assert np.sqrt(np.mean(errors.translation_m**2)) < 0.08
+
+
+def test_no_part_of_the_intel_log_is_lost(intel):
+    """Against the corrected poses of a particle filter, which themselves are 4 cm off the relations."""
+    errors = absolute_error(intel.trajectory, read_tum(needs("intel/reference.tum")), alignment="se2")
+    assert np.sqrt(np.mean(errors.translation_m**2)) < 0.25
+    assert errors.translation_m.max() < 0.8
+
+
+def test_few_walls_of_the_intel_log_are_double(intel):
+    n_walls, length = metres_of_wall(intel.planes)
+    assert length > 150.0
+    assert n_walls / length < 0.6
+
+
+def test_the_wheels_curvature_is_learnt(intel):
+    assert intel.slam.calibration.mean[1] > 0.03  # they turn it to one side, 4 deg per metre
+
+
+def test_every_stage_has_its_time(intel):
+    stages = {"measure", "predict", "compare returns", "associate", "optimise", "marginals", "twins", "loops", "map"}
+    assert stages <= set(intel.clock.seconds)

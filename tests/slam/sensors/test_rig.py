@@ -1,0 +1,139 @@
+"""rig.yaml: what it says, what it refuses, and the frames it means."""
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from slam.errors import LogError
+from slam.sensors.log import LaserScan, Log, OdometryReading
+from slam.sensors.rig import LocalisationNoise, Mount, Rig, Sensor, default_rig_for
+from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS
+from slam.simulation import HORIZONTAL, VERTICAL, paper_rig, spinning_rig
+
+GOOD = """
+sensors:
+  front: {kind: line, record: FLASER, range_sigma_m: 0.01, range_max_m: 30.0}
+  up:
+    kind: slice
+    body_T_sensor: {xyz_m: [0.1, 0.2, 0.3], rpy_deg: [0, -90, 0]}
+    range_sigma_m: 0.015
+    range_max_m: 8.0
+odometry: {along_sigma_m_per_sqrt_m: 0.05}
+"""
+
+
+def from_text(tmp_path, text):
+    path = tmp_path / "rig.yaml"
+    path.write_text(text, encoding="utf-8")
+    return Rig.from_yaml(path)
+
+
+def test_a_rig_from_a_file(tmp_path):
+    rig = from_text(tmp_path, GOOD)
+    assert list(rig.sensors) == ["front", "up"]
+    assert list(rig.of_kind("slice")) == ["up"] and rig.of_kind("cloud") == {}
+    assert rig.name_of_record("FLASER") == "front" and rig.name_of_record("up") == "up"
+    assert rig.name_of_record("ROBOTLASER1") is None
+    np.testing.assert_array_equal(rig.sensors["front"].body_T_sensor, np.eye(4))
+    assert rig.odometry.along_sigma_m_per_sqrt_m == 0.05 and rig.localisation is None
+
+
+@pytest.mark.parametrize("rig", [paper_rig(), spinning_rig()])
+def test_a_rig_round_trips(tmp_path, rig):
+    rig.to_yaml(tmp_path / "r.yaml")
+    assert Rig.from_yaml(tmp_path / "r.yaml") == rig
+
+
+def test_a_matrix_round_trips(tmp_path):
+    matrix = Mount(xyz_m=(1.0, 2.0, 3.0), rpy_deg=(10.0, 20.0, 30.0)).as_matrix()
+    rows = tuple(map(tuple, matrix.tolist()))
+    sensor = Sensor(kind="cloud", body_T_sensor=Mount(matrix=rows), range_sigma_m=0.01, range_max_m=9.0)
+    Rig(sensors={"lidar": sensor}).to_yaml(tmp_path / "r.yaml")
+    assert "matrix" not in (tmp_path / "r.yaml").read_text()
+    np.testing.assert_array_equal(Rig.from_yaml(tmp_path / "r.yaml").sensors["lidar"].body_T_sensor, matrix)
+
+
+def test_mount_angles():
+    yaw = Mount(rpy_deg=(0.0, 0.0, 90.0)).as_matrix()[:3, :3]
+    pitch = Mount(rpy_deg=(0.0, 90.0, 0.0)).as_matrix()[:3, :3]
+    roll = Mount(rpy_deg=(90.0, 0.0, 0.0)).as_matrix()[:3, :3]
+    np.testing.assert_allclose(yaw @ [1, 0, 0], [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(pitch @ [1, 0, 0], [0, 0, -1], atol=1e-15)
+    np.testing.assert_allclose(roll @ [0, 1, 0], [0, 0, 1], atol=1e-15)
+    both = Mount(rpy_deg=(90.0, 0.0, 90.0)).as_matrix()[:3, :3]
+    np.testing.assert_allclose(both, yaw @ roll, atol=1e-15)
+
+
+def test_the_papers_lasers_look_where_they_should():
+    rig = paper_rig()
+    np.testing.assert_allclose(rig.sensors[HORIZONTAL].body_T_sensor[:3, :3], np.eye(3))
+    up = rig.sensors[VERTICAL].body_T_sensor[:3, :3]
+    np.testing.assert_array_equal(up @ [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])  # bearing 0: up
+    np.testing.assert_array_equal(up @ [0.0, 1.0, 0.0], [0.0, 1.0, 0.0])  # bearing 90 deg: left
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (("record: FLASER", "recrod: FLASER"), "sensors.front.recrod: unknown key"),
+        (("kind: line", "kind: sonar"), "sensors.front.kind: input should be 'line', 'slice' or 'cloud', got 'sonar'"),
+        (("range_sigma_m: 0.01,", ""), "sensors.front.range_sigma_m: missing"),
+        (("range_sigma_m: 0.015", "range_sigma_m: -1"), "sensors.up.range_sigma_m: input should be greater than 0"),
+        (("range_max_m: 8.0", "range_max_m: .nan"), "sensors.up.range_max_m: input should be a finite number"),
+        (("[0.1, 0.2, 0.3]", "[0.1, 0.2]"), r"sensors.up.body_T_sensor.xyz_m.2: missing"),
+        (("{xyz_m: [0.1, 0.2, 0.3], rpy_deg: [0, -90, 0]}", "[[1, 0], [0, 1]]"), r"body_T_sensor: .*expected shape"),
+        (("along_sigma", "allong_sigma"), "odometry.allong_sigma_m_per_sqrt_m: unknown key"),
+        (("sensors:\n", "sensors: [\n"), "expected YAML, got a syntax error"),
+        ((GOOD, "sensors: {}"), "sensors: expected at least one sensor"),
+        ((GOOD, "[1, 2]"), "expected a mapping with the key 'sensors', got list"),
+        ((GOOD, ""), "expected a mapping with the key 'sensors', got NoneType"),
+        ((GOOD, "!!python/object/apply:os.system ['true']"), "expected YAML"),
+    ],
+)
+def test_bad_rigs_name_file_and_key(tmp_path, change, sentence):
+    with pytest.raises(LogError, match=sentence) as caught:
+        from_text(tmp_path, GOOD.replace(*change))
+    assert "rig.yaml" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_missing_and_binary_files(tmp_path):
+    with pytest.raises(LogError, match=r"none\.yaml: cannot be read"):
+        Rig.from_yaml(tmp_path / "none.yaml")
+    (tmp_path / "b.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(LogError, match=r"b\.yaml: expected text in UTF-8"):
+        Rig.from_yaml(tmp_path / "b.yaml")
+
+
+def test_a_mount_is_said_once():
+    rows = tuple(map(tuple, np.eye(4).tolist()))
+    with pytest.raises(ValidationError, match="got both"):
+        Mount(xyz_m=(1.0, 0.0, 0.0), matrix=rows)
+    with pytest.raises(ValidationError, match="right-handed rotation"):
+        Mount(matrix=tuple(map(tuple, np.diag([1.0, 1.0, -1.0, 1.0]).tolist())))
+
+
+def test_a_rig_cannot_be_changed():
+    with pytest.raises(ValidationError):
+        paper_rig().odometry = UNCALIBRATED_WHEELS
+
+
+@pytest.mark.parametrize(("step", "expected"), [(0.01, 0.01), (0.001, 0.001), (None, 0.0)])
+def test_the_default_rig_finds_the_step_of_the_ranges(tmp_path, step, expected):
+    ranges = np.random.default_rng(0).uniform(0.5, 20.0, 100)
+    ranges = ranges if step is None else np.round(ranges / step) * step
+    ranges[3] = np.nan
+    rig = default_rig_for(Log([LaserScan(0, "FLASER", ranges, np.linspace(-1, 1, 100))], tmp_path))
+    sensor = rig.sensors["FLASER"]
+    assert sensor.kind == "line" and sensor.quantisation_m == expected and sensor.range_sigma_m == 0.015
+    assert rig.odometry == UNCALIBRATED_WHEELS and np.nanmax(ranges) < sensor.range_max_m
+
+
+def test_no_default_rig_without_lasers(tmp_path):
+    with pytest.raises(LogError, match="expected laser scans, got none"):
+        default_rig_for(Log([OdometryReading(0, np.eye(4))], tmp_path))
+
+
+def test_localisation_covariance_in_the_order_of_the_spmodel():
+    noise = LocalisationNoise(xy_sigma_m=0.002, heading_sigma_rad=0.003)
+    np.testing.assert_allclose(np.diag(noise.location_covariance()), [4e-6, 4e-6, 0.0, 9e-6, 0.0, 0.0])
+    np.testing.assert_allclose(np.diag(noise.covariance()), [4e-6, 4e-6, 9e-6])

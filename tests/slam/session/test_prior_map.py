@@ -1,0 +1,293 @@
+"""A finished map as the prior of another mission: honest about where the robot is, extended by what is new."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from shapely import box
+
+from factors import map_prior, plane_landmark
+from slam import PlaneSlam, SlamConfig
+from slam.cli import main
+from slam.errors import LogError
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import PlaneObservation
+from slam.geometry.frames import inverse, planar_transform
+from slam.map.map_planes import MapPlane
+from slam.planeslam import pose_symbol
+from slam.registration.initial_pose import find_start
+from slam.session.prior_map import PriorMap, finished_map, floor_start, map_covariance
+from slam.session.store import Session, SessionError
+from spplanes import Plane
+from tests.slam.scenes import SIGMAS, Drive, drive, measured, room_planes
+from tests.statistics import assert_mean_in_band
+
+IN_PLANE = [2, 3, 4]
+#: Floor and three walls are mapped first; ceiling and the fourth wall are new to the second mission.
+KNOWN = (0, 2, 4, 5)
+START_M, START_RAD = 0.1, 0.05
+
+
+@cache
+def mapped(seed: int) -> PlaneSlam:
+    """A mission that sees four of the room's six planes."""
+    slam = PlaneSlam()
+    for keyframe in drive(seed).keyframes:
+        slam.add_keyframe(replace(keyframe, observations=[keyframe.observations[i] for i in KNOWN]))
+    return slam
+
+
+def prior_of(slam: PlaneSlam, start: np.ndarray) -> PriorMap:
+    covariance = map_covariance(slam.planes, slam.landmarks, slam.backend)
+    return PriorMap(slam.planes, covariance, start, floor_start(START_M, START_RAD))
+
+
+def second_mission(seed: int, prior: PriorMap, scene: Drive) -> PlaneSlam:
+    slam = PlaneSlam(prior=prior)
+    for keyframe in scene.keyframes:
+        slam.add_keyframe(keyframe)
+    return slam
+
+
+def rough_start(scene: Drive, rng: np.random.Generator) -> np.ndarray:
+    x, y = START_M * rng.standard_normal(2)
+    return scene.world_T_body[0] @ planar_transform(x, y, START_RAD * rng.standard_normal())
+
+
+def test_localising_in_a_prior_map_is_honest_and_extends_it():
+    """Pose NEES (3 dof in the floor plane) at the start and at the end, and of every plane, known or new; 24 runs."""
+    first, last, known, new = [], [], [], []
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        earlier, scene = mapped(seed), drive(1000 + seed)
+        slam = second_mission(seed, prior_of(earlier, rough_start(scene, rng)), scene)
+        assert [plane.id for plane in slam.planes] == [0, 1, 2, 3, 4, 5]
+        assert [round(plane.observations, -1) for plane in slam.planes[:4]] == [30] * 4
+        for index, found in ((0, first), (14, last)):
+            error = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(scene.world_T_body[index]) @ slam.trajectory.poses[index]))
+            covariance = slam.marginal_covariance(pose_symbol(index))[np.ix_(IN_PLANE, IN_PLANE)]
+            found.append(error[IN_PLANE] @ np.linalg.solve(covariance, error[IN_PLANE]))
+        nees = [one.plane.mahalanobis(truth_of(one)) for one in slam.planes]
+        known.append(np.mean(nees[:4]))
+        new.append(np.mean(nees[4:]))
+    for found in (first, last, known, new):
+        assert_mean_in_band(np.array(found), 3)
+
+
+def truth_of(one: MapPlane) -> Plane:
+    return max(room_planes(), key=lambda plane: plane.normal @ one.plane.normal)
+
+
+def test_the_joint_covariance_of_a_map_is_that_of_its_planes_together():
+    """Its diagonal blocks are the planes' own covariances, and the joint NEES over runs is that of 12 dof."""
+    joint = []
+    for seed in range(16):
+        slam = mapped(seed)
+        covariance = map_covariance(slam.planes, slam.landmarks, slam.backend)
+        for row, one in enumerate(slam.planes):
+            block = covariance[3 * row : 3 * row + 3, 3 * row : 3 * row + 3]
+            np.testing.assert_allclose(block, one.plane.covariance, rtol=1e-6, atol=1e-15)
+        error = np.concatenate([deviation(one.plane.frame, truth_of(one)) for one in slam.planes])
+        joint.append(error @ np.linalg.solve(covariance, error))
+    assert_mean_in_band(np.array(joint), 12)
+
+
+def deviation(frame: np.ndarray, truth: Plane) -> np.ndarray:
+    """(z, theta, psi) that takes the plane of a frame to the truth, to first order."""
+    x, y, origin = frame[:3, 0], frame[:3, 1], frame[:3, 3]
+    return np.array([truth.d - truth.normal @ origin, x @ truth.normal, -y @ truth.normal])
+
+
+@pytest.mark.parametrize("shared", [0.0, 0.05])
+def test_an_error_that_all_planes_share_is_not_averaged_away(shared: float):
+    """A map shifted as a whole by 5 cm along x: no number of planes seen makes the robot's x surer than that."""
+    planes = room_planes()
+    own = np.diag(np.tile(np.square([0.004, 0.003, 0.003]), len(planes)))
+    along_x = np.zeros(3 * len(planes))
+    along_x[::3] = [plane.normal[0] for plane in planes]
+    covariance = own + shared**2 * np.outer(along_x, along_x)
+    entries = [MapPlane(i, replace(p, n_points=9), p.outline, 5, ("plane",)) for i, p in enumerate(planes)]  # type: ignore[arg-type]
+    scene = drive(3)
+    prior = PriorMap(entries, covariance, scene.world_T_body[0], floor_start(0.5, START_RAD))
+    slam = second_mission(3, prior, scene)
+    last = scene.world_T_body[-1]
+    spread = last[:3, :3] @ slam.marginal_covariance(pose_symbol(14))[3:, 3:] @ last[:3, :3].T
+    sigma_x = float(np.sqrt(spread[0, 0]))
+    assert shared <= sigma_x < shared + 0.006
+    assert np.sqrt(spread[1, 1]) < 0.006
+
+
+def test_the_prior_of_a_map_is_the_gaussian_it_says():
+    """The factor's error at planes moved by p is half p^T C^-1 p, its jacobian the derivative by the tangent."""
+    rng = np.random.default_rng(0)
+    planes = room_planes()[:3]
+    root = rng.standard_normal((9, 9)) * 0.003
+    covariance = root @ root.T + 1e-6 * np.eye(9)
+    keys = [gtsam.symbol("p", i) for i in range(3)]
+    factor = map_prior(planes, keys, covariance)
+    values, moved = gtsam.Values(), 1e-4 * rng.standard_normal(9)
+    for i, (key, plane) in enumerate(zip(keys, planes, strict=True)):
+        z, theta, psi = moved[3 * i : 3 * i + 3]
+        normal = plane.normal + theta * plane.frame[:3, 0] - psi * plane.frame[:3, 1]
+        normal /= np.linalg.norm(normal)
+        d = normal @ plane.centre + z
+        values.insert(key, plane_landmark(Plane.from_hesse(normal, d, np.zeros((3, 3)))))
+    assert factor.error(values) == pytest.approx(0.5 * moved @ np.linalg.solve(covariance, moved), rel=1e-3)
+    linear = factor.linearize(values)
+    for column in range(9):
+        step = gtsam.VectorValues()
+        for i, key in enumerate(keys):
+            step.insert(key, 1e-5 * np.eye(9)[column, 3 * i : 3 * i + 3])
+        numeric = (factor.unwhitenedError(values.retract(step)) - factor.unwhitenedError(values)) / 1e-5
+        whitened = factor.noiseModel().R() @ numeric
+        np.testing.assert_allclose(linear.jacobian()[0][:, column], whitened, atol=1e-3 * np.abs(whitened).max())
+
+
+def test_bad_priors_are_refused():
+    plane, one = room_planes()[0], gtsam.symbol("p", 0)
+    with pytest.raises(ValueError, match="expected a positive definite covariance, got a singular one"):
+        map_prior([plane], [one], np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="planes: expected as many as plane_keys"):
+        map_prior([plane], [], np.eye(3))
+    with pytest.raises(ValueError, match=r"covariance: expected shape \(3, 3\)"):
+        map_prior([plane], [one], np.eye(6))
+    with pytest.raises(ValueError, match="planes: expected at least one plane, got none"):
+        PriorMap([], np.empty((0, 0)), np.eye(4), np.eye(6))
+    entry = MapPlane(0, plane, plane.outline, 3, ("plane",))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="start_covariance: expected a positive definite covariance"):
+        PriorMap([entry], np.eye(3), np.eye(4), np.zeros((6, 6)))
+    with pytest.raises(ValueError, match="covariance: expected standard deviations of planes"):
+        PriorMap([entry], np.diag([1.0, 1.0, -1e-14]), np.eye(4), np.eye(6))  # below zero by rounding
+
+
+def test_a_session_keeps_its_prior(tmp_path: Path):
+    scene = drive(7)
+    prior = prior_of(mapped(6), scene.world_T_body[0])
+    from slam.session.replay import SessionRecorder
+
+    session = Session.create(tmp_path / "session.db", SlamConfig(), prior=prior.to_bytes())
+    with PlaneSlam(prior=prior, recorder=SessionRecorder(session)) as slam:
+        for keyframe in scene.keyframes[:6]:
+            slam.add_keyframe(keyframe)
+    with PlaneSlam.open(tmp_path / "session.db") as again:
+        assert np.array_equal(again.trajectory.poses, slam.trajectory.poses)
+        assert again.decisions == slam.decisions
+        assert [one.plane.to_dict() for one in again.planes] == [one.plane.to_dict() for one in slam.planes]
+
+
+def test_a_map_is_known_again_without_any_odometry_prior_at_its_start():
+    """The prior's planes alone fix the first pose: from 0.1 m to millimetres in one look."""
+    scene = drive(11)
+    slam = PlaneSlam(prior=prior_of(mapped(10), scene.world_T_body[0] @ planar_transform(0.1, -0.08, 0.05)))
+    report = slam.add_keyframe(scene.keyframes[0])
+    assert [decision.verdict for decision in report.decisions] == ["match", "new", "match", "new", "match", "match"]
+    assert np.linalg.norm((inverse(scene.world_T_body[0]) @ report.world_T_body)[:3, 3]) < 0.02
+
+
+def corner_map() -> list[MapPlane]:
+    """The room with half of one wall a metre further out: no turn of it is the same."""
+    planes = room_planes()
+    bay = replace(planes[5], frame=planes[5].frame @ moved(2.0, 0.0, -1.0), outline=box(-2.0, -1.5, 2.0, 1.5))
+    rest = replace(planes[5], frame=planes[5].frame @ moved(-2.0, 0.0, 0.0), outline=box(-2.0, -1.5, 2.0, 1.5))
+    return [as_entry(number, plane) for number, plane in enumerate([*planes[:5], rest, bay])]
+
+
+def moved(x: float, y: float, z: float) -> np.ndarray:
+    step = np.eye(4)
+    step[:3, 3] = x, y, z
+    return step
+
+
+def as_entry(number: int, plane: Plane) -> MapPlane:
+    known = replace(plane, covariance=1e-5 * np.eye(3), n_points=500)
+    return MapPlane(number, known, known.outline, 5, ("plane",))  # type: ignore[arg-type]
+
+
+def seen_at(known: list[MapPlane], world_T_body: np.ndarray, seed: int) -> Keyframe:
+    rng = np.random.default_rng(seed)
+    planes = [measured(one.plane.transform(inverse(world_T_body)), rng) for one in known]
+    return Keyframe(0, [PlaneObservation(replace(plane, covariance=np.diag(SIGMAS**2))) for plane in planes])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_start_is_found_where_there_is_one(seed: int):
+    known, rng = corner_map(), np.random.default_rng(100 + seed)
+    truth = planar_transform(*rng.uniform((-3.0, -2.0, -np.pi), (3.0, 2.0, np.pi)).tolist())
+    error = inverse(truth) @ find_start(known, seen_at(known, truth, seed))
+    assert np.linalg.norm(error[:2, 3]) < 0.1 and abs(np.arctan2(error[1, 0], error[0, 0])) < 0.02
+
+
+def test_a_start_that_cannot_be_told_is_refused():
+    truth, room = planar_transform(1.0, 0.5, 0.3), [as_entry(*pair) for pair in enumerate(room_planes())]
+    with pytest.raises(ValueError, match=r"found (1\.0,0\.5,17|-1\.0,-0\.5,-163) and (?!\1)-?1\.0,"):
+        find_start(room, seen_at(room, truth, 0))
+    with pytest.raises(ValueError, match="expected two walls of the map in the first keyframe, found none"):
+        find_start(room, seen_at(room[:3], truth, 0))
+    elsewhere = replace(room[2].plane, frame=room[2].plane.frame @ moved(0.0, 0.0, -40.0))
+    stretched = [*room[3:], as_entry(2, elsewhere)]
+    with pytest.raises(ValueError, match=r"that explains 60 % of the walls .*, found \d+ %"):
+        find_start(room[:3] + room[4:5], seen_at(stretched, truth, 0))
+
+
+def test_a_session_without_a_map_is_no_prior(tmp_path: Path):
+    with PlaneSlam.open(tmp_path / "session.db") as slam:
+        slam.add_keyframe(Keyframe(0, []))
+    with pytest.raises(SessionError, match="expected a finished run, got one that has no map yet"):
+        PriorMap.load(tmp_path / "session.db")
+    with pytest.raises(LogError, match="cannot be read"):
+        PriorMap.load(tmp_path / "planes.json")
+
+
+def test_a_map_goes_through_a_session_and_back(tmp_path: Path):
+    slam = mapped(2)
+    session = Session.create(tmp_path / "session.db", SlamConfig())
+    session.finish(map=finished_map(slam.planes, slam.landmarks, slam.backend))
+    session.close()
+    prior = PriorMap.load(tmp_path / "session.db")
+    assert [one.plane.to_dict() for one in prior.planes] == [one.plane.to_dict() for one in slam.planes]
+    joint = map_covariance(slam.planes, slam.landmarks, slam.backend)
+    np.testing.assert_allclose(prior.covariance, joint, rtol=1e-9, atol=1e-18)
+
+
+def test_a_second_mission_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    def run(*words: object) -> tuple[int, str]:
+        try:
+            main([str(word) for word in words])
+        except SystemExit as stop:
+            return (stop.code if isinstance(stop.code, int) else 0), capsys.readouterr().err
+        return 0, capsys.readouterr().err
+
+    for seed in (1, 2):
+        assert run("simulate", "room", "--out", tmp_path / f"m{seed}", "--scans", 40, "--seed", seed)[0] == 0
+    assert run("slam", tmp_path / "m1", "--out", tmp_path / "first")[0] == 0
+    again = ["slam", tmp_path / "m2", "--out", tmp_path / "second", "--prior"]
+    code, err = run(*again, tmp_path / "first", "--start-sigma", "0.05,1")
+    assert code == 0, err
+    first, second = (PriorMap.load(tmp_path / name) for name in ("first", "second"))
+    grown = {one.id: one.observations for one in second.planes}
+    assert all(grown[one.id] > one.observations for one in first.planes[:4])
+    assert [one.id for one in second.planes[: len(first.planes)]] == [one.id for one in first.planes]
+    alone = PriorMap.load(tmp_path / "first" / "planes.json")
+    assert [one.plane.to_dict() for one in alone.planes] == [
+        one.plane.to_dict() | {"chi2": 0.0} for one in first.planes if one.plane.outline is not None
+    ]
+    assert alone.warnings and not first.warnings and "independent" not in err
+    code, err = run("slam", tmp_path / "m2", "--out", tmp_path / "alone", "--prior", tmp_path / "first" / "planes.json")
+    assert code == 0 and f"warning: the {len(alone.planes)} planes of the prior map are taken as independent" in err
+    assert alone.warnings[0] in json.loads((tmp_path / "alone" / "metrics.json").read_text())["warnings"]
+    code, err = run("slam", tmp_path / "m2", "--out", tmp_path / "no", "--prior", tmp_path / "first", "--start", "find")
+    assert (code == 0) != (code == 2 and "--start: expected" in err and not (tmp_path / "no").exists())
+    shutil.rmtree(tmp_path / "no", ignore_errors=True)
+    for words, sentence in (
+        (["--start", "1,2"], "--start: expected 3 numbers with commas between them, got '1,2'"),
+        (["--start-sigma", "0,1"], "--start-sigma: expected two positive numbers"),
+    ):
+        code, err = run("slam", tmp_path / "m2", "--out", tmp_path / "no", "--prior", tmp_path / "first", *words)
+        assert code == 2 and sentence in err and not (tmp_path / "no").exists()

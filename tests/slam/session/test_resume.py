@@ -1,0 +1,376 @@
+"""Runs from the command line that end early and go on; their folder; full disks, read-only folders, two writers."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import slam.runs.slam_run as run_module
+from benchmarks import kill
+from slam import PlaneSlam
+from slam.cli import main
+from slam.io.load import load
+from slam.planeslam import pose_symbol
+from slam.sensors.log import LaserScan
+from slam.session.salvage import salvage_session
+from slam.session.store import SESSION_FILE, Session, SessionError, StorageError
+from tests.slam.scenes import drive
+
+#: Files of a run that must be the same however often it was interrupted; the others hold times.
+SAME = ("trajectory.tum", "planes.json", "map.ply", "config.yaml", "rig.yaml", "graph.g2o")
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str]:
+    """Exit code and stderr of a command."""
+    code = 0
+    try:
+        main([str(argument) for argument in arguments])
+    except SystemExit as stop:
+        code = stop.code if isinstance(stop.code, int) else 0
+    return code, capsys.readouterr().err.strip()
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> kill.Job:
+    """A mission, and its run by the harness."""
+    return kill.prepare(tmp_path_factory.mktemp("missions"), scans=40)
+
+
+@pytest.fixture(scope="module")
+def mission(job: kill.Job) -> Path:
+    (job.mission.parent / "config.yaml").write_text("keyframes: {distance_m: 0.1}\n")
+    return job.mission
+
+
+@pytest.fixture(scope="module")
+def whole(mission: Path) -> Path:
+    out = mission.parent / "cli"
+    with pytest.raises(SystemExit) as stop:
+        main(["slam", str(mission), "--out", str(out), "--config", str(mission.parent / "config.yaml")])
+    assert stop.value.code in (0, None)
+    return out
+
+
+def stop_after(monkeypatch: pytest.MonkeyPatch, count: int, error: BaseException) -> None:
+    """Let runs end early: after so many keyframes the next measurement fails."""
+    frames_of = run_module.keyframes_of
+
+    def fails(log, rig, config, start=0):
+        for index, frame in enumerate(frames_of(log, rig, config, start), start):
+            if index == count:
+                raise error
+            yield frame
+
+    monkeypatch.setattr(run_module, "keyframes_of", fails)
+
+
+def test_a_finished_run_has_its_session_and_nothing_else_left(whole: Path):
+    names = {path.name for path in whole.iterdir()}
+    assert names >= {*SAME, SESSION_FILE, "metrics.json", "report.html"}
+    assert not [name for name in names if name.startswith((".", f"{SESSION_FILE}-"))]
+    assert [path.name for path in whole.parent.iterdir() if path.name.startswith(".")] == []
+    with Session.open(whole, read_only=True) as session:
+        assert session.is_finished and len(session) > 5
+        assert [one.sensor for one in session.scans(2)] == ["horizontal"]
+
+
+@pytest.mark.parametrize(
+    ("way", "error"),
+    [("run", KeyboardInterrupt()), ("log and out", ValueError("a bad scan")), ("moved", RuntimeError("a bug"))],
+    ids=["run", "log and out", "moved"],
+)
+def test_a_run_that_ended_early_goes_on_to_the_same_result(
+    whole: Path, mission: Path, tmp_path: Path, monkeypatch, capsys, way: str, error: BaseException
+):
+    if (way == "run") != isinstance(error, KeyboardInterrupt):
+        pytest.skip("every way once, every error once") if way != "moved" and not isinstance(
+            error, ValueError
+        ) else None
+    out, config = tmp_path / "run", mission.parent / "config.yaml"
+    with monkeypatch.context() as patch:
+        stop_after(patch, 5, error)
+        code, err = run(capsys, "slam", mission, "--out", out, "--config", config)
+    assert code == {KeyboardInterrupt: 1, ValueError: 2, RuntimeError: 1}[type(error)]
+    assert f"go on with: spplanes slam --resume {out}" in err
+    assert {path.name.removeprefix(SESSION_FILE) for path in out.iterdir()} == {""}
+    code, err = run(capsys, "slam", mission, "--out", out, "--config", config)
+    assert code == 2 and "exists already" in err
+    arguments = {
+        "run": ["--resume", out],
+        "log and out": [mission, "--out", out, "--resume"],
+        "moved": [tmp_path / "elsewhere", "--out", out, "--resume"],
+    }
+    shutil.copytree(mission, tmp_path / "elsewhere")
+    code, err = run(capsys, "slam", *arguments[way])
+    assert code == 0, err
+    for name in SAME:
+        assert (out / name).read_bytes() == (whole / name).read_bytes(), name
+    assert kill.records(out / SESSION_FILE) == kill.records(whole / SESSION_FILE)
+    code, err = run(capsys, "slam", "--resume", out)
+    assert code == 2 and "finished already" in err and "go on with" not in err
+
+
+def test_a_run_that_died_while_writing_results_writes_them_again(
+    whole: Path, mission: Path, tmp_path: Path, monkeypatch, capsys
+):
+    out = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            "slam.output.run_files.write_report", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left"))
+        )
+        assert run(capsys, "slam", mission, "--out", out, "--config", mission.parent / "config.yaml")[0] == 1
+    assert [path.name for path in out.iterdir()] == [SESSION_FILE]
+    assert run(capsys, "slam", "--resume", out)[0] == 0
+    assert (out / "planes.json").read_bytes() == (whole / "planes.json").read_bytes()
+
+
+def test_what_fails_before_the_first_keyframe_leaves_nothing(mission: Path, tmp_path: Path, monkeypatch, capsys):
+    old = tmp_path / "run"
+    old.mkdir()
+    (old / "mine.txt").write_text("keep")
+    for options in ([], ["--overwrite"]):
+        out = tmp_path / ("run" if options else "new")
+        with monkeypatch.context() as patch:
+            stop_after(patch, 0, ValueError("a bad scan"))
+            assert run(capsys, "slam", mission, "--out", out, *options)[0] == 2
+    assert (old / "mine.txt").read_text() == "keep"
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_overwriting_keeps_the_old_until_the_new_is_whole(mission: Path, tmp_path: Path, monkeypatch, capsys):
+    out = tmp_path / "run"
+    out.mkdir()
+    (out / "old.txt").write_text("old")
+    with monkeypatch.context() as patch:
+        stop_after(patch, 3, RuntimeError("a bug"))
+        config = mission.parent / "config.yaml"
+        assert run(capsys, "slam", mission, "--out", out, "--overwrite", "--config", config)[0] == 1
+    (kept,) = tmp_path.glob(".run-old-*")
+    assert (kept / "run" / "old.txt").read_text() == "old"
+    assert run(capsys, "slam", "--resume", out)[0] == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["run"] and not (out / "old.txt").exists()
+
+
+@pytest.fixture
+def unfinished(mission: Path, tmp_path: Path, monkeypatch, capsys) -> Path:
+    with monkeypatch.context() as patch:
+        stop_after(patch, 5, KeyboardInterrupt())
+        run(capsys, "slam", mission, "--out", tmp_path / "run", "--config", mission.parent / "config.yaml")
+    return tmp_path / "run"
+
+
+def test_another_log_is_refused_and_one_that_grew_is_not(unfinished: Path, mission: Path, tmp_path: Path, capsys):
+    import gzip
+
+    other = tmp_path / "other"
+    shutil.copytree(mission, other)
+    lines = gzip.decompress((mission / "log.clf.gz").read_bytes()).decode().splitlines(keepends=True)
+    changed = [line.replace(" 2.", " 2.1") for line in lines]
+    (other / "log.clf.gz").write_bytes(gzip.compress("".join(changed).encode()))
+    code, err = run(capsys, "slam", other, "--out", unfinished, "--resume")
+    assert code == 2 and "expected the log that the run began with" in err
+    grown = [*lines, "# the robot drove on\n"]
+    (other / "log.clf.gz").write_bytes(gzip.compress("".join(grown).encode()))
+    assert run(capsys, "slam", other, "--out", unfinished, "--resume")[0] == 0
+
+
+def test_what_resume_does_not_take_is_refused(unfinished: Path, tmp_path: Path, capsys):
+    for wrong in (["--resume"], ["--resume", unfinished, "--keep-raw"], ["--resume", unfinished, "--rig", "x"]):
+        assert run(capsys, "slam", *wrong)[0] == 2
+    assert run(capsys, "slam", unfinished, "--salvage")[0] == 2
+    for path, words in ((tmp_path / "none", "found nothing"), (tmp_path, "expected a session, found nothing")):
+        code, err = run(capsys, "slam", "--resume", path)
+        assert code == 2 and words in err and "Traceback" not in err
+
+
+def test_a_damaged_session_is_refused_then_salvaged_and_finished(whole: Path, unfinished: Path, capsys):
+    with sqlite3.connect(unfinished / SESSION_FILE) as other:
+        other.execute("UPDATE keyframes SET data = zeroblob(length(data)) WHERE id = 3")
+    code, err = run(capsys, "slam", "--resume", unfinished)
+    assert code == 2 and "damaged at keyframe 3 of 5" in err
+    code, err = run(capsys, "slam", "--resume", "--salvage", unfinished)
+    assert code == 0 and "saved 3 keyframes; the damaged file is now session.db.damaged" in err
+    assert (unfinished / f"{SESSION_FILE}.damaged").exists()
+    assert (unfinished / "planes.json").read_bytes() == (whole / "planes.json").read_bytes()
+    assert salvage_session(unfinished).sentence.startswith("nothing is damaged")
+
+
+def test_raw_scans_come_along_when_a_session_is_salvaged(mission: Path, tmp_path: Path, monkeypatch, capsys):
+    out = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        stop_after(patch, 5, KeyboardInterrupt())
+        run(capsys, "slam", mission, "--out", out, "--keep-raw", "--config", mission.parent / "config.yaml")
+    with Session.open(out, read_only=True) as session:
+        before = [session.scans(index) for index in range(4)]
+    with sqlite3.connect(out / SESSION_FILE) as other:
+        other.execute("UPDATE keyframes SET digest = zeroblob(16) WHERE id = 4")
+    assert salvage_session(out).saved == 4
+    with Session.open(out, read_only=True) as session:
+        after = [session.scans(index) for index in range(4)]
+    for old, new in zip(before, after, strict=True):
+        assert [(one.stamp_ns, one.position) for one in old] == [(one.stamp_ns, one.position) for one in new]
+        for first, second in zip(old, new, strict=True):
+            assert first.scan is not None and second.scan is not None
+            np.testing.assert_array_equal(first.scan.ranges, second.scan.ranges)  # type: ignore[union-attr]
+
+
+def test_a_reference_leads_to_the_scan_that_was_kept(mission: Path, tmp_path: Path, monkeypatch, capsys):
+    """By value and by reference: the log read anew has the same beams at the place that was recorded."""
+    out = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        stop_after(patch, 5, KeyboardInterrupt())
+        run(capsys, "slam", mission, "--out", out, "--keep-raw", "--config", mission.parent / "config.yaml")
+    with Session.open(out, read_only=True) as session:
+        kept = [one for index in range(len(session)) for one in session.scans(index)]
+        events = load(Path((session.log or {})["path"]), session.rig)[0].events
+    assert len(kept) >= 4
+    for one in kept:
+        assert one.position is not None and isinstance(one.scan, LaserScan)
+        event = events[one.position]
+        assert isinstance(event, LaserScan) and (event.stamp_ns, event.sensor) == (one.stamp_ns, one.sensor)
+        np.testing.assert_array_equal(event.ranges, one.scan.ranges)
+        np.testing.assert_array_equal(event.angles, one.scan.angles)
+
+
+def test_measurements_on_disk_alone_make_the_same_run(whole: Path, mission: Path, tmp_path: Path, capsys):
+    out = tmp_path / "run"
+    config = mission.parent / "config.yaml"
+    assert run(capsys, "slam", mission, "--out", out, "--config", config, "--forget-raw")[0] == 0
+    assert (out / "planes.json").read_bytes() == (whole / "planes.json").read_bytes()
+
+
+def test_two_writers_of_one_run(unfinished: Path, capsys):
+    with Session.open(unfinished):
+        code, err = run(capsys, "slam", "--resume", unfinished)
+        assert code == 2 and "another process is writing it" in err
+        assert "Traceback" not in err
+    assert run(capsys, "slam", "--resume", unfinished)[0] == 0
+
+
+def test_a_full_disk_is_one_sentence_and_what_was_recorded_is_safe(mission: Path, tmp_path: Path):
+    """A limit on file sizes stands in for the full disk: the write fails in the middle of a commit."""
+    out = tmp_path / "run"
+    script = (
+        "import resource, signal, sys; from slam.cli import main\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, (170_000, {resource.RLIM_INFINITY}))\n"
+        f"main(['slam', {str(mission)!r}, '--out', {str(out)!r}, '--config', {str(mission.parent / 'config.yaml')!r}])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 1, done.stderr
+    assert "cannot be written" in done.stderr and "what was recorded before is safe" in done.stderr
+    assert "Traceback" not in done.stderr
+    with Session.open(out, read_only=True) as session:
+        assert len(session) > 1
+        assert all(entry.keyframe.observations for entry in session.entries())
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 300 kB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(place)], capture_output=True, text=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip(f"no file system can be mounted here: {mounted.stderr.strip()}")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+@pytest.mark.skipif(shutil.which("mount") is None, reason="no mount here")
+def test_a_full_disk_that_is_one(mission: Path, whole: Path, small_disk: Path, tmp_path: Path, capsys):
+    """With room somewhere else the run goes on to the result it would have had."""
+    config = mission.parent / "config.yaml"
+    code, err = run(capsys, "slam", mission, "--out", small_disk / "run", "--config", config)
+    assert code == 1 and "Traceback" not in err
+    assert "the disk is full" in err and "what was recorded before is safe" in err
+    with Session.open(small_disk / "run", read_only=True) as session:
+        assert len(session) > 1
+        assert all(entry.keyframe.observations for entry in session.entries())
+    moved = Path(shutil.copytree(small_disk / "run", tmp_path / "moved"))
+    assert run(capsys, "slam", "--resume", moved)[0] == 0
+    assert (moved / "planes.json").read_bytes() == (whole / "planes.json").read_bytes()
+
+
+def test_a_commit_that_fails_leaves_the_estimator_as_it_was(tmp_path: Path):
+    frames = drive(0).keyframes
+    with PlaneSlam.open(tmp_path / "session.db") as slam:
+        for keyframe in frames[:4]:
+            slam.add_keyframe(keyframe)
+        session = slam.recorder.session  # type: ignore[attr-defined]
+        pages = session._db.execute("PRAGMA page_count").fetchone()[0]
+        session._db.execute(f"PRAGMA max_page_count = {pages}")
+        with pytest.raises(StorageError, match="the disk is full"):
+            for keyframe in frames[4:]:
+                slam.add_keyframe(keyframe)
+        known = len(slam.keyframes)
+    with PlaneSlam.open(tmp_path / "session.db") as again:
+        assert len(again.keyframes) in (known, known + 1)  # measured, perhaps, but not yet in the graph
+        for keyframe in frames[len(again.keyframes) :]:
+            again.add_keyframe(keyframe)
+        assert len(again.keyframes) == 15 and again.marginal_covariance(pose_symbol(14)).shape == (6, 6)
+
+
+def test_a_read_only_folder(whole: Path):
+    """As nobody, for root writes where it wants: reading works, writing is one sentence."""
+    with tempfile.TemporaryDirectory() as scratch:
+        copy = Path(scratch) / "run"
+        copy.mkdir()
+        shutil.copy(whole / SESSION_FILE, copy)
+        for path, mode in ((Path(scratch), 0o755), (copy, 0o555), (copy / SESSION_FILE, 0o444)):
+            path.chmod(mode)
+        script = (
+            "import os; from slam.session.store import Session, SessionError\n"
+            "os.geteuid() or os.setuid(65534)\n"
+            f"with Session.open({str(copy)!r}, read_only=True) as session: print(sum(1 for _ in session.entries()))\n"
+            f"try: Session.open({str(copy)!r})\n"
+            "except SessionError as error: print(error)\n"
+        )
+        try:
+            done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+        finally:
+            copy.chmod(0o755)
+    count, sentence = done.stdout.strip().splitlines()
+    assert int(count) > 5 and "cannot be written (Permission denied)" in sentence
+
+
+def test_killed_runs_lose_nothing_and_damage_is_never_read_as_truth(job: kill.Job, tmp_path: Path):
+    killed = kill.kill_row(job, tmp_path, kills=6, seed=4)
+    assert killed["trials"] == 6
+    assert [killed[key] for key in ("lost", "damaged", "different")] == [0, 0, 0]
+    damaged = kill.damage_row(job, tmp_path, damages=16, seed=5)
+    assert damaged["wrong"] == damaged["different"] == 0 < damaged["noticed"]
+    assert damaged["saved"] > damaged["beyond saving"]
+
+
+def test_terminating_is_no_worse_than_killing(mission: Path, tmp_path: Path):
+    """SIGTERM in the middle of a run: what was acknowledged is there."""
+    out = tmp_path / "run"
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        kill._child(kill.Job(mission, out, 0.0), out, writer)
+    os.close(writer)
+    for _ in range(3):
+        os.read(reader, 4)
+    os.kill(child, signal.SIGTERM)
+    os.waitpid(child, 0)
+    os.close(reader)
+    with Session.open(out, read_only=True) as session:
+        assert len(session) >= 3
+    with pytest.raises(SessionError, match="expected a finished run"):
+        from slam.session.prior_map import PriorMap
+
+        PriorMap.load(out)

@@ -1,0 +1,381 @@
+"""The session on disk: bit for bit, one writer, readers meanwhile, and nothing read that was not written."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from slam import PlaneSlam, SlamConfig
+from slam.association.data_association import Candidate, Decision
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import LineObservation
+from slam.planeslam import pose_symbol
+from slam.sensors.log import CloudScan, LaserScan
+from slam.session._codec import CodecError, decode, encode, keyframe_of, without_scans
+from slam.session._digest import digest, fingerprint
+from slam.session.store import Session, SessionDamaged, SessionError
+from spplanes import ScanLine
+from tests.slam.scenes import drive
+
+COUNT = 15
+
+
+def assert_same_estimate(first: PlaneSlam, second: PlaneSlam) -> None:
+    """Poses, planes, covariances and decisions, bit for bit."""
+    assert np.array_equal(first.trajectory.poses, second.trajectory.poses)
+    assert np.array_equal(first.trajectory.stamps_ns, second.trajectory.stamps_ns)
+    assert [one.plane.to_dict() for one in first.planes] == [one.plane.to_dict() for one in second.planes]
+    last = pose_symbol(len(first.keyframes) - 1)
+    assert np.array_equal(first.marginal_covariance(last), second.marginal_covariance(last))
+    assert first.decisions == second.decisions
+
+
+@pytest.fixture(scope="module")
+def uninterrupted() -> PlaneSlam:
+    slam = PlaneSlam()
+    for keyframe in drive(0).keyframes:
+        slam.add_keyframe(keyframe)
+    return slam
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    path = tmp_path / "session.db"
+    with PlaneSlam.open(path) as slam:
+        for keyframe in drive(0).keyframes[:7]:
+            slam.add_keyframe(keyframe)
+    return path
+
+
+@pytest.mark.parametrize("ends", [(7,), (1, 2, 14)])
+def test_a_run_in_pieces_is_the_run_in_one(tmp_path: Path, uninterrupted: PlaneSlam, ends: tuple[int, ...]):
+    frames = drive(0).keyframes
+    for first, last in zip((0, *ends), (*ends, COUNT), strict=True):
+        with PlaneSlam.open(tmp_path / "session.db") as slam:
+            assert len(slam.keyframes) == first
+            for keyframe in frames[first:last]:
+                slam.add_keyframe(keyframe)
+            pieces = slam
+    assert_same_estimate(pieces, uninterrupted)
+    assert [path.name for path in tmp_path.iterdir()] == ["session.db"]
+
+
+def test_a_writer_that_never_closed_has_lost_nothing(tmp_path: Path, uninterrupted: PlaneSlam):
+    """A copy of the files while the writer has them open is what a kill leaves."""
+    path, copy = tmp_path / "session.db", tmp_path / "copy.db"
+    with PlaneSlam.open(path) as slam:
+        for keyframe in drive(0).keyframes:
+            slam.add_keyframe(keyframe)
+        for suffix in ("", "-wal", "-shm"):
+            copy.with_name(copy.name + suffix).write_bytes(path.with_name(path.name + suffix).read_bytes())
+    with PlaneSlam.open(copy) as slam:
+        assert_same_estimate(slam, uninterrupted)
+
+
+def test_measurements_on_disk_alone_make_the_same_map(tmp_path: Path, uninterrupted: PlaneSlam):
+    with PlaneSlam.open(tmp_path / "session.db", forget_raw=True) as slam:
+        for keyframe in drive(0).keyframes:
+            slam.add_keyframe(keyframe)
+        assert type(slam.keyframes[3].observations).__name__ == "_StoredObservations"
+        assert "returns" not in vars(slam.keyframes[3])
+        assert encode(slam.keyframes[3].observations[2]) == encode(uninterrupted.keyframes[3].observations[2])
+        assert_same_estimate(slam, uninterrupted)
+
+
+def test_decisions_are_recorded_and_compared(recorded: Path, uninterrupted: PlaneSlam, monkeypatch):
+    with Session.open(recorded, read_only=True) as session:
+        assert [entry.decisions for entry in session.entries()] == uninterrupted.decisions[:7]
+    other = SlamConfig.model_validate({"association": {"gap_m": 0.0, "significance": 0.9}})
+    monkeypatch.setattr(Session, "config", property(lambda self: other, lambda self, value: None), raising=False)
+    with pytest.raises(SessionError, match=r"keyframe \d+, observation \d+: recorded as .*, decided again as"):
+        PlaneSlam.open(recorded)
+
+
+def test_measurements_are_committed_before_the_graph_uses_them(tmp_path: Path):
+    """At the moment the graph first hears of a keyframe, and of its factors, another process would find them."""
+    path = tmp_path / "session.db"
+    found: list[tuple[int, int]] = []
+    with PlaneSlam.open(path) as slam:
+        update = slam.backend.update
+
+        def watched(*arguments, **options):
+            with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as other:
+                (keyframes,) = other.execute("SELECT count(*) FROM keyframes").fetchone()
+                (decisions,) = other.execute("SELECT count(*) FROM decisions").fetchone()
+            found.append((keyframes, decisions))
+            return update(*arguments, **options)
+
+        slam.backend.update = watched  # type: ignore[method-assign]
+        for keyframe in drive(0).keyframes[:3]:
+            slam.add_keyframe(keyframe)
+    assert found == [(1, 0), (1, 1), (2, 1), (2, 2), (3, 2), (3, 3)]
+
+
+def test_one_writer_and_any_number_of_readers(tmp_path: Path):
+    path = tmp_path / "session.db"
+    frames = drive(0).keyframes
+    with PlaneSlam.open(path) as writer:
+        for count, keyframe in enumerate(frames[:4], 1):
+            writer.add_keyframe(keyframe)
+            with PlaneSlam.open(path, read_only=True) as reader:
+                assert len(reader.keyframes) == count
+                assert_same_estimate(reader, writer)
+        with pytest.raises(SessionError, match="another process is writing it"):
+            PlaneSlam.open(path)
+        with PlaneSlam.open(path, read_only=True) as reader, pytest.raises(SessionError, match="to be read only"):
+            reader.add_keyframe(frames[4])
+        writer.add_keyframe(frames[4])
+    with PlaneSlam.open(path) as writer:
+        assert len(writer.keyframes) == 5
+
+
+def test_a_reader_takes_back_what_a_writer_killed_while_closing_left_half_done(recorded: Path, tmp_path: Path):
+    """A rollback journal beside the file, as a kill while SQLite leaves its write-ahead log makes one."""
+    left = tmp_path / "left"
+    left.mkdir()
+    with Session.open(recorded, read_only=True) as session:
+        known = len(session)
+    with closing(sqlite3.connect(recorded, isolation_level=None)) as writer:
+        writer.execute("PRAGMA journal_mode = DELETE")
+        writer.execute("PRAGMA cache_size = 1")  # so that pages reach the disk before the end
+        writer.execute("BEGIN IMMEDIATE")
+        writer.execute("UPDATE keyframes SET data = zeroblob(20000)")
+        assert recorded.with_name(f"{recorded.name}-journal").exists()
+        for path in recorded.parent.glob(f"{recorded.name}*"):
+            (left / path.name).write_bytes(path.read_bytes())
+    with Session.open(left / recorded.name, read_only=True) as session:
+        assert len(list(session.entries())) == known
+
+
+def test_another_configuration_is_refused(recorded: Path):
+    other = SlamConfig.model_validate({"association": {"gap_m": 0.1}})
+    with pytest.raises(SessionError, match="expected the configuration that it was made with"):
+        PlaneSlam.open(recorded, other)
+    PlaneSlam.open(recorded, SlamConfig()).close()
+
+
+def test_what_is_no_session_is_refused(tmp_path: Path):
+    with pytest.raises(SessionError, match="expected a session, found nothing"):
+        PlaneSlam.open(tmp_path / "none.db", read_only=True)
+    text = tmp_path / "text.db"
+    text.write_text("not a database at all " * 100)
+    with pytest.raises(SessionDamaged, match="expected a session, got a damaged or foreign file"):
+        PlaneSlam.open(text)
+    foreign = tmp_path / "foreign.db"
+    with sqlite3.connect(foreign) as other:
+        other.execute("CREATE TABLE things (id INTEGER)")
+    with pytest.raises(SessionError, match="expected a session, got another SQLite file"):
+        PlaneSlam.open(foreign)
+    assert text.read_text().startswith("not a database") and not list(tmp_path.glob("*-lock"))
+
+
+def test_a_session_of_the_future_is_refused(recorded: Path):
+    with sqlite3.connect(recorded) as other:
+        other.execute("PRAGMA user_version = 99")
+    with pytest.raises(SessionError, match="expected a session of version 1 to 2, got 99"):
+        PlaneSlam.open(recorded)
+
+
+CHANGES = {
+    "a measurement": "UPDATE keyframes SET data = zeroblob(length(data)) WHERE id = 4",
+    "one bit": "UPDATE keyframes SET stamp_ns = stamp_ns + 1 WHERE id = 4",
+    "a swap": "UPDATE keyframes SET data = (SELECT data FROM keyframes WHERE id = 3) WHERE id = 4",
+    "a decision": "UPDATE decisions SET data = (SELECT data FROM decisions WHERE keyframe = 3) WHERE keyframe = 4",
+    "a keyframe gone": "DELETE FROM keyframes WHERE id = 4",
+    "decisions gone": "DELETE FROM decisions WHERE keyframe = 4",
+    "the end gone": "DELETE FROM keyframes WHERE id >= 4; DELETE FROM decisions WHERE keyframe >= 4",
+    "a parameter": "UPDATE session SET data = '{}' WHERE key = 'config'",
+    "the program": "UPDATE session SET data = '0', digest = digest WHERE key = 'program'",
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+@pytest.mark.parametrize("read_only", [False, True], ids=["writer", "reader"])
+def test_nothing_changed_is_read_as_truth(recorded: Path, change: str, read_only: bool):
+    with sqlite3.connect(recorded) as other:
+        other.executescript(change)
+    with pytest.raises(SessionDamaged, match="damaged"):
+        PlaneSlam.open(recorded, read_only=read_only)
+
+
+def test_the_end_of_the_journal_is_missed(tmp_path: Path):
+    """SQLite itself would read a shortened journal without a word."""
+    path, copy = tmp_path / "session.db", tmp_path / "copy.db"
+    with PlaneSlam.open(path) as slam:
+        for keyframe in drive(0).keyframes[:5]:
+            slam.add_keyframe(keyframe)
+        for suffix in ("", "-wal", "-shm"):
+            copy.with_name(copy.name + suffix).write_bytes(path.with_name(path.name + suffix).read_bytes())
+    journal = copy.with_name(copy.name + "-wal")
+    whole = journal.read_bytes()
+    assert len(whole) > 4_000_000 and whole.endswith(bytes(4_000_000)), "room is made before it is needed"
+    whole = whole.rstrip(b"\0")
+    for broken in (whole[: len(whole) // 2], whole[:-1], bytes([*whole[:20_000], whole[20_000] ^ 1, *whole[20_001:]])):
+        journal.write_bytes(broken)
+        with pytest.raises(SessionDamaged, match="pages of its journal, the last keyframes, cannot be read"):
+            PlaneSlam.open(copy)
+    journal.unlink()
+    with pytest.raises(SessionDamaged, match="pages of its journal"):
+        PlaneSlam.open(copy)
+
+
+def test_numbers_come_back_bit_for_bit():
+    awkward = np.array([0.1, -0.0, np.nan, np.inf, 5e-324, np.nextafter(1.0, 2.0)])
+    fortran = np.asfortranarray(np.arange(12.0).reshape(3, 4) / 3.0)
+    line = ScanLine(0.3, 2.0, np.diag([1e-6, 1e-5]), np.array([[1.0, 0.5], [0.9, 2.0]]), np.arange(4), 3.3, 2)
+    values = {
+        "floats": [0.1, -0.0, 1e300, 5e-324, float("inf")],
+        "array": awkward,
+        "order": fortran,
+        "small": np.array([1, -2], dtype=np.int16),
+        "nested": ((1, "two", None), [True]),
+        "shape": shapely.Polygon([(0.1, 0), (1, 0), (1, 1)], [[(0.3, 0.1), (0.9, 0.1), (0.9, 0.5)]]),
+        "line": LineObservation(line, np.eye(4)),
+        "decision": Decision(3, "match", Candidate(1, 2.5, 3, -4.0, True), (Candidate(1, 2.5, 3, -4.0, True),)),
+        "number": np.float64(0.1),
+    }
+    back = decode(encode(values))
+    assert back["array"].tobytes() == awkward.tobytes()
+    assert np.array_equal(back["order"], fortran) and back["order"].flags.c_contiguous
+    assert back["small"].dtype == np.int16 and back["small"].tolist() == [1, -2]
+    assert back["nested"] == values["nested"] and back["decision"] == values["decision"]
+    assert repr(back["floats"]) == repr(values["floats"])
+    assert shapely.to_wkb(back["shape"]) == shapely.to_wkb(values["shape"])
+    assert encode(back["line"]) == encode(values["line"])
+    assert type(back["number"]) is float and back["number"] == 0.1
+
+
+def test_a_closed_session_is_a_file_that_needs_no_journal(tmp_path: Path):
+    path = tmp_path / "session.db"
+    with Session.create(path, SlamConfig()) as session:
+        session.add_keyframe(drive(0).keyframes[0])
+    assert [one.name for one in tmp_path.iterdir()] == ["session.db"]
+    assert path.read_bytes()[18:20] == b"\1\1"  # a rollback journal when it is written, not a write-ahead log
+
+
+@pytest.mark.parametrize("value", [object(), {1: 2}, np.array([object()]), {"a": lambda: None}, b"bytes"])
+def test_what_a_session_has_no_form_for_is_refused(value: object):
+    with pytest.raises(CodecError, match="expected"):
+        encode(value)
+
+
+def test_every_cut_of_a_record_is_refused():
+    data = encode(without_scans(drive(0).keyframes[1]))
+    for end in range(0, len(data), 7):
+        with pytest.raises(CodecError):
+            keyframe_of(data[:end])
+
+
+def test_no_two_sequences_have_one_digest():
+    assert digest("ab", "c") != digest("a", "bc")
+    assert digest(None) != digest("") != digest("None")
+    assert digest(1, b"x") == digest("1", "x")
+
+
+def test_a_log_is_known_by_its_bytes(tmp_path: Path):
+    (tmp_path / "a").write_bytes(b"12345")
+    first = fingerprint(tmp_path / "a")
+    assert first["bytes"] == 5 and fingerprint(tmp_path) != first
+    (tmp_path / "a").write_bytes(b"12346")
+    assert fingerprint(tmp_path / "a") != first
+
+
+def test_raw_scans_by_place_and_by_value(tmp_path: Path):
+    from slam.sensors.log import Log
+    from slam.session.replay import SessionRecorder
+
+    laser = LaserScan(5, "front", np.array([1.0, np.nan, 2.5]), np.array([-1.0, 0.0, 1.0]))
+    cloud = CloudScan(6, "top", np.arange(12.0).reshape(4, 3))
+    log = Log([laser, cloud], tmp_path / "log")
+    frames = [replace(drive(0).keyframes[0], scans=(laser, cloud)), *drive(0).keyframes[1:3]]
+    for raw in ("reference", "value"):
+        path = tmp_path / f"{raw}.db"
+        session = Session.create(path, SlamConfig())
+        with PlaneSlam(recorder=SessionRecorder(session, log=log, raw=raw)) as slam:
+            for frame in frames:
+                slam.add_keyframe(frame)
+        with Session.open(path, read_only=True) as session:
+            found = session.scans(0)
+            assert [(one.sensor, one.stamp_ns, one.position) for one in found] == [("front", 5, 0), ("top", 6, 1)]
+            assert session.scans(1) == []
+            if raw == "reference":
+                assert [one.scan for one in found] == [None, None]
+            else:
+                assert encode(found[0].scan) == encode(laser) and encode(found[1].scan) == encode(cloud)
+
+
+def test_a_keyframe_of_strangers_is_refused_and_the_session_stays(recorded: Path):
+    class Strange:
+        kind, n_points = "strange", 3
+
+    with PlaneSlam.open(recorded) as slam:
+        last = slam.keyframes[-1]
+        with pytest.raises(ValueError, match="expected a plane or a line that was seen, got Strange"):
+            slam.add_keyframe(Keyframe(last.stamp_ns + 1, [Strange()], last.motion))  # type: ignore[list-item]
+        slam.add_keyframe(drive(0).keyframes[7])
+    with PlaneSlam.open(recorded) as slam:
+        assert len(slam.keyframes) == 8
+
+
+@pytest.fixture
+def of_version_1(tmp_path: Path) -> Path:
+    path = tmp_path / "session.db"
+    with closing(sqlite3.connect(path)) as made:
+        made.executescript((Path(__file__).parent / "session_v1.sql").read_text(encoding="ascii"))
+    return path
+
+
+def version_of(path: Path) -> int:
+    with closing(sqlite3.connect(path)) as other:
+        return other.execute("PRAGMA user_version").fetchone()[0]
+
+
+def test_a_session_of_the_version_before_is_read_as_it_is(of_version_1: Path):
+    before = of_version_1.read_bytes()
+    with PlaneSlam.open(of_version_1, read_only=True) as slam:
+        assert len(slam.keyframes) == 2 and len(slam.landmarks) == 2
+        session = slam.recorder.session  # type: ignore[attr-defined]
+        assert session.scans(0) == [] and session.result("map") is None
+    assert of_version_1.read_bytes() == before
+
+
+def test_a_writer_brings_the_version_before_up_to_date(of_version_1: Path):
+    with Session.open(of_version_1, read_only=True) as session:
+        before = [encode(without_scans(entry.keyframe)) for entry in session.entries()]
+    with PlaneSlam.open(of_version_1) as slam:
+        assert slam.config == SlamConfig()
+        slam.add_keyframe(drive(0, count=3).keyframes[2])
+        slam.recorder.session.finish(map=b"a map")  # type: ignore[attr-defined]
+    assert version_of(of_version_1) == 2
+    with Session.open(of_version_1, read_only=True) as session:
+        assert [encode(without_scans(entry.keyframe)) for entry in session.entries()][:2] == before
+        assert len(session) == 3 and session.result("map") == b"a map" and session.is_finished
+
+
+def test_the_file_of_today_is_that_of_every_migration(of_version_1: Path, tmp_path: Path):
+    """A new session and one brought up to date have the same tables, word by word."""
+
+    def tables(path: Path) -> list[str]:
+        with closing(sqlite3.connect(path)) as other:
+            rows = other.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name").fetchall()
+        return [" ".join(row[0].split()) for row in rows]
+
+    Session.open(of_version_1).close()
+    Session.create(tmp_path / "new.db", SlamConfig()).close()
+    assert tables(of_version_1) == tables(tmp_path / "new.db")
+
+
+def test_a_migration_that_fails_changes_nothing(of_version_1: Path, monkeypatch):
+    monkeypatch.setattr("slam.session._file._MIGRATIONS", {2: "CREATE TABLE scans (id INTEGER); CREATE NONSENSE;"})
+    with pytest.raises(SessionDamaged):
+        PlaneSlam.open(of_version_1)
+    assert version_of(of_version_1) == 1
+    monkeypatch.undo()
+    PlaneSlam.open(of_version_1).close()
+    assert version_of(of_version_1) == 2

@@ -1,0 +1,426 @@
+"""The statistics of simulated missions are those their rig states; truth, labels and files are right."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, kstest
+
+from slam.errors import LogError
+from slam.io.carmen.reader import read_carmen
+from slam.io.load import load
+from slam.sensors.log import CloudScan, LaserScan
+from slam.sensors.rig import LocalisationNoise, Rig, Sensor
+from slam.sensors.wheel_noise import OdometryNoise
+from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Path, Truth, paper_rig, simulate_mission, spinning_rig
+from slam.simulation.noise import drifting_odometry, localised_poses, noisy_ranges, relative_motions
+from slam.simulation.path import pose_matrices
+from spplanes.noise import SensorModel
+from spplanes.registration import register_scans
+from tests.statistics import assert_mean_in_band, nees
+
+
+@pytest.fixture(scope="module")
+def mission():
+    return simulate_mission("corridor", n_scans=300, seed=4)
+
+
+def range_errors(mission, sensor):
+    """Measured range less the range at which the beam meets the plane it is labelled with, and the labels."""
+    arrays = mission.arrays(sensor)
+    rays = arrays.sensor_points() @ arrays.world_T_sensor[:, :3, :3].transpose(0, 2, 1) / arrays.ranges[..., None]
+    normals = np.array([plane.normal for plane in mission.truth.planes])[arrays.labels]
+    heights = np.array([plane.d for plane in mission.truth.planes])[arrays.labels]
+    gap = heights - np.einsum("sbi,si->sb", normals, arrays.world_T_sensor[:, :3, 3])
+    slope = np.einsum("sbi,sbi->sb", normals, rays)
+    seen = arrays.labels >= 0
+    return arrays.ranges[seen] - gap[seen] / slope[seen], arrays.labels[seen]
+
+
+@pytest.mark.parametrize("sensor", [HORIZONTAL, VERTICAL])
+def test_range_noise_is_15_mm_white_and_gaussian(mission, sensor):
+    errors, _ = range_errors(mission, sensor)
+    sigma, n = mission.rig.sensors[sensor].range_sigma_m, errors.size
+    assert sigma == 0.015 and n > 20_000
+    low, high = chi2.ppf((0.005, 0.995), n)
+    assert low < np.sum((errors / sigma) ** 2) < high
+    assert abs(errors.mean()) < 3.0 * sigma / np.sqrt(n)
+    assert abs(np.corrcoef(errors[:-1], errors[1:])[0, 1]) < 4.0 / np.sqrt(n)
+    assert kstest(errors / sigma, "norm").pvalue > 0.005
+
+
+def test_registered_points_miss_their_planes_by_what_their_covariance_says(mission):
+    """From ranges, true poses and the rig to normalised distances from the true planes: chi2 with 1 dof."""
+    arrays, sensor = mission.arrays(VERTICAL), mission.rig.sensors[VERTICAL]
+    poses = mission.truth.poses_at(arrays.stamps_ns)
+    model = SensorModel(sensor.range_sigma_m)
+    scans = register_scans(arrays.ranges, arrays.angles, poses, model, body_T_sensor=sensor.body_T_sensor)
+    values = []
+    for index in sorted(mission.truth.visible(VERTICAL)):
+        plane, mine = mission.truth.planes[index], arrays.labels == index
+        variances = np.einsum("i,nij,j->n", plane.normal, scans.covariances[mine], plane.normal)
+        values.append(plane.distance(scans.points[mine]) ** 2 / variances)
+    assert_mean_in_band(np.concatenate(values), 1, level=0.999)
+
+
+def test_labels_name_the_plane_that_is_there(mission):
+    arrays = mission.arrays(VERTICAL)
+    points = arrays.sensor_points() @ arrays.world_T_sensor[:, :3, :3].transpose(0, 2, 1)
+    points += arrays.world_T_sensor[:, None, :3, 3]
+    for index in np.unique(arrays.labels[arrays.labels >= 0]):
+        plane, mine = mission.truth.planes[index], points[arrays.labels == index]
+        assert np.abs(plane.distance(mine)).max() < 6.0 * 0.015
+        low, high = np.array(plane.outline.bounds).reshape(2, 2)
+        uv = (mine - plane.centre) @ plane.frame[:3, :2]
+        assert (uv > low - 0.1).all() and (uv < high + 0.1).all()
+        assert (plane.distance(arrays.world_T_sensor[:, :3, 3][(arrays.labels == index).any(axis=1)]) > 0.0).all()
+
+
+def test_every_vertical_scan_sees_floor_ceiling_and_both_walls(mission):
+    labels = mission.truth.labels[VERTICAL]
+    normals = np.array([plane.normal for plane in mission.truth.planes]).round(6)
+    for direction in ((0, 0, 1), (0, 0, -1), (0, 1, 0), (0, -1, 0)):
+        facing = (normals[labels] == direction).all(axis=2) & (labels >= 0)
+        assert (facing.sum(axis=1) >= 10).mean() >= 0.95  # the steel beams hide the ceiling for a few scans
+
+
+def test_equal_arguments_give_equal_missions_bit_for_bit(mission):
+    again = simulate_mission("corridor", n_scans=300, seed=4)
+    for a, b in zip(mission.log.events, again.log.events, strict=True):
+        assert isinstance(a, LaserScan) == isinstance(b, LaserScan) and a.stamp_ns == b.stamp_ns
+        if isinstance(a, LaserScan):
+            np.testing.assert_array_equal(a.ranges, b.ranges)
+            np.testing.assert_array_equal(a.world_T_body, b.world_T_body)
+        else:
+            np.testing.assert_array_equal(a.odom_T_body, b.odom_T_body)
+    other = simulate_mission("corridor", n_scans=300, seed=5)
+    assert not np.array_equal(other.arrays(VERTICAL).ranges, mission.arrays(VERTICAL).ranges)
+
+
+def test_a_shorter_mission_is_the_beginning_of_the_longer_one(mission):
+    short = simulate_mission("corridor", n_scans=40, seed=4)
+    for sensor in (HORIZONTAL, VERTICAL):
+        a, b = short.arrays(sensor), mission.arrays(sensor)
+        np.testing.assert_array_equal(a.ranges, b.ranges[: len(a.ranges)])
+        np.testing.assert_array_equal(a.world_T_body_given, b.world_T_body_given[: len(a.ranges)])
+    for a, b in zip(short.log.odometry, mission.log.odometry, strict=False):
+        np.testing.assert_array_equal(a.odom_T_body, b.odom_T_body)
+
+
+def test_the_default_corridor_is_the_papers():
+    full = simulate_mission("corridor")
+    vertical = full.arrays(VERTICAL)
+    assert vertical.ranges.shape == (1083, 361)
+    np.testing.assert_allclose(np.rad2deg(np.diff(vertical.angles)), 0.5, atol=1e-12)
+    ways = np.linalg.norm(np.diff(vertical.world_T_sensor[:, :3, 3], axis=0), axis=1)
+    np.testing.assert_allclose(ways, 0.027, atol=2e-5)
+    assert len(full.truth.visible(VERTICAL)) > 40
+    horizontal = full.arrays(HORIZONTAL)
+    assert horizontal.ranges.shape == (271, 720)
+    assert set((horizontal.stamps_ns - vertical.stamps_ns[0]) % (vertical.stamps_ns[1] - vertical.stamps_ns[0])) == {
+        27_000_000
+    }
+
+
+def test_what_only_the_level_laser_sees_is_no_plane_to_be_found(mission):
+    truth = mission.truth
+    assert truth.visible_in_3d() == truth.visible(VERTICAL) < truth.visible()
+    assert truth.visible(VERTICAL, more_than=10**9) == set()
+
+
+def test_events_are_in_time_order_and_scans_have_odometry_at_their_time(mission):
+    stamps = [event.stamp_ns for event in mission.log.events]
+    assert stamps == sorted(stamps)
+    readings = {reading.stamp_ns for reading in mission.log.odometry}
+    assert all(scan.stamp_ns in readings for scan in mission.log.scans())
+    np.testing.assert_array_equal(mission.log.odometry[0].odom_T_body, np.eye(4))
+    np.testing.assert_array_equal(mission.truth.world_T_body[0], np.eye(4))
+
+
+NOISY = OdometryNoise(slip_sigma_m_per_sqrt_rad=0.01)
+UNCALIBRATED = OdometryNoise(scale_sigma=0.03, curvature_sigma_rad_per_m=0.02)
+
+
+@pytest.mark.parametrize("noise", [NOISY, UNCALIBRATED])
+@pytest.mark.parametrize("scale", [1, 20])
+def test_odometry_errs_as_the_noise_model_says(noise, scale):
+    """NEES of the motion over a curved way, for one covariance of the whole chain and steps of any length."""
+    path = Path.rounded([(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (4.0, 2.0)], 0.8)
+    way = np.linspace(0.0, path.length_m, 8 * scale + 1)
+    true = path.at(way)
+    rng = np.random.default_rng(11)
+    errors = []
+    for _ in range(600):
+        drifted = drifting_odometry(true, noise, rng)
+        errors.append(drifted[-1] - true[-1])
+    _, covariance = noise.accumulate(relative_motions(true))
+    values = nees(np.array(errors), np.tile(covariance, (len(errors), 1, 1)))
+    assert_mean_in_band(values, 3, level=0.999)
+
+
+@pytest.mark.parametrize("rig", [paper_rig(), spinning_rig()], ids=["paper", "spinning"])
+def test_a_rig_states_no_motion_off_the_floor_that_is_not_simulated(mission, rig: Rig):
+    """What is stated and not there makes every covariance larger than the error: of leans by a quarter at 1 mrad."""
+    poses, stated = mission.truth.world_T_body, rig.odometry
+    assert np.ptp(poses[:, 2, 3]) == 0.0
+    np.testing.assert_allclose(poses[:, 2, :3], np.tile([0.0, 0.0, 1.0], (len(poses), 1)), atol=1e-12)
+    assert max(stated.z_sigma_m, stated.pitch_sigma_rad, stated.roll_sigma_rad) <= 1e-4
+
+
+def test_odometry_covariance_does_not_depend_on_how_often_it_is_read():
+    noise = OdometryNoise(scale_sigma=0.03, curvature_sigma_rad_per_m=0.02)
+    whole = np.array([1.2, 0.0, 0.0])
+    total, covariance = noise.accumulate(np.tile(whole / 50.0, (50, 1)))
+    np.testing.assert_allclose(total, whole, atol=1e-12)
+    np.testing.assert_allclose(covariance, noise.covariance(whole), rtol=1e-9, atol=1e-18)
+
+
+def test_odometry_covariance_turns_with_the_motion():
+    noise = OdometryNoise()
+    forward = noise.covariance((1.0, 0.0, 0.3))
+    rotation = np.eye(3)
+    rotation[:2, :2] = [[0.6, -0.8], [0.8, 0.6]]
+    np.testing.assert_allclose(noise.covariance((0.6, 0.8, 0.3)), rotation @ forward @ rotation.T, atol=1e-15)
+    assert forward[1, 2] > 0.0  # turned too far left, arrives too far left
+    assert (np.linalg.eigvalsh(noise.covariance((0.0, 0.0, 0.0))) > 0.0).all()
+
+
+def test_relative_motions_compose_to_the_path():
+    poses = Path.rounded([(0.0, 0.0), (2.0, 0.0), (2.0, -2.0)], 0.5).at(np.linspace(0.0, 3.0, 20))
+    world_T_body = pose_matrices(poses)
+    deltas = np.linalg.inv(world_T_body[:-1]) @ world_T_body[1:]
+    np.testing.assert_allclose(pose_matrices(relative_motions(poses)), deltas, atol=1e-12)
+
+
+def test_localisation_errs_below_a_centimetre_and_is_correlated_along_the_way():
+    noise = LocalisationNoise()
+    way = np.arange(200_000) * 0.027
+    errors = localised_poses(np.zeros((way.size, 3)), way, noise, np.random.default_rng(2))
+    independent = errors[:: int(4.0 * noise.correlation_length_m / 0.027)]
+    assert_mean_in_band(nees(independent, np.tile(noise.covariance(), (len(independent), 1, 1))), 3, level=0.999)
+    assert (np.hypot(errors[:, 0], errors[:, 1]) < 0.01).mean() > 0.99
+    lag = round(noise.correlation_length_m / 0.027)
+    for column in errors.T:
+        assert np.corrcoef(column[:-lag], column[lag:])[0, 1] == pytest.approx(np.exp(-1.0), abs=0.08)
+    np.testing.assert_allclose(noise.correlation([0.0, 2.0])[0], [1.0, np.exp(-1.0)])
+
+
+def test_given_poses_are_the_truth_with_that_error(mission):
+    arrays = mission.arrays(VERTICAL)
+    errors = arrays.world_T_body_given[:, :2, 3] - mission.truth.poses_at(arrays.stamps_ns)[:, :2, 3]
+    assert 0.0 < np.abs(errors).max() < 5.0 * mission.rig.localisation.xy_sigma_m
+
+
+def test_a_sensor_quantises_and_loses_what_is_too_near_or_too_far():
+    sensor = Sensor(kind="line", range_sigma_m=1e-9, quantisation_m=0.01, range_min_m=0.3, range_max_m=8.0)
+    read = noisy_ranges(np.array([1.2345, 7.994, 7.996, 12.0, np.inf, 0.2]), sensor, np.random.default_rng(0))
+    np.testing.assert_allclose(read[:2], [1.23, 7.99], atol=1e-12)
+    assert np.isnan(read[2:]).all()
+    assert sensor.range_variance_m2 == pytest.approx(1e-18 + 0.01**2 / 12.0)
+
+
+def test_the_office_ring_closes_and_drifts():
+    short = simulate_mission("office", seed=1, spacing_m=0.2)
+    positions = short.truth.world_T_body[:, :2, 3]
+    length = np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()
+    assert 79.0 < length < 82.0
+    np.testing.assert_allclose(positions[-1], [2.0, 0.0], atol=0.2)
+    odometry = np.array([reading.odom_T_body[:2, 3] for reading in short.log.odometry])
+    assert np.linalg.norm(odometry - positions, axis=1).max() > 0.5
+    two = simulate_mission("office", seed=1, spacing_m=0.2, laps=2)
+    assert len(two.log.scans(VERTICAL)) > 1.9 * len(short.log.scans(VERTICAL))
+    errors, labels = range_errors(short, VERTICAL)
+    assert errors.std() == pytest.approx(0.015, rel=0.02) and len(np.unique(labels)) > 60
+
+
+def test_the_hall_gives_organised_clouds_with_labels():
+    mission = simulate_mission("hall", n_scans=5, seed=2)
+    scans = mission.log.scans(SPINNING)
+    assert len(scans) == 5 and all(isinstance(scan, CloudScan) for scan in scans)
+    labels = mission.truth.labels[SPINNING]
+    assert labels.shape == (5, *scans[0].points.shape[:2])
+    poses = mission.truth.poses_at(np.array([scan.stamp_ns for scan in scans]))
+    mount = mission.rig.sensors[SPINNING].body_T_sensor
+    errors = []
+    for scan, pose, mine in zip(scans, poses, labels, strict=True):
+        world_T_sensor = pose @ mount
+        points = scan.points @ world_T_sensor[:3, :3].T + world_T_sensor[:3, 3]
+        for index in np.unique(mine[mine >= 0]):
+            plane, chosen = mission.truth.planes[index], mine == index
+            rays = (points[chosen] - world_T_sensor[:3, 3]) / np.linalg.norm(scan.points[chosen], axis=1)[:, None]
+            errors.append(plane.distance(points[chosen]) / (rays @ plane.normal))
+    errors = np.concatenate(errors)
+    low, high = chi2.ppf((0.001, 0.999), errors.size)
+    assert low < np.sum((errors / 0.015) ** 2) < high
+
+
+def test_the_room_has_slanted_walls_and_three_dimensional_arrays():
+    mission = simulate_mission("room", seed=3, n_scans=50)
+    angles = {round(np.rad2deg(np.arctan2(p.normal[1], p.normal[0])) % 90.0, 3) for p in mission.truth.planes}
+    assert 45.0 in angles
+    assert range_errors(mission, HORIZONTAL)[0].std() == pytest.approx(0.015, rel=0.05)
+
+
+def test_a_mission_on_disk_is_the_same_mission(tmp_path):
+    mission = simulate_mission("corridor", n_scans=30, seed=6)
+    folder = tmp_path / "mission with spaces ü"
+    mission.save(folder)
+    assert sorted(p.name for p in folder.rglob("*")) == [
+        "labels.npz", "log.clf.gz", "planes.json", "rig.yaml", "trajectory.tum", "truth"
+    ]  # fmt: skip
+    rig = Rig.from_yaml(folder / "rig.yaml")
+    assert rig == mission.rig
+    log = read_carmen(folder / "log.clf.gz", rig=rig)
+    for a, b in zip(mission.log.events, log.events, strict=True):
+        assert isinstance(a, LaserScan) == isinstance(b, LaserScan) and a.stamp_ns == b.stamp_ns
+        if isinstance(a, LaserScan):
+            assert a.sensor == b.sensor
+            np.testing.assert_array_equal(a.ranges, b.ranges)
+            np.testing.assert_allclose(a.angles, b.angles, atol=1e-12)
+            np.testing.assert_allclose(a.world_T_body, b.world_T_body, atol=1e-14)
+        else:
+            np.testing.assert_allclose(a.odom_T_body, b.odom_T_body, atol=1e-14)
+    truth = Truth.read(folder / "truth")
+    np.testing.assert_array_equal(truth.stamps_ns, mission.truth.stamps_ns)
+    np.testing.assert_allclose(truth.world_T_body, mission.truth.world_T_body, atol=1e-14)
+    np.testing.assert_array_equal(truth.labels[VERTICAL], mission.truth.labels[VERTICAL])
+    for a, b in zip(truth.planes, mission.truth.planes, strict=True):
+        np.testing.assert_array_equal(a.frame, b.frame)
+        assert a.outline.equals(b.outline)
+    data = json.loads((folder / "truth" / "planes.json").read_text())
+    assert data["format"] == "spplanes/1" and [p["id"] for p in data["planes"]] == list(range(len(truth.planes)))
+
+
+def test_a_mission_of_3d_scans_reads_back_from_disk(tmp_path):
+    mission = simulate_mission("hall", n_scans=3, seed=1)
+    mission.save(tmp_path / "hall")
+    log, rig = load(tmp_path / "hall")
+    assert rig == mission.rig
+    assert [event.stamp_ns for event in log.events] == [event.stamp_ns for event in mission.log.events]
+    for a, b in zip(mission.log.events, log.events, strict=True):
+        if isinstance(a, CloudScan):
+            assert isinstance(b, CloudScan) and a.sensor == b.sensor and b.world_T_body is None
+            np.testing.assert_array_equal(a.points, b.points)
+        else:
+            np.testing.assert_allclose(a.odom_T_body, b.odom_T_body, atol=1e-14)
+    np.testing.assert_array_equal(
+        Truth.read(tmp_path / "hall" / "truth").labels[SPINNING], mission.truth.labels[SPINNING]
+    )
+
+
+@pytest.mark.parametrize("world", ["room", "hall"])
+def test_equal_missions_give_equal_files(tmp_path, world: str):
+    for name in ("a", "b"):
+        simulate_mission(world, n_scans=4, seed=1).save(tmp_path / name)
+    assert len(list((tmp_path / "a").rglob("*.*"))) >= 5
+    for file in (tmp_path / "a").rglob("*.*"):
+        assert file.read_bytes() == (tmp_path / "b" / file.relative_to(tmp_path / "a")).read_bytes()
+
+
+def test_saving_is_all_or_nothing(tmp_path):
+    mission = simulate_mission("room", n_scans=5)
+    both = Rig(sensors={**paper_rig().sensors, **spinning_rig().sensors}, odometry=OdometryNoise())
+    with pytest.raises(
+        ValueError, match="expected scans of one 3D sensor, got those of horizontal, spinning, vertical"
+    ):
+        simulate_mission("hall", n_scans=2, rig=both).save(tmp_path / "cloud")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("x")
+    with pytest.raises(ValueError, match="new or an empty folder"):
+        mission.save(tmp_path / "mine")
+    assert [p.name for p in tmp_path.rglob("*")] == ["mine", "thesis.tex"]
+    (tmp_path / "empty").mkdir()
+    mission.save(tmp_path / "empty")
+    assert (tmp_path / "empty" / "rig.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"world": "moon"}, "world: expected one of corridor, office, room, hall, got 'moon'"),
+        ({"world": "corridor", "n_scans": 1}, "n_scans: expected at least 2, got 1"),
+        ({"world": "corridor", "laps": 2}, "laps: expected 1 in a corridor"),
+        ({"world": "office", "laps": 0}, "laps: expected"),
+        ({"world": "room", "n_scans": 100_000}, "n_scans: expected at most"),
+        ({"world": "room", "spacing_m": 0.0}, "spacing_m: expected a positive"),
+    ],
+)
+def test_missions_that_cannot_be(arguments, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        simulate_mission(**arguments)
+
+
+def test_truth_refuses_what_it_does_not_know(mission, tmp_path):
+    with pytest.raises(ValueError, match="stamps_ns: expected times of scans"):
+        mission.truth.poses_at(np.array([17]))
+    with pytest.raises(ValueError, match="sensor: expected a 2D laser"):
+        mission.arrays("sonar")
+    with pytest.raises(LogError, match="cannot be read"):
+        Truth.read(tmp_path)
+
+
+def test_a_path_whose_arcs_do_not_fit_is_refused():
+    with pytest.raises(ValueError, match="radius_m: expected arcs that fit"):
+        Path.rounded([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)], 1.5)
+
+
+def with_sensor(name, **changes):
+    rig = paper_rig()
+    sensor = rig.sensors[name].model_copy(update=changes)
+    return rig.model_copy(update={"sensors": {name: sensor}})
+
+
+def test_bearing_noise_is_what_the_rig_says():
+    """On a wall at distance d seen under an angle, a bearing error e moves the range by r tan(incidence) e."""
+    sigma = 0.002
+    rig = with_sensor(HORIZONTAL, bearing_sigma_rad=sigma, range_sigma_m=1e-9)
+    mission = simulate_mission("room", n_scans=200, rig=rig)
+    arrays = mission.arrays(HORIZONTAL)
+    rays = arrays.sensor_points() @ arrays.world_T_sensor[:, :3, :3].transpose(0, 2, 1) / arrays.ranges[..., None]
+    seen = arrays.labels >= 0
+    walls = np.array([plane.normal for plane in mission.truth.planes])[arrays.labels[seen]]
+    cosine = -np.einsum("ni,ni->n", walls, rays[seen])
+    errors, _ = range_errors(mission, HORIZONTAL)
+    expected = arrays.ranges[seen] * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) / cosine * sigma
+    gentle = (expected > 1e-3) & (expected < 0.02)  # away from normal and from grazing incidence: first order holds
+    assert np.mean((errors[gentle] / expected[gentle]) ** 2) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_sweep_gives_each_beam_its_own_place():
+    rig = with_sensor(HORIZONTAL, range_sigma_m=1e-9, sweep_s=0.2)
+    mission = simulate_mission("room", n_scans=40, rig=rig)
+    sensor, arrays, truth = rig.sensors[HORIZONTAL], mission.arrays(HORIZONTAL), mission.truth
+    times = sensor.beam_times_ns(5, 720)
+    assert times[0] == 5 and times[-1] == 200_000_005 and len(times) == 720
+    scan = 2  # on the first straight piece: heading 0, 0.5 m/s
+    x = np.interp(sensor.beam_times_ns(int(arrays.stamps_ns[scan]), 720), truth.stamps_ns, truth.world_T_body[:, 0, 3])
+    assert x[-1] - x[0] == pytest.approx(0.1, abs=1e-6)
+    points = arrays.sensor_points()[scan] + np.column_stack([x, 0.0 * x, np.full(720, 0.3)])
+    distances = [truth.planes[k].distance(p) for k, p in zip(arrays.labels[scan], points, strict=True) if k >= 0]
+    assert len(distances) > 600
+    np.testing.assert_allclose(distances, 0.0, atol=1e-6)
+
+
+def test_a_beam_without_return_has_no_label():
+    arrays = simulate_mission("corridor", n_scans=60, rig=with_sensor(VERTICAL, range_max_m=2.0)).arrays(VERTICAL)
+    lost = np.isnan(arrays.ranges)
+    assert 0.1 < lost.mean() < 0.9 and (arrays.labels[lost] == -1).all() and np.nanmax(arrays.ranges) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("rig", "sentence"),
+    [
+        (
+            Rig(sensors={"sonar": Sensor(kind="line", range_sigma_m=0.1, range_max_m=5.0)}),
+            "rig: expected sensors among",
+        ),
+        (
+            Rig(sensors={SPINNING: Sensor(kind="cloud", range_sigma_m=0.1, range_max_m=5.0, sweep_s=0.1)}),
+            "rig: expected bearing noise and sweeps of 2D lasers only",
+        ),
+    ],
+)
+def test_rigs_that_cannot_be_simulated(rig, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        simulate_mission("room", rig=rig)

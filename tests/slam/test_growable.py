@@ -1,0 +1,73 @@
+"""Sequences that only grow, and what the estimator keeps in them when measurements stay on the disk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam import PlaneSlam
+from slam.backend.marginalized_poses import PastPose, PastPoses
+from slam.growable import Rows
+from tests.slam.scenes import drive
+
+
+def test_rows_are_what_was_put_in():
+    rows, wanted = Rows("idh"), [(0, 0.1, 2), (5, float("inf"), 3), (70_000, 5e-324, 6)]
+    for row in wanted:
+        rows.append(row)
+    assert rows == wanted and list(rows) == wanted and rows[-1] == wanted[-1] and rows[1:] == wanted[1:]
+    assert rows != wanted[:2] and type(rows[0][0]) is int and type(rows[0][1]) is float
+    with pytest.raises(IndexError):
+        rows[3]
+    with pytest.raises(TypeError, match="grows at its end only"):
+        rows[0] = (1, 1.0, 1)
+
+
+def test_past_poses_come_back_bit_for_bit():
+    rng, past, made = np.random.default_rng(0), PastPoses(), {}
+    for number in (3, 0, 600, 599):
+        joint = rng.normal(size=(12, 12))
+        base = gtsam.symbol("x", number + 1)
+        poses = [gtsam.Pose3.Expmap(rng.normal(size=6)).matrix() for _ in range(2)]
+        made[gtsam.symbol("x", number)] = PastPose.of(base, *poses, joint @ joint.T)  # type: ignore[call-arg]
+    for key, one in made.items():
+        past.add(key, one)
+    assert len(past) == 4 and gtsam.symbol("x", 1) not in past and gtsam.symbol("x", 10**6) not in past
+    assert gtsam.symbol("p", 3) not in past
+    here, there = rng.normal(size=(4, 4)), np.diag(np.arange(1.0, 7.0))
+    for key, one in made.items():
+        asked: list[int] = []
+        assert key in past
+        assert np.array_equal(
+            past.pose(key, lambda base, asked=asked: asked.append(base) or here), here @ one.base_T_pose
+        )
+        assert np.array_equal(past.covariance(key, lambda base: there), one.covariance(there))
+        assert asked == [one.base_key]
+
+
+@pytest.mark.parametrize("read_only", [False, True])
+def test_what_was_forgotten_is_what_was_kept(tmp_path: Path, read_only: bool):
+    frames, path = drive(0).keyframes[:8], tmp_path / "session.db"
+    kept = PlaneSlam()
+    with PlaneSlam.open(path, forget_raw=True) as slam:
+        for frame in frames:
+            kept.add_keyframe(frame)
+            slam.add_keyframe(frame)
+        if not read_only:
+            _compare(slam, kept)
+    with PlaneSlam.open(path, read_only=read_only, forget_raw=True) as slam:
+        _compare(slam, kept)
+
+
+def _compare(slam: PlaneSlam, kept: PlaneSlam) -> None:
+    assert slam.decisions == kept.decisions and slam.decisions[-1] == kept.decisions[-1]
+    assert slam.audit.history == kept.audit.history
+    for index, (one, other) in enumerate(zip(slam.keyframes, kept.keyframes, strict=True)):
+        assert one.stamp_ns == other.stamp_ns and len(one.observations) == len(other.observations)
+        assert (one.motion is None) == (other.motion is None) and (one.returns is None) == (other.returns is None)
+        if one.motion is not None and other.motion is not None:
+            assert np.array_equal(one.motion.a_T_b, other.motion.a_T_b)
+        assert slam.explain(index) == kept.explain(index)

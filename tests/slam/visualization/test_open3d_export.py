@@ -1,0 +1,235 @@
+"""Maps as Open3D geometry: shapes, sides, holes, deviations; legacy and tensor alike; without a window."""
+
+import sys
+
+import numpy as np
+import pytest
+from shapely import LineString, MultiPolygon, Polygon, box
+
+from slam.io.trajectories import Trajectory
+from slam.planeslam import MapPlane
+from slam.visualization.open3d_export import (
+    ellipsoids_to_lines,
+    label_colours,
+    outlines_to_lines,
+    planes_to_mesh,
+    points_to_cloud,
+    trajectory_to_lines,
+    vertex_sigmas,
+)
+from spplanes import Plane
+from spplanes.spmodel import transform_from_rpy
+
+try:
+    import open3d as o3d
+except (ImportError, OSError) as error:  # OSError: a system library that it loads is not there
+    o3d, REASON = None, f"open3d cannot be imported: {error}"
+else:
+    REASON = ""
+
+needs_open3d = pytest.mark.skipif(o3d is None, reason=REASON)
+
+FRAME = transform_from_rpy((1.0, 2.0, 3.0, 0.4, -0.7, 0.2))
+COVARIANCE = np.diag([1e-6, 4e-6, 9e-6])
+WINDOW = Polygon([(-2, -1), (2, -1), (2, 1), (-2, 1)], [[(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]])
+
+
+def wall(number=7, seen=WINDOW, frame=FRAME):
+    polygon = seen if isinstance(seen, Polygon) else None
+    return MapPlane(number, Plane(frame, COVARIANCE, 100, polygon), seen, 3, ("plane",))
+
+
+def two_planes():
+    floor = transform_from_rpy((0.0, 0.0, 0.0, 0.3, 0.0, 0.0))
+    return [wall(), wall(9, MultiPolygon([box(0, 0, 1, 1), box(2, 0, 4, 1)]), floor)]
+
+
+def path():
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, 0, 3] = [0.0, 1.0, 3.0]
+    return Trajectory(np.array([0, 10, 20]), poses)
+
+
+@needs_open3d
+def test_mesh_has_the_area_of_the_outlines_less_their_holes():
+    mesh = planes_to_mesh(two_planes())
+    assert mesh.get_surface_area() == pytest.approx((8.0 - 1.0) + (1.0 + 2.0), rel=1e-12)
+
+
+@needs_open3d
+def test_mesh_lies_on_the_plane_and_faces_its_side():
+    plane = wall()
+    mesh = planes_to_mesh([plane])
+    assert np.abs(plane.plane.distance(np.asarray(mesh.vertices))).max() < 1e-12
+    np.testing.assert_allclose(np.asarray(mesh.vertex_normals), np.tile(plane.plane.normal, (len(mesh.vertices), 1)))
+    mesh.compute_triangle_normals()
+    np.testing.assert_allclose(
+        np.asarray(mesh.triangle_normals), np.tile(plane.plane.normal, (len(mesh.triangles), 1)), atol=1e-12
+    )
+
+
+def test_deviation_of_a_corner_is_that_of_the_height_there():
+    # by hand: var z(x, y) = 1e-6 + 4e-6 x^2 + 9e-6 y^2
+    from slam.visualization.mesh import mesh_of
+
+    mesh = mesh_of([wall()])
+    x, y = ((mesh.vertices - FRAME[:3, 3]) @ FRAME[:3, :2]).T
+    np.testing.assert_allclose(vertex_sigmas([wall()], mesh), np.sqrt(1e-6 + 4e-6 * x**2 + 9e-6 * y**2), rtol=1e-12)
+
+
+def test_deviation_knows_the_signs_of_the_cross_terms():
+    # z = p_z - theta x + psi y: with z and theta fully correlated the plane pivots about the point x = 1, not x = -1
+    from slam.visualization.mesh import Mesh
+
+    plane = Plane(np.eye(4), np.outer([1e-3, 1e-3, 0.0], [1e-3, 1e-3, 0.0]), 10)
+    corners = np.array([[1.0, 5.0, 0.0], [-1.0, 5.0, 0.0]])
+    mesh = Mesh(corners, np.empty((0, 3), np.int32), np.zeros(2, np.int32), np.zeros((2, 3), np.uint8))
+    sigmas = vertex_sigmas([MapPlane(0, plane, box(-1, -1, 1, 1), 1, ("plane",))], mesh)
+    np.testing.assert_allclose(sigmas, [0.0, 2e-3], atol=1e-12)
+
+
+@needs_open3d
+def test_colour_by_deviation_grows_from_dark_to_bright():
+    mesh = planes_to_mesh([wall()], colour_by="sigma")
+    sigmas = np.linalg.norm(np.asarray(mesh.vertices) - FRAME[:3, 3], axis=1)  # inner corners are the surer ones
+    brightness = np.asarray(mesh.vertex_colors).sum(axis=1)
+    inner = sigmas < 1.0
+    assert brightness[inner].max() < brightness[~inner].min()
+    limited = planes_to_mesh([wall()], colour_by="sigma", sigma_limit_m=1e-6)
+    assert len(np.unique(np.asarray(limited.vertex_colors), axis=0)) == 1
+
+
+@needs_open3d
+def test_outlines_are_closed_rings_and_lone_segments():
+    planes = [wall(), wall(8, LineString([(0, 0), (3, 0)]))]
+    lines = outlines_to_lines(planes)
+    points, pairs = np.asarray(lines.points), np.asarray(lines.lines)
+    lengths = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    assert len(pairs) == 4 + 4 + 1
+    assert lengths.sum() == pytest.approx(12.0 + 4.0 + 3.0, rel=1e-12)
+    assert len(lines.colors) == len(pairs)
+
+
+@needs_open3d
+def test_trajectory_joins_neighbouring_positions():
+    lines = trajectory_to_lines(path(), rgb=(1.0, 0.0, 0.0))
+    np.testing.assert_array_equal(np.asarray(lines.lines), [[0, 1], [1, 2]])
+    np.testing.assert_array_equal(np.asarray(lines.points)[:, 0], [0.0, 1.0, 3.0])
+    np.testing.assert_array_equal(np.asarray(lines.colors), [[1.0, 0.0, 0.0]] * 2)
+
+
+@needs_open3d
+def test_tensor_geometry_is_the_legacy_one_with_ids_and_deviations():
+    planes = two_planes()
+    legacy, tensor = planes_to_mesh(planes), planes_to_mesh(planes, tensor=True)
+    np.testing.assert_array_equal(tensor.vertex.positions.numpy(), np.asarray(legacy.vertices))
+    np.testing.assert_array_equal(tensor.triangle.indices.numpy(), np.asarray(legacy.triangles))
+    np.testing.assert_allclose(tensor.vertex.colors.numpy(), np.asarray(legacy.vertex_colors), atol=1e-6)
+    assert set(tensor.vertex["plane"].numpy().ravel()) == {7, 9}
+    assert tensor.vertex["sigma_m"].numpy().min() >= 1e-3
+    np.testing.assert_allclose(np.asarray(tensor.to_legacy().vertices), np.asarray(legacy.vertices), atol=1e-6)
+    lines = outlines_to_lines(planes, tensor=True)
+    np.testing.assert_array_equal(lines.line.indices.numpy(), np.asarray(outlines_to_lines(planes).lines))
+    assert list(lines.line["plane"].numpy().ravel()) == [7] * 8 + [9] * 8
+    assert trajectory_to_lines(path(), tensor=True).line.indices.numpy().shape == (2, 2)
+
+
+@needs_open3d
+def test_points_are_coloured_by_plane_and_gaps_are_left_out():
+    points = np.arange(24.0).reshape(2, 4, 3)
+    points[0, 1] = np.nan
+    labels = np.array([[0, 0, 1, -1], [0, 1, 1, 2]], dtype=np.int32)
+    cloud = points_to_cloud(points, labels)
+    colours = np.asarray(cloud.colors)
+    assert len(cloud.points) == 7
+    assert len(np.unique(colours, axis=0)) == 4 and (colours[0] == colours[3]).all()
+    tensor = points_to_cloud(points, labels, tensor=True)
+    np.testing.assert_array_equal(tensor.point["plane"].numpy().ravel(), [0, 1, -1, 0, 1, 1, 2])
+    assert len(points_to_cloud(points).points) == 7
+
+
+@needs_open3d
+def test_fitted_planes_serve_as_well():
+    plane = Plane(FRAME, COVARIANCE, 10, WINDOW)
+    mesh = planes_to_mesh([Plane(FRAME, COVARIANCE), plane], tensor=True)
+    assert set(mesh.vertex["plane"].numpy().ravel()) == {1}
+    np.testing.assert_array_equal(mesh.vertex.positions.numpy(), np.asarray(planes_to_mesh([wall()]).vertices))
+
+
+@needs_open3d
+def test_ellipsoids_enclose_what_the_covariance_says():
+    """Every corner at the chi2 quantile of its ellipsoid, enlarged as told; the great ellipses reach all six poles."""
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((3, 3)) * [0.1, 0.02, 0.3]
+    covariance, centre = root @ root.T, np.array([1.0, -2.0, 3.0])
+    lines = ellipsoids_to_lines([centre, -centre], [covariance, 4.0 * covariance], confidence=0.9, scale=10.0)
+    points = np.asarray(lines.points)
+    first = (points[: len(points) // 2] - centre) / 10.0
+    chi2 = np.einsum("ni,ij,nj->n", first, np.linalg.inv(covariance), first)
+    np.testing.assert_allclose(chi2, 6.251, atol=1e-3)  # 90 % quantile, 3 degrees of freedom
+    second = (points[len(points) // 2 :] + centre) / 10.0
+    np.testing.assert_allclose(second, 2.0 * first, atol=1e-9)
+    values, vectors = np.linalg.eigh(covariance)
+    for value, axis in zip(values, vectors.T, strict=True):
+        pole = np.sqrt(6.251 * value) * axis
+        for end in (pole, -pole):
+            assert np.linalg.norm(first - end, axis=1).min() < 1e-3 * np.sqrt(values[2])
+    tensor = ellipsoids_to_lines([centre], [covariance], tensor=True)
+    assert set(tensor.line["plane"].numpy().ravel()) == {0}
+    assert not ellipsoids_to_lines(np.empty((0, 3)), np.empty((0, 3, 3))).has_lines()
+
+
+@needs_open3d
+def test_flat_ellipsoids_are_drawn_and_wrong_ones_refused():
+    flat = ellipsoids_to_lines([[0.0, 0.0, 0.0]], [np.diag([1.0, 4.0, 0.0])])
+    assert np.abs(np.asarray(flat.points)[:, 2]).max() == 0.0
+    for arguments, sentence in (
+        (([[0, 0]], [np.eye(3)]), r"centres: expected shape"),
+        (([[0, 0, 0]], [np.eye(2)]), r"covariances: expected shape"),
+        (([[0, 0, 0]], [-np.eye(3)]), r"covariances: expected a positive semidefinite"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            ellipsoids_to_lines(*arguments)
+    with pytest.raises(ValueError, match="confidence: expected a probability between 0 and 1, got 1"):
+        ellipsoids_to_lines([[0, 0, 0]], [np.eye(3)], confidence=1)
+
+
+@needs_open3d
+def test_an_empty_map_is_empty_geometry():
+    for tensor in (False, True):
+        assert planes_to_mesh([], tensor=tensor).is_empty()
+        assert outlines_to_lines([], tensor=tensor).is_empty()
+        points_to_cloud(np.empty((0, 3)), tensor=tensor)
+    only_lines = planes_to_mesh([wall(seen=LineString([(0, 0), (1, 0)]))], colour_by="sigma")
+    assert only_lines.is_empty()
+
+
+@needs_open3d
+def test_files_that_open3d_writes_hold_the_mesh(tmp_path):
+    mesh = planes_to_mesh(two_planes())
+    file = str(tmp_path / "map.ply")
+    assert o3d.io.write_triangle_mesh(file, mesh)
+    again = o3d.io.read_triangle_mesh(file)
+    np.testing.assert_allclose(np.asarray(again.vertices), np.asarray(mesh.vertices), atol=1e-9)
+
+
+def test_label_colours_do_not_depend_on_who_else_is_there():
+    np.testing.assert_array_equal(label_colours(np.array([5, -1]))[0], label_colours(np.array([2, 3, 5]))[2])
+
+
+@needs_open3d
+def test_what_is_refused():
+    with pytest.raises(ValueError, match="colour_by: expected 'plane' or 'sigma', got 'age'"):
+        planes_to_mesh([wall()], colour_by="age")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="sigma_limit_m: expected a positive finite number"):
+        planes_to_mesh([wall()], colour_by="sigma", sigma_limit_m=0.0)
+    with pytest.raises(ValueError, match=r"points: expected shape \(..., 3\), got \(2, 4\)"):
+        points_to_cloud(np.zeros((2, 4)))
+    with pytest.raises(ValueError, match=r"labels: expected integers of shape \(2,\), got float64"):
+        points_to_cloud(np.zeros((2, 3)), np.zeros(2))
+
+
+def test_without_open3d_the_error_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(ImportError, match=r"pip install spplanes\[open3d\].*libusb-1.0"):
+        planes_to_mesh([])

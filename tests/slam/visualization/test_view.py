@@ -1,0 +1,161 @@
+"""Pictures, page and recording of a run, from its folder alone."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from slam.cli import main
+from slam.config import SlamConfig
+from slam.io.trajectories import write_tum
+from slam.map.map_planes import MapPlane
+from slam.output.run_files import as_json, new_folder, planes_json, write_json, write_run
+from slam.runs.history import History
+from slam.runs.slam_run import run_slam
+from slam.runs.stored_run import StoredRun
+from slam.sensors.log import CloudScan, Log
+from slam.simulation import simulate_mission
+from slam.visualization.uncertainty import position_covariances
+from slam.visualization.view import view_run
+from spplanes import Plane
+from spplanes.spmodel import transform_from_rpy
+from tests.slam.visualization.test_open3d_export import WINDOW, two_planes
+from tests.slam.visualization.test_report import moving, stored
+
+try:
+    import rerun
+except ImportError:
+    rerun = None
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A run's folder: what `stored` of the page's tests holds, and covariances of poses."""
+    folder, given = tmp_path / "run ü", stored()
+    folder.mkdir()
+    write_json(folder / "planes.json", planes_json(given.planes))
+    write_tum(folder / "trajectory.tum", given.trajectory)
+    write_tum(folder / "odometry.tum", given.odometry)
+    write_json(folder / "metrics.json", {"metrics": as_json(given.tables[0][1])})
+    about = History.of(given.planes)
+    covariances = {k: np.diag([1e-4, 4e-4, 1e-6, 1e-6, 1e-6, 1e-6]) for k in (0, 15, 29)}
+    History(about.seen, about.kinds, given.history.nis, covariances).write(folder / "view.json")
+    return folder
+
+
+def command(*words: object) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main([str(word) for word in words])
+    return int(stop.value.code or 0)
+
+
+def test_pictures_and_page_from_the_folder_alone(run: Path, tmp_path: Path, capsys):
+    kept = {path.name: path.read_bytes() for path in run.iterdir()}
+    assert command("view", run, "--out", tmp_path / "out") == 0
+    assert {path.name: path.read_bytes() for path in run.iterdir()} == kept
+    names = ["plan.png", "side.png", "uncertainty.png", "report.html"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(names)
+    assert capsys.readouterr().out.split("\n")[:4] == [str(tmp_path / "out" / name) for name in names]
+    for name in names[:3]:
+        pixels = imread(tmp_path / "out" / name)
+        assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 20, name
+    assert command("view", run) == 0
+    for name in names[:3]:
+        assert (run / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
+    assert "run ü" in (run / "report.html").read_text()
+
+
+def test_holes_are_open_in_pictures(tmp_path: Path):
+    """A wall of 4 x 2 m with a window, seen face on: colour around the middle, none in it."""
+    frame = transform_from_rpy((0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    planes = [MapPlane(0, Plane(frame, np.eye(3) * 1e-6, 10, WINDOW), WINDOW, 1, ("plane",))]
+    write_json(tmp_path / "planes.json", planes_json(planes))
+    write_tum(tmp_path / "trajectory.tum", moving(2, 5.0))
+    view_run(tmp_path)
+    pixels = imread(tmp_path / "plan.png")[..., :3]
+    filled = np.abs(pixels - pixels.max(axis=(0, 1))).sum(axis=2) > 0.05
+    rows = np.flatnonzero(filled.mean(axis=1) > 0.5)  # rows of the picture that the wall crosses
+    middle = filled[(rows[0] + rows[-1]) // 2 + 7]
+    inside = np.flatnonzero(middle)
+    assert (~middle[inside[0] : inside[-1]]).sum() > 50
+
+
+def test_ellipses_are_turned_into_the_world():
+    given = stored()
+    turned = given.trajectory.poses.copy()
+    turned[:] = turned @ transform_from_rpy((0.0, 0.0, 0.0, np.pi / 2, 0.0, 0.0))
+    run = StoredRun(
+        given.folder,
+        [],
+        type(given.trajectory)(given.trajectory.stamps_ns, turned),
+        given.odometry,
+        History(pose_covariances={3: np.diag([1.0, 4.0, 9.0, 1.0, 1.0, 1.0]), 1000: np.eye(6)}),
+        [],
+    )
+    places, covariances = position_covariances(run, run.history)
+    np.testing.assert_array_equal(places, turned[[3], :3, 3])
+    np.testing.assert_allclose(covariances, [np.diag([4.0, 1.0, 9.0])], atol=1e-12)
+
+
+def test_older_folders_and_empty_maps_are_drawn(tmp_path: Path):
+    for name, planes in (("old", two_planes()), ("empty", [])):
+        folder = tmp_path / name
+        folder.mkdir()
+        write_json(folder / "planes.json", planes_json(planes))
+        write_tum(folder / "trajectory.tum", moving(2, 0.0))
+        assert len(view_run(folder)) == 4
+
+
+def test_a_run_without_odometry_is_written_and_read(tmp_path: Path):
+    """Clouds alone: there is no odometry to write, and an empty file would be none."""
+    mission = simulate_mission("hall", n_scans=2, seed=0)
+    clouds = [event for event in mission.log.events if isinstance(event, CloudScan)]
+    run = run_slam(Log(clouds, Path("clouds")), mission.rig, SlamConfig())
+    with new_folder(tmp_path / "run") as folder:
+        write_run(run, folder, title="clouds")
+    assert not (tmp_path / "run" / "odometry.tum").exists()
+    assert len(StoredRun.read(tmp_path / "run").odometry) == 0
+    assert len(view_run(tmp_path / "run")) == 4
+
+
+def test_what_is_no_run_is_one_sentence(tmp_path: Path, capsys):
+    assert command("view", tmp_path) == 2
+    assert "expected the folder of a run" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(rerun is None, reason="rerun is not installed: pip install spplanes[rerun]")
+def test_the_recording_has_the_entities(run: Path, tmp_path: Path):
+    """Read by Rerun's own reader."""
+    target = tmp_path / "run.rrd"
+    assert command("view", run, "--out", tmp_path / "out", "--rerun", target) == 0
+    tool = [sys.executable, "-m", "rerun", "rrd"]
+    alone = {**os.environ, "HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path), "RERUN_TELEMETRY": "0"}
+    subprocess.run([*tool, "verify", str(target)], check=True, capture_output=True, env=alone)
+    shown = subprocess.run(
+        [*tool, "print", "-vv", str(target)], check=True, capture_output=True, text=True, env=alone
+    ).stdout
+    for entity in (
+        "/map/plane_7 ",
+        "/map/plane_8/outline",
+        "/trajectory",
+        "/odometry",
+        "/body",
+        "/confidence",
+        "/nis/plane",
+    ):
+        assert entity in shown, entity
+    assert "Mesh3D:vertex_positions" in shown and "keyframe" in shown
+
+
+def test_without_rerun_the_sentence_says_what_to_install(run: Path, tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    assert command("view", run, "--rerun", tmp_path / "run.rrd") == 2
+    assert "pip install spplanes[rerun]" in capsys.readouterr().err
+    assert not (tmp_path / "run.rrd").exists()

@@ -1,0 +1,160 @@
+"""Is the covariance right (NEES), and is the estimate as good as it can be (Cramer-Rao)? On nine scenes, seeded."""
+
+import numpy as np
+import pytest
+
+from spplanes import Moments, fit_plane
+from tests.spplanes.fitting.fit_scenes import Scene, plane_frame, run, scenes
+from tests.statistics import assert_mean_in_band, nees
+
+RUNS = 2000
+SCENES = scenes()
+
+
+def fit(method="ml", **options):
+    def task(points, scene):
+        return fit_plane(points, scene.covariances, method=method, viewpoint=scene.sensor, **scene.shared, **options)
+
+    return task
+
+
+def loss(local, scene):
+    """Root mean square error over the Cramer-Rao bound, all three components in the bound's own metric."""
+    return np.sqrt(np.einsum("ri,ij,rj->r", local, np.linalg.inv(scene.crb()), local).mean() / 3.0)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_ml_is_consistent_and_efficient(name):
+    """NEES in the 99 % band of 2000 runs; error within 2 % of the bound.
+
+    A mean of 2000 squared errors of 3 components scatters by 1.8 %, its root by 0.9 %: with errors exactly at the
+    bound, 2 % is exceeded once in 70 times.
+    """
+    scene = SCENES[name]
+    values, local, _ = run(scene, fit(), RUNS, seed=1)
+    assert_mean_in_band(values, 3)
+    if len(scene.true_points) >= 50:
+        assert loss(local, scene) < 1.02
+
+
+@pytest.mark.parametrize(
+    ("name", "least_nees", "least_loss"),
+    [("30 m away", 3.4, 1.08), ("noise along the beam", 3.0, 1.02), ("noise growing with range", 3.0, 1.04)],
+)
+def test_why_sp_is_not_the_default(name, least_nees, least_loss):
+    """Oblique noise turns the principal axes the same way in every run: a bias that no covariance shows."""
+    scene = SCENES[name]
+    values, local, _ = run(scene, fit("sp"), RUNS, seed=1)
+    assert values.mean() > least_nees
+    assert loss(local, scene) > least_loss
+    bias = np.abs(local.mean(axis=0)) / (local.std(axis=0) / np.sqrt(RUNS))
+    assert bias.max() > 5.0
+
+
+def test_plain_pca_is_worse_than_ml():
+    def pca(points, scene):
+        return Moments.from_points(points).plane(scene.sensor)
+
+    _, local, _ = run(SCENES["30 m away"], pca, RUNS, seed=1)
+    assert loss(local, SCENES["30 m away"]) > 1.08
+
+
+@pytest.mark.parametrize("name", ["frontal wall", "12 points"])
+def test_sp_is_consistent_where_noise_is_not_oblique(name):
+    values, _, _ = run(SCENES[name], fit("sp"), RUNS, seed=2)
+    assert_mean_in_band(values, 3)
+
+
+def test_sp_with_shared_poses_is_consistent():
+    values, _, _ = run(SCENES["20 scans, shared poses"], fit("sp"), RUNS, seed=3)
+    assert_mean_in_band(values, 3)
+
+
+def test_pose_errors_counted_per_point_are_not_consistent():
+    """The paper's block-diagonal form: the same pose error folded into every point as if it were independent."""
+    scene = SCENES["20 scans, shared poses"]
+    folded = scene.folded_covariances()
+
+    def independent(points, scene):
+        return fit_plane(points, folded, viewpoint=scene.sensor)
+
+    values, _, _ = run(scene, independent, 500, seed=3)
+    assert values.mean() > 6.0
+
+
+def test_covariances_taken_at_the_measured_points():
+    """As a user does it: the sensor model is evaluated where the points were seen, not where they are."""
+    scene = SCENES["noise growing with range"]
+
+    def measured(points, scene):
+        return fit_plane(points, scene.model(points), viewpoint=scene.sensor)
+
+    values, _, _ = run(scene, measured, RUNS, seed=4)
+    assert_mean_in_band(values, 3)
+
+
+@pytest.mark.parametrize("length", [2.0, 0.08])
+def test_narrow_patch_in_isotropic_noise(length):
+    """A strip, or a square, hardly wider than the noise is deep: that noise must be taken out of its width."""
+    rng = np.random.default_rng(6)
+    frame = plane_frame(3.0, 30.0)
+    local = np.column_stack([0.5 * length * rng.uniform(-1, 1, 400), rng.uniform(-0.03, 0.03, 400), np.zeros(400)])
+    points = local @ frame[:3, :3].T + frame[:3, 3]
+    scene = Scene(points, np.tile(0.01**2 * np.eye(3), (400, 1, 1)), frame, np.zeros(3))
+    values, _, covariances = run(scene, fit(), RUNS, seed=5)
+    assert_mean_in_band(values, 3)
+    naive = scene.crb()[2, 2]
+    assert np.mean(covariances[:, 2, 2]) > 1.1 * naive
+
+
+def lopsided():
+    """Noise 20 times as strong in one corner: with weights that do not match it, all three errors are correlated."""
+    rng = np.random.default_rng(7)
+    frame = plane_frame(3.0, 25.0)
+    u = rng.uniform(-1, 1, (200, 2))
+    sigma = 0.01 * 4.5 ** (0.5 * (u[:, 0] + u[:, 1]))
+    local = np.column_stack([1.5 * u[:, 0], u[:, 1], np.zeros(200)])
+    points = local @ frame[:3, :3].T + frame[:3, 3]
+    return Scene(points, sigma[:, None, None] ** 2 * np.eye(3), frame, np.zeros(3))
+
+
+def lopsided_poses():
+    """Scans of one side of a wall only, whose pose errors have an origin far beside it."""
+    scene = SCENES["20 scans, shared poses"]
+    rng = np.random.default_rng(8)
+    root = 0.01 * rng.normal(size=(20, 6, 6)) + 0.02 * rng.normal(size=(1, 6, 6))
+    poses = root @ root.transpose(0, 2, 1)
+    poses[10:] *= 25.0
+    return Scene(scene.true_points, scene.covariances, scene.frame, scene.sensor, scene.scan_index, 0.001 * poses)
+
+
+@pytest.mark.parametrize(("make", "method"), [(lopsided, "sp"), (lopsided_poses, "sp"), (lopsided_poses, "ml")])
+def test_signs_of_the_correlations(make, method):
+    """Each pair of signs flipped moves the mean NEES far out of the band."""
+    scene = make()
+    errors, covariances, rng = [], [], np.random.default_rng(9)
+    for _ in range(RUNS):
+        plane = fit(method)(scene.sample(rng), scene)
+        errors.append(scene.error(plane.frame))
+        covariances.append(plane.covariance)
+    errors, covariances = np.array(errors), np.array(covariances)
+    assert_mean_in_band(nees(errors, covariances), 3)
+    for kept in range(3):
+        signs = np.where(np.arange(3) == kept, -1.0, 1.0)
+        assert nees(errors * signs, covariances).mean() > 3.6
+
+
+def test_correlation_of_normal_and_distance():
+    """(n, d) of a wall far from the origin: NEES of d predicted from the error of n, and with that sign flipped."""
+    scene, rng = SCENES["wall at 75 deg"], np.random.default_rng(10)
+    truth = np.append(scene.frame[:3, 2], scene.frame[:3, 2] @ scene.frame[:3, 3])
+    right, wrong = [], []
+    for _ in range(RUNS):
+        plane = fit()(scene.sample(rng), scene)
+        inverse = np.linalg.pinv(plane.hesse_covariance, rcond=1e-9, hermitian=True)
+        error = np.append(plane.normal, plane.d) - truth
+        right.append(error @ inverse @ error)
+        error[3] *= -1.0
+        wrong.append(error @ inverse @ error)
+    assert_mean_in_band(np.array(right), 3)
+    assert np.mean(wrong) > 30.0

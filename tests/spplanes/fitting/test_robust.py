@@ -1,0 +1,115 @@
+"""30 % gross outliers: the error at most doubles, and the covariance stays right."""
+
+import numpy as np
+import pytest
+
+from spplanes import fit_plane
+from tests.spplanes.fitting.fit_scenes import run, scenes
+from tests.statistics import assert_mean_in_band
+
+RUNS = 2000
+SCENES = scenes()
+
+
+def around(points, scene, rng):
+    """Scattered a metre about where they belong."""
+    return points + rng.uniform(-1.0, 1.0, points.shape)
+
+
+def behind(points, scene, rng):
+    """Through a window: all on one side."""
+    return points - scene.frame[:3, 2] * rng.uniform(0.2, 1.5, (len(points), 1))
+
+
+def parallel(points, scene, rng):
+    """Another wall, half a metre off."""
+    return points + 0.5 * scene.frame[:3, 2]
+
+
+def everywhere(points, scene, rng):
+    """Clutter in 200 m around: some lie far out along the plane, where they have all the leverage."""
+    return rng.uniform(-100.0, 100.0, points.shape)
+
+
+def contaminated(scene, kind, rng, share=0.3):
+    def task(points, scene):
+        spoilt = rng.choice(len(points), int(share * len(points)), replace=False)
+        points = points.copy()
+        points[spoilt] = kind(points[spoilt], scene, rng)
+        return fit_plane(points, scene.covariances, viewpoint=scene.sensor, robust="tukey")
+
+    return task
+
+
+def size(local, scene):
+    return np.sqrt(np.einsum("ri,ij,rj->r", local, np.linalg.inv(scene.crb()), local).mean())
+
+
+@pytest.mark.parametrize("kind", [around, behind, parallel, everywhere])
+@pytest.mark.parametrize("name", ["frontal wall", "strip 10 m x 0.1 m", "noise along the beam"])
+def test_error_and_covariance_with_outliers(name, kind):
+    scene = SCENES[name]
+    values, local, _ = run(scene, contaminated(scene, kind, np.random.default_rng(1)), RUNS, seed=1)
+    clean = run(scene, lambda p, s: fit_plane(p, s.covariances, viewpoint=s.sensor), RUNS, seed=1)[1]
+    assert_mean_in_band(values, 3)
+    assert size(local, scene) < 2.0 * size(clean, scene)
+
+
+@pytest.mark.parametrize("name", ["frontal wall", "30 m away", "wall at 75 deg", "12 points"])
+def test_clean_points_lose_little(name):
+    """Tukey's constant is set for 95 % efficiency, an error of 1 / sqrt(0.95) = 1.026."""
+    scene = SCENES[name]
+    robust = run(scene, lambda p, s: fit_plane(p, s.covariances, viewpoint=s.sensor, robust="tukey"), RUNS, seed=2)
+    clean = run(scene, lambda p, s: fit_plane(p, s.covariances, viewpoint=s.sensor), RUNS, seed=2)[1]
+    assert_mean_in_band(robust[0], 3)
+    assert size(robust[1], scene) < 1.06 * size(clean, scene)
+
+
+def test_counts_only_inliers():
+    scene, rng = SCENES["frontal wall"], np.random.default_rng(3)
+    points = scene.sample(rng)
+    points[::5] -= 0.5 * scene.frame[:3, 2]
+    plane = fit_plane(points, scene.covariances, viewpoint=scene.sensor, robust="tukey")
+    assert plane.n_points == 240
+    assert 150 < plane.chi2 < 330
+
+
+def test_is_deterministic():
+    scene = SCENES["frontal wall"]
+    points = contaminate_once(scene)
+    first, second = (fit_plane(points, scene.covariances, robust="tukey") for _ in range(2))
+    np.testing.assert_array_equal(first.frame, second.frame)
+    np.testing.assert_array_equal(first.covariance, second.covariance)
+
+
+def contaminate_once(scene):
+    rng = np.random.default_rng(4)
+    points = scene.sample(rng)
+    points[:90] = around(points[:90], scene, rng)
+    return points
+
+
+def test_outliers_among_scans_with_pose_errors():
+    scene, rng = SCENES["20 scans, shared poses"], np.random.default_rng(5)
+
+    def task(points, scene):
+        points = points.copy()
+        spoilt = rng.choice(len(points), 60, replace=False)
+        points[spoilt] = behind(points[spoilt], scene, rng)
+        return fit_plane(points, scene.covariances, viewpoint=scene.sensor, robust="tukey", **scene.shared)
+
+    values, local, _ = run(scene, task, 1000, seed=5)
+    assert_mean_in_band(values, 3)
+    assert size(local, scene) < 2.0 * np.sqrt(3.0)
+
+
+def test_nothing_but_clutter_is_refused_or_very_uncertain():
+    """No crash and no false certainty from points in no plane at all."""
+    for seed in range(20):
+        points = np.random.default_rng(seed).uniform(-5, 5, (30, 3))
+        try:
+            plane = fit_plane(points, sigma=0.001, robust="tukey")
+        except ValueError as error:
+            assert "points: expected" in str(error)
+        else:
+            assert plane.n_points <= 10

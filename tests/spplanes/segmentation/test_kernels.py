@@ -1,0 +1,269 @@
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from spplanes._moment_patches import eigenvalues, merge_scaled, normal_of, variance_along
+from spplanes.segmentation.clustering import cells, growing, steps
+from spplanes.segmentation.clustering.ahc import cluster, one_plane_chi2, step_chi2
+from spplanes.segmentation.quads import links, surviving_quads
+from spplanes.segmentation.refinement import borders, creases, dissolving, parting
+
+
+def moments(points, weights):
+    """A moment row from points, written out."""
+    w = np.broadcast_to(weights, len(points))
+    centre = w @ points / w.sum()
+    s = (points - centre).T * w @ (points - centre)
+    return np.array([len(points), w.sum(), *centre, s[0, 0], s[0, 1], s[0, 2], s[1, 1], s[1, 2], s[2, 2]])
+
+
+def patch(rng, centre, sigma, n=200, tilt=0.0):
+    x, y = rng.uniform(-0.5, 0.5, (2, n))
+    return np.column_stack((x, y, tilt * x + sigma * rng.standard_normal(n))) + centre
+
+
+def test_eigenvalues_and_normal_agree_with_numpy():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        points = rng.normal(size=(20, 3)) * rng.uniform(0.01, 2.0, 3) @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        row = moments(points, 1.0)
+        s = (points - points.mean(0)).T @ (points - points.mean(0))
+        values, vectors = np.linalg.eigh(s)
+        np.testing.assert_allclose(eigenvalues(row), values, atol=1e-10 * values[2])
+        assert abs(np.array(normal_of(row, eigenvalues(row)[0])) @ vectors[:, 0]) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_eigenvalues_of_nothing_and_of_a_ball():
+    assert eigenvalues(np.zeros(11)) == (0.0, 0.0, 0.0)
+    assert normal_of(np.zeros(11), 0.0) == (0.0, 0.0, 1.0)
+
+
+def test_merge_scaled_is_the_union():
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=(2, 30, 3))
+    out = np.empty(11)
+    merge_scaled(out, moments(a, 2.0), 0.5, moments(b, 1.0), 3.0)
+    np.testing.assert_allclose(out, moments(np.concatenate((a, b)), np.repeat([1.0, 3.0], 30)), atol=1e-10)
+
+
+def test_variance_along_has_a_floor():
+    grid = np.zeros((2, 3, 9))
+    grid[1, 2] = np.diag([4.0, 1.0, 0.0]).ravel()
+    assert variance_along(grid, 1, 2, 0.6, 0.8, 0.0) == pytest.approx(0.36 * 4 + 0.64)
+    assert variance_along(grid, 1, 2, 0.0, 0.0, 1.0) == pytest.approx(5e-3)
+    assert variance_along(np.full((1, 1, 1), 0.25), 0, 0, 0.0, 0.0, 1.0) == 0.25
+
+
+def test_one_plane_chi2_has_three_degrees_of_freedom():
+    rng, runs, sigma, work = np.random.default_rng(2), 400, 0.01, np.empty(11)
+    values = []
+    for _ in range(runs):
+        a, b = patch(rng, (0, 0, 0), sigma), patch(rng, (1.0, 0.3, 0), sigma, 120)
+        values.append(one_plane_chi2(moments(a, sigma**-2), moments(b, sigma**-2), 0.0, work))
+    low, high = chi2.ppf([0.001, 0.999], 3 * runs) / runs
+    assert low < np.mean(values) < high
+    assert np.mean(np.array(values) > chi2.isf(0.01, 3)) < 0.03
+
+
+@pytest.mark.parametrize(("offset", "tilt"), [(0.01, 0.0), (0.0, 0.03)])
+def test_one_plane_chi2_tells_a_step_and_a_tilt(offset, tilt):
+    rng, work = np.random.default_rng(3), np.empty(11)
+    a, b = patch(rng, (0, 0, 0), 0.01), patch(rng, (1.0, 0, offset + tilt), 0.01, tilt=tilt)
+    a, b = moments(a, 1e4), moments(b, 1e4)
+    assert one_plane_chi2(a, b, 0.0, work) > chi2.isf(0.001, 3)
+    assert one_plane_chi2(a, b, 0.0, work) == pytest.approx(one_plane_chi2(b, a, 0.0, work), rel=1e-6)
+    assert one_plane_chi2(a, b, 0.02**2, work) < chi2.isf(0.001, 3)
+
+
+def test_cluster_fuses_a_chain_up_to_the_edge():
+    rng, sigma = np.random.default_rng(4), 0.005
+    flat = [patch(rng, (k, 0, 0), sigma) for k in range(4)]
+    steep = [patch(rng, (3.5 + 0.1 * k, 0, 0.5 + k), sigma) @ np.diag([0.1, 1, 1]) for k in range(2)]
+    upright = [np.column_stack((4.0 + p[:, 2] * 0 + 0.0 * p[:, 0], p[:, 1], p[:, 0])) for p in steep]
+    rows = np.array([moments(p, sigma**-2) for p in [*flat, *upright]])
+    edges = np.array([[k, k + 1] for k in range(5)])
+    root = cluster(rows, np.zeros((6, 2)), edges, chi2.isf(0.001, [1, 3]), 0.0, 1.0)
+    np.testing.assert_array_equal(root[:4], 0)
+    assert 0 not in root[4:]
+    assert rows[0, 0] == 800
+
+
+def wall(rows=6, cols=8, depth=3.0):
+    y, z = np.meshgrid(np.linspace(-0.2, 0.2, cols), np.linspace(-0.2, 0.2, rows))
+    return np.stack((np.full(y.shape, depth), y, z), axis=-1)
+
+
+def run_links(points, **kwargs):
+    valid = np.isfinite(points).all(-1)
+    options = {"tangent": np.tan(1.3), "limit": 10.8, "literal": False, **kwargs}
+    covariance = np.full((*valid.shape, 1), 1e-6)
+    return links(np.nan_to_num(points), covariance, valid, np.zeros((len(points), 3)), **options)
+
+
+def test_filter_keeps_a_wall_and_drops_jumps_and_outliers():
+    points = wall()
+    assert surviving_quads(*run_links(points)).all()
+    points[2, 3, 0] = 2.0
+    quads = surviving_quads(*run_links(points))
+    assert not quads[1:3, 2:4].any()
+    assert quads.sum() == quads.size - 4
+    points[2, 3] = np.nan
+    assert surviving_quads(*run_links(points)).sum() == quads.size - 4
+    points = wall()
+    points[:, 4:, 0] += 0.5
+    assert not surviving_quads(*run_links(points))[:, 3].any()
+
+
+def test_filter_keeps_a_surface_seen_obliquely_up_to_the_chosen_incidence():
+    points = wall() + np.linspace(-0.1, 0.1, 8)[None, :, None] * np.array([4.0, 0, 0])
+    assert surviving_quads(*run_links(points, tangent=np.tan(1.2))).all()
+    assert not surviving_quads(*run_links(points, tangent=np.tan(0.5))).any()
+
+
+def test_literal_filter_takes_sampling_distance_for_error():
+    assert not surviving_quads(*run_links(wall(), limit=7.81, literal=True)).any()
+    assert surviving_quads(*run_links(wall(), limit=1e5, literal=True)).all()
+
+
+def test_zero_range_is_no_surface():
+    points = wall()
+    points[0, 0] = 0.0
+    assert not surviving_quads(*run_links(points))[0, 0]
+
+
+def test_split_regions_numbers_parts_and_keeps_the_settled_one():
+    labels = np.array([[-1, 0, 0, -1, 0], [0, -1, 0, -1, 0], [0, 0, -1, -1, 0]])
+    parts = labels.copy()
+    origin = creases.split_regions(parts, 0, 1)
+    np.testing.assert_array_equal(parts, [[-1, 0, 0, -1, 1], [2, -1, 0, -1, 1], [2, 2, -1, -1, 1]])
+    np.testing.assert_array_equal(origin, [0, 0])
+    parts = np.array([[-1, -1, -1, -1, 0], [0, -1, 0, -1, 0], [0, 0, -1, -1, 0]])
+    creases.split_regions(parts, 1, 1)
+    np.testing.assert_array_equal(parts[:, 4], 0)
+    assert parts[2, 0] != 0
+
+
+def test_release_frees_only_the_cell_off_the_plane():
+    points, labels = wall(16, 16), np.zeros((16, 16), dtype=np.int64)
+    points[:8, :8, 0] += 0.02
+    plane, covariance = np.array([[1.0, 0, 0, 3.0]]), np.full((16, 16, 1), 1e-4)
+    growing.release(points, covariance, labels, plane, np.array([1e-6]), 8, 15.0)
+    assert (labels[:8, :8] == -1).all()
+    assert (labels[8:] == 0).all()
+    assert (labels[:8, 8:] == 0).all()
+
+
+def test_blocks_that_misfit_change_sides():
+    points, labels = wall(16, 16), np.zeros((16, 16), dtype=np.int64)
+    points[:, :8, 0] += 0.03
+    labels[:, :4] = 1
+    planes, covariance = np.array([[1.0, 0, 0, 3.0], [1.0, 0, 0, 3.03]]), np.full((16, 16, 1), 1e-4)
+    moved = borders.choose_blocks(points, covariance, labels, 0, planes, 9.0, 0.0, 4)
+    assert moved == 64
+    np.testing.assert_array_equal(labels, np.repeat([[1] * 8 + [0] * 8], 16, axis=0))
+
+
+def test_border_points_choose_the_plane_they_lie_on():
+    points, labels = wall(6, 8), np.zeros((6, 8), dtype=np.int64)
+    points[:, :4, 0] += 0.05
+    labels[:, :5] = 1
+    planes, covariance = np.array([[1.0, 0, 0, 3.0], [1.0, 0, 0, 3.05]]), np.full((6, 8, 1), 1e-4)
+    borders.choose_points(points, covariance, np.ones((6, 8), bool), labels, 0, planes, 9.0, 0.0, 0.5)
+    assert (labels[:, :4] == 1).all()
+    assert (labels[:, 4:] == 0).all()
+
+
+def test_superfluous_strip_dissolves_and_a_real_one_stays():
+    rng = np.random.default_rng(5)
+    points, covariance = wall(32, 32), np.full((32, 32, 1), 1e-4)
+    points[..., 0] += 0.01 * rng.standard_normal((32, 32))
+    labels = np.zeros((32, 32), dtype=np.int64)
+    labels[:, 12:20] = 1
+    planes = np.array([[1.0, 0, 0, 3.0], [1.0, 0, 0, 3.002]])
+    pairs = np.array([[0, 1]])
+    kept = labels.copy()
+    assert dissolving.dissolve(points, covariance, labels, 0, np.array([768, 256]), pairs, planes, 0.0) == 1
+    assert (labels == 0).all()
+    points[:, 12:20, 0] += 0.02
+    planes[1, 3] = 3.02
+    assert dissolving.dissolve(points, covariance, kept, 0, np.array([768, 256]), pairs, planes, 0.0) == 0
+
+
+def test_near_pairs_reach_across_other_regions():
+    labels = np.array([[0, 0, 1, 1, 2, -1, -1, 3]] * 4)
+    assert {tuple(p) for p in dissolving.near_pairs(labels, 2)} == {(0, 1), (1, 2)}
+    assert {tuple(p) for p in dissolving.near_pairs(labels, 3)} == {(0, 1), (1, 2), (0, 2), (2, 3)}
+
+
+def test_step_chi2_is_chi2_with_one_dof_and_sees_a_step_that_a_tilt_would_bridge():
+    rng, work = np.random.default_rng(11), np.empty(11)
+    values = []
+    for step in (0.0, 0.02):
+        for _ in range(300):
+            a, b = patch(rng, (0, 0, 0), 0.015), patch(rng, (1.0, 0, step), 0.015)
+            values.append(step_chi2(moments(a, 0.015**-2), moments(b, 0.015**-2), 0.0, work))
+    without, with_step = np.reshape(values, (2, 300))
+    assert without.mean() == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / 300))
+    information = 1.0 / (2 * 0.015**2 / 200 + 0.015**2 / (400 / 12))
+    assert with_step.mean() == pytest.approx(1.0 + 0.02**2 * information, rel=0.1)
+
+
+def test_step_chi2_grants_the_tolerance():
+    rng, work = np.random.default_rng(12), np.empty(11)
+    a, b = (moments(patch(rng, (x, 0, z), 1e-5), 1e10) for x, z in ((0, 0), (1.0, 0.02)))
+    assert step_chi2(a, b, 0.01**2, work) == pytest.approx(4.0, rel=0.01)
+
+
+def _cell(step, sigma, rng, size=32):
+    """Cells on a plane seen along beams slanted by 45 degrees, errors along the beams, with a step in the middle."""
+    i, j = np.mgrid[: 8 * size, :size]
+    points = np.stack((0.01 * i, 0.01 * j, np.where(j >= size // 2, step, 0.0)), axis=-1)
+    points += sigma * rng.standard_normal(i.shape)[..., None] * np.sqrt([0.0, 0.5, 0.5])
+    free, variance = np.ones(i.shape, dtype=bool), np.full((*i.shape, 1), sigma**2 / 2.0)
+    rows = cells.cell_moments(points, variance, free, size, 0.0)
+    planar = np.ones(rows.shape[:2], dtype=bool)
+    steps.reject_steps(planar, points, variance, rows, free, size, 0.0, chi2.isf(0.001 / 16, 1))
+    return planar
+
+
+def test_cells_with_a_step_of_the_noise_are_no_planes_and_slanted_beams_do_not_look_like_one():
+    rng = np.random.default_rng(13)
+    assert not _cell(0.03, 0.02, rng).any()
+    assert _cell(0.0, 0.02, rng).all()
+    assert _cell(0.0, 0.04, rng).all()
+
+
+def board_on_a_wall(step, seed=0, sigma=0.015):
+    """One region on a wall of 2 cm squares, part of which stands out by a step; labels, points, covariance."""
+    rng = np.random.default_rng(seed)
+    u, v = np.meshgrid(0.02 * np.arange(64), 0.02 * np.arange(64), indexing="ij")
+    on_board = np.zeros(u.shape, dtype=bool)
+    on_board[24:56, 32:64] = True
+    z = np.where(on_board, step, 0.0) + sigma * rng.standard_normal(u.shape)
+    return np.stack((u, v, z), axis=2), np.full((*u.shape, 1), sigma**2), np.zeros(u.shape, dtype=np.int64), on_board
+
+
+@pytest.mark.parametrize("shared", [0.0, 0.004])
+def test_a_region_parts_at_a_board_but_not_where_the_wall_is_bowed(shared):
+    limits = (8, 15.0, 0.0025, 10.0, 256)
+    points, covariance, labels, on_board = board_on_a_wall(0.02)
+    points[..., 2] += shared * np.sin(np.arange(64) / 15.0)[:, None]  # rows are scans
+    tilted = np.array([[0.0, -0.012, 1.0, 0.0]])  # the plane that meets both
+    origin = parting.part(points, covariance, labels, 0, tilted, np.full(1, shared**2), *limits)
+    assert origin.tolist() == [0]
+    assert (labels[on_board] == 1).mean() > 0.8
+    assert (labels[~on_board] == 0).mean() > 0.9
+    points, covariance, labels, _ = board_on_a_wall(0.0)
+    points[..., 2] += 0.01 * np.sin(np.pi * points[..., 0] / 1.28)
+    assert len(parting.part(points, covariance, labels, 0, tilted, np.full(1, shared**2), *limits)) == 0
+    assert (labels == 0).all()
+
+
+def test_the_part_that_settled_rows_hold_keeps_its_label_and_sharp_sensors_are_left_alone():
+    limits = (8, 15.0, 0.0025, 1.0, 256)
+    plane, none = np.array([[0.0, 0.0, 1.0, 0.0]]), np.zeros(1)
+    points, covariance, labels, on_board = board_on_a_wall(0.02)
+    points, covariance, labels, on_board = points[24:], covariance[24:], labels[24:], on_board[24:]
+    assert parting.part(points, covariance, labels, 8, plane, none, *limits).tolist() == []  # both reach in
+    points, covariance, labels, _ = board_on_a_wall(0.02, sigma=0.001)
+    assert len(parting.part(points, covariance, labels, 0, plane, none, *limits)) == 0

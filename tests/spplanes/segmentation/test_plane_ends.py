@@ -1,0 +1,132 @@
+"""The ends of a window's planes: returns that may be of something else bend no plane."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from spplanes import Plane, fit_plane
+from spplanes.segmentation.validation.plane_ends import sure_points
+from spplanes.segmentation.validation.splitting import tells_tilt
+from spplanes.segmentation.validation.spurious import Window
+
+SCANS, NOISE_M, RUNS = 18, 0.015, 60
+WALL_M = 1.1
+#: A laser sees a wall beside it and what is above.
+BEAMS = np.deg2rad(np.arange(-30.0, 85.0, 0.5))
+NOTHING = np.zeros((6 * SCANS, 6 * SCANS))
+
+
+def view_of(reach: np.ndarray, seed: int) -> Window:
+    """Points of beams that reach so far, (B,) m, with the noise of their ranges."""
+    directions = np.stack((np.zeros_like(BEAMS), np.cos(BEAMS), np.sin(BEAMS)), axis=1)
+    ranges = reach + np.random.default_rng(seed).normal(0.0, NOISE_M, (SCANS, len(BEAMS)))
+    points = ranges[..., None] * directions
+    points[..., 0] += 0.027 * np.arange(SCANS)[:, None]
+    covariances = NOISE_M**2 * np.einsum("bi,bj->bij", directions, directions)
+    return Window(points, np.broadcast_to(covariances, (*points.shape[:2], 3, 3)), NOTHING)
+
+
+def to_wall() -> np.ndarray:
+    return WALL_M / np.cos(BEAMS)
+
+
+def to_ceiling(top_m: float) -> np.ndarray:
+    with np.errstate(divide="ignore"):
+        return np.where(BEAMS > 0.0, top_m / np.abs(np.sin(BEAMS)), np.inf)
+
+
+def wall() -> Plane:
+    return Plane.from_hesse([0.0, -1.0, 0.0], -WALL_M, np.zeros((3, 3)))
+
+
+def ceiling(top_m: float) -> Plane:
+    return Plane.from_hesse([0.0, 0.0, -1.0], -top_m, np.zeros((3, 3)))
+
+
+def nearest(view: Window, planes: list[Plane]) -> np.ndarray:
+    """Labels by the plane that explains a point best along its beam, -1 beyond 3.5 standard deviations."""
+    off = [
+        np.abs(plane.distance(view.points.reshape(-1, 3))).reshape(view.points.shape[:2])
+        / np.sqrt(np.einsum("sbij,i,j->sb", view.covariances, plane.normal, plane.normal) + 1e-12)
+        for plane in planes
+    ]
+    return np.where(np.min(off, axis=0) < 3.5, np.argmin(off, axis=0), -1)
+
+
+def nees(view: Window, mask: np.ndarray, true: Plane) -> float:
+    fitted = fit_plane(view.points[mask], view.covariances[mask], viewpoint=np.array([0.2, 0.0, 0.0]))
+    return fitted.mahalanobis(true)
+
+
+def band(runs: int) -> tuple[float, float]:
+    low, high = chi2.ppf([0.005, 0.995], 3 * runs) / runs
+    return low, high
+
+
+@pytest.mark.parametrize("top_m", [0.4, 0.7])
+def test_a_wall_and_its_ceiling_are_as_sure_as_they_say_where_they_meet(top_m: float):
+    sides = [wall(), ceiling(top_m)]
+    with_seam, without = [], []
+    for seed in range(RUNS):
+        view = view_of(np.minimum(to_wall(), to_ceiling(top_m)), seed)
+        labels = nearest(view, sides)
+        sure = sure_points(view, labels, [side.frame for side in sides], 0.0)
+        assert np.all(labels[sure] >= 0)
+        with_seam += [nees(view, labels == k, side) for k, side in enumerate(sides)]
+        without += [nees(view, sure & (labels == k), side) for k, side in enumerate(sides)]
+    low, high = band(2 * RUNS)
+    assert low < np.mean(without) < high
+    assert np.mean(with_seam) > high
+
+
+def test_a_row_of_something_that_was_not_found_bends_no_wall():
+    edge = len(BEAMS) // 2
+    true = wall()
+    with_row, without = [], []
+    for seed in range(RUNS):
+        reach = to_wall()
+        reach[edge] += 0.03 / np.cos(BEAMS[edge])  # the soffit of a door
+        reach[edge + 1 :] += 0.5  # the room behind
+        view = view_of(reach, seed)
+        labels = np.where(np.arange(len(BEAMS)) <= edge, 0, -1) * np.ones((SCANS, 1), dtype=np.int32)
+        sure = sure_points(view, labels, [true.frame], 0.0)
+        with_row.append(nees(view, labels == 0, true))
+        without.append(nees(view, sure, true))
+    low, high = band(RUNS)
+    assert low < np.mean(without) < high
+    assert np.mean(with_row) > 1.5 * high
+
+
+def test_planes_that_nothing_adjoins_keep_their_points():
+    view = view_of(to_wall(), 0)
+    labels = np.zeros(view.points.shape[:2], dtype=np.int32)
+    across = ceiling(0.5).frame  # of a plane that no point is of
+    assert sure_points(view, labels, [wall().frame, across], 0.0).all()
+    silent = view.points.copy()
+    silent[:, 100:] = np.nan  # glass: no return says that the wall ends there
+    labels[:, 100:] = -1
+    sure = sure_points(Window(silent, view.covariances, NOTHING), labels, [wall().frame], 0.0)
+    np.testing.assert_array_equal(sure, labels == 0)
+
+
+def test_a_board_before_its_wall_ends_where_the_wall_begins():
+    reach = to_wall()
+    reach[60:90] -= 0.02 / np.cos(BEAMS[60:90])
+    view = view_of(reach, 0)
+    labels = np.where((np.arange(len(BEAMS)) >= 60) & (np.arange(len(BEAMS)) < 90), 1, 0) * np.ones(
+        (SCANS, 1), dtype=np.int32
+    )
+    board = Plane.from_hesse([0.0, -1.0, 0.0], 0.02 - WALL_M, np.zeros((3, 3)))
+    sure = sure_points(view, labels, [wall().frame, board.frame], 0.0)
+    left_out = np.flatnonzero(~sure.all(axis=0))
+    np.testing.assert_array_equal(left_out, [59, 60, 89, 90])
+
+
+@pytest.mark.parametrize(("rows", "tells"), [(1, False), (2, False), (SCANS, True)])
+def test_points_of_a_scan_or_two_do_not_tell_how_a_plane_is_turned(rows: int, tells: bool):
+    view = view_of(to_wall(), 0)
+    part = np.arange(rows * len(BEAMS))[:: rows * len(BEAMS) // 25]
+    assert tells_tilt(view, part, wall().frame, 0.1) is tells
+    assert not tells_tilt(view, part[:2], wall().frame, 0.1)

@@ -1,0 +1,117 @@
+"""Other people's data: labelled frames, and a corridor, a room and a hall that must look right."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import _scans
+from spplanes import MapperConfig, segment_scans
+from spplanes.segmentation import organise
+
+DATA = Path(__file__).parents[3].parent / "shared" / "data"
+
+
+def needs(folder):
+    return pytest.mark.skipif(not (DATA / folder).is_dir(), reason=f"real data not here: {folder}")
+
+
+@needs("icl_labelled")
+@pytest.mark.parametrize(("noise_seed", "at_least"), [(None, 14), (0, 9), (1, 9), (2, 9)])
+def test_labelled_depth_image(noise_seed, at_least):
+    points, sigma, truth = _scans.icl_frame(DATA, noise_seed)
+    labels, planes = segment_scans(points, sigma=sigma)
+    assert _scans.correct_detections(labels, truth) >= at_least
+    assert all(plane.outline.is_valid for plane in planes)
+
+
+@needs("synpeb")
+def test_organised_terrestrial_scan():
+    points, sigma, truth = _scans.synpeb_scan(DATA)
+    labels, _ = segment_scans(points, sigma=sigma)
+    assert _scans.correct_detections(labels, truth) >= 10
+
+
+@needs("3dtk_corridor")
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_corridor_has_whole_floor_ceiling_and_left_wall(index):
+    points = _scans.corridor_scan(DATA, index)
+    model = _scans.CORRIDOR_SENSOR
+    labels, planes = segment_scans(
+        points,
+        model.covariances(points),
+        viewpoints=(0.0, 0.0, 0.0),
+        pose_covariances=np.tile(model.scan_covariance(), (len(points), 1, 1)),
+        config=MapperConfig(flatness_m=0.5 * model.surface_sigma_m),
+    )
+    returns = np.isfinite(points).all(axis=-1)
+    assert (labels >= 0).sum() > 0.85 * returns.sum()
+    floor = max((p for p in planes if p.normal[2] > 0.98), key=lambda p: p.n_points)
+    ceiling = max((p for p in planes if p.normal[2] < -0.98), key=lambda p: p.n_points)
+    wall = max((p for p in planes if p.normal[1] > 0.98), key=lambda p: p.n_points)
+    assert min(floor.n_points, wall.n_points) > 14000
+    assert ceiling.n_points > 5000
+    for plane in (floor, ceiling, wall):
+        others = [q for q in planes if q is not plane and q.normal @ plane.normal > 0.99]
+        same = [q for q in others if abs(plane.distance(q.centre)) < 0.05]
+        assert sum(q.n_points for q in same) < 0.15 * plane.n_points
+    assert -ceiling.d - floor.d == pytest.approx(2.42, abs=0.06)
+    assert 2e-4 < np.sqrt(floor.covariance[0, 0]) < 0.015
+    off = [p.n_points for k, p in enumerate(planes) if np.std(p.distance(points[labels == k])) > 0.04]
+    assert sum(off) < 0.06 * returns.sum()
+
+
+@needs("3dtk_corridor")
+def test_corridor_frames_at_other_depths_are_planes_of_their_own():
+    points, model = _scans.corridor_scan(DATA, 0), _scans.CORRIDOR_SENSOR
+    config = MapperConfig(flatness_m=0.5 * model.surface_sigma_m)
+    _, planes = segment_scans(points, model.covariances(points), viewpoints=(0.0, 0.0, 0.0), config=config)
+    across = np.sort([p.d for p in planes if p.normal[1] < -0.99 and p.n_points > 500 and p.d < -3.0])
+    assert len(across) >= 3
+    assert (np.diff(across) > 0.05).all()
+
+
+def pieces(planes, normal_z):
+    """Planes that face up or down, largest first, and how many points others at the height of the largest have."""
+    level = sorted((p for p in planes if p.normal[2] * normal_z > 0.98), key=lambda p: -p.n_points)
+    return level[0], sum(p.n_points for p in level[1:] if abs(level[0].distance(p.centre)) < 0.1)
+
+
+@needs("pcl_room")
+@pytest.mark.parametrize("index", [1, 2])
+def test_room_from_vertical_slices(index):
+    points = _scans.room_slices(DATA, index)
+    model = _scans.ROOM_SENSOR
+    labels, planes = segment_scans(
+        points,
+        model.covariances(points),
+        viewpoints=(0.0, 0.0, 0.0),
+        pose_covariances=np.tile(model.scan_covariance(), (len(points), 1, 1)),
+        config=MapperConfig(flatness_m=0.5 * model.surface_sigma_m),
+    )
+    floor, others = pieces(planes, 1.0)
+    assert floor.d == pytest.approx(-1.26, abs=0.03)
+    assert floor.n_points > 5000
+    assert others < 0.1 * floor.n_points
+    ceiling, _ = pieces(planes, -1.0)
+    assert ceiling.d == pytest.approx(-1.67, abs=0.03)
+    assert ceiling.n_points > 13000
+    for k, plane in enumerate(planes):
+        if plane.n_points > 1000:
+            assert np.std(plane.distance(points[labels == k])) < 0.03
+
+
+@needs("balm_hall")
+def test_hall_from_an_unorganised_cloud():
+    points = _scans.hall_cloud(DATA, 0)
+    grid, index = organise(points, rows=64, cols=2048)
+    assert (index >= 0).sum() > 0.99 * len(points)
+    labels, planes = segment_scans(grid, _scans.HALL_SENSOR.covariances(grid), viewpoints=(0.0, 0.0, 0.0))
+    assert (labels >= 0).sum() > 0.7 * (index >= 0).sum()
+    floor, others = pieces(planes, 1.0)
+    assert floor.n_points > 35000
+    assert others < 0.03 * floor.n_points
+    for k, plane in enumerate(planes):
+        if plane.n_points > 500:
+            assert np.std(plane.distance(points[index[labels == k]])) < 0.035
+    assert any(abs(p.normal[0]) > 0.99 and p.n_points > 1000 for p in planes)
