@@ -51,8 +51,9 @@ ROOMS = {
         ("plane", "line"),
         ("moments",),
         ("fitting", "lines", "outlines"),
+        ("registration",),
         ("segmentation",),
-        ("mapping", "registration"),
+        ("mapping",),
     ),
 }
 #: No folder holds more modules than this, `__init__` apart; `slam` itself fewer.

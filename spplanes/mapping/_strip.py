@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from spplanes._check import FloatArray, as_float_array, as_shape
 from spplanes.fitting import _pose_error
 from spplanes.fitting._own_noise import add_noise
+from spplanes.fitting._pose_spread import shared_by_scan
 from spplanes.mapping._region_table import RegionTable
 from spplanes.moments import ROW_SIZE, merge_rows
 from spplanes.outlines._raster import along_axes, draw, keys_of, projection_axis
@@ -17,7 +18,6 @@ from spplanes.segmentation._inputs import as_noise, as_pose_covariances, check_n
 from spplanes.segmentation.clustering.growing import fit_regions, hesse
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.pipeline import segment_sheet
-from spplanes.segmentation.planes import shared_by_scan
 from spplanes.segmentation.refinement.refining import BORDER_GAP
 from spplanes.segmentation.sheet import Sheet, number_by_first_point
 

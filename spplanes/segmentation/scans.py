@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spplanes._check import FloatArray, as_float_array, as_shape
+from spplanes.fitting._pose_spread import shared_by_scan
 from spplanes.plane import Plane
 from spplanes.segmentation._inputs import as_grid, as_pose_covariances, as_variances
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.pipeline import segment_sheet
-from spplanes.segmentation.planes import planes_of, shared_by_scan
+from spplanes.segmentation.planes import planes_of
 from spplanes.segmentation.sheet import Sheet, number_by_first_point
 
 _DEFAULT = MapperConfig()
