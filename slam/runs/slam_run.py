@@ -69,7 +69,7 @@ def run_slam(
     slam.clock = slam.backend.clock = clock
     done_before = len(slam.keyframes)
     total = count_keyframes(log, rig, config)
-    frames = keyframes_of(log, rig, config, done_before)
+    frames = keyframes_of(log, rig, config, done_before, segment=slam.segment)
     for done in range(done_before, total):
         with clock.stage("measure"):
             keyframe = next(frames)
