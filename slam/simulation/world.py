@@ -63,9 +63,7 @@ class World:
         rays = np.ascontiguousarray(rays)
         ranges, hits = cast_scans(origins, rays, scan_normals, *shapes)
         first = self.plane_of_rectangle.size + self.radii.size
-        cast_polygons(
-            origins, rays, scan_normals, self.frames, self.edges, self.first_edges, first, ranges, hits
-        )
+        cast_polygons(origins, rays, scan_normals, self.frames, self.edges, self.first_edges, first, ranges, hits)
         bars, nothing = np.full(self.radii.size, NO_PLANE), [NO_PLANE]  # hit -1, nothing, is the last entry
         labels = np.concatenate([self.plane_of_rectangle, bars, self.plane_of_polygon, nothing])[hits]
         gone = labels == GLASS

@@ -44,12 +44,12 @@ class Given:
 Disturbance = Callable[[Given, np.random.Generator], Given]
 
 
-def none(given: Given, rng: np.random.Generator) -> Given:  # noqa: ARG001
+def none(given: Given, rng: np.random.Generator) -> Given:
     """Nothing is wrong."""
     return given
 
 
-def backwards(given: Given, rng: np.random.Generator) -> Given:  # noqa: ARG001
+def backwards(given: Given, rng: np.random.Generator) -> Given:
     """The rig has every sensor the wrong way round: turned by half a turn about the body's z."""
     half = planar_transform(0.0, 0.0, np.pi)
 
@@ -65,7 +65,7 @@ def backwards(given: Given, rng: np.random.Generator) -> Given:  # noqa: ARG001
 def stated(factor: float) -> Disturbance:
     """The rig states so many times the noise that the ranges have."""
 
-    def state(given: Given, rng: np.random.Generator) -> Given:  # noqa: ARG001
+    def state(given: Given, rng: np.random.Generator) -> Given:
         sensors = {
             name: s.model_copy(update={"range_sigma_m": factor * s.range_sigma_m})
             for name, s in given.rig.sensors.items()
@@ -78,7 +78,7 @@ def stated(factor: float) -> Disturbance:
 def every(nth: int) -> Disturbance:
     """Only every so many-th scan of each sensor; all of the odometry."""
 
-    def keep(given: Given, rng: np.random.Generator) -> Given:  # noqa: ARG001
+    def keep(given: Given, rng: np.random.Generator) -> Given:
         counts: dict[str, int] = defaultdict(int)
         events: list[Event] = []
         for event in given.log.events:
@@ -94,7 +94,7 @@ def every(nth: int) -> Disturbance:
     return keep
 
 
-def backward_in_time(given: Given, rng: np.random.Generator) -> Given:  # noqa: ARG001
+def backward_in_time(given: Given, rng: np.random.Generator) -> Given:
     """The drive from its end to its beginning."""
     ends = int(given.truth.stamps_ns[0]) + int(given.truth.stamps_ns[-1])
     events = [replace(event, stamp_ns=ends - event.stamp_ns) for event in reversed(given.log.events)]

@@ -109,7 +109,7 @@ def _recorded(
     tick_m = min(_READ_M, *(sensing.every_m / 2.0 for sensing in suite))
     ticks = np.arange(int(scene.course.length_m / tick_m))
     stamps = START_NS + ticks * round(tick_m / SPEED_M_PER_S * 1e9)
-    poses = scene.course.poses_at(ticks * tick_m)
+    poses = scene.course.poses_at(ticks.astype(np.float64) * tick_m)
     rig = Rig(sensors={s.name: s.sensor for s in suite}, odometry=noise_on(level=scene.course.level))
     read = ODOMETRIES[recipe.odometry]
     events: list[Event] = []

@@ -34,9 +34,7 @@ def ramp(rng: np.random.Generator) -> Scene:
     return Scene(builder.build(), Course(path, heights))
 
 
-def _add_tube(
-    builder: WorldBuilder, y: float, half: float, x: tuple[float, float], z: tuple[float, float]
-) -> None:
+def _add_tube(builder: WorldBuilder, y: float, half: float, x: tuple[float, float], z: tuple[float, float]) -> None:
     """A straight corridor between two places, its floor from one height to another."""
     mid = (sum(x) / 2.0, y, sum(z) / 2.0 + 1.2)
     for lift in (0.0, _HIGH_M):
@@ -44,9 +42,10 @@ def _add_tube(
         ring = [(*_xz(ends[0], y - half),), (*_xz(ends[1], y - half),), (*_xz(ends[1], y + half),)]
         builder.add_polygon([[*ring, (*_xz(ends[0], y + half),)]], toward=mid)
     for side in (-half, half):
-        low, high = [_xz(e, y + side) for e in zip(x, z, strict=True)], [
-            _xz((a, b + _HIGH_M), y + side) for a, b in zip(x, z, strict=True)
-        ]
+        low, high = (
+            [_xz(e, y + side) for e in zip(x, z, strict=True)],
+            [_xz((a, b + _HIGH_M), y + side) for a, b in zip(x, z, strict=True)],
+        )
         builder.add_polygon([[*low, *high[::-1]]], toward=mid)
 
 

@@ -17,7 +17,6 @@ from spplanes._check import FloatArray
 _WHEELBASE_M = 0.6
 #: People: radius and height, m; nobody comes nearer to the robot than this, m.
 _GIRTH_M, _TALL_M, _POLITE_M = 0.25, 1.75, 0.6
-_NO_RECTANGLES = (np.empty((0, 3)),) * 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +107,8 @@ class Scene:
         places = places[np.linalg.norm(places - origins[scans[0], :2], axis=1) > _POLITE_M]
         feet = np.column_stack([places, np.zeros(len(places))])
         axes = np.tile((0.0, 0.0, _TALL_M), (len(places), 1))
-        radii = np.full(len(places), _GIRTH_M)
-        seen, _ = cast_scans(origins[scans], rays[scans], fan_normals[scans], *_NO_RECTANGLES, feet, axes, radii)
+        radii, none = np.full(len(places), _GIRTH_M), np.empty((0, 3))
+        seen, _ = cast_scans(origins[scans], rays[scans], fan_normals[scans], none, none, none, feet, axes, radii)
         nearer = seen < ranges[scans]
         ranges[scans] = np.where(nearer, seen, ranges[scans])
         labels[scans] = np.where(nearer, NO_PLANE, labels[scans])

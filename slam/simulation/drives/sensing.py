@@ -78,8 +78,10 @@ def _paper() -> list[Sensing]:
 def _lidar(rings: int, lowest_deg: float, highest_deg: float) -> Sensing:
     mount = Mount(xyz_m=(0.1, 0.0, 0.8))
     sensor = Sensor(kind="cloud", body_T_sensor=mount, range_sigma_m=0.015, range_max_m=60.0)
-    turns = np.arange(_STEPS) * (2.0 * np.pi / _STEPS) - np.pi
-    return Sensing(LIDAR, sensor, Beams.of_spinning(turns, np.deg2rad(np.linspace(lowest_deg, highest_deg, rings))), _CLOUDS_M)
+    turns = np.linspace(-np.pi, np.pi, _STEPS, endpoint=False)
+    return Sensing(
+        LIDAR, sensor, Beams.of_spinning(turns, np.deg2rad(np.linspace(lowest_deg, highest_deg, rings))), _CLOUDS_M
+    )
 
 
 def _camera() -> Sensing:

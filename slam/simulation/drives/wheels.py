@@ -53,7 +53,7 @@ def biased(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) ->
     return good(_chained(poses[0], steps), noise, rng)
 
 
-def still(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:  # noqa: ARG001
+def still(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:
     """The identity, while the robot drives."""
     return np.tile(np.eye(4), (len(poses), 1, 1))
 

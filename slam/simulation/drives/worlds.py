@@ -98,7 +98,9 @@ def symmetric(rng: np.random.Generator) -> Scene:
     """A square ring of corridors whose sides, doors and rooms are all alike, a lap and a third."""
     side, half, deep = rng.uniform(8.0, 10.0), rng.uniform(1.0, 1.3), rng.uniform(2.5, 3.5)
     far = side / 2.0
-    ring = box(-far - half, -far - half, far + half, far + half).difference(box(half - far, half - far, far - half, far - half))
+    ring = box(-far - half, -far - half, far + half, far + half).difference(
+        box(half - far, half - far, far - half, far - half)
+    )
     quarter = [
         piece
         for at in (-0.25 * side, 0.25 * side)
@@ -108,7 +110,9 @@ def symmetric(rng: np.random.Generator) -> Scene:
         )
     ]
     turned = [Polygon(np.array(p.exterior.coords) @ _turn(k)) for k in range(4) for p in quarter]
-    corners = np.array([(-0.3 * far, -far), (far, -far), (far, far), (-far, far), (-far, -far), (far, -far), (far, 0.0)])
+    corners = np.array(
+        [(-0.3 * far, -far), (far, -far), (far, far), (-far, far), (-far, -far), (far, -far), (far, 0.0)]
+    )
     plan = unary_union([ring, *turned])
     assert isinstance(plan, Polygon)
     return _furnished(plan, corners, Roof.flat(2.6), rng, pieces=0, oblique=False)
@@ -159,9 +163,7 @@ def _bends(rng: np.random.Generator, *, skewed: bool) -> FloatArray:
 
 def _corridor(corners: FloatArray, rng: np.random.Generator) -> Polygon:
     """The corridor along a way, every stretch of its own width."""
-    stretches = [
-        LineString([a, b]).buffer(rng.uniform(0.9, 1.4), cap_style="square") for a, b in pairwise(corners)
-    ]
+    stretches = [LineString([a, b]).buffer(rng.uniform(0.9, 1.4), cap_style="square") for a, b in pairwise(corners)]
     union = unary_union(stretches)
     assert isinstance(union, Polygon)
     return union
@@ -192,7 +194,12 @@ def _room(
     lean = rng.uniform(0.0, 0.4, 2) if skewed else np.zeros(2)
     if not skewed:
         lefts[1], rights[1] = lefts[0], rights[0]
-    local = [(-lefts[0], near + lean[0]), (rights[0], near), (rights[1], near + deep + lean[1]), (-lefts[1], near + deep)]
+    local = [
+        (-lefts[0], near + lean[0]),
+        (rights[0], near),
+        (rights[1], near + deep + lean[1]),
+        (-lefts[1], near + deep),
+    ]
     half = _DOOR_M / 2.0
     door = [(-half, 0.0), (half, 0.0), (half, near + 0.4), (-half, near + 0.4)]
     room, doorway = (Polygon([place + s * along + n * out for s, n in ring]) for ring in (local, door))
