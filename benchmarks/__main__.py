@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,9 @@ from benchmarks._measure import ONE_THREAD, PROJECT
 from benchmarks._registry import WORKLOADS
 from benchmarks._table import plain
 from benchmarks.peers import environment
+
+#: Benchmarks that have options of their own, and where: `python -m benchmarks corpus --help`.
+OWN_OPTIONS = {"corpus": "benchmarks.corpus.__main__", "ablation": "benchmarks.corpus.ablation"}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -36,6 +40,8 @@ def parser() -> argparse.ArgumentParser:
 
 def main(words: list[str]) -> int:
     """Run what is asked for; exit code 2 for a name that is none, 1 for a regression or a workload that fails."""
+    if words and words[0] in OWN_OPTIONS:
+        return import_module(OWN_OPTIONS[words[0]]).main(words[1:])
     asked = parser().parse_args(words)
     unknown = [name for name in asked.names if name not in WORKLOADS]
     if unknown:

@@ -147,4 +147,20 @@ WORKLOADS: dict[str, Workload] = {
         short={"kills": 10, "damages": 10},
         on_request=True,
     ),
+    "corpus": Workload(
+        "Corpus",
+        "Drives of many kinds with truth, run as they are. A run counts for its world, its sensors and what is wrong "
+        "with it; errors of position relative to the first pose, over all scans where the run tells their poses, else "
+        "over keyframes: medians over the runs. NEES per degree of freedom (1 is right): of the last pose median, mean "
+        "and the 95 % band of the mean; of the planes the median of the runs' means and the mean of all planes. "
+        "Wrong: the worst error is beyond 10 cm and 3 claimed sigmas; right: within 1 cm or 2 sigmas; how many of each "
+        "the run itself called doubtful or broken.",
+        on_request=True,
+    ),
+    "ablation": Workload(
+        "Ablation",
+        "The corpus with one mechanism at a time switched off: kinds of drive that get worse, and better, beyond the "
+        "spread of their runs.",
+        on_request=True,
+    ),
 }

@@ -1,4 +1,4 @@
-"""Ray casting into rectangles and round bars: exact ranges and what was hit, the only kernels of the simulator."""
+"""Ray casting into rectangles, round bars and planar polygons: exact ranges and what was hit."""
 
 from __future__ import annotations
 
@@ -107,3 +107,64 @@ def cast_scans(origins, rays, scan_normals, corners, edges_u, edges_v, feet, axe
                 if t < ranges[s, b]:
                     ranges[s, b], hits[s, b] = t, n_rectangles + c
     return ranges, hits
+
+
+@njit(cache=True)
+def _inside(x, y, edges, first, last):
+    """Whether a point of a polygon's plane is inside its rings: an odd number of edges to the right of it."""
+    odd = False
+    for k in range(first, last):
+        x0, y0, x1, y1 = edges[k, 0], edges[k, 1], edges[k, 2], edges[k, 3]
+        if (y0 > y) != (y1 > y) and x < x0 + (y - y0) / (y1 - y0) * (x1 - x0):
+            odd = not odd
+    return odd
+
+
+@njit(cache=True)
+def _polygon_crosses(frame, edges, first, last, origin, normal):
+    """Whether a polygon has corners on both sides of the plane through `origin`, or on it."""
+    offset = 0.0
+    slope_x = 0.0
+    slope_y = 0.0
+    for k in range(3):
+        offset += normal[k] * (frame[k, 3] - origin[k])
+        slope_x += normal[k] * frame[k, 0]
+        slope_y += normal[k] * frame[k, 1]
+    low, high = np.inf, -np.inf
+    for k in range(first, last):
+        height = offset + slope_x * edges[k, 0] + slope_y * edges[k, 1]
+        low, high = min(low, height), max(high, height)
+    return low <= 0.0 <= high
+
+
+@njit(cache=True)
+def cast_polygons(origins, rays, scan_normals, frames, edges, first_edges, first_hit, ranges, hits):
+    """Enter the polygons that are nearer than what the rays hit so far into `ranges` and `hits`, both (S, B).
+
+    Args:
+        origins, rays, scan_normals: as for `cast_scans`.
+        frames: of each polygon, shape (G, 4, 4): it lies in x and y, z is its normal.
+        edges: of all rings of all polygons, rows (x0, y0, x1, y1) in their polygon's frame, shape (E, 4), m.
+        first_edges: where the edges of each polygon begin, and where the last one's end, shape (G + 1,).
+        first_hit: index that `hits` gets for the first polygon.
+    """
+    for s in range(rays.shape[0]):
+        for g in range(frames.shape[0]):
+            frame, first, last = frames[g], first_edges[g], first_edges[g + 1]
+            if not _polygon_crosses(frame, edges, first, last, origins[s], scan_normals[s]):
+                continue
+            dx, dy, dz = frame[0, 3] - origins[s, 0], frame[1, 3] - origins[s, 1], frame[2, 3] - origins[s, 2]
+            offset = frame[0, 2] * dx + frame[1, 2] * dy + frame[2, 2] * dz
+            for b in range(rays.shape[1]):
+                ray = rays[s, b]
+                slope = frame[0, 2] * ray[0] + frame[1, 2] * ray[1] + frame[2, 2] * ray[2]
+                if slope * offset <= 0.0:
+                    continue
+                t = offset / slope
+                if not NEAREST_M < t < ranges[s, b]:
+                    continue
+                px, py, pz = t * ray[0] - dx, t * ray[1] - dy, t * ray[2] - dz
+                x = px * frame[0, 0] + py * frame[1, 0] + pz * frame[2, 0]
+                y = px * frame[0, 1] + py * frame[1, 1] + pz * frame[2, 1]
+                if _inside(x, y, edges, first, last):
+                    ranges[s, b], hits[s, b] = t, first_hit + g

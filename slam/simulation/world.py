@@ -1,4 +1,4 @@
-"""Worlds made of planar patches and round bars, with the truth about every plane in them."""
+"""Worlds made of planar patches, polygons and round bars, with the truth about every plane in them."""
 
 from __future__ import annotations
 
@@ -10,19 +10,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 from shapely import MultiPolygon, Polygon, box, unary_union
 
-from slam.simulation.raycast import cast_scans
+from slam.simulation.raycast import cast_polygons, cast_scans
 from spplanes._check import FloatArray
 from spplanes.plane import Plane
 
 #: Label of a beam that hit no plane: no return, or a round bar.
 NO_PLANE = -1
+#: Plane of a polygon of glass: beams end in it and nothing comes back.
+GLASS = -2
 #: A hole in a patch: (u0, v0, u1, v1) along its two edges, m.
 Hole = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Rectangles that belong to planes, and round bars that belong to none."""
+    """Rectangles and polygons that belong to planes, and round bars that belong to none."""
 
     planes: list[Plane]
     """The true planes; labels are indices into this list. Covariances are zero, outlines are what can be hit."""
@@ -40,6 +42,14 @@ class World:
     """From that end to the other, shape (C, 3), m."""
     radii: FloatArray
     """Radius of each bar, shape (C,), m."""
+    frames: FloatArray
+    """Frame of each polygon, which lies in its x and y, shape (G, 4, 4), m."""
+    edges: FloatArray
+    """Edges of the rings of all polygons, rows (x0, y0, x1, y1) in their frames, shape (E, 4), m."""
+    first_edges: np.ndarray
+    """Where the edges of each polygon begin, and the end of the last one's, shape (G + 1,), int64."""
+    plane_of_polygon: np.ndarray
+    """Index of the plane a polygon belongs to, or `GLASS`, shape (G,), int32."""
 
     def cast(self, origins: FloatArray, rays: FloatArray, scan_normals: FloatArray) -> tuple[FloatArray, np.ndarray]:
         """Exact ranges (S, B), infinity for nothing, and plane labels (S, B) int32, -1 for no plane.
@@ -50,9 +60,14 @@ class World:
             scan_normals: normal of each scan's plane, shape (S, 3); zero where the rays do not lie in one.
         """
         shapes = (self.corners, self.edges_u, self.edges_v, self.feet, self.axes, self.radii)
-        ranges, hits = cast_scans(origins, np.ascontiguousarray(rays), scan_normals, *shapes)
-        labels_of_hits = np.concatenate([self.plane_of_rectangle, np.full(self.radii.size + 1, NO_PLANE)])
-        return ranges, labels_of_hits[hits].astype(np.int32)  # hit -1, nothing, is the last entry
+        rays = np.ascontiguousarray(rays)
+        ranges, hits = cast_scans(origins, rays, scan_normals, *shapes)
+        first = self.plane_of_rectangle.size + self.radii.size
+        cast_polygons(origins, rays, scan_normals, self.frames, self.edges, self.first_edges, first, ranges, hits)
+        bars, nothing = np.full(self.radii.size, NO_PLANE), [NO_PLANE]  # hit -1, nothing, is the last entry
+        labels = np.concatenate([self.plane_of_rectangle, bars, self.plane_of_polygon, nothing])[hits]
+        gone = labels == GLASS
+        return np.where(gone, np.inf, ranges), np.where(gone, NO_PLANE, labels).astype(np.int32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +79,8 @@ class _Surface:
     v: FloatArray
     toward: FloatArray
     patches: list[Polygon]
+    whole: bool = False
+    """Whether patches that lie apart count as one outline, their convex hull: a wall with gaps for doors."""
 
 
 @dataclass
@@ -73,6 +90,7 @@ class WorldBuilder:
     _rectangles: list[tuple[FloatArray, FloatArray, FloatArray, int]] = field(default_factory=list)
     _bars: list[tuple[FloatArray, FloatArray, float]] = field(default_factory=list)
     _surfaces: list[_Surface] = field(default_factory=list)
+    _polygons: list[tuple[FloatArray, FloatArray, int]] = field(default_factory=list)
 
     def add_patch(
         self,
@@ -104,6 +122,43 @@ class WorldBuilder:
             surface.patches.append(box(*np.minimum(low, high), *np.maximum(low, high)))
         return plane
 
+    def add_polygon(
+        self,
+        rings: Sequence[ArrayLike],
+        *,
+        toward: ArrayLike,
+        plane: int | None = None,
+        glass: bool = False,
+    ) -> int:
+        """Add a planar polygon of any tilt, seen from the point `toward`; the index of its plane, or `GLASS`.
+
+        Args:
+            rings: corners (K, 3) of the outer ring, then of its holes, m; all in the plane of the outer ring.
+            toward: a point on the side it is seen from, m.
+            plane: enlarge this plane, made of polygons and in the same place, in place of a new one.
+            glass: beams end here and do not come back; it is no plane of the truth.
+        """
+        corners = [np.asarray(ring, dtype=np.float64) for ring in rings]
+        frame = _frame_of(corners[0]) if plane is None else self._frame_of_plane(plane)
+        flat = [(ring - frame[:3, 3]) @ frame[:3, :2] for ring in corners]
+        if glass:
+            plane = GLASS
+        elif plane is None:
+            plane, viewer = len(self._surfaces), np.asarray(toward, dtype=np.float64)
+            self._surfaces.append(_Surface(frame[:3, 3], frame[:3, 0], frame[:3, 1], viewer, [], whole=True))
+        if plane != GLASS:
+            self._surfaces[plane].patches.append(Polygon(flat[0], flat[1:]))
+        edges = np.concatenate([np.column_stack([ring, np.roll(ring, -1, axis=0)]) for ring in flat])
+        self._polygons.append((frame, edges, plane))
+        return plane
+
+    def _frame_of_plane(self, plane: int) -> FloatArray:
+        surface = self._surfaces[plane]
+        frame = np.eye(4)
+        frame[:3, :3] = np.column_stack([surface.u, surface.v, np.cross(surface.u, surface.v)])
+        frame[:3, 3] = surface.corner
+        return frame
+
     def add_box(self, low: Sequence[float], high: Sequence[float], *, hidden: Sequence[str] = ()) -> list[int]:
         """Add the faces of an axis-aligned box, seen from outside, but the `hidden` ones of "x-", "x+", "y-" ..."""
         low_corner, high_corner = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
@@ -134,7 +189,21 @@ class WorldBuilder:
             feet=_stack([bar[0] for bar in self._bars]),
             axes=_stack([bar[1] for bar in self._bars]),
             radii=np.array([bar[2] for bar in self._bars], dtype=np.float64),
+            frames=np.array([frame for frame, _, _ in self._polygons]).reshape(-1, 4, 4),
+            edges=np.concatenate([np.empty((0, 4)), *(edges for _, edges, _ in self._polygons)]),
+            first_edges=np.cumsum([0, *(len(edges) for _, edges, _ in self._polygons)]),
+            plane_of_polygon=np.array([plane for _, _, plane in self._polygons], dtype=np.int32),
         )
+
+
+def _frame_of(ring: FloatArray) -> FloatArray:
+    """A frame at the first corner of a planar ring (K, 3), x along its first edge, z its normal by Newell's sum."""
+    normal = np.cross(ring - ring[0], np.roll(ring, -1, axis=0) - ring[0]).sum(axis=0)
+    x_axis = (ring[1] - ring[0]) / np.linalg.norm(ring[1] - ring[0])
+    frame = np.eye(4)
+    frame[:3, 0], frame[:3, 2], frame[:3, 3] = x_axis, normal / np.linalg.norm(normal), ring[0]
+    frame[:3, 1] = np.cross(frame[:3, 2], x_axis)
+    return frame
 
 
 def _stack(rows: Sequence[FloatArray]) -> FloatArray:
@@ -158,6 +227,8 @@ def _cells_without_holes(length_u: float, length_v: float, holes: Sequence[Hole]
 def _true_plane(surface: _Surface) -> Plane:
     """The plane with its patch: frame at the patch's centroid, x along the longer side, z toward the viewer."""
     patch = unary_union(surface.patches)
+    if surface.whole and isinstance(patch, MultiPolygon):
+        patch = patch.convex_hull
     assert isinstance(patch, (Polygon, MultiPolygon))
     u, v = surface.u, surface.v
     middle = surface.corner + patch.centroid.x * u + patch.centroid.y * v

@@ -1,0 +1,140 @@
+"""`python -m benchmarks corpus`: run the drives of the corpus and say by kind how good and how honest the runs are."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks import _page
+from benchmarks._child import as_json
+from benchmarks._table import plain
+from benchmarks.corpus.catalogue import Entry, corpus, drawn
+from benchmarks.corpus.process import Job, rows_of
+from benchmarks.corpus.score import Row
+from benchmarks.corpus.summary import by_kind, compared
+
+#: Longest that a drive may take, s.
+LIMIT_S = 900.0
+#: Columns of a row as it is printed when it comes.
+_SHOWN = (
+    "drive",
+    "seed",
+    "state",
+    "rmse, m",
+    "worst, m",
+    "sigma, m",
+    "judged",
+    "pose NEES",
+    "planes",
+    "plane NEES",
+    "duplicates",
+    "verdict",
+    "CPU s",
+)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The options."""
+    one = argparse.ArgumentParser(prog="python -m benchmarks corpus", description=(__doc__ or "").splitlines()[0])
+    add_choice(one)
+    one.add_argument("--json", type=Path, metavar="FILE", help="write all rows to a file")
+    one.add_argument("--resume", action="store_true", help="go on with the drives that FILE does not have yet")
+    one.add_argument("--compare", type=Path, metavar="FILE", help="rows of an earlier run: before and after by kind")
+    one.add_argument("--write", action="store_true", help="put the table by kind into docs/benchmarks.md")
+    return one
+
+
+def add_choice(one: argparse.ArgumentParser) -> None:
+    """Options that say which drives, also for the ablation."""
+    one.add_argument("--short", action="store_true", help="every kind once")
+    one.add_argument("--seeds", type=seeds_of, default=range(1), metavar="A:B", help="seeds from A to B - 1; 0:1")
+    one.add_argument("--kind", nargs="+", default=[], metavar="NAME", help="part of a drive's name, pattern, or name")
+    one.add_argument(
+        "--draw", type=int, metavar="N", help="N drives at random out of all combinations, by seed from A on"
+    )
+    one.add_argument("--limit", type=float, default=LIMIT_S, metavar="S", help="longest that a drive may take, s")
+
+
+def seeds_of(word: str) -> range:
+    """A:B as a range; A alone is one seed."""
+    first, _, end = word.partition(":")
+    seeds = range(int(first), int(end) if end else int(first) + 1)
+    if not seeds or seeds[0] < 0:
+        raise argparse.ArgumentTypeError(f"expected A:B with 0 <= A < B, got {word!r}")
+    return seeds
+
+
+def chosen(asked: argparse.Namespace) -> list[Entry]:
+    """The drives that are asked for."""
+    if asked.draw is not None:
+        return drawn(asked.draw, asked.seeds)
+    return corpus(asked.seeds, short=asked.short, kinds=asked.kind)
+
+
+def main(words: Sequence[str]) -> int:
+    """Run and print; exit code 2 for options that make no sense."""
+    one = parser()
+    asked = one.parse_args(words)
+    try:
+        entries = chosen(asked)
+        before = read_rows(asked.compare) if asked.compare else None
+    except (OSError, ValueError) as error:
+        print(f"benchmarks corpus: {error}", file=sys.stderr)
+        return 2
+    start = time.time()
+    kept = read_rows(asked.json) if asked.resume and asked.json and asked.json.exists() else []
+    rows = list(kept)
+    done = {(row["drive"], row["seed"]) for row in kept}
+    jobs: list[Job] = [(entry, {}) for entry in entries if (entry.name, entry.seed) not in done]
+    for row in printed(rows_of(jobs, asked.limit)):
+        rows.append(row)
+        if asked.json:
+            asked.json.write_text(json.dumps({**_page.circumstances(), "rows": rows}, default=as_json, indent=1) + "\n")
+    lines = by_kind(rows)
+    print(f"\n{plain(lines)}\n")
+    if before is not None:
+        print(f"{plain(compared(before, rows))}\n")
+    if asked.write:
+        result = {**_page.circumstances(), "short": asked.short, "rows": lines}
+        result |= {"seconds": time.time() - start, "peak_MB": children_mb()}
+        _page.PAGE.write_text(_page.page(_page.store({"corpus": json.loads(json.dumps(result, default=as_json))})))
+    return 0
+
+
+def children_mb() -> float:
+    """Largest resident size of the processes that ran the drives, MB."""
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
+
+
+def printed(rows: Iterator[Row]) -> Iterator[Row]:
+    """The rows, each on the screen as it comes."""
+    for row in rows:
+        print(", ".join(f"{name} {_cell(row[name])}" for name in _SHOWN if row.get(name) is not None), flush=True)
+        yield row
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Rows that `--json` wrote.
+
+    Raises:
+        ValueError: the file holds something else.
+    """
+    try:
+        rows = json.loads(path.read_text())["rows"]
+    except (json.JSONDecodeError, KeyError, TypeError) as error:
+        raise ValueError(f"{path}: expected rows that --json wrote, got something else") from error
+    return rows
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,122 @@
+"""`python -m benchmarks ablation`: what each mechanism earns, by the corpus with it switched off."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import _page
+from benchmarks._child import as_json
+from benchmarks._table import plain
+from benchmarks.corpus.__main__ import add_choice, children_mb, chosen, printed
+from benchmarks.corpus.catalogue import Entry
+from benchmarks.corpus.process import Job, rows_of
+from benchmarks.corpus.score import Row
+from benchmarks.corpus.summary import plane_nees, pose_nees
+from benchmarks.corpus.switches import SWITCHES
+
+#: A kind is better or worse when the mean of its drives' ratios is beyond so many standard errors ...
+_STANDARD_ERRORS = 2.0
+#: ... of so many drives that the mechanism touches, or more.
+_FEWEST = 3
+
+
+def parser() -> argparse.ArgumentParser:
+    """The options."""
+    one = argparse.ArgumentParser(prog="python -m benchmarks ablation", description=(__doc__ or "").splitlines()[0])
+    add_choice(one)
+    one.add_argument("--without", nargs="+", metavar="NAME", help=f"only these out of {', '.join(SWITCHES)}")
+    one.add_argument("--json", type=Path, metavar="FILE", help="write all rows to a file")
+    one.add_argument("--write", action="store_true", help="put the table into docs/benchmarks.md")
+    return one
+
+
+def main(words: Sequence[str]) -> int:
+    """Run the drives as they are and with each mechanism off; exit code 2 for options that make no sense."""
+    asked = parser().parse_args(words)
+    names = asked.without or list(SWITCHES)
+    try:
+        entries = chosen(asked)
+        if unknown := [name for name in names if name not in SWITCHES]:
+            raise ValueError(f"--without: expected names out of {', '.join(SWITCHES)}, got {', '.join(unknown)}")
+    except ValueError as error:
+        print(f"benchmarks ablation: {error}", file=sys.stderr)
+        return 2
+    start, runs = time.time(), {}
+    for name in ("", *names):
+        print(f"== {f'without {name}' if name else 'as it is'}", flush=True)
+        jobs: list[Job] = [(entry, SWITCHES[name].without if name else {}) for entry in entries]
+        runs[name] = list(printed(rows_of(jobs, asked.limit)))
+        if asked.json:
+            asked.json.write_text(json.dumps({**_page.circumstances(), "runs": runs}, default=as_json, indent=1) + "\n")
+    lines = table(runs)
+    print(f"\n{plain(lines)}\n")
+    if asked.write:
+        result = {**_page.circumstances(), "short": asked.short, "rows": lines}
+        result |= {"seconds": time.time() - start, "peak_MB": children_mb()}
+        _page.PAGE.write_text(_page.page(_page.store({"ablation": json.loads(json.dumps(result, default=as_json))})))
+    return 0
+
+
+def table(runs: Mapping[str, Sequence[Row]]) -> list[Row]:
+    """A line for the drives as they are (under ""), and one for each mechanism that was off."""
+    return [_line(name or "none", runs[""], rows) for name, rows in runs.items()]
+
+
+def _line(name: str, before: Sequence[Row], after: Sequence[Row]) -> Row:
+    done = [row for row in after if row["state"] == "ok"]
+    worst = [row["worst, m"] for row in done if "worst, m" in row]
+    ratios = _ratios(before, after)
+    worse, better = _moved(ratios)
+    touched = np.array([one for one in ratios.values() if one != 0.0])
+    return {
+        "without": name,
+        "drives": len(after),
+        "failed": sum(not row["state"].startswith(("ok", "skipped")) for row in after),
+        "touched": len(touched),
+        "rmse, x as it is": float(np.exp(np.median(touched))) if touched.size else None,
+        "> 10 cm": sum(one > 0.1 for one in worst),
+        "pose NEES/dof": pose_nees(done),
+        "plane NEES/dof": plane_nees(done),
+        "duplicates": sum(row.get("duplicates", 0) for row in done),
+        "kinds worse": ", ".join(worse) or None,
+        "kinds better": ", ".join(better) or None,
+    }
+
+
+def _ratios(before: Sequence[Row], after: Sequence[Row]) -> dict[tuple[str, int], float]:
+    """Logarithm of the error without over that with the mechanism, of every drive that both ran to its end."""
+    known = {(row["drive"], row["seed"]): row["rmse, m"] for row in before if row.get("rmse, m")}
+    return {
+        (row["drive"], row["seed"]): float(np.log(row["rmse, m"] / known[row["drive"], row["seed"]]))
+        for row in after
+        if row.get("rmse, m") and (row["drive"], row["seed"]) in known
+    }
+
+
+def _moved(ratios: Mapping[tuple[str, int], float]) -> tuple[list[str], list[str]]:
+    """Kinds of drive that are worse without the mechanism, and those that are better, beyond their spread."""
+    groups: dict[str, list[float]] = defaultdict(list)
+    for (drive, seed), ratio in ratios.items():
+        if ratio != 0.0:
+            for kind in Entry(drive, seed).kinds:
+                groups[kind].append(ratio)
+    worse, better = [], []
+    for kind, values in groups.items():
+        if len(values) < _FEWEST:
+            continue
+        mean, error = float(np.mean(values)), float(np.std(values, ddof=1)) / np.sqrt(len(values))
+        if abs(mean) > _STANDARD_ERRORS * error:
+            (worse if mean > 0.0 else better).append(f"{kind} ({np.exp(mean):.2f} x)")
+    return worse, better
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,104 @@
+"""Real logs of the corpus, and what is known to be true of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks._measure import PROJECT
+from benchmarks.corpus.score import Row, error_row, said_row, scans_of
+from slam.config import SlamConfig
+from slam.evaluation import absolute_error
+from slam.evaluation.relations import relation_errors
+from slam.geometry.frames import inverse, planar_transform
+from slam.io.folders.depth_images import CAMERA_MOUNT
+from slam.io.folders.threedtk import read_frames
+from slam.io.load import load
+from slam.io.relations import read_relations
+from slam.io.trajectories import Trajectory, read_tum
+from slam.runs.slam_run import Run, run_slam
+
+DATA = PROJECT.parent / "shared" / "data"
+#: What ICP found of the second scan of pcl_room; not surveyed.
+_ICP_YAW_DEG, _ICP_XYZ_M = 40.85, (1.964, 0.059, 0.010)
+
+
+@dataclass(frozen=True)
+class RealLog:
+    """One log."""
+
+    path: str
+    """File or folder below the data."""
+    truth: str
+    """What is known, in a few words."""
+    errors: Callable[[Run, Path], tuple[np.ndarray, np.ndarray]] | None = None
+    """Translation and rotation errors of a run, m and rad; None: nothing is known."""
+
+
+def _relations(name: str) -> Callable[[Run, Path], tuple[np.ndarray, np.ndarray]]:
+    def errors(run: Run, data: Path) -> tuple[np.ndarray, np.ndarray]:
+        found = relation_errors(scans_of(run), read_relations(data / name))
+        return found.translation_m, found.rotation_rad
+
+    return errors
+
+
+def _of_poses(run: Run, true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Errors pose by pose, after alignment of whole poses: the references are not exact at the first one either."""
+    found = absolute_error(run.trajectory, Trajectory(run.trajectory.stamps_ns, true), alignment="poses")
+    return found.translation_m, found.rotation_rad
+
+
+def _balm(run: Run, data: Path) -> tuple[np.ndarray, np.ndarray]:
+    return _of_poses(run, read_tum(data / "balm_hall" / "lidar_odometry.tum").poses)
+
+
+def _corridor(run: Run, data: Path) -> tuple[np.ndarray, np.ndarray]:
+    frames = [read_frames(data / "3dtk_corridor" / f"scan{k:03d}.frames.4cc29d4c") for k in range(3)]
+    return _of_poses(run, np.array(frames))
+
+
+def _room(run: Run, data: Path) -> tuple[np.ndarray, np.ndarray]:
+    """ICP's motion of the second scan; its roll and pitch are not told."""
+    moved = planar_transform(*_ICP_XYZ_M[:2], float(np.deg2rad(_ICP_YAW_DEG)))
+    moved[2, 3] = _ICP_XYZ_M[2]
+    error = inverse(moved) @ inverse(run.trajectory.poses[0]) @ run.trajectory.poses[-1]
+    angle = np.arccos(np.clip((np.trace(error[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
+    return np.array([np.linalg.norm(error[:3, 3])]), np.array([angle])
+
+
+def _cabinet(run: Run, data: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Motion capture tells the camera's pose: that of the body, moved by the mount."""
+    truth = read_tum(data / "tum_fr3_cabinet" / "truth" / "groundtruth.txt")
+    return _of_poses(run, truth.poses_at(run.trajectory.stamps_ns.tolist()) @ inverse(CAMERA_MOUNT))
+
+
+REAL: dict[str, RealLog] = {
+    "3dtk_corridor": RealLog("3dtk_corridor", "3DTK's registration", _corridor),
+    "balm_hall": RealLog("balm_hall", "lidar odometry, 1 to 2 cm", _balm),
+    "pcl_room": RealLog("pcl_room", "ICP", _room),
+    "tum_fr3_cabinet": RealLog("tum_fr3_cabinet", "motion capture", _cabinet),
+    "loop5": RealLog("loop5/loop5.clf.gz", "none"),
+    "intel": RealLog("intel/intel.clf.gz", "relations", _relations("intel/intel.relations.gz")),
+    "intel_full": RealLog("intel/intel_full.clf.gz", "relations", _relations("intel/intel.relations.gz")),
+    "aces": RealLog("aces/aces.clf.gz", "relations", _relations("aces/aces.relations.gz")),
+    "fr_clinic": RealLog("fr_clinic/fr-clinic.clf.gz", "none"),
+}
+
+
+def real_row(name: str, config: SlamConfig | None = None) -> Row:
+    """Run a real log and score it; a row that says why where the data are absent."""
+    known = REAL[name]
+    path = DATA / known.path
+    if not path.exists():
+        return {"state": f"skipped: {known.path} is not on this machine"}
+    log, rig = load(path)
+    run = run_slam(log, rig, config or SlamConfig())
+    row: Row = {"truth": known.truth}
+    if known.errors is not None:
+        row |= error_row(*known.errors(run, DATA))
+        row["judged"] = "wrong" if row["rmse, m"] > 0.1 else "-"
+    return row | said_row(run)

@@ -1,0 +1,150 @@
+"""A run against the truth, in one row: errors over all scans, errors over claimed sigmas, landmarks, the verdict."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gtsam
+import numpy as np
+from scipy.stats import chi2
+
+from slam.evaluation import absolute_error, match_planes
+from slam.evaluation.trajectories import alignment_of, common_poses, pose_errors
+from slam.geometry.frames import inverse
+from slam.io.trajectories import Trajectory
+from slam.output.run_metrics import details_of
+from slam.planeslam import pose_symbol
+from slam.runs.slam_run import Run
+from slam.simulation.drives import Drive
+from spplanes import Plane
+from spplanes._check import FloatArray
+
+Row = dict[str, Any]
+
+#: Tangent of Pose3 in the floor plane: yaw, x, y.
+IN_PLANE = [2, 3, 4]
+#: A run is wrong beyond the larger of these, and right within the larger of those: m, and claimed sigmas.
+WRONG, RIGHT = (0.1, 3.0), (0.01, 2.0)
+#: A plane beyond this NEES is none of its own covariance: 1 in 1000 is.
+BEYOND = float(chi2.isf(1e-3, 3))
+
+
+def scans_of(run: Run) -> Trajectory:
+    """The pose at every scan of the log where the run tells it, else at the keyframes."""
+    every = getattr(run, "scan_trajectory", None)
+    return every if isinstance(every, Trajectory) else run.trajectory
+
+
+def verdict_of(run: Run) -> tuple[str, list[str]]:
+    """What the run says of itself, and why; "-" where it says nothing."""
+    said = details_of(run).get("verdict")
+    if said is None:
+        return "-", []
+    return (said, []) if isinstance(said, str) else (said["verdict"], list(said.get("reasons", [])))
+
+
+def score(run: Run, drive: Drive) -> Row:
+    """The row of a simulated drive.
+
+    Errors are of positions relative to the true first pose; in a prior map of this very building, to the map. A drive
+    that begins in the map of another building has no error but its own: what it must not do is call itself sound.
+    """
+    in_map = drive.prior is not None and drive.recipe.disturbance != "prior_elsewhere"
+    scans = scans_of(run)
+    errors = absolute_error(scans, drive.truth.trajectory, alignment="none" if in_map else "first")
+    worst = int(np.argmax(errors.translation_m))
+    stamps, _, _ = common_poses(scans, drive.truth.trajectory)
+    row = error_row(errors.translation_m, errors.rotation_rad)
+    sigma = _sigma_at(run, drive, int(stamps[worst]), in_map=in_map)
+    row |= {"sigma, m": sigma, "judged": judged(row["worst, m"], sigma)}
+    row |= _last_pose(run, drive, in_map=in_map)
+    row |= _landmarks(run, drive, in_map=in_map)
+    return row | said_row(run)
+
+
+def error_row(translation_m: FloatArray, rotation_rad: FloatArray) -> Row:
+    """How many poses were compared, and how far off they are."""
+    return {
+        "compared": int(translation_m.size),
+        "rmse, m": float(np.sqrt(np.mean(translation_m**2))),
+        "worst, m": float(translation_m.max()),
+        "last, m": float(translation_m[-1]),
+        "rmse, deg": float(np.rad2deg(np.sqrt(np.mean(rotation_rad**2)))),
+    }
+
+
+def said_row(run: Run) -> Row:
+    """What the run says of itself."""
+    verdict, reasons = verdict_of(run)
+    return {"keyframes": len(run.trajectory), "verdict": verdict, "reasons": reasons}
+
+
+def judged(worst_m: float, sigma_m: float) -> str:
+    """What truth says of a run whose worst error is this where it claims that sigma: right, wrong, or between."""
+    if worst_m > max(WRONG[0], WRONG[1] * sigma_m):
+        return "wrong"
+    return "right" if worst_m <= max(RIGHT[0], RIGHT[1] * sigma_m) else "between"
+
+
+def _sigma_at(run: Run, drive: Drive, stamp_ns: int, *, in_map: bool) -> float:
+    """Claimed standard deviation of the keyframe nearest to a time, along the error it has there, m."""
+    keyframe = int(np.argmin(np.abs(run.trajectory.stamps_ns - stamp_ns)))
+    error = _error_of(run, drive, keyframe, in_map=in_map)[3:]
+    covariance = run.slam.marginal_covariance(pose_symbol(keyframe))[3:, 3:]
+    size = float(np.linalg.norm(error))
+    if size == 0.0:
+        return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    return float(np.sqrt(error @ covariance @ error) / size)
+
+
+def _error_of(run: Run, drive: Drive, keyframe: int, *, in_map: bool) -> FloatArray:
+    """Error of a keyframe's pose in its own frame, (rx, ry, rz, x, y, z), as its covariance has it."""
+    estimated = run.trajectory.poses
+    true = drive.truth.poses_at(run.trajectory.stamps_ns)
+    start = np.eye(4) if in_map else estimated[0] @ inverse(true[0])
+    return gtsam.Pose3.Logmap(gtsam.Pose3(inverse(start @ true[keyframe]) @ estimated[keyframe]))
+
+
+def _last_pose(run: Run, drive: Drive, *, in_map: bool) -> Row:
+    """NEES of the last pose: in the floor plane where odometry and floor hold the rest, else of all six."""
+    last = len(run.trajectory) - 1
+    error = _error_of(run, drive, last, in_map=in_map)
+    covariance = run.slam.marginal_covariance(pose_symbol(last))
+    part = IN_PLANE if drive.level and drive.log.odometry else list(range(6))
+    if last == 0:
+        return {"pose NEES": None, "pose dof": len(part)}
+    nees = float(error[part] @ np.linalg.solve(covariance[np.ix_(part, part)], error[part]))
+    return {"pose NEES": nees, "pose dof": len(part)}
+
+
+def _landmarks(run: Run, drive: Drive, *, in_map: bool) -> Row:
+    """NEES of the planes that are of a true one, and shares of doubles, of invented and of missed ones."""
+    planes = _planes_in_truth(run, drive, in_map=in_map)
+    matches = match_planes(planes, drive.truth.planes)
+    nees = np.array([match.nees for match in matches])
+    true = [match.true for match in matches]
+    wanted = drive.truth.visible_in_3d()
+    return {
+        "planes": len(planes),
+        "matched": len(matches),
+        "plane NEES": float(nees.mean()) if matches else None,
+        "beyond, %": 100.0 * float(np.mean(nees > BEYOND)) if matches else None,
+        "duplicates": len(true) - len(set(true)),
+        "invented": len(planes) - len(matches),
+        "missed, %": 100.0 * len(wanted - set(true)) / len(wanted) if wanted else None,
+    }
+
+
+def _planes_in_truth(run: Run, drive: Drive, *, in_map: bool) -> list[Plane]:
+    """Planes of the map with an outline, in the frame of the truth."""
+    move = np.eye(4)
+    if not in_map:
+        _, estimated, true = common_poses(run.trajectory, drive.truth.trajectory)
+        move = alignment_of(estimated, true, "first")
+    return [one.plane.transform(move) for one in run.planes if one.plane.outline is not None]
+
+
+def relative_to(estimated: FloatArray, true: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Translation and rotation errors of poses (N, 4, 4) relative to the first one."""
+    errors = pose_errors(np.linalg.inv(true) @ alignment_of(estimated, true, "first") @ estimated)
+    return errors.translation_m, errors.rotation_rad

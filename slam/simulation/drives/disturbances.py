@@ -1,0 +1,167 @@
+"""What is wrong with a drive beside its odometry: a mount, stated noise, scans left out, time reversed, a prior map."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slam.geometry.frames import planar_transform
+from slam.map.map_planes import MapPlane
+from slam.sensors.log import Event, Log, OdometryReading
+from slam.sensors.rig import Mount, Rig
+from slam.session.prior_map import PriorMap, floor_start
+from slam.simulation.truth import Truth
+from spplanes._check import FloatArray
+from spplanes.plane import Plane
+
+#: How well a prior map knows its planes: their distance, m, and tilt, rad.
+_KNOWN_M, _KNOWN_RAD = 0.005, 0.002
+#: Planes smaller than this are in no prior map, m^2.
+_LARGE_M2 = 0.5
+#: A wrong start: so far from the true one, m and rad.
+_AWAY_M, _TURNED_RAD = 2.0, 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """What a run is given, and what is true."""
+
+    log: Log
+    """The sensors' data."""
+    rig: Rig
+    """What the user says of the robot."""
+    truth: Truth
+    """What was where."""
+    prior: PriorMap | None = None
+    """A map from before."""
+    elsewhere: tuple[Plane, ...] = ()
+    """Planes of another building."""
+
+
+Disturbance = Callable[[Given, np.random.Generator], Given]
+
+
+def none(given: Given, rng: np.random.Generator) -> Given:
+    """Nothing is wrong."""
+    return given
+
+
+def backwards(given: Given, rng: np.random.Generator) -> Given:
+    """The rig has every sensor the wrong way round: turned by half a turn about the body's z."""
+    half = planar_transform(0.0, 0.0, np.pi)
+
+    def turned(body_T_sensor: FloatArray) -> Mount:
+        matrix = half @ body_T_sensor
+        matrix[:3, 3] = body_T_sensor[:3, 3]
+        return Mount(matrix=tuple(tuple(row) for row in matrix.tolist()))
+
+    sensors = {name: s.model_copy(update={"mount": turned(s.body_T_sensor)}) for name, s in given.rig.sensors.items()}
+    return replace(given, rig=given.rig.model_copy(update={"sensors": sensors}))
+
+
+def stated(factor: float) -> Disturbance:
+    """The rig states so many times the noise that the ranges have."""
+
+    def state(given: Given, rng: np.random.Generator) -> Given:
+        sensors = {
+            name: s.model_copy(update={"range_sigma_m": factor * s.range_sigma_m})
+            for name, s in given.rig.sensors.items()
+        }
+        return replace(given, rig=given.rig.model_copy(update={"sensors": sensors}))
+
+    return state
+
+
+def every(nth: int) -> Disturbance:
+    """Only every so many-th scan of each sensor; all of the odometry."""
+
+    def keep(given: Given, rng: np.random.Generator) -> Given:
+        counts: dict[str, int] = defaultdict(int)
+        events: list[Event] = []
+        for event in given.log.events:
+            if not isinstance(event, OdometryReading):
+                counts[event.sensor] += 1
+                if (counts[event.sensor] - 1) % nth:
+                    continue
+            events.append(event)
+        labels = {name: rows[::nth] for name, rows in given.truth.labels.items()}
+        truth = replace(given.truth, labels=labels)
+        return replace(given, log=replace(given.log, events=events), truth=truth)
+
+    return keep
+
+
+def backward_in_time(given: Given, rng: np.random.Generator) -> Given:
+    """The drive from its end to its beginning."""
+    ends = int(given.truth.stamps_ns[0]) + int(given.truth.stamps_ns[-1])
+    events = [replace(event, stamp_ns=ends - event.stamp_ns) for event in reversed(given.log.events)]
+    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
+    truth = replace(
+        given.truth,
+        stamps_ns=ends - given.truth.stamps_ns[::-1],
+        world_T_body=given.truth.world_T_body[::-1],
+        labels={name: rows[::-1] for name, rows in given.truth.labels.items()},
+    )
+    return replace(given, log=replace(given.log, events=events), truth=truth)
+
+
+def prior(given: Given, rng: np.random.Generator) -> Given:
+    """A map of this building and about where the drive begins in it."""
+    start = _first_pose(given) @ planar_transform(*rng.standard_normal(3) * (0.1, 0.1, 0.03))
+    return replace(given, prior=_map_of(given.truth.planes, start, rng))
+
+
+def prior_start(given: Given, rng: np.random.Generator) -> Given:
+    """A map of this building, and a start metres from the true one that is stated to 0.3 m."""
+    direction = rng.uniform(0.0, 2.0 * np.pi)
+    away = (_AWAY_M * np.cos(direction), _AWAY_M * np.sin(direction), rng.choice([-1.0, 1.0]) * _TURNED_RAD)
+    return replace(given, prior=_map_of(given.truth.planes, _first_pose(given) @ planar_transform(*away), rng))
+
+
+def prior_elsewhere(given: Given, rng: np.random.Generator) -> Given:
+    """A map of another building."""
+    return replace(given, prior=_map_of(given.elsewhere, _first_pose(given), rng))
+
+
+#: Kinds of disturbance.
+DISTURBANCES: dict[str, Disturbance] = {
+    "none": none,
+    "backwards": backwards,
+    "noise0.3": stated(0.3),
+    "noise3": stated(3.0),
+    "half": every(2),
+    "fifth": every(5),
+    "reversed": backward_in_time,
+    "prior": prior,
+    "prior_start": prior_start,
+    "prior_elsewhere": prior_elsewhere,
+}
+
+
+def _first_pose(given: Given) -> FloatArray:
+    """True pose at the first scan, shape (4, 4)."""
+    return given.truth.poses_at(np.array([given.log.scans()[0].stamp_ns]))[0]
+
+
+def _map_of(planes: list[Plane] | tuple[Plane, ...], start: FloatArray, rng: np.random.Generator) -> PriorMap:
+    """The larger of some true planes as a map that errs as it says, each plane by itself."""
+    sigmas = np.array([_KNOWN_M, _KNOWN_RAD, _KNOWN_RAD])
+    large = [plane for plane in planes if plane.outline is not None and plane.outline.area >= _LARGE_M2]
+    known = [
+        MapPlane(number, _moved(plane, sigmas * rng.standard_normal(3), sigmas), plane.outline, 3, ("plane",))
+        for number, plane in enumerate(large)
+        if plane.outline is not None
+    ]
+    covariance = np.diag(np.tile(sigmas**2, len(known)))
+    return PriorMap(known, covariance, start, floor_start())
+
+
+def _moved(plane: Plane, error: FloatArray, sigmas: FloatArray) -> Plane:
+    """A plane off by (z, theta, psi) in its own frame, with the covariance of that."""
+    z, theta, psi = error
+    turn = Mount(rpy_deg=(float(np.rad2deg(psi)), float(np.rad2deg(theta)), 0.0)).as_matrix()
+    turn[2, 3] = z
+    return replace(plane, frame=plane.frame @ turn, covariance=np.diag(sigmas**2), n_points=1000)

@@ -1,0 +1,164 @@
+"""A random drive: world x sensors x odometry x disturbance, put together and recorded with its truth."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading
+from slam.sensors.rig import Rig
+from slam.session.prior_map import PriorMap
+from slam.simulation.drives.disturbances import DISTURBANCES, Given
+from slam.simulation.drives.scene import Scene
+from slam.simulation.drives.sensing import SENSORS, Sensing
+from slam.simulation.drives.wheels import ODOMETRIES, noise_on
+from slam.simulation.drives.worlds import WORLDS
+from slam.simulation.record import BLOCK_BEAMS, SPEED_M_PER_S, START_NS
+from slam.simulation.truth import Truth
+from slam.simulation.world import NO_PLANE
+
+#: Odometry is read at least this often, m.
+_READ_M = 0.05
+_PARTS = {"world": WORLDS, "sensors": SENSORS, "odometry": ODOMETRIES, "disturbance": DISTURBANCES}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a drive is made of."""
+
+    world: str
+    """Out of `WORLDS`."""
+    sensors: str
+    """Out of `SENSORS`."""
+    odometry: str = "good"
+    """Out of `ODOMETRIES`."""
+    disturbance: str = "none"
+    """Out of `DISTURBANCES`."""
+
+    def __post_init__(self) -> None:
+        for part, known in _PARTS.items():
+            value = getattr(self, part)
+            if value not in known:
+                raise ValueError(f"{part}: expected one of {', '.join(known)}, got {value!r}")
+
+    @classmethod
+    def parse(cls, name: str) -> Self:
+        """From world/sensors[/odometry[/disturbance]]."""
+        words = name.split("/")
+        if not 2 <= len(words) <= len(_PARTS):
+            raise ValueError(f"name: expected world/sensors[/odometry[/disturbance]], got {name!r}")
+        return cls(*words)
+
+    @property
+    def name(self) -> str:
+        """world/sensors/odometry/disturbance."""
+        return "/".join((self.world, self.sensors, self.odometry, self.disturbance))
+
+    @classmethod
+    def every(cls) -> list[Self]:
+        """All combinations there are."""
+        return [cls(*words) for words in itertools.product(*_PARTS.values())]
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A recorded drive, what its user says of it, and the truth."""
+
+    recipe: Recipe
+    """What it is made of."""
+    seed: int
+    """Which one of its kind."""
+    level: bool
+    """Whether the robot stays on one floor."""
+    log: Log
+    """The sensors' data."""
+    rig: Rig
+    """What the user says of the robot; not always true."""
+    truth: Truth
+    """True poses at every scan and reading, planes and labels."""
+    prior: PriorMap | None = None
+    """A map from before, in the frame of the truth, unless it is of another building."""
+
+
+def make_drive(recipe: Recipe, seed: int) -> Drive:
+    """Draw building, noise and all else from the seed.
+
+    Recipes with one world have the same building for the same seed, and the same wheels where the kind is the same:
+    what differs between them is what differs in their names.
+    """
+    streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)]
+    build = WORLDS[recipe.world]
+    scene = build(streams[0])
+    given = _recorded(scene, SENSORS[recipe.sensors], recipe, streams[1], streams[2])
+    if recipe.disturbance == "prior_elsewhere":
+        other = build(streams[4])
+        given = Given(given.log, given.rig, given.truth, elsewhere=tuple(other.world.planes))
+    given = DISTURBANCES[recipe.disturbance](given, streams[3])
+    return Drive(recipe, seed, scene.course.level, given.log, given.rig, given.truth, given.prior)
+
+
+def _recorded(
+    scene: Scene, suite: Sequence[Sensing], recipe: Recipe, noise: np.random.Generator, wheels: np.random.Generator
+) -> Given:
+    """Drive the whole course: odometry at every tick, every sensor at its own pace."""
+    tick_m = min(_READ_M, *(sensing.every_m / 2.0 for sensing in suite))
+    ticks = np.arange(int(scene.course.length_m / tick_m))
+    stamps = START_NS + ticks * round(tick_m / SPEED_M_PER_S * 1e9)
+    poses = scene.course.poses_at(ticks.astype(np.float64) * tick_m)
+    rig = Rig(sensors={s.name: s.sensor for s in suite}, odometry=noise_on(level=scene.course.level))
+    read = ODOMETRIES[recipe.odometry]
+    events: list[Event] = []
+    if read is not None:
+        readings = read(poses, rig.odometry, wheels)
+        events += [OdometryReading(int(t), pose) for t, pose in zip(stamps, readings, strict=True)]
+    labels = {}
+    for sensing, rng in zip(suite, noise.spawn(len(suite)), strict=True):
+        at = ticks[round(sensing.late_m / tick_m) :: round(sensing.every_m / tick_m)]
+        scans, labels[sensing.name] = _scans(scene, sensing, poses[at], stamps[at], rng)
+        events += scans
+    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
+    return Given(Log(events, Path(f"simulated {recipe.name}")), rig, Truth(stamps, poses, scene.world.planes, labels))
+
+
+def _scans(
+    scene: Scene, sensing: Sensing, poses: np.ndarray, stamps: np.ndarray, rng: np.random.Generator
+) -> tuple[list[LaserScan | CloudScan], np.ndarray]:
+    """Scans from poses (S, 4, 4) of the body at times (S,), ns, and the plane each beam met, (S, B) or (S, F, B)."""
+    fans, n_beams = sensing.beams.directions.shape[:2]
+    block = max(1, BLOCK_BEAMS // (fans * n_beams))
+    scans: list[LaserScan | CloudScan] = []
+    labels = np.empty((len(poses), fans * n_beams), dtype=np.int32)
+    for first in range(0, len(poses), block):
+        some = slice(first, first + block)
+        ranges, labels[some] = _cast(scene, sensing, poses[some], stamps[some])
+        read = sensing.read(ranges, rng)
+        labels[some] = np.where(np.isnan(read), np.int32(NO_PLANE), labels[some])
+        scans += [_scan(int(stamp), sensing, row) for stamp, row in zip(stamps[some], read, strict=True)]
+    return scans, labels if sensing.beams.angles is not None else labels.reshape(-1, fans, n_beams)
+
+
+def _cast(scene: Scene, sensing: Sensing, poses: np.ndarray, stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Exact ranges and labels, both (S, F B), each fan cast as a scan of its own."""
+    beams = sensing.beams
+    fans, n_beams = beams.directions.shape[:2]
+    world_T_sensor = poses @ sensing.sensor.body_T_sensor
+    turns = world_T_sensor[:, :3, :3]
+    rays = np.einsum("sij,fbj->sfbi", turns, beams.directions).reshape(-1, n_beams, 3)
+    normals = np.einsum("sij,fj->sfi", turns, beams.normals).reshape(-1, 3)
+    origins = np.repeat(world_T_sensor[:, :3, 3], fans, axis=0)
+    times_s = np.repeat((stamps - START_NS) * 1e-9, fans)
+    ranges, labels = scene.cast(origins, rays, normals, times_s)
+    return ranges.reshape(-1, fans * n_beams), labels.reshape(-1, fans * n_beams)
+
+
+def _scan(stamp_ns: int, sensing: Sensing, ranges: np.ndarray) -> LaserScan | CloudScan:
+    beams = sensing.beams
+    if beams.angles is not None:
+        return LaserScan(stamp_ns, sensing.name, ranges, beams.angles)
+    shape = beams.directions.shape[:2]
+    return CloudScan(stamp_ns, sensing.name, ranges.reshape(shape)[..., None] * beams.directions)

@@ -1,0 +1,109 @@
+"""Sensor suites of random drives: which beams, where they sit, how they err, how often they look."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.io.default_rigs import depth_rig
+from slam.io.folders.depth_images import CAMERA_MOUNT
+from slam.sensors.rig import Mount, Sensor
+from slam.simulation.noise import noisy_ranges
+from slam.simulation.rigs import BEAMS, HORIZONTAL, VERTICAL, Beams, paper_rig
+from spplanes._check import FloatArray
+
+#: Names of the sensors that `rigs` does not have.
+LIDAR, CAMERA = "lidar", "camera"
+#: Steps of azimuth of a spinning lidar.
+_STEPS = 900
+#: Image of the depth camera: rows, columns, focal length in pixels (a Kinect's, every fourth pixel).
+_ROWS, _COLUMNS, _FOCAL = 120, 160, 145.0
+#: Way between two scans, m: of the paper's lasers as there, of lidars, of depth images.
+_SLICES_M, _LINES_M, _CLOUDS_M, _IMAGES_M = 0.027, 0.108, 0.5, 0.25
+#: Standard deviation of the depth of a Kinect at depth z: a + b (z - c)^2, m.
+_AXIAL = (0.0012, 0.0019, 0.4)
+
+
+@dataclass(frozen=True, eq=False)
+class Sensing:
+    """One sensor on the robot, as it really is."""
+
+    name: str
+    """Its name in rig and log."""
+    sensor: Sensor
+    """What it is; its sigma is the true one, unless the beams err by depth."""
+    beams: Beams
+    """Its beams."""
+    every_m: float
+    """Way between two scans, m."""
+    late_m: float = 0.0
+    """Way before the first scan, m."""
+    by_depth: bool = False
+    """Whether the noise grows with depth, as of a structured-light camera."""
+
+    def read(self, ranges: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """What it reads of exact ranges (S, F B), m; NaN = no return."""
+        if not self.by_depth:
+            return noisy_ranges(ranges, self.sensor, rng)
+        ahead = self.beams.directions[..., 2].ravel()
+        depth = np.where(np.isfinite(ranges), ranges, 1e3) * ahead
+        read = depth + depth_sigma(depth) * rng.standard_normal(ranges.shape)
+        seen = (read > self.sensor.range_min_m) & (read < self.sensor.range_max_m)
+        return np.where(seen, read / ahead, np.nan)
+
+
+def depth_sigma(depth_m: FloatArray) -> FloatArray:
+    """Standard deviation of a depth, m.
+
+    References:
+        Nguyen, Izadi, Lovell, "Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking", 3DIMPVT 2012.
+    """
+    a, b, c = _AXIAL
+    return a + b * (depth_m - c) ** 2
+
+
+def _level() -> Sensing:
+    sensor = paper_rig().sensors[HORIZONTAL]
+    beams = Beams.of_laser(np.deg2rad(np.arange(-270, 271) * 0.5))
+    return Sensing(HORIZONTAL, sensor, beams, _LINES_M)
+
+
+def _paper() -> list[Sensing]:
+    sensors = paper_rig().sensors
+    level = Sensing(HORIZONTAL, sensors[HORIZONTAL], BEAMS[HORIZONTAL], _LINES_M, _SLICES_M / 2.0)
+    return [level, Sensing(VERTICAL, sensors[VERTICAL], BEAMS[VERTICAL], _SLICES_M)]
+
+
+def _lidar(rings: int, lowest_deg: float, highest_deg: float) -> Sensing:
+    mount = Mount(xyz_m=(0.1, 0.0, 0.8))
+    sensor = Sensor(kind="cloud", body_T_sensor=mount, range_sigma_m=0.015, range_max_m=60.0)
+    turns = np.linspace(-np.pi, np.pi, _STEPS, endpoint=False)
+    return Sensing(
+        LIDAR, sensor, Beams.of_spinning(turns, np.deg2rad(np.linspace(lowest_deg, highest_deg, rings))), _CLOUDS_M
+    )
+
+
+def _camera() -> Sensing:
+    v, u = np.mgrid[:_ROWS, :_COLUMNS] + 0.5
+    directions = np.stack([(u - _COLUMNS / 2) / _FOCAL, (v - _ROWS / 2) / _FOCAL, np.ones_like(u)], axis=-1)
+    normals = np.cross(directions[:, 0], directions[:, -1])
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    matrix = CAMERA_MOUNT.copy()
+    matrix[:3, 3] = (0.1, 0.0, 1.0)
+    (described,) = depth_rig().sensors.values()
+    sensor = described.model_copy(update={"mount": Mount(matrix=tuple(tuple(row) for row in matrix.tolist()))})
+    beams = Beams(directions, normals / np.linalg.norm(normals, axis=1, keepdims=True), None)
+    return Sensing(CAMERA, sensor, beams, _IMAGES_M, by_depth=True)
+
+
+#: Sensor suites.
+SENSORS: dict[str, list[Sensing]] = {
+    "level": [_level()],
+    "paper": _paper(),
+    "pushbroom": _paper()[1:],
+    "lidar16": [_lidar(16, -15.0, 15.0)],
+    "lidar32": [_lidar(32, -30.0, 30.0)],
+    "lidar64": [_lidar(64, -30.0, 30.0)],
+    "depth": [_camera()],
+}

@@ -1,0 +1,234 @@
+"""Kinds of buildings, each a function of a generator: irregular, sloped, cluttered, glass, bare, symmetric, a ramp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+from shapely import LineString, Polygon, box, unary_union
+
+from slam.simulation.drives.building import Roof, add_furniture, add_shell, tidy
+from slam.simulation.drives.ramp import ramp
+from slam.simulation.drives.scene import Course, Scene, Walker
+from slam.simulation.path import Path
+from slam.simulation.world import WorldBuilder
+from spplanes._check import FloatArray
+
+Corners = list[tuple[float, float]]
+
+#: Radius the robot takes its corners with, m.
+_TURN_M = 0.6
+#: Widths of a door and of what is behind its frame, m.
+_DOOR_M, _FRAME_M = 0.95, 0.15
+
+
+def irregular(rng: np.random.Generator) -> Scene:
+    """A corridor that bends without right angles, rooms of four unequal corners on it, some furniture."""
+    corners = _bends(rng, skewed=True)
+    plan = _with_rooms(_corridor(corners, rng), corners, rng, skewed=True)
+    return _furnished(plan, corners, Roof.flat(rng.uniform(2.4, 3.2)), rng, pieces=8, oblique=True)
+
+
+def office(rng: np.random.Generator) -> Scene:
+    """The same at right angles, which most buildings are."""
+    corners = _bends(rng, skewed=False)
+    plan = _with_rooms(_corridor(corners, rng), corners, rng, skewed=False)
+    return _furnished(plan, corners, Roof.flat(rng.uniform(2.4, 3.2)), rng, pieces=8, oblique=False)
+
+
+def loop(rng: np.random.Generator) -> Scene:
+    """A corridor round a block without right angles, a lap and a third."""
+    angles = np.cumsum(rng.dirichlet(np.full(5, 30.0))) * 2.0 * np.pi
+    ring = rng.uniform(5.0, 7.5, 5)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    whole = np.vstack([ring, ring[:1]])
+    plan = _with_rooms(_corridor(whole, rng), whole, rng, skewed=True)
+    start = ring[0] + 0.4 * (ring[1] - ring[0])
+    corners = np.vstack([start, ring[1:], ring[:2], ring[1] + 0.5 * (ring[2] - ring[1])])
+    return _furnished(plan, corners, Roof.flat(rng.uniform(2.4, 3.2)), rng, pieces=8, oblique=True)
+
+
+def sloped(rng: np.random.Generator) -> Scene:
+    """An irregular building under a roof of one slope, or of two."""
+    corners = _bends(rng, skewed=True)
+    plan = _with_rooms(_corridor(corners, rng), corners, rng, skewed=True)
+    middle, turn = np.array(plan.centroid.coords[0]), rng.uniform(0.0, 2.0 * np.pi)
+    slope = np.tan(rng.uniform(0.03, 0.15)) * np.array([np.cos(turn), np.sin(turn)])
+    reach = float(np.abs((np.array(plan.exterior.coords) - middle) @ slope).max())
+    ridge = 2.6 + reach
+    planes = [(ridge - middle @ slope, *slope)]
+    if rng.random() < 0.5:
+        planes.append((ridge + middle @ slope, *-slope))
+    return _furnished(plan, corners, Roof(np.array(planes)), rng, pieces=8, oblique=True)
+
+
+def cluttered(rng: np.random.Generator) -> Scene:
+    """A hall without right angles full of boxes and poles at all angles."""
+    ring, corners = _hall(rng)
+    return _furnished(Polygon(ring), corners, Roof.flat(rng.uniform(3.0, 5.0)), rng, pieces=45, oblique=True, poles=12)
+
+
+def hall(rng: np.random.Generator) -> Scene:
+    """The same hall, nearly empty."""
+    ring, corners = _hall(rng)
+    return _furnished(Polygon(ring), corners, Roof.flat(rng.uniform(3.0, 5.0)), rng, pieces=6, oblique=True)
+
+
+def glass(rng: np.random.Generator) -> Scene:
+    """An irregular building in which a third of the longer walls are mostly glass: beams do not come back."""
+    corners = _bends(rng, skewed=True)
+    plan = tidy(_with_rooms(_corridor(corners, rng), corners, rng, skewed=True))
+    panes = {}
+    for r, ring in enumerate((plan.exterior, *plan.interiors)):
+        for e, (a, b) in enumerate(pairwise(np.array(ring.coords))):
+            if np.linalg.norm(b - a) > 1.5 and rng.random() < 0.35:
+                panes[r, e] = (float(rng.uniform(0.1, 0.3)), float(rng.uniform(0.7, 0.9)))
+    return _furnished(plan, corners, Roof.flat(rng.uniform(2.4, 3.2)), rng, pieces=6, oblique=True, glass=panes)
+
+
+def bare(rng: np.random.Generator) -> Scene:
+    """A straight corridor of 160 m without a door; nothing along it tells where one is."""
+    half = rng.uniform(0.9, 1.4)
+    builder = WorldBuilder()
+    add_shell(builder, box(-80.0, -half, 80.0, half), Roof.flat(rng.uniform(2.4, 3.0)))
+    return Scene(builder.build(), Course(Path.weaving(20.0)))
+
+
+def symmetric(rng: np.random.Generator) -> Scene:
+    """A square ring of corridors whose sides, doors and rooms are all alike, a lap and a third."""
+    side, half, deep = rng.uniform(8.0, 10.0), rng.uniform(1.0, 1.3), rng.uniform(2.5, 3.5)
+    far = side / 2.0
+    ring = box(-far - half, -far - half, far + half, far + half).difference(
+        box(half - far, half - far, far - half, far - half)
+    )
+    quarter = [
+        piece
+        for at in (-0.25 * side, 0.25 * side)
+        for piece in (
+            box(at - _DOOR_M / 2, -far - half - _FRAME_M - 0.1, at + _DOOR_M / 2, -far - half + 0.1),
+            box(at - 1.5, -far - half - _FRAME_M - deep, at + 1.5, -far - half - _FRAME_M),
+        )
+    ]
+    turned = [Polygon(np.array(p.exterior.coords) @ _turn(k)) for k in range(4) for p in quarter]
+    corners = np.array(
+        [(-0.3 * far, -far), (far, -far), (far, far), (-far, far), (-far, -far), (far, -far), (far, 0.0)]
+    )
+    plan = unary_union([ring, *turned])
+    assert isinstance(plan, Polygon)
+    return _furnished(plan, corners, Roof.flat(2.6), rng, pieces=0, oblique=False)
+
+
+def people(rng: np.random.Generator) -> Scene:
+    """An irregular building in which six people walk up and down the corridor."""
+    quiet = irregular(rng)
+    length, speeds = quiet.course.length_m, rng.uniform(0.5, 1.5, 6) * rng.choice([-1.0, 1.0], 6)
+    starts, sides = rng.uniform(0.0, length, 6), rng.uniform(-0.7, 0.7, 6)
+    walkers = [Walker(float(a), float(v), float(b)) for a, v, b in zip(starts, speeds, sides, strict=True)]
+    return Scene(quiet.world, quiet.course, tuple(walkers))
+
+
+#: Kinds of world.
+WORLDS: dict[str, Callable[[np.random.Generator], Scene]] = {
+    "irregular": irregular,
+    "office": office,
+    "loop": loop,
+    "sloped": sloped,
+    "cluttered": cluttered,
+    "hall": hall,
+    "glass": glass,
+    "bare": bare,
+    "symmetric": symmetric,
+    "ramp": ramp,
+    "people": people,
+}
+
+
+def _turn(quarters: int) -> FloatArray:
+    c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarters]
+    return np.array([[c, s], [-s, c]], dtype=np.float64)
+
+
+def _bends(rng: np.random.Generator, *, skewed: bool) -> FloatArray:
+    """Corners (5, 2) of a way of some 22 m that does not come near itself."""
+    while True:
+        lengths = rng.uniform(4.0, 7.0, 4)
+        turns = rng.choice([-1.0, 1.0], 3) * (rng.uniform(0.35, 1.2, 3) if skewed else np.pi / 2.0)
+        headings = np.cumsum([rng.uniform(-0.5, 0.5) if skewed else 0.0, *turns])
+        steps = lengths[:, None] * np.column_stack([np.cos(headings), np.sin(headings)])
+        corners = np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+        room = LineString(corners).buffer(2.0)
+        if isinstance(room, Polygon) and not room.interiors:
+            return corners
+
+
+def _corridor(corners: FloatArray, rng: np.random.Generator) -> Polygon:
+    """The corridor along a way, every stretch of its own width."""
+    stretches = [LineString([a, b]).buffer(rng.uniform(0.9, 1.4), cap_style="square") for a, b in pairwise(corners)]
+    union = unary_union(stretches)
+    assert isinstance(union, Polygon)
+    return union
+
+
+def _with_rooms(plan: Polygon, corners: FloatArray, rng: np.random.Generator, *, skewed: bool) -> Polygon:
+    """The corridor with rooms behind doors, on both sides of every stretch where there is space for one."""
+    taken, pieces = plan, [plan]
+    for a, b in pairwise(corners):
+        along = (b - a) / np.linalg.norm(b - a)
+        for side in (1.0, -1.0):
+            place = a + rng.uniform(0.35, 0.65) * (b - a)
+            room, door = _room(place, along, side * np.array([-along[1], along[0]]), rng, skewed=skewed)
+            if not room.buffer(0.1).intersects(taken):
+                taken = taken.union(room)
+                pieces += [room, door]
+    union = unary_union(pieces)
+    assert isinstance(union, Polygon)
+    return union
+
+
+def _room(
+    place: FloatArray, along: FloatArray, out: FloatArray, rng: np.random.Generator, *, skewed: bool
+) -> tuple[Polygon, Polygon]:
+    """A room of four corners beyond the wall of a corridor, and its doorway."""
+    near, deep = 1.4 + _FRAME_M + 0.05, rng.uniform(2.5, 4.0)
+    lefts, rights = rng.uniform(1.0, 2.0, 2), rng.uniform(1.0, 2.0, 2)
+    lean = rng.uniform(0.0, 0.4, 2) if skewed else np.zeros(2)
+    if not skewed:
+        lefts[1], rights[1] = lefts[0], rights[0]
+    local = [
+        (-lefts[0], near + lean[0]),
+        (rights[0], near),
+        (rights[1], near + deep + lean[1]),
+        (-lefts[1], near + deep),
+    ]
+    half = _DOOR_M / 2.0
+    door = [(-half, 0.0), (half, 0.0), (half, near + 0.4), (-half, near + 0.4)]
+    room, doorway = (Polygon([place + s * along + n * out for s, n in ring]) for ring in (local, door))
+    return room, doorway
+
+
+def _hall(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Corners of a hall of six unequal sides, and of a way round in it."""
+    angles = (np.arange(6) + rng.uniform(-0.25, 0.25, 6)) * np.pi / 3.0
+    circle = np.column_stack([np.cos(angles), np.sin(angles)])
+    ring = rng.uniform(8.0, 11.0, 6)[:, None] * circle
+    way = 0.5 * ring
+    return ring, np.vstack([0.5 * (way[0] + way[1]), way[1:], way[0], 0.2 * way[0] + 0.8 * way[1]])
+
+
+def _furnished(
+    plan: Polygon,
+    corners: Sequence | FloatArray,
+    roof: Roof,
+    rng: np.random.Generator,
+    *,
+    pieces: int,
+    oblique: bool,
+    poles: int = 0,
+    glass: dict[tuple[int, int], tuple[float, float]] | None = None,
+) -> Scene:
+    """The building with furniture, and the way through it."""
+    builder = WorldBuilder()
+    add_shell(builder, plan, roof, glass=glass)
+    points = [(float(x), float(y)) for x, y in corners]
+    add_furniture(builder, plan, LineString(points), rng, pieces=pieces, oblique=oblique, poles=poles)
+    return Scene(builder.build(), Course(Path.rounded(points, _TURN_M)))
