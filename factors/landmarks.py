@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from shapely.affinity import scale
 
-from factors._check import as_key
+from factors._check import as_key, told_key
 from factors._conventions import hesse, hesse_to_sp, oriented_plane, plane_frame, tangent_to_sp
 from factors._kernels import plane_seen_from
 from spplanes import Plane
@@ -85,7 +85,7 @@ def world_plane(
     """
     landmark = _landmark(values, plane_key)
     if anchor_key is None:
-        covariance = marginals.marginalCovariance(plane_key)
+        covariance = joint_covariance(marginals, [plane_key])
         return landmark_to_plane(landmark, covariance, centre=centre, n_points=n_points)
     joint = joint_covariance(marginals, [anchor_key, plane_key])
     return world_plane_from_joint(
@@ -125,7 +125,7 @@ def seen_plane(
     """
     landmark, pose = _landmark(values, plane_key), _anchor(values, "pose_key", pose_key).matrix()
     if anchor_key == pose_key:
-        own = marginals.marginalCovariance(plane_key)
+        own = joint_covariance(marginals, [plane_key])
         return landmark_to_plane(landmark, own, centre=centre, n_points=n_points)
     if anchor_key is None:
         seen, jacobian = plane_seen_from(_IDENTITY, pose, landmark.planeCoefficients())
@@ -139,9 +139,29 @@ def seen_plane(
 
 
 def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:
-    """Joint covariance of several variables in the order of ``keys``."""
-    joint = marginals.jointMarginalCovariance(keys)
-    return np.block([[joint.at(row, column) for column in keys] for row in keys])
+    """Joint covariance of several variables in the order of ``keys``; ValueError: keys without a marginal."""
+    names = [as_key("keys", key) for key in keys]
+    if not names:
+        raise ValueError("keys: expected at least one, got none")
+    try:
+        if len(names) == 1:
+            return np.asarray(marginals.marginalCovariance(names[0]))
+        joint = marginals.jointMarginalCovariance(names)
+    except (IndexError, RuntimeError) as error:  # map::at
+        missing = [told_key(key) for key in names if not _has_marginal(marginals, key)]
+        if not missing:
+            raise
+        told = ", ".join(missing)
+        raise ValueError(f"keys: expected variables of the graph that the marginals are of, got {told}") from error
+    return np.block([[joint.at(row, column) for column in names] for row in names])
+
+
+def _has_marginal(marginals: gtsam.Marginals, key: int) -> bool:
+    try:
+        marginals.marginalCovariance(key)
+    except (IndexError, RuntimeError):
+        return False
+    return True
 
 
 def _with_joint(
@@ -157,14 +177,14 @@ def _landmark(values: gtsam.Values, key: int) -> gtsam.OrientedPlane3:
     try:
         return values.atOrientedPlane3(as_key("plane_key", key))
     except RuntimeError as error:
-        raise ValueError(f"plane_key: expected the key of an OrientedPlane3 in values, got {key}") from error
+        raise ValueError(f"plane_key: expected the key of an OrientedPlane3 in values, got {told_key(key)}") from error
 
 
 def _anchor(values: gtsam.Values, name: str, key: int) -> gtsam.Pose3:
     try:
         return values.atPose3(as_key(name, key))
     except RuntimeError as error:
-        raise ValueError(f"{name}: expected the key of a Pose3 in values, got {key}") from error
+        raise ValueError(f"{name}: expected the key of a Pose3 in values, got {told_key(key)}") from error
 
 
 def _centre(centre: ArrayLike | None) -> FloatArray:

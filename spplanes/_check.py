@@ -24,9 +24,11 @@ def as_float_array(name: str, value: ArrayLike) -> FloatArray:
     """Return ``value`` as a C-ordered float64 array; anything that is not real numbers is a ``ValueError``.
 
     Text, dates, complex numbers and masked entries are refused, which numpy would turn into floats without a word.
+    What has a ``matrix()``, such as a ``gtsam.Pose3``, stands for its matrix, and so does a list of such.
     """
     if type(value) is np.ndarray and value.dtype == np.float64 and value.flags.c_contiguous:
         return value  # what nearly all callers give
+    value = _matrices(value)
     array: np.ndarray | None = None
     try:
         array = np.asarray(value)
@@ -38,6 +40,15 @@ def as_float_array(name: str, value: ArrayLike) -> FloatArray:
         if isinstance(value, np.ma.MaskedArray):
             kind = "array with masked entries"
         raise ValueError(f"{name}: expected an array of numbers, got {kind}") from error
+
+
+def _matrices(value: Any) -> Any:
+    """The matrix of a pose, those of a list of poses, anything else as it is."""
+    if callable(getattr(value, "matrix", None)):
+        return value.matrix()
+    if isinstance(value, list | tuple) and value and callable(getattr(value[0], "matrix", None)):
+        return [_matrices(one) for one in value]
+    return value
 
 
 def as_shape(name: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True) -> FloatArray:
