@@ -1,13 +1,13 @@
 """GTSAM factors from SP planes, laser lines and odometry."""
 
 from factors._conventions import hesse as landmark_hesse
-from factors.anchors import landmark_anchors
-from factors.copies import copy_graph
+from factors.archive import copy_graph
 from factors.isam import isam2_parameters, isam_covariance, settle
 from factors.landmarks import (
     change_anchor,
     facing,
     joint_covariance,
+    landmark_anchors,
     landmark_to_plane,
     plane_landmark,
     seen_plane,

@@ -18,7 +18,7 @@ from factors._conventions import (
     square_root_informations,
 )
 from factors._custom import Recipe
-from factors.anchors import check_anchor
+from factors.landmarks import check_anchor
 from factors.robust import Robust, gaussian
 from spplanes import Plane
 from spplanes._check import FloatArray, check_instance

@@ -11,7 +11,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from factors.anchors import landmark_anchors
+from factors import landmark_anchors
 from slam.io.g2o._observations import Sighting, gaussian_of, linearised, sighting_of
 from slam.io.g2o._tangents import (
     LEVEL,
