@@ -58,6 +58,11 @@ def check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
         elif not hasattr(seen, "factor"):
             raise ValueError(f"{name}: expected a plane or a line that was seen, got {type(seen).__name__}")
     check_fields("keyframe", keyframe)
+    for index, known in enumerate(keyframe.pose_measurements):
+        try:
+            known.factor(0)
+        except ValueError as error:
+            raise ValueError(f"keyframe.pose_measurements[{index}]: {error}") from error
 
 
 def check_extent(name: str, frame: FloatArray, outline: BaseGeometry | None) -> None:

@@ -16,6 +16,7 @@ from slam.frontend.measurement import Segment, lines_of_scan, planes_of_cloud, p
 from slam.frontend.observations import Observation, on_real_wall
 from slam.frontend.occupancy import beams_of
 from slam.frontend.odometry import Motion, OdometryTrack
+from slam.frontend.pose_measurements import PoseMeasurement
 from slam.geometry.frames import inverse
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig
@@ -44,6 +45,8 @@ class Keyframe:
     returns: FloatArray | None = None
     """Beams of level lasers that met a surface, in the body's plane of motion, rows (x0, y0, x1, y1), shape (N, 4), m:
     what loops are verified with; None: no such laser."""
+    pose_measurements: Sequence[PoseMeasurement] = field(default=())
+    """What is known of the pose beside motion and planes: gravity from an IMU, say."""
 
 
 def keyframes_of(

@@ -10,6 +10,7 @@ from slam.association.decisions import Decision
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion
+from slam.frontend.pose_measurements import PoseMeasurement
 from slam.growable import Growing, Rows
 from slam.session.store import Session
 from spplanes._check import FloatArray
@@ -75,6 +76,11 @@ class StoredKeyframe(Keyframe):
     def world_T_body_guess(self) -> FloatArray | None:  # type: ignore[override]
         """Where the first pose is, shape (4, 4); None: at the origin."""
         return self._read().world_T_body_guess if self._there[2] else None  # type: ignore[attr-defined]
+
+    @property
+    def pose_measurements(self) -> Sequence[PoseMeasurement]:  # type: ignore[override]
+        """What is known of the pose beside motion and planes."""
+        return self._read().pose_measurements  # type: ignore[attr-defined]
 
 
 class ForgottenDecisions(Growing[list[Decision]]):

@@ -90,11 +90,12 @@ class MotionModel:
         step = self._start(keyframe) if index == 0 else self._step(keyframe, index)
         key, initial = pose_symbol(index), gtsam.Values()
         initial.insert(key, gtsam.Pose3(step.world_T_body))
+        own_factors = [*step.factors, *(one.factor(key) for one in keyframe.pose_measurements)]
         room = self._thinning.make_room(index)
         through = [self._through(*motion) for motion in room.motions]
-        indices = self._backend.update([*step.factors, *through], initial, remove=room.stale)
-        own = indices[: len(step.factors)]
-        self._thinning.made_room(room, indices[len(step.factors) :])
+        indices = self._backend.update([*own_factors, *through], initial, remove=room.stale)
+        own = indices[: len(own_factors)]
+        self._thinning.made_room(room, indices[len(own_factors) :])
         measured = None if step.place is not None or index == 0 else keyframe.motion
         self._thinning.entered(index, None if measured is None else Link(measured, own[:1], own[1:]))
         return Prediction(
@@ -103,7 +104,7 @@ class MotionModel:
             step.motion,
             step.place,
             pending=tuple(step.pending),
-            standing_in=tuple(own) if step.pending else (),
+            standing_in=tuple(own[: len(step.factors)]) if step.pending else (),
             robust=(self._config.coasting.robust if step.pending else None) or self._config.backend.robust,
         )
 
