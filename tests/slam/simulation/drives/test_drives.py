@@ -1,5 +1,7 @@
 """Drives carry the noise that their names say, and truth that is of their scans."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -42,7 +44,9 @@ def assert_scatter(errors, sigma):
     assert low < np.sum((errors / sigma) ** 2) < high
 
 
-@pytest.mark.parametrize("name", ["irregular/level", "bare/pushbroom/good/fifth", "sloped/lidar16/good/fifth", "ramp/lidar16/good/fifth"])
+@pytest.mark.parametrize(
+    "name", ["irregular/level", "bare/pushbroom/good/fifth", "sloped/lidar16/good/fifth", "ramp/lidar16/good/fifth"]
+)
 def test_ranges_scatter_about_the_true_planes_as_the_rig_says(name):
     drive = make_drive(Recipe.parse(name), 3)
     for sensor, described in drive.rig.sensors.items():
@@ -69,7 +73,7 @@ def nees_of_steps(kind, count=400, steps=30):
     values = []
     for seed in range(count):
         read = ODOMETRIES[kind](poses, OdometryNoise(), np.random.default_rng(seed))
-        deltas = np.array([planar_delta(inverse(a) @ b) for a, b in zip(read[:-1], read[1:], strict=True)])
+        deltas = np.array([planar_delta(inverse(a) @ b) for a, b in pairwise(read)])
         total, covariance = OdometryNoise().accumulate(deltas)
         error = total - true
         values.append(error @ np.linalg.solve(covariance, error))

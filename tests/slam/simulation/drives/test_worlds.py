@@ -67,7 +67,9 @@ def test_a_ramp_leads_from_one_floor_to_the_one_above():
     assert poses[0, 2, 3] == pytest.approx(0.0, abs=1e-9)
     assert 2.8 < poses[-1, 2, 3] < 3.3
     assert np.abs(np.diff(poses[:, 2, 3])).max() < 0.01  # no steps
-    np.testing.assert_allclose(poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1), np.tile(np.eye(3), (2000, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1), np.tile(np.eye(3), (2000, 1, 1)), atol=1e-12
+    )
     forward = np.diff(poses[:, :3, 3], axis=0)
     along = np.einsum("ni,ni->n", forward / np.linalg.norm(forward, axis=1)[:, None], poses[:-1, :3, 0])
     assert along.min() > 0.99  # it drives where it looks, uphill as well
