@@ -1,11 +1,13 @@
 """GTSAM factors from SP planes, laser lines and odometry."""
 
 from factors._conventions import hesse as landmark_hesse
-from factors.isam import isam_covariance
+from factors.archive import copy_graph
+from factors.isam import isam2_parameters, isam_covariance, settle
 from factors.landmarks import (
     change_anchor,
     facing,
     joint_covariance,
+    landmark_anchors,
     landmark_to_plane,
     plane_landmark,
     seen_plane,
@@ -28,12 +30,15 @@ from factors.structure import (
 __all__ = [
     "anchored_plane_jacobian",
     "change_anchor",
+    "copy_graph",
     "direction_prior",
     "distance_factor",
     "facing",
     "get_ready",
+    "isam2_parameters",
     "isam_covariance",
     "joint_covariance",
+    "landmark_anchors",
     "landmark_hesse",
     "landmark_to_plane",
     "line_factor",
@@ -51,6 +56,7 @@ __all__ = [
     "pose_prior",
     "relative_pose_factor",
     "seen_plane",
+    "settle",
     "upright_prior",
     "world_plane",
     "world_plane_from_joint",

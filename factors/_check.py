@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numbers
 
+import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -22,6 +23,11 @@ def as_key(name: str, value: object) -> int:
     return int(value)
 
 
+def told_key(key: int) -> str:
+    """A key as a reader knows it: x12 for ``gtsam.symbol("x", 12)``, plain integers as they are."""
+    return str(gtsam.DefaultKeyFormatter(key))
+
+
 def check_distinct(**keys: int | None) -> None:
     """Refuse two keys of one factor that name the same variable, and what is no key; None names none."""
     seen: dict[int, str] = {}
@@ -30,7 +36,7 @@ def check_distinct(**keys: int | None) -> None:
             continue
         key = as_key(name, value)
         if key in seen:
-            raise ValueError(f"{name}: expected another key than {seen[key]}, got {key} for both")
+            raise ValueError(f"{name}: expected another key than {seen[key]}, got {told_key(key)} for both")
         seen[key] = name
 
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import gtsam
+import gtsam_unstable
 import numpy as np
 from numpy.typing import ArrayLike
 from shapely.affinity import scale
 
-from factors._check import as_key
+from factors._check import as_key, told_key
 from factors._conventions import hesse, hesse_to_sp, oriented_plane, plane_frame, tangent_to_sp
+from factors._custom import describe
 from factors._kernels import plane_seen_from
 from spplanes import Plane
 from spplanes._check import FloatArray, as_covariance, as_shape, as_transform, check_instance
@@ -55,6 +58,53 @@ def facing(plane: Plane, viewpoint: ArrayLike) -> Plane:
     return replace(plane, frame=frame, covariance=plane.covariance * np.outer(signs, signs), outline=outline)
 
 
+def landmark_anchors(graph: gtsam.NonlinearFactorGraph) -> dict[int, int | None]:
+    """Anchor pose of every plane landmark of a graph, None for the world, by the landmark's key.
+
+    GTSAM cannot see the mistake of a landmark that one factor takes in the world and another in the frame of a pose: it
+    solves, for something else. Here it is refused; call it once before optimising. Landmarks whose factors do not say
+    where they live (priors) are left out.
+
+    ValueError: a landmark with two anchors, or with one and in the world; the sentence names it and both.
+    """
+    check_instance("graph", graph, gtsam.NonlinearFactorGraph)
+    anchors: dict[int, int | None] = {}
+    for i in range(graph.size()):
+        if not graph.exists(i):
+            continue
+        plane_key, anchor_key = anchoring_of(graph.at(i))
+        if plane_key is not None:
+            check_anchor("graph", anchors, plane_key, anchor_key)
+    return anchors
+
+
+def check_anchor(name: str, anchors: dict[int, int | None], plane_key: int, anchor_key: int | None) -> None:
+    """Take down the anchor of a landmark; refuse another one than it has."""
+    known = anchors.setdefault(plane_key, anchor_key)
+    if known != anchor_key:
+        raise ValueError(
+            f"{name}: expected one anchor for each landmark, got two for {told_key(plane_key)}: "
+            f"{_told(known)} and {_told(anchor_key)}"
+        )
+
+
+def anchoring_of(factor: Any) -> tuple[int | None, int | None]:
+    """(plane, anchor) where the factor says in whose frame its landmark lives; (None, None) where it does not."""
+    if isinstance(factor, gtsam_unstable.LocalOrientedPlane3Factor):
+        keys = list(factor.keys())
+        return keys[2], keys[1]
+    if isinstance(factor, gtsam.OrientedPlane3Factor):
+        return list(factor.keys())[-1], None
+    recipe = describe(factor) if isinstance(factor, gtsam.CustomFactor) else None
+    if recipe is None or recipe.reference_key is not None or recipe.pose_key is recipe.anchor_key is None:
+        return None, None
+    return recipe.plane_key, recipe.anchor_key
+
+
+def _told(anchor_key: int | None) -> str:
+    return "the world" if anchor_key is None else told_key(anchor_key)
+
+
 def landmark_to_plane(
     landmark: gtsam.OrientedPlane3, covariance: ArrayLike, *, centre: ArrayLike | None = None, n_points: int = 0
 ) -> Plane:
@@ -85,7 +135,7 @@ def world_plane(
     """
     landmark = _landmark(values, plane_key)
     if anchor_key is None:
-        covariance = marginals.marginalCovariance(plane_key)
+        covariance = joint_covariance(marginals, [plane_key])
         return landmark_to_plane(landmark, covariance, centre=centre, n_points=n_points)
     joint = joint_covariance(marginals, [anchor_key, plane_key])
     return world_plane_from_joint(
@@ -125,7 +175,7 @@ def seen_plane(
     """
     landmark, pose = _landmark(values, plane_key), _anchor(values, "pose_key", pose_key).matrix()
     if anchor_key == pose_key:
-        own = marginals.marginalCovariance(plane_key)
+        own = joint_covariance(marginals, [plane_key])
         return landmark_to_plane(landmark, own, centre=centre, n_points=n_points)
     if anchor_key is None:
         seen, jacobian = plane_seen_from(_IDENTITY, pose, landmark.planeCoefficients())
@@ -139,9 +189,29 @@ def seen_plane(
 
 
 def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:
-    """Joint covariance of several variables in the order of ``keys``."""
-    joint = marginals.jointMarginalCovariance(keys)
-    return np.block([[joint.at(row, column) for column in keys] for row in keys])
+    """Joint covariance of several variables in the order of ``keys``; ValueError: keys without a marginal."""
+    names = [as_key("keys", key) for key in keys]
+    if not names:
+        raise ValueError("keys: expected at least one, got none")
+    try:
+        if len(names) == 1:
+            return np.asarray(marginals.marginalCovariance(names[0]))
+        joint = marginals.jointMarginalCovariance(names)
+    except (IndexError, RuntimeError) as error:  # map::at
+        missing = [told_key(key) for key in names if not _has_marginal(marginals, key)]
+        if not missing:
+            raise
+        told = ", ".join(missing)
+        raise ValueError(f"keys: expected variables of the graph that the marginals are of, got {told}") from error
+    return np.block([[joint.at(row, column) for column in names] for row in names])
+
+
+def _has_marginal(marginals: gtsam.Marginals, key: int) -> bool:
+    try:
+        marginals.marginalCovariance(key)
+    except (IndexError, RuntimeError):
+        return False
+    return True
 
 
 def _with_joint(
@@ -157,14 +227,14 @@ def _landmark(values: gtsam.Values, key: int) -> gtsam.OrientedPlane3:
     try:
         return values.atOrientedPlane3(as_key("plane_key", key))
     except RuntimeError as error:
-        raise ValueError(f"plane_key: expected the key of an OrientedPlane3 in values, got {key}") from error
+        raise ValueError(f"plane_key: expected the key of an OrientedPlane3 in values, got {told_key(key)}") from error
 
 
 def _anchor(values: gtsam.Values, name: str, key: int) -> gtsam.Pose3:
     try:
         return values.atPose3(as_key(name, key))
     except RuntimeError as error:
-        raise ValueError(f"{name}: expected the key of a Pose3 in values, got {key}") from error
+        raise ValueError(f"{name}: expected the key of a Pose3 in values, got {told_key(key)}") from error
 
 
 def _centre(centre: ArrayLike | None) -> FloatArray:

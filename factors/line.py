@@ -7,6 +7,7 @@ from math import cos, hypot, isfinite, sin, sqrt
 import gtsam
 import gtsam_unstable
 import numpy as np
+from numpy.typing import ArrayLike
 
 from factors._check import as_definite_covariance, as_key, check_distinct
 from factors._conventions import hesse, oriented_plane
@@ -19,7 +20,7 @@ from spplanes._check import FloatArray, as_transform, check_instance
 
 def line_factor(
     line: ScanLine,
-    body_T_sensor: FloatArray,
+    body_T_sensor: gtsam.Pose3 | ArrayLike,
     pose_key: int,
     plane_key: int,
     *,
@@ -27,7 +28,7 @@ def line_factor(
     expected: gtsam.OrientedPlane3 | None = None,
     robust: Robust = None,
 ) -> gtsam.NonlinearFactor:
-    """Factor of a line seen by a 2D laser mounted at ``body_T_sensor`` (4, 4) on the pose ``pose_key``.
+    """Factor of a line seen by a 2D laser mounted at ``body_T_sensor``, a pose or (4, 4), on the pose ``pose_key``.
 
     Rank-2 information on the same landmark as `factors.plane_factor`, for every mount and every tilt of the plane: the
     error is the distance, within the scan plane, of two points of the measured line to the line in which the landmark
@@ -40,18 +41,24 @@ def line_factor(
     degrees, by nothing at right angles. Native is what large graphs need: inside an optimiser every call of a custom
     factor copies all values.
     ValueError: a key that is no integer, a singular covariance, no rigid transform, an unknown kernel, an
-    ``expected`` plane within about 1 degree of the scan plane.
+    ``expected`` plane without ``anchor_key`` or within about 1 degree of the scan plane.
     """
     recipe = _recipe(line, body_T_sensor, pose_key, plane_key, anchor_key, robust, planar=False)
-    if expected is None or recipe.anchor_key is None or recipe.anchor_key == recipe.pose_key:
+    if expected is None:
         return recipe.factor()
     check_instance("expected", expected, gtsam.OrientedPlane3)
+    if recipe.anchor_key is None:
+        raise ValueError(
+            "expected: expected an anchor_key with it, got none: a landmark in the world has no native factor"
+        )
+    if recipe.anchor_key == recipe.pose_key:
+        return recipe.factor()
     return _native(recipe, hesse(expected)[0])
 
 
 def line_factor_2d(
     line: ScanLine,
-    body_T_sensor: FloatArray,
+    body_T_sensor: gtsam.Pose3 | ArrayLike,
     pose_key: int,
     plane_key: int,
     *,
@@ -106,7 +113,7 @@ def _native(recipe: Recipe, normal: FloatArray) -> gtsam.NonlinearFactor:
 
 def _recipe(
     line: ScanLine,
-    body_T_sensor: FloatArray,
+    body_T_sensor: gtsam.Pose3 | ArrayLike,
     pose_key: int,
     plane_key: int,
     anchor_key: int | None,

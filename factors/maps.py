@@ -21,7 +21,7 @@ _TO_SP = np.array(((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)))
 
 
 def anchored_plane_jacobian(
-    landmark: gtsam.OrientedPlane3, world_T_anchor: ArrayLike, world_T_plane: ArrayLike
+    landmark: gtsam.OrientedPlane3, world_T_anchor: gtsam.Pose3 | ArrayLike, world_T_plane: ArrayLike
 ) -> FloatArray:
     """Derivative of a plane's (z, theta, psi) in its frame in the world by the tangents of (anchor, landmark), (3, 9).
 

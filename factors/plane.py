@@ -18,6 +18,7 @@ from factors._conventions import (
     square_root_informations,
 )
 from factors._custom import Recipe
+from factors.landmarks import check_anchor
 from factors.robust import Robust, gaussian
 from spplanes import Plane
 from spplanes._check import FloatArray, check_instance
@@ -38,7 +39,11 @@ def plane_factor(
     The native error is not quite linear in the tilts: at the distance d of the plane a tilt e takes d |e|^2 / 2 off.
     Its mean and variance under the plane's own covariance are corrected for, which matters to small patches far away.
 
-    Sides are the caller's: the error is blind to a plane seen from behind (see `factors.facing`).
+    Sides are the caller's: the error is blind to a plane seen from behind (see `factors.facing`). All factors of one
+    landmark take it in one frame: `factors.landmark_anchors` refuses a graph where they do not.
+
+    GTSAM's own archives lose what a native factor measured: ``copy`` and ``pickle`` of a factor are right wherever
+    `factors` was imported, graphs go through `factors.archive.dumps` and `loads`, or `factors.copy_graph`.
     ValueError: a key that is no integer, a singular covariance, an unknown kernel.
     """
     get_ready([plane])
@@ -77,6 +82,10 @@ def plane_factors(
     graph = gtsam.NonlinearFactorGraph()
     if not len(planes):
         return graph
+    known: dict[int, int | None] = {}
+    for key, anchor in zip(plane_keys, anchors, strict=True):
+        anchor_key = None if anchor is None else as_key("anchor_keys", anchor)
+        check_anchor("anchor_keys", known, as_key("plane_keys", key), anchor_key)
     for one, pose, key, anchor in zip(_measured(planes), pose_keys, plane_keys, anchors, strict=True):
         graph.push_back(one.factor(pose, key, anchor, robust))
     return graph

@@ -12,7 +12,7 @@ from spplanes._check import as_transform
 
 
 def pose_prior(
-    pose_key: int, world_T_body: ArrayLike, covariance: ArrayLike, *, robust: Robust = None
+    pose_key: int, world_T_body: gtsam.Pose3 | ArrayLike, covariance: ArrayLike, *, robust: Robust = None
 ) -> gtsam.PriorFactorPose3:
     """Prior on a Pose3: ``covariance`` (6, 6) of the SP differential (x, y, z, phi, theta, psi), on the right.
 
@@ -23,7 +23,7 @@ def pose_prior(
 
 
 def relative_pose_factor(
-    key_a: int, key_b: int, a_T_b: ArrayLike, covariance: ArrayLike, *, robust: Robust = None
+    key_a: int, key_b: int, a_T_b: gtsam.Pose3 | ArrayLike, covariance: ArrayLike, *, robust: Robust = None
 ) -> gtsam.BetweenFactorPose3:
     """Measured pose of b in the frame of a, Pose3 both: registration, loop closure, spatial odometry.
 

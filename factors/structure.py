@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factors._check import as_key, check_distinct
+from factors._check import as_key, check_distinct, told_key
 from factors._custom import Recipe
 from factors._kernels import unit_basis
 from factors.robust import Robust
@@ -118,7 +118,7 @@ def _pair(
     robust: Robust,
 ) -> gtsam.CustomFactor:
     if as_key("plane_a", plane_a) == as_key("plane_b", plane_b):
-        raise ValueError(f"plane_b: expected another landmark than plane_a, got the same key {plane_b}")
+        raise ValueError(f"plane_b: expected another landmark than plane_a, got the same key {told_key(plane_b)}")
     for name, anchor in (("anchor_a", anchor_a), ("anchor_b", anchor_b)):
         if anchor is not None:
             check_distinct(plane_a=int(plane_a), plane_b=int(plane_b), **{name: anchor})

@@ -1,30 +1,46 @@
-"""Plane-based SLAM: keyframes in, trajectory and planes with covariances out."""
+"""Plane-based SLAM: keyframes in, trajectory and planes with covariances out. The algorithm, and nothing else."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, MutableSequence, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import gtsam
+import numpy as np
 
-from slam.association.data_association import Decision, Hint, associate
-from slam.backend.estimator import pose_symbol
+from slam.association.data_association import Associate, Decision, Hint, associate
+from slam.backend.estimator import Backend, pose_symbol
 from slam.config import SlamConfig
-from slam.diagnostics.pose_free_innovations import innovations_without_prediction
-from slam.estimate import Estimate
+from slam.diagnostics.bookkeeping import Bookkeeping
+from slam.diagnostics.consistency import NisAudit
+from slam.diagnostics.explanations import change_sentences, decision_sentence
+from slam.diagnostics.map_observability import OpenMapDirection, open_in_map
+from slam.diagnostics.observability import Observability, OpenStretch, open_stretches
 from slam.frontend.input_checks import check_keyframe
 from slam.frontend.keyframes import Keyframe
-from slam.map.map_planes import MapPlane
-from slam.mapping.same_plane import find_twins
+from slam.frontend.measurement import Segment
+from slam.io.trajectories import Trajectory
+from slam.loop_closure.closing import LoopCloser, LoopClosing
+from slam.loop_closure.verification import LoopDecision
+from slam.map.landmarks import LandmarkMap
+from slam.map.map_planes import MapPlane, map_planes
+from slam.map.sparsification import Thinning
+from slam.map.state import Parts
+from slam.mapping.fusion import Merges
+from slam.mapping.late_association import LateMatch
+from slam.mapping.map_update import MapUpdate, MapUpdater
+from slam.mapping.same_plane import SamePlaneFinder
 from slam.registration.submaps import step_by_view
+from slam.session.prior_map import PriorMap
 from slam.session.recorder import Recorder
-from slam.timing import timed
+from slam.session.replay import open_slam
+from slam.timing import StageClock, timed
+from slam.tracking.prediction import MotionModel, Prediction, StartPose
+from slam.tracking.wheel_calibration import WheelCalibration
 from spplanes._check import FloatArray
-
-if TYPE_CHECKING:
-    from slam.session.prior_map import PriorMap
+from spplanes.segmentation.scans import label_scans
 
 __all__ = ["KeyframeReport", "MapPlane", "PlaneSlam", "pose_symbol"]
 
@@ -41,21 +57,54 @@ class KeyframeReport:
     """One for every observation of the keyframe, in their order."""
 
 
-class PlaneSlam(Estimate):
+class PlaneSlam:
     """Incremental plane-based SLAM on iSAM2.
 
     Poses are gtsam Pose3 variables under symbols x0, x1, ...; landmarks OrientedPlane3 under p0, p1, ..., each in the
     frame of its anchor pose: one of every so many, before the first that saw it, so that factors have a native form.
+
+    Args:
+        config: every number.
+        prior: a finished map to localise in and to extend.
+        recorder: keeps what is measured and decided; a session on disk, or nobody.
+        segment: the segmentation that `slam.runs.slam_run.run_slam` measures this estimator's keyframes with.
+        associate: data association.
+        loop_closer: makes the loop closing out of the shared state and the fusion of landmarks.
 
     References:
         Weingarten, Gruener, Siegwart, ICRA 2004, for planes and their covariance; here the poses are unknown too.
     """
 
     def __init__(
-        self, config: SlamConfig | None = None, *, prior: PriorMap | None = None, recorder: Recorder | None = None
+        self,
+        config: SlamConfig | None = None,
+        *,
+        prior: PriorMap | None = None,
+        recorder: Recorder | None = None,
+        segment: Segment = label_scans,
+        associate: Associate = associate,
+        loop_closer: LoopClosing = LoopCloser,
     ) -> None:
-        super().__init__(config, prior=prior, recorder=recorder)
-        self._told_apart: dict[tuple[int, int], int] = {}
+        self.config = config or SlamConfig()
+        self.clock = StageClock()
+        self.segment = segment
+        self.backend, self.landmarks = Backend(self.config.backend), LandmarkMap()
+        self.prior, start = prior, None
+        if prior is not None:
+            prior.plant(self.landmarks, self.backend)
+            start = StartPose(prior.world_T_start, prior.start_covariance)
+        self.recorder = recorder or Recorder()
+        self.keyframes: MutableSequence[Keyframe] = self.recorder.keyframes()
+        self.decisions: MutableSequence[list[Decision]] = self.recorder.decisions()
+        self._thinning = Thinning(self.config.thinning, self.backend, self.landmarks)
+        parts = Parts(self.keyframes, self.landmarks, self.backend, self._thinning, self.config)
+        self._motion_model = MotionModel(parts, start)
+        self._associate = associate
+        self._map_updater = MapUpdater(parts, associate)
+        self._same_plane = SamePlaneFinder(parts)
+        self.merges = Merges(parts)
+        self._closer = loop_closer(parts, self.merges)
+        self._bookkeeping = Bookkeeping(self.config, self.recorder, self.landmarks, self.backend)
 
     @classmethod
     def open(
@@ -75,8 +124,6 @@ class PlaneSlam(Estimate):
         Raises:
             SessionError: no session, a damaged one, one that another process writes, or one of another configuration.
         """
-        from slam.session.replay import open_slam  # which needs this class
-
         return open_slam(cls, path, config, read_only=read_only, forget_raw=forget_raw)
 
     def close(self) -> None:
@@ -90,7 +137,7 @@ class PlaneSlam(Estimate):
         self.close()
 
     def add_keyframe(self, keyframe: Keyframe) -> KeyframeReport:
-        """Predict the pose, match what was seen, update the graph, let the landmarks grow.
+        """Predict the pose, match what was seen, update the graph, let the landmarks grow, close loops.
 
         The keyframe is kept: its arrays must not be written to afterwards.
 
@@ -98,22 +145,85 @@ class PlaneSlam(Estimate):
             ValueError: the keyframe is not later than the last one, or has a covariance that is none; it left no trace.
         """
         check_keyframe(keyframe, self.keyframes[-1].stamp_ns if len(self.keyframes) else None)
-        keyframe = self.recorder.measured(len(self.keyframes), keyframe)
-        pose_key = self._predict(keyframe)
-        decisions = self._associate(keyframe, pose_key)
-        self._audit(keyframe, pose_key, decisions)
-        self.recorder.decided(len(self.keyframes), decisions)
-        self._look_for_open_directions(keyframe, pose_key, decisions)
-        touched = self._update(keyframe, pose_key, decisions)
+        keyframe = self._bookkeeping.measured(len(self.keyframes), keyframe)
+        prediction = self._predict(keyframe)
+        decisions = self._match(keyframe, prediction)
+        self._bookkeeping.matched(keyframe, prediction, decisions)
+        update = self._update(keyframe, prediction, decisions)
+        self._calibrate(prediction)
+        self._bookkeeping.matched_late(self._match_late(update))
+        self._split_wrong_merges(update, decisions)
+        self._merge_same_planes(update.touched)
+        self._close_loops()
+        return KeyframeReport(prediction.index, self.backend.pose(prediction.pose_key), decisions)
+
+    @timed("predict")
+    def _predict(self, keyframe: Keyframe) -> Prediction:
+        """Put the new pose into the graph with what is known before looking: prior or odometry, and the floor."""
+        return self._motion_model.predict(keyframe)
+
+    @timed("associate")
+    def _match(self, keyframe: Keyframe, prediction: Prediction) -> list[Decision]:
+        """Which landmark each observation is of, told apart by all returns where there are any."""
+        hint = self._hint(keyframe, prediction)
+        rules, trusted = self.config.association, prediction.trusted
+        return self._associate(
+            keyframe.observations, prediction.pose_key, self.landmarks, self.backend, rules, hint, trusted=trusted
+        )
+
+    @timed("compare returns")
+    def _hint(self, keyframe: Keyframe, prediction: Prediction) -> Hint | None:
+        """The motion to the keyframe by all its returns, for telling walls apart."""
+        if prediction.motion is None:
+            return None
+        motion = step_by_view(keyframe, prediction.motion, self.keyframes, self.backend, self.config.loops)
+        return None if motion is None else Hint(pose_symbol(prediction.index - 1), motion)
+
+    @timed("update")
+    def _update(self, keyframe: Keyframe, prediction: Prediction, decisions: list[Decision]) -> MapUpdate:
+        """Add the factors of matches and of new landmarks, then count what was seen."""
+        if prediction.pending:  # from then on merges are made by measurements some of which may be wrong
+            self.merges.robust = prediction.robust
+        update = self._map_updater.update(keyframe, prediction, decisions)
         self.keyframes.append(keyframe)
         self.decisions.append(decisions)
-        self._learn()
+        return update
+
+    @timed("learn wheels")
+    def _calibrate(self, prediction: Prediction) -> None:
+        """What the last motion, now that its end has been seen, says about the wheels."""
+        self._motion_model.learn(prediction)
+
+    @timed("update")
+    def _match_late(self, update: MapUpdate) -> list[LateMatch]:
+        """Earlier observations of the landmarks that this keyframe started."""
         self.landmarks.refresh(self.backend)
-        self._growth.match_late(touched)
-        self._split_wrong_merges(touched, decisions)
-        self._merge_twins(touched)
-        self._close_loops()
-        return KeyframeReport(len(self.keyframes) - 1, self.backend.pose(pose_key), decisions)
+        return self._map_updater.match_late(update)
+
+    @timed("same plane")
+    def _split_wrong_merges(self, update: MapUpdate, decisions: Sequence[Decision]) -> None:
+        """Take back merges and closures that what has been seen since speaks against."""
+        compared = {candidate.landmark for decision in decisions for candidate in decision.candidates}
+        for merge in self.merges.doubted(update.touched | compared, self.audit.mean_per_dof):
+            if merge.undone is None:
+                self.merges.split_if_two(merge)
+        self._closer.take_back(self.audit.mean_per_dof)
+
+    @timed("same plane")
+    def _merge_same_planes(self, touched: Iterable[int]) -> None:
+        """Join landmarks that are one plane: the younger's factors are re-keyed to the older, inside iSAM2."""
+        for older, younger in self._same_plane.pairs(touched):
+            if self.merges.may_be_one(older, younger):
+                self.merges.merge(older, younger, "twins")
+
+    @timed("loops")
+    def _close_loops(self) -> None:
+        """Every metre or so: is what is seen now a place of long ago? Then its walls are joined with those of then."""
+        pairs = self._closer.look(self.audit.mean_per_dof)
+        if pairs is not None:
+            self._same_plane.forget()
+            self._merge_same_planes({older for older, _ in pairs})
+            self._closer.take_motion(pairs)
 
     def optimize_batch(self) -> gtsam.Values:
         """The same graph solved as a batch by Levenberg-Marquardt; the incremental state stays as it is."""
@@ -128,86 +238,66 @@ class PlaneSlam(Estimate):
         self._closer.renumber(moved)
         self.landmarks.refresh(self.backend)
 
-    @timed("predict")
-    def _predict(self, keyframe: Keyframe) -> int:
-        """Put the new pose into the graph with what is known before looking: prior or odometry, and the floor."""
-        key = self._prediction.enter(keyframe)
-        if self._prediction.waiting:  # from then on merges are made by measurements some of which may be wrong
-            self.merges.robust = self.config.coasting.robust or self.config.backend.robust
-        return key
+    @property
+    def trajectory(self) -> Trajectory:
+        """world_T_body of every keyframe by the current estimate."""
+        poses = np.array([self.backend.pose(pose_symbol(index)) for index in range(len(self.keyframes))])
+        stamps = np.array([frame.stamp_ns for frame in self.keyframes], dtype=np.int64)
+        return Trajectory(stamps, poses.reshape(-1, 4, 4))
 
-    @timed("associate")
-    def _associate(self, keyframe: Keyframe, pose_key: int) -> list[Decision]:
-        """Which landmark each observation is of, told apart by all returns where there are any."""
-        found, rules = self._prediction.found, self.config.association
-        trusted = None if found is None else found.trusted
-        hint = self._hint(keyframe)
-        return associate(keyframe.observations, pose_key, self.landmarks, self.backend, rules, hint, trusted=trusted)
+    @property
+    def planes(self) -> list[MapPlane]:
+        """The map: landmarks seen often enough, in the world, with covariance and outline, in order of birth."""
+        return map_planes(self.landmarks, self.backend, self.config.landmarks.min_observations)
 
-    @timed("compare returns")
-    def _hint(self, keyframe: Keyframe) -> Hint | None:
-        """The motion to the keyframe by all its returns, for telling walls apart."""
-        if not self.keyframes or self._prediction.motion is None:
-            return None
-        motion = step_by_view(keyframe, self._prediction.motion, self.keyframes, self.backend, self.config.loops)
-        return None if motion is None else Hint(pose_symbol(len(self.keyframes) - 1), motion)
+    def marginal_covariance(self, key: int) -> FloatArray:
+        """Marginal covariance of a variable, in its GTSAM tangent order: (rx, ry, rz, x, y, z) for a pose."""
+        return self.backend.covariance(key)
 
-    def _audit(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> None:
-        """Hold what was matched against what was known: without odometry nothing of the pose."""
-        index, seen = len(self.keyframes), keyframe.observations
-        if not self._prediction.is_wide:
-            self.audit.add(index, [one.kind for one in seen], decisions)
-            return
-        for number, chi2, dof in innovations_without_prediction(
-            seen, decisions, pose_key, self.landmarks, self.backend
-        ):
-            self.audit.count(index, seen[number].kind, chi2, dof)
+    @property
+    def calibration(self) -> WheelCalibration:
+        """What has been learnt of the wheels."""
+        return self._motion_model.calibration
 
-    @timed("update")
-    def _update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> set[int]:
-        """Add the factors of matches and of new landmarks, then count what was seen; the ids of those landmarks."""
-        return self._growth.update(keyframe, pose_key, decisions)
+    @property
+    def audit(self) -> NisAudit:
+        """Innovations of what was matched, against their chi2."""
+        return self._bookkeeping.audit
 
-    def _look_for_open_directions(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> None:
-        """What of this motion nothing that was seen fixes, said before the graph is asked."""
-        matched = [keyframe.observations[one.observation] for one in decisions if one.match is not None]
-        self.observability.add(len(self.keyframes), matched, self.backend.pose(pose_key))
+    @property
+    def observability(self) -> Observability:
+        """Directions that single keyframes left open."""
+        return self._bookkeeping.observability
 
-    @timed("learn wheels")
-    def _learn(self) -> None:
-        """What the last motion, now that its end has been seen, says about the wheels."""
-        self._prediction.learn()
+    @property
+    def late_matches(self) -> list[LateMatch]:
+        """Observations matched after their own keyframe, to landmarks born later."""
+        return self._bookkeeping.late_matches
 
-    @timed("twins")
-    def _split_wrong_merges(self, touched: set[int], decisions: Sequence[Decision]) -> None:
-        """Take back merges that what has been seen since speaks against."""
-        compared = {candidate.landmark for decision in decisions for candidate in decision.candidates}
-        for merge in self.merges.doubted(touched | compared, self.audit.mean_per_dof):
-            if merge.undone is None:
-                self.merges.split_if_two(merge)
-        self._closer.take_back(self.audit.mean_per_dof)
+    @property
+    def loops(self) -> list[LoopDecision]:
+        """Every comparison of what was seen with an old place."""
+        return self._closer.decisions
 
-    @timed("twins")
-    def _merge_twins(self, touched: set[int]) -> None:
-        """Join landmarks that are one plane: the younger's factors are re-keyed to the older, inside iSAM2."""
-        needed, association = self.config.landmarks.min_observations, self.config.association
-        pairs = find_twins(
-            touched,
-            self.landmarks,
-            self.backend,
-            association,
-            min_keyframes=needed,
-            told_apart=self._told_apart,
-        )
-        for older, younger in pairs:
-            if self.merges.may_be_one(older, younger):
-                self.merges.merge(older, younger, "twins")
+    @property
+    def open_directions(self) -> list[OpenStretch]:
+        """Directions that what was seen left open, most frequent first, with what is known of them by all means."""
+        return open_stretches(self.observability, self.keyframes, self.backend)
 
-    @timed("loops")
-    def _close_loops(self) -> None:
-        """Every metre or so: is what is seen now a place of long ago? Then its walls are joined with those of then."""
-        pairs = self._closer.look(self.audit.mean_per_dof)
-        if pairs is not None:
-            self._told_apart.clear()
-            self._merge_twins({older for older, _ in pairs})
-            self._closer.take_motion(pairs)
+    @property
+    def open_in_map(self) -> list[OpenMapDirection]:
+        """Directions in which all planes together, odometry left out, do not fix the keyframes against the first."""
+        rules = self.config.observability
+        return open_in_map(self._thinning.held, self.keyframes, self.landmarks, self.backend, rules)
+
+    def explain(self, keyframe: int) -> list[str]:
+        """Why a keyframe's measurements became what they did, and what it changed in the map; one sentence each.
+
+        Raises:
+            ValueError: no such keyframe.
+        """
+        if not 0 <= keyframe < len(self.decisions):
+            raise ValueError(f"keyframe: expected an index from 0 to {len(self.decisions) - 1}, got {keyframe}")
+        seen = self.keyframes[keyframe].observations
+        sentences = [decision_sentence(one, seen[one.observation]) for one in self.decisions[keyframe]]
+        return sentences + change_sentences(keyframe, self.merges.history, self.loops, self._closer.ties)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from math import isfinite
 from numbers import Integral, Real
 from operator import index
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,13 +20,23 @@ COVARIANCE_TOLERANCE = 1e-9
 TOO_LARGE = 1e50
 
 
-def as_float_array(name: str, value: ArrayLike) -> FloatArray:
+class HasMatrix(Protocol):
+    """A pose of another library that knows its (4, 4) matrix, such as ``gtsam.Pose3``."""
+
+    def matrix(self) -> Any:
+        """Shape (4, 4)."""
+        ...
+
+
+def as_float_array(name: str, value: Any) -> FloatArray:
     """Return ``value`` as a C-ordered float64 array; anything that is not real numbers is a ``ValueError``.
 
     Text, dates, complex numbers and masked entries are refused, which numpy would turn into floats without a word.
+    What has a ``matrix()``, such as a ``gtsam.Pose3``, stands for its matrix, and so does a list of such.
     """
     if type(value) is np.ndarray and value.dtype == np.float64 and value.flags.c_contiguous:
         return value  # what nearly all callers give
+    value = _matrices(value)
     array: np.ndarray | None = None
     try:
         array = np.asarray(value)
@@ -40,7 +50,16 @@ def as_float_array(name: str, value: ArrayLike) -> FloatArray:
         raise ValueError(f"{name}: expected an array of numbers, got {kind}") from error
 
 
-def as_shape(name: str, value: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True) -> FloatArray:
+def _matrices(value: Any) -> Any:
+    """The matrix of a pose, those of a list of poses, anything else as it is."""
+    if callable(getattr(value, "matrix", None)):
+        return value.matrix()
+    if isinstance(value, list | tuple) and value and callable(getattr(value[0], "matrix", None)):
+        return [_matrices(one) for one in value]
+    return value
+
+
+def as_shape(name: str, value: Any, shape: tuple[int | None, ...], *, finite: bool = True) -> FloatArray:
     """Return ``value`` as a float64 array of ``shape``, where None stands for any length."""
     array = as_float_array(name, value)
     matches = array.shape == shape or (
@@ -84,7 +103,7 @@ def as_covariance_stack(name: str, value: ArrayLike, size: int) -> FloatArray:
     return matrices
 
 
-def as_transform(name: str, value: ArrayLike) -> FloatArray:
+def as_transform(name: str, value: ArrayLike | HasMatrix) -> FloatArray:
     """Return a (4, 4) rigid transform; the rotation part must be orthonormal and right-handed to 1e-6."""
     transform = as_shape(name, value, (4, 4))
     r = transform.tolist()

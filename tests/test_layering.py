@@ -36,7 +36,6 @@ ROOMS = {
         ("loop_closure",),
         ("session",),
         ("diagnostics",),
-        ("estimate",),
         ("planeslam",),
         ("simulation",),
         ("evaluation",),

@@ -1,9 +1,10 @@
-"""Which landmark is it: chi2 with measurement and state covariance, the side, and where it was seen."""
+"""Data association: which landmark is it? Chi2 of the joint state, the side, and where it was seen."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import gtsam
 import numpy as np
@@ -20,10 +21,29 @@ from slam.geometry.frames import inverse
 from slam.map.landmarks import Landmark, LandmarkMap, PlacedPlane
 from spplanes._check import FloatArray
 
-__all__ = ["Candidate", "Decision", "Hint", "Spread", "associate"]
+__all__ = ["Associate", "Candidate", "Decision", "Hint", "Spread", "associate"]
 
 #: Bounds drawn from a standard deviation are taken at this many of them.
 _SIGMAS = 3.0
+
+
+class Associate(Protocol):
+    """Data association as `PlaneSlam` calls it; `associate` is the one it uses unless it is given another."""
+
+    def __call__(
+        self,
+        observations: Sequence[Observation],
+        pose_key: int,
+        landmarks: LandmarkMap,
+        backend: Backend,
+        config: AssociationConfig,
+        hint: Hint | None = None,
+        *,
+        among: Collection[int] | None = None,
+        trusted: Collection[int] | None = None,
+    ) -> list[Decision]:
+        """One decision for each observation, in their order."""
+        ...
 
 
 def associate(

@@ -8,28 +8,38 @@ from typing import Annotated
 import typer
 
 from slam.cli._job import JsonOption
-from slam.cli._output import show
+from slam.cli._output import say, show
 
 
 def evaluate(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],
     truth: Annotated[Path, typer.Option("--truth", help="Simulated mission, TUM trajectory or relations.")],
+    truth_of: Annotated[
+        str | None,
+        typer.Option("--truth-of", help="Whose poses a TUM truth has: body, sensor, or a sensor's name in the rig."),
+    ] = None,
+    by_row: Annotated[
+        bool, typer.Option("--by-row", help="Poses of a TUM truth are the run's one by one, whatever their times.")
+    ] = False,
     clouds: Annotated[
         Path | None, typer.Option("--clouds", help="Log of RUN: also how sharp its 3D scans are by either trajectory.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Score RUN against the truth; the numbers also go into its metrics.json."""
-    from slam.evaluation.folders import evaluate_run, reference_for
+    from slam.evaluation.folders import compare_with_truth, reference_for
     from slam.output.run_files import add_to_metrics
 
-    rows = evaluate_run(run, truth)
+    found = compare_with_truth(run, truth, truth_of=truth_of, by_row=by_row)
+    rows = found.rows
     if clouds is not None:
         from slam.evaluation.clouds import sharpness_of_run
 
-        rows += sharpness_of_run(run, reference_for(run, truth), clouds)
+        rows += sharpness_of_run(run, reference_for(run, truth, truth_of=truth_of, by_row=by_row), clouds)
     add_to_metrics(run, "evaluation", rows)
     show(f"{run.name} against {truth.name}", rows, as_json)
+    for note in found.notes:
+        say(note)
 
 
 def export(

@@ -8,8 +8,10 @@ from typing import Literal
 
 import numpy as np
 
+from slam.backend.estimator import Backend, pose_symbol
 from slam.config import ObservabilityConfig
 from slam.frontend.information import plane_information
+from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import Observation
 from slam.growable import Growing, Rows
 from spplanes._check import FloatArray
@@ -172,6 +174,17 @@ class Observability:
     def directions(self) -> list[list[OpenDirection]]:
         """The open directions of the run, those that are the same gathered, most frequent first."""
         return gathered(self.history)
+
+
+def open_stretches(seen: Observability, keyframes: Sequence[Keyframe], backend: Backend) -> list[OpenStretch]:
+    """Directions that what was seen left open, most frequent first, with what is known of them by all means."""
+    stretches = []
+    for group in seen.directions():
+        last = group[-1].keyframe
+        source = "odometry" if keyframes[last].motion is not None else "the assumption of constant velocity"
+        key = pose_symbol(last)
+        stretches.append(stretch_of(group, len(keyframes) - 1, backend.covariance(key), backend.pose(key), source))
+    return stretches
 
 
 def gathered(directions: Iterable[OpenDirection]) -> list[list[OpenDirection]]:

@@ -1,6 +1,6 @@
 """How good is it: trajectories, relations and planes against what is known to be true."""
 
-from slam.evaluation.folders import evaluate_run, trajectory_metrics
+from slam.evaluation.folders import Evaluation, compare_with_truth, evaluate_run, trajectory_metrics
 from slam.evaluation.labels import HooverCounts, LabelTable, hoover_counts, label_metrics
 from slam.evaluation.metrics import Metric
 from slam.evaluation.planes import PlaneMatch, match_planes, plane_metrics
@@ -12,13 +12,13 @@ from slam.evaluation.trajectories import (
     align,
     align_poses,
     alignment_of,
-    at_times_of,
     common_poses,
     nearest_stamps,
     relative_error,
 )
 
 __all__ = [
+    "Evaluation",
     "HooverCounts",
     "LabelTable",
     "Metric",
@@ -29,9 +29,9 @@ __all__ = [
     "align",
     "align_poses",
     "alignment_of",
-    "at_times_of",
     "common_poses",
     "compare_sharpness",
+    "compare_with_truth",
     "evaluate_run",
     "hoover_counts",
     "label_metrics",

@@ -9,6 +9,8 @@ from slam.evaluation.trajectories import PoseErrors, nearest_stamps, pose_errors
 from slam.io.relations import Relations
 from slam.io.trajectories import Trajectory
 
+#: Names of the rows that say how many relations were scored, and how many there are.
+FOUND, STATED = "relations found", "relations in the file"
 #: A relation counts when the trajectory has poses *less* than 1 ms from both of its times, ns.
 TOLERANCE_NS = 1_000_000 - 1
 
@@ -34,4 +36,5 @@ def relation_metrics(estimate: Trajectory, relations: Relations) -> list[Metric]
     errors = relation_errors(estimate, relations)
     if errors.translation_m.size == 0:
         raise ValueError("relations: expected times of the trajectory, got none that agree to 1 ms")
-    return [Metric("relations found", errors.translation_m.size, ""), *errors.metrics("relations")]
+    counts = [Metric(FOUND, errors.translation_m.size, ""), Metric(STATED, len(relations), "")]
+    return counts + errors.metrics("relations")

@@ -72,18 +72,17 @@ def common_poses(
     places = nearest_stamps(estimate.stamps_ns, truth.stamps_ns, tolerance_ns)
     found = places >= 0
     if not found.any():
-        raise ValueError("truth: expected times in common with the estimate, got none within the tolerance")
+        raise ValueError(
+            f"truth: expected times in common with the estimate ({_span(estimate)}), got none within "
+            f"{tolerance_ns * 1e-6:g} ms ({_span(truth)})"
+        )
     return estimate.stamps_ns[found], estimate.poses[found], truth.poses[places[found]]
 
 
-def at_times_of(estimate: Trajectory, truth: Trajectory) -> Trajectory:
-    """The truth; where none of its times is the estimate's but it has as many poses, these at the estimate's times.
-
-    Clouds whose names tell no time are numbered, and somebody else's poses of them carry the time of the scan.
-    """
-    if len(estimate) != len(truth) or (nearest_stamps(estimate.stamps_ns, truth.stamps_ns, 1_000_000) >= 0).any():
-        return truth
-    return Trajectory(estimate.stamps_ns, truth.poses)
+def _span(path: Trajectory) -> str:
+    if not len(path):
+        return "no poses"
+    return f"{len(path)} poses from {path.stamps_ns[0] * 1e-9:.3f} to {path.stamps_ns[-1] * 1e-9:.3f} s"
 
 
 def align(source: FloatArray, target: FloatArray, *, planar: bool = False) -> FloatArray:

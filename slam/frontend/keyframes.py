@@ -12,7 +12,7 @@ import numpy as np
 from slam.config import KeyframeConfig, SlamConfig
 from slam.errors import LogError
 from slam.frontend.deskewing import unswept
-from slam.frontend.measurement import lines_of_scan, planes_of_cloud, planes_of_window, usable_ranges
+from slam.frontend.measurement import Segment, lines_of_scan, planes_of_cloud, planes_of_window, usable_ranges
 from slam.frontend.observations import Observation, on_real_wall
 from slam.frontend.occupancy import beams_of
 from slam.frontend.odometry import Motion, OdometryTrack
@@ -20,6 +20,7 @@ from slam.geometry.frames import inverse
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig
 from spplanes._check import FloatArray
+from spplanes.segmentation.scans import label_scans
 
 Seen = TypeVar("Seen", bound=Observation)
 
@@ -45,22 +46,24 @@ class Keyframe:
     what loops are verified with; None: no such laser."""
 
 
-def keyframes_of(log: Log, rig: Rig, config: SlamConfig, start: int = 0) -> Iterator[Keyframe]:
+def keyframes_of(
+    log: Log, rig: Rig, config: SlamConfig, start: int = 0, *, segment: Segment = label_scans
+) -> Iterator[Keyframe]:
     """Cut a log into keyframes, in time order.
 
     Every 3D scan is a keyframe by itself. Without 3D scans, keyframes lie on scans of the line lasers (or of the
     push-broom lasers, if there are no others) by distance and angle of the odometry; the push-broom scans nearest to a
     keyframe are its window, so that each of them is used once. The first `start` keyframes are left out unmeasured:
-    those a session has already.
+    those a session has already. `segment` finds the planes of 3D scans and of push-broom windows.
 
     Raises:
         LogError: no scan of a sensor that the rig knows, or no odometry where it is needed.
     """
     clouds, late = _clouds_of(log, rig, config.keyframes.strict)
     if clouds:
-        yield from _cloud_keyframes(log, clouds, late, rig, config, start)
+        yield from _cloud_keyframes(log, clouds, late, rig, config, start, segment)
     else:
-        yield from _laser_keyframes(log, rig, config, start)
+        yield from _laser_keyframes(log, rig, config, start, segment)
 
 
 def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
@@ -70,13 +73,19 @@ def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
 
 
 def _cloud_keyframes(
-    log: Log, clouds: Sequence[CloudScan], late: dict[int, list[str]], rig: Rig, config: SlamConfig, start: int
+    log: Log,
+    clouds: Sequence[CloudScan],
+    late: dict[int, list[str]],
+    rig: Rig,
+    config: SlamConfig,
+    start: int,
+    segment: Segment,
 ) -> Iterator[Keyframe]:
     track = _track_of(log, rig) if log.odometry else None  # without it the estimator finds the motion by the planes
     previous = clouds[start - 1] if start else None
     for index, scan in enumerate(clouds[start:], start):
         notes = list(late.get(index, ()))
-        measure = partial(planes_of_cloud, scan, rig.sensors[scan.sensor], config)
+        measure = partial(planes_of_cloud, scan, rig.sensors[scan.sensor], config, segment)
         observations = _measured(measure, scan.stamp_ns, config, notes)
         motion = None
         if previous is not None and track is not None:
@@ -85,7 +94,7 @@ def _cloud_keyframes(
         previous = scan
 
 
-def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int) -> Iterator[Keyframe]:
+def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int, segment: Segment) -> Iterator[Keyframe]:
     track = _track_of(log, rig)
     stamps = _choose_stamps(log, rig, config.keyframes)
     lines = _scans_of(log, rig, "line")
@@ -101,7 +110,7 @@ def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int) -> Iter
             window = slice_homes.get((index, name), [])
             if window:
                 scans += window
-                measure = partial(planes_of_window, window, stamp, sensor, track, config)
+                measure = partial(planes_of_window, window, stamp, sensor, track, config, segment)
                 observations += _measured(measure, stamp, config, notes)
         for name, sensor in rig.of_kind("line").items():
             near = line_homes.get((index, name), [])

@@ -1,9 +1,10 @@
-"""From raw scans to observations: planes of a 3D scan or a push-broom window, lines of a 2D scan."""
+"""Measurement of a keyframe: planes of a 3D scan or a push-broom window, lines of a 2D scan, as observations."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -19,11 +20,11 @@ from slam.io.clouds.arrange import arrange, grid_of
 from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import Sensor
 from slam.sensors.scan_noise import line_tilt_covariances, model_of, surface_covariances
-from spplanes import LineConfig, MapperConfig, Plane, extract_lines, segment_scans
+from spplanes import LineConfig, MapperConfig, Plane, extract_lines
 from spplanes._check import FloatArray, as_float_array
 from spplanes.registration import register_scans
-from spplanes.segmentation.planes import frames_of, moments_of, outlines_in
-from spplanes.segmentation.scans import label_scans
+from spplanes.segmentation.planes import frames_of, moments_of, outlines_in, planes_of
+from spplanes.segmentation.scans import Labelled, label_scans
 from spplanes.segmentation.validation._patch_kernels import within
 from spplanes.segmentation.validation.one_plane import is_one_plane
 from spplanes.segmentation.validation.plane_ends import sure_points
@@ -34,7 +35,26 @@ from spplanes.segmentation.validation.spurious import Window
 _EVERY = 8
 
 
-def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list[PlaneObservation]:
+class Segment(Protocol):
+    """Segmentation as the measurement of keyframes calls it; `label_scans` unless it is given another."""
+
+    def __call__(
+        self,
+        points: FloatArray,
+        covariances: FloatArray,
+        /,
+        *,
+        config: MapperConfig,
+        viewpoints: FloatArray | None = None,
+        pose_covariances: FloatArray | None = None,
+    ) -> Labelled:
+        """Regions of a grid of points (S, B, 3) with covariances (S, B, 3, 3)."""
+        ...
+
+
+def planes_of_cloud(
+    scan: CloudScan, sensor: Sensor, config: SlamConfig, segment: Segment = label_scans
+) -> list[PlaneObservation]:
     """Planes of one 3D scan in the body frame, each facing the sensor, largest first.
 
     A scan without order is seen as lines or a range image first, as wide as the rig says, or as its points suggest.
@@ -48,15 +68,15 @@ def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list
         return []
     if points.ndim == 2:
         points = arrange(points, grid_of(sensor))
-    observations, free = _flat_planes(points, sensor, config)
+    observations, free = _flat_planes(points, sensor, config, segment)
     if sensor.rough_sigma_m > sensor.surface_sigma_m:
         rough = sensor.model_copy(update={"surface_sigma_m": sensor.rough_sigma_m})
-        observations += _flat_planes(np.where(free[..., None], points, np.nan), rough, config, servo=False)[0]
+        observations += _flat_planes(np.where(free[..., None], points, np.nan), rough, config, segment, servo=False)[0]
     return sorted(observations, key=lambda seen: -seen.n_points)
 
 
 def _flat_planes(
-    points: FloatArray, sensor: Sensor, config: SlamConfig, *, servo: bool = True
+    points: FloatArray, sensor: Sensor, config: SlamConfig, segment: Segment, *, servo: bool = True
 ) -> tuple[list[PlaneObservation], np.ndarray]:
     """Planes of points (S, B, 3), in the body frame, and which points are on none, shape (S, B).
 
@@ -66,7 +86,7 @@ def _flat_planes(
     covariances, settings = model_of(sensor).covariances(points), for_points(for_sensor(config.mapper, sensor), points)
     viewpoint = np.zeros(3)
     tilts = line_tilt_covariances(sensor, len(points)) if servo else None
-    found = label_scans(points, covariances, config=settings, viewpoints=viewpoint, pose_covariances=tilts)
+    found = segment(points, covariances, config=settings, viewpoints=viewpoint, pose_covariances=tilts)
     rows = moments_of(found.points, found.covariance, found.labels, settings)
     rough, spreads = frames_of(rows, np.zeros((len(rows), 3)))
     believed = believed_planes(points, covariances, found.labels, rough, sensor, viewpoint, config.measurements)
@@ -102,7 +122,12 @@ def members_of(labels: np.ndarray, count: int) -> list[np.ndarray]:
 
 
 def planes_of_window(
-    scans: Sequence[LaserScan], stamp_ns: int, sensor: Sensor, track: OdometryTrack, config: SlamConfig
+    scans: Sequence[LaserScan],
+    stamp_ns: int,
+    sensor: Sensor,
+    track: OdometryTrack,
+    config: SlamConfig,
+    segment: Segment = label_scans,
 ) -> list[PlaneObservation]:
     """Planes of a push-broom window in the body frame at `stamp_ns`.
 
@@ -117,7 +142,9 @@ def planes_of_window(
     placed = register_scans(ranges, scans[0].angles, kf_T_body, model, body_T_sensor=sensor.body_T_sensor)
     placed = place_beams(placed, scans, kf_T_body, sensor, track, model)
     mapper = for_sensor(config.mapper, sensor)
-    labels, planes = segment_scans(placed.points, placed.covariances, config=mapper, viewpoints=placed.viewpoints)
+    found = segment(placed.points, placed.covariances, config=mapper, viewpoints=placed.viewpoints)
+    labels = found.labels.astype(np.int32)
+    planes = planes_of(found.points, found.covariance, found.labels, found.views, found.poses, mapper)
     uneven = sensor.surface_sigma_m
     labels, planes = purified(placed, labels, planes, pose_covariance, uneven, mapper, config.measurements)
     window, frames = Window(placed.points, placed.covariances, pose_covariance), [plane.frame for plane in planes]

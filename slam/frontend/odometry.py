@@ -91,6 +91,10 @@ class OdometryTrack:
         """Covariance (3, 3) of one step (x, y, theta) by the noise model of the wheels."""
         return self._noise.covariance(delta)
 
+    def step_variances(self, deltas: FloatArray) -> FloatArray:
+        """Variance of each of steps (K, 3) by the wheels' random walk alone, x, y and heading added, shape (K,)."""
+        return np.trace(self._noise.random_covariances(deltas), axis1=1, axis2=2)
+
     def motion(self, start_ns: int, end_ns: int) -> Motion:
         """Motion between two times, its covariance accumulated over the readings between them."""
         inside = self._stamps[(self._stamps > start_ns) & (self._stamps < end_ns)]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from slam.errors import LogError
 from spplanes.plane import Plane
@@ -15,14 +15,23 @@ FORMAT = "spplanes/1"
 _KEYS = ("normal", "d", "frame", "covariance", "n_points", "outline")
 
 
-def write_planes(path: Path | str, planes: Sequence[Plane]) -> None:
-    """Write planes; the id of each is its place in the sequence. Floats survive exactly."""
-    entries = []
-    for index, plane in enumerate(planes):
-        data = plane.to_dict()
-        entries.append({"id": index, **{key: data[key] for key in _KEYS}, "observations": 0})
-    document = {"format": FORMAT, "frame": "world", "planes": entries}
-    Path(path).write_text(json.dumps(document, indent=1, allow_nan=False), encoding="utf-8")
+class Landmark(Protocol):
+    """A plane of a map as a file tells it: `StoredPlane`, or the estimator's own `slam.MapPlane`."""
+
+    @property
+    def id(self) -> int:
+        """The landmark's number."""
+        ...
+
+    @property
+    def plane(self) -> Plane:
+        """The plane, in the world."""
+        ...
+
+    @property
+    def observations(self) -> int:
+        """Number of keyframes that saw it."""
+        ...
 
 
 class StoredPlane(NamedTuple):
@@ -34,6 +43,21 @@ class StoredPlane(NamedTuple):
     """The plane, in the frame of the file."""
     observations: int
     """Number of keyframes that saw it."""
+
+
+def write_planes(path: Path | str, planes: Iterable[Plane | Landmark]) -> None:
+    """Write the planes of a map; one that is no landmark has its place in the sequence for an id, seen by nobody.
+
+    Floats survive exactly.
+    """
+    numbered = (StoredPlane(at, one, 0) if isinstance(one, Plane) else one for at, one in enumerate(planes))
+    document = {"format": FORMAT, "frame": "world", "planes": [_entry(one) for one in numbered]}
+    Path(path).write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _entry(one: Landmark) -> dict[str, object]:
+    data = one.plane.to_dict()
+    return {"id": one.id, **{key: data[key] for key in _KEYS}, "observations": one.observations}
 
 
 def read_planes(path: Path | str) -> list[Plane]:

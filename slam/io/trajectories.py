@@ -35,6 +35,11 @@ class Trajectory:
         if (np.diff(self.stamps_ns) <= 0).any():
             raise ValueError("stamps_ns: expected strictly ascending times, got times that repeat or run backwards")
 
+    @classmethod
+    def empty(cls) -> Trajectory:
+        """A trajectory without poses."""
+        return cls(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
+
     def __len__(self) -> int:
         return len(self.stamps_ns)
 

@@ -1,11 +1,11 @@
-"""Every metre or so: is what is seen now a place of long ago? Then its walls are joined with those of then."""
+"""Loop closure: every metre or so, is what is seen now a place of long ago? Then their walls are joined."""
 
 from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import gtsam
 import numpy as np
@@ -41,6 +41,14 @@ class Tie:
         """Chi2 of the motion at the current estimate."""
         factor = _factor(self.loop, self.motion)
         return 2.0 * float(factor.error(backend.values_of(factor.keys())))
+
+
+class LoopClosing(Protocol):
+    """Makes what `PlaneSlam` closes loops with, out of the shared state and the fusion of landmarks."""
+
+    def __call__(self, parts: Parts, merges: Merges, /) -> LoopCloser:
+        """A loop closer for one run."""
+        ...
 
 
 class LoopCloser:

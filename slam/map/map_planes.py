@@ -31,6 +31,11 @@ class MapPlane:
     """Factor types that saw it, in alphabetical order."""
 
 
+def map_planes(landmarks: LandmarkMap, backend: Backend, min_observations: int) -> list[MapPlane]:
+    """The map: landmarks that so many keyframes saw, in order of birth."""
+    return [map_plane(one, landmarks, backend) for one in landmarks if one.n_keyframes >= min_observations]
+
+
 def map_plane(landmark: Landmark, landmarks: LandmarkMap, backend: Backend) -> MapPlane:
     """A landmark as of the last refresh."""
     keys = [landmark.anchor_key, landmark.key]

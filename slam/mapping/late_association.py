@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from slam.association.data_association import Decision, associate
+from slam.association.data_association import Associate, Decision
 from slam.backend.estimator import Backend, pose_symbol
 from slam.config import AssociationConfig, LandmarkConfig
 from slam.frontend.keyframes import Keyframe
@@ -58,6 +58,7 @@ class Waiting:
         landmarks: LandmarkMap,
         backend: Backend,
         config: AssociationConfig,
+        associate: Associate,
     ) -> list[LateMatch]:
         """Matches of what waits in earlier keyframes with landmarks just born; what is matched waits no longer.
 
@@ -65,7 +66,7 @@ class Waiting:
             born: ids of the new landmarks.
             at: the keyframe that they are of.
             keyframes: all so far.
-            landmarks, backend, config: the state, the gates of association.
+            landmarks, backend, config, associate: the state, the gates of association, and association itself.
         """
         found = []
         for index in sorted(old for old in self._numbers if old < at and born):

@@ -1,12 +1,13 @@
-"""What a keyframe saw goes into the graph, and landmarks grow by it: matches, births, what was seen too early."""
+"""Map update: what a keyframe saw goes into the graph, and landmarks grow by it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import gtsam
 
-from slam.association.data_association import Decision
+from slam.association.data_association import Associate, Decision
 from slam.backend.estimator import pose_symbol
 from slam.frontend.keyframes import Keyframe
 from slam.map.landmarks import Sighting
@@ -16,20 +17,29 @@ from slam.mapping.late_association import LateMatch, Waiting
 from slam.tracking.prediction import Prediction
 
 
-class Growth:
+@dataclass(frozen=True)
+class MapUpdate:
+    """What a keyframe changed in the map."""
+
+    keyframe: int
+    """Its index."""
+    touched: frozenset[int] = frozenset()
+    """Ids of the landmarks that it saw, new ones among them."""
+
+
+class MapUpdater:
     """Puts observations into the graph and lets the map know."""
 
-    def __init__(self, parts: Parts, prediction: Prediction) -> None:
+    def __init__(self, parts: Parts, associate: Associate) -> None:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
-        self._thinning, self._prediction, self._config = parts.thinning, prediction, parts.config
+        self._thinning, self._config, self._associate = parts.thinning, parts.config, associate
         self._unmatched = Waiting(parts.config.landmarks)
-        self.late_matches: list[LateMatch] = []
 
-    def update(self, keyframe: Keyframe, pose_key: int, decisions: Sequence[Decision]) -> set[int]:
-        """Add the factors of matches and of new landmarks, then count what was seen; the ids of those landmarks."""
+    def update(self, keyframe: Keyframe, prediction: Prediction, decisions: Sequence[Decision]) -> MapUpdate:
+        """Add the factors of matches and of new landmarks, then count what was seen."""
         seen, initial = keyframe.observations, gtsam.Values()
-        at = len(self._keyframes)
-        sights = matched_sights(seen, pose_key, decisions, self._landmarks, self._backend, self._prediction.robust)
+        at, pose_key = prediction.index, prediction.pose_key
+        sights = matched_sights(seen, pose_key, decisions, self._landmarks, self._backend, prediction.robust)
         anchor = self._thinning.anchor(at, self._config.landmarks.anchor_every)
         keys = pose_symbol(anchor), pose_key
         births = birth_sights(seen, keys, decisions, self._landmarks, self._backend, self._config, initial)
@@ -41,21 +51,20 @@ class Growth:
         used = {sight.number for sight in sights}
         unused = [] if leaves else [i for i in range(len(seen)) if i not in used]
         self._unmatched.add(at, keyframe, unused)
-        factors = [*(sight.factor for sight in sights), *self._prediction.waiting]
+        factors = [*(sight.factor for sight in sights), *prediction.pending]
         if not factors:
-            return set()
-        indices = self._backend.update(factors, initial, remove=self._prediction.standing_in, relinearize=True)
-        self._prediction.confirmed()
+            return MapUpdate(at)
+        indices = self._backend.update(factors, initial, remove=list(prediction.standing_in), relinearize=True)
         for sight, factor_index in zip(sights, indices, strict=False):
             self._see(sight, at, factor_index)
-        return {sight.landmark.id for sight in sights}
+        return MapUpdate(at, frozenset(sight.landmark.id for sight in sights))
 
-    def match_late(self, touched: set[int]) -> None:
+    def match_late(self, update: MapUpdate) -> list[LateMatch]:
         """Match what earlier keyframes saw of the landmarks that this one started."""
-        at = len(self._keyframes) - 1
-        born = {number for number in touched if self._landmarks[number].first_keyframe == at}
+        at = update.keyframe
+        born = {number for number in update.touched if self._landmarks[number].first_keyframe == at}
         late = self._unmatched.match(
-            born, at, self._keyframes, self._landmarks, self._backend, self._config.association
+            born, at, self._keyframes, self._landmarks, self._backend, self._config.association, self._associate
         )
         for match in late:
             observations = self._keyframes[match.keyframe].observations
@@ -71,7 +80,7 @@ class Growth:
             self._see(sight, match.keyframe, factor_index)
         if late:
             self._landmarks.refresh(self._backend)
-        self.late_matches += late
+        return late
 
     def _see(self, sight: Sight, keyframe: int, factor_index: int) -> None:
         """Let a landmark know what a keyframe saw of it, now that it is in the graph."""

@@ -1,4 +1,4 @@
-"""Landmarks that turn out to be one plane."""
+"""The same-plane test: landmarks that turn out to be one plane, by chi2 on the joint state."""
 
 from __future__ import annotations
 
@@ -13,7 +13,31 @@ from slam.config import AssociationConfig
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten
 from slam.map.landmarks import Landmark, LandmarkMap, PlacedPlane
+from slam.map.state import Parts
 from spplanes._check import FloatArray
+
+
+class SamePlaneFinder:
+    """Looks for landmarks that have become one plane, each pair again only when a quarter more was seen of it."""
+
+    def __init__(self, parts: Parts) -> None:
+        self._landmarks, self._backend, self._config = parts.landmarks, parts.backend, parts.config
+        self._told_apart: dict[tuple[int, int], int] = {}
+
+    def pairs(self, touched: Iterable[int]) -> list[tuple[int, int]]:
+        """Pairs (older, younger) that are one plane, of those with a landmark in `touched`, as `find_twins` has it."""
+        return find_twins(
+            touched,
+            self._landmarks,
+            self._backend,
+            self._config.association,
+            min_keyframes=self._config.landmarks.min_observations,
+            told_apart=self._told_apart,
+        )
+
+    def forget(self) -> None:
+        """The map has been bent: every pair is looked at again."""
+        self._told_apart.clear()
 
 
 def find_twins(

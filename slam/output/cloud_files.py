@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from plyfile import PlyData, PlyElement
 
+from slam.io.planes_json import write_planes
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
-from slam.output.run_files import planes_json, write_json, write_ply
+from slam.output.run_files import write_ply
 from slam.runs.cloud_fit import CloudPlanes
 from slam.visualization.mesh import colour_of, mesh_of
 from slam.visualization.pictures import draw_view, save
@@ -31,7 +32,7 @@ class _Picture:
 
 def write_cloud_planes(found: CloudPlanes, folder: Path) -> None:
     """planes.json, planes.ply (outlines as triangles), points.ply (the returns with their plane) and planes.png."""
-    write_json(folder / "planes.json", planes_json(found.map_planes))
+    write_planes(folder / "planes.json", found.map_planes)
     write_ply(folder / "planes.ply", mesh_of(found.map_planes))
     _write_points(found, folder / "points.ply")
     _draw(found, folder / "planes.png")
@@ -53,7 +54,7 @@ def _draw(found: CloudPlanes, path: Path) -> None:
     """Plan and side view of the planes over the points that belong to none."""
     figure = Figure(figsize=(11.0, 9.0), layout="constrained")
     plan, side = figure.subplots(2, 1, height_ratios=[3, 1], sharex=True)
-    none = Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
+    none = Trajectory.empty()
     rest = found.points[found.labels < 0]
     rest = rest[:: max(len(rest) // _DRAWN_POINTS, 1)]
     for axes, view, upright in ((plan, "plan", 1), (side, "side", 2)):

@@ -18,9 +18,9 @@ from slam.config import SlamConfig
 from slam.evaluation.metrics import Metric
 from slam.files import scratch_folder
 from slam.io.g2o.writer import write_g2o
+from slam.io.planes_json import write_planes
 from slam.io.trajectories import write_tum
 from slam.output.run_metrics import details_of, map_metrics_of, metrics_of
-from slam.planeslam import MapPlane
 from slam.runs.history import History
 from slam.runs.mapping_run import MapResult
 from slam.runs.slam_run import Run
@@ -30,8 +30,6 @@ from slam.visualization.pictures import Drawn, draw_map
 from slam.visualization.report import write_report
 from slam.visualization.scene import scene_of
 from slam.visualization.uncertainty import draw_uncertainty
-
-PLANES_FORMAT = "spplanes/1"
 
 
 @contextmanager
@@ -62,8 +60,9 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     rows = metrics_of(run)
     numbers = {"metrics": as_json(rows), **details_of(run), **{caption: as_json(table) for caption, table in extra}}
     write_result(run, folder, run.slam.config, run.rig, numbers)
-    if len(run.odometry):
-        write_tum(folder / "odometry.tum", run.odometry)
+    write_tum(folder / "scans.tum", run.scan_trajectory)
+    if len(run.scan_odometry):
+        write_tum(folder / "odometry.tum", run.scan_odometry)
     write_g2o(folder / "graph.g2o", run.slam.backend.graph, run.slam.backend.values)
     history = History.of(run.planes, run.slam)
     history.write(folder / "view.json")
@@ -76,6 +75,7 @@ def write_map(result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, 
     """Write a map made at given poses into a folder that exists; returns the table."""
     rows = map_metrics_of(result)
     write_result(result, folder, config, rig, {"metrics": as_json(rows)})
+    write_tum(folder / "scans.tum", result.scan_trajectory)
     history = History.of(result.planes)
     history.write(folder / "view.json")
     write_report(folder / "report.html", title, [("the map", rows)], [folder / "map.png"], scene_of(result, history))
@@ -87,7 +87,7 @@ def write_result(drawn: Drawn, folder: Path, config: SlamConfig, rig: Rig, numbe
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     rig.to_yaml(folder / "rig.yaml")
     write_tum(folder / "trajectory.tum", drawn.trajectory)
-    write_json(folder / "planes.json", planes_json(drawn.planes))
+    write_planes(folder / "planes.json", drawn.planes)
     write_ply(folder / "map.ply", mesh_of(drawn.planes))
     write_json(folder / "metrics.json", numbers)
     draw_map(drawn, folder / "map.png")
@@ -117,16 +117,6 @@ def as_json(rows: Sequence[Metric]) -> list[dict[str, Any]]:
     return [
         {"metric": row.name, "value": None if row.value != row.value else row.value, "unit": row.unit} for row in rows
     ]
-
-
-def planes_json(planes: Sequence[MapPlane]) -> dict[str, Any]:
-    """The map in the project's own format."""
-    entries = []
-    for plane in planes:
-        data = plane.plane.to_dict()
-        keys = ("normal", "d", "frame", "covariance", "n_points", "outline")
-        entries.append({"id": plane.id, **{key: data[key] for key in keys}, "observations": plane.observations})
-    return {"format": PLANES_FORMAT, "frame": "world", "planes": entries}
 
 
 def write_ply(path: Path, mesh: Mesh) -> None:

@@ -14,6 +14,7 @@ from slam.frontend.measurement import for_sensor, usable_ranges
 from slam.io.trajectories import Trajectory
 from slam.planeslam import MapPlane
 from slam.runs.cloud_mapping import map_clouds
+from slam.runs.scan_trajectory import given_at_scans
 from slam.runs.slam_run import Progress, StageClock
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig, Sensor
@@ -31,6 +32,8 @@ class MapResult:
     """The planes, in the frame of the given poses."""
     trajectory: Trajectory
     """The poses that were given."""
+    scan_trajectory: Trajectory
+    """world_T_body at every scan of the log, those of other sensors too."""
     odometry: Trajectory
     """Empty: the poses are given."""
     n_points_seen: int
@@ -54,7 +57,7 @@ def run_map(
     clock = clock or StageClock()
     if any(isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud") for scan in log.scans()):
         planes, poses, n_seen, n_represented = map_clouds(log, rig, config, clock, progress)
-        return MapResult(planes, poses, no_poses(), n_seen, n_represented, clock)
+        return MapResult(planes, poses, given_at_scans(log, poses), Trajectory.empty(), n_seen, n_represented, clock)
     name, sensor = _slice_sensor(log, rig)
     scans = [scan for scan in log.scans(name) if isinstance(scan, LaserScan)]
     _check_alike(scans, log)
@@ -83,20 +86,16 @@ def run_map(
     with clock.stage("map"):
         planes = mapper.planes
     stamps = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
-    poses = np.array([_pose_of(scan, log) for scan in scans])
+    poses = Trajectory(stamps, np.array([_pose_of(scan, log) for scan in scans]))
     return MapResult(
         [MapPlane(index, plane, plane.outline or shapely.Polygon(), 1, ("map",)) for index, plane in enumerate(planes)],
-        Trajectory(stamps, poses),
-        no_poses(),
+        poses,
+        given_at_scans(log, poses),
+        Trajectory.empty(),
         mapper.n_points_seen,
         mapper.n_points_represented,
         clock,
     )
-
-
-def no_poses() -> Trajectory:
-    """A trajectory without poses."""
-    return Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
 
 
 def correlated(config: MapperConfig, scans: list[LaserScan], rig: Rig, log: Log) -> MapperConfig:

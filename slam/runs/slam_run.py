@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from slam.frontend.odometry import OdometryTrack
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory
 from slam.planeslam import MapPlane, PlaneSlam
+from slam.runs.scan_trajectory import odometry_at_scans, scan_trajectory
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig
 from slam.timing import StageClock
@@ -40,6 +42,16 @@ class Run:
     """With which sensors."""
     clock: StageClock
     """Time per stage."""
+
+    @cached_property
+    def scan_trajectory(self) -> Trajectory:
+        """world_T_body at every scan of the log: the keyframes' estimates, the motion between them carried."""
+        return scan_trajectory(self.trajectory, self.log, self.rig)
+
+    @cached_property
+    def scan_odometry(self) -> Trajectory:
+        """The same scans by odometry alone, from the first keyframe's estimate; empty without odometry."""
+        return odometry_at_scans(self.trajectory, self.log, self.rig)
 
 
 def run_slam(
@@ -69,7 +81,7 @@ def run_slam(
     slam.clock = slam.backend.clock = clock
     done_before = len(slam.keyframes)
     total = count_keyframes(log, rig, config)
-    frames = keyframes_of(log, rig, config, done_before)
+    frames = keyframes_of(log, rig, config, done_before, segment=slam.segment)
     for done in range(done_before, total):
         with clock.stage("measure"):
             keyframe = next(frames)
@@ -99,7 +111,7 @@ def _add(slam: PlaneSlam, keyframe: Keyframe, *, strict: bool) -> None:
 def odometry_of(log: Log, rig: Rig, trajectory: Trajectory) -> Trajectory:
     """Odometry alone at the times of a trajectory, started at its first pose; empty without odometry."""
     if not len(trajectory) or not log.odometry:
-        return Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
+        return Trajectory.empty()
     poses = OdometryTrack(log.odometry, rig.odometry).poses_at(trajectory.stamps_ns.tolist())
     return Trajectory(trajectory.stamps_ns, trajectory.poses[0] @ inverse(poses[0]) @ poses)
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import shapely
 
 from slam.errors import LogError
@@ -46,7 +45,7 @@ class StoredRun:
         if not (folder / "planes.json").is_file():
             raise LogError(folder, "expected the folder of a run, found no planes.json in it")
         history = History.read(folder / "view.json") if (folder / "view.json").exists() else History()
-        odometry = read_tum(folder / "odometry.tum") if (folder / "odometry.tum").exists() else _no_poses()
+        odometry = read_tum(folder / "odometry.tum") if (folder / "odometry.tum").exists() else Trajectory.empty()
         planes = []
         for stored in read_map(folder / "planes.json"):
             seen = history.seen.get(stored.id, stored.plane.outline or shapely.Polygon())
@@ -77,7 +76,3 @@ def _is_table(rows: Any) -> bool:
 def _metric(row: dict[str, Any]) -> Metric:
     value = row["value"]
     return Metric(str(row["metric"]), float("nan") if value is None else value, str(row["unit"]))
-
-
-def _no_poses() -> Trajectory:
-    return Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))

@@ -39,6 +39,28 @@ def session_path(path: Path | str) -> Path:
     return path / SESSION_FILE if path.is_dir() else path
 
 
+def is_unfinished(folder: Path | str) -> bool:
+    """Whether a folder holds a run that was interrupted, or that goes on now; in doubt it does not."""
+    path = Path(folder) / SESSION_FILE
+    if not path.is_file():
+        return False
+    try:
+        with Session.open(path, read_only=True) as session:
+            return not session.is_finished
+    except (ValueError, OSError):
+        return False
+
+
+def check_finished(folder: Path | str) -> None:
+    """Raise where a folder holds a run that has no results yet.
+
+    Raises:
+        SessionError: one sentence that says how it gets them.
+    """
+    if not (Path(folder) / "planes.json").is_file() and is_unfinished(folder):
+        raise SessionError(f"{folder}: the run is not finished; go on with: spplanes slam --resume {folder}")
+
+
 class Session(SessionRecords):
     """The file of a run. One process writes it, others may read it meanwhile; all methods raise `SessionError`.
 

@@ -1,7 +1,8 @@
-"""The first step of a keyframe: its pose enters the graph by its motion alone, before anything is looked at."""
+"""Tracking, the first step of a keyframe: its pose enters the graph by its motion alone, before looking."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import gtsam
@@ -21,6 +22,17 @@ from slam.tracking.wheel_calibration import WheelCalibration
 from spplanes._check import FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """Where a keyframe is expected, and the factors that say so."""
+
+    world_T_body: FloatArray
+    factors: list[Any]
+    motion: Motion | None = None
+    place: FoundPlace | None = None
+    pending: list[Any] = field(default_factory=list)
+
+
 class StartPose(NamedTuple):
     """Where a run starts, as somebody knew it before."""
 
@@ -30,7 +42,37 @@ class StartPose(NamedTuple):
     """Shape (6, 6), in the SP order (x, y, z, phi, theta, psi), composed on the right."""
 
 
+@dataclass(frozen=True, eq=False)
 class Prediction:
+    """The pose of a keyframe before anything is looked at, as it stands in the graph."""
+
+    index: int
+    """Index of the keyframe."""
+    pose_key: int
+    """Its key in the graph."""
+    motion: Motion | None
+    """The motion that leads there, as it is known; None for the first keyframe."""
+    place: FoundPlace | None = None
+    """Where the planes found the keyframe, if they were asked and could say."""
+    pending: tuple[gtsam.NonlinearFactor, ...] = ()
+    """Factors of the motion that the place stands in for: they enter the graph together with what was seen."""
+    standing_in: tuple[int, ...] = ()
+    """Indices of the factors of that place, which leave it then: it is made of what was seen."""
+    robust: str | None = None
+    """Robust kernel on what is matched from here: of a place that the planes had to find some of it is wrong."""
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether so little was known of the motion that the planes were asked."""
+        return self.motion is not None and is_wide(self.motion)
+
+    @property
+    def trusted(self) -> frozenset[int] | None:
+        """Observations that may be matched from here; None: all."""
+        return None if self.place is None else self.place.trusted
+
+
+class MotionModel:
     """Odometry less what has been learnt of the wheels; without any the motion before, or that which the planes tell.
 
     The last stands in for the wide motion that is known, while observations are matched and no longer: it is made of
@@ -41,73 +83,61 @@ class Prediction:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
         self._thinning, self._config, self._known_start = parts.thinning, parts.config, start
         self.calibration = WheelCalibration()
-        self.motion: Motion | None = None
-        """The predicted motion to the newest keyframe; None for the first."""
-        self.waiting: list[gtsam.NonlinearFactor] = []
-        """Factors of the wide motion that another one stands in for."""
-        self.standing_in: list[int] = []
-        """Indices of the factors of that other one."""
-        self.found: FoundPlace | None = None
-        """Where the planes found the newest keyframe, if they were asked and could say."""
 
-    @property
-    def is_wide(self) -> bool:
-        """Whether so little was known of the newest motion that the planes were asked."""
-        return self.motion is not None and is_wide(self.motion)
-
-    @property
-    def robust(self) -> str | None:
-        """Robust kernel on what is matched from here: of a place that the planes had to find some of it is wrong."""
-        return (self._config.coasting.robust if self.standing_in else None) or self._config.backend.robust
-
-    def enter(self, keyframe: Keyframe) -> int:
-        """Put the pose of a new keyframe into the graph, where others may leave it; returns its key."""
+    def predict(self, keyframe: Keyframe) -> Prediction:
+        """Put the pose of a new keyframe into the graph, where others may leave it."""
         index = len(self._keyframes)
+        step = self._start(keyframe) if index == 0 else self._step(keyframe, index)
         key, initial = pose_symbol(index), gtsam.Values()
-        guess, factors = self._start(keyframe, key) if index == 0 else self._step(keyframe, index)
-        initial.insert(key, gtsam.Pose3(guess))
+        initial.insert(key, gtsam.Pose3(step.world_T_body))
         room = self._thinning.make_room(index)
         through = [self._through(*motion) for motion in room.motions]
-        indices = self._backend.update([*factors, *through], initial, remove=room.stale)
-        own = indices[: len(factors)]
-        self._thinning.made_room(room, indices[len(factors) :])
-        self.standing_in = own if self.waiting else []
-        measured = None if self.waiting or index == 0 else keyframe.motion
+        indices = self._backend.update([*step.factors, *through], initial, remove=room.stale)
+        own = indices[: len(step.factors)]
+        self._thinning.made_room(room, indices[len(step.factors) :])
+        measured = None if step.place is not None or index == 0 else keyframe.motion
         self._thinning.entered(index, None if measured is None else Link(measured, own[:1], own[1:]))
-        return key
+        return Prediction(
+            index,
+            key,
+            step.motion,
+            step.place,
+            pending=tuple(step.pending),
+            standing_in=tuple(own) if step.pending else (),
+            robust=(self._config.coasting.robust if step.pending else None) or self._config.backend.robust,
+        )
 
-    def confirmed(self) -> None:
-        """The wide motion is in the graph, what stood in for it is out."""
-        self.waiting, self.standing_in = [], []
-
-    def learn(self) -> None:
-        """What the last motion, now that its end has been seen, says about the wheels."""
-        if self.motion is None or self.motion.response is None or self.calibration.covariance is None:
+    def learn(self, prediction: Prediction) -> None:
+        """What a motion, now that its end has been seen, says about the wheels."""
+        motion = prediction.motion
+        if motion is None or motion.response is None or self.calibration.covariance is None:
             return
-        keys = [pose_symbol(len(self._keyframes) - 2), pose_symbol(len(self._keyframes) - 1)]
+        keys = [pose_symbol(prediction.index - 1), prediction.pose_key]
         a_T_b = inverse(self._backend.pose(keys[0])) @ self._backend.pose(keys[1])
         covariance = motion_covariance(a_T_b, self._backend.joint_covariance(keys).of(keys))
-        self.calibration.learn(self.motion, a_T_b, covariance)
+        self.calibration.learn(motion, a_T_b, covariance)
 
-    def _start(self, keyframe: Keyframe, key: int) -> tuple[FloatArray, list[Any]]:
+    def _start(self, keyframe: Keyframe) -> _Step:
         """Where the first keyframe is, and its prior."""
         guess = np.eye(4) if keyframe.world_T_body_guess is None else keyframe.world_T_body_guess
         settings = self._config.backend
         covariance = np.diag(np.repeat([settings.prior_sigma_m, settings.prior_sigma_rad], 3) ** 2)
         if self._known_start is not None:
             guess, covariance = self._known_start
-        return guess, [pose_prior(key, guess, covariance)]
+        return _Step(guess, [pose_prior(pose_symbol(0), guess, covariance)])
 
-    def _step(self, keyframe: Keyframe, index: int) -> tuple[FloatArray, list[Any]]:
+    def _step(self, keyframe: Keyframe, index: int) -> _Step:
         """Where the motion to a keyframe leads, and its factors."""
         before, key = pose_symbol(index - 1), pose_symbol(index)
         world_T_before = self._backend.pose(before)
-        motion = self.motion = self._motion_to(keyframe)
-        self.found = found_place(keyframe, index, motion, world_T_before, self._landmarks) if is_wide(motion) else None
-        if self.found is None:
-            return world_T_before @ motion.a_T_b, motion.factors(before, key)
-        self.waiting, there = motion.factors(before, key), self.found.motion
-        return world_T_before @ there.a_T_b, there.factors(before, key)
+        motion = self._motion_to(keyframe)
+        place = found_place(keyframe, index, motion, world_T_before, self._landmarks) if is_wide(motion) else None
+        if place is None:
+            return _Step(world_T_before @ motion.a_T_b, motion.factors(before, key), motion)
+        there = place.motion
+        return _Step(
+            world_T_before @ there.a_T_b, there.factors(before, key), motion, place, motion.factors(before, key)
+        )
 
     def _motion_to(self, keyframe: Keyframe) -> Motion:
         """Odometry, less what is known to be wrong with it; without any the motion before goes on."""

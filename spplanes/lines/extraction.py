@@ -11,6 +11,9 @@ from spplanes._check import FloatArray, as_float_array, as_number, as_positive, 
 from spplanes.line import ScanLine
 from spplanes.lines._extract import extract
 
+#: Two turns, rad: no convention writes a bearing beyond, and any scan in degrees does.
+_LARGEST_BEARING = 4.0 * np.pi
+
 
 @dataclass(frozen=True)
 class LineConfig:
@@ -80,12 +83,14 @@ def extract_lines(
         The lines in order of bearing, deterministic.
 
     Raises:
-        ValueError: shapes that differ, angles or sigma that are not finite, sigma not positive.
+        ValueError: shapes that differ, angles in degrees, angles or sigma that are not finite, sigma not positive.
     """
     config = LineConfig() if config is None else config
     check_instance("config", config, LineConfig)
     ranges = as_shape("ranges", ranges, (None,), finite=False)
     angles = as_shape("angles", angles, ranges.shape)
+    if angles.size and (largest := float(np.abs(angles).max())) > _LARGEST_BEARING:
+        raise ValueError(f"angles: expected bearings in radians, got {largest:.6g}, as if in degrees")
     sigmas = _as_sigmas(sigma, ranges.size)
     if ranges.size < 3:
         return []

@@ -10,6 +10,7 @@ from factors import (
     direction_prior,
     distance_factor,
     get_ready,
+    joint_covariance,
     line_factor,
     odometry_factor,
     odometry_factor_2d,
@@ -19,11 +20,14 @@ from factors import (
     plane_factors,
     plane_landmark,
     plane_prior,
+    pose_prior,
+    seen_plane,
     world_plane,
 )
 from factors.line import decorrelated_points
 from factors.robust import with_robust
-from spplanes import Plane
+from spplanes import Location, Plane
+from spplanes._check import as_shape
 from tests.factors.factor_scenes import (
     A,
     L,
@@ -203,8 +207,17 @@ def test_native_and_compiled_plane_factors_agree():
         (lambda: distance_factor(L, A, [1.0], 0.1), r"distance_m: expected a number, got \[1.0\]"),
         (lambda: parallel_factor(L, A, None), "sigma_rad: expected a number, got None"),
         (
-            lambda: world_plane(gtsam.Values(), None, L),
-            "plane_key: expected the key of an OrientedPlane3 in values, got",
+            lambda: world_plane(gtsam.Values(), None, gtsam.symbol("l", 12)),
+            "plane_key: expected the key of an OrientedPlane3 in values, got l12",
+        ),
+        (
+            lambda: odometry_factor(X, X, (1, 0, 0), np.eye(3)),
+            "key_b: expected another key than key_a, got x0 for both",
+        ),
+        (lambda: parallel_factor(L, L, 0.1), "plane_b: expected another landmark than plane_a, got the same key l0"),
+        (
+            lambda: line_factor(LINE, np.eye(4), X, L, expected=gtsam.OrientedPlane3()),
+            "expected: expected an anchor_key with it, got none",
         ),
     ],
 )
@@ -235,3 +248,36 @@ def test_planes_made_ready_together_give_the_factors_they_give_alone():
         get_ready([planes[0], Plane._trusted(np.eye(4), np.zeros((3, 3)), 3)])
     with pytest.raises(ValueError, match="plane: expected a Plane, got int"):
         get_ready([3])  # type: ignore[list-item]
+
+
+def test_keys_without_a_marginal_are_named():
+    """Once ``IndexError: map::at``."""
+    graph, values = (
+        gtsam.NonlinearFactorGraph(),
+        values_of(x1=gtsam.Pose3(), x2=gtsam.Pose3(), l0=gtsam.OrientedPlane3()),
+    )
+    graph.push_back(pose_prior(gtsam.symbol("x", 1), gtsam.Pose3(), np.eye(6)))
+    marginals = gtsam.Marginals(graph, values)
+    with pytest.raises(ValueError, match="keys: expected variables of the graph that the marginals are of, got l0"):
+        world_plane(values, marginals, L)
+    for ask in (world_plane, lambda *a, **k: seen_plane(*a, gtsam.symbol("x", 2), **k)):
+        with pytest.raises(ValueError, match=r"keys: expected variables of the graph .*l0"):
+            ask(values, marginals, L, anchor_key=gtsam.symbol("x", 1))
+    with pytest.raises(ValueError, match="keys: expected variables of the graph that the marginals are of, got x2"):
+        joint_covariance(marginals, [gtsam.symbol("x", 1), gtsam.symbol("x", 2)])
+    np.testing.assert_allclose(joint_covariance(marginals, [gtsam.symbol("x", 1)]), np.eye(6))
+
+
+def test_a_pose3_is_taken_wherever_a_matrix_is():
+    pose = random_pose(np.random.default_rng(2))
+    matrix = pose.matrix()
+    np.testing.assert_array_equal(Plane(pose, PLANE.covariance).frame, matrix)
+    np.testing.assert_array_equal(PLANE.transform(pose).frame, PLANE.transform(matrix).frame)
+    np.testing.assert_array_equal(Location.pose(pose, np.eye(6)).transform, matrix)
+    np.testing.assert_array_equal(as_shape("poses", [pose, pose], (None, 4, 4)), [matrix, matrix])
+    values = values_of(x0=random_pose(np.random.default_rng(3)), l0=plane_landmark(PLANE, pose))
+    for with_pose, with_matrix in (
+        (line_factor(LINE, pose, X, L), line_factor(LINE, matrix, X, L)),
+        (pose_prior(X, pose, np.eye(6)), pose_prior(X, matrix, np.eye(6))),
+    ):
+        assert with_pose.error(values) == with_matrix.error(values)

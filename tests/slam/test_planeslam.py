@@ -132,7 +132,7 @@ def test_twins_are_found_by_chi2_and_joined_with_their_factors():
     assert find_twins({copy.id}, slam.landmarks, slam.backend, slam.config.association, min_keyframes=2) == [
         (old.id, copy.id)
     ]
-    slam._merge_twins({copy.id})
+    slam._merge_same_planes({copy.id})
     assert len(slam.landmarks) == 6
     assert old.n_keyframes == 15
     assert not slam.backend.values.exists(copy.key)

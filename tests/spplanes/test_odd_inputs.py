@@ -91,6 +91,10 @@ def test_no_labels_for_no_points():
         (lambda: ScanLine(0, [1], np.eye(2), np.eye(2), [1]), r"rho: expected a number, got \[1\]"),
         (lambda: ScanLine(0, 1, np.eye(2), np.eye(2), None), "indices: expected integers of shape"),
         (lambda: LineConfig(significance="a"), "significance: expected a number, got 'a'"),
+        (
+            lambda: extract_lines(np.ones(181), np.arange(-90.0, 91.0), sigma=0.1),
+            "angles: expected bearings in radians, got 90, as if in degrees",
+        ),
         (lambda: extract_lines([1.0], [0.0], sigma=0.1, config={}), "config: expected a LineConfig, got dict"),
     ],
 )

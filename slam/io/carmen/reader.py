@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 _SICK_MODES = ((8.1, 8.2, 7.95), (81.0, 82.0, 40.0))
 #: Offsets of a laser pose against the robot's that differ by less than this are one mount, m and rad.
 _SAME_MOUNT = 1e-4
+#: Records that several programs write at once come late by this much at most, ns: they are sorted.
+_LATE_NS = 1_000_000_000
+#: A reading that means "none" is the largest of at least so many scans, and of so many times more than any other is.
+_NO_RETURN_SCANS, _NO_RETURN_RATIO = 5, 5
 
 
 def read_carmen(
@@ -58,7 +62,7 @@ def read_carmen(
     if not (rows["name"] > 0).any():
         raise LogError(path, "expected a CARMEN log with laser records, got none")
     stamps = _stamps(raw, rows, clock)
-    _check_order(path, raw, rows, stamps)
+    _note_order(path, raw, rows, stamps)
     names = _names_of(path, raw, rows, rig)
     lasers = {raw.names[name]: _laser_of(name, sensor, raw, rows, rig) for name, sensor in names.items()}
     sensors = {raw.names[name]: sensor for name, sensor in names.items()}
@@ -96,24 +100,19 @@ def _stamps(raw: RawLog, rows: np.ndarray, clock: str) -> np.ndarray:
     return sensors if clock == "ipc" else loggers
 
 
-def _check_order(path: Path, raw: RawLog, rows: np.ndarray, stamps: np.ndarray) -> None:
-    """Within the records of one name, time must not run backwards and the number of beams must not change."""
-    problems: list[tuple[int, str]] = []
+def _note_order(path: Path, raw: RawLog, rows: np.ndarray, stamps: np.ndarray) -> None:
+    """Say once how many records come late; a time that runs back by more than a moment is another log, or damage."""
+    late, worst = 0, 0
     for name, number in raw.names.items():
         (own,) = np.nonzero(rows["name"] == number)
-        beams, times, lines = rows["beams"][own].tolist(), stamps[own].tolist(), rows["line"][own].tolist()
-        for place in range(1, len(own)):
-            if times[place] < times[place - 1]:
-                late = (times[place - 1] - times[place]) / 1e9
-                problems.append((lines[place], f"time runs backwards by {late:.6f} s in {name}"))
-                break
-            if beams[place] != beams[place - 1]:
-                expected = f"expected {beams[place - 1]} beams as in the {name} records before, got {beams[place]}"
-                problems.append((lines[place], expected))
-                break
-    if problems:
-        line, problem = min(problems)
-        raise LogError(path, problem, line=line)
+        behind = np.maximum.accumulate(stamps[own]) - stamps[own]
+        (far,) = np.nonzero(behind > _LATE_NS)
+        if far.size:
+            problem = f"time runs backwards by {behind[far[0]] / 1e9:.6f} s in {name}"
+            raise LogError(path, problem, line=int(rows["line"][own[far[0]]]))
+        late, worst = late + int((behind > 0).sum()), max(worst, int(behind.max(initial=0)))
+    if late:
+        raw.notes.append(f"sorted {late} records whose time runs back by up to {worst / 1e9:.3f} s")
 
 
 def _names_of(path: Path, raw: RawLog, rows: np.ndarray, rig: Rig | None) -> dict[str, str]:
@@ -145,7 +144,19 @@ def _range_limit(own: np.ndarray) -> float:
     """Ranges of a laser at or beyond this are no returns, m."""
     stated, largest = own["range_max_m"], float(own["largest"].max())
     limit = float(np.min(stated, initial=np.inf, where=~np.isnan(stated)))
-    return min([limit, *(none for low, high, none in _SICK_MODES if low <= largest <= high)])
+    sick = (none for low, high, none in _SICK_MODES if low <= largest <= high)
+    return min([limit, _no_return(own["largest"]), *sick])
+
+
+def _no_return(largest: np.ndarray) -> float:
+    """The reading that means "none" by the largest readings (N,) of scans, m; infinite without one.
+
+    What is far away is hardly ever read as the same number twice; what stands for nothing is the same in scan after
+    scan.
+    """
+    values, counts = np.unique(np.round(largest, 3), return_counts=True)
+    often = counts[-1] >= _NO_RETURN_SCANS and counts[-1] >= _NO_RETURN_RATIO * counts[:-1].max(initial=1)
+    return float(values[-1]) if often else float("inf")
 
 
 def _stated_mount(name: str, own: np.ndarray, offsets: dict[str, float]) -> FloatArray | None:

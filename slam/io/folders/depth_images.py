@@ -29,7 +29,9 @@ SENSOR = "camera"
 PERIOD_NS = 33_333_333
 #: A pose belongs to an image where one lies this near in time, ns.
 _POSE_GAP_NS = 500_000_000
-_LISTS, _POSES = ("depth.txt", "associations.txt"), ("groundtruth.txt", "poses.tum")
+_LISTS = ("depth.txt", "associations.txt")
+#: Names of a file of the camera's poses.
+CAMERA_POSES = ("groundtruth.txt", "poses.tum")
 
 
 def is_depth_folder(folder: Path) -> bool:
@@ -58,7 +60,7 @@ def read_depth_folder(folder: Path, *, sensor: str = SENSOR, body_T_sensor: Floa
     stamps = [k * PERIOD_NS if stamp is None else stamp for k, (_, stamp) in enumerate(images)]
     if any(later <= earlier for earlier, later in pairwise(stamps)):
         raise LogError(folder, "expected times of the images that ascend, got one that repeats or runs backwards")
-    truth = next((folder / name for name in _POSES if (folder / name).is_file()), None)
+    truth = next((folder / name for name in CAMERA_POSES if (folder / name).is_file()), None)
     poses = [None] * len(stamps) if truth is None else _poses(truth, stamps, timed=images[0][1] is not None)
     events: list[Event] = []
     for (path, _), stamp, pose in zip(images, stamps, poses, strict=True):

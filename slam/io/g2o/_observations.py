@@ -42,19 +42,6 @@ def sighting_of(factor: Any) -> Sighting | None:
     return None
 
 
-def anchoring_of(factor: Any) -> tuple[int | None, int | None]:
-    """(plane, anchor) where the factor says in whose frame its landmark lives; (None, None) where it does not."""
-    if isinstance(factor, gtsam_unstable.LocalOrientedPlane3Factor):
-        keys = list(factor.keys())
-        return keys[2], keys[1]
-    if isinstance(factor, gtsam.OrientedPlane3Factor):
-        return list(factor.keys())[-1], None
-    recipe = describe(factor) if isinstance(factor, gtsam.CustomFactor) else None
-    if recipe is None or recipe.reference_key is not None or recipe.pose_key is recipe.anchor_key is None:
-        return None, None
-    return recipe.plane_key, recipe.anchor_key
-
-
 def linearised(factor: Any, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:
     """Whitened Jacobian (m, n) and negative whitened error (m,) of a factor, without the weight of a robust kernel."""
     matrix, rest = factor.linearize(values).jacobian()

@@ -11,7 +11,8 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from slam.io.g2o._observations import Sighting, anchoring_of, gaussian_of, linearised, sighting_of
+from factors import landmark_anchors
+from slam.io.g2o._observations import Sighting, gaussian_of, linearised, sighting_of
 from slam.io.g2o._tangents import (
     LEVEL,
     UPRIGHT,
@@ -77,7 +78,7 @@ class _Writer:
         for key in graph.keyVector():
             if not values.exists(key):
                 raise ValueError(f"values: expected one for every variable, got none for {_name(key)}")
-        self._anchors = self._anchors_of_planes()
+        self._anchors = {plane: anchor for plane, anchor in landmark_anchors(graph).items() if anchor is not None}
 
     def lines(self) -> list[str]:
         """The whole file, line by line."""
@@ -171,16 +172,6 @@ class _Writer:
             else:
                 self.left_out["variables that are neither Pose3 nor OrientedPlane3"] += 1
         return poses, planes
-
-    def _anchors_of_planes(self) -> dict[int, int]:
-        anchors: dict[int, int | None] = {}
-        for factor in self._factors:
-            plane_key, anchor_key = anchoring_of(factor)
-            if plane_key is None:
-                continue
-            if anchors.setdefault(plane_key, anchor_key) != anchor_key:
-                raise ValueError(f"graph: expected one anchor for each landmark, got two for {_name(plane_key)}")
-        return {plane: anchor for plane, anchor in anchors.items() if anchor is not None}
 
 
 def _zero_of(start: gtsam.Pose3, at: _Linearised) -> tuple[gtsam.Pose3, FloatArray]:

@@ -7,10 +7,14 @@ import pytest
 from shapely import box
 
 from slam.errors import LogError
-from slam.evaluation import evaluate_run
+from slam.evaluation import compare_with_truth, evaluate_run
 from slam.geometry.frames import planar_transform
+from slam.io.default_rigs import depth_rig
+from slam.io.folders.depth_images import CAMERA_MOUNT
 from slam.io.planes_json import read_planes, write_planes
-from slam.io.trajectories import Trajectory, write_tum
+from slam.io.trajectories import Trajectory, read_tum, write_tum
+from slam.sensors.mount import Mount
+from slam.sensors.rig import Rig
 from slam.simulation import VERTICAL, simulate_mission
 from spplanes import Plane
 
@@ -55,7 +59,124 @@ def test_relations_are_known_by_their_name(mission, tmp_path):
     line = f"{stamps[0] / 1e9:.9f} {stamps[50] / 1e9:.9f} {pose[0, 3]} {pose[1, 3]} 0 0 0 {yaw}\n"
     (tmp_path / "my.relations").write_text(line)
     values = {row.name: row.value for row in evaluate_run(run, tmp_path / "my.relations")}
-    assert values["relations found"] == 1 and values["relations translation mean"] < 1e-6
+    assert values["relations found"] == values["relations in the file"] == 1
+    assert values["relations translation mean"] < 1e-6
+
+
+def test_poses_at_every_scan_are_scored_where_the_run_has_them(mission, tmp_path):
+    """Keyframes are every tenth scan: of relations between other scans none was found, of poses a tenth."""
+    run = run_of(tmp_path / "run", mission, np.eye(4))
+    stamps = np.array([scan.stamp_ns for scan in mission.log.scans(VERTICAL)])
+    poses = mission.truth.poses_at(stamps)
+    with (tmp_path / "my.relations").open("w") as stream:
+        for a, b in ((1, 12), (5, 44), (10, 20)):
+            pose = np.linalg.inv(poses[a]) @ poses[b]
+            yaw = np.arctan2(pose[1, 0], pose[0, 0])
+            stream.write(f"{stamps[a] / 1e9:.9f} {stamps[b] / 1e9:.9f} {pose[0, 3]} {pose[1, 3]} 0 0 0 {yaw}\n")
+    write_tum(tmp_path / "truth.tum", Trajectory(stamps, poses))
+    before = compare_with_truth(run, tmp_path / "my.relations")
+    assert before.notes == ["scored 1 of 3 relations, by trajectory.tum"]
+    note = compare_with_truth(run, tmp_path / "truth.tum").notes[0]
+    assert note == f"compared 12 of 12 poses of the run (trajectory.tum) with {len(stamps)} of the truth"
+    write_tum(run / "scans.tum", Trajectory(stamps, poses))
+    after = compare_with_truth(run, tmp_path / "my.relations")
+    assert after.notes == ["scored 3 of 3 relations, by scans.tum"]
+    assert {row.name: row.value for row in after.rows}["relations translation max"] < 1e-6
+    rows = {row.name: row.value for row in evaluate_run(run, tmp_path / "truth.tum")}
+    assert rows["poses compared"] == rows["poses of the run"] == rows["poses of the truth"] == len(stamps)
+    assert "odometry alone: poses compared" in rows
+
+
+def test_a_truth_of_other_times_is_refused_and_taken_by_row_only_when_asked(mission, tmp_path):
+    run = run_of(tmp_path / "run", mission, np.eye(4))
+    (run / "odometry.tum").unlink()
+    path = read_tum(run / "trajectory.tum")
+    off = tmp_path / "off.tum"
+    write_tum(off, Trajectory(path.stamps_ns + 500_000 * 10**9, path.poses))
+    with pytest.raises(
+        ValueError, match=r"truth: expected times in common with the estimate \(12 poses from 1000\.\d+"
+    ):
+        evaluate_run(run, off)
+    found = compare_with_truth(run, off, by_row=True)
+    assert found.notes[0] == "off.tum was taken row by row, whatever its times"
+    assert {row.name: row.value for row in found.rows}["ATE translation max"] < 1e-9
+    write_tum(off, Trajectory(path.stamps_ns[:5], path.poses[:5]))
+    with pytest.raises(ValueError, match=r"off\.tum: expected, by row, as many poses as the run's 12, got 5"):
+        evaluate_run(run, off, by_row=True)
+    (tmp_path / "my.relations").write_text("1 2 0 0 0 0 0 0\n")
+    with pytest.raises(ValueError, match="expected a TUM trajectory where rows"):
+        evaluate_run(run, tmp_path / "my.relations", by_row=True)
+
+
+def test_few_poses_are_said_and_turn_no_rotation(tmp_path):
+    """Five poses on a line leave the turn about it open to positions alone: it was 144 deg without a word."""
+    stamps = np.arange(5) * 10**9
+    true = np.array([planar_transform(0.3 * k, 0.0, 0.1 * k) for k in range(5)])
+    rng = np.random.default_rng(0)
+    seen = true.copy()
+    seen[:, :3, 3] += 1e-3 * rng.standard_normal((5, 3))
+    (tmp_path / "run").mkdir()
+    write_tum(tmp_path / "run" / "trajectory.tum", Trajectory(stamps, seen))
+    write_tum(tmp_path / "truth.tum", Trajectory(stamps, true))
+    found = compare_with_truth(tmp_path / "run", tmp_path / "truth.tum")
+    rows = {row.name: row.value for row in found.rows}
+    assert rows["ATE rotation max"] < 0.5 and rows["ATE translation max"] < 3e-3
+    assert found.notes[1] == (
+        "few poses: alignment takes 6 of their 15 coordinates, the errors themselves are known to 24 % only"
+    )
+    many = np.arange(40) * 10**9
+    path = Trajectory(many, np.array([planar_transform(0.3 * k, 0.0, 0.1 * k) for k in range(40)]))
+    write_tum(tmp_path / "run" / "trajectory.tum", path)
+    write_tum(tmp_path / "truth.tum", path)
+    assert len(compare_with_truth(tmp_path / "run", tmp_path / "truth.tum").notes) == 1
+
+
+def camera_run(folder, body_T_camera):
+    """A run of a depth camera that got everything right, and the truth of its camera."""
+    run = folder / "run"
+    run.mkdir()
+    stamps = np.arange(40) * 10**9
+    body = np.array([planar_transform(2.0 * np.sin(0.2 * k), 0.3 * k, 0.2 * k) for k in range(40)])
+    write_tum(run / "trajectory.tum", Trajectory(stamps, body))
+    camera = depth_rig().sensors["camera"].model_copy(update={"mount": Mount(matrix=tuple(map(tuple, body_T_camera)))})
+    Rig(sensors={"camera": camera}).to_yaml(run / "rig.yaml")
+    (folder / "images" / "depth").mkdir(parents=True)
+    (folder / "images" / "intrinsics.txt").write_text("525 525 320 240\n")
+    (folder / "images" / "depth" / "1.png").write_bytes(b"")
+    (folder / "images" / "truth").mkdir()
+    return run, Trajectory(stamps, planar_transform(1.0, 2.0, 0.4) @ body @ body_T_camera)
+
+
+@pytest.mark.parametrize("place", ["images", "images/truth"])
+def test_groundtruth_beside_depth_images_is_of_the_camera(tmp_path, place):
+    """x right, y down, z forward against x forward, y left, z up: axes compared as they are, 120 deg of error."""
+    body_T_camera = CAMERA_MOUNT.copy()
+    body_T_camera[:3, 3] = 0.2, -0.1, 1.1
+    run, truth = camera_run(tmp_path, body_T_camera)
+    file = tmp_path / place / "groundtruth.txt"
+    write_tum(file, truth)
+    found = compare_with_truth(run, file)
+    rows = {row.name: row.value for row in found.rows}
+    assert rows["ATE rotation max"] < 1e-4 and rows["ATE translation max"] < 1e-9
+    assert found.notes[0] == (
+        "groundtruth.txt is of the sensor 'camera': moved to the body by the mount in the run's rig"
+    )
+    as_body = {row.name: row.value for row in evaluate_run(run, file, truth_of="body")}
+    assert as_body["ATE from the first pose, rotation max"] > 20.0
+
+
+def test_whose_poses_a_truth_has_can_be_said(tmp_path):
+    run, truth = camera_run(tmp_path, CAMERA_MOUNT)
+    write_tum(tmp_path / "mocap.tum", truth)
+    for told in ("sensor", "camera"):
+        rows = {row.name: row.value for row in evaluate_run(run, tmp_path / "mocap.tum", truth_of=told)}
+        assert rows["ATE rotation max"] < 1e-4
+    assert {row.name: row.value for row in evaluate_run(run, tmp_path / "mocap.tum")}["ATE rotation max"] > 20.0
+    with pytest.raises(ValueError, match=r"truth_of: expected 'body', 'sensor' or one of .* \(camera\), got 'lidar'"):
+        evaluate_run(run, tmp_path / "mocap.tum", truth_of="lidar")
+    (run / "rig.yaml").unlink()
+    with pytest.raises(LogError, match=r"rig\.yaml: expected the rig of the run, found none"):
+        evaluate_run(run, tmp_path / "mocap.tum", truth_of="sensor")
 
 
 def test_missing_truths_and_runs_are_named(mission, tmp_path):

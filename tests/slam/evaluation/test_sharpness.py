@@ -74,7 +74,7 @@ def test_a_run_is_as_sharp_as_its_clouds_say(tmp_path: Path, capsys: pytest.Capt
     write_tum(run / "trajectory.tum", Trajectory(stamps, wrong))
     write_tum(tmp_path / "truth.tum", Trajectory(stamps + 10**15, poses))  # in order: other times
     (run / "metrics.json").write_text('{"metrics": []}')
-    options = ["evaluate", str(run), "--truth", str(tmp_path / "truth.tum"), "--clouds", str(log), "--json"]
+    options = ["evaluate", str(run), "--truth", str(tmp_path / "truth.tum"), "--clouds", str(log), "--json", "--by-row"]
     with pytest.raises(SystemExit, match="0"):
         main(options)
     rows = {row["metric"]: row["value"] for row in json.loads(capsys.readouterr().out)}

@@ -8,7 +8,6 @@ from shapely import Polygon, box
 from slam.evaluation import (
     absolute_error,
     align,
-    at_times_of,
     match_planes,
     nearest_stamps,
     plane_metrics,
@@ -75,15 +74,6 @@ def test_a_way_on_a_line_is_aligned_by_its_orientations_too():
     assert by_poses.rotation_rad.max() < 4e-3 and by_poses.translation_m.max() < 0.04
     exact = absolute_error(moved(truth, some_transform()), truth, alignment="poses")
     assert exact.rotation_rad.max() < 1e-6 and exact.translation_m.max() < 1e-9
-
-
-def test_poses_of_clouds_without_times_are_taken_in_order():
-    truth = helix(12)
-    numbered = Trajectory(np.arange(12) * 10**15 + 7, truth.poses)
-    assert absolute_error(numbered, at_times_of(numbered, truth)).translation_m.max() < 1e-9
-    assert at_times_of(truth, truth) is truth
-    fewer = Trajectory(numbered.stamps_ns[:5], numbered.poses[:5])
-    assert at_times_of(fewer, truth) is truth
 
 
 def test_alignment_never_mirrors():

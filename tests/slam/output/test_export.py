@@ -14,10 +14,10 @@ from plyfile import PlyData
 from slam.cli import main
 from slam.errors import LogError
 from slam.evaluation.metrics import Metric
-from slam.io.planes_json import read_map
+from slam.io.planes_json import read_map, write_planes
 from slam.io.trajectories import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 from slam.output.export import export_run
-from slam.output.run_files import as_json, planes_json, write_json, write_ply
+from slam.output.run_files import as_json, write_json, write_ply
 from slam.runs.history import History
 from slam.runs.stored_run import StoredRun
 from slam.visualization.glb import write_glb
@@ -33,7 +33,7 @@ def run(tmp_path: Path) -> Path:
     folder = tmp_path / "a run <&> ü"
     folder.mkdir()
     planes = two_planes()
-    write_json(folder / "planes.json", planes_json(planes))
+    write_planes(folder / "planes.json", planes)
     write_ply(folder / "map.ply", mesh_of(planes))
     write_tum(folder / "trajectory.tum", path())
     write_json(folder / "metrics.json", {"metrics": as_json([Metric("planes", 2, "")]), "notes": []})
@@ -128,7 +128,7 @@ def test_a_run_is_read_back_as_it_was(run: Path):
 
 def test_planes_json_comes_back_byte_for_byte(run: Path):
     stored = StoredRun.read(run)
-    write_json(run / "again.json", planes_json(stored.planes))
+    write_planes(run / "again.json", stored.planes)
     assert (run / "again.json").read_bytes() == (run / "planes.json").read_bytes()
     for entry, given in zip(read_map(run / "planes.json"), two_planes(), strict=True):
         assert entry.plane.frame.tolist() == given.plane.frame.tolist()

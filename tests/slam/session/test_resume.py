@@ -66,8 +66,8 @@ def stop_after(monkeypatch: pytest.MonkeyPatch, count: int, error: BaseException
     """Let runs end early: after so many keyframes the next measurement fails."""
     frames_of = run_module.keyframes_of
 
-    def fails(log, rig, config, start=0):
-        for index, frame in enumerate(frames_of(log, rig, config, start), start):
+    def fails(log, rig, config, start=0, **parts):
+        for index, frame in enumerate(frames_of(log, rig, config, start, **parts), start):
             if index == count:
                 raise error
             yield frame

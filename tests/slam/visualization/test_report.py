@@ -129,7 +129,7 @@ def test_blocks_of_nis_and_their_bands_by_hand():
 
 
 def test_an_empty_map_is_a_page(tmp_path: Path):
-    none = Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
+    none = Trajectory.empty()
     run = StoredRun(tmp_path, [], none, none, History(), [])
     write_report(tmp_path / "report.html", "nothing", [], [], scene_of(run, run.history))
     assert "nothing" in (tmp_path / "report.html").read_text()
@@ -279,7 +279,7 @@ def test_inside_the_map_nothing_behind_the_camera_is_drawn(opened: Browser):
 
 @needs_browser
 def test_a_page_without_planes_has_no_error(browser: Browser, tmp_path: Path):
-    none = Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
+    none = Trajectory.empty()
     run = StoredRun(tmp_path, [], none, none, History(), [])
     write_report(tmp_path / "report.html", "nothing", [], [], scene_of(run, run.history))
     browser.console()

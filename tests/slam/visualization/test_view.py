@@ -13,9 +13,10 @@ from matplotlib.image import imread
 
 from slam.cli import main
 from slam.config import SlamConfig
+from slam.io.planes_json import write_planes
 from slam.io.trajectories import write_tum
 from slam.map.map_planes import MapPlane
-from slam.output.run_files import as_json, new_folder, planes_json, write_json, write_run
+from slam.output.run_files import as_json, new_folder, write_json, write_run
 from slam.runs.history import History
 from slam.runs.slam_run import run_slam
 from slam.runs.stored_run import StoredRun
@@ -39,7 +40,7 @@ def run(tmp_path: Path) -> Path:
     """A run's folder: what `stored` of the page's tests holds, and covariances of poses."""
     folder, given = tmp_path / "run ü", stored()
     folder.mkdir()
-    write_json(folder / "planes.json", planes_json(given.planes))
+    write_planes(folder / "planes.json", given.planes)
     write_tum(folder / "trajectory.tum", given.trajectory)
     write_tum(folder / "odometry.tum", given.odometry)
     write_json(folder / "metrics.json", {"metrics": as_json(given.tables[0][1])})
@@ -75,7 +76,7 @@ def test_holes_are_open_in_pictures(tmp_path: Path):
     """A wall of 4 x 2 m with a window, seen face on: colour around the middle, none in it."""
     frame = transform_from_rpy((0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     planes = [MapPlane(0, Plane(frame, np.eye(3) * 1e-6, 10, WINDOW), WINDOW, 1, ("plane",))]
-    write_json(tmp_path / "planes.json", planes_json(planes))
+    write_planes(tmp_path / "planes.json", planes)
     write_tum(tmp_path / "trajectory.tum", moving(2, 5.0))
     view_run(tmp_path)
     pixels = imread(tmp_path / "plan.png")[..., :3]
@@ -107,7 +108,7 @@ def test_older_folders_and_empty_maps_are_drawn(tmp_path: Path):
     for name, planes in (("old", two_planes()), ("empty", [])):
         folder = tmp_path / name
         folder.mkdir()
-        write_json(folder / "planes.json", planes_json(planes))
+        write_planes(folder / "planes.json", planes)
         write_tum(folder / "trajectory.tum", moving(2, 0.0))
         assert len(view_run(folder)) == 4
 

@@ -1,0 +1,154 @@
+"""iSAM2 with `isam2_parameters` and `settle` is as honest as a batch; with GTSAM's own parameters it is not."""
+
+from itertools import pairwise
+
+import gtsam
+import numpy as np
+import pytest
+
+from factors import (
+    isam2_parameters,
+    isam_covariance,
+    joint_covariance,
+    plane_factor,
+    plane_landmark,
+    pose_prior,
+    relative_pose_factor,
+    settle,
+    world_plane_from_joint,
+)
+from spplanes import Plane
+from tests.factors.factor_scenes import frame_of, perturbed
+from tests.statistics import mean_nees_band
+
+N_POSES, RADIUS_M, SEEN_FROM_M = 25, 4.0, 8.5
+WALLS = [
+    frame_of(np.array(normal, dtype=float), np.array(origin, dtype=float), 0.0)
+    for normal, origin in (
+        ((0, 0, 1), (0, 4, 0)),
+        ((0, 0, -1), (0, 4, 3)),
+        ((0, 1, 0), (0, -3, 1.5)),
+        ((0, -1, 0), (0, 11, 1.5)),
+        ((-1, 0, 0), (7, 4, 1.5)),
+        ((1, 0, 0), (-7, 4, 1.5)),
+    )
+]
+#: (x, y, z, phi, theta, psi) of one step of odometry; (z, theta, psi) of one plane.
+STEP_SIGMAS = np.array([0.05, 0.05, 0.02, 0.05, 0.02, 0.02])
+PLANE_SIGMAS = np.array([0.001, 0.0006, 0.0006])
+TO_POSE3 = np.array([5, 4, 3, 0, 1, 2])
+
+
+def x(i: int) -> int:
+    return gtsam.symbol("x", i)
+
+
+def plane_key(j: int) -> int:
+    return gtsam.symbol("l", j)
+
+
+def drive() -> list[gtsam.Pose3]:
+    """Once round a circle in a hall."""
+    turns = 2.0 * np.pi * np.arange(N_POSES) / N_POSES
+    return [
+        gtsam.Pose3(gtsam.Rot3.Yaw(a), np.array([RADIUS_M * np.sin(a), RADIUS_M * (1.0 - np.cos(a)), 1.0]))
+        for a in turns
+    ]
+
+
+def sees(pose: gtsam.Pose3, j: int) -> bool:
+    return j < 2 or bool(np.linalg.norm(pose.translation()[:2] - WALLS[j][:2, 3]) < SEEN_FROM_M)
+
+
+def solve(seed: int, parameters: gtsam.ISAM2Params | None) -> tuple[float, float]:
+    """Mean NEES of two poses and of the planes; without parameters by Levenberg-Marquardt on the whole."""
+    rng = np.random.default_rng(seed)
+    truth = drive()
+    noise = STEP_SIGMAS * rng.normal(size=(N_POSES - 1, 6))
+    steps = [a.between(b).retract(e[TO_POSE3]) for (a, b), e in zip(pairwise(truth), noise, strict=True)]
+    isam = None if parameters is None else gtsam.ISAM2(parameters)
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    anchors: dict[int, int] = {}
+    for i, pose in enumerate(truth):
+        new_factors, new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        guess = truth[0]
+        if i == 0:
+            new_factors.push_back(pose_prior(x(0), truth[0], 1e-8 * np.eye(6)))
+        else:
+            before = values.atPose3(x(i - 1)) if isam is None else isam.calculateEstimatePose3(x(i - 1))
+            guess = before.compose(steps[i - 1])
+            new_factors.push_back(relative_pose_factor(x(i - 1), x(i), steps[i - 1], np.diag(STEP_SIGMAS**2)))
+        new_values.insert(x(i), guess)
+        for j in (j for j in range(len(WALLS)) if sees(pose, j)):
+            error = perturbed(np.eye(4), PLANE_SIGMAS * rng.normal(size=3))
+            seen = Plane(pose.inverse().matrix() @ WALLS[j] @ np.linalg.inv(error), np.diag(PLANE_SIGMAS**2))
+            if j not in anchors:
+                anchors[j] = x(i)
+                new_values.insert(plane_key(j), plane_landmark(seen))
+            new_factors.push_back(plane_factor(seen, x(i), plane_key(j), anchor_key=anchors[j]))
+        if isam is not None:
+            isam.update(new_factors, new_values)
+            if parameters.relinearizeSkip == 1:
+                settle(isam)
+        graph.push_back(new_factors)
+        values.insert(new_values)
+    return scores(isam, graph, values, anchors, truth)
+
+
+def scores(isam, graph, values, anchors, truth) -> tuple[float, float]:
+    if isam is None:
+        estimate = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+        marginals = gtsam.Marginals(graph, estimate)
+
+        def covariance(keys):
+            return joint_covariance(marginals, keys)
+    else:
+        estimate = isam.calculateEstimate()
+
+        def covariance(keys):
+            return isam_covariance(isam, estimate, keys)
+
+    poses, planes = [], []
+    for i in (N_POSES // 2, N_POSES - 1):
+        error = estimate.atPose3(x(i)).localCoordinates(truth[i])
+        poses.append(error @ np.linalg.solve(covariance([x(i)]), error))
+    for j, anchor in anchors.items():
+        landmark, pose = estimate.atOrientedPlane3(plane_key(j)), estimate.atPose3(anchor)
+        joint = covariance([anchor, plane_key(j)])
+        found = world_plane_from_joint(landmark, pose, joint, centre=WALLS[j][:3, 3])
+        true = np.linalg.inv(found.frame) @ WALLS[j]
+        normal = true[:3, 2] / true[2, 2]
+        error = np.array([normal @ true[:3, 3], normal[0], -normal[1]])
+        planes.append(error @ np.linalg.solve(found.covariance, error))
+    return float(np.mean(poses)), float(np.mean(planes))
+
+
+def test_isam2_on_planes_is_as_honest_as_a_batch_with_our_parameters_and_not_with_gtsams():
+    seeds = range(8)
+    batch = np.array([solve(seed, None) for seed in seeds])
+    ours = np.array([solve(seed, isam2_parameters()) for seed in seeds])
+    stock = np.array([solve(seed, gtsam.ISAM2Params()) for seed in seeds])
+    np.testing.assert_allclose(ours, batch, rtol=0.02)
+    low, high = mean_nees_band(2 * len(seeds), 6)
+    assert low < ours[:, 0].mean() < high
+    assert stock[:, 0].mean() > high
+
+
+def test_bad_parameters():
+    with pytest.raises(ValueError, match="threshold: expected a positive finite number, got 0"):
+        isam2_parameters(threshold=0.0)
+    with pytest.raises(ValueError, match="isam: expected an ISAM2, got dict"):
+        settle({})
+    with pytest.raises(ValueError, match="most: expected a whole number >= 0, got -1"):
+        settle(gtsam.ISAM2(), most=-1)
+
+
+def test_settling_stops_when_nothing_moves():
+    isam = gtsam.ISAM2(isam2_parameters())
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.push_back(pose_prior(x(0), np.eye(4), np.eye(6)))
+    values.insert(x(0), gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.ones(3)))
+    isam.update(graph, values)
+    assert 1 < settle(isam) < 8
+    assert settle(isam) == 1
+    assert isam.calculateEstimatePose3(x(0)).equals(gtsam.Pose3(), 1e-6)
