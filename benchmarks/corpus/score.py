@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import gtsam
 import numpy as np
 from scipy.stats import chi2
-from shapely import Polygon
+from shapely import Polygon, unary_union
 
-from slam.evaluation import absolute_error, match_planes
+from slam.config import SlamConfig
+from slam.evaluation import PlaneMatch, absolute_error, match_planes
+from slam.evaluation.planes import outline_in
 from slam.evaluation.trajectories import alignment_of, common_poses
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory
@@ -29,6 +33,9 @@ IN_PLANE = [2, 3, 4]
 WRONG, RIGHT = (0.1, 3.0), (0.01, 2.0)
 #: One landmark in so many is further off than its covariance allows; those are the ones "beyond".
 BEYOND = 1e-3
+#: Landmarks of one true plane that lie farther apart than this are not doubles of each other, m: the gap that
+#: association bridges by default.
+GAP_M = SlamConfig().association.gap_m
 #: Walls seen by lines are this wide to either side of them, for finding the true wall, m.
 STRIP_M = 0.05
 
@@ -143,10 +150,20 @@ def _landmarks(run: Run, drive: Drive, *, in_map: bool) -> Row:
         "matched": len(matches),
         "plane NEES/dof": float(nees.sum() / dof.sum()) if matches else None,
         "beyond, %": 100.0 * float(np.mean(nees > chi2.isf(BEYOND, dof))) if matches else None,
-        "duplicates": len(matches) - len(true),
+        "duplicates": doubles(planes, matches),
         "invented": len(planes) - len(matches),
         "missed, %": 100.0 * len(wanted - true) / len(wanted) if wanted else None,
     }
+
+
+def doubles(planes: Sequence[Plane], matches: Sequence[PlaneMatch]) -> int:
+    """Landmarks beyond the first of each piece of a true plane: what lies apart by more than `GAP_M` is a piece."""
+    pieces: dict[int, list[Polygon]] = defaultdict(list)
+    for match in matches:
+        first = next(one.estimated for one in matches if one.true == match.true)
+        pieces[match.true].append(outline_in(planes[match.estimated], planes[first]))
+    joined = (unary_union([one.buffer(GAP_M / 2.0) for one in outlines]) for outlines in pieces.values())
+    return len(matches) - sum(len(getattr(one, "geoms", [one])) for one in joined)
 
 
 def _truth_T_run(run: Run, drive: Drive) -> FloatArray:

@@ -1,16 +1,20 @@
 """The corpus names its drives, survives what its runs do, and puts rows together as it says."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from shapely import box
 
 from benchmarks.corpus import __main__ as corpus_main
 from benchmarks.corpus import ablation
 from benchmarks.corpus.catalogue import SHORT, Entry, corpus, drawn, simulated
 from benchmarks.corpus.process import rows_of, run_entry
-from benchmarks.corpus.score import _nees, judged
+from benchmarks.corpus.score import _nees, doubles, judged
 from benchmarks.corpus.summary import by_kind, compared
 from benchmarks.corpus.switches import SWITCHES, changed
 from slam.config import SlamConfig
+from slam.evaluation import PlaneMatch
 from slam.simulation.drives import DISTURBANCES, ODOMETRIES, SENSORS, WORLDS
 from spplanes import Plane
 
@@ -79,6 +83,16 @@ def test_nees_of_a_wall_seen_by_lines_leaves_its_lean_out():
         turn[:3, :3] = u @ vt
         values.append(_nees(wall, Plane(frame=wall.frame @ turn, covariance=np.zeros((3, 3))), 2))
     assert np.mean(values) == pytest.approx(2.0, abs=0.2)
+
+
+def test_doubles_are_landmarks_of_one_piece_of_a_plane_not_pieces_that_lie_apart():
+    def patch(x):
+        return Plane.from_hesse((0.0, 0.0, 1.0), 0.0, np.eye(3), centre=(x, 0.0, 0.0))
+
+    planes = [replace(patch(x), outline=box(-0.5, -0.5, 0.5, 0.5)) for x in (0.0, 0.3, 5.0)]
+    matches = [PlaneMatch(k, 7, 0.0, 0.0, 0.0) for k in range(3)]
+    assert doubles(planes, matches) == 1
+    assert doubles(planes, [matches[0], replace(matches[1], true=8), matches[2]]) == 0
 
 
 def test_a_run_that_fails_or_hangs_is_a_row_and_the_next_one_runs():
