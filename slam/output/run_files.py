@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plyfile import PlyData, PlyElement
 
 from slam.config import SlamConfig
 from slam.evaluation.metrics import Metric
 from slam.files import scratch_folder
+from slam.io.clouds.ply import write_ply_tables
 from slam.io.g2o.writer import write_g2o
 from slam.io.trajectories import write_tum
 from slam.output.run_metrics import details_of, map_metrics_of, metrics_of
@@ -140,7 +140,7 @@ def write_ply(path: Path, mesh: Mesh) -> None:
     corners["plane"] = mesh.plane_ids
     faces = np.empty(len(mesh.triangles), dtype=[("vertex_indices", "i4", (3,))])
     faces["vertex_indices"] = mesh.triangles
-    PlyData([PlyElement.describe(corners, "vertex"), PlyElement.describe(faces, "face")]).write(str(path))
+    write_ply_tables(path, {"vertex": corners, "face": faces})
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:
