@@ -21,6 +21,7 @@ from slam.io.g2o.writer import write_g2o
 from slam.io.trajectories import write_tum
 from slam.output.run_metrics import details_of, map_metrics_of, metrics_of
 from slam.planeslam import MapPlane
+from slam.runs.graph_import import ImportedRun
 from slam.runs.history import History
 from slam.runs.mapping_run import MapResult
 from slam.runs.slam_run import Run
@@ -80,6 +81,16 @@ def write_map(result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, 
     history.write(folder / "view.json")
     write_report(folder / "report.html", title, [("the map", rows)], [folder / "map.png"], scene_of(result, history))
     return rows
+
+
+def write_import(imported: ImportedRun, folder: Path, run: Path) -> None:
+    """Write a run whose graph came back from another tool into a folder that exists."""
+    config, rig = SlamConfig.from_yaml(run / "config.yaml"), Rig.from_yaml(run / "rig.yaml")
+    write_result(imported, folder, config, rig, {"metrics": as_json(imported.table)})
+    if len(imported.odometry):
+        write_tum(folder / "odometry.tum", imported.odometry)
+    (folder / "graph.g2o").write_text(imported.graph, encoding="utf-8")
+    History.of(imported.planes).write(folder / "view.json")
 
 
 def write_result(drawn: Drawn, folder: Path, config: SlamConfig, rig: Rig, numbers: dict[str, Any]) -> None:
