@@ -12,15 +12,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plyfile import PlyData, PlyElement
 
 from slam.config import SlamConfig
 from slam.evaluation.metrics import Metric
 from slam.files import scratch_folder
+from slam.io.clouds.ply import write_ply_tables
 from slam.io.g2o.writer import write_g2o
 from slam.io.planes_json import write_planes
 from slam.io.trajectories import write_tum
 from slam.output.run_metrics import details_of, map_metrics_of, metrics_of
+from slam.runs.graph_import import ImportedRun
 from slam.runs.history import History
 from slam.runs.mapping_run import MapResult
 from slam.runs.slam_run import Run
@@ -82,6 +83,16 @@ def write_map(result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, 
     return rows
 
 
+def write_import(imported: ImportedRun, folder: Path, run: Path) -> None:
+    """Write a run whose graph came back from another tool into a folder that exists."""
+    config, rig = SlamConfig.from_yaml(run / "config.yaml"), Rig.from_yaml(run / "rig.yaml")
+    write_result(imported, folder, config, rig, {"metrics": as_json(imported.table)})
+    if len(imported.odometry):
+        write_tum(folder / "odometry.tum", imported.odometry)
+    (folder / "graph.g2o").write_text(imported.graph, encoding="utf-8")
+    History.of(imported.planes).write(folder / "view.json")
+
+
 def write_result(drawn: Drawn, folder: Path, config: SlamConfig, rig: Rig, numbers: dict[str, Any]) -> None:
     """What every run leaves: how it was made, where it went, what it saw, in numbers and as a picture."""
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
@@ -130,7 +141,7 @@ def write_ply(path: Path, mesh: Mesh) -> None:
     corners["plane"] = mesh.plane_ids
     faces = np.empty(len(mesh.triangles), dtype=[("vertex_indices", "i4", (3,))])
     faces["vertex_indices"] = mesh.triangles
-    PlyData([PlyElement.describe(corners, "vertex"), PlyElement.describe(faces, "face")]).write(str(path))
+    write_ply_tables(path, {"vertex": corners, "face": faces})
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:

@@ -121,6 +121,7 @@ WITHOUT_ARRAYS = {
     *("slam.SlamConfig", "slam.SlamConfig.from_yaml", "slam.SlamConfig.to_yaml", "slam.PlaneSlam.open"),
     *("slam.PlaneSlam.close", "slam.PlaneSlam.optimize_batch", "slam.PlaneSlam.adopt_batch"),
     "slam.PlaneSlam.explain",
+    "slam.PlaneSlam.marginal_covariance",
 }
 
 
