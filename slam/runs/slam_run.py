@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from slam.config import SlamConfig
+from slam.diagnostics.evidence import look_at
+from slam.diagnostics.verdict import Verdict
 from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
 from slam.frontend.odometry import OdometryTrack
 from slam.geometry.frames import inverse
@@ -40,6 +43,12 @@ class Run:
     """With which sensors."""
     clock: StageClock
     """Time per stage."""
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Sound, doubtful or broken, and why."""
+        with self.clock.stage("verdict"):
+            return look_at(self.slam, self.rig)
 
 
 def run_slam(
