@@ -60,7 +60,7 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     """Write everything about a run into a folder that exists; `extra` tables go into the numbers and the page."""
     rows = metrics_of(run)
     numbers = {"metrics": as_json(rows), **details_of(run), **{caption: as_json(table) for caption, table in extra}}
-    write_result(run, folder, run.slam.config, run.rig, numbers)
+    write_result(run, folder, run.slam.config, run.rig, numbers, run.verdict.keyframes)
     write_tum(folder / "scans.tum", run.scan_trajectory)
     if len(run.scan_odometry):
         write_tum(folder / "odometry.tum", run.scan_odometry)
@@ -69,7 +69,8 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     history.write(folder / "view.json")
     draw_uncertainty(run, history, folder / "uncertainty.png")
     pictures = [folder / "map.png", folder / "uncertainty.png"]
-    write_report(folder / "report.html", title, [*extra, ("the run", rows)], pictures, scene_of(run, history))
+    tables, scene = [*extra, ("the run", rows)], scene_of(run, history, doubtful)
+    write_report(folder / "report.html", title, tables, pictures, scene, run.verdict)
 
 
 def write_map(result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, title: str) -> list[Metric]:
@@ -93,7 +94,9 @@ def write_import(imported: ImportedRun, folder: Path, run: Path) -> None:
     History.of(imported.planes).write(folder / "view.json")
 
 
-def write_result(drawn: Drawn, folder: Path, config: SlamConfig, rig: Rig, numbers: dict[str, Any]) -> None:
+def write_result(
+    drawn: Drawn, folder: Path, config: SlamConfig, rig: Rig, numbers: dict[str, Any], doubtful: Sequence[int] = ()
+) -> None:
     """What every run leaves: how it was made, where it went, what it saw, in numbers and as a picture."""
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     rig.to_yaml(folder / "rig.yaml")
@@ -101,7 +104,7 @@ def write_result(drawn: Drawn, folder: Path, config: SlamConfig, rig: Rig, numbe
     write_planes(folder / "planes.json", drawn.planes)
     write_ply(folder / "map.ply", mesh_of(drawn.planes))
     write_json(folder / "metrics.json", numbers)
-    draw_map(drawn, folder / "map.png")
+    draw_map(drawn, folder / "map.png", doubtful)
 
 
 def add_to_metrics(folder: Path, key: str, rows: Sequence[Metric]) -> None:
