@@ -12,7 +12,7 @@ from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
-from slam.geometry.frames import inverse
+from slam.geometry.frames import inverse, orthonormal
 from slam.map.sparsification import Link
 from slam.map.state import Parts
 from slam.registration.relocalization import FoundPlace, found_place, is_wide
@@ -65,7 +65,7 @@ class Prediction:
         index = len(self._keyframes)
         key, initial = pose_symbol(index), gtsam.Values()
         guess, factors = self._start(keyframe, key) if index == 0 else self._step(keyframe, index)
-        initial.insert(key, gtsam.Pose3(guess))
+        initial.insert(key, gtsam.Pose3(orthonormal(guess)))
         room = self._thinning.make_room(index)
         through = [self._through(*motion) for motion in room.motions]
         indices = self._backend.update([*factors, *through], initial, remove=room.stale)
@@ -103,10 +103,13 @@ class Prediction:
         before, key = pose_symbol(index - 1), pose_symbol(index)
         world_T_before = self._backend.pose(before)
         motion = self.motion = self._motion_to(keyframe)
-        self.found = found_place(keyframe, index, motion, world_T_before, self._landmarks) if is_wide(motion) else None
+        parts = self._keyframes, self._landmarks, self._backend
+        self.found = found_place(keyframe, motion, *parts) if is_wide(motion) else None
         if self.found is None:
             return world_T_before @ motion.a_T_b, motion.factors(before, key)
-        self.waiting, there = motion.factors(before, key), self.found.motion
+        kernel = self._config.coasting.robust or self._config.backend.robust
+        self.waiting = [*motion.factors(before, key), *self.found.factors(before, key, kernel)]
+        there = self.found.motion
         return world_T_before @ there.a_T_b, there.factors(before, key)
 
     def _motion_to(self, keyframe: Keyframe) -> Motion:
