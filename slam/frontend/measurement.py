@@ -82,8 +82,8 @@ def _flat_planes(
 ) -> tuple[list[Plane], np.ndarray]:
     """Planes of points (S, B, 3), in the sensor's frame, and the plane of every point, shape (S, B).
 
-    -1: of none; -2: of a region that is no plane. With `servo` the search grants them the servo's error. Rough surfaces are granted enough: both would swallow what
-    is beside them.
+    -1: of none; -2: of a region that is no plane. With `servo` the search grants them the servo's error. Rough surfaces
+    are granted enough: both would swallow what is beside them.
     """
     covariances, settings = model_of(sensor).covariances(points), for_points(for_sensor(config.mapper, sensor), points)
     viewpoint = np.zeros(3)

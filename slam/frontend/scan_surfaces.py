@@ -46,8 +46,9 @@ _BEHIND_M, _BEHIND_SHARE, _BEHIND_STEPS = 0.1, 0.04, 4.0
 #: Points within this share of the range of each other tell the direction of an edge; it is straight when their second
 #: extent is at most this share of the first (variances).
 _ALONG_SHARE, _STRAIGHT = 0.05, 0.05
-#: Edges are taken so many beams inside, where returns are of the near side alone.
-_INSET = 2
+#: Edges are taken so far inside, rad, in whole beams, where returns are of the near side alone: the pixels of a camera
+#: blur two sides into one.
+_INSET_RAD = 0.004
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,11 +139,10 @@ def _sigma(cells: _Cells, sensor: Sensor) -> FloatArray:
 
 def _on_edges(points: FloatArray, labels: np.ndarray, sensor: Sensor) -> FloatArray:
     """Edges before something farther: known across the edge and across the line of sight, to a beam or so."""
-    places = [
-        _edge_points(points, labels),
-        _edge_points(points.transpose(1, 0, 2), labels.T),
-    ]
-    found = np.unique(np.concatenate(places), axis=0)
+    width = _beam_width(points)
+    inset = round(_INSET_RAD / width) if width > 0.0 else 0
+    ways = (points, labels), (points.transpose(1, 0, 2), labels.T)
+    found = np.unique(np.concatenate([_edge_points(*one, inset) for one in ways]), axis=0)
     if len(found) < _LEAST:
         return np.empty((0, COLUMNS))
     seeds = _Cells.of(found, np.zeros(len(found), dtype=np.int64), 0.5 * _SHARE).mean
@@ -152,7 +152,7 @@ def _on_edges(points: FloatArray, labels: np.ndarray, sensor: Sensor) -> FloatAr
     ranges, length = np.linalg.norm(mean, axis=1), np.linalg.norm(across, axis=1)
     straight = (values[:, 1] < _STRAIGHT * values[:, 2]) & (length > 0.5 * ranges)
     mean, across = mean[straight], across[straight] / length[straight, None]
-    return _rows(mean, across, _beam_width(points) * ranges[straight], ON_EDGE)
+    return _rows(mean, across, width * ranges[straight], ON_EDGE)
 
 
 def _neighbourhoods(seeds: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -173,34 +173,39 @@ def _beam_width(points: FloatArray) -> float:
     return max((float(np.nanmedian(one)) for one in widths if np.isfinite(one).any()), default=0.0)
 
 
-def _edge_points(points: FloatArray, labels: np.ndarray) -> FloatArray:
+def _edge_points(points: FloatArray, labels: np.ndarray, inset: int) -> FloatArray:
     """Points (N, 3) on the near side of jumps along the rows of a grid (S, B, 3), both ways."""
-    ahead = _edge_places(points, labels)
-    back = _edge_places(points[:, ::-1], labels[:, ::-1])
-    return np.concatenate((points[ahead], points[:, ::-1][back]))
+    both = (points, labels), (points[:, ::-1], labels[:, ::-1])
+    return np.concatenate([_edges_ahead(*one, inset) for one in both])
 
 
-def _edge_places(points: FloatArray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where rows jump away: the next return is so much farther that nothing in sight joins the two."""
-    ranges, (n_rows, n) = np.linalg.norm(points, axis=-1), points.shape[:2]
-    seen = np.isfinite(ranges)
+def _edges_ahead(points: FloatArray, labels: np.ndarray, inset: int) -> FloatArray:
+    """Where rows jump away: the next return is so much farther that nothing in sight joins the two.
+
+    Between the last beam on the near side and the next one the edge may be anywhere: it is taken in the middle.
+    """
+    ranges, n = np.linalg.norm(points, axis=-1), points.shape[1]
+    seen, reach = np.isfinite(ranges), max(inset, 1)
     after = np.where(seen, np.arange(n), n)
     after = np.minimum.accumulate(after[:, ::-1], axis=1)[:, ::-1]
     row, column = np.nonzero(seen[:, :-1] & (after[:, 1:] < n))
-    inside = column >= _INSET
+    inside = column >= reach
     row, column = row[inside], column[inside]
-    behind, before = after[row, column + 1], column - _INSET
+    behind, before = after[row, column + 1], column - reach
     near, far, inner = ranges[row, column], ranges[row, behind], ranges[row, before]
-    step = np.abs(near - inner) / _INSET
+    step = np.abs(near - inner) / reach
     with np.errstate(invalid="ignore"):
         jump = far - near > np.maximum(_BEHIND_M + _BEHIND_SHARE * near, _BEHIND_STEPS * step * (behind - column))
         jump &= np.abs(near - inner) < 0.5 * _BEHIND_M + _BEHIND_SHARE * near
-    row, column, behind, before = row[jump], column[jump], behind[jump], before[jump]
-    a, b = points[row, column], points[row, behind]
-    cosine = np.einsum("ki,ki->k", a, b) / (ranges[row, column] * ranges[row, behind])
+    row, column, behind = row[jump], column[jump], behind[jump]
+    a, b = (points[row, k] / ranges[row, k, None] for k in (column, behind))
     one = (labels[row, column] >= 0) & (labels[row, column] == labels[row, behind])
-    kept = (cosine > np.cos(_GAP_RAD)) & ~one
-    return row[kept], before[kept]
+    kept = (np.einsum("ki,ki->k", a, b) > np.cos(_GAP_RAD)) & ~one
+    row, column, behind, a, b = row[kept], column[kept], behind[kept], a[kept], b[kept]
+    if inset:
+        return points[row, column - inset]
+    middle = np.where((behind == column + 1)[:, None], a + b, a)
+    return middle * (ranges[row, column] / np.linalg.norm(middle, axis=1))[:, None]
 
 
 def _crowding(rows: FloatArray, width_m: float) -> FloatArray:

@@ -96,9 +96,7 @@ def match_planes_widely(
     return max((one for one in equals if one[1] <= least + _CHEAP), key=lambda one: one[0], default=(0.0, 0.0, None))[2]
 
 
-def pairs_under(
-    known_T_seen: FloatArray, seen: Sequence[Plane], known: Sequence[Plane]
-) -> tuple[tuple[int, int], ...]:
+def pairs_under(known_T_seen: FloatArray, seen: Sequence[Plane], known: Sequence[Plane]) -> tuple[tuple[int, int], ...]:
     """(seen, known) of the planes, of the largest of both, that are one under a motion (4, 4)."""
     mine, theirs = PlaneArrays.of(seen), PlaneArrays.of(known)
     if not len(mine.normals) or not len(theirs.normals):

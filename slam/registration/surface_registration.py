@@ -22,10 +22,10 @@ from slam.frontend.scan_surfaces import ON_EDGE, ON_PLANE
 from slam.geometry.frames import inverse, lift
 from spplanes._check import FloatArray
 
-#: An element is about so wide as a share of its range; all reaches are multiples of that width.
-_WIDTH = 0.03
+#: An element is about so wide as a share of its range, one on a plane the latter; all reaches are multiples of that.
+_WIDTH, _WIDTH_ON_PLANE = 0.03, 0.06
 #: How far, in widths, partners are looked for in one stage after another; and the iterations of each.
-_REACHES, _STEPS = (8.0, 4.0, 2.0, 1.5), 6
+_REACHES, _STEPS = (6.0, 3.0, 1.5, 1.0), 6
 #: Partners look the same way to this cosine; of edges, whose direction turns with the viewpoint, likewise.
 _ALIKE = 0.85
 #: Residuals are weighed by a Geman-McClure kernel of so many robust standard deviations of all of them.
@@ -36,9 +36,12 @@ _LEAST_SCALE_M = 0.003
 _CONVERGED = 1e-5
 #: Standard deviations of a motion that nothing says anything of, rad and m.
 _NOTHING_RAD, _NOTHING_M = 3.0, 10.0
-#: Seen in one direction are elements within this angle, rad; one stands before another when it is nearer by this
-#: share of the range and so many m.
-_DIRECTION_RAD, _BEFORE_SHARE, _BEFORE_M = 0.03, 0.08, 0.1
+#: One direction are elements within this angle, rad, when there are so many; something stands before them when it is
+#: nearer than all by this share of the range and so many m.
+_DIRECTION_RAD, _ABOUT, _BEFORE_SHARE, _BEFORE_M = 0.1, 4, 0.08, 0.1
+#: An element seen through speaks so many times more against a place than one that fits speaks for it: where walls are
+#: alike, half of them fit anywhere, but at the right place next to nothing is seen through.
+_AGAINST = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +56,7 @@ class Alignment:
     """What the elements on no plane say alone: information (6, 6), and information times their mean, (6,), about the
     motion above."""
     score: float
-    """Share of the elements that are where something is known, close by, less the share that contradicts."""
+    """Share of the elements that are where something is known, close by, less what contradicts."""
     share: float
     """Share of the elements that found a partner."""
 
@@ -85,13 +88,25 @@ class LocalMap:
             partner[mine[alike]] = other[alike]
         return partner
 
-    def contradicted(self, known_T_seen: FloatArray, elements: FloatArray) -> float:
-        """Share of what lies in common view that is seen through: a surface known before one that is seen, or back."""
-        seen_T_known = inverse(known_T_seen)
-        ahead = _seen_through(lift(self.points, seen_T_known), elements[:, :3])
+    def contradicted(self, known_T_seen: FloatArray, elements: FloatArray, matched: np.ndarray) -> float:
+        """Share of what lies in common view that is seen through: surfaces of the newest keyframe before those seen, or
+        back.
+
+        Args:
+            known_T_seen: the motion, shape (4, 4).
+            elements: of the scan, shape (N, 8).
+            matched: which of them have partners, mask (N,): they are where something was.
+        """
         pose, newest = self._newest
-        back = _seen_through(lift(elements[:, :3], inverse(pose) @ known_T_seen), newest[:, :3])
-        return max(ahead, back)
+        newest_T_seen = inverse(pose) @ known_T_seen
+        back = lift(elements[~matched, :3], newest_T_seen)
+        partner = cKDTree(lift(elements[:, :3], newest_T_seen)).query(newest[:, :3])[0]
+        alone = partner > _REACHES[-1] * _widths(newest)
+        ahead = lift(newest[alone, :3], inverse(newest_T_seen))
+        return max(
+            _seen_through(back, newest[:, :3]) / max(len(elements), 1),
+            _seen_through(ahead, elements[:, :3]) / max(len(newest), 1),
+        )
 
 
 def moved(elements: FloatArray, pose: FloatArray) -> FloatArray:
@@ -99,16 +114,22 @@ def moved(elements: FloatArray, pose: FloatArray) -> FloatArray:
     return np.column_stack((lift(elements[:, :3], pose), elements[:, 3:6] @ pose[:3, :3].T, elements[:, 6:]))
 
 
-def _seen_through(points: FloatArray, seen: FloatArray) -> float:
-    """Share of points (N, 3) in the field of view of seen ones (M, 3) that stand well before them."""
+def _widths(elements: FloatArray) -> FloatArray:
+    """How wide elements (N, 8) are, (N,), m."""
+    share = np.where(elements[:, 7] == ON_PLANE, _WIDTH_ON_PLANE, _WIDTH)
+    return share * np.linalg.norm(elements[:, :3], axis=1)
+
+
+def _seen_through(points: FloatArray, seen: FloatArray) -> int:
+    """How many of points (N, 3) stand well before all of the seen ones (M, 3) about their direction."""
+    if len(points) == 0 or len(seen) < _ABOUT:
+        return 0
     ranges, depth = np.linalg.norm(points, axis=1), np.linalg.norm(seen, axis=1)
-    tree = cKDTree(seen / depth[:, None])
-    apart, index = tree.query(points / np.maximum(ranges, 1e-9)[:, None], distance_upper_bound=_DIRECTION_RAD)
-    common = np.isfinite(apart)
-    if not common.any():
-        return 0.0
-    before = ranges[common] < (1.0 - _BEFORE_SHARE) * depth[index[common]] - _BEFORE_M
-    return float(before.mean())
+    rays = points / np.maximum(ranges, 1e-9)[:, None]
+    apart, index = cKDTree(seen / depth[:, None]).query(rays, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
+    common = np.isfinite(apart).all(axis=1)
+    nearest = depth[index[common]].min(axis=1)
+    return int(np.count_nonzero(ranges[common] < (1.0 - _BEFORE_SHARE) * nearest - _BEFORE_M))
 
 
 def align(elements: FloatArray, known: LocalMap, known_T_seen: FloatArray, *, every: int = 1) -> Alignment:
@@ -121,7 +142,7 @@ def align(elements: FloatArray, known: LocalMap, known_T_seen: FloatArray, *, ev
         every: use only each so manieth element: for a first look.
     """
     some, motion = elements[::every], known_T_seen
-    widths = _WIDTH * np.linalg.norm(some[:, :3], axis=1)
+    widths = _widths(some)
     for reach in _REACHES:
         for _ in range(_STEPS):
             found = _Residuals.of(some, known, motion, reach * widths)
@@ -131,7 +152,9 @@ def align(elements: FloatArray, known: LocalMap, known_T_seen: FloatArray, *, ev
                 break
     found = _Residuals.of(some, known, motion, _REACHES[-1] * widths)
     share = len(found.off) / max(len(some), 1)
-    score = found.closeness(widths) / max(len(some), 1) - known.contradicted(motion, some)
+    matched = np.zeros(len(some), dtype=bool)
+    matched[found.index] = True
+    score = found.closeness(widths) / max(len(some), 1) - _AGAINST * known.contradicted(motion, some, matched)
     return Alignment(motion, found.information(), found.off_planes(), score, share)
 
 
