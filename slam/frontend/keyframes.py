@@ -12,18 +12,25 @@ import numpy as np
 from slam.config import KeyframeConfig, SlamConfig
 from slam.errors import LogError
 from slam.frontend.deskewing import unswept
-from slam.frontend.measurement import Segment, lines_of_scan, planes_of_cloud, planes_of_window, usable_ranges
+from slam.frontend.measurement import (
+    ScanMeasurement,
+    Segment,
+    lines_of_scan,
+    measured_cloud,
+    planes_of_window,
+    usable_ranges,
+)
 from slam.frontend.observations import Observation, on_real_wall
 from slam.frontend.occupancy import beams_of
 from slam.frontend.odometry import Motion, OdometryTrack
 from slam.frontend.pose_measurements import PoseMeasurement
 from slam.geometry.frames import inverse
 from slam.sensors.log import CloudScan, LaserScan, Log
-from slam.sensors.rig import Rig
+from slam.sensors.rig import Rig, Sensor
 from spplanes._check import FloatArray
 from spplanes.segmentation.scans import label_scans
 
-Seen = TypeVar("Seen", bound=Observation)
+Seen = TypeVar("Seen", bound=Observation | ScanMeasurement)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +54,9 @@ class Keyframe:
     what loops are verified with; None: no such laser."""
     pose_measurements: Sequence[PoseMeasurement] = field(default=())
     """What is known of the pose beside motion and planes: gravity from an IMU, say."""
+    surfaces: FloatArray | None = None
+    """Surface elements of a 3D scan in the body frame, rows (point, direction, sigma, kind), shape (N, 8), m: what
+    motion is registered by beside the planes; see `slam.frontend.scan_surfaces`. None: no 3D scan."""
 
 
 def keyframes_of(
@@ -88,13 +98,19 @@ def _cloud_keyframes(
     previous = clouds[start - 1] if start else None
     for index, scan in enumerate(clouds[start:], start):
         notes = list(late.get(index, ()))
-        measure = partial(planes_of_cloud, scan, rig.sensors[scan.sensor], config, segment)
-        observations = _measured(measure, scan.stamp_ns, config, notes)
+        measure = partial(_measured_cloud, scan, rig.sensors[scan.sensor], config, segment)
+        [seen] = _measured(measure, scan.stamp_ns, config, notes) or [ScanMeasurement()]
         motion = None
         if previous is not None and track is not None:
             motion = track.motion(previous.stamp_ns, scan.stamp_ns)
-        yield Keyframe(scan.stamp_ns, observations, motion, notes=tuple(notes), scans=(scan,))
+        yield Keyframe(
+            scan.stamp_ns, seen.observations, motion, notes=tuple(notes), scans=(scan,), surfaces=seen.surfaces
+        )
         previous = scan
+
+
+def _measured_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig, segment: Segment) -> list[ScanMeasurement]:
+    return [measured_cloud(scan, sensor, config, segment)]
 
 
 def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int, segment: Segment) -> Iterator[Keyframe]:

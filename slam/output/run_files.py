@@ -69,7 +69,7 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     history.write(folder / "view.json")
     draw_uncertainty(run, history, folder / "uncertainty.png")
     pictures = [folder / "map.png", folder / "uncertainty.png"]
-    tables, scene = [*extra, ("the run", rows)], scene_of(run, history, doubtful)
+    tables, scene = [*extra, ("the run", rows)], scene_of(run, history, run.verdict.keyframes)
     write_report(folder / "report.html", title, tables, pictures, scene, run.verdict)
 
 
