@@ -14,7 +14,9 @@ from scipy.special import chdtri
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.odometry import Motion
 from slam.loop_closure.candidates import DrivenPath
-from slam.loop_closure.verification import LoopDecision, disjoint, find_loop
+from slam.loop_closure.pairwise_consistency import Proposal
+from slam.loop_closure.proposals import Proposals
+from slam.loop_closure.verification import LoopDecision, Surroundings, compare_with_old, disjoint, joined
 from slam.map.state import Parts
 from slam.mapping.fusion import Merges
 
@@ -44,13 +46,15 @@ class Tie:
 
 
 class LoopCloser:
-    """Looks for loops on the way, closes those it finds, and takes back what turns out to be none."""
+    """Looks for loops on the way, closes those that are beyond doubt, and takes back what turns out to be none."""
 
     def __init__(self, parts: Parts, merges: Merges) -> None:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
         self._merges, self._thinning, self._config = merges, parts.thinning, parts.config
         self.decisions: list[LoopDecision] = []
         self.ties: list[Tie] = []
+        self._proposals = Proposals(parts.config.loops)
+        self._to_tie: list[LoopDecision] = []
         self._ways = array("d")
         self._looked_at_m = 0.0
 
@@ -65,48 +69,91 @@ class LoopCloser:
             return None
         self._looked_at_m = self._ways[-1]
         path = DrivenPath.of(self._thinning.held, np.array(self._ways), self._backend)
-        decisions = find_loop(path, self._keyframes, self._landmarks, self._backend, rules, needed)
-        self.decisions += decisions
-        if not decisions or decisions[-1].verdict != "closed":
-            return None
-        pairs = [pair for pair in disjoint(decisions[-1].pairs) if self._merges.may_be_one(*pair)]
-        if self._merges.close(pairs, scale):
-            return pairs
-        self.decisions[-1] = replace(decisions[-1], verdict="refused")
+        around = Surroundings(path, self._keyframes, self._landmarks, self._backend, rules, needed)
+        for decision in compare_with_old(around):
+            self.decisions.append(decision)
+            closed = self._accepted(decision, around)
+            if closed:
+                return self._close(closed, scale)
         return None
 
     def take_motion(self, pairs: Sequence[tuple[int, int]]) -> None:
-        """What the returns say of the loop just closed beyond its walls (`pairs`): how far along a corridor it is."""
-        loop = self.decisions[-1]
-        if loop.motion is None:
+        """What the returns say of the loops just closed beyond their walls (`pairs`): how far along a corridor."""
+        loops, self._to_tie = self._to_tie or self.decisions[-1:], []
+        motions = [(loop, loop.motion) for loop in loops if loop.motion is not None]
+        if not motions:
             return
-        for end in (loop.old_keyframe, loop.keyframe):
-            self._thinning.stays(end)
-        [index] = self._backend.update([_factor(loop, loop.motion)], gtsam.Values(), relinearize=True)
-        self.ties.append(Tie(loop, loop.motion, tuple(pairs), index))
+        for loop, _ in motions:
+            self._stay(loop)
+        factors = [_factor(loop, motion) for loop, motion in motions]
+        indices = self._backend.update(factors, gtsam.Values(), relinearize=True)
+        for (loop, motion), index in zip(motions, indices, strict=True):
+            self.ties.append(Tie(loop, motion, tuple(pairs), index))
+        self._backend.settle(_ROUNDS)
         self._landmarks.refresh(self._backend)
 
     def take_back(self, scale: float) -> None:
-        """Take motions out of the graph whose loops turn out to be none; `scale` as in `Merges.doubted`.
+        """Take loops out of the graph that turn out to be none, motions and walls; `scale` as in `Merges.doubted`.
 
         A loop is none when half of the walls that were joined for it, or more, were found to be two after all, or when
         the motion itself no longer fits.
         """
-        wrong = [tie for tie in self.ties if tie.undone is None and self._is_refuted(tie, scale)]
-        if not wrong:
-            return
-        self._backend.update([], gtsam.Values(), remove=[tie.factor_index for tie in wrong], relinearize=True)
-        self._backend.settle(_ROUNDS)
-        self._landmarks.refresh(self._backend)
-        self._merges.redraw(min(tie.loop.old_keyframe for tie in wrong))
-        for tie in wrong:
-            tie.undone = len(self._keyframes) - 1
+        self._untie([tie for tie in self.ties if tie.undone is None and self._is_refuted(tie, scale)])
 
     def renumber(self, moved: Mapping[int, int]) -> None:
         """The graph has been made anew: the new index of every factor by its old one."""
         for tie in self.ties:
             if tie.undone is None:
                 tie.factor_index = moved[tie.factor_index]
+
+    def _accepted(self, decision: LoopDecision, around: Surroundings) -> list[LoopDecision]:
+        """The loops that may be closed now that this comparison has been made, the newest last."""
+        if decision.proposal is None:
+            return [decision] if decision.verdict == "closed" else []
+        self._stay(decision)
+        group = self._proposals.agreed(decision.proposal, self._thinning.held, self._backend)
+        if not group:
+            return []
+        self._proposals.forget(group)
+        numbers = {self._number_of(one): one for one in group}
+        for number, proposal in numbers.items():
+            self.decisions[number] = joined(self.decisions[number], proposal, around)
+        return [self.decisions[number] for number in sorted(numbers) if self.decisions[number].verdict == "closed"]
+
+    def _close(self, loops: list[LoopDecision], scale: float) -> list[tuple[int, int]] | None:
+        """Join the walls of loops that agree; None where the graph as a whole is against it."""
+        found = disjoint([pair for loop in loops for pair in loop.pairs])
+        pairs = [pair for pair in found if self._merges.may_be_one(*pair)]
+        if self._merges.close(pairs, scale):
+            self._to_tie = loops
+            return pairs
+        for loop in loops:
+            self.decisions[self.decisions.index(loop)] = replace(loop, verdict="refused")
+        return None
+
+    def _number_of(self, proposal: Proposal) -> int:
+        """Index of the decision that made a proposal."""
+        return next(i for i in range(len(self.decisions) - 1, -1, -1) if self.decisions[i].proposal is proposal)
+
+    def _stay(self, loop: LoopDecision) -> None:
+        """Both ends are needed in the graph."""
+        for end in (loop.old_keyframe, loop.keyframe):
+            self._thinning.stays(end)
+
+    def _untie(self, wrong: Sequence[Tie]) -> None:
+        """Take closures out of the graph, and what was joined for them apart."""
+        if not wrong:
+            return
+        self._backend.update([], gtsam.Values(), remove=[tie.factor_index for tie in wrong], relinearize=True)
+        for tie in wrong:
+            tie.undone = len(self._keyframes) - 1
+        pairs = {pair for tie in wrong for pair in tie.pairs}
+        for merge in reversed(self._merges.history):
+            if merge.undone is None and merge.cause == "loop" and (merge.older, merge.younger) in pairs:
+                self._merges.undo(merge)
+        self._backend.settle(_ROUNDS)
+        self._landmarks.refresh(self._backend)
+        self._merges.redraw(min(tie.loop.old_keyframe for tie in wrong))
 
     def _is_refuted(self, tie: Tie, scale: float) -> bool:
         split = sum(younger in self._landmarks for _, younger in tie.pairs)
