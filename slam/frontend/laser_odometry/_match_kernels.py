@@ -11,8 +11,6 @@ _RADIUS_M, _ALIKE = 0.3, 0.7
 _SMOOTH_M = 0.08
 #: Returns weigh half at so many standard deviations; at first where they lie so many metres off.
 _DOUBTED, _FIRST_M = 3.0, 0.3
-#: Share of returns that come from what the map does not have.
-_NOVEL = 0.05
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -45,13 +43,12 @@ def _surface_at(x, y, nx, ny, points, normals, weights, start, origin, cell, col
 @njit(cache=True, error_model="numpy")
 def align(
     pose, scan, scan_normals, variance, looks, points, normals, weights, start, origin, cell, columns, rows,
-    expected, information, tail, rounds, first_m,
+    expected, information, rounds, first_m,
 ):  # fmt: skip
-    """Gauss-Newton on robust point-to-line distances and a Student t prior about `expected` (x, y, theta).
+    """Gauss-Newton on robust point-to-line distances and a normal prior about `expected` (x, y, theta).
 
     Returns:
-        pose (3,); information (3, 3) of the returns alone, in the map's axes; cost: minus the log of the posterior of a
-        mixture in which a share of the returns is novel; share of the looks that fit.
+        pose (3,); information (3, 3) of the returns alone, in the map's axes; share of the looks that fit.
     """
     pose = pose.copy()
     told = np.zeros((3, 3))
@@ -81,14 +78,11 @@ def align(
             pull[1] -= weight * my * off
             pull[2] -= weight * j2 * off
         told[1, 0], told[2, 0], told[2, 1] = told[0, 1], told[0, 2], told[1, 2]
-        error = expected - pose
-        chi2 = error @ information @ error
-        prior = information * ((tail + 3.0) / (tail + chi2))
-        change = np.linalg.solve(told + prior, pull + prior @ error)
+        change = np.linalg.solve(told + information, pull + information @ (expected - pose))
         pose += change
         if step > 3 and abs(change[0]) + abs(change[1]) < 2e-4 and abs(change[2]) < 2e-5:
             break
-    cost, fits, total = 0.0, 0.0, 0.0
+    fits, total = 0.0, 0.0
     c, s = np.cos(pose[2]), np.sin(pose[2])
     for i in range(scan.shape[0]):
         x = pose[0] + c * scan[i, 0] - s * scan[i, 1]
@@ -96,13 +90,10 @@ def align(
         nx, ny = c * scan_normals[i, 0] - s * scan_normals[i, 1], s * scan_normals[i, 0] + c * scan_normals[i, 1]
         there, off, mx, my = _surface_at(x, y, nx, ny, points, normals, weights, start, origin, cell, columns, rows)
         squared = off * off / variance[i] if there else 1e9
-        cost -= looks[i] * np.log((1.0 - _NOVEL) * np.exp(-0.5 * squared) + _NOVEL)
         total += looks[i]
         if squared < _DOUBTED * _DOUBTED:
             fits += looks[i]
-    error = expected - pose
-    cost += 0.5 * (tail + 3.0) * np.log1p((error @ information @ error) / tail)
-    return pose, told, cost, fits / max(total, 1e-12)
+    return pose, told, fits / max(total, 1e-12)
 
 
 @njit(cache=True, error_model="numpy")

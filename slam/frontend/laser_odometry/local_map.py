@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from slam.frontend.laser_odometry._scan_kernels import merge_patches, nearness, sort_into_cells, surface_of
+from slam.frontend.occupancy import Raster
 from slam.sensors.log import LaserScan
 from slam.sensors.rig import Sensor
 from spplanes._check import FloatArray
@@ -20,6 +21,8 @@ PATCH_M = 0.05
 _WAYS = 8
 #: Side of the cells of the table that says how near the next surface is, and the width of its bell, m.
 TABLE_CELL_M, TABLE_SIGMA_M = 0.1, 0.1
+#: Length of wall whose returns count as one independent look, m.
+LOOK_M = 0.5
 #: A scan of more beams is thinned to one in so many that no more than these are left.
 _MOST_BEAMS = 400
 
@@ -36,6 +39,8 @@ class Surface:
     """Of a return along its normal, shape (N,), m^2."""
     looks: FloatArray
     """Share of an independent look at the surface that each return is, shape (N,)."""
+    origin: FloatArray
+    """Where the sensor is, shape (2,), m."""
 
     @classmethod
     def of(cls, scan: LaserScan, ranges: FloatArray, sensor: Sensor, body_T_sensor: FloatArray) -> Surface:
@@ -51,10 +56,22 @@ class Surface:
             points, away, step, sensor.range_variance_m2, sensor.surface_sigma_m**2, sensor.surface_correlation_m
         )
         kept = np.isfinite(normals[:, 0])
-        return cls(points[kept], normals[kept], variance[kept], looks[kept])
+        return cls(points[kept], normals[kept], variance[kept], looks[kept], body_T_sensor[:2, 3])
 
     def __len__(self) -> int:
         return len(self.points)
+
+    @cached_property
+    def raster(self) -> Raster:
+        """What the scan found occupied and free."""
+        return Raster.of(self.beams(np.zeros(3)), LOOK_M)
+
+    def beams(self, pose: FloatArray) -> FloatArray:
+        """Beams from a pose (x, y, theta) of the body, rows (x0, y0, x1, y1), shape (N, 4)."""
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        turn = np.array(((c, s), (-s, c)))
+        ends = self.points @ turn + pose[:2]
+        return np.hstack((np.broadcast_to(self.origin @ turn + pose[:2], ends.shape), ends))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +92,8 @@ class LocalMap:
     """Number of cells in a row."""
     rows: int
     """Number of rows."""
+    _seen: tuple[tuple[Surface, FloatArray], ...]
+    """The scans and their poses."""
 
     @classmethod
     def of(cls, surfaces: list[Surface], poses: list[FloatArray]) -> LocalMap:
@@ -90,7 +109,12 @@ class LocalMap:
         origin = places.min(axis=0) - CELL_M
         columns, rows = (np.ceil((places.max(axis=0) - origin) / CELL_M) + 2).astype(int).tolist()
         start, order = sort_into_cells(places, origin, CELL_M, columns, rows)
-        return cls(places[order], directions[order], weight[order], start, origin, columns, rows)
+        return cls(places[order], directions[order], weight[order], start, origin, columns, rows, tuple(zip(surfaces, poses)))
+
+    @cached_property
+    def raster(self) -> Raster:
+        """What the scans found occupied and free."""
+        return Raster.of(np.concatenate([surface.beams(pose) for surface, pose in self._seen]), LOOK_M)
 
     @cached_property
     def table(self) -> tuple[FloatArray, FloatArray]:

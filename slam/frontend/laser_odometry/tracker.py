@@ -6,7 +6,7 @@ import numpy as np
 
 from slam.config import CoastingConfig
 from slam.frontend.laser_odometry.local_map import SlidingMap, Surface
-from slam.frontend.laser_odometry.matching import TAIL, Match, match_scan
+from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
 from slam.frontend.laser_odometry.track import LaserTrack, Step, between
 from slam.frontend.laser_odometry.wheel_model import NoiseScale
 from slam.frontend.measurement import usable_ranges
@@ -22,6 +22,8 @@ from spplanes._check import FloatArray
 _WINDOW_M, _SPACING_M, _SPACING_RAD = 6.0, 0.25, 0.3
 #: A match is taken when the map has this share of the scan, and no other place is more likely than this.
 _LEAST_FIT, _LEAST_ODDS = 0.3, 0.9
+#: Probability that wheels slip, or count wrong, between two scans.
+_SLIP = 1e-3
 #: Scans over which the usual fit is averaged, and what it is at first.
 _FIT_MEMORY, _FIRST_FIT = 50.0, 0.9
 #: So many steps in a row on which the wheels stood still while the body was seen to move: they do not measure it.
@@ -50,16 +52,13 @@ class LaserOdometry:
             self.steps.append(step)
             return step
         before = self.steps[-1].pose
-        delta, covariance = self._predicted(stamp_ns, None if self.ignores_wheels else wheels)
+        ways = self._ways(stamp_ns, None if self.ignores_wheels else wheels)
         turn = _rotation(before[2])
-        expected, spread = compose(before, delta), turn @ covariance @ turn.T
-        match = self._match(surface, expected, spread)
-        pose, told = expected, np.zeros((3, 3))
+        expected = [Expected(compose(before, delta), turn @ cov @ turn.T, share) for delta, cov, share in ways]
+        match = self._match(surface, expected)
+        pose, told, covariance = expected[0].pose, np.zeros((3, 3)), ways[0][1]
         if match is not None:
-            pose, told = match.pose, match.information
-            error = between(before, pose) - delta
-            chi2 = float(error @ np.linalg.solve(covariance, error))
-            covariance = covariance * max(1.0, (TAIL + chi2) / (TAIL + 3.0))
+            pose, told, covariance = match.pose, match.information, ways[match.way][1]
             if match.odds < 1.0:
                 told = np.linalg.inv(np.linalg.inv(told + 1e-3 * np.eye(3)) + match.spread)
         back = _rotation(pose[2])
@@ -71,10 +70,15 @@ class LaserOdometry:
         self._extend_map(surface, pose, match)
         return step
 
-    def _predicted(self, stamp_ns: int, wheels: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-        """The next step and its covariance (3, 3)."""
+    def _ways(self, stamp_ns: int, wheels: FloatArray | None) -> list[tuple[FloatArray, FloatArray, float]]:
+        """How the body may have moved: the step (3,), its covariance (3, 3), and how probable that is."""
+        delta, covariance = self._coasted(stamp_ns)
         if wheels is None:
-            return self._coasted(stamp_ns)
+            return [(delta, covariance, 1.0)]
+        return [(*self._by_wheels(wheels), 1.0 - _SLIP), (delta, covariance, _SLIP)]
+
+    def _by_wheels(self, wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The next step by wheels, less what is known to be wrong with them."""
         _, response, random = self._stated([wheels])
         learnt = self._calibration
         known = learnt.covariance
@@ -101,11 +105,11 @@ class LaserOdometry:
         least = max(sigmas[0], self._noise.floor_m), max(sigmas[1], self._noise.floor_rad)
         return delta, np.diag(np.square((least[0], least[0], least[1])))
 
-    def _match(self, surface: Surface, expected: FloatArray, spread: FloatArray) -> Match | None:
+    def _match(self, surface: Surface, expected: list[Expected]) -> Match | None:
         there = self._map.map
         if there is None or len(surface) < 3:
             return None
-        match = match_scan(surface, there, expected, spread, self._fit)
+        match = match_scan(surface, there, expected, self._fit)
         self._fit += (np.clip(match.fit, 0.5, 0.98) - self._fit) / _FIT_MEMORY
         return match if match.fit >= _LEAST_FIT else None
 
