@@ -28,7 +28,7 @@ from slam.mapping.map_update import Growth
 from slam.session.recorder import Recorder
 from slam.timing import StageClock
 from slam.tracking.prediction import Prediction, StartPose
-from slam.tracking.wheel_calibration import WheelCalibration
+from slam.frontend.wheel_calibration import WheelCalibration
 from spplanes._check import FloatArray
 
 if TYPE_CHECKING:

@@ -149,6 +149,10 @@ class PlaneSlam(Estimate):
         """The motion to the keyframe by all its returns, for telling walls apart."""
         if not self.keyframes or self._prediction.motion is None:
             return None
+        matched = self._prediction.motion.returns_covariance
+        if matched is not None:
+            motion = replace(self._prediction.motion, covariance=matched)
+            return Hint(pose_symbol(len(self.keyframes) - 1), motion)
         motion = step_by_view(keyframe, self._prediction.motion, self.keyframes, self.backend, self.config.loops)
         return None if motion is None else Hint(pose_symbol(len(self.keyframes) - 1), motion)
 

@@ -10,6 +10,7 @@ import numpy as np
 from slam.backend.estimator import Backend, pose_symbol
 from slam.backend.joint_covariance import motion_covariance
 from slam.config import LoopConfig
+from slam.frontend.information import left_open as left_open
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy import CELL_M, Raster, view_from
 from slam.frontend.odometry import Motion, planar_delta
@@ -19,8 +20,6 @@ from spplanes._check import FloatArray
 
 #: Bounds drawn from a standard deviation are taken at this many of them.
 _SIGMAS = 3.0
-#: Information about a motion, 1 / m^2 and 1 / rad^2, that stands for none.
-_NO_INFORMATION = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,28 +107,3 @@ def _recent(last: int, backend: Backend, window_m: float) -> tuple[list[int], li
         members.append(index)
         poses.append(pose)
     return members[::-1], poses[::-1]
-
-
-def left_open(found: FloatArray, by_walls: FloatArray) -> FloatArray | None:
-    """Covariance of what returns say of a motion beyond what the matched walls say of it already; None: nothing.
-
-    The walls' factors are in the graph, and come from the same returns. Along a corridor they say nothing, door frames
-    and corners do. In the axes in which both covariances are diagonal, information of the walls is taken off.
-
-    Args:
-        found: covariance of (x, y, theta) by all returns, shape (3, 3).
-        by_walls: covariance by the walls, large where they leave it open, shape (3, 3).
-    """
-    values, vectors = np.linalg.eigh(found)
-    root = vectors / np.sqrt(values)  # information = root root^T
-    shares, axes = np.linalg.eigh(np.linalg.inv(root) @ np.linalg.inv(by_walls) @ np.linalg.inv(root).T)
-    gained = np.maximum(1.0 - shares, 0.0)
-    if gained.max() < _WORTH:
-        return None
-    turned = root @ axes
-    values, vectors = np.linalg.eigh((turned * gained) @ turned.T + _NO_INFORMATION * np.eye(3))
-    return (vectors / np.maximum(values, _NO_INFORMATION)) @ vectors.T
-
-
-#: Information that adds less than this share to that of the walls is left out.
-_WORTH = 0.5

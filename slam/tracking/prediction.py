@@ -17,7 +17,7 @@ from slam.map.sparsification import Link
 from slam.map.state import Parts
 from slam.registration.relocalization import FoundPlace, found_place, is_wide
 from slam.tracking.constant_velocity import coast
-from slam.tracking.wheel_calibration import WheelCalibration
+from slam.frontend.wheel_calibration import WheelCalibration
 from spplanes._check import FloatArray
 
 

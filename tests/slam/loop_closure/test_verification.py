@@ -16,7 +16,7 @@ from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.verification import disjoint
 from slam.sensors.wheel_noise import OdometryNoise
-from slam.tracking.wheel_calibration import WheelCalibration
+from slam.frontend.wheel_calibration import WheelCalibration
 from spplanes import ScanLine
 
 SIGMA_ALPHA, SIGMA_SHIFT, REACH = 0.003, 0.005, 7.0
