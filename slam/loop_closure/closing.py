@@ -16,6 +16,7 @@ from slam.frontend.odometry import Motion
 from slam.loop_closure.candidates import DrivenPath
 from slam.loop_closure.pairwise_consistency import Proposal
 from slam.loop_closure.proposals import Proposals
+from slam.loop_closure.trial import Trial, evidence_of_map
 from slam.loop_closure.verification import LoopDecision, Surroundings, compare_with_old, disjoint, joined
 from slam.map.state import Parts
 from slam.mapping.fusion import Merges
@@ -26,21 +27,25 @@ _ROUNDS = 5
 
 @dataclass(eq=False)
 class Tie:
-    """The motion that the returns tell between the two ends of a closed loop, in the graph."""
+    """A closed loop: the walls that were joined for it, and the motion that the returns tell between its two ends."""
 
     loop: LoopDecision
-    """The loop it comes with."""
-    motion: Motion
-    """From the old keyframe to the newer one."""
+    """The comparison that found it."""
+    motion: Motion | None
+    """From the old keyframe to the newer one; None: its walls say all."""
     pairs: tuple[tuple[int, int], ...]
     """The landmarks (older, younger) that were joined with it."""
-    factor_index: int
-    """Index of its factor."""
+    factor_index: int | None
+    """Index of the factor of the motion."""
+    trial: Trial
+    """What has been seen for and against it since."""
     undone: int | None = None
     """The keyframe at which it was found wrong; None: it stands."""
 
     def misfit(self, backend: Backend) -> float:
         """Chi2 of the motion at the current estimate."""
+        if self.motion is None:
+            return 0.0
         factor = _factor(self.loop, self.motion)
         return 2.0 * float(factor.error(backend.values_of(factor.keys())))
 
@@ -70,6 +75,7 @@ class LoopCloser:
         self._looked_at_m = self._ways[-1]
         path = DrivenPath.of(self._thinning.held, np.array(self._ways), self._backend)
         around = Surroundings(path, self._keyframes, self._landmarks, self._backend, rules, needed)
+        self._try_again(around)
         for decision in compare_with_old(around):
             self.decisions.append(decision)
             closed = self._accepted(decision, around)
@@ -80,31 +86,38 @@ class LoopCloser:
     def take_motion(self, pairs: Sequence[tuple[int, int]]) -> None:
         """What the returns say of the loops just closed beyond their walls (`pairs`): how far along a corridor."""
         loops, self._to_tie = self._to_tie or self.decisions[-1:], []
-        motions = [(loop, loop.motion) for loop in loops if loop.motion is not None]
-        if not motions:
-            return
-        for loop, _ in motions:
+        for loop in loops:
             self._stay(loop)
-        factors = [_factor(loop, motion) for loop, motion in motions]
-        indices = self._backend.update(factors, gtsam.Values(), relinearize=True)
-        for (loop, motion), index in zip(motions, indices, strict=True):
-            self.ties.append(Tie(loop, motion, tuple(pairs), index))
-        self._backend.settle(_ROUNDS)
+        factors = [_factor(loop, loop.motion) for loop in loops if loop.motion is not None]
+        indices = iter(self._backend.update(factors, gtsam.Values(), relinearize=True) if factors else ())
+        for loop in loops:
+            index = None if loop.motion is None else next(indices)
+            self.ties.append(Tie(loop, loop.motion, tuple(pairs), index, Trial(self._ways[-1])))
+        self._backend.settle(_ROUNDS if factors else 0)
         self._landmarks.refresh(self._backend)
 
     def take_back(self, scale: float) -> None:
         """Take loops out of the graph that turn out to be none, motions and walls; `scale` as in `Merges.doubted`.
 
-        A loop is none when half of the walls that were joined for it, or more, were found to be two after all, or when
-        the motion itself no longer fits.
+        A loop is none when half of the walls that were joined for it, or more, were found to be two after all, when the
+        motion itself no longer fits, or when what is seen on the way on contradicts what was seen there before.
         """
         self._untie([tie for tie in self.ties if tie.undone is None and self._is_refuted(tie, scale)])
 
     def renumber(self, moved: Mapping[int, int]) -> None:
         """The graph has been made anew: the new index of every factor by its old one."""
         for tie in self.ties:
-            if tie.undone is None:
+            if tie.undone is None and tie.factor_index is not None:
                 tie.factor_index = moved[tie.factor_index]
+
+    def _try_again(self, around: Surroundings) -> None:
+        """Hold the loops of late against what is seen on the way on."""
+        way, rules = self._ways[-1], self._config.loops
+        late = [tie.trial for tie in self.ties if tie.undone is None and tie.trial.is_open(way, rules)]
+        evidence = evidence_of_map(around) if late else None
+        if evidence is not None:
+            for trial in late:
+                trial.hear(evidence, way, rules)
 
     def _accepted(self, decision: LoopDecision, around: Surroundings) -> list[LoopDecision]:
         """The loops that may be closed now that this comparison has been made, the newest last."""
@@ -144,7 +157,8 @@ class LoopCloser:
         """Take closures out of the graph, and what was joined for them apart."""
         if not wrong:
             return
-        self._backend.update([], gtsam.Values(), remove=[tie.factor_index for tie in wrong], relinearize=True)
+        indices = [tie.factor_index for tie in wrong if tie.factor_index is not None]
+        self._backend.update([], gtsam.Values(), remove=indices, relinearize=True)
         for tie in wrong:
             tie.undone = len(self._keyframes) - 1
         pairs = {pair for tie in wrong for pair in tie.pairs}
@@ -157,7 +171,7 @@ class LoopCloser:
 
     def _is_refuted(self, tie: Tie, scale: float) -> bool:
         split = sum(younger in self._landmarks for _, younger in tie.pairs)
-        if tie.pairs and 2 * split >= len(tie.pairs):
+        if tie.trial.is_lost or (tie.pairs and 2 * split >= len(tie.pairs)):
             return True
         limit = float(chdtri(3, self._config.association.new_significance))
         return tie.misfit(self._backend) > max(scale, 1.0) * limit

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
-from scipy.special import expit, gamma, logsumexp
+from scipy.special import expit, gamma
 
 from slam.frontend.occupancy import CELL_M, Raster
 from slam.registration._search_kernels import peaks_of, score_by_heading
@@ -196,17 +196,17 @@ def _modes(
 
 
 def _peak(cells: np.ndarray, poses: FloatArray, scores: FloatArray, evidence: FloatArray, grid: FloatArray) -> _Peak:
-    weights = np.exp(evidence - logsumexp(evidence))
+    weights = np.exp(evidence - _log_sum(evidence))
     mean = weights @ poses
     spread = np.einsum("n,ni,nj->ij", weights, poses - mean, poses - mean)
     within = np.diag([*(2.0 * grid[:2]).tolist(), grid[2]]) ** 2 / 12.0
-    return _Peak(cells, mean, spread + within, float(logsumexp(scores)), float(evidence[scores.argmax()]))
+    return _Peak(cells, mean, spread + within, _log_sum(scores), float(evidence[scores.argmax()]))
 
 
 def _mode(place: list[_Peak], scores: FloatArray) -> Mode:
     """Peaks of one place together: a mixture."""
     masses = np.array([one.log_mass for one in place])
-    shares = np.exp(masses - logsumexp(masses))
+    shares = np.exp(masses - _log_sum(masses))
     mean = shares @ np.array([one.pose for one in place])
     covariance = sum(
         share * (one.covariance + np.outer(one.pose - mean, one.pose - mean))
@@ -214,7 +214,7 @@ def _mode(place: list[_Peak], scores: FloatArray) -> Mode:
     )
     inside = np.zeros(len(scores), dtype=bool)
     inside[np.concatenate([one.cells for one in place])] = True
-    log_odds = float(logsumexp(masses) - logsumexp(np.append(scores[~inside], np.log(_NOTHING))))
+    log_odds = _log_sum(masses) - _log_sum(np.append(scores[~inside], np.log(_NOTHING)))
     return Mode(mean, np.asarray(covariance), float(expit(log_odds)), log_odds, place[0].evidence)
 
 
@@ -270,3 +270,9 @@ def _prior_mass(covariance: FloatArray) -> float:
     """Integral of that relative density over all motions, m^2 rad."""
     constant = gamma(0.5 * _TAIL) * (_TAIL * np.pi) ** 1.5 / gamma(0.5 * (_TAIL + 3.0))
     return float(constant * np.sqrt(np.linalg.det(covariance)))
+
+
+def _log_sum(values: FloatArray) -> float:
+    """Log of the sum of exponentials."""
+    top = float(values.max())
+    return top + float(np.log(np.exp(values - top).sum()))
