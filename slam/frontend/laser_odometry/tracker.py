@@ -26,8 +26,9 @@ _LEAST_FIT, _LEAST_ODDS = 0.3, 0.9
 _SLIP = 1e-3
 #: Scans over which the usual fit is averaged, and what it is at first.
 _FIT_MEMORY, _FIRST_FIT = 50.0, 0.9
-#: So many steps in a row on which the wheels stood still while the body was seen to move: they do not measure it.
-_STUCK_STEPS = 3
+#: So many steps in a row on which the wheels stood still while the body was seen to move by more than this, m or rad:
+#: they do not measure it.
+_STUCK_STEPS, _MOVED = 3, 0.02
 
 
 class LaserOdometry:
@@ -39,7 +40,6 @@ class LaserOdometry:
         self._scale, self._calibration = NoiseScale(), WheelCalibration()
         self._fit = _FIRST_FIT
         self._stuck = 0
-        self.ignores_wheels = False
         self.steps: list[Step] = []
         self._since: list[FloatArray] = []
         self._key = 0
@@ -52,7 +52,8 @@ class LaserOdometry:
             self.steps.append(step)
             return step
         before = self.steps[-1].pose
-        ways = self._ways(stamp_ns, None if self.ignores_wheels else wheels)
+        stuck = self._stuck >= _STUCK_STEPS and wheels is not None and not wheels.any()
+        ways = self._ways(stamp_ns, None if stuck else wheels)
         turn = _rotation(before[2])
         expected = [Expected(compose(before, delta), turn @ cov @ turn.T, share) for delta, cov, share in ways]
         match = self._match(surface, expected)
@@ -62,10 +63,10 @@ class LaserOdometry:
             if match.odds < 1.0:
                 told = np.linalg.inv(np.linalg.inv(told + 1e-3 * np.eye(3)) + match.spread)
         back = _rotation(pose[2])
-        note = self._watch(between(before, pose), wheels, covariance)
+        note = self._watch(between(before, pose), wheels)
         step = Step(stamp_ns, pose, covariance, back.T @ told @ back, note)
         self.steps.append(step)
-        if wheels is not None:
+        if wheels is not None and not stuck:
             self._since.append(wheels)
         self._extend_map(surface, pose, match)
         return step
@@ -113,9 +114,18 @@ class LaserOdometry:
         self._fit += (np.clip(match.fit, 0.5, 0.98) - self._fit) / _FIT_MEMORY
         return match if match.fit >= _LEAST_FIT else None
 
-    def _watch(self, moved: FloatArray, wheels: FloatArray | None, covariance: FloatArray) -> str | None:
-        """Whether wheels that stand still are those of a body that moves; said once."""
-        return None
+    def _watch(self, moved: FloatArray, wheels: FloatArray | None) -> str | None:
+        """Whether wheels that say nothing but "no motion" are those of a body that moves; said when it is found out."""
+        if wheels is None:
+            return None
+        stood = not wheels.any()
+        if not stood or (self._stuck < _STUCK_STEPS and np.abs(moved).max() < _MOVED):
+            self._stuck = 0
+            return None
+        self._stuck += 1
+        if self._stuck != _STUCK_STEPS:
+            return None
+        return "the odometry stands still while everything seen moves past: it is ignored until it moves"
 
     def _extend_map(self, surface: Surface, pose: FloatArray, match: Match | None) -> None:
         """Add the scan to the map when the body has come far enough, and learn from the way since the last one."""
@@ -133,7 +143,7 @@ class LaserOdometry:
         """What the way between the last two scans of the map says about the wheels."""
         first, last = self._key, len(self.steps) - 1
         self._key, since, self._since = last, self._since, []
-        if not since or len(since) != last - first or self.ignores_wheels:
+        if not since or len(since) != last - first:
             return
         whole, response, random = self._stated(since)
         track = LaserTrack([self.steps[first], self.steps[last]], self._noise)
