@@ -15,7 +15,7 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy import CELL_M, Raster, view_from
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
-from slam.registration.scan_matching import Relocation, relocate
+from slam.registration.scan_matching import relocate
 from spplanes._check import FloatArray
 
 #: Bounds drawn from a standard deviation are taken at this many of them.
@@ -56,22 +56,6 @@ def view_of(
     if not seen:
         return None
     return Raster.of(view_from(base, [pose for pose, _ in seen], [returns for _, returns in seen]), config.look_m)
-
-
-def compare_views(here: Raster, there: Raster, estimate: RelativePose, drift_m: float, way_m: float) -> Relocation:
-    """The pose of the view here in that there, each in the frame of its keyframe.
-
-    Args:
-        here, there: the views.
-        estimate: the pose by the estimate.
-        drift_m: how far the estimate may have drifted beyond what it says, but no further than what it says.
-        way_m: length of the way between the two.
-    """
-    drift_m = min(drift_m, estimate.reach_m)
-    beyond = np.array((drift_m, drift_m, 2.0 * drift_m / max(way_m, drift_m))) / _SIGMAS
-    covariance = estimate.covariance + np.diag(beyond**2)
-    reach = np.minimum(_SIGMAS * np.sqrt(np.diag(covariance)), (np.inf, np.inf, np.pi))
-    return relocate(here, there, estimate.delta, covariance, reach)
 
 
 def step_by_view(
