@@ -255,4 +255,5 @@ def _is_level(transform: FloatArray) -> bool:
 
 def _steps_of(ranges: FloatArray, steps: tuple[float, ...]) -> tuple[float, ...]:
     """Those of some steps that all ranges are multiples of, m."""
-    return tuple(step for step in steps if np.allclose(ranges / step, np.round(ranges / step), rtol=0.0, atol=1e-3))
+    whole = (ranges / step for step in steps)
+    return tuple(step for step, n in zip(steps, whole, strict=True) if (np.abs(n - np.rint(n)) <= 1e-3).all())
