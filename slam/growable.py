@@ -1,4 +1,4 @@
-"""Sequences that only grow at their end, and take less memory than a list of objects."""
+"""Sequences that only grow at their end, in less memory than a list of objects."""
 
 from __future__ import annotations
 

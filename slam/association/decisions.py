@@ -1,4 +1,4 @@
-"""What may become of an observation: the landmarks it was compared with, and the decision by them alone."""
+"""Decisions of data association: the landmarks an observation was compared with, and what becomes of it."""
 
 from __future__ import annotations
 

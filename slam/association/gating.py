@@ -1,4 +1,4 @@
-"""Observations compared with a state: innovations, their chi2 and likelihood, and the Kalman update by them."""
+"""Gating: observations compared with a state by innovations, their chi2 and likelihood; the Kalman update by them."""
 
 from __future__ import annotations
 

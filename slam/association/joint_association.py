@@ -1,4 +1,4 @@
-"""All observations of a keyframe at once: decided one after another, and again where that shuts out what fits."""
+"""Joint compatibility: all observations of a keyframe at once, again where one match shuts out what fits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The estimator behind the map: iSAM2, its current estimate, its marginals, and the same graph as a batch."""
+"""The back end: iSAM2, its current estimate, its marginals, and the same graph as a batch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poses that the graph no longer holds, each fixed to one that it holds."""
+"""Marginalized poses: those that the graph no longer holds, each fixed to one that it holds."""
 
 from __future__ import annotations
 

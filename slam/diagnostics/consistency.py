@@ -1,4 +1,4 @@
-"""The run watches its own honesty: chi2 of every accepted measurement against what chi2 should be."""
+"""Consistency: the NIS of every accepted observation against what chi2 should be."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every decision in words, with the numbers it was made by."""
+"""Explanations: why a plane was matched or not, every decision in words with the numbers it was made by."""
 
 from __future__ import annotations
 

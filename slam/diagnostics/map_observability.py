@@ -1,4 +1,4 @@
-"""Which motions of the map as a whole the planes alone leave open: of every keyframe against the first."""
+"""Observability of the map as a whole: motions of every keyframe against the first that planes leave open."""
 
 from __future__ import annotations
 

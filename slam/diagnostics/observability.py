@@ -1,4 +1,4 @@
-"""Which motions what was seen does not fix: by name and size, before a solver has to find out."""
+"""Observability and degeneracy: which motions of a keyframe what was seen does not fix, by name and size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Innovations of a keyframe of whose pose nothing is known but what it saw: what agrees once the pose is found."""
+"""Consistency without a prediction: innovations of a keyframe whose pose only its own observations tell."""
 
 from __future__ import annotations
 

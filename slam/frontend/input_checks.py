@@ -1,4 +1,4 @@
-"""What is wrong with the data rather than with the estimate: keyframes that cannot be one, sensors that fall silent."""
+"""Input checks: keyframes that cannot be one, sensors that fall silent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two motions one after the other as one: what odometry says between two keyframes that have others between them."""
+"""Composition of motions: what odometry says between two keyframes that had others between them."""
 
 from __future__ import annotations
 

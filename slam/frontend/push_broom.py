@@ -1,4 +1,4 @@
-"""A push-broom window: poses of its scans relative to the keyframe, and how their errors hang together."""
+"""Push-broom windows: poses of the scans relative to the keyframe, and how their errors hang together."""
 
 from __future__ import annotations
 

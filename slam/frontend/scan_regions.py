@@ -1,4 +1,4 @@
-"""A region of a 3D scan: its points with all that the sensor errs in, and the plane that they are believed to be."""
+"""Regions of a 3D scan: points with all that the sensor errs in, and the plane they are believed to be."""
 
 from __future__ import annotations
 

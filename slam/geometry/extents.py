@@ -1,4 +1,4 @@
-"""What was seen of a plane, kept in tiles: growing it costs what the new patch is, not what the whole has become."""
+"""Extents of planes: all that was seen of one, kept in tiles, so that growing costs what is new."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Outlines of planes as shapely geometries: growing, flattening into another plane, taking apart."""
+"""Polygons: outlines of planes as shapely geometries, grown, flattened into another plane, taken apart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The way so far, and which old keyframes on it are near enough to be the place of the newest."""
+"""Loop closure: candidates, the old keyframes near enough on the way to be the place of the newest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was seen about a keyframe: its landmarks, as walls in its frame, and what level lasers saw."""
+"""Loop closure: the local map about a keyframe, its landmarks as walls and what level lasers saw."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run hands out: landmarks of the finished map, in the world, with covariance and outline."""
+"""Map planes: landmarks as a run hands them out, in the world, with covariance and outline."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far back what was seen still bears on where the robot is now."""
+"""How far back what was seen still supports the newest pose: before that, keyframes may leave the graph."""
 
 from __future__ import annotations
 

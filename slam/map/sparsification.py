@@ -1,4 +1,4 @@
-"""Keyframes that leave the graph again: where the map is known, one more says next to nothing about it."""
+"""Sparsification: keyframes leave the graph where the map is known, for one more says next to nothing about it."""
 
 from __future__ import annotations
 

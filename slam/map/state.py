@@ -1,4 +1,4 @@
-"""What the steps of an estimator work on together."""
+"""The shared state: what the steps of an estimator work on together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Landmarks that are one plane become one inside iSAM2, and become two again when that turns out to be wrong."""
+"""Fusion: landmarks that are one plane become one inside iSAM2, and two again when that turns out to be wrong."""
 
 from __future__ import annotations
 

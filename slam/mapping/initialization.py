@@ -1,4 +1,4 @@
-"""Planes that no landmark explains: which may start one, and which of them are one plane."""
+"""Landmark initialization: which planes may start a landmark, and which of a keyframe are one plane."""
 
 from __future__ import annotations
 

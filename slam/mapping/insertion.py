@@ -1,4 +1,4 @@
-"""Observations on their way into the graph: those of known landmarks, and those that start new ones."""
+"""Insertion: observations on their way into the graph, of known landmarks and of those they start."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was seen before its landmark was born: patches too uncertain to start one are matched once it is there."""
+"""Late association: patches too uncertain to start a landmark are matched once it is there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A merge of two landmarks, as it is remembered."""
+"""The record of a fusion of two landmarks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The search for the motion between two constellations; `slam.registration.place_recognition` is its front."""
+"""Search of place recognition; `slam.registration.place_recognition` is its front."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The largest planes of a view as arrays, for finding a motion by them."""
+"""The largest planes of a view as arrays, for plane registration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kernels of finding a motion by planes: rotations and translations scored by the planes that find a partner."""
+"""Kernels of plane registration: rotations and translations scored by the planes that find a partner."""
 
 from __future__ import annotations
 

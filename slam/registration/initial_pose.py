@@ -1,4 +1,4 @@
-"""Where in a known map a mission starts, by the walls that its first keyframe sees; or that it cannot be told.
+"""Initial pose: where in a known map a mission starts, by the walls of its first keyframe; or that it cannot be told.
 
 Two walls that are not parallel, each taken for one of the map, make a pose on the floor. Every such pose is a
 hypothesis; it explains those lengths of the walls seen that lie along walls of the map. The best must explain most of

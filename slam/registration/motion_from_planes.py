@@ -1,4 +1,4 @@
-"""The motion that lays pairs of planes on each other, each as firm as it was measured."""
+"""Least-squares registration: the motion that lays pairs of planes on each other, each as firm as it was measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Find a place again by the constellation of its walls, with no idea of the pose between the two views."""
+"""Place recognition: a place found again by the constellation of its walls, with no idea of the pose between."""
 
 from __future__ import annotations
 

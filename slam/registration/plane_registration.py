@@ -1,4 +1,4 @@
-"""Where a body is, found from its planes and those it knew, when the motion between is hardly known at all."""
+"""Plane registration: where a body is, by its planes and those it knew, when the motion between is hardly known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A body whose motion is hardly known finds its place among the landmarks before its observations are matched."""
+"""Relocalization: a body whose motion is hardly known finds its place before its observations are matched."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where one view lies in another: the posterior of their relative pose by all returns and all free space."""
+"""Correlative scan matching: the posterior of one view's pose in another, by all returns and all free space."""
 
 from __future__ import annotations
 

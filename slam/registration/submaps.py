@@ -1,4 +1,4 @@
-"""What the laser saw along a stretch of the way, compared return by return with what it saw along an old one."""
+"""Submaps of a level laser: what it saw along a stretch of the way, compared with what it saw along another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is seen cannot lie behind a known wall: rays to seen planes against the planes that are known."""
+"""Visibility: what is seen cannot lie behind a known wall."""
 
 from __future__ import annotations
 

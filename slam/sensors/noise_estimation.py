@@ -1,4 +1,4 @@
-"""How much a scanner's ranges scatter, read off a cloud: for sensors that nobody describes."""
+"""Noise estimation: how much a scanner's ranges scatter, read off a cloud, for sensors nobody describes."""
 
 from __future__ import annotations
 

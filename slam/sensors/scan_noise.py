@@ -1,4 +1,4 @@
-"""What the points of a plane err in: each beam by itself, patches of a surface and lines of a servo alike."""
+"""Scan noise: what the points of a plane err in, each beam by itself, patches and servo lines alike."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keyframes whose measurements stay on the disk, so that memory does not grow with them."""
+"""Keyframes that are read from the session when looked at, so that memory does not grow with them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A finished map as what the next mission knows beforehand: to localise in it, and to extend it."""
+"""Prior maps: a finished map as what the next mission knows beforehand, to localise in and to extend."""
 
 from __future__ import annotations
 

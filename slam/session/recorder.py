@@ -1,4 +1,4 @@
-"""What a run tells about itself while it runs: nothing, unless somebody listens."""
+"""Recorder: what a run tells about itself while it runs; nothing, unless somebody listens."""
 
 from __future__ import annotations
 

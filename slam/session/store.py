@@ -1,4 +1,4 @@
-"""A run on disk: what every keyframe measured and what it was taken for, committed before the graph uses it."""
+"""The session: what every keyframe measured and what it was taken for, on disk before the graph uses it."""
 
 from __future__ import annotations
 

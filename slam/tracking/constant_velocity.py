@@ -1,4 +1,4 @@
-"""Motion nobody measured: the one before goes on, with a wide stated noise."""
+"""Constant velocity: motion that nobody measured, with wide stated noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Regions part where their points lie on two parallel planes: a notice-board that the wall around it swallowed.
+"""Splitting of regions whose points lie on two parallel planes: a board that the wall around it swallowed.
 
 A cell across the edge of a board lies half way between both planes, tilts to meet them, and joins one to the other. The
 offsets of small cells from the region's plane know no tilt: fused in the order of their likeness, those of the board

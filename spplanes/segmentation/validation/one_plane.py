@@ -1,4 +1,4 @@
-"""Is it one plane, seen properly? Tests on a fit before its covariance is believed."""
+"""Validation: is it one plane, seen properly? Tests on a fit before its covariance is believed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the planes of a window end: returns that may be of something else are no evidence for either."""
+"""Plane ends: returns that may be of another surface are no evidence for either."""
 
 from __future__ import annotations
 

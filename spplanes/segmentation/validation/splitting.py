@@ -1,4 +1,4 @@
-"""A plane of a push-broom window that is two: a wall and the board on it, a wall and a row of the ceiling."""
+"""Splitting: a plane of a push-broom window that is two, a wall and the board on it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Planes of a window that are none: what lies between a wall and a board on it, and meets both."""
+"""Spurious planes of a push-broom window: those whose points their neighbours explain better."""
 
 from __future__ import annotations
 
