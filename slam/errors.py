@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+#: What the sentence on a log that breaks off ends with, where the part before can be used.
+KEEPS_THE_REST = "--keep-partial uses what comes before"
+
 
 class LogError(ValueError):
     """A file that cannot be read as what it claims to be; the sentence names the file, and the line if there is one."""

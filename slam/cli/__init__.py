@@ -9,19 +9,19 @@ from typing import Annotated
 
 import typer
 
-from slam.cli._output import visible
+from slam.cli._output import be_quiet, visible
 from slam.cli.clouds import fit
 from slam.cli.graphs import import_
 from slam.cli.missions import simulate
-from slam.cli.results import evaluate, export, view
+from slam.cli.results import evaluate, explain, export, view
 from slam.cli.runs import demo, map_, slam
 
 app = typer.Typer(
     name="spplanes",
     help="Planes with honest covariances, and plane-based SLAM on GTSAM.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 #: What click makes of Ctrl-C.
@@ -53,24 +53,40 @@ def _fail(error: object, code: int) -> None:
     sys.exit(code)
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
-        from spplanes._version import __version__
+def _print_version(with_formats: bool) -> None:
+    from spplanes._version import __version__
 
-        typer.echo(f"spplanes {__version__}")
-        raise typer.Exit
+    typer.echo(f"spplanes {__version__}")
+    if with_formats:
+        from slam.io.planes_json import FORMAT
+        from slam.session._file import VERSION
+
+        typer.echo(f"session.db: version {VERSION}; reads 1 to {VERSION}")
+        typer.echo(f"planes.json: {FORMAT}")
 
 
-@app.callback()
+@app.callback(invoke_without_command=True)
 def group(
+    context: typer.Context,
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+        bool, typer.Option("--version", help="Print the version; with -v of the data formats too.")
     ] = False,
+    verbose: Annotated[int, typer.Option("-v", "--verbose", count=True, help="Say more; twice: all there is.")] = 0,
+    quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Results, warnings and errors alone.")] = False,
 ) -> None:
     """Planes with honest covariances, and plane-based SLAM on GTSAM."""
+    if verbose and quiet:
+        raise typer.BadParameter("expected one of -v and -q, got both", param_hint="-q")
+    logging.getLogger().setLevel((logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)])
+    be_quiet(quiet)
+    if version:
+        _print_version(with_formats=verbose > 0)
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        raise typer.BadParameter("expected a command, got none; -h lists them", param_hint="spplanes")
 
 
-for _command in (fit, slam, demo, simulate, evaluate, export, view):
+for _command in (fit, slam, demo, simulate, evaluate, explain, export, view):
     app.command()(_command)
 app.command(name="map")(map_)
 app.command(name="import")(import_)

@@ -24,6 +24,10 @@ TopicOption = Annotated[
     list[str] | None, typer.Option("--topic", help="Of a bag: topic of scans to read; may be given several times.")
 ]
 OdometryTopicOption = Annotated[str | None, typer.Option("--odometry-topic", help="Of a bag: topic of the odometry.")]
+OdometryOption = Annotated[
+    Path | None, typer.Option("--odometry", help="TUM file of odometry, of the body; in place of the log's own.")
+]
+TimingsOption = Annotated[bool, typer.Option("--timings", help="Print the time of every stage.")]
 ConfigOption = Annotated[Path | None, typer.Option("--config", help="YAML with values that differ from the defaults.")]
 KeepPartialOption = Annotated[bool, typer.Option("--keep-partial", help="Use what precedes a cut in the log.")]
 
@@ -47,6 +51,7 @@ def open_job(
     keep_partial: bool,
     topics: Sequence[str] | None = None,
     odometry_topic: str | None = None,
+    odometry: Path | None = None,
 ) -> Job:
     """Read all that a command is given; whatever is wrong is said before any work is done."""
     from slam.config import SlamConfig
@@ -57,12 +62,14 @@ def open_job(
     from slam.sensors.rig import Rig
 
     check_free(out, overwrite=overwrite)
+    if odometry is not None and odometry_topic is not None:
+        raise ValueError("--odometry: expected one source of odometry, got --odometry-topic too")
     settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
     clock = StageClock()
     with clock.stage("read"):
         given = None if rig is None else Rig.from_yaml(rig)
         chosen = Topics(tuple(topics or ()), odometry_topic)
-        read, sensors = load(log, given, keep_partial=keep_partial, topics=chosen)
+        read, sensors = load(log, given, keep_partial=keep_partial, topics=chosen, odometry=odometry)
     for note in read.notes:
         say(f"{log.name}: {note}")
     return Job(read, sensors, settings, clock)

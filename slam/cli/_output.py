@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,10 @@ import typer
 if TYPE_CHECKING:
     from slam.diagnostics.verdict import Verdict
     from slam.evaluation.metrics import Metric
+    from slam.timing import StageClock
+
+#: Whether nothing is printed but results, warnings and errors.
+_QUIET: ContextVar[bool] = ContextVar("quiet", default=False)
 
 
 @contextmanager
@@ -22,7 +27,8 @@ def progress_bar(name: str) -> Iterator[Callable[[int, int], None]]:
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+    hidden = not console.is_terminal or is_quiet()
+    with Progress(*columns, console=console, transient=True, disable=hidden) as bars:
         task = bars.add_task(name, total=None)
         yield lambda done, total: bars.update(task, completed=done, total=total)
 
@@ -56,15 +62,42 @@ def visible(text: object) -> str:
     return "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in str(text))
 
 
+def is_quiet() -> bool:
+    """Whether the group was told to print nothing but results, warnings and errors."""
+    return _QUIET.get()
+
+
+def be_quiet(quiet: bool) -> None:
+    """Print nothing but results, warnings and errors from here on, or everything again."""
+    _QUIET.set(quiet)
+
+
 def say(text: object) -> None:
-    """One line on stderr."""
-    typer.echo(visible(text), err=True)
+    """One line on stderr, unless it is to be quiet."""
+    if not is_quiet():
+        typer.echo(visible(text), err=True)
 
 
 def warn_of(sentences: Sequence[str]) -> None:
     """One line each on stderr."""
     for sentence in sentences:
-        say(f"warning: {sentence}")
+        typer.echo(visible(f"warning: {sentence}"), err=True)
+
+
+def show_result(
+    title: str, rows: Sequence[Metric], clock: StageClock, folder: Path, *, as_json: bool, timings: bool
+) -> None:
+    """The table of a run, where its time went (in one line, or as rows), and where its results are."""
+    from slam.output.run_metrics import timings_of
+
+    times = timings_of(clock)
+    show(title, [*rows, *(times if timings or as_json else [])], as_json)
+    if not timings:
+        longest = sorted(clock.seconds.items(), key=lambda one: -one[1])[:3]
+        most = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in longest)
+        say(f"took {sum(clock.seconds.values()):.1f} s, most of it: {most} (--timings for all)")
+    page = folder / "report.html"
+    say(f"results: {folder}" + (f", the page: {page}" if page.exists() else ""))
 
 
 def say_verdict(verdict: Verdict, *, strict: bool = False) -> None:

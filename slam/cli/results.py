@@ -1,4 +1,4 @@
-"""Commands on a finished run: evaluate, export, view."""
+"""Commands on a finished run: evaluate, explain, export, view."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from slam.cli._job import JsonOption
-from slam.cli._output import say, show
+from slam.cli._output import say, show, visible
 
 
 def evaluate(
@@ -40,6 +40,25 @@ def evaluate(
     show(f"{run.name} against {truth.name}", rows, as_json)
     for note in found.notes:
         say(note)
+
+
+def explain(
+    run: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")],
+    keyframe: Annotated[int, typer.Argument(help="Index of the keyframe, from 0.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print decisions and their numbers as JSON.")] = False,
+) -> None:
+    """Say why each plane and line of a KEYFRAME of RUN was matched, or not, and what the keyframe changed."""
+    from slam.runs.explanation import explain_keyframe
+
+    found = explain_keyframe(run, keyframe)
+    if as_json:
+        import json
+
+        print(json.dumps(found.to_dict(), indent=1))
+        return
+    typer.echo(f"keyframe {found.keyframe} at {found.stamp_ns * 1e-9:.3f} s: {len(found.decisions)} things seen")
+    for sentence in found.sentences:
+        typer.echo(visible(sentence))
 
 
 def export(

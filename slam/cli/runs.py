@@ -11,14 +11,16 @@ from slam.cli._job import (
     ConfigOption,
     JsonOption,
     KeepPartialOption,
+    OdometryOption,
     OdometryTopicOption,
     OutOption,
     OverwriteOption,
     RigOption,
+    TimingsOption,
     TopicOption,
     open_job,
 )
-from slam.cli._output import hint_of, progress_bar, say, say_verdict, show, warn_of
+from slam.cli._output import hint_of, progress_bar, say, say_verdict, show, show_result, warn_of
 
 if TYPE_CHECKING:
     from slam.runs.slam_run import Run
@@ -31,6 +33,7 @@ def slam(
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the results; must not exist.")] = None,
     rig: RigOption = None,
+    odometry: OdometryOption = None,
     config: ConfigOption = None,
     overwrite: OverwriteOption = False,
     keep_partial: KeepPartialOption = False,
@@ -43,11 +46,12 @@ def slam(
     ] = False,
     prior: Annotated[Path | None, typer.Option("--prior", help="Finished run (or planes.json) to localise in.")] = None,
     start: Annotated[
-        str, typer.Option("--start", help="With --prior: its first X,Y,HEADING (m, deg), or find.")
-    ] = "0,0,0",
+        str | None,
+        typer.Option("--start", help="With --prior: its first X,Y,HEADING (m, deg), or find (default 0,0,0)"),
+    ] = None,
     start_sigma: Annotated[
-        str, typer.Option("--start-sigma", help="With --prior: standard deviations of that (m, deg).")
-    ] = "0.3,6",
+        str | None, typer.Option("--start-sigma", help="With --prior: standard deviations of that (default 0.3,6)")
+    ] = None,
     keep_raw: Annotated[bool, typer.Option("--keep-raw", help="Keep the raw scans in the session.")] = False,
     forget_raw: Annotated[bool, typer.Option("--forget-raw", help="Keep measurements on disk, not in memory.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="End the run at a scan that cannot be used.")] = False,
@@ -57,17 +61,21 @@ def slam(
     strict_verdict: Annotated[
         bool, typer.Option("--strict-verdict", help="Exit code 1 where the map is found to be broken.")
     ] = False,
+    timings: TimingsOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Estimate trajectory and planes of LOG; what is measured is on disk before it is used."""
     if resume:
         run_folder, moved_to = (out, log) if out is not None else (log, None)
-        if run_folder is None or rig or config or prior or overwrite or keep_partial or keep_raw or forget_raw:
+        begun_with = (rig, config, prior, odometry, start, start_sigma, topic, odometry_topic)
+        if run_folder is None or any((*begun_with, overwrite, keep_partial, keep_raw, forget_raw)):
             raise typer.BadParameter("takes the folder of a run; all else is as the run began", param_hint="--resume")
-        _resume(run_folder, moved_to, salvage=salvage, as_json=as_json, strict_verdict=strict_verdict)
+        _resume(run_folder, moved_to, salvage=salvage, as_json=as_json, timings=timings, strict_verdict=strict_verdict)
         return
     if log is None or out is None or salvage:
         raise typer.BadParameter("expected LOG --out DIR, or --resume RUN", param_hint="slam")
+    if prior is None and (start is not None or start_sigma is not None):
+        raise typer.BadParameter("expected --prior, the map that it is a place in", param_hint="--start")
     from slam.cli._prior import read_prior
     from slam.frontend.keyframes import keyframes_of
     from slam.output.run_folder import Source, new_run
@@ -82,24 +90,41 @@ def slam(
         keep_partial=keep_partial,
         topics=topic,
         odometry_topic=odometry_topic,
+        odometry=odometry,
     )
     if strict:
         keyframes = job.config.keyframes.model_copy(update={"strict": True})
         job = job._replace(config=job.config.model_copy(update={"keyframes": keyframes}))
-    known = None if prior is None else read_prior(prior, start, start_sigma, lambda: next(keyframes_of(*job[:3])))
-    source = Source(log, keep_partial, "value" if keep_raw else "reference", forget_raw)
+    known = None
+    if prior is not None:
+        known = read_prior(prior, start or "0,0,0", start_sigma or "0.3,6", lambda: next(keyframes_of(*job[:3])))
+    raw = "value" if keep_raw else "reference"
+    source = Source(log, keep_partial, raw, forget_raw, odometry, tuple(job.log.assumed))
     with (
         hint_of(out),
         new_run(out, job.log, job.rig, job.config, source, prior=known, overwrite=overwrite) as slam,
         progress_bar("keyframes") as progress,
     ):
         run = run_slam(job.log, job.rig, job.config, slam=slam, batch=batch, clock=job.clock, progress=progress)
-        _conclude(run, out, as_json)
+        _conclude(run, out, as_json=as_json, timings=timings)
     say_verdict(run.verdict, strict=strict_verdict)
 
 
-def _resume(folder: Path, log: Path | None, *, salvage: bool, as_json: bool, strict_verdict: bool) -> None:
-    """Go on with a run."""
+def _resume(
+    folder: Path, log: Path | None, *, salvage: bool, as_json: bool, timings: bool, strict_verdict: bool
+) -> None:
+    """Go on with a run; of one that is finished there is nothing to do, and that is no error."""
+    from slam.output.run_folder import FinishedAlready
+
+    try:
+        _go_on(folder, log, salvage=salvage, as_json=as_json, timings=timings, strict_verdict=strict_verdict)
+    except FinishedAlready as sentence:
+        say(sentence)
+
+
+def _go_on(
+    folder: Path, log: Path | None, *, salvage: bool, as_json: bool, timings: bool, strict_verdict: bool
+) -> None:
     from slam.output.run_folder import resumed_run
     from slam.runs.slam_run import StageClock, run_slam
     from slam.session.salvage import salvage_session
@@ -110,20 +135,23 @@ def _resume(folder: Path, log: Path | None, *, salvage: bool, as_json: bool, str
     with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
         with progress_bar("keyframes") as progress:
             run = run_slam(read, rig, slam.config, slam=slam, clock=clock, progress=progress)
-        _conclude(run, folder, as_json)
+        _conclude(run, folder, as_json=as_json, timings=timings)
     say_verdict(run.verdict, strict=strict_verdict)
 
 
-def _conclude(run: Run, folder: Path, as_json: bool) -> None:
-    """Write the results of a run into its folder, and its table on the screen."""
+def _conclude(run: Run, folder: Path, *, as_json: bool, timings: bool) -> None:
+    """Write the results of a run into its folder; its table, what was assumed and what to know on the screen."""
     from slam.output.run_files import write_run
     from slam.output.run_folder import conclude
-    from slam.output.run_metrics import metrics_of, warnings_of
+    from slam.output.run_metrics import assumptions_of, metrics_of, warnings_of
 
     name = run.log.source.name
     conclude(run.slam, folder, lambda work: write_run(run, work, title=f"spplanes slam {name}"))
-    show(name, metrics_of(run), as_json)
+    rows = metrics_of(run)
     warn_of(warnings_of(run))
+    for sentence in assumptions_of(run.log):
+        say(f"assumed: {sentence}")
+    show_result(name, rows, run.clock, folder, as_json=as_json, timings=timings)
 
 
 def map_(
@@ -133,10 +161,12 @@ def map_(
     config: ConfigOption = None,
     overwrite: OverwriteOption = False,
     keep_partial: KeepPartialOption = False,
+    timings: TimingsOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """The paper's mapping: planes of LOG at the poses it gives."""
     from slam.output.run_files import new_folder, write_map
+    from slam.output.run_metrics import empty_map
     from slam.runs.mapping_run import run_map
 
     job = open_job(log, out, rig=rig, config=config, overwrite=overwrite, keep_partial=keep_partial)
@@ -144,7 +174,10 @@ def map_(
         result = run_map(job.log, job.rig, job.config, clock=job.clock, progress=progress)
     with new_folder(out, overwrite=overwrite) as folder:
         rows = write_map(result, folder, job.config, job.rig, title=f"spplanes map {log.name}")
-    show(f"{log.name}", rows, as_json)
+    warn_of(empty_map(result.planes))
+    for sentence in job.log.assumed:
+        say(f"assumed: {sentence}")
+    show_result(log.name, rows, result.clock, out, as_json=as_json, timings=timings)
 
 
 def demo(
@@ -172,6 +205,5 @@ def demo(
         write_run(run, folder, title="spplanes demo", extra=[("estimate against truth", rows)])
     show("estimate against truth", rows, as_json)
     warn_of(run.slam.audit.warnings())
+    say(f"results: {out}, the page: {out / 'report.html'}")
     say_verdict(run.verdict)
-    if not as_json:
-        typer.echo(f"Pictures and a page: {out / 'map.png'}, {out / 'report.html'}")

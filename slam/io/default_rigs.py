@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from slam.io.folders.clouds import SENSOR as CLOUD_SENSOR
 from slam.io.folders.depth_images import CAMERA_MOUNT
 from slam.io.folders.depth_images import SENSOR as CAMERA
@@ -121,3 +123,21 @@ def bag_rig(log: Log, topics: Topics) -> Rig:
     seen_in_3d = any(sensor.kind == "cloud" for sensor in sensors.values())
     odometry = MEASURED if seen_in_3d else UNCALIBRATED_WHEELS
     return Rig(sensors=sensors, odometry=odometry, odometry_record=topics.odometry)
+
+
+#: What a sensor of each kind is called.
+_KINDS = {"line": "a level 2D laser", "slice": "a push-broom 2D laser", "cloud": "a 3D sensor"}
+
+
+def assumptions(log: Log, rig: Rig) -> list[str]:
+    """What a rig that nobody gave takes for granted, one sentence for each of its sensors."""
+    return [f"no rig: {name} is taken for {_taken_for(name, sensor, log)}" for name, sensor in rig.sensors.items()]
+
+
+def _taken_for(name: str, sensor: Sensor, log: Log) -> str:
+    noise = f"{1000.0 * sensor.range_sigma_m:g} mm of noise"
+    if name in log.mounts:
+        return f"{_KINDS[sensor.kind]} with {noise}, mounted as the log says"
+    turned = not np.allclose(sensor.body_T_sensor[:3, :3], np.eye(3))
+    looks = "looking ahead" if np.allclose(sensor.body_T_sensor, CAMERA_MOUNT) else "turned" if turned else "level"
+    return f"{_KINDS[sensor.kind]} with {noise}, at the body's origin and {looks}: nobody says where it is mounted"

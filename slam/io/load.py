@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from slam.errors import LogError
 from slam.io.carmen.reader import read_carmen
 from slam.io.clouds import is_cloud_file, read_cloud
 from slam.io.clouds.arrange import grid_of, shows_lines
-from slam.io.default_rigs import bag_rig, cloud_rig, depth_rig, threedtk_rig, turned_laser_rig
+from slam.io.default_rigs import assumptions, bag_rig, cloud_rig, depth_rig, threedtk_rig, turned_laser_rig
 from slam.io.folders.clouds import clouds_in, has_clouds, read_cloud_folder, read_e57_log
-from slam.io.folders.depth_images import is_depth_folder, read_depth_folder
+from slam.io.folders.depth_images import CAMERA_POSES, is_depth_folder, read_depth_folder
 from slam.io.folders.threedtk import is_3dtk_folder, read_3dtk
+from slam.io.odometry_file import with_odometry
 from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag, sensor_name
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig, Sensor, default_rig_for
@@ -23,7 +25,12 @@ _MISSION_LOGS = ("log.clf.gz", "log.clf")
 
 
 def load(
-    path: Path, rig: Rig | None = None, *, keep_partial: bool = False, topics: Topics | None = None
+    path: Path,
+    rig: Rig | None = None,
+    *,
+    keep_partial: bool = False,
+    topics: Topics | None = None,
+    odometry: Path | None = None,
 ) -> tuple[Log, Rig]:
     """Read a log of any known kind.
 
@@ -36,6 +43,8 @@ def load(
         rig: the sensors; None: the rig in the folder, or a default for the kind of log.
         keep_partial: of a log that breaks off use what comes before.
         topics: of a bag; None: chosen, and said in the log's notes.
+        odometry: a TUM file of odom_T_body in place of the log's own odometry; None: the log's own, if it has any. Of
+            depth images a file of the camera's poses by its name (`groundtruth.txt`, `poses.tum`) is moved to the body.
 
     Returns:
         The log, and the rig: the one given, the one in the folder, or a default for the kind of log.
@@ -46,10 +55,26 @@ def load(
     path = Path(path)
     if not path.exists():
         raise LogError(path, "expected a log file or a folder of scans, found nothing")
-    if is_rosbag(path):
-        return _load_bag(path, rig, topics or Topics(), keep_partial)
+    bag = is_rosbag(path)
+    if topics is not None and not bag and (topics.scans or topics.odometry):
+        raise LogError(path, "expected a bag where topics are given, got a log without topics")
+    if rig is None and path.is_dir() and (path / RIG_FILE).is_file():
+        rig = Rig.from_yaml(path / RIG_FILE)
+    if bag:
+        log, sensors = _load_bag(path, rig, topics or Topics(), keep_partial)
+    else:
+        log, sensors = _load(path, rig, keep_partial, odometry)
+    if odometry is not None and log.odometry_source is None:
+        log = with_odometry(log, odometry)
+    if rig is None:
+        log.assumed.extend(assumptions(log, sensors))
+    return log, sensors
+
+
+def _load(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path | None) -> tuple[Log, Rig]:
+    """Anything but a bag; of clouds and depth images with the odometry given, which belongs to them in its own ways."""
     if path.is_dir():
-        return _load_folder(path, rig, keep_partial)
+        return _load_folder(path, rig, keep_partial, odometry)
     if path.suffix.lower() == ".e57":
         return _load_clouds(path, rig, read_e57_log)
     if is_cloud_file(path) and path.suffix.lower() not in (".txt", ".csv"):
@@ -57,21 +82,19 @@ def load(
     return _load_carmen(path, rig, keep_partial)
 
 
-def _load_folder(path: Path, rig: Rig | None, keep_partial: bool) -> tuple[Log, Rig]:
+def _load_folder(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path | None) -> tuple[Log, Rig]:
     """A mission, the scans of 3DTK, depth images, clouds; the result of a run is none of them."""
     mission = next((path / name for name in _MISSION_LOGS if (path / name).is_file()), None)
     if mission is not None:
-        if rig is None and (path / RIG_FILE).is_file():
-            rig = Rig.from_yaml(path / RIG_FILE)
         return _load_carmen(mission, rig, keep_partial)
     if (path / "planes.json").is_file():
         raise LogError(path, "expected a log, got the folder of a run")
     if is_3dtk_folder(path):
         return read_3dtk(path), rig or threedtk_rig()
     if is_depth_folder(path):
-        return _load_depth(path, rig)
+        return _load_depth(path, rig, odometry)
     if has_clouds(path):
-        return _load_clouds(path, rig, read_cloud_folder)
+        return _load_clouds(path, rig, partial(read_cloud_folder, odometry=odometry))
     raise LogError(path, "expected a folder with clouds, scanNNN.3d files, a bag or log.clf.gz, found none")
 
 
@@ -81,8 +104,6 @@ def _load_carmen(path: Path, rig: Rig | None, keep_partial: bool) -> tuple[Log, 
 
 
 def _load_bag(path: Path, rig: Rig | None, topics: Topics, keep_partial: bool) -> tuple[Log, Rig]:
-    if rig is None and path.is_dir() and (path / RIG_FILE).is_file():
-        rig = Rig.from_yaml(path / RIG_FILE)
     if rig is None:
         log = read_rosbag(path, topics, keep_partial=keep_partial)
         return log, bag_rig(log, topics)
@@ -107,15 +128,17 @@ def _is_turned_laser(path: Path) -> bool:
         return False
 
 
-def _load_depth(path: Path, rig: Rig | None) -> tuple[Log, Rig]:
+def _load_depth(path: Path, rig: Rig | None, odometry: Path | None) -> tuple[Log, Rig]:
+    """Depth images; odometry that is one of the files of the camera's poses is moved to the body."""
     rig, name, sensor = _with_one_sensor(path, rig, depth_rig())
-    return read_depth_folder(path, sensor=name, body_T_sensor=sensor.body_T_sensor), rig
+    log = read_depth_folder(path, sensor=name, body_T_sensor=sensor.body_T_sensor)
+    if odometry is not None and odometry.name in CAMERA_POSES:
+        log = with_odometry(log, odometry, sensor.body_T_sensor)
+    return log, rig
 
 
 def _with_one_sensor(path: Path, rig: Rig | None, default: Rig) -> tuple[Rig, str, Sensor]:
-    """The rig given, that in the folder, or the default; and the one 3D sensor in it."""
-    if rig is None and (path / RIG_FILE).is_file():
-        rig = Rig.from_yaml(path / RIG_FILE)
+    """The rig given, or the default; and the one 3D sensor in it."""
     rig = rig or default
     sensors = rig.of_kind("cloud")
     if len(sensors) != 1:

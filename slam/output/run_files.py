@@ -20,12 +20,13 @@ from slam.io.clouds.ply import write_ply_tables
 from slam.io.g2o.writer import write_g2o
 from slam.io.planes_json import write_planes
 from slam.io.trajectories import write_tum
-from slam.output.run_metrics import details_of, map_metrics_of, metrics_of
+from slam.output.run_metrics import details_of, map_metrics_of, metrics_of, timings_of
 from slam.runs.graph_import import ImportedRun
 from slam.runs.history import History
 from slam.runs.mapping_run import MapResult
 from slam.runs.slam_run import Run
 from slam.sensors.rig import Rig
+from slam.session.store import is_unfinished
 from slam.visualization.mesh import Mesh, mesh_of
 from slam.visualization.pictures import Drawn, draw_map
 from slam.visualization.report import write_report
@@ -53,12 +54,14 @@ def check_free(out: Path, *, overwrite: bool) -> None:
     """Refuse an output that exists, before any work is done for it."""
     if out.exists() and not (overwrite and out.is_dir()):
         hint = "it is not a folder" if not out.is_dir() else "give --overwrite to replace it"
+        if is_unfinished(out):
+            hint = f"its run is not finished: go on with --resume {out}, or give --overwrite to begin anew"
         raise ValueError(f"{out}: exists already; {hint}")
 
 
 def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, Sequence[Metric]]] = ()) -> None:
     """Write everything about a run into a folder that exists; `extra` tables go into the numbers and the page."""
-    rows = metrics_of(run)
+    rows = metrics_of(run) + timings_of(run.clock)
     numbers = {"metrics": as_json(rows), **details_of(run), **{caption: as_json(table) for caption, table in extra}}
     write_result(run, folder, run.slam.config, run.rig, numbers, run.verdict.keyframes)
     write_tum(folder / "scans.tum", run.scan_trajectory)
@@ -74,14 +77,15 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
 
 
 def write_map(result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, title: str) -> list[Metric]:
-    """Write a map made at given poses into a folder that exists; returns the table."""
-    rows = map_metrics_of(result)
+    """Write a map made at given poses into a folder that exists; returns the table, times left out."""
+    table = map_metrics_of(result)
+    rows = table + timings_of(result.clock)
     write_result(result, folder, config, rig, {"metrics": as_json(rows)})
     write_tum(folder / "scans.tum", result.scan_trajectory)
     history = History.of(result.planes)
     history.write(folder / "view.json")
     write_report(folder / "report.html", title, [("the map", rows)], [folder / "map.png"], scene_of(result, history))
-    return rows
+    return table
 
 
 def write_import(imported: ImportedRun, folder: Path, run: Path) -> None:

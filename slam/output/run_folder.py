@@ -41,15 +41,16 @@ class Source:
     """Whether the session keeps the raw scans themselves, or where they are."""
     forget_raw: bool = False
     """Whether measurements stay on the disk alone while the run goes on."""
+    odometry: Path | None = None
+    """File that the odometry is taken from; None: the log's own."""
+    assumed: tuple[str, ...] = ()
+    """What was taken for granted because nobody said it, one sentence each."""
 
     def as_json(self) -> dict[str, Any]:
-        """For the session, with the log's fingerprint."""
-        try:
-            known = fingerprint(self.path)
-        except OSError as error:
-            raise SessionError(f"{self.path}: cannot be read ({error.strerror})") from error
+        """For the session, with the fingerprints of the log and of the odometry."""
         options = {"keep_partial": self.keep_partial, "raw": self.raw, "forget_raw": self.forget_raw}
-        return {"path": str(self.path.resolve()), **options, **known}
+        odometry = None if self.odometry is None else _file_as_json(self.odometry)
+        return {**options, "odometry": odometry, "assumed": list(self.assumed), **_file_as_json(self.path)}
 
     @classmethod
     def of(cls, session: Session, moved_to: Path | None = None) -> Source:
@@ -58,7 +59,26 @@ class Source:
         if known is None:
             raise SessionError(f"{session.path}: expected the session of a log, got one that was fed by a program")
         path = Path(known["path"]) if moved_to is None else moved_to
-        return cls(path, known["keep_partial"], known["raw"], known["forget_raw"])
+        odometry = known.get("odometry")  # sessions of earlier versions have none
+        return cls(
+            path,
+            known["keep_partial"],
+            known["raw"],
+            known["forget_raw"],
+            None if odometry is None else Path(odometry["path"]),
+            tuple(known.get("assumed", ())),
+        )
+
+
+def _file_as_json(path: Path) -> dict[str, Any]:
+    try:
+        return {"path": str(path.resolve()), **fingerprint(path)}
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+class FinishedAlready(SessionError):
+    """A run that came to its end: its results are in its folder."""
 
 
 class Resumed(NamedTuple):
@@ -100,7 +120,8 @@ def resumed_run(folder: Path, log_path: Path | None = None) -> Iterator[Resumed]
         log_path: the log, where it lies elsewhere by now; it may have grown.
 
     Raises:
-        SessionError: no session, a damaged one, one in use or finished; or another log.
+        FinishedAlready: there is nothing to go on with.
+        SessionError: no session, a damaged one, or one in use; or another log.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -109,11 +130,12 @@ def resumed_run(folder: Path, log_path: Path | None = None) -> Iterator[Resumed]
         )
     with Session.open(session_path(folder)) as session:
         if session.is_finished:
-            raise SessionError(f"{folder}: finished already; nothing is left to do")
+            raise FinishedAlready(f"{folder}: finished already; nothing is left to do")
         source = Source.of(session, log_path)
         if session.rig is None:
             raise SessionError(f"{session.path}: expected the session of a log, got one without a rig")
-        log, rig = load(source.path, session.rig, keep_partial=source.keep_partial)
+        log, rig = load(source.path, session.rig, keep_partial=source.keep_partial, odometry=source.odometry)
+        log.assumed.extend(source.assumed)
         _check_log(session, source, log, rig)
         recorder = SessionRecorder(session, log=log, raw=source.raw, forget=source.forget_raw)
         yield Resumed(resumed(PlaneSlam, session, recorder), log, rig)
@@ -153,13 +175,18 @@ def _results(slam: PlaneSlam) -> dict[str, bytes]:
 def _check_log(session: Session, source: Source, log: Log, rig: Rig) -> None:
     """The log must be the one that was, or one that has grown: then a keyframe of it is measured again."""
     known, now = session.log or {}, source.as_json()
-    if all(known.get(key) == now[key] for key in ("bytes", "blake2b")):
+    if _print_of(known) == _print_of(now) and _print_of(known.get("odometry")) == _print_of(now["odometry"]):
         return
     index = max(len(session) - 2, 0)
     again = next(keyframes_of(log, rig, session.config, index), None)
     if len(session) and (again is None or not is_measured_again(session, index, again)):
         raise SessionError(f"{source.path}: expected the log that the run began with, got another one")
     session.set_log(now)
+
+
+def _print_of(file: dict[str, Any] | None) -> tuple[object, object] | None:
+    """What tells one file from another, wherever it lies."""
+    return None if file is None else (file.get("bytes"), file.get("blake2b"))
 
 
 def _begin(folder: Path, config: SlamConfig, rig: Rig, prior: bytes | None, log: dict[str, Any]) -> None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from slam.evaluation.map_summary import FacingPair, facing_pairs
 from slam.evaluation.metrics import Metric
 from slam.evaluation.wall_density import metres_of_wall
 from slam.frontend.input_checks import blind, silences, skipped
+from slam.planeslam import MapPlane
 from slam.runs.mapping_run import MapResult
 from slam.runs.slam_run import Run, path_length_m
+from slam.sensors.log import Log
+from slam.timing import StageClock
 
 
 def metrics_of(run: Run) -> list[Metric]:
@@ -17,6 +21,8 @@ def metrics_of(run: Run) -> list[Metric]:
     rows = [
         Metric("keyframes", len(run.trajectory), ""),
         Metric("path length", path_length_m(run.trajectory), "m"),
+        Metric("scans", len(run.scan_trajectory), ""),
+        Metric(f"odometry readings{_whose(run.log)}", len(run.log.odometry), ""),
         Metric("planes in the map", len(run.planes), ""),
         Metric("landmarks tried", len(run.slam.landmarks), ""),
     ]
@@ -29,7 +35,6 @@ def metrics_of(run: Run) -> list[Metric]:
         band = f"{summary.low:.3f} to {summary.high:.3f}"
         rows.append(Metric(f"NIS per dof, {summary.kind} factors (95 % band {band})", summary.mean_per_dof, ""))
         rows.append(Metric(f"{summary.kind} factors", summary.count, ""))
-    rows += [Metric(f"time, {stage}", seconds, "s") for stage, seconds in run.clock.seconds.items()]
     return rows
 
 
@@ -43,7 +48,12 @@ def map_metrics_of(result: MapResult) -> list[Metric]:
         Metric("points represented", 100.0 * result.n_points_represented / seen if seen else 0.0, "%"),
     ]
     rows += _pair_rows(facing_pairs(result.planes)[:6])
-    return rows + [Metric(f"time, {stage}", seconds, "s") for stage, seconds in result.clock.seconds.items()]
+    return rows
+
+
+def timings_of(clock: StageClock) -> list[Metric]:
+    """Where the time went, stage by stage."""
+    return [Metric(f"time, {stage}", seconds, "s") for stage, seconds in clock.seconds.items()]
 
 
 def details_of(run: Run) -> dict[str, Any]:
@@ -58,6 +68,7 @@ def details_of(run: Run) -> dict[str, Any]:
         "stages_s": dict(run.clock.seconds),
         "warnings": warnings_of(run),
         "notes": [*run.log.notes],
+        "assumptions": assumptions_of(run.log),
     }
 
 
@@ -71,7 +82,24 @@ def warnings_of(run: Run) -> list[str]:
     known = run.slam.prior.warnings if run.slam.prior is not None else []
     health = [*skipped(notes), *silences(run.log, run.rig), *blind(run.slam.keyframes)]
     whole = [one.sentence for one in run.slam.open_in_map] if _has_no_odometry(run) else []
-    return [*known, *health, *run.slam.audit.warnings(), *directions, *whole]
+    return [*known, *empty_map(run.planes), *health, *run.slam.audit.warnings(), *directions, *whole]
+
+
+def _whose(log: Log) -> str:
+    return "" if log.odometry_source is None else f" ({log.odometry_source.name})"
+
+
+def assumptions_of(log: Log) -> list[str]:
+    """What a run took for granted because neither the log nor its user said it, one sentence each."""
+    without = [] if log.odometry else ["no odometry: between keyframes the robot is taken to move on as it did"]
+    return [*log.assumed, *without]
+
+
+def empty_map(planes: Sequence[MapPlane]) -> list[str]:
+    """The sentence that says so where a map has no planes."""
+    if planes:
+        return []
+    return ["the map is empty: no plane was seen often and well enough"]
 
 
 def _has_no_odometry(run: Run) -> bool:

@@ -16,6 +16,7 @@ from slam.io.planes_json import read_map
 from slam.io.trajectories import Trajectory, read_tum
 from slam.map.map_planes import MapPlane
 from slam.runs.history import History
+from slam.session.store import check_finished
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +44,10 @@ class StoredRun:
 
         Raises:
             LogError: no folder, or a file of it that is missing or is not what it should be.
+            SessionError: a run that is not finished.
         """
         folder = Path(folder)
+        check_finished(folder)
         if not (folder / "planes.json").is_file():
             raise LogError(folder, "expected the folder of a run, found no planes.json in it")
         history = History.read(folder / "view.json") if (folder / "view.json").exists() else History()

@@ -92,6 +92,10 @@ class Log:
     """What the reader skipped or repaired, one sentence each."""
     mounts: dict[str, FloatArray] = field(default_factory=dict)
     """body_T_sensor (4, 4) of the sensors whose mount the log itself tells."""
+    odometry_source: Path | None = None
+    """File that the odometry was taken from in place of the log's own; None: it is the log's own."""
+    assumed: list[str] = field(default_factory=list)
+    """What was taken for granted because nobody said it, one sentence each."""
 
     @property
     def odometry(self) -> list[OdometryReading]:

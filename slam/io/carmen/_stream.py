@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.errors import LogError
+from slam.errors import KEEPS_THE_REST, LogError
 from slam.io.carmen._records import LaserRecord, OdomRecord, OffsetRecord, parse_record
 from slam.io.packed import BROKEN, numbered_lines
 from slam.io.spool import Spool
@@ -86,7 +86,8 @@ def read_records(path: Path, keep_partial: bool) -> RawLog:
     except BROKEN as error:
         broken = broken or (number + 1, f"the gzip stream breaks off here ({str(error)[:60]})")
     if broken and not keep_partial:
-        raise LogError(path, broken[1], line=broken[0])
+        offer = f"; {KEEPS_THE_REST}" if broken[0] > 1 else ""
+        raise LogError(path, f"{broken[1]}{offer}", line=broken[0])
     if broken:
         raw.notes.append(f"{path}:{broken[0]}: {broken[1]}; kept what came before")
     raw.notes += [f"skipped {count} {name} records" for name, count in sorted(raw.skipped.items())]

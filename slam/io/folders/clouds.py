@@ -6,8 +6,9 @@
   decimal point, or one of 10, 13, 16 or 19 digits: s, ms, us, ns); else those of a TUM file with a row for each cloud;
   else one second each.
 - `poses.tum`, `poses.txt`, `trajectory.tum`: poses of the body, TUM or KITTI; else the VIEWPOINTs of PCD files, the
-  sensor's. `odometry.tum`, `odometry.txt`: odometry. KITTI rows, and TUM rows where the clouds have no times, belong to
-  the clouds in order; if there are more rows than clouds, to the clouds by the number in the name, counted from 0.
+  sensor's. `map` takes them; odometry is only what is called so: `odometry.tum`, `odometry.txt`, or a file given.
+  KITTI rows, and TUM rows where the clouds have no times, belong to the clouds in order; if there are more rows than
+  clouds, to the clouds by the number in the name, counted from 0.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from slam.io.clouds import is_cloud_file, read_cloud, weigh_cloud
 from slam.io.clouds.arrange import Grid, arrange
 from slam.io.clouds.e57 import count_e57, read_e57
 from slam.io.clouds.pcd import read_header
+from slam.io.odometry_file import check_reach, taken_from
 from slam.io.trajectories import Trajectory, read_kitti, read_tum
 from slam.sensors.log import CloudScan, Event, Log, OdometryReading, StoredCloud
 from spplanes._check import FloatArray
@@ -63,7 +65,12 @@ def clouds_in(folder: Path) -> list[Path]:
 
 
 def read_cloud_folder(
-    folder: Path, *, sensor: str = SENSOR, grid: Grid | None = None, body_T_sensor: FloatArray | None = None
+    folder: Path,
+    *,
+    sensor: str = SENSOR,
+    grid: Grid | None = None,
+    body_T_sensor: FloatArray | None = None,
+    odometry: Path | None = None,
 ) -> Log:
     """Read a folder of clouds; the clouds themselves stay in their files until they are asked for.
 
@@ -72,6 +79,7 @@ def read_cloud_folder(
         sensor: name of the sensor in the rig.
         grid: shape of the range image of clouds without order; None: found in each.
         body_T_sensor: where it sits, shape (4, 4): poses that the clouds themselves tell are the sensor's.
+        odometry: a TUM or KITTI file, in place of what the folder has.
 
     Raises:
         LogError: one sentence with the file: no clouds, a header that is wrong, times or poses that are not as many.
@@ -82,20 +90,22 @@ def read_cloud_folder(
         raise LogError(folder, "expected a folder of clouds, found none")
     for path in paths:
         weigh_cloud(path)
-    notes: list[str] = []
-    poses, odometry = _rows_of(folder, _POSES), _rows_of(folder, _ODOMETRY)
+    posed_by, moved_by = _file_of(folder, _POSES), odometry or _file_of(folder, _ODOMETRY)
+    poses, moves = _rows_of(posed_by), _rows_of(moved_by)
     if poses is None:
         poses = _told_by_files(paths, np.eye(4) if body_T_sensor is None else body_T_sensor)
-    stamps = _stamps(folder, paths, [rows for rows in (odometry, poses) if isinstance(rows, Trajectory)])
+    stamps = _stamps(folder, paths, [rows for rows in (moves, poses) if isinstance(rows, Trajectory)])
     world_T_body = None if poses is None else _poses_at(folder, poses, paths, stamps)
-    if odometry is None and world_T_body is not None:
-        notes.append("no odometry: the poses stand in for it")
-    events: list[Event] = list(_odometry(folder, odometry, paths, stamps, world_T_body))
+    events: list[Event] = []
+    if moved_by is not None and moves is not None:
+        events += _odometry(moved_by, moves, folder, paths, stamps, must_reach=odometry is not None)
     for index, (path, stamp) in enumerate(zip(paths, stamps, strict=True)):
         pose = None if world_T_body is None else world_T_body[index]
         events.append(StoredCloud(stamp, sensor, partial(grid_in, path, grid), pose))
     events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
-    return Log(events, folder, notes)
+    if odometry is not None:
+        return Log(events, folder, [taken_from(odometry, len(events) - len(paths))], odometry_source=odometry)
+    return Log(events, folder, _said_of(posed_by, world_T_body is not None and moved_by is None))
 
 
 def read_e57_log(
@@ -113,10 +123,8 @@ def read_e57_log(
     for index, cloud in enumerate(clouds):
         stamp, told = index * SCAN_PERIOD_NS, cloud.world_T_sensor
         pose = None if not posed else (np.eye(4) if told is None else told) @ inverse(mount)
-        if pose is not None:
-            events.append(OdometryReading(stamp, pose))
         events.append(CloudScan(stamp, sensor, arrange(cloud.points, grid), pose))
-    return Log(events, path, ["no odometry: the poses of the scans stand in for it"] if posed else [])
+    return Log(events, path, _said_of(None, posed))
 
 
 def grid_in(path: Path, grid: Grid | None = None) -> FloatArray:
@@ -134,9 +142,21 @@ def _order(path: Path) -> tuple[list[tuple[int, str]], str]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts], path.name
 
 
-def _rows_of(folder: Path, names: tuple[str, ...]) -> Trajectory | FloatArray | None:
+def _said_of(posed_by: Path | None, posed: bool) -> list[str]:
+    """That poses are no odometry, where a log has them and nothing else."""
+    if not posed:
+        return []
+    told = "the scans' own poses" if posed_by is None else f"the poses of {posed_by.name}"
+    way = "" if posed_by is None else f" (for slam: --odometry {posed_by.name})"
+    return [f"no odometry: {told} are not taken for it{way}"]
+
+
+def _file_of(folder: Path, names: tuple[str, ...]) -> Path | None:
+    return next((folder / name for name in names if (folder / name).is_file()), None)
+
+
+def _rows_of(path: Path | None) -> Trajectory | FloatArray | None:
     """TUM as a trajectory, KITTI as poses (N, 4, 4), by the number of words in a row; None: no such file."""
-    path = next((folder / name for name in names if (folder / name).is_file()), None)
     if path is None:
         return None
     if path.suffix == ".txt" and _words_in_row(path) == 12:
@@ -198,14 +218,14 @@ def _has_clock(folder: Path, paths: list[Path]) -> bool:
     return (folder / _TIMES).is_file() or all(_time_in(path.stem) is not None for path in paths)
 
 
-def _in_order(folder: Path, poses: FloatArray, paths: list[Path]) -> FloatArray:
+def _in_order(source: Path, poses: FloatArray, paths: list[Path]) -> FloatArray:
     """The pose of every cloud from rows without times, shape (N, 4, 4)."""
     if len(poses) == len(paths):
         return poses
     numbers = [int(words[-1]) if (words := re.findall(r"\d+", path.stem)) else len(poses) for path in paths]
     if len(poses) > len(paths) and max(numbers) < len(poses):
         return poses[numbers]
-    raise LogError(folder, f"expected a pose for each of the {len(paths)} clouds, got {len(poses)}")
+    raise LogError(source, f"expected a pose for each of the {len(paths)} clouds, got {len(poses)}")
 
 
 def _poses_at(folder: Path, rows: Trajectory | FloatArray, paths: list[Path], stamps: list[int]) -> FloatArray:
@@ -223,19 +243,14 @@ def _poses_at(folder: Path, rows: Trajectory | FloatArray, paths: list[Path], st
 
 
 def _odometry(
-    folder: Path,
-    rows: Trajectory | FloatArray | None,
-    paths: list[Path],
-    stamps: list[int],
-    world_T_body: FloatArray | None,
+    path: Path, rows: Trajectory | FloatArray, folder: Path, paths: list[Path], stamps: list[int], *, must_reach: bool
 ) -> list[OdometryReading]:
-    if rows is None:
-        poses = world_T_body
-    elif isinstance(rows, Trajectory) and _has_clock(folder, paths):
+    if isinstance(rows, Trajectory) and _has_clock(folder, paths):
+        if must_reach:
+            check_reach(path, rows, stamps)
         return [OdometryReading(t, pose) for t, pose in zip(rows.stamps_ns.tolist(), rows.poses, strict=True)]
-    else:
-        poses = _in_order(folder, rows.poses if isinstance(rows, Trajectory) else rows, paths)
-    return [] if poses is None else [OdometryReading(t, pose) for t, pose in zip(stamps, poses, strict=True)]
+    poses = _in_order(path, rows.poses if isinstance(rows, Trajectory) else rows, paths)
+    return [OdometryReading(t, pose) for t, pose in zip(stamps, poses, strict=True)]
 
 
 def has_clouds(folder: Path) -> bool:

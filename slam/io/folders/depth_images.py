@@ -1,7 +1,8 @@
 """Folders of depth images: `intrinsics.txt`, the images in it or in its folder `depth`, times and poses beside them.
 
 `depth.txt` or `associations.txt` lists images with their times as TUM RGB-D does; without a list all images are read,
-in the order of the numbers in their names, at 30 Hz. `groundtruth.txt` or `poses.tum` holds the poses of the camera.
+in the order of the numbers in their names, at 30 Hz. `groundtruth.txt` or `poses.tum` holds the poses of the camera,
+which `map` takes; `odometry.tum` odometry of the body, which `slam` takes: poses are no odometry.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from slam.errors import LogError
 from slam.geometry.frames import inverse
 from slam.io._numbers import nanoseconds, numbered_words
 from slam.io.clouds.depth import INTRINSICS, Camera, read_depth_image, read_intrinsics
+from slam.io.odometry_file import in_order, readings_of
 from slam.io.trajectories import read_tum
-from slam.sensors.log import Event, Log, OdometryReading, StoredCloud
+from slam.sensors.log import Event, Log, StoredCloud
 from spplanes._check import FloatArray
 
 #: body_T_sensor of a camera that looks ahead: its z forward, its x to the right.
@@ -29,7 +31,7 @@ SENSOR = "camera"
 PERIOD_NS = 33_333_333
 #: A pose belongs to an image where one lies this near in time, ns.
 _POSE_GAP_NS = 500_000_000
-_LISTS = ("depth.txt", "associations.txt")
+_LISTS, _ODOMETRY = ("depth.txt", "associations.txt"), "odometry.tum"
 #: Names of a file of the camera's poses.
 CAMERA_POSES = ("groundtruth.txt", "poses.tum")
 
@@ -64,11 +66,11 @@ def read_depth_folder(folder: Path, *, sensor: str = SENSOR, body_T_sensor: Floa
     poses = [None] * len(stamps) if truth is None else _poses(truth, stamps, timed=images[0][1] is not None)
     events: list[Event] = []
     for (path, _), stamp, pose in zip(images, stamps, poses, strict=True):
-        if pose is not None:
-            events.append(OdometryReading(stamp, pose @ inverse(mount)))
         world_T_body = None if pose is None else pose @ inverse(mount)
         events.append(StoredCloud(stamp, sensor, partial(_points_of, path, camera), world_T_body))
-    notes = [] if truth is None else [f"no odometry: the poses of {truth.name} stand in for it"]
+    if (folder / _ODOMETRY).is_file():
+        return Log(in_order(readings_of(folder / _ODOMETRY, events), events), folder)
+    notes = [] if truth is None else [f"no odometry: the poses of {truth.name} are not taken for it"]
     return Log(events, folder, notes)
 
 

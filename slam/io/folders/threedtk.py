@@ -57,7 +57,7 @@ def read_3dtk(folder: Path) -> Log:
         odom_T_body = read_pose(path.with_name(path.name.split(".")[0] + ".pose"))
         events.append(OdometryReading(stamp_ns, odom_T_body))
         events.append(CloudScan(stamp_ns, SENSOR, read_points(path)))
-    return Log(events, folder)
+    return Log(events, folder, ["odometry: the initial poses of the .pose files, as 3DTK has them"])
 
 
 def read_pose(path: Path) -> FloatArray:

@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from slam.errors import LogError, MissingPackageError
+from slam.errors import KEEPS_THE_REST, LogError, MissingPackageError
 from slam.io.rosbags._bounded_unpacking import bound_rosbags
 from slam.io.rosbags._salvaged import SalvagedBag
 
@@ -31,8 +31,9 @@ def opened(path: Path, keep_partial: bool = False) -> Iterator[Any]:
         stack = ExitStack()
         reader = stack.enter_context(AnyReader([path], default_typestore=get_typestore(Stores.LATEST)))
     except Exception as error:  # rosbags on damage: errors of its own, of struct, sqlite3, yaml, zstd and others
-        if not (keep_partial and path.suffix in (".bag", ".mcap")):
-            raise _broken(path, error) from error
+        can_be_cut = path.suffix in (".bag", ".mcap")
+        if not (keep_partial and can_be_cut):
+            raise _broken(path, error, can_be_cut) from error
         try:
             reader = SalvagedBag(path)
         except LogError:
@@ -50,8 +51,9 @@ def opened(path: Path, keep_partial: bool = False) -> Iterator[Any]:
         raise _broken(path, error) from error
 
 
-def _broken(path: Path, error: Exception) -> LogError:
-    return LogError(path, f"expected a whole bag, got one that cannot be read ({in_short(error)})")
+def _broken(path: Path, error: Exception, can_be_cut: bool = False) -> LogError:
+    offer = f"; {KEEPS_THE_REST}" if can_be_cut else ""
+    return LogError(path, f"expected a whole bag, got one that cannot be read ({in_short(error)}){offer}")
 
 
 def in_short(error: Exception) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from slam.errors import LogError
+from slam.errors import KEEPS_THE_REST, LogError
 from slam.io.clouds.arrange import Grid, arrange
 from slam.io.rosbags._frames import BODIES, WORLDS, Frames
 from slam.io.rosbags._messages import frame_of, points_of, scan_of, stamp_of, transform_of
@@ -98,6 +99,7 @@ def read_rosbag(
     if not found.scans and not found.clouds:
         raise LogError(path, "expected scans in the bag, found none before its end")
     body, odometry = _odometry_of(found, notes)
+    mounted = {topic for topic in chosen.scans if sensor_name(topic) in (names or {})}
     names = {topic: (names or {}).get(sensor_name(topic), sensor_name(topic)) for topic in chosen.scans}
     events: list[Event] = [OdometryReading(stamp, pose) for stamp, pose in odometry]
     ranges = [kept for *_, kept in found.scans]
@@ -107,7 +109,7 @@ def read_rosbag(
         grid = (grids or {}).get(names[topic])
         events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received, grid, keep_partial)))
     events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
-    return Log(_without_doubles(events, notes), path, notes, _mounts(found, body, names, notes))
+    return Log(_without_doubles(events, notes), path, notes, _mounts(found, body, names, notes, mounted))
 
 
 def _choose(path: Path, reader: Any, wanted: Topics, notes: list[str]) -> Topics:
@@ -155,7 +157,7 @@ def _read(path: Path, reader: Any, chosen: Topics, notes: list[str], keep_partia
             raise
         except Exception as error:  # as in opened
             if not keep_partial:
-                raise LogError(path, f"{topic}: {in_short(error)}") from error
+                raise LogError(path, f"{topic}: {in_short(error)}; {KEEPS_THE_REST}") from error
             notes.append(f"{topic} breaks off ({in_short(error)}); kept what came before")
             return found
 
@@ -201,12 +203,16 @@ def _usual_body(frames: Frames) -> str | None:
     return next((frame for frame in BODIES if frame in frames), None)
 
 
-def _mounts(found: _Found, body: str | None, names: dict[str, str], notes: list[str]) -> dict[str, FloatArray]:
-    """body_T_sensor by name of the sensor, where tf tells it."""
+def _mounts(
+    found: _Found, body: str | None, names: dict[str, str], notes: list[str], mounted: Collection[str]
+) -> dict[str, FloatArray]:
+    """body_T_sensor by name of the sensor, where tf tells it; of topics that are `mounted` the rig tells it anyway."""
     frames = {topic: frame for _, topic, frame, *_ in (*found.scans[::-1], *found.clouds[::-1])}
     mounts = {}
     for topic, frame in sorted(frames.items()):
         mount = np.eye(4) if frame == body else None if body is None else found.frames.body_T(body, frame)
+        if mount is None and topic in mounted:
+            continue
         if mount is None:
             notes.append(f"no transform from {body or 'a body'} to {frame or 'the sensor'}: {topic} taken at the body")
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -36,6 +37,11 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 def test_version_and_help(capsys: pytest.CaptureFixture[str]):
     assert run(capsys, "--version")[:2] == (0, f"spplanes {__version__}\n")
+    for flags in (["--version", "-v"], ["-v", "--version"]):
+        code, out, _ = run(capsys, *flags)
+        assert code == 0 and "session.db: version 2" in out and "planes.json: spplanes/1" in out
+    assert run(capsys, "-h")[1] == run(capsys, "--help")[1] and run(capsys, "slam", "-h")[0] == 0
+    assert "complet" in run(capsys, "--show-completion", "bash")[1]
     code, out, _ = run(capsys, "--help")
     assert code == 0
     for command in ("slam", "demo", "simulate", "evaluate"):
@@ -58,6 +64,7 @@ def test_unknown_commands_and_options_are_usage_errors(capsys: pytest.CaptureFix
     assert run(capsys, "fly")[0] == 2
     assert run(capsys, "slam", "x", "--out", "y", "--nonsense")[0] == 2
     assert run(capsys, "slam")[0] == 2
+    assert run(capsys, "-v")[0] == 2 and run(capsys, "-q", "-v", "fit", "x")[0] == 2
 
 
 def test_a_missing_log_is_one_sentence_and_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -98,6 +105,18 @@ def test_unknown_keys_of_configurations_are_named(tmp_path: Path, capsys: pytest
     assert "expected YAML, got a syntax error" in refused(
         capsys, "slam", tmp_path / "scans", "--out", tmp_path / "run", "--config", config
     )
+
+
+def test_options_that_say_nothing_there_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    write_scan(tmp_path / "scans", 0, scanner_points())
+    common = ["slam", tmp_path / "scans", "--out", tmp_path / "run"]
+    for option in (["--start", "find"], ["--start-sigma", "1,1"]):
+        code, _, err = run(capsys, *common, *option)
+        assert code == 2 and "expected --prior" in err
+    for option in (["--topic", "/scan"], ["--odometry-topic", "/odom"]):
+        assert "scans: expected a bag where topics are given" in refused(capsys, *common, *option)
+    code = run(capsys, *common, "--odometry", "a.tum", "--odometry-topic", "/odom")[0]
+    assert code == 2 and not (tmp_path / "run").exists()
 
 
 def test_unknown_worlds_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -177,6 +196,43 @@ def test_a_run_of_a_run_is_the_same_bit_for_bit(finished: Path, mission: Path, c
     assert run(capsys, "slam", mission, "--out", again)[0] == 0
     for name in ("trajectory.tum", "planes.json", "map.ply", "map.png", "config.yaml"):
         assert (finished / name).read_bytes() == (again / name).read_bytes(), name
+
+
+def test_a_run_ends_with_its_results_and_what_was_assumed(
+    finished: Path, mission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """A log without a rig: what its laser is taken for; times in one line unless all are asked for."""
+    shutil.copy(mission / "log.clf.gz", tmp_path / "bare.clf.gz")
+    code, out, err = run(capsys, "slam", tmp_path / "bare.clf.gz", "--out", tmp_path / "run")
+    lines = err.strip().splitlines()
+    assert code == 0 and lines[-1] == f"results: {tmp_path / 'run'}, the page: {tmp_path / 'run' / 'report.html'}"
+    assert lines[-2].startswith("took ") and "--timings" in lines[-2] and "time, measure" not in out
+    assumed = [line for line in lines if line.startswith("assumed: ")]
+    assert any("no rig: " in line and "is taken for a level 2D laser with 15 mm of noise" in line for line in assumed)
+    told = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert [f"assumed: {one}" for one in told["assumptions"]] == assumed
+    code, out, err = run(capsys, "-q", "slam", mission, "--out", tmp_path / "quiet", "--timings")
+    assert code == 0 and "time, measure" in out
+    assert all(line.startswith("warning: ") for line in err.strip().splitlines())
+    assert json.loads((tmp_path / "quiet" / "metrics.json").read_text())["assumptions"] == []
+
+
+def test_explain_says_why(finished: Path, capsys: pytest.CaptureFixture[str]):
+    code, out, _ = run(capsys, "explain", finished, 2)
+    lines = out.strip().splitlines()
+    assert code == 0 and lines[0].startswith("keyframe 2 at ") and any("is landmark" in line for line in lines)
+    code, out, _ = run(capsys, "explain", finished, 2, "--json")
+    told = json.loads(out)
+    assert told["sentences"] == lines[1:] and len(told["observations"]) > 3
+    matched = [one for one in told["observations"] if one["verdict"] == "match"]
+    assert matched
+    for one in matched:
+        assert one["landmark"] in [candidate["landmark"] for candidate in one["candidates"]]
+    for wrong in (99, "first"):
+        code, _, err = run(capsys, "explain", finished, wrong)
+        assert code == 2 and "Traceback" not in err
+    assert "keyframe: expected an index from 0 to" in refused(capsys, "explain", finished, 99)
+    assert "expected a session, found nothing" in refused(capsys, "explain", finished.parent / "nowhere", 0)
 
 
 def test_overwrite_replaces_the_folder_whole(mission: Path, capsys: pytest.CaptureFixture[str]):

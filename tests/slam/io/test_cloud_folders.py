@@ -105,8 +105,8 @@ def test_tum_poses_of_clouds_without_times_are_their_times_too(folder: Path):
     log = read_cloud_folder(folder)
     assert [scan.stamp_ns for scan in log.scans()] == stamps.tolist()
     np.testing.assert_allclose(poses_of(log), POSES, atol=1e-12)
-    np.testing.assert_allclose([reading.odom_T_body for reading in log.odometry], POSES, atol=1e-12)
-    assert log.notes == ["no odometry: the poses stand in for it"]
+    assert log.odometry == []  # poses are no odometry
+    assert log.notes == ["no odometry: the poses of poses.tum are not taken for it (for slam: --odometry poses.tum)"]
 
 
 def test_tum_poses_at_other_times_are_interpolated(folder: Path):

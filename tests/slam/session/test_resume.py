@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import shutil
@@ -20,7 +21,9 @@ import slam.runs.slam_run as run_module
 from benchmarks import kill
 from slam import PlaneSlam
 from slam.cli import main
+from slam.geometry.frames import planar_transform
 from slam.io.load import load
+from slam.io.trajectories import Trajectory, read_tum, write_tum
 from slam.planeslam import pose_symbol
 from slam.sensors.log import LaserScan
 from slam.session.salvage import salvage_session
@@ -118,7 +121,7 @@ def test_a_run_that_ended_early_goes_on_to_the_same_result(
         assert (out / name).read_bytes() == (whole / name).read_bytes(), name
     assert kill.records(out / SESSION_FILE) == kill.records(whole / SESSION_FILE)
     code, err = run(capsys, "slam", "--resume", out)
-    assert code == 2 and "finished already" in err and "go on with" not in err
+    assert code == 0 and err == f"{out}: finished already; nothing is left to do"  # a supervisor may loop
 
 
 def test_a_run_that_died_while_writing_results_writes_them_again(
@@ -183,6 +186,41 @@ def test_another_log_is_refused_and_one_that_grew_is_not(unfinished: Path, missi
     grown = [*lines, "# the robot drove on\n"]
     (other / "log.clf.gz").write_bytes(gzip.compress("".join(grown).encode()))
     assert run(capsys, "slam", other, "--out", unfinished, "--resume")[0] == 0
+
+
+def test_what_comes_next_after_an_interruption_is_offered(unfinished: Path, mission: Path, capsys):
+    code, err = run(capsys, "slam", mission, "--out", unfinished)
+    assert code == 2 and f"its run is not finished: go on with --resume {unfinished}" in err
+    for words in (["view", unfinished], ["export", unfinished, "--to", unfinished.parent / "a.tum"]):
+        code, err = run(capsys, *words)
+        assert code == 2 and f"the run is not finished; go on with: spplanes slam --resume {unfinished}" in err
+    code, err = run(capsys, "evaluate", unfinished, "--truth", mission / "truth")
+    assert code == 2 and "the run is not finished" in err
+    assert run(capsys, "explain", unfinished, 2)[0] == 0
+
+
+def test_a_run_with_odometry_of_its_own_file_goes_on_with_it(mission: Path, tmp_path: Path, monkeypatch, capsys):
+    """The same bits as undisturbed; the file's content, not its name, is what must be the same."""
+    truth = read_tum(mission / "truth" / "trajectory.tum")
+    given = tmp_path / "given.tum"
+    write_tum(given, truth)
+    config = mission.parent / "config.yaml"
+    options = ["--odometry", given, "--config", config]
+    code, err = run(capsys, "slam", mission, "--out", tmp_path / "whole", *options)
+    assert code == 0 and f"odometry: {len(truth)} poses of given.tum; the log's own" in err
+    with monkeypatch.context() as patch:
+        stop_after(patch, 5, KeyboardInterrupt())
+        run(capsys, "slam", mission, "--out", tmp_path / "run", *options)
+    moved = Trajectory(truth.stamps_ns, truth.poses @ planar_transform(0.01, 0.0, 0.01))
+    write_tum(given, moved)
+    code, err = run(capsys, "slam", "--resume", tmp_path / "run")
+    assert code == 2 and "expected the log that the run began with" in err
+    write_tum(given, truth)
+    assert run(capsys, "slam", "--resume", tmp_path / "run")[0] == 0
+    for name in SAME:
+        assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+    rows = json.loads((tmp_path / "run" / "metrics.json").read_text())["metrics"]
+    assert {row["metric"]: row["value"] for row in rows}["odometry readings (given.tum)"] == len(truth)
 
 
 def test_what_resume_does_not_take_is_refused(unfinished: Path, tmp_path: Path, capsys):
