@@ -31,6 +31,8 @@ Row = dict[str, Any]
 IN_PLANE = [2, 3, 4]
 #: A run is wrong beyond the larger of these, and right within the larger of those: m, and claimed sigmas.
 WRONG, RIGHT = (0.1, 3.0), (0.01, 2.0)
+#: Disturbances that no run may call sound, however little they moved it.
+MISLEADING = ("backwards", "prior_start", "prior_elsewhere")
 #: One landmark in so many is further off than its covariance allows; those are the ones "beyond".
 BEYOND = 1e-3
 #: Landmarks of one true plane that lie farther apart than this are not doubles of each other, m: the gap that
@@ -67,7 +69,7 @@ def score(run: Run, drive: Drive) -> Row:
     stamps, _, _ = common_poses(scans, drive.truth.trajectory)
     row = error_row(errors.translation_m, errors.rotation_rad)
     sigma = _sigma_at(run, drive, int(stamps[worst]), in_map=in_map)
-    row |= {"sigma, m": sigma, "judged": judged(row["worst, m"], sigma)}
+    row |= {"sigma, m": sigma, "judged": judged(row["worst, m"], sigma, drive.recipe.disturbance)}
     row |= _last_pose(run, drive, in_map=in_map)
     row |= _landmarks(run, drive, in_map=in_map)
     return row | said_row(run)
@@ -90,14 +92,16 @@ def said_row(run: Run) -> Row:
     return {"keyframes": len(run.trajectory), "verdict": verdict, "reasons": reasons}
 
 
-def judged(worst_m: float, sigma_m: float) -> str:
+def judged(worst_m: float, sigma_m: float, disturbance: str = "none") -> str:
     """What truth says of a run whose worst error is this where it claims that sigma.
 
-    Wrong; right; open: far off, but within what it claims, as where nothing tells how far a corridor was driven; or
-    between these.
+    Wrong; right; open: far off, but within what it claims, as where nothing tells how far a corridor was driven;
+    misled: it is not wrong, but what it was told is, and it must say so; or between these.
     """
     if worst_m > max(WRONG[0], WRONG[1] * sigma_m):
         return "wrong"
+    if disturbance in MISLEADING:
+        return "misled"
     if worst_m > max(RIGHT[0], RIGHT[1] * sigma_m):
         return "between"
     return "open" if worst_m > WRONG[0] else "right"
