@@ -181,7 +181,9 @@ def test_an_ablation_names_the_kinds_that_get_worse_beyond_their_spread():
     assert lines[2]["kinds worse"] is None
 
 
-@pytest.mark.parametrize("words", [["--kind", "castle"], ["--kind", "castle/level"], ["--compare", "nowhere.json"]])
+@pytest.mark.parametrize(
+    "words", [["--kind", "castle"], ["--kind", "castle/level"], ["--compare", "nowhere.json"], ["--resume"]]
+)
 def test_options_that_make_no_sense_end_with_code_2(words, capsys):
     assert corpus_main.main(words) == 2
     assert "benchmarks corpus: " in capsys.readouterr().err
