@@ -16,6 +16,7 @@ from slam.config import SlamConfig
 from slam.evaluation import PlaneMatch, absolute_error, match_planes
 from slam.evaluation.planes import outline_in
 from slam.evaluation.trajectories import alignment_of, common_poses
+from slam.frontend.odometry import OdometryTrack
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory
 from slam.output.run_metrics import details_of
@@ -59,12 +60,14 @@ def verdict_of(run: Run) -> tuple[str, list[str]]:
 def score(run: Run, drive: Drive) -> Row:
     """The row of a simulated drive.
 
-    Errors are of positions relative to the true first pose; in a prior map of this very building, to the map. A drive
-    that begins in the map of another building has no error but its own: what it must not do is call itself sound.
+    Errors are of positions where the first keyframe is put on its true pose; in a prior map of this very building,
+    in the map. A drive that begins in the map of another building has no error but its own: what it must not do is
+    call itself sound.
     """
     in_map = drive.prior is not None and drive.recipe.disturbance != "prior_elsewhere"
     scans = scans_of(run)
-    errors = absolute_error(scans, drive.truth.trajectory, alignment="none" if in_map else "first")
+    scans = Trajectory(scans.stamps_ns, (np.eye(4) if in_map else _truth_T_run(run, drive)) @ scans.poses)
+    errors = absolute_error(scans, drive.truth.trajectory, alignment="none")
     worst = int(np.argmax(errors.translation_m))
     stamps, _, _ = common_poses(scans, drive.truth.trajectory)
     row = error_row(errors.translation_m, errors.rotation_rad)
@@ -108,14 +111,29 @@ def judged(worst_m: float, sigma_m: float, disturbance: str = "none") -> str:
 
 
 def _sigma_at(run: Run, drive: Drive, stamp_ns: int, *, in_map: bool) -> float:
-    """Claimed standard deviation of the keyframe nearest to a time, along the error it has there, m."""
+    """Claimed standard deviation at a time, along the error of the nearest keyframe, m.
+
+    That of the keyframe, and what odometry adds between two keyframes by the rig's own word.
+    """
     keyframe = int(np.argmin(np.abs(run.trajectory.stamps_ns - stamp_ns)))
     error = _error_of(run, drive, keyframe, in_map=in_map)[3:]
     covariance = run.slam.marginal_covariance(pose_symbol(keyframe))[3:, 3:]
     size = float(np.linalg.norm(error))
-    if size == 0.0:
-        return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
-    return float(np.sqrt(error @ covariance @ error) / size)
+    variance = float(error @ covariance @ error) / size**2 if size > 0.0 else float(np.linalg.eigvalsh(covariance)[-1])
+    return float(np.sqrt(variance + _variance_between(run, stamp_ns)))
+
+
+def _variance_between(run: Run, stamp_ns: int) -> float:
+    """Variance of a position that odometry carries from the keyframe before and to the one after a time, m^2."""
+    if not run.log.odometry:
+        return 0.0
+    track, known = OdometryTrack(run.log.odometry, run.rig.odometry), run.trajectory.stamps_ns
+    ends = [max(known[known <= stamp_ns], default=None), min(known[known >= stamp_ns], default=None)]
+    sides = [sorted((int(end), stamp_ns)) for end in ends if end is not None]
+    if any(start == end for start, end in sides):
+        return 0.0
+    variances = [float(np.linalg.eigvalsh(track.motion(*side).covariance[:2, :2])[-1]) for side in sides]
+    return 1.0 / sum(1.0 / variance for variance in variances)
 
 
 def _error_of(run: Run, drive: Drive, keyframe: int, *, in_map: bool) -> FloatArray:
