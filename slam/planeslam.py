@@ -176,6 +176,9 @@ class PlaneSlam:
         """The motion to the keyframe by all its returns, for telling walls apart."""
         if prediction.motion is None:
             return None
+        matched = prediction.motion.returns_covariance
+        if matched is not None:
+            return Hint(pose_symbol(prediction.index - 1), replace(prediction.motion, covariance=matched))
         motion = step_by_view(keyframe, prediction.motion, self.keyframes, self.backend, self.config.loops)
         return None if motion is None else Hint(pose_symbol(prediction.index - 1), motion)
 

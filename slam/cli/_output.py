@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
+    from slam.diagnostics.verdict import Verdict
     from slam.evaluation.metrics import Metric
 
 
@@ -64,6 +65,13 @@ def warn_of(sentences: Sequence[str]) -> None:
     """One line each on stderr."""
     for sentence in sentences:
         say(f"warning: {sentence}")
+
+
+def say_verdict(verdict: Verdict, *, strict: bool = False) -> None:
+    """The last line of a run, on stderr; with `strict` a broken map ends the command with code 1."""
+    say(verdict.line)
+    if strict and verdict.verdict == "broken":
+        raise typer.Exit(1)
 
 
 @contextmanager

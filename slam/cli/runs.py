@@ -18,7 +18,7 @@ from slam.cli._job import (
     TopicOption,
     open_job,
 )
-from slam.cli._output import hint_of, progress_bar, say, show, warn_of
+from slam.cli._output import hint_of, progress_bar, say, say_verdict, show, warn_of
 
 if TYPE_CHECKING:
     from slam.runs.slam_run import Run
@@ -54,6 +54,9 @@ def slam(
     batch: Annotated[bool, typer.Option("--batch", help="Solve the graph once more as a whole at the end.")] = False,
     topic: TopicOption = None,
     odometry_topic: OdometryTopicOption = None,
+    strict_verdict: Annotated[
+        bool, typer.Option("--strict-verdict", help="Exit code 1 where the map is found to be broken.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Estimate trajectory and planes of LOG; what is measured is on disk before it is used."""
@@ -61,7 +64,7 @@ def slam(
         run_folder, moved_to = (out, log) if out is not None else (log, None)
         if run_folder is None or rig or config or prior or overwrite or keep_partial or keep_raw or forget_raw:
             raise typer.BadParameter("takes the folder of a run; all else is as the run began", param_hint="--resume")
-        _resume(run_folder, moved_to, salvage=salvage, as_json=as_json)
+        _resume(run_folder, moved_to, salvage=salvage, as_json=as_json, strict_verdict=strict_verdict)
         return
     if log is None or out is None or salvage:
         raise typer.BadParameter("expected LOG --out DIR, or --resume RUN", param_hint="slam")
@@ -92,9 +95,10 @@ def slam(
     ):
         run = run_slam(job.log, job.rig, job.config, slam=slam, batch=batch, clock=job.clock, progress=progress)
         _conclude(run, out, as_json)
+    say_verdict(run.verdict, strict=strict_verdict)
 
 
-def _resume(folder: Path, log: Path | None, *, salvage: bool, as_json: bool) -> None:
+def _resume(folder: Path, log: Path | None, *, salvage: bool, as_json: bool, strict_verdict: bool) -> None:
     """Go on with a run."""
     from slam.output.run_folder import resumed_run
     from slam.runs.slam_run import StageClock, run_slam
@@ -107,6 +111,7 @@ def _resume(folder: Path, log: Path | None, *, salvage: bool, as_json: bool) -> 
         with progress_bar("keyframes") as progress:
             run = run_slam(read, rig, slam.config, slam=slam, clock=clock, progress=progress)
         _conclude(run, folder, as_json)
+    say_verdict(run.verdict, strict=strict_verdict)
 
 
 def _conclude(run: Run, folder: Path, as_json: bool) -> None:
@@ -167,5 +172,6 @@ def demo(
         write_run(run, folder, title="spplanes demo", extra=[("estimate against truth", rows)])
     show("estimate against truth", rows, as_json)
     warn_of(run.slam.audit.warnings())
+    say_verdict(run.verdict)
     if not as_json:
         typer.echo(f"Pictures and a page: {out / 'map.png'}, {out / 'report.html'}")

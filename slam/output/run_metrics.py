@@ -49,6 +49,8 @@ def map_metrics_of(result: MapResult) -> list[Metric]:
 def details_of(run: Run) -> dict[str, Any]:
     """What a table has no room for, for metrics.json."""
     return {
+        "verdict": run.verdict.to_dict(),
+        "evidence": [one.to_dict() for one in run.verdict.evidence],
         "facing_pairs": [pair.__dict__ for pair in facing_pairs(run.planes)],
         "nis": [{**summary.__dict__, "verdict": summary.verdict} for summary in run.slam.audit.summary()],
         "open_directions": [stretch.to_dict() for stretch in run.slam.open_directions],

@@ -9,6 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from slam.config import SlamConfig
+from slam.diagnostics.evidence import look_at
+from slam.diagnostics.verdict import Verdict
 from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
 from slam.frontend.odometry import OdometryTrack
 from slam.geometry.frames import inverse
@@ -52,6 +54,12 @@ class Run:
     def scan_odometry(self) -> Trajectory:
         """The same scans by odometry alone, from the first keyframe's estimate; empty without odometry."""
         return odometry_at_scans(self.trajectory, self.log, self.rig)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Sound, doubtful or broken, and why."""
+        with self.clock.stage("verdict"):
+            return look_at(self.slam, self.rig)
 
 
 def run_slam(
