@@ -30,7 +30,8 @@ Row = dict[str, Any]
 
 #: Tangent of Pose3 in the floor plane: yaw, x, y.
 IN_PLANE = [2, 3, 4]
-#: A run is wrong beyond the larger of these, and right within the larger of those: m, and claimed sigmas.
+#: A run is wrong whose worst error is beyond the larger of these, and right whose root mean square error, for the worst
+#: of a thousand scans is three sigmas off by right, is within the larger of those: m, and claimed sigmas.
 WRONG, RIGHT = (0.1, 3.0), (0.01, 2.0)
 #: Disturbances that no run may call sound, however little they moved it.
 MISLEADING = ("backwards", "prior_start", "prior_elsewhere")
@@ -72,7 +73,7 @@ def score(run: Run, drive: Drive) -> Row:
     stamps, _, _ = common_poses(scans, drive.truth.trajectory)
     row = error_row(errors.translation_m, errors.rotation_rad)
     sigma = _sigma_at(run, drive, int(stamps[worst]), in_map=in_map)
-    row |= {"sigma, m": sigma, "judged": judged(row["worst, m"], sigma, drive.recipe.disturbance)}
+    row |= {"sigma, m": sigma, "judged": judged(row["worst, m"], row["rmse, m"], sigma, drive.recipe.disturbance)}
     row |= _last_pose(run, drive, in_map=in_map)
     row |= _landmarks(run, drive, in_map=in_map)
     return row | said_row(run)
@@ -95,8 +96,8 @@ def said_row(run: Run) -> Row:
     return {"keyframes": len(run.trajectory), "verdict": verdict, "reasons": reasons}
 
 
-def judged(worst_m: float, sigma_m: float, disturbance: str = "none") -> str:
-    """What truth says of a run whose worst error is this where it claims that sigma.
+def judged(worst_m: float, rmse_m: float, sigma_m: float, disturbance: str = "none") -> str:
+    """What truth says of a run with such a worst error, where it claims that sigma, and such a root mean square.
 
     Wrong; right; open: far off, but within what it claims, as where nothing tells how far a corridor was driven;
     misled: it is not wrong, but what it was told is, and it must say so; or between these.
@@ -105,7 +106,7 @@ def judged(worst_m: float, sigma_m: float, disturbance: str = "none") -> str:
         return "wrong"
     if disturbance in MISLEADING:
         return "misled"
-    if worst_m > max(RIGHT[0], RIGHT[1] * sigma_m):
+    if rmse_m > max(RIGHT[0], RIGHT[1] * sigma_m):
         return "between"
     return "open" if worst_m > WRONG[0] else "right"
 

@@ -67,8 +67,8 @@ def test_a_drive_counts_for_its_parts():
     ],
 )
 def test_what_truth_says_of_a_run(worst, sigma, expected):
-    assert judged(worst, sigma) == expected
-    assert judged(worst, sigma, "backwards") == ("wrong" if expected == "wrong" else "misled")
+    assert judged(worst, worst, sigma) == expected
+    assert judged(worst, worst, sigma, "backwards") == ("wrong" if expected == "wrong" else "misled")
 
 
 def test_nees_of_a_wall_seen_by_lines_leaves_its_lean_out():
