@@ -38,7 +38,7 @@ from slam.session.recorder import Recorder
 from slam.session.replay import open_slam
 from slam.timing import StageClock, timed
 from slam.tracking.prediction import MotionModel, Prediction, StartPose
-from slam.tracking.wheel_calibration import WheelCalibration
+from slam.frontend.wheel_calibration import WheelCalibration
 from spplanes._check import FloatArray
 from spplanes.segmentation.scans import label_scans
 

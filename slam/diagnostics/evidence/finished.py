@@ -15,7 +15,7 @@ from slam.loop_closure.verification import LoopDecision
 from slam.map.landmarks import LandmarkMap
 from slam.mapping.late_association import LateMatch
 from slam.session.prior_map import PriorMap
-from slam.tracking.wheel_calibration import WheelCalibration
+from slam.frontend.wheel_calibration import WheelCalibration
 
 
 class Finished(Protocol):
