@@ -150,11 +150,12 @@ WORKLOADS: dict[str, Workload] = {
     "corpus": Workload(
         "Corpus",
         "Drives of many kinds with truth, run as they are. A run counts for its world, its sensors and what is wrong "
-        "with it; errors of position relative to the first pose, over all scans where the run tells their poses, else "
-        "over keyframes: medians over the runs. NEES per degree of freedom (1 is right): of the last pose median, mean "
-        "and the 95 % band of the mean; of the planes the median of the runs' means and the mean of all planes. "
-        "Wrong: the worst error is beyond 10 cm and 3 claimed sigmas; right: within 1 cm or 2 sigmas; open: within 2 "
-        "sigmas, but beyond 10 cm; how many of each the run itself called doubtful or broken.",
+        "with it; errors of position over all scans, the first keyframe on its true pose: medians over the runs. NEES "
+        "per degree of freedom (1 is right): of the last pose median, mean and the 95 % band of the mean; of the "
+        "planes the median of the runs' means and the mean of all planes. "
+        "Wrong: the worst error is beyond 10 cm and 3 claimed sigmas; right: the root mean square is within 1 cm or 2 "
+        "sigmas; open: so, but the worst is beyond 10 cm; misled: not wrong, though the mount or the prior map it was "
+        "given was; how many of each the run itself called doubtful or broken.",
         on_request=True,
     ),
     "ablation": Workload(

@@ -6,7 +6,6 @@ import argparse
 import json
 import resource
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -79,32 +78,54 @@ def chosen(asked: argparse.Namespace) -> list[Entry]:
 
 def main(words: Sequence[str]) -> int:
     """Run and print; exit code 2 for options that make no sense."""
-    one = parser()
-    asked = one.parse_args(words)
+    asked = parser().parse_args(words)
     try:
         entries = chosen(asked)
         before = read_rows(asked.compare) if asked.compare else None
+        kept = _kept(asked)
     except (OSError, ValueError) as error:
         print(f"benchmarks corpus: {error}", file=sys.stderr)
         return 2
-    start = time.time()
-    kept = read_rows(asked.json) if asked.resume and asked.json and asked.json.exists() else []
-    rows = list(kept)
-    done = {(row["drive"], row["seed"]) for row in kept}
-    jobs: list[Job] = [(entry, {}) for entry in entries if (entry.name, entry.seed) not in done]
-    for row in printed(rows_of(jobs, asked.limit)):
-        rows.append(row)
-        if asked.json:
-            asked.json.write_text(json.dumps({**_page.circumstances(), "rows": rows}, default=as_json, indent=1) + "\n")
+    rows = _run(entries, kept, asked)
     lines = by_kind(rows)
     print(f"\n{plain(lines)}\n")
     if before is not None:
         print(f"{plain(compared(before, rows))}\n")
     if asked.write:
-        result = {**_page.circumstances(), "short": asked.short, "rows": lines}
-        result |= {"seconds": time.time() - start, "peak_MB": children_mb()}
-        _page.PAGE.write_text(_page.page(_page.store({"corpus": json.loads(json.dumps(result, default=as_json))})))
+        publish("corpus", lines, short=asked.short, seconds=sum(row.get("CPU s", 0.0) for row in rows))
     return 0
+
+
+def _kept(asked: argparse.Namespace) -> list[Row]:
+    """Rows of an interrupted run."""
+    if not asked.resume:
+        return []
+    if asked.json is None:
+        raise ValueError("--resume: expected --json FILE with it, got none")
+    return read_rows(asked.json) if asked.json.exists() else []
+
+
+def _run(entries: Sequence[Entry], kept: Sequence[Row], asked: argparse.Namespace) -> list[Row]:
+    """The rows kept and those of all other drives, on disk as soon as they are there."""
+    done = {(row["drive"], row["seed"]) for row in kept}
+    jobs: list[Job] = [(entry, {}) for entry in entries if (entry.name, entry.seed) not in done]
+    rows = list(kept)
+    for row in printed(rows_of(jobs, asked.limit)):
+        rows.append(row)
+        if asked.json:
+            write_json(asked.json, {"rows": rows})
+    return rows
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Results with machine, versions and date."""
+    path.write_text(json.dumps({**_page.circumstances(), **content}, default=as_json, indent=1) + "\n")
+
+
+def publish(name: str, lines: list[Row], *, short: bool, seconds: float) -> None:
+    """Put a table among the results kept, and write their page."""
+    result = {**_page.circumstances(), "short": short, "rows": lines, "seconds": seconds, "peak_MB": children_mb()}
+    _page.PAGE.write_text(_page.page(_page.store({name: json.loads(json.dumps(result, default=as_json))})))
 
 
 def children_mb() -> float:

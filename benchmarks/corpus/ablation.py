@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks import _page
-from benchmarks._child import as_json
 from benchmarks._table import plain
-from benchmarks.corpus.__main__ import add_choice, children_mb, chosen, printed
+from benchmarks.corpus.__main__ import add_choice, chosen, printed, publish, write_json
 from benchmarks.corpus.catalogue import Entry
 from benchmarks.corpus.process import Job, rows_of
 from benchmarks.corpus.score import Row
@@ -49,19 +45,18 @@ def main(words: Sequence[str]) -> int:
     except ValueError as error:
         print(f"benchmarks ablation: {error}", file=sys.stderr)
         return 2
-    start, runs = time.time(), {}
+    runs: dict[str, list[Row]] = {}
     for name in ("", *names):
         print(f"== {f'without {name}' if name else 'as it is'}", flush=True)
         jobs: list[Job] = [(entry, SWITCHES[name].without if name else {}) for entry in entries]
         runs[name] = list(printed(rows_of(jobs, asked.limit)))
         if asked.json:
-            asked.json.write_text(json.dumps({**_page.circumstances(), "runs": runs}, default=as_json, indent=1) + "\n")
+            write_json(asked.json, {"runs": runs})
     lines = table(runs)
     print(f"\n{plain(lines)}\n")
     if asked.write:
-        result = {**_page.circumstances(), "short": asked.short, "rows": lines}
-        result |= {"seconds": time.time() - start, "peak_MB": children_mb()}
-        _page.PAGE.write_text(_page.page(_page.store({"ablation": json.loads(json.dumps(result, default=as_json))})))
+        seconds = sum(row.get("CPU s", 0.0) for rows in runs.values() for row in rows)
+        publish("ablation", lines, short=asked.short, seconds=seconds)
     return 0
 
 

@@ -101,7 +101,7 @@ SHORT_REAL = ("3dtk_corridor", "balm_hall", "loop5", "pcl_room", "tum_fr3_cabine
 
 
 def corpus(seeds: Sequence[int], *, short: bool = False, kinds: Sequence[str] = ()) -> list[Entry]:
-    """The drives of a run, each simulated one with every seed.
+    """The drives of a run: real logs, then the simulated ones with the first seed, with the next, and so on.
 
     Args:
         seeds: of the simulated drives.
@@ -116,7 +116,8 @@ def corpus(seeds: Sequence[int], *, short: bool = False, kinds: Sequence[str] = 
     names = [*real, *(SHORT if short else simulated())]
     if kinds:
         names = [name for kind in kinds for name in _of_kind(kind, names)]
-    return [Entry(name, seed) for name in dict.fromkeys(names) for seed in _seeds_of(name, seeds)]
+    once, again = ([name for name in dict.fromkeys(names) if _is_real(name) == real] for real in (True, False))
+    return [*(Entry(name, 0) for name in once), *(Entry(name, seed) for seed in seeds for name in again)]
 
 
 def drawn(count: int, seeds: Sequence[int]) -> list[Entry]:
@@ -133,14 +134,14 @@ def _makes_sense(recipe: Recipe) -> bool:
     return not (is_2d and (recipe.odometry == "absent" or recipe.world == "ramp"))
 
 
-def _seeds_of(name: str, seeds: Sequence[int]) -> Sequence[int]:
-    return [0] if name.startswith(f"{REAL_WORD}/") else seeds
+def _is_real(name: str) -> bool:
+    return name.startswith(f"{REAL_WORD}/")
 
 
 def _of_kind(kind: str, names: Sequence[str]) -> list[str]:
     found = [name for name in names if kind in name.split("/") or fnmatchcase(name, kind)]
     if found:
         return found
-    if "/" in kind and not kind.startswith(f"{REAL_WORD}/"):
+    if "/" in kind and not _is_real(kind):
         return [Recipe.parse(kind).name]
     raise ValueError(f"kind: expected a part of a drive's name, a pattern or a whole name, got {kind!r}")

@@ -16,6 +16,7 @@ from slam.config import SlamConfig
 from slam.evaluation import PlaneMatch, absolute_error, match_planes
 from slam.evaluation.planes import outline_in
 from slam.evaluation.trajectories import alignment_of, common_poses
+from slam.frontend.odometry import OdometryTrack
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory
 from slam.output.run_metrics import details_of
@@ -29,8 +30,11 @@ Row = dict[str, Any]
 
 #: Tangent of Pose3 in the floor plane: yaw, x, y.
 IN_PLANE = [2, 3, 4]
-#: A run is wrong beyond the larger of these, and right within the larger of those: m, and claimed sigmas.
+#: A run is wrong whose worst error is beyond the larger of these, and right whose root mean square error, for the worst
+#: of a thousand scans is three sigmas off by right, is within the larger of those: m, and claimed sigmas.
 WRONG, RIGHT = (0.1, 3.0), (0.01, 2.0)
+#: Disturbances that no run may call sound, however little they moved it.
+MISLEADING = ("backwards", "prior_start", "prior_elsewhere")
 #: One landmark in so many is further off than its covariance allows; those are the ones "beyond".
 BEYOND = 1e-3
 #: Landmarks of one true plane that lie farther apart than this are not doubles of each other, m: the gap that
@@ -57,17 +61,19 @@ def verdict_of(run: Run) -> tuple[str, list[str]]:
 def score(run: Run, drive: Drive) -> Row:
     """The row of a simulated drive.
 
-    Errors are of positions relative to the true first pose; in a prior map of this very building, to the map. A drive
-    that begins in the map of another building has no error but its own: what it must not do is call itself sound.
+    Errors are of positions where the first keyframe is put on its true pose; in a prior map of this very building,
+    in the map. A drive that begins in the map of another building has no error but its own: what it must not do is
+    call itself sound.
     """
     in_map = drive.prior is not None and drive.recipe.disturbance != "prior_elsewhere"
     scans = scans_of(run)
-    errors = absolute_error(scans, drive.truth.trajectory, alignment="none" if in_map else "first")
+    scans = Trajectory(scans.stamps_ns, (np.eye(4) if in_map else _truth_T_run(run, drive)) @ scans.poses)
+    errors = absolute_error(scans, drive.truth.trajectory, alignment="none")
     worst = int(np.argmax(errors.translation_m))
     stamps, _, _ = common_poses(scans, drive.truth.trajectory)
     row = error_row(errors.translation_m, errors.rotation_rad)
     sigma = _sigma_at(run, drive, int(stamps[worst]), in_map=in_map)
-    row |= {"sigma, m": sigma, "judged": judged(row["worst, m"], sigma)}
+    row |= {"sigma, m": sigma, "judged": judged(row["worst, m"], row["rmse, m"], sigma, drive.recipe.disturbance)}
     row |= _last_pose(run, drive, in_map=in_map)
     row |= _landmarks(run, drive, in_map=in_map)
     return row | said_row(run)
@@ -90,28 +96,45 @@ def said_row(run: Run) -> Row:
     return {"keyframes": len(run.trajectory), "verdict": verdict, "reasons": reasons}
 
 
-def judged(worst_m: float, sigma_m: float) -> str:
-    """What truth says of a run whose worst error is this where it claims that sigma.
+def judged(worst_m: float, rmse_m: float, sigma_m: float, disturbance: str = "none") -> str:
+    """What truth says of a run with such a worst error, where it claims that sigma, and such a root mean square.
 
-    Wrong; right; open: far off, but within what it claims, as where nothing tells how far a corridor was driven; or
-    between these.
+    Wrong; right; open: far off, but within what it claims, as where nothing tells how far a corridor was driven;
+    misled: it is not wrong, but what it was told is, and it must say so; or between these.
     """
     if worst_m > max(WRONG[0], WRONG[1] * sigma_m):
         return "wrong"
-    if worst_m > max(RIGHT[0], RIGHT[1] * sigma_m):
+    if disturbance in MISLEADING:
+        return "misled"
+    if rmse_m > max(RIGHT[0], RIGHT[1] * sigma_m):
         return "between"
     return "open" if worst_m > WRONG[0] else "right"
 
 
 def _sigma_at(run: Run, drive: Drive, stamp_ns: int, *, in_map: bool) -> float:
-    """Claimed standard deviation of the keyframe nearest to a time, along the error it has there, m."""
+    """Claimed standard deviation at a time, along the error of the nearest keyframe, m.
+
+    That of the keyframe, and what odometry adds between two keyframes by the rig's own word.
+    """
     keyframe = int(np.argmin(np.abs(run.trajectory.stamps_ns - stamp_ns)))
     error = _error_of(run, drive, keyframe, in_map=in_map)[3:]
     covariance = run.slam.marginal_covariance(pose_symbol(keyframe))[3:, 3:]
     size = float(np.linalg.norm(error))
-    if size == 0.0:
-        return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
-    return float(np.sqrt(error @ covariance @ error) / size)
+    variance = float(error @ covariance @ error) / size**2 if size > 0.0 else float(np.linalg.eigvalsh(covariance)[-1])
+    return float(np.sqrt(variance + _variance_between(run, stamp_ns)))
+
+
+def _variance_between(run: Run, stamp_ns: int) -> float:
+    """Variance of a position that odometry carries from the keyframe before and to the one after a time, m^2."""
+    if not run.log.odometry:
+        return 0.0
+    track, known = OdometryTrack(run.log.odometry, run.rig.odometry), run.trajectory.stamps_ns
+    ends = [max(known[known <= stamp_ns], default=None), min(known[known >= stamp_ns], default=None)]
+    sides = [sorted((int(end), stamp_ns)) for end in ends if end is not None]
+    if any(start == end for start, end in sides):
+        return 0.0
+    variances = [float(np.linalg.eigvalsh(track.motion(*side).covariance[:2, :2])[-1]) for side in sides]
+    return 1.0 / sum(1.0 / variance for variance in variances)
 
 
 def _error_of(run: Run, drive: Drive, keyframe: int, *, in_map: bool) -> FloatArray:

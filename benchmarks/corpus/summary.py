@@ -49,6 +49,7 @@ def _line(kind: str, rows: Sequence[Row]) -> Row:
         "sound/doubtful/broken": _verdicts(done),
         "wrong, warned": warned(done, "wrong"),
         "right, warned": warned(done, "right"),
+        "misled, warned": warned(done, "misled"),
         "open, warned": warned(done, "open"),
     }
 

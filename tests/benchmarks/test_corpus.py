@@ -67,7 +67,8 @@ def test_a_drive_counts_for_its_parts():
     ],
 )
 def test_what_truth_says_of_a_run(worst, sigma, expected):
-    assert judged(worst, sigma) == expected
+    assert judged(worst, worst, sigma) == expected
+    assert judged(worst, worst, sigma, "backwards") == ("wrong" if expected == "wrong" else "misled")
 
 
 def test_nees_of_a_wall_seen_by_lines_leaves_its_lean_out():
@@ -105,8 +106,10 @@ def test_a_run_that_fails_or_hangs_is_a_row_and_the_next_one_runs():
 
 
 def test_a_drive_is_run_and_scored():
+    """A corridor: what odometry adds between keyframes is part of the claim, so all scans are within a few sigmas."""
     row = run_entry(Entry("bare/level/good/half", 1), {})
     assert row["compared"] >= row["keyframes"] > 10
+    assert row["worst, m"] < 4.0 * row["sigma, m"]
     assert row["worst, m"] >= row["rmse, m"] > 0.0
     assert row["judged"] in ("right", "open")
     assert row["pose dof"] == 3
@@ -180,7 +183,9 @@ def test_an_ablation_names_the_kinds_that_get_worse_beyond_their_spread():
     assert lines[2]["kinds worse"] is None
 
 
-@pytest.mark.parametrize("words", [["--kind", "castle"], ["--kind", "castle/level"], ["--compare", "nowhere.json"]])
+@pytest.mark.parametrize(
+    "words", [["--kind", "castle"], ["--kind", "castle/level"], ["--compare", "nowhere.json"], ["--resume"]]
+)
 def test_options_that_make_no_sense_end_with_code_2(words, capsys):
     assert corpus_main.main(words) == 2
     assert "benchmarks corpus: " in capsys.readouterr().err

@@ -10,12 +10,12 @@ from slam.backend.estimator import Backend
 from slam.config import SlamConfig
 from slam.diagnostics.consistency import NisAudit
 from slam.frontend.keyframes import Keyframe
+from slam.frontend.wheel_calibration import WheelCalibration
 from slam.io.trajectories import Trajectory
 from slam.loop_closure.verification import LoopDecision
 from slam.map.landmarks import LandmarkMap
 from slam.mapping.late_association import LateMatch
 from slam.session.prior_map import PriorMap
-from slam.tracking.wheel_calibration import WheelCalibration
 
 
 class Finished(Protocol):
