@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spplanes._check import FloatArray, as_float_array, as_positive, as_shape
+from spplanes._check import TOO_LARGE, FloatArray, as_float_array, as_positive, as_shape
 from spplanes.clouds.arrange import arrange
 from spplanes.clouds.scatter import scatter_of
 from spplanes.plane import Plane
@@ -44,7 +44,11 @@ def segment_cloud(
     """
     points = points_of(cloud)
     eye = as_shape("viewpoint", viewpoint, (3,))
-    seen = np.isfinite(points).all(axis=-1) & (points != eye).any(axis=-1)
+    seen = np.isfinite(points).all(axis=-1)
+    largest = float(np.abs(points[seen]).max(initial=0.0))
+    if largest >= TOO_LARGE:
+        raise ValueError(f"cloud: expected numbers below {TOO_LARGE:g}, got {largest:.3g}")
+    seen &= (np.abs(points - eye) > 1.0 / TOO_LARGE).any(axis=-1)  # at the viewpoint itself there is no direction
     if np.count_nonzero(seen) < 3:
         raise ValueError(f"cloud: expected at least three points, got {np.count_nonzero(seen)}")
     grid = arrange(np.where(seen[..., None], points - eye, np.nan))

@@ -108,6 +108,7 @@ ELSEWHERE = {
     *("spplanes.Plane", "spplanes.Plane.transform", "spplanes.Plane.merge", "spplanes.Plane.mahalanobis"),
     *("spplanes.Plane.to_dict", "spplanes.Plane.from_dict", "spplanes.PlaneMapper", "spplanes.PlaneMapper.add_scan"),
     *("spplanes.extract_lines", "spplanes.fit_plane", "spplanes.fit_planes", "spplanes.segment_scans"),
+    "spplanes.segment_cloud",
     *("factors.line_factor", "factors.odometry_factor", "factors.plane_factor"),
     *("slam.PlaneSlam", "slam.PlaneSlam.add_keyframe", "slam.Keyframe"),
 }
@@ -115,6 +116,7 @@ ELSEWHERE = {
 WITHOUT_ARRAYS = {
     *("spplanes.__version__", "spplanes.LineConfig", "spplanes.MapperConfig", "spplanes.MapperConfig.for_rows"),
     *("spplanes.Moments", "spplanes.Moments.from_row", "spplanes.Moments.as_row", "spplanes.PlaneMapper.labels"),
+    *("factors.isam2_parameters", "factors.settle", "factors.copy_graph", "factors.landmark_anchors"),
     *("factors.isam_covariance", "factors.joint_covariance", "factors.seen_plane", "factors.world_plane"),
     *("slam.SlamConfig", "slam.SlamConfig.from_yaml", "slam.SlamConfig.to_yaml", "slam.PlaneSlam.open"),
     *("slam.PlaneSlam.close", "slam.PlaneSlam.optimize_batch", "slam.PlaneSlam.adopt_batch"),
