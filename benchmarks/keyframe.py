@@ -22,7 +22,7 @@ from slam.config import SlamConfig
 from slam.frontend.keyframes import keyframes_of
 from slam.frontend.measurement import for_points, for_sensor, usable_points
 from slam.io.clouds import read_cloud
-from slam.io.clouds.arrange import arrange, grid_of
+from slam.io.clouds.arrange import grid_of
 from slam.io.default_rigs import cloud_rig, threedtk_rig
 from slam.io.load import load
 from slam.planeslam import PlaneSlam
@@ -35,6 +35,7 @@ from slam.simulation.path import pose_matrices
 from slam.timing import StageClock
 from spplanes import segment_scans
 from spplanes._check import FloatArray
+from spplanes.clouds.arrange import arrange
 
 DATA = PROJECT.parent / "shared" / "data"
 #: Way between two keyframes, m; keyframes that are not counted.

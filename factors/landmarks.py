@@ -127,20 +127,25 @@ def world_plane(
     anchor_key: int | None = None,
     centre: ArrayLike | None = None,
     n_points: int = 0,
+    shape_of: Plane | None = None,
 ) -> Plane:
     """Landmark of a solution as a plane in the world, with covariance.
 
     An anchored landmark is uncertain in its anchor's frame and moves with the anchor: the covariance is that of the
-    joint marginal of both. ``centre`` (3,) in the world, as in `landmark_to_plane`.
+    joint marginal of both. ``centre`` (3,) in the world, as in `landmark_to_plane`. ``shape_of`` is a plane about where
+    the landmark is, such as a measured one moved by ``plane.transform(pose)``: the result has its outline, its
+    n_points, and its frame moved onto the landmark by the shortest way. ValueError: it has no ``outline``.
     """
     landmark = _landmark(values, plane_key)
     if anchor_key is None:
         covariance = joint_covariance(marginals, [plane_key])
-        return landmark_to_plane(landmark, covariance, centre=centre, n_points=n_points)
-    joint = joint_covariance(marginals, [anchor_key, plane_key])
-    return world_plane_from_joint(
-        landmark, _anchor(values, "anchor_key", anchor_key), joint, centre=centre, n_points=n_points
-    )
+        found = landmark_to_plane(landmark, covariance, centre=_centre_of(shape_of, centre), n_points=n_points)
+    else:
+        joint = joint_covariance(marginals, [anchor_key, plane_key])
+        anchor = _anchor(values, "anchor_key", anchor_key)
+        around = _centre_of(shape_of, centre)
+        found = world_plane_from_joint(landmark, anchor, joint, centre=around, n_points=n_points)
+    return found if shape_of is None else _shaped(found, shape_of)
 
 
 def world_plane_from_joint(
@@ -221,6 +226,28 @@ def _with_joint(
     frame = plane_frame(seen[:3], float(seen[3]), _centre(centre))
     to_sp = hesse_to_sp(frame) @ jacobian
     return Plane(frame=frame, covariance=to_sp @ joint @ to_sp.T, n_points=n_points)
+
+
+def _centre_of(shape: Plane | None, centre: ArrayLike | None) -> ArrayLike | None:
+    return centre if shape is None else shape.centre
+
+
+def _shaped(plane: Plane, shape: Plane) -> Plane:
+    """The plane in axes that are those of `shape` projected onto it, with its outline and number of points."""
+    check_instance("shape_of", shape, Plane)
+    if shape.outline is None:
+        raise ValueError("shape_of: expected a plane with an outline, got one without")
+    if plane.normal @ shape.normal <= 0.0:
+        raise ValueError("shape_of: expected a plane that faces the way of the landmark, got one that does not")
+    frame = plane.frame.copy()
+    x = shape.frame[:3, 0] - (shape.frame[:3, 0] @ plane.normal) * plane.normal
+    frame[:3, 0] = x / np.linalg.norm(x)
+    frame[:3, 1] = np.cross(plane.normal, frame[:3, 0])
+    # a turn about the normal: n as a function of (theta, psi) is n + theta x - psi y
+    c, s = frame[:3, 0] @ plane.frame[:3, 0], frame[:3, 0] @ plane.frame[:3, 1]
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    covariance = turn @ plane.covariance @ turn.T
+    return Plane(frame, 0.5 * (covariance + covariance.T), shape.n_points, shape.outline)
 
 
 def _landmark(values: gtsam.Values, key: int) -> gtsam.OrientedPlane3:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from spplanes.mapping.mapper import PlaneMapper
     from spplanes.moments import Moments
     from spplanes.plane import Plane
-    from spplanes.segmentation import MapperConfig, segment_scans
+    from spplanes.segmentation import MapperConfig, segment_cloud, segment_scans
     from spplanes.spmodel import Location
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "extract_lines",
     "fit_plane",
     "fit_planes",
+    "segment_cloud",
     "segment_scans",
 ]
 
@@ -42,6 +43,7 @@ _HOMES = {
     "extract_lines": "lines",
     "fit_plane": "fitting",
     "fit_planes": "fitting",
+    "segment_cloud": "segmentation",
     "segment_scans": "segmentation",
 }
 

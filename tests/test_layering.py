@@ -47,6 +47,7 @@ ROOMS = {
     "spplanes": (
         ("_version", "_check", "_eigen", "_threads"),
         ("_chi2", "_hesse", "_plane_io", "_rows", "_moment_patches", "noise", "spmodel"),
+        ("clouds",),
         ("plane", "line"),
         ("moments",),
         ("fitting", "lines", "outlines"),

@@ -17,12 +17,13 @@ from slam.frontend.scan_regions import believed_planes, fit_if_any
 from slam.frontend.scan_surfaces import surfaces_of
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import coarse, flatten, largest_polygon
-from slam.io.clouds.arrange import arrange, grid_of
+from slam.io.clouds.arrange import grid_of
 from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import Sensor
 from slam.sensors.scan_noise import line_tilt_covariances, model_of, surface_covariances
 from spplanes import LineConfig, MapperConfig, Plane, extract_lines
 from spplanes._check import FloatArray, as_float_array
+from spplanes.clouds.arrange import arrange
 from spplanes.registration import register_scans
 from spplanes.segmentation.planes import frames_of, moments_of, outlines_in, planes_of
 from spplanes.segmentation.scans import Labelled, label_scans

@@ -13,11 +13,11 @@ import shapely
 
 from slam.errors import LogError
 from slam.io.clouds import Cloud
-from slam.io.clouds.arrange import arrange
 from slam.map.map_planes import MapPlane
-from slam.sensors.noise_estimation import scatter_of
 from spplanes import MapperConfig, Plane, segment_scans
 from spplanes._check import FloatArray
+from spplanes.clouds.arrange import arrange
+from spplanes.clouds.scatter import scatter_of
 from spplanes.noise import DepthCameraModel
 
 #: What is taken where neither the caller nor the cloud says how its points scatter, m.

@@ -9,11 +9,11 @@ from pathlib import Path
 import gtsam
 import gtsam_unstable
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from factors import anchored_plane_jacobian, joint_covariance, landmark_hesse
 from slam.errors import LogError
 from slam.evaluation.metrics import Metric
+from slam.geometry.frames import settle_frame
 from slam.io.g2o.reader import G2oGraph, read_g2o
 from slam.io.g2o.writer import with_vertices
 from slam.io.trajectories import Trajectory
@@ -150,12 +150,7 @@ def _placed(
     normal, d = landmark_hesse(landmark)
     if normal @ frame[:3, 2] < 0.0:  # turned round by the other tool: the same plane
         normal, d = -normal, -d
-    axis = np.cross(frame[:3, 2], normal)
-    sine = float(np.linalg.norm(axis))
-    if sine > 0.0:
-        turn = Rotation.from_rotvec(np.arctan2(sine, normal @ frame[:3, 2]) / sine * axis)
-        frame[:3, :3] = turn.as_matrix() @ frame[:3, :3]
-    frame[:3, 3] += (d - normal @ frame[:3, 3]) * normal
+    frame = settle_frame(frame, normal, d)
     jacobian = anchored_plane_jacobian(landmark, np.eye(4), frame)[:, 6:]
     covariance = jacobian @ joint_covariance(marginals, [key]) @ jacobian.T
     return Plane(frame, 0.5 * (covariance + covariance.T), plane.n_points, plane.outline)

@@ -7,6 +7,7 @@ deviation along the normal as "sigma_m". Nothing here opens a window.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, Literal
@@ -14,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import chi2 as chi2_distribution
-from shapely import get_coordinates
+from shapely import Polygon, box, get_coordinates
 
 from slam.geometry.frames import lift
 from slam.geometry.polygons import polygons_of, segments_of
@@ -28,6 +29,8 @@ ColourBy = Literal["plane", "sigma"]
 
 #: Grey for points that belong to no plane, RGB in 0..1.
 _NO_PLANE_RGB = (0.6, 0.6, 0.6)
+#: A plane has at least so many points; less were never fitted.
+_FEWEST_POINTS = 3
 #: Corners of a drawn ellipse.
 _ELLIPSE_CORNERS = 48
 #: Hues follow each other by the golden ratio: neighbours in a list are far apart in colour.
@@ -44,8 +47,10 @@ def planes_to_mesh(
     """Triangle mesh of the outlines, holes left open, counter-clockwise seen from the side a plane was seen from.
 
     Args:
-        planes: of a map, or fitted ones that have an outline; the id of the latter is their place in the sequence.
-            Those without a polygon have no triangles.
+        planes: of a map, or fitted ones; the id of the latter is their place in the sequence. One without an outline is
+            drawn as the rectangle with the rms extents of its points, which its covariance tells; of one without
+            points either nothing can be drawn, and a warning says so (``fit_plane(..., outline=True)`` and
+            ``world_plane(..., shape_of=...)`` give outlines).
         colour_by: "plane": floor and ceiling grey, walls by direction. "sigma": the standard deviation of the plane's
             height over its own patch, at each corner, from dark blue (0) to yellow. Between corners the renderer
             interpolates; the deviation is convex in (x, y), so what it shows is never too small.
@@ -99,10 +104,17 @@ def outlines_to_lines(planes: Sequence[MapPlane | Plane], *, tensor: bool = Fals
 
 
 def trajectory_to_lines(
-    trajectory: Trajectory, *, rgb: tuple[float, float, float] = (0.0, 0.0, 0.0), tensor: bool = False
+    trajectory: Trajectory | FloatArray | Sequence[Any],
+    *,
+    rgb: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    tensor: bool = False,
 ) -> Any:
-    """Line set through the positions of a trajectory in one colour, RGB in 0..1; `tensor` as in `outlines_to_lines`."""
-    positions = trajectory.poses[:, :3, 3]
+    """Line set through the positions of a trajectory in one colour, RGB in 0..1; `tensor` as in `outlines_to_lines`.
+
+    ``trajectory`` is a `Trajectory`, poses of shape (N, 4, 4), or a sequence of ``gtsam.Pose3``.
+    """
+    poses = trajectory.poses if isinstance(trajectory, Trajectory) else trajectory
+    positions = as_shape("trajectory", poses, (None, 4, 4))[:, :3, 3] if len(poses) else np.empty((0, 3))
     colours = np.tile(np.asarray(rgb, dtype=np.float64), (max(len(positions) - 1, 0), 1))
     return _line_set([positions], colours, None, tensor)
 
@@ -218,13 +230,32 @@ def _sigma_colours(sigmas: FloatArray, limit_m: float | None) -> FloatArray:
 
 def _as_map_planes(planes: Sequence[MapPlane | Plane]) -> list[MapPlane]:
     """The planes of a map as they are; fitted ones with what is known of them."""
-    result = []
+    result, empty = [], 0
     for index, plane in enumerate(planes):
         if isinstance(plane, MapPlane):
             result.append(plane)
-        elif plane.outline is not None:
-            result.append(MapPlane(index, plane, plane.outline, 1, ("plane",)))
+        elif plane.outline is not None or plane.n_points >= _FEWEST_POINTS:
+            result.append(MapPlane(index, plane, plane.outline or _rectangle_of(plane), 1, ("plane",)))
+        else:
+            empty += 1
+    if empty:
+        warnings.warn(
+            f"planes: {empty} of {len(planes)} have neither an outline nor points, and are not drawn; "
+            "fit_plane(..., outline=True) and world_plane(..., shape_of=...) give outlines",
+            stacklevel=3,
+        )
     return result
+
+
+def _rectangle_of(plane: Plane) -> Polygon:
+    """Rectangle with the rms extents of a plane's points.
+
+    Of N points of equal noise s the covariance is s^2 (1 / N, 1 / sum x^2, 1 / sum y^2): the mean square of x is
+    C_zz / C_theta theta, and that of y is C_zz / C_psi psi. A rectangle of half side h has h^2 / 3.
+    """
+    variances = np.diag(plane.covariance)
+    x, y = np.sqrt(3.0 * variances[0] / variances[1:])
+    return box(-x, -y, x, y)
 
 
 def _line_set(chains: Sequence[FloatArray], colours: FloatArray, ids: np.ndarray | None, tensor: bool) -> Any:

@@ -11,6 +11,8 @@ References:
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -32,6 +34,7 @@ def fit_plane(
     pose_covariances: ArrayLike | None = None,
     scan_origins: ArrayLike | None = None,
     robust: Robust | None = None,
+    outline: bool = False,
 ) -> Plane:
     """Fit one plane to uncertain points.
 
@@ -47,6 +50,7 @@ def fit_plane(
             p' = p + t + phi (z x q) + theta (y x q) + psi (x x q).
         scan_origins: points about which these rotations act, q = p - o, shape (S, 3), m; the world's origin if None.
         robust: ``"tukey"`` for up to 30 % gross outliers, which n_points and chi2 then leave out; only with ``"ml"``.
+        outline: give the plane the convex hull of its points as outline, which is what can be drawn of it.
 
     Returns:
         The plane, its frame at the weighted centre, x and y along the principal axes.
@@ -68,7 +72,20 @@ def fit_plane(
     fits = fit_groups(job, np.arange(len(job.points)), np.array([0, len(job.points)]))
     if fits.status[0] != OK:
         raise ValueError("points: " + describe_status(int(fits.status[0]), int(fits.counts[0])))
-    return fits.planes()[0]
+    return _outlined(fits.planes()[0], job) if outline else fits.planes()[0]
+
+
+def _outlined(plane: Plane, job: FitJob) -> Plane:
+    """The plane with the hull of its points, those left out that a robust fit left out."""
+    import shapely  # late: who fits planes without outlines must not wait for GEOS
+
+    points = np.asarray(job.points)
+    if job.robust is not None:
+        variances = np.einsum("i,nij,j->n", plane.normal, job.covariances, plane.normal)
+        misfits = ((points - plane.centre) @ plane.normal) ** 2 / variances
+        points = points[np.argsort(misfits, kind="stable")[: plane.n_points]]
+    hull = shapely.convex_hull(shapely.multipoints((points - plane.centre) @ plane.frame[:3, :2]))
+    return replace(plane, outline=hull)
 
 
 def fit_planes(

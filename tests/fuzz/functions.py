@@ -14,7 +14,17 @@ from slam import PlaneSlam
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import Motion
-from spplanes import MapperConfig, Plane, PlaneMapper, ScanLine, extract_lines, fit_plane, fit_planes, segment_scans
+from spplanes import (
+    MapperConfig,
+    Plane,
+    PlaneMapper,
+    ScanLine,
+    extract_lines,
+    fit_plane,
+    fit_planes,
+    segment_cloud,
+    segment_scans,
+)
 from tests.fuzz.target import Target, check_plane, check_pose
 from tests.slam.scenes import drive, room_planes
 
@@ -66,6 +76,17 @@ def _segment(path: Path) -> None:
     points = numbers[1 : 1 + (len(numbers) - 1) // (3 * beams) * 3 * beams].reshape(-1, beams, 3)
     labels, planes = segment_scans(points, sigma=_first(numbers), config=MapperConfig())
     assert labels.shape == points.shape[:2] and labels.max(initial=-1) < len(planes)
+    for plane in planes:
+        check_plane(plane)
+
+
+def _segment_cloud(path: Path) -> None:
+    """The same points without an order; half of them seen from elsewhere."""
+    numbers = _numbers(path)[: 1 + 3 * 16 * 16]
+    points = numbers[1 : 1 + (len(numbers) - 1) // 3 * 3].reshape(-1, 3)
+    viewpoint = points[0] if len(points) % 2 else np.zeros(3)
+    labels, planes = segment_cloud(points, sigma=_first(numbers), viewpoint=viewpoint)
+    assert labels.shape == points.shape[:1] and labels.max(initial=-1) < len(planes)
     for plane in planes:
         check_plane(plane)
 
@@ -195,6 +216,7 @@ FUNCTIONS = (
     Target("fit_plane-covariances", _fit_covariances, _fit_seeds, is_numbers=True),
     Target("extract_lines", _lines, lambda: _numbers_seeds((90,), (7,)), is_numbers=True),
     Target("segment_scans", _segment, _wall_seeds, is_numbers=True),
+    Target("segment_cloud", _segment_cloud, _wall_seeds, is_numbers=True),
     Target("PlaneMapper", _mapper, _scan_seeds, is_numbers=True),
     Target("Plane.from_dict", _plane_dict, lambda: [json.dumps(room_planes()[0].to_dict()).encode()]),
     Target("Plane", _two_planes, _plane_seeds, is_numbers=True),

@@ -109,6 +109,7 @@ ELSEWHERE = {
     *("spplanes.Plane", "spplanes.Plane.transform", "spplanes.Plane.merge", "spplanes.Plane.mahalanobis"),
     *("spplanes.Plane.to_dict", "spplanes.Plane.from_dict", "spplanes.PlaneMapper", "spplanes.PlaneMapper.add_scan"),
     *("spplanes.extract_lines", "spplanes.fit_plane", "spplanes.fit_planes", "spplanes.segment_scans"),
+    "spplanes.segment_cloud",
     *("factors.line_factor", "factors.odometry_factor", "factors.plane_factor"),
     *("slam.PlaneSlam", "slam.PlaneSlam.add_keyframe", "slam.Keyframe"),
 }

@@ -25,13 +25,13 @@ from slam.errors import LogError
 from slam.geometry.frames import inverse
 from slam.io._numbers import nanoseconds, read_rows
 from slam.io.clouds import is_cloud_file, read_cloud, weigh_cloud
-from slam.io.clouds.arrange import Grid, arrange
 from slam.io.clouds.e57 import count_e57, read_e57
 from slam.io.clouds.pcd import read_header
 from slam.io.odometry_file import check_reach, taken_from
 from slam.io.trajectories import Trajectory, read_kitti, read_tum
 from slam.sensors.log import CloudScan, Event, Log, OdometryReading, StoredCloud
 from spplanes._check import FloatArray
+from spplanes.clouds.arrange import Grid, arrange
 
 #: Name of the sensor where no rig gives one.
 SENSOR = "scanner"

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from slam.errors import KEEPS_THE_REST, LogError
-from slam.io.clouds.arrange import Grid, arrange
 from slam.io.rosbags._frames import BODIES, WORLDS, Frames
 from slam.io.rosbags._messages import frame_of, points_of, scan_of, stamp_of, transform_of
 from slam.io.rosbags._opening import in_short, kept_open, opened
@@ -20,6 +19,7 @@ from slam.io.rosbags._salvaged import SalvagedBag
 from slam.io.spool import SharedAngles, Spool, StoredScan
 from slam.sensors.log import Event, Log, OdometryReading, StoredCloud
 from spplanes._check import FloatArray
+from spplanes.clouds.arrange import Grid, arrange
 
 SCAN, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
 ODOMETRY, TF = "nav_msgs/msg/Odometry", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")

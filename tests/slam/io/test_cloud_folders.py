@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from slam.errors import LogError
-from slam.io.clouds.arrange import Grid, arrange, range_image
 from slam.io.folders.clouds import SCAN_PERIOD_NS, clouds_in, read_cloud_folder
 from slam.io.load import load
 from slam.io.trajectories import Trajectory, write_kitti, write_tum
 from slam.sensors.log import CloudScan
 from spplanes._check import FloatArray
+from spplanes.clouds.arrange import Grid, arrange, range_image
 from tests.slam.cli.test_commands import refused, run
 from tests.slam.real_data import needs
 

@@ -12,7 +12,7 @@ from slam.errors import LogError
 from slam.io.clouds import Cloud, read_cloud
 from slam.io.planes_json import read_planes
 from slam.runs.cloud_fit import fit_cloud
-from slam.sensors.noise_estimation import range_sigma_of, scatter_of
+from spplanes.clouds.scatter import range_sigma_of, scatter_of
 from tests.slam.cli.test_commands import refused, run
 from tests.slam.io.test_cloud_folders import ROOM, beams, pose, seen_from
 from tests.slam.ply_tables import read_tables

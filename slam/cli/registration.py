@@ -1,0 +1,54 @@
+"""The command on two clouds: register."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from slam.cli._output import visible
+
+if TYPE_CHECKING:
+    from slam.runs.cloud_registration import Registration
+
+
+def register(
+    a: Annotated[Path, typer.Argument(help="Cloud in whose frame the pose is told; formats as of fit.")],
+    b: Annotated[Path, typer.Argument(help="Cloud whose pose is looked for.")],
+    guess: Annotated[
+        str | None, typer.Option("--guess", help="About where B is in A: X,Y,Z,YAW (m, deg), or a file of one pose.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print pose and covariance as JSON.")] = False,
+) -> None:
+    """Find the pose of cloud B in cloud A by their planes, with its covariance and what is left open."""
+    from slam.runs.cloud_registration import read_guess, register_clouds
+
+    found = register_clouds(a, b, guess=None if guess is None else read_guess(guess))
+    _show(f"{b.name} in {a.name}", found, as_json)
+
+
+def _show(title: str, found: Registration, as_json: bool) -> None:
+    numbers = found.to_dict()
+    if as_json:
+        import json
+
+        print(json.dumps(numbers, indent=1))
+        return
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(visible(title)), title_justify="left")
+    for heading in ("", "value", "sigma", "unit"):
+        table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
+    for name, value, sigma in zip("xyz", numbers["xyz_m"], numbers["sigma_xyz_m"], strict=True):
+        table.add_row(name, f"{value:.4f}", f"{sigma:.2g}", "m")
+    rows = zip(("yaw", "pitch", "roll"), numbers["ypr_deg"], numbers["sigma_ypr_deg"], strict=True)
+    for name, value, sigma in rows:
+        table.add_row(name, f"{value:.4f}", f"{sigma:.2g}", "deg")
+    console = Console()
+    console.print(table)
+    console.print(f"{found.n_planes} planes are in both.")
+    for sentence in found.open:
+        console.print(visible(sentence), markup=False)

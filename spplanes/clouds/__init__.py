@@ -1,0 +1,1 @@
+"""Clouds: their order, and how their points scatter."""

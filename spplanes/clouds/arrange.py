@@ -1,0 +1,187 @@
+"""Clouds without order become grids: the lines they were recorded in, or the rings of a spinning lidar.
+
+A file keeps the order in which the sensor measured, or it does not. Where the direction of the beam runs along a line
+and jumps back to start the next (a nodding or turning 2D laser, a spinning lidar written column by column), the lines
+are the rows. Else the cloud is seen as a range image round its sensor, with as many rows as there are rings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise, product
+
+import numpy as np
+
+from spplanes._check import FloatArray
+from spplanes.clouds._arrange_kernels import (
+    columns_of,
+    nearest_points,
+    occupied_cells,
+    phases_of,
+    returns_of,
+    rows_of,
+    turns_of,
+)
+from spplanes.clouds.scatter import misses_of
+
+#: A new line starts where the beam turns by at least this much from one point to the next, rad ...
+_JUMP_RAD = 0.35
+#: ... and by at least as many of the usual steps.
+_JUMP_STEPS = 10.0
+#: Lines are believed when there are this many at least, of this many points (median), and no line is much longer.
+_MIN_LINES, _MIN_BEAMS, _LONGEST = 8, 8, 1.6
+#: Rows and columns, in a whole turn, of the range images that are tried.
+_ROWS = (16, 32, 40, 48, 64, 80, 96, 128, 192, 256, 384, 512)
+_COLUMNS = (180, 256, 360, 512, 720, 900, 1024, 1440, 1800, 2048, 3600, 4096)
+#: Of shapes that spread the points this well beside the best, the one with the squarest cells is taken.
+_AS_GOOD = 0.95
+#: Corners are looked for between beams that are this share of a turn apart.
+_CORNER_SHARE = 1.0 / 360.0
+#: The longest row of a grid made of lines.
+_LARGEST = 4096
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Shape of the range image of a sensor."""
+
+    rows: int
+    """Steps of elevation: rings."""
+    columns: int
+    """Steps of azimuth in a whole turn."""
+
+    def stretch(self, height_rad: float) -> float:
+        """How far cells are from squares: the log of their sides' ratio, for rows over so much of elevation."""
+        step, turn = max(height_rad, 1e-9) / self.rows, 2.0 * np.pi / self.columns
+        return abs(float(np.log(step / turn)))
+
+
+def arrange(points: FloatArray, grid: Grid | None = None) -> FloatArray:
+    """Points (N, 3) round their sensor as a grid (S, B, 3), NaN = no return; a grid stays as it is.
+
+    Where rows are whole turns, they begin at a corner or a gap: a wall ought not to be cut in two by the image's end.
+
+    Args:
+        points: shape (N, 3) or (S, B, 3), m, in the sensor's frame.
+        grid: shape of the range image; None: lines where the order shows them, else found in the points.
+    """
+    if points.ndim == 3:
+        return _cut_at_a_corner(points) if _closes(points) else points
+    used = returns_of(np.ascontiguousarray(points, dtype=np.float64))
+    lines = _lines_of(used) if grid is None else None
+    return range_image(used, grid) if lines is None else lines
+
+
+def shows_lines(points: FloatArray) -> bool:
+    """Whether points (N, 3) come in the lines of a 2D laser that was turned, by their order; a grid (S, B, 3) does not
+    say."""
+    if points.ndim != 2:
+        return False
+    used = points[np.isfinite(points).all(axis=1)]
+    return _lines_of(used[(used != 0.0).any(axis=1)]) is not None
+
+
+def range_image(points: FloatArray, grid: Grid | None = None) -> FloatArray:
+    """Points (N, 3) as seen from the sensor, shape (rows, columns, 3): highest row first; of two in a cell the nearer.
+
+    Without a shape the one is taken that spreads the points best: the most cells with a point in them (few points hide
+    behind others), as few without (neighbours stay neighbours). For a spinning lidar that is its rings and its steps.
+    """
+    elevation, azimuth = _angles(points)
+    if grid is None:
+        grid, row, column = _best_grid(elevation, azimuth)
+    else:
+        [phase] = phases_of(azimuth, np.array([grid.columns]))
+        row = rows_of(elevation, elevation.max(), elevation.min(), grid.rows)
+        column = columns_of(azimuth, grid.columns, phase)
+    return _cut_at_a_corner(nearest_points(points, row, column, grid.rows, grid.columns))
+
+
+def _closes(grid: FloatArray) -> bool:
+    """Whether rows are whole turns: their last beam lies beside the first."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rays = grid / np.linalg.norm(grid, axis=-1, keepdims=True)
+        steps = np.linalg.norm(np.diff(rays, axis=1, append=rays[:, :1]), axis=-1)
+    if grid.shape[1] < _MIN_BEAMS or not np.isfinite(steps[:, -1]).any() or not np.isfinite(steps[:, :-1]).any():
+        return False
+    return bool(np.nanmedian(steps[:, -1]) < 3.0 * np.nanmedian(steps[:, :-1]))
+
+
+def _cut_at_a_corner(image: FloatArray) -> FloatArray:
+    """The image turned so that its ends meet where fewest surfaces go on."""
+    columns = image.shape[1]
+    lag = max(round(columns * _CORNER_SHARE), 1)
+    missed = np.abs(misses_of(image, lag, closed=True))
+    seen = missed[np.isfinite(missed)]
+    if not len(seen):
+        return image
+    flat = np.count_nonzero(missed < 3.0 * np.median(seen), axis=0)
+    return np.roll(image, -int(flat.argmin()), axis=1)
+
+
+def _best_grid(elevation: FloatArray, azimuth: FloatArray) -> tuple[Grid, np.ndarray, np.ndarray]:
+    """The shape whose cells times the square of their occupied share are most, and row and column (N,) of the points.
+
+    A thinned cloud fits many shapes about as well, down to rows of four rings each, whose points lie on a zigzag: of
+    shapes nearly as good the one with the squarest cells is taken, of equal ones the first. No more cells can be
+    occupied than there are, nor than there are points: shapes that could do best are tried first, and those that cannot
+    come near the best so far are not tried.
+    """
+    ends = elevation.max(), elevation.min()
+    rows = {count: rows_of(elevation, *ends, count) for count in _ROWS}
+    phases = phases_of(azimuth, np.array(_COLUMNS))
+    columns = {count: columns_of(azimuth, count, phase) for count, phase in zip(_COLUMNS, phases, strict=True)}
+    shapes = [(min(r * c, len(azimuth) ** 2 / (r * c)), -k, r, c) for k, (r, c) in enumerate(product(_ROWS, _COLUMNS))]
+    best, tried = 0.0, []
+    for bound, order, r, c in sorted(shapes, reverse=True):
+        if bound < _AS_GOOD * best:
+            break
+        score = occupied_cells(rows[r], columns[c], r, c) ** 2 / (r * c)
+        best = max(best, score)
+        tried.append((score, order, Grid(r, c)))
+    height = float(ends[0] - ends[1])
+    good = [one for one in tried if one[0] >= _AS_GOOD * best]
+    grid = min(good, key=lambda one: (one[2].stretch(height), -one[1]))[2]
+    return grid, rows[grid.rows], columns[grid.columns]
+
+
+def _angles(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Elevation and azimuth, shape (N,) each, rad."""
+    return np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])), np.arctan2(points[:, 1], points[:, 0])
+
+
+def _lines_of(points: FloatArray) -> FloatArray | None:
+    """The lines that the order of the points shows, shape (S, B, 3); None where it shows none."""
+    if len(points) < _MIN_LINES * _MIN_BEAMS:
+        return None
+    cosines = turns_of(points)
+    limit = max(_JUMP_RAD, _JUMP_STEPS * float(np.arccos(np.median(cosines))))
+    if limit >= np.pi:
+        return None
+    starts = np.concatenate(([0], np.flatnonzero(cosines < np.cos(limit)) + 1, [len(points)]))
+    lengths = np.diff(starts)
+    if len(lengths) < _MIN_LINES or np.median(lengths) < _MIN_BEAMS or lengths.max() > _LONGEST * np.median(lengths):
+        return None
+    lines = [points[a:b] for a, b in pairwise(starts)]
+    lines = [line for k, line in enumerate(lines) if k == 0 or not np.array_equal(line, lines[k - 1])]
+    return _stacked(lines)
+
+
+def _stacked(lines: list[FloatArray]) -> FloatArray | None:
+    """Lines as rows: a beam's column is its angle along the lines; None where the angles do not run one way."""
+    angles = [_angles(line) for line in lines]
+    spans = np.median([[np.ptp(elevation), np.ptp(azimuth)] for elevation, azimuth in angles], axis=0)
+    along = [pair[int(spans[1] > spans[0])] for pair in angles]
+    steps = np.concatenate([np.diff(angle) for angle in along])
+    step = float(np.median(steps))
+    if step == 0.0 or np.mean(steps * step > 0.0) < 0.9:
+        return None
+    first = min((angle[0] for angle in along), key=lambda value: value * np.sign(step))
+    columns = [np.rint((angle - first) / step).astype(np.int64) for angle in along]
+    width = max(int(column.max()) for column in columns) + 1
+    if min(int(column.min()) for column in columns) < 0 or width > _LARGEST:
+        return None
+    grid = np.full((len(lines), width, 3), np.nan)
+    for row, (column, line) in enumerate(zip(columns, lines, strict=True)):
+        grid[row, column] = line
+    return grid

@@ -1,0 +1,85 @@
+"""Two clouds, one pose: where it is right, how sure it says it is, and what it says where it cannot be told."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from factors._conventions import SP_TO_POSE3
+from slam.errors import LogError
+from slam.geometry.frames import inverse
+from slam.io.trajectories import read_tum
+from slam.runs.cloud_registration import read_guess, register_clouds
+from slam.simulation import simulate_mission
+from tests.slam.cli.test_commands import refused, run
+from tests.slam.real_data import needs
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_two_scans_of_a_hall_lie_as_sure_as_they_say(seed: int, tmp_path: Path):
+    """Against the truth of the simulation, with odometry's motion as a guess."""
+    mission = simulate_mission("hall", n_scans=2, seed=seed)
+    mission.save(tmp_path)
+    clouds = sorted((tmp_path / "clouds").iterdir())
+    [mount] = [sensor.body_T_sensor for sensor in mission.rig.sensors.values()]
+    stamps = np.rint(1e9 * np.loadtxt(tmp_path / "times.txt")).astype(np.int64)
+    truth = read_tum(tmp_path / "truth" / "trajectory.tum").poses_at(stamps) @ mount
+    odometry = read_tum(tmp_path / "odometry.tum").poses_at(stamps) @ mount
+    found = register_clouds(*clouds[:2], guess=inverse(odometry[0]) @ odometry[1])
+    true = inverse(truth[0]) @ truth[1]
+    error = tangent(inverse(found.a_T_b) @ true)
+    order = np.argsort(SP_TO_POSE3)
+    nees = error[order] @ np.linalg.solve(found.covariance, error[order])
+    assert nees < chi2.ppf(0.9999, 6)
+    assert np.linalg.norm(error[3:]) < 0.02
+    assert found.n_planes >= 3
+
+
+def tangent(pose: np.ndarray) -> np.ndarray:
+    """(rotation, translation) of a small pose."""
+    turn = 0.5 * (pose[:3, :3] - pose[:3, :3].T)
+    return np.array([turn[2, 1], turn[0, 2], turn[1, 0], *pose[:3, 3]])
+
+
+@pytest.mark.parametrize("guess", [None, "2.1,0.4,0,31"])
+def test_a_real_room_is_where_icp_has_it(guess: str | None):
+    """Not surveyed: ICP has 40.85 deg and (1.964, 0.059, 0.010) m."""
+    clouds = [needs(f"pcl_room/room_scan{k}.pcd") for k in (1, 2)]
+    found = register_clouds(*clouds, guess=None if guess is None else read_guess(guess))
+    x, y, z = found.a_T_b[:3, 3]
+    yaw = np.rad2deg(np.arctan2(found.a_T_b[1, 0], found.a_T_b[0, 0]))
+    assert (x, y, z, yaw) == pytest.approx((1.964, 0.059, 0.010, 40.85), abs=0.03)
+    assert found.open == ()
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    simulate_mission("hall", n_scans=2, seed=0).save(tmp_path)
+    a, b = sorted((tmp_path / "clouds").iterdir())[:2]
+    told = json.loads(run(capsys, "register", a, b, "--json")[1])
+    assert {"a_T_b", "covariance", "xyz_m", "sigma_xyz_m", "planes", "open"} <= set(told)
+    assert "planes are in both" in run(capsys, "register", a, b)[1]
+    assert "--guess: expected X,Y,Z,YAW or a file" in refused(capsys, "register", a, b, "--guess", "1,2,x,4")
+    assert "nothing.ply" in refused(capsys, "register", a, tmp_path / "nothing.ply")
+
+
+def test_guesses(tmp_path: Path):
+    pose = read_guess("1,2,3,90")
+    np.testing.assert_allclose(pose, [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]], atol=1e-12)
+    half = np.sqrt(0.5)
+    for numbers in (pose.ravel(), pose[:3].ravel(), [1, 2, 3, 0, 0, half, half], [17.0, 1, 2, 3, 0, 0, half, half]):
+        (tmp_path / "guess.txt").write_text(" ".join(map(str, numbers)))
+        np.testing.assert_allclose(read_guess(str(tmp_path / "guess.txt")), pose, atol=1e-9)
+    for text, message in (
+        ("1 2 3", "expected one pose of 16, 12, 8 or 7 numbers, got 3 numbers"),
+        ("one", "expected the numbers of one pose, got something else"),
+        (" ".join(["2"] * 16), "pose: expected the last row"),
+    ):
+        (tmp_path / "guess.txt").write_text(text)
+        with pytest.raises(LogError, match=message):
+            read_guess(str(tmp_path / "guess.txt"))
+    with pytest.raises(ValueError, match="--guess: expected X,Y,Z,YAW or a file that can be read, got 'nowhere'"):
+        read_guess("nowhere")
+    with pytest.raises(ValueError, match="--guess: expected finite numbers"):
+        read_guess("1,2,nan,4")
