@@ -12,12 +12,13 @@ from slam.diagnostics.evidence.mounts import mount_evidence
 from slam.diagnostics.evidence.odometry import odometry_evidence
 from slam.diagnostics.evidence.prior import prior_evidence, prior_planes
 from slam.diagnostics.evidence.surfaces import Surfaces, rays_of, surface_evidence
+from slam.diagnostics.evidence.unmatched import unmatched_evidence
 from slam.diagnostics.evidence.views import views_of
 from slam.diagnostics.verdict import Evidence, Verdict, weigh
 from slam.sensors.rig import Rig
 
 #: Kinds of statistics there are, which share the significance.
-KINDS = 7
+KINDS = 8
 
 
 def look_at(run: Finished, rig: Rig) -> Verdict:
@@ -32,6 +33,7 @@ def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     poses, views = run.trajectory.poses, views_of(run.keyframes)
     yield from nis_evidence(run)
     yield from odometry_evidence(run)
+    yield from unmatched_evidence(run)
     yield from free_space_evidence(views, poses)
     yield from mount_evidence(run.keyframes, rig)
     surfaces = Surfaces.of(run)

@@ -22,8 +22,8 @@ from slam.sensors.rig import Rig
 from spplanes import Plane
 from spplanes._check import FloatArray
 
-#: Pairs of neighbouring keyframes that are compared under every mount, evenly over the run.
-_MOST_PAIRS = 60
+#: Pairs of neighbouring keyframes that are compared under every mount, evenly over the run: of lasers, of 3D sensors.
+_MOST_PAIRS, _MOST_CLOUD_PAIRS = 60, 15
 
 
 class _Turn(NamedTuple):
@@ -49,14 +49,14 @@ _Counts = Callable[[FloatArray], FloatArray]
 def mount_evidence(keyframes: Sequence[Keyframe], rig: Rig) -> Iterator[Evidence]:
     """What the scans say of neighbouring keyframes placed by odometry, under the stated mount and under others.
 
-    Of each pair of neighbours a look at a surface is confirmed or goes through it. Where more go through under the
-    stated mount than `NOVEL_SHARE` explains, others are tried: were the stated one right, another would be as often
-    worse as better, which is a sign test over the pairs, one for each mount.
+    Of each pair of neighbours a look at a surface is confirmed or goes through it. Where of any pair, or of
+    all, more go through under the stated mount than `NOVEL_SHARE` explains, others are tried: were the stated one
+    right, another would be as often worse as better, which is a sign test over the pairs, one for each mount.
     """
     lasers, clouds = rig.of_kind("line"), rig.of_kind("cloud")
     mounts = [sensor.body_T_sensor for sensor in (lasers or clouds).values()]
     pairs = [pair for pair in _neighbours(keyframes) if all(_has_seen(keyframes[one], bool(lasers)) for one in pair)]
-    pairs = pairs[:: max(1, -(-len(pairs) // _MOST_PAIRS))]
+    pairs = pairs[:: max(1, -(-len(pairs) // (_MOST_PAIRS if lasers else _MOST_CLOUD_PAIRS)))]
     if not mounts or not pairs:
         return
     of_pair = _laser_counts if lasers else _cloud_counts
@@ -70,7 +70,9 @@ def mount_evidence(keyframes: Sequence[Keyframe], rig: Rig) -> Iterator[Evidence
 def _tests(counts: _Counts, frames: tuple[int, ...]) -> Iterator[Evidence]:
     """The stated mount against all others."""
     stated = counts(np.eye(4))
-    if binom.sf(stated[:, 1].sum() - 1, stated.sum(), NOVEL_SHARE) > SIGNIFICANCE:
+    whole = stated.sum(axis=0)
+    by_pair = len(stated) * binom.sf(stated[:, 1] - 1, stated.sum(axis=1), NOVEL_SHARE).min()
+    if min(by_pair, binom.sf(whole[1] - 1, whole.sum(), NOVEL_SHARE)) > SIGNIFICANCE:
         return  # the stated mount fits
     tests = []
     for turn in _TURNS:
