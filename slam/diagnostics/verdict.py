@@ -89,10 +89,12 @@ def weigh(evidence: Iterable[Evidence], kinds: int) -> Verdict:
     """The verdict by all evidence found in a run.
 
     Each of the `kinds` of statistics that were looked at has its share of `SIGNIFICANCE` (Bonferroni), so that looking
-    at more of them calls no more sound runs doubtful.
+    at more of them calls no more sound runs doubtful. A wrong mount comes first: it explains the rest.
     """
     against = [one for one in evidence if one.p_value < SIGNIFICANCE / max(kinds, 1)]
-    ordered = tuple(sorted(against, key=lambda one: (one.grade != "broken", one.p_value, one.kind)))
+    ordered = tuple(
+        sorted(against, key=lambda one: (one.grade != "broken", one.kind != "mount", one.p_value, one.kind))
+    )
     if not ordered:
         return Verdict("sound")
     return Verdict(ordered[0].grade, ordered)

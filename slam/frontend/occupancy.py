@@ -94,7 +94,7 @@ def beams_of(scan: LaserScan, ranges: FloatArray, body_T_sensor: FloatArray) -> 
     In a list: none from a laser whose scan plane leans from the body's by more than some degrees, for it sees other
     walls from elsewhere.
     """
-    if body_T_sensor[2, 2] < LEVEL_COSINE:
+    if abs(body_T_sensor[2, 2]) < LEVEL_COSINE:
         return []
     away = np.stack((np.cos(scan.angles), np.sin(scan.angles)), axis=1) * ranges[:, None]
     gaps = np.linalg.norm(np.diff(away, axis=0), axis=1)

@@ -27,13 +27,13 @@ class LinesOfSight:
     """Where the rays end, in the frame of the sensor, shape (N, 3), m."""
     shares: FloatArray
     """Of its plane's weight what each ray carries, shape (N,)."""
-    walls: tuple[tuple[FloatArray, shapely.Polygon], ...]
+    walls: tuple[tuple[FloatArray, shapely.Polygon | shapely.MultiPolygon], ...]
     """Frame (4, 4) and outline, less its border, of the known planes."""
 
     @classmethod
     def between(cls, seen: Sequence[Plane], weights: FloatArray, known: Sequence[Plane]) -> LinesOfSight:
         """Of planes seen, in the sensor's frame, with a weight (K,) each, and known ones, in a frame of their own."""
-        rays = [_points_on(plane) for plane in seen]
+        rays = [points_on(plane) for plane in seen]
         shares = [np.full(len(some), weight / max(len(some), 1)) for some, weight in zip(rays, weights, strict=True)]
         inner = [(plane.frame, plane.outline.buffer(-_INSIDE_M)) for plane in known if plane.outline is not None]
         walls = tuple((frame, outline) for frame, outline in inner if not outline.is_empty)
@@ -41,23 +41,27 @@ class LinesOfSight:
 
     def blocked(self, known_T_sensor: FloatArray) -> float:
         """Weight of what would be seen through known walls if the sensor were there."""
+        return float(self.shares[self.stopped_by(known_T_sensor) >= 0].sum())
+
+    def stopped_by(self, known_T_sensor: FloatArray) -> np.ndarray:
+        """For every ray the first of the walls, by number, that would stop it, -1 for none, shape (N,)."""
         origin, rays = known_T_sensor[:3, 3], self.ends @ known_T_sensor[:3, :3].T
         lengths = np.linalg.norm(rays, axis=1)
-        stopped = np.zeros(len(rays), dtype=bool)
-        for frame, outline in self.walls:
+        stopped = np.full(len(rays), -1)
+        for number, (frame, outline) in enumerate(self.walls):
             normal = frame[:3, 2]
             along = rays @ normal
             with np.errstate(divide="ignore", invalid="ignore"):
                 reached = (normal @ (frame[:3, 3] - origin)) / along
             near = (reached * lengths > _BEFORE_M) & ((1.0 - reached) * np.abs(along) > _BEFORE_M)
-            met = np.flatnonzero(near & (np.abs(along) > _STEEP * lengths) & ~stopped)
+            met = np.flatnonzero(near & (np.abs(along) > _STEEP * lengths) & (stopped < 0))
             if len(met):
                 places = lift(origin + reached[met, None] * rays[met], inverse(frame))
-                stopped[met[shapely.contains_xy(outline, places[:, 0], places[:, 1])]] = True
-        return float(self.shares[stopped].sum())
+                stopped[met[shapely.contains_xy(outline, places[:, 0], places[:, 1])]] = number
+        return stopped
 
 
-def _points_on(plane: Plane) -> FloatArray:
+def points_on(plane: Plane) -> FloatArray:
     """A few points (N, 3) spread over a plane's outline; none without one."""
     outline = plane.outline
     if outline is None or outline.is_empty:

@@ -2,50 +2,74 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.stats import binom
 
-from slam.diagnostics.evidence.views import Comparison, View, comparisons, pairs_of
-from slam.diagnostics.verdict import Evidence, named
-from slam.frontend.keyframes import Keyframe
+from slam.diagnostics.evidence.views import View, comparisons, pairs_of
+from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named
 from slam.frontend.occupancy import NOVEL_SHARE
 from spplanes._check import FloatArray
 
-#: Share of looks through a surface in a sound map: people, doors, glass and edges, over a whole drive.
-THROUGH_SHARE = 0.02
+#: Keyframes within a stretch of the way of this length look at one place together, m.
+_STRETCH_M = 2.0
 
 
-def free_space_evidence(keyframes: Sequence[Keyframe], views: dict[int, View], poses: FloatArray) -> Iterator[Evidence]:
-    """Looks through surfaces at the final poses (N, 4, 4): over the whole drive, and about single keyframes.
+@dataclass
+class Place:
+    """All that the keyframes about one place say of surfaces that others saw."""
 
-    A surface that somebody else saw is confirmed or looked through; that it was not there then happens to a share of
-    looks, of the whole drive `THROUGH_SHARE`, at one place `NOVEL_SHARE`. More of them than by chance are poses that
-    do not fit together.
+    looks: int = 0
+    """Looks at surfaces: confirmed, or gone through."""
+    through: int = 0
+    """Those that went through."""
+    keyframes: set[int] = field(default_factory=set)
+    """Who looked, and who had seen the surfaces."""
+
+    def add(self, looks: int, through: int, keyframes: Sequence[int]) -> None:
+        """Count more of them."""
+        self.looks, self.through = self.looks + looks, self.through + through
+        self.keyframes.update(keyframes)
+
+
+def free_space_evidence(views: dict[int, View], poses: FloatArray) -> Iterator[Evidence]:
+    """Looks of level lasers through surfaces that other keyframes saw, at the final poses (N, 4, 4)."""
+    places: dict[Hashable, Place] = {}
+    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1))))
+    stretch = np.floor(way / _STRETCH_M).astype(int).tolist()
+    for one in comparisons(views, poses, pairs_of(sorted(views), poses)):
+        pair = one.keyframe, one.other
+        key = tuple(sorted(stretch[frame] for frame in pair))
+        places.setdefault(key, Place()).add(one.confirmed + one.through, one.through, pair)
+    yield from seen_through(places, "looks go through surfaces that other keyframes saw")
+
+
+def seen_through(places: Mapping[Hashable, Place], what: str) -> Iterator[Evidence]:
+    """Evidence from places where more looks go through surfaces than people, doors, glass and edges explain.
+
+    That a surface was not there when another keyframe looked happens to `NOVEL_SHARE` of looks even about one place.
+    Each place has a binomial test, and its share of the significance (Bonferroni): one that fails is of poses that do
+    not fit together. Where the whole drive fails, all of it is broken.
     """
-    found = comparisons(views, poses, pairs_of(sorted(views), poses))
-    through, looks = sum(one.through for one in found), sum(one.confirmed + one.through for one in found)
-    if not looks:
+    if not places:
         return
-    suspects = _suspects(found, len(keyframes))
-    worst = min(suspects.values(), default=1.0)
-    whole = float(binom.sf(through - 1, looks, THROUGH_SHARE))
-    frames = tuple(key for key, p_value in sorted(suspects.items()) if p_value < 0.05)
-    share = through / looks
-    size = f"{100.0 * share:.1f} % of {looks} looks at known surfaces go through them"
-    where = f", most at {named(frames)}" if frames else ""
-    broken = float(binom.sf(through - 1, looks, NOVEL_SHARE))
-    grade = "broken" if broken < 1e-3 else "doubtful"
-    yield Evidence("free space", grade, min(2.0 * min(whole, worst), 1.0), share, "of looks", frames, size + where)
-
-
-def _suspects(found: Sequence[Comparison], count: int) -> dict[int, float]:
-    """Probability of as many looks through surfaces from or at a keyframe, for as many keyframes as there are."""
-    through, looks = np.zeros(count), np.zeros(count)
-    for one in found:
-        for key in (one.keyframe, one.other):
-            through[key] += one.through
-            looks[key] += one.confirmed + one.through
-    p_values = np.minimum(count * binom.sf(through - 1, looks, NOVEL_SHARE), 1.0)
-    return {int(key): float(p_values[key]) for key in np.flatnonzero(looks)}
+    looks, through = (np.array(column) for column in zip(*((p.looks, p.through) for p in places.values()), strict=True))
+    p_values = np.minimum(len(places) * binom.sf(through - 1, looks, NOVEL_SHARE), 1.0)
+    wrong = [place for place, p_value in zip(places.values(), p_values, strict=True) if p_value < SIGNIFICANCE]
+    if not wrong:
+        return
+    frames = tuple(sorted(set().union(*(place.keyframes for place in wrong))))
+    whole = float(binom.sf(through.sum() - 1, looks.sum(), NOVEL_SHARE))
+    gone, seen = sum(place.through for place in wrong), sum(place.looks for place in wrong)
+    yield Evidence(
+        "free space",
+        "broken" if whole < SIGNIFICANCE else "doubtful",
+        float(p_values.min()),
+        gone / seen,
+        "of looks",
+        frames,
+        f"at {named(frames)} {100.0 * gone / seen:.0f} % of {seen} {what} "
+        f"({100.0 * through.sum() / looks.sum():.1f} % of {looks.sum()} in the whole run)",
+    )

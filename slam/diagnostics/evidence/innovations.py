@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from slam.backend.estimator import pose_symbol
 from slam.diagnostics.evidence.finished import Finished
-from slam.diagnostics.verdict import Evidence, named
+from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named
 
 #: What a user is promised of a sound map: no error beyond this, m, or so many of the standard deviations it claims.
 PROMISED_M, PROMISED_SIGMAS = 0.1, 3.0
@@ -21,6 +21,11 @@ _MOST_POSES = 24
 def risk(sigma_m: float, claimed_m: float) -> float:
     """Probability that an error of standard deviation `sigma_m` breaks the promise where `claimed_m` is claimed."""
     return 2.0 * float(norm.sf(max(PROMISED_M, PROMISED_SIGMAS * claimed_m) / max(sigma_m, 1e-12)))
+
+
+def at_risk(sigmas: Mapping[int, float], factor: float) -> tuple[int, ...]:
+    """Keyframes whose claimed standard deviations, were they larger by a factor, would break the promise too often."""
+    return tuple(key for key, sigma in sigmas.items() if risk(factor * sigma, sigma) > SIGNIFICANCE)
 
 
 def claimed_sigmas(run: Finished) -> dict[int, float]:
@@ -44,8 +49,8 @@ def nis_evidence(run: Finished) -> Iterator[Evidence]:
     total = float(sum(row[1] for row in rows))
     factor = float(np.sqrt(max(total / dof, 1.0)))
     sigmas = claimed_sigmas(run)
-    at_risk = tuple(key for key, sigma in sigmas.items() if risk(factor * sigma, sigma) > 0.01)
-    if not at_risk:
+    risky = at_risk(sigmas, factor)
+    if not risky:
         return
     yield Evidence(
         "innovations",
@@ -53,7 +58,7 @@ def nis_evidence(run: Finished) -> Iterator[Evidence]:
         float(chi2_distribution.sf(total, dof)),
         factor,
         "times the stated sigma",
-        at_risk,
+        risky,
         f"what was matched scatters {factor:.2g} times as much as stated: claimed sigmas up to "
-        f"{max(sigmas.values()):.2g} m are too small by that at {named(at_risk)}",
+        f"{max(sigmas.values()):.2g} m are too small by that at {named(risky)}",
     )

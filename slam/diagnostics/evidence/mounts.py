@@ -1,108 +1,145 @@
-"""Evidence: another mount of the level lasers would fit their scans to the odometry, and the stated one does not."""
+"""Evidence: another mount of the sensors would fit their scans to the odometry, and the stated one does not."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import binomtest
+from scipy.stats import binom, binomtest
 
+from slam.diagnostics.evidence.surfaces import agreement
 from slam.diagnostics.evidence.views import View, compare
-from slam.diagnostics.verdict import Evidence, named
+from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.odometry import Motion
+from slam.frontend.observations import PlaneObservation
+from slam.frontend.occupancy import NOVEL_SHARE
+from slam.geometry.frames import inverse
+from slam.sensors.mount import Mount
+from slam.sensors.rig import Rig
+from spplanes import Plane
 from spplanes._check import FloatArray
 
-#: Mounts that are easily taken for another: turned about the laser's own axis, upside down, or both.
-_TURNS_DEG = (0.0, 90.0, 180.0, -90.0)
-_NAMES = {
-    (180.0, False): "mounted backwards (yaw 180 deg from what the rig says)",
-    (90.0, False): "turned to the left (yaw +90 deg from what the rig says)",
-    (-90.0, False): "turned to the right (yaw -90 deg from what the rig says)",
-    (0.0, True): "mounted upside down (roll 180 deg from what the rig says)",
-    (180.0, True): "mounted upside down and backwards (pitch 180 deg from what the rig says)",
-    (90.0, True): "mounted upside down and turned by +90 deg",
-    (-90.0, True): "mounted upside down and turned by -90 deg",
-}
-#: Pairs of keyframes that are compared under every mount, evenly over the run.
-_MOST_PAIRS = 100
-#: A mount explains the scans if it turns so much of what is seen through under the stated one into what is confirmed.
-_EXPLAINS = 0.5
+#: Pairs of neighbouring keyframes that are compared under every mount, evenly over the run: of lasers, of 3D sensors.
+_MOST_PAIRS, _MOST_CLOUD_PAIRS = 60, 15
 
 
-def mount_evidence(keyframes: Sequence[Keyframe], headings: FloatArray) -> Iterator[Evidence]:
-    """What the scans say of successive keyframes placed by odometry, under the stated mount and under others.
+class _Turn(NamedTuple):
+    """A mount that is easily taken for another: the sensor turned about its own axes."""
 
-    Of each pair of neighbours a look at a surface is confirmed or goes through it. Were
-    the stated mount right, another would be as often worse as better: a sign test over the pairs, one for each mount.
+    roll_deg: float
+    yaw_deg: float
+    name: str
 
-    Args:
-        keyframes: of the run.
-        headings: of the level lasers' x axes in the body, as the rig states it, by their places, rows (x, y, heading).
+
+_TURNS = (
+    _Turn(0.0, 180.0, "mounted backwards (yaw 180 deg from what the rig says)"),
+    _Turn(0.0, 90.0, "turned to the left (yaw +90 deg from what the rig says)"),
+    _Turn(0.0, -90.0, "turned to the right (yaw -90 deg from what the rig says)"),
+    _Turn(180.0, 0.0, "mounted upside down (roll 180 deg from what the rig says)"),
+    _Turn(180.0, 180.0, "mounted upside down and backwards (pitch 180 deg from what the rig says)"),
+)
+
+#: Looks confirmed and looks through, of the pairs of a run, shape (P, 2), under a turn (4, 4) of the sensor.
+_Counts = Callable[[FloatArray], FloatArray]
+
+
+def mount_evidence(keyframes: Sequence[Keyframe], rig: Rig) -> Iterator[Evidence]:
+    """What the scans say of neighbouring keyframes placed by odometry, under the stated mount and under others.
+
+    Of each pair of neighbours a look at a surface is confirmed or goes through it. Where of any pair, or of
+    all, more go through under the stated mount than `NOVEL_SHARE` explains, others are tried: were the stated one
+    right, another would be as often worse as better, which is a sign test over the pairs, one for each mount.
     """
-    pairs = _neighbours(keyframes)
-    if not pairs:
+    lasers, clouds = rig.of_kind("line"), rig.of_kind("cloud")
+    mounts = [sensor.body_T_sensor for sensor in (lasers or clouds).values()]
+    pairs = [pair for pair in _neighbours(keyframes) if all(_has_seen(keyframes[one], bool(lasers)) for one in pair)]
+    pairs = pairs[:: max(1, -(-len(pairs) // (_MOST_PAIRS if lasers else _MOST_CLOUD_PAIRS)))]
+    if not mounts or not pairs:
         return
-    stated = np.array([_agreement(keyframes, pair, None, headings) for pair in pairs])
+    of_pair = _laser_counts if lasers else _cloud_counts
+
+    def counts(turn: FloatArray) -> FloatArray:
+        return np.array([of_pair(keyframes[a], keyframes[b], turn, mounts) for a, b in pairs])
+
+    yield from _tests(counts, tuple(sorted({one for pair in pairs for one in pair})))
+
+
+def _tests(counts: _Counts, frames: tuple[int, ...]) -> Iterator[Evidence]:
+    """The stated mount against all others."""
+    stated = counts(np.eye(4))
+    whole = stated.sum(axis=0)
+    by_pair = len(stated) * binom.sf(stated[:, 1] - 1, stated.sum(axis=1), NOVEL_SHARE).min()
+    if min(by_pair, binom.sf(whole[1] - 1, whole.sum(), NOVEL_SHARE)) > SIGNIFICANCE:
+        return  # the stated mount fits
     tests = []
-    for mount, name in _NAMES.items():
-        under = np.array([_agreement(keyframes, pair, mount, headings) for pair in pairs])
-        better, worse = int((under > stated).sum()), int((under < stated).sum())
-        if better > worse:
-            p_value = len(_NAMES) * float(binomtest(better, better + worse, alternative="greater").pvalue)
-            tests.append((float(under.sum()), p_value, better, better + worse, name))
+    for turn in _TURNS:
+        under = counts(Mount(rpy_deg=(turn.roll_deg, 0.0, turn.yaw_deg)).as_matrix())
+        gain = (under[:, 0] - under[:, 1]) - (stated[:, 0] - stated[:, 1])
+        better, told = int((gain > 0).sum()), int((gain != 0).sum())
+        if 2 * better > told:
+            p_value = len(_TURNS) * float(binomtest(better, told, alternative="greater").pvalue)
+            tests.append((float(gain.sum()), p_value, better, told, turn.name))
     if not tests:
         return
     _, p_value, better, told, name = max(tests)
-    frames = tuple(sorted({one for pair in pairs for one in pair[:2]}))
-    yield Evidence(
-        "mount",
-        "broken",
-        min(p_value, 1.0),
-        better / told,
-        "of pairs",
-        frames,
-        f"the scans contradict the odometry under the stated mount; a laser {name} would explain {better} of {told} "
-        f"pairs of neighbouring scans better ({named(frames)})",
+    sentence = (
+        f"a sensor {name} would explain what the stated mount does not: under it {better} of {told} pairs of "
+        f"neighbouring scans fit the odometry better ({named(frames)})"
     )
+    yield Evidence("mount", "broken", min(p_value, 1.0), better / told, "of pairs", frames, sentence)
 
 
-def _neighbours(keyframes: Sequence[Keyframe]) -> list[tuple[int, int, Motion]]:
-    """Successive keyframes with returns and odometry between."""
-    found = []
-    for first, second in pairwise(range(len(keyframes))):
-        motion, seen = keyframes[second].motion, (keyframes[first].returns, keyframes[second].returns)
-        if motion is not None and all(one is not None and len(one) for one in seen):
-            found.append((first, second, motion))
-    return found[:: max(1, -(-len(found) // _MOST_PAIRS))]
+def _neighbours(keyframes: Sequence[Keyframe]) -> list[tuple[int, int]]:
+    """Successive keyframes with odometry between."""
+    return [(a, b) for a, b in pairwise(range(len(keyframes))) if keyframes[b].motion is not None]
 
 
-def _agreement(
-    keyframes: Sequence[Keyframe],
-    pair: tuple[int, int, Motion],
-    mount: tuple[float, bool] | None,
-    headings: FloatArray,
-) -> float:
-    """Looks confirmed less looks through, both ways, of two keyframes under a mount."""
-    first, second, motion = pair
-    here, there = (View.of(_remounted(keyframes[one].returns, mount, headings)) for one in (first, second))
-    back = np.linalg.inv(motion.a_T_b)
-    counts = np.add(compare(here, there, motion.a_T_b), compare(there, here, back))
-    return float(counts[0] - counts[1])
+def _has_seen(keyframe: Keyframe, by_lasers: bool) -> bool:
+    if by_lasers:
+        return keyframe.returns is not None and len(keyframe.returns) > 0
+    return any(isinstance(one, PlaneObservation) for one in keyframe.observations)
 
 
-def _remounted(beams: FloatArray | None, mount: tuple[float, bool] | None, headings: FloatArray) -> FloatArray:
-    """Beams (N, 4) as they would be if their lasers were turned, by degrees, and upside down."""
-    assert beams is not None
-    if mount is None:
-        return beams
-    turned = beams.copy()
-    c, s = np.cos(np.deg2rad(mount[0])), np.sin(np.deg2rad(mount[0]))
-    change = np.array([[c, -s], [s, c]]) @ np.diag([1.0, -1.0 if mount[1] else 1.0])
-    nearest = np.linalg.norm(beams[:, None, :2] - headings[None, :, :2], axis=2).argmin(axis=1)
-    for number, (_, _, heading) in enumerate(headings):
-        rows = nearest == number
-        axes = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
-        turned[rows, 2:] = beams[rows, :2] + (beams[rows, 2:] - beams[rows, :2]) @ (axes @ change @ axes.T).T
-    return turned
+def _motion(keyframe: Keyframe) -> FloatArray:
+    assert keyframe.motion is not None  # a neighbour has one
+    return keyframe.motion.a_T_b
+
+
+def _laser_counts(first: Keyframe, second: Keyframe, turn: FloatArray, mounts: Sequence[FloatArray]) -> FloatArray:
+    """Looks confirmed and looks through, both ways, of two keyframes whose level lasers are turned in their mounts."""
+    here, there = (View.of(_turned(one.returns, turn, mounts)) for one in (first, second))
+    motion = _motion(second)
+    return np.add(compare(here, there, motion), compare(there, here, inverse(motion)))
+
+
+def _turned(beams: FloatArray | None, turn: FloatArray, mounts: Sequence[FloatArray]) -> FloatArray:
+    """Beams (N, 4) in the body as they would be if the lasers they start from were turned."""
+    assert beams is not None  # `_has_seen`
+    places = np.array([mount[:2, 3] for mount in mounts])
+    nearest = np.linalg.norm(beams[:, None, :2] - places, axis=2).argmin(axis=1)
+    moved = beams.copy()
+    for number, mount in enumerate(mounts):
+        rows, axes = nearest == number, mount[:2, :2]
+        change = axes @ turn[:2, :2] @ np.linalg.inv(axes)
+        moved[rows, 2:] = beams[rows, :2] + (beams[rows, 2:] - beams[rows, :2]) @ change.T
+    return moved
+
+
+def _cloud_counts(first: Keyframe, second: Keyframe, turn: FloatArray, mounts: Sequence[FloatArray]) -> FloatArray:
+    """The same of planes that a 3D sensor saw."""
+    body_T_sensor = mounts[0]
+    change, motion = body_T_sensor @ turn @ inverse(body_T_sensor), _motion(second)
+    here, there = ([_moved(plane, change) for plane in _planes(one)] for one in (first, second))
+    eye = body_T_sensor @ turn
+    return np.add(agreement(here, there, motion, eye), agreement(there, here, inverse(motion), eye))
+
+
+def _planes(keyframe: Keyframe) -> list[Plane]:
+    return [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
+
+
+def _moved(plane: Plane, change: FloatArray) -> Plane:
+    return replace(plane, frame=change @ plane.frame)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
-from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named, weigh
+from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, Verdict, named, weigh
 
 
 def found(p_value: float, grade: str = "doubtful", kind: str = "free space") -> Evidence:
@@ -46,3 +48,12 @@ def test_what_is_broken_comes_first_and_names_its_keyframes():
 )
 def test_neighbouring_keyframes_are_named_together(keyframes: list[int], words: str):
     assert named(keyframes) == words
+
+
+def test_a_verdict_comes_back_from_its_json():
+    verdict = weigh([found(1e-9), found(1e-4, "broken", "mount")], 2)
+    evidence = [one.to_dict() for one in verdict.evidence]
+    assert set(verdict.to_dict()) == {"verdict", "reasons"}
+    assert Verdict.from_dicts(json.loads(json.dumps(verdict.to_dict())), json.loads(json.dumps(evidence))) == verdict
+    with pytest.raises(ValueError, match="expected sound, doubtful or broken, got 'fine'"):
+        Verdict.from_dicts({"verdict": "fine"}, [])

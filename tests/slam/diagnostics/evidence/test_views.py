@@ -12,6 +12,7 @@ from slam.diagnostics.evidence.views import View, compare, pairs_of, views_of
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse, planar_transform
+from slam.sensors.rig import Rig, Sensor
 from slam.simulation.floorplan import cast
 from spplanes._check import FloatArray
 
@@ -20,6 +21,7 @@ CORNERS = [(0.0, 0.0), (8.0, 0.0), (8.0, 5.0), (0.0, 5.0), (0.0, 0.0)]
 BOX = [(5.0, 3.5), (5.0, 4.5), (6.0, 4.5), (6.0, 3.5), (5.0, 3.5)]
 WALLS = np.array([[a, b] for chain in (CORNERS, BOX) for a, b in pairwise(chain)])
 ANGLES = np.deg2rad(np.arange(-90.0, 91.0))
+RIG = Rig(sensors={"laser": Sensor(kind="line", range_sigma_m=0.01, range_max_m=20.0)})
 
 
 def beams(pose: FloatArray, rng: np.random.Generator, mount: FloatArray | None = None) -> FloatArray:
@@ -72,14 +74,13 @@ def test_right_poses_are_no_evidence_and_a_jump_in_them_is():
     poses = way(24)
     frames, truth = keyframes(poses), np.array([planar_transform(*pose) for pose in poses])
     views = views_of(frames)
-    (sound,) = free_space_evidence(frames, views, truth)
-    assert sound.p_value > 0.5 and sound.size < 0.005
+    assert list(free_space_evidence(views, truth)) == []
     bent = truth.copy()
     bent[12:] = planar_transform(-0.3, 0.25, 0.0) @ bent[12:]
-    (found,) = free_space_evidence(frames, views, bent)
-    assert found.p_value < 1e-4 and found.size > 0.03
-    assert any(9 <= keyframe <= 15 for keyframe in found.keyframes)
-    assert "go through them" in found.sentence
+    (found,) = free_space_evidence(views, bent)
+    assert found.p_value < 1e-4 and found.size > 0.2
+    assert min(found.keyframes) < 12 <= max(found.keyframes)
+    assert "go through surfaces" in found.sentence
 
 
 def test_every_keyframe_is_compared_with_other_stretches_of_the_way():
@@ -91,18 +92,17 @@ def test_every_keyframe_is_compared_with_other_stretches_of_the_way():
 
 def test_a_laser_mounted_backwards_is_found_and_named():
     frames = keyframes(way(24), mount=-np.eye(2))
-    (found,) = mount_evidence(frames, np.zeros((1, 3)))
+    (found,) = mount_evidence(frames, RIG)
     assert found.grade == "broken" and found.p_value < 1e-4
     assert "backwards" in found.sentence and "keyframes 0 to 23" in found.sentence
 
 
 def test_a_laser_upside_down_is_found_and_named():
     frames = keyframes(way(24), mount=np.diag([1.0, -1.0]))
-    (found,) = mount_evidence(frames, np.zeros((1, 3)))
+    (found,) = mount_evidence(frames, RIG)
     assert found.p_value < 1e-4 and "upside down (roll" in found.sentence
 
 
 def test_a_mount_as_stated_is_never_taken_for_another():
     for seed in range(5):
-        for found in mount_evidence(keyframes(way(24), seed=seed), np.zeros((1, 3))):
-            assert found.p_value > 0.5
+        assert list(mount_evidence(keyframes(way(24), seed=seed), RIG)) == []

@@ -1,0 +1,72 @@
+"""Evidence: the odometry errs by more than it states, where it alone holds the estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from slam.backend.estimator import pose_symbol
+from slam.backend.joint_covariance import motion_covariance
+from slam.diagnostics.evidence.finished import Finished
+from slam.diagnostics.evidence.innovations import at_risk, claimed_sigmas
+from slam.diagnostics.verdict import Evidence, named
+from slam.frontend.odometry import planar_delta
+from slam.geometry.frames import inverse
+
+#: Steps whose residuals are looked at, evenly over the run.
+_MOST_STEPS = 60
+
+
+def odometry_evidence(run: Finished) -> Iterator[Evidence]:
+    """Steps of the odometry against the same steps of the estimate, and what it means for the poses.
+
+    The estimate has used the odometry, so a residual r of a step of covariance S, whose estimate has P, has S - P where
+    S is honest: the sum of r^T S^-1 r is expected to be that of 3 - tr(S^-1 P), and chi2 with as many degrees of
+    freedom is wider than it. The root of their ratio is by how much the odometry errs more than it says, and at most
+    the poses.
+    """
+    total, dof, frames = 0.0, 0.0, []
+    for keyframe in _steps(run):
+        chi2, freedom = _residual(run, keyframe)
+        total, dof = total + chi2, dof + freedom
+        if chi2 > chi2_distribution.isf(0.05, 3):
+            frames.append(keyframe)
+    if dof < 1.0 or not frames:
+        return
+    factor = float(np.sqrt(max(total / dof, 1.0)))
+    sigmas = claimed_sigmas(run)
+    risky = at_risk(sigmas, factor)
+    if not risky:
+        return
+    yield Evidence(
+        "odometry",
+        "doubtful",
+        float(chi2_distribution.sf(total, dof)),
+        factor,
+        "times the stated sigma",
+        tuple(sorted({*frames, *risky})),
+        f"the odometry errs {factor:.2g} times as much as stated, most at {named(frames)}: claimed sigmas up to "
+        f"{max(sigmas.values()):.2g} m rest on it at {named(risky)}",
+    )
+
+
+def _steps(run: Finished) -> list[int]:
+    """Keyframes to which planar odometry leads, evenly over the run."""
+    motions = (frame.motion for frame in run.keyframes)
+    known = [k for k, motion in enumerate(motions) if k and motion is not None and motion.is_planar]
+    return known[:: max(1, -(-len(known) // _MOST_STEPS))]
+
+
+def _residual(run: Finished, keyframe: int) -> tuple[float, float]:
+    """Chi2 of a step, and what it is expected to be."""
+    keys, measured = [pose_symbol(keyframe - 1), pose_symbol(keyframe)], run.keyframes[keyframe].motion
+    assert measured is not None  # `_steps`
+    motion = run.calibration.corrected(measured)
+    a_T_b = inverse(run.backend.pose(keys[0])) @ run.backend.pose(keys[1])
+    residual = planar_delta(inverse(motion.a_T_b) @ a_T_b)
+    residual[:2] = motion.a_T_b[:2, :2] @ residual[:2]
+    known = motion_covariance(a_T_b, run.backend.read_joint_covariance(keys).of(keys))
+    by_stated = np.linalg.solve(motion.covariance, np.column_stack((residual, known)))
+    return float(residual @ by_stated[:, 0]), max(3.0 - float(np.trace(by_stated[:, 1:])), 0.0)

@@ -1,0 +1,123 @@
+"""Evidence: planes of the prior map that were not seen again, or were looked through."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import binom
+from shapely import LineString, Point
+
+from slam.diagnostics.evidence.finished import Finished
+from slam.diagnostics.evidence.surfaces import Rays, Surfaces
+from slam.diagnostics.evidence.views import TOLERANCE_M, View
+from slam.diagnostics.verdict import Evidence, named
+from slam.frontend.occupancy import NOVEL_SHARE
+from slam.geometry.frames import inverse, lift
+from slam.map.landmarks import Landmark
+from spplanes._check import FloatArray
+
+#: Sine of the angle from which on two walls fix a place between them.
+_ACROSS = 0.26
+#: Places on a prior plane that level lasers are asked about are this far apart, m.
+_STEP_M = 0.5
+
+
+@dataclass(frozen=True)
+class PriorPlanes:
+    """What became of the planes of a prior map."""
+
+    known: int
+    """How many there are."""
+    seen: tuple[int, ...]
+    """Those that observations were matched to."""
+    missed: tuple[int, ...]
+    """Those that were not, though they were in view: more was seen through them than at them."""
+    fix_a_place: bool
+    """Whether those seen are walls in more than one direction."""
+
+
+def prior_planes(run: Finished, views: Mapping[int, View], rays: Sequence[Rays], surfaces: Surfaces) -> PriorPlanes:
+    """Count the planes of the prior map at the final poses."""
+    known = [landmark for landmark in run.landmarks if landmark.known]
+    seen = tuple(one.id for one in known if one.sightings or one.seen_by_past)
+    through = _through(known, run, views)
+    for one in rays:
+        for number in one.stopped_by[one.stopped_by >= 0].tolist():
+            through[surfaces.ids[number]] = through.get(surfaces.ids[number], 0) + 1
+    missed = tuple(one.id for one in known if one.id not in seen and through.get(one.id, 0) > 0)
+    return PriorPlanes(len(known), seen, missed, _fix_a_place([run.landmarks.placed(key).normal for key in seen]))
+
+
+def _fix_a_place(normals: Sequence[FloatArray]) -> bool:
+    """Whether planes of these normals fix a place on the floor between them."""
+    walls = np.array([normal[:2] for normal in normals]).reshape(-1, 2)
+    across = walls[:, None, 0] * walls[None, :, 1] - walls[:, None, 1] * walls[None, :, 0]
+    return bool(np.abs(across).max(initial=0.0) > _ACROSS)
+
+
+def prior_evidence(run: Finished, planes: PriorPlanes) -> Iterator[Evidence]:
+    """A prior map none of whose planes was seen again, or too many of which are not there.
+
+    Of planes in view a share of `NOVEL_SHARE` may have gone since: doors, boards, furniture.
+    """
+    frames = tuple(range(len(run.keyframes)))
+    if not planes.seen:
+        sentence = f"none of the {planes.known} planes of the prior map was seen again at {named(frames)}"
+        yield Evidence("prior map", "broken", 0.0, 0.0, "of planes", frames, sentence)
+        return
+    if not planes.fix_a_place:
+        sentence = (
+            f"the planes of the prior map seen again, {len(planes.seen)} of {planes.known}, do not fix a place in it"
+        )
+        yield Evidence("prior map", "doubtful", 0.0, 0.0, "of planes", frames, f"{sentence} ({named(frames)})")
+        return
+    in_view = len(planes.seen) + len(planes.missed)
+    p_value = float(binom.sf(len(planes.missed) - 1, in_view, NOVEL_SHARE))
+    yield Evidence(
+        "prior map",
+        "doubtful",
+        p_value,
+        len(planes.missed) / in_view,
+        "of planes",
+        frames,
+        f"{len(planes.missed)} of the {in_view} planes of the prior map that should have been seen at {named(frames)} "
+        f"were looked through instead, {len(planes.seen)} were seen again",
+    )
+
+
+def _through(known: Sequence[Landmark], run: Finished, views: Mapping[int, View]) -> dict[int, int]:
+    """Looks of level lasers through prior planes less looks that confirm them, by landmark."""
+    poses, balance = run.trajectory.poses, {}
+    for landmark in known:
+        places = _places_on(landmark, run.landmarks.placed(landmark.id).world_T_plane)
+        total = 0
+        for index, view in views.items():
+            local = lift(places, inverse(poses[index]))[:, :2]
+            confirmed = view.confirms(local, TOLERANCE_M)
+            total += int((view.sees_through(local, TOLERANCE_M) & ~confirmed).sum()) - int(confirmed.sum())
+        balance[landmark.id] = total
+    return balance
+
+
+def _places_on(landmark: Landmark, world_T_plane: FloatArray) -> FloatArray:
+    """Places along an upright plane, at half its height, in the world, shape (N, 3); none on floors and ceilings."""
+    if abs(world_T_plane[2, 2]) > np.sqrt(0.5):
+        return np.empty((0, 3))
+    across = np.cross([0.0, 0.0, 1.0], world_T_plane[:3, 2])
+    direction = world_T_plane[:3, :2].T @ across
+    corners = landmark.region.corners
+    middle, along = corners.mean(axis=0), (corners - corners.mean(axis=0)) @ direction
+    steps = np.arange(along.min() + 0.5 * _STEP_M, along.max(), _STEP_M)
+    flat = middle + steps[:, None] * direction
+    outline = landmark.outline
+    kept = [k for k, place in enumerate(flat) if _is_on(outline, place, world_T_plane)]
+    return lift(flat[kept], world_T_plane)
+
+
+def _is_on(outline: object, place: FloatArray, world_T_plane: FloatArray) -> bool:
+    """Whether the vertical through a place in a plane meets what was seen of it."""
+    up = world_T_plane[2, :2] / max(float(np.linalg.norm(world_T_plane[2, :2])), 1e-9)
+    line = LineString([place - 10.0 * up, place + 10.0 * up])
+    return bool(line.distance(outline) < 1e-3) if not isinstance(outline, Point) else False

@@ -1,0 +1,114 @@
+"""The verdict of whole runs: right ones are sound, ones that are wrong in a known way are not, and say which."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam import PlaneSlam
+from slam.config import SlamConfig
+from slam.diagnostics.evidence import look_at
+from slam.geometry.frames import planar_transform
+from slam.runs.slam_run import Run, run_slam
+from slam.sensors.log import Log, OdometryReading
+from slam.sensors.mount import Mount
+from slam.sensors.rig import Rig
+from slam.session.prior_map import PriorMap, floor_start, map_covariance
+from slam.simulation import simulate_mission
+from tests.slam.scenes import drive
+
+
+def hall(seed: int = 3) -> tuple[Log, Rig]:
+    mission = simulate_mission("hall", n_scans=16, seed=seed)
+    return mission.log, mission.rig
+
+
+def standing(log: Log) -> Log:
+    """The log of a robot whose odometry says that it never moves."""
+    first = log.odometry[0].odom_T_body
+    events = [OdometryReading(one.stamp_ns, first) if isinstance(one, OdometryReading) else one for one in log.events]
+    return replace(log, events=events)
+
+
+def turned(rig: Rig) -> Rig:
+    """The rig with every sensor backwards."""
+    turn = Mount(rpy_deg=(0.0, 0.0, 180.0)).as_matrix()
+    sensors = {
+        name: one.model_copy(update={"mount": Mount(matrix=tuple(map(tuple, (one.body_T_sensor @ turn).tolist())))})
+        for name, one in rig.sensors.items()
+    }
+    return rig.model_copy(update={"sensors": sensors})
+
+
+@pytest.fixture(scope="module")
+def right() -> Run:
+    return run_slam(*hall(), SlamConfig())
+
+
+def test_a_right_run_is_sound_and_reading_it_changes_nothing(right: Run):
+    before = right.slam.trajectory.poses
+    verdict = look_at(right.slam, right.rig)
+    assert verdict == look_at(right.slam, right.rig) == right.verdict
+    assert (verdict.verdict, verdict.reasons) == ("sound", [])
+    np.testing.assert_array_equal(right.slam.trajectory.poses, before)
+
+
+def test_odometry_that_stands_still_is_no_sound_run():
+    log, rig = hall()
+    verdict = look_at(run_slam(standing(log), rig, SlamConfig()).slam, rig)
+    assert verdict.verdict != "sound"
+    assert any(one.kind == "unmatched" and "match nothing" in one.sentence for one in verdict.evidence)
+
+
+def test_a_3d_sensor_backwards_is_broken_and_named():
+    log, rig = hall()
+    verdict = look_at(run_slam(log, turned(rig), SlamConfig()).slam, turned(rig))
+    assert verdict.verdict == "broken"
+    assert "mounted backwards" in verdict.reasons[0]
+
+
+def test_a_prior_map_is_confirmed_from_its_start_and_not_from_another(right: Run):
+    planes, slam = right.planes, right.slam
+    covariance = map_covariance(planes, slam.landmarks, slam.backend)
+    for start, word in ((np.eye(4), "sound"), (planar_transform(2.0, 1.0, 0.7), None)):
+        prior = PriorMap(planes, covariance, right.trajectory.poses[0] @ start, floor_start())
+        log, rig = hall(seed=4)
+        again = run_slam(log, rig, SlamConfig(), slam=PlaneSlam(SlamConfig(), prior=prior))
+        verdict = look_at(again.slam, rig)
+        assert verdict.verdict == word or (word is None and verdict.verdict != "sound")
+
+
+def test_too_few_keyframes_and_an_empty_map_are_doubtful():
+    slam, rig = PlaneSlam(), hall()[1]
+    assert "has only 0 keyframes" in look_at(slam, rig).reasons[0]
+    for keyframe in drive(0, count=5).keyframes:
+        slam.add_keyframe(replace(keyframe, observations=[]))
+    verdict = look_at(slam, rig)
+    assert (verdict.verdict, verdict.evidence[0].keyframes) == ("doubtful", (0, 1, 2, 3, 4))
+    assert "the map is empty" in verdict.reasons[0]
+
+
+def test_observations_that_match_nothing_leave_keyframes_to_odometry():
+    slam, rig = PlaneSlam(), hall()[1]
+    for index, keyframe in enumerate(drive(0, count=12).keyframes):
+        slam.add_keyframe(keyframe if index < 4 else replace(keyframe, observations=[]))
+    (reason,) = look_at(slam, rig).reasons
+    assert "8 of 11 keyframes saw no plane that was known (keyframes 4 to 11)" in reason
+
+
+def test_odometry_worse_than_stated_counts_where_the_poses_rest_on_it():
+    slam, rig = PlaneSlam(), hall()[1]
+    rng = np.random.default_rng(0)
+    for index, keyframe in enumerate(drive(1, count=40, turns=3.0).keyframes):
+        motion = keyframe.motion
+        seen = keyframe.observations[2:4] if index else keyframe.observations  # two walls that face each other
+        if motion is not None:
+            spread = np.linalg.cholesky(motion.covariance)
+            error = planar_transform(*(4.0 * spread @ rng.standard_normal(3)))
+            motion = replace(motion, a_T_b=motion.a_T_b @ error)
+        slam.add_keyframe(replace(keyframe, motion=motion, observations=seen))
+    verdict = look_at(slam, rig)
+    (found,) = [one for one in verdict.evidence if one.kind == "odometry"]
+    assert 1.5 < found.size < 6.0 and "times as much as stated" in found.sentence
