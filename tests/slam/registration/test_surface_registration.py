@@ -48,7 +48,7 @@ def test_a_wrong_place_scores_less_than_the_right_one() -> None:
 
 def elements(rng: np.random.Generator, sigma: float) -> tuple[np.ndarray, np.ndarray]:
     """True elements of three surfaces and clutter, and the same as measured."""
-    points = rng.uniform(-2.0, 2.0, (900, 3)) + (4.0, 0.0, 0.0)
+    points = rng.uniform((2.0, -2.0, -2.0), (6.0, 2.0, 2.0), (900, 3))
     normals = np.eye(3)[rng.integers(0, 3, 900)]
     kinds = rng.choice([ON_PLANE, ON_NO_PLANE, ON_EDGE], 900, p=[0.6, 0.3, 0.1])
     true = np.column_stack((points, normals, np.full(900, 1e-9), kinds.astype(float)))
