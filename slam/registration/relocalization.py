@@ -88,7 +88,7 @@ def speaks_against(
     known = _local_map(keyframes, backend, inverse(backend.pose(pose_symbol(len(keyframes) - 1)) @ motion.a_T_b))
     if known is None:
         return False
-    found = align(keyframe.surfaces, known, np.eye(4))
+    found = align(keyframe.surfaces, known, [np.eye(4)])
     off = gtsam.Pose3.Logmap(gtsam.Pose3(found.known_T_seen))[POSE3_TO_SP]
     aligned = _stated(motion, np.eye(4), np.linalg.inv(found.information + _SILENT)).covariance
     return bool(off @ np.linalg.solve(aligned + _spatial(motion), off) > chi2.isf(significance, 6))
@@ -158,9 +158,8 @@ def _by_returns(
     candidates = [np.eye(4), inverse(motion.a_T_b)]
     if by_planes is not None:
         candidates.insert(0, by_planes.known_T_seen)
-    found = [align(keyframe.surfaces, known, one) for one in candidates]
-    best = max(found, key=lambda one: one.score)
-    return best if best.score > 0.0 else None
+    found = align(keyframe.surfaces, known, candidates)
+    return found if found.score > 0.0 else None
 
 
 def _beyond_planes(motion: Motion, found: Alignment) -> Motion | None:
