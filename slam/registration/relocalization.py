@@ -90,7 +90,7 @@ def speaks_against(
         return False
     found = align(keyframe.surfaces, known, [np.eye(4)])
     off = gtsam.Pose3.Logmap(gtsam.Pose3(found.known_T_seen))[POSE3_TO_SP]
-    aligned = _stated(motion, np.eye(4), np.linalg.inv(found.information + _SILENT)).covariance
+    aligned = _stated(motion, np.eye(4), _inverted(found.information + _SILENT)).covariance
     return bool(off @ np.linalg.solve(aligned + _spatial(motion), off) > chi2.isf(significance, 6))
 
 
@@ -133,7 +133,8 @@ def found_place(
             return None
         there = _stated(motion, by_planes.known_T_seen, by_planes.covariance)
         return FoundPlace(there, frozenset(numbers[i] for i, _ in by_planes.pairs))
-    there = _stated(motion, by_returns.known_T_seen, np.linalg.inv(by_returns.information + _information(motion)))
+    information = by_returns.information + _information(motion)
+    there = _stated(motion, by_returns.known_T_seen, _inverted(information))
     pairs = pairs_under(by_returns.known_T_seen, seen, known)
     return FoundPlace(there, frozenset(numbers[i] for i, _ in pairs), _beyond_planes(motion, by_returns))
 
@@ -178,6 +179,10 @@ def _stated(motion: Motion, known_T_seen: FloatArray, covariance: FloatArray) ->
     covariance = _SLACK**2 * covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
     covariance = covariance + np.diag(np.repeat([_LEAST_M**2, _LEAST_RAD**2], 3))
     return replace(motion, a_T_b=motion.a_T_b @ known_T_seen, covariance=covariance, response=None)
+
+
+def _inverted(information: FloatArray) -> FloatArray:
+    return np.linalg.inv(information).astype(np.float64)
 
 
 def _information(motion: Motion) -> FloatArray:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from slam.frontend.scan_surfaces import ON_EDGE, ON_PLANE
 from slam.geometry.frames import inverse, lift
@@ -72,7 +72,7 @@ class LocalMap:
         self.eyes = np.concatenate([np.tile(pose[:3, 3], (len(elements), 1)) for pose, elements in parts])
         self.points, self.directions, self.sigmas, self.kinds = rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7]
         self._groups = [np.flatnonzero(self.kinds != ON_EDGE), np.flatnonzero(self.kinds == ON_EDGE)]
-        self._trees = [cKDTree(self.points[group]) if len(group) else None for group in self._groups]
+        self._trees = [KDTree(self.points[group]) if len(group) else None for group in self._groups]
         self._newest = parts[-1]
 
     def partners(self, points: FloatArray, directions: FloatArray, kinds: np.ndarray, reach: FloatArray) -> np.ndarray:
@@ -104,7 +104,7 @@ class LocalMap:
         pose, newest = self._newest
         newest_T_seen = inverse(pose) @ known_T_seen
         back = _seen_through(lift(some[alone, :3], newest_T_seen), newest[:, :3])
-        apart = cKDTree(lift(elements[:, :3], newest_T_seen)).query(newest[:, :3])[0]
+        apart = KDTree(lift(elements[:, :3], newest_T_seen)).query(newest[:, :3])[0]
         mine = newest[apart > _REACHES[-1] * _widths(newest), :3]
         ahead = _seen_through(lift(mine, inverse(newest_T_seen)), elements[:, :3])
         return max(back / max(len(some), 1), ahead / max(len(newest), 1))
@@ -127,7 +127,7 @@ def _seen_through(points: FloatArray, seen: FloatArray) -> int:
         return 0
     ranges, depth = np.linalg.norm(points, axis=1), np.linalg.norm(seen, axis=1)
     rays = points / np.maximum(ranges, 1e-9)[:, None]
-    apart, index = cKDTree(seen / depth[:, None]).query(rays, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
+    apart, index = KDTree(seen / depth[:, None]).query(rays, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
     common = np.isfinite(apart).all(axis=1)
     nearest = depth[index[common]].min(axis=1)
     return int(np.count_nonzero(ranges[common] < (1.0 - _BEFORE_SHARE) * nearest - _BEFORE_M))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import shapely
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from slam.errors import LogError
 from slam.io.clouds import Cloud
@@ -164,7 +164,7 @@ def _with_hidden(
     if points.ndim == 3 or len(used) == len(shown) or not len(shown):
         return shown, number
     of_shown = np.broadcast_to(np.asarray(sigma), seen.shape)[seen]
-    apart, nearest = cKDTree(shown).query(used)
+    apart, nearest = KDTree(shown).query(used)
     own = np.where(apart == 0.0, number[nearest], -1)
     hidden = np.flatnonzero((apart > 0.0) & (number[nearest] >= 0))
     plane = number[nearest[hidden]]
