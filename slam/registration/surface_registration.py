@@ -84,7 +84,7 @@ class LocalMap:
                 continue
             apart, index = tree.query(points[mine], distance_upper_bound=float(reach[mine].max()))
             near = apart < reach[mine]
-            mine, other = mine[near], group[index[near]]
+            mine, other = mine[near], group[np.asarray(index)[near]]
             cosine = np.einsum("ki,ki->k", directions[mine], self.directions[other])
             alike = (np.abs(cosine) if edges else cosine) > _ALIKE
             partner[mine[alike]] = other[alike]
@@ -129,7 +129,7 @@ def _seen_through(points: FloatArray, seen: FloatArray) -> int:
     rays = points / np.maximum(ranges, 1e-9)[:, None]
     apart, index = KDTree(seen / depth[:, None]).query(rays, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
     common = np.isfinite(apart).all(axis=1)
-    nearest = depth[index[common]].min(axis=1)
+    nearest = depth[np.asarray(index)[common]].min(axis=1)
     return int(np.count_nonzero(ranges[common] < (1.0 - _BEFORE_SHARE) * nearest - _BEFORE_M))
 
 

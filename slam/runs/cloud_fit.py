@@ -165,6 +165,7 @@ def _with_hidden(
         return shown, number
     of_shown = np.broadcast_to(np.asarray(sigma), seen.shape)[seen]
     apart, nearest = KDTree(shown).query(used)
+    nearest = np.asarray(nearest)
     own = np.where(apart == 0.0, number[nearest], -1)
     hidden = np.flatnonzero((apart > 0.0) & (number[nearest] >= 0))
     plane = number[nearest[hidden]]
