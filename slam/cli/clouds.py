@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -55,7 +56,8 @@ def _show(name: str, found: CloudPlanes, as_json: bool) -> None:
     if as_json:
         import json
 
-        print(json.dumps({"sigma_m": found.sigma_m, "sigma_note": found.note, "planes": rows}, indent=1))
+        noise = {"sigma_m": found.sigma_m, "sigma_note": found.note}
+        print(json.dumps({**noise, "points": asdict(found.counts), "planes": rows}, indent=1))
         return
     from rich.console import Console
     from rich.markup import escape
@@ -71,7 +73,9 @@ def _show(name: str, found: CloudPlanes, as_json: bool) -> None:
         table.add_row(str(row["id"]), normal, *numbers, str(row["n_points"]), f"{row['area_m2']:.3g}")
     console = Console()
     console.print(table)
-    share = 100.0 * found.share
+    share, counts = 100.0 * found.share, found.counts
+    console.print(f"{len(rows)} planes hold {share:.1f} % of {counts.returns} points; standard deviation {found.note}.")
     console.print(
-        f"{len(rows)} planes hold {share:.1f} % of {len(found.points)} points; standard deviation {found.note}."
+        f"Of {counts.total} points in the file: {counts.on_planes} on planes, {counts.on_no_plane} on none, "
+        f"{counts.edge_on} on planes seen edge-on, {counts.no_return} without a return, {counts.repeated} repeated."
     )

@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from slam.geometry.frames import lift
 from slam.sensors.rig import Sensor
@@ -158,7 +158,7 @@ def _on_edges(points: FloatArray, labels: np.ndarray, sensor: Sensor) -> FloatAr
 def _neighbourhoods(seeds: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean (N, 3) and scatter (N, 3, 3) of the points about each seed that has enough of them."""
     reaches = _ALONG_SHARE * np.linalg.norm(seeds, axis=1)
-    members = [np.sort(one) for one in cKDTree(points).query_ball_point(seeds, reaches)]
+    members = [np.sort(one) for one in KDTree(points).query_ball_point(seeds, reaches)]
     groups = [points[one] for one in members if len(one) >= _LEAST]
     if not groups:
         return np.empty((0, 3)), np.empty((0, 3, 3))

@@ -97,15 +97,24 @@ def turned_laser_rig() -> Rig:
 
 
 def depth_rig() -> Rig:
-    """A rig for depth cameras nobody describes: looking ahead, in the middle of a Kinect's noise (6 mm at 2 m)."""
+    """A rig for depth cameras nobody describes: looking ahead, with the noise of a Kinect.
+
+    It grows with the square of the depth: 1.4 mm/m^2, and steps of 2.9 mm/m^2 (an eighth of a pixel of disparity, 580
+    pixels of focal length, 75 mm between projector and camera). Its lens bends planes: in 58 images of a cabinet (TUM
+    fr3_cabinet) the angles between the same planes differ by 0.44 to 0.69 deg rms, the height of its top by 3.7 mm.
+    """
     clouds = cloud_rig()
     camera = Sensor(
         kind="cloud",
         body_T_sensor=Mount(matrix=tuple(tuple(row) for row in CAMERA_MOUNT.tolist())),
-        range_sigma_m=0.006,
+        range_sigma_m=0.0015,
+        disparity_sigma_per_m=0.0014,
+        disparity_step_per_m=0.0029,
         range_min_m=0.3,
         range_max_m=5.0,
         surface_sigma_m=0.01,
+        plane_sigma_m=0.003,
+        plane_sigma_rad=0.006,
     )
     return Rig(sensors={CAMERA: camera}, odometry=MEASURED, localisation=clouds.localisation)
 

@@ -8,13 +8,14 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from scipy.stats import chi2
 
 from factors import relative_pose_factor
 from factors._conventions import POSE3_TO_SP
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
-from slam.frontend.odometry import Motion
+from slam.frontend.odometry import Motion, spatial_covariance
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
@@ -67,6 +68,39 @@ class FoundPlace:
         return [relative_pose_factor(key_a, key_b, beyond.a_T_b, beyond.covariance, robust=robust)]  # type: ignore[arg-type]
 
 
+def speaks_against(
+    keyframe: Keyframe, motion: Motion, keyframes: Sequence[Keyframe], backend: Backend, significance: float
+) -> bool:
+    """Whether all that a 3D scan sees speaks against a motion that was measured: odometry may be a guess.
+
+    The scan is laid on what was seen before from where the motion leads; it speaks against the motion where it comes to
+    rest further off than both covariances allow.
+
+    Args:
+        keyframe: what is seen.
+        motion: what is known of its motion.
+        keyframes: those before.
+        backend: the state.
+        significance: probability that a true motion is spoken against.
+    """
+    if is_wide(motion) or keyframe.surfaces is None or not len(keyframe.surfaces):
+        return False
+    known = _local_map(keyframes, backend, inverse(backend.pose(pose_symbol(len(keyframes) - 1)) @ motion.a_T_b))
+    if known is None:
+        return False
+    found = align(keyframe.surfaces, known, [np.eye(4)])
+    off = gtsam.Pose3.Logmap(gtsam.Pose3(found.known_T_seen))[POSE3_TO_SP]
+    aligned = _stated(motion, np.eye(4), _inverted(found.information + _SILENT)).covariance
+    return bool(off @ np.linalg.solve(aligned + _spatial(motion), off) > chi2.isf(significance, 6))
+
+
+def _spatial(motion: Motion) -> FloatArray:
+    """Covariance of a motion in SP order along the axes of its end, shape (6, 6)."""
+    if not motion.is_planar:
+        return motion.covariance
+    return spatial_covariance(motion.covariance, motion.a_T_b, motion.out_of_plane_sigmas)
+
+
 def found_place(
     keyframe: Keyframe,
     motion: Motion,
@@ -99,7 +133,8 @@ def found_place(
             return None
         there = _stated(motion, by_planes.known_T_seen, by_planes.covariance)
         return FoundPlace(there, frozenset(numbers[i] for i, _ in by_planes.pairs))
-    there = _stated(motion, by_returns.known_T_seen, np.linalg.inv(by_returns.information + _information(motion)))
+    information = by_returns.information + _information(motion)
+    there = _stated(motion, by_returns.known_T_seen, _inverted(information))
     pairs = pairs_under(by_returns.known_T_seen, seen, known)
     return FoundPlace(there, frozenset(numbers[i] for i, _ in pairs), _beyond_planes(motion, by_returns))
 
@@ -124,9 +159,8 @@ def _by_returns(
     candidates = [np.eye(4), inverse(motion.a_T_b)]
     if by_planes is not None:
         candidates.insert(0, by_planes.known_T_seen)
-    found = [align(keyframe.surfaces, known, one) for one in candidates]
-    best = max(found, key=lambda one: one.score)
-    return best if best.score > 0.0 else None
+    found = align(keyframe.surfaces, known, candidates)
+    return found if found.score > 0.0 else None
 
 
 def _beyond_planes(motion: Motion, found: Alignment) -> Motion | None:
@@ -145,6 +179,10 @@ def _stated(motion: Motion, known_T_seen: FloatArray, covariance: FloatArray) ->
     covariance = _SLACK**2 * covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
     covariance = covariance + np.diag(np.repeat([_LEAST_M**2, _LEAST_RAD**2], 3))
     return replace(motion, a_T_b=motion.a_T_b @ known_T_seen, covariance=covariance, response=None)
+
+
+def _inverted(information: FloatArray) -> FloatArray:
+    return np.linalg.inv(information).astype(np.float64)
 
 
 def _information(motion: Motion) -> FloatArray:

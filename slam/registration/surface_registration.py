@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from slam.frontend.scan_surfaces import ON_EDGE, ON_PLANE
 from slam.geometry.frames import inverse, lift
@@ -33,7 +33,9 @@ _KERNEL = 3.0
 #: That is never taken for less than this, m.
 _LEAST_SCALE_M = 0.003
 #: A motion has converged when a step is smaller, rad and m.
-_CONVERGED = 1e-5
+_CONVERGED = 1e-4
+#: Candidates are told apart by about so many elements; they are one when no entry differs by more.
+_SOME, _SAME = 700, 5e-3
 #: Standard deviations of a motion that nothing says anything of, rad and m.
 _NOTHING_RAD, _NOTHING_M = 3.0, 10.0
 #: One direction are elements within this angle, rad, when there are so many; something stands before them when it is
@@ -70,7 +72,7 @@ class LocalMap:
         self.eyes = np.concatenate([np.tile(pose[:3, 3], (len(elements), 1)) for pose, elements in parts])
         self.points, self.directions, self.sigmas, self.kinds = rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7]
         self._groups = [np.flatnonzero(self.kinds != ON_EDGE), np.flatnonzero(self.kinds == ON_EDGE)]
-        self._trees = [cKDTree(self.points[group]) if len(group) else None for group in self._groups]
+        self._trees = [KDTree(self.points[group]) if len(group) else None for group in self._groups]
         self._newest = parts[-1]
 
     def partners(self, points: FloatArray, directions: FloatArray, kinds: np.ndarray, reach: FloatArray) -> np.ndarray:
@@ -82,31 +84,30 @@ class LocalMap:
                 continue
             apart, index = tree.query(points[mine], distance_upper_bound=float(reach[mine].max()))
             near = apart < reach[mine]
-            mine, other = mine[near], group[index[near]]
+            mine, other = mine[near], group[np.asarray(index)[near]]
             cosine = np.einsum("ki,ki->k", directions[mine], self.directions[other])
             alike = (np.abs(cosine) if edges else cosine) > _ALIKE
             partner[mine[alike]] = other[alike]
         return partner
 
-    def contradicted(self, known_T_seen: FloatArray, elements: FloatArray, matched: np.ndarray) -> float:
-        """Share of what lies in common view that is seen through: surfaces of the newest keyframe before those seen, or
-        back.
+    def contradicted(
+        self, known_T_seen: FloatArray, some: FloatArray, alone: np.ndarray, elements: FloatArray
+    ) -> float:
+        """Share of a scan that is seen through: what stands before what the newest keyframe saw, or that before it.
 
         Args:
             known_T_seen: the motion, shape (4, 4).
-            elements: of the scan, shape (N, 8).
-            matched: which of them have partners, mask (N,): they are where something was.
+            some: some elements of the scan, shape (M, 8).
+            alone: which of them have no partner, mask (M,).
+            elements: all of them, shape (N, 8).
         """
         pose, newest = self._newest
         newest_T_seen = inverse(pose) @ known_T_seen
-        back = lift(elements[~matched, :3], newest_T_seen)
-        partner = cKDTree(lift(elements[:, :3], newest_T_seen)).query(newest[:, :3])[0]
-        alone = partner > _REACHES[-1] * _widths(newest)
-        ahead = lift(newest[alone, :3], inverse(newest_T_seen))
-        return max(
-            _seen_through(back, newest[:, :3]) / max(len(elements), 1),
-            _seen_through(ahead, elements[:, :3]) / max(len(newest), 1),
-        )
+        back = _seen_through(lift(some[alone, :3], newest_T_seen), newest[:, :3])
+        apart = KDTree(lift(elements[:, :3], newest_T_seen)).query(newest[:, :3])[0]
+        mine = newest[apart > _REACHES[-1] * _widths(newest), :3]
+        ahead = _seen_through(lift(mine, inverse(newest_T_seen)), elements[:, :3])
+        return max(back / max(len(some), 1), ahead / max(len(newest), 1))
 
 
 def moved(elements: FloatArray, pose: FloatArray) -> FloatArray:
@@ -126,36 +127,58 @@ def _seen_through(points: FloatArray, seen: FloatArray) -> int:
         return 0
     ranges, depth = np.linalg.norm(points, axis=1), np.linalg.norm(seen, axis=1)
     rays = points / np.maximum(ranges, 1e-9)[:, None]
-    apart, index = cKDTree(seen / depth[:, None]).query(rays, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
+    apart, index = KDTree(seen / depth[:, None]).query(rays, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
     common = np.isfinite(apart).all(axis=1)
-    nearest = depth[index[common]].min(axis=1)
+    nearest = depth[np.asarray(index)[common]].min(axis=1)
     return int(np.count_nonzero(ranges[common] < (1.0 - _BEFORE_SHARE) * nearest - _BEFORE_M))
 
 
-def align(elements: FloatArray, known: LocalMap, known_T_seen: FloatArray, *, every: int = 1) -> Alignment:
-    """Lay a scan on a local map, from a motion that is about right.
+def align(elements: FloatArray, known: LocalMap, candidates: Sequence[FloatArray]) -> Alignment:
+    """Lay a scan on a local map, from the candidate that all its returns speak for most.
+
+    Candidates are told apart by some of the elements; only the best is worked out with all.
 
     Args:
-        elements: of the scan, shape (N, 8).
+        elements: of the scan, shape (N, 8), N > 0.
         known: where it is laid.
-        known_T_seen: the motion to start from, shape (4, 4).
-        every: use only each so manieth element: for a first look.
+        candidates: motions known_T_seen to start from, about right, shape (4, 4) each; of equals the first is taken.
     """
-    some, motion = elements[::every], known_T_seen
-    widths = _widths(some)
-    for reach in _REACHES:
+    some = elements[:: int(np.ceil(len(elements) / _SOME))]
+    rough: list[tuple[float, float, FloatArray]] = []
+    for start in candidates:
+        if any(np.abs(start - other).max() < _SAME for other in candidates[: len(rough)]):
+            rough.append((-np.inf, 0.0, start))
+            continue
+        motion = _descended(some, known, start, _REACHES)
+        rough.append((*_scored(some, elements, known, motion), motion))
+    score, share, motion = max(rough, key=lambda one: one[0])
+    if len(some) < len(elements):
+        motion = _descended(elements, known, motion, _REACHES[-2:])
+    found = _Residuals.of(elements, known, motion, _REACHES[-1] * _widths(elements))
+    return Alignment(motion, found.information(), found.off_planes(), score, share)
+
+
+def _descended(elements: FloatArray, known: LocalMap, motion: FloatArray, reaches: Sequence[float]) -> FloatArray:
+    """The motion at which the residuals are least, by Gauss and Newton, partners looked for less and less far."""
+    widths = _widths(elements)
+    for reach in reaches:
         for _ in range(_STEPS):
-            found = _Residuals.of(some, known, motion, reach * widths)
+            found = _Residuals.of(elements, known, motion, reach * widths)
             step = -np.linalg.solve(found.information() + _NOTHING, found.gradient())
             motion = motion @ gtsam.Pose3.Expmap(step).matrix()
             if np.abs(step).max() < _CONVERGED:
                 break
+    return motion
+
+
+def _scored(some: FloatArray, elements: FloatArray, known: LocalMap, motion: FloatArray) -> tuple[float, float]:
+    """Score and share of some of a scan's elements at a motion; see `Alignment`."""
+    widths = _widths(some)
     found = _Residuals.of(some, known, motion, _REACHES[-1] * widths)
-    share = len(found.off) / max(len(some), 1)
-    matched = np.zeros(len(some), dtype=bool)
-    matched[found.index] = True
-    score = found.closeness(widths) / max(len(some), 1) - _AGAINST * known.contradicted(motion, some, matched)
-    return Alignment(motion, found.information(), found.off_planes(), score, share)
+    alone = np.ones(len(some), dtype=bool)
+    alone[found.index] = False
+    against = known.contradicted(motion, some, alone, elements)
+    return found.closeness(widths) / len(some) - _AGAINST * against, len(found.off) / len(some)
 
 
 @dataclass(frozen=True, eq=False)

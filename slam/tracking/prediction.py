@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import gtsam
@@ -17,7 +17,7 @@ from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse, orthonormal
 from slam.map.sparsification import Link
 from slam.map.state import Parts
-from slam.registration.relocalization import FoundPlace, found_place, is_wide
+from slam.registration.relocalization import FoundPlace, found_place, is_wide, speaks_against
 from slam.tracking.constant_velocity import coast
 from spplanes._check import FloatArray
 
@@ -140,11 +140,17 @@ class MotionModel:
         return _Step(world_T_before @ there.a_T_b, there.factors(before, key), motion, place, pending)
 
     def _motion_to(self, keyframe: Keyframe) -> Motion:
-        """Odometry, less what is known to be wrong with it; without any the motion before goes on."""
-        if keyframe.motion is not None:
-            return self.calibration.predict(keyframe.motion)
+        """Odometry, less what is known to be wrong with it; without any the motion before goes on.
+
+        Odometry that a 3D scan speaks against is a guess: it is as wide as if nobody had measured it.
+        """
         last, stamps = len(self._keyframes) - 1, [frame.stamp_ns * 1e-9 for frame in self._keyframes[-2:]]
         ahead_s = keyframe.stamp_ns * 1e-9 - stamps[-1]
+        if keyframe.motion is not None:
+            motion, significance = self.calibration.predict(keyframe.motion), self._config.association.new_significance
+            if not speaks_against(keyframe, motion, self._keyframes, self._backend, significance):
+                return motion
+            return replace(coast(None, 0.0, ahead_s, self._config.coasting), a_T_b=motion.a_T_b)
         if last == 0:
             return coast(None, 0.0, ahead_s, self._config.coasting)
         step = inverse(self._backend.pose(pose_symbol(last - 1))) @ self._backend.pose(pose_symbol(last))

@@ -37,6 +37,8 @@ _COLUMNS = (180, 256, 360, 512, 720, 900, 1024, 1440, 1800, 2048, 3600, 4096)
 _AS_GOOD = 0.95
 #: Corners are looked for between beams that are this share of a turn apart.
 _CORNER_SHARE = 1.0 / 360.0
+#: A cloud has z ahead when all its points lie within 78 deg of z, their mean direction within 45 deg (cosines).
+_WITHIN, _AMID = 0.2, 0.7
 #: The longest row of a grid made of lines.
 _LARGEST = 4096
 
@@ -87,7 +89,7 @@ def range_image(points: FloatArray, grid: Grid | None = None) -> FloatArray:
     Without a shape the one is taken that spreads the points best: the most cells with a point in them (few points hide
     behind others), as few without (neighbours stay neighbours). For a spinning lidar that is its rings and its steps.
     """
-    elevation, azimuth = _angles(points)
+    elevation, azimuth = _angles(points @ _off_pole(points))
     if grid is None:
         grid, row, column = _best_grid(elevation, azimuth)
     else:
@@ -143,6 +145,21 @@ def _best_grid(elevation: FloatArray, azimuth: FloatArray) -> tuple[Grid, np.nda
     good = [one for one in tried if one[0] >= _AS_GOOD * best]
     grid = min(good, key=lambda one: (one[2].stretch(height), -one[1]))[2]
     return grid, rows[grid.rows], columns[grid.columns]
+
+
+def _off_pole(points: FloatArray) -> FloatArray:
+    """Rotation (3, 3), to multiply points (N, 3) with on the right, that keeps the poles of the image out of sight.
+
+    Clouds of cameras have z ahead: there the columns of a range image run together, and most points would share a cell.
+    Where z, up or down, lies amid directions that all fill less than a hemisphere, it becomes x; else nothing turns.
+    """
+    rays = points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-12)
+    along = rays.mean(axis=0)[2] if len(rays) else 0.0
+    ahead = rays[:, 2] * np.sign(along)
+    if along == 0.0 or not len(rays) or ahead.min() < _WITHIN or abs(along) < _AMID:
+        return np.eye(3)
+    sign = float(np.sign(along))
+    return np.array([[0.0, -sign, 0.0], [0.0, 0.0, -1.0], [sign, 0.0, 0.0]])
 
 
 def _angles(points: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -24,10 +24,10 @@ def test_edges_hold_the_direction_that_the_planes_leave_open() -> None:
     rng = np.random.default_rng(0)
     known, seen = measured(FIRST, rng).surfaces, measured(SECOND, rng).surfaces
     assert known is not None and seen is not None
-    found = align(seen, LocalMap([(np.eye(4), known)]), np.eye(4))
+    found = align(seen, LocalMap([(np.eye(4), known)]), [np.eye(4)])
     assert np.linalg.norm(off(found.known_T_seen, between(FIRST, SECOND))[3:]) < 0.01
     planes = [one[one[:, 7] == ON_PLANE] for one in (known, seen)]
-    bare = align(planes[1], LocalMap([(np.eye(4), planes[0])]), np.eye(4))
+    bare = align(planes[1], LocalMap([(np.eye(4), planes[0])]), [np.eye(4)])
     along = SECOND[:3, :3].T @ np.array([0.0, 1.0, 0.0])
     by_all, by_planes = (
         np.sqrt(along @ np.linalg.inv(one.information + 1e-6 * np.eye(6))[3:, 3:] @ along) for one in (found, bare)
@@ -43,12 +43,12 @@ def test_a_wrong_place_scores_less_than_the_right_one() -> None:
     wrong = between(FIRST, SECOND)
     wrong[:3, 3] += FIRST[:3, :3].T @ np.array([0.0, 0.5, 0.0])
     there = LocalMap([(np.eye(4), known)])
-    assert align(seen, there, between(FIRST, SECOND)).score > align(seen, there, wrong).score + 0.05
+    assert align(seen, there, [between(FIRST, SECOND)]).score > align(seen, there, [wrong]).score + 0.05
 
 
 def elements(rng: np.random.Generator, sigma: float) -> tuple[np.ndarray, np.ndarray]:
     """True elements of three surfaces and clutter, and the same as measured."""
-    points = np.array((4.0, 0.0, 0.0)) + rng.uniform(-2.0, 2.0, (900, 3))
+    points = rng.uniform((2.0, -2.0, -2.0), (6.0, 2.0, 2.0), (900, 3))
     normals = np.eye(3)[rng.integers(0, 3, 900)]
     kinds = rng.choice([ON_PLANE, ON_NO_PLANE, ON_EDGE], 900, p=[0.6, 0.3, 0.1])
     true = np.column_stack((points, normals, np.full(900, 1e-9), kinds.astype(float)))
@@ -63,7 +63,7 @@ def test_the_stated_covariance_is_what_the_error_has() -> None:
     for _ in range(60):
         true, seen = elements(rng, 0.005)
         motion = gtsam.Pose3.Expmap(rng.normal(0.0, (0.01, 0.01, 0.01, 0.02, 0.02, 0.02))).matrix()
-        found = align(moved(seen, inverse(motion)), LocalMap([(np.eye(4), true)]), np.eye(4))
+        found = align(moved(seen, inverse(motion)), LocalMap([(np.eye(4), true)]), [np.eye(4)])
         error = off(found.known_T_seen, motion)
         nees.append(error @ found.information @ error)
         information, told = found.off_planes

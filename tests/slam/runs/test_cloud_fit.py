@@ -122,3 +122,38 @@ def test_synpeb_has_its_planes_and_its_noise():
     found = fit_cloud(read_cloud(needs("synpeb/test_100.pcd")), Path("x"))
     assert found.sigma_m == pytest.approx(0.001, rel=0.15)
     assert len(found.planes) >= 10 and found.share > 0.95
+
+
+def test_every_point_is_counted_once(room: Path, capsys: pytest.CaptureFixture[str]):
+    cloud = np.load(room).reshape(-1, 3)
+    whole = np.concatenate((cloud, np.full((7, 3), np.nan), np.zeros((3, 3))))
+    shuffled = whole[np.random.default_rng(2).permutation(len(whole))]
+    counts = fit_cloud(Cloud(shuffled), Path("x")).at_least(500).counts
+    assert counts.total == len(whole) and counts.no_return == 10
+    assert counts.on_planes + counts.on_no_plane + counts.edge_on == counts.returns == len(cloud)
+    assert counts.on_planes > 0.95 * len(cloud)
+    code, out, _ = run(capsys, "fit", room, "--json")
+    told = json.loads(out)["points"]
+    assert code == 0 and told["total"] == sum(value for name, value in told.items() if name != "total")
+
+
+def test_lines_of_the_scan_seen_edge_on_are_no_planes():
+    """952 points of this scan by a turned laser lie on planes through the laser."""
+    found = fit_cloud(read_cloud(needs("pcl_room") / "room_scan1.pcd"), Path("x"))
+    assert found.counts.edge_on > 0
+    for plane in found.planes:
+        assert abs(plane.distance(np.zeros(3))) > 0.07 * np.linalg.norm(plane.centre)
+
+
+def test_an_unordered_camera_cloud_keeps_the_middle_of_the_wall():
+    """z ahead: the pole of a range image round z would be in the middle of the picture."""
+    u, v = np.meshgrid(np.linspace(-0.55, 0.55, 200), np.linspace(-0.42, 0.42, 150))
+    points = np.stack((u, v, np.ones_like(u)), axis=-1).reshape(-1, 3) * 2.0
+    points += np.random.default_rng(5).normal(0.0, 0.002, points.shape)
+    found = fit_cloud(Cloud(points[np.random.default_rng(6).permutation(len(points))]), Path("x"), sigma_m=0.004)
+    assert len(found.at_least(500).planes) == 1
+    assert found.counts.on_planes > 0.99 * len(points)
+    middle = np.hypot(found.points[:, 0], found.points[:, 1]) < 0.2
+    assert middle.sum() > 400 and (found.labels[middle] == 0).mean() > 0.99
+    area = found.planes[0].outline
+    assert area is not None and area.area == pytest.approx(2.2 * 1.68, rel=0.05)

@@ -22,8 +22,9 @@ def test_a_copy_of_what_waits_on_the_disk_is_in_memory():
     assert type(reading) is OdometryReading and reading.stamp_ns == 2 and reading.odom_T_body[0, 0] == 7.0
     cloud = replace(StoredCloud(1, "laser", partial(np.ones, (4, 3))), sensor="other")
     assert type(cloud) is CloudScan and cloud.sensor == "other" and cloud.points.shape == (4, 3)
-    whole = drive(0, count=2).keyframes[1]
-    stored = StoredKeyframe(whole.stamp_ns, len(whole.observations), (), lambda: whole, (1, 0, 0))
+    whole = replace(drive(0, count=2).keyframes[1], surfaces=np.ones((2, 8)))
+    stored = StoredKeyframe(whole.stamp_ns, len(whole.observations), (), lambda: whole, (1, 0, 0, 1))
     frame = replace(stored, notes=("late",))
     assert type(frame) is Keyframe and frame.motion is whole.motion and frame.notes == ("late",)
+    assert frame.surfaces is whole.surfaces
     assert list(frame.observations) == list(whole.observations)
