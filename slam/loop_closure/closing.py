@@ -17,7 +17,7 @@ from slam.loop_closure.candidates import DrivenPath
 from slam.loop_closure.pairwise_consistency import Proposal
 from slam.loop_closure.proposals import Proposals
 from slam.loop_closure.trial import Trial, evidence_of_map
-from slam.loop_closure.verification import LoopDecision, Surroundings, compare_with_old, disjoint, joined
+from slam.loop_closure.verification import LoopDecision, Surroundings, compare_with_old, disjoint, joined, without_walls
 from slam.map.state import Parts
 from slam.mapping.fusion import Merges
 
@@ -142,15 +142,20 @@ class LoopCloser:
         return [self.decisions[number] for number in sorted(numbers) if self.decisions[number].verdict == "closed"]
 
     def _close(self, loops: list[LoopDecision], scale: float) -> list[tuple[int, int]] | None:
-        """Join the walls of loops that agree; None where the graph as a whole is against it."""
+        """Join the walls of loops that agree, or where the graph as a whole is against that tie their places alone."""
         found = disjoint([pair for loop in loops for pair in loop.pairs])
         pairs = [pair for pair in found if self._merges.may_be_one(*pair)]
         if self._merges.close(pairs, scale):
             self._to_tie = loops
             return pairs
         for loop in loops:
-            self.decisions[self.decisions.index(loop)] = replace(loop, verdict="refused")
-        return None
+            alone = without_walls(loop) or replace(loop, verdict="refused")
+            self.decisions[self.decisions.index(loop)] = alone
+            self._to_tie += [alone] if alone.verdict == "closed" else []
+        if not self._to_tie:
+            return None
+        self._merges.reconsider(pairs)  # the place is beyond doubt, which of its walls are one is not
+        return []
 
     def _number_of(self, proposal: Proposal) -> int:
         """Index of the decision that made a proposal."""

@@ -175,10 +175,9 @@ def joined(decision: LoopDecision, proposal: Proposal, around: Surroundings) -> 
     match = match_near(
         _walls(around, now), _walls(around, old), pose.delta, pose.covariance, significance=around.config.significance
     )
-    if match is None:
-        motion = Motion(planar_transform(*pose.delta), pose.covariance, _OUT_OF_PLANE)
-        pairs: tuple[tuple[int, int], ...] = ()
-    else:
+    motion: Motion | None = Motion(planar_transform(*pose.delta), pose.covariance, _OUT_OF_PLANE)
+    pairs: tuple[tuple[int, int], ...] = ()
+    if match is not None:
         motion = _motion_beyond(pose, match)
         found = [(here[i].id, there[j].id) for i, j in match.pairs.tolist() if here[i] is not there[j]]
         pairs = tuple((min(pair), max(pair)) for pair in found)
@@ -188,6 +187,15 @@ def joined(decision: LoopDecision, proposal: Proposal, around: Surroundings) -> 
         motion = motion if _is_news(motion, estimate, around.config) else None
     verdict: LoopVerdict = "closed" if pairs or motion is not None else "known"
     return replace(decision, verdict=verdict, pairs=pairs, motion=motion)
+
+
+def without_walls(decision: LoopDecision) -> LoopDecision | None:
+    """A loop that is closed by what the returns say alone; None: they do not propose it."""
+    if decision.proposal is None:
+        return None
+    pose = decision.proposal.pose
+    motion = Motion(planar_transform(*pose.delta), pose.covariance, _OUT_OF_PLANE)
+    return replace(decision, verdict="closed", pairs=(), motion=motion)
 
 
 def _walls(around: Surroundings, frame: int) -> list:

@@ -73,6 +73,10 @@ class Merges:
             self._apart.update(frozenset(pair) for pair in pairs)
         return fits
 
+    def reconsider(self, pairs: Sequence[tuple[int, int]]) -> None:
+        """Let landmarks that a closure found to be two be compared again: the estimate is another one now."""
+        self._apart.difference_update(frozenset(pair) for pair in pairs)
+
     def _rekeyed(self, older: int, younger: int, cause: Cause) -> tuple[list[Any], list[int]]:
         """Factors of what was seen of the younger, now of the older, and the indices of those they replace."""
         gone, home = self._landmarks[younger], self._landmarks[older]

@@ -9,8 +9,9 @@ from shapely import box
 from slam import PlaneSlam
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
-from slam.frontend.odometry import Motion
+from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
+from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
 from slam.loop_closure.verification import LoopDecision
 from spplanes import Plane
 from tests.slam.scenes import SIGMAS, drive, measured
@@ -100,3 +101,30 @@ def test_a_motion_that_does_not_fit_is_taken_back_and_one_that_does_stays():
         run(scene.keyframes[12:], slam)
         assert (slam._closer.ties[0].undone is None) == stands
         np.testing.assert_allclose(slam.trajectory.poses, run(scene.keyframes).trajectory.poses, atol=0.01)
+
+
+def test_a_place_beyond_doubt_is_tied_without_the_walls_that_the_graph_refuses():
+    scene = drive(3)
+    slam = run(scene.keyframes[:12])
+    count, across = len(slam.landmarks), (0, 1)  # two planes of the room that are none
+    pose = planar_delta(inverse(scene.world_T_body[2]) @ scene.world_T_body[11])
+    proposal = Proposal(11, 2, PlanarPose(pose, np.diag((1e-4, 1e-4, 1e-5))), 20.0, 6.0)
+    loop = LoopDecision(11, 2, "closed", (across,), proposal=proposal)
+    slam._closer.decisions.append(loop)
+    assert slam._closer._close([loop], 1.0) == []
+    slam._closer.take_motion([])
+    [tie] = slam._closer.ties
+    assert slam.loops[-1].verdict == "closed" and tie.pairs == () and tie.motion is not None
+    assert len(slam.landmarks) == count
+    assert slam.merges.may_be_one(*across)
+    run(scene.keyframes[12:], slam)
+    assert tie.undone is None
+
+
+def test_what_the_graph_refuses_and_no_return_proposes_is_not_closed():
+    slam = run(drive(3).keyframes[:12])
+    loop = LoopDecision(11, 2, "closed", ((0, 1),))
+    slam._closer.decisions.append(loop)
+    assert slam._closer._close([loop], 1.0) is None
+    assert slam.loops[-1].verdict == "refused"
+    assert not slam.merges.may_be_one(0, 1)

@@ -118,7 +118,7 @@ def seen_again(there: float, shift: tuple[float, float, float]) -> float | None:
         frames.append(Keyframe(len(frames), [], returns=np.hstack((np.zeros_like(ends), ends))))
     back = [pose - (there, 0.0, 0.0) + shift for pose in later]
     backend = graph_of([*first, *back])
-    lengths = np.concatenate((np.arange(11) * 0.5, 30.0 + np.arange(11) * 0.5))
+    lengths = np.append(0.5 * np.arange(11.0), 30.0 + 0.5 * np.arange(11.0))
     path = DrivenPath(np.arange(22), backend.poses([pose_symbol(k) for k in range(22)]), lengths)
     return evidence_of_map(Surroundings(path, frames, LandmarkMap(), backend, CONFIG, 2))
 

@@ -84,7 +84,7 @@ def test_bounds_lose_nothing():
     found = search_place(here, there, np.zeros(3), np.diag((1e-1, 1e-1, 1e-2)), box, looks=LOOKS)
     turn = CELL_M / max(here.radius, there.radius)
     axes = [CELL_M * (np.arange(-16, 17) + 0.5) for _ in range(2)] + [turn * np.arange(-10, 11)]
-    every = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    every = np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), dtype=np.float64)
     values = evidence_at(here, there, every)
     inside = np.all(np.abs(every) <= box + np.array((0.0, 0.0, turn)), axis=1)
     assert found.modes[0].evidence == pytest.approx(values[inside].max(), abs=0.5)
