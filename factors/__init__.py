@@ -18,7 +18,7 @@ from factors.line import line_factor, line_factor_2d
 from factors.maps import anchored_plane_jacobian, map_prior
 from factors.odometry import odometry_factor, odometry_factor_2d, planar_motion_factor
 from factors.plane import get_ready, plane_factor, plane_factors, plane_prior
-from factors.pose import pose_prior, relative_pose_factor
+from factors.pose import gravity_factor, pose_prior, relative_pose_factor
 from factors.structure import (
     direction_prior,
     distance_factor,
@@ -35,6 +35,7 @@ __all__ = [
     "distance_factor",
     "facing",
     "get_ready",
+    "gravity_factor",
     "isam2_parameters",
     "isam_covariance",
     "joint_covariance",

@@ -6,7 +6,8 @@ never does. Here native plane factors are archived by what they measured, our cu
 GTSAM. The text is JSON; numbers come back to 1e-15.
 
 Worse, ``copy`` and ``pickle`` of a ``LocalOrientedPlane3Factor`` leave what was measured out, without a word. Python
-asks ``copyreg`` before it asks a class: importing `factors` registers there how one factor is taken apart and put together.
+asks ``copyreg`` before it asks a class: importing `factors` registers there how one factor is
+taken apart and put together.
 """
 
 from __future__ import annotations

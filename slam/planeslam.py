@@ -21,6 +21,7 @@ from slam.diagnostics.observability import Observability, OpenStretch, open_stre
 from slam.frontend.input_checks import check_keyframe
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.measurement import Segment
+from slam.frontend.wheel_calibration import WheelCalibration
 from slam.io.trajectories import Trajectory
 from slam.loop_closure.closing import LoopCloser, LoopClosing
 from slam.loop_closure.verification import LoopDecision
@@ -38,7 +39,6 @@ from slam.session.recorder import Recorder
 from slam.session.replay import open_slam
 from slam.timing import StageClock, timed
 from slam.tracking.prediction import MotionModel, Prediction, StartPose
-from slam.tracking.wheel_calibration import WheelCalibration
 from spplanes._check import FloatArray
 from spplanes.segmentation.scans import label_scans
 
@@ -176,6 +176,9 @@ class PlaneSlam:
         """The motion to the keyframe by all its returns, for telling walls apart."""
         if prediction.motion is None:
             return None
+        matched = prediction.motion.returns_covariance
+        if matched is not None:
+            return Hint(pose_symbol(prediction.index - 1), replace(prediction.motion, covariance=matched))
         motion = step_by_view(keyframe, prediction.motion, self.keyframes, self.backend, self.config.loops)
         return None if motion is None else Hint(pose_symbol(prediction.index - 1), motion)
 

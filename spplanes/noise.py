@@ -23,6 +23,8 @@ class SensorModel:
     """Standard deviation of a range, m."""
     range_sigma_share: float = 0.0
     """Standard deviation of a range that grows with it, m per m; added in variance."""
+    range_sigma_per_m2: float = 0.0
+    """Standard deviation of a range that grows with its square, m per m^2; added in variance: depth cameras."""
     bearing_sigma_rad: float = 0.0
     """Standard deviation of the direction of a beam, rad, in both directions across it."""
     quantisation_m: float = 0.0
@@ -40,7 +42,7 @@ class SensorModel:
         for name, value in vars(self).items():
             if not (np.isfinite(value) and value >= 0.0):
                 raise ValueError(f"{name}: expected a finite number, 0 or more, got {value}")
-        if self.range_sigma_m + self.range_sigma_share + self.quantisation_m == 0.0:
+        if self.range_sigma_m + self.range_sigma_share + self.range_sigma_per_m2 + self.quantisation_m == 0.0:
             raise ValueError("range_sigma_m: expected some error of the range, got none")
 
     def range_variance(self, ranges: ArrayLike, incidence_rad: ArrayLike = 0.0) -> FloatArray:
@@ -52,7 +54,8 @@ class SensorModel:
         """
         ranges = as_float_array("ranges", ranges)
         spot = ranges * self._spot_share(incidence_rad)
-        return self._least_variance + (self.range_sigma_share * ranges) ** 2 + spot**2 / 16.0
+        growing = (self.range_sigma_share * ranges) ** 2 + (self.range_sigma_per_m2 * ranges**2) ** 2
+        return self._least_variance + growing + spot**2 / 16.0
 
     @property
     def _least_variance(self) -> float:
@@ -82,7 +85,7 @@ class SensorModel:
         eyes = np.broadcast_to(as_float_array("viewpoints", viewpoints), points.shape).reshape(-1, 3)
         spot = np.broadcast_to(self._spot_share(incidence_rad), points.shape[:-1]).reshape(-1)
         result = np.empty((spot.size, 9))
-        known = self._least_variance, self.range_sigma_share, self.bearing_sigma_rad
+        known = self._least_variance, self.range_sigma_share, self.range_sigma_per_m2, self.bearing_sigma_rad
         if not _beam_covariances(points.reshape(-1, 3), eyes, spot, *known, result):
             raise ValueError("points: expected points away from their viewpoint, got a range of 0")
         return result.reshape(*points.shape, 3)
@@ -126,7 +129,7 @@ class DepthCameraModel:
 
 
 @njit(cache=True)
-def _beam_covariances(points, eyes, spot, least, share, bearing_sigma, result):
+def _beam_covariances(points, eyes, spot, least, share, per_m2, bearing_sigma, result):
     """u u^T var(r) + (I - u u^T) (r sigma_bearing)^2 of every ray, into (N, 9); False where a ray has no length."""
     for k in range(points.shape[0]):
         ray = points[k, 0] - eyes[k, 0], points[k, 1] - eyes[k, 1], points[k, 2] - eyes[k, 2]
@@ -135,7 +138,8 @@ def _beam_covariances(points, eyes, spot, least, share, bearing_sigma, result):
             return False
         ranges = np.sqrt(square)
         across = (ranges * bearing_sigma) ** 2
-        along = (least + (share * ranges) ** 2 + (ranges * spot[k]) ** 2 / 16.0 - across) / square
+        growing = (share * ranges) ** 2 + (per_m2 * square) ** 2
+        along = (least + growing + (ranges * spot[k]) ** 2 / 16.0 - across) / square
         for a in range(3):
             for b in range(3):
                 result[k, 3 * a + b] = along * ray[a] * ray[b]

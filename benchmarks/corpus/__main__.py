@@ -32,7 +32,7 @@ _SHOWN = (
     "judged",
     "pose NEES",
     "planes",
-    "plane NEES",
+    "plane NEES/dof",
     "duplicates",
     "verdict",
     "CPU s",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import time
+import traceback
 from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection
 from typing import Any
@@ -67,7 +68,7 @@ class _Worker:
         self._pipe.send(job)
         try:
             if not self._pipe.poll(limit_s):
-                return {"state": f"time: not done within {limit_s:.0f} s", "over": True}
+                return {"state": f"time: not done within {limit_s:g} s", "over": True}
             return self._pipe.recv()
         except (EOFError, ConnectionError):
             return None
@@ -77,6 +78,13 @@ class _Worker:
         self._process.kill()
         self._process.join()
         self._pipe.close()
+
+
+def _place_of(error: BaseException) -> str:
+    """File and line of our own that an error came through last."""
+    frames = traceback.extract_tb(error.__traceback__)
+    ours = [one for one in frames if "/slam/" in one.filename] or list(frames)
+    return f"{ours[-1].filename.rpartition('/')[2]}:{ours[-1].lineno}"
 
 
 def _serve(pipe: Connection) -> None:
@@ -90,5 +98,5 @@ def _serve(pipe: Connection) -> None:
         try:
             row = {"state": "ok", **run_entry(entry, changes)}
         except Exception as error:  # whatever a run stumbles over is what the row says
-            row = {"state": f"error: {type(error).__name__}: {str(error)[:160]}"}
+            row = {"state": f"error: {type(error).__name__} in {_place_of(error)}: {str(error)[:160]}"}
         pipe.send({**row, "CPU s": time.process_time() - start})

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import gtsam
 import numpy as np
 from scipy.stats import chi2
+from shapely import Polygon, unary_union
 
-from slam.evaluation import absolute_error, match_planes
-from slam.evaluation.trajectories import alignment_of, common_poses, pose_errors
+from slam.config import SlamConfig
+from slam.evaluation import PlaneMatch, absolute_error, match_planes
+from slam.evaluation.planes import outline_in
+from slam.evaluation.trajectories import alignment_of, common_poses
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory
 from slam.output.run_metrics import details_of
-from slam.planeslam import pose_symbol
+from slam.planeslam import MapPlane, pose_symbol
 from slam.runs.slam_run import Run
 from slam.simulation.drives import Drive
 from spplanes import Plane
@@ -25,8 +31,13 @@ Row = dict[str, Any]
 IN_PLANE = [2, 3, 4]
 #: A run is wrong beyond the larger of these, and right within the larger of those: m, and claimed sigmas.
 WRONG, RIGHT = (0.1, 3.0), (0.01, 2.0)
-#: A plane beyond this NEES is none of its own covariance: 1 in 1000 is.
-BEYOND = float(chi2.isf(1e-3, 3))
+#: One landmark in so many is further off than its covariance allows; those are the ones "beyond".
+BEYOND = 1e-3
+#: Landmarks of one true plane that lie farther apart than this are not doubles of each other, m: the gap that
+#: association bridges by default.
+GAP_M = SlamConfig().association.gap_m
+#: Walls seen by lines are this wide to either side of them, for finding the true wall, m.
+STRIP_M = 0.05
 
 
 def scans_of(run: Run) -> Trajectory:
@@ -80,10 +91,16 @@ def said_row(run: Run) -> Row:
 
 
 def judged(worst_m: float, sigma_m: float) -> str:
-    """What truth says of a run whose worst error is this where it claims that sigma: right, wrong, or between."""
+    """What truth says of a run whose worst error is this where it claims that sigma.
+
+    Wrong; right; open: far off, but within what it claims, as where nothing tells how far a corridor was driven; or
+    between these.
+    """
     if worst_m > max(WRONG[0], WRONG[1] * sigma_m):
         return "wrong"
-    return "right" if worst_m <= max(RIGHT[0], RIGHT[1] * sigma_m) else "between"
+    if worst_m > max(RIGHT[0], RIGHT[1] * sigma_m):
+        return "between"
+    return "open" if worst_m > WRONG[0] else "right"
 
 
 def _sigma_at(run: Run, drive: Drive, stamp_ns: int, *, in_map: bool) -> float:
@@ -118,33 +135,60 @@ def _last_pose(run: Run, drive: Drive, *, in_map: bool) -> Row:
 
 
 def _landmarks(run: Run, drive: Drive, *, in_map: bool) -> Row:
-    """NEES of the planes that are of a true one, and shares of doubles, of invented and of missed ones."""
-    planes = _planes_in_truth(run, drive, in_map=in_map)
+    """NEES of the landmarks that are of a true plane, and shares of doubles, of invented and of missed ones."""
+    move = np.eye(4) if in_map else _truth_T_run(run, drive)
+    of_planes = [one.plane.outline is not None for one in run.planes]
+    planes = [_with_outline(one).transform(move) for one in run.planes]
     matches = match_planes(planes, drive.truth.planes)
-    nees = np.array([match.nees for match in matches])
-    true = [match.true for match in matches]
-    wanted = drive.truth.visible_in_3d()
+    dof = np.array([3 if of_planes[match.estimated] else 2 for match in matches])
+    nees = np.array(
+        [_nees(planes[m.estimated], drive.truth.planes[m.true], k) for m, k in zip(matches, dof, strict=True)]
+    )
+    true, wanted = {match.true for match in matches}, drive.truth.visible_in_3d()
     return {
         "planes": len(planes),
         "matched": len(matches),
-        "plane NEES": float(nees.mean()) if matches else None,
-        "beyond, %": 100.0 * float(np.mean(nees > BEYOND)) if matches else None,
-        "duplicates": len(true) - len(set(true)),
+        "plane NEES/dof": float(nees.sum() / dof.sum()) if matches else None,
+        "beyond, %": 100.0 * float(np.mean(nees > chi2.isf(BEYOND, dof))) if matches else None,
+        "duplicates": doubles(planes, matches),
         "invented": len(planes) - len(matches),
-        "missed, %": 100.0 * len(wanted - set(true)) / len(wanted) if wanted else None,
+        "missed, %": 100.0 * len(wanted - true) / len(wanted) if wanted else None,
     }
 
 
-def _planes_in_truth(run: Run, drive: Drive, *, in_map: bool) -> list[Plane]:
-    """Planes of the map with an outline, in the frame of the truth."""
-    move = np.eye(4)
-    if not in_map:
-        _, estimated, true = common_poses(run.trajectory, drive.truth.trajectory)
-        move = alignment_of(estimated, true, "first")
-    return [one.plane.transform(move) for one in run.planes if one.plane.outline is not None]
+def doubles(planes: Sequence[Plane], matches: Sequence[PlaneMatch]) -> int:
+    """Landmarks beyond the first of each piece of a true plane: what lies apart by more than `GAP_M` is a piece."""
+    pieces: dict[int, list[Polygon]] = defaultdict(list)
+    for match in matches:
+        first = next(one.estimated for one in matches if one.true == match.true)
+        pieces[match.true].append(outline_in(planes[match.estimated], planes[first]))
+    joined = (unary_union([one.buffer(GAP_M / 2.0) for one in outlines]) for outlines in pieces.values())
+    return len(matches) - sum(len(getattr(one, "geoms", [one])) for one in joined)
 
 
-def relative_to(estimated: FloatArray, true: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Translation and rotation errors of poses (N, 4, 4) relative to the first one."""
-    errors = pose_errors(np.linalg.inv(true) @ alignment_of(estimated, true, "first") @ estimated)
-    return errors.translation_m, errors.rotation_rad
+def _truth_T_run(run: Run, drive: Drive) -> FloatArray:
+    """The motion, shape (4, 4), that puts the run's first pose where it truly was."""
+    _, estimated, true = common_poses(run.trajectory, drive.truth.trajectory)
+    return alignment_of(estimated, true, "first")
+
+
+def _with_outline(landmark: MapPlane) -> Plane:
+    """The landmark's plane; of walls of which only lines were seen with a strip about these for an outline."""
+    if landmark.plane.outline is not None:
+        return landmark.plane
+    strip = landmark.seen.buffer(STRIP_M)
+    return replace(landmark.plane, outline=strip if isinstance(strip, Polygon) else strip.convex_hull)
+
+
+def _nees(plane: Plane, true: Plane, dof: int) -> float:
+    """Of shift and both tilts; with 2 degrees of freedom without the tilt that lines do not tell."""
+    if dof == 3:
+        return plane.mahalanobis(true)
+    local = plane.frame[:3, :3].T @ true.normal
+    slopes = -local[:2] / local[2]  # of the true plane over the frame of the estimated one
+    shift = -float(true.distance(plane.centre)) / local[2]
+    up = plane.frame[2, :2] / np.linalg.norm(plane.frame[2, :2])
+    level = np.array([-up[1], up[0]])
+    rows = np.array([[1.0, 0.0, 0.0], [0.0, -level[0], level[1]]])  # the surface is z - theta x + psi y
+    error = np.array([shift, slopes @ level])
+    return float(error @ np.linalg.solve(rows @ plane.covariance @ rows.T, error))

@@ -47,8 +47,9 @@ def _line(kind: str, rows: Sequence[Row]) -> Row:
         "duplicates, %": _share(done, "duplicates"),
         "invented, %": _share(done, "invented"),
         "sound/doubtful/broken": _verdicts(done),
-        "wrong, warned": caught(done),
-        "right, warned": alarmed(done),
+        "wrong, warned": warned(done, "wrong"),
+        "right, warned": warned(done, "right"),
+        "open, warned": warned(done, "open"),
     }
 
 
@@ -64,29 +65,20 @@ def pose_nees(rows: Sequence[Row]) -> str | None:
 
 def plane_nees(rows: Sequence[Row]) -> str | None:
     """Median over the runs of the planes' mean NEES per degree of freedom, and the mean over all planes."""
-    pairs = [(row["plane NEES"], row["matched"]) for row in rows if row.get("plane NEES") is not None]
+    pairs = [(row["plane NEES/dof"], row["matched"]) for row in rows if row.get("plane NEES/dof") is not None]
     if not pairs:
         return None
     nees, count = np.array(pairs).T
-    return f"{np.median(nees) / 3.0:.2f}, {np.average(nees, weights=count) / 3.0:.3g}"
+    return f"{np.median(nees):.2f}, {np.average(nees, weights=count):.3g}"
 
 
-def caught(rows: Sequence[Row]) -> str | None:
-    """Of the runs that truth calls wrong those that said so."""
-    return _warned([row for row in rows if row.get("judged") == "wrong"])
-
-
-def alarmed(rows: Sequence[Row]) -> str | None:
-    """Of the runs that truth calls right those that warned."""
-    return _warned([row for row in rows if row.get("judged") == "right"])
-
-
-def _warned(rows: Sequence[Row]) -> str | None:
-    if not rows:
+def warned(rows: Sequence[Row], judged: str) -> str | None:
+    """How many of the runs that truth calls so did call themselves doubtful or broken."""
+    meant = [row["verdict"] for row in rows if row.get("judged") == judged]
+    if not meant:
         return None
-    if all(row["verdict"] == "-" for row in rows):
-        return f"- of {len(rows)}"
-    return f"{sum(row['verdict'] in WARNED for row in rows)} of {len(rows)}"
+    said = "-" if set(meant) == {"-"} else str(sum(word in WARNED for word in meant))
+    return f"{said} of {len(meant)}"
 
 
 def _verdicts(rows: Sequence[Row]) -> str:

@@ -11,6 +11,7 @@ import typer
 
 from slam.cli._output import be_quiet, visible
 from slam.cli.clouds import fit
+from slam.cli.graphs import import_
 from slam.cli.missions import simulate
 from slam.cli.results import evaluate, explain, export, view
 from slam.cli.runs import demo, map_, slam
@@ -88,3 +89,4 @@ def group(
 for _command in (fit, slam, demo, simulate, evaluate, explain, export, view):
     app.command()(_command)
 app.command(name="map")(map_)
+app.command(name="import")(import_)

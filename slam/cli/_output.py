@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
+    from slam.diagnostics.verdict import Verdict
     from slam.evaluation.metrics import Metric
     from slam.timing import StageClock
 
@@ -97,6 +98,13 @@ def show_result(
         say(f"took {sum(clock.seconds.values()):.1f} s, most of it: {most} (--timings for all)")
     page = folder / "report.html"
     say(f"results: {folder}" + (f", the page: {page}" if page.exists() else ""))
+
+
+def say_verdict(verdict: Verdict, *, strict: bool = False) -> None:
+    """The last line of a run, on stderr; with `strict` a broken map ends the command with code 1."""
+    typer.echo(visible(verdict.line), err=True)  # a result: quiet does not hide it
+    if strict and verdict.verdict == "broken":
+        raise typer.Exit(1)
 
 
 @contextmanager

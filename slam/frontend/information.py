@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from slam.frontend.observations import LineObservation, Observation
 from spplanes._check import FloatArray
 from spplanes.spmodel import skew
+
+#: Information about a motion, 1 / m^2 and 1 / rad^2, that stands for none.
+_NO_INFORMATION = 1e-2
+#: Information that adds less than this share to that of the walls is left out.
+_WORTH = 0.5
 
 
 def plane_information(observation: Observation) -> FloatArray:
@@ -23,3 +30,30 @@ def plane_information(observation: Observation) -> FloatArray:
     jacobian[2, :3] = -x_axis  # n cross y
     told = 2 if isinstance(observation, LineObservation) else 3
     return jacobian[:told].T @ np.linalg.solve(plane.covariance[:told, :told], jacobian[:told])
+
+
+def planar_information(observations: Sequence[Observation]) -> FloatArray:
+    """Information (3, 3) that known planes seen give on (x, y, theta) of the pose, in the body's axes."""
+    total = sum((plane_information(one) for one in observations), np.zeros((6, 6)))
+    return total[np.ix_((3, 4, 2), (3, 4, 2))]
+
+
+def left_open(found: FloatArray, by_walls: FloatArray) -> FloatArray | None:
+    """Covariance of what returns say of a motion beyond what the matched walls say of it already; None: nothing.
+
+    The walls' factors are in the graph, and come from the same returns. Along a corridor they say nothing, door frames
+    and corners do. In the axes in which both covariances are diagonal, information of the walls is taken off.
+
+    Args:
+        found: covariance of (x, y, theta) by all returns, shape (3, 3).
+        by_walls: covariance by the walls, large where they leave it open, shape (3, 3).
+    """
+    values, vectors = np.linalg.eigh(found)
+    root = vectors / np.sqrt(values)  # information = root root^T
+    shares, axes = np.linalg.eigh(np.linalg.inv(root) @ np.linalg.inv(by_walls) @ np.linalg.inv(root).T)
+    gained = np.maximum(1.0 - shares, 0.0)
+    if gained.max() < _WORTH:
+        return None
+    turned = root @ axes
+    values, vectors = np.linalg.eigh((turned * gained) @ turned.T + _NO_INFORMATION * np.eye(3))
+    return (vectors / np.maximum(values, _NO_INFORMATION)) @ vectors.T

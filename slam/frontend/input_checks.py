@@ -44,6 +44,8 @@ def check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
         _check_wheels("keyframe.motion", keyframe.motion)
     if keyframe.world_T_body_guess is not None:
         _check_pose("keyframe.world_T_body_guess", keyframe.world_T_body_guess)
+    if keyframe.surfaces is not None:
+        as_shape("keyframe.surfaces", keyframe.surfaces, (None, 8))
     for index, seen in enumerate(keyframe.observations):
         name = f"keyframe.observations[{index}]"
         if isinstance(seen, PlaneObservation | LineObservation):
@@ -58,6 +60,11 @@ def check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
         elif not hasattr(seen, "factor"):
             raise ValueError(f"{name}: expected a plane or a line that was seen, got {type(seen).__name__}")
     check_fields("keyframe", keyframe)
+    for index, known in enumerate(keyframe.pose_measurements):
+        try:
+            known.factor(0)
+        except ValueError as error:
+            raise ValueError(f"keyframe.pose_measurements[{index}]: {error}") from error
 
 
 def check_extent(name: str, frame: FloatArray, outline: BaseGeometry | None) -> None:

@@ -6,23 +6,33 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from slam.config import KeyframeConfig, SlamConfig
+from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.frontend.deskewing import unswept
-from slam.frontend.measurement import Segment, lines_of_scan, planes_of_cloud, planes_of_window, usable_ranges
+from slam.frontend.laser_odometry import LaserTrack, beyond_lines, laser_track
+from slam.frontend.measurement import (
+    ScanMeasurement,
+    Segment,
+    lines_of_scan,
+    measured_cloud,
+    planes_of_window,
+    usable_ranges,
+)
 from slam.frontend.observations import Observation, on_real_wall
-from slam.frontend.occupancy import beams_of
+from slam.frontend.occupancy import LEVEL_COSINE, beams_of
 from slam.frontend.odometry import Motion, OdometryTrack
+from slam.frontend.pose_measurements import PoseMeasurement
 from slam.geometry.frames import inverse
 from slam.sensors.log import CloudScan, LaserScan, Log
-from slam.sensors.rig import Rig
+from slam.sensors.rig import Rig, Sensor
 from spplanes._check import FloatArray
 from spplanes.segmentation.scans import label_scans
 
-Seen = TypeVar("Seen", bound=Observation)
+Seen = TypeVar("Seen", bound=Observation | ScanMeasurement)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +54,11 @@ class Keyframe:
     returns: FloatArray | None = None
     """Beams of level lasers that met a surface, in the body's plane of motion, rows (x0, y0, x1, y1), shape (N, 4), m:
     what loops are verified with; None: no such laser."""
+    pose_measurements: Sequence[PoseMeasurement] = field(default=())
+    """What is known of the pose beside motion and planes: gravity from an IMU, say."""
+    surfaces: FloatArray | None = None
+    """Surface elements of a 3D scan in the body frame, rows (point, direction, sigma, kind), shape (N, 8), m: what
+    motion is registered by beside the planes; see `slam.frontend.scan_surfaces`. None: no 3D scan."""
 
 
 def keyframes_of(
@@ -69,7 +84,7 @@ def keyframes_of(
 def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
     """How many keyframes `keyframes_of` will give, without making them."""
     clouds, _ = _clouds_of(log, rig, config.keyframes.strict)
-    return len(clouds) if clouds else len(_choose_stamps(log, rig, config.keyframes))
+    return len(clouds) if clouds else len(_choose_stamps(log, rig, config))
 
 
 def _cloud_keyframes(
@@ -85,18 +100,24 @@ def _cloud_keyframes(
     previous = clouds[start - 1] if start else None
     for index, scan in enumerate(clouds[start:], start):
         notes = list(late.get(index, ()))
-        measure = partial(planes_of_cloud, scan, rig.sensors[scan.sensor], config, segment)
-        observations = _measured(measure, scan.stamp_ns, config, notes)
+        measure = partial(_measured_cloud, scan, rig.sensors[scan.sensor], config, segment)
+        [seen] = _measured(measure, scan.stamp_ns, config, notes) or [ScanMeasurement()]
         motion = None
         if previous is not None and track is not None:
             motion = track.motion(previous.stamp_ns, scan.stamp_ns)
-        yield Keyframe(scan.stamp_ns, observations, motion, notes=tuple(notes), scans=(scan,))
+        yield Keyframe(
+            scan.stamp_ns, seen.observations, motion, notes=tuple(notes), scans=(scan,), surfaces=seen.surfaces
+        )
         previous = scan
 
 
+def _measured_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig, segment: Segment) -> list[ScanMeasurement]:
+    return [measured_cloud(scan, sensor, config, segment)]
+
+
 def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int, segment: Segment) -> Iterator[Keyframe]:
-    track = _track_of(log, rig)
-    stamps = _choose_stamps(log, rig, config.keyframes)
+    track = track_of(log, rig, config)
+    stamps = _choose_stamps(log, rig, config)
     lines = _scans_of(log, rig, "line")
     slices = _scans_of(log, rig, "slice")
     line_homes, slice_homes = _at_home(stamps, lines), _at_home(stamps, slices)
@@ -124,6 +145,9 @@ def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int, segment
                     for line in _measured(measure, stamp, config, notes)
                 ]
                 beams += beams_of(scan, usable_ranges(scan.ranges, sensor), kf_T_body @ sensor.body_T_sensor)
+        if motion is not None and isinstance(track, LaserTrack):
+            notes += track.notes(stamps[index - 1], stamp)
+            motion = beyond_lines(motion, observations)
         returns = np.concatenate(beams) if beams else None
         yield Keyframe(stamp, observations, motion, notes=tuple(notes), scans=tuple(scans), returns=returns)
 
@@ -158,18 +182,18 @@ def _clouds_of(log: Log, rig: Rig, strict: bool) -> tuple[list[CloudScan], dict[
     return clouds, late
 
 
-def _choose_stamps(log: Log, rig: Rig, config: KeyframeConfig) -> list[int]:
+def _choose_stamps(log: Log, rig: Rig, config: SlamConfig) -> list[int]:
     """Times of keyframes: the first scan, then whenever the odometry has gone far enough or turned enough."""
     scans = _scans_of(log, rig, "line") or _scans_of(log, rig, "slice")
     if not scans:
         raise LogError(log.source, f"expected scans of the rig's sensors ({', '.join(rig.sensors)}), found none")
     candidates = sorted({scan.stamp_ns for scan in scans})
-    poses = _track_of(log, rig).poses_at(candidates)
+    poses, rules = track_of(log, rig, config).poses_at(candidates), config.keyframes
     chosen = [0]
     for index in range(1, len(candidates)):
         step = inverse(poses[chosen[-1]]) @ poses[index]
         angle = np.arccos(np.clip(0.5 * (np.trace(step[:3, :3]) - 1.0), -1.0, 1.0))
-        if np.linalg.norm(step[:3, 3]) >= config.distance_m or angle >= config.angle_rad:
+        if np.linalg.norm(step[:3, 3]) >= rules.distance_m or angle >= rules.angle_rad:
             chosen.append(index)
     return [candidates[index] for index in chosen]
 
@@ -177,6 +201,29 @@ def _choose_stamps(log: Log, rig: Rig, config: KeyframeConfig) -> list[int]:
 def _scans_of(log: Log, rig: Rig, kind: str) -> list[LaserScan]:
     names = rig.of_kind(kind)
     return [scan for scan in log.scans() if isinstance(scan, LaserScan) and scan.sensor in names]
+
+
+#: Tracks made already, by their log: laser odometry looks at every scan.
+_TRACKS: WeakKeyDictionary[Log, tuple[Rig, SlamConfig, OdometryTrack]] = WeakKeyDictionary()
+
+
+def track_of(log: Log, rig: Rig, config: SlamConfig) -> OdometryTrack:
+    """How the body moved, before any map: by laser odometry where all sensors are level lasers, else by its odometry.
+
+    Raises:
+        LogError: no odometry where it is needed.
+    """
+    known = _TRACKS.get(log)
+    if known is not None and known[0] is rig and known[1] is config:
+        return known[2]
+    level = all(_is_level(sensor) for sensor in rig.sensors.values()) and bool(_scans_of(log, rig, "line"))
+    track = laser_track(log, rig, config.coasting) if level else _track_of(log, rig)
+    _TRACKS[log] = (rig, config, track)
+    return track
+
+
+def _is_level(sensor: Sensor) -> bool:
+    return sensor.kind == "line" and bool(sensor.body_T_sensor[2, 2] >= LEVEL_COSINE)
 
 
 def _track_of(log: Log, rig: Rig) -> OdometryTrack:

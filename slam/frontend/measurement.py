@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +14,7 @@ from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import OdometryTrack
 from slam.frontend.push_broom import window_poses
 from slam.frontend.scan_regions import believed_planes, fit_if_any
+from slam.frontend.scan_surfaces import surfaces_of
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import coarse, flatten, largest_polygon
 from slam.io.clouds.arrange import arrange, grid_of
@@ -52,10 +53,27 @@ class Segment(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class ScanMeasurement:
+    """What a 3D scan saw, in the body frame."""
+
+    observations: list[PlaneObservation] = field(default_factory=list)
+    """Its planes, each facing the sensor, largest first."""
+    surfaces: FloatArray | None = None
+    """All its returns, thinned, as surface elements, shape (N, 8); see `surfaces_of`. None: it has no returns."""
+
+
 def planes_of_cloud(
     scan: CloudScan, sensor: Sensor, config: SlamConfig, segment: Segment = label_scans
 ) -> list[PlaneObservation]:
-    """Planes of one 3D scan in the body frame, each facing the sensor, largest first.
+    """Planes of one 3D scan in the body frame, each facing the sensor, largest first."""
+    return measured_cloud(scan, sensor, config, segment).observations
+
+
+def measured_cloud(
+    scan: CloudScan, sensor: Sensor, config: SlamConfig, segment: Segment = label_scans
+) -> ScanMeasurement:
+    """Planes of one 3D scan, and all its returns as surface elements.
 
     A scan without order is seen as lines or a range image first, as wide as the rig says, or as its points suggest.
     Where the rig knows of rough surfaces, what is on no plane is searched again for planes as flat as those.
@@ -65,23 +83,29 @@ def planes_of_cloud(
         raise ValueError(f"points: expected shape (S, B, 3) or (N, 3), got {points.shape}")
     points = usable_points(points, sensor)
     if not np.isfinite(points).any():
-        return []
+        return ScanMeasurement()
     if points.ndim == 2:
         points = arrange(points, grid_of(sensor))
-    observations, free = _flat_planes(points, sensor, config, segment)
+    planes, labels = _flat_planes(points, sensor, config, segment)
     if sensor.rough_sigma_m > sensor.surface_sigma_m:
         rough = sensor.model_copy(update={"surface_sigma_m": sensor.rough_sigma_m})
-        observations += _flat_planes(np.where(free[..., None], points, np.nan), rough, config, segment, servo=False)[0]
-    return sorted(observations, key=lambda seen: -seen.n_points)
+        free = np.where((labels == -1)[..., None], points, np.nan)
+        more, rough_labels = _flat_planes(free, rough, config, segment, servo=False)
+        labels = np.where(rough_labels >= 0, rough_labels + len(planes), labels)
+        planes += more
+    hesse = np.array([(*plane.normal, plane.d) for plane in planes]).reshape(-1, 4)
+    observations = [PlaneObservation(plane.transform(sensor.body_T_sensor)) for plane in planes]
+    observations = sorted(observations, key=lambda seen: -seen.n_points)
+    return ScanMeasurement(observations, surfaces_of(points, labels, hesse, sensor))
 
 
 def _flat_planes(
     points: FloatArray, sensor: Sensor, config: SlamConfig, segment: Segment, *, servo: bool = True
-) -> tuple[list[PlaneObservation], np.ndarray]:
-    """Planes of points (S, B, 3), in the body frame, and which points are on none, shape (S, B).
+) -> tuple[list[Plane], np.ndarray]:
+    """Planes of points (S, B, 3), in the sensor's frame, and the plane of every point, shape (S, B).
 
-    With `servo` the search grants them the servo's error. Rough surfaces are granted enough: both would swallow what
-    is beside them.
+    -1: of none; -2: of a region that is no plane. With `servo` the search grants them the servo's error. Rough surfaces
+    are granted enough: both would swallow what is beside them.
     """
     covariances, settings = model_of(sensor).covariances(points), for_points(for_sensor(config.mapper, sensor), points)
     viewpoint = np.zeros(3)
@@ -96,8 +120,10 @@ def _flat_planes(
         if one is not None:
             labels.ravel()[one[1]] = -1
     drawn = _drawn(kept, points, labels, np.sqrt(spreads[:, 1:] / rows[:, 1:2]), settings)
-    observations = [PlaneObservation(_in_scan(plane, sensor).transform(sensor.body_T_sensor)) for plane in drawn]
-    return observations, labels < 0
+    number = np.full(len(rows) + 1, -2)
+    number[-1] = -1
+    number[list(kept)] = np.arange(len(kept))
+    return [_in_scan(plane, sensor) for plane in drawn], number[labels]
 
 
 def _drawn(

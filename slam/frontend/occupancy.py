@@ -26,7 +26,7 @@ NOVEL_SHARE = 0.1
 LEVELS = 5
 _REACH = 3
 #: Cosine of the largest lean of a laser whose scans are compared across poses: 3 deg.
-_LEVEL_COSINE = float(np.cos(np.radians(3.0)))
+LEVEL_COSINE = float(np.cos(np.radians(3.0)))
 _SIGMAS_TO_FREE = 3.0
 
 
@@ -94,7 +94,7 @@ def beams_of(scan: LaserScan, ranges: FloatArray, body_T_sensor: FloatArray) -> 
     In a list: none from a laser whose scan plane leans from the body's by more than some degrees, for it sees other
     walls from elsewhere.
     """
-    if body_T_sensor[2, 2] < _LEVEL_COSINE:
+    if body_T_sensor[2, 2] < LEVEL_COSINE:
         return []
     away = np.stack((np.cos(scan.angles), np.sin(scan.angles)), axis=1) * ranges[:, None]
     gaps = np.linalg.norm(np.diff(away, axis=0), axis=1)

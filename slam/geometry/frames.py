@@ -9,12 +9,24 @@ from spplanes._check import FloatArray
 from spplanes._hesse import covariance_from_hesse
 from spplanes.spmodel import inverse_transform as inverse
 
-__all__ = ["covariance_in", "inverse", "lift", "settle_frame"]
+__all__ = ["covariance_in", "inverse", "lift", "orthonormal", "settle_frame"]
 
 
 def lift(points: FloatArray, transform: FloatArray) -> FloatArray:
     """Points (N, 2), lying in z = 0, or (N, 3) through a (4, 4) transform, shape (N, 3)."""
     return points @ transform[:3, : points.shape[1]].T + transform[:3, 3]
+
+
+def orthonormal(transform: FloatArray) -> FloatArray:
+    """The rigid transform (4, 4) nearest to one whose rotation has lost its shape by rounding.
+
+    A motion predicted from the two poses before doubles what they are off: without this, poses of a run without
+    odometry were no rotations any more, to 1e-6, after some forty keyframes.
+    """
+    u, _, v = np.linalg.svd(transform[:3, :3])
+    settled = transform.copy()
+    settled[:3, :3] = u @ v
+    return settled
 
 
 def settle_frame(frame: FloatArray, normal: FloatArray, d: float) -> FloatArray:

@@ -14,7 +14,10 @@ from scipy.special import chdtri
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.odometry import Motion
 from slam.loop_closure.candidates import DrivenPath
-from slam.loop_closure.verification import LoopDecision, disjoint, find_loop
+from slam.loop_closure.pairwise_consistency import Proposal
+from slam.loop_closure.proposals import Proposals
+from slam.loop_closure.trial import Trial, evidence_of_map
+from slam.loop_closure.verification import LoopDecision, Surroundings, compare_with_old, disjoint, joined
 from slam.map.state import Parts
 from slam.mapping.fusion import Merges
 
@@ -24,21 +27,25 @@ _ROUNDS = 5
 
 @dataclass(eq=False)
 class Tie:
-    """The motion that the returns tell between the two ends of a closed loop, in the graph."""
+    """A closed loop: the walls that were joined for it, and the motion that the returns tell between its two ends."""
 
     loop: LoopDecision
-    """The loop it comes with."""
-    motion: Motion
-    """From the old keyframe to the newer one."""
+    """The comparison that found it."""
+    motion: Motion | None
+    """From the old keyframe to the newer one; None: its walls say all."""
     pairs: tuple[tuple[int, int], ...]
     """The landmarks (older, younger) that were joined with it."""
-    factor_index: int
-    """Index of its factor."""
+    factor_index: int | None
+    """Index of the factor of the motion."""
+    trial: Trial
+    """What has been seen for and against it since."""
     undone: int | None = None
     """The keyframe at which it was found wrong; None: it stands."""
 
     def misfit(self, backend: Backend) -> float:
         """Chi2 of the motion at the current estimate."""
+        if self.motion is None:
+            return 0.0
         factor = _factor(self.loop, self.motion)
         return 2.0 * float(factor.error(backend.values_of(factor.keys())))
 
@@ -52,13 +59,15 @@ class LoopClosing(Protocol):
 
 
 class LoopCloser:
-    """Looks for loops on the way, closes those it finds, and takes back what turns out to be none."""
+    """Looks for loops on the way, closes those that are beyond doubt, and takes back what turns out to be none."""
 
     def __init__(self, parts: Parts, merges: Merges) -> None:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
         self._merges, self._thinning, self._config = merges, parts.thinning, parts.config
         self.decisions: list[LoopDecision] = []
         self.ties: list[Tie] = []
+        self._proposals = Proposals(parts.config.loops)
+        self._to_tie: list[LoopDecision] = []
         self._ways = array("d")
         self._looked_at_m = 0.0
 
@@ -73,52 +82,104 @@ class LoopCloser:
             return None
         self._looked_at_m = self._ways[-1]
         path = DrivenPath.of(self._thinning.held, np.array(self._ways), self._backend)
-        decisions = find_loop(path, self._keyframes, self._landmarks, self._backend, rules, needed)
-        self.decisions += decisions
-        if not decisions or decisions[-1].verdict != "closed":
-            return None
-        pairs = [pair for pair in disjoint(decisions[-1].pairs) if self._merges.may_be_one(*pair)]
-        if self._merges.close(pairs, scale):
-            return pairs
-        self.decisions[-1] = replace(decisions[-1], verdict="refused")
+        around = Surroundings(path, self._keyframes, self._landmarks, self._backend, rules, needed)
+        self._try_again(around)
+        for decision in compare_with_old(around):
+            self.decisions.append(decision)
+            closed = self._accepted(decision, around)
+            if closed:
+                return self._close(closed, scale)
         return None
 
     def take_motion(self, pairs: Sequence[tuple[int, int]]) -> None:
-        """What the returns say of the loop just closed beyond its walls (`pairs`): how far along a corridor it is."""
-        loop = self.decisions[-1]
-        if loop.motion is None:
-            return
-        for end in (loop.old_keyframe, loop.keyframe):
-            self._thinning.stays(end)
-        [index] = self._backend.update([_factor(loop, loop.motion)], gtsam.Values(), relinearize=True)
-        self.ties.append(Tie(loop, loop.motion, tuple(pairs), index))
+        """What the returns say of the loops just closed beyond their walls (`pairs`): how far along a corridor."""
+        loops, self._to_tie = self._to_tie or self.decisions[-1:], []
+        for loop in loops:
+            self._stay(loop)
+        factors = [_factor(loop, loop.motion) for loop in loops if loop.motion is not None]
+        indices = iter(self._backend.update(factors, gtsam.Values(), relinearize=True) if factors else ())
+        for loop in loops:
+            index = None if loop.motion is None else next(indices)
+            self.ties.append(Tie(loop, loop.motion, tuple(pairs), index, Trial(self._ways[-1])))
+        self._backend.settle(_ROUNDS if factors else 0)
         self._landmarks.refresh(self._backend)
 
     def take_back(self, scale: float) -> None:
-        """Take motions out of the graph whose loops turn out to be none; `scale` as in `Merges.doubted`.
+        """Take loops out of the graph that turn out to be none, motions and walls; `scale` as in `Merges.doubted`.
 
-        A loop is none when half of the walls that were joined for it, or more, were found to be two after all, or when
-        the motion itself no longer fits.
+        A loop is none when half of the walls that were joined for it, or more, were found to be two after all, when the
+        motion itself no longer fits, or when what is seen on the way on contradicts what was seen there before.
         """
-        wrong = [tie for tie in self.ties if tie.undone is None and self._is_refuted(tie, scale)]
-        if not wrong:
-            return
-        self._backend.update([], gtsam.Values(), remove=[tie.factor_index for tie in wrong], relinearize=True)
-        self._backend.settle(_ROUNDS)
-        self._landmarks.refresh(self._backend)
-        self._merges.redraw(min(tie.loop.old_keyframe for tie in wrong))
-        for tie in wrong:
-            tie.undone = len(self._keyframes) - 1
+        self._untie([tie for tie in self.ties if tie.undone is None and self._is_refuted(tie, scale)])
 
     def renumber(self, moved: Mapping[int, int]) -> None:
         """The graph has been made anew: the new index of every factor by its old one."""
         for tie in self.ties:
-            if tie.undone is None:
+            if tie.undone is None and tie.factor_index is not None:
                 tie.factor_index = moved[tie.factor_index]
+
+    def _try_again(self, around: Surroundings) -> None:
+        """Hold the loops of late against what is seen on the way on."""
+        way, rules = self._ways[-1], self._config.loops
+        late = [tie.trial for tie in self.ties if tie.undone is None and tie.trial.is_open(way, rules)]
+        evidence = evidence_of_map(around) if late else None
+        if evidence is not None:
+            for trial in late:
+                trial.hear(evidence, way, rules)
+
+    def _accepted(self, decision: LoopDecision, around: Surroundings) -> list[LoopDecision]:
+        """The loops that may be closed now that this comparison has been made, the newest last."""
+        if decision.proposal is None:
+            return [decision] if decision.verdict == "closed" else []
+        self._stay(decision)
+        group = self._proposals.agreed(decision.proposal, self._thinning.held, self._backend)
+        if not group:
+            return []
+        self._proposals.forget(group)
+        numbers = {self._number_of(one): one for one in group}
+        for number, proposal in numbers.items():
+            self.decisions[number] = joined(self.decisions[number], proposal, around)
+        return [self.decisions[number] for number in sorted(numbers) if self.decisions[number].verdict == "closed"]
+
+    def _close(self, loops: list[LoopDecision], scale: float) -> list[tuple[int, int]] | None:
+        """Join the walls of loops that agree; None where the graph as a whole is against it."""
+        found = disjoint([pair for loop in loops for pair in loop.pairs])
+        pairs = [pair for pair in found if self._merges.may_be_one(*pair)]
+        if self._merges.close(pairs, scale):
+            self._to_tie = loops
+            return pairs
+        for loop in loops:
+            self.decisions[self.decisions.index(loop)] = replace(loop, verdict="refused")
+        return None
+
+    def _number_of(self, proposal: Proposal) -> int:
+        """Index of the decision that made a proposal."""
+        return next(i for i in range(len(self.decisions) - 1, -1, -1) if self.decisions[i].proposal is proposal)
+
+    def _stay(self, loop: LoopDecision) -> None:
+        """Both ends are needed in the graph."""
+        for end in (loop.old_keyframe, loop.keyframe):
+            self._thinning.stays(end)
+
+    def _untie(self, wrong: Sequence[Tie]) -> None:
+        """Take closures out of the graph, and what was joined for them apart."""
+        if not wrong:
+            return
+        indices = [tie.factor_index for tie in wrong if tie.factor_index is not None]
+        self._backend.update([], gtsam.Values(), remove=indices, relinearize=True)
+        for tie in wrong:
+            tie.undone = len(self._keyframes) - 1
+        pairs = {pair for tie in wrong for pair in tie.pairs}
+        for merge in reversed(self._merges.history):
+            if merge.undone is None and merge.cause == "loop" and (merge.older, merge.younger) in pairs:
+                self._merges.undo(merge)
+        self._backend.settle(_ROUNDS)
+        self._landmarks.refresh(self._backend)
+        self._merges.redraw(min(tie.loop.old_keyframe for tie in wrong))
 
     def _is_refuted(self, tie: Tie, scale: float) -> bool:
         split = sum(younger in self._landmarks for _, younger in tie.pairs)
-        if tie.pairs and 2 * split >= len(tie.pairs):
+        if tie.trial.is_lost or (tie.pairs and 2 * split >= len(tie.pairs)):
             return True
         limit = float(chdtri(3, self._config.association.new_significance))
         return tie.misfit(self._backend) > max(scale, 1.0) * limit

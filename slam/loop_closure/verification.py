@@ -1,8 +1,8 @@
-"""Closing loops: what is seen now against what was seen from an old place, by the constellation of the walls."""
+"""Loop closure: verification of candidates, by searching one submap in another or by the constellation of walls."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -12,20 +12,24 @@ from scipy.stats import chi2 as chi2_distribution
 from slam.backend.estimator import Backend, pose_symbol
 from slam.config import LoopConfig
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.occupancy import Raster
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.candidates import DrivenPath, old_keyframes, radius_of
 from slam.loop_closure.local_map import surroundings, view_about, walls_from
+from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
 from slam.map.landmarks import Landmark, LandmarkMap
-from slam.registration.place_recognition import ConstellationMatch, Wall, match_constellations, match_near
-from slam.registration.scan_matching import Relocation
-from slam.registration.submaps import RelativePose, compare_views, left_open
+from slam.registration.correlative_search import PlaceView, SearchResult, search_place
+from slam.registration.place_recognition import ConstellationMatch, match_constellations, match_near
+from slam.registration.submaps import RelativePose, left_open
 
-LoopVerdict = Literal["closed", "refused", "not seen", "ambiguous", "unobservable", "far", "too few"]
+LoopVerdict = Literal[
+    "closed", "waiting", "refused", "known", "not seen", "ambiguous", "unobservable", "far", "too few"
+]
 
 #: Sine of the angle from which on two walls fix a place between them.
 _ACROSS = 0.26
+#: Bounds drawn from a standard deviation are taken at this many of them.
+_SIGMAS = 3.0
 #: Of height (m), roll and pitch (rad) the views of level lasers say nothing.
 _OUT_OF_PLANE = (1e2, 1e2, 1e2)
 
@@ -39,9 +43,10 @@ class LoopDecision:
     old_keyframe: int
     """The keyframe it was compared with."""
     verdict: LoopVerdict
-    """closed: one place, its walls are joined; refused: it looks like one, but the graph as a whole is against it; not
-    seen: no match; ambiguous, unobservable: as the constellations say;
-    far: the match contradicts the estimate beyond the search radius; too few: no pair of walls was left to join."""
+    """closed: one place, its walls are joined; waiting: likely one, until others agree; refused: it looks like one, but
+    the graph as a whole is against it; known: one, which the map has so already; not seen: no match; ambiguous:
+    other places are as likely; unobservable: as the constellations say; far: the match contradicts the estimate beyond
+    the search radius; too few: no pair of walls was left to join."""
     pairs: tuple[tuple[int, int], ...] = ()
     """Landmarks found to be one, as (older, younger)."""
     offset_m: float = float("nan")
@@ -56,98 +61,139 @@ class LoopDecision:
     """Log of how much better the walls, or all returns, agree than by chance."""
     motion: Motion | None = None
     """From the old keyframe to the keyframe, what the returns say of it beyond the walls."""
+    proposal: Proposal | None = None
+    """What the search of the submaps proposes."""
 
 
-def find_loop(
-    path: DrivenPath,
-    keyframes: Sequence[Keyframe],
-    landmarks: LandmarkMap,
-    backend: Backend,
-    config: LoopConfig,
-    min_keyframes: int,
-) -> list[LoopDecision]:
-    """Compare the surroundings of the last keyframe with those of old keyframes near it until one is found to be them.
+@dataclass(frozen=True)
+class Surroundings:
+    """What loops are verified with."""
 
-    Surroundings are the landmarks seen within `config.window_m` of travel, as walls in the frame of the keyframe with
-    the covariance that they have relative to it, and what level lasers saw on the way. Where there are such lasers,
-    the pose is found by all their returns and all free space, and walls are the same that are so under it; else it is
-    found by the constellation of the walls. How far the whole has drifted only bounds where it is looked for.
+    path: DrivenPath
+    """The way so far."""
+    keyframes: Sequence[Keyframe]
+    """What was measured."""
+    landmarks: LandmarkMap
+    """The map."""
+    backend: Backend
+    """The graph."""
+    config: LoopConfig
+    """The settings."""
+    min_keyframes: int
+    """Keyframes that must have seen a landmark before it takes part."""
 
-    Returns:
-        One decision for every old keyframe compared with; only the last of them may be "closed".
+    def landmarks_about(self, frame: int) -> list[Landmark]:
+        """Landmarks seen within the window of travel around a keyframe."""
+        return surroundings(frame, self.path, self.landmarks, self.config, self.min_keyframes)
+
+    def view_about(self, frame: int) -> PlaceView | None:
+        """What level lasers saw there, as a submap in its frame."""
+        view = view_about(frame, self.path, self.keyframes, self.backend, self.config)
+        return None if view is None else PlaceView(view)
+
+
+def compare_with_old(around: Surroundings) -> Iterator[LoopDecision]:
+    """Compare the surroundings of the last keyframe with those of old keyframes near it, one decision for each.
+
+    Surroundings are what level lasers saw within `config.window_m` of travel, as a submap, and the landmarks seen
+    there, as walls in the frame of the keyframe with the covariance that they have relative to it. Where there are such
+    lasers, the submap is searched in the old one, and what is likeliest is proposed; else the pose is found by the
+    constellation of the walls. How far the whole has drifted only bounds where it is looked for.
     """
+    path, config = around.path, around.config
     now = len(path.lengths) - 1
-    here = surroundings(now, path, landmarks, config, min_keyframes)
-    decisions: list[LoopDecision] = []
-    has_view = keyframes[now].returns is not None
+    here = around.landmarks_about(now)
+    has_view = around.keyframes[now].returns is not None
     if len(here) < (1 if has_view else config.min_walls):
-        return decisions
-    view: Raster | None = None
-    walls: list[Wall] = []
-    for old in old_keyframes(path, backend, config):
-        there = surroundings(old, path, landmarks, config, min_keyframes)
+        return
+    view: PlaceView | None = None
+    for old in old_keyframes(path, around.backend, config):
+        there = around.landmarks_about(old)
         shared = [one for one in here if one in there]
-        if has_view and there and keyframes[old].returns is not None:
-            if _fix_a_place(shared, landmarks, config):
+        if has_view and around.keyframes[old].returns is not None:
+            estimate = RelativePose.of(pose_symbol(old), pose_symbol(now), around.backend)
+            if is_tied(shared, estimate, around.landmarks, config):
                 continue
-            estimate = RelativePose.of(pose_symbol(old), pose_symbol(now), backend)
-            if estimate.reach_m <= config.tied_m and shared:
-                continue
-            view = view or view_about(now, path, keyframes, backend, config)
-            other = view_about(old, path, keyframes, backend, config)
-            if view is None or other is None:
-                continue
-            way = float(path.lengths[now] - path.lengths[old])
-            found = compare_views(view, other, estimate, config.drift_share * way, way)
-            walls = walls or walls_from(pose_symbol(now), here, landmarks, backend)
-            others = walls_from(pose_symbol(old), there, landmarks, backend)
-            decisions.append(
-                _decide_by_view(found, estimate, old, path, (walls, here), (others, there), backend, config)
-            )
+            view, other = view or around.view_about(now), around.view_about(old)
+            if view is not None and other is not None:
+                yield _decide_by_search(_searched(view, other, estimate, old, path, config), estimate, old, path)
         elif min(len(here), len(there)) >= config.min_walls > len(shared):
-            walls = walls or walls_from(pose_symbol(now), here, landmarks, backend)
-            match = match_constellations(walls, walls_from(pose_symbol(old), there, landmarks, backend))
-            decisions.append(_decide(match, old, path, here, there, backend, config))
-        if decisions and decisions[-1].verdict == "closed":
-            break
-    return decisions
+            match = match_constellations(*(_walls(around, frame) for frame in (now, old)))
+            yield _decide(match, old, path, here, there, around.backend, config)
 
 
-def _fix_a_place(shared: Sequence[Landmark], landmarks: LandmarkMap, config: LoopConfig) -> bool:
-    """Whether two places see so many walls in common, in more than one direction, that nothing is left to find."""
+def is_tied(shared: Sequence[Landmark], estimate: RelativePose, landmarks: LandmarkMap, config: LoopConfig) -> bool:
+    """Whether two places see so much in common that nothing is left to find: walls in more than one direction."""
+    if estimate.reach_m <= config.tied_m and shared:
+        return True
     if len(shared) < config.min_walls:
         return False
     normals = np.array([landmarks.placed(one.id).normal for one in shared])
     return bool(np.abs(np.cross(normals[0], normals)).max() > _ACROSS)
 
 
-def _decide_by_view(
-    found: Relocation,
-    estimate: RelativePose,
-    old: int,
-    path: DrivenPath,
-    here: tuple[Sequence[Wall], Sequence[Landmark]],
-    there: tuple[Sequence[Wall], Sequence[Landmark]],
-    backend: Backend,
-    config: LoopConfig,
-) -> LoopDecision:
-    """Joined is what is one wall under the pose found by the views, if that is beyond doubt."""
+def _searched(
+    view: PlaceView, other: PlaceView, estimate: RelativePose, old: int, path: DrivenPath, config: LoopConfig
+) -> SearchResult:
+    """Where the submap of the newest keyframe lies in that of an old one."""
+    way = float(path.lengths[-1] - path.lengths[old])
+    drift = min(config.drift_share * way, _MISTRUST * estimate.reach_m)
+    beyond = np.array((drift, drift, 2.0 * drift / max(way, drift))) / _SIGMAS
+    covariance = estimate.covariance + np.diag(beyond**2)
+    reach = np.minimum(_SIGMAS * np.sqrt(np.diag(covariance)), (np.inf, np.inf, np.pi))
+    return search_place(view, other, estimate.delta, covariance, reach, looks=config.looks_per_place)
+
+
+#: The way may have drifted so many times further than the estimate says.
+_MISTRUST = 2.0
+
+
+def _decide_by_search(found: SearchResult, estimate: RelativePose, old: int, path: DrivenPath) -> LoopDecision:
+    """The likeliest place, if it is likelier than all else together and inside the box that was searched."""
     now = len(path.lengths) - 1
-    if found.share < 1.0 - config.significance:
-        verdict: LoopVerdict = "not seen" if found.evidence < 0.0 else "ambiguous"
-        return LoopDecision(now, old, verdict, evidence=found.evidence)
-    match = match_near(here[0], there[0], found.pose, found.covariance, significance=config.significance)
+    if not found.modes:
+        return LoopDecision(now, old, "not seen")
+    best = found.modes[0]
+    offset = inverse(planar_transform(*estimate.delta)) @ planar_transform(*best.pose)
+    far, turn = float(np.linalg.norm(offset[:2, 3])), float(planar_delta(offset)[2])
+    if best.log_odds <= 0.0 or found.is_at_edge:
+        rivals = len(found.modes) > 1 or found.is_at_edge
+        return LoopDecision(now, old, "ambiguous" if rivals else "not seen", (), far, turn, evidence=best.evidence)
+    pose = PlanarPose(best.pose, best.covariance)
+    proposal = Proposal(now, old, pose, best.log_odds, float(path.lengths[-1]))
+    return LoopDecision(now, old, "waiting", (), far, turn, evidence=best.evidence, proposal=proposal)
+
+
+def joined(decision: LoopDecision, proposal: Proposal, around: Surroundings) -> LoopDecision:
+    """A proposed closure that is accepted: the walls that are one under its pose, and the motion beyond them.
+
+    Where the walls do not bear the pose out, or there are none, the motion stands for itself: the walls may be one
+    once the graph has taken it in.
+    """
+    now, old, pose = proposal.keyframe, proposal.old_keyframe, proposal.pose
+    here, there = around.landmarks_about(now), around.landmarks_about(old)
+    match = match_near(
+        _walls(around, now), _walls(around, old), pose.delta, pose.covariance, significance=around.config.significance
+    )
     if match is None:
-        return LoopDecision(now, old, "too few", evidence=found.evidence)
-    decision = replace(_decide(match, old, path, here[1], there[1], backend, config), evidence=found.evidence)
-    if decision.verdict not in ("closed", "too few"):
-        return decision
-    motion = _motion_beyond(found, match)
-    if motion is None:
-        return decision
-    if decision.verdict == "closed" or _is_news(motion, estimate, config):
-        return replace(decision, verdict="closed", motion=motion)
-    return decision
+        motion = Motion(planar_transform(*pose.delta), pose.covariance, _OUT_OF_PLANE)
+        pairs: tuple[tuple[int, int], ...] = ()
+    else:
+        motion = _motion_beyond(pose, match)
+        found = [(here[i].id, there[j].id) for i, j in match.pairs.tolist() if here[i] is not there[j]]
+        pairs = tuple((min(pair), max(pair)) for pair in found)
+        decision = replace(decision, chi2=match.chi2, dof=match.n_dof)
+    if not pairs and motion is not None:
+        estimate = RelativePose.of(pose_symbol(old), pose_symbol(now), around.backend)
+        motion = motion if _is_news(motion, estimate, around.config) else None
+    verdict: LoopVerdict = "closed" if pairs or motion is not None else "known"
+    return replace(decision, verdict=verdict, pairs=pairs, motion=motion)
+
+
+def _walls(around: Surroundings, frame: int) -> list:
+    """The landmarks about a keyframe as walls in its frame; none where there are none."""
+    seen = around.landmarks_about(frame)
+    return walls_from(pose_symbol(frame), seen, around.landmarks, around.backend) if seen else []
 
 
 def _is_news(motion: Motion, estimate: RelativePose, config: LoopConfig) -> bool:
@@ -160,12 +206,12 @@ def _is_news(motion: Motion, estimate: RelativePose, config: LoopConfig) -> bool
     return replace(estimate, covariance=better).reach_m < 0.5 * estimate.reach_m > 0.5 * config.tied_m
 
 
-def _motion_beyond(found: Relocation, match: ConstellationMatch) -> Motion | None:
-    """What the views say of the motion beyond the walls that are joined."""
+def _motion_beyond(found: PlanarPose, match: ConstellationMatch) -> Motion | None:
+    """What the submaps say of the motion beyond the walls that are joined."""
     covariance = None if match.by_walls is None else left_open(found.covariance, match.by_walls)
     if covariance is None:
         return None
-    return Motion(planar_transform(*found.pose), covariance, _OUT_OF_PLANE)
+    return Motion(planar_transform(*found.delta), covariance, _OUT_OF_PLANE)
 
 
 def _decide(

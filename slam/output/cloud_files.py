@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from plyfile import PlyData, PlyElement
 
+from slam.io.clouds.ply import write_ply_tables
 from slam.io.planes_json import write_planes
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
@@ -47,7 +47,7 @@ def _write_points(found: CloudPlanes, path: Path) -> None:
     for name, column in zip(("red", "green", "blue"), colours[found.labels].T, strict=True):
         table[name] = column
     table["plane"] = found.labels
-    PlyData([PlyElement.describe(table, "vertex")]).write(str(path))
+    write_ply_tables(path, {"vertex": table})
 
 
 def _draw(found: CloudPlanes, path: Path) -> None:

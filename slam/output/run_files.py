@@ -12,15 +12,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plyfile import PlyData, PlyElement
 
 from slam.config import SlamConfig
 from slam.evaluation.metrics import Metric
 from slam.files import scratch_folder
+from slam.io.clouds.ply import write_ply_tables
 from slam.io.g2o.writer import write_g2o
 from slam.io.planes_json import write_planes
 from slam.io.trajectories import write_tum
 from slam.output.run_metrics import details_of, map_metrics_of, metrics_of, timings_of
+from slam.runs.graph_import import ImportedRun
 from slam.runs.history import History
 from slam.runs.mapping_run import MapResult
 from slam.runs.slam_run import Run
@@ -62,7 +63,7 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     """Write everything about a run into a folder that exists; `extra` tables go into the numbers and the page."""
     rows = metrics_of(run) + timings_of(run.clock)
     numbers = {"metrics": as_json(rows), **details_of(run), **{caption: as_json(table) for caption, table in extra}}
-    write_result(run, folder, run.slam.config, run.rig, numbers)
+    write_result(run, folder, run.slam.config, run.rig, numbers, run.verdict.keyframes)
     write_tum(folder / "scans.tum", run.scan_trajectory)
     if len(run.scan_odometry):
         write_tum(folder / "odometry.tum", run.scan_odometry)
@@ -71,7 +72,8 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     history.write(folder / "view.json")
     draw_uncertainty(run, history, folder / "uncertainty.png")
     pictures = [folder / "map.png", folder / "uncertainty.png"]
-    write_report(folder / "report.html", title, [*extra, ("the run", rows)], pictures, scene_of(run, history))
+    tables, scene = [*extra, ("the run", rows)], scene_of(run, history, run.verdict.keyframes)
+    write_report(folder / "report.html", title, tables, pictures, scene, run.verdict)
 
 
 def write_map(result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, title: str) -> list[Metric]:
@@ -86,7 +88,19 @@ def write_map(result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, 
     return table
 
 
-def write_result(drawn: Drawn, folder: Path, config: SlamConfig, rig: Rig, numbers: dict[str, Any]) -> None:
+def write_import(imported: ImportedRun, folder: Path, run: Path) -> None:
+    """Write a run whose graph came back from another tool into a folder that exists."""
+    config, rig = SlamConfig.from_yaml(run / "config.yaml"), Rig.from_yaml(run / "rig.yaml")
+    write_result(imported, folder, config, rig, {"metrics": as_json(imported.table)})
+    if len(imported.odometry):
+        write_tum(folder / "odometry.tum", imported.odometry)
+    (folder / "graph.g2o").write_text(imported.graph, encoding="utf-8")
+    History.of(imported.planes).write(folder / "view.json")
+
+
+def write_result(
+    drawn: Drawn, folder: Path, config: SlamConfig, rig: Rig, numbers: dict[str, Any], doubtful: Sequence[int] = ()
+) -> None:
     """What every run leaves: how it was made, where it went, what it saw, in numbers and as a picture."""
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     rig.to_yaml(folder / "rig.yaml")
@@ -94,7 +108,7 @@ def write_result(drawn: Drawn, folder: Path, config: SlamConfig, rig: Rig, numbe
     write_planes(folder / "planes.json", drawn.planes)
     write_ply(folder / "map.ply", mesh_of(drawn.planes))
     write_json(folder / "metrics.json", numbers)
-    draw_map(drawn, folder / "map.png")
+    draw_map(drawn, folder / "map.png", doubtful)
 
 
 def add_to_metrics(folder: Path, key: str, rows: Sequence[Metric]) -> None:
@@ -134,7 +148,7 @@ def write_ply(path: Path, mesh: Mesh) -> None:
     corners["plane"] = mesh.plane_ids
     faces = np.empty(len(mesh.triangles), dtype=[("vertex_indices", "i4", (3,))])
     faces["vertex_indices"] = mesh.triangles
-    PlyData([PlyElement.describe(corners, "vertex"), PlyElement.describe(faces, "face")]).write(str(path))
+    write_ply_tables(path, {"vertex": corners, "face": faces})
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:

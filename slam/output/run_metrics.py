@@ -59,6 +59,8 @@ def timings_of(clock: StageClock) -> list[Metric]:
 def details_of(run: Run) -> dict[str, Any]:
     """What a table has no room for, for metrics.json."""
     return {
+        "verdict": run.verdict.to_dict(),
+        "evidence": [one.to_dict() for one in run.verdict.evidence],
         "facing_pairs": [pair.__dict__ for pair in facing_pairs(run.planes)],
         "nis": [{**summary.__dict__, "verdict": summary.verdict} for summary in run.slam.audit.summary()],
         "open_directions": [stretch.to_dict() for stretch in run.slam.open_directions],
@@ -89,7 +91,7 @@ def _whose(log: Log) -> str:
 
 def assumptions_of(log: Log) -> list[str]:
     """What a run took for granted because neither the log nor its user said it, one sentence each."""
-    without = [] if log.odometry else ["no odometry: between keyframes the robot is taken to move on as it did"]
+    without = [] if log.odometry else ["no odometry: how the robot moves is found by what it sees"]
     return [*log.assumed, *without]
 
 

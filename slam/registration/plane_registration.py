@@ -96,6 +96,14 @@ def match_planes_widely(
     return max((one for one in equals if one[1] <= least + _CHEAP), key=lambda one: one[0], default=(0.0, 0.0, None))[2]
 
 
+def pairs_under(known_T_seen: FloatArray, seen: Sequence[Plane], known: Sequence[Plane]) -> tuple[tuple[int, int], ...]:
+    """(seen, known) of the planes, of the largest of both, that are one under a motion (4, 4)."""
+    mine, theirs = PlaneArrays.of(seen), PlaneArrays.of(known)
+    if not len(mine.normals) or not len(theirs.normals):
+        return ()
+    return tuple((mine.order[i], theirs.order[j]) for i, j in _partners(known_T_seen, mine, theirs))
+
+
 def _worked_out(
     motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float]
 ) -> PlaneMatching | None:

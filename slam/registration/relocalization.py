@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+import gtsam
 import numpy as np
 
+from factors import relative_pose_factor
 from factors._conventions import POSE3_TO_SP
+from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
-from slam.registration.plane_registration import match_planes_widely
+from slam.registration.plane_registration import PlaneMatching, match_planes_widely, pairs_under
+from slam.registration.surface_registration import Alignment, LocalMap, align
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -23,6 +29,8 @@ _WIDE_M, _WIDE_RAD = 0.25, 0.12
 _RECENT = 6
 #: What least squares over pairs leaves out, segmentation above all, against its covariance: factor, and least, m, rad.
 _SLACK, _LEAST_M, _LEAST_RAD = 1.5, 0.02, 0.004
+#: Information about a motion that stands for none: 3 rad and 10 m.
+_SILENT = np.diag(np.repeat([3.0, 10.0], 3) ** -2.0)
 
 
 def is_wide(motion: Motion) -> bool:
@@ -33,12 +41,14 @@ def is_wide(motion: Motion) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class FoundPlace:
-    """Where a body is by the planes it sees again."""
+    """Where a body is by the planes it sees again, and by all else that it sees."""
 
     motion: Motion
     """The motion to there; it stands in for the real one while observations are matched."""
     seen_again: frozenset[int]
     """Indices of the observations that found it."""
+    beyond_planes: Motion | None = None
+    """What the returns on no plane say of the motion, which no observation says again; None: nothing."""
 
     @property
     def trusted(self) -> frozenset[int] | None:
@@ -49,33 +59,98 @@ class FoundPlace:
         """
         return self.seen_again if is_wide(self.motion) else None
 
+    def factors(self, key_a: int, key_b: int, robust: str | None) -> list[Any]:
+        """What stays in the graph of it once the observations are matched."""
+        beyond = self.beyond_planes
+        if beyond is None:
+            return []
+        return [relative_pose_factor(key_a, key_b, beyond.a_T_b, beyond.covariance, robust=robust)]  # type: ignore[arg-type]
+
 
 def found_place(
-    keyframe: Keyframe, index: int, motion: Motion, world_T_a: FloatArray, landmarks: LandmarkMap
+    keyframe: Keyframe,
+    motion: Motion,
+    keyframes: Sequence[Keyframe],
+    landmarks: LandmarkMap,
+    backend: Backend,
 ) -> FoundPlace | None:
     """The place from which most of what a keyframe sees was seen before; None when that cannot be said.
 
-    Its motion is used for matching observations and for nothing later: it holds what they will say.
+    Planes propose places, as do the expectation and that nothing moved; each is refined and verified by all returns of
+    a 3D scan. Its motion is used for matching observations and for nothing later: it holds what they will say.
 
     Args:
         keyframe: what is seen.
-        index: its index.
         motion: what is known of its motion.
-        world_T_a: the pose before, shape (4, 4).
+        keyframes: those before.
         landmarks: as of the last refresh.
+        backend: the state.
     """
+    index, world_T_a = len(keyframes), backend.pose(pose_symbol(len(keyframes) - 1))
+    expected_T_world = inverse(world_T_a @ motion.a_T_b)
     numbers = [k for k, one in enumerate(keyframe.observations) if isinstance(one, PlaneObservation)]
     seen = [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
-    expected_T_world = inverse(world_T_a @ motion.a_T_b)
     recent = [one for one in landmarks if one.was_seen_between(index - _RECENT, index)]
     known = [_placed(one, landmarks).transform(expected_T_world) for one in recent]
-    found = match_planes_widely(seen, known, _sigmas(motion))
-    if found is None:
+    by_planes = match_planes_widely(seen, known, _sigmas(motion))
+    by_returns = _by_returns(keyframe, motion, by_planes, _local_map(keyframes, backend, expected_T_world))
+    if by_returns is None:
+        if by_planes is None:
+            return None
+        there = _stated(motion, by_planes.known_T_seen, by_planes.covariance)
+        return FoundPlace(there, frozenset(numbers[i] for i, _ in by_planes.pairs))
+    there = _stated(motion, by_returns.known_T_seen, np.linalg.inv(by_returns.information + _information(motion)))
+    pairs = pairs_under(by_returns.known_T_seen, seen, known)
+    return FoundPlace(there, frozenset(numbers[i] for i, _ in pairs), _beyond_planes(motion, by_returns))
+
+
+def _local_map(keyframes: Sequence[Keyframe], backend: Backend, expected_T_world: FloatArray) -> LocalMap | None:
+    """What the last keyframes saw, in the frame where the body is expected; None: no 3D scans."""
+    first = max(len(keyframes) - _RECENT, 0)
+    parts = []
+    for index in range(first, len(keyframes)):
+        surfaces = keyframes[index].surfaces
+        if surfaces is not None and len(surfaces):
+            parts.append((expected_T_world @ backend.pose(pose_symbol(index)), surfaces))
+    return LocalMap(parts) if parts else None
+
+
+def _by_returns(
+    keyframe: Keyframe, motion: Motion, by_planes: PlaneMatching | None, known: LocalMap | None
+) -> Alignment | None:
+    """The scan laid on what was seen before, from the candidate that all its returns speak for most; None: none."""
+    if known is None or keyframe.surfaces is None or not len(keyframe.surfaces):
         return None
-    covariance = _SLACK**2 * found.covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+    candidates = [np.eye(4), inverse(motion.a_T_b)]
+    if by_planes is not None:
+        candidates.insert(0, by_planes.known_T_seen)
+    found = [align(keyframe.surfaces, known, one) for one in candidates]
+    best = max(found, key=lambda one: one.score)
+    return best if best.score > 0.0 else None
+
+
+def _beyond_planes(motion: Motion, found: Alignment) -> Motion | None:
+    """What the returns on no plane say alone, as a motion whose covariance is wide where they are silent."""
+    information, told = found.off_planes
+    if not information.any():
+        return None
+    information = information / _SLACK**2 + _SILENT
+    step = gtsam.Pose3.Expmap(np.linalg.solve(information, told / _SLACK**2)).matrix()
+    covariance = np.linalg.inv(information)[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+    return replace(motion, a_T_b=motion.a_T_b @ found.known_T_seen @ step, covariance=covariance, response=None)
+
+
+def _stated(motion: Motion, known_T_seen: FloatArray, covariance: FloatArray) -> Motion:
+    """A motion found, with its covariance (6, 6), GTSAM order, and what that leaves out."""
+    covariance = _SLACK**2 * covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
     covariance = covariance + np.diag(np.repeat([_LEAST_M**2, _LEAST_RAD**2], 3))
-    there = replace(motion, a_T_b=motion.a_T_b @ found.known_T_seen, covariance=covariance, response=None)
-    return FoundPlace(there, frozenset(numbers[i] for i, _ in found.pairs))
+    return replace(motion, a_T_b=motion.a_T_b @ known_T_seen, covariance=covariance, response=None)
+
+
+def _information(motion: Motion) -> FloatArray:
+    """Information of what is known of a motion before looking, alike in all directions, GTSAM order, (6, 6)."""
+    place, turn = _sigmas(motion)
+    return np.diag(1.0 / np.repeat([turn, place], 3) ** 2)
 
 
 def _placed(landmark: Landmark, landmarks: LandmarkMap) -> Plane:

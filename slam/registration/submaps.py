@@ -10,17 +10,16 @@ import numpy as np
 from slam.backend.estimator import Backend, pose_symbol
 from slam.backend.joint_covariance import motion_covariance
 from slam.config import LoopConfig
+from slam.frontend.information import left_open as left_open
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy import CELL_M, Raster, view_from
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
-from slam.registration.scan_matching import Relocation, relocate
+from slam.registration.scan_matching import relocate
 from spplanes._check import FloatArray
 
 #: Bounds drawn from a standard deviation are taken at this many of them.
 _SIGMAS = 3.0
-#: Information about a motion, 1 / m^2 and 1 / rad^2, that stands for none.
-_NO_INFORMATION = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,22 +58,6 @@ def view_of(
     return Raster.of(view_from(base, [pose for pose, _ in seen], [returns for _, returns in seen]), config.look_m)
 
 
-def compare_views(here: Raster, there: Raster, estimate: RelativePose, drift_m: float, way_m: float) -> Relocation:
-    """The pose of the view here in that there, each in the frame of its keyframe.
-
-    Args:
-        here, there: the views.
-        estimate: the pose by the estimate.
-        drift_m: how far the estimate may have drifted beyond what it says, but no further than what it says.
-        way_m: length of the way between the two.
-    """
-    drift_m = min(drift_m, estimate.reach_m)
-    beyond = np.array((drift_m, drift_m, 2.0 * drift_m / max(way_m, drift_m))) / _SIGMAS
-    covariance = estimate.covariance + np.diag(beyond**2)
-    reach = np.minimum(_SIGMAS * np.sqrt(np.diag(covariance)), (np.inf, np.inf, np.pi))
-    return relocate(here, there, estimate.delta, covariance, reach)
-
-
 def step_by_view(
     keyframe: Keyframe, motion: Motion, keyframes: Sequence[Keyframe], backend: Backend, config: LoopConfig
 ) -> Motion | None:
@@ -108,28 +91,3 @@ def _recent(last: int, backend: Backend, window_m: float) -> tuple[list[int], li
         members.append(index)
         poses.append(pose)
     return members[::-1], poses[::-1]
-
-
-def left_open(found: FloatArray, by_walls: FloatArray) -> FloatArray | None:
-    """Covariance of what returns say of a motion beyond what the matched walls say of it already; None: nothing.
-
-    The walls' factors are in the graph, and come from the same returns. Along a corridor they say nothing, door frames
-    and corners do. In the axes in which both covariances are diagonal, information of the walls is taken off.
-
-    Args:
-        found: covariance of (x, y, theta) by all returns, shape (3, 3).
-        by_walls: covariance by the walls, large where they leave it open, shape (3, 3).
-    """
-    values, vectors = np.linalg.eigh(found)
-    root = vectors / np.sqrt(values)  # information = root root^T
-    shares, axes = np.linalg.eigh(np.linalg.inv(root) @ np.linalg.inv(by_walls) @ np.linalg.inv(root).T)
-    gained = np.maximum(1.0 - shares, 0.0)
-    if gained.max() < _WORTH:
-        return None
-    turned = root @ axes
-    values, vectors = np.linalg.eigh((turned * gained) @ turned.T + _NO_INFORMATION * np.eye(3))
-    return (vectors / np.maximum(values, _NO_INFORMATION)) @ vectors.T
-
-
-#: Information that adds less than this share to that of the walls is left out.
-_WORTH = 0.5

@@ -9,6 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from slam.config import SlamConfig
+from slam.diagnostics.evidence import look_at
+from slam.diagnostics.verdict import Verdict
 from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
 from slam.frontend.odometry import OdometryTrack
 from slam.geometry.frames import inverse
@@ -46,12 +48,18 @@ class Run:
     @cached_property
     def scan_trajectory(self) -> Trajectory:
         """world_T_body at every scan of the log: the keyframes' estimates, the motion between them carried."""
-        return scan_trajectory(self.trajectory, self.log, self.rig)
+        return scan_trajectory(self.trajectory, self.log, self.rig, self.slam.config)
 
     @cached_property
     def scan_odometry(self) -> Trajectory:
         """The same scans by odometry alone, from the first keyframe's estimate; empty without odometry."""
         return odometry_at_scans(self.trajectory, self.log, self.rig)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Sound, doubtful or broken, and why."""
+        with self.clock.stage("verdict"):
+            return look_at(self.slam, self.rig)
 
 
 def run_slam(

@@ -9,6 +9,7 @@ from typing import Any
 
 import shapely
 
+from slam.diagnostics.verdict import Verdict
 from slam.errors import LogError
 from slam.evaluation.metrics import Metric
 from slam.io.planes_json import read_map
@@ -34,6 +35,8 @@ class StoredRun:
     """What happened on the way."""
     tables: list[tuple[str, list[Metric]]]
     """The tables of metrics.json, with their captions; the run's own first."""
+    verdict: Verdict | None = None
+    """What the run said of itself; None where it said nothing: a map made at given poses."""
 
     @classmethod
     def read(cls, folder: Path | str) -> StoredRun:
@@ -55,17 +58,20 @@ class StoredRun:
             kinds = history.kinds.get(stored.id, ())
             planes.append(MapPlane(stored.id, stored.plane, seen, stored.observations, kinds))
         trajectory = read_tum(folder / "trajectory.tum")
-        return cls(folder, planes, trajectory, odometry, history, _tables(folder / "metrics.json"))
+        numbers = _numbers(folder / "metrics.json")
+        return cls(folder, planes, trajectory, odometry, history, *numbers)
 
 
-def _tables(path: Path) -> list[tuple[str, list[Metric]]]:
-    """Every list of (metric, value, unit) in a metrics.json; none where there is no such file."""
+def _numbers(path: Path) -> tuple[list[tuple[str, list[Metric]]], Verdict | None]:
+    """Every list of (metric, value, unit) in a metrics.json, and the verdict; none where there is no such file."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         pairs = [("the run" if key == "metrics" else str(key), value) for key, value in document.items()]
-        return [(caption, [_metric(row) for row in rows]) for caption, rows in pairs if _is_table(rows)]
+        tables = [(caption, [_metric(row) for row in rows]) for caption, rows in pairs if _is_table(rows)]
+        said = document.get("verdict")
+        return tables, None if said is None else Verdict.from_dicts(said, document.get("evidence", []))
     except FileNotFoundError:
-        return []
+        return [], None
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from error
     except (ValueError, AttributeError, TypeError, KeyError, RecursionError) as error:

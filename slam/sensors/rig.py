@@ -38,6 +38,11 @@ class Sensor(Frozen):
     """Steps of azimuth in a whole turn of such a sensor; given with rows or not at all."""
     range_sigma_m: Positive
     """Standard deviation of a range along the beam, m."""
+    disparity_sigma_per_m: NotNegative = 0.0
+    """Part of the ranges' noise that grows with their square, m per m^2, as that of cameras, which measure an angle
+    from two places; added in variance."""
+    disparity_step_per_m: NotNegative = 0.0
+    """Step of such ranges, m per m^2: a whole number of a camera's pixels; its variance is step^2 / 12; 0: none."""
     bearing_sigma_rad: NotNegative = 0.0
     """Standard deviation of a bearing, rad."""
     quantisation_m: NotNegative = 0.0
@@ -85,6 +90,11 @@ class Sensor(Frozen):
     def range_variance_m2(self) -> float:
         """Variance of one range, noise and quantisation together, m^2."""
         return self.range_sigma_m**2 + self.quantisation_m**2 / 12.0
+
+    def range_variance_at(self, ranges: FloatArray) -> FloatArray:
+        """Variance of ranges, what grows with them included, m^2, of their shape."""
+        growing = self.disparity_sigma_per_m**2 + self.disparity_step_per_m**2 / 12.0
+        return self.range_variance_m2 + growing * np.square(np.square(ranges))
 
 
 class LocalisationNoise(Frozen):
@@ -245,4 +255,5 @@ def _is_level(transform: FloatArray) -> bool:
 
 def _steps_of(ranges: FloatArray, steps: tuple[float, ...]) -> tuple[float, ...]:
     """Those of some steps that all ranges are multiples of, m."""
-    return tuple(step for step in steps if np.allclose(ranges / step, np.round(ranges / step), rtol=0.0, atol=1e-3))
+    whole = (ranges / step for step in steps)
+    return tuple(step for step, n in zip(steps, whole, strict=True) if (np.abs(n - np.rint(n)) <= 1e-3).all())

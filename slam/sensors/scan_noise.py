@@ -15,6 +15,7 @@ def model_of(sensor: Sensor) -> SensorModel:
     """Errors of the sensor's beams."""
     return SensorModel(
         range_sigma_m=sensor.range_sigma_m,
+        range_sigma_per_m2=float(np.hypot(sensor.disparity_sigma_per_m, sensor.disparity_step_per_m / np.sqrt(12.0))),
         bearing_sigma_rad=sensor.bearing_sigma_rad,
         quantisation_m=sensor.quantisation_m,
     )

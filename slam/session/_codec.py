@@ -21,6 +21,7 @@ from slam.association.data_association import Candidate, Decision
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import Motion
+from slam.frontend.pose_measurements import KINDS
 from slam.io.spool import StoredScan
 from slam.map.map_planes import MapPlane
 from slam.sensors.log import CloudScan, LaserScan, StoredCloud
@@ -40,6 +41,7 @@ _CLASSES: dict[str, type] = {
         Plane,
         PlaneObservation,
         ScanLine,
+        *KINDS,
     )
 }
 #: Numbers an array may have, by their name in a record: floats, integers, booleans.

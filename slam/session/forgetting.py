@@ -10,6 +10,7 @@ from slam.association.decisions import Decision
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion
+from slam.frontend.pose_measurements import PoseMeasurement
 from slam.growable import Growing, Rows
 from slam.session.store import Session
 from spplanes._check import FloatArray
@@ -25,8 +26,8 @@ class ForgottenKeyframes(Growing[Keyframe]):
 
     def __init__(self, session: Session) -> None:
         self._read = lru_cache(maxsize=_KEPT)(session.keyframe)
-        #: Time, number of observations, whether there are a motion, returns, and a guess of the pose.
-        self._known = Rows("qibbb")
+        #: Time, number of observations, whether there are a motion, returns, a guess of the pose, and surfaces.
+        self._known = Rows("qibbbb")
         self._notes: dict[int, tuple[str, ...]] = {}
 
     def __len__(self) -> int:
@@ -36,7 +37,8 @@ class ForgottenKeyframes(Growing[Keyframe]):
         """Add one whose measurements the session has."""
         if value.notes:
             self._notes[len(self)] = value.notes
-        there = (value.motion is not None, value.returns is not None, value.world_T_body_guess is not None)
+        parts = (value.motion, value.returns, value.world_T_body_guess, value.surfaces)
+        there = (part is not None for part in parts)
         self._known.append((int(value.stamp_ns), len(value.observations), *there))
 
     def at(self, index: int) -> Keyframe:
@@ -75,6 +77,16 @@ class StoredKeyframe(Keyframe):
     def world_T_body_guess(self) -> FloatArray | None:  # type: ignore[override]
         """Where the first pose is, shape (4, 4); None: at the origin."""
         return self._read().world_T_body_guess if self._there[2] else None  # type: ignore[attr-defined]
+
+    @property
+    def pose_measurements(self) -> Sequence[PoseMeasurement]:  # type: ignore[override]
+        """What is known of the pose beside motion and planes."""
+        return self._read().pose_measurements  # type: ignore[attr-defined]
+
+    @property
+    def surfaces(self) -> FloatArray | None:  # type: ignore[override]
+        """Surface elements of a 3D scan, shape (N, 8); None: no 3D scan."""
+        return self._read().surfaces if self._there[3] else None  # type: ignore[attr-defined]
 
 
 class ForgottenDecisions(Growing[list[Decision]]):

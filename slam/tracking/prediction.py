@@ -13,12 +13,12 @@ from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
-from slam.geometry.frames import inverse
+from slam.frontend.wheel_calibration import WheelCalibration
+from slam.geometry.frames import inverse, orthonormal
 from slam.map.sparsification import Link
 from slam.map.state import Parts
 from slam.registration.relocalization import FoundPlace, found_place, is_wide
 from slam.tracking.constant_velocity import coast
-from slam.tracking.wheel_calibration import WheelCalibration
 from spplanes._check import FloatArray
 
 
@@ -89,12 +89,13 @@ class MotionModel:
         index = len(self._keyframes)
         step = self._start(keyframe) if index == 0 else self._step(keyframe, index)
         key, initial = pose_symbol(index), gtsam.Values()
-        initial.insert(key, gtsam.Pose3(step.world_T_body))
+        initial.insert(key, gtsam.Pose3(orthonormal(step.world_T_body)))
+        own_factors = [*step.factors, *(one.factor(key) for one in keyframe.pose_measurements)]
         room = self._thinning.make_room(index)
         through = [self._through(*motion) for motion in room.motions]
-        indices = self._backend.update([*step.factors, *through], initial, remove=room.stale)
-        own = indices[: len(step.factors)]
-        self._thinning.made_room(room, indices[len(step.factors) :])
+        indices = self._backend.update([*own_factors, *through], initial, remove=room.stale)
+        own = indices[: len(own_factors)]
+        self._thinning.made_room(room, indices[len(own_factors) :])
         measured = None if step.place is not None or index == 0 else keyframe.motion
         self._thinning.entered(index, None if measured is None else Link(measured, own[:1], own[1:]))
         return Prediction(
@@ -103,7 +104,7 @@ class MotionModel:
             step.motion,
             step.place,
             pending=tuple(step.pending),
-            standing_in=tuple(own) if step.pending else (),
+            standing_in=tuple(own[: len(step.factors)]) if step.pending else (),
             robust=(self._config.coasting.robust if step.pending else None) or self._config.backend.robust,
         )
 
@@ -130,14 +131,13 @@ class MotionModel:
         """Where the motion to a keyframe leads, and its factors."""
         before, key = pose_symbol(index - 1), pose_symbol(index)
         world_T_before = self._backend.pose(before)
-        motion = self._motion_to(keyframe)
-        place = found_place(keyframe, index, motion, world_T_before, self._landmarks) if is_wide(motion) else None
+        motion, parts = self._motion_to(keyframe), (self._keyframes, self._landmarks, self._backend)
+        place = found_place(keyframe, motion, *parts) if is_wide(motion) else None
         if place is None:
             return _Step(world_T_before @ motion.a_T_b, motion.factors(before, key), motion)
-        there = place.motion
-        return _Step(
-            world_T_before @ there.a_T_b, there.factors(before, key), motion, place, motion.factors(before, key)
-        )
+        kernel, there = self._config.coasting.robust or self._config.backend.robust, place.motion
+        pending = [*motion.factors(before, key), *place.factors(before, key, kernel)]
+        return _Step(world_T_before @ there.a_T_b, there.factors(before, key), motion, place, pending)
 
     def _motion_to(self, keyframe: Keyframe) -> Motion:
         """Odometry, less what is known to be wrong with it; without any the motion before goes on."""

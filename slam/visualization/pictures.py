@@ -51,24 +51,29 @@ class Drawn(Protocol):
         ...
 
 
-def draw_map(run: Drawn, path: Path) -> None:
-    """Plan view (x, y), and side view (x, z) where anything has a height, with trajectory and odometry, into a PNG."""
+def draw_map(run: Drawn, path: Path, doubtful: Sequence[int] = ()) -> None:
+    """Plan view (x, y), and side view (x, z) where anything has a height, with trajectory and odometry, into a PNG.
+
+    Keyframes that are `doubtful` are marked on the trajectory.
+    """
     views = ["plan", "side"] if any(plane.plane.outline is not None for plane in run.planes) else ["plan"]
     heights = [view_height(run, view) for view in views]
     figure = Figure(figsize=(_WIDTH, sum(heights) + 0.7 * len(views) + 0.3), layout="constrained")
     axes = figure.subplots(len(views), 1, height_ratios=heights, squeeze=False)[:, 0]
     for axis, view in zip(axes, views, strict=True):
         draw_view(axis, run, view)
+        mark(axis, run.trajectory, view, doubtful)
     axes[0].set_title(title_of(run))
     _legend(axes[0])
     save(figure, path)
 
 
-def draw_one(run: Drawn, view: str, path: Path) -> None:
-    """One view, "plan" or "side", into a PNG of its own."""
+def draw_one(run: Drawn, view: str, path: Path, doubtful: Sequence[int] = ()) -> None:
+    """One view, "plan" or "side", into a PNG of its own, keyframes that are `doubtful` marked."""
     figure = Figure(figsize=(_WIDTH, view_height(run, view) + 1.2), layout="constrained")
     axes = figure.subplots()
     draw_view(axes, run, view)
+    mark(axes, run.trajectory, view, doubtful)
     axes.set_title(title_of(run))
     _legend(axes)
     save(figure, path)
@@ -89,6 +94,15 @@ def draw_view(axes: Any, run: Drawn, view: str, colours: Colours | None = None, 
     axes.set_aspect("equal")
     axes.grid(alpha=0.3)
     axes.autoscale_view()
+
+
+def mark(axes: Any, path: Trajectory, view: str, keyframes: Sequence[int]) -> None:
+    """Colour keyframes of a trajectory on one of its views."""
+    chosen = [keyframe for keyframe in keyframes if keyframe < len(path)]
+    if not chosen:
+        return
+    places = path.poses[chosen, :3, 3][:, _VIEWS[view]]
+    axes.plot(*places.T, label="doubtful", color="tab:orange", ls="", marker="o", markersize=6, alpha=0.8, zorder=4)
 
 
 def view_height(run: Drawn, view: str) -> float:

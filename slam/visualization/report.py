@@ -11,6 +11,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+from slam.diagnostics.verdict import Verdict
 from slam.evaluation.metrics import Metric
 
 
@@ -20,6 +21,7 @@ def write_report(
     tables: Sequence[tuple[str, Sequence[Metric]]],
     pictures: Sequence[Path],
     scene: dict[str, Any],
+    verdict: Verdict | None = None,
 ) -> None:
     """Write the page; everything that comes from files is escaped, pictures and script are embedded.
 
@@ -29,12 +31,14 @@ def write_report(
         tables: (caption, rows) each.
         pictures: PNG files.
         scene: what `slam.visualization.scene.scene_of` makes.
+        verdict: what the run says of itself, on top; None: nothing.
     """
     parts = [_table(caption, rows) for caption, rows in tables]
     parts += [_picture(picture) for picture in pictures]
     page = Template(_asset("page.html")).substitute(
         title=escape(title),
         style=_asset("viewer.css"),
+        verdict="" if verdict is None else _verdict(verdict),
         map=_asset("map.html"),
         body="\n".join(parts),
         scene=_in_script(scene),
@@ -56,6 +60,11 @@ def _table(caption: str, rows: Sequence[Metric]) -> str:
     ]
     head = '<tr><th>metric</th><th class="n">value</th><th>unit</th></tr>'
     return f"<h2>{escape(caption)}</h2>\n<table>{head}{''.join(lines)}</table>"
+
+
+def _verdict(verdict: Verdict) -> str:
+    reasons = "".join(f"<br>{escape(reason)}" for reason in verdict.reasons)
+    return f'<p class="verdict {verdict.verdict}"><b>The map is {verdict.verdict}.</b>{reasons}</p>'
 
 
 def _picture(path: Path) -> str:

@@ -28,14 +28,15 @@ _MOST_POSES, _MOST_DOTS = 5000, 1500
 _MOST_BLOCKS, _LEAST_IN_BLOCK = 60, 20
 
 
-def scene_of(run: Drawn, history: History) -> dict[str, Any]:
-    """Everything the page's script needs, as plain numbers, strings and lists."""
+def scene_of(run: Drawn, history: History, doubtful: Sequence[int] = ()) -> dict[str, Any]:
+    """Everything the page's script needs, as plain numbers, strings and lists; `doubtful` keyframes as places."""
     planes = [_plane(plane) for plane in run.planes if not plane.seen.is_empty]
     estimate, odometry = _path(run.trajectory), _path(run.odometry)
     return {
         "planes": planes,
         "estimate": estimate,
         "odometry": odometry,
+        "doubtful": _rounded(run.trajectory.poses[[k for k in doubtful if k < len(run.trajectory)], :3, 3]),
         "bounds": _bounds(planes, [estimate, odometry]),
         "keyframes": len(run.trajectory),
         "nis": [_series(kind, history.nis[kind]) for kind in sorted(history.nis) if history.nis[kind]],

@@ -25,10 +25,11 @@ def view_run(run: Path | str, out: Path | str | None = None) -> list[Path]:
         ValueError: a place where nothing can be written.
     """
     stored = StoredRun.read(run)
+    doubtful = () if stored.verdict is None else stored.verdict.keyframes
     folder = stored.folder if out is None else Path(out)
     pictures: dict[str, Callable[[Path], None]] = {
-        "plan.png": lambda path: draw_one(stored, "plan", path),
-        "side.png": lambda path: draw_one(stored, "side", path),
+        "plan.png": lambda path: draw_one(stored, "plan", path, doubtful),
+        "side.png": lambda path: draw_one(stored, "side", path, doubtful),
         "uncertainty.png": lambda path: draw_uncertainty(stored, stored.history, path),
     }
     for name, draw in pictures.items():
@@ -36,6 +37,7 @@ def view_run(run: Path | str, out: Path | str | None = None) -> list[Path]:
             draw(scratch)
     drawn = [folder / name for name in pictures]
     with whole_file(folder / "report.html") as scratch:
-        scene = scene_of(stored, stored.history)
-        write_report(scratch, f"spplanes: {stored.folder.resolve().name}", stored.tables, drawn, scene)
+        scene = scene_of(stored, stored.history, doubtful)
+        title = f"spplanes: {stored.folder.resolve().name}"
+        write_report(scratch, title, stored.tables, drawn, scene, stored.verdict)
     return [*drawn, folder / "report.html"]

@@ -87,6 +87,7 @@ CALLS: dict[str, Call] = {
     "factors.landmark_to_plane": lambda n: factors.landmark_to_plane(n.landmark(), n.array(3, 3), centre=n.array(3)),
     "factors.line_factor_2d": lambda n: factors.line_factor_2d(n.line(), n.array(4, 4), 4, 2),
     "factors.map_prior": lambda n: factors.map_prior([n.plane(), n.plane()], [2, 3], n.array(6, 6)),
+    "factors.gravity_factor": lambda n: factors.gravity_factor(0, n.array(3), n.number()),
     "factors.odometry_factor_2d": lambda n: factors.odometry_factor_2d(4, 5, n.array(3), n.array(3, 3)),
     "factors.parallel_factor": lambda n: factors.parallel_factor(2, 3, n.number()),
     "factors.perpendicular_factor": lambda n: factors.perpendicular_factor(2, 3, n.number()),
@@ -115,9 +116,12 @@ ELSEWHERE = {
 WITHOUT_ARRAYS = {
     *("spplanes.__version__", "spplanes.LineConfig", "spplanes.MapperConfig", "spplanes.MapperConfig.for_rows"),
     *("spplanes.Moments", "spplanes.Moments.from_row", "spplanes.Moments.as_row", "spplanes.PlaneMapper.labels"),
+    *("factors.copy_graph", "factors.isam2_parameters", "factors.landmark_anchors", "factors.settle"),
     *("factors.isam_covariance", "factors.joint_covariance", "factors.seen_plane", "factors.world_plane"),
     *("slam.SlamConfig", "slam.SlamConfig.from_yaml", "slam.SlamConfig.to_yaml", "slam.PlaneSlam.open"),
     *("slam.PlaneSlam.close", "slam.PlaneSlam.optimize_batch", "slam.PlaneSlam.adopt_batch"),
+    "slam.PlaneSlam.explain",
+    "slam.PlaneSlam.marginal_covariance",
 }
 
 

@@ -1,7 +1,8 @@
-"""Reader of PLY: the vertices of an ascii or binary file of either byte order, with any other properties."""
+"""PLY: reader of the vertices of ascii or binary files of either byte order; writer of tables as binary files."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +25,11 @@ _TYPES = {
     **dict.fromkeys(("double", "float64"), "f8"),
 }
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+#: What each numpy type is called when it is written.
+_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint"} | {
+    "f4": "float",
+    "f8": "double",
+}
 
 
 @dataclass
@@ -155,3 +161,35 @@ def _check_vertices(path: Path, elements: list[Element]) -> None:
     names = [name for name, _ in vertex.columns]
     if len(set(names)) != len(names) or not {"x", "y", "z"} <= set(names):
         raise LogError(path, f"expected the properties x y z once each, got {' '.join(names)[:60]}")
+
+
+def write_ply_tables(path: Path | str, tables: Mapping[str, np.ndarray]) -> None:
+    """Write structured arrays as the elements of a binary little-endian PLY file, in their order.
+
+    A field of several numbers a row, such as the corners of a triangle, becomes a list property.
+    """
+    header = ["ply", "format binary_little_endian 1.0"]
+    body = []
+    for name, table in tables.items():
+        lines, row = _written_fields(table.dtype)
+        rows = np.empty(len(table), dtype=row)
+        for field in table.dtype.names or ():
+            rows[field] = table[field]
+            if f"{field} size" in (row.names or ()):
+                rows[f"{field} size"] = table[field].shape[1]
+        header += [f"element {name} {len(table)}", *lines]
+        body.append(rows.tobytes())
+    Path(path).write_bytes("\n".join([*header, "end_header\n"]).encode("ascii") + b"".join(body))
+
+
+def _written_fields(kind: np.dtype) -> tuple[list[str], np.dtype]:
+    """Header lines of the fields of a table, and the type of a row as it is written, with the sizes of lists."""
+    lines, fields = [], []
+    for name in kind.names or ():
+        field = kind[name]
+        base = field.base.str[1:]
+        if field.shape:
+            fields.append((f"{name} size", "u1"))
+        lines.append(f"property list uchar {_NAMES[base]} {name}" if field.shape else f"property {_NAMES[base]} {name}")
+        fields.append((name, "<" + base, field.shape))
+    return lines, np.dtype(fields)

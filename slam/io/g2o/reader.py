@@ -27,7 +27,7 @@ class G2oGraph:
     """The graph of a g2o file."""
 
     graph: gtsam.NonlinearFactorGraph
-    """Odometry, priors, sightings of planes, and constraints that hold the fixed vertices where they are."""
+    """Odometry, priors, sightings of planes, and priors of 1e-6 m and rad that hold the fixed vertices."""
     values: gtsam.Values
     """Poses (Pose3) and planes (OrientedPlane3), as the file has them; planes in the world."""
     poses: dict[int, int]
@@ -216,10 +216,13 @@ def _noise(root: FloatArray) -> gtsam.noiseModel.Base:
 
 
 def _held(key: int, pose: gtsam.Pose3) -> gtsam.PriorFactorPose3:
-    return gtsam.PriorFactorPose3(key, pose, gtsam.noiseModel.Constrained.All(6))
+    return gtsam.PriorFactorPose3(key, pose, gtsam.noiseModel.Isotropic.Sigma(6, _HELD_SIGMA))
 
 
 _WORLD = gtsam.symbol("w", 0)
+#: How firmly a fixed pose is held, m and rad. GTSAM's solvers take no constraint by default: LM stops at once without a
+#: word, the others throw. This is far below what sensors measure, and still well conditioned.
+_HELD_SIGMA = 1e-6
 #: Numbers after the id.
 _VERTICES = {"VERTEX_SE3:QUAT": 7, "VERTEX_PLANE": 7, "PARAMS_SE3OFFSET": 7}
 #: Number of ids, and of numbers after them.

@@ -12,6 +12,7 @@ import gtsam
 import numpy as np
 
 from factors import landmark_anchors
+from slam.io._numbers import numbered_words
 from slam.io.g2o._observations import Sighting, gaussian_of, linearised, sighting_of
 from slam.io.g2o._tangents import (
     LEVEL,
@@ -21,6 +22,7 @@ from slam.io.g2o._tangents import (
     pose_jacobian,
     sensor_rotation,
 )
+from slam.io.g2o.reader import G2oGraph
 from spplanes._check import FloatArray
 
 #: Newton steps to where the error of a prior is zero.
@@ -62,6 +64,19 @@ def write_g2o(path: Path | str, graph: gtsam.NonlinearFactorGraph, values: gtsam
     writer = _Writer(graph, values)
     Path(path).write_text("\n".join(writer.lines()) + "\n", encoding="ascii")
     return G2oContent(writer.poses, writer.planes, dict(writer.left_out))
+
+
+def with_vertices(path: Path | str, read: G2oGraph, values: gtsam.Values) -> str:
+    """Text of a g2o file that `slam.io.g2o.reader.read_g2o` read, vertices where ``values`` has them; no comments."""
+    lines = []
+    for _, words in numbered_words(Path(path)):
+        number = int(words[1]) if words[0] in ("VERTEX_SE3:QUAT", "VERTEX_PLANE") else None
+        if number in read.poses:
+            words[2:] = [_pose(values.atPose3(read.poses[number]))]
+        elif number in read.planes:
+            words[2:6] = [_numbers(values.atOrientedPlane3(read.planes[number]).planeCoefficients())]
+        lines.append(" ".join(words))
+    return "\n".join(lines) + "\n"
 
 
 class _Writer:

@@ -170,6 +170,7 @@
     if (byId("show-planes").checked) drawPlanes(eye);
     if (byId("show-odometry")?.checked) drawPath(scene.odometry, eye, "#c53030", 1.5, [6, 4]);
     if (byId("show-estimate").checked) drawPath(scene.estimate, eye, "#111111", 2, []);
+    if (byId("show-estimate").checked) drawDots(scene.doubtful, eye, "#dd6b20");
     drawTriad(eye);
   }
 
@@ -206,6 +207,17 @@
     context.strokeStyle = hot ? "#111" : rgb(base, 1);
     context.stroke(lines);
     view.drawn.push({ i, faces: filled ? faces : null, lines });
+  }
+
+  function drawDots(points, eye, colour) {
+    context.fillStyle = colour;
+    for (const point of points) {
+      const place = eye.toCamera(point);
+      if (place[2] < NEAR) continue;
+      context.beginPath();
+      context.arc(...eye.toScreen(place), 4, 0, 2 * Math.PI);
+      context.fill();
+    }
   }
 
   function drawPath(points, eye, colour, width, dashes) {
@@ -353,6 +365,7 @@
     const box = byId("legend");
     box.replaceChildren();
     if (scene.estimate.length) box.append(element("span", "━ trajectory ", "estimate"));
+    if (scene.doubtful.length) box.append(element("span", "● doubtful ", "doubtful"));
     if (scene.odometry.length) box.append(element("span", "╌ odometry alone ", "odometry"));
     if (view.colour !== "sigma") return;
     const bar = element("span", undefined, "ramp");

@@ -10,7 +10,6 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-import plyfile
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -43,14 +42,19 @@ def pcd(data: str = "binary", n: int = len(POINTS), body: bytes | None = None) -
     return PCD_HEADER.format(n=n, data=data).encode() + body
 
 
+PLY_TYPES = ("uchar", "float", "float", "float")
+
+
 def ply(points: np.ndarray = POINTS, *, text: bool = False, order: str = "<") -> bytes:
     table = np.empty(len(points), dtype=[("intensity", "u1"), ("x", "f4"), ("y", "f4"), ("z", "f4")])
     table["intensity"] = 7
     for k, axis in enumerate("xyz"):
         table[axis] = points[:, k]
-    stream = io.BytesIO()
-    plyfile.PlyData([plyfile.PlyElement.describe(table, "vertex")], text=text, byte_order=order).write(stream)
-    return stream.getvalue()
+    kind = "ascii" if text else {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
+    properties = [f"property {name} {column}" for name, column in zip(PLY_TYPES, table.dtype.names, strict=True)]
+    header = ["ply", f"format {kind} 1.0", f"element vertex {len(table)}", *properties, "end_header", ""]
+    rows = "".join(" ".join(f"{value:.9g}" for value in row) + "\n" for row in table.tolist()).encode()
+    return "\n".join(header).encode() + (rows if text else table.astype(table.dtype.newbyteorder(order)).tobytes())
 
 
 def npy(array: np.ndarray) -> bytes:

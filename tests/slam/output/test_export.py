@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from plyfile import PlyData
 
 from slam.cli import main
 from slam.errors import LogError
@@ -22,6 +21,7 @@ from slam.runs.history import History
 from slam.runs.stored_run import StoredRun
 from slam.visualization.glb import write_glb
 from slam.visualization.mesh import mesh_of
+from tests.slam.ply_tables import read_tables
 from tests.slam.visualization.test_open3d_export import WINDOW, needs_open3d, o3d, path, two_planes, wall
 
 GRAPH = "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n"
@@ -155,11 +155,20 @@ def test_awkward_floats_survive_in_every_trajectory_format(tmp_path: Path):
 
 
 def test_ply_is_a_mesh_without_open3d(run: Path):
-    mesh = PlyData.read(str(run / "map.ply"))
+    mesh = read_tables(run / "map.ply")
     given = mesh_of(two_planes())
     np.testing.assert_array_equal(np.column_stack([mesh["vertex"][axis] for axis in "xyz"]), given.vertices)
-    np.testing.assert_array_equal(np.vstack(mesh["face"]["vertex_indices"]), given.triangles)
+    np.testing.assert_array_equal(mesh["face"]["vertex_indices"], given.triangles)
     np.testing.assert_array_equal(mesh["vertex"]["plane"], given.plane_ids)
+
+
+def test_ply_is_read_by_open3d(run: Path):
+    o3d = pytest.importorskip("open3d")
+    read = o3d.io.read_triangle_mesh(str(run / "map.ply"))
+    given = mesh_of(two_planes())
+    np.testing.assert_array_equal(np.asarray(read.vertices), given.vertices)
+    np.testing.assert_array_equal(np.asarray(read.triangles), given.triangles)
+    np.testing.assert_allclose(255.0 * np.asarray(read.vertex_colors), given.colours, atol=0.51)
 
 
 def glb_parts(file: Path) -> tuple[dict, bytes]:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plyfile import PlyData
 
 from slam.errors import LogError
 from slam.io.clouds import Cloud, read_cloud
@@ -16,6 +15,7 @@ from slam.runs.cloud_fit import fit_cloud
 from slam.sensors.noise_estimation import range_sigma_of, scatter_of
 from tests.slam.cli.test_commands import refused, run
 from tests.slam.io.test_cloud_folders import ROOM, beams, pose, seen_from
+from tests.slam.ply_tables import read_tables
 from tests.slam.real_data import needs
 
 HERE = pose(0.3, -0.4, 0.2)
@@ -83,7 +83,7 @@ def test_what_fit_leaves(room: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
         "points.ply",
     }
     assert len(read_planes(tmp_path / "found" / "planes.json")) == 6
-    points = PlyData.read(str(tmp_path / "found" / "points.ply"))["vertex"]
+    points = read_tables(tmp_path / "found" / "points.ply")["vertex"]
     assert len(points) == 32 * 360 and set(np.unique(points["plane"])) - {-1} == set(range(6))
     assert "exists already" in refused(capsys, "fit", room, "--out", tmp_path / "found")
     # what it wrote is a cloud again

@@ -1,0 +1,63 @@
+"""What evidence is drawn from: the parts of an estimator whose run has ended."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from slam.association.decisions import Decision
+from slam.backend.estimator import Backend
+from slam.config import SlamConfig
+from slam.diagnostics.consistency import NisAudit
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.wheel_calibration import WheelCalibration
+from slam.io.trajectories import Trajectory
+from slam.loop_closure.verification import LoopDecision
+from slam.map.landmarks import LandmarkMap
+from slam.mapping.late_association import LateMatch
+from slam.session.prior_map import PriorMap
+
+
+class Finished(Protocol):
+    """An estimator at the end of its run, read only."""
+
+    config: SlamConfig
+    """The settings."""
+    backend: Backend
+    """The graph."""
+    landmarks: LandmarkMap
+    """The map, confirmed or not."""
+    audit: NisAudit
+    """Chi2 of what was accepted."""
+    prior: PriorMap | None
+    """What was known beforehand."""
+
+    @property
+    def keyframes(self) -> Sequence[Keyframe]:
+        """What was measured."""
+        ...
+
+    @property
+    def decisions(self) -> Sequence[list[Decision]]:
+        """What became of every observation, by keyframe."""
+        ...
+
+    @property
+    def late_matches(self) -> list[LateMatch]:
+        """Observations matched after their own keyframe."""
+        ...
+
+    @property
+    def loops(self) -> list[LoopDecision]:
+        """Comparisons with old places."""
+        ...
+
+    @property
+    def calibration(self) -> WheelCalibration:
+        """What was learnt of the wheels."""
+        ...
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """world_T_body of every keyframe."""
+        ...

@@ -1,0 +1,59 @@
+"""Evidence: chi2 of what was matched says that errors are larger than claimed, and by so much that it matters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+from scipy.stats import norm
+
+from slam.backend.estimator import pose_symbol
+from slam.diagnostics.evidence.finished import Finished
+from slam.diagnostics.verdict import Evidence, named
+
+#: What a user is promised of a sound map: no error beyond this, m, or so many of the standard deviations it claims.
+PROMISED_M, PROMISED_SIGMAS = 0.1, 3.0
+#: Poses whose standard deviation is looked at, evenly over the run.
+_MOST_POSES = 24
+
+
+def risk(sigma_m: float, claimed_m: float) -> float:
+    """Probability that an error of standard deviation `sigma_m` breaks the promise where `claimed_m` is claimed."""
+    return 2.0 * float(norm.sf(max(PROMISED_M, PROMISED_SIGMAS * claimed_m) / max(sigma_m, 1e-12)))
+
+
+def claimed_sigmas(run: Finished) -> dict[int, float]:
+    """Largest standard deviation of the position of some keyframes, by their index, m."""
+    count = len(run.keyframes)
+    chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_POSES)).round().astype(int)).tolist()
+    blocks = {key: run.backend.covariance(pose_symbol(key))[3:, 3:] for key in chosen}
+    return {key: float(np.sqrt(max(np.linalg.eigvalsh(block)[-1], 0.0))) for key, block in blocks.items()}
+
+
+def nis_evidence(run: Finished) -> Iterator[Evidence]:
+    """Accepted matches scatter more than their covariances say, and the poses err by as much more.
+
+    The mean NIS is the factor by which the covariances are too small, if it is of all measurements alike; it matters
+    where errors larger by its root would break what a sound map promises more often than once in a hundred cases.
+    """
+    rows = [row for history in run.audit.history.values() for row in history]
+    dof = sum(row[2] for row in rows)
+    if not dof:
+        return
+    total = float(sum(row[1] for row in rows))
+    factor = float(np.sqrt(max(total / dof, 1.0)))
+    sigmas = claimed_sigmas(run)
+    at_risk = tuple(key for key, sigma in sigmas.items() if risk(factor * sigma, sigma) > 0.01)
+    if not at_risk:
+        return
+    yield Evidence(
+        "innovations",
+        "doubtful",
+        float(chi2_distribution.sf(total, dof)),
+        factor,
+        "times the stated sigma",
+        at_risk,
+        f"what was matched scatters {factor:.2g} times as much as stated: claimed sigmas up to "
+        f"{max(sigmas.values()):.2g} m are too small by that at {named(at_risk)}",
+    )

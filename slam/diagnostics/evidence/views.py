@@ -1,0 +1,130 @@
+"""What level lasers saw from different keyframes, held against each other: surfaces confirmed, or seen through."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from slam.frontend.keyframes import Keyframe
+from slam.geometry.frames import inverse
+from spplanes._check import FloatArray
+
+#: A return is of the same surface, or in front of it, by more than this, m: what a map may err by before it is wrong.
+TOLERANCE_M = 0.1
+#: One return in a square of this side is looked at: neighbours are of one surface, and say the same, m.
+LOOK_M = 0.5
+#: Between beams further apart than this nothing is known to be free, rad: a few steps of a laser of 0.5 or 1 deg.
+_GAP_RAD = np.deg2rad(2.2)
+#: Keyframes further apart than this are not compared, m: what one sees of the other's surroundings is at a slant.
+_REACH_M = 4.0
+#: Partners of a keyframe are from different stretches of the way of this length, m, and so many at most.
+_STRETCH_M, _PARTNERS = 2.0, 8
+#: Comparisons over a whole run: the sample of a long one is as good.
+_MOST_PAIRS = 3000
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """The returns of one keyframe in its body's plane of motion, to be asked what they say of places about it."""
+
+    fans: tuple[tuple[FloatArray, FloatArray, FloatArray], ...]
+    """Of every laser its place (2,), bearings (B,) ascending, rad, and ranges (B,), m."""
+    tree: cKDTree
+    """The returns."""
+    looks: FloatArray
+    """One return in every square, shape (N, 2), m."""
+
+    @classmethod
+    def of(cls, beams: FloatArray) -> View:
+        """From beams (B, 4) as rows (x0, y0, x1, y1), m."""
+        origins, of_origin = np.unique(beams[:, :2], axis=0, return_inverse=True)
+        fans = []
+        for number, origin in enumerate(origins):
+            away = beams[of_origin.ravel() == number, 2:] - origin
+            bearings = np.arctan2(away[:, 1], away[:, 0])
+            order = np.argsort(bearings, kind="stable")
+            fans.append((origin, bearings[order], np.linalg.norm(away, axis=1)[order]))
+        ends = beams[:, 2:]
+        squares = np.floor(ends / LOOK_M).astype(np.int64)
+        _, first = np.unique(squares, axis=0, return_index=True)
+        return cls(tuple(fans), cKDTree(ends), ends[np.sort(first)])
+
+    def confirms(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+        """Which places (N, 2) have a return within the tolerance, shape (N,)."""
+        return np.isfinite(self.tree.query(places, distance_upper_bound=tolerance_m)[0])
+
+    def sees_through(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+        """Which places (N, 2) lie in front of what both beams beside them met, by more than the tolerance, (N,)."""
+        through = np.zeros(len(places), dtype=bool)
+        for origin, bearings, ranges in self.fans:
+            if len(bearings) < 2:
+                continue
+            away = places - origin
+            bearing = np.arctan2(away[:, 1], away[:, 0])
+            after = np.clip(np.searchsorted(bearings, bearing), 1, len(bearings) - 1)
+            low, high = bearings[after - 1], bearings[after]
+            between = (high - low < _GAP_RAD) & (bearing >= low) & (bearing <= high)
+            free_m = np.minimum(ranges[after], ranges[after - 1]) - tolerance_m
+            through |= between & (np.linalg.norm(away, axis=1) < free_m)
+        return through
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What one keyframe's view says of the surfaces that another one saw."""
+
+    keyframe: int
+    """That looks."""
+    other: int
+    """Whose surfaces are looked for."""
+    confirmed: int
+    """Looks at surfaces that are there."""
+    through: int
+    """Looks through surfaces: something is there for the one and nothing for the other."""
+
+
+def views_of(keyframes: Sequence[Keyframe]) -> dict[int, View]:
+    """The views of the keyframes that level lasers saw something from."""
+    return {
+        index: View.of(keyframe.returns)
+        for index, keyframe in enumerate(keyframes)
+        if keyframe.returns is not None and len(keyframe.returns)
+    }
+
+
+def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
+    """Keyframes to compare by poses (N, 4, 4) of all: each with the nearest of every other stretch of the way."""
+    places = poses[:, :2, 3]
+    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))))
+    held, pairs = np.asarray(views), []
+    tree = cKDTree(places[held]) if len(held) else None
+    for index in views if tree is not None else ():
+        near = held[sorted(tree.query_ball_point(places[index], _REACH_M))]
+        near = near[near != index]
+        away = np.linalg.norm(places[near] - places[index], axis=1)
+        stretch = np.floor(np.abs(way[near] - way[index]) / _STRETCH_M).astype(int)
+        order = np.lexsort((near, away, stretch))
+        _, first = np.unique(stretch[order], return_index=True)
+        chosen = near[order][first]
+        spread = np.unique(np.linspace(0, len(chosen) - 1, min(_PARTNERS, len(chosen))).round().astype(int))
+        pairs += [(index, other) for other in chosen[spread].tolist()]
+    return pairs[:: max(1, -(-len(pairs) // _MOST_PAIRS))]
+
+
+def compare(view: View, other: View, here_T_other: FloatArray, tolerance_m: float = TOLERANCE_M) -> tuple[int, int]:
+    """How many looks of another view at a pose (4, 4) a view confirms, and how many it sees through."""
+    places = other.looks @ here_T_other[:2, :2].T + here_T_other[:2, 3]
+    confirmed = view.confirms(places, tolerance_m)
+    return int(confirmed.sum()), int((view.sees_through(places, tolerance_m) & ~confirmed).sum())
+
+
+def comparisons(views: dict[int, View], poses: FloatArray, pairs: Sequence[tuple[int, int]]) -> list[Comparison]:
+    """Each pair of keyframes (one, other) at poses (N, 4, 4)."""
+    found = []
+    for one, other in pairs:
+        counts = compare(views[one], views[other], inverse(poses[one]) @ poses[other])
+        found.append(Comparison(one, other, *counts))
+    return found

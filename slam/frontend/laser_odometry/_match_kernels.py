@@ -1,0 +1,120 @@
+"""Kernels of laser odometry: point-to-line alignment to a local map, and search for where it should begin."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+#: Points of the map are of the surface at a return within this of it, m, with normals no further apart than this cosine.
+_RADIUS_M, _ALIKE = 0.3, 0.7
+#: Width of the weights with which the map's points about a return make its surface, m.
+_SMOOTH_M = 0.08
+#: Returns weigh half at so many standard deviations; at first where they lie so many metres off.
+_DOUBTED, _FIRST_M = 3.0, 0.3
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _surface_at(x, y, nx, ny, points, normals, weights, start, origin, cell, columns, rows):
+    """The map's surface at a place: whether there is one, its signed distance and its normal."""
+    column, row = int(np.floor((x - origin[0]) / cell)), int(np.floor((y - origin[1]) / cell))
+    weight = qx = qy = mx = my = 0.0
+    for r in range(max(row - 1, 0), min(row + 2, rows)):
+        for c in range(max(column - 1, 0), min(column + 2, columns)):
+            for k in range(start[r * columns + c], start[r * columns + c + 1]):
+                if normals[k, 0] * nx + normals[k, 1] * ny < _ALIKE:
+                    continue
+                dx, dy = points[k, 0] - x, points[k, 1] - y
+                squared = dx * dx + dy * dy
+                if squared > _RADIUS_M * _RADIUS_M:
+                    continue
+                near = weights[k] / (_SMOOTH_M * _SMOOTH_M + squared) ** 2
+                weight += near
+                qx += near * dx
+                qy += near * dy
+                mx += near * normals[k, 0]
+                my += near * normals[k, 1]
+    length = np.sqrt(mx * mx + my * my)
+    if weight == 0.0 or length == 0.0:
+        return False, 0.0, 0.0, 0.0
+    mx, my = mx / length, my / length
+    return True, -(mx * qx + my * qy) / weight, mx, my
+
+
+@njit(cache=True, error_model="numpy")
+def align(
+    pose, scan, scan_normals, variance, looks, points, normals, weights, start, origin, cell, columns, rows,
+    expected, information, rounds, first_m,
+):  # fmt: skip
+    """Gauss-Newton on robust point-to-line distances and a normal prior about `expected` (x, y, theta).
+
+    Returns:
+        pose (3,); information (3, 3) of the returns alone, in the map's axes; share of the looks that fit.
+    """
+    pose = pose.copy()
+    told = np.zeros((3, 3))
+    for step in range(rounds):
+        wide = max(first_m * 0.5**step, 0.0)
+        told[:] = 0.0
+        pull = np.zeros(3)
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        for i in range(scan.shape[0]):
+            lx, ly = c * scan[i, 0] - s * scan[i, 1], s * scan[i, 0] + c * scan[i, 1]
+            nx, ny = c * scan_normals[i, 0] - s * scan_normals[i, 1], s * scan_normals[i, 0] + c * scan_normals[i, 1]
+            there, off, mx, my = _surface_at(
+                pose[0] + lx, pose[1] + ly, nx, ny, points, normals, weights, start, origin, cell, columns, rows
+            )
+            if not there:
+                continue
+            scale = max(_DOUBTED * _DOUBTED * variance[i], wide * wide)
+            weight = looks[i] / variance[i] / (1.0 + off * off / scale) ** 2
+            j2 = -mx * ly + my * lx
+            told[0, 0] += weight * mx * mx
+            told[0, 1] += weight * mx * my
+            told[0, 2] += weight * mx * j2
+            told[1, 1] += weight * my * my
+            told[1, 2] += weight * my * j2
+            told[2, 2] += weight * j2 * j2
+            pull[0] -= weight * mx * off
+            pull[1] -= weight * my * off
+            pull[2] -= weight * j2 * off
+        told[1, 0], told[2, 0], told[2, 1] = told[0, 1], told[0, 2], told[1, 2]
+        change = np.linalg.solve(told + information, pull + information @ (expected - pose))
+        pose += change
+        if step > 3 and abs(change[0]) + abs(change[1]) < 2e-4 and abs(change[2]) < 2e-5:
+            break
+    fits, total = 0.0, 0.0
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    for i in range(scan.shape[0]):
+        x = pose[0] + c * scan[i, 0] - s * scan[i, 1]
+        y = pose[1] + s * scan[i, 0] + c * scan[i, 1]
+        nx, ny = c * scan_normals[i, 0] - s * scan_normals[i, 1], s * scan_normals[i, 0] + c * scan_normals[i, 1]
+        there, off, mx, my = _surface_at(x, y, nx, ny, points, normals, weights, start, origin, cell, columns, rows)
+        squared = off * off / variance[i] if there else 1e9
+        total += looks[i]
+        if squared < _DOUBTED * _DOUBTED:
+            fits += looks[i]
+    return pose, told, fits / max(total, 1e-12)
+
+
+@njit(cache=True, error_model="numpy")
+def score_box(scan, looks, pose, table, origin, cell, turns, steps):
+    """Mean nearness of the returns to the map for every turn (T,) and shift of -steps..steps cells: (T, S, S)."""
+    rows, columns = table.shape
+    side = 2 * steps + 1
+    scores = np.zeros((turns.shape[0], side, side))
+    total = max(looks.sum(), 1e-12)
+    for t in range(turns.shape[0]):
+        c, s = np.cos(pose[2] + turns[t]), np.sin(pose[2] + turns[t])
+        for i in range(scan.shape[0]):
+            x = (pose[0] + c * scan[i, 0] - s * scan[i, 1] - origin[0]) / cell
+            y = (pose[1] + s * scan[i, 0] + c * scan[i, 1] - origin[1]) / cell
+            column, row = int(np.floor(x)), int(np.floor(y))
+            for b in range(side):
+                r = row + b - steps
+                if r < 0 or r >= rows:
+                    continue
+                for a in range(side):
+                    k = column + a - steps
+                    if 0 <= k < columns:
+                        scores[t, b, a] += looks[i] * table[r, k]
+    return scores / total

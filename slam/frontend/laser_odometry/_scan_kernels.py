@@ -1,0 +1,132 @@
+"""Kernels of laser odometry: the surface a scan shows, and the local map's points in cells."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, error_model="numpy")
+def surface_of(points, away, angle_step, range_variance, surface_variance, correlation_m):
+    """Normals and noise of the returns (B, 2) of one scan, seen from `away` (B, 2), the sensor's place less each.
+
+    A normal is fitted to the neighbours in the order of the beams that lie on one surface: no further apart than a few
+    beams' steps at their range. Returns that lie alone have none.
+
+    Returns:
+        normals (B, 2), toward the sensor, NaN without; variance (B,) of a return along its normal, m^2; looks (B,): the
+        share of an independent look at the surface that a return is, for the unevenness of a wall is alike nearby.
+    """
+    count = points.shape[0]
+    normals = np.full((count, 2), np.nan)
+    variance, looks = np.zeros(count), np.zeros(count)
+    for i in range(count):
+        reach = np.sqrt(away[i, 0] ** 2 + away[i, 1] ** 2)
+        gap = max(_LEAST_GAP_M, _GAP_STEPS * reach * angle_step)
+        low, high = i, i
+        while low > 0 and i - low < _MOST and _apart(points, low, low - 1) < gap and _apart(points, i, low) < _PATCH_M:
+            low -= 1
+        while (
+            high < count - 1
+            and high - i < _MOST
+            and _apart(points, high, high + 1) < gap
+            and _apart(points, i, high) < _PATCH_M
+        ):
+            high += 1
+        number = high - low + 1
+        if number < 3:
+            continue
+        mx = my = 0.0
+        for k in range(low, high + 1):
+            mx += points[k, 0]
+            my += points[k, 1]
+        mx, my = mx / number, my / number
+        xx = xy = yy = 0.0
+        for k in range(low, high + 1):
+            dx, dy = points[k, 0] - mx, points[k, 1] - my
+            xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
+        half, root = 0.5 * (xx - yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+        smallest = max(0.5 * (xx + yy) - root, 0.0) / (number - 2)
+        angle = 0.5 * np.arctan2(2.0 * xy, 2.0 * half)
+        nx, ny = -np.sin(angle), np.cos(angle)
+        if nx * away[i, 0] + ny * away[i, 1] < 0.0:
+            nx, ny = -nx, -ny
+        normals[i, 0], normals[i, 1] = nx, ny
+        spacing = np.sqrt((points[high, 0] - points[low, 0]) ** 2 + (points[high, 1] - points[low, 1]) ** 2)
+        spacing = max(spacing / (number - 1), 1e-3)
+        alike = max(1.0, correlation_m / spacing)
+        variance[i] = max(range_variance, smallest) + surface_variance
+        looks[i] = variance[i] / (max(range_variance, smallest) + surface_variance * alike)
+    return normals, variance, looks
+
+
+#: Neighbouring returns further apart than so many steps of the beams at their range, and m, are of two surfaces.
+_GAP_STEPS, _LEAST_GAP_M = 6.0, 0.15
+#: A normal is fitted to so many returns on either side, within so many metres.
+_MOST, _PATCH_M = 5, 0.25
+
+
+@njit(cache=True, error_model="numpy")
+def _apart(points, i, j):
+    return np.sqrt((points[i, 0] - points[j, 0]) ** 2 + (points[i, 1] - points[j, 1]) ** 2)
+
+
+@njit(cache=True, error_model="numpy")
+def merge_patches(keys, order, points, normals, weights):
+    """Means of the points, normals and weights whose keys are one, in the order of the keys; `order` sorts them."""
+    count = 0
+    for k in range(order.shape[0]):
+        if k == 0 or keys[order[k]] != keys[order[k - 1]]:
+            count += 1
+    places, directions, total = np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count)
+    patch = -1
+    for k in range(order.shape[0]):
+        i = order[k]
+        if k == 0 or keys[i] != keys[order[k - 1]]:
+            patch += 1
+        total[patch] += weights[i]
+        for a in range(2):
+            places[patch, a] += weights[i] * points[i, a]
+            directions[patch, a] += weights[i] * normals[i, a]
+    for p in range(count):
+        length = np.sqrt(directions[p, 0] ** 2 + directions[p, 1] ** 2)
+        for a in range(2):
+            places[p, a] /= total[p]
+            directions[p, a] /= max(length, 1e-12)
+    return places, directions, total
+
+
+@njit(cache=True, error_model="numpy")
+def sort_into_cells(points, origin, cell, columns, rows):
+    """Start (rows * columns + 1,) of every cell's points in an order, and that order (N,), stable."""
+    count = points.shape[0]
+    home = np.empty(count, dtype=np.int64)
+    start = np.zeros(rows * columns + 1, dtype=np.int64)
+    for k in range(count):
+        column, row = int((points[k, 0] - origin[0]) / cell), int((points[k, 1] - origin[1]) / cell)
+        home[k] = row * columns + column
+        start[home[k] + 1] += 1
+    for c in range(rows * columns):
+        start[c + 1] += start[c]
+    place, order = start[:-1].copy(), np.empty(count, dtype=np.int64)
+    for k in range(count):
+        order[place[home[k]]] = k
+        place[home[k]] += 1
+    return start, order
+
+
+@njit(cache=True, error_model="numpy")
+def nearness(points, origin, cell, columns, rows, sigma):
+    """How near each cell (rows, columns) is to a point: exp(-d^2 / 2 sigma^2), 0 beyond three cells."""
+    table = np.zeros((rows, columns))
+    reach = 3
+    for k in range(points.shape[0]):
+        column, row = int((points[k, 0] - origin[0]) / cell), int((points[k, 1] - origin[1]) / cell)
+        for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
+            for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
+                dx = origin[0] + (c + 0.5) * cell - points[k, 0]
+                dy = origin[1] + (r + 0.5) * cell - points[k, 1]
+                near = np.exp(-0.5 * (dx * dx + dy * dy) / (sigma * sigma))
+                if near > table[r, c]:
+                    table[r, c] = near
+    return table

@@ -1,0 +1,173 @@
+"""The local map of laser odometry: the surfaces that scans along the last metres of the way showed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from slam.frontend.laser_odometry._scan_kernels import merge_patches, nearness, sort_into_cells, surface_of
+from slam.frontend.occupancy import Raster
+from slam.sensors.log import LaserScan
+from slam.sensors.rig import Sensor
+from spplanes._check import FloatArray
+
+#: Side of the cells in which the map's points are found, m: as wide as they are looked for.
+CELL_M = 0.3
+#: Points that look one way in squares of this side are one, m.
+PATCH_M = 0.05
+#: Ways that they look.
+_WAYS = 8
+#: Side of the cells of the table that says how near the next surface is, and the width of its bell, m.
+TABLE_CELL_M, TABLE_SIGMA_M = 0.1, 0.1
+#: Length of wall whose returns count as one independent look, m.
+LOOK_M = 0.5
+#: A scan of more beams is thinned to one in so many that no more than these are left.
+_MOST_BEAMS = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The surface that one scan shows, in the frame of the body."""
+
+    points: FloatArray
+    """Returns with a normal, shape (N, 2), m."""
+    normals: FloatArray
+    """Unit normals toward the sensor, shape (N, 2)."""
+    variance: FloatArray
+    """Of a return along its normal, shape (N,), m^2."""
+    looks: FloatArray
+    """Share of an independent look at the surface that each return is, shape (N,)."""
+    origin: FloatArray
+    """Where the sensor is, shape (2,), m."""
+
+    @classmethod
+    def of(cls, scan: LaserScan, ranges: FloatArray, sensor: Sensor, body_T_sensor: FloatArray) -> Surface:
+        """From a scan with its usable ranges (B,), NaN = no return, of a level laser."""
+        every = max(1, -(-len(ranges) // _MOST_BEAMS))
+        ranges, angles = ranges[::every], scan.angles[::every]
+        seen = np.isfinite(ranges)
+        directions = np.stack((np.cos(angles[seen]), np.sin(angles[seen])), axis=1) @ body_T_sensor[:2, :2].T
+        away = directions * -ranges[seen][:, None]
+        points = body_T_sensor[:2, 3] - away
+        step = float(np.abs(np.diff(angles)).mean()) if len(angles) > 1 else 1.0
+        normals, variance, looks = surface_of(
+            points, away, step, sensor.range_variance_m2, sensor.surface_sigma_m**2, sensor.surface_correlation_m
+        )
+        kept = np.isfinite(normals[:, 0])
+        return cls(points[kept], normals[kept], variance[kept], looks[kept], body_T_sensor[:2, 3])
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @cached_property
+    def raster(self) -> Raster:
+        """What the scan found occupied and free."""
+        return Raster.of(self.beams(np.zeros(3)), LOOK_M)
+
+    def beams(self, pose: FloatArray) -> FloatArray:
+        """Beams from a pose (x, y, theta) of the body, rows (x0, y0, x1, y1), shape (N, 4)."""
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        turn = np.array(((c, s), (-s, c)))
+        ends = self.points @ turn + pose[:2]
+        return np.hstack((np.broadcast_to(self.origin @ turn + pose[:2], ends.shape), ends))
+
+
+@dataclass(frozen=True, eq=False)
+class LocalMap:
+    """Surfaces of several scans, in one frame, ready to be asked what is near a place."""
+
+    points: FloatArray
+    """Shape (M, 2), m, cell by cell."""
+    normals: FloatArray
+    """Shape (M, 2)."""
+    weights: FloatArray
+    """How firmly each lies where it does, shape (M,)."""
+    start: np.ndarray
+    """Where the points of each cell begin, shape (rows * columns + 1,)."""
+    origin: FloatArray
+    """Corner of the first cell, shape (2,), m."""
+    columns: int
+    """Number of cells in a row."""
+    rows: int
+    """Number of rows."""
+    _seen: tuple[tuple[Surface, FloatArray], ...]
+    """The scans and their poses."""
+
+    @classmethod
+    def of(cls, surfaces: list[Surface], poses: list[FloatArray]) -> LocalMap:
+        """Of surfaces at poses (x, y, theta)."""
+        points, normals, weights = [], [], []
+        for surface, (x, y, theta) in zip(surfaces, poses, strict=True):
+            c, s = np.cos(theta), np.sin(theta)
+            turn = np.array(((c, s), (-s, c)))
+            points.append(surface.points @ turn + (x, y))
+            normals.append(surface.normals @ turn)
+            weights.append(1.0 / surface.variance)
+        places, directions, weight = _patches(np.concatenate(points), np.concatenate(normals), np.concatenate(weights))
+        origin = places.min(axis=0) - CELL_M
+        columns, rows = (np.ceil((places.max(axis=0) - origin) / CELL_M) + 2).astype(int).tolist()
+        start, order = sort_into_cells(places, origin, CELL_M, columns, rows)
+        return cls(
+            places[order], directions[order], weight[order], start, origin, columns, rows, tuple(zip(surfaces, poses))
+        )
+
+    @cached_property
+    def raster(self) -> Raster:
+        """What the scans found occupied and free."""
+        return Raster.of(np.concatenate([surface.beams(pose) for surface, pose in self._seen]), LOOK_M)
+
+    @cached_property
+    def table(self) -> tuple[FloatArray, FloatArray]:
+        """How near every place is to a surface, and the corner of the table's first cell."""
+        origin = self.origin - 3.0 * TABLE_CELL_M
+        span = np.array((self.columns, self.rows)) * CELL_M + 6.0 * TABLE_CELL_M
+        columns, rows = np.ceil(span / TABLE_CELL_M).astype(int).tolist()
+        return nearness(self.points, origin, TABLE_CELL_M, columns, rows, TABLE_SIGMA_M), origin
+
+
+def _patches(points: FloatArray, normals: FloatArray, weights: FloatArray) -> tuple[FloatArray, ...]:
+    """Points (N, 2) that lie in one small square and look the same way made one: means, and their weight."""
+    squares = np.floor((points - points.min(axis=0)) / PATCH_M).astype(np.int64)
+    ways = np.floor(np.arctan2(normals[:, 1], normals[:, 0]) * (_WAYS / (2.0 * np.pi))).astype(np.int64) + _WAYS
+    keys = (squares[:, 0] * (squares[:, 1].max() + 1) + squares[:, 1]) * 2 * _WAYS + ways
+    return merge_patches(keys, np.argsort(keys, kind="stable"), points, normals, weights)
+
+
+@dataclass(eq=False)
+class SlidingMap:
+    """The scans along the last metres of the way, and the map of them; made anew when one is added."""
+
+    window_m: float
+    """Length of the way whose scans are kept, m."""
+    most: int = 40
+    """Most scans kept: turns on the spot make no way."""
+    _surfaces: list[Surface] = field(default_factory=list)
+    _poses: list[FloatArray] = field(default_factory=list)
+    _map: LocalMap | None = None
+
+    def add(self, surface: Surface, pose: FloatArray) -> None:
+        """Add a scan at a pose (x, y, theta), and forget those the window has left."""
+        self._surfaces.append(surface)
+        self._poses.append(pose)
+        way, first = 0.0, len(self._poses) - 1
+        while first > 0 and len(self._poses) - first < self.most:
+            way += float(np.hypot(*(self._poses[first] - self._poses[first - 1])[:2]))
+            if way > self.window_m:
+                break
+            first -= 1
+        del self._surfaces[:first], self._poses[:first]
+        self._map = None
+
+    @property
+    def last_pose(self) -> FloatArray | None:
+        """Where the last scan was added."""
+        return self._poses[-1] if self._poses else None
+
+    @property
+    def map(self) -> LocalMap | None:
+        """The map; None where nothing was seen."""
+        if self._map is None and sum(map(len, self._surfaces)):
+            self._map = LocalMap.of(self._surfaces, self._poses)
+        return self._map

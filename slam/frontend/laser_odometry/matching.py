@@ -1,0 +1,186 @@
+"""Scan-to-map matching: where a scan lies in the local map, with covariance, and whether it could lie elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from slam.frontend._occupancy_kernels import score_motions
+from slam.frontend.laser_odometry._match_kernels import align, score_box
+from slam.frontend.laser_odometry.local_map import CELL_M, TABLE_CELL_M, LocalMap, Surface
+from slam.frontend.occupancy import CELL_M as RASTER_CELL_M
+from spplanes._check import FloatArray
+
+#: Rounds of Gauss-Newton.
+_ROUNDS = 15
+#: Returns off by less than this are found without a search, m.
+_BASIN_M = 0.12
+#: The search reaches so many standard deviations, at most so far at first, m and rad; where the best lies at its edge it
+#: is doubled, so many times, and ends here.
+_SIGMAS, _FIRST_BOX, _WIDENINGS, _LARGEST_BOX = 4.0, (1.0, 0.6), 3, (4.0, np.pi)
+_LEAST_BOX = (0.2, 0.1)
+#: Modes of the search that are looked at, if they are this share as near as the best.
+_MODES, _RIVAL = 5, 0.75
+#: A scan fits worse than scans before it where its share lies so many standard deviations below theirs; a motion
+#: contradicts the wheels beyond this chi2 (1e-3 for three degrees of freedom).
+_SIGNIFICANT, _CONTRADICTS = 3.0, 16.3
+#: Returns that the search uses.
+_SEARCHED = 90
+#: Places nearer than this are one, m and rad.
+_SAME = np.array((0.1, 0.1, 0.05))
+
+
+class Expected(NamedTuple):
+    """One way in which the body may have moved, and what would then be expected."""
+
+    pose: FloatArray
+    """(x, y, theta) in the map, shape (3,)."""
+    covariance: FloatArray
+    """In the map's axes, shape (3, 3)."""
+    probability: float
+    """That it moved in this way."""
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """Where a scan lies in the local map."""
+
+    pose: FloatArray
+    """(x, y, theta) in the map, the expected motion taken into account, shape (3,)."""
+    information: FloatArray
+    """What the returns alone say of the pose, in the map's axes, shape (3, 3)."""
+    fit: float
+    """Share of what was seen that the map has."""
+    odds: float
+    """Probability that it is not one of the other places looked at."""
+    spread: FloatArray
+    """Covariance over the places it could be, beyond that of each, shape (3, 3)."""
+    way: int
+    """In which of the ways the body moved."""
+
+
+class _Found(NamedTuple):
+    """One alignment."""
+
+    pose: FloatArray
+    information: FloatArray
+    fit: float
+    way: int
+
+
+def match_scan(surface: Surface, there: LocalMap, ways: Sequence[Expected], usual_fit: float) -> Match:
+    """The posterior of a scan's pose by a mixture of ways to move and the returns in the map.
+
+    From what the first way expects it is found by Gauss-Newton on distances of points to lines. Where that is so badly
+    known that this may end beside the truth, or less of the scan fits than usual, or the motion contradicts the first
+    way, the boxes of all ways are searched; a best at the edge of its box makes it wider. Of several places the most
+    probable one by all returns and all free space is taken, and how much the others leave open is said.
+
+    Args:
+        surface: the scan.
+        there: the map.
+        ways: the wheels, if any, and constant velocity, for wheels slip.
+        usual_fit: share of the looks that fit, of scans before.
+
+    References:
+        Censi, "An ICP variant using a point-to-line metric", ICRA 2008; Olson, "Real-time correlative scan matching",
+        ICRA 2009.
+    """
+    far = float(np.quantile(np.hypot(*surface.points.T), 0.75))
+    found = [_aligned(surface, there, ways[0].pose, ways, 0)]
+    if not _is_doubtful(found[0], surface, ways[0], usual_fit, far):
+        one = found[0]
+        return Match(one.pose, one.information, one.fit, 1.0, np.zeros((3, 3)), one.way)
+    for way, expected in enumerate(ways):
+        starts = [found[0].pose, *_modes(surface, there, expected, far)]
+        found += [_aligned(surface, there, start, ways, way) for start in starts]
+    return _most_probable(found, surface, there, ways)
+
+
+def _is_doubtful(found: _Found, surface: Surface, expected: Expected, usual_fit: float, far: float) -> bool:
+    """Whether an alignment from the expected pose on may have ended beside the truth."""
+    independent = max(float(surface.looks.sum()), 1.0)
+    if usual_fit - found.fit > _SIGNIFICANT * np.sqrt(usual_fit * (1.0 - usual_fit) / independent):
+        return True
+    sigmas, error = np.sqrt(np.diag(expected.covariance)), found.pose - expected.pose
+    if _SIGMAS * max(float(sigmas[:2].max()), float(sigmas[2]) * far) > 2.0 * _BASIN_M:
+        return True
+    return float(error @ np.linalg.solve(expected.covariance, error)) > _CONTRADICTS
+
+
+def _aligned(surface: Surface, there: LocalMap, start: FloatArray, ways: Sequence[Expected], way: int) -> _Found:
+    pose, information, fit = align(
+        start, surface.points, surface.normals, surface.variance, surface.looks,
+        there.points, there.normals, there.weights, there.start, there.origin, CELL_M, there.columns, there.rows,
+        ways[way].pose, np.linalg.inv(ways[way].covariance), _ROUNDS, 2.0 * _BASIN_M,
+    )  # fmt: skip
+    return _Found(pose, information, fit, way)
+
+
+def _modes(surface: Surface, there: LocalMap, expected: Expected, far: float) -> list[FloatArray]:
+    """Poses about which the scan lies near the map's surfaces, best first."""
+    table, origin = there.table
+    every = max(1, len(surface) // _SEARCHED)
+    points, looks = surface.points[::every], surface.looks[::every]
+    sigmas = np.sqrt(np.diag(expected.covariance))
+    step = TABLE_CELL_M / max(far, 1.0)
+    bounds = zip((sigmas[:2].max(), sigmas[2]), _LEAST_BOX, _FIRST_BOX, strict=True)
+    reach_m, reach_rad = (min(max(_SIGMAS * s, least), most) for s, least, most in bounds)
+    for _ in range(_WIDENINGS + 1):
+        steps, turns = int(np.ceil(reach_m / TABLE_CELL_M)), int(np.ceil(reach_rad / step))
+        angles = step * np.arange(-turns, turns + 1)
+        scores = score_box(points, looks, expected.pose, table, origin, TABLE_CELL_M, angles, steps)
+        t, r, k = np.unravel_index(int(scores.argmax()), scores.shape)
+        turned, shifted = t in (0, 2 * turns), bool({int(r), int(k)} & {0, 2 * steps})
+        if not (turned or shifted):
+            break
+        reach_m = min(reach_m * (1 + shifted), _LARGEST_BOX[0])
+        reach_rad = min(reach_rad * (1 + turned), _LARGEST_BOX[1])
+    peaks = (scores == maximum_filter(scores, size=5)) & (scores > _RIVAL * scores.max())
+    places = np.argwhere(peaks)
+    places = places[np.argsort(-scores[tuple(places.T)], kind="stable")][:_MODES]
+    shifts = [((k - steps) * TABLE_CELL_M, (r - steps) * TABLE_CELL_M, angles[t]) for t, r, k in places.tolist()]
+    return [expected.pose + np.array(shift) for shift in shifts]
+
+
+def _most_probable(found: list[_Found], surface: Surface, there: LocalMap, ways: Sequence[Expected]) -> Match:
+    """The most probable of several alignments, with what the others leave open."""
+    mine, map_ = surface.raster, there.raster
+    poses = np.array([one.pose for one in found])
+    costs = -score_motions(
+        poses, RASTER_CELL_M, mine.points, mine.weight, map_.table, map_.origin,
+        map_.points, map_.weight, mine.table, mine.origin,
+    )  # fmt: skip
+    costs += [_unlikelihood(one.pose, ways) for one in found]
+    order = np.argsort(costs, kind="stable").tolist()
+    best, rivals = order[0], []
+    for k in order[1:]:  # alignments that ended in one place are one
+        if all((np.abs(_apart(poses[k], poses[j])) > _SAME).any() for j in (best, *rivals)):
+            rivals.append(k)
+    weights = np.exp(costs[best] - costs[rivals])
+    total = 1.0 + float(weights.sum())
+    apart = np.array([_apart(poses[k], poses[best]) for k in rivals]).reshape(-1, 3)
+    spread = np.einsum("n,ni,nj->ij", weights / total, apart, apart)
+    pose, information, fit, way = found[best]
+    return Match(pose, information, fit, 1.0 / total, spread, way)
+
+
+def _unlikelihood(pose: FloatArray, ways: Sequence[Expected]) -> float:
+    """Minus the log of the density of a pose by the mixture of ways."""
+    logs = []
+    for one in ways:
+        error = _apart(pose, one.pose)
+        chi2 = float(error @ np.linalg.solve(one.covariance, error))
+        logs.append(np.log(one.probability) - 0.5 * (np.linalg.slogdet(one.covariance)[1] + chi2))
+    return -float(np.logaddexp.reduce(logs))
+
+
+def _apart(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Difference of two poses (x, y, theta)."""
+    error = a - b
+    error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
+    return error

@@ -1,0 +1,118 @@
+"""The track of a body with a level laser: its motion by wheels and by matching every scan to the way just seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slam.frontend.information import left_open, planar_information
+from slam.frontend.observations import Observation
+from slam.frontend.odometry import Motion, OdometryTrack, planar_delta
+from slam.geometry.frames import inverse, planar_transform
+from slam.sensors.log import OdometryReading
+from slam.sensors.wheel_noise import OdometryNoise
+from spplanes._check import FloatArray
+
+#: Information about a pose, 1 / m^2 and 1 / rad^2, that stands for none.
+_NO_INFORMATION = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A scan's pose by laser odometry, and how it was come by."""
+
+    stamp_ns: int
+    """Time of the scan, ns."""
+    pose: FloatArray
+    """(x, y, theta) in the frame of the track, shape (3,)."""
+    wheels: FloatArray
+    """Covariance of the step from the scan before by odometry alone, or by the assumption of constant velocity, in the
+    axes of the body there, shape (3, 3)."""
+    returns: FloatArray
+    """What the returns say of the pose in the local map, in the axes of the body here, shape (3, 3): information."""
+    note: str | None = None
+    """What somebody should know of this step."""
+
+
+class LaserTrack(OdometryTrack):
+    """Poses of all scans by laser odometry; a motion's covariance says what wheels and returns know of it each."""
+
+    def __init__(self, steps: Sequence[Step], noise: OdometryNoise) -> None:
+        readings = [OdometryReading(one.stamp_ns, planar_transform(*one.pose)) for one in steps]
+        super().__init__(readings, noise)
+        self._steps = list(steps)
+
+    def motion(self, start_ns: int, end_ns: int) -> Motion:
+        """Motion between two times: `covariance` is that of the wheels, `returns_covariance` of both together."""
+        first, last = self._index(start_ns), self._index(end_ns)
+        a_T_b = inverse(self.poses_at([start_ns])[0]) @ self.poses_at([end_ns])[0]
+        noise, delta = self._noise, planar_delta(a_T_b)
+        floor = np.diag([noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2])
+        wheels = self._walked(first, last) + floor
+        matched = self.matched(first, last, delta)
+        both = np.linalg.inv(np.linalg.inv(wheels) + np.linalg.inv(matched))
+        out_of_plane = (noise.z_sigma_m, noise.roll_sigma_rad, noise.pitch_sigma_rad)
+        return Motion(a_T_b, wheels, out_of_plane, returns_covariance=0.5 * (both + both.T))
+
+    def notes(self, start_ns: int, end_ns: int) -> list[str]:
+        """What is to be said of the steps after one time and up to another."""
+        chosen = self._steps[self._index(start_ns) + 1 : self._index(end_ns) + 1]
+        return [one.note for one in chosen if one.note is not None]
+
+    def _index(self, stamp_ns: int) -> int:
+        """The last scan not later than a time."""
+        return int(np.clip(np.searchsorted(self._stamps, stamp_ns, side="right") - 1, 0, len(self._steps) - 1))
+
+    def _walked(self, first: int, last: int) -> FloatArray:
+        """Covariance of (x, y, theta) from one scan to a later one by wheels alone, in the axes of the first."""
+        total, base = np.zeros((3, 3)), self._steps[first].pose
+        end = between(base, self._steps[last].pose)
+        for index in range(first + 1, last + 1):
+            turn = self._steps[index - 1].pose[2] - base[2]
+            here = between(base, self._steps[index].pose)
+            carry = _rotation(turn)
+            carry[:2, 2] = -(end - here)[1], (end - here)[0]
+            total += carry @ self._steps[index].wheels @ carry.T
+        return total
+
+    def matched(self, first: int, last: int, delta: FloatArray) -> FloatArray:
+        """Covariance of the same by the returns of both ends in the local map."""
+        nothing = _NO_INFORMATION * np.eye(3)
+        a, b = (np.linalg.inv(self._steps[index].returns + nothing) for index in (first, last))
+        carry = np.eye(3)
+        carry[:2, 2] = -delta[1], delta[0]
+        turn = _rotation(delta[2])
+        return carry @ a @ carry.T + turn @ b @ turn.T
+
+
+def beyond_lines(motion: Motion, observations: Sequence[Observation]) -> Motion:
+    """A motion with what the wheels, and the returns beyond the lines seen at its end, say of it.
+
+    The lines are measurements of their own in the graph, of the same returns: what they say is taken off.
+    """
+    if motion.returns_covariance is None:
+        return motion
+    wheels = np.linalg.inv(motion.covariance)
+    matched = np.linalg.inv(motion.returns_covariance) - wheels
+    values, vectors = np.linalg.eigh(matched)
+    matched = (vectors * np.maximum(values, _NO_INFORMATION)) @ vectors.T
+    turn = _rotation(float(planar_delta(motion.a_T_b)[2]))
+    by_lines = turn @ planar_information(observations) @ turn.T + _NO_INFORMATION * np.eye(3)
+    beyond = left_open(np.linalg.inv(matched), np.linalg.inv(by_lines))
+    if beyond is None:
+        return motion
+    return replace(motion, covariance=np.linalg.inv(wheels + np.linalg.inv(beyond)))
+
+
+def between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Pose b (x, y, theta) in the frame of a."""
+    c, s = np.cos(a[2]), np.sin(a[2])
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    return np.array((c * dx + s * dy, c * dy - s * dx, b[2] - a[2]))
+
+
+def _rotation(angle: float) -> FloatArray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))

@@ -1,0 +1,198 @@
+"""Laser odometry, scan by scan: predict by wheels, match to the local map, weigh both, learn what the wheels are worth."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.config import CoastingConfig
+from slam.frontend.laser_odometry.local_map import SlidingMap, Surface
+from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
+from slam.frontend.laser_odometry.track import LaserTrack, Step, between
+from slam.frontend.laser_odometry.wheel_model import NoiseScale
+from slam.frontend.measurement import usable_ranges
+from slam.frontend.odometry import Motion, OdometryTrack, planar_delta
+from slam.frontend.wheel_calibration import WheelCalibration
+from slam.geometry.frames import inverse, planar_transform
+from slam.sensors.log import LaserScan, Log
+from slam.sensors.rig import Rig, Sensor
+from slam.sensors.wheel_noise import OdometryNoise
+from spplanes._check import FloatArray
+
+#: Length of the way whose scans are the local map, m, and what is driven or turned between two of them, m and rad.
+_WINDOW_M, _SPACING_M, _SPACING_RAD = 6.0, 0.25, 0.3
+#: A match is taken when the map has this share of the scan, and no other place is more likely than this.
+_LEAST_FIT, _LEAST_ODDS = 0.3, 0.9
+#: Probability that wheels slip, or count wrong, between two scans.
+_SLIP = 1e-3
+#: Scans over which the usual fit is averaged, and what it is at first.
+_FIT_MEMORY, _FIRST_FIT = 50.0, 0.9
+#: So many steps in a row on which the wheels stood still while the body was seen to move by more than this, m or rad:
+#: they do not measure it.
+_STUCK_STEPS, _MOVED = 3, 0.02
+
+
+class LaserOdometry:
+    """Turns scans and what the wheels said between them into poses."""
+
+    def __init__(self, noise: OdometryNoise, coasting: CoastingConfig) -> None:
+        self._noise, self._coasting = noise, coasting
+        self._map = SlidingMap(_WINDOW_M)
+        self._scale, self._calibration = NoiseScale(), WheelCalibration()
+        self._fit = _FIRST_FIT
+        self._stuck = 0
+        self.steps: list[Step] = []
+        self._since: list[FloatArray] = []
+        self._key = 0
+
+    def add(self, stamp_ns: int, surface: Surface, wheels: FloatArray | None) -> Step:
+        """Take in a scan, and the motion (x, y, theta) from the one before by the wheels; None: nobody measured it."""
+        if not self.steps:
+            step = Step(stamp_ns, np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)))
+            self._map.add(surface, step.pose)
+            self.steps.append(step)
+            return step
+        before = self.steps[-1].pose
+        stuck = self._stuck >= _STUCK_STEPS and wheels is not None and not wheels.any()
+        ways = self._ways(stamp_ns, None if stuck else wheels)
+        turn = _rotation(before[2])
+        expected = [Expected(compose(before, delta), turn @ cov @ turn.T, share) for delta, cov, share in ways]
+        match = self._match(surface, expected)
+        pose, told, covariance = expected[0].pose, np.zeros((3, 3)), ways[0][1]
+        if match is not None:
+            pose, told, covariance = match.pose, match.information, ways[match.way][1]
+            if match.odds < 1.0:
+                told = np.linalg.inv(np.linalg.inv(told + 1e-3 * np.eye(3)) + match.spread)
+        back = _rotation(pose[2])
+        note = self._watch(between(before, pose), wheels)
+        step = Step(stamp_ns, pose, covariance, back.T @ told @ back, note)
+        self.steps.append(step)
+        if wheels is not None and not stuck:
+            self._since.append(wheels)
+        self._extend_map(surface, pose, match)
+        return step
+
+    def _ways(self, stamp_ns: int, wheels: FloatArray | None) -> list[tuple[FloatArray, FloatArray, float]]:
+        """How the body may have moved: the step (3,), its covariance (3, 3), and how probable that is."""
+        delta, covariance = self._coasted(stamp_ns)
+        if wheels is None:
+            return [(delta, covariance, 1.0)]
+        return [(*self._by_wheels(wheels), 1.0 - _SLIP), (delta, covariance, _SLIP)]
+
+    def _by_wheels(self, wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The next step by wheels, less what is known to be wrong with them."""
+        _, response, random = self._stated([wheels])
+        learnt = self._calibration
+        known = learnt.covariance
+        if known is None:
+            known = np.diag(np.square(self._noise.calibration_sigmas))
+        return wheels + response @ learnt.mean, self._scale.scaled(random) + response @ known @ response.T
+
+    def _stated(self, steps: list[FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The whole of steps, its response to the wheels' calibration, and its covariance without that."""
+        whole, covariance = self._noise.accumulate(steps)
+        response = self._noise.response(steps)
+        return whole, response, covariance - response @ np.diag(np.square(self._noise.calibration_sigmas)) @ response.T
+
+    def _coasted(self, stamp_ns: int) -> tuple[FloatArray, FloatArray]:
+        """Constant velocity."""
+        rules, ahead_s = self._coasting, (stamp_ns - self.steps[-1].stamp_ns) * 1e-9
+        if len(self.steps) < 2:
+            delta, sigmas = np.zeros(3), (rules.speed_sigma_m_per_s * ahead_s, rules.turn_sigma_rad_per_s * ahead_s)
+        else:
+            before_s = (self.steps[-1].stamp_ns - self.steps[-2].stamp_ns) * 1e-9
+            delta = between(self.steps[-2].pose, self.steps[-1].pose) * min(ahead_s / before_s, 2.0)
+            square = ahead_s * max(ahead_s, before_s)
+            sigmas = rules.acceleration_sigma_m_per_s2 * square, rules.turn_change_sigma_rad_per_s2 * square
+        least = max(sigmas[0], self._noise.floor_m), max(sigmas[1], self._noise.floor_rad)
+        return delta, np.diag(np.square((least[0], least[0], least[1])))
+
+    def _match(self, surface: Surface, expected: list[Expected]) -> Match | None:
+        there = self._map.map
+        if there is None or len(surface) < 3:
+            return None
+        match = match_scan(surface, there, expected, self._fit)
+        self._fit += (np.clip(match.fit, 0.5, 0.98) - self._fit) / _FIT_MEMORY
+        return match if match.fit >= _LEAST_FIT else None
+
+    def _watch(self, moved: FloatArray, wheels: FloatArray | None) -> str | None:
+        """Whether wheels that say nothing but "no motion" are those of a body that moves; said when it is found out."""
+        if wheels is None:
+            return None
+        stood = not wheels.any()
+        if not stood or (self._stuck < _STUCK_STEPS and np.abs(moved).max() < _MOVED):
+            self._stuck = 0
+            return None
+        self._stuck += 1
+        if self._stuck != _STUCK_STEPS:
+            return None
+        return "the odometry stands still while everything seen moves past: it is ignored until it moves"
+
+    def _extend_map(self, surface: Surface, pose: FloatArray, match: Match | None) -> None:
+        """Add the scan to the map when the body has come far enough, and learn from the way since the last one."""
+        last = self._map.last_pose
+        moved = np.array((np.inf, np.inf, np.inf)) if last is None else between(last, pose)
+        if np.hypot(*moved[:2]) < _SPACING_M and abs(moved[2]) < _SPACING_RAD:
+            return
+        if match is not None and match.odds < _LEAST_ODDS:
+            return
+        if len(surface):
+            self._map.add(surface, pose)
+        self._learn()
+
+    def _learn(self) -> None:
+        """What the way between the last two scans of the map says about the wheels."""
+        first, last = self._key, len(self.steps) - 1
+        self._key, since, self._since = last, self._since, []
+        if not since or len(since) != last - first:
+            return
+        whole, response, random = self._stated(since)
+        track = LaserTrack([self.steps[first], self.steps[last]], self._noise)
+        estimate = between(self.steps[first].pose, self.steps[last].pose)
+        matched = np.linalg.inv(track.matched(0, 1, estimate))
+        sigmas = self._noise.calibration_sigmas
+        stated = random + response @ np.diag(np.square(sigmas)) @ response.T
+        motion = Motion(planar_transform(*whole), stated, (1.0, 1.0, 1.0), response, sigmas)
+        predicted = self._calibration.predict(motion)
+        known = predicted.covariance - random + self._scale.scaled(random)
+        posterior = np.linalg.inv(np.linalg.inv(known) + matched)
+        error = estimate - planar_delta(predicted.a_T_b)
+        self._calibration.learn(
+            Motion(predicted.a_T_b, known, motion.out_of_plane_sigmas, response, sigmas),
+            planar_transform(*estimate),
+            posterior,
+        )
+        self._scale.learn(error, random, posterior, known)
+
+
+def compose(pose: FloatArray, delta: FloatArray) -> FloatArray:
+    """A pose (x, y, theta) moved on by a step in its own axes."""
+    return pose + _rotation(pose[2]) @ delta
+
+
+def _rotation(angle: float) -> FloatArray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+
+
+def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
+    """Laser odometry over all scans of the level lasers of a log."""
+    sensors = rig.of_kind("line")
+    scans = [one for one in log.scans() if isinstance(one, LaserScan) and one.sensor in sensors]
+    readings = log.odometry
+    stamps = [scan.stamp_ns for scan in scans]
+    wheels = OdometryTrack(readings, rig.odometry).poses_at(stamps) if readings else None
+    odometry = LaserOdometry(rig.odometry, coasting)
+    steps, last = [], -1
+    for index, scan in enumerate(scans):
+        if last >= 0 and scan.stamp_ns <= scans[last].stamp_ns:
+            continue
+        delta = None
+        if wheels is not None and last >= 0:
+            delta = planar_delta(inverse(wheels[last]) @ wheels[index])
+        steps.append(odometry.add(scan.stamp_ns, _surface(scan, sensors[scan.sensor]), delta))
+        last = index
+    return LaserTrack(steps, rig.odometry)
+
+
+def _surface(scan: LaserScan, sensor: Sensor) -> Surface:
+    return Surface.of(scan, usable_ranges(scan.ranges, sensor), sensor, sensor.body_T_sensor)

@@ -1,0 +1,102 @@
+"""Loop closure: which of several proposed closures agree with one another and the way between them (PCM)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.special import chdtri
+
+from slam.frontend.odometry import planar_delta
+from slam.geometry.frames import planar_transform
+from spplanes._check import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarPose:
+    """An uncertain motion in the plane."""
+
+    delta: FloatArray
+    """(x, y, theta), shape (3,)."""
+    covariance: FloatArray
+    """Its covariance, additive, x and y along the axes of the first frame, shape (3, 3)."""
+
+    def __matmul__(self, after: PlanarPose) -> PlanarPose:
+        """This motion and another one after it, independent of it; covariance to first order."""
+        delta = planar_delta(planar_transform(*self.delta) @ planar_transform(*after.delta))
+        by_first, by_after = np.eye(3), np.eye(3)
+        by_first[:2, 2] = self.delta[1] - delta[1], delta[0] - self.delta[0]
+        c, s = np.cos(self.delta[2]), np.sin(self.delta[2])
+        by_after[:2, :2] = (c, -s), (s, c)
+        spread = by_first @ self.covariance @ by_first.T + by_after @ after.covariance @ by_after.T
+        return PlanarPose(delta, spread)
+
+    def chi2(self, other: PlanarPose) -> float:
+        """Squared Mahalanobis distance to another one of the same two frames, independent of it; 3 dof."""
+        error = self.delta - other.delta
+        error[2] = (error[2] + np.pi) % (2.0 * np.pi) - np.pi
+        return float(error @ np.linalg.solve(self.covariance + other.covariance, error))
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A closure that one comparison of submaps proposes."""
+
+    keyframe: int
+    """The newer keyframe."""
+    old_keyframe: int
+    """The old one."""
+    pose: PlanarPose
+    """The newer one in the frame of the old one."""
+    log_odds: float
+    """Log of the probability of this against all else."""
+    way_m: float
+    """Length of the way to the newer keyframe, m."""
+
+
+def loop_chi2(first: Proposal, second: Proposal, newer: PlanarPose, older: PlanarPose) -> float:
+    """Chi2, 3 dof, of the loop over two closures and the ways between: `newer` and `older`, from first to second.
+
+    References:
+        Mangelson et al., "Pairwise Consistent Measurement Set Maximization", ICRA 2018.
+    """
+    return (first.pose @ newer).chi2(older @ second.pose)
+
+
+def agree(chi2: float, significance: float) -> bool:
+    """Whether two closures pass for consistent: of those that are, a share of `significance` does not."""
+    return chi2 <= float(chdtri(3, significance))
+
+
+def joint_log_odds(group: Sequence[Proposal], window_m: float) -> float:
+    """Log odds of closures that agree, each counted by the share of what it saw that the one before did not see.
+
+    That they agree, which closures that are wrong seldom do, comes on top of it and is not counted.
+    """
+    ordered = sorted(group, key=lambda one: (one.way_m, -one.log_odds))
+    news = [1.0, *(min((b.way_m - a.way_m) / window_m, 1.0) for a, b in pairwise(ordered))]
+    return float(sum(share * one.log_odds for share, one in zip(news, ordered, strict=True)))
+
+
+def maximal_cliques(agreeing: np.ndarray) -> list[list[int]]:
+    """All maximal sets of members that agree two by two, each ascending; `agreeing` is symmetric, shape (N, N), bool.
+
+    References:
+        Bron and Kerbosch, Algorithm 457, CACM 1973, with pivoting.
+    """
+    near = [set(np.flatnonzero(row).tolist()) - {index} for index, row in enumerate(agreeing)]
+    found: list[list[int]] = []
+
+    def grow(clique: set[int], open_: set[int], done: set[int]) -> None:
+        if not open_ and not done:
+            found.append(sorted(clique))
+            return
+        pivot = max(sorted(open_ | done), key=lambda one: len(near[one] & open_))
+        for one in sorted(open_ - near[pivot]):
+            grow(clique | {one}, open_ & near[one], done & near[one])
+            open_, done = open_ - {one}, done | {one}
+
+    grow(set(), set(range(len(near))), set())
+    return sorted(found)

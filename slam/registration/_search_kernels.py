@@ -1,0 +1,88 @@
+"""Kernels of correlative search: scores of many motions heading by heading, and the peaks of a posterior on a grid."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, error_model="numpy")
+def score_by_heading(
+    headings, starts, shifts, cell, points, weight, table, origin, others, other_weight, other_table, other_origin
+):
+    """Sum of table values under b_T_a = (shift, heading), mean of both ways and weighted: points of a in b and back.
+
+    Motions (M, 2) come in runs of one heading: those of `headings[h]` are `starts[h]` to `starts[h + 1]`. Tables are
+    of small integers, so that they stay in the cache; the result (M,) is in their unit.
+    """
+    result = np.empty(shifts.shape[0])
+    rows, columns = table.shape
+    other_rows, other_columns = other_table.shape
+    there_u, there_v = np.empty(points.shape[0]), np.empty(points.shape[0])
+    back_u, back_v = np.empty(others.shape[0]), np.empty(others.shape[0])
+    for h in range(headings.shape[0]):
+        c, s = np.cos(headings[h]), np.sin(headings[h])
+        for k in range(points.shape[0]):
+            there_u[k] = (c * points[k, 0] - s * points[k, 1] - origin[0]) / cell
+            there_v[k] = (s * points[k, 0] + c * points[k, 1] - origin[1]) / cell
+        for k in range(others.shape[0]):
+            back_u[k] = (c * others[k, 0] + s * others[k, 1] - other_origin[0]) / cell
+            back_v[k] = (c * others[k, 1] - s * others[k, 0] - other_origin[1]) / cell
+        for m in range(starts[h], starts[h + 1]):
+            x, y = shifts[m, 0] / cell, shifts[m, 1] / cell
+            there = back = 0
+            for k in range(points.shape[0]):
+                column, row = int(np.floor(there_u[k] + x)), int(np.floor(there_v[k] + y))
+                if 0 <= column < columns and 0 <= row < rows:
+                    there += table[row, column]
+            u, v = c * x + s * y, c * y - s * x
+            for k in range(others.shape[0]):
+                column, row = int(np.floor(back_u[k] - u)), int(np.floor(back_v[k] - v))
+                if 0 <= column < other_columns and 0 <= row < other_rows:
+                    back += other_table[row, column]
+            result[m] = 0.5 * (weight * there + other_weight * back)
+    return result
+
+
+@njit(cache=True, error_model="numpy")
+def peaks_of(keys, strides, order, scores, prominence):
+    """The peak that each cell of a sparse grid belongs to, as the index of its highest cell, shape (N,).
+
+    Cells climb from the highest down: one without a higher neighbour starts a peak, one between two joins them if the
+    lower of both rises by less than `prominence` above it.
+
+    Args:
+        keys: cells as one ascending number each, shape (N,), with a margin between rows.
+        strides: what a step along each of the three axes adds to a key, shape (3,).
+        order: indices of the cells from the highest score down, shape (N,).
+        scores: of the cells, shape (N,).
+        prominence: in the unit of the scores.
+    """
+    parent = np.full(keys.size, -1)
+    for index in order:
+        parent[index] = index
+        for i in range(-1, 2):
+            for j in range(-1, 2):
+                for k in range(-1, 2):
+                    wanted = keys[index] + i * strides[0] + j * strides[1] + k * strides[2]
+                    place = np.searchsorted(keys, wanted)
+                    if place == keys.size or keys[place] != wanted or parent[place] < 0:
+                        continue
+                    one, other = _top(parent, index), _top(parent, place)
+                    if one == other:
+                        continue
+                    high, low = (one, other) if scores[one] >= scores[other] else (other, one)
+                    if low == index or scores[low] - scores[index] < prominence:
+                        parent[low] = high
+    for index in range(keys.size):
+        parent[index] = _top(parent, index)
+    return parent
+
+
+@njit(cache=True, error_model="numpy")
+def _top(parent, index):
+    """The highest cell of the peak that a cell has joined."""
+    while parent[index] != index:
+        parent[index] = parent[parent[index]]
+        index = parent[index]
+    return index

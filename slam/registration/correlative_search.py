@@ -1,0 +1,278 @@
+"""Correlative search: every place where one submap may lie in another, by branch and bound, with its probability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+from scipy.special import expit, gamma
+
+from slam.frontend.occupancy import CELL_M, Raster
+from slam.registration._search_kernels import peaks_of, score_by_heading
+from spplanes._check import FloatArray
+
+#: Tables are kept as integers of this unit, nats.
+_UNIT = 0.05
+#: Motions this much less likely than the best, as a log, do not count: 1e-3.
+_NEGLIGIBLE = 7.0
+#: Degrees of freedom of the prior's Student t distribution: an estimate may be worse than it says.
+_TAIL = 3.0
+#: Steepest slope of the log of the prior by its Mahalanobis distance, for `_TAIL` and three dimensions.
+_STEEPEST = 0.5 * (_TAIL + 3.0) / np.sqrt(_TAIL)
+#: Prior probability that the submaps have nothing in common.
+_NOTHING = 0.5
+#: Two peaks are two modes when the lower rises by so many nats above the saddle between: less is one look's chance.
+_PROMINENCE = 1.0
+#: Peaks nearer to each other are one place, m: a submap's own drift parts them, walls are drawn twice in it.
+_ONE_PLACE_M = 0.3
+#: Blocks of motions have sides of 2^level cells; the highest level.
+_TOP_LEVEL = 4
+#: Most blocks kept from one level to the next, and blocks of each whose middle is tried: these bound the time.
+_MOST_BLOCKS, _N_TRIED = 40000, 200
+#: A box whose best motion lies at its edge is made so much wider, at most so many times.
+_WIDER, _MOST_TIMES = 2.0, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """One place where a submap may lie in the other."""
+
+    pose: FloatArray
+    """Mean (x, y, theta) of b_T_a, shape (3,)."""
+    covariance: FloatArray
+    """Its covariance, shape (3, 3)."""
+    probability: float
+    """Of this mode; the rest are other modes and submaps that have nothing in common."""
+    log_odds: float
+    """Log of probability / (1 - probability)."""
+    evidence: float
+    """Log of how much better its best motion explains the returns than submaps that have nothing in common."""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """The posterior of the relative pose of two submaps."""
+
+    modes: tuple[Mode, ...]
+    """Likeliest first; empty: they have nothing in common."""
+    reach: FloatArray
+    """Half sides of the box that was searched in the end, (x, y, theta), shape (3,)."""
+    is_at_edge: bool
+    """Whether the likeliest motion lies at the edge of that box: a maximum is none there."""
+
+
+class PlaceView:
+    """A submap as it is searched in: its returns, and tables of log ratios widened for every level of blocks."""
+
+    def __init__(self, raster: Raster) -> None:
+        self.raster = raster
+        self._tables: dict[int, np.ndarray] = {}
+
+    def bound(self, level: int, *, turned: bool = False) -> np.ndarray:
+        """The table, in `_UNIT`, widened to bound what a block of motions of this level finds in a cell, (H, W) int8.
+
+        With `turned`, of a block whose axes are turned by any angle.
+        """
+        reach = 0 if level == 0 else int(np.ceil(0.71 * 2**level)) if turned else 2 ** (level - 1)
+        if reach not in self._tables:
+            self._tables[reach] = _widened(self._whole, reach) if reach else self._whole
+        return self._tables[reach]
+
+    @cached_property
+    def _whole(self) -> np.ndarray:
+        return np.round(self.raster.table / _UNIT).astype(np.int8)
+
+    @cached_property
+    def radius(self) -> float:
+        """Distance beyond which a quarter of the points lie: what a small turn moves by a cell there, m."""
+        return float(np.quantile(np.linalg.norm(self.raster.points, axis=1), 0.75)) + CELL_M
+
+
+def search_place(
+    a: PlaceView, b: PlaceView, guess: FloatArray, covariance: FloatArray, reach: FloatArray, *, looks: float
+) -> SearchResult:
+    """All places where submap a may lie in submap b, about a guess with all its probable errors.
+
+    The prior is a Student t about the guess, the likelihood that of all returns of each submap in the raster of the
+    other, where what was not seen says nothing. Two questions are asked of it. *Which* of several places it is: there
+    a whole wall is one witness, for buildings repeat walls, doors and corners, and returns of one wall agree or
+    disagree together; so the log likelihood is divided by `looks`. *Where* in the place it is: there every look counts.
+    A best motion at the edge of the box is no maximum: the box is made wider and searched again.
+
+    Args:
+        a, b: the submaps, each in its own frame.
+        guess: (x, y, theta) of b_T_a, shape (3,).
+        covariance: of its error, shape (3, 3).
+        reach: half sides of the box searched at first, (x, y, theta), shape (3,).
+        looks: looks that make one independent witness of the place, >= 1.
+
+    References:
+        Olson, "Real-time correlative scan matching", ICRA 2009; Hess et al., "Real-time loop closure in 2D LIDAR SLAM",
+        ICRA 2016, for the bounds; Cummins and Newman, "FAB-MAP", IJRR 2008, for perceptual aliasing.
+    """
+    if not looks >= 1.0:
+        raise ValueError(f"looks: expected at least 1, got {looks}")
+    result = _search(a, b, guess, covariance, reach, looks)
+    for _ in range(_MOST_TIMES):
+        if not result.is_at_edge:
+            break
+        reach = np.minimum(_WIDER * reach, (np.inf, np.inf, np.pi))
+        result = _search(a, b, guess, covariance, reach, looks)
+    return result
+
+
+def evidence_at(a: PlaceView, b: PlaceView, motions: FloatArray) -> FloatArray:
+    """Log of how much better each motion (M, 3), b_T_a, explains the returns than having nothing in common, (M,)."""
+    return _fit(a, b, motions, 0)
+
+
+def _search(
+    a: PlaceView, b: PlaceView, guess: FloatArray, covariance: FloatArray, reach: FloatArray, looks: float
+) -> SearchResult:
+    """The posterior within one box."""
+    grid = np.array((0.5 * CELL_M, 0.5 * CELL_M, CELL_M / max(a.radius, b.radius)))  # half cells, and turns
+    first = int(np.clip(np.ceil(np.log2(max(reach[:2].max(), CELL_M) / (2.0 * CELL_M))), 0, _TOP_LEVEL))
+    information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+    steepest = float(np.sqrt(np.linalg.eigvalsh(information[:2, :2])[-1]))
+    constant = np.log1p(-_NOTHING) - np.log(max(_prior_mass(covariance) / (CELL_M**2 * grid[2]), 1.0))
+    blocks, scores = _first_blocks(reach, grid[2], first), np.empty(0)
+    best = float(np.log(_NOTHING))
+    for level in range(first, -1, -1):
+        prior = constant + _log_student(blocks * grid, information)
+        scores = prior + _fit(a, b, guess + blocks * grid, level) / looks
+        top = _largest(scores, _N_TRIED)
+        tried = scores if not level else prior[top] + _fit(a, b, guess + blocks[top] * grid, 0) / looks
+        best = max(best, float(tried.max(initial=best)))
+        slack = _STEEPEST * np.sqrt(2.0) * 0.5 * (2**level - 1) * CELL_M * steepest
+        kept = np.flatnonzero(scores + slack >= best - _NEGLIGIBLE)
+        kept = kept[_largest(scores[kept], _MOST_BLOCKS)]
+        blocks, scores = blocks[kept], scores[kept]
+        blocks = _split(blocks, level) if level else blocks
+    if not len(blocks):
+        return SearchResult((), reach, False)
+    prior = constant + _log_student(blocks * grid, information)
+    modes = _modes(guess, blocks, scores, (scores - prior) * looks, grid)
+    edge = bool(np.any(np.abs(blocks[np.argmax(scores)] * grid) > reach - _edge(grid)))
+    return SearchResult(modes, reach, edge and modes[0].probability > _NOTHING)
+
+
+def _edge(grid: FloatArray) -> FloatArray:
+    """How near to a side of the box the best motion is at it: two cells and two turns."""
+    return np.array((4.0, 4.0, 2.0)) * grid
+
+
+@dataclass(frozen=True, eq=False)
+class _Peak:
+    """A set of neighbouring motions: which place by witnesses, where in it by looks."""
+
+    cells: np.ndarray
+    pose: FloatArray
+    covariance: FloatArray
+    log_mass: float
+    evidence: float
+
+
+def _modes(
+    guess: FloatArray, blocks: FloatArray, scores: FloatArray, evidence: FloatArray, grid: FloatArray
+) -> tuple[Mode, ...]:
+    """The places of a posterior, by the scores of its cells (witnesses) and their evidence (looks)."""
+    cells = np.round((blocks - blocks.min(axis=0)) * (0.5, 0.5, 1.0)).astype(np.int64)
+    sizes = cells.max(axis=0) + 3
+    strides = np.array((sizes[1] * sizes[2], sizes[2], 1))
+    rank = np.argsort(cells @ strides)
+    blocks, scores, evidence, keys = blocks[rank], scores[rank], evidence[rank], (cells @ strides)[rank]
+    labels = peaks_of(keys, strides, np.argsort(-scores, kind="stable"), scores, _PROMINENCE)
+    members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
+    peaks = [_peak(one, guess + blocks[one] * grid, scores[one], evidence[one], grid) for one in members]
+    peaks.sort(key=lambda peak: -peak.log_mass)
+    modes = []
+    while peaks:
+        place = [one for one in peaks if np.linalg.norm((one.pose - peaks[0].pose)[:2]) < _ONE_PLACE_M]
+        peaks = [one for one in peaks if one not in place]
+        modes.append(_mode(place, scores))
+    return tuple(sorted(modes, key=lambda mode: -mode.log_odds))
+
+
+def _peak(cells: np.ndarray, poses: FloatArray, scores: FloatArray, evidence: FloatArray, grid: FloatArray) -> _Peak:
+    weights = np.exp(evidence - _log_sum(evidence))
+    mean = weights @ poses
+    spread = np.einsum("n,ni,nj->ij", weights, poses - mean, poses - mean)
+    within = np.diag([*(2.0 * grid[:2]).tolist(), grid[2]]) ** 2 / 12.0
+    return _Peak(cells, mean, spread + within, _log_sum(scores), float(evidence[scores.argmax()]))
+
+
+def _mode(place: list[_Peak], scores: FloatArray) -> Mode:
+    """Peaks of one place together: a mixture."""
+    masses = np.array([one.log_mass for one in place])
+    shares = np.exp(masses - _log_sum(masses))
+    mean = shares @ np.array([one.pose for one in place])
+    covariance = sum(
+        share * (one.covariance + np.outer(one.pose - mean, one.pose - mean))
+        for share, one in zip(shares, place, strict=True)
+    )
+    inside = np.zeros(len(scores), dtype=bool)
+    inside[np.concatenate([one.cells for one in place])] = True
+    log_odds = _log_sum(masses) - _log_sum(np.append(scores[~inside], np.log(_NOTHING)))
+    return Mode(mean, np.asarray(covariance), float(expit(log_odds)), log_odds, place[0].evidence)
+
+
+def _widened(table: np.ndarray, reach: int) -> np.ndarray:
+    """Largest value within `reach` cells in both directions, (H, W); outside the table lies the value 0, unknown."""
+    for axis in (0, 1):
+        table = maximum_filter1d(table, 2 * reach + 1, axis=axis, mode="constant", cval=0)
+    return table
+
+
+def _fit(a: PlaceView, b: PlaceView, motions: FloatArray, level: int) -> FloatArray:
+    """Log likelihood ratio of each motion (M, 3), or its bound in the block of this level about it, shape (M,)."""
+    order = np.argsort(motions[:, 2], kind="stable")
+    headings, starts = np.unique(motions[order, 2], return_index=True)
+    result = np.empty(len(motions))
+    result[order] = score_by_heading(
+        headings, np.append(starts, len(motions)), np.ascontiguousarray(motions[order, :2]), CELL_M,
+        a.raster.points, a.raster.weight, b.bound(level), b.raster.origin,
+        b.raster.points, b.raster.weight, a.bound(level, turned=True), a.raster.origin,
+    )  # fmt: skip
+    return _UNIT * result
+
+
+def _largest(values: FloatArray, count: int) -> np.ndarray:
+    """Indices of the largest values, in no order."""
+    return np.arange(values.size) if values.size <= count else np.argpartition(-values, count)[:count]
+
+
+def _first_blocks(reach: FloatArray, turn: float, level: int) -> FloatArray:
+    """Middles of the blocks of a level that cover the box, as half cells and turns from the guess, shape (M, 3)."""
+    side = 2 ** (level + 1)  # in half cells
+    counts = np.ceil(2.0 * reach[:2] / (0.5 * CELL_M * side)).astype(int)
+    x, y = (side * (np.arange(n) - 0.5 * (n - 1)) for n in counts)
+    most = int(np.ceil(reach[2] / turn))
+    grid = np.stack(np.meshgrid(x, y, np.arange(-most, most + 1), indexing="ij"), axis=-1)
+    return grid.reshape(-1, 3).astype(np.float64)
+
+
+def _split(blocks: FloatArray, level: int) -> FloatArray:
+    """The four blocks of the level below in each."""
+    step = 2 ** (level - 1)  # half the side of a child in half cells
+    corners = np.array([(i, j, 0) for i in (-step, step) for j in (-step, step)], dtype=np.float64)
+    return (blocks[:, None, :] + corners).reshape(-1, 3)
+
+
+def _log_student(offsets: FloatArray, information: FloatArray) -> FloatArray:
+    """Log of the prior's density relative to that at the guess, shape (M,)."""
+    squared = np.einsum("ni,ij,nj->n", offsets, information, offsets)
+    return -0.5 * (_TAIL + 3.0) * np.log1p(squared / _TAIL)
+
+
+def _prior_mass(covariance: FloatArray) -> float:
+    """Integral of that relative density over all motions, m^2 rad."""
+    constant = gamma(0.5 * _TAIL) * (_TAIL * np.pi) ** 1.5 / gamma(0.5 * (_TAIL + 3.0))
+    return float(constant * np.sqrt(np.linalg.det(covariance)))
+
+
+def _log_sum(values: FloatArray) -> float:
+    """Log of the sum of exponentials."""
+    top = float(values.max())
+    return top + float(np.log(np.exp(values - top).sum()))

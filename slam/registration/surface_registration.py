@@ -1,0 +1,208 @@
+"""Registration of a 3D scan to a local map by all its returns: point to plane, with candidates verified.
+
+Planes propose where a body is; all that it sees decides. Surface elements (`slam.frontend.scan_surfaces`) of the scan
+are laid on those of the keyframes before, and what speaks against a place counts as well: surfaces that would stand
+before others that are seen.
+
+References:
+    Chen, Medioni, "Object modelling by registration of multiple range images", IVC 1992, for point to plane.
+    Vizzo et al., "KISS-ICP: in defense of point-to-point ICP", RA-L 2023, for thresholds that follow the data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from scipy.spatial import cKDTree
+
+from slam.frontend.scan_surfaces import ON_EDGE, ON_PLANE
+from slam.geometry.frames import inverse, lift
+from spplanes._check import FloatArray
+
+#: An element is about so wide as a share of its range, one on a plane the latter; all reaches are multiples of that.
+_WIDTH, _WIDTH_ON_PLANE = 0.03, 0.06
+#: How far, in widths, partners are looked for in one stage after another; and the iterations of each.
+_REACHES, _STEPS = (6.0, 3.0, 1.5, 1.0), 6
+#: Partners look the same way to this cosine; of edges, whose direction turns with the viewpoint, likewise.
+_ALIKE = 0.85
+#: Residuals are weighed by a Geman-McClure kernel of so many robust standard deviations of all of them.
+_KERNEL = 3.0
+#: That is never taken for less than this, m.
+_LEAST_SCALE_M = 0.003
+#: A motion has converged when a step is smaller, rad and m.
+_CONVERGED = 1e-5
+#: Standard deviations of a motion that nothing says anything of, rad and m.
+_NOTHING_RAD, _NOTHING_M = 3.0, 10.0
+#: One direction are elements within this angle, rad, when there are so many; something stands before them when it is
+#: nearer than all by this share of the range and so many m.
+_DIRECTION_RAD, _ABOUT, _BEFORE_SHARE, _BEFORE_M = 0.1, 4, 0.08, 0.1
+#: An element seen through speaks so many times more against a place than one that fits speaks for it: where walls are
+#: alike, half of them fit anywhere, but at the right place next to nothing is seen through.
+_AGAINST = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """A scan laid on a local map."""
+
+    known_T_seen: FloatArray
+    """Shape (4, 4)."""
+    information: FloatArray
+    """Of the tangent on the right, GTSAM order (rotation, translation), by all elements, shape (6, 6)."""
+    off_planes: tuple[FloatArray, FloatArray]
+    """What the elements on no plane say alone: information (6, 6), and information times their mean, (6,), about the
+    motion above."""
+    score: float
+    """Share of the elements that are where something is known, close by, less what contradicts."""
+    share: float
+    """Share of the elements that found a partner."""
+
+
+class LocalMap:
+    """Surface elements of a few keyframes in one frame, to register scans on."""
+
+    def __init__(self, parts: Sequence[tuple[FloatArray, FloatArray]]) -> None:
+        """Of parts: known_T_body (4, 4) with elements (N, 8)."""
+        rows = np.concatenate([moved(elements, pose) for pose, elements in parts])
+        self.eyes = np.concatenate([np.tile(pose[:3, 3], (len(elements), 1)) for pose, elements in parts])
+        self.points, self.directions, self.sigmas, self.kinds = rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7]
+        self._groups = [np.flatnonzero(self.kinds != ON_EDGE), np.flatnonzero(self.kinds == ON_EDGE)]
+        self._trees = [cKDTree(self.points[group]) if len(group) else None for group in self._groups]
+        self._newest = parts[-1]
+
+    def partners(self, points: FloatArray, directions: FloatArray, kinds: np.ndarray, reach: FloatArray) -> np.ndarray:
+        """Nearest element of the same sort within reach (N,), m, that looks the same way, shape (N,); -1: none."""
+        partner = np.full(len(points), -1)
+        for edges, (group, tree) in enumerate(zip(self._groups, self._trees, strict=True)):
+            mine = np.flatnonzero((kinds == ON_EDGE) == bool(edges))
+            if tree is None or not len(mine):
+                continue
+            apart, index = tree.query(points[mine], distance_upper_bound=float(reach[mine].max()))
+            near = apart < reach[mine]
+            mine, other = mine[near], group[index[near]]
+            cosine = np.einsum("ki,ki->k", directions[mine], self.directions[other])
+            alike = (np.abs(cosine) if edges else cosine) > _ALIKE
+            partner[mine[alike]] = other[alike]
+        return partner
+
+    def contradicted(self, known_T_seen: FloatArray, elements: FloatArray, matched: np.ndarray) -> float:
+        """Share of what lies in common view that is seen through: surfaces of the newest keyframe before those seen, or
+        back.
+
+        Args:
+            known_T_seen: the motion, shape (4, 4).
+            elements: of the scan, shape (N, 8).
+            matched: which of them have partners, mask (N,): they are where something was.
+        """
+        pose, newest = self._newest
+        newest_T_seen = inverse(pose) @ known_T_seen
+        back = lift(elements[~matched, :3], newest_T_seen)
+        partner = cKDTree(lift(elements[:, :3], newest_T_seen)).query(newest[:, :3])[0]
+        alone = partner > _REACHES[-1] * _widths(newest)
+        ahead = lift(newest[alone, :3], inverse(newest_T_seen))
+        return max(
+            _seen_through(back, newest[:, :3]) / max(len(elements), 1),
+            _seen_through(ahead, elements[:, :3]) / max(len(newest), 1),
+        )
+
+
+def moved(elements: FloatArray, pose: FloatArray) -> FloatArray:
+    """Elements (N, 8) in another frame."""
+    return np.column_stack((lift(elements[:, :3], pose), elements[:, 3:6] @ pose[:3, :3].T, elements[:, 6:]))
+
+
+def _widths(elements: FloatArray) -> FloatArray:
+    """How wide elements (N, 8) are, (N,), m."""
+    share = np.where(elements[:, 7] == ON_PLANE, _WIDTH_ON_PLANE, _WIDTH)
+    return share * np.linalg.norm(elements[:, :3], axis=1)
+
+
+def _seen_through(points: FloatArray, seen: FloatArray) -> int:
+    """How many of points (N, 3) stand well before all of the seen ones (M, 3) about their direction."""
+    if len(points) == 0 or len(seen) < _ABOUT:
+        return 0
+    ranges, depth = np.linalg.norm(points, axis=1), np.linalg.norm(seen, axis=1)
+    rays = points / np.maximum(ranges, 1e-9)[:, None]
+    apart, index = cKDTree(seen / depth[:, None]).query(rays, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
+    common = np.isfinite(apart).all(axis=1)
+    nearest = depth[index[common]].min(axis=1)
+    return int(np.count_nonzero(ranges[common] < (1.0 - _BEFORE_SHARE) * nearest - _BEFORE_M))
+
+
+def align(elements: FloatArray, known: LocalMap, known_T_seen: FloatArray, *, every: int = 1) -> Alignment:
+    """Lay a scan on a local map, from a motion that is about right.
+
+    Args:
+        elements: of the scan, shape (N, 8).
+        known: where it is laid.
+        known_T_seen: the motion to start from, shape (4, 4).
+        every: use only each so manieth element: for a first look.
+    """
+    some, motion = elements[::every], known_T_seen
+    widths = _widths(some)
+    for reach in _REACHES:
+        for _ in range(_STEPS):
+            found = _Residuals.of(some, known, motion, reach * widths)
+            step = -np.linalg.solve(found.information() + _NOTHING, found.gradient())
+            motion = motion @ gtsam.Pose3.Expmap(step).matrix()
+            if np.abs(step).max() < _CONVERGED:
+                break
+    found = _Residuals.of(some, known, motion, _REACHES[-1] * widths)
+    share = len(found.off) / max(len(some), 1)
+    matched = np.zeros(len(some), dtype=bool)
+    matched[found.index] = True
+    score = found.closeness(widths) / max(len(some), 1) - _AGAINST * known.contradicted(motion, some, matched)
+    return Alignment(motion, found.information(), found.off_planes(), score, share)
+
+
+@dataclass(frozen=True, eq=False)
+class _Residuals:
+    """How far elements are from their partners, along the partners' directions."""
+
+    index: np.ndarray
+    """Which elements, shape (K,)."""
+    kinds: np.ndarray
+    """Their kinds, shape (K,)."""
+    off: FloatArray
+    """Shape (K,), m."""
+    jacobian: FloatArray
+    """By the tangent of the motion on the right, shape (K, 6)."""
+    weights: FloatArray
+    """Information of each, by its noise and the robust kernel, shape (K,), 1 / m^2."""
+
+    @classmethod
+    def of(cls, elements: FloatArray, known: LocalMap, motion: FloatArray, reach: FloatArray) -> _Residuals:
+        rows = moved(elements, motion)
+        partner = known.partners(rows[:, :3], rows[:, 3:6], rows[:, 7], reach)
+        index = np.flatnonzero(partner >= 0)
+        other, mine = partner[index], elements[index]
+        normals = known.directions[other]
+        off = np.einsum("ki,ki->k", rows[index, :3] - known.points[other], normals)
+        turned = normals @ motion[:3, :3]
+        jacobian = np.hstack((np.cross(mine[:, :3], turned), turned))
+        scale = max(_LEAST_SCALE_M, 1.4826 * float(np.median(np.abs(off))) if len(off) else 0.0)
+        kernel = 1.0 / (1.0 + (off / (_KERNEL * scale)) ** 2) ** 2
+        variance = mine[:, 6] ** 2 + known.sigmas[other] ** 2
+        return cls(index, mine[:, 7], off, jacobian, kernel / variance)
+
+    def information(self) -> FloatArray:
+        return self.jacobian.T @ (self.weights[:, None] * self.jacobian)
+
+    def gradient(self) -> FloatArray:
+        return self.jacobian.T @ (self.weights * self.off)
+
+    def off_planes(self) -> tuple[FloatArray, FloatArray]:
+        """Information of the elements on no plane, and information times their mean, about the motion."""
+        some = self.kinds != ON_PLANE
+        weighted = self.weights[some, None] * self.jacobian[some]
+        return self.jacobian[some].T @ weighted, -weighted.T @ self.off[some]
+
+    def closeness(self, widths: FloatArray) -> float:
+        """Number of elements that are close to their partners, each by how close."""
+        return float((1.0 / (1.0 + (self.off / (0.25 * widths[self.index] + _LEAST_SCALE_M)) ** 2)).sum())
+
+
+_NOTHING = np.diag(np.repeat([_NOTHING_RAD, _NOTHING_M], 3) ** -2.0)

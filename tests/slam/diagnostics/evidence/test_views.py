@@ -1,0 +1,108 @@
+"""Views of level lasers agree where poses are right, and see through each other's surfaces where they are not."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from slam.diagnostics.evidence.free_space import free_space_evidence
+from slam.diagnostics.evidence.mounts import mount_evidence
+from slam.diagnostics.evidence.views import View, compare, pairs_of, views_of
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.odometry import Motion
+from slam.geometry.frames import inverse, planar_transform
+from slam.simulation.floorplan import cast
+from spplanes._check import FloatArray
+
+#: A room of 8 x 5 m with a box in it, free space on the left of each wall.
+CORNERS = [(0.0, 0.0), (8.0, 0.0), (8.0, 5.0), (0.0, 5.0), (0.0, 0.0)]
+BOX = [(5.0, 3.5), (5.0, 4.5), (6.0, 4.5), (6.0, 3.5), (5.0, 3.5)]
+WALLS = np.array([[a, b] for chain in (CORNERS, BOX) for a, b in pairwise(chain)])
+ANGLES = np.deg2rad(np.arange(-90.0, 91.0))
+
+
+def beams(pose: FloatArray, rng: np.random.Generator, mount: FloatArray | None = None) -> FloatArray:
+    """Returns of a laser at a pose (x, y, theta), 1 cm of noise, as rows (x0, y0, x1, y1) in the body."""
+    ranges = cast(WALLS, np.zeros((len(WALLS), 32)), pose, ANGLES) + rng.normal(0.0, 0.01, ANGLES.size)
+    ends = np.column_stack((ranges * np.cos(ANGLES), ranges * np.sin(ANGLES)))
+    ends = ends if mount is None else ends @ mount.T
+    return np.hstack((np.zeros_like(ends), ends))
+
+
+def way(count: int) -> FloatArray:
+    """Poses (x, y, theta) of a curve through the room."""
+    s = np.linspace(0.0, 1.0, count)
+    return np.column_stack((1.5 + 3.0 * s, 1.2 + 1.5 * s**2, 0.8 * s))
+
+
+def keyframes(poses: FloatArray, mount: FloatArray | None = None, seed: int = 0) -> list[Keyframe]:
+    rng = np.random.default_rng(seed)
+    frames = []
+    for k, pose in enumerate(poses):
+        motion = None
+        if k:
+            step = inverse(planar_transform(*poses[k - 1])) @ planar_transform(*pose)
+            motion = Motion(step, 1e-4 * np.eye(3), (1e-3, 1e-3, 1e-3))
+        frames.append(Keyframe(k, [], motion, returns=beams(pose, rng, mount)))
+    return frames
+
+
+def test_a_view_confirms_what_it_saw_and_says_nothing_of_what_is_hidden():
+    rng = np.random.default_rng(1)
+    here = View.of(beams(np.array([1.5, 2.5, 0.0]), rng))
+    at_wall, in_front, behind = np.array([[6.5, 0.0]]), np.array([[3.0, 0.0]]), np.array([[7.5, 0.0]])
+    assert here.confirms(at_wall, 0.1).all() and not here.sees_through(at_wall, 0.1).any()
+    assert here.sees_through(in_front, 0.1).all() and not here.confirms(in_front, 0.1).any()
+    assert not here.sees_through(behind, 0.1).any() and not here.confirms(behind, 0.1).any()
+
+
+def test_two_views_agree_at_their_true_poses_and_not_half_a_metre_off():
+    rng = np.random.default_rng(2)
+    first, second = np.array([1.5, 1.5, 0.2]), np.array([3.0, 2.5, 0.9])
+    here, there = View.of(beams(first, rng)), View.of(beams(second, rng))
+    here_T_there = inverse(planar_transform(*first)) @ planar_transform(*second)
+    confirmed, through = compare(here, there, here_T_there)
+    assert confirmed > 10 and through == 0
+    off = here_T_there @ planar_transform(-0.4, 0.3, 0.0)
+    assert compare(here, there, off)[1] > 3
+
+
+def test_right_poses_are_no_evidence_and_a_jump_in_them_is():
+    poses = way(24)
+    frames, truth = keyframes(poses), np.array([planar_transform(*pose) for pose in poses])
+    views = views_of(frames)
+    (sound,) = free_space_evidence(frames, views, truth)
+    assert sound.p_value > 0.5 and sound.size < 0.005
+    bent = truth.copy()
+    bent[12:] = planar_transform(-0.3, 0.25, 0.0) @ bent[12:]
+    (found,) = free_space_evidence(frames, views, bent)
+    assert found.p_value < 1e-4 and found.size > 0.03
+    assert any(9 <= keyframe <= 15 for keyframe in found.keyframes)
+    assert "go through them" in found.sentence
+
+
+def test_every_keyframe_is_compared_with_other_stretches_of_the_way():
+    poses = np.array([planar_transform(0.5 * k, 0.0, 0.0) for k in range(10)] * 2)
+    pairs = pairs_of(range(20), poses)
+    assert all(one != other for one, other in pairs)
+    assert (0, 10) in pairs  # the same place, a lap later
+
+
+def test_a_laser_mounted_backwards_is_found_and_named():
+    frames = keyframes(way(24), mount=-np.eye(2))
+    (found,) = mount_evidence(frames, np.zeros((1, 3)))
+    assert found.grade == "broken" and found.p_value < 1e-4
+    assert "backwards" in found.sentence and "keyframes 0 to 23" in found.sentence
+
+
+def test_a_laser_upside_down_is_found_and_named():
+    frames = keyframes(way(24), mount=np.diag([1.0, -1.0]))
+    (found,) = mount_evidence(frames, np.zeros((1, 3)))
+    assert found.p_value < 1e-4 and "upside down (roll" in found.sentence
+
+
+def test_a_mount_as_stated_is_never_taken_for_another():
+    for seed in range(5):
+        for found in mount_evidence(keyframes(way(24), seed=seed), np.zeros((1, 3))):
+            assert found.p_value > 0.5

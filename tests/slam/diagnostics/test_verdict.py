@@ -1,0 +1,48 @@
+"""A verdict follows from its evidence: each kind has its share of the significance, the gravest comes first."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named, weigh
+
+
+def found(p_value: float, grade: str = "doubtful", kind: str = "free space") -> Evidence:
+    return Evidence(kind, grade, p_value, 0.3, "of looks", (4, 5), f"{kind} {p_value}")  # type: ignore[arg-type]
+
+
+def test_a_run_that_nothing_speaks_against_is_sound():
+    verdict = weigh([found(0.2)], 3)
+    assert (verdict.verdict, verdict.reasons, verdict.keyframes) == ("sound", [], [])
+    assert verdict.line == "the map is sound"
+
+
+def test_kinds_share_the_significance():
+    assert weigh([found(0.9 * SIGNIFICANCE / 3)], 3).verdict == "doubtful"
+    assert weigh([found(1.1 * SIGNIFICANCE / 3)], 3).verdict == "sound"
+
+
+def test_as_many_sound_runs_are_doubted_as_is_said():
+    rng = np.random.default_rng(0)
+    doubted = sum(weigh([found(p) for p in rng.random(5)], 5).verdict != "sound" for _ in range(4000))
+    assert 15 <= doubted <= 65  # 40 expected of 4000, within 4 sigma
+
+
+def test_what_is_broken_comes_first_and_names_its_keyframes():
+    verdict = weigh([found(1e-9), found(1e-4, "broken", "mount"), found(0.5, "broken")], 2)
+    assert (verdict.verdict, [one.kind for one in verdict.evidence]) == ("broken", ["mount", "free space"])
+    assert verdict.line == "the map is broken: mount 0.0001; free space 1e-09"
+    assert verdict.keyframes == [4, 5]
+
+
+@pytest.mark.parametrize(
+    ("keyframes", "words"),
+    [
+        ([3], "keyframe 3"),
+        ([3, 4, 5, 9], "keyframes 3 to 5, 9"),
+        ([9, 1, 3, 5, 7], "keyframes 1, 3, 5 and 2 more"),
+    ],
+)
+def test_neighbouring_keyframes_are_named_together(keyframes: list[int], words: str):
+    assert named(keyframes) == words

@@ -1,0 +1,94 @@
+"""Proposed closures: those that agree with one another and the way between are closed together, and no others."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2 as chi2_distribution
+
+from slam.frontend.odometry import planar_delta
+from slam.geometry.frames import inverse, planar_transform
+from slam.loop_closure.pairwise_consistency import (
+    PlanarPose,
+    Proposal,
+    agree,
+    joint_log_odds,
+    loop_chi2,
+    maximal_cliques,
+)
+
+CLOSURE = np.diag((0.03, 0.02, 0.005)) ** 2
+STEP = np.array(((4e-4, 1e-4, 0.0), (1e-4, 9e-4, 2e-5), (0.0, 2e-5, 4e-5)))
+
+
+def disturbed(a_T_b: np.ndarray, covariance: np.ndarray, rng: np.random.Generator) -> PlanarPose:
+    return PlanarPose(planar_delta(a_T_b) + np.linalg.cholesky(covariance) @ rng.standard_normal(3), covariance)
+
+
+def scene(rng: np.random.Generator, wrong: np.ndarray) -> tuple[Proposal, Proposal, PlanarPose, PlanarPose]:
+    """Two closures of one lap, the second wrong by a motion (3,), with the ways between their ends."""
+    old, new = planar_transform(0.0, 0.0, 0.3), planar_transform(0.4, 0.2, 2.9)
+    older, newer = planar_transform(3.0, 0.5, 0.4), planar_transform(-2.5, 1.0, 0.7)
+    first = Proposal(10, 1, disturbed(inverse(old) @ new, CLOSURE, rng), 5.0, 60.0)
+    there = inverse(old @ older) @ new @ newer @ planar_transform(*wrong)
+    second = Proposal(14, 5, disturbed(there, CLOSURE, rng), 5.0, 64.0)
+    return first, second, disturbed(newer, STEP, rng), disturbed(older, STEP, rng)
+
+
+def test_chi2_of_a_loop_of_two_closures_is_chi2():
+    rng = np.random.default_rng(0)
+    values = [loop_chi2(*scene(rng, np.zeros(3))) for _ in range(2000)]
+    low, high = chi2_distribution.ppf((0.001, 0.999), 3 * 2000) / 2000
+    assert low < np.mean(values) < high
+    assert np.mean([agree(one, 0.01) for one in values]) == pytest.approx(0.99, abs=0.007)
+
+
+@pytest.mark.parametrize("wrong", [(0.5, 0.0, 0.0), (0.0, -0.5, 0.0), (0.0, 0.0, 0.1)])
+def test_closures_that_contradict_each_other_do_not_agree(wrong: tuple[float, float, float]):
+    rng = np.random.default_rng(1)
+    assert not any(agree(loop_chi2(*scene(rng, np.array(wrong))), 1e-3) for _ in range(50))
+
+
+def test_motions_one_after_another_have_the_covariance_of_samples():
+    rng = np.random.default_rng(2)
+    first, after = planar_transform(3.0, -1.0, 2.0), planar_transform(0.5, 2.0, -0.4)
+    sampled = [
+        planar_delta(planar_transform(*one) @ planar_transform(*other))
+        for one, other in (
+            (disturbed(first, STEP, rng).delta, disturbed(after, CLOSURE, rng).delta) for _ in range(20000)
+        )
+    ]
+    together = PlanarPose(planar_delta(first), STEP) @ PlanarPose(planar_delta(after), CLOSURE)
+    np.testing.assert_allclose(together.delta, planar_delta(first @ after), atol=1e-12)
+    np.testing.assert_allclose(together.covariance, np.cov(np.array(sampled).T), rtol=0.06, atol=2e-5)
+
+
+def test_headings_half_a_turn_apart_are_compared_round_the_circle():
+    near, other = (PlanarPose(np.array((0.0, 0.0, sign * 3.14)), CLOSURE) for sign in (1.0, -1.0))
+    assert near.chi2(other) == pytest.approx((2.0 * np.pi - 6.28) ** 2 / (2.0 * CLOSURE[2, 2]))
+
+
+def test_cliques_are_all_maximal_sets_that_agree():
+    rng = np.random.default_rng(3)
+    for count in (1, 2, 5, 8):
+        for density in (0.2, 0.6, 0.9):
+            upper = np.triu(rng.random((count, count)) < density, 1)
+            agreeing = upper | upper.T | np.eye(count, dtype=bool)
+            sets = [
+                set(one)
+                for size in range(1, count + 1)
+                for one in combinations(range(count), size)
+                if agreeing[np.ix_(one, one)].all()
+            ]
+            maximal = [sorted(one) for one in sets if not any(one < other for other in sets)]
+            assert maximal_cliques(agreeing) == sorted(maximal)
+
+
+def test_what_two_closures_saw_both_counts_once():
+    pose = PlanarPose(np.zeros(3), CLOSURE)
+    first, again, later = (Proposal(k, 0, pose, 4.0, way) for k, way in ((10, 50.0), (11, 53.0), (12, 60.0)))
+    assert joint_log_odds([first], 6.0) == 4.0
+    assert joint_log_odds([first, again], 6.0) == pytest.approx(6.0)
+    assert joint_log_odds([later, first], 6.0) == pytest.approx(8.0)

@@ -1,0 +1,134 @@
+"""A graph that was edited or solved elsewhere comes back as the planes and the trajectory of its run."""
+
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.cli import main
+from slam.errors import LogError
+from slam.io.g2o.reader import read_g2o
+from slam.runs.graph_import import import_graph
+from slam.runs.stored_run import StoredRun
+
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+
+
+def command(*words: object) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main([str(word) for word in words])
+    return stop.value.code or 0
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("import")
+    assert command("simulate", "corridor", "--out", folder / "mission", "--scans", 80, "--seed", 3) == 0
+    assert command("slam", folder / "mission", "--out", folder / "run") == 0
+    return folder / "run"
+
+
+def moved_file(run: Path, to: Path, motion: gtsam.Pose3 | None = None, noise: float = 0.0) -> Path:
+    """The run's graph.g2o with its vertices moved; edges as they were."""
+    read, rng = read_g2o(run / "graph.g2o"), np.random.default_rng(0)
+    motion = gtsam.Pose3() if motion is None else motion
+    lines = []
+    for words in (line.split() for line in (run / "graph.g2o").read_text().splitlines()):
+        number = int(words[1]) if words[0].startswith("VERTEX") else None
+        if number in read.poses:
+            pose = motion.compose(read.values.atPose3(read.poses[number])).retract(noise * rng.normal(size=6))
+            q = pose.rotation().toQuaternion()
+            words[2:] = [repr(float(v)) for v in (*pose.translation(), q.x(), q.y(), q.z(), q.w())]
+        elif number in read.planes:
+            plane = read.values.atOrientedPlane3(read.planes[number]).transform(motion.inverse())
+            words[2:6] = [repr(float(v)) for v in plane.retract(noise * rng.normal(size=3)).planeCoefficients()]
+        lines.append(" ".join(words))
+    to.write_text("\n".join(lines) + "\n")
+    return to
+
+
+def test_every_default_solver_takes_a_graph_that_was_read_back(run: Path, tmp_path: Path):
+    """Once LM stopped at 0 iterations without a word, and the others threw on w0."""
+    optimum = read_g2o(run / "graph.g2o")
+    read = read_g2o(moved_file(run, tmp_path / "noisy.g2o", noise=0.003))
+    least = optimum.graph.error(gtsam.LevenbergMarquardtOptimizer(optimum.graph, optimum.values).optimize())
+    assert read.graph.error(read.values) > 2.0 * least
+    for solver in (gtsam.LevenbergMarquardtOptimizer, gtsam.GaussNewtonOptimizer, gtsam.DoglegOptimizer):
+        optimiser = solver(read.graph, read.values)
+        result = optimiser.optimize()
+        assert optimiser.iterations() > 0
+        assert read.graph.error(result) == pytest.approx(least, rel=1e-3)
+    marginals = gtsam.Marginals(read.graph, result)
+    key = max(read.poses.values())
+    assert np.linalg.eigvalsh(marginals.marginalCovariance(key))[0] > 0.0
+    assert set(read.values.keys()) == {*read.poses.values(), *read.planes.values(), gtsam.symbol("w", 0)}
+
+
+def test_a_graph_left_alone_gives_the_run(run: Path):
+    given, back = StoredRun.read(run), import_graph(run / "graph.g2o", run, solve=False)
+    assert [one.id for one in back.planes] == [one.id for one in given.planes]
+    np.testing.assert_allclose(back.trajectory.poses, given.trajectory.poses, atol=1e-9)
+    for ours, theirs in zip(back.planes, given.planes, strict=True):
+        np.testing.assert_allclose(ours.plane.frame, theirs.plane.frame, atol=1e-6)
+        assert ours.plane.n_points == theirs.plane.n_points
+        ratio = np.sqrt(np.diag(ours.plane.covariance) / np.diag(theirs.plane.covariance))
+        assert (ratio < 1.5).all()
+        assert (ratio > 0.6).all()
+
+
+def test_a_graph_moved_as_a_whole_takes_the_map_along(run: Path, tmp_path: Path):
+    motion = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, -0.2, 0.7), np.array([3.0, -2.0, 0.5]))
+    given = StoredRun.read(run)
+    back = import_graph(moved_file(run, tmp_path / "moved.g2o", motion), run, solve=False)
+    np.testing.assert_allclose(back.trajectory.poses, motion.matrix() @ given.trajectory.poses, atol=1e-6)
+    for ours, theirs in zip(back.planes, given.planes, strict=True):
+        np.testing.assert_allclose(ours.plane.frame, motion.matrix() @ theirs.plane.frame, atol=1e-5)
+        assert ours.seen.equals(theirs.seen)
+
+
+def test_what_is_off_its_optimum_is_solved(run: Path, tmp_path: Path):
+    given = StoredRun.read(run)
+    noisy = moved_file(run, tmp_path / "noisy.g2o", noise=0.003)
+    far, back = import_graph(noisy, run, solve=False), import_graph(noisy, run)
+    shifts = [np.abs(one.trajectory.poses - given.trajectory.poses)[:, :3, 3].max() for one in (far, back)]
+    assert shifts[0] > 4e-3
+    assert shifts[1] < 1e-3
+    assert read_g2o_text(back.graph, tmp_path) == pytest.approx(back.table[-1].value, rel=1e-6)
+
+
+def read_g2o_text(text: str, folder: Path) -> float:
+    """chi2 of a graph given as text."""
+    (folder / "again.g2o").write_text(text)
+    again = read_g2o(folder / "again.g2o")
+    return 2.0 * again.graph.error(again.values)
+
+
+def test_the_command_leaves_a_folder_that_goes_on(run: Path, tmp_path: Path):
+    edited = tmp_path / "edited.g2o"
+    lost = str(next(iter(read_g2o(run / "graph.g2o").planes)))
+    lines = (run / "graph.g2o").read_text().splitlines()
+    gone = [words for words in map(str.split, lines) if words[0].startswith(("VERTEX_PLANE", "EDGE_SE3_PLANE"))]
+    kept = [line for line in lines if not (line.split() in gone and lost in line.split()[1:3])]
+    edited.write_text("\n".join(kept) + "\n")
+    out = tmp_path / "back"
+    assert command("import", edited, "--run", run, "--out", out) == 0
+    assert len(StoredRun.read(out).planes) == len(StoredRun.read(run).planes) - 1
+    assert command("export", out, "--to", tmp_path / "map.glb", "--to", tmp_path / "again.g2o") == 0
+    assert command("import", out / "graph.g2o", "--run", out, "--out", tmp_path / "twice", "--as-is") == 0
+    assert command("import", edited, "--run", run, "--out", out) == 2
+
+
+def test_what_cannot_be_taken_back(run: Path, tmp_path: Path):
+    other = tmp_path / "other.g2o"
+    other.write_text("VERTEX_SE3:QUAT 999 0 0 0 0 0 0 1\nFIX 999\n")
+    with pytest.raises(LogError, match=r"other.g2o: expected poses with the vertex ids of .*graph.g2o, found none"):
+        import_graph(other, run)
+    loose = tmp_path / "loose.g2o"
+    lines = (run / "graph.g2o").read_text().splitlines()
+    loose.write_text("\n".join(line for line in lines if "PRIOR" not in line and "EDGE_SE3:" not in line) + "\n")
+    with pytest.raises(LogError, match=r"loose.g2o: expected a graph that holds every pose and plane"):
+        import_graph(loose, run)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(LogError, match=r"expected the folder of a run, found no planes.json"):
+        import_graph(other, tmp_path / "empty")

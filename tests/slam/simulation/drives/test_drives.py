@@ -1,0 +1,204 @@
+"""Drives carry the noise that their names say, and truth that is of their scans."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from slam.frontend.odometry import OdometryTrack, planar_delta
+from slam.geometry.frames import inverse
+from slam.sensors.log import LaserScan, OdometryReading
+from slam.sensors.wheel_noise import OdometryNoise
+from slam.simulation.drives import DISTURBANCES, ODOMETRIES, Recipe, make_drive
+from slam.simulation.drives.sensing import depth_sigma
+from slam.simulation.drives.wheels import ON_RAMPS
+from slam.simulation.drives.worlds import WORLDS
+
+
+def range_errors(drive, sensor):
+    """Ranges read less those at which the beams meet the planes they are labelled with, (N,), m; rays (N, 3)."""
+    errors, rays_seen = [], []
+    described = drive.rig.sensors[sensor]
+    normals = np.array([plane.normal for plane in drive.truth.planes])
+    offsets = np.array([plane.d for plane in drive.truth.planes])
+    for scan, labels in zip(drive.log.scans(sensor), drive.truth.labels[sensor], strict=True):
+        points = scan.points.reshape(-1, 3) if not isinstance(scan, LaserScan) else points_of(scan)
+        labels = labels.ravel()
+        ranges, seen = np.linalg.norm(points, axis=1), labels >= 0
+        pose = drive.truth.poses_at(np.array([scan.stamp_ns]))[0] @ described.body_T_sensor
+        rays = points[seen] / ranges[seen, None]
+        world = rays @ pose[:3, :3].T
+        n = normals[labels[seen]]
+        errors.append(ranges[seen] - (offsets[labels[seen]] - n @ pose[:3, 3]) / np.einsum("ni,ni->n", n, world))
+        rays_seen.append(rays)
+    return np.concatenate(errors), np.concatenate(rays_seen)
+
+
+def points_of(scan):
+    return scan.ranges[:, None] * np.column_stack([np.cos(scan.angles), np.sin(scan.angles), 0.0 * scan.angles])
+
+
+def assert_scatter(errors, sigma):
+    low, high = chi2.ppf((0.0005, 0.9995), errors.size)
+    assert low < np.sum((errors / sigma) ** 2) < high
+
+
+@pytest.mark.parametrize(
+    "name", ["irregular/level", "bare/pushbroom/good/fifth", "sloped/lidar16/good/fifth", "ramp/lidar16/good/fifth"]
+)
+def test_ranges_scatter_about_the_true_planes_as_the_rig_says(name):
+    drive = make_drive(Recipe.parse(name), 3)
+    for sensor, described in drive.rig.sensors.items():
+        errors, _ = range_errors(drive, sensor)
+        assert errors.size > 10_000
+        assert_scatter(errors, described.range_sigma_m)
+
+
+def test_depths_scatter_more_the_farther_they_are():
+    drive = make_drive(Recipe.parse("hall/depth/good/fifth"), 1)
+    errors, rays = range_errors(drive, "camera")
+    points = np.concatenate([s.points.reshape(-1, 3) for s in drive.log.scans("camera")])
+    labels = drive.truth.labels["camera"].ravel()
+    depth = points[labels >= 0, 2] - errors * rays[:, 2]
+    far = depth < 4.8  # beyond, those read too far are lost
+    assert_scatter((errors * rays[:, 2])[far], depth_sigma(depth)[far])
+
+
+def nees_of_steps(kind, count=400, steps=30):
+    """NEES of the motion over a curved way by one kind of odometry, against the noise the rig states, (count,)."""
+    course = WORLDS["loop"](np.random.default_rng(0)).course
+    poses = course.poses_at(np.linspace(4.0, 7.0, steps))
+    true = planar_delta(inverse(poses[0]) @ poses[-1])
+    values = []
+    for seed in range(count):
+        read = ODOMETRIES[kind](poses, OdometryNoise(), np.random.default_rng(seed))
+        deltas = np.array([planar_delta(inverse(a) @ b) for a, b in pairwise(read)])
+        total, covariance = OdometryNoise().accumulate(deltas)
+        error = total - true
+        values.append(error @ np.linalg.solve(covariance, error))
+    return np.array(values)
+
+
+@pytest.mark.parametrize(("kind", "factor"), [("good", 1.0), ("worse3", 9.0)])
+def test_odometry_errs_as_much_as_its_kind_says(kind, factor):
+    values = nees_of_steps(kind)
+    low, high = chi2.ppf((0.0005, 0.9995), 3 * values.size) / values.size
+    assert low < values.mean() / factor < high * 1.05  # 9 times the variance turns far enough to leave first order
+
+
+def test_biased_odometry_has_a_wheel_of_another_size_and_drifts():
+    poses = np.tile(np.eye(4), (1001, 1, 1))
+    poses[:, 0, 3] = np.linspace(0.0, 10.0, 1001)
+    ends = [ODOMETRIES["biased"](poses, ON_RAMPS, np.random.default_rng(seed)) for seed in range(60)]
+    ways = np.array([np.linalg.norm(np.diff(read[:, :2, 3], axis=0), axis=1).sum() for read in ends])
+    turns = np.array([np.arctan2(read[-1, 1, 0], read[-1, 0, 0]) for read in ends])
+    assert abs(np.abs(turns).mean() - 0.2) < 0.03
+    assert len({bool(turn > 0.0) for turn in turns}) == 2
+    assert np.abs(ways / 10.0 - 1.0).mean() == pytest.approx(0.03, abs=0.02)
+
+
+def test_odometry_over_a_ramp_is_no_worse_than_the_rig_says():
+    """Its z is better than stated, hence the lower bound; roll and pitch are of two readings, 2 mrad each."""
+    course = WORLDS["ramp"](np.random.default_rng(0)).course
+    way = np.arange(14.0, 19.0, 0.05)
+    poses = course.poses_at(way)
+    stamps = np.arange(len(way)) * 100_000_000
+    values = []
+    for seed in range(200):
+        read = ODOMETRIES["good"](poses, ON_RAMPS, np.random.default_rng(seed))
+        track = OdometryTrack([OdometryReading(int(t), p) for t, p in zip(stamps, read, strict=True)], ON_RAMPS)
+        motion = track.motion(int(stamps[10]), int(stamps[30]))
+        assert not motion.is_planar
+        error = inverse(motion.a_T_b) @ inverse(poses[10]) @ poses[30]
+        turns = (error[1, 0], error[0, 2], error[2, 1])
+        vector = np.array([*error[:3, 3], *turns])
+        values.append(vector @ np.linalg.solve(motion.covariance, vector))
+    assert 3.0 < np.mean(values) < 6.5
+
+
+def test_there_is_no_odometry_or_one_that_stands():
+    assert make_drive(Recipe.parse("bare/lidar16/absent/fifth"), 0).log.odometry == []
+    still = make_drive(Recipe.parse("bare/level/still/fifth"), 0)
+    assert all(np.array_equal(reading.odom_T_body, np.eye(4)) for reading in still.log.odometry)
+    assert np.linalg.norm(still.truth.world_T_body[-1, :3, 3]) > 15.0
+
+
+@pytest.mark.parametrize(("kind", "factor"), [("noise0.3", 0.3), ("noise3", 3.0)])
+def test_the_rig_states_another_noise_than_the_ranges_have(kind, factor):
+    drive = make_drive(Recipe.parse(f"bare/level/good/{kind}"), 0)
+    errors, _ = range_errors(drive, "horizontal")
+    assert_scatter(errors, drive.rig.sensors["horizontal"].range_sigma_m / factor)
+
+
+def test_a_rig_with_its_laser_backwards_puts_the_points_behind():
+    right, wrong = (make_drive(Recipe.parse(f"office/level/good/{kind}"), 0) for kind in ("none", "backwards"))
+    mounts = [drive.rig.sensors["horizontal"].body_T_sensor for drive in (right, wrong)]
+    assert np.array_equal(mounts[0][:3, 3], mounts[1][:3, 3])
+    assert mounts[1][0, 0] == pytest.approx(-mounts[0][0, 0])
+    assert mounts[1][2, 2] == pytest.approx(mounts[0][2, 2])
+    assert np.array_equal(right.log.scans()[5].ranges, wrong.log.scans()[5].ranges, equal_nan=True)
+
+
+@pytest.mark.parametrize("kind", ["half", "fifth", "reversed"])
+def test_truth_and_labels_go_with_the_scans_that_are_left(kind):
+    whole = make_drive(Recipe.parse("office/level"), 0)
+    drive = make_drive(Recipe.parse(f"office/level/good/{kind}"), 0)
+    assert_scatter(range_errors(drive, "horizontal")[0], 0.015)
+    share = {"half": 2, "fifth": 5, "reversed": 1}[kind]
+    assert len(drive.log.scans()) == -(-len(whole.log.scans()) // share)
+    stamps = [event.stamp_ns for event in drive.log.events]
+    assert stamps == sorted(stamps)
+    if kind == "reversed":
+        assert np.array_equal(drive.truth.world_T_body[0], whole.truth.world_T_body[-1])
+
+
+def test_a_prior_map_errs_as_it_says_and_starts_where_its_kind_says():
+    nees = []
+    for seed in range(3):
+        drive = make_drive(Recipe.parse("office/level/good/prior"), seed)
+        true = [plane for plane in drive.truth.planes if plane.outline.area >= 0.5]
+        nees += [one.plane.mahalanobis(t) for one, t in zip(drive.prior.planes, true, strict=True)]
+        off = inverse(drive.truth.world_T_body[0]) @ drive.prior.world_T_start
+        assert np.linalg.norm(off[:2, 3]) < 0.5
+    low, high = chi2.ppf((0.0005, 0.9995), 3 * len(nees))
+    assert low < np.sum(nees) < high
+    wrong = make_drive(Recipe.parse("office/level/good/prior_start"), 0)
+    off = inverse(wrong.truth.world_T_body[0]) @ wrong.prior.world_T_start
+    assert np.linalg.norm(off[:2, 3]) == pytest.approx(2.0)
+    elsewhere = make_drive(Recipe.parse("office/level/good/prior_elsewhere"), 0)
+    assert len(elsewhere.prior.planes) != len(wrong.prior.planes)
+
+
+def test_same_recipe_and_seed_same_bits_and_other_parts_leave_the_building_alone():
+    first, again = (make_drive(Recipe.parse("glass/level/worse3/half"), 8) for _ in range(2))
+    for a, b in zip(first.log.events, again.log.events, strict=True):
+        if isinstance(a, LaserScan):
+            assert np.array_equal(a.ranges, b.ranges, equal_nan=True)
+        else:
+            assert np.array_equal(a.odom_T_body, b.odom_T_body)
+    other = make_drive(Recipe.parse("glass/pushbroom/good/fifth"), 8)
+    assert all(np.array_equal(a.frame, b.frame) for a, b in zip(first.truth.planes, other.truth.planes, strict=True))
+    next_one = make_drive(Recipe.parse("glass/level/worse3/half"), 9)
+    assert len(next_one.truth.planes) != len(first.truth.planes) or not np.array_equal(
+        next_one.truth.planes[1].frame, first.truth.planes[1].frame
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("castle/level", "world: expected one of irregular"),
+        ("office/sonar", "sensors: expected one of level"),
+        ("office/level/perfect", "odometry: expected one of good"),
+        ("office/level/good/fire", "disturbance: expected one of none"),
+        ("office", "name: expected world/sensors"),
+    ],
+)
+def test_a_recipe_of_something_unknown_says_what_is_known(name, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        Recipe.parse(name)
+
+
+def test_every_disturbance_has_a_name_in_the_catalogue_of_recipes():
+    assert {recipe.disturbance for recipe in Recipe.every()} == set(DISTURBANCES)

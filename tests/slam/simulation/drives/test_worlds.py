@@ -1,0 +1,90 @@
+"""Random buildings are closed, clear where the robot goes, and hit where their true planes are."""
+
+import numpy as np
+import pytest
+
+from slam.simulation.drives import WORLDS
+from slam.simulation.rigs import Beams
+
+BEAMS = Beams.of_spinning(np.linspace(-np.pi, np.pi, 90, endpoint=False), np.deg2rad(np.linspace(-60, 80, 15)))
+
+
+def seen_along(scene, height_m=0.8):
+    """Origins (S, 3), rays (S, B, 3), ranges (S, B), labels (S, B) of a few looks round on the way of a scene."""
+    way = np.linspace(0.0, scene.course.length_m, 9)
+    poses = scene.course.poses_at(way)
+    origins = np.repeat(poses[:, :3, 3] + height_m * poses[:, :3, 2], len(BEAMS.normals), axis=0)
+    rays = np.concatenate([BEAMS.directions @ pose[:3, :3].T for pose in poses])
+    normals = np.concatenate([BEAMS.normals @ pose[:3, :3].T for pose in poses])
+    times = np.repeat(way / 0.5, len(BEAMS.normals))
+    return origins, rays, *scene.cast(origins, rays, normals, times)
+
+
+@pytest.mark.parametrize("kind", WORLDS)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_is_hit_lies_on_the_true_plane_and_nothing_looks_out(kind, seed):
+    scene = WORLDS[kind](np.random.default_rng(seed))
+    origins, rays, ranges, labels = seen_along(scene)
+    hits = (origins[:, None] + ranges[..., None] * rays)[labels >= 0]
+    normals = np.array([plane.normal for plane in scene.world.planes])[labels[labels >= 0]]
+    offsets = np.array([plane.d for plane in scene.world.planes])[labels[labels >= 0]]
+    assert np.abs(np.einsum("ni,ni->n", hits, normals) - offsets).max() < 1e-9
+    assert (np.einsum("ni,ni->n", rays[labels >= 0], normals) < 0.0).mean() > 0.97  # seen from the side they face
+    away = np.isinf(ranges).mean()
+    assert away == 0.0 if kind != "glass" else 0.01 < away < 0.6
+
+
+@pytest.mark.parametrize("kind", WORLDS)
+def test_the_way_is_clear_of_walls_and_furniture(kind):
+    scene = WORLDS[kind](np.random.default_rng(5))
+    scene = type(scene)(scene.world, scene.course)  # without people
+    _, rays, ranges, _ = seen_along(scene, height_m=0.3)
+    across = ranges * np.linalg.norm(rays[..., :2], axis=-1)
+    assert across[np.abs(rays[..., 2]) < 0.3].min() > 0.4
+
+
+def test_the_seed_decides_the_building():
+    twice = [WORLDS["irregular"](np.random.default_rng(k)).world for k in (3, 3, 4)]
+    assert np.array_equal(twice[0].edges, twice[1].edges)
+    assert not np.array_equal(twice[0].edges, twice[2].edges)
+
+
+def test_irregular_walls_are_at_no_right_angles_and_those_of_an_office_are():
+    def off_square(kind):
+        planes = WORLDS[kind](np.random.default_rng(1)).world.planes
+        walls = np.array([plane.normal for plane in planes if abs(plane.normal[2]) < 0.1])
+        angles = np.arctan2(walls[:, 1], walls[:, 0])
+        return np.abs((angles + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+
+    assert off_square("office").max() < 1e-6
+    assert np.median(off_square("irregular")) > np.deg2rad(5.0)
+
+
+def test_a_ramp_leads_from_one_floor_to_the_one_above():
+    scene = WORLDS["ramp"](np.random.default_rng(0))
+    assert not scene.course.level
+    poses = scene.course.poses_at(np.linspace(0.0, scene.course.length_m, 2000))
+    assert poses[0, 2, 3] == pytest.approx(0.0, abs=1e-9)
+    assert 2.8 < poses[-1, 2, 3] < 3.3
+    assert np.abs(np.diff(poses[:, 2, 3])).max() < 0.01  # no steps
+    np.testing.assert_allclose(
+        poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1), np.tile(np.eye(3), (2000, 1, 1)), atol=1e-12
+    )
+    forward = np.diff(poses[:, :3, 3], axis=0)
+    along = np.einsum("ni,ni->n", forward / np.linalg.norm(forward, axis=1)[:, None], poses[:-1, :3, 0])
+    assert along.min() > 0.99  # it drives where it looks, uphill as well
+
+
+def test_people_come_before_walls_and_move():
+    rng = np.random.default_rng(2)
+    scene = WORLDS["people"](rng)
+    quiet = type(scene)(scene.world, scene.course)
+    _, _, with_people, labels = seen_along(scene)
+    _, _, without, _ = seen_along(quiet)
+    nearer = with_people < without
+    assert (with_people <= without).all()
+    assert 0.002 < nearer.mean() < 0.3
+    assert (labels[nearer] == -1).all()
+    walker = scene.walkers[0]
+    places = walker.places(scene.course.path, np.array([0.0, 1.0]))
+    assert 0.3 < np.linalg.norm(places[1] - places[0]) < 2.5
