@@ -102,7 +102,7 @@ def show_result(
 
 def say_verdict(verdict: Verdict, *, strict: bool = False) -> None:
     """The last line of a run, on stderr; with `strict` a broken map ends the command with code 1."""
-    say(verdict.line)
+    typer.echo(visible(verdict.line), err=True)  # a result: quiet does not hide it
     if strict and verdict.verdict == "broken":
         raise typer.Exit(1)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -58,10 +58,10 @@ def slam(
     batch: Annotated[bool, typer.Option("--batch", help="Solve the graph once more as a whole at the end.")] = False,
     topic: TopicOption = None,
     odometry_topic: OdometryTopicOption = None,
+    timings: TimingsOption = False,
     strict_verdict: Annotated[
         bool, typer.Option("--strict-verdict", help="Exit code 1 where the map is found to be broken.")
     ] = False,
-    timings: TimingsOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Estimate trajectory and planes of LOG; what is measured is on disk before it is used."""
@@ -70,7 +70,8 @@ def slam(
         begun_with = (rig, config, prior, odometry, start, start_sigma, topic, odometry_topic)
         if run_folder is None or any((*begun_with, overwrite, keep_partial, keep_raw, forget_raw)):
             raise typer.BadParameter("takes the folder of a run; all else is as the run began", param_hint="--resume")
-        _resume(run_folder, moved_to, salvage=salvage, as_json=as_json, timings=timings, strict_verdict=strict_verdict)
+        ending = _Ending(as_json, timings, strict_verdict)
+        _resume(run_folder, moved_to, salvage=salvage, ending=ending)
         return
     if log is None or out is None or salvage:
         raise typer.BadParameter("expected LOG --out DIR, or --resume RUN", param_hint="slam")
@@ -106,25 +107,32 @@ def slam(
         progress_bar("keyframes") as progress,
     ):
         run = run_slam(job.log, job.rig, job.config, slam=slam, batch=batch, clock=job.clock, progress=progress)
-        _conclude(run, out, as_json=as_json, timings=timings)
+        _conclude(run, out, _Ending(as_json, timings, strict_verdict))
     say_verdict(run.verdict, strict=strict_verdict)
 
 
-def _resume(
-    folder: Path, log: Path | None, *, salvage: bool, as_json: bool, timings: bool, strict_verdict: bool
-) -> None:
+class _Ending(NamedTuple):
+    """How a run is shown when it has ended."""
+
+    as_json: bool
+    """The table as JSON."""
+    timings: bool
+    """The time of every stage."""
+    strict_verdict: bool
+    """A map found to be broken is exit code 1."""
+
+
+def _resume(folder: Path, log: Path | None, *, salvage: bool, ending: _Ending) -> None:
     """Go on with a run; of one that is finished there is nothing to do, and that is no error."""
     from slam.output.run_folder import FinishedAlready
 
     try:
-        _go_on(folder, log, salvage=salvage, as_json=as_json, timings=timings, strict_verdict=strict_verdict)
+        _go_on(folder, log, salvage=salvage, ending=ending)
     except FinishedAlready as sentence:
         say(sentence)
 
 
-def _go_on(
-    folder: Path, log: Path | None, *, salvage: bool, as_json: bool, timings: bool, strict_verdict: bool
-) -> None:
+def _go_on(folder: Path, log: Path | None, *, salvage: bool, ending: _Ending) -> None:
     from slam.output.run_folder import resumed_run
     from slam.runs.slam_run import StageClock, run_slam
     from slam.session.salvage import salvage_session
@@ -135,11 +143,11 @@ def _go_on(
     with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
         with progress_bar("keyframes") as progress:
             run = run_slam(read, rig, slam.config, slam=slam, clock=clock, progress=progress)
-        _conclude(run, folder, as_json=as_json, timings=timings)
-    say_verdict(run.verdict, strict=strict_verdict)
+        _conclude(run, folder, ending)
+    say_verdict(run.verdict, strict=ending.strict_verdict)
 
 
-def _conclude(run: Run, folder: Path, *, as_json: bool, timings: bool) -> None:
+def _conclude(run: Run, folder: Path, ending: _Ending) -> None:
     """Write the results of a run into its folder; its table, what was assumed and what to know on the screen."""
     from slam.output.run_files import write_run
     from slam.output.run_folder import conclude
@@ -151,7 +159,7 @@ def _conclude(run: Run, folder: Path, *, as_json: bool, timings: bool) -> None:
     warn_of(warnings_of(run))
     for sentence in assumptions_of(run.log):
         say(f"assumed: {sentence}")
-    show_result(name, rows, run.clock, folder, as_json=as_json, timings=timings)
+    show_result(name, rows, run.clock, folder, as_json=ending.as_json, timings=ending.timings)
 
 
 def map_(

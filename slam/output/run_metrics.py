@@ -91,7 +91,7 @@ def _whose(log: Log) -> str:
 
 def assumptions_of(log: Log) -> list[str]:
     """What a run took for granted because neither the log nor its user said it, one sentence each."""
-    without = [] if log.odometry else ["no odometry: between keyframes the robot is taken to move on as it did"]
+    without = [] if log.odometry else ["no odometry: how the robot moves is found by what it sees"]
     return [*log.assumed, *without]
 
 

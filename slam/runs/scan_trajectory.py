@@ -7,6 +7,9 @@ from itertools import pairwise
 import gtsam
 import numpy as np
 
+from slam.config import SlamConfig
+from slam.errors import LogError
+from slam.frontend.keyframes import track_of
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory
@@ -20,9 +23,15 @@ def scan_stamps(log: Log) -> np.ndarray:
     return np.unique(np.array([scan.stamp_ns for scan in log.scans()], dtype=np.int64))
 
 
-def scan_trajectory(keyframes: Trajectory, log: Log, rig: Rig) -> Trajectory:
-    """world_T_body at every scan of a log, from the estimates of its keyframes; as `carried` carries them."""
-    track = OdometryTrack(log.odometry, rig.odometry) if log.odometry else None
+def scan_trajectory(keyframes: Trajectory, log: Log, rig: Rig, config: SlamConfig) -> Trajectory:
+    """world_T_body at every scan of a log, from the estimates of its keyframes, as `carried` carries them.
+
+    The motion between them is what the keyframes were predicted by: laser odometry, odometry, or nothing.
+    """
+    try:
+        track = track_of(log, rig, config)
+    except LogError:  # 3D scans without odometry
+        track = None
     return carried(keyframes, scan_stamps(log), track)
 
 

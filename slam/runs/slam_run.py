@@ -48,7 +48,7 @@ class Run:
     @cached_property
     def scan_trajectory(self) -> Trajectory:
         """world_T_body at every scan of the log: the keyframes' estimates, the motion between them carried."""
-        return scan_trajectory(self.trajectory, self.log, self.rig)
+        return scan_trajectory(self.trajectory, self.log, self.rig, self.slam.config)
 
     @cached_property
     def scan_odometry(self) -> Trajectory:
