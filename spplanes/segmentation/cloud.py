@@ -44,7 +44,7 @@ def segment_cloud(
     """
     points = points_of(cloud)
     eye = as_shape("viewpoint", viewpoint, (3,))
-    seen = np.isfinite(points).all(axis=-1)
+    seen = np.asarray(np.isfinite(points).all(axis=-1))
     largest = float(np.abs(points[seen]).max(initial=0.0))
     if largest >= TOO_LARGE:
         raise ValueError(f"cloud: expected numbers below {TOO_LARGE:g}, got {largest:.3g}")
