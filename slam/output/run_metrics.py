@@ -26,6 +26,10 @@ def metrics_of(run: Run) -> list[Metric]:
         Metric("planes in the map", len(run.planes), ""),
         Metric("landmarks tried", len(run.slam.landmarks), ""),
     ]
+    known = [landmark for landmark in run.slam.landmarks if landmark.known]
+    if known:
+        again = sum(bool(landmark.sightings or landmark.seen_by_past) for landmark in known)
+        rows += [Metric("planes of the prior map", len(known), ""), Metric("  of them seen again", again, "")]
     n_walls, length = metres_of_wall(run.planes)
     if length > 0.0:
         rows.append(Metric("metres of wall", length, "m"))

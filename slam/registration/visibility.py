@@ -53,7 +53,7 @@ class LinesOfSight:
             along = rays @ normal
             with np.errstate(divide="ignore", invalid="ignore"):
                 reached = (normal @ (frame[:3, 3] - origin)) / along
-            near = (reached * lengths > _BEFORE_M) & ((1.0 - reached) * np.abs(along) > _BEFORE_M)
+                near = (reached * lengths > _BEFORE_M) & ((1.0 - reached) * np.abs(along) > _BEFORE_M)
             met = np.flatnonzero(near & (np.abs(along) > _STEEP * lengths) & (stopped < 0))
             if len(met):
                 places = lift(origin + reached[met, None] * rays[met], inverse(frame))

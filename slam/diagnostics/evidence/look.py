@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from slam.diagnostics.evidence.coverage import coverage_evidence
+from slam.diagnostics.evidence.doubled import doubled_evidence
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.free_space import free_space_evidence
 from slam.diagnostics.evidence.innovations import nis_evidence
+from slam.diagnostics.evidence.loops import loop_evidence
 from slam.diagnostics.evidence.mounts import mount_evidence
 from slam.diagnostics.evidence.odometry import odometry_evidence
 from slam.diagnostics.evidence.prior import prior_evidence, prior_planes
@@ -18,7 +20,7 @@ from slam.diagnostics.verdict import Evidence, Verdict, weigh
 from slam.sensors.rig import Rig
 
 #: Kinds of statistics there are, which share the significance.
-KINDS = 8
+KINDS = 10
 
 
 def look_at(run: Finished, rig: Rig) -> Verdict:
@@ -35,6 +37,7 @@ def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     yield from odometry_evidence(run)
     yield from unmatched_evidence(run)
     yield from free_space_evidence(views, poses)
+    yield from loop_evidence(run.loops, run.config.loops.significance)
     yield from mount_evidence(run.keyframes, rig)
     surfaces = Surfaces.of(run)
     rays = [
@@ -43,5 +46,6 @@ def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
         for one in rays_of(run.keyframes, poses, surfaces, sensor.body_T_sensor)
     ]
     yield from surface_evidence(rays)
+    yield from doubled_evidence(run, surfaces)
     if run.prior is not None:
         yield from prior_evidence(run, prior_planes(run, views, rays, surfaces))

@@ -26,7 +26,7 @@ _MOST_KEYFRAMES = 60
 #: A ray counts as through a plane so far inside its border, m: outlines are rougher than this nowhere.
 _INSIDE_M = 0.1
 #: Planes whose normals are within 10 deg may be one.
-_ALIKE = float(np.cos(np.deg2rad(10.0)))
+ALIKE = float(np.cos(np.deg2rad(10.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ def agreement(
         if isinstance(inner, (shapely.Polygon, shapely.MultiPolygon)) and not inner.is_empty:
             walls.append((inverse(body_T_sensor) @ frame, inner))
         local = lift(places, inverse(frame))
-        alike = (normals @ frame[:3, 2] > _ALIKE) & (np.abs(local[:, 2]) < TOLERANCE_M)
+        alike = (normals @ frame[:3, 2] > ALIKE) & (np.abs(local[:, 2]) < TOLERANCE_M)
         confirmed |= alike & shapely.contains_xy(outline, local[:, 0], local[:, 1])
     sight = LinesOfSight(lift(places, inverse(body_T_sensor)), np.ones(len(places)), tuple(walls))
     stopped = sight.stopped_by(np.eye(4)) >= 0
