@@ -129,7 +129,8 @@ class LoopCloser:
             return []
         self._proposals.forget(group)
         rules = self._config.loops
-        counted = counted_once(group, rules.window_m, rules.every_m)
+        closed_m = max((tie.trial.since_m for tie in self.ties if tie.undone is None), default=-np.inf)
+        counted = counted_once(group, rules.window_m, rules.every_m, closed_m)
         numbers = [self._number_of(one.keyframe, one.old_keyframe) for one in counted]
         for number, proposal in zip(numbers, counted, strict=True):
             self.decisions[number] = joined(self.decisions[number], proposal, around)

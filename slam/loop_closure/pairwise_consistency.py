@@ -79,10 +79,15 @@ def joint_log_odds(group: Sequence[Proposal], window_m: float) -> float:
     return float(sum(share * one.log_odds for share, one in zip(_news(ordered, window_m), ordered, strict=True)))
 
 
-def counted_once(group: Sequence[Proposal], window_m: float, every_m: float) -> list[Proposal]:
-    """Closures that agree with covariances that count once what several saw; of one look at least `every_m` is news."""
+def counted_once(group: Sequence[Proposal], window_m: float, every_m: float, closed_m: float) -> list[Proposal]:
+    """Closures that agree with covariances that count once what several saw; of one look at least `every_m` is news.
+
+    `closed_m`: length of the way to the newest closure so far, which may have seen some of it already; -inf: none.
+    """
     ordered = _in_order(group)
-    shares = np.maximum(_news(ordered, window_m), min(every_m / window_m, 1.0)).tolist()
+    shares = np.array(_news(ordered, window_m))
+    shares[0] = (ordered[0].way_m - closed_m) / window_m
+    shares = np.clip(shares, min(every_m / window_m, 1.0), 1.0).tolist()
     return [
         replace(one, pose=replace(one.pose, covariance=one.pose.covariance / share))
         for share, one in zip(shares, ordered, strict=True)
