@@ -14,7 +14,7 @@ from scipy.special import chdtri
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.odometry import Motion
 from slam.loop_closure.candidates import DrivenPath
-from slam.loop_closure.pairwise_consistency import Proposal
+from slam.loop_closure.pairwise_consistency import counted_once
 from slam.loop_closure.proposals import Proposals
 from slam.loop_closure.trial import Trial, evidence_of_map
 from slam.loop_closure.verification import LoopDecision, Surroundings, compare_with_old, disjoint, joined, without_walls
@@ -136,8 +136,11 @@ class LoopCloser:
         if not group:
             return []
         self._proposals.forget(group)
-        numbers = {self._number_of(one): one for one in group}
-        for number, proposal in numbers.items():
+        rules = self._config.loops
+        closed_m = max((tie.trial.since_m for tie in self.ties if tie.undone is None), default=-np.inf)
+        counted = counted_once(group, rules.window_m, rules.every_m, closed_m)
+        numbers = [self._number_of(one.keyframe, one.old_keyframe) for one in counted]
+        for number, proposal in zip(numbers, counted, strict=True):
             self.decisions[number] = joined(self.decisions[number], proposal, around)
         return [self.decisions[number] for number in sorted(numbers) if self.decisions[number].verdict == "closed"]
 
@@ -157,9 +160,10 @@ class LoopCloser:
         self._merges.reconsider(pairs)  # the place is beyond doubt, which of its walls are one is not
         return []
 
-    def _number_of(self, proposal: Proposal) -> int:
-        """Index of the decision that made a proposal."""
-        return next(i for i in range(len(self.decisions) - 1, -1, -1) if self.decisions[i].proposal is proposal)
+    def _number_of(self, keyframe: int, old_keyframe: int) -> int:
+        """Index of the decision about two keyframes."""
+        ends = keyframe, old_keyframe
+        return next(i for i, one in enumerate(self.decisions) if (one.keyframe, one.old_keyframe) == ends)
 
     def _stay(self, loop: LoopDecision) -> None:
         """Both ends are needed in the graph."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -75,9 +75,33 @@ def joint_log_odds(group: Sequence[Proposal], window_m: float) -> float:
 
     That they agree, which closures that are wrong seldom do, comes on top of it and is not counted.
     """
-    ordered = sorted(group, key=lambda one: (one.way_m, -one.log_odds))
-    news = [1.0, *(min((b.way_m - a.way_m) / window_m, 1.0) for a, b in pairwise(ordered))]
-    return float(sum(share * one.log_odds for share, one in zip(news, ordered, strict=True)))
+    ordered = _in_order(group)
+    return float(sum(share * one.log_odds for share, one in zip(_news(ordered, window_m), ordered, strict=True)))
+
+
+def counted_once(group: Sequence[Proposal], window_m: float, every_m: float, closed_m: float) -> list[Proposal]:
+    """Closures that agree with covariances that count once what several saw; of one look at least `every_m` is news.
+
+    `closed_m`: length of the way to the newest closure so far, which may have seen some of it already; -inf: none.
+    """
+    ordered = _in_order(group)
+    shares = np.array(_news(ordered, window_m))
+    shares[0] = (ordered[0].way_m - closed_m) / window_m
+    shares = np.clip(shares, min(every_m / window_m, 1.0), 1.0).tolist()
+    return [
+        replace(one, pose=replace(one.pose, covariance=one.pose.covariance / share))
+        for share, one in zip(shares, ordered, strict=True)
+    ]
+
+
+def _in_order(group: Sequence[Proposal]) -> list[Proposal]:
+    """By the way to them, of one look the likeliest first."""
+    return sorted(group, key=lambda one: (one.way_m, -one.log_odds))
+
+
+def _news(ordered: Sequence[Proposal], window_m: float) -> list[float]:
+    """The share of what each saw that the one before did not see."""
+    return [1.0, *(min((b.way_m - a.way_m) / window_m, 1.0) for a, b in pairwise(ordered))]
 
 
 def maximal_cliques(agreeing: np.ndarray) -> list[list[int]]:

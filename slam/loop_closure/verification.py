@@ -186,7 +186,7 @@ def joined(decision: LoopDecision, proposal: Proposal, around: Surroundings) -> 
         estimate = RelativePose.of(pose_symbol(old), pose_symbol(now), around.backend)
         motion = motion if _is_news(motion, estimate, around.config) else None
     verdict: LoopVerdict = "closed" if pairs or motion is not None else "known"
-    return replace(decision, verdict=verdict, pairs=pairs, motion=motion)
+    return replace(decision, verdict=verdict, pairs=pairs, motion=motion, proposal=proposal)
 
 
 def without_walls(decision: LoopDecision) -> LoopDecision | None:

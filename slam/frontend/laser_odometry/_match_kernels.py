@@ -6,11 +6,11 @@ import numpy as np
 from numba import njit
 
 #: Points of the map are of the surface at a return within this of it, m, with normals no further apart than this cosine.
-_RADIUS_M, _ALIKE = 0.3, 0.7
+_RADIUS_M, _ALIKE = 0.2, 0.7
 #: Width of the weights with which the map's points about a return make its surface, m.
 _SMOOTH_M = 0.08
-#: Returns weigh half at so many standard deviations; at first where they lie so many metres off.
-_DOUBTED, _FIRST_M = 3.0, 0.3
+#: Returns weigh a quarter at so many standard deviations.
+_DOUBTED = 3.0
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -48,7 +48,8 @@ def align(
     """Gauss-Newton on robust point-to-line distances and a normal prior about `expected` (x, y, theta).
 
     Returns:
-        pose (3,); information (3, 3) of the returns alone, in the map's axes; share of the looks that fit.
+        pose (3,); information (3, 3) of the returns alone, in the map's axes; share of the looks that fit; misfit: minus
+        the log likelihood of the looks near a surface, bounded for each.
     """
     pose = pose.copy()
     told = np.zeros((3, 3))
@@ -82,18 +83,20 @@ def align(
         pose += change
         if step > 3 and abs(change[0]) + abs(change[1]) < 2e-4 and abs(change[2]) < 2e-5:
             break
-    fits, total = 0.0, 0.0
+    fits, total, misfit = 0.0, 0.0, 0.0
     c, s = np.cos(pose[2]), np.sin(pose[2])
     for i in range(scan.shape[0]):
         x = pose[0] + c * scan[i, 0] - s * scan[i, 1]
         y = pose[1] + s * scan[i, 0] + c * scan[i, 1]
         nx, ny = c * scan_normals[i, 0] - s * scan_normals[i, 1], s * scan_normals[i, 0] + c * scan_normals[i, 1]
         there, off, mx, my = _surface_at(x, y, nx, ny, points, normals, weights, start, origin, cell, columns, rows)
-        squared = off * off / variance[i] if there else 1e9
+        squared = off * off / variance[i] if there else np.inf
+        if there:
+            misfit += 0.5 * looks[i] * min(squared, _DOUBTED * _DOUBTED)
         total += looks[i]
         if squared < _DOUBTED * _DOUBTED:
             fits += looks[i]
-    return pose, told, fits / max(total, 1e-12)
+    return pose, told, fits / max(total, 1e-12), misfit
 
 
 @njit(cache=True, error_model="numpy")

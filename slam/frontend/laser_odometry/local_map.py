@@ -14,7 +14,7 @@ from slam.sensors.rig import Sensor
 from spplanes._check import FloatArray
 
 #: Side of the cells in which the map's points are found, m: as wide as they are looked for.
-CELL_M = 0.3
+CELL_M = 0.2
 #: Points that look one way in squares of this side are one, m.
 PATCH_M = 0.05
 #: Ways that they look.

@@ -69,6 +69,7 @@ class _Found(NamedTuple):
     pose: FloatArray
     information: FloatArray
     fit: float
+    misfit: float
     way: int
 
 
@@ -113,12 +114,12 @@ def _is_doubtful(found: _Found, surface: Surface, expected: Expected, usual_fit:
 
 
 def _aligned(surface: Surface, there: LocalMap, start: FloatArray, ways: Sequence[Expected], way: int) -> _Found:
-    pose, information, fit = align(
+    pose, information, fit, misfit = align(
         start, surface.points, surface.normals, surface.variance, surface.looks,
         there.points, there.normals, there.weights, there.start, there.origin, CELL_M, there.columns, there.rows,
         ways[way].pose, np.linalg.inv(ways[way].covariance), _ROUNDS, 2.0 * _BASIN_M,
     )  # fmt: skip
-    return _Found(pose, information, fit, way)
+    return _Found(pose, information, fit, misfit, way)
 
 
 def _modes(surface: Surface, there: LocalMap, expected: Expected, far: float) -> list[FloatArray]:
@@ -149,13 +150,15 @@ def _modes(surface: Surface, there: LocalMap, expected: Expected, far: float) ->
 
 def _most_probable(found: list[_Found], surface: Surface, there: LocalMap, ways: Sequence[Expected]) -> Match:
     """The most probable of several alignments, with what the others leave open."""
-    mine, map_ = surface.raster, there.raster
     poses = np.array([one.pose for one in found])
-    costs = -score_motions(
-        poses, RASTER_CELL_M, mine.points, mine.weight, map_.table, map_.origin,
-        map_.points, map_.weight, mine.table, mine.origin,
-    )  # fmt: skip
-    costs += [_unlikelihood(one.pose, ways) for one in found]
+    costs = np.array([_unlikelihood(one.pose, ways) + one.misfit for one in found])
+    # the cells of the rasters are too coarse to tell what is nearer than a cell: the misfit does
+    if any((np.abs(_apart(pose, poses[0])) > _SAME).any() for pose in poses):
+        mine, map_ = surface.raster, there.raster
+        costs -= score_motions(
+            poses, RASTER_CELL_M, mine.points, mine.weight, map_.table, map_.origin,
+            map_.points, map_.weight, mine.table, mine.origin,
+        )  # fmt: skip
     order = np.argsort(costs, kind="stable").tolist()
     best, rivals = order[0], []
     for k in order[1:]:  # alignments that ended in one place are one
@@ -165,7 +168,7 @@ def _most_probable(found: list[_Found], surface: Surface, there: LocalMap, ways:
     total = 1.0 + float(weights.sum())
     apart = np.array([_apart(poses[k], poses[best]) for k in rivals]).reshape(-1, 3)
     spread = np.einsum("n,ni,nj->ij", weights / total, apart, apart)
-    pose, information, fit, way = found[best]
+    pose, information, fit, _, way = found[best]
     return Match(pose, information, fit, 1.0 / total, spread, way)
 
 

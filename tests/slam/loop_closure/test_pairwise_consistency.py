@@ -14,6 +14,7 @@ from slam.loop_closure.pairwise_consistency import (
     PlanarPose,
     Proposal,
     agree,
+    counted_once,
     joint_log_odds,
     loop_chi2,
     maximal_cliques,
@@ -92,3 +93,10 @@ def test_what_two_closures_saw_both_counts_once():
     assert joint_log_odds([first], 6.0) == 4.0
     assert joint_log_odds([first, again], 6.0) == pytest.approx(6.0)
     assert joint_log_odds([later, first], 6.0) == pytest.approx(8.0)
+    halved, beside = (
+        counted_once([first, other], 6.0, 1.0, -np.inf)[1] for other in (again, Proposal(10, 4, pose, 3.0, 50.0))
+    )
+    np.testing.assert_allclose(halved.pose.covariance, 2.0 * CLOSURE)
+    np.testing.assert_allclose(beside.pose.covariance, 6.0 * CLOSURE)
+    np.testing.assert_allclose(counted_once([later, first], 6.0, 1.0, -np.inf)[1].pose.covariance, CLOSURE)
+    np.testing.assert_allclose(counted_once([first], 6.0, 1.0, 47.0)[0].pose.covariance, 2.0 * CLOSURE)

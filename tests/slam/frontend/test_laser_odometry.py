@@ -1,0 +1,180 @@
+"""Laser odometry: how good its motions are, whether they err as they say, and what it makes of wheels that lie."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam.config import CoastingConfig, SlamConfig
+from slam.frontend.keyframes import keyframes_of
+from slam.frontend.laser_odometry import LaserTrack, beyond_lines, laser_track
+from slam.frontend.laser_odometry.local_map import LocalMap, Surface
+from slam.frontend.laser_odometry.matching import Expected, match_scan
+from slam.frontend.laser_odometry.wheel_model import NoiseScale
+from slam.frontend.odometry import OdometryTrack, planar_delta
+from slam.geometry.frames import inverse, planar_transform
+from slam.sensors.log import LaserScan, Log, OdometryReading
+from slam.sensors.rig import Rig, default_rig_for
+from slam.simulation.floorplan import PATCH_M, Drive, FloorPlan, Wheels, drive
+
+GAP = 5
+"""Scans from one end of a motion that is judged to the other: half a metre, or half a radian."""
+
+
+def rooms(seed: int, wheels: Wheels = Wheels(n_slips=0)) -> Drive:
+    """Two rooms with boxes and a door between them, there and back again."""
+    rng, plan = np.random.default_rng(seed), FloorPlan()
+    outer = [(0.0, 0.0), (5.0, 0.0), (5.0, 1.6), (5.1, 1.6), (5.1, -0.4), (9.5, -0.4), (9.5, 4.0), (5.1, 4.0)]
+    plan.add_chain([*outer, (5.1, 2.6), (5.0, 2.6), (5.0, 4.5), (0.0, 4.5), (0.0, 0.0)])
+    for x in (0.4, 2.3, 6.3, 8.6):
+        plan.add_box(x + rng.uniform(0.0, 0.4), rng.uniform(3.0, 3.3), 0.5, 0.4)
+    plan.way = [(1.0, 1.0), (3.5, 1.2), (4.0, 2.1), (7.0, 2.1), (8.5, 1.0), (7.0, 2.1), (4.0, 2.1), (1.0, 2.2)]
+    return drive(plan, rng, wheels=wheels)
+
+
+def stated(log: Log) -> Rig:
+    """A rig that knows what the simulator does."""
+    rig = default_rig_for(log)
+    noise = {"range_sigma_m": 0.01, "surface_sigma_m": 0.005, "surface_correlation_m": PATCH_M}
+    return rig.model_copy(update={"sensors": {"FLASER": rig.sensors["FLASER"].model_copy(update=noise)}})
+
+
+def track_of(log: Log) -> LaserTrack:
+    return laser_track(log, stated(log), CoastingConfig())
+
+
+def scans_alone(log: Log) -> Log:
+    return replace(log, events=[event for event in log.events if isinstance(event, LaserScan)])
+
+
+def errors_of(track: OdometryTrack, truth: Drive) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (N, 3) of motions over half a metre, and their NEES by wheels and returns together."""
+    errors, nees = [], []
+    stamps = [event.stamp_ns for event in truth.log.events if isinstance(event, LaserScan)]
+    for first in range(0, len(stamps) - GAP, GAP):
+        motion = track.motion(stamps[first], stamps[first + GAP])
+        true = inverse(truth.poses[first]) @ truth.poses[first + GAP]
+        error = planar_delta(inverse(true) @ motion.a_T_b)
+        errors.append(error)
+        if motion.returns_covariance is not None:
+            nees.append(error @ np.linalg.solve(motion.returns_covariance, error))
+    return np.array(errors), np.array(nees)
+
+
+def end_error_m(track: OdometryTrack, truth: Drive) -> float:
+    stamps = [event.stamp_ns for event in truth.log.events if isinstance(event, LaserScan)]
+    first, last = track.poses_at([stamps[0], stamps[-1]])
+    found, true = inverse(first) @ last, inverse(truth.poses[0]) @ truth.poses[-1]
+    return float(np.linalg.norm((found - true)[:2, 3]))
+
+
+@pytest.mark.parametrize("with_wheels", [True, False], ids=["wheels", "scans alone"])
+def test_motions_err_by_millimetres_and_by_no_more_than_they_say(with_wheels: bool):
+    drives = [rooms(seed) for seed in range(4)]
+    found = [errors_of(track_of(one.log if with_wheels else scans_alone(one.log)), one) for one in drives]
+    errors, nees = (np.concatenate(part) for part in zip(*found, strict=True))
+    assert np.sqrt(np.mean(errors**2, axis=0)).max() < 0.004  # m and rad
+    # 3 is honest; ends of a short way share the errors of the wall between them, which is not claimed
+    assert 0.1 < nees.mean() < 3.0 * (1.0 + 3.0 * np.sqrt(2.0 / (3.0 * len(nees))))
+    assert np.mean(nees > 16.3) < 0.01  # a thousandth is honest
+
+
+@pytest.mark.parametrize("slip_rad", [0.35, -0.35])
+def test_a_slip_of_twenty_degrees_is_the_wheels_own(slip_rad: float):
+    truth = rooms(5, Wheels(slip_rad=slip_rad, slip_m=0.2, n_slips=2))
+    track = track_of(truth.log)
+    assert end_error_m(track, truth) < 0.03
+    wheels = OdometryTrack(truth.log.odometry, stated(truth.log).odometry)
+    assert end_error_m(wheels, truth) > 0.5
+    errors, nees = errors_of(track, truth)
+    assert np.abs(errors).max() < 0.03 and nees.mean() < 3.0
+
+
+def test_odometry_that_stands_still_is_named_and_ignored():
+    truth = rooms(6)
+    still = [replace(e, odom_T_body=np.eye(4)) if isinstance(e, OdometryReading) else e for e in truth.log.events]
+    log = replace(truth.log, events=still)
+    track = track_of(log)
+    assert end_error_m(track, truth) < 0.05
+    frames = list(keyframes_of(log, stated(log), SlamConfig()))
+    said = [note for frame in frames for note in frame.notes]
+    assert said == ["the odometry stands still while everything seen moves past: it is ignored until it moves"]
+    assert len(frames) > 15
+
+
+def test_a_log_of_scans_alone_has_keyframes_with_motions():
+    log = scans_alone(rooms(7).log)
+    frames = list(keyframes_of(log, default_rig_for(log), SlamConfig()))
+    motions = [frame.motion for frame in frames[1:]]
+    assert len(motions) > 15 and all(motion is not None and motion.is_planar for motion in motions)
+
+
+def test_the_same_log_gives_the_same_bits():
+    log = rooms(8).log
+    np.testing.assert_array_equal(track_of(log)._poses, track_of(replace(log))._poses)
+
+
+def scan_in(pose: tuple[float, float, float], seed: int = 0) -> Surface:
+    """A scan in a room of 4 x 3 m with a niche, noise 1 mm."""
+    from slam.simulation.floorplan import cast
+
+    corners = [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (2.5, 3.0), (2.5, 3.4), (1.5, 3.4), (1.5, 3.0), (0.0, 3.0)]
+    walls = np.array(list(zip(corners, [*corners[1:], corners[0]], strict=True)))
+    angles = np.linspace(-np.pi / 2, np.pi / 2, 181)
+    ranges = cast(walls, np.zeros((len(walls), 256)), np.array(pose), angles)
+    ranges = ranges + np.random.default_rng(seed).normal(0.0, 0.001, 181)
+    scan = LaserScan(0, "FLASER", ranges, angles)
+    sensor = stated(Log([scan], Path("x"))).sensors["FLASER"]
+    return Surface.of(scan, ranges, sensor, np.eye(4))
+
+
+def test_a_scan_is_found_from_beside_and_from_far_off():
+    there = (1.2, 1.0, 0.3)
+    room = LocalMap.of([scan_in(there), scan_in((1.0, 1.3, 1.0), 1)], [np.array(there), np.array((1.0, 1.3, 1.0))])
+    for off, sigma in (((0.05, -0.04, 0.03), 0.05), ((0.5, -0.4, 0.5), 0.4)):
+        expected = Expected(np.array(there) + off, np.diag([sigma**2, sigma**2, sigma**2]), 1.0)
+        found = match_scan(scan_in(there, 2), room, [expected], 0.97)
+        np.testing.assert_allclose(found.pose, there, atol=2e-3)
+        assert found.odds > 0.99 and found.fit > 0.9
+
+
+def test_the_scale_of_the_noise_is_learnt_and_slips_do_not_count_for_it():
+    rng, scale = np.random.default_rng(0), NoiseScale()
+    wheels, seen, factors = np.diag([1e-4, 1e-4, 1e-4]), np.diag([1e-6, 1e-6, 1e2]), np.array((9.0, 0.25, 1.0))
+    for step in range(600):
+        true = rng.standard_normal(3) * np.sqrt(factors * np.diag(wheels))
+        if step % 50 == 0:
+            true[:2] += 0.5  # a slip
+        before = scale.scaled(wheels)
+        after = np.linalg.inv(np.linalg.inv(before) + np.linalg.inv(seen))
+        error = after @ np.linalg.solve(seen, true + rng.standard_normal(3) * np.sqrt(np.diag(seen)))
+        scale.learn(error, wheels, after, before)
+    assert 5.0 < scale.factors[0] < 13.0  # within the spread of 150 steps, and of a Student t's scale
+    assert 0.13 < scale.factors[1] < 0.4
+    assert scale.factors[2] == pytest.approx(1.0, abs=0.05)  # never seen, never learnt
+
+
+def test_what_the_lines_say_is_not_said_twice():
+    log = rooms(9).log
+    frame = next(one for one in keyframes_of(log, stated(log), SlamConfig()) if one.motion is not None)
+    motion, lines = frame.motion, frame.observations
+    track = track_of(log)
+    whole = track.motion(track._stamps[0], frame.stamp_ns)
+    assert motion is not None and whole.returns_covariance is not None and len(lines) >= 3
+    alone = beyond_lines(whole, [])
+    np.testing.assert_allclose(alone.covariance, whole.returns_covariance, rtol=1e-2, atol=1e-9)  # no lines: all of it
+    for given, less in ((motion.covariance, whole.covariance), (whole.returns_covariance, motion.covariance)):
+        assert np.linalg.eigvalsh(less - given).min() > -1e-9 or given is whole.returns_covariance
+    assert np.trace(motion.covariance) > np.trace(whole.returns_covariance)
+
+
+def test_poses_compose_as_transforms():
+    track = track_of(rooms(10).log)
+    stamps = track._stamps
+    whole, parts = track.motion(stamps[0], stamps[20]), [track.motion(stamps[k], stamps[k + 10]) for k in (0, 10)]
+    np.testing.assert_allclose(whole.a_T_b, parts[0].a_T_b @ parts[1].a_T_b, atol=1e-12)
+    delta = planar_delta(whole.a_T_b)
+    np.testing.assert_allclose(planar_transform(*delta), whole.a_T_b, atol=1e-12)
