@@ -15,6 +15,7 @@ from slam.diagnostics.explanations import change_sentences, decision_sentence
 from slam.diagnostics.map_observability import OpenMapDirection, open_in_map
 from slam.diagnostics.observability import Observability, OpenStretch, stretch_of
 from slam.frontend.keyframes import Keyframe
+from slam.frontend.wheel_calibration import WheelCalibration
 from slam.io.trajectories import Trajectory
 from slam.loop_closure.closing import LoopCloser
 from slam.loop_closure.verification import LoopDecision
@@ -28,7 +29,6 @@ from slam.mapping.map_update import Growth
 from slam.session.recorder import Recorder
 from slam.timing import StageClock
 from slam.tracking.prediction import Prediction, StartPose
-from slam.frontend.wheel_calibration import WheelCalibration
 from spplanes._check import FloatArray
 
 if TYPE_CHECKING:

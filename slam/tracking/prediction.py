@@ -12,12 +12,12 @@ from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
+from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse
 from slam.map.sparsification import Link
 from slam.map.state import Parts
 from slam.registration.relocalization import FoundPlace, found_place, is_wide
 from slam.tracking.constant_velocity import coast
-from slam.frontend.wheel_calibration import WheelCalibration
 from spplanes._check import FloatArray
 
 

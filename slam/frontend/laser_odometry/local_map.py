@@ -109,7 +109,16 @@ class LocalMap:
         origin = places.min(axis=0) - CELL_M
         columns, rows = (np.ceil((places.max(axis=0) - origin) / CELL_M) + 2).astype(int).tolist()
         start, order = sort_into_cells(places, origin, CELL_M, columns, rows)
-        return cls(places[order], directions[order], weight[order], start, origin, columns, rows, tuple(zip(surfaces, poses)))
+        return cls(
+            places[order],
+            directions[order],
+            weight[order],
+            start,
+            origin,
+            columns,
+            rows,
+            tuple(zip(surfaces, poses, strict=True)),
+        )
 
     @cached_property
     def raster(self) -> Raster:

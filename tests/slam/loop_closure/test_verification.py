@@ -13,10 +13,10 @@ from slam.config import LoopConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation
 from slam.frontend.odometry import Motion, planar_delta
+from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.verification import disjoint
 from slam.sensors.wheel_noise import OdometryNoise
-from slam.frontend.wheel_calibration import WheelCalibration
 from spplanes import ScanLine
 
 SIGMA_ALPHA, SIGMA_SHIFT, REACH = 0.003, 0.005, 7.0
