@@ -57,3 +57,8 @@ def left_open(found: FloatArray, by_walls: FloatArray) -> FloatArray | None:
     turned = root @ axes
     values, vectors = np.linalg.eigh((turned * gained) @ turned.T + _NO_INFORMATION * np.eye(3))
     return (vectors / np.maximum(values, _NO_INFORMATION)) @ vectors.T
+
+
+def inverted(matrix: FloatArray) -> FloatArray:
+    """The inverse of a covariance, or of information."""
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-#: Points of the map are of the surface at a return within this of it, m, with normals no further apart than this cosine.
+#: Points of the map are of the surface at a return within this of it, m, with normals nearer than this cosine.
 _RADIUS_M, _ALIKE = 0.2, 0.7
 #: Width of the weights with which the map's points about a return make its surface, m.
 _SMOOTH_M = 0.08
@@ -48,8 +48,8 @@ def align(
     """Gauss-Newton on robust point-to-line distances and a normal prior about `expected` (x, y, theta).
 
     Returns:
-        pose (3,); information (3, 3) of the returns alone, in the map's axes; share of the looks that fit; misfit: minus
-        the log likelihood of the looks near a surface, bounded for each.
+        pose (3,); information (3, 3) of the returns alone, in the map's axes; share of the looks that fit; misfit:
+        minus the log likelihood of the looks near a surface, bounded for each.
     """
     pose = pose.copy()
     told = np.zeros((3, 3))

@@ -110,7 +110,14 @@ class LocalMap:
         columns, rows = (np.ceil((places.max(axis=0) - origin) / CELL_M) + 2).astype(int).tolist()
         start, order = sort_into_cells(places, origin, CELL_M, columns, rows)
         return cls(
-            places[order], directions[order], weight[order], start, origin, columns, rows, tuple(zip(surfaces, poses))
+            places[order],
+            directions[order],
+            weight[order],
+            start,
+            origin,
+            columns,
+            rows,
+            tuple(zip(surfaces, poses, strict=True)),
         )
 
     @cached_property

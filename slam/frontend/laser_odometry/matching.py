@@ -10,6 +10,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from slam.frontend._occupancy_kernels import score_motions
+from slam.frontend.information import inverted
 from slam.frontend.laser_odometry._match_kernels import align, score_box
 from slam.frontend.laser_odometry.local_map import CELL_M, TABLE_CELL_M, LocalMap, Surface
 from slam.frontend.occupancy import CELL_M as RASTER_CELL_M
@@ -19,8 +20,8 @@ from spplanes._check import FloatArray
 _ROUNDS = 15
 #: Returns off by less than this are found without a search, m.
 _BASIN_M = 0.12
-#: The search reaches so many standard deviations, at most so far at first, m and rad; where the best lies at its edge it
-#: is doubled, so many times, and ends here.
+#: The search reaches so many standard deviations, at most so far at first, m and rad; where the best lies at its edge
+#: it is doubled, so many times, and ends here.
 _SIGMAS, _FIRST_BOX, _WIDENINGS, _LARGEST_BOX = 4.0, (1.0, 0.6), 3, (4.0, np.pi)
 _LEAST_BOX = (0.2, 0.1)
 #: Modes of the search that are looked at, if they are this share as near as the best.
@@ -117,7 +118,7 @@ def _aligned(surface: Surface, there: LocalMap, start: FloatArray, ways: Sequenc
     pose, information, fit, misfit = align(
         start, surface.points, surface.normals, surface.variance, surface.looks,
         there.points, there.normals, there.weights, there.start, there.origin, CELL_M, there.columns, there.rows,
-        ways[way].pose, np.linalg.inv(ways[way].covariance), _ROUNDS, 2.0 * _BASIN_M,
+        ways[way].pose, inverted(ways[way].covariance), _ROUNDS, 2.0 * _BASIN_M,
     )  # fmt: skip
     return _Found(pose, information, fit, misfit, way)
 
@@ -131,14 +132,16 @@ def _modes(surface: Surface, there: LocalMap, expected: Expected, far: float) ->
     step = TABLE_CELL_M / max(far, 1.0)
     bounds = zip((sigmas[:2].max(), sigmas[2]), _LEAST_BOX, _FIRST_BOX, strict=True)
     reach_m, reach_rad = (min(max(_SIGMAS * s, least), most) for s, least, most in bounds)
-    for _ in range(_WIDENINGS + 1):
+    widenings = 0
+    while True:
         steps, turns = int(np.ceil(reach_m / TABLE_CELL_M)), int(np.ceil(reach_rad / step))
         angles = step * np.arange(-turns, turns + 1)
         scores = score_box(points, looks, expected.pose, table, origin, TABLE_CELL_M, angles, steps)
         t, r, k = np.unravel_index(int(scores.argmax()), scores.shape)
         turned, shifted = t in (0, 2 * turns), bool({int(r), int(k)} & {0, 2 * steps})
-        if not (turned or shifted):
+        if widenings == _WIDENINGS or not (turned or shifted):
             break
+        widenings += 1
         reach_m = min(reach_m * (1 + shifted), _LARGEST_BOX[0])
         reach_rad = min(reach_rad * (1 + turned), _LARGEST_BOX[1])
     peaks = (scores == maximum_filter(scores, size=5)) & (scores > _RIVAL * scores.max())

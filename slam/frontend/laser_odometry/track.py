@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam.frontend.information import left_open, planar_information
+from slam.frontend.information import inverted, left_open, planar_information
 from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion, OdometryTrack, planar_delta
 from slam.geometry.frames import inverse, planar_transform
@@ -52,7 +52,7 @@ class LaserTrack(OdometryTrack):
         floor = np.diag([noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2])
         wheels = self._walked(first, last) + floor
         matched = self.matched(first, last, delta)
-        both = np.linalg.inv(np.linalg.inv(wheels) + np.linalg.inv(matched))
+        both = inverted(inverted(wheels) + inverted(matched))
         out_of_plane = (noise.z_sigma_m, noise.roll_sigma_rad, noise.pitch_sigma_rad)
         return Motion(a_T_b, wheels, out_of_plane, returns_covariance=0.5 * (both + both.T))
 
@@ -72,7 +72,7 @@ class LaserTrack(OdometryTrack):
         for index in range(first + 1, last + 1):
             turn = self._steps[index - 1].pose[2] - base[2]
             here = between(base, self._steps[index].pose)
-            carry = _rotation(turn)
+            carry = rotation(turn)
             carry[:2, 2] = -(end - here)[1], (end - here)[0]
             total += carry @ self._steps[index].wheels @ carry.T
         return total
@@ -80,10 +80,10 @@ class LaserTrack(OdometryTrack):
     def matched(self, first: int, last: int, delta: FloatArray) -> FloatArray:
         """Covariance of the same by the returns of both ends in the local map."""
         nothing = _NO_INFORMATION * np.eye(3)
-        a, b = (np.linalg.inv(self._steps[index].returns + nothing) for index in (first, last))
+        a, b = (inverted(self._steps[index].returns + nothing) for index in (first, last))
         carry = np.eye(3)
         carry[:2, 2] = -delta[1], delta[0]
-        turn = _rotation(delta[2])
+        turn = rotation(delta[2])
         return carry @ a @ carry.T + turn @ b @ turn.T
 
 
@@ -94,16 +94,16 @@ def beyond_lines(motion: Motion, observations: Sequence[Observation]) -> Motion:
     """
     if motion.returns_covariance is None:
         return motion
-    wheels = np.linalg.inv(motion.covariance)
-    matched = np.linalg.inv(motion.returns_covariance) - wheels
+    wheels = inverted(motion.covariance)
+    matched = inverted(motion.returns_covariance) - wheels
     values, vectors = np.linalg.eigh(matched)
     matched = (vectors * np.maximum(values, _NO_INFORMATION)) @ vectors.T
-    turn = _rotation(float(planar_delta(motion.a_T_b)[2]))
+    turn = rotation(float(planar_delta(motion.a_T_b)[2]))
     by_lines = turn @ planar_information(observations) @ turn.T + _NO_INFORMATION * np.eye(3)
-    beyond = left_open(np.linalg.inv(matched), np.linalg.inv(by_lines))
+    beyond = left_open(inverted(matched), inverted(by_lines))
     if beyond is None:
         return motion
-    return replace(motion, covariance=np.linalg.inv(wheels + np.linalg.inv(beyond)))
+    return replace(motion, covariance=inverted(wheels + inverted(beyond)))
 
 
 def between(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -113,6 +113,7 @@ def between(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.array((c * dx + s * dy, c * dy - s * dx, b[2] - a[2]))
 
 
-def _rotation(angle: float) -> FloatArray:
+def rotation(angle: float) -> FloatArray:
+    """Of (x, y, theta), shape (3, 3)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))

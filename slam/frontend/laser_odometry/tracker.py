@@ -1,13 +1,14 @@
-"""Laser odometry, scan by scan: predict by wheels, match to the local map, weigh both, learn what the wheels are worth."""
+"""Laser odometry, scan by scan: predict by wheels, match to the local map, learn what the wheels are worth."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from slam.config import CoastingConfig
+from slam.frontend.information import inverted
 from slam.frontend.laser_odometry.local_map import SlidingMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
-from slam.frontend.laser_odometry.track import LaserTrack, Step, between
+from slam.frontend.laser_odometry.track import LaserTrack, Step, between, rotation
 from slam.frontend.laser_odometry.wheel_model import NoiseScale
 from slam.frontend.measurement import usable_ranges
 from slam.frontend.odometry import Motion, OdometryTrack, planar_delta
@@ -54,15 +55,15 @@ class LaserOdometry:
         before = self.steps[-1].pose
         stuck = self._stuck >= _STUCK_STEPS and wheels is not None and not wheels.any()
         ways = self._ways(stamp_ns, None if stuck else wheels)
-        turn = _rotation(before[2])
+        turn = rotation(before[2])
         expected = [Expected(compose(before, delta), turn @ cov @ turn.T, share) for delta, cov, share in ways]
         match = self._match(surface, expected)
         pose, told, covariance = expected[0].pose, np.zeros((3, 3)), ways[0][1]
         if match is not None:
             pose, told, covariance = match.pose, match.information, ways[match.way][1]
             if match.odds < 1.0:
-                told = np.linalg.inv(np.linalg.inv(told + 1e-3 * np.eye(3)) + match.spread)
-        back = _rotation(pose[2])
+                told = inverted(inverted(told + 1e-3 * np.eye(3)) + match.spread)
+        back = rotation(pose[2])
         note = self._watch(between(before, pose), wheels)
         step = Step(stamp_ns, pose, covariance, back.T @ told @ back, note)
         self.steps.append(step)
@@ -148,13 +149,13 @@ class LaserOdometry:
         whole, response, random = self._stated(since)
         track = LaserTrack([self.steps[first], self.steps[last]], self._noise)
         estimate = between(self.steps[first].pose, self.steps[last].pose)
-        matched = np.linalg.inv(track.matched(0, 1, estimate))
+        matched = inverted(track.matched(0, 1, estimate))
         sigmas = self._noise.calibration_sigmas
         stated = random + response @ np.diag(np.square(sigmas)) @ response.T
         motion = Motion(planar_transform(*whole), stated, (1.0, 1.0, 1.0), response, sigmas)
         predicted = self._calibration.predict(motion)
         known = predicted.covariance - random + self._scale.scaled(random)
-        posterior = np.linalg.inv(np.linalg.inv(known) + matched)
+        posterior = inverted(inverted(known) + matched)
         error = estimate - planar_delta(predicted.a_T_b)
         self._calibration.learn(
             Motion(predicted.a_T_b, known, motion.out_of_plane_sigmas, response, sigmas),
@@ -166,12 +167,7 @@ class LaserOdometry:
 
 def compose(pose: FloatArray, delta: FloatArray) -> FloatArray:
     """A pose (x, y, theta) moved on by a step in its own axes."""
-    return pose + _rotation(pose[2]) @ delta
-
-
-def _rotation(angle: float) -> FloatArray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+    return pose + rotation(pose[2]) @ delta
 
 
 def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:

@@ -15,9 +15,9 @@ _STATED, _MEMORY = 4.0, 150.0
 class NoiseScale:
     """Factors on the variances of odometry's steps along, across and in heading: an inverse gamma of each.
 
-    One step of expectation maximisation a step: with P the variance of the step before its end was seen, P' after, and e
-    the correction, the wheels' squared error is expected to be e^2 + P'. The step counts by its share 1 - P' / P: what
-    the returns leave open teaches nothing. A step that a Student t calls an outlier counts less.
+    One step of expectation maximisation a step: with P the variance of the step before its end was seen, P' after, and
+    e the correction, the wheels' squared error is expected to be e^2 + P'. The step counts by its share 1 - P' / P:
+    what the returns leave open teaches nothing. A step that a Student t calls an outlier counts less.
     """
 
     def __init__(self) -> None:

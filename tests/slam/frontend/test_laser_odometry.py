@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from slam.config import CoastingConfig, SlamConfig
+from slam.frontend.information import inverted
 from slam.frontend.keyframes import keyframes_of
 from slam.frontend.laser_odometry import LaserTrack, beyond_lines, laser_track
 from slam.frontend.laser_odometry.local_map import LocalMap, Surface
@@ -24,7 +25,10 @@ GAP = 5
 """Scans from one end of a motion that is judged to the other: half a metre, or half a radian."""
 
 
-def rooms(seed: int, wheels: Wheels = Wheels(n_slips=0)) -> Drive:
+NO_SLIPS = Wheels(n_slips=0)
+
+
+def rooms(seed: int, wheels: Wheels = NO_SLIPS) -> Drive:
     """Two rooms with boxes and a door between them, there and back again."""
     rng, plan = np.random.default_rng(seed), FloorPlan()
     outer = [(0.0, 0.0), (5.0, 0.0), (5.0, 1.6), (5.1, 1.6), (5.1, -0.4), (9.5, -0.4), (9.5, 4.0), (5.1, 4.0)]
@@ -149,7 +153,7 @@ def test_the_scale_of_the_noise_is_learnt_and_slips_do_not_count_for_it():
         if step % 50 == 0:
             true[:2] += 0.5  # a slip
         before = scale.scaled(wheels)
-        after = np.linalg.inv(np.linalg.inv(before) + np.linalg.inv(seen))
+        after = inverted(inverted(before) + inverted(seen))
         error = after @ np.linalg.solve(seen, true + rng.standard_normal(3) * np.sqrt(np.diag(seen)))
         scale.learn(error, wheels, after, before)
     assert 5.0 < scale.factors[0] < 13.0  # within the spread of 150 steps, and of a Student t's scale
