@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import binom
-from shapely import LineString, Point
+from shapely import LineString
+from shapely.geometry.base import BaseGeometry
 
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.surfaces import Rays, Surfaces
@@ -116,8 +117,8 @@ def _places_on(landmark: Landmark, world_T_plane: FloatArray) -> FloatArray:
     return lift(flat[kept], world_T_plane)
 
 
-def _is_on(outline: object, place: FloatArray, world_T_plane: FloatArray) -> bool:
+def _is_on(outline: BaseGeometry, place: FloatArray, world_T_plane: FloatArray) -> bool:
     """Whether the vertical through a place in a plane meets what was seen of it."""
     up = world_T_plane[2, :2] / max(float(np.linalg.norm(world_T_plane[2, :2])), 1e-9)
     line = LineString([place - 10.0 * up, place + 10.0 * up])
-    return bool(line.distance(outline) < 1e-3) if not isinstance(outline, Point) else False
+    return float(line.distance(outline)) < 1e-3

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from slam.frontend.keyframes import Keyframe
 from slam.geometry.frames import inverse
@@ -32,7 +32,7 @@ class View:
 
     fans: tuple[tuple[FloatArray, FloatArray, FloatArray], ...]
     """Of every laser its place (2,), bearings (B,) ascending, rad, and ranges (B,), m."""
-    tree: cKDTree
+    tree: KDTree
     """The returns."""
     looks: FloatArray
     """One return in every square, shape (N, 2), m."""
@@ -50,7 +50,7 @@ class View:
         ends = beams[:, 2:]
         squares = np.floor(ends / LOOK_M).astype(np.int64)
         _, first = np.unique(squares, axis=0, return_index=True)
-        return cls(tuple(fans), cKDTree(ends), ends[np.sort(first)])
+        return cls(tuple(fans), KDTree(ends), ends[np.sort(first)])
 
     def confirms(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
         """Which places (N, 2) have a return within the tolerance, shape (N,)."""
@@ -100,8 +100,10 @@ def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
     places = poses[:, :2, 3]
     way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))))
     held, pairs = np.asarray(views), []
-    tree = cKDTree(places[held]) if len(held) else None
-    for index in views if tree is not None else ():
+    if not len(held):
+        return []
+    tree = KDTree(places[held])
+    for index in views:
         near = held[sorted(tree.query_ball_point(places[index], _REACH_M))]
         near = near[near != index]
         away = np.linalg.norm(places[near] - places[index], axis=1)
