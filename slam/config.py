@@ -94,7 +94,7 @@ class LoopConfig(_Frozen):
     looks_per_place: float = Field(default=9.0, ge=1)
     """Looks that make one independent witness of *which* place it is: 4.5 m of wall. Buildings repeat walls, doors and
     corners, so submaps of places that are not one agree by whole walls. Measured on ACES: of two such places the best
-    match is better than the next by 9 looks' evidence on average, as chance has it."""
+    match is better than the next by 9 nats on average, each half metre a look, as chance has it."""
     significance: float = Field(default=1e-3, gt=0, lt=0.5)
     """Probability that a loop is closed where there is none, or elsewhere."""
 
