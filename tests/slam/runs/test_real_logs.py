@@ -17,7 +17,7 @@ from slam.runs.slam_run import Run, run_slam
 from tests.slam.real_data import needs
 
 #: Keyframes of loop5 before the robot first leaves the corridor it starts in, and after it has come back to it.
-FIRST, LAST = 20, 108
+FIRST, LAST = 18, 100
 
 
 def run(name: str) -> Run:
