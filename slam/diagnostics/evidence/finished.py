@@ -21,16 +21,30 @@ from slam.session.prior_map import PriorMap
 class Finished(Protocol):
     """An estimator at the end of its run, read only."""
 
-    config: SlamConfig
-    """The settings."""
-    backend: Backend
-    """The graph."""
-    landmarks: LandmarkMap
-    """The map, confirmed or not."""
-    audit: NisAudit
-    """Chi2 of what was accepted."""
-    prior: PriorMap | None
-    """What was known beforehand."""
+    @property
+    def config(self) -> SlamConfig:
+        """The settings."""
+        ...
+
+    @property
+    def backend(self) -> Backend:
+        """The graph."""
+        ...
+
+    @property
+    def landmarks(self) -> LandmarkMap:
+        """The map, confirmed or not."""
+        ...
+
+    @property
+    def audit(self) -> NisAudit:
+        """Chi2 of what was accepted."""
+        ...
+
+    @property
+    def prior(self) -> PriorMap | None:
+        """What was known beforehand."""
+        ...
 
     @property
     def keyframes(self) -> Sequence[Keyframe]:
