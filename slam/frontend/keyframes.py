@@ -13,7 +13,7 @@ import numpy as np
 from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.frontend.deskewing import unswept
-from slam.frontend.laser_odometry import LaserTrack, beyond_lines, laser_track
+from slam.frontend.laser_odometry import LaserTrack, laser_track, motion_between
 from slam.frontend.measurement import (
     ScanMeasurement,
     Segment,
@@ -117,6 +117,7 @@ def _measured_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig, segment
 
 def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int, segment: Segment) -> Iterator[Keyframe]:
     track = track_of(log, rig, config)
+    wheels = OdometryTrack(log.odometry, rig.odometry) if log.odometry else None
     stamps = _choose_stamps(log, rig, config)
     lines = _scans_of(log, rig, "line")
     slices = _scans_of(log, rig, "slice")
@@ -147,7 +148,8 @@ def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int, segment
                 beams += beams_of(scan, usable_ranges(scan.ranges, sensor), kf_T_body @ sensor.body_T_sensor)
         if motion is not None and isinstance(track, LaserTrack):
             notes += track.notes(stamps[index - 1], stamp)
-            motion = beyond_lines(motion, observations)
+            ends = stamps[index - 1], stamp
+            motion = motion_between(track, wheels, ends, observations, config.association.new_significance)
         returns = np.concatenate(beams) if beams else None
         yield Keyframe(stamp, observations, motion, notes=tuple(notes), scans=tuple(scans), returns=returns)
 

@@ -35,9 +35,11 @@ class Motion:
     """Planar only: derivative of (x, y, theta) by the wheels' errors of calibration, scale and curvature, (3, 2)."""
     calibration_sigmas: tuple[float, float] = (0.0, 0.0)
     """Standard deviations of these two that `covariance` holds."""
+    returns_a_T_b: FloatArray | None = None
+    """Planar only: pose b by wheels and all returns together, for telling walls apart and for nothing else, since the
+    lines are made of the same returns, shape (4, 4); None: no returns were matched."""
     returns_covariance: FloatArray | None = None
-    """Planar only: covariance of (x, y, theta) by wheels and all returns together, for telling walls apart and for
-    nothing else, since the lines are made of the same returns, shape (3, 3); None: no returns were matched."""
+    """Covariance of its (x, y, theta), shape (3, 3)."""
 
     @property
     def is_planar(self) -> bool:

@@ -131,7 +131,6 @@ class LoopCloser:
         """The loops that may be closed now that this comparison has been made, the newest last."""
         if decision.proposal is None:
             return [decision] if decision.verdict == "closed" else []
-        self._stay(decision)
         group = self._proposals.agreed(decision.proposal, self._thinning.held, self._backend)
         if not group:
             return []

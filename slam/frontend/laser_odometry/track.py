@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2 as chi2_distribution
 
 from slam.frontend.information import inverted, left_open, planar_information
 from slam.frontend.observations import Observation
@@ -54,7 +55,12 @@ class LaserTrack(OdometryTrack):
         matched = self.matched(first, last, delta)
         both = inverted(inverted(wheels) + inverted(matched))
         out_of_plane = (noise.z_sigma_m, noise.roll_sigma_rad, noise.pitch_sigma_rad)
-        return Motion(a_T_b, wheels, out_of_plane, returns_covariance=0.5 * (both + both.T))
+        return Motion(a_T_b, wheels, out_of_plane, returns_a_T_b=a_T_b, returns_covariance=0.5 * (both + both.T))
+
+    def by_returns(self, start_ns: int, end_ns: int) -> FloatArray:
+        """Covariance of (x, y, theta) between two times by the returns alone, shape (3, 3)."""
+        first, last = self._index(start_ns), self._index(end_ns)
+        return self.matched(first, last, planar_delta(self.motion(start_ns, end_ns).a_T_b))
 
     def notes(self, start_ns: int, end_ns: int) -> list[str]:
         """What is to be said of the steps after one time and up to another."""
@@ -85,6 +91,51 @@ class LaserTrack(OdometryTrack):
         carry[:2, 2] = -delta[1], delta[0]
         turn = rotation(delta[2])
         return carry @ a @ carry.T + turn @ b @ turn.T
+
+
+def motion_between(
+    track: LaserTrack,
+    wheels: OdometryTrack | None,
+    stamps_ns: tuple[int, int],
+    observations: Sequence[Observation],
+    significance: float,
+) -> Motion:
+    """The motion between two keyframes for the graph: the wheels' own, or where returns refute them the matched one.
+
+    Lines are measurements of their own, of the same returns. Wheels owe nothing to them: as long as they agree with
+    the matched motion they are the factor, with the noise that was learnt of them where it is more than what was
+    stated, and the match only tells walls apart. Wheels that slip, stand still or are not there measure nothing: then
+    the matched motion stands in, with what the returns say beyond the lines.
+
+    Args:
+        track: laser odometry.
+        wheels: what was measured; None: nothing.
+        stamps_ns: of the two keyframes.
+        observations: what the second one sees.
+        significance: probability that honest wheels are refuted.
+    """
+    matched = track.motion(*stamps_ns)
+    measured = None if wheels is None else wheels.motion(*stamps_ns)
+    if measured is None or not measured.is_planar:
+        return beyond_lines(matched, observations)
+    error = planar_delta(measured.a_T_b) - planar_delta(matched.a_T_b)
+    error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
+    spread = measured.covariance + track.by_returns(*stamps_ns)
+    if error @ np.linalg.solve(spread, error) > chi2_distribution.isf(significance, 3):
+        return beyond_lines(matched, observations)
+    covariance = _larger(measured.covariance, matched.covariance)
+    told = {"returns_a_T_b": matched.a_T_b, "returns_covariance": matched.returns_covariance}
+    return replace(measured, covariance=covariance, **told)
+
+
+def _larger(stated: FloatArray, learnt: FloatArray) -> FloatArray:
+    """The larger of two covariances in the axes in which both are diagonal."""
+    root = np.linalg.cholesky(stated)
+    whitened = np.linalg.solve(root, np.linalg.solve(root, learnt).T)
+    values, vectors = np.linalg.eigh(0.5 * (whitened + whitened.T))
+    turned = root @ vectors
+    covariance = (turned * np.maximum(values, 1.0)) @ turned.T
+    return 0.5 * (covariance + covariance.T)
 
 
 def beyond_lines(motion: Motion, observations: Sequence[Observation]) -> Motion:

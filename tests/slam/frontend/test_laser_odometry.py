@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from slam.config import CoastingConfig, SlamConfig
 from slam.frontend.information import inverted
 from slam.frontend.keyframes import keyframes_of
-from slam.frontend.laser_odometry import LaserTrack, beyond_lines, laser_track
+from slam.frontend.laser_odometry import LaserTrack, beyond_lines, laser_track, motion_between
 from slam.frontend.laser_odometry.local_map import LocalMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, match_scan
 from slam.frontend.laser_odometry.wheel_model import NoiseScale
@@ -164,15 +165,53 @@ def test_the_scale_of_the_noise_is_learnt_and_slips_do_not_count_for_it():
 def test_what_the_lines_say_is_not_said_twice():
     log = rooms(9).log
     frame = next(one for one in keyframes_of(log, stated(log), SlamConfig()) if one.motion is not None)
-    motion, lines = frame.motion, frame.observations
-    track = track_of(log)
+    lines, track = frame.observations, track_of(log)
     whole = track.motion(track._stamps[0], frame.stamp_ns)
-    assert motion is not None and whole.returns_covariance is not None and len(lines) >= 3
+    motion = beyond_lines(whole, lines)
+    assert whole.returns_covariance is not None and len(lines) >= 3
     alone = beyond_lines(whole, [])
     np.testing.assert_allclose(alone.covariance, whole.returns_covariance, rtol=1e-2, atol=1e-9)  # no lines: all of it
     for given, less in ((motion.covariance, whole.covariance), (whole.returns_covariance, motion.covariance)):
         assert np.linalg.eigvalsh(less - given).min() > -1e-9 or given is whole.returns_covariance
     assert np.trace(motion.covariance) > np.trace(whole.returns_covariance)
+
+
+def between_keyframes(truth: Drive, wheels: bool = True) -> tuple[LaserTrack, OdometryTrack, list[tuple[int, int]]]:
+    """The track of a drive, its wheels, and the ends of motions over half a metre."""
+    log = truth.log if wheels else scans_alone(truth.log)
+    stamps = [event.stamp_ns for event in log.events if isinstance(event, LaserScan)][::GAP]
+    return track_of(log), OdometryTrack(truth.log.odometry, stated(truth.log).odometry), list(pairwise(stamps))
+
+
+def test_wheels_that_agree_with_the_returns_are_the_factor_and_owe_nothing_to_them():
+    track, wheels, ends = between_keyframes(rooms(11))
+    agreed = 0
+    for pair in ends:
+        motion, raw = motion_between(track, wheels, pair, [], 1e-6), wheels.motion(*pair)
+        if np.array_equal(motion.a_T_b, raw.a_T_b):
+            agreed += 1
+            assert np.linalg.eigvalsh(motion.covariance - raw.covariance).min() > -1e-12  # never surer than stated
+            np.testing.assert_array_equal(motion.returns_a_T_b, track.motion(*pair).a_T_b)
+    assert agreed >= len(ends) - 1
+
+
+def test_wheels_that_slip_are_not_the_factor():
+    truth = rooms(5, Wheels(slip_rad=0.35, slip_m=0.2, n_slips=2))
+    track, wheels, ends = between_keyframes(truth)
+    refuted = [
+        pair
+        for pair in ends
+        if not np.array_equal(motion_between(track, wheels, pair, [], 1e-6).a_T_b, wheels.motion(*pair).a_T_b)
+    ]
+    assert 1 <= len(refuted) <= 4
+    off = [abs(planar_delta(inverse(wheels.motion(*p).a_T_b) @ track.motion(*p).a_T_b)[2]) for p in refuted]
+    assert max(off) > 0.2
+
+
+def test_without_wheels_the_matched_motion_is_the_factor():
+    track, _, ends = between_keyframes(rooms(12), wheels=False)
+    motion = motion_between(track, None, ends[3], [], 1e-6)
+    np.testing.assert_array_equal(motion.a_T_b, track.motion(*ends[3]).a_T_b)
 
 
 def test_poses_compose_as_transforms():
