@@ -145,6 +145,8 @@ def assumptions(log: Log, rig: Rig) -> list[str]:
 
 def _taken_for(name: str, sensor: Sensor, log: Log) -> str:
     noise = f"{1000.0 * sensor.range_sigma_m:g} mm of noise"
+    if sensor.disparity_sigma_per_m:
+        noise += f" and {1000.0 * sensor.disparity_sigma_per_m:g} mm times the square of the range in m"
     if name in log.mounts:
         return f"{_KINDS[sensor.kind]} with {noise}, mounted as the log says"
     turned = not np.allclose(sensor.body_T_sensor[:3, :3], np.eye(3))

@@ -133,7 +133,7 @@ def test_what_a_rig_that_nobody_gave_takes_for_granted_is_said(clouds: Path, ima
     (sentence,) = load(clouds)[0].assumed
     assert sentence.startswith("no rig: scanner is taken for a 3D sensor with 20 mm of noise, at the body's origin")
     (sentence,) = load(images)[0].assumed
-    assert "camera is taken for a 3D sensor with 6 mm of noise, at the body's origin and looking ahead" in sentence
+    assert "camera is taken for a 3D sensor with 1.5 mm of noise and " in sentence
     _, rig = load(clouds)
     assert load(clouds, rig)[0].assumed == []
     rig.to_yaml(clouds / "rig.yaml")

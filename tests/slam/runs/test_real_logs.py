@@ -135,5 +135,15 @@ def test_the_wheels_curvature_is_learnt(intel):
 
 
 def test_every_stage_has_its_time(intel):
-    stages = {"measure", "predict", "compare returns", "associate", "optimise", "marginals", "twins", "loops", "map"}
+    stages = {
+        "measure",
+        "predict",
+        "compare returns",
+        "associate",
+        "optimise",
+        "marginals",
+        "same plane",
+        "loops",
+        "map",
+    }
     assert stages <= set(intel.clock.seconds)

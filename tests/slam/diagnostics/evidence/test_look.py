@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from slam import PlaneSlam
+from slam.association.decisions import Decision
 from slam.config import SlamConfig
 from slam.diagnostics.evidence import look_at
 from slam.diagnostics.evidence.loops import loop_evidence
@@ -57,9 +58,21 @@ def test_a_right_run_is_sound_and_reading_it_changes_nothing(right: Run):
     np.testing.assert_array_equal(right.slam.trajectory.poses, before)
 
 
-def test_odometry_that_stands_still_is_no_sound_run():
+def test_odometry_that_stands_still_is_refuted_by_the_scans_and_harms_nothing(right: Run):
     log, rig = hall()
-    verdict = look_at(run_slam(standing(log), rig, SlamConfig()).slam, rig)
+    still = run_slam(standing(log), rig, SlamConfig())
+    off = np.linalg.norm(still.trajectory.poses[:, :3, 3] - right.trajectory.poses[:, :3, 3], axis=1)
+    assert off.max() < 0.05 and look_at(still.slam, rig).verdict == "sound"
+
+
+def test_what_matches_nothing_is_no_sound_run():
+    """An association that takes everything for new: poses are odometry's, and no wall is seen twice."""
+    log, rig = hall()
+
+    def nothing(observations, *state, **how):
+        return [Decision(number, "new", None, ()) for number in range(len(observations))]
+
+    verdict = look_at(run_slam(log, rig, SlamConfig(), slam=PlaneSlam(associate=nothing)).slam, rig)
     assert verdict.verdict != "sound"
     assert any(one.kind == "unmatched" and "match nothing" in one.sentence for one in verdict.evidence)
 
