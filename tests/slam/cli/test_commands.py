@@ -35,7 +35,8 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return err.strip()
 
 
-def test_version_and_help(capsys: pytest.CaptureFixture[str]):
+def test_version_and_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")  # whatever shell the tests run under
     assert run(capsys, "--version")[:2] == (0, f"spplanes {__version__}\n")
     for flags in (["--version", "-v"], ["-v", "--version"]):
         code, out, _ = run(capsys, *flags)
