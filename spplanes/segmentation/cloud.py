@@ -34,8 +34,7 @@ def segment_cloud(
         config: settings of the segmentation.
 
     Returns:
-        labels: plane of every point, shape (N,) or (S, B), int32, index into planes; -1 = none. A point that the range
-            image hides behind a nearer one has none.
+        labels: plane of every point, shape (N,) or (S, B), int32, index into planes; -1 = none, or hidden by another.
         planes: with outlines, in the order of the segmentation.
 
     Raises:
