@@ -27,8 +27,8 @@ _NOTHING = 0.5
 _PROMINENCE = 1.0
 #: Peaks nearer to each other are one place, m: a submap's own drift parts them, walls are drawn twice in it.
 _ONE_PLACE_M = 0.3
-#: Blocks of motions have sides of 2^level cells; the highest level.
-_TOP_LEVEL = 4
+#: Blocks of motions have sides of 2^level cells; the highest level, and of boxes that would have too many blocks there.
+_TOP_LEVEL, _HIGHEST_LEVEL = 4, 7
 #: Most blocks kept from one level to the next, and blocks of each whose middle is tried: these bound the time.
 _MOST_BLOCKS, _N_TRIED = 40000, 200
 #: A box whose best motion lies at its edge is made so much wider, at most so many times.
@@ -133,7 +133,7 @@ def _search(
 ) -> SearchResult:
     """The posterior within one box."""
     grid = np.array((0.5 * CELL_M, 0.5 * CELL_M, CELL_M / max(a.radius, b.radius)))  # half cells, and turns
-    first = int(np.clip(np.ceil(np.log2(max(reach[:2].max(), CELL_M) / (2.0 * CELL_M))), 0, _TOP_LEVEL))
+    first = _first_level(reach, grid[2])
     information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     steepest = float(np.sqrt(np.linalg.eigvalsh(information[:2, :2])[-1]))
     constant = np.log1p(-_NOTHING) - np.log(max(_prior_mass(covariance) / (CELL_M**2 * grid[2]), 1.0))
@@ -156,6 +156,15 @@ def _search(
     modes = _modes(guess, blocks, scores, (scores - prior) * looks, grid)
     edge = bool(np.any(np.abs(blocks[np.argmax(scores)] * grid) > reach - _edge(grid)))
     return SearchResult(modes, reach, edge and modes[0].probability > _NOTHING)
+
+
+def _first_level(reach: FloatArray, turn: float) -> int:
+    """The level that the search begins at: higher where the box is so large that its blocks would be too many."""
+    level = int(np.clip(np.ceil(np.log2(max(reach[:2].max(), CELL_M) / (2.0 * CELL_M))), 0, _TOP_LEVEL))
+    headings = 2.0 * reach[2] / turn + 1.0
+    while level < _HIGHEST_LEVEL and headings * np.prod(2.0 * reach[:2] / (2**level * CELL_M) + 1.0) > _MOST_BLOCKS:
+        level += 1
+    return level
 
 
 def _edge(grid: FloatArray) -> FloatArray:
