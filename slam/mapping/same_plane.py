@@ -15,6 +15,7 @@ from slam.geometry.polygons import flatten
 from slam.map.landmarks import Landmark, LandmarkMap, PlacedPlane
 from slam.map.state import Parts
 from spplanes._check import FloatArray
+from spplanes.spmodel import skew
 
 
 class SamePlaneFinder:
@@ -161,12 +162,6 @@ def hesse_from(landmark: Landmark, pose_key: int, backend: Backend) -> tuple[Flo
     blocks: dict[int, FloatArray] = {landmark.key: by_plane, landmark.anchor_key: by_anchor}
     blocks[pose_key] = blocks.get(pose_key, np.zeros((4, 6))) + by_pose
     return moved, float(d + shift @ moved), np.hstack(list(blocks.values())), list(blocks)
-
-
-def skew(vector: FloatArray) -> FloatArray:
-    """The matrix [v] with [v] w = v x w, shape (3, 3)."""
-    x, y, z = vector.tolist()
-    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
 
 
 def _may_be_one(

@@ -7,10 +7,11 @@ from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
-from scipy.special import expit, gamma
+from scipy.special import expit
 
 from slam.frontend.occupancy import CELL_M, Raster
 from slam.registration._search_kernels import peaks_of, score_by_heading
+from slam.registration.scan_matching import log_student, log_sum, prior_mass, split
 from spplanes._check import FloatArray
 
 #: Tables are kept as integers of this unit, nats.
@@ -136,11 +137,11 @@ def _search(
     first = _first_level(reach, grid[2])
     information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     steepest = float(np.sqrt(np.linalg.eigvalsh(information[:2, :2])[-1]))
-    constant = np.log1p(-_NOTHING) - np.log(max(_prior_mass(covariance) / (CELL_M**2 * grid[2]), 1.0))
+    constant = np.log1p(-_NOTHING) - np.log(max(prior_mass(covariance) / (CELL_M**2 * grid[2]), 1.0))
     blocks, scores = _first_blocks(reach, grid[2], first), np.empty(0)
     best = float(np.log(_NOTHING))
     for level in range(first, -1, -1):
-        prior = constant + _log_student(blocks * grid, information)
+        prior = constant + log_student(blocks * grid, information)
         scores = prior + _fit(a, b, guess + blocks * grid, level) / looks
         top = _largest(scores, _N_TRIED)
         tried = scores if not level else prior[top] + _fit(a, b, guess + blocks[top] * grid, 0) / looks
@@ -149,10 +150,10 @@ def _search(
         kept = np.flatnonzero(scores + slack >= best - _NEGLIGIBLE)
         kept = kept[_largest(scores[kept], _MOST_BLOCKS)]
         blocks, scores = blocks[kept], scores[kept]
-        blocks = _split(blocks, level) if level else blocks
+        blocks = split(blocks, level) if level else blocks
     if not len(blocks):
         return SearchResult((), reach, False)
-    prior = constant + _log_student(blocks * grid, information)
+    prior = constant + log_student(blocks * grid, information)
     modes = _modes(guess, blocks, scores, (scores - prior) * looks, grid)
     edge = bool(np.any(np.abs(blocks[np.argmax(scores)] * grid) > reach - _edge(grid)))
     return SearchResult(modes, reach, edge and modes[0].probability > _NOTHING)
@@ -205,17 +206,17 @@ def _modes(
 
 
 def _peak(cells: np.ndarray, poses: FloatArray, scores: FloatArray, evidence: FloatArray, grid: FloatArray) -> _Peak:
-    weights = np.exp(evidence - _log_sum(evidence))
+    weights = np.exp(evidence - log_sum(evidence))
     mean = weights @ poses
     spread = np.einsum("n,ni,nj->ij", weights, poses - mean, poses - mean)
     within = np.diag([*(2.0 * grid[:2]).tolist(), grid[2]]) ** 2 / 12.0
-    return _Peak(cells, mean, spread + within, _log_sum(scores), float(evidence[scores.argmax()]))
+    return _Peak(cells, mean, spread + within, log_sum(scores), float(evidence[scores.argmax()]))
 
 
 def _mode(place: list[_Peak], scores: FloatArray) -> Mode:
     """Peaks of one place together: a mixture."""
     masses = np.array([one.log_mass for one in place])
-    shares = np.exp(masses - _log_sum(masses))
+    shares = np.exp(masses - log_sum(masses))
     mean = shares @ np.array([one.pose for one in place])
     covariance = sum(
         share * (one.covariance + np.outer(one.pose - mean, one.pose - mean))
@@ -223,7 +224,7 @@ def _mode(place: list[_Peak], scores: FloatArray) -> Mode:
     )
     inside = np.zeros(len(scores), dtype=bool)
     inside[np.concatenate([one.cells for one in place])] = True
-    log_odds = _log_sum(masses) - _log_sum(np.append(scores[~inside], np.log(_NOTHING)))
+    log_odds = log_sum(masses) - log_sum(np.append(scores[~inside], np.log(_NOTHING)))
     return Mode(mean, np.asarray(covariance), float(expit(log_odds)), log_odds, place[0].evidence)
 
 
@@ -260,28 +261,3 @@ def _first_blocks(reach: FloatArray, turn: float, level: int) -> FloatArray:
     most = int(np.ceil(reach[2] / turn))
     grid = np.stack(np.meshgrid(x, y, np.arange(-most, most + 1), indexing="ij"), axis=-1)
     return grid.reshape(-1, 3).astype(np.float64)
-
-
-def _split(blocks: FloatArray, level: int) -> FloatArray:
-    """The four blocks of the level below in each."""
-    step = 2 ** (level - 1)  # half the side of a child in half cells
-    corners = np.array([(i, j, 0) for i in (-step, step) for j in (-step, step)], dtype=np.float64)
-    return (blocks[:, None, :] + corners).reshape(-1, 3)
-
-
-def _log_student(offsets: FloatArray, information: FloatArray) -> FloatArray:
-    """Log of the prior's density relative to that at the guess, shape (M,)."""
-    squared = np.einsum("ni,ij,nj->n", offsets, information, offsets)
-    return -0.5 * (_TAIL + 3.0) * np.log1p(squared / _TAIL)
-
-
-def _prior_mass(covariance: FloatArray) -> float:
-    """Integral of that relative density over all motions, m^2 rad."""
-    constant = gamma(0.5 * _TAIL) * (_TAIL * np.pi) ** 1.5 / gamma(0.5 * (_TAIL + 3.0))
-    return float(constant * np.sqrt(np.linalg.det(covariance)))
-
-
-def _log_sum(values: FloatArray) -> float:
-    """Log of the sum of exponentials."""
-    top = float(values.max())
-    return top + float(np.log(np.exp(values - top).sum()))

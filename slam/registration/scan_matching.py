@@ -58,16 +58,16 @@ def relocate(a: Raster, b: Raster, guess: FloatArray, covariance: FloatArray, re
     blocks = _first_blocks(reach, turn, first)
     information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     steepest = float(np.sqrt(np.linalg.eigvalsh(information[:2, :2])[-1]))
-    prior = -np.log(max(_prior_mass(covariance) / (CELL_M**2 * turn), 1.0)) + np.log1p(-_NOTHING)
+    prior = -np.log(max(prior_mass(covariance) / (CELL_M**2 * turn), 1.0)) + np.log1p(-_NOTHING)
     best, scores = float(np.log(_NOTHING)), np.empty(0)
     for level in range(first, -1, -1):
         offsets = blocks * (0.5 * CELL_M, 0.5 * CELL_M, turn)
         half = 0.5 * (2**level - 1) * CELL_M
         slack = _STEEPEST * np.sqrt(2.0) * half * steepest
-        scores = prior + _log_student(offsets, information) + _fit(a, b, guess + offsets, level)
+        scores = prior + log_student(offsets, information) + _fit(a, b, guess + offsets, level)
         if level:
             top = _largest(scores, _N_TRIED)
-            tried = prior + _log_student(offsets[top], information) + _fit(a, b, guess + offsets[top], 0)
+            tried = prior + log_student(offsets[top], information) + _fit(a, b, guess + offsets[top], 0)
             best = max(best, float(tried.max(initial=best)))
         else:
             best = max(best, float(scores.max(initial=best)))
@@ -75,7 +75,7 @@ def relocate(a: Raster, b: Raster, guess: FloatArray, covariance: FloatArray, re
         if kept.size > _MOST_BLOCKS:
             kept = kept[_largest(scores[kept], _MOST_BLOCKS)]
         blocks, scores = blocks[kept], scores[kept]
-        blocks = _split(blocks, level) if level else blocks
+        blocks = split(blocks, level) if level else blocks
     return _best_mode(guess, blocks, scores, turn)
 
 
@@ -105,7 +105,7 @@ def _first_blocks(reach: FloatArray, turn: float, level: int) -> np.ndarray:
     return grid.reshape(-1, 3).astype(np.float64)
 
 
-def _split(blocks: np.ndarray, level: int) -> np.ndarray:
+def split(blocks: np.ndarray, level: int) -> np.ndarray:
     """The four blocks of the level below in each."""
     step = 2 ** (level - 1)  # half the side of a child in half cells
     corners = np.array([(i, j, 0) for i in (-step, step) for j in (-step, step)], dtype=np.float64)
@@ -120,19 +120,19 @@ def _fit(a: Raster, b: Raster, motions: FloatArray, level: int) -> FloatArray:
     )  # fmt: skip
 
 
-def _log_student(offsets: FloatArray, information: FloatArray) -> FloatArray:
+def log_student(offsets: FloatArray, information: FloatArray) -> FloatArray:
     """Log of the prior's density relative to that at the guess, shape (M,)."""
     squared = np.einsum("ni,ij,nj->n", offsets, information, offsets)
     return -0.5 * (_TAIL + 3.0) * np.log1p(squared / _TAIL)
 
 
-def _prior_mass(covariance: FloatArray) -> float:
+def prior_mass(covariance: FloatArray) -> float:
     """Integral of that relative density over all motions, m^2 rad."""
     constant = gamma(0.5 * _TAIL) * (_TAIL * np.pi) ** 1.5 / gamma(0.5 * (_TAIL + 3.0))
     return float(constant * np.sqrt(np.linalg.det(covariance)))
 
 
-def _log_sum(values: FloatArray) -> float:
+def log_sum(values: FloatArray) -> float:
     """Log of the sum of exponentials."""
     top = float(values.max())
     return top + float(np.log(np.exp(values - top).sum()))
@@ -148,7 +148,7 @@ def _best_mode(guess: FloatArray, blocks: np.ndarray, scores: FloatArray, turn: 
     present[tuple(cells.T)] = True
     labels, _ = label(present, structure=np.ones((3, 3, 3)))  # type: ignore[misc]
     modes = np.asarray(labels)[tuple(cells.T)]
-    masses = {int(mode): _log_sum(scores[modes == mode]) for mode in np.unique(modes)}
+    masses = {int(mode): log_sum(scores[modes == mode]) for mode in np.unique(modes)}
     best = max(masses, key=lambda mode: masses[mode])
     inside = modes == best
     offsets = blocks[inside] * (0.5 * CELL_M, 0.5 * CELL_M, turn)
@@ -156,5 +156,5 @@ def _best_mode(guess: FloatArray, blocks: np.ndarray, scores: FloatArray, turn: 
     mean = weights @ offsets
     spread = np.einsum("n,ni,nj->ij", weights, offsets - mean, offsets - mean)
     grid = np.diag((CELL_M**2, CELL_M**2, turn**2)) / 12.0
-    total = _log_sum(np.array([*masses.values(), nothing]))
+    total = log_sum(np.array([*masses.values(), nothing]))
     return Relocation(guess + mean, spread + grid, masses[best] - nothing, float(np.exp(masses[best] - total)))

@@ -8,7 +8,7 @@ import pytest
 from slam.frontend._occupancy_kernels import widen
 from slam.frontend.occupancy import CELL_M, NOVEL_SHARE, Raster, beams_of, moved
 from slam.geometry.frames import planar_transform
-from slam.registration.scan_matching import _fit, _split, relocate
+from slam.registration.scan_matching import _fit, relocate, split
 from slam.registration.submaps import left_open
 from slam.sensors.log import LaserScan
 from slam.simulation.floorplan import FloorPlan, cast
@@ -101,7 +101,7 @@ def test_a_block_bounds_all_motions_in_it():
         blocks = np.column_stack((rng.integers(-30, 30, (20, 2)), rng.integers(-8, 8, 20))).astype(float)
         bounds, inside = _fit(a, b, blocks * unit, level), blocks
         for below in range(level, 0, -1):
-            inside = _split(inside, below)
+            inside = split(inside, below)
         fits = _fit(a, b, inside * unit, 0).reshape(20, -1)
         assert (fits <= bounds[:, None] + 1e-9).all()
         assert fits.shape[1] == 4**level
