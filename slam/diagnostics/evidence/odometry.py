@@ -53,9 +53,10 @@ def odometry_evidence(run: Finished) -> Iterator[Evidence]:
 
 
 def _steps(run: Finished) -> list[int]:
-    """Keyframes to which planar odometry leads, evenly over the run."""
+    """Keyframes to which planar odometry leads between two that the graph still holds, evenly over the run."""
+    held = [run.backend.holds(pose_symbol(k)) for k in range(len(run.keyframes))]
     motions = (frame.motion for frame in run.keyframes)
-    known = [k for k, motion in enumerate(motions) if k and motion is not None and motion.is_planar]
+    known = [k for k, one in enumerate(motions) if k and one is not None and one.is_planar and all(held[k - 1 : k + 1])]
     return known[:: max(1, -(-len(known) // _MOST_STEPS))]
 
 

@@ -154,7 +154,8 @@ def _modes(surface: Surface, there: LocalMap, expected: Expected, far: float) ->
 def _most_probable(found: list[_Found], surface: Surface, there: LocalMap, ways: Sequence[Expected]) -> Match:
     """The most probable of several alignments, with what the others leave open."""
     poses = np.array([one.pose for one in found])
-    costs = np.array([_unlikelihood(one.pose, ways) + one.misfit for one in found])
+    # of one place found in two ways the way counts too: where the wheels agree with the returns, they did not slip
+    costs = np.array([_unlikelihood(one.pose, ways[one.way]) + one.misfit for one in found])
     # the cells of the rasters are too coarse to tell what is nearer than a cell: the misfit does
     if any((np.abs(_apart(pose, poses[0])) > _SAME).any() for pose in poses):
         mine, map_ = surface.raster, there.raster
@@ -175,14 +176,11 @@ def _most_probable(found: list[_Found], surface: Surface, there: LocalMap, ways:
     return Match(pose, information, fit, 1.0 / total, spread, way)
 
 
-def _unlikelihood(pose: FloatArray, ways: Sequence[Expected]) -> float:
-    """Minus the log of the density of a pose by the mixture of ways."""
-    logs = []
-    for one in ways:
-        error = _apart(pose, one.pose)
-        chi2 = float(error @ np.linalg.solve(one.covariance, error))
-        logs.append(np.log(one.probability) - 0.5 * (np.linalg.slogdet(one.covariance)[1] + chi2))
-    return -float(np.logaddexp.reduce(logs))
+def _unlikelihood(pose: FloatArray, way: Expected) -> float:
+    """Minus the log of the density of a pose and of having come there in this way."""
+    error = _apart(pose, way.pose)
+    chi2 = float(error @ np.linalg.solve(way.covariance, error))
+    return 0.5 * (np.linalg.slogdet(way.covariance)[1] + chi2) - np.log(way.probability)
 
 
 def _apart(a: FloatArray, b: FloatArray) -> FloatArray:

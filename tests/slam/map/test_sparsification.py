@@ -11,6 +11,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from slam import PlaneSlam, SlamConfig
 from slam.config import ThinningConfig
+from slam.diagnostics.evidence.odometry import odometry_evidence
 from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion, spatial_covariance
 from slam.frontend.odometry_chain import chained
@@ -97,6 +98,12 @@ def test_the_map_is_hardly_worse_and_claims_no_more_than_with_every_keyframe(thi
         assert np.all(np.diag(ours.plane.covariance) < 4.0 * np.diag(theirs.plane.covariance))
     away = slam.trajectory.poses[:, :2, 3] - whole.trajectory.poses[:, :2, 3]
     assert np.sqrt((away**2).sum(axis=1).mean()) < 0.003
+
+
+def test_the_evidence_of_odometry_asks_only_for_poses_that_the_graph_holds(thinned):
+    for slam, scene in thinned:
+        assert any(not slam.backend.holds(pose_symbol(index)) for index in range(len(scene.keyframes)))
+        assert all(one.p_value > 1e-3 for one in odometry_evidence(slam))  # honest, and no KeyError
 
 
 def test_a_thinned_graph_goes_on_after_a_batch(thinned):
