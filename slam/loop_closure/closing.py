@@ -63,7 +63,7 @@ class LoopCloser:
 
     def __init__(self, parts: Parts, merges: Merges) -> None:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
-        self._merges, self._thinning, self._config = merges, parts.thinning, parts.config
+        self._merges, self._sparsifier, self._config = merges, parts.thinning, parts.config
         self.decisions: list[LoopDecision] = []
         self.ties: list[Tie] = []
         self._proposals = Proposals(parts.config.loops)
@@ -81,7 +81,7 @@ class LoopCloser:
         if rules.max_candidates == 0 or self._ways[-1] - self._looked_at_m < rules.every_m:
             return None
         self._looked_at_m = self._ways[-1]
-        path = DrivenPath.of(self._thinning.held, np.array(self._ways), self._backend)
+        path = DrivenPath.of(self._sparsifier.held, np.array(self._ways), self._backend)
         around = Surroundings(path, self._keyframes, self._landmarks, self._backend, rules, needed)
         self._try_again(around)
         for decision in compare_with_old(around):
@@ -131,7 +131,7 @@ class LoopCloser:
         """The loops that may be closed now that this comparison has been made, the newest last."""
         if decision.proposal is None:
             return [decision] if decision.verdict == "closed" else []
-        group = self._proposals.agreed(decision.proposal, self._thinning.held, self._backend)
+        group = self._proposals.agreed(decision.proposal, self._sparsifier.held, self._backend)
         if not group:
             return []
         self._proposals.forget(group)
@@ -167,7 +167,7 @@ class LoopCloser:
     def _stay(self, loop: LoopDecision) -> None:
         """Both ends are needed in the graph."""
         for end in (loop.old_keyframe, loop.keyframe):
-            self._thinning.stays(end)
+            self._sparsifier.stays(end)
 
     def _untie(self, wrong: Sequence[Tie]) -> None:
         """Take closures out of the graph, and what was joined for them apart."""

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from slam.backend.estimator import Backend, pose_symbol
-from slam.config import LoopConfig
+from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
@@ -28,8 +28,6 @@ LoopVerdict = Literal[
 
 #: Sine of the angle from which on two walls fix a place between them.
 _ACROSS = 0.26
-#: Bounds drawn from a standard deviation are taken at this many of them.
-_SIGMAS = 3.0
 #: Of height (m), roll and pitch (rad) the views of level lasers say nothing.
 _OUT_OF_PLANE = (1e2, 1e2, 1e2)
 
@@ -138,9 +136,9 @@ def _searched(
     """Where the submap of the newest keyframe lies in that of an old one."""
     way = float(path.lengths[-1] - path.lengths[old])
     drift = min(config.drift_share * way, _MISTRUST * estimate.reach_m)
-    beyond = np.array((drift, drift, 2.0 * drift / max(way, drift))) / _SIGMAS
+    beyond = np.array((drift, drift, 2.0 * drift / max(way, drift))) / BOUND_SIGMAS
     covariance = estimate.covariance + np.diag(beyond**2)
-    reach = np.minimum(_SIGMAS * np.sqrt(np.diag(covariance)), (np.inf, np.inf, np.pi))
+    reach = np.minimum(BOUND_SIGMAS * np.sqrt(np.diag(covariance)), (np.inf, np.inf, np.pi))
     return search_place(view, other, estimate.delta, covariance, reach, looks=config.looks_per_place)
 
 

@@ -14,12 +14,12 @@ from scipy.stats import chi2 as chi2_distribution
 from factors import plane_factor, plane_landmark
 from slam.backend.estimator import BackendError, pose_symbol
 from slam.frontend.observations import Observation
-from slam.geometry.extents import Region
+from slam.geometry.extents import Extent
 from slam.geometry.frames import inverse
 from slam.map.landmarks import Landmark, Sighting, observe
 from slam.map.state import Parts
 from slam.mapping.merge import Cause, Merge
-from slam.mapping.same_plane import twin_chi2
+from slam.mapping.same_plane import same_plane_chi2
 
 #: After an undone merge the estimate goes back a long way: so often iSAM2 relinearises.
 _ROUNDS = 5
@@ -167,7 +167,7 @@ class Merges:
         self.undo(merge)
         back = self._landmarks[merge.younger]
         limit = float(chi2_distribution.isf(self._config.association.new_significance, 3))
-        if twin_chi2(holder, back, self._backend) > limit:
+        if same_plane_chi2(holder, back, self._backend) > limit:
             return True
         self._apart.discard(frozenset((holder.id, back.id)))
         again = self.merge(holder.id, back.id, merge.cause)
@@ -245,7 +245,7 @@ class Merges:
         """What was seen of a landmark, from its sightings alone."""
         plane_T_world = inverse(self._landmarks.placed(landmark.id).world_T_plane)
         landmark.sightings.sort(key=lambda one: (one.keyframe, one.observation))
-        landmark.region = Region(landmark.first_outline)
+        landmark.extent = Extent(landmark.first_outline)
         for one in landmark.sightings:
             plane_T_body = plane_T_world @ self._backend.pose(pose_symbol(one.keyframe))
-            landmark.region.grow(self._observation(one).patch_in(plane_T_body))
+            landmark.extent.grow(self._observation(one).patch_in(plane_T_body))
