@@ -186,8 +186,6 @@ class PlaneSlam:
     @timed("update")
     def _update(self, keyframe: Keyframe, prediction: Prediction, decisions: list[Decision]) -> MapUpdate:
         """Add the factors of matches and of new landmarks, then count what was seen."""
-        if prediction.pending:  # from then on merges are made by measurements some of which may be wrong
-            self.merges.robust = prediction.robust
         update = self._map_updater.update(keyframe, prediction, decisions)
         self.keyframes.append(keyframe)
         self.decisions.append(decisions)
@@ -223,11 +221,11 @@ class PlaneSlam:
     @timed("loops")
     def _close_loops(self) -> None:
         """Every metre or so: is what is seen now a place of long ago? Then its walls are joined with those of then."""
-        pairs = self._closer.look(self.audit.mean_per_dof)
-        if pairs is not None:
+        closure = self._closer.look(self.audit.mean_per_dof)
+        if closure is not None:
             self._same_plane.forget()
-            self._merge_same_planes({older for older, _ in pairs})
-            self._closer.take_motion(pairs)
+            self._merge_same_planes({older for older, _ in closure.pairs})
+            self._closer.tie(closure)
 
     def optimize_batch(self) -> gtsam.Values:
         """The same graph solved as a batch by Levenberg-Marquardt; the incremental state stays as it is."""

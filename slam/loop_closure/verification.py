@@ -11,6 +11,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from slam.backend.estimator import Backend, pose_symbol
 from slam.config import BOUND_SIGMAS, LoopConfig
+from slam.frontend.information import left_open
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
@@ -20,7 +21,7 @@ from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.registration.correlative_search import PlaceView, SearchResult, search_place
 from slam.registration.place_recognition import ConstellationMatch, match_constellations, match_near
-from slam.registration.submaps import RelativePose, left_open
+from slam.registration.submaps import RelativePose
 
 LoopVerdict = Literal[
     "closed", "waiting", "refused", "known", "not seen", "ambiguous", "unobservable", "far", "too few"

@@ -107,6 +107,8 @@ class Sighting:
     """Index of its factor in iSAM2."""
     kind: str
     """Factor type."""
+    robust: str | None = None
+    """Robust kernel on it where it is matched: of a place that the planes had to find some of it is wrong."""
 
 
 class LandmarkMap:

@@ -36,7 +36,6 @@ class Merges:
         self.history: list[Merge] = []
         self._keyframes, self._landmarks = parts.keyframes, parts.landmarks
         self._backend, self._config = parts.backend, parts.config
-        self.robust: str | None = parts.config.backend.robust
         self._apart: set[frozenset[int]] = set()
 
     def may_be_one(self, first: int, second: int) -> bool:
@@ -80,9 +79,9 @@ class Merges:
     def _rekeyed(self, older: int, younger: int, cause: Cause) -> tuple[list[Any], list[int]]:
         """Factors of what was seen of the younger, now of the older, and the indices of those they replace."""
         gone, home = self._landmarks[younger], self._landmarks[older]
-        robust = self.robust or (self._config.backend.robust_loops if cause == "loop" else None)
+        otherwise = self._config.backend.robust_loops if cause == "loop" else None
         factors = [
-            observe(self._observation(one), pose_symbol(one.keyframe), home, self._backend, robust)
+            observe(self._observation(one), pose_symbol(one.keyframe), home, self._backend, one.robust or otherwise)
             for one in gone.sightings
         ]
         return factors, [one.factor_index for one in gone.sightings]
@@ -219,7 +218,7 @@ class Merges:
                     pose_symbol(sighting.keyframe),
                     target.key,
                     target.anchor_key,
-                    self.robust,
+                    sighting.robust,
                     None if target.anchor_key == pose_symbol(sighting.keyframe) else expected,
                 )
             )

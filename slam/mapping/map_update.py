@@ -58,7 +58,7 @@ class MapUpdater:
             return MapUpdate(at)
         indices = self._backend.update(factors, initial, remove=list(prediction.standing_in), relinearize=True)
         for insertion, factor_index in zip(insertions, indices, strict=False):
-            self._see(insertion, at, factor_index)
+            self._see(insertion, at, factor_index, prediction.robust)
         return MapUpdate(at, frozenset(insertion.landmark.id for insertion in insertions))
 
     def match_late(self, update: MapUpdate) -> list[LateMatch]:
@@ -79,12 +79,12 @@ class MapUpdater:
                 self._config.backend.robust,
             )
             [factor_index] = self._backend.update([insertion.factor], gtsam.Values(), relinearize=True)
-            self._see(insertion, match.keyframe, factor_index)
+            self._see(insertion, match.keyframe, factor_index, self._config.backend.robust)
         if late:
             self._landmarks.refresh(self._backend)
         return late
 
-    def _see(self, insertion: Insertion, keyframe: int, factor_index: int) -> None:
+    def _see(self, insertion: Insertion, keyframe: int, factor_index: int, robust: str | None) -> None:
         """Let a landmark know what a keyframe saw of it, now that it is in the graph."""
-        sighting = Sighting(keyframe, insertion.number, factor_index, insertion.observation.kind)
+        sighting = Sighting(keyframe, insertion.number, factor_index, insertion.observation.kind, robust)
         self._landmarks.see(insertion.landmark, insertion.observation, sighting, insertion.plane_T_body)

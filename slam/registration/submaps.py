@@ -10,7 +10,6 @@ import numpy as np
 from slam.backend.estimator import Backend, pose_symbol
 from slam.backend.joint_covariance import motion_covariance
 from slam.config import BOUND_SIGMAS, LoopConfig
-from slam.frontend.information import left_open as left_open
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy import CELL_M, Raster, view_from
 from slam.frontend.odometry import Motion, planar_delta
