@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from slam.cli._job import (
+    BodyFrameOption,
     ConfigOption,
     JsonOption,
     KeepPartialOption,
+    OdometryFrameOption,
     OdometryOption,
     OdometryTopicOption,
     OutOption,
@@ -58,6 +60,8 @@ def slam(
     batch: Annotated[bool, typer.Option("--batch", help="Solve the graph once more as a whole at the end.")] = False,
     topic: TopicOption = None,
     odometry_topic: OdometryTopicOption = None,
+    odometry_frame: OdometryFrameOption = None,
+    body_frame: BodyFrameOption = None,
     timings: TimingsOption = False,
     strict_verdict: Annotated[
         bool, typer.Option("--strict-verdict", help="Exit code 1 where the map is found to be broken.")
@@ -68,6 +72,7 @@ def slam(
     if resume:
         run_folder, moved_to = (out, log) if out is not None else (log, None)
         begun_with = (rig, config, prior, odometry, start, start_sigma, topic, odometry_topic)
+        begun_with = (*begun_with, odometry_frame, body_frame)
         if run_folder is None or any((*begun_with, overwrite, keep_partial, keep_raw, forget_raw)):
             raise typer.BadParameter("takes the folder of a run; all else is as the run began", param_hint="--resume")
         ending = _Ending(as_json, timings, strict_verdict)
@@ -91,6 +96,8 @@ def slam(
         keep_partial=keep_partial,
         topics=topic,
         odometry_topic=odometry_topic,
+        odometry_frame=odometry_frame,
+        body_frame=body_frame,
         odometry=odometry,
     )
     if strict:

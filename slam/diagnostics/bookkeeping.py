@@ -35,7 +35,7 @@ class Bookkeeping:
         self._count_innovations(keyframe, prediction, decisions)
         self._recorder.decided(prediction.index, decisions)
         seen = [keyframe.observations[one.observation] for one in decisions if one.match is not None]
-        self.observability.add(prediction.index, seen, self._backend.pose(prediction.pose_key))
+        self.observability.add(prediction.index, seen, self._backend.pose(prediction.pose_key), prediction.motion)
 
     def matched_late(self, late: Sequence[LateMatch]) -> None:
         """Observations of earlier keyframes have been matched to its landmarks."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +11,17 @@ import numpy as np
 from slam.geometry.quaternions import poses_of
 from spplanes._check import FloatArray
 
+#: The messages that are read.
+SCAN, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
+ODOMETRY, TF = "nav_msgs/msg/Odometry", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+READ = (SCAN, CLOUD, ODOMETRY, *TF)
 #: PointField's numbers of types.
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+
+
+def with_todays_header(definition: str) -> str:
+    """The definition of a message in which the header is called std_msgs/Header, as since 2010."""
+    return re.sub(r"\broslib/Header\b", "std_msgs/Header", definition)
 
 
 def stamp_of(message: Any, received_ns: int) -> int:

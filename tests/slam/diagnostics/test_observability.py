@@ -93,6 +93,19 @@ def test_lines_of_a_level_laser_say_nothing_of_the_height():
     assert {one.name for one in found} == {"along z", "about x", "about y"}
 
 
+def test_the_floor_holds_height_roll_and_pitch_of_what_drives_on_it():
+    """One wall along x seen by a body on a floor: only the way along it is open, unless the floor is a rough guess."""
+    wall = room_planes()[4] if abs(room_planes()[4].normal[1]) > 0.9 else room_planes()[3]
+    (seen,) = [sight(wall)]
+    level = Motion(np.eye(4), np.diag([1e-4, 1e-4, 1e-4]), (0.001, 0.001, 0.001))
+    rough = replace(level, out_of_plane_sigmas=(0.5, 0.001, 0.2))
+    spatial = Motion(np.eye(4), np.eye(6), (0.0, 0.0, 0.0))
+    names = lambda motion: sorted(one.name for one in open_directions(1, [seen], np.eye(4), RULES, motion))  # noqa: E731
+    assert names(level) == names(replace(level, out_of_plane_sigmas=(0.0, 0.0, 0.0))) == ["along x"]
+    assert names(rough) == ["about y", "along x", "along z"]
+    assert names(spatial) == names(None) == ["about y", "along x", "along z"]
+
+
 def ends(alpha: float, rho: float) -> np.ndarray:
     along = np.array([-np.sin(alpha), np.cos(alpha)])
     return rho * np.array([np.cos(alpha), np.sin(alpha)]) + np.array([[-1.0], [1.0]]) * along
