@@ -89,3 +89,9 @@ def test_factors_are_imported_without_numba(folder: Path):
 def test_the_library_is_imported_without_numba_and_gtsam(folder: Path):
     code = "import sys, spplanes, slam; print({'numba', 'gtsam', 'numpy'} & set(sys.modules))"
     assert ran([], folder, code).stdout == "set()\n"
+
+
+def test_a_run_takes_no_distributions_of_scipy(folder: Path):
+    """They take 0.7 s to import; `scipy.special` has what is needed of them, to the same bits."""
+    code = "import sys, slam.runs.slam_run, slam.output.run_files; print('scipy.stats' in sys.modules)"
+    assert ran([], folder, code).stdout == "False\n"
