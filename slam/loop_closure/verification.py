@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from slam.backend.estimator import Backend, pose_symbol
 from slam.config import BOUND_SIGMAS, LoopConfig
@@ -207,7 +207,7 @@ def _is_news(motion: Motion, estimate: RelativePose, config: LoopConfig) -> bool
     """Whether a motion contradicts the estimate, or says it much better in a direction in which it is badly known."""
     error = planar_delta(motion.a_T_b) - estimate.delta
     spread = estimate.covariance + motion.covariance
-    if float(error @ np.linalg.solve(spread, error)) > chi2_distribution.isf(config.significance, 3):
+    if float(error @ np.linalg.solve(spread, error)) > chdtri(3, config.significance):
         return True
     better = np.linalg.inv(np.linalg.inv(estimate.covariance) + np.linalg.inv(motion.covariance))
     return replace(estimate, covariance=better).reach_m < 0.5 * estimate.reach_m > 0.5 * config.tied_m

@@ -9,7 +9,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from factors import plane_factor, plane_landmark
 from slam.backend.estimator import BackendError, pose_symbol
@@ -56,7 +56,7 @@ class Merges:
         `doubted`.
         """
         before, undisturbed = self._backend.chi2(), self._backend.snapshot()
-        limit = float(chi2_distribution.isf(self._config.association.new_significance, max(3 * len(pairs), 1)))
+        limit = float(chdtri(max(3 * len(pairs), 1), self._config.association.new_significance))
         parts = [self._rekeyed(older, younger, "loop") for older, younger in pairs]
         factors, old = ([one for part in parts for one in part[side]] for side in (0, 1))
         try:
@@ -155,7 +155,7 @@ class Merges:
             misfit, dof = self._residual(merge)
             if not dof:  # all of it was seen from keyframes that have left the graph
                 continue
-            limit = float(chi2_distribution.isf(self._config.association.new_significance, dof))
+            limit = float(chdtri(dof, self._config.association.new_significance))
             if misfit > max(scale, 1.0) * limit:
                 found.append((misfit / limit, merge))
         return [merge for _, merge in sorted(found, key=lambda one: (-one[0], one[1].keyframe, one[1].younger))]
@@ -165,7 +165,7 @@ class Merges:
         holder = self._holder(merge)
         self.undo(merge)
         back = self._landmarks[merge.younger]
-        limit = float(chi2_distribution.isf(self._config.association.new_significance, 3))
+        limit = float(chdtri(3, self._config.association.new_significance))
         if same_plane_chi2(holder, back, self._backend) > limit:
             return True
         self._apart.discard(frozenset((holder.id, back.id)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from factors import landmark_hesse
 from slam.backend.estimator import Backend, JointCovariance
@@ -81,7 +81,7 @@ def find_same_planes(
     joint = backend.joint_covariance(
         sorted({key for pair in pairs.values() for one in pair for key in landmark_keys(one)})
     )
-    limit = float(chi2_distribution.isf(config.significance, 3))
+    limit = float(chdtri(3, config.significance))
     found = [(_same_plane_chi2(*pair, backend, joint), *ids) for ids, pair in pairs.items()]
     if told_apart is not None:
         told_apart.update({(a, b): _sightings(pairs[a, b]) for chi2, a, b in found if chi2 > limit})

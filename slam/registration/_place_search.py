@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from slam.registration._place_kernels import fit_pose, rank_hypotheses, score_table
 from spplanes._check import FloatArray
@@ -43,7 +43,7 @@ class Search:
     def __init__(self, a: FloatArray, b: FloatArray, significance: float, min_matches: int, min_overlap: float) -> None:
         self.a, self.b = a, b
         self.significance, self.min_matches, self.min_overlap = significance, min_matches, min_overlap
-        self.gate = float(chi2_distribution.isf(significance, 2))
+        self.gate = float(chdtri(2, significance))
         self.densities = _densities(b)
         self.no_prior = np.diag(UNKNOWN**-2.0)
         self.in_line_a, self.in_line_b = _in_line(a, self.gate), _in_line(b, self.gate)
@@ -51,7 +51,7 @@ class Search:
     def best_motion(self) -> MatchedMotion | None:
         """The motion with the most evidence of those that two walls in different directions fix."""
         pairs = self._correspondences()
-        angle_gate = float(chi2_distribution.isf(self.significance, 1))
+        angle_gate = float(chdtri(1, self.significance))
         members, poses, scores = rank_hypotheses(
             self.a, self.b, self.densities, pairs, MAX_HYPOTHESES, self.no_prior, self.gate, angle_gate,
             np.sin(PARALLEL), self.min_overlap,
@@ -112,7 +112,7 @@ class Search:
                 n_distinct += 1
             pairs.append((int(i), int(j)))
         n_dof = 2 * len(pairs) - (len(seeds) and (3 if allowed is None else 2))
-        if n_distinct < self.min_matches or chi2 > chi2_distribution.isf(self.significance, n_dof):
+        if n_distinct < self.min_matches or chi2 > chdtri(n_dof, self.significance):
             return None
         return MatchedMotion(pose, covariance, pairs, float(chi2), n_dof, evidence)
 
