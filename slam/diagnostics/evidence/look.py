@@ -14,7 +14,7 @@ from slam.diagnostics.evidence.mounts import mount_evidence
 from slam.diagnostics.evidence.odometry import odometry_evidence
 from slam.diagnostics.evidence.prior import prior_evidence, prior_planes
 from slam.diagnostics.evidence.surfaces import Surfaces, rays_of, surface_evidence
-from slam.diagnostics.evidence.unmatched import unmatched_evidence
+from slam.diagnostics.evidence.unmatched_area import unmatched_evidence
 from slam.diagnostics.evidence.views import views_of
 from slam.diagnostics.verdict import Evidence, Verdict, weigh
 from slam.sensors.rig import Rig
