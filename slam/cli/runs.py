@@ -188,7 +188,7 @@ def map_(
     with progress_bar("scans") as progress:
         result = run_map(job.log, job.rig, job.config, clock=job.clock, progress=progress)
     with new_folder(out, overwrite=overwrite) as folder:
-        rows = write_map(result, folder, job.config, job.rig, title=f"spplanes map {log.name}")
+        rows = write_map(result, folder, job.config, job.rig, title=f"spplanes map {log.name}", log=job.log)
     warn_of(empty_map(result.planes))
     for sentence in job.log.assumed:
         say(f"assumed: {sentence}")
