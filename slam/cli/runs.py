@@ -49,7 +49,7 @@ def slam(
     prior: Annotated[Path | None, typer.Option("--prior", help="Finished run (or planes.json) to localise in.")] = None,
     start: Annotated[
         str | None,
-        typer.Option("--start", help="With --prior: its first X,Y,HEADING (m, deg), or find (default 0,0,0)"),
+        typer.Option("--start", help="With --prior: X,Y,HEADING or X,Y,Z,YAW,PITCH,ROLL (m, deg); or find (0,0,0)"),
     ] = None,
     start_sigma: Annotated[
         str | None, typer.Option("--start-sigma", help="With --prior: standard deviations of that (default 0.3,6)")

@@ -488,6 +488,7 @@
   // --- start ---------------------------------------------------------------------------------------------------------
 
   if (!scene.points_cm.length) byId("show-points").parentElement.remove();
+  else byId("show-points").checked = window.location.hash === "#points";  // report.html#points shows them from the start
   if (!scene.odometry.length) byId("show-odometry").parentElement.remove();
   home();
   legend();
