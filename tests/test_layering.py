@@ -21,7 +21,7 @@ NEVER = {"tests", "examples", "benchmarks"}
 ROOMS = {
     "slam": (
         ("errors", "timing", "files", "growable", "_field_types"),
-        ("_yaml",),
+        ("_yaml", "given"),
         ("config",),
         ("geometry",),
         ("sensors",),

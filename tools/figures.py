@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 
 from slam.config import SlamConfig
 from slam.io.load import load
-from slam.output.run_files import new_folder, write_run
+from slam.output.new_folder import new_folder
+from slam.output.run_files import write_run
 from slam.runs.slam_run import Run, run_slam
 from slam.simulation import simulate_mission
 from slam.visualization.pictures import draw_view, title_of, view_height

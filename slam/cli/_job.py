@@ -60,17 +60,23 @@ def open_job(
     odometry: Path | None = None,
 ) -> Job:
     """Read all that a command is given; whatever is wrong is said before any work is done."""
-    from slam.config import SlamConfig
-    from slam.io.load import load
-    from slam.io.rosbags.reader import Topics
-    from slam.output.run_files import check_free
-    from slam.runs.slam_run import StageClock
-    from slam.sensors.rig import Rig
+    from slam.given import check_file_given, check_log_given
+    from slam.output.new_folder import check_free
 
     check_free(out, overwrite=overwrite)
     for name, given in (("--odometry-topic", odometry_topic), ("--odometry-frame", odometry_frame)):
         if odometry is not None and given is not None:
             raise ValueError(f"--odometry: expected one source of odometry, got {name} too")
+    for file in (rig, config):
+        if file is not None:
+            check_file_given(file)
+    check_log_given(log)
+    from slam.config import SlamConfig
+    from slam.io.load import load
+    from slam.io.rosbags.reader import Topics
+    from slam.sensors.rig import Rig
+    from slam.timing import StageClock
+
     settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
     clock = StageClock()
     with clock.stage("read"):

@@ -82,11 +82,6 @@ def slam(
         raise typer.BadParameter("expected LOG --out DIR, or --resume RUN", param_hint="slam")
     if prior is None and (start is not None or start_sigma is not None):
         raise typer.BadParameter("expected --prior, the map that it is a place in", param_hint="--start")
-    from slam.cli._prior import read_prior
-    from slam.frontend.keyframes import keyframes_of
-    from slam.output.run_folder import Source, new_run
-    from slam.runs.slam_run import run_slam
-
     job = open_job(
         log,
         out,
@@ -100,6 +95,11 @@ def slam(
         body_frame=body_frame,
         odometry=odometry,
     )
+    from slam.cli._prior import read_prior
+    from slam.frontend.keyframes import keyframes_of
+    from slam.output.run_folder import Source, new_run
+    from slam.runs.slam_run import run_slam
+
     if strict:
         keyframes = job.config.keyframes.model_copy(update={"strict": True})
         job = job._replace(config=job.config.model_copy(update={"keyframes": keyframes}))
@@ -131,6 +131,9 @@ class _Ending(NamedTuple):
 
 def _resume(folder: Path, log: Path | None, *, salvage: bool, ending: _Ending) -> None:
     """Go on with a run; of one that is finished there is nothing to do, and that is no error."""
+    from slam.session.state import check_run_folder
+
+    check_run_folder(folder)
     from slam.output.run_folder import FinishedAlready
 
     try:
@@ -180,11 +183,12 @@ def map_(
     as_json: JsonOption = False,
 ) -> None:
     """The paper's mapping: planes of LOG at the poses it gives."""
-    from slam.output.run_files import new_folder, write_map
+    job = open_job(log, out, rig=rig, config=config, overwrite=overwrite, keep_partial=keep_partial)
+    from slam.output.new_folder import new_folder
+    from slam.output.run_files import write_map
     from slam.output.run_metrics import empty_map
     from slam.runs.mapping_run import run_map
 
-    job = open_job(log, out, rig=rig, config=config, overwrite=overwrite, keep_partial=keep_partial)
     with progress_bar("scans") as progress:
         result = run_map(job.log, job.rig, job.config, clock=job.clock, progress=progress)
     with new_folder(out, overwrite=overwrite) as folder:
@@ -203,13 +207,15 @@ def demo(
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a corridor mission, map it with the poses unknown, and compare with the truth."""
+    from slam.output.new_folder import check_free, new_folder
+
+    check_free(out, overwrite=overwrite)
     from slam.config import SlamConfig
-    from slam.output.run_files import check_free, new_folder, write_run
+    from slam.output.run_files import write_run
     from slam.runs.demo import compare
     from slam.runs.slam_run import StageClock, run_slam
     from slam.simulation import simulate_mission
 
-    check_free(out, overwrite=overwrite)
     clock = StageClock()
     with clock.stage("simulate"):
         mission = simulate_mission("corridor", n_scans=scans, seed=seed)

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from slam.errors import LogError
+from slam.given import check_log_given
 from slam.io.carmen.reader import read_carmen
 from slam.io.clouds import is_cloud_file, read_cloud
 from slam.io.clouds.arrange import grid_of
@@ -54,8 +55,7 @@ def load(
         LogError: nothing there, or nothing known; or what the reader of its kind says.
     """
     path = Path(path)
-    if not path.exists():
-        raise LogError(path, "expected a log file or a folder of scans, found nothing")
+    check_log_given(path)
     bag = is_rosbag(path)
     if topics is not None and not bag and topics.any_given:
         raise LogError(path, "expected a bag where topics or frames are given, got a log without them")

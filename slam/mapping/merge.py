@@ -7,7 +7,7 @@ from typing import Literal
 
 from slam.map.landmarks import Landmark
 
-Cause = Literal["twins", "loop"]
+Cause = Literal["same plane", "loop"]
 
 
 @dataclass(eq=False)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from slam.errors import LogError
 from slam.files import whole_file
-from slam.io.g2o.reader import read_g2o
-from slam.io.trajectories import write_kitti
-from slam.output.run_files import write_ply
-from slam.runs.stored_run import StoredRun
-from slam.visualization.glb import write_glb
-from slam.visualization.mesh import mesh_of
+
+if TYPE_CHECKING:
+    from slam.runs.stored_run import StoredRun
 
 
 def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False) -> None:
@@ -28,6 +26,8 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False) -> N
     """
     run, to = Path(run), Path(to)
     check_target(to, overwrite=overwrite)
+    from slam.runs.stored_run import StoredRun  # after what is refused at once: it takes long to import
+
     write = _writer_for(to)
     stored = StoredRun.read(run)
     with whole_file(to, overwrite=overwrite) as scratch:
@@ -58,15 +58,36 @@ def _graph(run: StoredRun, path: Path) -> None:
     source = run.folder / "graph.g2o"
     if not source.is_file():
         raise LogError(source, "expected the graph of a run with poses estimated, found none")
+    from slam.io.g2o.reader import read_g2o
+
     read_g2o(source)
     shutil.copyfile(source, path)
 
 
+def _mesh(run: StoredRun, path: Path) -> None:
+    from slam.output.run_files import write_ply
+    from slam.visualization.mesh import mesh_of
+
+    write_ply(path, mesh_of(run.planes))
+
+
+def _scene(run: StoredRun, path: Path) -> None:
+    from slam.visualization.glb import write_glb
+
+    write_glb(path, run.planes)
+
+
+def _poses(run: StoredRun, path: Path) -> None:
+    from slam.io.trajectories import write_kitti
+
+    write_kitti(path, run.trajectory.poses)
+
+
 _TARGETS: dict[str, Callable[[StoredRun, Path], None]] = {
-    ".ply": lambda run, path: write_ply(path, mesh_of(run.planes)),
-    ".glb": lambda run, path: write_glb(path, run.planes),
+    ".ply": _mesh,
+    ".glb": _scene,
     ".g2o": _graph,
     ".tum": _trajectory,
-    ".kitti": lambda run, path: write_kitti(path, run.trajectory.poses),
-    ".kitti.txt": lambda run, path: write_kitti(path, run.trajectory.poses),
+    ".kitti": _poses,
+    ".kitti.txt": _poses,
 }

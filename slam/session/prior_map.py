@@ -19,7 +19,8 @@ from slam.io.planes_json import read_planes
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.map.map_planes import MapPlane
 from slam.session._codec import CodecError, decode, encode
-from slam.session.store import Session, SessionError, session_path
+from slam.session.state import session_path
+from slam.session.store import Session, SessionError
 from spplanes._check import FloatArray, as_covariance, as_transform, check_instance
 
 #: GTSAM key of the pose in whose frame the planes of a prior map live: that of the map itself.

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import gammaincinv
 from shapely import LineString, Point, get_coordinates
 from shapely.geometry.base import BaseGeometry
 
@@ -63,7 +63,7 @@ def nis_blocks(rows: Sequence[tuple[int, float, int]]) -> list[dict[str, float]]
     for chosen in np.array_split(np.arange(len(rows)), count):
         part = [rows[i] for i in chosen]
         dof = sum(row[2] for row in part)
-        low, high = chi2_distribution.ppf([(1 - BAND) / 2, (1 + BAND) / 2], dof) / dof
+        low, high = 2.0 * gammaincinv(0.5 * dof, [(1 - BAND) / 2, (1 + BAND) / 2]) / dof
         mean = sum(row[1] for row in part) / dof
         blocks.append({"from": part[0][0], "to": part[-1][0], "mean": mean, "low": float(low), "high": float(high)})
     return blocks

@@ -473,7 +473,7 @@ def test_a_wrong_quaternion(tmp_path: Path):
         yield "/odom", SECOND, message
         yield "/points", SECOND, messages.cloud(SECOND, np.ones((9, 3)))
 
-    with pytest.raises(LogError, match=r"/odom: expected a finite position and a unit quaternion.*norm 0"):
+    with pytest.raises(LogError, match=r"/odom: expected a unit quaternion, got one of norm 0"):
         read_rosbag(write(tmp_path, "ros1", make))
 
 
