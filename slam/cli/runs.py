@@ -49,7 +49,7 @@ def slam(
     prior: Annotated[Path | None, typer.Option("--prior", help="Finished run (or planes.json) to localise in.")] = None,
     start: Annotated[
         str | None,
-        typer.Option("--start", help="With --prior: its first X,Y,HEADING (m, deg), or find (default 0,0,0)"),
+        typer.Option("--start", help="With --prior: X,Y,HEADING or X,Y,Z,YAW,PITCH,ROLL (m, deg); or find (0,0,0)"),
     ] = None,
     start_sigma: Annotated[
         str | None, typer.Option("--start-sigma", help="With --prior: standard deviations of that (default 0.3,6)")
@@ -192,7 +192,7 @@ def map_(
     with progress_bar("scans") as progress:
         result = run_map(job.log, job.rig, job.config, clock=job.clock, progress=progress)
     with new_folder(out, overwrite=overwrite) as folder:
-        rows = write_map(result, folder, job.config, job.rig, title=f"spplanes map {log.name}")
+        rows = write_map(result, folder, job.config, job.rig, title=f"spplanes map {log.name}", log=job.log)
     warn_of(empty_map(result.planes))
     for sentence in job.log.assumed:
         say(f"assumed: {sentence}")
