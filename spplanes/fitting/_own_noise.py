@@ -12,9 +12,9 @@ References:
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from spplanes._check import FloatArray
+from spplanes._jit import njit
 from spplanes._moment_patches import variance_along
 from spplanes._rows import row_frame
 from spplanes.fitting._kernels import MAX_NOISE_SHARE

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from spplanes._jit import njit
 from spplanes._moment_patches import centre_sums, eigenvalues, merge_scaled, normal_of, variance_from
 from spplanes.moments import ROW_SIZE
 
