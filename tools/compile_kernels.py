@@ -1,6 +1,6 @@
 """Compile the kernels: small jobs that call them all, several at a time, each in a process of its own.
 
-Usage: python tools/compile_kernels.py [--jobs N] [--only demo] [--into FOLDER]
+Usage: python tools/compile_kernels.py [--jobs N] [--run JOB]... [--into FOLDER]
 
 Without `--into` the machine code is where numba keeps it, beside the sources: what `make demo` does once, so that
 nothing that follows waits. With `--into` it is compiled for a processor that others have too (`spplanes._jit`), and
@@ -30,24 +30,24 @@ def main() -> int:
     """Read the command line; exit code 1 where a job failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes at a time")
-    parser.add_argument("--only", choices=("demo",), help="what `make demo` needs, not all")
+    parser.add_argument("--run", choices=sorted(JOBS), action="append", help="these jobs alone")
     parser.add_argument("--into", type=Path, help="folder for the kernels of a wheel")
-    parser.add_argument("--job", choices=sorted(JOBS), action="append", help="run these here")
-    parser.add_argument("--copy-to", type=Path, help="with --job: copy what they called into this folder")
+    parser.add_argument("--here", action="store_true", help="run the jobs in this process")
+    parser.add_argument("--copy-to", type=Path, help="with --here: copy what they called into this folder")
     given = parser.parse_args()
-    if given.job:
-        for name in given.job:
+    names = tuple(given.run or JOBS)
+    if given.here:
+        for name in names:
             run(name)
         if given.copy_to:
             copy_called(given.copy_to)
         return 0
-    names = DEMO if given.only else tuple(JOBS)
     if given.into is None:
         return spawn_all(names, given.jobs, os.environ)
-    return compile_into(given.into, given.jobs)
+    return compile_into(given.into, names, given.jobs)
 
 
-def compile_into(folder: Path, jobs: int) -> int:
+def compile_into(folder: Path, names: tuple[str, ...], jobs: int) -> int:
     """All kernels for a portable processor; what is compiled is kept in `build/` until a source changes."""
     sys.path.insert(0, str(PROJECT))
     from spplanes._jit import PORTABLE
@@ -55,13 +55,11 @@ def compile_into(folder: Path, jobs: int) -> int:
     processor = {"NUMBA_CPU_NAME": PORTABLE.name, "NUMBA_CPU_FEATURES": PORTABLE.features}
     kept = PROJECT / "build" / "kernels" / digest_of_sources()
     environment = {**os.environ, **processor, "NUMBA_CACHE_DIR": str(kept)}
-    code = spawn_all(tuple(JOBS), jobs, environment)
+    code = spawn_all(names, jobs, environment)
     if code:
         return code
-    words = [word for name in JOBS for word in ("--job", name)]
-    return subprocess.run(
-        [sys.executable, __file__, *words, "--copy-to", str(folder)], env=with_path(environment), check=False
-    ).returncode
+    words = ["--here", *(f"--run={name}" for name in names), f"--copy-to={folder}"]
+    return subprocess.run([sys.executable, __file__, *words], env=with_path(environment), check=False).returncode
 
 
 def digest_of_sources() -> str:
@@ -81,12 +79,12 @@ def spawn_all(names: tuple[str, ...], jobs: int, environment: dict[str, str] | o
     """Run jobs, so many at a time, with a line that says how far they are."""
     waiting, running, start = list(names), {}, time.perf_counter()
     show = sys.stderr.isatty()
-    print(f"compiling the kernels for this machine, once ({min(jobs, len(names))} processes) ...", file=sys.stderr)
+    print(f"compiling the kernels, once ({min(jobs, len(names))} processes) ...", file=sys.stderr)
     failed = 0
     while waiting or running:
         while waiting and len(running) < max(jobs, 1):
             name = waiting.pop(0)
-            words = [sys.executable, __file__, "--job", name]
+            words = [sys.executable, __file__, "--here", f"--run={name}"]
             running[name] = subprocess.Popen(words, env=with_path(environment))
         for name, process in list(running.items()):
             if process.poll() is not None:
@@ -145,6 +143,15 @@ def command(*words: object) -> None:
 def corridor() -> None:
     """A push-broom robot: simulation, measuring, estimating, pictures."""
     command("demo", "--scans", 60, "--out", "demo")
+
+
+def plane() -> None:
+    """One plane through points: the smallest of all."""
+    import numpy as np
+
+    from spplanes import fit_plane
+
+    fit_plane(np.random.default_rng(0).random((99, 3)) * (1.0, 1.0, 0.01), sigma=0.01)
 
 
 def points() -> None:
@@ -215,8 +222,8 @@ JOBS: dict[str, Callable[[], None]] = {
     "points": points,
     "mapping": mapping,
     "lines": lines,
+    "plane": plane,
 }
-DEMO = ("corridor", "points")
 
 if __name__ == "__main__":
     sys.exit(main())

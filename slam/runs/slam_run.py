@@ -89,7 +89,8 @@ def run_slam(
         LogError: the log lacks what the rig needs.
         ValueError: fewer jobs than one.
     """
-    as_count("jobs", jobs)
+    if as_count("jobs", jobs) < 1:
+        raise ValueError(f"jobs: expected at least 1, got {jobs}")
     clock = clock or StageClock()
     slam = slam or PlaneSlam(config)
     slam.clock = slam.backend.clock = clock
