@@ -102,7 +102,8 @@ def test_nothing_is_compiled_where_it_is_installed(python: Path, tmp_path: Path)
     assert str(python.parent.parent) in str(kernels["place"])
     assert kernels["compiled"] == [] and kernels["loaded"]
     assert left_behind(python.parent.parent, tmp_path) == []
-    compiled, without = told(python, tmp_path, FIT, NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="")
+    elsewhere = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    compiled, without = told(python, tmp_path, FIT, **elsewhere)
     assert without["compiled"] and not without["loaded"]  # asked for another processor: the wheel has nothing
     assert printed == compiled  # to the bit
 
