@@ -45,8 +45,9 @@ ROOMS = {
         ("cli",),
     ),
     "spplanes": (
-        ("_version", "_check", "_eigen", "_threads"),
-        ("_chi2", "_hesse", "_plane_io", "_rows", "_moment_patches", "noise", "spmodel"),
+        ("_version", "_check", "_jit", "_threads"),
+        ("_eigen",),
+        ("_chi2", "_hesse", "_plane_io", "_rows", "noise", "spmodel"),
         ("clouds",),
         ("plane", "line"),
         ("moments",),
