@@ -69,7 +69,9 @@ class Measured:
         sensor = rig.sensors[SPINNING].model_copy(update={"range_sigma_m": range_sigma_m})
         rig = rig.model_copy(update={"sensors": {SPINNING: sensor}})
         path = suite.path()
-        log, truth = record(Plan("suite", suite.world(), path, rig, spacing_m), int(path.length_m / spacing_m) + 1, seed)
+        log, truth = record(
+            Plan("suite", suite.world(), path, rig, spacing_m), int(path.length_m / spacing_m) + 1, seed
+        )
         return cls(suite, rig, list(keyframes_of(log, rig, SlamConfig())), truth, seed)
 
     def drawn(self) -> list[Keyframe]:
@@ -121,7 +123,7 @@ def pairs_of(suite: Suite, plan: FloorPlan) -> dict[str, Pairs]:
     (storey,) = plan.storeys
     found: dict[str, Pairs] = {kind: [] for kind in KINDS}
     for room in storey.rooms:
-        true = suite.room_at(*(room.middle[:2] + (START_M, 0.0)))
+        true = suite.room_at(room.middle[0] + START_M, room.middle[1])
         found["area"].append((room.area, true.area_m2))
         found["width"] += [(w.distance, _along(w.second - w.first, true.width_m, true.depth_m)) for w in room.widths]
         if room.height is not None:
@@ -130,10 +132,8 @@ def pairs_of(suite: Suite, plan: FloorPlan) -> dict[str, Pairs]:
         found["thickness"].append((wall.thickness, _along(wall.front.normal, suite.partition_m, suite.wall_m)))
     for opening in storey.openings:
         if opening.width is not None:
-            x, y, _ = opening.outline.mean(axis=0) + (START_M, 0.0, 0.0)
-            door = min((room for room in suite.rooms if room.y0 * y > 0.0), key=lambda room: abs(room.door_x - x)).door
-            assert door is not None
-            found["opening"].append((opening.width, door.end_m - door.start_m))
+            x, y, _ = opening.outline.mean(axis=0)
+            found["opening"].append((opening.width, suite.door_at(x + START_M, y).width_m))
     return found
 
 

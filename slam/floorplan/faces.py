@@ -76,6 +76,14 @@ class Face:
         gaps = [(one[1], other[0]) for one, other in pairwise(closed(_widths(cut), 0.0))]
         return [gap for gap in gaps if any(low <= gap[0] and gap[1] <= high for low, high in self.covered)]
 
+    def gap_upright(self, s: float, height: float) -> tuple[float | None, float | None]:
+        """Up to where it was seen below a place on it at which it was not, and from where on above; heights, m."""
+        line = shapely.LineString([(s, self.seen.bounds[1] - 1.0), (s, self.top + 1.0)])
+        cut = shapely.transform(shapely.intersection(valid(self.seen), line), lambda sz: sz[:, ::-1])
+        pieces = closed(_widths(cut), 0.0)
+        below, above = [b for _, b in pieces if b <= height], [a for a, _ in pieces if a >= height]
+        return max(below, default=None), min(above, default=None)
+
 
 def _widths(geometry: BaseGeometry) -> list[Interval]:
     """From where to where each polygon and each segment of a geometry goes along x."""
@@ -108,8 +116,11 @@ def face_of(joint: JointPlanes, plane: int, section: Section, low: float, high: 
 
     seen = valid(shapely.transform(valid(joint.planes[plane].seen), unrolled))
     west, bottom, east, top = seen.bounds
-    if bottom < low - floor or top > high - floor:
-        seen = shapely.intersection(seen, shapely.box(west - 1.0, low - floor, east + 1.0, high - floor))
+    if bottom < low - floor or top > high - floor:  # of a wall through several storeys what is in this one
+        box = shapely.box(west - 1.0, max(low - floor, bottom - 1.0), east + 1.0, min(high - floor, top + 1.0))
+        seen = shapely.intersection(seen, box)
+        if seen.is_empty or seen.bounds[3] - seen.bounds[1] < min(SHORT_M, top - bottom):
+            return None
     return None if seen.is_empty or seen.length == 0.0 else Face(plane, origin, along, normal, seen)
 
 

@@ -12,7 +12,7 @@ from slam.floorplan.faces import ALIKE_RAD, SHORT_M, Face, Interval
 from slam.floorplan.joint_planes import JointPlanes
 from slam.floorplan.quantities import Quantity, distance
 from slam.floorplan.rooms import THICKEST_M
-from slam.floorplan.storeys import Storey
+from slam.floorplan.storeys import Level, Storey
 from slam.floorplan.walls import Wall
 from spplanes._check import FloatArray
 
@@ -36,6 +36,10 @@ class Opening:
     """Of its lintel above the floor, m; None where no lintel or no floor was seen."""
     sill: Quantity | None
     """Height of its sill above the floor, m; None where none was seen."""
+    seen_from_m: float
+    """Height above the floor up to which the face was seen below it, 0 where it was not: as rough as its outline, m."""
+    seen_to_m: float | None
+    """Height from which on the face was seen above it, as rough; None where it was not."""
     depth_m: float
     """How deep the wall is here: its thickness, or as far as the jambs were seen."""
 
@@ -45,9 +49,7 @@ class Opening:
         return _box(self.face, self.span, self.depth_m)
 
 
-def find_openings(
-    joint: JointPlanes, storey: Storey, faces: Sequence[Face], solids: Sequence[Wall]
-) -> list[Opening]:
+def find_openings(joint: JointPlanes, storey: Storey, faces: Sequence[Face], solids: Sequence[Wall]) -> list[Opening]:
     """The openings of a storey, each once."""
     found: list[Opening] = []
     known: set[tuple[int, int]] = set()
@@ -94,14 +96,26 @@ def _made(
     middle = corners.mean(axis=0)
     lintel = storey.over(outline, tuple(one for one in storey.ceilings if _is_within(one.outline, outline)))
     sill = storey.over(outline, tuple(one for one in storey.floors if _is_within(one.outline, outline)))
-    heights = []
-    for level in (lintel, sill):
-        floor = storey.section.floor
-        known = level is not None and floor is not None and level.plane != floor
-        heights.append(
-            joint.quantity(*distance(joint.hesse, floor, level.plane, middle, storey.section.normal)) if known else None
-        )  # pyright: ignore
-    return Opening(face, wall, span, width, heights[0], heights[1], depth)
+    below, above = face.gap_upright(0.5 * (span[0] + span[1]), CUT_M)
+    return Opening(
+        face,
+        wall,
+        span,
+        width,
+        _height(joint, storey, lintel, middle),
+        _height(joint, storey, sill, middle),
+        max(below or 0.0, 0.0),
+        above,
+        depth,
+    )
+
+
+def _height(joint: JointPlanes, storey: Storey, level: Level | None, middle: FloatArray) -> Quantity | None:
+    """Of a level plane above the floor; None where one of them was not seen, or they are the same."""
+    floor = storey.section.floor
+    if level is None or floor is None or level.plane == floor:
+        return None
+    return joint.quantity(*distance(joint.hesse, floor, level.plane, middle, storey.section.normal))
 
 
 def _is_within(level: shapely.Geometry, opening: shapely.Polygon) -> bool:

@@ -9,13 +9,13 @@ from itertools import combinations
 import numpy as np
 import shapely
 
-from slam.floorplan.faces import ALIKE_RAD, Face, Interval, closed
+from slam.floorplan.faces import ALIKE_RAD, SHORT_M, Face, Interval, closed
 from slam.floorplan.joint_planes import JointPlanes
 from slam.floorplan.openings import Opening, find_openings
 from slam.floorplan.quantities import Corner, Quantity, area, corner, distance, length
 from slam.floorplan.rooms import room_rings
 from slam.floorplan.storeys import Storey, storeys
-from slam.floorplan.walls import Wall, wall_solids
+from slam.floorplan.walls import Wall, wall_solids, without
 from spplanes._check import FloatArray
 
 
@@ -119,7 +119,8 @@ def _plan_of(joint: JointPlanes, storey: Storey, lowest: int | None) -> StoreyPl
     floor, elevation = storey.section.floor, None
     if floor is not None and lowest is not None:
         up, place = storey.section.normal, joint.planes[floor].plane.centre
-        elevation = joint.quantity(*distance(joint.hesse, lowest, floor, place, up))
+        rise = (0.0, {}) if floor == lowest else distance(joint.hesse, lowest, floor, place, up)
+        elevation = joint.quantity(*rise)
     return StoreyPlan(storey, elevation, tuple(rooms), tuple(walls), tuple(single), tuple(openings))
 
 
@@ -144,9 +145,7 @@ def _room(joint: JointPlanes, storey: Storey, faces: Sequence[Face], rings: list
 
 def _corners(joint: JointPlanes, storey: Storey, ring: list[Face]) -> list[Corner]:
     """Where each side of a ring begins."""
-    return [
-        corner(joint.hesse, ring[k - 1].plane, face.plane, storey.section) for k, face in enumerate(ring)
-    ]
+    return [corner(joint.hesse, ring[k - 1].plane, face.plane, storey.section) for k, face in enumerate(ring)]
 
 
 def _side(joint: JointPlanes, face: Face, start: Corner, end: Corner) -> Side:
@@ -177,18 +176,24 @@ def _is_on(side: Side, point: FloatArray) -> bool:
 
 
 def _extent(face: Face, rooms: Sequence[Room]) -> list[Interval]:
-    """From where to where a face goes: as it was seen, and to the corners of the rooms that it is a side of."""
+    """From where to where a face goes: to the corners of the rooms that it is a side of, and as it was seen elsewhere.
+
+    What was seen beyond the last corner by no more than outlines are rough is of the corner.
+    """
     sides = [side for room in rooms for ring in room.rings for side in ring if side.face is face]
-    known = [tuple(sorted((float(face.s_of(side.start)), float(face.s_of(side.end))))) for side in sides]
-    return closed([*face.covered, *known], 0.0)
+    known: list[Interval] = [_sorted(face.s_of(np.array([side.start, side.end]))) for side in sides]
+    ends = {end for span in known for end in span}
+    beyond = [s for s in without(face.covered, known) if s[1] - s[0] > SHORT_M or (s[0] in ends and s[1] in ends)]
+    return closed([*known, *beyond], 0.0)
+
+
+def _sorted(ends: FloatArray) -> Interval:
+    return float(ends.min()), float(ends.max())
 
 
 def _unpaired(face: Face, spans: list[Interval], walls: Sequence[Wall]) -> list[Interval]:
-    from slam.floorplan.walls import without
-
     taken = [wall.span for wall in walls if wall.front is face]
     for wall in walls:
         if wall.back is face:
-            ends = face.s_of(np.array([wall.front.point(s) for s in wall.span]))
-            taken.append((float(ends.min()), float(ends.max())))
-    return [span for span in without(spans, taken) if span[1] - span[0] > 1e-6]
+            taken.append(_sorted(face.s_of(np.array([wall.front.point(s) for s in wall.span]))))
+    return [span for span in without(spans, taken) if span[1] - span[0] > SHORT_M]

@@ -29,8 +29,11 @@ class Quantity:
     """By what of which planes."""
 
     def __str__(self) -> str:
-        """Value and standard deviation with so many digits as the latter has two of, at most to 0.1 mm."""
-        digits = 4 if self.sigma < 1e-3 else 3 if self.sigma < 0.1 else 2
+        """As 2.388 +- 0.004: the standard deviation with one digit, or two where the first is a 1, at most to 1 um."""
+        if not self.sigma >= 0.5e-6:
+            return f"{self.value:.6f} +- {self.sigma:.6f}"
+        size = int(np.floor(np.log10(self.sigma)))
+        digits = int(np.clip(-size + (self.sigma < 2.0 * 10.0**size), 0, 6))
         return f"{self.value:.{digits}f} +- {self.sigma:.{digits}f}"
 
 
@@ -69,7 +72,7 @@ def corner(hesse: FloatArray, first: int, second: int, section: Section) -> Corn
     """
     matrix = np.vstack((hesse[[first, second], :3], section.normal))
     inverse = np.linalg.inv(matrix)
-    point = inverse @ np.append(hesse[[first, second], 3], section.d)
+    point: FloatArray = np.asarray(inverse @ np.append(hesse[[first, second], 3], section.d), dtype=np.float64)
     by = {}
     for plane, column in zip((first, second, section.floor), inverse.T, strict=True):
         if plane is not None:

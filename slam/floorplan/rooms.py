@@ -5,8 +5,8 @@ than half of the edge between them was covered by its face. What is left enclose
 inward, is a room; its corners are intersections of faces.
 
 References:
-    Mura, Mattausch, Jaspe Villanueva, Gobbetti, Pajarola, "Automatic room detection and reconstruction in cluttered indoor
-    environments with complex room layouts", Computers & Graphics 2014, for the arrangement of wall lines.
+    Mura, Mattausch, Jaspe Villanueva, Gobbetti, Pajarola, "Automatic room detection and reconstruction in cluttered
+    indoor environments with complex room layouts", Computers & Graphics 2014, for the arrangement of wall lines.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ import numpy as np
 import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
 from slam.floorplan.faces import SHORT_M, Face, covered_length
 from slam.floorplan.storeys import Storey
-from spplanes._check import FloatArray
 
 #: The thickest wall: an insulated outer one, m. What is narrower is no room, planes that are further apart no wall.
 THICKEST_M = 0.6
@@ -63,9 +63,9 @@ def room_rings(storey: Storey, walls: Sequence[Face]) -> list[list[list[int]]]:
 
 
 def _cells(storey: Storey, walls: Sequence[Face]) -> list[shapely.Polygon]:
-    ends = np.array([face.point(s) for face in walls for s in face.extended[0] + face.extended[-1]])
-    box = shapely.box(*_bounds(storey.in_plan(ends))).buffer(_AROUND_M, join_style="mitre")
-    west, south, east, north = box.bounds
+    ends = storey.in_plan(np.array([face.point(s) for face in walls for s in face.extended[0] + face.extended[-1]]))
+    (west, south), (east, north) = ends.min(axis=0) - _AROUND_M, ends.max(axis=0) + _AROUND_M
+    box = shapely.box(west, south, east, north)
     reach = np.hypot(east - west, north - south)
     middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
     lines = [box.exterior]
@@ -78,19 +78,20 @@ def _cells(storey: Storey, walls: Sequence[Face]) -> list[shapely.Polygon]:
     return [orient(piece) for piece in pieces]
 
 
-def _bounds(points: FloatArray) -> tuple[float, ...]:
-    return (*points.min(axis=0).tolist(), *points.max(axis=0).tolist())
-
-
 def _edges_of(number: int, cell: shapely.Polygon, storey: Storey, walls: Sequence[Face]) -> list[_Edge]:
     nodes = shapely.get_coordinates(cell.exterior)
     origins = storey.in_plan(np.array([face.origin for face in walls]))
     normals = storey.in_plan(np.array([face.normal for face in walls]))
     off = np.abs(np.einsum("nfi,fi->nf", nodes[:, None] - origins[None], normals))
-    off = np.maximum(off[:-1], off[1:])
-    faces = np.where(off.min(axis=1) < 10.0 * _GRID_M, off.argmin(axis=1), -1)
-    ends = [tuple(node) for node in nodes.tolist()]
-    return [_Edge(a, b, number, int(f)) for a, b, f in zip(ends[:-1], ends[1:], faces, strict=True)]
+    near = np.maximum(off[:-1], off[1:]) < 10.0 * _GRID_M
+    ends = [(float(x), float(y)) for x, y in nodes]
+    edges = []
+    for a, b, faces in zip(ends[:-1], ends[1:], near, strict=True):
+        choice = np.flatnonzero(faces).tolist()
+        if len(choice) > 1:  # faces in one line: the one that was seen here
+            choice.sort(key=lambda k: -_coverage((a, b), walls[k], storey))
+        edges.append(_Edge(a, b, number, choice[0] if choice else -1))
+    return edges
 
 
 def _joined(edges: Sequence[_Edge], n_cells: int, storey: Storey, walls: Sequence[Face]) -> np.ndarray:
@@ -107,16 +108,13 @@ def _joined(edges: Sequence[_Edge], n_cells: int, storey: Storey, walls: Sequenc
 
 
 def _is_wall(edge: _Edge, storey: Storey, walls: Sequence[Face]) -> bool:
-    if edge.face < 0:
-        return False
-    face = walls[edge.face]
-    low, high = _span(edge, face, storey)
-    return covered_length(face.extended, low, high) > 0.5 * (high - low)
+    return edge.face >= 0 and _coverage((edge.start, edge.end), walls[edge.face], storey) > 0.5
 
 
-def _span(edge: _Edge, face: Face, storey: Storey) -> tuple[float, float]:
-    way = (np.array([edge.start, edge.end]) - storey.in_plan(face.origin)) @ storey.in_plan(face.along)
-    return float(way.min()), float(way.max())
+def _coverage(ends: tuple[Node, Node], face: Face, storey: Storey) -> float:
+    """Share of an edge on the line of a face that was seen of it."""
+    way = (np.array(ends) - storey.in_plan(face.origin)) @ storey.in_plan(face.along)
+    return covered_length(face.extended, float(way.min()), float(way.max())) / float(np.ptp(way))
 
 
 def _border(own: Sequence[_Edge], edges: Sequence[_Edge], joined: np.ndarray) -> list[_Edge]:
@@ -125,7 +123,7 @@ def _border(own: Sequence[_Edge], edges: Sequence[_Edge], joined: np.ndarray) ->
     return [edge for edge in own if rooms.get((edge.end, edge.start), -1) != joined[edge.cell]]
 
 
-def _is_room(border: Sequence[_Edge], inside: shapely.Geometry, storey: Storey, walls: Sequence[Face]) -> bool:
+def _is_room(border: Sequence[_Edge], inside: BaseGeometry, storey: Storey, walls: Sequence[Face]) -> bool:
     """Closed, wide enough, and seen from inside: no side of any length is the back of a face."""
     if any(edge.face < 0 for edge in border) or inside.buffer(-THICKEST_M / 2.0).is_empty:
         return False

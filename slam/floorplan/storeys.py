@@ -100,7 +100,7 @@ def _upward(joint: JointPlanes) -> FloatArray:
 def _plan_axes(up: FloatArray) -> FloatArray:
     x = np.array([1.0, 0.0, 0.0]) - up[0] * up
     x /= np.linalg.norm(x)
-    return np.column_stack((x, np.cross(up, x)))
+    return np.column_stack((x, np.cross(up, x))).astype(np.float64)
 
 
 def _level(joint: JointPlanes, plane: int, up: FloatArray, plan: FloatArray) -> Level:

@@ -51,19 +51,26 @@ def wall_solids(joint: JointPlanes, section: Section, extents: Sequence[tuple[Fa
     """
     found: list[Wall] = []
     for number, (front, spans) in enumerate(extents):
-        behind = sorted(
-            ((thickness.value, k, thickness) for k, (back, _) in enumerate(extents) if k != number
-             for thickness in [_thickness(joint, section, front, back)] if thickness is not None),
-            key=lambda one: one[:2],
-        )  # fmt: skip
         left = spans
-        for _, k, _ in behind:
-            back, others = extents[k]
-            common = shared(left, [tuple(sorted(front.s_of(np.array([back.point(s) for s in span])))) for span in others])
+        for other in _behind(joint, section, front, [face for face, _ in extents]):
+            back, others = extents[other]
+            common = shared(left, [_along(front, back, span) for span in others])
             left = without(left, common)
-            if k > number:
-                found += [Wall(front, back, span, _at(joint, section, front, back, span)) for span in common]
+            if other > number:
+                found += [Wall(front, back, span, _at(joint, front, back, span)) for span in common]
     return found
+
+
+def _behind(joint: JointPlanes, section: Section, front: Face, faces: Sequence[Face]) -> list[int]:
+    """Which faces may be the other side of the wall behind one, the nearest first."""
+    thick = [(_thickness(joint, section, front, back), k) for k, back in enumerate(faces) if back is not front]
+    return [k for _, k in sorted((one.value, k) for one, k in thick if one is not None)]
+
+
+def _along(front: Face, back: Face, span: Interval) -> Interval:
+    """A stretch of the back as one of the front, m."""
+    ends = front.s_of(np.array([back.point(s) for s in span]))
+    return float(ends.min()), float(ends.max())
 
 
 def _thickness(joint: JointPlanes, section: Section, front: Face, back: Face) -> Quantity | None:
@@ -71,13 +78,13 @@ def _thickness(joint: JointPlanes, section: Section, front: Face, back: Face) ->
     if front.normal @ back.normal > -np.cos(ALIKE_RAD):
         return None
     low, high = front.covered[0][0], front.covered[-1][1]
-    thickness = _at(joint, section, front, back, (low, high))
+    thickness = _at(joint, front, back, (low, high))
     if not 0.0 < thickness.value <= THICKEST_M or not _are_parallel(joint, section, front, back):
         return None
     return thickness
 
 
-def _at(joint: JointPlanes, section: Section, front: Face, back: Face, span: Interval) -> Quantity:
+def _at(joint: JointPlanes, front: Face, back: Face, span: Interval) -> Quantity:
     direction = (back.normal - front.normal) / np.linalg.norm(back.normal - front.normal)
     place = front.point(0.5 * (span[0] + span[1]))
     return joint.quantity(*distance(joint.hesse, front.plane, back.plane, place, direction))
@@ -87,12 +94,10 @@ def _are_parallel(joint: JointPlanes, section: Section, front: Face, back: Face)
     """Whether the angle between two faces in the plan is one that noise and building explain, by chi2 of 1 dof."""
     angle = joint.quantity(*plan_angle(joint, section, front, back))
     chi2 = angle.value**2 / (angle.sigma**2 + _BUILT_RAD**2)
-    return chi2 <= chi2_distribution.isf(_SIGNIFICANCE, 1)
+    return bool(chi2 <= chi2_distribution.isf(_SIGNIFICANCE, 1))
 
 
-def plan_angle(
-    joint: JointPlanes, section: Section, front: Face, back: Face
-) -> tuple[float, dict[int, FloatArray]]:
+def plan_angle(joint: JointPlanes, section: Section, front: Face, back: Face) -> tuple[float, dict[int, FloatArray]]:
     """By how much two faces are off from back to back in the plan, small angles, rad, and its derivatives."""
     first, second = joint.hesse[front.plane, :3], joint.hesse[back.plane, :3]
     gradient = {

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
-from slam.errors import LogError
+from slam.errors import LogError, MissingPackageError
 from slam.files import whole_file
+from slam.floorplan import FloorPlan
 from slam.io.g2o.reader import read_g2o
 from slam.io.trajectories import write_kitti
+from slam.output.plan_dxf import write_dxf
+from slam.output.plan_ifc import write_ifc
+from slam.output.plan_svg import write_svg
 from slam.output.run_files import write_ply
+from slam.runs.stored_plan import stored_floor_plan
 from slam.runs.stored_run import StoredRun
 from slam.visualization.glb import write_glb
 from slam.visualization.mesh import mesh_of
@@ -20,10 +26,12 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False) -> N
     """Write one file from the folder of a run; the ending of its name says which.
 
     ``.ply`` and ``.glb``: the polygons of the planes as a coloured mesh. ``.g2o``: the graph with its planes. ``.tum``,
-    and ``.kitti`` or ``.kitti.txt``: the trajectory, every number exactly.
+    and ``.kitti`` or ``.kitti.txt``: the trajectory, every number exactly. ``.dxf``, ``.svg`` and ``.ifc``: the floor
+    plan with standard deviations, for which the run's session is replayed.
 
     Raises:
-        LogError: a file of the run that is missing or broken; a run at given poses has no graph.
+        LogError: a file of the run that is missing or broken; a run at given poses has no graph and no session.
+        MissingPackageError: a format that needs a package that is not installed.
         ValueError: an ending that is none of these, a file that exists, or a place where nothing can be written.
     """
     run, to = Path(run), Path(to)
@@ -35,8 +43,11 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False) -> N
 
 
 def check_target(to: Path, *, overwrite: bool) -> None:
-    """Refuse a name that says no format, or a file that exists, before any work is done for it."""
+    """Refuse a name that says no format or one whose package is missing, or a file that exists, before any work."""
     _writer_for(to)
+    package = _PACKAGES.get(to.suffix.lower())
+    if package is not None and find_spec(package) is None:
+        raise MissingPackageError(to, package, "bim", doing="writing")
     if to.exists() and not (overwrite and to.is_file()):
         hint = "give --overwrite to replace it" if to.is_file() else "expected a file to write, got a folder"
         raise ValueError(f"{to}: exists already; {hint}")
@@ -62,6 +73,17 @@ def _graph(run: StoredRun, path: Path) -> None:
     shutil.copyfile(source, path)
 
 
+def _plan_by(write: Callable[[Path, FloorPlan, str | None], None]) -> Callable[[StoredRun, Path], None]:
+    """Replay the run, measure its map, and write that."""
+
+    def export(run: StoredRun, path: Path) -> None:
+        write(path, stored_floor_plan(run), None if run.verdict is None else run.verdict.verdict)
+
+    return export
+
+
+#: Packages that a format needs, by its ending.
+_PACKAGES = {".dxf": "ezdxf", ".ifc": "ifcopenshell"}
 _TARGETS: dict[str, Callable[[StoredRun, Path], None]] = {
     ".ply": lambda run, path: write_ply(path, mesh_of(run.planes)),
     ".glb": lambda run, path: write_glb(path, run.planes),
@@ -69,4 +91,7 @@ _TARGETS: dict[str, Callable[[StoredRun, Path], None]] = {
     ".tum": _trajectory,
     ".kitti": lambda run, path: write_kitti(path, run.trajectory.poses),
     ".kitti.txt": lambda run, path: write_kitti(path, run.trajectory.poses),
+    ".dxf": _plan_by(write_dxf),
+    ".svg": _plan_by(write_svg),
+    ".ifc": _plan_by(write_ifc),
 }

@@ -1,4 +1,4 @@
-"""An office suite to measure: a corridor with rooms on both sides that the robot enters, walls with two faces, doors."""
+"""An office suite to measure: a corridor and rooms on both sides that the robot enters, walls with two faces."""
 
 from __future__ import annotations
 
@@ -29,6 +29,11 @@ class Door:
     """Where it ends, along x, m."""
     height_m: float
     """Of its lintel above the floor, m."""
+
+    @property
+    def width_m(self) -> float:
+        """Between its jambs, m."""
+        return self.end_m - self.start_m
 
 
 @dataclass(frozen=True)
@@ -116,6 +121,11 @@ class Suite:
                 return room
         raise ValueError(f"x, y: expected a place in a room of the suite, got {x:.2f}, {y:.2f}")
 
+    def door_at(self, x: float, y: float) -> Door:
+        """The doorway nearest to a place, on its side of the corridor."""
+        doors = [room.door for room in self.rooms if room.door is not None and room.y0 * y > 0.0]
+        return min(doors, key=lambda door: abs(door.start_m + door.end_m - 2.0 * x))
+
     def world(self, floor_m: float = 0.0) -> World:
         """Its surfaces, with the floor at a height."""
         builder = WorldBuilder()
@@ -123,7 +133,7 @@ class Suite:
         return builder.build()
 
     def add_to(self, builder: WorldBuilder, floor_m: float = 0.0) -> None:
-        """Add its surfaces to a world: floor and ceiling one plane each, a wall with its lintels one a face."""
+        """Add its surfaces to a world: floor and ceiling one plane each, every face of a wall one."""
         spaces = [self.corridor, *self.rooms]
         levels: list[int | None] = [None, None]
         for room in spaces:
@@ -133,28 +143,23 @@ class Suite:
         for room in self.rooms:
             assert room.door is not None
             self._add_doorway(builder, room, room.door, floor_m, levels[0])
-        faces: dict[tuple[float, float], int] = {}
         for room in spaces:
             for side in range(4):
-                self._add_face(builder, room, side, floor_m, faces)
+                self._add_face(builder, room, side, floor_m)
 
-    def _add_face(
-        self, builder: WorldBuilder, room: SuiteRoom, side: int, floor_m: float, faces: dict[tuple[float, float], int]
-    ) -> None:
+    def _add_face(self, builder: WorldBuilder, room: SuiteRoom, side: int, floor_m: float) -> None:
+        """One of the four walls of a room, with a notch for every doorway in it."""
         along_x, at = side < 2, (room.y0, room.y1, room.x0, room.x1)[side]
         start, end = (room.x0, room.x1) if along_x else (room.y0, room.y1)
-        doors = self._doors_at(at) if along_x else []
-        doors = [door for door in doors if start <= door.start_m and door.end_m <= end]
         outline = [(start, 0.0)]
-        for door in sorted(doors, key=lambda one: one.start_m):
-            outline += [(door.start_m, 0.0), (door.start_m, door.height_m), (door.end_m, door.height_m)]
-            outline.append((door.end_m, 0.0))
+        for door in sorted(self._doors_at(at) if along_x else (), key=lambda one: one.start_m):
+            if start <= door.start_m and door.end_m <= end:
+                outline += [(door.start_m, 0.0), (door.start_m, door.height_m), (door.end_m, door.height_m)]
+                outline.append((door.end_m, 0.0))
         outline += [(end, 0.0), (end, self.height_m), (start, self.height_m)]
         ring = [(s, at, floor_m + z) if along_x else (at, s, floor_m + z) for s, z in outline]
         middle = ((room.x0 + room.x1) / 2.0, (room.y0 + room.y1) / 2.0, floor_m + 1.0)
-        inward = 1.0 if side in (0, 2) else -1.0
-        key = (2.0 * along_x + inward, at)  # faces of two rooms in one plane, seen from one side, are one
-        faces[key] = builder.add_polygon([ring], toward=middle, plane=faces.get(key))
+        builder.add_polygon([ring], toward=middle)
 
     def _doors_at(self, y: float) -> list[Door]:
         """Doorways that cut the plane at this y: of the corridor's wall, or of a room's."""
@@ -181,7 +186,7 @@ class Suite:
         """Along the corridor, into every room above it, round in it and out again; back by those below it."""
         half = len(self.rooms) // 2
         points = [(START_M, 0.0)]
-        for room in (*self.rooms[:half], *self.rooms[:half - 1:-1]):
+        for room in (*self.rooms[:half], *self.rooms[: half - 1 : -1]):
             x, side = room.door_x, np.sign(room.y0)
             near = room.y0 if side > 0.0 else room.y1
             turn = x + (0.9 if room.x1 - x > x - room.x0 else -0.9)
