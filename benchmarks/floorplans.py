@@ -1,6 +1,6 @@
 """Floor plans of simulated office suites with truth: are widths, areas, heights and openings as sure as they say?
 
-    python -m benchmarks.floorplans [RUNS [FIRST]] [--sigma M] [--spacing M] [--rows FILE]
+    python -m benchmarks.floorplans [RUNS [FIRST]] [--sigma M] [--spacing M] [--rooms N] [--rows FILE]
 
 Seeds from FIRST on; every seed draws another suite and other noise. Each is mapped twice: with the planes as they were
 segmented, and "drawn": every one of them replaced by the true plane with an error drawn from its own covariance, which
@@ -14,6 +14,7 @@ import argparse
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -63,9 +64,9 @@ class Measured:
     """Of everything drawn."""
 
     @classmethod
-    def of(cls, seed: int, *, range_sigma_m: float = 0.005, spacing_m: float = 0.6) -> Measured:
+    def of(cls, seed: int, *, range_sigma_m: float = 0.005, spacing_m: float = 0.6, rooms_a_side: int = 2) -> Measured:
         """Drive through a suite of one's own."""
-        suite, rig = Suite.drawn(np.random.default_rng(seed)), spinning_rig()
+        suite, rig = Suite.drawn(np.random.default_rng(seed), rooms_a_side=rooms_a_side), spinning_rig()
         sensor = rig.sensors[SPINNING].model_copy(update={"range_sigma_m": range_sigma_m})
         rig = rig.model_copy(update={"sensors": {SPINNING: sensor}})
         path = suite.path()
@@ -102,10 +103,11 @@ def _drawn(seen: PlaneObservation, true: Sequence[Plane], rng: np.random.Generat
 
 
 def mapped(keyframes: Iterable[Keyframe]) -> PlaneSlam:
-    """An estimator that was given them."""
+    """An estimator that was given them, solved as a whole at the end, as the export of a plan does."""
     slam = PlaneSlam(SlamConfig())
     for keyframe in keyframes:
         slam.add_keyframe(keyframe)
+    slam.adopt_batch()
     return slam
 
 
@@ -151,10 +153,10 @@ def nees_of(joint: JointPlanes, pairs: Pairs) -> tuple[float, int]:
     return float(((vectors.T @ errors)[real] ** 2 / variances[real]).sum()), int(real.sum())
 
 
-def rows_of(seeds: Iterable[int], range_sigma_m: float, spacing_m: float) -> Iterator[Row]:
-    """One row a seed."""
+def rows_of(seeds: Iterable[int], **how: Any) -> Iterator[Row]:
+    """One row a seed; arguments as those of `Measured.of`."""
     for seed in seeds:
-        measured = Measured.of(seed, range_sigma_m=range_sigma_m, spacing_m=spacing_m)
+        measured = Measured.of(seed, **how)
         row: Row = {"seed": seed}
         for name, keyframes in (("", measured.keyframes), (", drawn", measured.drawn())):
             slam = mapped(keyframes)
@@ -201,9 +203,9 @@ def summary(rows: Sequence[Row]) -> list[Row]:
     return lines
 
 
-def run(runs: int = 50, first: int = 0, range_sigma_m: float = 0.005, spacing_m: float = 0.6) -> list[Row]:
+def run(runs: int = 50, first: int = 0) -> list[Row]:
     """The summary over some seeds."""
-    return summary(list(rows_of(range(first, first + runs), range_sigma_m, spacing_m)))
+    return summary(list(rows_of(range(first, first + runs))))
 
 
 def main() -> None:
@@ -213,11 +215,13 @@ def main() -> None:
     parser.add_argument("first", nargs="?", type=int, default=0)
     parser.add_argument("--sigma", type=float, default=0.005, help="of a range, m")
     parser.add_argument("--spacing", type=float, default=0.6, help="way between two scans, m")
+    parser.add_argument("--rooms", type=int, default=1, help="rooms on each side of the corridor")
     parser.add_argument("--rows", type=Path, help="file to keep rows in")
     asked = parser.parse_args()
     kept = [] if asked.rows is None else read_rows([asked.rows])
     seeds = range(asked.first, asked.first + asked.runs)
-    for row in rows_of(seeds_left(seeds, kept), asked.sigma, asked.spacing):
+    how = {"range_sigma_m": asked.sigma, "spacing_m": asked.spacing, "rooms_a_side": asked.rooms}
+    for row in rows_of(seeds_left(seeds, kept), **how):
         print(row, flush=True)
         kept.append(row)
         if asked.rows is not None:

@@ -13,6 +13,8 @@ from spplanes._check import FloatArray
 
 #: Radius the robot takes its corners with, and the way it keeps from where it turns to the doors' wall, m.
 _TURN_M, _INSIDE_M = 0.25, 0.7
+#: Faces that look the same way are in one plane or further apart than this, m.
+_APART_M = 0.1
 #: Where the corridor ends behind the origin, m.
 _BEHIND_M = -1.5
 #: Where the robot starts, x, m: its first pose there heads along x.
@@ -94,8 +96,17 @@ class Suite:
         while True:
             suite = cls._drawn(rng, rooms_a_side)
             above, below = suite.rooms[rooms_a_side - 1], suite.rooms[-1]
-            if abs(above.door_x - below.door_x) > 2.0 * _TURN_M:
+            if abs(above.door_x - below.door_x) > 2.0 * _TURN_M and suite._faces_are_apart():
                 return suite
+
+    def _faces_are_apart(self) -> bool:
+        """Whether faces that look the same way are one plane, or further apart than what could be taken for one."""
+        spaces = (self.corridor, *self.rooms)
+        for side in ("x0", "y0", "x1", "y1"):
+            places = np.unique([getattr(room, side) for room in spaces])
+            if np.any(np.diff(places) < _APART_M):
+                return False
+        return True
 
     @classmethod
     def _drawn(cls, rng: np.random.Generator, rooms_a_side: int) -> Suite:
