@@ -37,6 +37,7 @@ ROOMS = {
         ("session",),
         ("diagnostics",),
         ("planeslam",),
+        ("floorplan",),
         ("simulation",),
         ("evaluation",),
         ("runs",),
