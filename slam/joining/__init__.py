@@ -1,0 +1,1 @@
+"""Joining: finished missions through one building become one map, with one covariance."""
