@@ -1,4 +1,4 @@
-"""Alignment of two maps: the motion between them by all common planes at once, with the joint covariance of each map."""
+"""Alignment of two maps: the motion between them by all common planes, with the joint covariance of each map."""
 
 from __future__ import annotations
 
@@ -78,14 +78,10 @@ def facing_pairs(a: Mission, b: Mission, a_T_b: FloatArray, config: AssociationC
         return []
     normals = np.array([one.plane.normal for one in b.planes]) @ a_T_b[:3, :3].T
     alike = np.array([one.plane.normal for one in a.planes]) @ normals.T > np.cos(config.max_angle_rad)
-    return [
-        (i, j) for i, j in np.argwhere(alike).tolist() if _near(a.planes[i], b.planes[j], a_T_b, config.gap_m)
-    ]
+    return [(i, j) for i, j in np.argwhere(alike).tolist() if _near(a.planes[i], b.planes[j], a_T_b, config.gap_m)]
 
 
-def align(
-    a: Mission, b: Mission, pairs: Sequence[tuple[int, int]], a_T_b: FloatArray
-) -> Alignment:
+def align(a: Mission, b: Mission, pairs: Sequence[tuple[int, int]], a_T_b: FloatArray) -> Alignment:
     """Generalised least squares over pairs of planes: the motion, and how well they agree under it.
 
     What a pair is off is the SP perturbation from a's plane to b's, in a's plane frame; of all pairs together it has

@@ -8,6 +8,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from spplanes._check import FloatArray
 
@@ -76,9 +77,7 @@ class Condensed:
         return steps, largest
 
 
-def condense(
-    factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, keep: Sequence[int]
-) -> Condensed:
+def condense(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, keep: Sequence[int]) -> Condensed:
     """Linearise a mission and eliminate all variables but some, by QR.
 
     Args:
@@ -93,6 +92,33 @@ def condense(
     rest = [key for key in sorted(values.keys()) if key not in kept]
     net, remaining = linear.eliminatePartialSequential(rest, gtsam.EliminateQR)
     return Condensed(Gaussian.of(remaining), net)
+
+
+class Solved:
+    """A linear graph solved by QR: the step of every variable, and the joint covariance of any of them."""
+
+    def __init__(self, graph: gtsam.GaussianFactorGraph) -> None:
+        net = graph.eliminateSequential(gtsam.Ordering.ColamdGaussianFactorGraph(graph), gtsam.EliminateQR)
+        self.steps: gtsam.VectorValues = net.optimize()
+        self._rows: dict[int, slice] = {}
+        end = 0
+        for index in range(net.size()):
+            key = net.at(index).firstFrontalKey()
+            self._rows[key] = slice(end, end + _size(key))
+            end += _size(key)
+        # GTSAM's own marginals go by normal equations, which the tightest and the widest prior of one graph overtax
+        root, _ = net.matrix()
+        self._inverse = np.asarray(solve_triangular(root, np.eye(end)), dtype=np.float64)
+
+    def covariance(self, keys: Sequence[int]) -> FloatArray:
+        """Joint covariance of the stacked tangents of some variables, in that order."""
+        rows = np.concatenate([self._inverse[self._rows[key]] for key in keys])
+        return rows @ rows.T
+
+    def largest(self) -> float:
+        """The largest step of any variable in its standard deviations."""
+        steps = ((self.steps.at(key), self.covariance([key])) for key in self._rows)
+        return max((float(np.sqrt(step @ np.linalg.solve(spread, step))) for step, spread in steps), default=0.0)
 
 
 def marginal(graph: gtsam.GaussianFactorGraph, keep: Sequence[int]) -> Gaussian:

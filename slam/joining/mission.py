@@ -1,4 +1,4 @@
-"""A finished mission as joining needs it: its planes with their joint covariance, its poses, what some keyframes saw."""
+"""A finished mission as joining needs it: planes with their joint covariance, poses, what some keyframes saw."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 
 from slam.backend.estimator import BackendError
+from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
 from slam.io.trajectories import Trajectory
@@ -83,6 +84,10 @@ class FinishedMission:
     """What travels."""
     graph: MissionGraph
     """What stays."""
+    config: SlamConfig
+    """How it was made."""
+    rig: Rig | None = None
+    """With which sensors."""
 
     @classmethod
     def of(cls, name: str, slam: PlaneSlam, rig: Rig | None = None) -> FinishedMission:
@@ -109,7 +114,8 @@ class FinishedMission:
             tuple(key for key, _ in carried),
             np.array([pose for _, pose in carried]).reshape(-1, 4, 4),
         )
-        return cls(Mission(name, planes, covariance, trajectory, _looks(slam, trajectory, rig)), graph)
+        mission = Mission(name, planes, covariance, trajectory, _looks(slam, trajectory, rig))
+        return cls(mission, graph, slam.config, rig)
 
     @classmethod
     def open(cls, path: Path | str, name: str | None = None) -> FinishedMission:

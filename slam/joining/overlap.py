@@ -1,4 +1,4 @@
-"""Overlap of two missions: a hypothesis from the constellation of their walls, verified by all planes and free space."""
+"""Overlap of two missions: proposed by the constellation of their walls, verified by all planes and free space."""
 
 from __future__ import annotations
 
@@ -52,6 +52,12 @@ class Comparison:
     """Those that went through."""
     moved: tuple[tuple[int, int], ...] = ()
     """Landmarks (of a, of b) that face each other where they should be one, and are not: gone, moved, or new."""
+
+    @property
+    def strength(self) -> float:
+        """What overlaps are ordered by: the evidence; where a guess was given the number of planes that bear it out."""
+        planes = 0 if self.alignment is None else len(self.alignment.pairs)
+        return float(planes) if np.isnan(self.evidence) else self.evidence
 
     def to_dict(self) -> dict[str, Any]:
         """For joins.json."""

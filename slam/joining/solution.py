@@ -4,30 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import gtsam
 import numpy as np
 
 from factors import anchored_plane_jacobian, pose_prior
-from slam.geometry.frames import inverse
-from slam.joining.condensation import Condensed, Gaussian, condense, marginal
+from slam.joining.condensation import Condensed, Solved, condense, marginal
 from slam.joining.mission import MissionGraph
 from slam.joining.ties import Place, Tie, TiedKeys, base_key, joint_key, tie_factor, tied_difference
 from spplanes._check import FloatArray
 
 #: The base of the first mission is the common frame: sigma of its pose, m and rad.
 _EXACT = 1e-6
-#: What no common plane says of the others, about where the alignment has them: z, m, and roll and pitch, rad. Walls alone
-#: leave these open, and then it is the floor that tells: so even are floors. Where planes tell them they do so far
-#: better. (With 0.5 m and 0.05 rad walls that lean within their own uncertainty made the solution sway for ever.)
+#: What no common plane says of the others, about where the alignment has them: z, m, and roll and pitch, rad. Walls
+#: alone leave these open, and then it is the floor that tells: so even are floors. Where planes tell them they do so
+#: far better. (With 0.5 m and 0.05 rad walls that lean within their own uncertainty made the solution sway for ever.)
 _FLOOR_M, _FLOOR_RAD = 0.02, 0.002
 #: Of where the others are in it nothing is known beforehand, m and rad; no prior at all would leave nothing to solve
 #: where planes say nothing.
 _UNKNOWN_M, _UNKNOWN_RAD = 1e3, 1e2
-#: The linearisation is good when no variable moves by more than this share of its standard deviation; the last step is
-#: taken, so what is left is of second order in it.
+#: The end: no variable moves by more than this share of its standard deviation.
 SETTLED = 0.01
-_ROUNDS = 25
+_ROUNDS = 50
 
 
 class JoinError(ValueError):
@@ -59,16 +58,19 @@ class JointSolution:
             self.bases.setdefault(number, gtsam.Pose3(self.starts[number]))
             self.values.setdefault(number, gtsam.Values(graph.values))
 
-    def solve(self) -> None:
+    def solve(self, settled: float = SETTLED) -> None:
         """Gauss and Newton over all missions, each eliminated by itself.
 
+        Args:
+            settled: no variable moves by more than this share of its standard deviation in the last step.
+
         Raises:
-            JoinError: it does not come to an end, or something is left open.
+            JoinError: it does not come to an end.
         """
         for _ in range(_ROUNDS):
             self.rounds += 1
             self._condense()
-            if self._step() <= SETTLED:
+            if self._step() <= settled:
                 self._condense()
                 return
         raise JoinError(f"expected missions that fit together, got some that still move after {_ROUNDS} steps")
@@ -94,13 +96,12 @@ class JointSolution:
     def differences(self, pairs: Sequence[Tie]) -> list[tuple[FloatArray, FloatArray]]:
         """How landmarks that stay in the joint graph differ (3,), and the covariance (3, 3) of that by everything."""
         linear = self._linear(self.ties)
-        tree = linear.eliminateMultifrontal(function=gtsam.EliminateQR)
-        values, found = self._values(), []
+        solved, values, found = Solved(linear), self._values(), []
         for pair in pairs:
             sides = [self.keys(pair.first), self.keys(pair.second)]
             keys = [key for side in sides for key in (side.base, side.anchor, side.plane)]
             difference, blocks = tied_difference(values, *sides)
-            covariance = _joint(tree, keys)
+            covariance = solved.covariance(keys)
             jacobian = np.hstack(blocks)
             found.append((difference, jacobian @ covariance @ jacobian.T))
         return found
@@ -120,7 +121,7 @@ class JointSolution:
         values = gtsam.Values(self.values[mission])
         values.insert(base_key(mission), self.bases[mission])
         graph.push_back(told.renamed(own).factor().linearize(values))
-        return MissionPosterior(mission, self, graph.eliminateMultifrontal(function=gtsam.EliminateQR))
+        return MissionPosterior(mission, self, graph)
 
     def _kept(self, mission: int) -> list[int]:
         """Own keys of a mission that stay in the joint graph: its shared landmarks, and their anchors."""
@@ -159,11 +160,8 @@ class JointSolution:
     def _step(self) -> float:
         """Take one step; the largest of any variable in its standard deviations."""
         linear = self._linear(self.ties)
-        net = linear.eliminateSequential(gtsam.Ordering.ColamdGaussianFactorGraph(linear), gtsam.EliminateQR)
-        steps = net.optimize()
-        largest = max(
-            float(np.linalg.norm(net.at(i).R() @ steps.at(net.at(i).firstFrontalKey()))) for i in range(net.size())
-        )
+        solved = Solved(linear)
+        steps, largest = solved.steps, solved.largest()
         for number in self.graphs:
             shared = gtsam.VectorValues()
             for key in self._kept(number):
@@ -183,13 +181,13 @@ class MissionPosterior:
     """Its number."""
     solution: JointSolution
     """Where the estimates are."""
-    tree: gtsam.GaussianBayesTree
+    graph: gtsam.GaussianFactorGraph
     """Its own factors, and what the others say of what it shares."""
 
     def plane_covariance(self, landmark: int, common_T_plane: FloatArray) -> FloatArray:
         """Covariance (3, 3) of (z, theta, psi) of a landmark in a plane frame (4, 4) of the common frame."""
         anchor, key = self.solution.graphs[self.mission].planes[landmark]
-        joint = _joint(self.tree, [base_key(self.mission), anchor, key])
+        joint = self._of_map.covariance([base_key(self.mission), anchor, key])
         plane, common_T_anchor = self.solution.plane(Place(self.mission, landmark))
         by_anchor_and_plane = anchored_plane_jacobian(plane, common_T_anchor, common_T_plane)
         own = self.solution.values[self.mission].atPose3(anchor)
@@ -199,10 +197,22 @@ class MissionPosterior:
 
     def pose_covariance(self, key: int) -> FloatArray:
         """Covariance (6, 6) of the tangent of common_T_body, GTSAM order, of a pose in the graph."""
-        joint = _joint(self.tree, [base_key(self.mission), key])
+        keys = [base_key(self.mission), key]
+        joint = self._marginal(keys).covariance(keys)
         own = self.solution.values[self.mission].atPose3(key)
         jacobian = np.hstack((own.inverse().AdjointMap(), np.eye(6)))
         return jacobian @ joint @ jacobian.T
+
+    @cached_property
+    def _of_map(self) -> Solved:
+        """Base, planes and their anchors."""
+        planes = self.solution.graphs[self.mission].planes.values()
+        return self._marginal(sorted({base_key(self.mission), *(key for pair in planes for key in pair)}))
+
+    def _marginal(self, keys: Sequence[int]) -> Solved:
+        graph, values = gtsam.GaussianFactorGraph(), gtsam.Values()
+        graph.push_back(marginal(self.graph, keys).factor().linearize(values))
+        return Solved(graph)
 
 
 def _base_covariance(is_first: bool) -> FloatArray:
@@ -211,11 +221,6 @@ def _base_covariance(is_first: bool) -> FloatArray:
         return _EXACT**2 * np.eye(6)
     level = (_UNKNOWN_M, _UNKNOWN_M, _FLOOR_M, _UNKNOWN_RAD, _FLOOR_RAD, _FLOOR_RAD)
     return np.diag(np.square(level))
-
-
-def _joint(tree: gtsam.GaussianBayesTree, keys: Sequence[int]) -> FloatArray:
-    """Joint covariance in the order of the keys."""
-    return np.array(tree.jointMarginalCovariance(list(keys)).fullMatrix())
 
 
 def _solved(linear: gtsam.GaussianFactorGraph) -> gtsam.VectorValues:
