@@ -40,6 +40,7 @@ ROOMS = {
         ("simulation",),
         ("evaluation",),
         ("runs",),
+        ("joining",),
         ("visualization",),
         ("output",),
         ("cli",),

@@ -53,7 +53,11 @@ def write_planes(
     Floats survive exactly. ``beside`` has further keys of planes, by id, for whoever reads them.
     """
     numbered = (StoredPlane(at, one, 0) if isinstance(one, Plane) else one for at, one in enumerate(planes))
-    document = {"format": FORMAT, "frame": "world", "planes": [{**_entry(one), **(beside or {}).get(one.id, {})} for one in numbered]}
+    document = {
+        "format": FORMAT,
+        "frame": "world",
+        "planes": [{**_entry(one), **(beside or {}).get(one.id, {})} for one in numbered],
+    }
     Path(path).write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 

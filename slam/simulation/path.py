@@ -39,7 +39,7 @@ class Path:
         way = np.concatenate([[start_m], inside, [end_m]])
         poses = self.at(way)
         if backwards:
-            return Path(end_m - way[::-1], poses[::-1] + (0.0, 0.0, np.pi))
+            return Path(end_m - way[::-1], poses[::-1] + np.array([0.0, 0.0, np.pi]))
         return Path(way - start_m, poses)
 
     @classmethod
