@@ -7,16 +7,16 @@ from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
-import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from slam.config import SlamConfig
+from slam.geometry.frames import inverse
 from slam.joining.consistency import Component, components_of, consistent
 from slam.joining.joined_map import JoinedComponent, JoinedMap
 from slam.joining.mission import FinishedMission
 from slam.joining.overlap import Comparison, compare_missions
 from slam.joining.shared_landmarks import candidates, classes_of, found_to_be_one, shared_by, ties_of
-from slam.joining.solution import JointSolution
+from slam.joining.solution import JoinError, JointSolution
 from slam.joining.ties import Tie
 from spplanes._check import FloatArray
 
@@ -59,7 +59,7 @@ def join(
     Raises:
         ValueError: fewer than two runs, two of one name, a guess for none of them, a significance that is none; a run
             that cannot be used where `strict`, or none that can.
-        JoinError: missions of one component do not come to rest.
+        JoinError: the graph of a mission that is alone does not come to rest.
     """
     if not 0.0 < significance < 0.5:
         raise ValueError(f"significance: expected a probability in (0, 0.5), got {significance}")
@@ -70,11 +70,11 @@ def join(
     comparisons = _compared(missions, config, significance, guesses or {}, progress)
     comparisons = consistent(comparisons, config.association.new_significance)
     while True:
-        components = components_of(list(missions), comparisons)
-        solved = [_solved(one, missions, config) for one in components]
-        taken_back = [one for _, one in solved if one is not None]
+        solved = [_solved(one, missions, config) for one in components_of(list(missions), comparisons)]
+        taken_back = [one for one in solved if isinstance(one, Comparison)]
         if not taken_back:
-            return JoinedMap(tuple(one for one, _ in solved), tuple(comparisons), left_out)
+            made = tuple(one for one in solved if isinstance(one, JoinedComponent))
+            return JoinedMap(made, tuple(comparisons), left_out)
         revoked = {(one.first, one.second): one for one in taken_back}
         comparisons = [revoked.get((one.first, one.second), one) for one in comparisons]
 
@@ -136,7 +136,7 @@ def _compared(
     for done, (first, second) in enumerate(pairs):
         guess = guesses.get((first, second))
         if guess is None and (second, first) in guesses:
-            guess = np.linalg.inv(guesses[second, first])
+            guess = inverse(guesses[second, first])
         a, b = missions[first].mission, missions[second].mission
         found.append(compare_missions(a, b, config, significance=significance / len(pairs), guess=guess))
         if progress is not None:
@@ -146,8 +146,8 @@ def _compared(
 
 def _solved(
     component: Component, missions: Mapping[str, FinishedMission], config: SlamConfig
-) -> tuple[JoinedComponent, Comparison | None]:
-    """A component solved, and the overlap that the whole speaks against most; None where there is none."""
+) -> JoinedComponent | Comparison:
+    """A component solved, or the overlap that the whole speaks against most, taken back."""
     members = [missions[name] for name in component.missions]
     maps = [one.mission for one in members]
     ties = ties_of(component.overlaps, maps)
@@ -155,15 +155,23 @@ def _solved(
     maybe = candidates(maps, starts, ties, config)
     shared = shared_by(len(members), [*ties, *maybe])
     solution = JointSolution({number: one.graph for number, one in enumerate(members)}, starts, shared, tuple(ties))
-    solution.solve()
+    try:
+        solution.solve()
+    except JoinError as error:
+        if not component.overlaps:
+            raise
+        weakest = min(component.overlaps, key=lambda one: one.strength)
+        return replace(weakest, verdict="revoked", reason=f"{error}; of its overlaps this has the least evidence")
     against = _contradicted(component, solution, config)
-    for _ in range(_LOOKS if against is None else 0):
+    if against is not None:
+        return against
+    for _ in range(_LOOKS):
         more = found_to_be_one(solution, maybe, config)
         if not more:
             break
         solution = solution.with_ties([*solution.ties, *more], shared)
         solution.solve()
-    return JoinedComponent(tuple(members), solution, classes_of(solution.ties, maps)), against
+    return JoinedComponent(tuple(members), solution, classes_of(solution.ties, maps))
 
 
 def _contradicted(component: Component, solution: JointSolution, config: SlamConfig) -> Comparison | None:

@@ -10,6 +10,7 @@ import gtsam
 import numpy as np
 
 from factors import anchored_plane_jacobian, pose_prior
+from slam.joining.alignment import LEVEL_SIGMA_M, LEVEL_SIGMA_RAD
 from slam.joining.condensation import Condensed, Solved, condense, marginal
 from slam.joining.mission import MissionGraph
 from slam.joining.ties import Place, Tie, TiedKeys, base_key, joint_key, tie_factor, tied_difference
@@ -17,10 +18,10 @@ from spplanes._check import FloatArray
 
 #: The base of the first mission is the common frame: sigma of its pose, m and rad.
 _EXACT = 1e-6
-#: What no common plane says of the others, about where the alignment has them: z, m, and roll and pitch, rad. Walls
-#: alone leave these open, and then it is the floor that tells: so even are floors. Where planes tell them they do so
-#: far better. (With 0.5 m and 0.05 rad walls that lean within their own uncertainty made the solution sway for ever.)
-_FLOOR_M, _FLOOR_RAD = 0.02, 0.002
+#: Missions whose frames lie level with the first one's, up to three times these, are on one floor, which is so even:
+#: z, m, and roll and pitch, rad. Walls alone leave these open. (With 0.5 m and 0.05 rad, walls that lean within their
+#: own uncertainty made the solution sway for ever.)
+FLOOR_M, FLOOR_RAD = 0.02, 0.002
 #: Of where the others are in it nothing is known beforehand, m and rad; no prior at all would leave nothing to solve
 #: where planes say nothing.
 _UNKNOWN_M, _UNKNOWN_RAD = 1e3, 1e2
@@ -49,6 +50,8 @@ class JointSolution:
     """common_T_mission."""
     values: dict[int, gtsam.Values] = field(default_factory=dict)
     """Of every mission, in its own frame and by its own keys."""
+    floor_sigmas: tuple[float, float] = (FLOOR_M, FLOOR_RAD)
+    """How even the floor is that missions are on, as `FLOOR_M` and `FLOOR_RAD`."""
     rounds: int = 0
     """Linearisations that it took."""
 
@@ -77,7 +80,9 @@ class JointSolution:
 
     def with_ties(self, ties: Sequence[Tie], shared: Mapping[int, tuple[int, ...]]) -> JointSolution:
         """The same missions from where they are, with other ties."""
-        return JointSolution(self.graphs, self.starts, shared, tuple(ties), dict(self.bases), dict(self.values))
+        return JointSolution(
+            self.graphs, self.starts, shared, tuple(ties), dict(self.bases), dict(self.values), self.floor_sigmas
+        )
 
     def chi2(self, without: Callable[[Tie], bool] = lambda _: False) -> float:
         """Least squared error of the linear joint graph, without some ties."""
@@ -142,7 +147,10 @@ class JointSolution:
                 names = {key: joint_key(number, key) for key in condensed.shared.keys}
                 graph.push_back(condensed.shared.renamed(names).factor())
         for number, start in self.starts.items():
-            graph.push_back(pose_prior(base_key(number), start, _base_covariance(number == min(self.starts))))
+            if number == min(self.starts):
+                graph.push_back(pose_prior(base_key(number), start, _EXACT**2 * np.eye(6)))
+            else:
+                graph.push_back(_floor_prior(base_key(number), start, *self.floor_sigmas))
         for tie in ties:
             graph.push_back(tie_factor(self.keys(tie.first), self.keys(tie.second)))
         return graph.linearize(self._values())
@@ -215,12 +223,15 @@ class MissionPosterior:
         return Solved(graph)
 
 
-def _base_covariance(is_first: bool) -> FloatArray:
-    """In the SP order (x, y, z, phi, theta, psi): exact, or on the floor."""
-    if is_first:
-        return _EXACT**2 * np.eye(6)
-    level = (_UNKNOWN_M, _UNKNOWN_M, _FLOOR_M, _UNKNOWN_RAD, _FLOOR_RAD, _FLOOR_RAD)
-    return np.diag(np.square(level))
+def _floor_prior(key: int, start: FloatArray, sigma_m: float, sigma_rad: float) -> gtsam.PriorFactorPose3:
+    """A mission on the floor of the first one; one that is not is held to its start, as loosely as can be solved."""
+    mean = gtsam.Pose3(start)
+    if abs(start[2, 3]) < 3.0 * sigma_m and np.abs(start[2, :2]).max() < 3.0 * sigma_rad:
+        mean = gtsam.Pose3(gtsam.Rot3.Yaw(np.arctan2(start[1, 0], start[0, 0])), np.array([*start[:2, 3], 0.0]))
+    else:
+        sigma_m, sigma_rad = LEVEL_SIGMA_M, LEVEL_SIGMA_RAD
+    level = (_UNKNOWN_M, _UNKNOWN_M, sigma_m, _UNKNOWN_RAD, sigma_rad, sigma_rad)
+    return pose_prior(key, mean, np.diag(np.square(level)))
 
 
 def _solved(linear: gtsam.GaussianFactorGraph) -> gtsam.VectorValues:

@@ -19,6 +19,7 @@ from slam.io.g2o.writer import write_g2o
 from slam.io.planes_json import write_planes
 from slam.io.trajectories import Trajectory, write_tum
 from slam.joining import JoinedComponent, JoinedMap
+from slam.joining.solution import FLOOR_M, FLOOR_RAD
 from slam.joining.ties import Place, joint_key
 from slam.map.map_planes import MapPlane
 from slam.output.run_files import as_json, write_json, write_result
@@ -100,13 +101,16 @@ def _counts(joined: JoinedMap) -> list[Metric]:
 def flat_graph(component: JoinedComponent) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     """All factors of all missions over poses in the common frame, planes that are one under one key.
 
-    What holds a pose to its own mission's start or floor is in it of the first mission alone, for it speaks of that
-    mission's frame; and what is of a type that cannot be moved is left out.
+    Where each mission began is in it of the first one alone. What holds poses to the floor stays where the missions are
+    on one floor, which is then the same for all: the joint solution leaves them a little room. What is of a type that
+    cannot be moved is left out.
     """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     home = {place: places[0] for places in component.classes for place in places}
     for number, one in enumerate(component.missions):
         own, homes = component.solution.values[number], {}
+        base = component.solution.bases[number].matrix()
+        level = abs(base[2, 3]) < FLOOR_M and np.abs(base[2, :2]).max() < FLOOR_RAD
         for landmark, (_, key) in one.graph.planes.items():
             place = home[Place(number, landmark)]
             if place.mission != number:
@@ -120,11 +124,18 @@ def flat_graph(component: JoinedComponent) -> tuple[gtsam.NonlinearFactorGraph, 
                 values.insert(name, own.atOrientedPlane3(key))
         for index in range(one.graph.factors.size()):
             factor = one.graph.factors.at(index)
-            if number and factor.size() == 1 and chr(factor.keys()[0] >> 56) in "xm":
+            if number and _speaks_of_its_frame(factor, level):
                 continue
             with suppress(ArchiveError):
                 graph.push_back(rekeyed(factor, names, homes))
     return graph, values
+
+
+def _speaks_of_its_frame(factor: gtsam.NonlinearFactor, level: bool) -> bool:
+    """Whether a factor would not hold in the common frame: of the start never, of the floor where that is another."""
+    if isinstance(factor, gtsam.PriorFactorPose3):
+        return True
+    return factor.size() == 1 and chr(factor.keys()[0] >> 56) in "xm" and not level
 
 
 def draw_missions(component: JoinedComponent, path: Path) -> None:
@@ -132,11 +143,11 @@ def draw_missions(component: JoinedComponent, path: Path) -> None:
     height = view_height(component, "plan")
     figure = Figure(figsize=(_WIDTH, height + _FRAME), layout="constrained")
     axes = figure.subplots()
-    colours = mpl.colormaps["tab10"].colors
+    colours = mpl.colormaps["tab10"](np.arange(10))[:, :3]
     first = {number: places[0].mission for number, places in enumerate(component.classes)}
 
     def of_mission(plane: MapPlane) -> FloatArray:
-        return np.array(colours[first[plane.id] % len(colours)])
+        return colours[first[plane.id] % len(colours)]
 
     draw_view(axes, _without_way(component), "plan", of_mission)
     for number, (name, trajectory) in enumerate(component.trajectories.items()):
