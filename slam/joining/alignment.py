@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.stats import chi2 as chi2_distribution
 
 from factors._conventions import hesse_to_sp
@@ -81,7 +82,9 @@ def facing_pairs(a: Mission, b: Mission, a_T_b: FloatArray, config: AssociationC
     return [(i, j) for i, j in np.argwhere(alike).tolist() if _near(a.planes[i], b.planes[j], a_T_b, config.gap_m)]
 
 
-def align(a: Mission, b: Mission, pairs: Sequence[tuple[int, int]], a_T_b: FloatArray) -> Alignment:
+def align(
+    a: Mission, b: Mission, pairs: Sequence[tuple[int, int]], a_T_b: FloatArray, *, steps: int = _STEPS
+) -> Alignment:
     """Generalised least squares over pairs of planes: the motion, and how well they agree under it.
 
     What a pair is off is the SP perturbation from a's plane to b's, in a's plane frame; of all pairs together it has
@@ -92,6 +95,7 @@ def align(a: Mission, b: Mission, pairs: Sequence[tuple[int, int]], a_T_b: Float
         a, b: the maps.
         pairs: which of their planes are one.
         a_T_b: about the motion, shape (4, 4).
+        steps: of Gauss and Newton at most; 0: how well the pairs agree at the motion given.
 
     Raises:
         ValueError: no pairs.
@@ -101,23 +105,17 @@ def align(a: Mission, b: Mission, pairs: Sequence[tuple[int, int]], a_T_b: Float
     rows_a, rows_b = (np.array(side) for side in zip(*pairs, strict=True))
     joint_a, joint_b = a.covariance_of(rows_a), b.covariance_of(rows_b)
     start, level = a_T_b, _level_information(a_T_b)
-    off, whitener, whitened = np.empty(0), np.empty((0, 0)), np.empty((0, 6))
-    information = level
-    for _ in range(_STEPS):
+    for step_number in range(steps + 1):
         parts = [_difference(a.planes[i], b.planes[j], a_T_b) for i, j in pairs]
-        off = np.concatenate([part[0] for part in parts])
-        by_b = _block_diagonal([part[1] for part in parts])
-        spread = joint_a + by_b @ joint_b @ by_b.T
-        whitener = np.linalg.inv(np.linalg.cholesky(spread))
-        whitened = whitener @ np.vstack([part[2] for part in parts])
+        off, by_b = np.concatenate([part[0] for part in parts]), block_diag(*(part[1] for part in parts))
+        whitener = np.linalg.inv(np.linalg.cholesky(joint_a + by_b @ joint_b @ by_b.T))
+        residual, whitened = whitener @ off, whitener @ np.vstack([part[2] for part in parts])
         information = whitened.T @ whitened + level
         moved = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(start) @ a_T_b))
-        step = -np.linalg.solve(information, whitened.T @ (whitener @ off) + level @ moved)
-        a_T_b = a_T_b @ gtsam.Pose3.Expmap(step).matrix()
-        if step @ information @ step < _SETTLED**2:
+        step = -np.linalg.solve(information, whitened.T @ residual + level @ moved)
+        if step_number == steps or step @ information @ step < _SETTLED**2:
             break
-    parts = [_difference(a.planes[i], b.planes[j], a_T_b) for i, j in pairs]
-    residual = whitener @ np.concatenate([part[0] for part in parts])
+        a_T_b = a_T_b @ gtsam.Pose3.Expmap(step).matrix()
     scales = np.linalg.svd(whitened @ np.diag(1.0 / np.sqrt(np.diag(information))), compute_uv=False)
     fixed = int((scales > _OPEN * max(float(scales[0]), 1e-300)).sum())
     shares = (residual.reshape(-1, 3) ** 2).sum(axis=1)
@@ -176,10 +174,3 @@ def _disjoint(ranked: Sequence[tuple[float, int, int]]) -> list[tuple[int, int]]
             firsts.add(i)
             seconds.add(j)
     return chosen
-
-
-def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
-    full = np.zeros((3 * len(blocks), 3 * len(blocks)))
-    for k, block in enumerate(blocks):
-        full[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = block
-    return full
