@@ -43,6 +43,7 @@ ROOMS = {
         ("joining",),
         ("visualization",),
         ("output",),
+        ("fleet",),
         ("cli",),
     ),
     "spplanes": (

@@ -102,20 +102,17 @@ def align(
     """
     if not pairs:
         raise ValueError("pairs: expected at least one, got none")
-    rows_a, rows_b = (np.array(side) for side in zip(*pairs, strict=True))
-    joint_a, joint_b = a.covariance_of(rows_a), b.covariance_of(rows_b)
     start, level = a_T_b, _level_information(a_T_b)
-    for step_number in range(steps + 1):
-        parts = [_difference(a.planes[i], b.planes[j], a_T_b) for i, j in pairs]
-        off, by_b = np.concatenate([part[0] for part in parts]), block_diag(*(part[1] for part in parts))
-        whitener = np.linalg.inv(np.linalg.cholesky(joint_a + by_b @ joint_b @ by_b.T))
-        residual, whitened = whitener @ off, whitener @ np.vstack([part[2] for part in parts])
+    residual, whitened = _whitened(a, b, pairs, a_T_b)
+    for _ in range(steps):
         information = whitened.T @ whitened + level
         moved = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(start) @ a_T_b))
         step = -np.linalg.solve(information, whitened.T @ residual + level @ moved)
-        if step_number == steps or step @ information @ step < _SETTLED**2:
-            break
         a_T_b = a_T_b @ gtsam.Pose3.Expmap(step).matrix()
+        residual, whitened = _whitened(a, b, pairs, a_T_b)
+        if step @ information @ step < _SETTLED**2:
+            break
+    information = whitened.T @ whitened + level
     scales = np.linalg.svd(whitened @ np.diag(1.0 / np.sqrt(np.diag(information))), compute_uv=False)
     fixed = int((scales > _OPEN * max(float(scales[0]), 1e-300)).sum())
     shares = (residual.reshape(-1, 3) ** 2).sum(axis=1)
@@ -127,6 +124,20 @@ def align(
         3 * len(pairs) - fixed,
         int(np.argmax(shares)),
     )
+
+
+def _whitened(
+    a: Mission, b: Mission, pairs: Sequence[tuple[int, int]], a_T_b: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """What pairs are off (3 K,) and the derivative by the motion (3 K, 6), in units of their joint covariance."""
+    rows_a, rows_b = (np.array(side) for side in zip(*pairs, strict=True))
+    parts = [_difference(a.planes[i], b.planes[j], a_T_b) for i, j in pairs]
+    by_b = np.asarray(block_diag(*(part[1] for part in parts)), dtype=np.float64)
+    spread = a.covariance_of(rows_a) + by_b @ b.covariance_of(rows_b) @ by_b.T
+    root = np.linalg.cholesky(spread)
+    off, by_motion = np.concatenate([part[0] for part in parts]), np.vstack([part[2] for part in parts])
+    told = np.asarray(np.linalg.solve(root, np.column_stack((off, by_motion))), dtype=np.float64)
+    return told[:, 0], told[:, 1:]
 
 
 def _level_information(a_T_b: FloatArray) -> FloatArray:

@@ -68,6 +68,26 @@ def join(
     missions, left_out = _opened(runs, strict=strict)
     config = config or SlamConfig()
     comparisons = _compared(missions, config, significance, guesses or {}, progress)
+    joined = joined_by(missions, comparisons, config, left_out)
+    paths = [run for run in runs if not isinstance(run, FinishedMission)]
+    folders = {name: str(Path(path).resolve()) for name, path in zip(names_of(paths), paths, strict=True)}
+    return replace(joined, folders={name: path for name, path in folders.items() if name in missions})
+
+
+def joined_by(
+    missions: Mapping[str, FinishedMission],
+    comparisons: Sequence[Comparison],
+    config: SlamConfig,
+    left_out: Mapping[str, str],
+) -> JoinedMap:
+    """What `join` does once all pairs of missions are compared.
+
+    Args:
+        missions: by name, in their order.
+        comparisons: of all pairs of them.
+        config: as for `join`.
+        left_out: missions that could not be used, and why.
+    """
     comparisons = consistent(comparisons, config.association.new_significance)
     while True:
         solved = [_solved(one, missions, config) for one in components_of(list(missions), comparisons)]
@@ -86,6 +106,8 @@ def names_of(runs: Sequence[Path | str]) -> list[str]:
         ValueError: one run is given twice.
     """
     paths = [Path(run).resolve() for run in runs]
+    if not paths:
+        return []
     twice = [path for path in paths if paths.count(path) > 1]
     if twice:
         raise ValueError(f"runs: expected different ones, got {twice[0]} twice")
@@ -100,7 +122,7 @@ def _opened(
     runs: Sequence[Path | str | FinishedMission], *, strict: bool
 ) -> tuple[dict[str, FinishedMission], dict[str, str]]:
     paths = [run for run in runs if not isinstance(run, FinishedMission)]
-    names = iter(names_of(paths)) if paths else iter(())
+    names = iter(names_of(paths))
     missions: dict[str, FinishedMission] = {}
     left_out: dict[str, str] = {}
     for run in runs:

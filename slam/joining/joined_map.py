@@ -132,6 +132,8 @@ class JoinedMap:
     """Every pair of missions compared, and what came of it."""
     left_out: Mapping[str, str] = field(default_factory=dict)
     """Missions that could not be used, and why."""
+    folders: Mapping[str, str] = field(default_factory=dict)
+    """Where the runs of the missions are, as far as they came from folders."""
 
     @property
     def planes(self) -> list[MapPlane]:
@@ -162,4 +164,5 @@ class JoinedMap:
             ],
             "pairs": [one.to_dict() for one in self.comparisons],
             "left_out": dict(self.left_out),
+            "runs": dict(self.folders),
         }

@@ -25,7 +25,6 @@ from slam.map.map_planes import MapPlane
 from slam.output.run_files import as_json, write_json, write_result
 from slam.runs.history import History
 from slam.runs.slam_run import path_length_m
-from slam.sensors.rig import Rig
 from slam.visualization.pictures import draw_view, save, view_height
 from slam.visualization.report import write_report
 from slam.visualization.scene import scene_of
@@ -73,7 +72,9 @@ def _write_component(component: JoinedComponent, folder: Path, title: str, warni
         Metric("  of them seen by several missions", sum(len(one) > 1 for one in component.classes), ""),
     ]
     numbers: dict[str, Any] = {"metrics": as_json(rows), "warnings": list(warnings)}
-    write_result(component, folder, first.config, first.rig or Rig(sensors={}), numbers)
+    if first.rig is None:
+        raise ValueError(f"{first.mission.name}: expected a mission with its rig, to write a run's folder, got none")
+    write_result(component, folder, first.config, first.rig, numbers)
     seen = {number: {"seen_by": missions} for number, missions in component.seen_by.items()}
     write_planes(folder / "planes.json", component.planes, seen)
     (folder / "trajectories").mkdir()
