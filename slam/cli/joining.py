@@ -70,7 +70,7 @@ def fleet(
 ) -> None:
     """Map many LOGs at once, on this machine or on a Dask cluster, and join the missions into one map."""
     from slam.config import SlamConfig
-    from slam.fleet.fleet import local_client, remote_client, run
+    from slam.fleet.fleet import has_dashboard, local_client, remote_client, run
     from slam.output.run_files import check_free
     from slam.sensors.rig import Rig
 
@@ -83,13 +83,15 @@ def fleet(
         say(f"{out}: finished already; nothing is left to do")
         return
     check_free(out, overwrite=overwrite)
+    if len(logs) < 2:  # before a cluster is started for it
+        raise ValueError(f"LOG: expected at least two, got {len(logs)}")
     settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
     sensors = None if rig is None else Rig.from_yaml(rig)
     kept = out.with_name(f"{out.name}.missions") if store is None else store
     client = remote_client(scheduler, scheduler_file) if remote else local_client(workers, memory)
     with client, progress_bar("missions and pairs") as progress:
-        if link := client.dashboard_link:
-            say(f"dashboard: {link}")
+        if has_dashboard():
+            say(f"dashboard: {client.dashboard_link}")
         done: dict[str, tuple[int, int]] = {}
 
         def tell(what: str, count: int, total: int) -> None:

@@ -106,7 +106,7 @@ def local_client(workers: int | None = None, memory: str = "auto") -> Client:
         threads_per_worker=1,
         processes=True,
         memory_limit=memory,
-        dashboard_address=_dashboard(),
+        dashboard_address="127.0.0.1:0" if has_dashboard() else None,
         set_as_default=False,
     )
 
@@ -139,9 +139,9 @@ def _dask() -> tuple[Any, Any]:
     return dask, distributed
 
 
-def _dashboard() -> str | None:
-    """Of Dask, wherever a port is free; none without bokeh."""
-    return "127.0.0.1:0" if find_spec("bokeh") is not None else None
+def has_dashboard() -> bool:
+    """Whether Dask's dashboard can be shown: it needs bokeh."""
+    return find_spec("bokeh") is not None
 
 
 def _on(
@@ -192,7 +192,7 @@ def _gathered(client: Client, futures: Sequence[Any], what: str, progress: Progr
     """
     _, distributed = _dask()
     try:
-        for done, _ in enumerate(distributed.as_completed(futures)):
+        for done, _ in enumerate(distributed.as_completed(futures, loop=client.loop)):
             if progress is not None:
                 progress(what, done + 1, len(futures))
         results: Any = client.gather(list(futures))

@@ -100,7 +100,7 @@ def joined_by(
 
 
 def names_of(runs: Sequence[Path | str]) -> list[str]:
-    """A name for every run: its folder's, with as much of the path before as tells it from the others.
+    """A name for every run, or log: its folder's or file's, with as much of the path as tells it from the others.
 
     Raises:
         ValueError: one run is given twice.
@@ -111,8 +111,10 @@ def names_of(runs: Sequence[Path | str]) -> list[str]:
     twice = [path for path in paths if paths.count(path) > 1]
     if twice:
         raise ValueError(f"runs: expected different ones, got {twice[0]} twice")
-    for depth in range(1, max(len(path.parts) for path in paths) + 1):
-        names = ["-".join(path.parts[-depth:]) for path in paths]
+    bare = [path.with_name(path.name.removesuffix(".gz")) if path.is_file() else path for path in paths]
+    parts = [(short.with_suffix("") if path.is_file() else path).parts for path, short in zip(paths, bare, strict=True)]
+    for depth in range(1, max(len(one) for one in parts) + 1):
+        names = ["-".join(one[-depth:]) for one in parts]
         if len(set(names)) == len(names):
             return names
     return [str(number) for number in range(len(paths))]
