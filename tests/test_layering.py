@@ -41,8 +41,10 @@ ROOMS = {
         ("simulation",),
         ("evaluation",),
         ("runs",),
+        ("joining",),
         ("visualization",),
         ("output",),
+        ("fleet",),
         ("cli",),
     ),
     "spplanes": (
