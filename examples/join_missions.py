@@ -1,7 +1,7 @@
 """Three missions through one building, none of which knows where the others began, become one map.
 
-Each robot sees half of the building and believes to start at the origin. `slam.joining.join` finds where they overlap by
-the constellations of their walls, decides which planes are one, and solves all factors of all missions together:
+Each robot sees half of the building and believes to start at the origin. `slam.joining.join` finds where they overlap
+by the constellations of their walls, decides which planes are one, and solves all factors of all missions together:
 trajectories in one frame, planes with the covariance that all robots give them.
 """
 
