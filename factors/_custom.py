@@ -8,23 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import gtsam
 import numpy as np
 
-from factors import _kernels
 from factors.robust import Robust, gaussian, resolve_robust
 from spplanes._check import FloatArray
 
-_KERNELS: dict[str, Callable[..., tuple[FloatArray, FloatArray]]] = {
-    "plane": _kernels.plane_error,
-    "line": _kernels.line_error,
-    "direction": _kernels.direction_error,
-    "parallel": _kernels.parallel_error,
-    "perpendicular": _kernels.perpendicular_error,
-    "distance": _kernels.distance_error,
-}
+_Kernel = Callable[..., tuple[FloatArray, FloatArray]]
 
 _IDENTITY = np.asfortranarray(np.eye(4))
 
@@ -37,7 +30,7 @@ class Recipe:
     """All that makes a custom factor: its error is ``kernel(world_T_anchor, world_T_body, landmark, *data)``."""
 
     kernel: str
-    """Name in `_KERNELS`."""
+    """What it is an error of: plane, line, direction, parallel, perpendicular, distance."""
     data: tuple[FloatArray | float, ...]
     """The measurement, as the kernel takes it."""
     root_information: FloatArray
@@ -113,7 +106,7 @@ def describe(factor: gtsam.CustomFactor) -> Recipe | None:
 
 def _callback(recipe: Recipe, columns: list[Any]) -> Callable[[gtsam.CustomFactor, gtsam.Values, Any], FloatArray]:
     kernel, data, plane_key, reference_key = (
-        _KERNELS[recipe.kernel],
+        _kernel(recipe.kernel),
         recipe.data,
         recipe.plane_key,
         recipe.reference_key,
@@ -136,6 +129,22 @@ def _callback(recipe: Recipe, columns: list[Any]) -> Callable[[gtsam.CustomFacto
         return residual
 
     return error
+
+
+@cache
+def _kernel(name: str) -> _Kernel:
+    """The compiled error of this name; a KeyError for any other. Importing it takes numba, longer than GTSAM."""
+    from factors import _kernels
+
+    known: dict[str, _Kernel] = {
+        "plane": _kernels.plane_error,
+        "line": _kernels.line_error,
+        "direction": _kernels.direction_error,
+        "parallel": _kernels.parallel_error,
+        "perpendicular": _kernels.perpendicular_error,
+        "distance": _kernels.distance_error,
+    }
+    return known[name]
 
 
 _pose_columns = slice(0, 6), slice(6, 12)

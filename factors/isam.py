@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
-from scipy.linalg import block_diag
 
 from factors._check import as_key, check_distinct, told_key
 from spplanes._check import FloatArray, as_count, as_positive, check_instance
@@ -68,8 +67,17 @@ def isam_covariance(isam: gtsam.ISAM2, values: gtsam.Values, keys: Sequence[int]
     linearised = isam.getLinearizationPoint()
     joint = isam.jointMarginalCovariance(names)
     full = np.block([[joint.at(row, column) for column in names] for row in names])
-    turn = np.asarray(block_diag(*[_turn(linearised, values, key, len(joint.at(key, key))) for key in names]))
+    turn = _block_diagonal([_turn(linearised, values, key, len(joint.at(key, key))) for key in names])
     return turn @ full @ turn.T
+
+
+def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
+    """Square matrices along a diagonal; `scipy.linalg`, which has it, takes as long to import as a third of GTSAM."""
+    ends = np.cumsum([0, *map(len, blocks)])
+    whole = np.zeros((ends[-1], ends[-1]))
+    for first, last, block in zip(ends, ends[1:], blocks, strict=False):
+        whole[first:last, first:last] = block
+    return whole
 
 
 def _turn(source: gtsam.Values, target: gtsam.Values, key: int, size: int) -> FloatArray:

@@ -21,7 +21,7 @@ NEVER = {"tests", "examples", "benchmarks"}
 ROOMS = {
     "slam": (
         ("errors", "timing", "files", "growable", "_field_types"),
-        ("_yaml",),
+        ("_yaml", "given"),
         ("config",),
         ("geometry",),
         ("sensors",),
@@ -37,6 +37,7 @@ ROOMS = {
         ("session",),
         ("diagnostics",),
         ("planeslam",),
+        ("floorplan",),
         ("simulation",),
         ("evaluation",),
         ("runs",),
@@ -47,8 +48,9 @@ ROOMS = {
         ("cli",),
     ),
     "spplanes": (
-        ("_version", "_check", "_eigen", "_threads"),
-        ("_chi2", "_hesse", "_plane_io", "_rows", "_moment_patches", "noise", "spmodel"),
+        ("_version", "_check", "_jit", "_threads"),
+        ("_eigen",),
+        ("_chi2", "_hesse", "_plane_io", "_rows", "noise", "spmodel"),
         ("clouds",),
         ("plane", "line"),
         ("moments",),

@@ -24,10 +24,18 @@ TopicOption = Annotated[
     list[str] | None, typer.Option("--topic", help="Of a bag: topic of scans to read; may be given several times.")
 ]
 OdometryTopicOption = Annotated[str | None, typer.Option("--odometry-topic", help="Of a bag: topic of the odometry.")]
+OdometryFrameOption = Annotated[
+    str | None, typer.Option("--odometry-frame", help="Of a bag: frame that tf tells the odometry from.")
+]
+BodyFrameOption = Annotated[str | None, typer.Option("--body-frame", help="Of a bag: frame of the robot's body.")]
 OdometryOption = Annotated[
     Path | None, typer.Option("--odometry", help="TUM file of odometry, of the body; in place of the log's own.")
 ]
 TimingsOption = Annotated[bool, typer.Option("--timings", help="Print the time of every stage.")]
+JobsOption = Annotated[
+    int | None,
+    typer.Option("--jobs", min=1, help="Processes that measure keyframes; default: the cores there are."),
+]
 ConfigOption = Annotated[Path | None, typer.Option("--config", help="YAML with values that differ from the defaults.")]
 KeepPartialOption = Annotated[bool, typer.Option("--keep-partial", help="Use what precedes a cut in the log.")]
 
@@ -51,25 +59,34 @@ def open_job(
     keep_partial: bool,
     topics: Sequence[str] | None = None,
     odometry_topic: str | None = None,
+    odometry_frame: str | None = None,
+    body_frame: str | None = None,
     odometry: Path | None = None,
 ) -> Job:
     """Read all that a command is given; whatever is wrong is said before any work is done."""
+    from slam.given import check_file_given, check_log_given
+    from slam.output.new_folder import check_free
+
+    check_free(out, overwrite=overwrite)
+    for name, given in (("--odometry-topic", odometry_topic), ("--odometry-frame", odometry_frame)):
+        if odometry is not None and given is not None:
+            raise ValueError(f"--odometry: expected one source of odometry, got {name} too")
+    for file in (rig, config):
+        if file is not None:
+            check_file_given(file)
+    check_log_given(log)
     from slam.config import SlamConfig
     from slam.io.load import load
     from slam.io.rosbags.reader import Topics
-    from slam.output.run_files import check_free
-    from slam.runs.slam_run import StageClock
     from slam.sensors.rig import Rig
+    from slam.timing import StageClock
 
-    check_free(out, overwrite=overwrite)
-    if odometry is not None and odometry_topic is not None:
-        raise ValueError("--odometry: expected one source of odometry, got --odometry-topic too")
     settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
     clock = StageClock()
     with clock.stage("read"):
-        given = None if rig is None else Rig.from_yaml(rig)
-        chosen = Topics(tuple(topics or ()), odometry_topic)
-        read, sensors = load(log, given, keep_partial=keep_partial, topics=chosen, odometry=odometry)
+        described = None if rig is None else Rig.from_yaml(rig)
+        chosen = Topics(tuple(topics or ()), odometry_topic, odometry_frame, body_frame)
+        read, sensors = load(log, described, keep_partial=keep_partial, topics=chosen, odometry=odometry)
     for note in read.notes:
         say(f"{log.name}: {note}")
     return Job(read, sensors, settings, clock)

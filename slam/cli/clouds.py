@@ -32,14 +32,17 @@ def fit(
     as_json: Annotated[bool, typer.Option("--json", help="Print the planes as JSON.")] = False,
 ) -> None:
     """Find the planes of one CLOUD."""
-    from slam.io.clouds import read_cloud
-    from slam.output.run_files import check_free, new_folder
-    from slam.runs.cloud_fit import fit_cloud
+    from slam.given import check_cloud_given
+    from slam.output.new_folder import check_free, new_folder
 
     if sigma is not None and not 0.0 < sigma < 1e3:
         raise ValueError(f"--sigma: expected a standard deviation above 0 in metres, got {sigma}")
     if out is not None:
         check_free(out, overwrite=overwrite)
+    check_cloud_given(cloud)
+    from slam.io.clouds import read_cloud
+    from slam.runs.cloud_fit import fit_cloud
+
     found = fit_cloud(read_cloud(cloud), cloud, sigma_m=sigma, viewpoint=viewpoint).at_least(min_points)
     if out is not None:
         from slam.output.cloud_files import write_cloud_planes

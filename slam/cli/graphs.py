@@ -20,10 +20,15 @@ def import_(
     as_json: JsonOption = False,
 ) -> None:
     """Take an edited GRAPH back: planes.json, mesh and trajectory of the run as the graph has them."""
-    from slam.output.run_files import check_free, new_folder, write_import
-    from slam.runs.graph_import import import_graph
+    from slam.given import check_file_given, check_run_given
+    from slam.output.new_folder import check_free, new_folder
 
     check_free(out, overwrite=overwrite)
+    check_run_given(run)
+    check_file_given(graph)
+    from slam.output.run_files import write_import
+    from slam.runs.graph_import import import_graph
+
     imported = import_graph(graph, run, solve=not as_it_is)
     with new_folder(out, overwrite=overwrite) as folder:
         write_import(imported, folder, run)

@@ -20,10 +20,13 @@ def simulate(
     overwrite: OverwriteOption = False,
 ) -> None:
     """Write a simulated mission: log, rig.yaml and the truth."""
-    from slam.output.run_files import check_free, new_folder
+    from slam.given import check_world_given
+    from slam.output.new_folder import check_free, new_folder
+
+    check_world_given(world)
+    check_free(out, overwrite=overwrite)
     from slam.simulation import simulate_mission
 
-    check_free(out, overwrite=overwrite)
     mission = simulate_mission(world, n_scans=scans, seed=seed, laps=laps)
     with new_folder(out, overwrite=overwrite) as folder:
         mission.save(folder)

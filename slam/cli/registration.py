@@ -22,6 +22,10 @@ def register(
     as_json: Annotated[bool, typer.Option("--json", help="Print pose and covariance as JSON.")] = False,
 ) -> None:
     """Find the pose of cloud B in cloud A by their planes, with its covariance and what is left open."""
+    from slam.given import check_cloud_given
+
+    check_cloud_given(a)
+    check_cloud_given(b)
     from slam.runs.cloud_registration import read_guess, register_clouds
 
     found = register_clouds(a, b, guess=None if guess is None else read_guess(guess))

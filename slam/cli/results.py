@@ -27,6 +27,10 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Score RUN against the truth; the numbers also go into its metrics.json."""
+    from slam.given import check_folder_given, check_truth_given
+
+    check_folder_given(run)
+    check_truth_given(truth)
     from slam.evaluation.folders import compare_with_truth, reference_for
     from slam.output.run_files import add_to_metrics
 
@@ -48,7 +52,10 @@ def explain(
     as_json: Annotated[bool, typer.Option("--json", help="Print decisions and their numbers as JSON.")] = False,
 ) -> None:
     """Say why each plane and line of a KEYFRAME of RUN was matched, or not, and what the keyframe changed."""
-    from slam.runs.explanation import explain_keyframe
+    from slam.session.state import check_session_given, session_path
+
+    check_session_given(session_path(run))
+    from slam.runs.explain_keyframe import explain_keyframe
 
     found = explain_keyframe(run, keyframe)
     if as_json:
@@ -65,15 +72,23 @@ def export(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],
     to: Annotated[
         list[Path],
-        typer.Option("--to", help="File to write, by its ending: .ply, .glb, .g2o, .tum, .kitti (or .kitti.txt)."),
+        typer.Option(
+            "--to",
+            help="File to write, by its ending: .ply, .glb, .g2o, .tum, .kitti (or .kitti.txt); floor plans with "
+            "standard deviations: .dxf, .svg, .ifc.",
+        ),
     ],
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
 ) -> None:
-    """Write planes, graph or trajectory of RUN as files of other tools; --to may be given more than once."""
+    """Write planes, graph, trajectory or floor plan of RUN as files of other tools; --to may be repeated."""
+    from slam.given import check_run_given
     from slam.output.export import check_target, export_run
+    from slam.session.state import check_finished
 
     for target in to:
         check_target(target, overwrite=overwrite)
+    check_finished(run)
+    check_run_given(run)
     for target in to:
         export_run(run, target, overwrite=overwrite)
 
@@ -86,6 +101,11 @@ def view(
     rerun: Annotated[Path | None, typer.Option("--rerun", help="Also write a recording for Rerun, FILE.rrd.")] = None,
 ) -> None:
     """Draw RUN: plan, side view, uncertainty as PNG, and a page to turn and ask the map in a browser."""
+    from slam.given import check_run_given
+    from slam.session.state import check_finished
+
+    check_finished(run)
+    check_run_given(run)
     from slam.visualization.view import view_run
 
     written = view_run(run, out)

@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from slam.cli._job import (
+    BodyFrameOption,
     ConfigOption,
+    JobsOption,
     JsonOption,
     KeepPartialOption,
+    OdometryFrameOption,
     OdometryOption,
     OdometryTopicOption,
     OutOption,
@@ -47,7 +50,7 @@ def slam(
     prior: Annotated[Path | None, typer.Option("--prior", help="Finished run (or planes.json) to localise in.")] = None,
     start: Annotated[
         str | None,
-        typer.Option("--start", help="With --prior: its first X,Y,HEADING (m, deg), or find (default 0,0,0)"),
+        typer.Option("--start", help="With --prior: X,Y,HEADING or X,Y,Z,YAW,PITCH,ROLL (m, deg); or find (0,0,0)"),
     ] = None,
     start_sigma: Annotated[
         str | None, typer.Option("--start-sigma", help="With --prior: standard deviations of that (default 0.3,6)")
@@ -58,6 +61,9 @@ def slam(
     batch: Annotated[bool, typer.Option("--batch", help="Solve the graph once more as a whole at the end.")] = False,
     topic: TopicOption = None,
     odometry_topic: OdometryTopicOption = None,
+    odometry_frame: OdometryFrameOption = None,
+    body_frame: BodyFrameOption = None,
+    jobs: JobsOption = None,
     timings: TimingsOption = False,
     strict_verdict: Annotated[
         bool, typer.Option("--strict-verdict", help="Exit code 1 where the map is found to be broken.")
@@ -68,20 +74,16 @@ def slam(
     if resume:
         run_folder, moved_to = (out, log) if out is not None else (log, None)
         begun_with = (rig, config, prior, odometry, start, start_sigma, topic, odometry_topic)
+        begun_with = (*begun_with, odometry_frame, body_frame)
         if run_folder is None or any((*begun_with, overwrite, keep_partial, keep_raw, forget_raw)):
             raise typer.BadParameter("takes the folder of a run; all else is as the run began", param_hint="--resume")
         ending = _Ending(as_json, timings, strict_verdict)
-        _resume(run_folder, moved_to, salvage=salvage, ending=ending)
+        _resume(run_folder, moved_to, salvage=salvage, jobs=jobs, ending=ending)
         return
     if log is None or out is None or salvage:
         raise typer.BadParameter("expected LOG --out DIR, or --resume RUN", param_hint="slam")
     if prior is None and (start is not None or start_sigma is not None):
         raise typer.BadParameter("expected --prior, the map that it is a place in", param_hint="--start")
-    from slam.cli._prior import read_prior
-    from slam.frontend.keyframes import keyframes_of
-    from slam.output.run_folder import Source, new_run
-    from slam.runs.slam_run import run_slam
-
     job = open_job(
         log,
         out,
@@ -91,8 +93,16 @@ def slam(
         keep_partial=keep_partial,
         topics=topic,
         odometry_topic=odometry_topic,
+        odometry_frame=odometry_frame,
+        body_frame=body_frame,
         odometry=odometry,
     )
+    from slam.cli._prior import read_prior
+    from slam.frontend.ahead import cores
+    from slam.frontend.keyframes import keyframes_of
+    from slam.output.run_folder import Source, new_run
+    from slam.runs.slam_run import run_slam
+
     if strict:
         keyframes = job.config.keyframes.model_copy(update={"strict": True})
         job = job._replace(config=job.config.model_copy(update={"keyframes": keyframes}))
@@ -106,7 +116,7 @@ def slam(
         new_run(out, job.log, job.rig, job.config, source, prior=known, overwrite=overwrite) as slam,
         progress_bar("keyframes") as progress,
     ):
-        run = run_slam(job.log, job.rig, job.config, slam=slam, batch=batch, clock=job.clock, progress=progress)
+        run = run_slam(*job[:3], slam=slam, batch=batch, jobs=jobs or cores(), clock=job.clock, progress=progress)
         _conclude(run, out, _Ending(as_json, timings, strict_verdict))
     say_verdict(run.verdict, strict=strict_verdict)
 
@@ -122,17 +132,21 @@ class _Ending(NamedTuple):
     """A map found to be broken is exit code 1."""
 
 
-def _resume(folder: Path, log: Path | None, *, salvage: bool, ending: _Ending) -> None:
+def _resume(folder: Path, log: Path | None, *, salvage: bool, jobs: int | None, ending: _Ending) -> None:
     """Go on with a run; of one that is finished there is nothing to do, and that is no error."""
+    from slam.session.state import check_run_folder
+
+    check_run_folder(folder)
     from slam.output.run_folder import FinishedAlready
 
     try:
-        _go_on(folder, log, salvage=salvage, ending=ending)
+        _go_on(folder, log, salvage=salvage, jobs=jobs, ending=ending)
     except FinishedAlready as sentence:
         say(sentence)
 
 
-def _go_on(folder: Path, log: Path | None, *, salvage: bool, ending: _Ending) -> None:
+def _go_on(folder: Path, log: Path | None, *, salvage: bool, jobs: int | None, ending: _Ending) -> None:
+    from slam.frontend.ahead import cores
     from slam.output.run_folder import resumed_run
     from slam.runs.slam_run import StageClock, run_slam
     from slam.session.salvage import salvage_session
@@ -142,7 +156,7 @@ def _go_on(folder: Path, log: Path | None, *, salvage: bool, ending: _Ending) ->
     clock = StageClock()
     with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
         with progress_bar("keyframes") as progress:
-            run = run_slam(read, rig, slam.config, slam=slam, clock=clock, progress=progress)
+            run = run_slam(read, rig, slam.config, slam=slam, jobs=jobs or cores(), clock=clock, progress=progress)
         _conclude(run, folder, ending)
     say_verdict(run.verdict, strict=ending.strict_verdict)
 
@@ -173,15 +187,16 @@ def map_(
     as_json: JsonOption = False,
 ) -> None:
     """The paper's mapping: planes of LOG at the poses it gives."""
-    from slam.output.run_files import new_folder, write_map
+    job = open_job(log, out, rig=rig, config=config, overwrite=overwrite, keep_partial=keep_partial)
+    from slam.output.new_folder import new_folder
+    from slam.output.run_files import write_map
     from slam.output.run_metrics import empty_map
     from slam.runs.mapping_run import run_map
 
-    job = open_job(log, out, rig=rig, config=config, overwrite=overwrite, keep_partial=keep_partial)
     with progress_bar("scans") as progress:
         result = run_map(job.log, job.rig, job.config, clock=job.clock, progress=progress)
     with new_folder(out, overwrite=overwrite) as folder:
-        rows = write_map(result, folder, job.config, job.rig, title=f"spplanes map {log.name}")
+        rows = write_map(result, folder, job.config, job.rig, title=f"spplanes map {log.name}", log=job.log)
     warn_of(empty_map(result.planes))
     for sentence in job.log.assumed:
         say(f"assumed: {sentence}")
@@ -196,18 +211,21 @@ def demo(
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a corridor mission, map it with the poses unknown, and compare with the truth."""
+    from slam.output.new_folder import check_free, new_folder
+
+    check_free(out, overwrite=overwrite)
     from slam.config import SlamConfig
-    from slam.output.run_files import check_free, new_folder, write_run
+    from slam.frontend.ahead import cores
+    from slam.output.run_files import write_run
     from slam.runs.demo import compare
     from slam.runs.slam_run import StageClock, run_slam
     from slam.simulation import simulate_mission
 
-    check_free(out, overwrite=overwrite)
     clock = StageClock()
     with clock.stage("simulate"):
         mission = simulate_mission("corridor", n_scans=scans, seed=seed)
     with progress_bar("keyframes") as progress:
-        run = run_slam(mission.log, mission.rig, SlamConfig(), clock=clock, progress=progress)
+        run = run_slam(mission.log, mission.rig, SlamConfig(), jobs=cores(), clock=clock, progress=progress)
     rows = compare(run, mission.truth)
     with new_folder(out, overwrite=overwrite) as folder:
         write_run(run, folder, title="spplanes demo", extra=[("estimate against truth", rows)])

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import gammaincinv
 
 from slam.association.data_association import Decision
 from slam.growable import Rows
@@ -88,5 +88,5 @@ class NisSummary:
         """Summarise the measurements of one type."""
         total = float(np.sum([chi2 for _, chi2, _ in history]))
         dof = int(np.sum([dof for _, _, dof in history]))
-        low, high = chi2_distribution.ppf([(1 - BAND) / 2, (1 + BAND) / 2], dof) / dof
+        low, high = 2.0 * gammaincinv(0.5 * dof, [(1 - BAND) / 2, (1 + BAND) / 2]) / dof
         return cls(kind, len(history), total / dof, float(low), float(high))

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.errors import LogError
 from slam.evaluation.metrics import Metric
 from slam.evaluation.planes import plane_metrics
 from slam.evaluation.references import BODY, best_path, read_reference
 from slam.evaluation.relations import FOUND, STATED, relation_metrics
 from slam.evaluation.trajectories import PoseErrors, absolute_error, alignment_of, common_poses, relative_error
+from slam.given import check_truth_given
 from slam.io.planes_json import read_planes
 from slam.io.relations import read_relations
 from slam.io.trajectories import Trajectory, read_tum
-from slam.session.store import check_finished
+from slam.session.state import check_finished
 from slam.simulation.truth import Truth
 from spplanes.plane import Plane
 
@@ -74,8 +74,7 @@ def compare_with_truth(
         relations = read_relations(truth)
         rows = _for_each_path(run, lambda path: relation_metrics(path, relations))
         return Evaluation(rows, _what_was_compared(run, rows))
-    if not truth.is_dir():
-        raise LogError(truth, "expected a mission's folder, a trajectory or a file of relations, got nothing")
+    check_truth_given(truth)
     known = Truth.read(_truth_folder(truth))
     rows = _for_each_path(run, lambda path: trajectory_metrics(path, known.trajectory))
     trajectory = read_tum(run / "trajectory.tum")

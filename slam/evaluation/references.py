@@ -10,7 +10,8 @@ from slam.geometry.frames import inverse
 from slam.io.folders.depth_images import CAMERA_POSES, is_depth_folder
 from slam.io.trajectories import Trajectory, read_tum
 from slam.sensors.rig import Rig
-from slam.session.store import Session, session_path
+from slam.session.state import session_path
+from slam.session.store import Session
 from spplanes._check import FloatArray
 
 #: What `truth_of` says beside the name of a sensor.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from slam.frontend.odometry import Motion, planar_delta
 from spplanes._check import FloatArray
@@ -66,7 +66,7 @@ class WheelCalibration:
         correction[2] = np.remainder(correction[2] + np.pi, 2.0 * np.pi) - np.pi
         told = np.linalg.solve(predicted.covariance, correction)
         gained = predicted.covariance - covariance
-        if correction @ told > chi2_distribution.isf(_SIGNIFICANCE, 3) or np.linalg.eigvalsh(gained)[-1] <= 0.0:
+        if correction @ told > chdtri(3, _SIGNIFICANCE) or np.linalg.eigvalsh(gained)[-1] <= 0.0:
             return
         gain = self.covariance @ np.linalg.solve(predicted.covariance, predicted.response).T
         self.mean = self.mean + gain @ correction

@@ -9,17 +9,17 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from factors import plane_factor, plane_landmark
 from slam.backend.estimator import BackendError, pose_symbol
 from slam.frontend.observations import Observation
-from slam.geometry.extents import Region
+from slam.geometry.extents import Extent
 from slam.geometry.frames import inverse
 from slam.map.landmarks import Landmark, Sighting, observe
 from slam.map.state import Parts
-from slam.mapping.merge import Cause, Merge
-from slam.mapping.same_plane import twin_chi2
+from slam.mapping.fusion_history import Cause, Merge
+from slam.mapping.same_plane import same_plane_chi2
 
 #: After an undone merge the estimate goes back a long way: so often iSAM2 relinearises.
 _ROUNDS = 5
@@ -36,7 +36,6 @@ class Merges:
         self.history: list[Merge] = []
         self._keyframes, self._landmarks = parts.keyframes, parts.landmarks
         self._backend, self._config = parts.backend, parts.config
-        self.robust: str | None = parts.config.backend.robust
         self._apart: set[frozenset[int]] = set()
 
     def may_be_one(self, first: int, second: int) -> bool:
@@ -57,7 +56,7 @@ class Merges:
         `doubted`.
         """
         before, undisturbed = self._backend.chi2(), self._backend.snapshot()
-        limit = float(chi2_distribution.isf(self._config.association.new_significance, max(3 * len(pairs), 1)))
+        limit = float(chdtri(max(3 * len(pairs), 1), self._config.association.new_significance))
         parts = [self._rekeyed(older, younger, "loop") for older, younger in pairs]
         factors, old = ([one for part in parts for one in part[side]] for side in (0, 1))
         try:
@@ -80,9 +79,9 @@ class Merges:
     def _rekeyed(self, older: int, younger: int, cause: Cause) -> tuple[list[Any], list[int]]:
         """Factors of what was seen of the younger, now of the older, and the indices of those they replace."""
         gone, home = self._landmarks[younger], self._landmarks[older]
-        robust = self.robust or (self._config.backend.robust_loops if cause == "loop" else None)
+        otherwise = self._config.backend.robust_loops if cause == "loop" else None
         factors = [
-            observe(self._observation(one), pose_symbol(one.keyframe), home, self._backend, robust)
+            observe(self._observation(one), pose_symbol(one.keyframe), home, self._backend, one.robust or otherwise)
             for one in gone.sightings
         ]
         return factors, [one.factor_index for one in gone.sightings]
@@ -156,7 +155,7 @@ class Merges:
             misfit, dof = self._residual(merge)
             if not dof:  # all of it was seen from keyframes that have left the graph
                 continue
-            limit = float(chi2_distribution.isf(self._config.association.new_significance, dof))
+            limit = float(chdtri(dof, self._config.association.new_significance))
             if misfit > max(scale, 1.0) * limit:
                 found.append((misfit / limit, merge))
         return [merge for _, merge in sorted(found, key=lambda one: (-one[0], one[1].keyframe, one[1].younger))]
@@ -166,8 +165,8 @@ class Merges:
         holder = self._holder(merge)
         self.undo(merge)
         back = self._landmarks[merge.younger]
-        limit = float(chi2_distribution.isf(self._config.association.new_significance, 3))
-        if twin_chi2(holder, back, self._backend) > limit:
+        limit = float(chdtri(3, self._config.association.new_significance))
+        if same_plane_chi2(holder, back, self._backend) > limit:
             return True
         self._apart.discard(frozenset((holder.id, back.id)))
         again = self.merge(holder.id, back.id, merge.cause)
@@ -219,7 +218,7 @@ class Merges:
                     pose_symbol(sighting.keyframe),
                     target.key,
                     target.anchor_key,
-                    self.robust,
+                    sighting.robust,
                     None if target.anchor_key == pose_symbol(sighting.keyframe) else expected,
                 )
             )
@@ -245,7 +244,7 @@ class Merges:
         """What was seen of a landmark, from its sightings alone."""
         plane_T_world = inverse(self._landmarks.placed(landmark.id).world_T_plane)
         landmark.sightings.sort(key=lambda one: (one.keyframe, one.observation))
-        landmark.region = Region(landmark.first_outline)
+        landmark.extent = Extent(landmark.first_outline)
         for one in landmark.sightings:
             plane_T_body = plane_T_world @ self._backend.pose(pose_symbol(one.keyframe))
-            landmark.region.grow(self._observation(one).patch_in(plane_T_body))
+            landmark.extent.grow(self._observation(one).patch_in(plane_T_body))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 from shapely.geometry.base import BaseGeometry
 
 from slam.config import AssociationConfig, LandmarkConfig
@@ -45,7 +45,7 @@ def is_large(plane: Plane, rules: LandmarkConfig) -> bool:
     return plane.n_points >= rules.min_points and (plane.outline is None or plane.outline.area >= rules.min_area_m2)
 
 
-def group_births(
+def group_new(
     observations: Sequence[Observation], rules: LandmarkConfig, association: AssociationConfig
 ) -> list[list[int]]:
     """Gather measurements of one keyframe that are one plane; the first of each group, the firmest, starts it.
@@ -56,7 +56,7 @@ def group_births(
     Returns:
         Groups of indices into `observations`, in order of their first member.
     """
-    limit = float(chi2_distribution.isf(association.significance, 3))
+    limit = float(chdtri(3, association.significance))
     planes = [observation.full_plane(rules.wall_tilt_sigma_rad) for observation in observations]
     order = sorted(range(len(observations)), key=lambda index: (-_patch_size(observations[index]), index))
     groups: list[list[int]] = []

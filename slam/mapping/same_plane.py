@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from factors import landmark_hesse
 from slam.backend.estimator import Backend, JointCovariance
@@ -27,8 +27,8 @@ class SamePlaneFinder:
         self._told_apart: dict[tuple[int, int], int] = {}
 
     def pairs(self, touched: Iterable[int]) -> list[tuple[int, int]]:
-        """Pairs (older, younger) that are one plane, of those with a landmark in `touched`, as `find_twins` has it."""
-        return find_twins(
+        """Pairs (older, younger) that are one plane, of those with a landmark in `touched`: `find_same_planes`."""
+        return find_same_planes(
             touched,
             self._landmarks,
             self._backend,
@@ -42,7 +42,7 @@ class SamePlaneFinder:
         self._told_apart.clear()
 
 
-def find_twins(
+def find_same_planes(
     touched: Iterable[int],
     landmarks: LandmarkMap,
     backend: Backend,
@@ -82,8 +82,8 @@ def find_twins(
     joint = backend.joint_covariance(
         sorted({key for pair in pairs.values() for one in pair for key in landmark_keys(one)})
     )
-    limit = float(chi2_distribution.isf(config.significance, 3))
-    found = [(_twin_chi2(*pair, backend, joint), *ids) for ids, pair in pairs.items()]
+    limit = float(chdtri(3, config.significance))
+    found = [(_same_plane_chi2(*pair, backend, joint), *ids) for ids, pair in pairs.items()]
     if told_apart is not None:
         told_apart.update({(a, b): _sightings(pairs[a, b]) for chi2, a, b in found if chi2 > limit})
     return _disjoint(sorted(one for one in found if one[0] <= limit))
@@ -93,14 +93,14 @@ def _sightings(pair: tuple[Landmark, Landmark]) -> int:
     return sum(len(one.sightings) for one in pair)
 
 
-def twin_chi2(first: Landmark, second: Landmark, backend: Backend) -> float:
+def same_plane_chi2(first: Landmark, second: Landmark, backend: Backend) -> float:
     """Squared Mahalanobis distance of two landmarks of one state, chi2 with 3 degrees of freedom if they are one.
 
     Their difference is taken in the frame of the second's anchor, in a basis that stays fixed: that of
     ``Unit3.basis()`` jumps where components of the normal tie.
     """
     keys = sorted({*landmark_keys(first), *landmark_keys(second)})
-    return _twin_chi2(first, second, backend, backend.joint_covariance(keys))
+    return _same_plane_chi2(first, second, backend, backend.joint_covariance(keys))
 
 
 def landmark_keys(landmark: Landmark) -> tuple[int, int]:
@@ -108,7 +108,7 @@ def landmark_keys(landmark: Landmark) -> tuple[int, int]:
     return landmark.key, landmark.anchor_key
 
 
-def _twin_chi2(first: Landmark, second: Landmark, backend: Backend, joint: JointCovariance) -> float:
+def _same_plane_chi2(first: Landmark, second: Landmark, backend: Backend, joint: JointCovariance) -> float:
     difference, jacobian, keys = difference_of(first, second, backend)
     covariance = jacobian @ joint.of(keys) @ jacobian.T
     return float(difference @ np.linalg.solve(covariance, difference))
@@ -165,7 +165,24 @@ def hesse_from(landmark: Landmark, pose_key: int, backend: Backend) -> tuple[Flo
     Returns:
         Normal (3,) and Hesse distance in the pose's frame, the derivative (4, K) of both and the keys it is by.
     """
-    anchor = inverse(backend.pose(pose_key)) @ backend.pose(landmark.anchor_key)
+    moved, d, blocks = _hesse_in(inverse(backend.pose(pose_key)), landmark, backend)
+    by_pose = np.zeros((4, 6))
+    by_pose[:3, :3], by_pose[3, 3:] = skew(moved), -moved
+    blocks[pose_key] = blocks.get(pose_key, np.zeros((4, 6))) + by_pose
+    return moved, d, np.hstack(list(blocks.values())), list(blocks)
+
+
+def hesse_in_world(landmark: Landmark, backend: Backend) -> tuple[FloatArray, float, FloatArray, list[int]]:
+    """The same in the world."""
+    normal, d, blocks = _hesse_in(np.eye(4), landmark, backend)
+    return normal, d, np.hstack(list(blocks.values())), list(blocks)
+
+
+def _hesse_in(
+    frame_T_world: FloatArray, landmark: Landmark, backend: Backend
+) -> tuple[FloatArray, float, dict[int, FloatArray]]:
+    """Normal (3,) and distance of a landmark in a fixed frame; derivatives by its own tangent and its anchor's."""
+    anchor = frame_T_world @ backend.pose(landmark.anchor_key)
     rotation, shift = anchor[:3, :3], anchor[:3, 3]
     plane = backend.plane(landmark.key)
     normal, d = landmark_hesse(plane)
@@ -175,11 +192,7 @@ def hesse_from(landmark: Landmark, pose_key: int, backend: Backend) -> tuple[Flo
     by_plane[:, :2], by_plane[3, 2] = turned @ rotation @ plane.normal().basis(), -1.0
     by_anchor = np.hstack((-turned @ rotation @ skew(normal), np.zeros((4, 3))))
     by_anchor[3, 3:] = normal
-    by_pose = np.zeros((4, 6))
-    by_pose[:3, :3], by_pose[3, 3:] = skew(moved), -moved
-    blocks: dict[int, FloatArray] = {landmark.key: by_plane, landmark.anchor_key: by_anchor}
-    blocks[pose_key] = blocks.get(pose_key, np.zeros((4, 6))) + by_pose
-    return moved, float(d + shift @ moved), np.hstack(list(blocks.values())), list(blocks)
+    return moved, float(d + shift @ moved), {landmark.key: by_plane, landmark.anchor_key: by_anchor}
 
 
 def _may_be_one(
@@ -191,8 +204,8 @@ def _may_be_one(
     first_T_second = inverse(first_place.world_T_plane) @ second_place.world_T_plane
     if abs(first_T_second[2, 3]) > config.gap_m:
         return False
-    pieces = (flatten(piece, first_T_second) for piece in second.region.pieces)
-    return any(first.region.is_within(config.gap_m, piece) for piece in pieces)
+    pieces = (flatten(piece, first_T_second) for piece in second.extent.pieces)
+    return any(first.extent.is_within(config.gap_m, piece) for piece in pieces)
 
 
 def _disjoint(pairs: Sequence[tuple[float, int, int]]) -> list[tuple[int, int]]:

@@ -4,30 +4,34 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from slam.errors import LogError
+from slam.errors import LogError, MissingPackageError
 from slam.files import whole_file
-from slam.io.g2o.reader import read_g2o
-from slam.io.trajectories import write_kitti
-from slam.output.run_files import write_ply
-from slam.runs.stored_run import StoredRun
-from slam.visualization.glb import write_glb
-from slam.visualization.mesh import mesh_of
+
+if TYPE_CHECKING:
+    from slam.floorplan import FloorPlan
+    from slam.runs.stored_run import StoredRun
 
 
 def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False) -> None:
     """Write one file from the folder of a run; the ending of its name says which.
 
     ``.ply`` and ``.glb``: the polygons of the planes as a coloured mesh. ``.g2o``: the graph with its planes. ``.tum``,
-    and ``.kitti`` or ``.kitti.txt``: the trajectory, every number exactly.
+    and ``.kitti`` or ``.kitti.txt``: the trajectory, every number exactly. ``.dxf``, ``.svg`` and ``.ifc``: the floor
+    plan with standard deviations, for which the run's session is replayed.
 
     Raises:
-        LogError: a file of the run that is missing or broken; a run at given poses has no graph.
+        LogError: a file of the run that is missing or broken; a run at given poses has no graph and no session.
+        MissingPackageError: a format that needs a package that is not installed.
         ValueError: an ending that is none of these, a file that exists, or a place where nothing can be written.
     """
     run, to = Path(run), Path(to)
     check_target(to, overwrite=overwrite)
+    from slam.runs.stored_run import StoredRun  # after what is refused at once: it takes long to import
+
     write = _writer_for(to)
     stored = StoredRun.read(run)
     with whole_file(to, overwrite=overwrite) as scratch:
@@ -35,8 +39,11 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False) -> N
 
 
 def check_target(to: Path, *, overwrite: bool) -> None:
-    """Refuse a name that says no format, or a file that exists, before any work is done for it."""
+    """Refuse a name that says no format or one whose package is missing, or a file that exists, before any work."""
     _writer_for(to)
+    package = _PACKAGES.get(to.suffix.lower())
+    if package is not None and find_spec(package) is None:
+        raise MissingPackageError(to, package, "bim", doing="writing")
     if to.exists() and not (overwrite and to.is_file()):
         hint = "give --overwrite to replace it" if to.is_file() else "expected a file to write, got a folder"
         raise ValueError(f"{to}: exists already; {hint}")
@@ -58,15 +65,66 @@ def _graph(run: StoredRun, path: Path) -> None:
     source = run.folder / "graph.g2o"
     if not source.is_file():
         raise LogError(source, "expected the graph of a run with poses estimated, found none")
+    from slam.io.g2o.reader import read_g2o
+
     read_g2o(source)
     shutil.copyfile(source, path)
 
 
+def _mesh(run: StoredRun, path: Path) -> None:
+    from slam.output.run_files import write_ply
+    from slam.visualization.mesh import mesh_of
+
+    write_ply(path, mesh_of(run.planes))
+
+
+def _scene(run: StoredRun, path: Path) -> None:
+    from slam.visualization.glb import write_glb
+
+    write_glb(path, run.planes)
+
+
+def _poses(run: StoredRun, path: Path) -> None:
+    from slam.io.trajectories import write_kitti
+
+    write_kitti(path, run.trajectory.poses)
+
+
+def _dxf(run: StoredRun, path: Path) -> None:
+    from slam.output.plan_dxf import write_dxf
+
+    write_dxf(path, *_plan(run))
+
+
+def _svg(run: StoredRun, path: Path) -> None:
+    from slam.output.plan_svg import write_svg
+
+    write_svg(path, *_plan(run))
+
+
+def _ifc(run: StoredRun, path: Path) -> None:
+    from slam.output.plan_ifc import write_ifc
+
+    write_ifc(path, *_plan(run))
+
+
+def _plan(run: StoredRun) -> tuple[FloorPlan, str | None]:
+    """Replay the run and measure its map; the plan, and the verdict on it."""
+    from slam.runs.stored_plan import stored_floor_plan
+
+    return stored_floor_plan(run), None if run.verdict is None else run.verdict.verdict
+
+
+#: Packages that a format needs, by its ending.
+_PACKAGES = {".dxf": "ezdxf", ".ifc": "ifcopenshell"}
 _TARGETS: dict[str, Callable[[StoredRun, Path], None]] = {
-    ".ply": lambda run, path: write_ply(path, mesh_of(run.planes)),
-    ".glb": lambda run, path: write_glb(path, run.planes),
+    ".ply": _mesh,
+    ".glb": _scene,
     ".g2o": _graph,
     ".tum": _trajectory,
-    ".kitti": lambda run, path: write_kitti(path, run.trajectory.poses),
-    ".kitti.txt": lambda run, path: write_kitti(path, run.trajectory.poses),
+    ".kitti": _poses,
+    ".kitti.txt": _poses,
+    ".dxf": _dxf,
+    ".svg": _svg,
+    ".ifc": _ifc,
 }

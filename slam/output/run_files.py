@@ -1,13 +1,10 @@
-"""The run folder: configuration, trajectory, planes, mesh, numbers and pictures, all or nothing."""
+"""The files of a run: configuration, trajectory, planes, mesh, numbers and pictures."""
 
 from __future__ import annotations
 
 import json
 import os
-import shutil
-import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +12,6 @@ import numpy as np
 
 from slam.config import SlamConfig
 from slam.evaluation.metrics import Metric
-from slam.files import scratch_folder
 from slam.io.clouds.ply import write_ply_tables
 from slam.io.g2o.writer import write_g2o
 from slam.io.planes_json import write_planes
@@ -23,40 +19,16 @@ from slam.io.trajectories import write_tum
 from slam.output.run_metrics import details_of, map_metrics_of, metrics_of, timings_of
 from slam.runs.graph_import import ImportedRun
 from slam.runs.history import History
+from slam.runs.map_points import points_of_map
 from slam.runs.mapping_run import MapResult
 from slam.runs.slam_run import Run
+from slam.sensors.log import Log
 from slam.sensors.rig import Rig
-from slam.session.store import is_unfinished
 from slam.visualization.mesh import Mesh, mesh_of
 from slam.visualization.pictures import Drawn, draw_map
 from slam.visualization.report import write_report
 from slam.visualization.scene import scene_of
 from slam.visualization.uncertainty import draw_uncertainty
-
-
-@contextmanager
-def new_folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """A folder that appears under its name only when everything in it is written.
-
-    The work happens in a hidden folder beside it; when anything fails, that one goes and `out` is as it was.
-
-    Raises:
-        ValueError: `out` exists and may not be overwritten, or the folder it should lie in cannot be written.
-    """
-    out = Path(out)
-    check_free(out, overwrite=overwrite)
-    with scratch_folder(out) as work:
-        yield work
-        _put_in_place(work, out)
-
-
-def check_free(out: Path, *, overwrite: bool) -> None:
-    """Refuse an output that exists, before any work is done for it."""
-    if out.exists() and not (overwrite and out.is_dir()):
-        hint = "it is not a folder" if not out.is_dir() else "give --overwrite to replace it"
-        if is_unfinished(out):
-            hint = f"its run is not finished: go on with --resume {out}, or give --overwrite to begin anew"
-        raise ValueError(f"{out}: exists already; {hint}")
 
 
 def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, Sequence[Metric]]] = ()) -> None:
@@ -68,7 +40,7 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     if len(run.scan_odometry):
         write_tum(folder / "odometry.tum", run.scan_odometry)
     write_g2o(folder / "graph.g2o", run.slam.backend.graph, run.slam.backend.values)
-    history = History.of(run.planes, run.slam)
+    history = History.of(run.planes, run.slam, points_of_map(run.log, run.rig, run.scan_trajectory))
     history.write(folder / "view.json")
     draw_uncertainty(run, history, folder / "uncertainty.png")
     pictures = [folder / "map.png", folder / "uncertainty.png"]
@@ -76,13 +48,19 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     write_report(folder / "report.html", title, tables, pictures, scene, run.verdict)
 
 
-def write_map(result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, title: str) -> list[Metric]:
-    """Write a map made at given poses into a folder that exists; returns the table, times left out."""
+def write_map(
+    result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, title: str, log: Log | None = None
+) -> list[Metric]:
+    """Write a map made at given poses into a folder that exists; returns the table, times left out.
+
+    With the `log` that it was made from, some of its points are shown on the page.
+    """
     table = map_metrics_of(result)
     rows = table + timings_of(result.clock)
     write_result(result, folder, config, rig, {"metrics": as_json(rows)})
     write_tum(folder / "scans.tum", result.scan_trajectory)
-    history = History.of(result.planes)
+    points = None if log is None else points_of_map(log, rig, result.scan_trajectory)
+    history = History.of(result.planes, points=points)
     history.write(folder / "view.json")
     write_report(folder / "report.html", title, [("the map", rows)], [folder / "map.png"], scene_of(result, history))
     return table
@@ -154,18 +132,3 @@ def write_ply(path: Path, mesh: Mesh) -> None:
 def write_json(path: Path, data: dict[str, Any]) -> None:
     """Strict JSON: NaN is refused rather than written as a word no other reader knows."""
     path.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def _put_in_place(work: Path, out: Path) -> None:
-    """Rename; an old folder is moved aside first and deleted only when the new one is in its place."""
-    if not out.exists():
-        os.replace(work, out)
-        return
-    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent))
-    os.replace(out, aside / out.name)
-    try:
-        os.replace(work, out)
-    except OSError:
-        os.replace(aside / out.name, out)
-        raise
-    shutil.rmtree(aside, ignore_errors=True)

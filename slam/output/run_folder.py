@@ -16,7 +16,7 @@ from slam.config import SlamConfig
 from slam.files import scratch_folder
 from slam.frontend.keyframes import keyframes_of
 from slam.io.load import load
-from slam.output.run_files import check_free
+from slam.output.new_folder import check_free
 from slam.planeslam import PlaneSlam
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig
@@ -24,7 +24,8 @@ from slam.session._digest import fingerprint
 from slam.session._file import sync_folder
 from slam.session.prior_map import PriorMap, finished_map
 from slam.session.replay import RawScans, SessionRecorder, is_measured_again, resumed
-from slam.session.store import SESSION_FILE, Session, SessionError, session_path
+from slam.session.state import SESSION_FILE, check_run_folder, session_path
+from slam.session.store import Session, SessionError
 
 _WORK = ".results-"
 
@@ -124,10 +125,7 @@ def resumed_run(folder: Path, log_path: Path | None = None) -> Iterator[Resumed]
         SessionError: no session, a damaged one, or one in use; or another log.
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise SessionError(
-            f"{folder}: expected the folder of a run, found {'a file' if folder.exists() else 'nothing'}"
-        )
+    check_run_folder(folder)
     with Session.open(session_path(folder)) as session:
         if session.is_finished:
             raise FinishedAlready(f"{folder}: finished already; nothing is left to do")

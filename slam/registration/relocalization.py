@@ -8,7 +8,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from factors import relative_pose_factor
 from factors._conventions import POSE3_TO_SP
@@ -91,7 +91,7 @@ def speaks_against(
     found = align(keyframe.surfaces, known, [np.eye(4)])
     off = gtsam.Pose3.Logmap(gtsam.Pose3(found.known_T_seen))[POSE3_TO_SP]
     aligned = _stated(motion, np.eye(4), _inverted(found.information + _SILENT)).covariance
-    return bool(off @ np.linalg.solve(aligned + _spatial(motion), off) > chi2.isf(significance, 6))
+    return bool(off @ np.linalg.solve(aligned + _spatial(motion), off) > chdtri(6, significance))
 
 
 def _spatial(motion: Motion) -> FloatArray:

@@ -12,11 +12,12 @@ import shapely
 from slam.diagnostics.verdict import Verdict
 from slam.errors import LogError
 from slam.evaluation.metrics import Metric
+from slam.given import check_run_given
 from slam.io.planes_json import read_map
 from slam.io.trajectories import Trajectory, read_tum
 from slam.map.map_planes import MapPlane
 from slam.runs.history import History
-from slam.session.store import check_finished
+from slam.session.state import check_finished
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +49,7 @@ class StoredRun:
         """
         folder = Path(folder)
         check_finished(folder)
-        if not (folder / "planes.json").is_file():
-            raise LogError(folder, "expected the folder of a run, found no planes.json in it")
+        check_run_given(folder)
         history = History.read(folder / "view.json") if (folder / "view.json").exists() else History()
         odometry = read_tum(folder / "odometry.tum") if (folder / "odometry.tum").exists() else Trajectory.empty()
         planes = []

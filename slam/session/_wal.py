@@ -14,16 +14,13 @@ import os
 import struct
 from pathlib import Path
 
-import numpy as np
-from numba import njit
-
 _HEADER, _FRAME = 32, 24
 #: Room for the pages after which SQLite folds the journal back into the file, bytes.
 _ROOM = _HEADER + 1100 * (_FRAME + 4096)
 _MAGIC = (0x377F0682, 0x377F0683)
 
 
-def make_room(path: Path) -> None:
+def plan_removal(path: Path) -> None:
     """Fill the journal up with zeros to the size it will come to, as far as the disk has room for them.
 
     To sync a file that grows takes the file system a commit of its own: measured, 4 ms instead of 0.1 ms. SQLite takes
@@ -59,7 +56,7 @@ def lost_frames(path: Path) -> int:
     page = 65536 if page == 1 else page
     sums = (0, 0)
     if magic in _MAGIC and 512 <= page <= 65536:
-        sums = _checksum(np.frombuffer(data[:24], dtype=f"{order}u4").astype(np.uint32), 0, 0)
+        sums = _checksum(data[:24], order, 0, 0)
     if sums != struct.unpack_from(">II", data, 24):
         return max((len(data) - _HEADER) // (_FRAME + 4096), 1)
     valid = committed = last = 0
@@ -68,7 +65,7 @@ def lost_frames(path: Path) -> int:
         same = data[start + 8 : start + 16] == salts
         if valid == number - 1 and same:
             words = data[start : start + 8] + data[start + _FRAME : start + _FRAME + page]
-            sums = _checksum(np.frombuffer(words, dtype=f"{order}u4").astype(np.uint32), *sums)
+            sums = _checksum(words, order, *sums)
             if sums == struct.unpack_from(">II", data, start + 16):
                 valid = number
                 committed = number if struct.unpack_from(">I", data, start + 4)[0] else committed
@@ -89,14 +86,7 @@ def _promised(path: Path, salts: bytes | None) -> int | None:
     return struct.unpack_from("=I", data, 16)[0]
 
 
-def _checksum(words: np.ndarray, first: int, second: int) -> tuple[int, int]:
-    sums = _checksum_kernel(words, np.uint32(first), np.uint32(second))
-    return int(sums[0]), int(sums[1])
+def _checksum(words: bytes, order: str, first: int, second: int) -> tuple[int, int]:
+    from slam.session._wal_kernel import checksum  # compiled: a session without a journal is opened without numba
 
-
-@njit(cache=True)
-def _checksum_kernel(words, first, second):
-    for i in range(0, len(words), 2):
-        first = np.uint32(first + words[i] + second)
-        second = np.uint32(second + words[i + 1] + first)
-    return first, second
+    return checksum(words, order, first, second)

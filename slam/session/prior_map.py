@@ -19,7 +19,8 @@ from slam.io.planes_json import read_planes
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.map.map_planes import MapPlane
 from slam.session._codec import CodecError, decode, encode
-from slam.session.store import Session, SessionError, session_path
+from slam.session.state import session_path
+from slam.session.store import Session, SessionError
 from spplanes._check import FloatArray, as_covariance, as_transform, check_instance
 
 #: GTSAM key of the pose in whose frame the planes of a prior map live: that of the map itself.
@@ -151,6 +152,11 @@ class PriorMap:
             return cls(**content)
         except TypeError as error:
             raise CodecError(f"expected a prior map, got something else ({error})") from error
+
+
+def space_start(sigma_m: float = START_SIGMA_M, sigma_rad: float = START_SIGMA_RAD) -> FloatArray:
+    """Covariance (6, 6) of a start that is known to ``sigma_m`` and ``sigma_rad`` in all directions, off any floor."""
+    return np.diag(np.square(np.repeat([sigma_m, sigma_rad], 3)))
 
 
 def floor_start(sigma_m: float = START_SIGMA_M, sigma_rad: float = START_SIGMA_RAD) -> FloatArray:

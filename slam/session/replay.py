@@ -17,7 +17,8 @@ from slam.session._codec import encode
 from slam.session.forgetting import ForgottenDecisions, ForgottenKeyframes
 from slam.session.prior_map import PriorMap
 from slam.session.recorder import Recorder
-from slam.session.store import Session, SessionError, session_path
+from slam.session.state import session_path
+from slam.session.store import Session, SessionError
 
 
 class Estimator(Protocol):

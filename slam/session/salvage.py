@@ -9,7 +9,8 @@ from pathlib import Path
 
 from slam.session._codec import encode
 from slam.session._lock import WriterLock
-from slam.session.store import RawScan, Session, SessionDamaged, SessionError, session_path
+from slam.session.state import check_session_given, session_path
+from slam.session.store import RawScan, Session, SessionDamaged, SessionError
 
 _SUFFIXES = ("", "-wal", "-shm")
 
@@ -42,8 +43,7 @@ def salvage_session(path: Path | str) -> Salvage:
         SessionError: nothing of it can be read, or another process writes it.
     """
     path = session_path(path)
-    if not path.is_file():
-        raise SessionError(f"{path}: expected a session, found nothing")
+    check_session_given(path)
     damage = _damage_of(path)
     if damage is None:
         with Session.open(path, read_only=True) as session:

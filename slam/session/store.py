@@ -25,40 +25,10 @@ from slam.session._file import (
 )
 from slam.session._opening import make_file, open_file, put
 from slam.session._records import Entry, RawScan, SessionRecords
+from slam.session.state import check_session_given, session_path
 from spplanes import __version__
 
-__all__ = ["Entry", "RawScan", "Session", "SessionDamaged", "SessionError", "StorageError", "session_path"]
-
-#: Name of the session in the folder of a run.
-SESSION_FILE = "session.db"
-
-
-def session_path(path: Path | str) -> Path:
-    """The session file: the path itself, or session.db in the folder of a run."""
-    path = Path(path)
-    return path / SESSION_FILE if path.is_dir() else path
-
-
-def is_unfinished(folder: Path | str) -> bool:
-    """Whether a folder holds a run that was interrupted, or that goes on now; in doubt it does not."""
-    path = Path(folder) / SESSION_FILE
-    if not path.is_file():
-        return False
-    try:
-        with Session.open(path, read_only=True) as session:
-            return not session.is_finished
-    except (ValueError, OSError):
-        return False
-
-
-def check_finished(folder: Path | str) -> None:
-    """Raise where a folder holds a run that has no results yet.
-
-    Raises:
-        SessionError: one sentence that says how it gets them.
-    """
-    if not (Path(folder) / "planes.json").is_file() and is_unfinished(folder):
-        raise SessionError(f"{folder}: the run is not finished; go on with: spplanes slam --resume {folder}")
+__all__ = ["Entry", "RawScan", "Session", "SessionDamaged", "SessionError", "StorageError"]
 
 
 class Session(SessionRecords):
@@ -126,8 +96,7 @@ class Session(SessionRecords):
             SessionDamaged: a checksum fails.
         """
         path = session_path(path)
-        if not path.is_file():
-            raise SessionError(f"{path}: expected a session, found nothing")
+        check_session_given(path)
         found = open_file(path, read_only=read_only, damaged=damaged)
         try:
             return cls(path, found, damaged=damaged)

@@ -1,6 +1,7 @@
 """Worlds, robots and sensors with ground truth."""
 
-from slam.simulation.mission import WORLDS, Mission, ScanArrays, simulate_mission
+from slam.given import WORLDS
+from slam.simulation.mission import Mission, ScanArrays, simulate_mission
 from slam.simulation.path import Path
 from slam.simulation.rigs import HORIZONTAL, SPINNING, VERTICAL, paper_rig, spinning_rig
 from slam.simulation.truth import Truth

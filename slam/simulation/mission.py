@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.given import check_world_given
 from slam.io.carmen.writer import write_carmen
 from slam.io.folders.writer import write_cloud_folder
 from slam.sensors.log import LaserScan, Log
@@ -30,8 +31,6 @@ PAPER_SCANS, PAPER_SPACING_M = 1083, 0.027
 SPINNING_SPACING_M = 0.5
 #: Worlds that are a loop: what they look like, and the way through them for so many laps.
 _LOOPS = {"office": (office, office_path), "room": (room, room_path), "hall": (hall, hall_path)}
-#: Worlds there are.
-WORLDS = ("corridor", *_LOOPS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +138,7 @@ def simulate_mission(
         ValueError: an unknown world, fewer than two scans, more than the way holds, no laps, a corridor with laps, a
             rig with a sensor of another name.
     """
-    if world not in WORLDS:
-        raise ValueError(f"world: expected one of {', '.join(WORLDS)}, got {world!r}")
+    check_world_given(world)
     if laps < 1 or (laps > 1 and world == "corridor"):
         raise ValueError(f"laps: expected 1 in a corridor and at least 1 elsewhere, got {laps}")
     if n_scans is not None and n_scans < 2:

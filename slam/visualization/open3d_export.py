@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import gammaincinv
 from shapely import Polygon, box, get_coordinates
 
 from slam.geometry.frames import lift
@@ -150,7 +150,7 @@ def ellipsoids_to_lines(
     matrices = as_shape("covariances", covariances, (len(points), 3, 3))
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence: expected a probability between 0 and 1, got {confidence}")
-    reach = as_positive("scale", scale) * np.sqrt(chi2_distribution.ppf(confidence, 3))
+    reach = as_positive("scale", scale) * np.sqrt(2.0 * gammaincinv(0.5 * 3, confidence))
     turns = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_CORNERS + 1)
     circles = np.zeros((3, len(turns), 3))
     for axis in range(3):

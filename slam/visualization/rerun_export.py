@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import gammaincinv
 from shapely import get_coordinates
 
 from slam.geometry.frames import lift
@@ -82,7 +82,7 @@ def _log_confidence(rr: Any, recording: Any, run: StoredRun) -> None:
         return
     values, vectors = np.linalg.eigh(covariances)
     vectors[np.linalg.det(vectors) < 0.0, :, 0] *= -1.0
-    half = np.sqrt(np.maximum(values, 0.0) * chi2_distribution.ppf(CONFIDENCE, 3))
+    half = np.sqrt(np.maximum(values, 0.0) * 2.0 * gammaincinv(0.5 * 3, CONFIDENCE))
     turns = [rr.Quaternion(xyzw=Rotation.from_matrix(axes).as_quat()) for axes in vectors]
     ellipsoids = rr.Ellipsoids3D(centers=places, half_sizes=half, quaternions=turns, colors=[_BLUE] * len(places))
     recording.log("confidence", ellipsoids, static=True)

@@ -11,7 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import EllipseCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import gammaincinv
 
 from slam.map.map_planes import MapPlane
 from slam.runs.history import History
@@ -60,7 +60,7 @@ def _draw_ellipses(axes: Any, run: Drawn, history: History) -> str:
     if not len(places):
         return ""
     values, vectors = np.linalg.eigh(covariances[:, :2, :2])
-    diameters = 2.0 * np.sqrt(np.maximum(values, 0.0) * chi2_distribution.ppf(CONFIDENCE, 2))
+    diameters = 2.0 * np.sqrt(np.maximum(values, 0.0) * 2.0 * gammaincinv(0.5 * 2, CONFIDENCE))
     largest = float(diameters.max())
     width = float(np.ptp(axes.get_xlim()))
     factor = 10.0 ** max(np.floor(np.log10(_LARGEST_SHARE * width / largest)), 0.0) if largest > 0.0 else 1.0

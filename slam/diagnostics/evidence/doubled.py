@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 import shapely
-from scipy.stats import binom
 
+from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.surfaces import ALIKE, Surfaces
 from slam.diagnostics.verdict import Evidence, named
@@ -40,7 +40,7 @@ def doubled_evidence(run: Finished, surfaces: Surfaces) -> Iterator[Evidence]:
     yield Evidence(
         "doubled surfaces",
         "doubtful",
-        float(binom.sf(len(twice) - 1, count, NOVEL_SHARE)),
+        float(at_least(len(twice), count, NOVEL_SHARE)),
         len(twice) / count,
         "of planes",
         frames,

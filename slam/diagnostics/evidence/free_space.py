@@ -6,8 +6,8 @@ from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import binom
 
+from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.views import View, comparisons, pairs_of
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named
 from slam.frontend.occupancy import NOVEL_SHARE
@@ -56,12 +56,12 @@ def seen_through(places: Mapping[Hashable, Place], what: str) -> Iterator[Eviden
     if not places:
         return
     looks, through = (np.array(column) for column in zip(*((p.looks, p.through) for p in places.values()), strict=True))
-    p_values = np.minimum(len(places) * binom.sf(through - 1, looks, NOVEL_SHARE), 1.0)
+    p_values = np.minimum(len(places) * at_least(through, looks, NOVEL_SHARE), 1.0)
     wrong = [place for place, p_value in zip(places.values(), p_values, strict=True) if p_value < SIGNIFICANCE]
     if not wrong:
         return
     frames = tuple(sorted(set().union(*(place.keyframes for place in wrong))))
-    whole = float(binom.sf(through.sum() - 1, looks.sum(), NOVEL_SHARE))
+    whole = float(at_least(through.sum(), looks.sum(), NOVEL_SHARE))
     gone, seen = sum(place.through for place in wrong), sum(place.looks for place in wrong)
     yield Evidence(
         "free space",

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
-from scipy.stats import norm
+from scipy.special import chdtrc, ndtr
 
 from slam.backend.estimator import pose_symbol
 from slam.diagnostics.evidence.finished import Finished
@@ -20,7 +19,7 @@ _MOST_POSES = 24
 
 def risk(sigma_m: float, claimed_m: float) -> float:
     """Probability that an error of standard deviation `sigma_m` breaks the promise where `claimed_m` is claimed."""
-    return 2.0 * float(norm.sf(max(PROMISED_M, PROMISED_SIGMAS * claimed_m) / max(sigma_m, 1e-12)))
+    return 2.0 * float(ndtr(-max(PROMISED_M, PROMISED_SIGMAS * claimed_m) / max(sigma_m, 1e-12)))
 
 
 def at_risk(sigmas: Mapping[int, float], factor: float) -> tuple[int, ...]:
@@ -55,7 +54,7 @@ def nis_evidence(run: Finished) -> Iterator[Evidence]:
     yield Evidence(
         "innovations",
         "doubtful",
-        float(chi2_distribution.sf(total, dof)),
+        float(chdtrc(dof, total)),
         factor,
         "times the stated sigma",
         risky,

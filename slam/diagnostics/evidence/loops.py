@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.stats import binom
 
+from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.verdict import Evidence, named
 from slam.loop_closure.verification import LoopDecision
 
@@ -27,7 +27,7 @@ def loop_evidence(loops: Sequence[LoopDecision], significance: float) -> Iterato
     yield Evidence(
         "loops",
         "doubtful",
-        float(binom.sf(len(against) - 1, len(loops), significance)),
+        float(at_least(len(against), len(loops), significance)),
         float(len(against)),
         "loops",
         frames,

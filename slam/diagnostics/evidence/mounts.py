@@ -8,8 +8,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import binom, binomtest
 
+from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.surfaces import agreement
 from slam.diagnostics.evidence.views import View, compare
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named
@@ -71,8 +71,8 @@ def _tests(counts: _Counts, frames: tuple[int, ...]) -> Iterator[Evidence]:
     """The stated mount against all others."""
     stated = counts(np.eye(4))
     whole = stated.sum(axis=0)
-    by_pair = len(stated) * binom.sf(stated[:, 1] - 1, stated.sum(axis=1), NOVEL_SHARE).min()
-    if min(by_pair, binom.sf(whole[1] - 1, whole.sum(), NOVEL_SHARE)) > SIGNIFICANCE:
+    by_pair = len(stated) * at_least(stated[:, 1], stated.sum(axis=1), NOVEL_SHARE).min()
+    if min(by_pair, at_least(whole[1], whole.sum(), NOVEL_SHARE)) > SIGNIFICANCE:
         return  # the stated mount fits
     tests = []
     for turn in _TURNS:
@@ -80,7 +80,7 @@ def _tests(counts: _Counts, frames: tuple[int, ...]) -> Iterator[Evidence]:
         gain = (under[:, 0] - under[:, 1]) - (stated[:, 0] - stated[:, 1])
         better, told = int((gain > 0).sum()), int((gain != 0).sum())
         if 2 * better > told:
-            p_value = len(_TURNS) * float(binomtest(better, told, alternative="greater").pvalue)
+            p_value = len(_TURNS) * float(at_least(better, told))
             tests.append((float(gain.sum()), p_value, better, told, turn.name))
     if not tests:
         return

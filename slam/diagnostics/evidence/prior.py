@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binom
 from shapely import LineString
 from shapely.geometry.base import BaseGeometry
 
+from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.surfaces import Rays, Surfaces
 from slam.diagnostics.evidence.views import TOLERANCE_M, View
@@ -75,7 +75,7 @@ def prior_evidence(run: Finished, planes: PriorPlanes) -> Iterator[Evidence]:
         yield Evidence("prior map", "doubtful", 0.0, 0.0, "of planes", frames, f"{sentence} ({named(frames)})")
         return
     in_view = len(planes.seen) + len(planes.missed)
-    p_value = float(binom.sf(len(planes.missed) - 1, in_view, NOVEL_SHARE))
+    p_value = float(at_least(len(planes.missed), in_view, NOVEL_SHARE))
     yield Evidence(
         "prior map",
         "doubtful",
@@ -108,7 +108,7 @@ def _places_on(landmark: Landmark, world_T_plane: FloatArray) -> FloatArray:
         return np.empty((0, 3))
     across = np.cross([0.0, 0.0, 1.0], world_T_plane[:3, 2])
     direction = world_T_plane[:3, :2].T @ across
-    corners = landmark.region.corners
+    corners = landmark.extent.corners
     middle, along = corners.mean(axis=0), (corners - corners.mean(axis=0)) @ direction
     steps = np.arange(along.min() + 0.5 * _STEP_M, along.max(), _STEP_M)
     flat = middle + steps[:, None] * direction

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from slam.frontend.information import inverted, left_open, planar_information
 from slam.frontend.observations import Observation
@@ -121,7 +121,7 @@ def motion_between(
     error = planar_delta(measured.a_T_b) - planar_delta(matched.a_T_b)
     error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
     spread = measured.covariance + track.by_returns(*stamps_ns)
-    if error @ np.linalg.solve(spread, error) > chi2_distribution.isf(significance, 3):
+    if error @ np.linalg.solve(spread, error) > chdtri(3, significance):
         return beyond_lines(matched, observations)
     covariance = _larger(measured.covariance, matched.covariance)
     told = {"returns_a_T_b": matched.a_T_b, "returns_covariance": matched.returns_covariance}

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from slam.errors import LogError
+from slam.given import check_cloud_given
 from slam.io.clouds import pcd, ply
 from slam.io.clouds.arrays import read_npy, read_npz, weigh_npy
 from slam.io.clouds.cloud import Cloud
@@ -61,8 +62,7 @@ def read_cloud(path: Path | str) -> Cloud:
         LogError: no such file, an unknown ending, or what the reader of its format says.
     """
     path = Path(path)
-    if not path.is_file():
-        raise LogError(path, "expected a file with a cloud, found none")
+    check_cloud_given(path)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise LogError(path, f"expected a cloud ({', '.join(CLOUD_SUFFIXES)}), got the ending {path.suffix[:20]!r}")

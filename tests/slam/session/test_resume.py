@@ -27,7 +27,8 @@ from slam.io.trajectories import Trajectory, read_tum, write_tum
 from slam.planeslam import pose_symbol
 from slam.sensors.log import LaserScan
 from slam.session.salvage import salvage_session
-from slam.session.store import SESSION_FILE, Session, SessionError, StorageError
+from slam.session.state import SESSION_FILE
+from slam.session.store import Session, SessionError, StorageError
 from tests.slam.scenes import drive
 
 #: Files of a run that must be the same however often it was interrupted; the others hold times.

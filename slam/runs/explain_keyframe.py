@@ -9,7 +9,8 @@ from typing import Any
 from slam.association.decisions import Candidate, Decision
 from slam.frontend.observations import Observation
 from slam.planeslam import PlaneSlam
-from slam.session.store import Session, session_path
+from slam.session.state import session_path
+from slam.session.store import Session
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.stats import binomtest
 
+from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.verdict import Evidence, named
 from slam.frontend.observations import LineObservation, Observation, PlaneObservation
@@ -29,7 +29,7 @@ def unmatched_evidence(run: Finished) -> Iterator[Evidence]:
     yield Evidence(
         "unmatched",
         "doubtful",
-        float(binomtest(len(many), count, alternative="greater").pvalue),
+        float(at_least(len(many), count)),
         size,
         "of the area seen",
         frames,

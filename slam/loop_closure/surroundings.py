@@ -58,4 +58,4 @@ def _wall_from(
     normal, d, jacobian, keys = hesse_from(landmark, pose_key, backend)
     covariance = jacobian @ joint.of(keys) @ jacobian.T
     body_T_plane = body_T_world @ landmarks.placed(landmark.id).world_T_plane
-    return Wall.from_plane(normal, d, covariance, lift(landmark.region.corners, body_T_plane))
+    return Wall.from_plane(normal, d, covariance, lift(landmark.extent.corners, body_T_plane))

@@ -1,0 +1,53 @@
+"""A folder for results: refused where one is, and there only when everything in it is written."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from slam.files import scratch_folder
+from slam.session.state import is_unfinished
+
+
+@contextmanager
+def new_folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """A folder that appears under its name only when everything in it is written.
+
+    The work happens in a hidden folder beside it; when anything fails, that one goes and `out` is as it was.
+
+    Raises:
+        ValueError: `out` exists and may not be overwritten, or the folder it should lie in cannot be written.
+    """
+    out = Path(out)
+    check_free(out, overwrite=overwrite)
+    with scratch_folder(out) as work:
+        yield work
+        _put_in_place(work, out)
+
+
+def check_free(out: Path, *, overwrite: bool) -> None:
+    """Refuse an output that exists, before any work is done for it."""
+    if out.exists() and not (overwrite and out.is_dir()):
+        hint = "it is not a folder" if not out.is_dir() else "give --overwrite to replace it"
+        if is_unfinished(out):
+            hint = f"its run is not finished: go on with --resume {out}, or give --overwrite to begin anew"
+        raise ValueError(f"{out}: exists already; {hint}")
+
+
+def _put_in_place(work: Path, out: Path) -> None:
+    """Rename; an old folder is moved aside first and deleted only when the new one is in its place."""
+    if not out.exists():
+        os.replace(work, out)
+        return
+    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent))
+    os.replace(out, aside / out.name)
+    try:
+        os.replace(work, out)
+    except OSError:
+        os.replace(aside / out.name, out)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)

@@ -1,0 +1,68 @@
+"""Whether a run came to its end: asked of its session alone, without reading what was measured."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from pathlib import Path
+
+from slam.session._digest import digest
+from slam.session._file import SessionDamaged, SessionError, translated
+from slam.session._opening import open_file
+
+#: Name of the session in the folder of a run.
+SESSION_FILE = "session.db"
+
+
+def session_path(path: Path | str) -> Path:
+    """The session file: the path itself, or session.db in the folder of a run."""
+    path = Path(path)
+    return path / SESSION_FILE if path.is_dir() else path
+
+
+def check_session_given(path: Path) -> None:
+    """Refuse a session where no file is.
+
+    Raises:
+        SessionError: so it is.
+    """
+    if not path.is_file():
+        raise SessionError(f"{path}: expected a session, found nothing")
+
+
+def check_run_folder(folder: Path) -> None:
+    """Refuse the folder of a run where no folder is.
+
+    Raises:
+        SessionError: so it is.
+    """
+    if not folder.is_dir():
+        found = "a file" if folder.exists() else "nothing"
+        raise SessionError(f"{folder}: expected the folder of a run, found {found}")
+
+
+def is_unfinished(folder: Path | str) -> bool:
+    """Whether a folder holds a run that was interrupted, or that goes on now; in doubt it does not."""
+    path = Path(folder) / SESSION_FILE
+    if not path.is_file():
+        return False
+    try:
+        with closing(open_file(path, read_only=True, damaged=False)) as opened, translated(path):
+            row = opened.connection.execute("SELECT data, digest FROM session WHERE key = 'state'").fetchone()
+        if row is None:  # a session of an early version
+            return True
+        if digest("state", row[0]) != row[1]:
+            raise SessionDamaged(f"{path}: damaged; the record of its state is not what was written")
+        return json.loads(row[0])["state"] != "finished"
+    except (ValueError, OSError, KeyError, TypeError):
+        return False
+
+
+def check_finished(folder: Path | str) -> None:
+    """Raise where a folder holds a run that has no results yet.
+
+    Raises:
+        SessionError: one sentence that says how it gets them.
+    """
+    if not (Path(folder) / "planes.json").is_file() and is_unfinished(folder):
+        raise SessionError(f"{folder}: the run is not finished; go on with: spplanes slam --resume {folder}")
