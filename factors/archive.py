@@ -135,10 +135,10 @@ def _read(written: dict[str, Any], keys: Sequence[int] | None = None) -> gtsam.N
     if kind == "gtsam":
         return _from_alone(content)
     noise = _from_alone(content["noise"]).noiseModel()
-    measured, keys = np.array(content["measured"]), keys or content["keys"]
+    measured, names = np.array(content["measured"]), content["keys"] if keys is None else keys
     if kind == "plane":
-        return gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, *keys)
-    return gtsam.OrientedPlane3DirectionPrior(keys[0], np.array([*measured[:3], 0.0]), noise)
+        return gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, *names)
+    return gtsam.OrientedPlane3DirectionPrior(names[0], np.array([*measured[:3], 0.0]), noise)
 
 
 def _native(factor: gtsam.NoiseModelFactor, carrier: type) -> dict[str, Any]:

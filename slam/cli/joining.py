@@ -32,7 +32,7 @@ def join(
     """One map of several finished RUNs, wherever each began: planes seen by several once, a trajectory for each."""
     from slam.config import SlamConfig
     from slam.joining import join as join_runs
-    from slam.output.run_files import check_free
+    from slam.output.new_folder import check_free
 
     check_free(out, overwrite=overwrite)
     settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
@@ -71,7 +71,7 @@ def fleet(
     """Map many LOGs at once, on this machine or on a Dask cluster, and join the missions into one map."""
     from slam.config import SlamConfig
     from slam.fleet.fleet import has_dashboard, local_client, remote_client, run
-    from slam.output.run_files import check_free
+    from slam.output.new_folder import check_free
     from slam.sensors.rig import Rig
 
     if scheduler is not None and scheduler_file is not None:
@@ -117,7 +117,7 @@ def fleet(
 def _write(joined: JoinedMap, out: Path, title: str, *, overwrite: bool, as_json: bool) -> None:
     """The folder of a joined map; its table and what to know on the screen."""
     from slam.output.joined_folder import warnings_of, write_joined
-    from slam.output.run_files import new_folder
+    from slam.output.new_folder import new_folder
 
     with new_folder(out, overwrite=overwrite) as folder:
         rows = write_joined(joined, folder, title=f"spplanes {out.name}")

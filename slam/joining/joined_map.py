@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 
 from factors import landmark_hesse
-from slam.geometry.extents import Region
+from slam.geometry.extents import Extent
 from slam.geometry.frames import inverse, settle_frame
 from slam.geometry.polygons import flatten, largest_polygon
 from slam.io.trajectories import Trajectory
@@ -108,15 +108,15 @@ class JoinedComponent:
             plane, common_T_anchor = self.solution.plane(place)
             normal, d = landmark_hesse(plane.transform(gtsam.Pose3(inverse(common_T_anchor))))
             frames.append(settle_frame(self.solution.bases[place.mission].matrix() @ one.plane.frame, normal, d))
-        region = Region(known[0].seen)
+        extent = Extent(known[0].seen)
         for frame, one in zip(frames[1:], known[1:], strict=True):
-            region.grow(flatten(one.seen, inverse(frames[0]) @ frame))
+            extent.grow(flatten(one.seen, inverse(frames[0]) @ frame))
         covariance = self._posteriors[places[0].mission].plane_covariance(places[0].landmark, frames[0])
         n_points = sum(one.plane.n_points for one in known)
-        outline = largest_polygon(region.geometry)
+        outline = largest_polygon(extent.geometry)
         plane = Plane(frames[0], 0.5 * (covariance + covariance.T), n_points, outline)
         kinds = tuple(sorted({kind for one in known for kind in one.kinds}))
-        return MapPlane(number, plane, region.geometry, sum(one.observations for one in known), kinds)
+        return MapPlane(number, plane, extent.geometry, sum(one.observations for one in known), kinds)
 
     def _known(self, place: Place) -> MapPlane:
         return next(one for one in self.missions[place.mission].mission.planes if one.id == place.landmark)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from slam.config import SlamConfig
+from slam.frontend.observations import PlaneObservation
 from slam.geometry.frames import inverse, planar_transform
 from slam.joining import FinishedMission, JoinedMap, join
 from slam.joining.join import names_of
@@ -99,10 +100,11 @@ def test_what_has_moved_between_the_missions_is_kept_apart_and_told():
     shifted = []
     for keyframe, pose in zip(frames, scene(1000).world_T_body, strict=True):
         seen = list(keyframe.observations)
+        assert isinstance(seen[3], PlaneObservation)
         plane = seen[3].plane
         frame = plane.frame.copy()
         frame[:3, 3] += 0.15 * frame[:3, 2]
-        seen[3] = replace(seen[3], plane=Plane(frame, plane.covariance, plane.n_points, plane.outline))
+        seen[3] = PlaneObservation(Plane(frame, plane.covariance, plane.n_points, plane.outline))
         shifted.append(replace(keyframe, observations=seen))
         assert np.allclose(pose[:3, :3] @ frame[:3, 2], [-1, 0, 0], atol=0.1)
     other = mission(
