@@ -57,3 +57,19 @@ def test_every_kernel_comes_through_here():
     sources = (path for package in ("spplanes", "factors", "slam") for path in (root / package).rglob("*.py"))
     theirs = [path.name for path in sources if "from numba import njit" in path.read_text(encoding="utf-8")]
     assert theirs == []
+
+
+def test_it_is_said_once_that_something_is_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    _jit._tell_of_compiling.cache_clear()
+
+    @_jit.njit(cache=True)
+    def twice(x):
+        return 2 * x
+
+    with caplog.at_level("INFO", logger="spplanes._jit"):
+        assert twice(2) == 4 and twice(2) == 4 and twice(2.0) == 4.0
+    assert [record.message[:29] for record in caplog.records] == ["compiling for this machine, o"]
+    _jit.KERNELS.remove(twice)
