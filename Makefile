@@ -7,7 +7,7 @@ FUZZ_SECONDS ?= 60
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test lint types docs examples figures benchmarks fuzz clean
+.PHONY: help demo test lint types docs examples figures benchmarks fuzz release wheel clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -42,6 +42,9 @@ benchmarks: $(VENV)/.ready-dev  ## ratios side by side (slow)
 fuzz: $(VENV)/.ready-dev  ## coverage-guided fuzzing of every reader, FUZZ_SECONDS (60) each
 	$(BIN)/pip install --quiet --constraint constraints.txt atheris
 	$(BIN)/python -m tests.fuzz --seconds $(FUZZ_SECONDS)
+
+release:  ## sdist and wheel in ./dist, checked, installed and run under every supported Python that is here (minutes)
+	$(PYTHON) tools/release.py
 
 wheel: $(VENV)/.ready-dev  ## a wheel in ./dist that brings its kernels compiled, and a check that nothing is compiled
 	SPPLANES_KERNELS=all $(BIN)/pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .

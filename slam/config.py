@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -11,6 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from slam._yaml import read_yaml
 from spplanes import LineConfig, MapperConfig
 from spplanes.segmentation.validation.config import ValidationConfig
+
+#: Bounds that are drawn from a standard deviation, within which a test then decides, are taken at this many of them.
+BOUND_SIGMAS: Final = 3.0
 
 RobustKernel = Literal["huber", "cauchy", "geman-mcclure", "dcs"]
 

@@ -15,7 +15,7 @@ from slam.backend.estimator import Backend, pose_symbol
 from slam.config import SlamConfig
 from slam.diagnostics.bookkeeping import Bookkeeping
 from slam.diagnostics.consistency import NisAudit
-from slam.diagnostics.explanations import change_sentences, decision_sentence
+from slam.diagnostics.decision_explanations import change_sentences, decision_sentence
 from slam.diagnostics.map_observability import OpenMapDirection, open_in_map
 from slam.diagnostics.observability import Observability, OpenStretch, open_stretches
 from slam.frontend.input_checks import check_keyframe
@@ -27,7 +27,7 @@ from slam.loop_closure.closing import LoopCloser, LoopClosing
 from slam.loop_closure.verification import LoopDecision
 from slam.map.landmarks import LandmarkMap
 from slam.map.map_planes import MapPlane, map_planes
-from slam.map.sparsification import Thinning
+from slam.map.sparsification import Sparsifier
 from slam.map.state import Parts
 from slam.mapping.fusion import Merges
 from slam.mapping.late_association import LateMatch
@@ -96,8 +96,8 @@ class PlaneSlam:
         self.recorder = recorder or Recorder()
         self.keyframes: MutableSequence[Keyframe] = self.recorder.keyframes()
         self.decisions: MutableSequence[list[Decision]] = self.recorder.decisions()
-        self._thinning = Thinning(self.config.thinning, self.backend, self.landmarks)
-        parts = Parts(self.keyframes, self.landmarks, self.backend, self._thinning, self.config)
+        self._sparsifier = Sparsifier(self.config.thinning, self.backend, self.landmarks)
+        parts = Parts(self.keyframes, self.landmarks, self.backend, self._sparsifier, self.config)
         self._motion_model = MotionModel(parts, start)
         self._associate = associate
         self._map_updater = MapUpdater(parts, associate)
@@ -186,8 +186,6 @@ class PlaneSlam:
     @timed("update")
     def _update(self, keyframe: Keyframe, prediction: Prediction, decisions: list[Decision]) -> MapUpdate:
         """Add the factors of matches and of new landmarks, then count what was seen."""
-        if prediction.pending:  # from then on merges are made by measurements some of which may be wrong
-            self.merges.robust = prediction.robust
         update = self._map_updater.update(keyframe, prediction, decisions)
         self.keyframes.append(keyframe)
         self.decisions.append(decisions)
@@ -218,16 +216,16 @@ class PlaneSlam:
         """Join landmarks that are one plane: the younger's factors are re-keyed to the older, inside iSAM2."""
         for older, younger in self._same_plane.pairs(touched):
             if self.merges.may_be_one(older, younger):
-                self.merges.merge(older, younger, "twins")
+                self.merges.merge(older, younger, "same plane")
 
     @timed("loops")
     def _close_loops(self) -> None:
         """Every metre or so: is what is seen now a place of long ago? Then its walls are joined with those of then."""
-        pairs = self._closer.look(self.audit.mean_per_dof)
-        if pairs is not None:
+        closure = self._closer.look(self.audit.mean_per_dof)
+        if closure is not None:
             self._same_plane.forget()
-            self._merge_same_planes({older for older, _ in pairs})
-            self._closer.take_motion(pairs)
+            self._merge_same_planes({older for older, _ in closure.pairs})
+            self._closer.tie(closure)
 
     def optimize_batch(self) -> gtsam.Values:
         """The same graph solved as a batch by Levenberg-Marquardt; the incremental state stays as it is."""
@@ -238,7 +236,7 @@ class PlaneSlam:
         moved = self.backend.rebuild(self.optimize_batch())
         for landmark in self.landmarks:
             landmark.sightings = [replace(one, factor_index=moved[one.factor_index]) for one in landmark.sightings]
-        self._thinning.renumber(moved)
+        self._sparsifier.renumber(moved)
         self._closer.renumber(moved)
         self.landmarks.refresh(self.backend)
 
@@ -292,7 +290,7 @@ class PlaneSlam:
     def open_in_map(self) -> list[OpenMapDirection]:
         """Directions in which all planes together, odometry left out, do not fix the keyframes against the first."""
         rules = self.config.observability
-        return open_in_map(self._thinning.held, self.keyframes, self.landmarks, self.backend, rules)
+        return open_in_map(self._sparsifier.held, self.keyframes, self.landmarks, self.backend, rules)
 
     def explain(self, keyframe: int) -> list[str]:
         """Why a keyframe's measurements became what they did, and what it changed in the map; one sentence each.

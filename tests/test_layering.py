@@ -45,9 +45,9 @@ ROOMS = {
         ("cli",),
     ),
     "spplanes": (
-        ("_jit",),
-        ("_version", "_check", "_eigen", "_threads"),
-        ("_hesse", "_plane_io", "_rows", "_moment_patches", "noise", "spmodel"),
+        ("_version", "_check", "_jit", "_threads"),
+        ("_eigen",),
+        ("_hesse", "_plane_io", "_rows", "noise", "spmodel"),
         ("clouds",),
         ("plane", "line"),
         ("moments",),

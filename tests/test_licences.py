@@ -2,30 +2,17 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
-from importlib.metadata import PackageMetadata, PackageNotFoundError, metadata, requires
+from importlib.metadata import PackageNotFoundError, metadata, requires
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from tools.licences import COPYLEFT, licence_of
+
 ROOT = Path(__file__).resolve().parent.parent
-#: GPL and AGPL in all spellings; the Lesser GPL, which may be linked to, is none of them.
-COPYLEFT = re.compile(r"\bA?GPL|GNU (Affero )?General Public Licen[sc]e|GNU Affero", re.IGNORECASE)
-#: A licence field longer than this holds whole texts, of bundled run-time libraries as well: the classifiers tell then.
-LONGEST_NAME = 200
-
-
-def licence_of(about: PackageMetadata) -> str:
-    """What a package declares: the SPDX expression, or else its classifiers and the name in its licence field."""
-    declared = about.get_all("License-Expression") or [
-        one for one in about.get_all("Classifier") or [] if one.startswith("License ::")
-    ]
-    named = [one for one in about.get_all("License") or [] if len(one) <= LONGEST_NAME]
-    titles = [one.strip().splitlines()[0] for one in about.get_all("License") or [] if one.strip() and not declared]
-    return "; ".join([*declared, *named, *titles])
 
 
 def core_packages() -> list[str]:

@@ -1,6 +1,6 @@
 """Make the figures of the README: `python tools/figures.py [FOLDER_OF_REAL_DATA]`.
 
-The simulated one always; those of real data where they are: the loop, and the corridor as its page in a browser.
+The simulated ones always; those of real data where they are: the loop, and corridor and hall as their pages show them.
 """
 
 from __future__ import annotations
@@ -28,19 +28,31 @@ WIDTH, USUAL_WIDTH = 8.0, 11.0
 
 
 def main(data: Path) -> None:
-    """Write docs/img/demo.png, loop.png and corridor.png."""
+    """Write the pictures of docs/gallery.md into docs/img."""
     IMAGES.mkdir(parents=True, exist_ok=True)
     mission = simulate_mission("corridor", n_scans=400, seed=0)
     picture(run_slam(mission.log, mission.rig, SlamConfig()), IMAGES / "demo.png", "simulated push-broom mission")
+    office = simulate_mission("office", seed=0)
+    plan(run_slam(office.log, office.rig, SlamConfig()), IMAGES / "office.png", "a simulated office")
     loop = data / "loop5" / "loop5.clf.gz"
     if loop.is_file():
         log, rig = load(loop)
-        plan(run_slam(log, rig, SlamConfig()), IMAGES / "loop.png", "a corridor loop seen by one 2D laser")
+        run, title = run_slam(log, rig, SlamConfig()), "a corridor loop seen by one 2D laser"
+        plan(run, IMAGES / "loop.png", title)
+        page(run, IMAGES / "points.png", title, part="#points")
     corridor = data / "3dtk_corridor"
     if corridor.is_dir():
         log, rig = load(corridor)
         run = run_slam(log, rig, SlamConfig())
-        page(run, IMAGES / "corridor.png")
+        page(run, IMAGES / "corridor.png", "a real corridor: three scans of a tilting laser")
+    hall = data / "balm_hall"
+    if hall.is_dir():
+        log, rig = load(hall)
+        page(
+            run_slam(log, rig, SlamConfig()),
+            IMAGES / "hall.png",
+            "a real hall: 20 clouds of a spinning lidar, no odometry",
+        )
 
 
 def picture(run: Run, path: Path, title: str) -> None:
@@ -65,17 +77,17 @@ def plan(run: Run, path: Path, title: str) -> None:
     figure.savefig(path, dpi=70, metadata={"Software": None})
 
 
-def page(run: Run, path: Path) -> None:
-    """The page of a run as a browser shows it; nothing without one."""
+def page(run: Run, path: Path, title: str, part: str = "") -> None:
+    """The page of a run, or a `part` of it, as a browser shows it; nothing without one."""
     browser = shutil.which("chromium") or shutil.which("google-chrome")
     if browser is None:
-        print("no Chromium here: docs/img/corridor.png stays as it is")
+        print(f"no Chromium here: docs/img/{path.name} stays as it is")
         return
     with tempfile.TemporaryDirectory() as scratch:
         with new_folder(Path(scratch) / "run") as folder:
-            write_run(run, folder, title="a real corridor: three scans of a tilting laser")
+            write_run(run, folder, title=title)
         flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1100,645"]
-        address = (Path(scratch) / "run" / "report.html").as_uri()
+        address = (Path(scratch) / "run" / "report.html").as_uri() + part
         profile = f"--user-data-dir={scratch}/profile"
         command = [browser, *flags, profile, f"--screenshot={path}", address]
         subprocess.run(command, check=True, capture_output=True, timeout=120)

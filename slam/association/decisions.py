@@ -12,7 +12,7 @@ from slam.config import AssociationConfig
 
 #: Where two landmarks could both be it, one that was seen this much farther from the observation is e times less
 #: likely, m: a level laser's line half a metre below a notice-board is of the wall behind the board.
-BEYOND_M = 0.2
+OUTLINE_GAP_SCALE_M = 0.2
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def decide(
         index: the observation.
         candidates: most likely first.
         chance: log density of other planes about the observation.
-        away: how much less likely, in nats, a landmark (its id) is for where the observation lies; see `BEYOND_M`.
+        away: how much less likely, in nats, a landmark (its id) is for where the observation lies.
         config: the gates.
     """
     accepted = [

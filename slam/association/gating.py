@@ -19,7 +19,7 @@ _LOG_2PI = log(2.0 * pi)
 
 
 @dataclass(frozen=True, eq=False)
-class Prospect:
+class Hypothesis:
     """A linearised factor of an observation under the assumption that it is a certain landmark."""
 
     candidate: Candidate
@@ -31,10 +31,10 @@ class Prospect:
 
 @dataclass(frozen=True, eq=False)
 class Innovation:
-    """A prospect compared with a state."""
+    """A hypothesis compared with a state."""
 
     candidate: Candidate
-    prospect: Prospect
+    hypothesis: Hypothesis
     residual: FloatArray
     covariance: FloatArray
 
@@ -46,20 +46,20 @@ class State:
         self._covariance = joint.full.copy()
         self._mean = np.zeros(len(self._covariance))
 
-    def innovation(self, prospect: Prospect) -> Innovation:
-        """Compare a prospect with the state: chi2 and likelihood."""
-        columns, jacobian = prospect.columns, prospect.jacobian
-        residual = prospect.target - jacobian @ self._mean[columns]
+    def innovation(self, hypothesis: Hypothesis) -> Innovation:
+        """Compare a hypothesis with the state: chi2 and likelihood."""
+        columns, jacobian = hypothesis.columns, hypothesis.jacobian
+        residual = hypothesis.target - jacobian @ self._mean[columns]
         covariance = jacobian @ self._covariance[columns[:, None], columns] @ jacobian.T + np.eye(len(residual))
         chi2, log_det = chi2_and_log_det(residual.tolist(), covariance.tolist())
-        blank = prospect.candidate
+        blank = hypothesis.candidate
         log_likelihood = blank.log_likelihood - 0.5 * (chi2 + log_det)
         candidate = Candidate(blank.landmark, chi2, blank.dof, log_likelihood, blank.confirmed)
-        return Innovation(candidate, prospect, residual, covariance)
+        return Innovation(candidate, hypothesis, residual, covariance)
 
     def condition(self, innovation: Innovation) -> None:
         """Take an innovation in: the Kalman update."""
-        spread = self._covariance[:, innovation.prospect.columns] @ innovation.prospect.jacobian.T
+        spread = self._covariance[:, innovation.hypothesis.columns] @ innovation.hypothesis.jacobian.T
         gain = np.linalg.solve(innovation.covariance, spread.T).T
         self._mean = self._mean + gain @ innovation.residual
         self._covariance = self._covariance - gain @ spread.T
@@ -79,26 +79,26 @@ def chi2_and_log_det(residual: list[float], covariance: list[list[float]]) -> tu
     return chi2, log_det
 
 
-def prospects_of(
+def hypotheses_of(
     observation: Observation,
     shortlist: Sequence[Landmark],
     pose_key: int,
     joint: JointCovariance,
     values: gtsam.Values,
     backend: Backend,
-) -> list[Prospect]:
+) -> list[Hypothesis]:
     """The observation's factor for each landmark of its shortlist, linearised at the estimate."""
-    blank, prospects = -float(np.log(observation.volume)) if shortlist else 0.0, []
+    blank, hypotheses = -float(np.log(observation.volume)) if shortlist else 0.0, []
     for landmark in shortlist:
         linear = observe(observation, pose_key, landmark, backend).linearize(values)
         jacobian, target = linear.jacobian()
         telling = np.abs(jacobian).max(axis=1) > 0.0  # a native line factor has an empty row: two dof, not three
         candidate = Candidate(landmark.id, 0.0, int(telling.sum()), blank, landmark.n_keyframes > 1)
-        prospects.append(Prospect(candidate, joint.columns(list(linear.keys())), jacobian[telling], target[telling]))
-    return prospects
+        hypotheses.append(Hypothesis(candidate, joint.columns(list(linear.keys())), jacobian[telling], target[telling]))
+    return hypotheses
 
 
-def innovations_of(prospects: Sequence[Prospect], state: State) -> list[Innovation]:
+def innovations_of(hypotheses: Sequence[Hypothesis], state: State) -> list[Innovation]:
     """The observation under each of its candidates, most likely first; equals in order of their birth."""
-    found = [state.innovation(prospect) for prospect in prospects]
+    found = [state.innovation(hypothesis) for hypothesis in hypotheses]
     return sorted(found, key=lambda one: (-one.candidate.log_likelihood, one.candidate.landmark))

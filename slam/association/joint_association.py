@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from slam.association.decisions import Candidate, Decision, decide, is_open
-from slam.association.gating import Innovation, Prospect, State, innovations_of
+from slam.association.gating import Hypothesis, Innovation, State, innovations_of
 from slam.config import AssociationConfig
 
 #: So many other first matches are tried, each of another landmark.
@@ -15,7 +15,7 @@ _TRIED = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class JointHypothesis:
     """What all observations of a keyframe are, taken together."""
 
     decisions: dict[int, Decision]
@@ -25,10 +25,10 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
-class Reader:
+class JointCompatibility:
     """Decides the observations of a keyframe, the firmest first, the state conditioned on every match."""
 
-    prospects: Sequence[Sequence[Prospect]]
+    hypotheses: Sequence[Sequence[Hypothesis]]
     """Of every observation: one for each landmark it may be."""
     chances: Sequence[float]
     """Of every observation: log density of other planes about it."""
@@ -43,28 +43,28 @@ class Reader:
     config: AssociationConfig
     """The gates."""
 
-    def best(self) -> Reading:
-        """The most likely of a few readings.
+    def best(self) -> JointHypothesis:
+        """The most likely of a few joint hypotheses.
 
         The firmest observation comes first, so when that one is taken for the wall behind it, a notice-board's wall
         say, the pose goes with it and everything that is the wall no longer fits. Where an observation is left without
-        a landmark that it would have had on its own, everything is read once more with that match first, and the
-        reading is kept under which all that was seen is likelier.
+        a landmark that it would have had on its own, everything is decided once more with that match first, and the
+        joint hypothesis is kept under which all that was seen is likelier.
         """
-        first = self.read()
-        others = [self.read(match) for match in self._shut_out(first)]
-        return max([first, *others], key=lambda reading: reading.log_likelihood)  # of equals the first
+        first = self.decide_all()
+        others = [self.decide_all(match) for match in self._shut_out(first)]
+        return max([first, *others], key=lambda one: one.log_likelihood)  # of equals the first
 
-    def read(self, start: tuple[int, int] | None = None) -> Reading:
+    def decide_all(self, start: tuple[int, int] | None = None) -> JointHypothesis:
         """Decide everything; `start` is an observation and the landmark that it is taken for before all others."""
         state, honest = self.state(), None if self.honest is None else self.honest()
-        reading: dict[int, Decision] = {}
+        decisions: dict[int, Decision] = {}
         total = 0.0
         for stage in ("start", "clear", "open"):
             for index in self._firmest_first():
-                if index in reading or (stage == "start" and (start is None or index != start[0])):
+                if index in decisions or (stage == "start" and (start is None or index != start[0])):
                     continue
-                found = innovations_of(self.prospects[index], state)
+                found = innovations_of(self.hypotheses[index], state)
                 compared = [one.candidate for one in found]
                 if stage == "start" and start is not None:
                     compared.sort(key=lambda one: one.landmark != start[1])
@@ -75,8 +75,8 @@ class Reader:
                 if stage == "clear" and is_open(decision, partial(self.away, index), self.config):
                     continue
                 decision, likelihood = self._take_in(decision, found, state, honest)
-                reading[index], total = decision, total + likelihood
-        return Reading(reading, total)
+                decisions[index], total = decision, total + likelihood
+        return JointHypothesis(decisions, total)
 
     def _take_in(
         self, decision: Decision, found: Sequence[Innovation], state: State, honest: State | None
@@ -88,7 +88,7 @@ class Reader:
         chosen = next(one for one in found if one.candidate is decision.match)
         likelihood = chosen.candidate.log_likelihood
         if honest is not None:
-            innovation = honest.innovation(chosen.prospect)
+            innovation = honest.innovation(chosen.hypothesis)
             if innovation.candidate.p_value < self.config.significance:
                 return replace(decision, verdict="unsure", match=None), chance
             honest.condition(innovation)
@@ -96,15 +96,15 @@ class Reader:
         state.condition(chosen)
         return decision, likelihood
 
-    def _shut_out(self, reading: Reading) -> list[tuple[int, int]]:
+    def _shut_out(self, found: JointHypothesis) -> list[tuple[int, int]]:
         """Observations without a landmark that would have had one on their own, with it; each landmark once."""
         state = self.state()
         tried: dict[int, int] = {}
         for index in self._firmest_first():
-            if reading.decisions[index].match is not None or not self.prospects[index]:
+            if found.decisions[index].match is not None or not self.hypotheses[index]:
                 continue
-            found = [one.candidate for one in innovations_of(self.prospects[index], state)]
-            match = self._decide(index, found).match
+            candidates = [one.candidate for one in innovations_of(self.hypotheses[index], state)]
+            match = self._decide(index, candidates).match
             if match is not None:
                 tried.setdefault(match.landmark, index)
         return [(index, landmark) for landmark, index in tried.items()][:_TRIED]

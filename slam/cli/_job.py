@@ -24,6 +24,10 @@ TopicOption = Annotated[
     list[str] | None, typer.Option("--topic", help="Of a bag: topic of scans to read; may be given several times.")
 ]
 OdometryTopicOption = Annotated[str | None, typer.Option("--odometry-topic", help="Of a bag: topic of the odometry.")]
+OdometryFrameOption = Annotated[
+    str | None, typer.Option("--odometry-frame", help="Of a bag: frame that tf tells the odometry from.")
+]
+BodyFrameOption = Annotated[str | None, typer.Option("--body-frame", help="Of a bag: frame of the robot's body.")]
 OdometryOption = Annotated[
     Path | None, typer.Option("--odometry", help="TUM file of odometry, of the body; in place of the log's own.")
 ]
@@ -55,6 +59,8 @@ def open_job(
     keep_partial: bool,
     topics: Sequence[str] | None = None,
     odometry_topic: str | None = None,
+    odometry_frame: str | None = None,
+    body_frame: str | None = None,
     odometry: Path | None = None,
 ) -> Job:
     """Read all that a command is given; whatever is wrong is said before any work is done."""
@@ -62,8 +68,9 @@ def open_job(
     from slam.output.new_folder import check_free
 
     check_free(out, overwrite=overwrite)
-    if odometry is not None and odometry_topic is not None:
-        raise ValueError("--odometry: expected one source of odometry, got --odometry-topic too")
+    for name, given in (("--odometry-topic", odometry_topic), ("--odometry-frame", odometry_frame)):
+        if odometry is not None and given is not None:
+            raise ValueError(f"--odometry: expected one source of odometry, got {name} too")
     for file in (rig, config):
         if file is not None:
             check_file_given(file)
@@ -77,9 +84,9 @@ def open_job(
     settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
     clock = StageClock()
     with clock.stage("read"):
-        given = None if rig is None else Rig.from_yaml(rig)
-        chosen = Topics(tuple(topics or ()), odometry_topic)
-        read, sensors = load(log, given, keep_partial=keep_partial, topics=chosen, odometry=odometry)
+        described = None if rig is None else Rig.from_yaml(rig)
+        chosen = Topics(tuple(topics or ()), odometry_topic, odometry_frame, body_frame)
+        read, sensors = load(log, described, keep_partial=keep_partial, topics=chosen, odometry=odometry)
     for note in read.notes:
         say(f"{log.name}: {note}")
     return Job(read, sensors, settings, clock)

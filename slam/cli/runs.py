@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from slam.cli._job import (
+    BodyFrameOption,
     ConfigOption,
     JobsOption,
     JsonOption,
     KeepPartialOption,
+    OdometryFrameOption,
     OdometryOption,
     OdometryTopicOption,
     OutOption,
@@ -48,7 +50,7 @@ def slam(
     prior: Annotated[Path | None, typer.Option("--prior", help="Finished run (or planes.json) to localise in.")] = None,
     start: Annotated[
         str | None,
-        typer.Option("--start", help="With --prior: its first X,Y,HEADING (m, deg), or find (default 0,0,0)"),
+        typer.Option("--start", help="With --prior: X,Y,HEADING or X,Y,Z,YAW,PITCH,ROLL (m, deg); or find (0,0,0)"),
     ] = None,
     start_sigma: Annotated[
         str | None, typer.Option("--start-sigma", help="With --prior: standard deviations of that (default 0.3,6)")
@@ -59,6 +61,8 @@ def slam(
     batch: Annotated[bool, typer.Option("--batch", help="Solve the graph once more as a whole at the end.")] = False,
     topic: TopicOption = None,
     odometry_topic: OdometryTopicOption = None,
+    odometry_frame: OdometryFrameOption = None,
+    body_frame: BodyFrameOption = None,
     jobs: JobsOption = None,
     timings: TimingsOption = False,
     strict_verdict: Annotated[
@@ -70,6 +74,7 @@ def slam(
     if resume:
         run_folder, moved_to = (out, log) if out is not None else (log, None)
         begun_with = (rig, config, prior, odometry, start, start_sigma, topic, odometry_topic)
+        begun_with = (*begun_with, odometry_frame, body_frame)
         if run_folder is None or any((*begun_with, overwrite, keep_partial, keep_raw, forget_raw)):
             raise typer.BadParameter("takes the folder of a run; all else is as the run began", param_hint="--resume")
         ending = _Ending(as_json, timings, strict_verdict)
@@ -88,6 +93,8 @@ def slam(
         keep_partial=keep_partial,
         topics=topic,
         odometry_topic=odometry_topic,
+        odometry_frame=odometry_frame,
+        body_frame=body_frame,
         odometry=odometry,
     )
     from slam.ahead import cores
@@ -189,7 +196,7 @@ def map_(
     with progress_bar("scans") as progress:
         result = run_map(job.log, job.rig, job.config, clock=job.clock, progress=progress)
     with new_folder(out, overwrite=overwrite) as folder:
-        rows = write_map(result, folder, job.config, job.rig, title=f"spplanes map {log.name}")
+        rows = write_map(result, folder, job.config, job.rig, title=f"spplanes map {log.name}", log=job.log)
     warn_of(empty_map(result.planes))
     for sentence in job.log.assumed:
         say(f"assumed: {sentence}")

@@ -10,7 +10,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
 
 from slam.backend.estimator import Backend, pose_symbol
-from slam.config import ObservabilityConfig
+from slam.config import BOUND_SIGMAS, ObservabilityConfig
 from slam.diagnostics.observability import NOTHING, OpenDirection, Part, gathered, name_of, wide_directions
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation, Observation
@@ -18,8 +18,6 @@ from slam.map.landmarks import Landmark, LandmarkMap
 from spplanes._check import FloatArray
 from spplanes._hesse import frame_from_hesse
 
-#: Normals that differ by less than so many of their standard deviations say nothing by their difference.
-_SIGMAS = 3.0
 #: Keyframes that are looked at, evenly over the run: to each belong six columns of the inverse.
 _MOST = 24
 #: Standard deviation of the first keyframe, from which all others are counted, m and rad.
@@ -180,7 +178,7 @@ def _settled_normals(landmarks: LandmarkMap, keyframes: Sequence[Keyframe]) -> l
     for key in sorted(sigmas, key=lambda key: (sigmas[key], key)):
         normal = landmarks.placed(key).normal
         for axis, sigma in axes:
-            if np.linalg.norm(np.cross(axis, normal)) <= _SIGMAS * np.hypot(sigma, sigmas[key]):
+            if np.linalg.norm(np.cross(axis, normal)) <= BOUND_SIGMAS * np.hypot(sigma, sigmas[key]):
                 settled[key] = axis if axis @ normal > 0.0 else -axis
                 break
         else:

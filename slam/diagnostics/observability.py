@@ -13,6 +13,7 @@ from slam.config import ObservabilityConfig
 from slam.frontend.information import plane_information
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import Observation
+from slam.frontend.odometry import Motion
 from slam.growable import Growing, Rows
 from spplanes._check import FloatArray
 
@@ -20,6 +21,8 @@ Part = Literal["position", "orientation"]
 
 #: Keeps the information matrices invertible: the pose is known to a kilometre and to 30 rad anyway.
 NOTHING = np.diag([1e-3] * 3 + [1e-6] * 3)
+#: A floor is level to no less than this, m and rad: keeps the information finite where a rig states 0.
+_LEAST_SIGMA = 1e-6
 #: A direction closer than this to an axis is called by its name: cosine of 10 deg.
 _NEAR_AXIS = 0.985
 #: Directions of different keyframes are one when they are closer than this: cosine of 25 deg.
@@ -60,7 +63,7 @@ class OpenStretch:
     sigma: float
     """Standard deviation there of the last of these keyframes in the whole graph, everything known: m or rad."""
     source: str
-    """What alone moves the estimate there: odometry, or the assumption of constant velocity."""
+    """What alone moves the estimate there: odometry, laser odometry, or the assumption of constant velocity."""
 
     @property
     def sentence(self) -> str:
@@ -87,15 +90,36 @@ class OpenStretch:
 
 
 def open_directions(
-    keyframe: int, matched: Iterable[Observation], world_T_body: FloatArray, rules: ObservabilityConfig
+    keyframe: int,
+    matched: Iterable[Observation],
+    world_T_body: FloatArray,
+    rules: ObservabilityConfig,
+    motion: Motion | None = None,
+    normals: Sequence[FloatArray] | None = None,
 ) -> list[OpenDirection]:
     """Directions of position and orientation that the matched planes of a keyframe leave open, widest first.
 
     Of each part, with the other marginalised out: the eigenvectors of its covariance whose standard deviation exceeds
-    the rule's. The planes are taken as known and odometry as silent: what is open here nothing that was seen fixes.
+    the rule's. The planes are taken as known and odometry as silent: what is open here nothing that was seen fixes. Of
+    a body that drives on a floor (`motion`) the floor holds height, roll and pitch, as closely as its noise says.
+    `normals` are those of the landmarks they were matched to, in the world, (3,) each: two noisy looks at one wall, or
+    at the two sides of a corridor, fix nothing along it.
     """
-    information = sum((plane_information(one) for one in matched), start=NOTHING)
+    planes, world_R = list(matched), world_T_body[:3, :3]
+    in_body = [None] * len(planes) if normals is None else [world_R.T @ normal for normal in normals]
+    seen = (plane_information(one, normal) for one, normal in zip(planes, in_body, strict=True))
+    information = sum(seen, start=NOTHING + floor_information(motion))
     return wide_directions(keyframe, np.asarray(np.linalg.inv(information), float), world_T_body[:3, :3], rules)
+
+
+def floor_information(motion: Motion | None) -> FloatArray:
+    """Information (6, 6) of (rotation, translation) in the body by the floor that it drives on; none off a floor."""
+    information = np.zeros((6, 6))
+    if motion is not None and motion.is_planar:
+        z, roll, pitch = motion.out_of_plane_sigmas
+        for axis, sigma in ((0, roll), (1, pitch), (5, z)):
+            information[axis, axis] = max(sigma, _LEAST_SIGMA) ** -2
+    return information
 
 
 def wide_directions(
@@ -165,9 +189,16 @@ class Observability:
     history: Directions = field(default_factory=Directions)
     """Open directions of all keyframes, one after another."""
 
-    def add(self, keyframe: int, matched: Iterable[Observation], world_T_body: FloatArray) -> list[OpenDirection]:
-        """Look at a keyframe before the graph does; the first has nothing to be fixed by and leaves nothing open."""
-        found = [] if keyframe == 0 else open_directions(keyframe, matched, world_T_body, self.rules)
+    def add(
+        self,
+        keyframe: int,
+        matched: Iterable[Observation],
+        world_T_body: FloatArray,
+        motion: Motion | None = None,
+        normals: Sequence[FloatArray] | None = None,
+    ) -> list[OpenDirection]:
+        """Look at a keyframe before the graph does, as `open_directions`; the first has nothing to be fixed by."""
+        found = [] if keyframe == 0 else open_directions(keyframe, matched, world_T_body, self.rules, motion, normals)
         self.history.extend(found)
         return found
 
@@ -181,10 +212,18 @@ def open_stretches(seen: Observability, keyframes: Sequence[Keyframe], backend: 
     stretches = []
     for group in seen.directions():
         last = group[-1].keyframe
-        source = "odometry" if keyframes[last].motion is not None else "the assumption of constant velocity"
+        source = _source_of(keyframes[last].motion)
         key = pose_symbol(last)
         stretches.append(stretch_of(group, len(keyframes) - 1, backend.covariance(key), backend.pose(key), source))
     return stretches
+
+
+def _source_of(motion: Motion | None) -> str:
+    """What a motion comes from: matched scans where those stand in for wheels."""
+    if motion is None:
+        return "the assumption of constant velocity"
+    by_returns = motion.returns_a_T_b is not None and np.array_equal(motion.a_T_b, motion.returns_a_T_b)
+    return "laser odometry" if by_returns else "odometry"
 
 
 def gathered(directions: Iterable[OpenDirection]) -> list[list[OpenDirection]]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from slam.association.decisions import Decision
-from slam.association.gating import prospects_of
+from slam.association.gating import hypotheses_of
 from slam.backend.estimator import Backend
 from slam.frontend.observations import Observation
 from slam.map.landmarks import LandmarkMap
@@ -40,10 +40,10 @@ def innovations_without_prediction(
     joint, values = backend.joint_covariance(keys), backend.values_of(keys)
     rows, residuals = [], []
     for index, landmark in found:
-        [prospect] = prospects_of(observations[index], [landmarks[landmark]], pose_key, joint, values, backend)
-        rows.append(np.zeros((len(prospect.target), len(joint.full))))
-        rows[-1][:, prospect.columns] = prospect.jacobian
-        residuals.append(prospect.target)
+        [hypothesis] = hypotheses_of(observations[index], [landmarks[landmark]], pose_key, joint, values, backend)
+        rows.append(np.zeros((len(hypothesis.target), len(joint.full))))
+        rows[-1][:, hypothesis.columns] = hypothesis.jacobian
+        residuals.append(hypothesis.target)
     residual, by_pose = _whitened(np.vstack(rows), np.concatenate(residuals), joint.full, joint.columns([pose_key]))
     ends = np.cumsum([0, *map(len, residuals)]).tolist()
     left = [_left_over(residual[:end], by_pose[:end]) for end in ends]

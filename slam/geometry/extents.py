@@ -20,7 +20,7 @@ _AT_ONCE = 4
 _FULL_M2 = (_TILE_M + 2.0 * _LAP_M) ** 2 - 1e-4
 
 
-class Region:
+class Extent:
     """A growing part of a plane, in the plane's (x, y): polygons, segments, or both.
 
     Laser lines alone, all of one wall, stay one segment.
@@ -62,11 +62,11 @@ class Region:
         self._take(patch)
 
     def is_within(self, distance_m: float, patch: BaseGeometry) -> bool:
-        """Whether the region comes within a distance of a patch."""
+        """Whether the extent comes within a distance of a patch."""
         return any(piece.distance(patch) <= distance_m for piece in self._pieces_about(patch, distance_m))
 
     def distance(self, patch: BaseGeometry, up_to_m: float) -> float:
-        """Distance of the region from a patch, m; `up_to_m` where it is no less."""
+        """Distance of the extent from a patch, m; `up_to_m` where it is no less."""
         return min((up_to_m, *(float(piece.distance(patch)) for piece in self._pieces_about(patch, up_to_m))))
 
     def _pieces_about(self, patch: BaseGeometry, distance_m: float) -> Iterator[BaseGeometry]:

@@ -131,7 +131,9 @@ def bag_rig(log: Log, topics: Topics) -> Rig:
         sensors |= default_rig_for(log).sensors
     seen_in_3d = any(sensor.kind == "cloud" for sensor in sensors.values())
     odometry = MEASURED if seen_in_3d else UNCALIBRATED_WHEELS
-    return Rig(sensors=sensors, odometry=odometry, odometry_record=topics.odometry)
+    return Rig(sensors=sensors, odometry=odometry).with_bag(
+        odometry_record=topics.odometry, odometry_frame=topics.odometry_frame, body_frame=topics.body_frame
+    )
 
 
 #: What a sensor of each kind is called.

@@ -57,8 +57,8 @@ def load(
     path = Path(path)
     check_log_given(path)
     bag = is_rosbag(path)
-    if topics is not None and not bag and (topics.scans or topics.odometry):
-        raise LogError(path, "expected a bag where topics are given, got a log without topics")
+    if topics is not None and not bag and topics.any_given:
+        raise LogError(path, "expected a bag where topics or frames are given, got a log without them")
     if rig is None and path.is_dir() and (path / RIG_FILE).is_file():
         rig = Rig.from_yaml(path / RIG_FILE)
     if bag:
@@ -84,7 +84,22 @@ def _load(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path | None
 
 
 def _load_folder(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path | None) -> tuple[Log, Rig]:
-    """A mission, the scans of 3DTK, depth images, clouds; the result of a run is none of them."""
+    """A mission, the scans of 3DTK, depth images, clouds: the first that is there, and a note where others are too."""
+    log, rig = _load_first(path, rig, keep_partial, odometry)
+    kinds = {
+        "a mission's log": any((path / name).is_file() for name in _MISSION_LOGS),
+        "3DTK scans": is_3dtk_folder(path),
+        "depth images": is_depth_folder(path),
+        "clouds": has_clouds(path, surely=True),
+    }
+    found = [name for name, there in kinds.items() if there]
+    if len(found) > 1:
+        log.notes.append(f"read {found[0]}, left out {' and '.join(found[1:])} in the same folder")
+    return log, rig
+
+
+def _load_first(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path | None) -> tuple[Log, Rig]:
+    """The result of a run is no log."""
     mission = next((path / name for name in _MISSION_LOGS if (path / name).is_file()), None)
     if mission is not None:
         return _load_carmen(mission, rig, keep_partial)
@@ -96,6 +111,9 @@ def _load_folder(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path
         return _load_depth(path, rig, odometry)
     if has_clouds(path):
         return _load_clouds(path, rig, partial(read_cloud_folder, odometry=odometry))
+    bags = sorted(entry.name for entry in path.iterdir() if is_rosbag(entry))
+    if bags:
+        raise LogError(path, f"expected one log, got a folder of {len(bags)} bags: give one of them, such as {bags[0]}")
     raise LogError(path, "expected a folder with clouds, scanNNN.3d files, a bag or log.clf.gz, found none")
 
 
@@ -109,7 +127,11 @@ def _load_bag(path: Path, rig: Rig | None, topics: Topics, keep_partial: bool) -
         log = read_rosbag(path, topics, keep_partial=keep_partial)
         return log, bag_rig(log, topics)
     names = {sensor_name(sensor.record or name): name for name, sensor in rig.sensors.items()}
-    wanted = Topics(topics.scans or tuple(names), topics.odometry or rig.odometry_record)
+    if topics.odometry or topics.odometry_frame:  # what is given stands in for what the rig says, for a resumed run too
+        rig = rig.with_bag(odometry_record=topics.odometry, odometry_frame=topics.odometry_frame)
+    if topics.body_frame:
+        rig = rig.with_bag(body_frame=topics.body_frame)
+    wanted = Topics(topics.scans or tuple(names), rig.odometry_record, rig.odometry_frame, rig.body_frame)
     grids = {name: grid for name, sensor in rig.sensors.items() if (grid := grid_of(sensor)) is not None}
     return read_rosbag(path, wanted, names=names, grids=grids, keep_partial=keep_partial), rig
 

@@ -10,11 +10,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
 from slam.errors import LogError
+from slam.geometry.quaternions import NORM_TOLERANCE, norms_of, poses_of
 from slam.io._numbers import read_rows, seconds_from_ns
 from spplanes._check import FloatArray, as_shape
-
-#: A quaternion or a rotation in a file may miss unit norm, or orthonormality, by this much.
-_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,17 +65,13 @@ def read_tum(path: Path | str) -> Trajectory:
     path = Path(path)
     stamps, rows, lines = read_rows(path, columns=8, stamp_columns=1)
     values = np.array(rows)
-    with np.errstate(over="ignore"):  # infinite is no unit either
-        norms = np.linalg.norm(values[:, 3:], axis=1)
-    for bad in np.flatnonzero(np.abs(norms - 1.0) > _TOLERANCE)[:1]:
+    norms, wrong = norms_of(values[:, 3:])
+    for bad in np.flatnonzero(wrong)[:1]:
         raise LogError(path, f"expected a unit quaternion, got one of norm {norms[bad]:.6g}", line=lines[bad])
     times = np.array(stamps, dtype=np.int64)[:, 0]
     for bad in np.flatnonzero(np.diff(times) <= 0)[:1] + 1:
         raise LogError(path, "expected times that ascend, got one that repeats or runs backwards", line=lines[bad])
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, :3] = Rotation.from_quat(values[:, 3:]).as_matrix()
-    poses[:, :3, 3] = values[:, :3]
-    return Trajectory(times, poses)
+    return Trajectory(times, poses_of(values))
 
 
 def write_tum(path: Path | str, trajectory: Trajectory) -> None:
@@ -103,7 +97,7 @@ def read_kitti(path: Path | str) -> FloatArray:
     rotations = poses[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):  # numbers whose squares are infinite: no rotation either
         errors = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-        proper = (errors <= _TOLERANCE) & (np.linalg.det(rotations) > 0.0)
+        proper = (errors <= NORM_TOLERANCE) & (np.linalg.det(rotations) > 0.0)
     for bad in np.flatnonzero(~proper)[:1]:
         raise LogError(path, "expected a right-handed rotation in columns 1-3, 5-7, 9-11", line=lines[bad])
     return poses

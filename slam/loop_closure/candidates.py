@@ -8,11 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.backend.estimator import Backend, pose_symbol
-from slam.config import LoopConfig
+from slam.config import BOUND_SIGMAS, LoopConfig
 from spplanes._check import FloatArray
-
-#: Bounds drawn from a standard deviation are taken at this many of them.
-_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,4 +68,4 @@ def old_keyframes(path: DrivenPath, backend: Backend, config: LoopConfig) -> lis
 def radius_of(pose_key: int, backend: Backend) -> float:
     """Three sigma of a pose's position in its least known direction, m."""
     covariance = backend.covariance(pose_key)[3:, 3:]
-    return _SIGMAS * float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+    return BOUND_SIGMAS * float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))

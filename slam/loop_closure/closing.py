@@ -25,6 +25,16 @@ from slam.mapping.fusion import Merges
 _ROUNDS = 5
 
 
+@dataclass(frozen=True)
+class Closure:
+    """What one look closed."""
+
+    loops: tuple[LoopDecision, ...]
+    """The comparisons that found the places."""
+    pairs: tuple[tuple[int, int], ...] = ()
+    """The landmarks (older, younger) that were joined for them; none: the places are tied by the motions alone."""
+
+
 @dataclass(eq=False)
 class Tie:
     """A closed loop: the walls that were joined for it, and the motion that the returns tell between its two ends."""
@@ -37,6 +47,8 @@ class Tie:
     """The landmarks (older, younger) that were joined with it."""
     factor_index: int | None
     """Index of the factor of the motion."""
+    factor: Any
+    """That factor."""
     trial: Trial
     """What has been seen for and against it since."""
     undone: int | None = None
@@ -44,10 +56,9 @@ class Tie:
 
     def misfit(self, backend: Backend) -> float:
         """Chi2 of the motion at the current estimate."""
-        if self.motion is None:
+        if self.factor is None:
             return 0.0
-        factor = _factor(self.loop, self.motion)
-        return 2.0 * float(factor.error(backend.values_of(factor.keys())))
+        return 2.0 * float(self.factor.error(backend.values_of(self.factor.keys())))
 
 
 class LoopClosing(Protocol):
@@ -63,16 +74,15 @@ class LoopCloser:
 
     def __init__(self, parts: Parts, merges: Merges) -> None:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
-        self._merges, self._thinning, self._config = merges, parts.thinning, parts.config
+        self._merges, self._sparsifier, self._config = merges, parts.thinning, parts.config
         self.decisions: list[LoopDecision] = []
         self.ties: list[Tie] = []
         self._proposals = Proposals(parts.config.loops)
-        self._to_tie: list[LoopDecision] = []
         self._ways = array("d")
         self._looked_at_m = 0.0
 
-    def look(self, scale: float) -> list[tuple[int, int]] | None:
-        """Look for loops if it is time to; the pairs of landmarks that a closed one has made one, None without one.
+    def look(self, scale: float) -> Closure | None:
+        """Look for loops if it is time to, and join the walls of those that are beyond doubt; None: there are none.
 
         `scale` as in `Merges.doubted`.
         """
@@ -81,7 +91,7 @@ class LoopCloser:
         if rules.max_candidates == 0 or self._ways[-1] - self._looked_at_m < rules.every_m:
             return None
         self._looked_at_m = self._ways[-1]
-        path = DrivenPath.of(self._thinning.held, np.array(self._ways), self._backend)
+        path = DrivenPath.of(self._sparsifier.held, np.array(self._ways), self._backend)
         around = Surroundings(path, self._keyframes, self._landmarks, self._backend, rules, needed)
         self._try_again(around)
         for decision in compare_with_old(around):
@@ -91,17 +101,17 @@ class LoopCloser:
                 return self._close(closed, scale)
         return None
 
-    def take_motion(self, pairs: Sequence[tuple[int, int]]) -> None:
-        """What the returns say of the loops just closed beyond their walls (`pairs`): how far along a corridor."""
-        loops, self._to_tie = self._to_tie or self.decisions[-1:], []
-        for loop in loops:
+    def tie(self, closure: Closure) -> None:
+        """Put in what the returns say of the loops just closed beyond their walls: how far along a corridor."""
+        for loop in closure.loops:
             self._stay(loop)
-        factors = [_factor(loop, loop.motion) for loop in loops if loop.motion is not None]
-        indices = iter(self._backend.update(factors, gtsam.Values(), relinearize=True) if factors else ())
-        for loop in loops:
-            index = None if loop.motion is None else next(indices)
-            self.ties.append(Tie(loop, loop.motion, tuple(pairs), index, Trial(self._ways[-1])))
-        self._backend.settle(_ROUNDS if factors else 0)
+        factors = [None if loop.motion is None else _factor(loop, loop.motion) for loop in closure.loops]
+        told = [one for one in factors if one is not None]
+        indices = iter(self._backend.update(told, gtsam.Values(), relinearize=True) if told else ())
+        for loop, factor in zip(closure.loops, factors, strict=True):
+            index = None if factor is None else next(indices)
+            self.ties.append(Tie(loop, loop.motion, closure.pairs, index, factor, Trial(self._ways[-1])))
+        self._backend.settle(_ROUNDS if told else 0)
         self._landmarks.refresh(self._backend)
 
     def take_back(self, scale: float) -> None:
@@ -131,7 +141,7 @@ class LoopCloser:
         """The loops that may be closed now that this comparison has been made, the newest last."""
         if decision.proposal is None:
             return [decision] if decision.verdict == "closed" else []
-        group = self._proposals.agreed(decision.proposal, self._thinning.held, self._backend)
+        group = self._proposals.agreed(decision.proposal, self._sparsifier.held, self._backend)
         if not group:
             return []
         self._proposals.forget(group)
@@ -143,21 +153,20 @@ class LoopCloser:
             self.decisions[number] = joined(self.decisions[number], proposal, around)
         return [self.decisions[number] for number in sorted(numbers) if self.decisions[number].verdict == "closed"]
 
-    def _close(self, loops: list[LoopDecision], scale: float) -> list[tuple[int, int]] | None:
+    def _close(self, loops: list[LoopDecision], scale: float) -> Closure | None:
         """Join the walls of loops that agree, or where the graph as a whole is against that tie their places alone."""
         found = disjoint([pair for loop in loops for pair in loop.pairs])
         pairs = [pair for pair in found if self._merges.may_be_one(*pair)]
         if self._merges.close(pairs, scale):
-            self._to_tie = loops
-            return pairs
-        for loop in loops:
-            alone = without_walls(loop) or replace(loop, verdict="refused")
-            self.decisions[self.decisions.index(loop)] = alone
-            self._to_tie += [alone] if alone.verdict == "closed" else []
-        if not self._to_tie:
+            return Closure(tuple(loops), tuple(pairs))
+        alone = [without_walls(loop) or replace(loop, verdict="refused") for loop in loops]
+        for loop, one in zip(loops, alone, strict=True):
+            self.decisions[self.decisions.index(loop)] = one
+        closed = tuple(one for one in alone if one.verdict == "closed")
+        if not closed:
             return None
         self._merges.reconsider(pairs)  # the place is beyond doubt, which of its walls are one is not
-        return []
+        return Closure(closed)
 
     def _number_of(self, keyframe: int, old_keyframe: int) -> int:
         """Index of the decision about two keyframes."""
@@ -167,7 +176,7 @@ class LoopCloser:
     def _stay(self, loop: LoopDecision) -> None:
         """Both ends are needed in the graph."""
         for end in (loop.old_keyframe, loop.keyframe):
-            self._thinning.stays(end)
+            self._sparsifier.stays(end)
 
     def _untie(self, wrong: Sequence[Tie]) -> None:
         """Take closures out of the graph, and what was joined for them apart."""

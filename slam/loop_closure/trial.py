@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.backend.estimator import pose_symbol
-from slam.config import LoopConfig
+from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.loop_closure.candidates import old_keyframes
 from slam.loop_closure.verification import Surroundings
 from slam.registration.correlative_search import evidence_at
@@ -16,8 +16,6 @@ from spplanes._check import FloatArray
 
 #: Windows of travel for which a closed loop is on trial: what bends the way is seen no more.
 _WINDOWS = 3.0
-#: Bounds drawn from a standard deviation are taken at this many of them.
-_SIGMAS = 3.0
 #: Headings and positions along each axis that are tried within the estimate's own uncertainty.
 _N_TRIED = 13
 
@@ -76,7 +74,7 @@ def evidence_of_map(around: Surroundings) -> float | None:
     least = rules.tied_m * np.array((1.0, 1.0, 1.0 / rules.window_m))
     if estimate.reach_m > 2.0 * rules.tied_m:
         return None
-    reach = np.maximum(_SIGMAS * np.sqrt(np.diag(estimate.covariance)), least)
+    reach = np.maximum(BOUND_SIGMAS * np.sqrt(np.diag(estimate.covariance)), least)
     return float(evidence_at(here, there, _motions_about(estimate.delta, reach)).max())
 
 

@@ -10,17 +10,18 @@ import numpy as np
 from scipy.special import chdtri
 
 from slam.backend.estimator import Backend, pose_symbol
-from slam.config import LoopConfig
+from slam.config import BOUND_SIGMAS, LoopConfig
+from slam.frontend.information import left_open
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.candidates import DrivenPath, old_keyframes, radius_of
-from slam.loop_closure.local_map import surroundings, view_about, walls_from
 from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
+from slam.loop_closure.surroundings import surroundings, view_about, walls_from
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.registration.correlative_search import PlaceView, SearchResult, search_place
 from slam.registration.place_recognition import ConstellationMatch, match_constellations, match_near
-from slam.registration.submaps import RelativePose, left_open
+from slam.registration.submaps import RelativePose
 
 LoopVerdict = Literal[
     "closed", "waiting", "refused", "known", "not seen", "ambiguous", "unobservable", "far", "too few"
@@ -28,8 +29,6 @@ LoopVerdict = Literal[
 
 #: Sine of the angle from which on two walls fix a place between them.
 _ACROSS = 0.26
-#: Bounds drawn from a standard deviation are taken at this many of them.
-_SIGMAS = 3.0
 #: Of height (m), roll and pitch (rad) the views of level lasers say nothing.
 _OUT_OF_PLANE = (1e2, 1e2, 1e2)
 
@@ -138,9 +137,9 @@ def _searched(
     """Where the submap of the newest keyframe lies in that of an old one."""
     way = float(path.lengths[-1] - path.lengths[old])
     drift = min(config.drift_share * way, _MISTRUST * estimate.reach_m)
-    beyond = np.array((drift, drift, 2.0 * drift / max(way, drift))) / _SIGMAS
+    beyond = np.array((drift, drift, 2.0 * drift / max(way, drift))) / BOUND_SIGMAS
     covariance = estimate.covariance + np.diag(beyond**2)
-    reach = np.minimum(_SIGMAS * np.sqrt(np.diag(covariance)), (np.inf, np.inf, np.pi))
+    reach = np.minimum(BOUND_SIGMAS * np.sqrt(np.diag(covariance)), (np.inf, np.inf, np.pi))
     return search_place(view, other, estimate.delta, covariance, reach, looks=config.looks_per_place)
 
 

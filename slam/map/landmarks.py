@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 from factors import landmark_hesse
 from slam.backend.estimator import Backend
 from slam.frontend.observations import Observation
-from slam.geometry.extents import Region
+from slam.geometry.extents import Extent
 from slam.geometry.frames import inverse
 from slam.geometry.sphere_index import SphereIndex
 from spplanes._check import FloatArray
@@ -44,14 +44,14 @@ class Landmark:
     """Keyframes that saw it and have left the graph, ascending: their sightings are gone."""
 
     def __post_init__(self) -> None:
-        self.region = Region(self.first_outline)
+        self.extent = Extent(self.first_outline)
         self._seen_from: list[int] = []
         self._counted: tuple[list[Sighting], int] = (self.sightings, 0)
 
     @property
     def outline(self) -> BaseGeometry:
         """What was seen of it so far, in (x, y) of its plane frame."""
-        return self.region.geometry
+        return self.extent.geometry
 
     @property
     def first_keyframe(self) -> int:
@@ -107,6 +107,8 @@ class Sighting:
     """Index of its factor in iSAM2."""
     kind: str
     """Factor type."""
+    robust: str | None = None
+    """Robust kernel on it where it is matched: of a place that the planes had to find some of it is wrong."""
 
 
 class LandmarkMap:
@@ -161,7 +163,7 @@ class LandmarkMap:
         """Count an observation and let the outline grow by what it saw."""
         landmark.sightings.append(sighting)
         landmark.n_points += observation.n_points
-        landmark.region.grow(observation.patch_in(plane_T_body))
+        landmark.extent.grow(observation.patch_in(plane_T_body))
 
     def let_go(self, keyframe: int) -> list[int]:
         """Forget what a keyframe saw, which is about to leave the graph; indices of its factors."""
@@ -179,7 +181,7 @@ class LandmarkMap:
         hesse = [landmark_hesse(backend.plane(landmark.key)) for landmark in self]
         settled = _settle(births, np.array([normal for normal, _ in hesse]), np.array([d for _, d in hesse]))
         self._world_T_plane = np.array([poses[landmark.anchor_key] for landmark in self]) @ settled
-        low, high = np.split(np.array([landmark.region.bounds for landmark in self]), 2, axis=1)
+        low, high = np.split(np.array([landmark.extent.bounds for landmark in self]), 2, axis=1)
         middles = 0.5 * (low + high)
         rotations, origins = self._world_T_plane[:, :3, :3], self._world_T_plane[:, :3, 3]
         self._middles = np.einsum("nij,nj->ni", rotations[:, :, :2], middles) + origins

@@ -19,7 +19,7 @@ _UNKNOWN = 1e4
 _AS_WELL = 1.2
 
 
-class Footing:
+class PoseSupport:
     """Follows how well the newest pose is known in the map by all that was seen, and by the latest part of it alone.
 
     Along a corridor that part reaches back to the last end wall or door frame; where all directions are seen at once it

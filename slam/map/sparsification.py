@@ -15,7 +15,7 @@ from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion
 from slam.frontend.odometry_chain import chained
 from slam.map.landmarks import LandmarkMap
-from slam.map.pose_support import Footing
+from slam.map.pose_support import PoseSupport
 from spplanes._check import FloatArray
 
 #: Most keyframes that leave at once: more would be a jolt.
@@ -40,7 +40,7 @@ class Link:
 
 
 @dataclass(frozen=True, eq=False)
-class Room:
+class Removal:
     """What changes in the graph when keyframes leave it."""
 
     motions: list[tuple[int, int, Motion]] = field(default_factory=list)
@@ -49,12 +49,12 @@ class Room:
     """Indices of the factors to take out."""
 
 
-class Thinning:
+class Sparsifier:
     """Decides which keyframes stay in the graph, and takes the others out of it.
 
     A place that has been driven through several times is mapped: of a further keyframe there the graph keeps neither
-    pose nor measurements, only the odometry through it, once the newest pose is known as well without (`Footing`). So
-    the graph is as large as the area it maps, not as the mission is long. Nothing is counted twice: what the
+    pose nor measurements, only the odometry through it, once the newest pose is known as well without (`PoseSupport`).
+    So the graph is as large as the area it maps, not as the mission is long. Nothing is counted twice: what the
     measurements said of the keyframe's own pose is kept beside the graph, as a place relative to the nearest keyframe
     that stays (`PastPose`); what they said of the map is given away, and it is little: that is what is asked first.
 
@@ -67,7 +67,7 @@ class Thinning:
         self.held: list[int] = []
         self._leaving: set[int] = set()
         self._links: dict[int, Link] = {}
-        self._footing = Footing()
+        self._support = PoseSupport()
 
     def entered(self, keyframe: int, link: Link | None) -> None:
         """A keyframe is in the graph; None: by something else than odometry, so it stays, and those before it."""
@@ -78,7 +78,7 @@ class Thinning:
     def judge(self, keyframe: int, matched: Sequence[Observation], factors: Sequence[Any], *, may_leave: bool) -> bool:
         """Whether a keyframe need not stay: it saw known landmarks, by `factors`, and is of no other use."""
         link = self._links.get(keyframe)
-        self._footing.step(keyframe, None if link is None else link.motion, matched)
+        self._support.step(keyframe, None if link is None else link.motion, matched)
         if not (may_leave and self._config.passes and link and factors and self._is_known_place()):
             return False
         if news(factors, pose_symbol(keyframe), self._backend) > self._config.max_news:
@@ -96,14 +96,14 @@ class Thinning:
         staying = [one for one in self.held[-2 * every :] if one <= wanted and one not in self._leaving]
         return staying[-1] if staying and staying[-1] > wanted - every else max(keyframe - 1, 0)
 
-    def make_room(self, keyframe: int) -> Room:
+    def plan_removal(self, keyframe: int) -> Removal:
         """Before a keyframe comes: who goes, the last two excepted."""
-        due = sorted(one for one in self._leaving if one < min(self._footing.needed_from, keyframe - 1))
+        due = sorted(one for one in self._leaving if one < min(self._support.needed_from, keyframe - 1))
         going = due[:_AT_ONCE]
         self._leaving.difference_update(going)
         going = [one for one in going if self._after(one) in self._links]
         if not going:
-            return Room()
+            return Removal()
         self._backend.let_go(self._bases(going))
         stale: list[int] = []
         anew: set[int] = set()
@@ -114,11 +114,11 @@ class Thinning:
             self._links[after] = Link(chained(own.motion, link.motion), [], link.floor)
             self.held.remove(one)
             anew = anew - {one} | {after}
-        return Room([(self._before(one), one, self._links[one].motion) for one in sorted(anew)], stale)
+        return Removal([(self._before(one), one, self._links[one].motion) for one in sorted(anew)], stale)
 
-    def made_room(self, room: Room, factor_indices: Sequence[int]) -> None:
-        """The indices of the factors of the room's motions."""
-        for (_, one, motion), index in zip(room.motions, factor_indices, strict=True):
+    def removed(self, removal: Removal, factor_indices: Sequence[int]) -> None:
+        """The indices of the factors of the removal's motions."""
+        for (_, one, motion), index in zip(removal.motions, factor_indices, strict=True):
             self._links[one] = Link(motion, [index], self._links[one].floor)
 
     def renumber(self, moved: Mapping[int, int]) -> None:

@@ -9,7 +9,7 @@ from slam.backend.estimator import Backend
 from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe
 from slam.map.landmarks import LandmarkMap
-from slam.map.sparsification import Thinning
+from slam.map.sparsification import Sparsifier
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,7 @@ class Parts:
     """The map."""
     backend: Backend
     """The graph."""
-    thinning: Thinning
+    thinning: Sparsifier
     """Which keyframes stay in the graph."""
     config: SlamConfig
     """The settings."""

@@ -14,12 +14,12 @@ from scipy.special import chdtri
 from factors import plane_factor, plane_landmark
 from slam.backend.estimator import BackendError, pose_symbol
 from slam.frontend.observations import Observation
-from slam.geometry.extents import Region
+from slam.geometry.extents import Extent
 from slam.geometry.frames import inverse
 from slam.map.landmarks import Landmark, Sighting, observe
 from slam.map.state import Parts
-from slam.mapping.merge import Cause, Merge
-from slam.mapping.same_plane import twin_chi2
+from slam.mapping.fusion_history import Cause, Merge
+from slam.mapping.same_plane import same_plane_chi2
 
 #: After an undone merge the estimate goes back a long way: so often iSAM2 relinearises.
 _ROUNDS = 5
@@ -36,7 +36,6 @@ class Merges:
         self.history: list[Merge] = []
         self._keyframes, self._landmarks = parts.keyframes, parts.landmarks
         self._backend, self._config = parts.backend, parts.config
-        self.robust: str | None = parts.config.backend.robust
         self._apart: set[frozenset[int]] = set()
 
     def may_be_one(self, first: int, second: int) -> bool:
@@ -80,9 +79,9 @@ class Merges:
     def _rekeyed(self, older: int, younger: int, cause: Cause) -> tuple[list[Any], list[int]]:
         """Factors of what was seen of the younger, now of the older, and the indices of those they replace."""
         gone, home = self._landmarks[younger], self._landmarks[older]
-        robust = self.robust or (self._config.backend.robust_loops if cause == "loop" else None)
+        otherwise = self._config.backend.robust_loops if cause == "loop" else None
         factors = [
-            observe(self._observation(one), pose_symbol(one.keyframe), home, self._backend, robust)
+            observe(self._observation(one), pose_symbol(one.keyframe), home, self._backend, one.robust or otherwise)
             for one in gone.sightings
         ]
         return factors, [one.factor_index for one in gone.sightings]
@@ -167,7 +166,7 @@ class Merges:
         self.undo(merge)
         back = self._landmarks[merge.younger]
         limit = float(chdtri(3, self._config.association.new_significance))
-        if twin_chi2(holder, back, self._backend) > limit:
+        if same_plane_chi2(holder, back, self._backend) > limit:
             return True
         self._apart.discard(frozenset((holder.id, back.id)))
         again = self.merge(holder.id, back.id, merge.cause)
@@ -219,7 +218,7 @@ class Merges:
                     pose_symbol(sighting.keyframe),
                     target.key,
                     target.anchor_key,
-                    self.robust,
+                    sighting.robust,
                     None if target.anchor_key == pose_symbol(sighting.keyframe) else expected,
                 )
             )
@@ -245,7 +244,7 @@ class Merges:
         """What was seen of a landmark, from its sightings alone."""
         plane_T_world = inverse(self._landmarks.placed(landmark.id).world_T_plane)
         landmark.sightings.sort(key=lambda one: (one.keyframe, one.observation))
-        landmark.region = Region(landmark.first_outline)
+        landmark.extent = Extent(landmark.first_outline)
         for one in landmark.sightings:
             plane_T_body = plane_T_world @ self._backend.pose(pose_symbol(one.keyframe))
-            landmark.region.grow(self._observation(one).patch_in(plane_T_body))
+            landmark.extent.grow(self._observation(one).patch_in(plane_T_body))

@@ -45,7 +45,7 @@ def is_large(plane: Plane, rules: LandmarkConfig) -> bool:
     return plane.n_points >= rules.min_points and (plane.outline is None or plane.outline.area >= rules.min_area_m2)
 
 
-def group_births(
+def group_new(
     observations: Sequence[Observation], rules: LandmarkConfig, association: AssociationConfig
 ) -> list[list[int]]:
     """Gather measurements of one keyframe that are one plane; the first of each group, the firmest, starts it.

@@ -15,12 +15,12 @@ from slam.config import SlamConfig
 from slam.frontend.observations import Observation
 from slam.geometry.frames import inverse
 from slam.map.landmarks import Landmark, LandmarkMap, observe
-from slam.mapping.initialization import group_births
+from slam.mapping.initialization import group_new
 from spplanes._check import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class Insertion:
     """An observation on its way into the graph."""
 
     landmark: Landmark
@@ -35,16 +35,16 @@ class Sight:
     """The keyframe's body in the landmark's plane frame, shape (4, 4)."""
 
 
-def matched_sights(
+def insert_matches(
     observations: Sequence[Observation],
     pose_key: int,
     decisions: Sequence[Decision],
     landmarks: LandmarkMap,
     backend: Backend,
     robust: str | None,
-) -> list[Sight]:
+) -> list[Insertion]:
     """Factors of the observations that were matched to a landmark, with a robust kernel or without."""
-    sights = []
+    insertions = []
     for decision in decisions:
         if decision.match is None:
             continue
@@ -52,11 +52,11 @@ def matched_sights(
         landmark = landmarks[decision.match.landmark]
         factor = observe(observation, pose_key, landmark, backend, robust)
         plane_T_body = inverse(landmarks.placed(landmark.id).world_T_plane) @ backend.pose(pose_key)
-        sights.append(Sight(landmark, observation, decision.observation, factor, plane_T_body))
-    return sights
+        insertions.append(Insertion(landmark, observation, decision.observation, factor, plane_T_body))
+    return insertions
 
 
-def birth_sights(
+def initialize_landmarks(
     seen: Sequence[Observation],
     pose_keys: tuple[int, int],
     decisions: Sequence[Decision],
@@ -64,7 +64,7 @@ def birth_sights(
     backend: Backend,
     config: SlamConfig,
     initial: gtsam.Values,
-) -> list[Sight]:
+) -> list[Insertion]:
     """Landmarks of what no landmark explains, each with every observation of this keyframe that is its plane.
 
     Args:
@@ -80,17 +80,17 @@ def birth_sights(
     observations = [seen[number] for number in numbers]
     anchor_key, pose_key = pose_keys
     anchor_T_body = inverse(backend.pose(anchor_key)) @ backend.pose(pose_key)
-    sights = []
-    for group in group_births(observations, config.landmarks, config.association):
+    insertions = []
+    for group in group_new(observations, config.landmarks, config.association):
         plane = observations[group[0]].full_plane(config.landmarks.wall_tilt_sigma_rad)
         anchored = plane.transform(anchor_T_body)
         plane_T_body = inverse(anchored.frame) @ anchor_T_body
         landmark = landmarks.birth(observations[group[0]], anchor_key, anchored.frame, plane_T_body)
         initial.insert(landmark.key, plane_landmark(anchored))
         factor = plane_factor(plane, pose_key, landmark.key, anchor_key=anchor_key)
-        sights.append(Sight(landmark, observations[group[0]], numbers[group[0]], factor, plane_T_body))
+        insertions.append(Insertion(landmark, observations[group[0]], numbers[group[0]], factor, plane_T_body))
         for member in group[1:]:
             observation, robust = observations[member], config.backend.robust
             factor = observation.factor(pose_key, landmark.key, anchor_key, robust, plane_landmark(plane))
-            sights.append(Sight(landmark, observation, numbers[member], factor, plane_T_body))
-    return sights
+            insertions.append(Insertion(landmark, observation, numbers[member], factor, plane_T_body))
+    return insertions

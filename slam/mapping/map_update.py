@@ -12,7 +12,7 @@ from slam.backend.estimator import pose_symbol
 from slam.frontend.keyframes import Keyframe
 from slam.map.landmarks import Sighting
 from slam.map.state import Parts
-from slam.mapping.insertion import Sight, birth_sights, matched_sights
+from slam.mapping.insertion import Insertion, initialize_landmarks, insert_matches
 from slam.mapping.late_association import LateMatch, Waiting
 from slam.tracking.prediction import Prediction
 
@@ -32,32 +32,34 @@ class MapUpdater:
 
     def __init__(self, parts: Parts, associate: Associate) -> None:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
-        self._thinning, self._config, self._associate = parts.thinning, parts.config, associate
+        self._sparsifier, self._config, self._associate = parts.thinning, parts.config, associate
         self._unmatched = Waiting(parts.config.landmarks)
 
     def update(self, keyframe: Keyframe, prediction: Prediction, decisions: Sequence[Decision]) -> MapUpdate:
         """Add the factors of matches and of new landmarks, then count what was seen."""
         seen, initial = keyframe.observations, gtsam.Values()
         at, pose_key = prediction.index, prediction.pose_key
-        sights = matched_sights(seen, pose_key, decisions, self._landmarks, self._backend, prediction.robust)
-        anchor = self._thinning.anchor(at, self._config.landmarks.anchor_every)
+        insertions = insert_matches(seen, pose_key, decisions, self._landmarks, self._backend, prediction.robust)
+        anchor = self._sparsifier.anchor(at, self._config.landmarks.anchor_every)
         keys = pose_symbol(anchor), pose_key
-        births = birth_sights(seen, keys, decisions, self._landmarks, self._backend, self._config, initial)
+        births = initialize_landmarks(seen, keys, decisions, self._landmarks, self._backend, self._config, initial)
         if births:
-            self._thinning.stays(anchor)
-        matched = [sight.observation for sight in sights]
-        leaves = self._thinning.judge(at, matched, [sight.factor for sight in sights], may_leave=not births)
-        sights += births
-        used = {sight.number for sight in sights}
+            self._sparsifier.stays(anchor)
+        matched = [insertion.observation for insertion in insertions]
+        leaves = self._sparsifier.judge(
+            at, matched, [insertion.factor for insertion in insertions], may_leave=not births
+        )
+        insertions += births
+        used = {insertion.number for insertion in insertions}
         unused = [] if leaves else [i for i in range(len(seen)) if i not in used]
         self._unmatched.add(at, keyframe, unused)
-        factors = [*(sight.factor for sight in sights), *prediction.pending]
+        factors = [*(insertion.factor for insertion in insertions), *prediction.pending]
         if not factors:
             return MapUpdate(at)
         indices = self._backend.update(factors, initial, remove=list(prediction.standing_in), relinearize=True)
-        for sight, factor_index in zip(sights, indices, strict=False):
-            self._see(sight, at, factor_index)
-        return MapUpdate(at, frozenset(sight.landmark.id for sight in sights))
+        for insertion, factor_index in zip(insertions, indices, strict=False):
+            self._see(insertion, at, factor_index, prediction.robust)
+        return MapUpdate(at, frozenset(insertion.landmark.id for insertion in insertions))
 
     def match_late(self, update: MapUpdate) -> list[LateMatch]:
         """Match what earlier keyframes saw of the landmarks that this one started."""
@@ -68,7 +70,7 @@ class MapUpdater:
         )
         for match in late:
             observations = self._keyframes[match.keyframe].observations
-            [sight] = matched_sights(
+            [insertion] = insert_matches(
                 observations,
                 pose_symbol(match.keyframe),
                 [match.decision],
@@ -76,13 +78,13 @@ class MapUpdater:
                 self._backend,
                 self._config.backend.robust,
             )
-            [factor_index] = self._backend.update([sight.factor], gtsam.Values(), relinearize=True)
-            self._see(sight, match.keyframe, factor_index)
+            [factor_index] = self._backend.update([insertion.factor], gtsam.Values(), relinearize=True)
+            self._see(insertion, match.keyframe, factor_index, self._config.backend.robust)
         if late:
             self._landmarks.refresh(self._backend)
         return late
 
-    def _see(self, sight: Sight, keyframe: int, factor_index: int) -> None:
+    def _see(self, insertion: Insertion, keyframe: int, factor_index: int, robust: str | None) -> None:
         """Let a landmark know what a keyframe saw of it, now that it is in the graph."""
-        sighting = Sighting(keyframe, sight.number, factor_index, sight.observation.kind)
-        self._landmarks.see(sight.landmark, sight.observation, sighting, sight.plane_T_body)
+        sighting = Sighting(keyframe, insertion.number, factor_index, insertion.observation.kind, robust)
+        self._landmarks.see(insertion.landmark, insertion.observation, sighting, insertion.plane_T_body)

@@ -26,8 +26,8 @@ class SamePlaneFinder:
         self._told_apart: dict[tuple[int, int], int] = {}
 
     def pairs(self, touched: Iterable[int]) -> list[tuple[int, int]]:
-        """Pairs (older, younger) that are one plane, of those with a landmark in `touched`, as `find_twins` has it."""
-        return find_twins(
+        """Pairs (older, younger) that are one plane, of those with a landmark in `touched`: `find_same_planes`."""
+        return find_same_planes(
             touched,
             self._landmarks,
             self._backend,
@@ -41,7 +41,7 @@ class SamePlaneFinder:
         self._told_apart.clear()
 
 
-def find_twins(
+def find_same_planes(
     touched: Iterable[int],
     landmarks: LandmarkMap,
     backend: Backend,
@@ -82,7 +82,7 @@ def find_twins(
         sorted({key for pair in pairs.values() for one in pair for key in landmark_keys(one)})
     )
     limit = float(chdtri(3, config.significance))
-    found = [(_twin_chi2(*pair, backend, joint), *ids) for ids, pair in pairs.items()]
+    found = [(_same_plane_chi2(*pair, backend, joint), *ids) for ids, pair in pairs.items()]
     if told_apart is not None:
         told_apart.update({(a, b): _sightings(pairs[a, b]) for chi2, a, b in found if chi2 > limit})
     return _disjoint(sorted(one for one in found if one[0] <= limit))
@@ -92,14 +92,14 @@ def _sightings(pair: tuple[Landmark, Landmark]) -> int:
     return sum(len(one.sightings) for one in pair)
 
 
-def twin_chi2(first: Landmark, second: Landmark, backend: Backend) -> float:
+def same_plane_chi2(first: Landmark, second: Landmark, backend: Backend) -> float:
     """Squared Mahalanobis distance of two landmarks of one state, chi2 with 3 degrees of freedom if they are one.
 
     Their difference is taken in the frame of the second's anchor, in a basis that stays fixed: that of
     ``Unit3.basis()`` jumps where components of the normal tie.
     """
     keys = sorted({*landmark_keys(first), *landmark_keys(second)})
-    return _twin_chi2(first, second, backend, backend.joint_covariance(keys))
+    return _same_plane_chi2(first, second, backend, backend.joint_covariance(keys))
 
 
 def landmark_keys(landmark: Landmark) -> tuple[int, int]:
@@ -107,7 +107,7 @@ def landmark_keys(landmark: Landmark) -> tuple[int, int]:
     return landmark.key, landmark.anchor_key
 
 
-def _twin_chi2(first: Landmark, second: Landmark, backend: Backend, joint: JointCovariance) -> float:
+def _same_plane_chi2(first: Landmark, second: Landmark, backend: Backend, joint: JointCovariance) -> float:
     difference, jacobian, keys = difference_of(first, second, backend)
     covariance = jacobian @ joint.of(keys) @ jacobian.T
     return float(difference @ np.linalg.solve(covariance, difference))
@@ -173,8 +173,8 @@ def _may_be_one(
     first_T_second = inverse(first_place.world_T_plane) @ second_place.world_T_plane
     if abs(first_T_second[2, 3]) > config.gap_m:
         return False
-    pieces = (flatten(piece, first_T_second) for piece in second.region.pieces)
-    return any(first.region.is_within(config.gap_m, piece) for piece in pieces)
+    pieces = (flatten(piece, first_T_second) for piece in second.extent.pieces)
+    return any(first.extent.is_within(config.gap_m, piece) for piece in pieces)
 
 
 def _disjoint(pairs: Sequence[tuple[float, int, int]]) -> list[tuple[int, int]]:

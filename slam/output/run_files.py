@@ -19,8 +19,10 @@ from slam.io.trajectories import write_tum
 from slam.output.run_metrics import details_of, map_metrics_of, metrics_of, timings_of
 from slam.runs.graph_import import ImportedRun
 from slam.runs.history import History
+from slam.runs.map_points import points_of_map
 from slam.runs.mapping_run import MapResult
 from slam.runs.slam_run import Run
+from slam.sensors.log import Log
 from slam.sensors.rig import Rig
 from slam.visualization.mesh import Mesh, mesh_of
 from slam.visualization.pictures import Drawn, draw_map
@@ -38,7 +40,7 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     if len(run.scan_odometry):
         write_tum(folder / "odometry.tum", run.scan_odometry)
     write_g2o(folder / "graph.g2o", run.slam.backend.graph, run.slam.backend.values)
-    history = History.of(run.planes, run.slam)
+    history = History.of(run.planes, run.slam, points_of_map(run.log, run.rig, run.scan_trajectory))
     history.write(folder / "view.json")
     draw_uncertainty(run, history, folder / "uncertainty.png")
     pictures = [folder / "map.png", folder / "uncertainty.png"]
@@ -46,13 +48,19 @@ def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, 
     write_report(folder / "report.html", title, tables, pictures, scene, run.verdict)
 
 
-def write_map(result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, title: str) -> list[Metric]:
-    """Write a map made at given poses into a folder that exists; returns the table, times left out."""
+def write_map(
+    result: MapResult, folder: Path, config: SlamConfig, rig: Rig, *, title: str, log: Log | None = None
+) -> list[Metric]:
+    """Write a map made at given poses into a folder that exists; returns the table, times left out.
+
+    With the `log` that it was made from, some of its points are shown on the page.
+    """
     table = map_metrics_of(result)
     rows = table + timings_of(result.clock)
     write_result(result, folder, config, rig, {"metrics": as_json(rows)})
     write_tum(folder / "scans.tum", result.scan_trajectory)
-    history = History.of(result.planes)
+    points = None if log is None else points_of_map(log, rig, result.scan_trajectory)
+    history = History.of(result.planes, points=points)
     history.write(folder / "view.json")
     write_report(folder / "report.html", title, [("the map", rows)], [folder / "map.png"], scene_of(result, history))
     return table

@@ -24,7 +24,7 @@ MAX_PARALLEL = 48
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MatchedMotion:
     """A motion, worked out: indices are rows."""
 
     pose: FloatArray
@@ -48,7 +48,7 @@ class Search:
         self.no_prior = np.diag(UNKNOWN**-2.0)
         self.in_line_a, self.in_line_b = _in_line(a, self.gate), _in_line(b, self.gate)
 
-    def best_motion(self) -> Motion | None:
+    def best_motion(self) -> MatchedMotion | None:
         """The motion with the most evidence of those that two walls in different directions fix."""
         pairs = self._correspondences()
         angle_gate = float(chdtri(1, self.significance))
@@ -60,7 +60,7 @@ class Search:
         motions = [self._work_out([tuple(pairs[k]) for k in members[h]], poses[h], self.no_prior) for h in best]
         return self._decide([motion for motion in motions if motion is not None], len(scores))
 
-    def best_parallel_motion(self) -> Motion | None:
+    def best_parallel_motion(self) -> MatchedMotion | None:
         """The motion of walls of one direction, such as a corridor's, that leaves open how far along them.
 
         What is known of that is that the two walls it starts from overlap.
@@ -78,11 +78,11 @@ class Search:
         found = self._decide([motion for motion in motions if motion is not None], len(motions))
         return None if found is None else replace(found, verdict="unobservable")
 
-    def motion_near(self, pose: FloatArray, covariance: FloatArray) -> Motion | None:
+    def motion_near(self, pose: FloatArray, covariance: FloatArray) -> MatchedMotion | None:
         """The motion about one that is known with a covariance, and the walls that are the same under it."""
         return self._work_out([], pose, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
 
-    def covariance_of(self, motion: Motion) -> FloatArray:
+    def covariance_of(self, motion: MatchedMotion) -> FloatArray:
         """Covariance of a motion by its walls alone, large where they leave it open."""
         rows_a, rows_b = np.array(motion.pairs, dtype=np.int64).T
         return fit_pose(motion.pose, self.a[rows_a], self.b[rows_b], self.no_prior)[1]
@@ -94,7 +94,7 @@ class Search:
 
     def _work_out(
         self, seeds: list, pose: FloatArray, prior: FloatArray, allowed: np.ndarray | None = None
-    ) -> Motion | None:
+    ) -> MatchedMotion | None:
         """Take the pair with the most evidence, estimate the motion anew, until none is left; `allowed` rows of a."""
         pairs, evidence, n_distinct = [(int(i), int(j)) for i, j in seeds], 0.0, len(seeds)
         start = pose
@@ -114,9 +114,9 @@ class Search:
         n_dof = 2 * len(pairs) - (len(seeds) and (3 if allowed is None else 2))
         if n_distinct < self.min_matches or chi2 > chdtri(n_dof, self.significance):
             return None
-        return Motion(pose, covariance, pairs, float(chi2), n_dof, evidence)
+        return MatchedMotion(pose, covariance, pairs, float(chi2), n_dof, evidence)
 
-    def _decide(self, motions: list[Motion], n_tried: int) -> Motion | None:
+    def _decide(self, motions: list[MatchedMotion], n_tried: int) -> MatchedMotion | None:
         """The motion with the most evidence, if it is more than chance gives, and whether another one rivals it."""
         threshold = -np.log(self.significance)
         if not motions:
@@ -129,7 +129,7 @@ class Search:
             return replace(best, verdict="unobservable", rival=rival)
         return replace(best, verdict="ambiguous" if best.evidence - rival < threshold else "closure", rival=rival)
 
-    def _evidence_across(self, motion: Motion) -> float:
+    def _evidence_across(self, motion: MatchedMotion) -> float:
         """Evidence for the position in its weakest direction: of the walls across it, but for one that defines it."""
         weakest = np.linalg.eigh(motion.covariance[:2, :2])[1][:, 1]
         across = [
@@ -155,7 +155,7 @@ class Search:
         return any(self.in_line_a[i, k] and self.in_line_b[j, m] for k, m in pairs)
 
 
-def _differ(motion: Motion, other: Motion, gate: float) -> bool:
+def _differ(motion: MatchedMotion, other: MatchedMotion, gate: float) -> bool:
     """True when two motions are not the same within their covariances."""
     error = other.pose - motion.pose
     error[2] = (error[2] + np.pi) % (2.0 * np.pi) - np.pi

@@ -1,21 +1,29 @@
-"""Initial pose: where in a known map a mission starts, by the walls of its first keyframe; or that it cannot be told.
+"""Initial pose: where in a known map a mission starts, by what its first keyframe sees; or that it cannot be told.
 
 Two walls that are not parallel, each taken for one of the map, make a pose on the floor. Every such pose is a
 hypothesis; it explains those lengths of the walls seen that lie along walls of the map. The best must explain most of
 what was seen, and far more than any other place does: a room of two equal halves has no start that can be told.
+
+Planes seen in three directions tell the pose off the floor too: at another height, or of a scanner that is tipped.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import shapely
+from scipy.spatial.transform import Rotation
 
 from slam.frontend.keyframes import Keyframe
-from slam.geometry.frames import lift, planar_transform
+from slam.frontend.observations import PlaneObservation
+from slam.geometry.frames import inverse, lift, planar_transform
+from slam.geometry.polygons import polygonal
 from slam.map.map_planes import MapPlane
+from slam.registration.plane_registration import places_anywhere
+from spplanes import Plane
 from spplanes._check import FloatArray
 
 #: Walls are upright to this, and one wall in two views to that, rad and m.
@@ -26,16 +34,90 @@ _ACROSS = 0.3
 _LEAST_M, _MOST_WALLS = 0.5, 12
 #: Share of the lengths seen that the best place explains at least; another place explains at most this share of it.
 _ENOUGH, _CLEAR = 0.6, 0.85
+#: Planes are level when their normals are nearer to upright than this, cosine of 20 deg; directions of planes span all
+#: three when the least singular value of their normals is no smaller than this share of the largest.
+_LEVEL, _SPANNED = 0.94, 0.2
 #: Places nearer to each other than this are one, m and rad.
 _SAME_M, _SAME_RAD = 0.5, np.deg2rad(10.0)
 
 
 def find_start(planes: Sequence[MapPlane], keyframe: Keyframe) -> FloatArray:
-    """world_T_body (4, 4) of a keyframe on the floor of a map.
+    """world_T_body (4, 4) of a keyframe in a map: on its floor, where that explains the floors and ceilings seen.
 
     Raises:
         ValueError: no two walls were seen, no place explains enough of what was seen, or several do.
     """
+    seen = [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
+    in_space = _spans_all([plane.normal for plane in seen])
+    try:
+        start = _on_the_floor(planes, keyframe)
+    except _SeveralPlacesError as error:
+        if not in_space or _levels_fit([one.plane for one in planes], seen, error.best):
+            raise
+    except ValueError:
+        if not in_space:
+            raise
+    else:
+        if not in_space or _levels_fit([one.plane for one in planes], seen, start):
+            return start
+    return _in_space(planes, seen)
+
+
+class _SeveralPlacesError(ValueError):
+    """Several places explain a keyframe about as well."""
+
+    def __init__(self, sentence: str, best: FloatArray) -> None:
+        super().__init__(sentence)
+        self.best = best
+
+
+def _in_space(planes: Sequence[MapPlane], seen: Sequence[Plane]) -> FloatArray:
+    """The place in all six directions by planes seen in three."""
+    known = [
+        one.plane if one.plane.outline is not None else replace(one.plane, outline=polygonal(one.seen))
+        for one in planes
+    ]
+    # what carries a scanner is tipped, not upside down: a scanner that hangs has a mount that says so
+    places = [one for one in places_anywhere(seen, known) if one[1].known_T_seen[2, 2] > 0.0]
+    if not places or places[0][0] < _ENOUGH:
+        share = places[0][0] if places else 0.0
+        raise ValueError(
+            f"--start: expected a place in the map that explains {100 * _ENOUGH:.0f} % of the planes in the first "
+            f"keyframe, found {100 * share:.0f} %; give X,Y,HEADING or X,Y,Z,YAW,PITCH,ROLL"
+        )
+    share, best = places[0]
+    for other_share, other in places[1:]:
+        apart = inverse(best.known_T_seen) @ other.known_T_seen
+        turn = np.arccos(np.clip(0.5 * (np.trace(apart[:3, :3]) - 1.0), -1.0, 1.0))
+        if other_share > _CLEAR * share and (np.linalg.norm(apart[:3, 3]) > _SAME_M or turn > _SAME_RAD):
+            raise ValueError(
+                f"--start: expected one place in the map that explains the first keyframe, found "
+                f"{_told_in_space(best.known_T_seen)} and {_told_in_space(other.known_T_seen)}; "
+                "give X,Y,HEADING or X,Y,Z,YAW,PITCH,ROLL"
+            )
+    return best.known_T_seen
+
+
+def _spans_all(normals: Sequence[FloatArray]) -> bool:
+    values = np.linalg.svd(np.array(normals).reshape(-1, 3), compute_uv=False)
+    return len(values) == 3 and bool(values[2] > _SPANNED * values[0])
+
+
+def _levels_fit(known: Sequence[Plane], seen: Sequence[Plane], start: FloatArray) -> bool:
+    """Whether a floor or ceiling seen is one of the map from there; true where none is seen or none is known."""
+    mine = [plane.transform(start) for plane in seen]
+    mine = [plane for plane in mine if abs(plane.normal[2]) > _LEVEL]
+    theirs = [plane for plane in known if abs(plane.normal[2]) > _LEVEL]
+    alike = [
+        one.normal @ other.normal > np.cos(_TURN_RAD) and abs(other.normal @ one.centre - other.d) < _SHIFT_M
+        for one in mine
+        for other in theirs
+    ]
+    return any(alike) or not alike
+
+
+def _on_the_floor(planes: Sequence[MapPlane], keyframe: Keyframe) -> FloatArray:
+    """The place on the floor by walls."""
     known = _walls([_ends_of(one) for one in planes])
     seen = _walls([(one.normal, one.vertices) for one in keyframe.observations])
     seen = seen[np.argsort(seen[:, 2] - seen[:, 3], kind="stable")][:_MOST_WALLS]
@@ -54,9 +136,10 @@ def find_start(planes: Sequence[MapPlane], keyframe: Keyframe) -> FloatArray:
         )
     if second > _CLEAR * shares[best]:
         other = poses[elsewhere][int(np.argmax(shares[elsewhere]))]
-        raise ValueError(
+        raise _SeveralPlacesError(
             f"--start: expected one place in the map that explains the first keyframe, found {_told(poses[best])} and "
-            f"{_told(other)}; give X,Y,HEADING"
+            f"{_told(other)}; give X,Y,HEADING",
+            planar_transform(*poses[best].tolist()),
         )
     return planar_transform(*poses[best].tolist())
 
@@ -108,6 +191,11 @@ def _explained(known: FloatArray, seen: FloatArray, pose: FloatArray) -> float:
     low, high = np.maximum(known[None, :, 2], starts[:, None]), np.minimum(known[None, :, 3], ends[:, None])
     covered = np.where(fits, np.maximum(high - low, 0.0), 0.0).max(axis=1, initial=0.0)
     return float(covered.sum() / (seen[:, 3] - seen[:, 2]).sum())
+
+
+def _told_in_space(pose: FloatArray) -> str:
+    numbers = [*pose[:3, 3], *np.rad2deg(Rotation.from_matrix(pose[:3, :3]).as_euler("ZYX"))]
+    return ",".join(f"{number:.1f}" for number in numbers[:3]) + "," + ",".join(f"{a:.0f}" for a in numbers[3:])
 
 
 def _told(pose: FloatArray) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from slam.geometry.frames import planar_transform
 from slam.registration._place_kernels import WALL
-from slam.registration._place_search import MAX_WALLS, Motion, Search
+from slam.registration._place_search import MAX_WALLS, MatchedMotion, Search
 from spplanes import ScanLine
 from spplanes._check import FloatArray, as_transform
 
@@ -164,7 +164,7 @@ def _as_rows(walls: Sequence[ScanLine | Wall]) -> tuple[np.ndarray, FloatArray]:
     return order, rows[order]
 
 
-def _as_match(motion: Motion, order_a: np.ndarray, order_b: np.ndarray) -> ConstellationMatch:
+def _as_match(motion: MatchedMotion, order_a: np.ndarray, order_b: np.ndarray) -> ConstellationMatch:
     """The match with the caller's indices."""
     pairs = np.array(sorted((int(order_a[i]), int(order_b[j])) for i, j in motion.pairs))
     return ConstellationMatch(

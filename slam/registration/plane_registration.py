@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -94,6 +94,37 @@ def match_planes_widely(
     equals = [one for one in tried if one[0] >= best - alike]
     least = min((price for _, price, _ in equals), default=0.0)
     return max((one for one in equals if one[1] <= least + _CHEAP), key=lambda one: one[0], default=(0.0, 0.0, None))[2]
+
+
+def places_anywhere(seen: Sequence[Plane], known: Sequence[Plane]) -> list[tuple[float, PlaneMatching]]:
+    """Every place that pairs of planes propose, wherever in the map and however tipped, the best first.
+
+    Each with the share of what is seen, by the root of area, that is known from there, less what would be seen through
+    walls. As `match_planes_widely`, without an expectation.
+
+    Args:
+        seen: planes in the frame of the body.
+        known: those of the map.
+    """
+    mine, theirs = PlaneArrays.of(seen), PlaneArrays.of(known)
+    if min(len(mine.normals), len(theirs.normals)) < 3:
+        return []
+    origin = np.eye(4)  # in the middle of the map, from which all of it is about as far
+    origin[:3, 3] = theirs.middles.mean(axis=0)
+    centred = PlaneArrays.of([plane.transform(inverse(origin)) for plane in known])
+    reach = float(np.linalg.norm(centred.middles, axis=1).max()) + 1.0
+    anywhere = (reach, np.pi)
+    motions = [one for R in _rotations(mine, centred, np.pi) for one in _translations(R, mine, centred, anywhere)]
+    sight = LinesOfSight.between(mine.planes, mine.weights, centred.planes)
+    found: list[tuple[float, PlaneMatching]] = []
+    for _, motion in sorted(motions, key=lambda one: -one[0])[: 2 * _MOTIONS]:
+        one = _worked_out(motion, mine, centred, anywhere)
+        if one is None or any(np.abs(one.known_T_seen - other.known_T_seen).max() < _SAME for _, other in found):
+            continue
+        weight = _agreement(one.known_T_seen, mine, centred) - sight.blocked(one.known_T_seen)
+        found.append((weight / float(mine.weights.sum()), one))
+    placed = [(share, replace(one, known_T_seen=origin @ one.known_T_seen)) for share, one in found]
+    return sorted(placed, key=lambda one: -one[0])
 
 
 def pairs_under(known_T_seen: FloatArray, seen: Sequence[Plane], known: Sequence[Plane]) -> tuple[tuple[int, int], ...]:

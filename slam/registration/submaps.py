@@ -9,17 +9,13 @@ import numpy as np
 
 from slam.backend.estimator import Backend, pose_symbol
 from slam.backend.joint_covariance import motion_covariance
-from slam.config import LoopConfig
-from slam.frontend.information import left_open as left_open
+from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy import CELL_M, Raster, view_from
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.registration.scan_matching import relocate
 from spplanes._check import FloatArray
-
-#: Bounds drawn from a standard deviation are taken at this many of them.
-_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +37,7 @@ class RelativePose:
     @property
     def reach_m(self) -> float:
         """Three sigma of the position in its least known direction, m."""
-        return _SIGMAS * float(np.sqrt(max(np.linalg.eigvalsh(self.covariance[:2, :2])[-1], 0.0)))
+        return BOUND_SIGMAS * float(np.sqrt(max(np.linalg.eigvalsh(self.covariance[:2, :2])[-1], 0.0)))
 
 
 def view_of(
@@ -73,7 +69,7 @@ def step_by_view(
     if recent is None:
         return None
     delta = planar_delta(motion.a_T_b)
-    reach = _SIGMAS * np.sqrt(np.diag(motion.covariance)) + (CELL_M, CELL_M, CELL_M / config.window_m)
+    reach = BOUND_SIGMAS * np.sqrt(np.diag(motion.covariance)) + (CELL_M, CELL_M, CELL_M / config.window_m)
     found = relocate(Raster.of(keyframe.returns, config.look_m), recent, delta, motion.covariance, reach)
     if found.share < 1.0 - config.significance:
         return None

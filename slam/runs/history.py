@@ -36,21 +36,24 @@ class History:
     """(keyframe, chi2, dof) of every accepted measurement, by factor type."""
     pose_covariances: dict[int, FloatArray] = field(default_factory=dict)
     """Covariance (6, 6) of (x, y, z, phi, theta, psi), along the body's own axes, of some poses, by keyframe."""
+    points: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    """Some returns in the world, to the centimetre, shape (N, 3), m."""
 
     @classmethod
-    def of(cls, planes: Sequence[MapPlane], slam: PlaneSlam | None = None) -> History:
-        """The history of a map, and of the estimator that made it."""
+    def of(cls, planes: Sequence[MapPlane], slam: PlaneSlam | None = None, points: FloatArray | None = None) -> History:
+        """The history of a map, of the estimator that made it, and some points (N, 3) to show with it."""
+        points = np.empty((0, 3)) if points is None else points.round(2)
         seen = {plane.id: plane.seen for plane in planes if not _is_outline(plane)}
         kinds = {plane.id: plane.kinds for plane in planes}
         if slam is None:
-            return cls(seen, kinds)
+            return cls(seen, kinds, points=points)
         count = len(slam.keyframes)
         chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_POSES)).round().astype(int)).tolist()
         covariances = {
             keyframe: slam.marginal_covariance(pose_symbol(keyframe))[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
             for keyframe in chosen
         }
-        return cls(seen, kinds, {kind: list(rows) for kind, rows in slam.audit.history.items()}, covariances)
+        return cls(seen, kinds, {kind: list(rows) for kind, rows in slam.audit.history.items()}, covariances, points)
 
     def write(self, path: Path) -> None:
         """Write as JSON; floats survive exactly."""
@@ -60,6 +63,7 @@ class History:
             "kinds": {str(key): list(value) for key, value in self.kinds.items()},
             "nis": self.nis,
             "pose_covariances": {str(key): value.tolist() for key, value in self.pose_covariances.items()},
+            "points_cm": in_cm(self.points),
         }
         path.write_text(json.dumps(document, allow_nan=False) + "\n", encoding="utf-8")
 
@@ -79,6 +83,7 @@ class History:
                 {int(key): tuple(map(str, value)) for key, value in document["kinds"].items()},
                 {str(kind): [_row(row) for row in rows] for kind, rows in document["nis"].items()},
                 {int(key): as_shape("pose", value, (6, 6)) for key, value in document["pose_covariances"].items()},
+                _points(document.get("points_cm", [])),  # earlier versions kept none
             )
         except LogError:
             raise
@@ -86,6 +91,20 @@ class History:
             raise LogError(path, f"cannot be read: {error.strerror or error}") from error
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError, ShapelyError) as error:
             raise LogError(path, "expected the view.json of a run, got something else") from error
+
+
+def in_cm(points: FloatArray) -> list[int]:
+    """Points (N, 3) as whole centimetres, one number after another."""
+    return np.rint(100.0 * points).astype(np.int64).ravel().tolist()
+
+
+def _points(numbers: Any) -> FloatArray:
+    if not (isinstance(numbers, list) and len(numbers) % 3 == 0):
+        raise ValueError("points_cm: expected three numbers for each point")
+    points = np.array(numbers, dtype=np.float64).reshape(-1, 3) / 100.0
+    if not np.isfinite(points).all():
+        raise ValueError("points_cm: expected finite numbers")
+    return points
 
 
 def _is_outline(plane: MapPlane) -> bool:

@@ -136,6 +136,10 @@ class Rig(Frozen):
     """Sensors by name; at least one."""
     odometry_record: str | None = None
     """Topic of the odometry in a bag; None: that which comes most often."""
+    odometry_frame: str | None = None
+    """Frame of a bag that tf tells the odometry from, in place of a topic; None: odom or the like."""
+    body_frame: str | None = None
+    """Frame of a bag that is the body; None: the child frame of the odometry, else base_link or the like."""
     odometry: OdometryNoise = OdometryNoise()
     """Noise model of the wheel odometry."""
     localisation: LocalisationNoise | None = None
@@ -147,6 +151,16 @@ class Rig(Frozen):
         if not value:
             raise ValueError("expected at least one sensor, got none")
         return value
+
+    @model_validator(mode="after")
+    def _one_odometry(self) -> Rig:
+        if self.odometry_record is not None and self.odometry_frame is not None:
+            raise ValueError("odometry_frame: expected one source of odometry, got odometry_record too")
+        return self
+
+    def with_bag(self, **names: str | None) -> Rig:
+        """The same rig with other names of topics and frames of a bag."""
+        return self.model_copy(update=names)
 
     def of_kind(self, kind: str) -> dict[str, Sensor]:
         """The sensors of one kind, by name."""

@@ -23,7 +23,7 @@ from slam.session._file import (
     translated,
 )
 from slam.session._lock import WriterLock
-from slam.session._wal import lost_frames, make_room
+from slam.session._wal import lost_frames, plan_removal
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def open_file(path: Path, *, read_only: bool, damaged: bool) -> OpenFile:
             with translated(path):
                 connection.execute("PRAGMA journal_mode = WAL")
                 connection.execute("SELECT count(*) FROM session").fetchone()  # from here on there is a journal
-            make_room(path)
+            plan_removal(path)
         return OpenFile(connection, lock, version)
     except BaseException:
         if connection is not None:

@@ -154,6 +154,11 @@ class PriorMap:
             raise CodecError(f"expected a prior map, got something else ({error})") from error
 
 
+def space_start(sigma_m: float = START_SIGMA_M, sigma_rad: float = START_SIGMA_RAD) -> FloatArray:
+    """Covariance (6, 6) of a start that is known to ``sigma_m`` and ``sigma_rad`` in all directions, off any floor."""
+    return np.diag(np.square(np.repeat([sigma_m, sigma_rad], 3)))
+
+
 def floor_start(sigma_m: float = START_SIGMA_M, sigma_rad: float = START_SIGMA_RAD) -> FloatArray:
     """Covariance (6, 6) of the start of a robot on the floor whose place is known to ``sigma_m`` and ``sigma_rad``."""
     sigmas = (sigma_m, sigma_m, _FLOOR_SIGMA_M, sigma_rad, _FLOOR_SIGMA_RAD, _FLOOR_SIGMA_RAD)

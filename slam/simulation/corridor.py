@@ -8,7 +8,7 @@ from slam.simulation.world import World, WorldBuilder
 #: Measured by hand in the paper, m.
 WIDTH_M, HEIGHT_M = 2.268, 2.700
 #: The corridor begins this far behind the robot's start and ends this far beyond the end of its way, m.
-BEHIND_M, BEYOND_M = 2.0, 3.0
+BEHIND_M, OUTLINE_GAP_SCALE_M = 2.0, 3.0
 #: The way of the paper's 1083 scans, m: shorter missions drive in the same corridor.
 SHORTEST_WAY_M = 29.3
 
@@ -20,7 +20,7 @@ _RIGHT = (("door", 1.6, 0.95), ("board", 0.9, 1.2), ("chamber", 1.3, 0.95), ("lo
 def corridor(way_m: float) -> World:
     """The corridor along x for a robot that drives `way_m` from the origin, its axis at y = 0, the floor at z = 0."""
     builder = WorldBuilder()
-    start, end = -BEHIND_M, max(way_m, SHORTEST_WAY_M) + BEYOND_M
+    start, end = -BEHIND_M, max(way_m, SHORTEST_WAY_M) + OUTLINE_GAP_SCALE_M
     half, length = WIDTH_M / 2.0, end - start
     inside = (0.0, 0.0, HEIGHT_M / 2.0)
     floor = builder.add_patch((start, -half, 0.0), (length, 0, 0), (0, WIDTH_M, 0), toward=inside)

@@ -81,7 +81,7 @@ class MotionModel:
 
     def __init__(self, parts: Parts, start: StartPose | None) -> None:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
-        self._thinning, self._config, self._known_start = parts.thinning, parts.config, start
+        self._sparsifier, self._config, self._known_start = parts.thinning, parts.config, start
         self.calibration = WheelCalibration()
 
     def predict(self, keyframe: Keyframe) -> Prediction:
@@ -91,13 +91,13 @@ class MotionModel:
         key, initial = pose_symbol(index), gtsam.Values()
         initial.insert(key, gtsam.Pose3(orthonormal(step.world_T_body)))
         own_factors = [*step.factors, *(one.factor(key) for one in keyframe.pose_measurements)]
-        room = self._thinning.make_room(index)
-        through = [self._through(*motion) for motion in room.motions]
-        indices = self._backend.update([*own_factors, *through], initial, remove=room.stale)
+        removal = self._sparsifier.plan_removal(index)
+        through = [self._through(*motion) for motion in removal.motions]
+        indices = self._backend.update([*own_factors, *through], initial, remove=removal.stale)
         own = indices[: len(own_factors)]
-        self._thinning.made_room(room, indices[len(own_factors) :])
+        self._sparsifier.removed(removal, indices[len(own_factors) :])
         measured = None if step.place is not None or index == 0 else keyframe.motion
-        self._thinning.entered(index, None if measured is None else Link(measured, own[:1], own[1:]))
+        self._sparsifier.entered(index, None if measured is None else Link(measured, own[:1], own[1:]))
         return Prediction(
             index,
             key,

@@ -21,8 +21,9 @@ from slam.map.map_planes import MapPlane
 from slam.visualization.mesh import colour_of
 from spplanes._check import FloatArray
 
-#: Planes seen more edge-on than this are drawn as lines, others as faces.
-_EDGE_ON_COSINE = 0.5
+#: Planes seen more edge-on than this (cosine) are as thin as the stroke round them, which is then a strong one.
+_EDGE_ON_COSINE = 0.1
+_THIN, _STRONG = 0.5, 2.2
 #: Half the width of slits that pictures do not show, m.
 _SLIT_M = 0.05
 _VIEWS = {"plan": (0, 1), "side": (0, 2)}
@@ -137,27 +138,17 @@ def without_slits(seen: BaseGeometry) -> BaseGeometry:
 def _draw_plane(axes: Any, plane: MapPlane, sheet: tuple[int, int], out_of_sheet: int, colour: FloatArray) -> None:
     seen, frame = without_slits(plane.seen), plane.plane.frame
     polygons = [shapely.orient_polygons(polygon) for polygon in polygons_of(seen)]
-    edges = [_span(lift(chain, frame)[:, sheet]) for chain in segments_of(seen)]
-    if abs(plane.plane.normal[out_of_sheet]) > _EDGE_ON_COSINE:
-        outlines = [_outline(polygon, frame, sheet) for polygon in polygons]
-        axes.add_collection(PathCollection(outlines, facecolors=[(*colour, 0.2)], edgecolors=[colour], linewidths=0.5))
-    else:
-        edges += [_span(lift(shapely.get_coordinates(polygon.exterior), frame)[:, sheet]) for polygon in polygons]
-    axes.add_collection(LineCollection(edges, colors=[colour], linewidths=2.2))
+    width = _THIN if abs(plane.plane.normal[out_of_sheet]) > _EDGE_ON_COSINE else _STRONG
+    outlines = [_outline(polygon, frame, sheet) for polygon in polygons]
+    axes.add_collection(PathCollection(outlines, facecolors=[(*colour, 0.2)], edgecolors=[colour], linewidths=width))
+    edges = [lift(chain, frame)[:, sheet] for chain in segments_of(seen)]
+    axes.add_collection(LineCollection(edges, colors=[colour], linewidths=_STRONG))
 
 
 def _outline(polygon: shapely.Polygon, frame: FloatArray, sheet: tuple[int, int]) -> Outline:
     """A polygon with its holes, which run the other way round, on the sheet."""
     rings = [lift(shapely.get_coordinates(ring), frame)[:, sheet] for ring in (polygon.exterior, *polygon.interiors)]
     return Outline.make_compound_path(*[Outline(ring, closed=True) for ring in rings])
-
-
-def _span(points: FloatArray) -> FloatArray:
-    """The two ends of points that lie nearly on one line, shape (2, 2)."""
-    centred = points - points.mean(axis=0)
-    direction = np.linalg.svd(centred, full_matrices=False)[2][0]
-    along = centred @ direction
-    return points.mean(axis=0) + np.outer([along.min(), along.max()], direction)
 
 
 def _draw_path(

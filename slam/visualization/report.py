@@ -23,7 +23,9 @@ def write_report(
     scene: dict[str, Any],
     verdict: Verdict | None = None,
 ) -> None:
-    """Write the page; everything that comes from files is escaped, pictures and script are embedded.
+    """Write the page: verdict, map, planes and pictures, charts, and folded below them the tables.
+
+    Everything that comes from files is escaped, pictures and script are embedded.
 
     Args:
         path: the page.
@@ -33,8 +35,8 @@ def write_report(
         scene: what `slam.visualization.scene.scene_of` makes.
         verdict: what the run says of itself, on top; None: nothing.
     """
-    parts = [_table(caption, rows) for caption, rows in tables]
-    parts += [_picture(picture) for picture in pictures]
+    parts = [_picture(picture) for picture in pictures]
+    parts += ['<div id="charts"></div>', *(_table(caption, rows) for caption, rows in tables)]
     page = Template(_asset("page.html")).substitute(
         title=escape(title),
         style=_asset("viewer.css"),
@@ -59,7 +61,7 @@ def _table(caption: str, rows: Sequence[Metric]) -> str:
         for row in rows
     ]
     head = '<tr><th>metric</th><th class="n">value</th><th>unit</th></tr>'
-    return f"<h2>{escape(caption)}</h2>\n<table>{head}{''.join(lines)}</table>"
+    return f"<details><summary>{escape(caption)}</summary>\n<table>{head}{''.join(lines)}</table></details>"
 
 
 def _verdict(verdict: Verdict) -> str:

@@ -15,7 +15,7 @@ from slam.geometry.frames import lift
 from slam.geometry.polygons import polygons_of, segments_of
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
-from slam.runs.history import History
+from slam.runs.history import History, in_cm
 from slam.visualization.mesh import colour_of
 from slam.visualization.pictures import Drawn, without_slits
 from spplanes._check import FloatArray
@@ -29,18 +29,30 @@ _MOST_BLOCKS, _LEAST_IN_BLOCK = 60, 20
 
 
 def scene_of(run: Drawn, history: History, doubtful: Sequence[int] = ()) -> dict[str, Any]:
-    """Everything the page's script needs, as plain numbers, strings and lists; `doubtful` keyframes as places."""
+    """Everything the page's script needs, as plain numbers, strings and lists; `doubtful` keyframes as stretches."""
     planes = [_plane(plane) for plane in run.planes if not plane.seen.is_empty]
     estimate, odometry = _path(run.trajectory), _path(run.odometry)
     return {
         "planes": planes,
         "estimate": estimate,
         "odometry": odometry,
-        "doubtful": _rounded(run.trajectory.poses[[k for k in doubtful if k < len(run.trajectory)], :3, 3]),
+        "doubtful": [_rounded(run.trajectory.poses[part, :3, 3]) for part in stretches(doubtful, len(run.trajectory))],
+        "points_cm": in_cm(history.points),
         "bounds": _bounds(planes, [estimate, odometry]),
         "keyframes": len(run.trajectory),
         "nis": [_series(kind, history.nis[kind]) for kind in sorted(history.nis) if history.nis[kind]],
     }
+
+
+def stretches(keyframes: Sequence[int], count: int) -> list[list[int]]:
+    """Keyframes below `count` in runs of neighbours, ascending."""
+    runs: list[list[int]] = []
+    for keyframe in sorted(k for k in set(keyframes) if k < count):
+        if runs and runs[-1][-1] == keyframe - 1:
+            runs[-1].append(keyframe)
+        else:
+            runs.append([keyframe])
+    return runs
 
 
 def nis_blocks(rows: Sequence[tuple[int, float, int]]) -> list[dict[str, float]]:
@@ -58,17 +70,26 @@ def nis_blocks(rows: Sequence[tuple[int, float, int]]) -> list[dict[str, float]]
 
 
 def _series(kind: str, rows: Sequence[tuple[int, float, int]]) -> dict[str, Any]:
-    rows = sorted(rows)
+    rows = sorted(rows, key=lambda row: row[0])
     blocks = nis_blocks(rows)
     inside = sum(block["low"] <= block["mean"] <= block["high"] for block in blocks)
     every = -(-len(rows) // _MOST_DOTS)
+    # few measurements make one block: over keyframes it would be one dot, so they are spread one by one
+    one_by_one = len(blocks) == 1
+    if one_by_one:
+        blocks[0].update({"from": 0, "to": max(len(rows) - 1, 1)})
     return {
         "kind": kind,
+        "over": "measurement" if one_by_one else "keyframe",
+        "last": blocks[-1]["to"] if one_by_one else None,
         "blocks": blocks,
-        "dots": [[row[0], round(row[1] / row[2], 3)] for row in rows[::every]],
+        "dots": [
+            [k * every if one_by_one else row[0], round(row[1] / row[2], 3)] for k, row in enumerate(rows[::every])
+        ],
         "caption": (
             f"Blue: means of {len(rows) // len(blocks)} measurements each; green: where such a mean lies in 95 % of "
-            f"cases when the covariances are honest. {inside} of {len(blocks)} are inside. Dots: single measurements. "
+            f"cases when the covariances are honest. {inside} of {len(blocks)} are inside. Dots: single measurements"
+            f"{', in the order of their keyframes. ' if one_by_one else '. '}"
             "Above the band the run claims to know more than it does, below it less."
         ),
     }

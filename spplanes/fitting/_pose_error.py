@@ -14,7 +14,7 @@ import numpy as np
 
 from spplanes._check import FloatArray
 from spplanes._jit import njit
-from spplanes._moment_patches import variance_along
+from spplanes.fitting._moment_patches import variance_along
 
 
 def roots(pose_covariances: FloatArray) -> FloatArray:

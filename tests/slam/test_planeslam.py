@@ -9,7 +9,7 @@ import pytest
 from slam import PlaneSlam
 from slam.frontend.keyframes import Keyframe
 from slam.geometry.frames import inverse
-from slam.mapping.same_plane import find_twins, twin_chi2
+from slam.mapping.same_plane import find_same_planes, same_plane_chi2
 from slam.planeslam import pose_symbol
 from tests.slam.scenes import Drive, drive, room_planes
 from tests.statistics import assert_mean_in_band
@@ -105,7 +105,7 @@ def test_twins_are_found_by_chi2_and_joined_with_their_factors():
     for keyframe in scene.keyframes:
         slam.add_keyframe(keyframe)
     landmarks = list(slam.landmarks)
-    assert twin_chi2(landmarks[0], landmarks[1], slam.backend) > 1e3
+    assert same_plane_chi2(landmarks[0], landmarks[1], slam.backend) > 1e3
     # split a landmark by hand: the later half of its sightings under a new key
     old = landmarks[2]
     later = old.sightings[8:]
@@ -129,7 +129,7 @@ def test_twins_are_found_by_chi2_and_joined_with_their_factors():
     old.sightings[8:] = []
     slam.landmarks.refresh(slam.backend)
     before = slam.trajectory.poses.copy()
-    assert find_twins({copy.id}, slam.landmarks, slam.backend, slam.config.association, min_keyframes=2) == [
+    assert find_same_planes({copy.id}, slam.landmarks, slam.backend, slam.config.association, min_keyframes=2) == [
         (old.id, copy.id)
     ]
     slam._merge_same_planes({copy.id})

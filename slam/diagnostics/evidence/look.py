@@ -13,14 +13,15 @@ from slam.diagnostics.evidence.loops import loop_evidence
 from slam.diagnostics.evidence.mounts import mount_evidence
 from slam.diagnostics.evidence.odometry import odometry_evidence
 from slam.diagnostics.evidence.prior import prior_evidence, prior_planes
+from slam.diagnostics.evidence.start import start_evidence
 from slam.diagnostics.evidence.surfaces import Surfaces, rays_of, surface_evidence
-from slam.diagnostics.evidence.unmatched import unmatched_evidence
+from slam.diagnostics.evidence.unmatched_area import unmatched_evidence
 from slam.diagnostics.evidence.views import views_of
 from slam.diagnostics.verdict import Evidence, Verdict, weigh
 from slam.sensors.rig import Rig
 
 #: Kinds of statistics there are, which share the significance.
-KINDS = 10
+KINDS = 11
 
 
 def look_at(run: Finished, rig: Rig) -> Verdict:
@@ -47,5 +48,6 @@ def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     ]
     yield from surface_evidence(rays)
     yield from doubled_evidence(run, surfaces)
+    yield from start_evidence(run)
     if run.prior is not None:
         yield from prior_evidence(run, prior_planes(run, views, rays, surfaces))

@@ -108,7 +108,7 @@ def _places_on(landmark: Landmark, world_T_plane: FloatArray) -> FloatArray:
         return np.empty((0, 3))
     across = np.cross([0.0, 0.0, 1.0], world_T_plane[:3, 2])
     direction = world_T_plane[:3, :2].T @ across
-    corners = landmark.region.corners
+    corners = landmark.extent.corners
     middle, along = corners.mean(axis=0), (corners - corners.mean(axis=0)) @ direction
     steps = np.arange(along.min() + 0.5 * _STEP_M, along.max(), _STEP_M)
     flat = middle + steps[:, None] * direction

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slam.errors import LogError
+from slam.geometry.quaternions import norms_of
 from slam.io._numbers import number_of
 from slam.io.clouds._files import check_byte_order, check_room, file_size, read_bytes, text_rows
 from slam.io.clouds.cloud import Cloud, checked
@@ -163,9 +164,7 @@ def _viewpoint(path: Path, words: list[str] | None) -> FloatArray:
         values = np.array([number_of(word) for word in words or ["0", "0", "0", "1", "0", "0", "0"]])
     except ValueError:
         values = np.empty(0)
-    with np.errstate(over="ignore"):  # infinite is no unit either
-        is_unit = abs(np.linalg.norm(values[3:]) - 1.0) <= 1e-3
-    if values.shape != (7,) or not np.isfinite(values).all() or not is_unit:
+    if values.shape != (7,) or not np.isfinite(values[:3]).all() or norms_of(values[None, 3:])[1].any():
         raise LogError(path, "expected a position and a unit quaternion in VIEWPOINT")
     return values
 

@@ -46,13 +46,18 @@ _TIMES = "times.txt"
 #: Text files that are no clouds.
 _NOT_CLOUDS = (*_POSES, *_ODOMETRY, _TIMES, "intrinsics.txt", "calib.txt", "associations.txt", "timestamps.txt")
 #: Formats that other things than clouds come in too: taken where there are no others.
-_AMBIGUOUS = (".txt", ".csv", ".npy", ".npz")
+_AMBIGUOUS = (".txt", ".csv", ".npy", ".npz", ".png")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _DIGITS_NS = {10: 1_000_000_000, 13: 1_000_000, 16: 1_000, 19: 1}
 
 
 def clouds_in(folder: Path) -> list[Path]:
     """The clouds of a folder in order; of several formats those of the most common."""
+    return _chosen(folder)[0]
+
+
+def _chosen(folder: Path) -> tuple[list[Path], list[str]]:
+    """The clouds of a folder in order, and a note of what else there is that could be clouds."""
     for place in (folder, *(folder / name for name in _INSIDE)):
         if not place.is_dir():
             continue
@@ -60,8 +65,10 @@ def clouds_in(folder: Path) -> list[Path]:
         if found:
             counts = Counter(entry.suffix.lower() for entry in found)
             suffix = max(sorted(counts), key=lambda ending: (ending not in _AMBIGUOUS, counts[ending]))
-            return sorted((entry for entry in found if entry.suffix.lower() == suffix), key=_order)
-    return []
+            rest = [f"{counts[end]} {end}" for end in sorted(counts) if end != suffix and end not in _AMBIGUOUS]
+            notes = [f"read {counts[suffix]} {suffix} clouds, left out {' and '.join(rest)}"] if rest else []
+            return sorted((entry for entry in found if entry.suffix.lower() == suffix), key=_order), notes
+    return [], []
 
 
 def read_cloud_folder(
@@ -85,7 +92,7 @@ def read_cloud_folder(
         LogError: one sentence with the file: no clouds, a header that is wrong, times or poses that are not as many.
     """
     folder = Path(folder)
-    paths = clouds_in(folder)
+    paths, notes = _chosen(folder)
     if not paths:
         raise LogError(folder, "expected a folder of clouds, found none")
     for path in paths:
@@ -104,8 +111,9 @@ def read_cloud_folder(
         events.append(StoredCloud(stamp, sensor, partial(grid_in, path, grid), pose))
     events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
     if odometry is not None:
-        return Log(events, folder, [taken_from(odometry, len(events) - len(paths))], odometry_source=odometry)
-    return Log(events, folder, _said_of(posed_by, world_T_body is not None and moved_by is None))
+        notes.append(taken_from(odometry, len(events) - len(paths)))
+        return Log(events, folder, notes, odometry_source=odometry)
+    return Log(events, folder, [*notes, *_said_of(posed_by, world_T_body is not None and moved_by is None)])
 
 
 def read_e57_log(
@@ -253,6 +261,7 @@ def _odometry(
     return [OdometryReading(t, pose) for t, pose in zip(stamps, poses, strict=True)]
 
 
-def has_clouds(folder: Path) -> bool:
-    """Whether a folder is one of clouds."""
-    return folder.is_dir() and bool(clouds_in(folder))
+def has_clouds(folder: Path, *, surely: bool = False) -> bool:
+    """Whether a folder is one of clouds; `surely`: of a format that nothing else comes in."""
+    found = clouds_in(folder) if folder.is_dir() else []
+    return bool(found) and not (surely and found[0].suffix.lower() in _AMBIGUOUS)

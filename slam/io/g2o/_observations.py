@@ -14,7 +14,7 @@ from spplanes._check import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Sighting:
+class SinglePlaneFactor:
     """A factor that depends on one plane, seen from one pose."""
 
     plane_key: int
@@ -26,19 +26,19 @@ class Sighting:
     """Without a pose: it speaks of the landmark in the world, though that lives in the frame of an anchor."""
 
 
-def sighting_of(factor: Any) -> Sighting | None:
+def single_plane_factor(factor: Any) -> SinglePlaneFactor | None:
     """The factor as a sighting of one plane; None where it is none."""
     if isinstance(factor, gtsam.CustomFactor):
         recipe = describe(factor)
         if recipe is None or recipe.reference_key is not None or recipe.planar:
             return None
         in_world = recipe.pose_key is None and recipe.anchor_key is not None
-        return Sighting(recipe.plane_key, recipe.pose_key, factor, in_world)
+        return SinglePlaneFactor(recipe.plane_key, recipe.pose_key, factor, in_world)
     keys = list(factor.keys())
     if isinstance(factor, gtsam_unstable.LocalOrientedPlane3Factor | gtsam.OrientedPlane3Factor):
-        return Sighting(keys[-1], keys[0], factor)
+        return SinglePlaneFactor(keys[-1], keys[0], factor)
     if isinstance(factor, gtsam.OrientedPlane3DirectionPrior):
-        return Sighting(keys[0], None, factor)
+        return SinglePlaneFactor(keys[0], None, factor)
     return None
 
 

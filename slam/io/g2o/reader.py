@@ -12,14 +12,13 @@ import numpy as np
 
 from factors.robust import gaussian
 from slam.errors import LogError
+from slam.geometry.quaternions import norms_of
 from slam.io._numbers import number_of, numbered_words
 from slam.io.g2o._tangents import plane_jacobian, pose_jacobian, root_information
 from spplanes._check import TOO_LARGE, FloatArray
 
 #: Vertices that a file may have: more cannot be numbered by a GTSAM symbol, and none has.
 _MOST_VERTICES = 10_000_000
-#: A quaternion or a normal in a file may miss unit norm by this much.
-_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,10 +166,10 @@ class _Reader:
         return int(word)
 
     def _pose(self, numbers: FloatArray, line: int) -> gtsam.Pose3:
-        norm = np.linalg.norm(numbers[3:7])
-        if abs(norm - 1.0) > _TOLERANCE:
-            raise LogError(self.path, f"expected a unit quaternion, got one of norm {norm:.6g}", line=line)
-        x, y, z, w = numbers[3:7] / norm
+        norms, wrong = norms_of(numbers[None, 3:7])
+        if wrong[0]:
+            raise LogError(self.path, f"expected a unit quaternion, got one of norm {norms[0]:.6g}", line=line)
+        x, y, z, w = numbers[3:7] / norms[0]
         return gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), numbers[:3])
 
     def _plane(self, numbers: FloatArray, line: int) -> gtsam.OrientedPlane3:

@@ -13,7 +13,7 @@ import numpy as np
 
 from factors import landmark_anchors
 from slam.io._numbers import numbered_words
-from slam.io.g2o._observations import Sighting, gaussian_of, linearised, sighting_of
+from slam.io.g2o._observations import SinglePlaneFactor, gaussian_of, linearised, single_plane_factor
 from slam.io.g2o._tangents import (
     LEVEL,
     UPRIGHT,
@@ -119,7 +119,7 @@ class _Writer:
             self.left_out["robust kernels"] += 1
         if isinstance(factor, gtsam.BetweenFactorPose3):
             return [self._between(factor)]
-        sighting = sighting_of(factor)
+        sighting = single_plane_factor(factor)
         if sighting is not None and sighting.plane_key in self.planes:
             return [self._plane_edge(sighting)]
         keys = list(factor.keys())
@@ -144,7 +144,7 @@ class _Writer:
         root = matrix @ np.linalg.inv(pose_jacobian())
         return f"EDGE_SE3_PRIOR {self.poses[key]} 0 {_pose(measured)} {_upper(root.T @ root)}"
 
-    def _plane_edge(self, sighting: Sighting) -> str:
+    def _plane_edge(self, sighting: SinglePlaneFactor) -> str:
         others = [key for key in sighting.factor.keys() if key != sighting.plane_key]  # noqa: SIM118
 
         def at(plane: gtsam.OrientedPlane3) -> tuple[FloatArray, FloatArray]:

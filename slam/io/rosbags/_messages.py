@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from slam.geometry.quaternions import poses_of
 from spplanes._check import FloatArray
 
+#: The messages that are read.
+SCAN, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
+ODOMETRY, TF = "nav_msgs/msg/Odometry", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+READ = (SCAN, CLOUD, ODOMETRY, *TF)
 #: PointField's numbers of types.
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-_QUATERNION_TOLERANCE = 1e-3
+
+
+def with_todays_header(definition: str) -> str:
+    """The definition of a message in which the header is called std_msgs/Header, as since 2010."""
+    return re.sub(r"\broslib/Header\b", "std_msgs/Header", definition)
 
 
 def stamp_of(message: Any, received_ns: int) -> int:
@@ -102,12 +111,5 @@ def transform_of(translation: Any, rotation: Any) -> FloatArray:
     Raises:
         ValueError: numbers that are not finite, or a quaternion that is none.
     """
-    place = np.array([translation.x, translation.y, translation.z], dtype=np.float64)
-    turn = np.array([rotation.x, rotation.y, rotation.z, rotation.w], dtype=np.float64)
-    with np.errstate(over="ignore"):  # infinite is no unit either
-        norm = np.linalg.norm(turn)
-    if not (np.isfinite(place).all() and abs(norm - 1.0) < _QUATERNION_TOLERANCE):
-        raise ValueError(f"expected a finite position and a unit quaternion, got {place} and one of norm {norm:.6g}")
-    transform = np.eye(4)
-    transform[:3, :3], transform[:3, 3] = Rotation.from_quat(turn).as_matrix(), place
-    return transform
+    place = translation.x, translation.y, translation.z
+    return poses_of(np.array([[*place, rotation.x, rotation.y, rotation.z, rotation.w]], dtype=np.float64))[0]

@@ -11,6 +11,7 @@ from typing import Any
 
 from slam.errors import KEEPS_THE_REST, LogError, MissingPackageError
 from slam.io.rosbags._bounded_unpacking import bound_rosbags
+from slam.io.rosbags._messages import READ, with_todays_header
 from slam.io.rosbags._salvaged import SalvagedBag
 
 #: The bag that clouds were last taken from: to open one anew for each cloud would take most of the time.
@@ -31,13 +32,16 @@ def opened(path: Path, keep_partial: bool = False) -> Iterator[Any]:
         raise LogError(path, "expected a bag, got an empty file")
     try:
         stack = ExitStack()
-        reader = stack.enter_context(AnyReader([path], default_typestore=get_typestore(Stores.LATEST)))
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
+        if not reader.is2:
+            reader.readers = [_ros1_reader(path)]
+        stack.enter_context(reader)
     except Exception as error:  # rosbags on damage: errors of its own, of struct, sqlite3, yaml, zstd and others
-        can_be_cut = path.suffix in (".bag", ".mcap")
-        if not (keep_partial and can_be_cut):
-            raise _broken(path, error, can_be_cut) from error
+        inside = _file_of(path)
+        if not keep_partial or inside is None:
+            raise _broken(path, error, inside is not None) from error
         try:
-            reader = SalvagedBag(path)
+            reader = SalvagedBag(inside)
         except LogError:
             raise
         except Exception as worse:  # topics or types that cannot be made out
@@ -51,6 +55,36 @@ def opened(path: Path, keep_partial: bool = False) -> Iterator[Any]:
         raise
     except Exception as error:  # as above
         raise _broken(path, error) from error
+
+
+def _file_of(path: Path) -> Path | None:
+    """The file that can be read without its index: a ROS 1 bag, an MCAP file, or the only one of a folder."""
+    if path.is_dir():
+        inside = sorted(path.glob("*.mcap"))
+        return inside[0] if len(inside) == 1 else None
+    return path if path.suffix in (".bag", ".mcap") else None
+
+
+def _ros1_reader(path: Path) -> Any:
+    """A reader of a ROS 1 bag that looks at the definitions of what is read, and at no others.
+
+    Bags of 2010 call the header roslib/Header; it is the same, and rosbags knows the later name alone. What else is in
+    a bag may be defined as badly as it likes.
+    """
+    from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+    from rosbags.rosbag1 import Reader
+
+    class Forgiving(Reader):
+        def open(self) -> None:
+            super().open()
+            self.connections = [one._replace(msgdef=told_of(one)) for one in self.connections]
+
+    def told_of(connection: Any) -> Any:
+        if connection.msgtype not in READ:
+            return MessageDefinition(MessageDefinitionFormat.NONE, "")
+        return connection.msgdef._replace(data=with_todays_header(connection.msgdef.data))
+
+    return Forgiving(path)
 
 
 def _broken(path: Path, error: Exception, can_be_cut: bool = False) -> LogError:

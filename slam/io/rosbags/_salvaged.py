@@ -15,6 +15,7 @@ from typing import Any
 
 from slam.errors import LogError
 from slam.io.rosbags._bounded_unpacking import TooLarge, unpack
+from slam.io.rosbags._messages import READ, with_todays_header
 
 _ROS1_MAGIC, _MCAP_MAGIC = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"
 _MESSAGE, _CHUNK, _CONNECTION = 0x02, 0x05, 0x07
@@ -100,7 +101,8 @@ class SalvagedBag:
         store = get_typestore(Stores.EMPTY)
         types: dict[Any, Any] = {}
         for one in self.connections:
-            types.update(get_types_from_msg(one.msgdef, one.msgtype))
+            if one.msgtype in READ:
+                types.update(get_types_from_msg(with_todays_header(one.msgdef), one.msgtype))
         store.register(types)
         return store
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,18 @@ from typing import Any
 import numpy as np
 
 from slam.errors import KEEPS_THE_REST, LogError
-from slam.io.rosbags._frames import BODIES, WORLDS, Frames
-from slam.io.rosbags._messages import frame_of, points_of, scan_of, stamp_of, transform_of
+from slam.io.rosbags._messages import (
+    CLOUD,
+    ODOMETRY,
+    SCAN,
+    TF,
+    frame_of,
+    points_of,
+    scan_of,
+    stamp_of,
+    transform_of,
+)
+from slam.io.rosbags._odometry import Moves, odometry_of
 from slam.io.rosbags._opening import in_short, kept_open, opened
 from slam.io.rosbags._salvaged import SalvagedBag
 from slam.io.spool import SharedAngles, Spool, StoredScan
@@ -21,19 +30,30 @@ from slam.sensors.log import Event, Log, OdometryReading, StoredCloud
 from spplanes._check import FloatArray
 from spplanes.clouds.arrange import Grid, arrange
 
-SCAN, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
-ODOMETRY, TF = "nav_msgs/msg/Odometry", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _SUFFIXES = (".bag", ".mcap", ".db3")
 
 
 @dataclass(frozen=True)
 class Topics:
-    """Which topics of a bag are read."""
+    """Which topics of a bag are read, and which of its frames are the robot's."""
 
     scans: tuple[str, ...] = ()
     """Of LaserScan and PointCloud2; none: the clouds that come most often, or without clouds all laser scans."""
     odometry: str | None = None
     """Of Odometry; None: that which comes most often; without any, tf."""
+    odometry_frame: str | None = None
+    """Frame that tf tells the odometry from, in place of a topic; None: odom, or another frame of the world."""
+    body_frame: str | None = None
+    """Frame of the body; None: the child frame of the odometry, else base_link or the like."""
+
+    def __post_init__(self) -> None:
+        if self.odometry is not None and self.odometry_frame is not None:
+            raise ValueError("--odometry-frame: expected one source of odometry, got --odometry-topic too")
+
+    @property
+    def any_given(self) -> bool:
+        """Whether anything is said of a bag."""
+        return self != Topics()
 
 
 @dataclass(eq=False)
@@ -42,13 +62,10 @@ class _Found:
 
     spool: Spool
     """Ranges of 2D scans."""
+    moves: Moves
+    """Frames and odometry."""
     angles: SharedAngles = field(default_factory=SharedAngles)
     """Their bearings."""
-    frames: Frames = field(default_factory=Frames)
-    moves: list[tuple[int, str, str, FloatArray]] = field(default_factory=list)
-    """Transforms out of frames of the world: time, parent, child, parent_T_child."""
-    odometry: list[tuple[int, str, FloatArray]] = field(default_factory=list)
-    """Time, frame of the body, odom_T_child."""
     scans: list[tuple[int, str, str, FloatArray, tuple[int, int]]] = field(default_factory=list)
     """Time, topic, frame, angles, and the ranges' place and number in the spool."""
     clouds: list[tuple[int, str, str, int]] = field(default_factory=list)
@@ -98,7 +115,7 @@ def read_rosbag(
         found = _read(path, reader, chosen, notes, keep_partial)
     if not found.scans and not found.clouds:
         raise LogError(path, "expected scans in the bag, found none before its end")
-    body, odometry = _odometry_of(found, notes)
+    body, odometry = odometry_of(path, found.moves, chosen.body_frame, notes)
     mounted = {topic for topic in chosen.scans if sensor_name(topic) in (names or {})}
     names = {topic: (names or {}).get(sensor_name(topic), sensor_name(topic)) for topic in chosen.scans}
     events: list[Event] = [OdometryReading(stamp, pose) for stamp, pose in odometry]
@@ -120,28 +137,38 @@ def _choose(path: Path, reader: Any, wanted: Topics, notes: list[str]) -> Topics
     wanted = Topics(
         tuple(by_name.get(sensor_name(topic), topic) for topic in wanted.scans),
         wanted.odometry and by_name.get(sensor_name(wanted.odometry), wanted.odometry),
+        *(frame and frame.lstrip("/") for frame in (wanted.odometry_frame, wanted.body_frame)),
     )
     usable = {kind: [t for t in sorted(kinds, key=lambda t: (-counts[t], t)) if kinds[t] == kind] for kind in _KINDS}
-    for topic in (*wanted.scans, *filter(None, [wanted.odometry])):
-        if topic not in kinds or kinds[topic] not in _KINDS:
+    asked = [(topic, (SCAN, CLOUD)) for topic in wanted.scans] + [(wanted.odometry, (ODOMETRY,))]
+    for topic, kinds_asked in asked:
+        if topic is not None and topic not in kinds:
             there = ", ".join(t for kind in _KINDS for t in usable[kind]) or "none that can be used"
             raise LogError(path, f"expected the topic {topic}, which the bag does not have; it has {there}")
+        if topic is not None and kinds[topic] not in kinds_asked:
+            names = " or ".join(map(_short, kinds_asked))
+            raise LogError(path, f"expected a topic of {names}, got {topic}, which is of {_short(kinds[topic])}")
     scans = wanted.scans or tuple(usable[CLOUD][:1]) or tuple(usable[SCAN])
     if not scans:
         raise LogError(path, "expected a topic of LaserScan or PointCloud2, found none")
-    odometry = wanted.odometry or next(iter(usable[ODOMETRY]), None)
-    read = [f"{topic} ({counts[topic]} {kinds[topic].rsplit('/', 1)[1]})" for topic in (*scans, odometry) if topic]
+    odometry = wanted.odometry or (None if wanted.odometry_frame else next(iter(usable[ODOMETRY]), None))
+    read = [f"{topic} ({counts[topic]} {_short(kinds[topic])})" for topic in (*scans, odometry) if topic]
     rest = [topic for kind in _KINDS for topic in usable[kind] if topic not in (*scans, odometry)]
     notes.append("read " + ", ".join(read) + (f"; also there: {', '.join(rest)}" if rest else ""))
-    return Topics(scans, odometry)
+    return replace(wanted, scans=scans, odometry=odometry)
 
 
 _KINDS = (CLOUD, SCAN, ODOMETRY)
 
 
+def _short(msgtype: str | None) -> str:
+    """The name of a type of messages without its package; of a topic that has several types that."""
+    return "several types" if msgtype is None else msgtype.rsplit("/", 1)[-1]
+
+
 def _read(path: Path, reader: Any, chosen: Topics, notes: list[str], keep_partial: bool) -> _Found:
     """All messages of the chosen topics and of tf."""
-    found = _Found(Spool(path))
+    found = _Found(Spool(path), Moves(chosen.odometry_frame))
     wanted = {*chosen.scans, chosen.odometry}
     connections = [c for c in reader.connections if c.topic in wanted or c.msgtype in TF]
     messages = reader.messages(connections)
@@ -168,13 +195,10 @@ def _take(found: _Found, topic: str, received: int, message: Any) -> None:
         for one in message.transforms:
             parent, child = frame_of(one), str(one.child_frame_id).lstrip("/")
             transform = transform_of(one.transform.translation, one.transform.rotation)
-            if parent in WORLDS:
-                found.moves.append((stamp_of(one, received), parent, child, transform))
-            else:
-                found.frames.add(parent, child, transform)
+            found.moves.add(stamp_of(one, received), parent, child, transform)
     elif kind == ODOMETRY:
         pose = transform_of(message.pose.pose.position, message.pose.pose.orientation)
-        found.odometry.append((stamp_of(message, received), str(message.child_frame_id).lstrip("/"), pose))
+        found.moves.odometry.append((stamp_of(message, received), str(message.child_frame_id).lstrip("/"), pose))
     elif kind == SCAN:
         scan = scan_of(message)
         kept = found.spool.put(scan.ranges), scan.ranges.size
@@ -185,24 +209,6 @@ def _take(found: _Found, topic: str, received: int, message: Any) -> None:
         found.clouds.append((stamp_of(message, received), topic, frame_of(message), received))
 
 
-def _odometry_of(found: _Found, notes: list[str]) -> tuple[str | None, list[tuple[int, FloatArray]]]:
-    """Frame of the body, and its poses: of Odometry, else of tf from odom (or another frame of the world)."""
-    if found.odometry:
-        body = next((child for _, child, _ in found.odometry if child), None)
-        return body or _usual_body(found.frames), [(stamp, pose) for stamp, _, pose in found.odometry]
-    for world in ("odom", *WORLDS):
-        children = Counter(child for _, parent, child, _ in found.moves if parent == world and child not in WORLDS)
-        if children:
-            body = children.most_common(1)[0][0]
-            notes.append(f"no Odometry: took tf from {world} to {body}")
-            return body, [(t, pose) for t, parent, child, pose in found.moves if (parent, child) == (world, body)]
-    return _usual_body(found.frames), []
-
-
-def _usual_body(frames: Frames) -> str | None:
-    return next((frame for frame in BODIES if frame in frames), None)
-
-
 def _mounts(
     found: _Found, body: str | None, names: dict[str, str], notes: list[str], mounted: Collection[str]
 ) -> dict[str, FloatArray]:
@@ -210,7 +216,7 @@ def _mounts(
     frames = {topic: frame for _, topic, frame, *_ in (*found.scans[::-1], *found.clouds[::-1])}
     mounts = {}
     for topic, frame in sorted(frames.items()):
-        mount = np.eye(4) if frame == body else None if body is None else found.frames.body_T(body, frame)
+        mount = np.eye(4) if frame == body else None if body is None else found.moves.frames.body_T(body, frame)
         if mount is None and topic in mounted:
             continue
         if mount is None:

@@ -168,9 +168,10 @@
     const eye = camera();
     view.drawn = [];
     if (byId("show-planes").checked) drawPlanes(eye);
+    if (byId("show-points")?.checked) drawPoints(eye);
     if (byId("show-odometry")?.checked) drawPath(scene.odometry, eye, "#c53030", 1.5, [6, 4]);
     if (byId("show-estimate").checked) drawPath(scene.estimate, eye, "#111111", 2, []);
-    if (byId("show-estimate").checked) drawDots(scene.doubtful, eye, "#dd6b20");
+    if (byId("show-estimate").checked) drawDoubtful(eye, "#dd6b20");
     drawTriad(eye);
   }
 
@@ -217,6 +218,29 @@
       context.beginPath();
       context.arc(...eye.toScreen(place), 4, 0, 2 * Math.PI);
       context.fill();
+    }
+  }
+
+  function drawDoubtful(eye, colour) {
+    // stretches of the way; a keyframe alone is a dot
+    drawDots(scene.doubtful.filter((part) => part.length === 1).map((part) => part[0]), eye, colour);
+    context.strokeStyle = colour;
+    context.lineWidth = 5;
+    for (const part of scene.doubtful) {
+      const path = new Path2D();
+      trace(path, part, false, eye);
+      context.stroke(path);
+    }
+  }
+
+  function drawPoints(eye) {
+    const numbers = scene.points_cm;
+    context.fillStyle = "rgba(20, 30, 45, .55)";
+    for (let i = 0; i < numbers.length; i += 3) {
+      const place = eye.toCamera([0.01 * numbers[i], 0.01 * numbers[i + 1], 0.01 * numbers[i + 2]]);
+      if (place[2] < NEAR) continue;
+      const [x, y] = eye.toScreen(place);
+      context.fillRect(x - 0.7, y - 0.7, 1.4, 1.4);
     }
   }
 
@@ -365,7 +389,7 @@
     const box = byId("legend");
     box.replaceChildren();
     if (scene.estimate.length) box.append(element("span", "━ trajectory ", "estimate"));
-    if (scene.doubtful.length) box.append(element("span", "● doubtful ", "doubtful"));
+    if (scene.doubtful.length) box.append(element("span", "━ doubtful ", "doubtful"));
     if (scene.odometry.length) box.append(element("span", "╌ odometry alone ", "odometry"));
     if (view.colour !== "sigma") return;
     const bar = element("span", undefined, "ramp");
@@ -409,7 +433,7 @@
     plot.height = Math.round(height * ratio);
     const pen = plot.getContext("2d");
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    const last = Math.max(1, scene.keyframes - 1);
+    const last = series.last ?? Math.max(1, scene.keyframes - 1);
     const most = 1.15 * Math.max(2, ...series.blocks.map((block) => Math.max(block.mean, block.high)));
     const x = (keyframe) => 46 + (width - 60) * keyframe / last;
     const y = (value) => 8 + (height - 36) * (1 - Math.min(value, most) / most);
@@ -418,22 +442,25 @@
       const left = x(block.from), right = Math.max(x(block.to), left + 2);
       pen.fillRect(left, y(block.high), right - left, y(block.low) - y(block.high));
     }
-    pen.fillStyle = "rgba(60, 80, 110, .28)";
-    for (const [keyframe, value] of series.dots) pen.fillRect(x(keyframe) - 1.2, y(value) - 1.2, 2.4, 2.4);
+    const [ink, half] = series.dots.length < 200 ? [0.65, 2] : [0.28, 1.2];
+    pen.fillStyle = `rgba(60, 80, 110, ${ink})`;
+    for (const [place, value] of series.dots) pen.fillRect(x(place) - half, y(value) - half, 2 * half, 2 * half);
     pen.strokeStyle = "#2f855a";
     pen.setLineDash([4, 4]);
     line(pen, [[x(0), y(1)], [x(last), y(1)]]);
     pen.setLineDash([]);
     pen.strokeStyle = "#2b6cb0";
     pen.lineWidth = 2;
-    line(pen, series.blocks.map((block) => [x(0.5 * (block.from + block.to)), y(block.mean)]));
+    const [first, ...more] = series.blocks;
+    line(pen, more.length ? series.blocks.map((block) => [x(0.5 * (block.from + block.to)), y(block.mean)])
+      : [[x(first.from), y(first.mean)], [x(first.to), y(first.mean)]]);
     for (const block of series.blocks) {
       pen.fillStyle = block.mean > block.high ? "#c53030" : "#2b6cb0";
       pen.beginPath();
       pen.arc(x(0.5 * (block.from + block.to)), y(block.mean), 3, 0, 2 * Math.PI);
       pen.fill();
     }
-    axisLabels(pen, x, y, last, most, width, height);
+    axisLabels(pen, x, y, last, most, width, height, series.over);
   }
 
   function line(pen, points) {
@@ -442,7 +469,7 @@
     pen.stroke();
   }
 
-  function axisLabels(pen, x, y, last, most, width, height) {
+  function axisLabels(pen, x, y, last, most, width, height, over) {
     pen.lineWidth = 1;
     pen.strokeStyle = "#b9c2cc";
     line(pen, [[46, 8], [46, height - 28], [width - 14, height - 28]]);
@@ -455,11 +482,13 @@
     const stride = Math.max(1, Math.ceil(last / 8));
     for (let keyframe = 0; keyframe <= last; keyframe += stride) pen.fillText(String(keyframe), x(keyframe), height - 12);
     pen.textAlign = "left";
-    pen.fillText("chi2 per degree of freedom, by keyframe", 54, 18);
+    pen.fillText(`chi2 per degree of freedom, by ${over}`, 54, 18);
   }
 
   // --- start ---------------------------------------------------------------------------------------------------------
 
+  if (!scene.points_cm.length) byId("show-points").parentElement.remove();
+  else byId("show-points").checked = window.location.hash === "#points";  // report.html#points shows them from the start
   if (!scene.odometry.length) byId("show-odometry").parentElement.remove();
   home();
   legend();

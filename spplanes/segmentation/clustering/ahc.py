@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._jit import njit
-from spplanes._moment_patches import eigenvalues, merge_scaled, normal_of
+from spplanes.fitting._moment_patches import eigenvalues, merge_scaled, normal_of
 
 
 @njit(cache=True)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._jit import njit
-from spplanes._moment_patches import distance_of, variance_from
 from spplanes._threads import in_parts
+from spplanes.fitting._moment_patches import distance_of, variance_from
 
 
 def unlabel_creases(points, covariance, valid, labels, start, planes, max_angle, certainty):

@@ -114,8 +114,9 @@ def test_options_that_say_nothing_there_are_refused(tmp_path: Path, capsys: pyte
     for option in (["--start", "find"], ["--start-sigma", "1,1"]):
         code, _, err = run(capsys, *common, *option)
         assert code == 2 and "expected --prior" in err
-    for option in (["--topic", "/scan"], ["--odometry-topic", "/odom"]):
-        assert "scans: expected a bag where topics are given" in refused(capsys, *common, *option)
+    for name, value in (("topic", "/scan"), ("odometry-topic", "/o"), ("odometry-frame", "o"), ("body-frame", "b")):
+        option = [f"--{name}", value]
+        assert "scans: expected a bag where topics or frames are given" in refused(capsys, *common, *option)
     code = run(capsys, *common, "--odometry", "a.tum", "--odometry-topic", "/odom")[0]
     assert code == 2 and not (tmp_path / "run").exists()
 

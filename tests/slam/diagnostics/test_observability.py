@@ -57,6 +57,21 @@ def test_floor_ceiling_and_two_walls_leave_the_way_between_them_open():
     assert (found.keyframe, found.part, found.name, found.sigma_seen) == (4, "position", "along x", np.inf)
 
 
+def test_noisy_looks_at_one_wall_fix_nothing_along_it():
+    """Two looks 3 deg apart seem to cross; by the landmark's own normal the way along the wall stays open."""
+    corridor = [plane for plane in room_planes() if abs(plane.normal[0]) < 0.5]
+    noisy = [
+        plane.transform(gtsam.Pose3(gtsam.Rot3.Yaw(turn), np.zeros(3)).matrix())
+        for plane in corridor
+        for turn in (0.0, 0.05)
+    ]
+    looks = [sight(plane) for plane in noisy]
+    assert not any(one.name == "along x" for one in open_directions(4, looks, np.eye(4), RULES))
+    normals = [plane.normal for plane in corridor for _ in range(2)]
+    (found,) = open_directions(4, looks, np.eye(4), RULES, normals=normals)
+    assert (found.part, found.name, found.sigma_seen) == ("position", "along x", np.inf)
+
+
 def test_one_floor_leaves_what_a_floor_must():
     found = open_directions(1, [sight(room_planes()[0])], np.eye(4), RULES)
     assert sorted(one.name for one in found if one.part == "position") == ["along x", "along y"]
@@ -91,6 +106,19 @@ def test_lines_of_a_level_laser_say_nothing_of_the_height():
     ]
     found = open_directions(1, seen, np.eye(4), RULES)
     assert {one.name for one in found} == {"along z", "about x", "about y"}
+
+
+def test_the_floor_holds_height_roll_and_pitch_of_what_drives_on_it():
+    """One wall along x seen by a body on a floor: only the way along it is open, unless the floor is a rough guess."""
+    wall = room_planes()[4] if abs(room_planes()[4].normal[1]) > 0.9 else room_planes()[3]
+    (seen,) = [sight(wall)]
+    level = Motion(np.eye(4), np.diag([1e-4, 1e-4, 1e-4]), (0.001, 0.001, 0.001))
+    rough = replace(level, out_of_plane_sigmas=(0.5, 0.001, 0.2))
+    spatial = Motion(np.eye(4), np.eye(6), (0.0, 0.0, 0.0))
+    names = lambda motion: sorted(one.name for one in open_directions(1, [seen], np.eye(4), RULES, motion))  # noqa: E731
+    assert names(level) == names(replace(level, out_of_plane_sigmas=(0.0, 0.0, 0.0))) == ["along x"]
+    assert names(rough) == ["about y", "along x", "along z"]
+    assert names(spatial) == names(None) == ["about y", "along x", "along z"]
 
 
 def ends(alpha: float, rho: float) -> np.ndarray:

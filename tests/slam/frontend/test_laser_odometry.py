@@ -147,14 +147,14 @@ def test_a_scan_is_found_from_beside_and_from_far_off():
 
 
 def test_the_wheels_are_given_up_only_where_the_returns_refute_them():
-    """Constant velocity after a long pause allows any motion: that it leads to the same place does not make it the way."""
+    """Constant velocity after a long pause allows any motion: that it ends at the same place is nothing for it."""
     there, rng = np.array((1.2, 1.0, 0.3)), np.random.default_rng(1)
     room = LocalMap.of([scan_in((1.2, 1.0, 0.3)), scan_in((1.0, 1.3, 1.0), 1)], [there, np.array((1.0, 1.3, 1.0))])
     sigmas, anywhere = np.array((0.1, 0.1, 0.05)), np.diag([70.0, 70.0, 50.0]) ** 2
     for seed in range(12):
         coasted = Expected(there + rng.standard_normal(3) * 0.3, anywhere, 0.001)
         honest = Expected(there + sigmas * rng.standard_normal(3), np.diag(sigmas**2), 0.999)
-        slipped = Expected(there + (0.9, -0.2, 0.5), np.diag(sigmas**2), 0.999)
+        slipped = Expected(there + np.array((0.9, -0.2, 0.5)), np.diag(sigmas**2), 0.999)
         for wheels, way in ((honest, 0), (slipped, 1)):
             found = match_scan(scan_in((1.2, 1.0, 0.3), 2 + seed), room, [wheels, coasted], 0.97)
             np.testing.assert_allclose(found.pose, there, atol=3e-3)

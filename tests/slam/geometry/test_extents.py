@@ -1,4 +1,4 @@
-"""A region in tiles is the union of what it was grown by."""
+"""A extent in tiles is the union of what it was grown by."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 import shapely
 from shapely import LineString, Point, box
 
-from slam.geometry.extents import _AT_ONCE, Region
+from slam.geometry.extents import _AT_ONCE, Extent
 from slam.geometry.polygons import all_valid, coarse, grow, grow_all
 
 
@@ -19,21 +19,21 @@ def scattered(seed: int, count: int = 60) -> list[shapely.Polygon]:
 
 def test_the_whole_is_the_union_to_the_tolerance_of_outlines():
     patches = scattered(0)
-    region = Region(patches[0])
+    extent = Extent(patches[0])
     for patch in patches[1:]:
-        region.grow(patch)
+        extent.grow(patch)
     union = shapely.union_all(patches)
-    assert region.geometry.symmetric_difference(union).area < 0.005 * union.area
-    assert shapely.hausdorff_distance(region.geometry, union) < 0.05
-    np.testing.assert_allclose(region.bounds, union.bounds)
-    assert len(shapely.get_parts(region.geometry)) == len(shapely.get_parts(union))
+    assert extent.geometry.symmetric_difference(union).area < 0.005 * union.area
+    assert shapely.hausdorff_distance(extent.geometry, union) < 0.05
+    np.testing.assert_allclose(extent.bounds, union.bounds)
+    assert len(shapely.get_parts(extent.geometry)) == len(shapely.get_parts(union))
 
 
 def test_to_look_at_a_region_changes_nothing_of_it():
-    seen, unseen = Region(scattered(4)[0]), Region(scattered(4)[0])
+    seen, unseen = Extent(scattered(4)[0]), Extent(scattered(4)[0])
     for patch in scattered(4)[1:]:
-        for region in (seen, unseen):
-            region.grow(patch)
+        for extent in (seen, unseen):
+            extent.grow(patch)
         assert seen.geometry.area > 0.0
     assert seen.geometry.equals_exact(unseen.geometry, 0.0)
     assert all(one.equals_exact(other, 0.0) for one, other in zip(seen.pieces, unseen.pieces, strict=True))
@@ -41,57 +41,57 @@ def test_to_look_at_a_region_changes_nothing_of_it():
 
 def test_near_is_what_is_near_the_union():
     patches = scattered(1, 12)
-    region = Region(patches[0])
+    extent = Extent(patches[0])
     for patch in patches[1:]:
-        region.grow(patch)
+        extent.grow(patch)
     union = shapely.union_all(patches)
     answers = []
     for probe in (shapely.affinity.translate(one, 0.0, 17.0) for one in scattered(2, 80)):
         distance = union.distance(probe)
-        assert region.is_within(distance + 0.02, probe)
+        assert extent.is_within(distance + 0.02, probe)
         if distance > 0.05:
-            assert not region.is_within(distance - 0.02, probe)
+            assert not extent.is_within(distance - 0.02, probe)
             answers.append(distance)
     assert len(answers) > 20
-    assert region.is_within(1e3, Point(500.0, 0.0)) and not region.is_within(1e2, Point(500.0, 0.0))
+    assert extent.is_within(1e3, Point(500.0, 0.0)) and not extent.is_within(1e2, Point(500.0, 0.0))
 
 
 def test_lines_of_one_wall_stay_one_segment():
-    region = Region(LineString([(0.0, 0.0), (1.0, 0.0)]))
-    region.grow(LineString([(3.0, 0.01), (8.0, 0.0)]))
-    assert region.geometry.geom_type == "LineString"
-    np.testing.assert_allclose(region.geometry.length, 8.0, atol=1e-3)
+    extent = Extent(LineString([(0.0, 0.0), (1.0, 0.0)]))
+    extent.grow(LineString([(3.0, 0.01), (8.0, 0.0)]))
+    assert extent.geometry.geom_type == "LineString"
+    np.testing.assert_allclose(extent.geometry.length, 8.0, atol=1e-3)
 
 
 def test_a_line_and_a_patch_are_kept_both():
-    region = Region(LineString([(0.0, 0.5), (7.0, 0.5)]))
-    region.grow(box(1.0, 0.0, 3.0, 1.0))
-    area = sum(part.area for part in shapely.get_parts(region.geometry))
+    extent = Extent(LineString([(0.0, 0.5), (7.0, 0.5)]))
+    extent.grow(box(1.0, 0.0, 3.0, 1.0))
+    area = sum(part.area for part in shapely.get_parts(extent.geometry))
     assert abs(area - 2.0) < 1e-9
-    assert region.is_within(0.1, Point(6.5, 0.5))
-    np.testing.assert_allclose(region.bounds, (0.0, 0.0, 7.0, 1.0))
+    assert extent.is_within(0.1, Point(6.5, 0.5))
+    np.testing.assert_allclose(extent.bounds, (0.0, 0.0, 7.0, 1.0))
 
 
 def test_the_distance_of_a_patch_is_that_of_the_whole_up_to_a_bound():
-    region = Region(box(0.0, 0.0, 5.0, 1.0))
-    assert region.distance(box(4.0, 0.5, 9.0, 2.0), 1.5) == 0.0
-    assert np.isclose(region.distance(box(5.7, 0.0, 6.0, 1.0), 1.5), 0.7, atol=0.01)
-    assert region.distance(box(7.0, 0.0, 8.0, 1.0), 1.5) == 1.5
-    line = Region(LineString([(0.0, 0.0), (3.0, 0.0)]))
+    extent = Extent(box(0.0, 0.0, 5.0, 1.0))
+    assert extent.distance(box(4.0, 0.5, 9.0, 2.0), 1.5) == 0.0
+    assert np.isclose(extent.distance(box(5.7, 0.0, 6.0, 1.0), 1.5), 0.7, atol=0.01)
+    assert extent.distance(box(7.0, 0.0, 8.0, 1.0), 1.5) == 1.5
+    line = Extent(LineString([(0.0, 0.0), (3.0, 0.0)]))
     assert np.isclose(line.distance(LineString([(1.0, 0.4), (2.0, 0.4)]), 1.5), 0.4)
     assert line.distance(LineString([(1.0, 9.0), (2.0, 9.0)]), 1.5) == 1.5
 
 
 def test_what_was_seen_before_changes_nothing():
-    region = Region(box(0.0, 0.0, 9.0, 9.0))
+    extent = Extent(box(0.0, 0.0, 9.0, 9.0))
     for _ in range(_AT_ONCE - 1):
-        region.grow(box(1.0, 1.0, 7.5, 8.0))
-    before = region.pieces
+        extent.grow(box(1.0, 1.0, 7.5, 8.0))
+    before = extent.pieces
     for _ in range(_AT_ONCE):
-        region.grow(box(1.0, 1.0, 7.5, 8.0))
-    assert all(after is piece for after, piece in zip(region.pieces, before, strict=True))
-    region.grow(box(8.0, 8.0, 9.5, 9.0))
-    np.testing.assert_allclose(region.geometry.area, 81.5, atol=1e-6)
+        extent.grow(box(1.0, 1.0, 7.5, 8.0))
+    assert all(after is piece for after, piece in zip(extent.pieces, before, strict=True))
+    extent.grow(box(8.0, 8.0, 9.5, 9.0))
+    np.testing.assert_allclose(extent.geometry.area, 81.5, atol=1e-6)
 
 
 @pytest.mark.parametrize(("radius", "allowed"), [(5.0, 0.1), (0.2, 0.0072)])
@@ -125,5 +125,5 @@ def test_a_corner_that_pokes_into_a_tile_by_less_than_a_rounding_is_taken_in():
     patch = shapely.Polygon(corners)
     with pytest.raises(shapely.errors.GEOSException):
         shapely.clip_by_rect(patch, -2.05, -20.0, 0.05, 20.0)
-    region = Region(patch)
-    assert region.geometry.symmetric_difference(patch).area < 1e-6
+    extent = Extent(patch)
+    assert extent.geometry.symmetric_difference(patch).area < 1e-6

@@ -22,6 +22,10 @@ from tests.slam.real_data import needs
 ROOM = np.array([4.0, 3.0, 1.3])
 
 
+#: Two scans of a CARMEN log.
+CARMEN_LINES = "".join(f"FLASER 3 1.0 2.0 1.5 0 0 0 {k}.0 0 0 {k}.0 host {k}.0\n" for k in (1, 2))
+
+
 def beams(columns: int = 360, rows: int = 32) -> FloatArray:
     """Directions of a spinning lidar, shape (rows, columns, 3)."""
     elevation, azimuth = np.meshgrid(
@@ -160,6 +164,27 @@ def test_the_most_clouds_of_one_format_are_the_scans(folder: Path):
     assert {path.suffix for path in clouds_in(folder)} == {".ply"}  # arrays may be anything, PLY files are clouds
     (folder / "whole.ply").unlink()
     assert {path.suffix for path in clouds_in(folder)} == {".npy"}
+
+
+def test_what_a_mixed_folder_leaves_out_is_said(tmp_path: Path):
+    whole = np.random.default_rng(0).uniform(1.0, 2.0, (40, 3))
+    for name in ("0.xyz", "1.xyz", "2.xyz"):
+        np.savetxt(tmp_path / name, whole)
+    assert not [note for note in load(tmp_path)[0].notes if "left out" in note]
+    (tmp_path / "photo.png").write_bytes(b"")  # pictures are no clouds where there are others
+    (tmp_path / "whole.ply").write_text("ply\n")
+    assert "read 3 .xyz clouds, left out 1 .ply" in load(tmp_path)[0].notes
+    (tmp_path / "log.clf").write_text(CARMEN_LINES)
+    log, _ = load(tmp_path)
+    assert len(log.scans()) == 2
+    assert "read a mission's log, left out clouds in the same folder" in log.notes
+
+
+def test_a_folder_of_bags_is_no_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    for name in ("monday.bag", "tuesday.bag"):
+        (tmp_path / name).write_bytes(b"#ROSBAG V2.0\n")
+    sentence = refused(capsys, "slam", tmp_path, "--out", tmp_path / "run")
+    assert "expected one log, got a folder of 2 bags: give one of them, such as monday.bag" in sentence
 
 
 def test_a_wrong_cloud_is_one_sentence_and_leaves_nothing(folder: Path, capsys: pytest.CaptureFixture[str]):

@@ -297,6 +297,118 @@ def test_tf_is_odometry_where_there_is_none(tmp_path: Path):
     assert "no Odometry: took tf from odom to base_link" in log.notes
 
 
+def moved_by_tf(root: str, body: str, inner: str = "base_link"):
+    """A cloud on a body that tf moves, by whatever names."""
+
+    def make(messages: Messages):
+        yield "/tf_static", SECOND, messages.tf(body, inner, pose(0.3, 0.0, 0.2))
+        yield "/tf_static", SECOND, messages.tf(inner, "lidar", MOUNT)
+        for k, odom_T_body in enumerate(PATH):
+            stamp = (k + 1) * SECOND
+            yield "/tf", stamp, messages.tf(root, body, odom_T_body, stamp)
+            yield "/points", stamp, messages.cloud(stamp, np.ones((9, 3)))
+
+    return make
+
+
+@pytest.mark.parametrize("root", ["odom_combined", "/odom", "robot_1/odom", "odometry"])
+def test_roots_of_tf_by_other_names(root: str, tmp_path: Path):
+    log, rig = load(write(tmp_path, "ros1", moved_by_tf(root, "base_footprint")))
+    np.testing.assert_allclose([reading.odom_T_body for reading in log.odometry], PATH, atol=1e-9)
+    assert f"no Odometry: took tf from {root.lstrip('/')} to base_footprint" in log.notes
+    np.testing.assert_allclose(rig.sensors["points"].body_T_sensor, pose(0.3, 0.0, 0.2) @ MOUNT, atol=1e-9)
+
+
+def test_frames_by_option_by_rig_and_after_a_break(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = write(tmp_path, "mcap", moved_by_tf("start", "hull"))
+    log, _ = load(path)
+    assert not log.odometry and "tf moves from start to hull; if that is odometry: --odometry-frame start" in log.notes
+    log, rig = load(path, topics=Topics(odometry_frame="start", body_frame="base_link"))
+    inner = pose(0.3, 0.0, 0.2)
+    np.testing.assert_allclose([reading.odom_T_body for reading in log.odometry], PATH @ inner, atol=1e-9)
+    np.testing.assert_allclose(rig.sensors["points"].body_T_sensor, MOUNT, atol=1e-9)
+    rig.to_yaml(tmp_path / "rig.yaml")  # as a run that goes on has it
+    again, _ = load(path, Rig.from_yaml(tmp_path / "rig.yaml"))
+    np.testing.assert_array_equal([r.odom_T_body for r in again.odometry], [r.odom_T_body for r in log.odometry])
+    _, changed = load(path, Rig(sensors=rig.sensors), topics=Topics(odometry_frame="start"))
+    assert (changed.odometry_frame, changed.body_frame) == ("start", None)
+    common = "slam", path, "--out", tmp_path / "out"
+    assert "--odometry-frame: expected tf from odom to a body, found none; it has start" in refused(
+        capsys, *common, "--odometry-frame", "odom"
+    )
+    assert "--body-frame: expected tf from hull, the frame of the odometry, to camera, found none" in refused(
+        capsys, *common, "--odometry-frame", "start", "--body-frame", "camera"
+    )
+    assert "--body-frame: expected a frame of tf, got camera; there are base_link, hull, lidar, start" in refused(
+        capsys, *common, "--body-frame", "camera"
+    )
+    assert "expected one source of odometry" in refused(
+        capsys, *common, "--odometry-frame", "start", "--odometry-topic", "/odom"
+    )
+
+
+def test_odometry_frame_stands_in_for_a_topic(tmp_path: Path):
+    def make(messages: Messages):
+        yield from moved_by_tf("start", "hull")(messages)
+        for k in range(4):
+            yield "/odom", (k + 1) * SECOND + 1, messages.odometry((k + 1) * SECOND, np.eye(4), "hull")
+
+    path = write(tmp_path, "ros1", make)
+    log, _ = load(path, topics=Topics(odometry_frame="start"))
+    np.testing.assert_allclose([reading.odom_T_body for reading in log.odometry], PATH, atol=1e-9)
+    _, by_topic = load(path)
+    other, changed = load(path, by_topic.with_bag(odometry_record="/odom"), topics=Topics(odometry_frame="start"))
+    assert changed.odometry_record is None and len(other.odometry) == 4
+
+
+#: LaserScan as bags of 2010 define it.
+SCAN_OF_2010 = """Header header
+float32 angle_min
+float32 angle_max
+float32 angle_increment
+float32 time_increment
+float32 scan_time
+float32 range_min
+float32 range_max
+float32[] ranges
+float32[] intensities
+================================================================================
+MSG: roslib/Header
+uint32 seq
+time stamp
+string frame_id
+"""
+
+
+@pytest.mark.parametrize("cut", [0, 60])
+def test_bags_of_2010_are_read(cut: int, tmp_path: Path):
+    """Their header is roslib/Header; and what nobody reads may be defined as badly as it likes."""
+    messages, path = Messages(ros1=True), tmp_path / "old.bag"
+    kind, digest = "sensor_msgs/msg/LaserScan", "90c7ef2dc6895d81024acba2ac42f369"
+    with Writer1(path) as writer:
+        scans = writer.add_connection("/base_scan", kind, msgdef=SCAN_OF_2010, md5sum=digest)
+        other = writer.add_connection("/mocap", "lab/msg/Mocap", msgdef="Markers[] m\n???\n", md5sum="0" * 32)
+        for k in range(3):
+            message = messages.scan((k + 1) * SECOND, np.full(181, 2.0), "base_laser")
+            writer.write(other, (k + 1) * SECOND, b"\0\0\0\0")
+            writer.write(scans, (k + 1) * SECOND, messages.store.serialize_ros1(message, kind))
+    path.write_bytes(path.read_bytes()[: -cut or None])
+    log, _ = load(path, keep_partial=cut > 0)
+    assert [scan.stamp_ns for scan in log.scans()] == [SECOND, 2 * SECOND, 3 * SECOND]
+    first = log.scans()[0]
+    assert isinstance(first, LaserScan) and np.nanmax(np.abs(first.ranges - 2.0)) < 1e-6
+
+
+def test_the_only_file_of_a_folder_that_breaks_off_is_salvaged(tmp_path: Path):
+    path = write(tmp_path, "mcap", mission)
+    (inside,) = path.glob("*.mcap")
+    inside.write_bytes(inside.read_bytes()[:-4000])
+    with pytest.raises(LogError, match=r"expected a whole bag.*; --keep-partial uses what comes before"):
+        load(path)
+    log, _ = load(path, keep_partial=True)
+    assert 3 <= len(log.scans()) <= 4
+
+
 def test_what_tf_does_not_tell_is_said(tmp_path: Path):
     def make(messages: Messages):
         yield "/odom", SECOND, messages.odometry(SECOND, np.eye(4))
@@ -324,7 +436,11 @@ def test_topics_by_option_and_by_rig(tmp_path: Path, capsys: pytest.CaptureFixtu
         in sentence
     )
     sentence = refused(capsys, "slam", path, "--out", tmp_path / "out", "--odometry-topic", "/tf_static")
-    assert "expected the topic /tf_static" in sentence
+    assert "expected a topic of Odometry, got /tf_static, which is of TFMessage" in sentence
+    sentence = refused(capsys, "slam", path, "--out", tmp_path / "out", "--odometry-topic", "/front/scan")
+    assert "expected a topic of Odometry, got /front/scan, which is of LaserScan" in sentence
+    sentence = refused(capsys, "slam", path, "--out", tmp_path / "out", "--topic", "/odom")
+    assert "expected a topic of LaserScan or PointCloud2, got /odom, which is of Odometry" in sentence
 
 
 def test_a_bag_without_scans(tmp_path: Path):
@@ -357,7 +473,7 @@ def test_a_wrong_quaternion(tmp_path: Path):
         yield "/odom", SECOND, message
         yield "/points", SECOND, messages.cloud(SECOND, np.ones((9, 3)))
 
-    with pytest.raises(LogError, match=r"/odom: expected a finite position and a unit quaternion.*norm 0"):
+    with pytest.raises(LogError, match=r"/odom: expected a unit quaternion, got one of norm 0"):
         read_rosbag(write(tmp_path, "ros1", make))
 
 

@@ -11,6 +11,7 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
+from slam.loop_closure.closing import Closure
 from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
 from slam.loop_closure.verification import LoopDecision
 from spplanes import Plane
@@ -55,9 +56,10 @@ def run(frames: list[Keyframe], slam: PlaneSlam | None = None) -> PlaneSlam:
 
 def close(slam: PlaneSlam, old: int, pairs: list[tuple[int, int]], motion: Motion) -> None:
     """A loop closed at the last keyframe, as if it had been found there."""
-    slam._closer.decisions.append(LoopDecision(len(slam.keyframes) - 1, old, "closed", tuple(pairs), motion=motion))
+    loop = LoopDecision(len(slam.keyframes) - 1, old, "closed", tuple(pairs), motion=motion)
+    slam._closer.decisions.append(loop)
     assert slam.merges.close(pairs, 1.0)
-    slam._closer.take_motion(pairs)
+    slam._closer.tie(Closure((loop,), tuple(pairs)))
 
 
 def outline_areas(slam: PlaneSlam) -> list[float]:
@@ -111,8 +113,9 @@ def test_a_place_beyond_doubt_is_tied_without_the_walls_that_the_graph_refuses()
     proposal = Proposal(11, 2, PlanarPose(pose, np.diag((1e-4, 1e-4, 1e-5))), 20.0, 6.0)
     loop = LoopDecision(11, 2, "closed", (across,), proposal=proposal)
     slam._closer.decisions.append(loop)
-    assert slam._closer._close([loop], 1.0) == []
-    slam._closer.take_motion([])
+    closure = slam._closer._close([loop], 1.0)
+    assert closure is not None and closure.pairs == ()
+    slam._closer.tie(closure)
     [tie] = slam._closer.ties
     assert slam.loops[-1].verdict == "closed" and tie.pairs == () and tie.motion is not None
     assert len(slam.landmarks) == count

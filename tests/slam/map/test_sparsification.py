@@ -16,7 +16,7 @@ from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion, spatial_covariance
 from slam.frontend.odometry_chain import chained
 from slam.geometry.frames import inverse, planar_transform
-from slam.map.pose_support import Footing
+from slam.map.pose_support import PoseSupport
 from slam.planeslam import pose_symbol
 from slam.sensors.wheel_noise import OdometryNoise
 from tests.slam.scenes import Drive, drive, room_planes
@@ -157,7 +157,7 @@ def test_what_was_seen_is_needed_until_all_directions_have_been_seen_again():
         for one in planes
     ]
     sides = [one for one in planes if abs(one.plane.normal[0]) < 0.5]
-    footing = Footing()
+    footing = PoseSupport()
     footing.step(0, None, [])
     for keyframe in range(1, 6):
         footing.step(keyframe, step, planes)

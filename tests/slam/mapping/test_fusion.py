@@ -8,7 +8,7 @@ import pytest
 from slam import PlaneSlam
 from slam.frontend.keyframes import Keyframe
 from slam.geometry.frames import inverse
-from slam.mapping.same_plane import twin_chi2
+from slam.mapping.same_plane import same_plane_chi2
 from slam.planeslam import pose_symbol
 from spplanes import Plane
 from tests.slam.scenes import Drive, drive
@@ -41,7 +41,7 @@ def assert_same_map(found: PlaneSlam, wanted: PlaneSlam, *, outlines: float = 0.
 def test_a_merge_undone_leaves_the_map_as_if_it_had_never_been():
     scene = drive(0)
     slam, untouched = run(scene), run(scene)
-    merge = slam.merges.merge(2, 4, "twins")
+    merge = slam.merges.merge(2, 4, "same plane")
     assert len(slam.landmarks) == 5
     assert np.abs(slam.trajectory.poses - untouched.trajectory.poses).max() > 0.05
     slam.merges.undo(merge)
@@ -53,7 +53,7 @@ def test_a_merge_undone_leaves_the_map_as_if_it_had_never_been():
 def test_what_was_seen_after_the_merge_goes_to_whom_it_fits():
     scene = drive(1)
     slam = run(scene, 8)
-    merge = slam.merges.merge(2, 4, "twins")
+    merge = slam.merges.merge(2, 4, "same plane")
     merge.next_look = 10**6  # let it stand for a while: everything seen of either is matched to what is there
     for keyframe in scene.keyframes[8:]:
         slam.add_keyframe(keyframe)
@@ -67,11 +67,11 @@ def test_a_wrong_merge_is_found_by_its_residuals_and_split():
     scene = drive(2)
     slam = run(scene, 8)
     first, second = 2, 5
-    merge = slam.merges.merge(first, second, "twins")
+    merge = slam.merges.merge(first, second, "same plane")
     for keyframe in scene.keyframes[8:]:
         slam.add_keyframe(keyframe)
     assert merge.undone == 8
-    assert twin_chi2(slam.landmarks[first], slam.landmarks[second], slam.backend) > 1e3
+    assert same_plane_chi2(slam.landmarks[first], slam.landmarks[second], slam.backend) > 1e3
     # the keyframe in between was compared with a bent map: what it saw is lost, nothing else
     assert [one.observations for one in slam.planes] >= [14] * 6
     np.testing.assert_allclose(slam.trajectory.poses, run(scene).trajectory.poses, atol=0.01)
@@ -80,13 +80,13 @@ def test_a_wrong_merge_is_found_by_its_residuals_and_split():
 def test_a_chain_of_merges_can_be_undone_from_its_first_link():
     scene = drive(4)
     slam, untouched = run(scene), run(scene)
-    first = slam.merges.merge(2, 4, "twins")
-    second = slam.merges.merge(1, 2, "twins")
+    first = slam.merges.merge(2, 4, "same plane")
+    second = slam.merges.merge(1, 2, "same plane")
     slam.merges.undo(second)
     slam.merges.undo(first)
     assert_same_map(slam, untouched, outlines=0.5)  # the second's is drawn while the first still bends the way
-    first = slam.merges.merge(2, 4, "twins")
-    slam.merges.merge(1, 2, "twins")
+    first = slam.merges.merge(2, 4, "same plane")
+    slam.merges.merge(1, 2, "same plane")
     slam.merges.undo(first)
     assert {one.id for one in slam.landmarks} == {0, 1, 3, 4, 5}
     assert len({sighting.observation for sighting in slam.landmarks[4].sightings}) == 1
@@ -124,7 +124,9 @@ def test_a_true_closure_stands():
     slam = with_loop_of_twins(6)
     assert len(slam.landmarks) == 12
     old, new = (sorted(one.id for one in slam.landmarks if (one.id < 6) == early) for early in (True, False))
-    pairs = [(a, min(new, key=lambda b: twin_chi2(slam.landmarks[a], slam.landmarks[b], slam.backend))) for a in old]
+    pairs = [
+        (a, min(new, key=lambda b: same_plane_chi2(slam.landmarks[a], slam.landmarks[b], slam.backend))) for a in old
+    ]
     assert slam.merges.close(pairs, 1.0)
     assert len(slam.landmarks) == 6
     for merge in slam.merges.history:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.frontend._occupancy_kernels import widen
+from slam.frontend.information import left_open
 from slam.frontend.occupancy import CELL_M, NOVEL_SHARE, Raster, beams_of, moved
+from slam.frontend.occupancy._kernels import widen
 from slam.geometry.frames import planar_transform
 from slam.registration.scan_matching import _fit, relocate, split
-from slam.registration.submaps import left_open
 from slam.sensors.log import LaserScan
 from slam.simulation.floorplan import FloorPlan, cast
 

@@ -26,6 +26,7 @@ from slam.registration.initial_pose import find_start
 from slam.session.prior_map import PriorMap, finished_map, floor_start, map_covariance
 from slam.session.store import Session, SessionError
 from spplanes import Plane
+from spplanes.spmodel import transform_from_rpy
 from tests.slam.scenes import SIGMAS, Drive, drive, measured, room_planes
 from tests.statistics import assert_mean_in_band
 
@@ -224,6 +225,30 @@ def test_the_start_is_found_where_there_is_one(seed: int):
     assert np.linalg.norm(error[:2, 3]) < 0.1 and abs(np.arctan2(error[1, 0], error[0, 0])) < 0.02
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_start_off_the_floor_is_found(seed: int):
+    """A scanner at another height, tipped by up to 25 deg: all six directions, to centimetres."""
+    known, rng = corner_map(), np.random.default_rng(200 + seed)
+    where = [*rng.uniform((-3.0, -2.0, 0.5), (3.0, 2.0, 2.0)), rng.uniform(-np.pi, np.pi), *rng.uniform(-0.44, 0.44, 2)]
+    truth = transform_from_rpy(tuple(where))
+    error = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(truth) @ find_start(known, seen_at(known, truth, seed))))
+    assert np.linalg.norm(error[3:]) < 0.05 and np.linalg.norm(error[:3]) < 0.01
+
+
+def test_off_the_floor_what_cannot_be_told_is_refused_too():
+    truth = transform_from_rpy((1.0, 0.5, 1.2, 0.3, 0.3, -0.1))
+    room = [as_entry(*pair) for pair in enumerate(room_planes())]  # half a turn is the same room
+    with pytest.raises(ValueError, match=r"expected one place .*, found -?1\.0,-?0\.5,1\.2,.* and -?\d"):
+        find_start(room, seen_at(room, truth, 0))
+    with pytest.raises(ValueError, match=r"explains 60 % of the planes in the first keyframe, found \d+ %"):
+        find_start(corner_map(), seen_at([as_entry(k, tilted(0.2 * k)) for k in range(5)], truth, 0))
+
+
+def tilted(turn: float) -> Plane:
+    """A sloping roof, as no room here has."""
+    return room_planes()[1].transform(transform_from_rpy((0.0, 0.0, 1.0, 8.0 * turn, 0.4 + turn, 0.3)))
+
+
 def test_a_start_that_cannot_be_told_is_refused():
     truth, room = planar_transform(1.0, 0.5, 0.3), [as_entry(*pair) for pair in enumerate(room_planes())]
     with pytest.raises(ValueError, match=r"found (1\.0,0\.5,17|-1\.0,-0\.5,-163) and (?!\1)-?1\.0,"):
@@ -286,7 +311,7 @@ def test_a_second_mission_from_the_command_line(tmp_path: Path, capsys: pytest.C
     assert (code == 0) != (code == 2 and "--start: expected" in err and not (tmp_path / "no").exists())
     shutil.rmtree(tmp_path / "no", ignore_errors=True)
     for words, sentence in (
-        (["--start", "1,2"], "--start: expected 3 numbers with commas between them, got '1,2'"),
+        (["--start", "1,2"], "--start: expected 3 or 6 numbers with commas between them, got '1,2'"),
         (["--start-sigma", "0,1"], "--start-sigma: expected two positive numbers"),
     ):
         code, err = run("slam", tmp_path / "m2", "--out", tmp_path / "no", "--prior", tmp_path / "first", *words)

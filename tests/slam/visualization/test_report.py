@@ -20,7 +20,7 @@ from slam.map.map_planes import MapPlane
 from slam.runs.history import History
 from slam.runs.stored_run import StoredRun
 from slam.visualization.report import write_report
-from slam.visualization.scene import nis_blocks, scene_of
+from slam.visualization.scene import nis_blocks, scene_of, stretches
 from spplanes import Plane
 from spplanes.spmodel import transform_from_rpy
 from tests.slam.visualization.browser import Browser, needs_browser
@@ -56,7 +56,8 @@ def stored() -> StoredRun:
     planes = [wall(), line, flat(1, 6.0), flat(2, 5.0), MapPlane(3, wall().plane, WINDOW, 1, (EVIL,))]
     nis = {EVIL: [(k, 3.0, 3) for k in range(30)], "plane": [(k // 3, 2.0 + (k % 5), 3) for k in range(90)]}
     tables = [("the run", [Metric(EVIL, float("nan"), EVIL), Metric("planes", 3, "")])]
-    return StoredRun(Path(), planes[:4], moving(30, 0.0), moving(30, 0.5), History(nis=nis), tables)
+    points = wall().plane.frame[:3, 3] + np.random.default_rng(0).normal(0.0, 0.5, (2000, 3))
+    return StoredRun(Path(), planes[:4], moving(30, 0.0), moving(30, 0.5), History(nis=nis, points=points), tables)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +65,8 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("a page with ü & <b>")
     (folder / "map <i>.png").write_bytes(PNG)
     run = stored()
-    write_report(folder / "report.html", EVIL, run.tables, [folder / "map <i>.png"], scene_of(run, run.history))
+    scene = scene_of(run, run.history, [3, 4, 5, 20, 400])
+    write_report(folder / "report.html", EVIL, run.tables, [folder / "map <i>.png"], scene)
     return folder / "report.html"
 
 
@@ -86,6 +88,31 @@ def test_names_from_files_stay_text(page: Path):
     assert elements.count("script") == 2  # the scene and the viewer
     assert elements.count("img") == 1
     assert EVIL not in text
+
+
+def test_map_planes_and_pictures_come_first_and_tables_are_folded(page: Path):
+    names = Elements(page.read_text(encoding="utf-8")).names
+    assert names.index("canvas") < names.index("details") < names.index("img") < names.index("table")
+    assert names[names.index("table") - 2 : names.index("table")] == ["details", "summary"]
+
+
+def test_doubtful_keyframes_are_stretches_of_the_way():
+    assert stretches([5, 3, 4, 20, 400, 3], 30) == [[3, 4, 5], [20]]
+    run = stored()
+    three, one = scene_of(run, run.history, [3, 4, 5, 20, 400])["doubtful"]
+    np.testing.assert_allclose(three, run.trajectory.poses[3:6, :3, 3], atol=1e-4)
+    assert len(one) == 1
+
+
+def test_few_measurements_are_spread_one_by_one():
+    run = stored()
+    history = History(nis={"plane": [(1, 3.0, 3), (1, 6.0, 3), (1, 1.5, 3)]})
+    (series,) = scene_of(run, history)["nis"]
+    assert (series["over"], series["last"]) == ("measurement", 2)
+    assert series["dots"] == [[0, 1.0], [1, 2.0], [2, 0.5]]
+    assert [(block["from"], block["to"]) for block in series["blocks"]] == [(0, 2)]
+    assert "in the order of their keyframes" in series["caption"]
+    assert {one["over"] for one in scene_of(run, run.history)["nis"]} == {"measurement", "keyframe"}
 
 
 def test_the_page_asks_for_nothing(page: Path):
@@ -254,7 +281,7 @@ def test_it_turns_zooms_and_changes_by_mouse_keys_and_boxes(opened: Browser):
         "document.getElementById('map').dispatchEvent(new WheelEvent('wheel', {deltaY: -300, cancelable: true}))"
     )
     assert changed()
-    for name in ("show-planes", "show-planes", "show-odometry", "show-estimate"):
+    for name in ("show-points", "show-points", "show-planes", "show-planes", "show-odometry", "show-estimate"):
         opened.run("document.getElementById(arguments[0]).click()", name)
         assert changed(), name
     opened.run(

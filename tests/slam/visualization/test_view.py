@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.image import imread
+from shapely import Polygon, box
 
 from slam.cli import main
 from slam.config import SlamConfig
 from slam.io.planes_json import write_planes
-from slam.io.trajectories import write_tum
+from slam.io.trajectories import Trajectory, write_tum
 from slam.map.map_planes import MapPlane
 from slam.output.new_folder import new_folder
 from slam.output.run_files import as_json, write_json, write_run
@@ -23,6 +25,7 @@ from slam.runs.slam_run import run_slam
 from slam.runs.stored_run import StoredRun
 from slam.sensors.log import CloudScan, Log
 from slam.simulation import simulate_mission
+from slam.visualization.pictures import draw_view
 from slam.visualization.uncertainty import position_covariances
 from slam.visualization.view import view_run
 from spplanes import Plane
@@ -161,3 +164,22 @@ def test_without_rerun_the_sentence_says_what_to_install(run: Path, tmp_path: Pa
     assert command("view", run, "--rerun", tmp_path / "run.rrd") == 2
     assert "pip install spplanes[rerun]" in capsys.readouterr().err
     assert not (tmp_path / "run.rrd").exists()
+
+
+def test_the_side_view_shows_true_silhouettes():
+    """A wall that one sees nearly edge-on from the side is the polygon that it projects to, not a stroke across it."""
+    frame = np.eye(4)
+    turn = np.deg2rad(20.0)  # the wall runs at 20 deg to the line of sight, which is along y
+    along, normal = np.array([np.sin(turn), np.cos(turn), 0.0]), np.array([np.cos(turn), -np.sin(turn), 0.0])
+    frame[:3, :3] = np.column_stack((along, np.cross(normal, along), normal))
+    seen = box(-3.0, -1.0, 3.0, 1.0).difference(box(-0.5, -0.5, 0.5, 0.5))
+    plane = MapPlane(0, Plane(frame, np.diag([1e-6] * 3), 10, seen), seen, 2, ("plane",))
+    axes = Figure().subplots()
+    draw_view(axes, StoredRun(Path(), [plane], Trajectory.empty(), Trajectory.empty(), History(), []), "side")
+    (outlines, strokes) = axes.collections
+    (path,) = outlines.get_paths()
+    outer, hole = path.to_polygons()
+    half = 3.0 * np.sin(turn)
+    np.testing.assert_allclose(Polygon(outer).symmetric_difference(box(-half, -1.0, half, 1.0)).area, 0.0, atol=1e-9)
+    assert Polygon(hole).area == pytest.approx(1.0 * np.sin(turn))
+    assert not strokes.get_paths() and outlines.get_linewidths()[0] < 1.0

@@ -1,4 +1,4 @@
-"""The record of a fusion of two landmarks."""
+"""The record of fusions: which landmark became part of which, when, why, and whether it was undone."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Literal
 
 from slam.map.landmarks import Landmark
 
-Cause = Literal["twins", "loop"]
+Cause = Literal["same plane", "loop"]
 
 
 @dataclass(eq=False)

@@ -67,7 +67,7 @@ def _wall_from(
     by_hesse[0, :2] = np.array((-normal[1], normal[0])) / level**2
     by_hesse[1, 3] = -1.0 / level
     body_T_plane = body_T_world @ landmarks.placed(landmark.id).world_T_plane
-    corners = lift(landmark.region.corners, body_T_plane)[:, :2]
+    corners = lift(landmark.extent.corners, body_T_plane)[:, :2]
     alpha = float(np.arctan2(-normal[1], -normal[0]))
     along = corners @ np.array((-np.sin(alpha), np.cos(alpha)))
     ends = corners[[int(np.argmin(along)), int(np.argmax(along))]]

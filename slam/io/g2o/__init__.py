@@ -1,0 +1,1 @@
+"""g2o files: graphs of poses and planes, reading and writing."""

@@ -1,0 +1,119 @@
+"""What stands in a field is of the type that its class states: nothing is turned into it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from shapely import Point, Polygon, box
+
+from slam._field_types import check_fields, holds
+from slam.frontend.observations import Observation
+from slam.growable import Growing
+
+
+class Numbers(Growing[int]):
+    """A sequence that is neither a list nor a tuple."""
+
+    def __len__(self) -> int:
+        return 2
+
+    def at(self, index: int) -> int:
+        return index
+
+    def append(self, value: int) -> None:
+        raise NotImplementedError
+
+
+class Seen:
+    """An observation of the caller's own."""
+
+    def factor(self) -> None: ...
+
+
+PASSES: list[tuple[Any, Any]] = [
+    (int, 3),
+    (int, np.int64(3)),
+    (int, -(1 << 63)),
+    (float, 3),
+    (float, np.float32(0.5)),
+    (float, float("nan")),
+    (str, "x"),
+    (bool, True),
+    (str | None, None),
+    (Literal["a", "b"], "b"),
+    (tuple[int, str], (1, "x")),
+    (tuple[int, str], [1, "x"]),
+    (tuple[int, ...], ()),
+    (Sequence[int], Numbers()),
+    (list[float], [1, 2.0]),
+    (NDArray[np.float64], np.zeros((0, 3))),
+    (np.ndarray, np.arange(3)),
+    (Polygon, box(0, 0, 1, 1)),
+    (Sequence[Observation], [Seen()]),
+]
+#: What a validator that puts things right would take: sets and generators as tuples, 1 as True, bytes as text.
+REFUSED: list[tuple[Any, Any]] = [
+    (int, True),
+    (int, 3.0),
+    (int, "3"),
+    (int, 1 << 63),
+    (float, True),
+    (float, "0.5"),
+    (str, b"x"),
+    (bool, 1),
+    (str | None, 3),
+    (Literal["a", "b"], "c"),
+    (tuple[int, str], (1, "x", 2)),
+    (tuple[int, str], ("x", 1)),
+    (tuple[int, ...], {1, 2}),
+    (tuple[int, ...], (one for one in (1, 2))),
+    (tuple[int, ...], np.arange(2)),
+    (Sequence[str], "ab"),
+    (Sequence[int], b"ab"),
+    (list[float], [1.0, None]),
+    (NDArray[np.float64], [1.0]),
+    (np.ndarray, np.array(["a"])),
+    (np.ndarray, np.array([1j])),
+    (np.ndarray, np.array([None])),
+    (Polygon, Point(0, 0)),
+    (Sequence[Observation], [3]),
+]
+
+
+@pytest.mark.parametrize(("hint", "value"), PASSES, ids=repr)
+def test_what_a_field_takes(hint: Any, value: Any):
+    assert holds(value, hint)
+
+
+@pytest.mark.parametrize(("hint", "value"), REFUSED, ids=repr)
+def test_what_a_field_refuses(hint: Any, value: Any):
+    assert not holds(value, hint)
+
+
+@dataclass
+class Record:
+    """Something with fields."""
+
+    size: int
+    names: tuple[str, ...]
+
+
+def test_the_first_field_that_is_wrong_is_named_and_values_stay_as_they_are():
+    names = ["a"]
+    record = Record(np.int64(3), names)  # type: ignore[arg-type]  # as a session gives them
+    check_fields("record", record)
+    assert record.names is names and type(record.size) is np.int64
+    with pytest.raises(ValueError, match=r"record\.size: expected int, got float"):
+        check_fields("record", Record(1.5, (3,)))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"record\.names: expected tuple\[str, ...\], got set"):
+        check_fields("record", Record(1, {"a"}))  # type: ignore[arg-type]
+
+
+def test_a_type_that_nobody_knows_how_to_check_is_an_error_of_ours():
+    with pytest.raises(TypeError, match="which nobody knows how to check"):
+        holds(3, "a name")
