@@ -22,7 +22,11 @@ from benchmarks._table import plain
 from benchmarks.peers import environment
 
 #: Benchmarks that have options of their own, and where: `python -m benchmarks corpus --help`.
-OWN_OPTIONS = {"corpus": "benchmarks.corpus.__main__", "ablation": "benchmarks.corpus.ablation"}
+OWN_OPTIONS = {
+    "corpus": "benchmarks.corpus.__main__",
+    "ablation": "benchmarks.corpus.ablation",
+    "joins": "benchmarks.joins",
+}
 
 
 def parser() -> argparse.ArgumentParser:

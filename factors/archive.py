@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import copyreg
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import gtsam
@@ -68,6 +69,47 @@ def copy_graph(
     return loads(dumps(graph, values))
 
 
+def rekeyed(factor: Any, names: Mapping[int, int], homes: Mapping[int, tuple[int, int]] | None = None) -> Any:
+    """A copy of a factor over other variables, as where graphs become one.
+
+    Args:
+        factor: any that this package or GTSAM makes.
+        names: new keys by old ones; a key that is not in it stays.
+        homes: of landmarks that turn out to be others, by their old keys: the new (plane, anchor). A plane seen from
+            the pose that it lived at becomes one seen from there and living elsewhere.
+
+    ArchiveError: a factor that neither GTSAM nor this package can take apart, or that relates a landmark with a new
+    home to another landmark.
+    """
+    homes = homes or {}
+    if isinstance(factor, gtsam.CustomFactor):
+        recipe = describe(factor)
+        if recipe is None or recipe.reference_key in homes or (recipe.reference_key and recipe.plane_key in homes):
+            raise ArchiveError("factor: expected one of a single plane, made here, got another CustomFactor")
+        keys = {role: getattr(recipe, role) for role in ("plane_key", "pose_key", "anchor_key", "reference_key")}
+        named = {role: names.get(key, key) for role, key in keys.items()}
+        if recipe.plane_key in homes:
+            named["plane_key"], named["anchor_key"] = homes[recipe.plane_key]
+        return replace(recipe, **named).factor()
+    keys = list(factor.keys())
+    named = [names.get(key, key) for key in keys]
+    if isinstance(factor, gtsam_unstable.LocalOrientedPlane3Factor):
+        if keys[-1] in homes:
+            named[2], named[1] = homes[keys[2]]
+        if named[0] == named[1]:
+            raise ArchiveError(
+                "factor: expected a plane that lives elsewhere, got one that comes home to where it is seen"
+            )
+        return _read(_written(factor, 0), named)
+    if set(keys) & set(homes):
+        raise ArchiveError(
+            f"factor: expected one that says where its plane is seen from, got a {type(factor).__name__}"
+        )
+    if isinstance(factor, gtsam.OrientedPlane3DirectionPrior):
+        return _read(_written(factor, 0), named)
+    return factor.rekey(named)
+
+
 def _written(factor: gtsam.NonlinearFactor, index: int) -> dict[str, Any]:
     if isinstance(factor, gtsam_unstable.LocalOrientedPlane3Factor):
         return {"plane": _native(factor, gtsam.PriorFactorPoint3)}
@@ -85,14 +127,15 @@ def _written(factor: gtsam.NonlinearFactor, index: int) -> dict[str, Any]:
         raise ArchiveError(f"factor {index}: GTSAM cannot archive a {kind} ({str(error).splitlines()[0]})") from error
 
 
-def _read(written: dict[str, Any]) -> gtsam.NonlinearFactor:
+def _read(written: dict[str, Any], keys: Sequence[int] | None = None) -> gtsam.NonlinearFactor:
+    """The factor; a native one of planes over other keys where they are given."""
     kind, content = next(iter(written.items()))
     if kind == "custom":
         return Recipe.from_dict(content).factor()
     if kind == "gtsam":
         return _from_alone(content)
     noise = _from_alone(content["noise"]).noiseModel()
-    measured, keys = np.array(content["measured"]), content["keys"]
+    measured, keys = np.array(content["measured"]), keys or content["keys"]
     if kind == "plane":
         return gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, *keys)
     return gtsam.OrientedPlane3DirectionPrior(keys[0], np.array([*measured[:3], 0.0]), noise)

@@ -79,3 +79,10 @@ def test_push_broom_map(capsys):
 def test_export_to_open3d(capsys):
     text = run("export_to_open3d", capsys)
     assert "Open3D is not here" in text or text.count("read back as") == 3
+
+
+def test_join_missions(capsys):
+    out = run("join_missions", capsys)
+    assert "one map:" in out and out.count("joined, ") >= 2
+    off, sigma = millimetres(r"robot [12] +(\d+\.\d) mm", out), millimetres(r"robot [12] +\S+ mm +(\d+\.\d) mm", out)
+    assert len(off) == 2 and all(a < 4.0 * b < 200.0 for a, b in zip(off, sigma, strict=True))

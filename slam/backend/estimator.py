@@ -163,6 +163,14 @@ class Backend:
         """Whether a pose is a variable of the graph; if not, it has left it."""
         return key not in self._past
 
+    def carrier(self, key: int) -> tuple[int, FloatArray]:
+        """The pose in the graph that a pose moves with, itself where it is there, and where it is from it, (4, 4)."""
+        carrier_T_pose = np.eye(4)
+        while not self.holds(key):
+            past = self._past.at(key)
+            key, carrier_T_pose = past.base_key, past.base_T_pose @ carrier_T_pose
+        return key, carrier_T_pose
+
     @property
     def n_left(self) -> int:
         """How many poses have left the graph."""

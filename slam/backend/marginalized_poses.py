@@ -71,15 +71,16 @@ class PastPoses:
 
     def pose(self, key: int, pose_of: Callable[[int], FloatArray]) -> FloatArray:
         """world_T_body (4, 4) by the pose of its base now."""
-        past = self._at(key)
+        past = self.at(key)
         return pose_of(past.base_key) @ past.base_T_pose
 
     def covariance(self, key: int, covariance_of: Callable[[int], FloatArray]) -> FloatArray:
         """Marginal covariance (6, 6) by that of its base now."""
-        past = self._at(key)
+        past = self.at(key)
         return past.covariance(covariance_of(past.base_key))
 
-    def _at(self, key: int) -> PastPose:
+    def at(self, key: int) -> PastPose:
+        """One of them."""
         row, base_T_pose, spread = self._row(key), np.eye(4), np.empty((6, 6))
         base_T_pose[:3] = row[:12].reshape(3, 4)
         spread[_UPPER] = spread.T[_UPPER] = row[48:]

@@ -12,6 +12,7 @@ import typer
 from slam.cli._output import be_quiet, tell_of_compiling, visible
 from slam.cli.clouds import fit
 from slam.cli.graphs import import_
+from slam.cli.joining import fleet, join
 from slam.cli.missions import simulate
 from slam.cli.registration import register
 from slam.cli.results import evaluate, explain, export, view
@@ -94,3 +95,5 @@ for _command in (fit, slam, demo, simulate, evaluate, explain, export, view):
 app.command(name="map")(map_)
 app.command(name="import")(import_)
 app.command()(register)
+app.command()(join)
+app.command()(fleet)

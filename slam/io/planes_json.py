@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -45,13 +45,19 @@ class StoredPlane(NamedTuple):
     """Number of keyframes that saw it."""
 
 
-def write_planes(path: Path | str, planes: Iterable[Plane | Landmark]) -> None:
+def write_planes(
+    path: Path | str, planes: Iterable[Plane | Landmark], beside: Mapping[int, Mapping[str, object]] | None = None
+) -> None:
     """Write the planes of a map; one that is no landmark has its place in the sequence for an id, seen by nobody.
 
-    Floats survive exactly.
+    Floats survive exactly. ``beside`` has further keys of planes, by id, for whoever reads them.
     """
     numbered = (StoredPlane(at, one, 0) if isinstance(one, Plane) else one for at, one in enumerate(planes))
-    document = {"format": FORMAT, "frame": "world", "planes": [_entry(one) for one in numbered]}
+    document = {
+        "format": FORMAT,
+        "frame": "world",
+        "planes": [{**_entry(one), **(beside or {}).get(one.id, {})} for one in numbered],
+    }
     Path(path).write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from slam.backend.estimator import Backend, JointCovariance, pose_symbol
 from slam.config import LoopConfig
 from slam.frontend.keyframes import Keyframe
@@ -17,9 +15,6 @@ from slam.mapping.same_plane import hesse_from, landmark_keys
 from slam.registration.place_recognition import Wall
 from slam.registration.submaps import view_of
 from spplanes._check import FloatArray
-
-#: Walls that lean more than this from the body's vertical take no part: sine of the lean.
-_MAX_LEAN = 0.2
 
 
 def surroundings(
@@ -62,13 +57,5 @@ def _wall_from(
 ) -> Wall:
     normal, d, jacobian, keys = hesse_from(landmark, pose_key, backend)
     covariance = jacobian @ joint.of(keys) @ jacobian.T
-    level = max(float(np.hypot(normal[0], normal[1])), 1.0 - _MAX_LEAN)
-    by_hesse = np.zeros((2, 4))  # of (alpha, rho): the wall's normal points into it, the landmark's out of it
-    by_hesse[0, :2] = np.array((-normal[1], normal[0])) / level**2
-    by_hesse[1, 3] = -1.0 / level
     body_T_plane = body_T_world @ landmarks.placed(landmark.id).world_T_plane
-    corners = lift(landmark.extent.corners, body_T_plane)[:, :2]
-    alpha = float(np.arctan2(-normal[1], -normal[0]))
-    along = corners @ np.array((-np.sin(alpha), np.cos(alpha)))
-    ends = corners[[int(np.argmin(along)), int(np.argmax(along))]]
-    return Wall(alpha, -d / level, by_hesse @ covariance @ by_hesse.T, ends)
+    return Wall.from_plane(normal, d, covariance, lift(landmark.extent.corners, body_T_plane))

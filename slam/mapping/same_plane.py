@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+import gtsam
 import numpy as np
 from scipy.special import chdtri
 
@@ -122,23 +123,40 @@ def difference_of(first: Landmark, second: Landmark, backend: Backend) -> tuple[
     Returns:
         The difference, its derivative (3, K) and the distinct keys whose stacked tangents, K in all, it is by.
     """
-    anchor = inverse(backend.pose(second.anchor_key)) @ backend.pose(first.anchor_key)
+    difference, (by_first, by_pose_a, by_second, by_pose_b) = anchored_difference(
+        backend.plane(first.key),
+        backend.pose(first.anchor_key),
+        backend.plane(second.key),
+        backend.pose(second.anchor_key),
+    )
+    blocks: dict[int, FloatArray] = {first.key: by_first, second.key: by_second}
+    for key, block in ((first.anchor_key, by_pose_a), (second.anchor_key, by_pose_b)):
+        blocks[key] = blocks.get(key, np.zeros((3, block.shape[1]))) + block
+    return difference, np.hstack(list(blocks.values())), list(blocks)
+
+
+def anchored_difference(
+    first: gtsam.OrientedPlane3, world_T_a: FloatArray, second: gtsam.OrientedPlane3, world_T_b: FloatArray
+) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
+    """How two planes, each in the frame of a pose (4, 4), differ: `difference_of` for values.
+
+    Returns:
+        The difference (3,), and its derivatives by the tangents of the first plane (3, 3), of a (3, 6), of the second
+        plane (3, 3) and of b (3, 6).
+    """
+    anchor = inverse(world_T_b) @ world_T_a
     rotation, shift = anchor[:3, :3], anchor[:3, 3]
-    one, other = backend.plane(first.key), backend.plane(second.key)
-    (normal, d), (normal_b, d_b) = landmark_hesse(one), landmark_hesse(other)
-    basis, moved = other.normal().basis(), rotation @ normal
+    (normal, d), (normal_b, d_b) = landmark_hesse(first), landmark_hesse(second)
+    basis, moved = second.normal().basis(), rotation @ normal
     turned = np.vstack((basis.T, shift))  # of a change of n': its tangent, and what it does to d'
     difference = np.append(basis.T @ (moved - normal_b), d + shift @ moved - d_b)
     by_first = np.zeros((3, 3))
-    by_first[:, :2], by_first[2, 2] = turned @ rotation @ one.normal().basis(), -1.0
+    by_first[:, :2], by_first[2, 2] = turned @ rotation @ first.normal().basis(), -1.0
     by_pose_a = np.hstack((-turned @ rotation @ skew(normal), np.zeros((3, 3))))
     by_pose_a[2, 3:] = normal
     by_pose_b = np.zeros((3, 6))
     by_pose_b[:2, :3], by_pose_b[2, 3:] = basis.T @ skew(moved), -moved
-    blocks: dict[int, FloatArray] = {first.key: by_first, second.key: np.diag([-1.0, -1.0, 1.0])}
-    for key, block in ((first.anchor_key, by_pose_a), (second.anchor_key, by_pose_b)):
-        blocks[key] = blocks.get(key, np.zeros((3, 6))) + block
-    return difference, np.hstack(list(blocks.values())), list(blocks)
+    return difference, (by_first, by_pose_a, np.diag([-1.0, -1.0, 1.0]), by_pose_b)
 
 
 def hesse_from(landmark: Landmark, pose_key: int, backend: Backend) -> tuple[FloatArray, float, FloatArray, list[int]]:
@@ -147,7 +165,24 @@ def hesse_from(landmark: Landmark, pose_key: int, backend: Backend) -> tuple[Flo
     Returns:
         Normal (3,) and Hesse distance in the pose's frame, the derivative (4, K) of both and the keys it is by.
     """
-    anchor = inverse(backend.pose(pose_key)) @ backend.pose(landmark.anchor_key)
+    moved, d, blocks = _hesse_in(inverse(backend.pose(pose_key)), landmark, backend)
+    by_pose = np.zeros((4, 6))
+    by_pose[:3, :3], by_pose[3, 3:] = skew(moved), -moved
+    blocks[pose_key] = blocks.get(pose_key, np.zeros((4, 6))) + by_pose
+    return moved, d, np.hstack(list(blocks.values())), list(blocks)
+
+
+def hesse_in_world(landmark: Landmark, backend: Backend) -> tuple[FloatArray, float, FloatArray, list[int]]:
+    """The same in the world."""
+    normal, d, blocks = _hesse_in(np.eye(4), landmark, backend)
+    return normal, d, np.hstack(list(blocks.values())), list(blocks)
+
+
+def _hesse_in(
+    frame_T_world: FloatArray, landmark: Landmark, backend: Backend
+) -> tuple[FloatArray, float, dict[int, FloatArray]]:
+    """Normal (3,) and distance of a landmark in a fixed frame; derivatives by its own tangent and its anchor's."""
+    anchor = frame_T_world @ backend.pose(landmark.anchor_key)
     rotation, shift = anchor[:3, :3], anchor[:3, 3]
     plane = backend.plane(landmark.key)
     normal, d = landmark_hesse(plane)
@@ -157,11 +192,7 @@ def hesse_from(landmark: Landmark, pose_key: int, backend: Backend) -> tuple[Flo
     by_plane[:, :2], by_plane[3, 2] = turned @ rotation @ plane.normal().basis(), -1.0
     by_anchor = np.hstack((-turned @ rotation @ skew(normal), np.zeros((4, 3))))
     by_anchor[3, 3:] = normal
-    by_pose = np.zeros((4, 6))
-    by_pose[:3, :3], by_pose[3, 3:] = skew(moved), -moved
-    blocks: dict[int, FloatArray] = {landmark.key: by_plane, landmark.anchor_key: by_anchor}
-    blocks[pose_key] = blocks.get(pose_key, np.zeros((4, 6))) + by_pose
-    return moved, float(d + shift @ moved), np.hstack(list(blocks.values())), list(blocks)
+    return moved, float(d + shift @ moved), {landmark.key: by_plane, landmark.anchor_key: by_anchor}
 
 
 def _may_be_one(

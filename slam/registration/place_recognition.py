@@ -14,6 +14,9 @@ from slam.registration._place_search import MAX_WALLS, MatchedMotion, Search
 from spplanes import ScanLine
 from spplanes._check import FloatArray, as_transform
 
+#: Planes that lean more than this from the vertical are no walls: sine of the lean.
+MAX_LEAN = 0.2
+
 
 @dataclass(frozen=True, eq=False)
 class Wall:
@@ -39,6 +42,25 @@ class Wall:
         jacobian = np.array(((1.0, 0.0), (T[1, 3] * np.cos(alpha) - T[0, 3] * np.sin(alpha), 1.0)))
         endpoints = line.endpoints @ T[:2, :2].T + T[:2, 3]
         return cls(alpha, rho, jacobian @ line.covariance @ jacobian.T, endpoints)
+
+    @classmethod
+    def from_plane(cls, normal: FloatArray, d: float, covariance: FloatArray, corners: FloatArray) -> Wall:
+        """The wall of a plane that stands about upright, in a frame whose z axis is up.
+
+        Args:
+            normal: unit normal toward the free side, shape (3,).
+            d: Hesse distance, m.
+            covariance: of (normal, d), shape (4, 4).
+            corners: of what was seen of it, shape (N, 3) or (N, 2), m.
+        """
+        level = max(float(np.hypot(normal[0], normal[1])), 1.0 - MAX_LEAN)
+        by_hesse = np.zeros((2, 4))  # of (alpha, rho): the wall's normal points into it, the plane's out of it
+        by_hesse[0, :2] = np.array((-normal[1], normal[0])) / level**2
+        by_hesse[1, 3] = -1.0 / level
+        alpha = float(np.arctan2(-normal[1], -normal[0]))
+        along = corners[:, :2] @ np.array((-np.sin(alpha), np.cos(alpha)))
+        ends = corners[[int(np.argmin(along)), int(np.argmax(along))], :2]
+        return cls(alpha, -d / level, by_hesse @ covariance @ by_hesse.T, ends)
 
 
 @dataclass(frozen=True, eq=False)

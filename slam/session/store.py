@@ -74,7 +74,7 @@ class Session(SessionRecords):
             raise SessionError(f"{path}: exists already")
         values = {
             "config": json.dumps(config.model_dump(mode="json")).encode(),  # JSON of Python's: it knows infinity
-            "rig": None if rig is None else _rig_json(rig),
+            "rig": None if rig is None else rig_json(rig),
             "prior": prior,
             "program": __version__.encode(),
             "log": json.dumps(log).encode(),
@@ -192,7 +192,8 @@ class Session(SessionRecords):
             raise SessionError(f"{self.path}: opened to be read only")
 
 
-def _rig_json(rig: Rig) -> bytes:
+def rig_json(rig: Rig) -> bytes:
+    """A rig as a session keeps it."""
     plain = rig.model_dump(mode="json", by_alias=True, exclude_none=True)
     for sensor in plain["sensors"].values():
         sensor["body_T_sensor"] = sensor["body_T_sensor"].get("matrix", sensor["body_T_sensor"])

@@ -22,7 +22,7 @@ from factors import (
     relative_pose_factor,
     upright_prior,
 )
-from factors.archive import ArchiveError, dumps, loads
+from factors.archive import ArchiveError, dumps, loads, rekeyed
 from tests.factors.factor_scenes import random_line, random_plane, random_pose
 
 X0, X1, P0, L0, L1 = (gtsam.symbol(c, i) for c, i in (("x", 0), ("x", 1), ("p", 0), ("l", 0), ("l", 1)))
@@ -119,3 +119,49 @@ def test_foreign_custom_factors_are_refused_by_name():
 def test_other_texts_are_refused(text):
     with pytest.raises(ArchiveError, match="text: expected"):
         loads(text)
+
+
+def test_every_factor_over_other_variables_has_the_same_error():
+    """All that a graph may hold, and a landmark that becomes another one living elsewhere."""
+    graph, values = everything()
+    names = {X0: gtsam.symbol("x", 70), X1: gtsam.symbol("x", 71), L1: gtsam.symbol("l", 71), P0: gtsam.symbol("p", 70)}
+    moved = gtsam.Values(values)
+    for old, new in names.items():
+        for read in (values.atPose3, values.atPose2, values.atOrientedPlane3):
+            try:
+                moved.insert(new, read(old))
+            except RuntimeError:
+                continue
+        moved.erase(old)
+    for index in range(graph.size()):
+        factor = graph.at(index)
+        again = rekeyed(factor, names)
+        assert [names.get(key, key) for key in factor.keys()] == list(again.keys())  # noqa: SIM118
+        np.testing.assert_allclose(again.error(moved), factor.error(values), rtol=1e-9, atol=1e-12)
+
+
+def test_a_landmark_with_a_new_home_is_the_same_plane_seen():
+    """Seen from the pose it lived at, from another one, and as a line: its error is that of the plane at home."""
+    rng = np.random.default_rng(1)
+    plane, line = random_plane(rng), random_line(rng)
+    poses = {X0: random_pose(rng), X1: random_pose(rng)}
+    home, anchor = gtsam.symbol("l", 9), gtsam.symbol("x", 9)
+    old, new = gtsam.Values(), gtsam.Values()
+    for key, pose in (*poses.items(), (anchor, random_pose(rng))):
+        old.insert(key, pose)
+        new.insert(key, pose)
+    landmark = gtsam.OrientedPlane3(np.array([0.3, -0.5, 0.8, 1.5]))
+    old.insert(L0, landmark)
+    new.insert(home, landmark.transform(poses[X0].inverse()).transform(new.atPose3(anchor)))
+    for factor in (
+        plane_factor(plane, X0, L0, anchor_key=X0),
+        plane_factor(plane, X1, L0, anchor_key=X0),
+        line_factor(line, np.eye(4), X1, L0, anchor_key=X0),
+    ):
+        again = rekeyed(factor, {}, {L0: (home, anchor)})
+        assert set(again.keys()) <= {X0, X1, home, anchor}
+        np.testing.assert_allclose(again.error(new), factor.error(old), rtol=1e-9)
+    with pytest.raises(ArchiveError, match="single plane"):
+        rekeyed(parallel_factor(L0, L1, 0.01), {}, {L0: (home, anchor)})
+    with pytest.raises(ArchiveError, match="comes home"):
+        rekeyed(plane_factor(plane, X1, L0, anchor_key=X0), {}, {L0: (home, X1)})

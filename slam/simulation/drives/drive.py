@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
@@ -85,15 +85,32 @@ class Drive:
     """A map from before, in the frame of the truth, unless it is of another building."""
 
 
-def make_drive(recipe: Recipe, seed: int) -> Drive:
+def make_drive(
+    recipe: Recipe, seed: int, *, visit: int = 0, part: tuple[float, float] = (0.0, 1.0), backwards: bool = False
+) -> Drive:
     """Draw building, noise and all else from the seed.
 
     Recipes with one world have the same building for the same seed, and the same wheels where the kind is the same:
     what differs between them is what differs in their names.
+
+    Args:
+        recipe: what it is made of.
+        seed: which one of its kind.
+        visit: another visit of the same building has other noise of sensors and wheels.
+        part: of the course only this much is driven, from and to as shares of its length; level courses only.
+        backwards: it is driven from the end to the start.
+
+    Raises:
+        ValueError: a part that is none, or of a course that is not level.
     """
     streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)]
     build = WORLDS[recipe.world]
     scene = build(streams[0])
+    if visit:
+        children = np.random.SeedSequence([seed, visit]).spawn(4)
+        streams[1:] = [np.random.default_rng(child) for child in children]
+    if part != (0.0, 1.0) or backwards:
+        scene = replace(scene, course=scene.course.part(*part, backwards=backwards))
     given = _recorded(scene, SENSORS[recipe.sensors], recipe, streams[1], streams[2])
     if recipe.disturbance == "prior_elsewhere":
         other = build(streams[4])

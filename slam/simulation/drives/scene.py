@@ -38,6 +38,18 @@ class Course:
         """Length seen from above, m."""
         return self.path.length_m
 
+    def part(self, start: float, end: float, *, backwards: bool = False) -> Course:
+        """The course from one share of its length to another, or from there back.
+
+        Raises:
+            ValueError: shares that are not ascending within [0, 1], or a course with ramps.
+        """
+        if not 0.0 <= start < end <= 1.0:
+            raise ValueError(f"part: expected shares of the way with 0 <= start < end <= 1, got {start} and {end}")
+        if self.heights_m is not None:
+            raise ValueError("part: expected a level course, got one with ramps")
+        return Course(self.path.part(start * self.length_m, end * self.length_m, backwards=backwards))
+
     def poses_at(self, way_m: FloatArray) -> FloatArray:
         """world_T_body after ways (N,) seen from above, m; shape (N, 4, 4)."""
         poses = level_poses(self.path.at(way_m))

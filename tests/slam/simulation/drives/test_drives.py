@@ -202,3 +202,23 @@ def test_a_recipe_of_something_unknown_says_what_is_known(name, sentence):
 
 def test_every_disturbance_has_a_name_in_the_catalogue_of_recipes():
     assert {recipe.disturbance for recipe in Recipe.every()} == set(DISTURBANCES)
+
+
+def test_visits_of_one_building_differ_in_their_noise_and_their_way():
+    whole = make_drive(Recipe.parse("office/level"), 0)
+    again = make_drive(Recipe.parse("office/level"), 0, visit=1)
+    assert [one.d for one in again.truth.planes] == [one.d for one in whole.truth.planes]
+    assert not np.array_equal(again.log.odometry[5].odom_T_body, whole.log.odometry[5].odom_T_body)
+    part = make_drive(Recipe.parse("office/level"), 0, part=(0.25, 0.75), backwards=True)
+    length = len(whole.truth.world_T_body) - 1
+    np.testing.assert_allclose(
+        part.truth.world_T_body[0][:3, 3], whole.truth.world_T_body[round(0.75 * length)][:3, 3], atol=0.15
+    )
+    np.testing.assert_allclose(
+        part.truth.world_T_body[0][:2, 0], -whole.truth.world_T_body[round(0.75 * length)][:2, 0], atol=0.05
+    )
+    for wrong in ((0.5, 0.5), (-0.1, 0.5), (0.2, 1.1)):
+        with pytest.raises(ValueError, match="expected shares of the way"):
+            make_drive(Recipe.parse("office/level"), 0, part=wrong)
+    with pytest.raises(ValueError, match="expected a level course"):
+        make_drive(Recipe.parse("ramp/lidar16"), 0, part=(0.0, 0.5))

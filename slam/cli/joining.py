@@ -1,0 +1,126 @@
+"""The commands that make one map of many missions: join, fleet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from slam.cli._job import ConfigOption, JsonOption, KeepPartialOption, OutOption, OverwriteOption, RigOption
+from slam.cli._output import progress_bar, say, show, warn_of
+
+if TYPE_CHECKING:
+    from slam.joining import JoinedMap
+
+SignificanceOption = Annotated[
+    float, typer.Option("--significance", help="Probability of joining missions that do not overlap.")
+]
+
+
+def join(
+    runs: Annotated[list[Path], typer.Argument(help="Folders of finished runs, two or more.")],
+    out: OutOption,
+    config: ConfigOption = None,
+    significance: SignificanceOption = 1e-3,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="End where a run cannot be used; else it is left out.")
+    ] = False,
+    overwrite: OverwriteOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """One map of several finished RUNs, wherever each began: planes seen by several once, a trajectory for each."""
+    from slam.config import SlamConfig
+    from slam.joining import join as join_runs
+    from slam.output.run_files import check_free
+
+    check_free(out, overwrite=overwrite)
+    settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
+    with progress_bar("pairs of missions") as progress:
+        joined = join_runs(runs, config=settings, significance=significance, strict=strict, progress=progress)
+    _write(joined, out, f"{len(runs)} missions", overwrite=overwrite, as_json=as_json)
+
+
+def fleet(
+    logs: Annotated[list[Path], typer.Argument(help="Logs of missions, two or more.")],
+    out: OutOption,
+    rig: RigOption = None,
+    config: ConfigOption = None,
+    scheduler: Annotated[str | None, typer.Option("--scheduler", help="Of a Dask cluster: tcp://HOST:PORT.")] = None,
+    scheduler_file: Annotated[
+        Path | None, typer.Option("--scheduler-file", help="File that a Dask scheduler wrote its address into.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option("--workers", min=1, help="Processes on this machine; default: one for each core.")
+    ] = None,
+    memory: Annotated[str, typer.Option("--memory", help="Of each process on this machine, such as 4GB.")] = "auto",
+    store: Annotated[
+        Path | None, typer.Option("--store", help="Folder of finished missions, shared; default: OUT.missions.")
+    ] = None,
+    significance: SignificanceOption = 1e-3,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="End where a log cannot be used; else it is left out.")
+    ] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on; of a fleet that has finished nothing is left.")
+    ] = False,
+    keep_partial: KeepPartialOption = False,
+    overwrite: OverwriteOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Map many LOGs at once, on this machine or on a Dask cluster, and join the missions into one map."""
+    from slam.config import SlamConfig
+    from slam.fleet.fleet import has_dashboard, local_client, remote_client, run
+    from slam.output.run_files import check_free
+    from slam.sensors.rig import Rig
+
+    if scheduler is not None and scheduler_file is not None:
+        raise ValueError("--scheduler: expected one cluster, got --scheduler-file too")
+    remote = scheduler is not None or scheduler_file is not None
+    if remote and workers is not None:
+        raise ValueError("--workers: expected without a scheduler, whose cluster has workers of its own")
+    if resume and (out / "joins.json").is_file():
+        say(f"{out}: finished already; nothing is left to do")
+        return
+    check_free(out, overwrite=overwrite)
+    if len(logs) < 2:  # before a cluster is started for it
+        raise ValueError(f"LOG: expected at least two, got {len(logs)}")
+    settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
+    sensors = None if rig is None else Rig.from_yaml(rig)
+    kept = out.with_name(f"{out.name}.missions") if store is None else store
+    client = remote_client(scheduler, scheduler_file) if remote else local_client(workers, memory)
+    with client, progress_bar("missions and pairs") as progress:
+        if has_dashboard():
+            say(f"dashboard: {client.dashboard_link}")
+        done: dict[str, tuple[int, int]] = {}
+
+        def tell(what: str, count: int, total: int) -> None:
+            done[what] = count, total
+            pairs = len(logs) * (len(logs) - 1) // 2
+            progress(sum(count for count, _ in done.values()), len(logs) + pairs)
+
+        joined = run(
+            logs,
+            kept,
+            client=client,
+            rig=sensors,
+            config=settings,
+            significance=significance,
+            strict=strict,
+            keep_partial=keep_partial,
+            progress=tell,
+        )
+    _write(joined, out, f"{len(logs)} missions", overwrite=overwrite, as_json=as_json)
+    say(f"missions: {kept}")
+
+
+def _write(joined: JoinedMap, out: Path, title: str, *, overwrite: bool, as_json: bool) -> None:
+    """The folder of a joined map; its table and what to know on the screen."""
+    from slam.output.joined_folder import warnings_of, write_joined
+    from slam.output.run_files import new_folder
+
+    with new_folder(out, overwrite=overwrite) as folder:
+        rows = write_joined(joined, folder, title=f"spplanes {out.name}")
+    warn_of(warnings_of(joined))
+    show(title, rows, as_json)
+    say(f"results: {out}, the page: {out / 'report.html'}")

@@ -1,0 +1,222 @@
+"""Joining finished missions: pairs compared, overlaps that agree chosen, every component solved as one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+from scipy.stats import chi2 as chi2_distribution
+
+from slam.config import SlamConfig
+from slam.geometry.frames import inverse
+from slam.joining.consistency import Component, components_of, consistent
+from slam.joining.joined_map import JoinedComponent, JoinedMap
+from slam.joining.mission import FinishedMission
+from slam.joining.overlap import Comparison, compare_missions
+from slam.joining.shared_landmarks import candidates, classes_of, found_to_be_one, shared_by, ties_of
+from slam.joining.solution import JoinError, JointSolution
+from slam.joining.ties import Tie
+from spplanes._check import FloatArray
+
+#: Probability that missions are joined of which not all overlap.
+SIGNIFICANCE = 1e-3
+#: So often is looked for planes that turn out to be one in the joint state.
+_LOOKS = 3
+
+Progress = Callable[[int, int], None]
+Guesses = Mapping[tuple[str, str], FloatArray]
+
+
+def join(
+    runs: Sequence[Path | str | FinishedMission],
+    *,
+    config: SlamConfig | None = None,
+    significance: float = SIGNIFICANCE,
+    guesses: Guesses | None = None,
+    strict: bool = False,
+    progress: Progress | None = None,
+) -> JoinedMap:
+    """One map of many finished missions, wherever each began.
+
+    1. Every two missions are compared (`slam.joining.overlap.compare_missions`).
+    2. Overlaps that contradict others round a loop are taken back.
+    3. Each component is solved as one, exactly: missions are condensed onto what they share, joined, back-substituted,
+       and linearised anew until nothing moves. An overlap that the whole speaks against is taken back, and the
+       component made anew.
+    4. Planes that are one in the joint state become one.
+
+    Args:
+        runs: folders of finished runs, or missions that are open already.
+        config: association and loop closure have the numbers; None: the defaults.
+        significance: probability that any two are joined that do not overlap; each pair has its share.
+        guesses: by (name, name) where the second mission's frame is in the first one's, shape (4, 4); names are those
+            of the folders.
+        strict: a run that cannot be used ends it; otherwise it is left out and named.
+        progress: is told how many pairs are compared, and how many there are.
+
+    Raises:
+        ValueError: fewer than two runs, two of one name, a guess for none of them, a significance that is none; a run
+            that cannot be used where `strict`, or none that can.
+        JoinError: the graph of a mission that is alone does not come to rest.
+    """
+    if not 0.0 < significance < 0.5:
+        raise ValueError(f"significance: expected a probability in (0, 0.5), got {significance}")
+    if len(runs) < 2:
+        raise ValueError(f"runs: expected at least two, got {len(runs)}")
+    missions, left_out = _opened(runs, strict=strict)
+    config = config or SlamConfig()
+    comparisons = _compared(missions, config, significance, guesses or {}, progress)
+    joined = joined_by(missions, comparisons, config, left_out)
+    paths = [run for run in runs if not isinstance(run, FinishedMission)]
+    folders = {name: str(Path(path).resolve()) for name, path in zip(names_of(paths), paths, strict=True)}
+    return replace(joined, folders={name: path for name, path in folders.items() if name in missions})
+
+
+def joined_by(
+    missions: Mapping[str, FinishedMission],
+    comparisons: Sequence[Comparison],
+    config: SlamConfig,
+    left_out: Mapping[str, str],
+) -> JoinedMap:
+    """What `join` does once all pairs of missions are compared.
+
+    Args:
+        missions: by name, in their order.
+        comparisons: of all pairs of them.
+        config: as for `join`.
+        left_out: missions that could not be used, and why.
+    """
+    comparisons = consistent(comparisons, config.association.new_significance)
+    while True:
+        solved = [_solved(one, missions, config) for one in components_of(list(missions), comparisons)]
+        taken_back = [one for one in solved if isinstance(one, Comparison)]
+        if not taken_back:
+            made = tuple(one for one in solved if isinstance(one, JoinedComponent))
+            return JoinedMap(made, tuple(comparisons), left_out)
+        revoked = {(one.first, one.second): one for one in taken_back}
+        comparisons = [revoked.get((one.first, one.second), one) for one in comparisons]
+
+
+def names_of(runs: Sequence[Path | str]) -> list[str]:
+    """A name for every run, or log: its folder's or file's, with as much of the path as tells it from the others.
+
+    Raises:
+        ValueError: one run is given twice.
+    """
+    paths = [Path(run).resolve() for run in runs]
+    if not paths:
+        return []
+    twice = [path for path in paths if paths.count(path) > 1]
+    if twice:
+        raise ValueError(f"runs: expected different ones, got {twice[0]} twice")
+    bare = [path.with_name(path.name.removesuffix(".gz")) if path.is_file() else path for path in paths]
+    parts = [(short.with_suffix("") if path.is_file() else path).parts for path, short in zip(paths, bare, strict=True)]
+    for depth in range(1, max(len(one) for one in parts) + 1):
+        names = ["-".join(one[-depth:]) for one in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [str(number) for number in range(len(paths))]
+
+
+def _opened(
+    runs: Sequence[Path | str | FinishedMission], *, strict: bool
+) -> tuple[dict[str, FinishedMission], dict[str, str]]:
+    paths = [run for run in runs if not isinstance(run, FinishedMission)]
+    names = iter(names_of(paths))
+    missions: dict[str, FinishedMission] = {}
+    left_out: dict[str, str] = {}
+    for run in runs:
+        name = run.mission.name if isinstance(run, FinishedMission) else next(names)
+        if name in missions:
+            raise ValueError(f"runs: expected a name of its own for each, got two {name!r}")
+        try:
+            missions[name] = run if isinstance(run, FinishedMission) else FinishedMission.open(run, name)
+        except (ValueError, OSError) as error:
+            if strict:
+                raise
+            left_out[name] = " ".join(str(error).split())
+    if not missions:
+        told = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
+        raise ValueError(f"runs: expected finished runs, got none that can be used ({told})")
+    return missions, left_out
+
+
+def _compared(
+    missions: Mapping[str, FinishedMission],
+    config: SlamConfig,
+    significance: float,
+    guesses: Guesses,
+    progress: Progress | None,
+) -> list[Comparison]:
+    pairs = list(combinations(missions, 2))
+    unknown = [pair for pair in guesses if pair not in pairs and pair[::-1] not in pairs]
+    if unknown:
+        raise ValueError(
+            f"guesses: expected names of runs, {', '.join(missions)}, got {unknown[0][0]}, {unknown[0][1]}"
+        )
+    found = []
+    for done, (first, second) in enumerate(pairs):
+        guess = guesses.get((first, second))
+        if guess is None and (second, first) in guesses:
+            guess = inverse(guesses[second, first])
+        a, b = missions[first].mission, missions[second].mission
+        found.append(compare_missions(a, b, config, significance=significance / len(pairs), guess=guess))
+        if progress is not None:
+            progress(done + 1, len(pairs))
+    return found
+
+
+def _solved(
+    component: Component, missions: Mapping[str, FinishedMission], config: SlamConfig
+) -> JoinedComponent | Comparison:
+    """A component solved, or the overlap that the whole speaks against most, taken back."""
+    members = [missions[name] for name in component.missions]
+    maps = [one.mission for one in members]
+    ties = ties_of(component.overlaps, maps)
+    starts = {number: component.common_T_mission[name] for number, name in enumerate(component.missions)}
+    maybe = candidates(maps, starts, ties, config)
+    shared = shared_by(len(members), [*ties, *maybe])
+    solution = JointSolution({number: one.graph for number, one in enumerate(members)}, starts, shared, tuple(ties))
+    try:
+        solution.solve()
+    except JoinError as error:
+        if not component.overlaps:
+            raise
+        weakest = min(component.overlaps, key=lambda one: one.strength)
+        return replace(weakest, verdict="revoked", reason=f"{error}; of its overlaps this has the least evidence")
+    against = _contradicted(component, solution, config)
+    if against is not None:
+        return against
+    for _ in range(_LOOKS):
+        more = found_to_be_one(solution, maybe, config)
+        if not more:
+            break
+        solution = solution.with_ties([*solution.ties, *more], shared)
+        solution.solve()
+    return JoinedComponent(tuple(members), solution, classes_of(solution.ties, maps))
+
+
+def _contradicted(component: Component, solution: JointSolution, config: SlamConfig) -> Comparison | None:
+    """The overlap whose ties add more to the squared error of the whole than true ones would, the worst of them.
+
+    What the ties of a true overlap add is chi2 with 3 degrees of freedom a tie at most, as in a loop closure.
+    """
+    numbers = {name: number for number, name in enumerate(component.missions)}
+    whole, worst = solution.chi2(), (0.0, None)
+    for one in component.overlaps:
+        pair = tuple(sorted((numbers[one.first], numbers[one.second])))
+        count = sum(tie.missions == pair for tie in solution.ties)
+        if not count:
+            continue
+
+        def of_pair(tie: Tie, pair: tuple[int, ...] = pair) -> bool:
+            return tie.missions == pair
+
+        added = whole - solution.chi2(of_pair)
+        beyond = added - float(chi2_distribution.isf(config.association.new_significance, 3 * count))
+        if beyond > worst[0]:
+            reason = f"with it all missions together fit worse by chi2 {added:.0f} of {3 * count} dof"
+            worst = (beyond, replace(one, verdict="revoked", reason=reason))
+    return worst[1]

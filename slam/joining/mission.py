@@ -1,0 +1,146 @@
+"""A finished mission as joining needs it: planes with their joint covariance, poses, what some keyframes saw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.backend.estimator import BackendError
+from slam.config import SlamConfig
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import PlaneObservation
+from slam.io.trajectories import Trajectory
+from slam.map.map_planes import MapPlane
+from slam.planeslam import PlaneSlam, pose_symbol
+from slam.sensors.rig import Rig
+from slam.session.prior_map import map_covariance
+from slam.session.store import Session, SessionError, session_path
+from spplanes import Plane
+from spplanes._check import FloatArray
+
+#: Keyframes that are held against another mission, evenly over the run: the sample of a long one is as good.
+_MOST_LOOKS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What one keyframe saw, to be held against another mission's map."""
+
+    mission_T_body: FloatArray
+    """Its pose in the mission's frame, shape (4, 4)."""
+    returns: FloatArray | None
+    """Beams of level lasers in the body frame, rows (x0, y0, x1, y1), shape (B, 4), m; None without."""
+    planes: tuple[Plane, ...]
+    """Planes seen, in the body frame."""
+    body_T_sensor: FloatArray
+    """From where these were seen, shape (4, 4)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mission:
+    """What is known of a finished mission without its graph: this is what travels."""
+
+    name: str
+    """What it is called in the joined map."""
+    planes: tuple[MapPlane, ...]
+    """Its map, in the mission's own frame."""
+    covariance: FloatArray
+    """Of the (z, theta, psi) of all planes in their frames, stacked, shape (3 N, 3 N)."""
+    trajectory: Trajectory
+    """mission_T_body of every keyframe."""
+    looks: tuple[Look, ...]
+    """What some keyframes saw."""
+
+    def covariance_of(self, rows: np.ndarray) -> FloatArray:
+        """Joint covariance (3 K, 3 K) of the planes at some places of `planes`, in that order."""
+        columns = (3 * np.asarray(rows, dtype=np.intp)[:, None] + np.arange(3)).ravel()
+        return self.covariance[np.ix_(columns, columns)]
+
+
+@dataclass(frozen=True, eq=False)
+class MissionGraph:
+    """The factors of a mission: these stay where they are."""
+
+    factors: gtsam.NonlinearFactorGraph
+    """All that was measured."""
+    values: gtsam.Values
+    """The mission's own estimate, in its own frame."""
+    planes: dict[int, tuple[int, int]]
+    """(anchor key, own key) of every plane of the map, by landmark id."""
+    carriers: tuple[int, ...]
+    """For every keyframe the key of the pose in the graph that it moves with: its own where it is in the graph."""
+    carrier_T_body: FloatArray
+    """Where each is from there, shape (N, 4, 4)."""
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedMission:
+    """A mission with its graph."""
+
+    mission: Mission
+    """What travels."""
+    graph: MissionGraph
+    """What stays."""
+    config: SlamConfig
+    """How it was made."""
+    rig: Rig | None = None
+    """With which sensors."""
+
+    @classmethod
+    def of(cls, name: str, slam: PlaneSlam, rig: Rig | None = None) -> FinishedMission:
+        """From an estimator whose run has ended.
+
+        Raises:
+            ValueError: it localised in a prior map, whose planes would count twice; or its graph leaves planes open.
+        """
+        if slam.prior is not None:
+            raise ValueError(
+                f"{name}: expected a mission of its own, got one that knew a prior map; join the mission that made it"
+            )
+        planes = tuple(slam.planes)
+        try:
+            covariance = map_covariance(planes, slam.landmarks, slam.backend)
+        except BackendError as error:
+            raise ValueError(f"{name}: expected a graph that holds every plane, got one that does not") from error
+        trajectory = slam.trajectory
+        carried = [slam.backend.carrier(pose_symbol(index)) for index in range(len(trajectory))]
+        graph = MissionGraph(
+            slam.backend.graph,
+            gtsam.Values(slam.backend.values),
+            {one.id: (slam.landmarks[one.id].anchor_key, slam.landmarks[one.id].key) for one in planes},
+            tuple(key for key, _ in carried),
+            np.array([pose for _, pose in carried]).reshape(-1, 4, 4),
+        )
+        mission = Mission(name, planes, covariance, trajectory, _looks(slam, trajectory, rig))
+        return cls(mission, graph, slam.config, rig)
+
+    @classmethod
+    def open(cls, path: Path | str, name: str | None = None) -> FinishedMission:
+        """Out of the folder of a finished run: its session is replayed.
+
+        Raises:
+            ValueError: no run, one that is not finished, a damaged session, one of another version.
+        """
+        path = Path(path)
+        with Session.open(session_path(path), read_only=True) as session:
+            if not session.is_finished:
+                raise SessionError(f"{path}: expected a finished run, got one that is not; go on with --resume {path}")
+            rig = session.rig
+        with PlaneSlam.open(path, read_only=True) as slam:
+            return cls.of(name or path.name, slam, rig)
+
+
+def _looks(slam: PlaneSlam, trajectory: Trajectory, rig: Rig | None) -> tuple[Look, ...]:
+    count = len(trajectory)
+    chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_LOOKS)).round().astype(int)).tolist()
+    sensors = [] if rig is None else list(rig.of_kind("cloud").values())
+    eye = sensors[0].body_T_sensor if sensors else np.eye(4)
+    return tuple(_look(slam.keyframes[index], trajectory.poses[index], eye) for index in chosen)
+
+
+def _look(keyframe: Keyframe, pose: FloatArray, body_T_sensor: FloatArray) -> Look:
+    planes = tuple(one.plane for one in keyframe.observations if isinstance(one, PlaneObservation))
+    return Look(pose, keyframe.returns, planes, body_T_sensor)

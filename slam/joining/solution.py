@@ -1,0 +1,242 @@
+"""The joint solution of missions: condensed, joined, solved, back-substituted, linearised anew until nothing moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import gtsam
+import numpy as np
+
+from factors import anchored_plane_jacobian, pose_prior
+from slam.joining.alignment import LEVEL_SIGMA_M, LEVEL_SIGMA_RAD
+from slam.joining.condensation import Condensed, Solved, condense, marginal
+from slam.joining.mission import MissionGraph
+from slam.joining.ties import Place, Tie, TiedKeys, base_key, joint_key, tie_factor, tied_difference
+from spplanes._check import FloatArray
+
+#: The base of the first mission is the common frame: sigma of its pose, m and rad.
+_EXACT = 1e-6
+#: Missions whose frames lie level with the first one's, up to three times these, are on one floor, which is so even:
+#: z, m, and roll and pitch, rad. Walls alone leave these open. (With 0.5 m and 0.05 rad, walls that lean within their
+#: own uncertainty made the solution sway for ever.)
+FLOOR_M, FLOOR_RAD = 0.02, 0.002
+#: Of where the others are in it nothing is known beforehand, m and rad; no prior at all would leave nothing to solve
+#: where planes say nothing.
+_UNKNOWN_M, _UNKNOWN_RAD = 1e3, 1e2
+#: The end: no variable moves by more than this share of its standard deviation.
+SETTLED = 0.01
+_ROUNDS = 50
+
+
+class JoinError(ValueError):
+    """Missions that cannot be solved together; the sentence says why."""
+
+
+@dataclass(eq=False)
+class JointSolution:
+    """Missions of one component in one frame."""
+
+    graphs: Mapping[int, MissionGraph]
+    """Their factors, by number; the first one's frame is the common one."""
+    starts: Mapping[int, FloatArray]
+    """About where each mission's frame is in the common one, (4, 4); the first's exactly."""
+    shared: Mapping[int, tuple[int, ...]]
+    """Landmarks of each mission that stay in the joint graph, by id."""
+    ties: tuple[Tie, ...]
+    """Landmarks that are one."""
+    bases: dict[int, gtsam.Pose3] = field(default_factory=dict)
+    """common_T_mission."""
+    values: dict[int, gtsam.Values] = field(default_factory=dict)
+    """Of every mission, in its own frame and by its own keys."""
+    floor_sigmas: tuple[float, float] = (FLOOR_M, FLOOR_RAD)
+    """How even the floor is that missions are on, as `FLOOR_M` and `FLOOR_RAD`."""
+    rounds: int = 0
+    """Linearisations that it took."""
+
+    def __post_init__(self) -> None:
+        self._condensed: dict[int, Condensed] = {}
+        for number, graph in self.graphs.items():
+            self.bases.setdefault(number, gtsam.Pose3(self.starts[number]))
+            self.values.setdefault(number, gtsam.Values(graph.values))
+
+    def solve(self, settled: float = SETTLED) -> None:
+        """Gauss and Newton over all missions, each eliminated by itself.
+
+        Args:
+            settled: no variable moves by more than this share of its standard deviation in the last step.
+
+        Raises:
+            JoinError: it does not come to an end.
+        """
+        for _ in range(_ROUNDS):
+            self.rounds += 1
+            self._condense()
+            if self._step() <= settled:
+                self._condense()
+                return
+        raise JoinError(f"expected missions that fit together, got some that still move after {_ROUNDS} steps")
+
+    def with_ties(self, ties: Sequence[Tie], shared: Mapping[int, tuple[int, ...]]) -> JointSolution:
+        """The same missions from where they are, with other ties."""
+        return JointSolution(
+            self.graphs, self.starts, shared, tuple(ties), dict(self.bases), dict(self.values), self.floor_sigmas
+        )
+
+    def chi2(self, without: Callable[[Tie], bool] = lambda _: False) -> float:
+        """Least squared error of the linear joint graph, without some ties."""
+        linear = self._linear([one for one in self.ties if not without(one)])
+        return 2.0 * float(linear.error(_solved(linear)))
+
+    def pose(self, mission: int, key: int) -> gtsam.Pose3:
+        """common_T_body of a pose of a mission."""
+        return self.bases[mission].compose(self.values[mission].atPose3(key))
+
+    def plane(self, place: Place) -> tuple[gtsam.OrientedPlane3, FloatArray]:
+        """A landmark, and the pose (4, 4) in the common frame in whose frame it lives."""
+        anchor, key = self.graphs[place.mission].planes[place.landmark]
+        return self.values[place.mission].atOrientedPlane3(key), self.pose(place.mission, anchor).matrix()
+
+    def differences(self, pairs: Sequence[Tie]) -> list[tuple[FloatArray, FloatArray]]:
+        """How landmarks that stay in the joint graph differ (3,), and the covariance (3, 3) of that by everything."""
+        linear = self._linear(self.ties)
+        solved, values, found = Solved(linear), self._values(), []
+        for pair in pairs:
+            sides = [self.keys(pair.first), self.keys(pair.second)]
+            keys = [key for side in sides for key in (side.base, side.anchor, side.plane)]
+            difference, blocks = tied_difference(values, *sides)
+            covariance = solved.covariance(keys)
+            jacobian = np.hstack(blocks)
+            found.append((difference, jacobian @ covariance @ jacobian.T))
+        return found
+
+    def keys(self, place: Place) -> TiedKeys:
+        """Keys of a landmark in the joint graph."""
+        anchor, plane = self.graphs[place.mission].planes[place.landmark]
+        number = place.mission
+        return TiedKeys(base_key(number), joint_key(number, anchor), joint_key(number, plane))
+
+    def posterior(self, mission: int) -> MissionPosterior:
+        """What all missions together say of one: for covariances in the common frame."""
+        others = self._linear(self.ties, without=mission)
+        own = {joint_key(mission, key): key for key in self._kept(mission)} | {base_key(mission): base_key(mission)}
+        told = marginal(others, [key for key in own if _holds(others, key)])
+        graph = self.graphs[mission].factors.linearize(self.values[mission])
+        values = gtsam.Values(self.values[mission])
+        values.insert(base_key(mission), self.bases[mission])
+        graph.push_back(told.renamed(own).factor().linearize(values))
+        return MissionPosterior(mission, self, graph)
+
+    def _kept(self, mission: int) -> list[int]:
+        """Own keys of a mission that stay in the joint graph: its shared landmarks, and their anchors."""
+        planes = self.graphs[mission].planes
+        return sorted({key for landmark in self.shared[mission] for key in planes[landmark]})
+
+    def _condense(self) -> None:
+        self._condensed = {
+            number: condense(graph.factors, self.values[number], self._kept(number))
+            for number, graph in self.graphs.items()
+        }
+
+    def _linear(self, ties: Sequence[Tie], without: int | None = None) -> gtsam.GaussianFactorGraph:
+        """The joint graph, linear: missions condensed, their bases, ties."""
+        graph = gtsam.NonlinearFactorGraph()
+        for number, condensed in self._condensed.items():
+            if number != without and len(condensed.shared.right):
+                names = {key: joint_key(number, key) for key in condensed.shared.keys}
+                graph.push_back(condensed.shared.renamed(names).factor())
+        for number, start in self.starts.items():
+            if number == min(self.starts):
+                graph.push_back(pose_prior(base_key(number), start, _EXACT**2 * np.eye(6)))
+            else:
+                graph.push_back(_floor_prior(base_key(number), start, *self.floor_sigmas))
+        for tie in ties:
+            graph.push_back(tie_factor(self.keys(tie.first), self.keys(tie.second)))
+        return graph.linearize(self._values())
+
+    def _values(self) -> gtsam.Values:
+        """Of the joint graph."""
+        values = gtsam.Values()
+        for number, own in self.values.items():
+            values.insert(base_key(number), self.bases[number])
+            for key in self._kept(number):
+                one = own.atPose3(key) if chr(key >> 56) in "xm" else own.atOrientedPlane3(key)
+                values.insert(joint_key(number, key), one)
+        return values
+
+    def _step(self) -> float:
+        """Take one step; the largest of any variable in its standard deviations."""
+        linear = self._linear(self.ties)
+        solved = Solved(linear)
+        steps, largest = solved.steps, solved.largest()
+        for number in self.graphs:
+            shared = gtsam.VectorValues()
+            for key in self._kept(number):
+                shared.insert(key, steps.at(joint_key(number, key)))
+            own, furthest = self._condensed[number].back_substituted(shared)
+            self.values[number] = self.values[number].retract(own)
+            self.bases[number] = self.bases[number].retract(steps.at(base_key(number)))
+            largest = max(largest, furthest)
+        return largest
+
+
+@dataclass(frozen=True, eq=False)
+class MissionPosterior:
+    """One mission's variables with the covariance that all missions together give them."""
+
+    mission: int
+    """Its number."""
+    solution: JointSolution
+    """Where the estimates are."""
+    graph: gtsam.GaussianFactorGraph
+    """Its own factors, and what the others say of what it shares."""
+
+    def plane_covariance(self, landmark: int, common_T_plane: FloatArray) -> FloatArray:
+        """Covariance (3, 3) of (z, theta, psi) of a landmark in a plane frame (4, 4) of the common frame."""
+        anchor, key = self.solution.graphs[self.mission].planes[landmark]
+        joint = self._of_map.covariance([base_key(self.mission), anchor, key])
+        plane, common_T_anchor = self.solution.plane(Place(self.mission, landmark))
+        by_anchor_and_plane = anchored_plane_jacobian(plane, common_T_anchor, common_T_plane)
+        own = self.solution.values[self.mission].atPose3(anchor)
+        by_base = by_anchor_and_plane[:, :6] @ own.inverse().AdjointMap()
+        jacobian = np.hstack((by_base, by_anchor_and_plane))
+        return jacobian @ joint @ jacobian.T
+
+    def pose_covariance(self, key: int) -> FloatArray:
+        """Covariance (6, 6) of the tangent of common_T_body, GTSAM order, of a pose in the graph."""
+        keys = [base_key(self.mission), key]
+        joint = self._marginal(keys).covariance(keys)
+        own = self.solution.values[self.mission].atPose3(key)
+        jacobian = np.hstack((own.inverse().AdjointMap(), np.eye(6)))
+        return jacobian @ joint @ jacobian.T
+
+    @cached_property
+    def _of_map(self) -> Solved:
+        """Base, planes and their anchors."""
+        planes = self.solution.graphs[self.mission].planes.values()
+        return self._marginal(sorted({base_key(self.mission), *(key for pair in planes for key in pair)}))
+
+    def _marginal(self, keys: Sequence[int]) -> Solved:
+        graph, values = gtsam.GaussianFactorGraph(), gtsam.Values()
+        graph.push_back(marginal(self.graph, keys).factor().linearize(values))
+        return Solved(graph)
+
+
+def _floor_prior(key: int, start: FloatArray, sigma_m: float, sigma_rad: float) -> gtsam.PriorFactorPose3:
+    """A mission on the floor of the first one; one that is not is held to its start, as loosely as can be solved."""
+    mean = gtsam.Pose3(start)
+    if abs(start[2, 3]) < 3.0 * sigma_m and np.abs(start[2, :2]).max() < 3.0 * sigma_rad:
+        mean = gtsam.Pose3(gtsam.Rot3.Yaw(np.arctan2(start[1, 0], start[0, 0])), np.array([*start[:2, 3], 0.0]))
+    else:
+        sigma_m, sigma_rad = LEVEL_SIGMA_M, LEVEL_SIGMA_RAD
+    level = (_UNKNOWN_M, _UNKNOWN_M, sigma_m, _UNKNOWN_RAD, sigma_rad, sigma_rad)
+    return pose_prior(key, mean, np.diag(np.square(level)))
+
+
+def _solved(linear: gtsam.GaussianFactorGraph) -> gtsam.VectorValues:
+    return linear.eliminateMultifrontal(function=gtsam.EliminateQR).optimize()
+
+
+def _holds(graph: gtsam.GaussianFactorGraph, key: int) -> bool:
+    return key in set(graph.keys())

@@ -1,0 +1,87 @@
+"""`spplanes join`: a run's folder of several, what cannot be used named and left out, bad input in one sentence."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from slam.io.g2o.reader import read_g2o
+from slam.io.planes_json import read_map
+from slam.io.trajectories import read_tum
+from slam.runs.stored_run import StoredRun
+from tests.slam.cli.test_commands import refused, run
+from tests.slam.joining.offices import write_office
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three visits of one building, and one of another."""
+    folder = tmp_path_factory.mktemp("runs")
+    visits = [write_office(folder / f"visit{number}", 0, number) for number in range(3)]
+    return [*visits, write_office(folder / "elsewhere", 5, 0)]
+
+
+def test_join_writes_a_run_of_all_missions(runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = tmp_path / "map"
+    code, table, told = run(capsys, "join", *runs, "--out", out, "--json")
+    assert code == 0, told
+    assert "warning: elsewhere: overlaps with no other mission" in told
+    rows = {row["metric"]: row["value"] for row in json.loads(table)}
+    assert (rows["missions"], rows["pairs compared"], rows["components"]) == (3, 6, 2)
+    stored = StoredRun.read(out)
+    assert len(stored.planes) == rows["planes in the map"] == len(read_map(out / "planes.json"))
+    assert len(read_g2o(out / "graph.g2o").planes) >= len(stored.planes)
+    joins = json.loads((out / "joins.json").read_text(encoding="utf-8"))
+    assert [one["missions"] for one in joins["components"]] == [["visit0", "visit1", "visit2"], ["elsewhere"]]
+    assert {one["verdict"] for one in joins["pairs"] if "elsewhere" in one["missions"]}.isdisjoint({"joined"})
+    assert all(one["reason"] for one in joins["pairs"])
+    for name in ("visit0", "visit1", "visit2"):
+        alone = read_tum(runs[0].parent / name / "trajectory.tum")
+        assert len(read_tum(out / "trajectories" / f"{name}.tum")) == len(alone)
+    seen = json.loads((out / "planes.json").read_text(encoding="utf-8"))["planes"]
+    assert any(len(one["seen_by"]) == 3 for one in seen)
+    assert (out / "missions.png").exists() and (out / "report.html").exists()
+
+
+def test_what_cannot_be_used_is_named_and_left_out(
+    runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    damaged, newer = tmp_path / "damaged", tmp_path / "newer"
+    for folder in (damaged, newer):
+        shutil.copytree(runs[1], folder)
+    data = bytearray((damaged / "session.db").read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 4000] = bytes(4000)
+    (damaged / "session.db").write_bytes(data)
+    with sqlite3.connect(newer / "session.db") as connection:
+        connection.execute("PRAGMA user_version = 99")
+    connection.close()
+    nothing = tmp_path / "nothing"
+    given = [runs[0], damaged, newer, nothing, runs[2], runs[1]]
+    code, _, told = run(capsys, "join", *given, "--out", tmp_path / "map")
+    assert code == 0, told
+    joins = json.loads((tmp_path / "map" / "joins.json").read_text(encoding="utf-8"))
+    assert list(joins["left_out"]) == ["damaged", "newer", "nothing"]
+    assert "version 1 to 2, got 99" in joins["left_out"]["newer"]
+    assert joins["components"][0]["missions"] == ["visit0", "visit2", "visit1"]
+    for name in ("damaged", "newer", "nothing"):
+        assert f"warning: {name}: left out: " in told
+
+
+def test_strict_ends_where_a_run_cannot_be_used(runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    sentence = refused(capsys, "join", runs[0], tmp_path / "nothing", "--strict", "--out", tmp_path / "map")
+    assert "nothing" in sentence and not (tmp_path / "map").exists()
+
+
+def test_bad_input_is_one_sentence(runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert "at least two" in refused(capsys, "join", runs[0], "--out", tmp_path / "map")
+    assert "twice" in refused(capsys, "join", runs[0], runs[0], "--out", tmp_path / "map")
+    assert "exists already" in refused(capsys, "join", *runs[:2], "--out", runs[2])
+    told = refused(capsys, "join", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "map")
+    assert "none that can be used" in told
+    assert "(0, 0.5)" in refused(capsys, "join", *runs[:2], "--significance", "2", "--out", tmp_path / "map")
+    assert not (tmp_path / "map").exists()

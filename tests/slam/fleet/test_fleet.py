@@ -1,0 +1,155 @@
+"""Fleets on Dask: the same bits on any number of workers, workers that die, logs that nobody can read."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam.config import SlamConfig
+from slam.fleet.tasks import RECORD_FILE, Order, map_log, open_mapped
+from slam.io.carmen.writer import write_carmen
+from slam.joining.overlap import compare_missions
+from slam.joining.records import (
+    RecordError,
+    comparison_from_bytes,
+    comparison_to_bytes,
+    finished_from_bytes,
+    finished_to_bytes,
+    mission_from_bytes,
+    mission_to_bytes,
+)
+from slam.session.store import rig_json
+from tests.slam.cli.test_commands import refused, run
+from tests.slam.joining.offices import office, visit
+from tests.slam.joining.rooms import first, room_T_second, second
+
+distributed = pytest.importorskip("distributed")
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three visits of one office as CARMEN logs, with their rig beside."""
+    folder = tmp_path_factory.mktemp("logs")
+    found = []
+    for number in range(3):
+        drive = visit(0, number)
+        found.append(folder / f"visit{number}.clf")
+        write_carmen(drive.log, drive.rig, found[-1])
+    visit(0, 0).rig.to_yaml(folder / "rig.yaml")
+    return found
+
+
+def order_of(log: Path, store: Path, **more: object) -> Order:
+    rig = rig_json(visit(0, 0).rig).decode()
+    config = json.dumps(SlamConfig().model_dump(mode="json"))
+    return replace(Order(log.stem, str(log), rig, config, str(store)), **more)
+
+
+def test_records_of_missions_and_comparisons_come_back():
+    for finished in (first(0), office(0, 0)):
+        again = finished_from_bytes(finished_to_bytes(finished))
+        assert mission_to_bytes(again.mission) == mission_to_bytes(finished.mission)
+        assert mission_to_bytes(mission_from_bytes(mission_to_bytes(finished.mission))) == mission_to_bytes(
+            again.mission
+        )
+        one, other = finished.graph, again.graph
+        assert (one.planes, one.carriers) == (other.planes, other.carriers)
+        assert other.factors.size() == one.factors.size()
+        np.testing.assert_allclose(other.factors.error(other.values), one.factors.error(one.values), rtol=1e-9)
+    a, b = first(0).mission, second(0).mission
+    for guess in (room_T_second(0), None):
+        found = compare_missions(a, b, SlamConfig(), significance=1e-3, guess=guess)
+        assert comparison_from_bytes(comparison_to_bytes(found)).to_dict() == found.to_dict()
+
+
+def test_records_that_are_none_are_refused():
+    data = mission_to_bytes(first(0).mission)
+    with pytest.raises(RecordError, match="expected a record of this version"):
+        mission_from_bytes(b"something else")
+    with pytest.raises(RecordError, match="damaged"):
+        mission_from_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    with pytest.raises(RecordError, match="with its graph"):
+        finished_from_bytes(data)
+
+
+def test_a_mission_is_mapped_once_whatever_its_name(logs: list[Path], tmp_path: Path):
+    done = map_log(order_of(logs[0], tmp_path))
+    assert done.folder is not None and done.record is not None
+    record = Path(done.folder) / RECORD_FILE
+    before = record.stat().st_mtime_ns
+    again = map_log(order_of(logs[0], tmp_path, name="another"))
+    assert (again.folder, record.stat().st_mtime_ns) == (done.folder, before)
+    assert open_mapped(done.folder, "another").mission.name == "another"
+    other = SlamConfig().model_copy(update={"backend": SlamConfig().backend.model_copy(update={"robust": "huber"})})
+    assert order_of(logs[0], tmp_path, config=json.dumps(other.model_dump(mode="json"))).key() != record.parent.name
+    assert sorted(path.name for path in tmp_path.iterdir()) == [record.parent.name]  # nothing half-made is left
+
+
+def test_a_mission_that_was_left_broken_is_mapped_again(logs: list[Path], tmp_path: Path):
+    done = map_log(order_of(logs[0], tmp_path))
+    assert done.folder is not None
+    record = Path(done.folder) / RECORD_FILE
+    good = record.read_bytes()
+    record.write_bytes(good[: len(good) // 2])
+    again = map_log(order_of(logs[0], tmp_path))
+    assert again.record == done.record
+    assert record.read_bytes() == good
+
+
+def test_a_fleet_is_the_same_on_one_worker_and_on_two_that_are_killed(
+    logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """Bit for bit; and a log that no reader takes is named and left out."""
+    broken = tmp_path / "broken.clf"
+    broken.write_text("nothing of a log\n", encoding="utf-8")
+    rig = logs[0].parent / "rig.yaml"
+    code, _, told = run(capsys, "fleet", *logs[:2], broken, "--rig", rig, "--workers", 1, "--out", tmp_path / "one")
+    assert code == 0, told
+    assert "warning: broken: left out: " in told
+    joins = json.loads((tmp_path / "one" / "joins.json").read_text(encoding="utf-8"))
+    assert joins["components"][0]["missions"] == ["visit0", "visit1"]
+    assert sorted(joins["runs"]) == ["visit0", "visit1"]
+
+    from slam.fleet import run as run_fleet
+    from slam.output.joined_folder import write_joined
+    from slam.sensors.rig import Rig
+
+    killed: list[int] = []
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+
+        def kill(what: str, done: int, total: int) -> None:
+            if what == "missions" and len(killed) < 2:
+                victim = cluster.workers[sorted(cluster.workers)[done % 2]].pid
+                killed.append(victim)
+                os.kill(victim, signal.SIGKILL)
+
+        store = tmp_path / "two.missions"
+        joined = run_fleet([*logs[:2], broken], store, client=client, rig=Rig.from_yaml(rig), progress=kill)
+    assert len(killed) == 2
+    two = tmp_path / "two"
+    two.mkdir()
+    write_joined(joined, two, title="spplanes one")
+    for name in ("planes.json", "trajectory.tum", "trajectories/visit1.tum", "graph.g2o", "map.ply"):
+        assert (two / name).read_bytes() == (tmp_path / "one" / name).read_bytes(), name
+
+    code, _, told = run(capsys, "fleet", *logs[:2], "--out", tmp_path / "one", "--resume")
+    assert (code, "finished already" in told) == (0, True)
+
+
+def test_bad_input_is_one_sentence(logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = tmp_path / "map"
+    assert "at least two" in refused(capsys, "fleet", logs[0], "--out", out, "--workers", 1)
+    both = ("--scheduler", "tcp://127.0.0.1:1", "--scheduler-file", tmp_path / "none.json")
+    assert "one cluster" in refused(capsys, "fleet", *logs, "--out", out, *both)
+    assert "found nothing" in refused(capsys, "fleet", *logs, "--out", out, *both[2:])
+    assert "workers of its own" in refused(capsys, "fleet", *logs, "--out", out, *both[:2], "--workers", 2)
+    assert not out.exists()

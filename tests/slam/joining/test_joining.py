@@ -1,0 +1,182 @@
+"""Joined maps: honest about planes, poses and frames; what is not one is kept apart; what is not sure is not joined."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.config import SlamConfig
+from slam.geometry.frames import inverse, planar_transform
+from slam.joining import FinishedMission, JoinedMap, join
+from slam.joining.join import names_of
+from slam.joining.overlap import compare_missions
+from slam.joining.ties import base_key
+from slam.map.map_planes import MapPlane
+from spplanes import Plane
+from tests.slam.joining.rooms import ELSEWHERE, first, mission, room_T_second, scene, second
+from tests.slam.scenes import Drive, drive, room_planes
+from tests.statistics import assert_mean_in_band
+
+IN_PLANE = [2, 3, 4]
+RUNS = 24
+
+
+def about(seed: int) -> np.ndarray:
+    """A guess 0.2 m and 0.05 rad off: the room looks the same from both ends."""
+    return room_T_second(seed) @ planar_transform(0.2, -0.1, 0.05)
+
+
+@cache
+def joined(seed: int) -> JoinedMap:
+    return join([first(seed), second(seed)], guesses={("first", "second"): about(seed)})
+
+
+def plane_of(one: FinishedMission, landmark: int) -> MapPlane:
+    return next(known for known in one.mission.planes if known.id == landmark)
+
+
+def truth_of(plane: Plane) -> Plane:
+    return max(room_planes(), key=lambda one: one.normal @ plane.normal)
+
+
+def planar_nees(covariance: np.ndarray, truth: np.ndarray, estimate: np.ndarray) -> float:
+    error = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(truth) @ estimate))[IN_PLANE]
+    return float(error @ np.linalg.solve(covariance[np.ix_(IN_PLANE, IN_PLANE)], error))
+
+
+def test_joined_planes_poses_and_frames_are_honest():
+    """NEES of planes, of the second mission's frame and of its last pose, 3 dof each, over 24 pairs of missions."""
+    planes, frames, poses = [], [], []
+    for seed in range(RUNS):
+        component = joined(seed).components[0]
+        assert component.names == ("first", "second")
+        assert sorted(len(places) for places in component.classes) == [2] * 6
+        planes.append(np.mean([one.plane.mahalanobis(truth_of(one.plane)) for one in component.planes]))
+        told = component.solution.posterior(1)
+        spread = told._marginal([base_key(1)]).covariance([base_key(1)])
+        frames.append(planar_nees(spread, room_T_second(seed), component.common_T_mission["second"]))
+        last = component.trajectories["second"].poses[-1]
+        poses.append(planar_nees(component.pose_covariance(1, 14), scene(1000 + seed).world_T_body[-1], last))
+    for found in (planes, frames, poses):
+        assert_mean_in_band(np.array(found), 3)
+
+
+def test_two_missions_know_the_room_better_than_one():
+    alone = first(0).mission.planes
+    for one in joined(0).planes:
+        before = next(p for p in alone if p.plane.normal @ one.plane.normal > 0.9)
+        assert np.trace(one.plane.covariance) < 0.98 * np.trace(before.plane.covariance)
+        assert one.observations == 30
+
+
+def test_a_room_that_looks_the_same_from_both_ends_is_not_joined_without_a_guess():
+    found = join([first(0), second(0)])
+    assert [one.names for one in found.components] == [("first",), ("second",)]
+    assert found.comparisons[0].verdict in ("ambiguous", "unobservable", "not seen")
+    assert found.alone == ["first", "second"]
+
+
+def test_a_guess_that_is_wrong_joins_nothing():
+    """By 2 m along the room, four standard deviations."""
+    far = room_T_second(0) @ planar_transform(2.0, 0.0, 0.0)
+    found = join([first(0), second(0)], guesses={("first", "second"): far})
+    assert found.comparisons[0].verdict in ("refused", "not seen")
+    assert len(found.components) == 2
+
+
+def test_a_guess_may_be_given_the_other_way_round():
+    turned = join([first(0), second(0)], guesses={("second", "first"): inverse(about(0))})
+    np.testing.assert_allclose(turned.planes[0].plane.frame, joined(0).planes[0].plane.frame, atol=1e-9)
+
+
+def test_what_has_moved_between_the_missions_is_kept_apart_and_told():
+    """The second mission sees the wall at x = 4 nearer by 0.15 m: some forty standard deviations."""
+    frames = drive(1000).keyframes
+    shifted = []
+    for keyframe, pose in zip(frames, scene(1000).world_T_body, strict=True):
+        seen = list(keyframe.observations)
+        plane = seen[3].plane
+        frame = plane.frame.copy()
+        frame[:3, 3] += 0.15 * frame[:3, 2]
+        seen[3] = replace(seen[3], plane=Plane(frame, plane.covariance, plane.n_points, plane.outline))
+        shifted.append(replace(keyframe, observations=seen))
+        assert np.allclose(pose[:3, :3] @ frame[:3, 2], [-1, 0, 0], atol=0.1)
+    other = mission(
+        "second", Drive([replace(shifted[0], world_T_body_guess=ELSEWHERE), *shifted[1:]], scene(1000).world_T_body)
+    )
+    found = join([first(0), other], guesses={("first", "second"): about(0)})
+    one, component = found.comparisons[0], found.components[0]
+    assert one.verdict == "joined"
+    told = [
+        (a.plane.normal, b.plane.normal) for a, b in ((plane_of(first(0), i), plane_of(other, j)) for i, j in one.moved)
+    ]
+    assert len(told) == 1
+    np.testing.assert_allclose(np.abs(told[0][0]), [1, 0, 0], atol=0.01)  # of two walls across x either may have moved
+    assert sorted(len(places) for places in component.classes) == [1, 1, 2, 2, 2, 2, 2]
+    apart = [p.plane.d for p in component.planes if p.plane.normal @ told[0][0] > 0.9]
+    np.testing.assert_allclose(max(apart) - min(apart), 0.15, atol=0.02)
+
+
+def test_three_missions_make_classes_of_three():
+    third = mission(
+        "third",
+        Drive(
+            [replace(scene(2000).keyframes[0], world_T_body_guess=np.eye(4)), *scene(2000).keyframes[1:]],
+            scene(2000).world_T_body,
+        ),
+    )
+    room_T_third = scene(2000).world_T_body[0]
+    guesses = {("first", "second"): about(0), ("first", "third"): room_T_third}
+    found = join([first(0), second(0), third], guesses=guesses)
+    assert sorted(len(places) for places in found.components[0].classes) == [3] * 6
+    for one in found.planes:
+        assert one.plane.mahalanobis(truth_of(one.plane)) < 21.1  # chi2, 3 dof, 1e-4
+
+
+def test_the_same_missions_give_the_same_bits():
+    again = join([first(0), second(0)], guesses={("first", "second"): about(0)})
+    for one, other in zip(again.planes, joined(0).planes, strict=True):
+        assert one.plane.frame.tobytes() == other.plane.frame.tobytes()
+        assert one.plane.covariance.tobytes() == other.plane.covariance.tobytes()
+
+
+def test_comparisons_say_what_they_saw():
+    plain = joined(0).to_dict()
+    (pair,) = plain["pairs"]
+    assert pair["missions"] == ["first", "second"]
+    assert (pair["verdict"], pair["common_planes"], pair["looks_through"]) == ("joined", 6, 0)
+    assert pair["dof"] == 12
+    assert plain["components"][0]["planes"]["0"].keys() == {"first", "second"}
+
+
+def test_chi2_of_the_common_planes_is_chi2():
+    """Six planes, 12 dof, over 24 pairs of missions."""
+    values = [
+        compare_missions(first(s).mission, second(s).mission, SlamConfig(), significance=1e-3, guess=about(s)).alignment
+        for s in range(RUNS)
+    ]
+    assert all(one is not None and one.n_dof == 12 for one in values)
+    assert_mean_in_band(np.array([one.chi2 for one in values if one is not None]), 12)
+
+
+@pytest.mark.parametrize(
+    ("runs", "sentence"),
+    [([], "at least two, got 0"), (["there"], "at least two, got 1"), (["there", "./there"], "different ones")],
+)
+def test_too_few_runs_are_refused(runs: list[str], sentence: str):
+    with pytest.raises(ValueError, match=sentence):
+        join(runs)
+
+
+def test_a_guess_of_a_run_that_is_not_there_is_refused():
+    with pytest.raises(ValueError, match="expected names of runs, first, second, got first, nobody"):
+        join([first(0), second(0)], guesses={("first", "nobody"): np.eye(4)})
+
+
+def test_names_tell_runs_apart():
+    assert names_of(["a/monday", "a/tuesday"]) == ["monday", "tuesday"]
+    assert names_of(["/x/a/run", "/x/b/run"]) == ["a-run", "b-run"]
