@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 
 from factors import landmark_hesse
-from slam.geometry.extents import Region
+from slam.geometry.extents import Extent
 from slam.geometry.frames import inverse, settle_frame
 from slam.geometry.polygons import flatten, largest_polygon
 from slam.io.trajectories import Trajectory
@@ -108,7 +108,7 @@ class JoinedComponent:
             plane, common_T_anchor = self.solution.plane(place)
             normal, d = landmark_hesse(plane.transform(gtsam.Pose3(inverse(common_T_anchor))))
             frames.append(settle_frame(self.solution.bases[place.mission].matrix() @ one.plane.frame, normal, d))
-        region = Region(known[0].seen)
+        region = Extent(known[0].seen)
         for frame, one in zip(frames[1:], known[1:], strict=True):
             region.grow(flatten(one.seen, inverse(frames[0]) @ frame))
         covariance = self._posteriors[places[0].mission].plane_covariance(places[0].landmark, frames[0])
