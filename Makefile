@@ -58,7 +58,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt tools/bootstrap.py
 	@touch $@
 
 $(VENV)/.compiled: $(VENV)/.ready tools/compile_kernels.py
-	$(BIN)/python tools/compile_kernels.py --run corridor
+	$(BIN)/python tools/compile_kernels.py --run corridor --run pieces
 	@touch $@
 
 $(VENV)/.ready-dev: pyproject.toml constraints.txt tools/bootstrap.py

@@ -111,6 +111,18 @@ WORKLOADS: dict[str, Workload] = {
         short=_QUICK,
         gated=True,
     ),
+    "wheel": Workload(
+        "The first call",
+        "A clean environment, nothing compiled in it, with a wheel that brings its kernels (`make wheel`) and with "
+        "one that does not, in turn.",
+        on_request=True,
+    ),
+    "jobs": Workload(
+        "Processes that measure",
+        "The push-broom office with keyframes measured by one process, and by two ahead of the estimate, in turn; the "
+        "fastest of each, since other work on the machine only adds.",
+        short=_QUICK,
+    ),
     "limits": Workload(
         "What the hardware allows",
         "The slowest stages beside bare loops of the same arithmetic, written by hand in one go over the data "

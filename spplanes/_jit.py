@@ -8,6 +8,7 @@ wheel does not bring, or was brought for another numba, Python or processor, is 
 
 from __future__ import annotations
 
+import logging
 import platform
 from collections.abc import Callable
 from functools import cache
@@ -49,12 +50,18 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def kernel_of(function: Callable[..., Any]) -> Any:
         kernel: Any = numba.njit(**options)(function)
         if not config.DISABLE_JIT:  # type: ignore[attr-defined]
-            if options.get("cache") and _are_brought():
-                kernel._cache = _BroughtCache(function)
+            if options.get("cache"):
+                kernel._cache = _Cache(function)
             KERNELS.append(kernel)
         return kernel
 
     return kernel_of
+
+
+@cache
+def _tell_of_compiling() -> None:
+    """Say it once: the first call ever seems to do nothing."""
+    logging.getLogger(__name__).info("compiling for this machine, once: a minute or two if nothing is compiled yet")
 
 
 @cache
@@ -71,17 +78,22 @@ def _are_brought() -> bool:
     return all(features.get(one) for one in PORTABLE.needs)
 
 
-class _BroughtCache(FunctionCache):
-    """Numba's cache of one function, which looks first among what the wheel brought."""
+class _Cache(FunctionCache):
+    """Numba's cache of one function: what the wheel brought comes first, and what is in neither is told of."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
+        base, stamp = self._impl.filename_base, self._impl.locator.get_source_stamp()
         place = BROUGHT / function.__module__
-        self._brought = IndexDataCacheFile(str(place), self._impl.filename_base, self._impl.locator.get_source_stamp())
+        self._brought = IndexDataCacheFile(str(place), base, stamp) if _are_brought() else None
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        (triple, *_), code = self._index_key(sig, target_context.codegen())[1:]
-        data = self._brought.load((sig, (triple, PORTABLE.name, PORTABLE.features), code))
-        if data is not None:
-            return self._impl.rebuild(target_context, data)
-        return super()._load_overload(sig, target_context)
+        if self._brought is not None:
+            (triple, *_), code = self._index_key(sig, target_context.codegen())[1:]
+            data = self._brought.load((sig, (triple, PORTABLE.name, PORTABLE.features), code))
+            if data is not None:
+                return self._impl.rebuild(target_context, data)
+        found = super()._load_overload(sig, target_context)
+        if found is None:
+            _tell_of_compiling()
+        return found

@@ -18,7 +18,7 @@ from spplanes._check import (
     as_transform,
     check_instance,
 )
-from spplanes._chi2 import chi2_of
+from spplanes.spmodel import chi2_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,10 +19,9 @@ from spplanes._check import (
     as_transform,
     check_instance,
 )
-from spplanes._chi2 import chi2_of
 from spplanes._hesse import covariance_from_hesse, frame_from_hesse, hesse_jacobian, slopes_in
 from spplanes._rows import OK, ROW_SIZE, merge_rows, row_frame
-from spplanes.spmodel import Location
+from spplanes.spmodel import Location, chi2_of
 
 if TYPE_CHECKING:
     from shapely import Polygon

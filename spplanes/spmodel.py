@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spplanes._check import (
+    TOO_LARGE,
     FloatArray,
     as_covariance,
     as_float_array,
@@ -242,3 +243,15 @@ def rows_of(names: Sequence[str]) -> tuple[int, ...]:
     if unknown:
         raise ValueError(f"names: expected some of {', '.join(DIFFERENTIAL)}, got {unknown[0]!r}")
     return as_rows("names", tuple(DIFFERENTIAL.index(name) for name in names))
+
+
+def chi2_of(difference: FloatArray, covariance: FloatArray) -> float:
+    """difference^T covariance^-1 difference, which may be singular; infinite where a certain direction differs."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale[scale <= 1.0 / TOO_LARGE] = 1.0  # certain
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    parts = vectors.T @ (difference / scale)
+    certain = values <= 1e-14
+    if (np.abs(parts[certain]) > 1e-12).any():
+        return np.inf
+    return float(np.sum(parts[~certain] ** 2 / values[~certain]))

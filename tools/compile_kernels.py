@@ -154,6 +154,23 @@ def plane() -> None:
     fit_plane(np.random.default_rng(0).random((99, 3)) * (1.0, 1.0, 0.01), sigma=0.01)
 
 
+def pieces() -> None:
+    """What a push-broom run calls after its segmentation: begun here while another process compiles that.
+
+    Each takes from numba's cache what the other has put there by the time it is called.
+    """
+    import numpy as np
+
+    from spplanes import extract_lines, fit_plane
+
+    angles = np.linspace(-1.0, 1.0, 181)
+    extract_lines(2.0 / np.cos(angles), angles, sigma=0.01)
+    flat = np.random.default_rng(0).random((200, 3)) * (4.0, 3.0, 0.01)
+    covariances, scans = np.tile(np.eye(3) * 1e-4, (200, 1, 1)), np.arange(200) // 20
+    joint = np.kron(np.minimum.outer(np.arange(1, 11), np.arange(1, 11)), np.eye(6) * 1e-8)
+    fit_plane(flat, covariances, viewpoint=np.zeros(3), scan_index=scans, pose_covariances=joint)
+
+
 def points() -> None:
     """Planes of clouds: with and without order, of known and of unknown noise."""
     import numpy as np
@@ -222,6 +239,7 @@ JOBS: dict[str, Callable[[], None]] = {
     "points": points,
     "mapping": mapping,
     "lines": lines,
+    "pieces": pieces,
     "plane": plane,
 }
 

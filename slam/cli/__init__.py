@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from slam.cli._output import be_quiet, visible
+from slam.cli._output import be_quiet, tell_of_compiling, visible
 from slam.cli.clouds import fit
 from slam.cli.graphs import import_
 from slam.cli.joining import fleet, join
@@ -82,6 +82,7 @@ def group(
         raise typer.BadParameter("expected one of -v and -q, got both", param_hint="-q")
     logging.getLogger().setLevel((logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)])
     be_quiet(quiet)
+    tell_of_compiling()
     if version:
         _print_version(with_formats=verbose > 0)
         raise typer.Exit

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -76,6 +78,12 @@ def say(text: object) -> None:
     """One line on stderr, unless it is to be quiet."""
     if not is_quiet():
         typer.echo(visible(text), err=True)
+
+
+def tell_of_compiling() -> None:
+    """Where stderr is a terminal, let `spplanes._jit` say why the first command ever seems to do nothing."""
+    if sys.stderr.isatty() and not is_quiet():
+        logging.getLogger("spplanes._jit").setLevel(logging.INFO)
 
 
 def warn_of(sentences: Sequence[str]) -> None:

@@ -30,11 +30,12 @@ def join(
     as_json: JsonOption = False,
 ) -> None:
     """One map of several finished RUNs, wherever each began: planes seen by several once, a trajectory for each."""
-    from slam.config import SlamConfig
-    from slam.joining import join as join_runs
     from slam.output.new_folder import check_free
 
     check_free(out, overwrite=overwrite)
+    from slam.config import SlamConfig
+    from slam.joining import join as join_runs
+
     settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
     with progress_bar("pairs of missions") as progress:
         joined = join_runs(runs, config=settings, significance=significance, strict=strict, progress=progress)
@@ -69,10 +70,7 @@ def fleet(
     as_json: JsonOption = False,
 ) -> None:
     """Map many LOGs at once, on this machine or on a Dask cluster, and join the missions into one map."""
-    from slam.config import SlamConfig
-    from slam.fleet.fleet import has_dashboard, local_client, remote_client, run
     from slam.output.new_folder import check_free
-    from slam.sensors.rig import Rig
 
     if scheduler is not None and scheduler_file is not None:
         raise ValueError("--scheduler: expected one cluster, got --scheduler-file too")
@@ -85,6 +83,10 @@ def fleet(
     check_free(out, overwrite=overwrite)
     if len(logs) < 2:  # before a cluster is started for it
         raise ValueError(f"LOG: expected at least two, got {len(logs)}")
+    from slam.config import SlamConfig
+    from slam.fleet.fleet import has_dashboard, local_client, remote_client, run
+    from slam.sensors.rig import Rig
+
     settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
     sensors = None if rig is None else Rig.from_yaml(rig)
     kept = out.with_name(f"{out.name}.missions") if store is None else store

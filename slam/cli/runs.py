@@ -97,8 +97,8 @@ def slam(
         body_frame=body_frame,
         odometry=odometry,
     )
+    from slam.ahead import cores
     from slam.cli._prior import read_prior
-    from slam.frontend.ahead import cores
     from slam.frontend.keyframes import keyframes_of
     from slam.output.run_folder import Source, new_run
     from slam.runs.slam_run import run_slam
@@ -146,7 +146,7 @@ def _resume(folder: Path, log: Path | None, *, salvage: bool, jobs: int | None, 
 
 
 def _go_on(folder: Path, log: Path | None, *, salvage: bool, jobs: int | None, ending: _Ending) -> None:
-    from slam.frontend.ahead import cores
+    from slam.ahead import cores
     from slam.output.run_folder import resumed_run
     from slam.runs.slam_run import StageClock, run_slam
     from slam.session.salvage import salvage_session
@@ -214,8 +214,8 @@ def demo(
     from slam.output.new_folder import check_free, new_folder
 
     check_free(out, overwrite=overwrite)
+    from slam.ahead import cores
     from slam.config import SlamConfig
-    from slam.frontend.ahead import cores
     from slam.output.run_files import write_run
     from slam.runs.demo import compare
     from slam.runs.slam_run import StageClock, run_slam

@@ -10,9 +10,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from slam.ahead import in_order
 from slam.config import SlamConfig
 from slam.errors import LogError
-from slam.frontend.ahead import in_order
 from slam.frontend.deskewing import unswept
 from slam.frontend.laser_odometry import LaserTrack, laser_track, motion_between
 from slam.frontend.measurement import (

@@ -28,6 +28,8 @@ REFUSED = {
     "no run to view": ["view", "nothing"],
     "no run to explain": ["explain", "nothing", "3"],
     "no run to evaluate": ["evaluate", "nothing", "--truth", "truth"],
+    "a folder that exists, of joined runs": ["join", "a", "b", "--out", "run"],
+    "one log for a fleet": ["fleet", "log", "--out", "out"],
     "no run to import": ["import", "graph.g2o", "--run", "nothing", "--out", "out"],
 }
 PRINTED = {"version": ["--version"], "help": ["--help"], "help of a command": ["slam", "--help"]}

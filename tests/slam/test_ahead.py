@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from slam.frontend.ahead import in_order
+from slam.ahead import in_order
 
 needs_fork = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux only")
 
@@ -92,11 +92,11 @@ def test_closing_ends_the_processes():
 @needs_fork
 def test_processes_end_with_the_one_that_made_them():
     code = (
-        "import os, sys, time; from slam.frontend.ahead import in_order\n"
+        "import os, sys, time; from slam.ahead import in_order\n"
         "for pid in in_order(lambda n: (time.sleep(0.05), os.getpid())[1], range(1000), 2):\n"
         "    print(pid, flush=True)\n"
     )
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
     child = subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, text=True)
     assert child.stdout is not None
     pids = {int(child.stdout.readline()) for _ in range(3)} - {child.pid}

@@ -1,0 +1,75 @@
+"""Kernels that a wheel brings are used where they can run, and where nobody asked for others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import llvmlite.binding
+import pytest
+from numba import config
+
+from spplanes import _jit
+
+
+@pytest.fixture
+def brought(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
+    """A package that has kernels, for a processor that needs two things; numba's settings as they are by default."""
+    monkeypatch.setattr(_jit, "BROUGHT", tmp_path)
+    monkeypatch.setattr(_jit, "PORTABLE", _jit.Processor("some", "", frozenset({"avx2", "fma"})))
+    monkeypatch.setattr(config, "CPU_NAME", None)
+    monkeypatch.setattr(config, "CPU_FEATURES", None)
+    _jit._are_brought.cache_clear()
+    yield monkeypatch
+    _jit._are_brought.cache_clear()
+
+
+def has(monkeypatch: pytest.MonkeyPatch, **features: bool) -> None:
+    monkeypatch.setattr(llvmlite.binding, "get_host_cpu_features", lambda: features)
+
+
+def test_they_are_used_where_the_processor_has_what_they_need(brought: pytest.MonkeyPatch):
+    has(brought, avx2=True, fma=True, sse2=True)
+    assert _jit._are_brought()
+
+
+@pytest.mark.parametrize("features", [{"avx2": True}, {"avx2": True, "fma": False}, {}])
+def test_they_are_not_used_on_an_older_processor(brought: pytest.MonkeyPatch, features: dict[str, bool]):
+    has(brought, **features)
+    assert not _jit._are_brought()
+
+
+def test_they_are_not_used_where_another_processor_is_asked_for(brought: pytest.MonkeyPatch):
+    has(brought, avx2=True, fma=True)
+    brought.setattr(config, "CPU_NAME", "generic")
+    assert not _jit._are_brought()
+
+
+def test_they_are_not_looked_for_where_there_are_none(brought: pytest.MonkeyPatch, tmp_path: Path):
+    has(brought, avx2=True, fma=True)
+    brought.setattr(_jit, "BROUGHT", tmp_path / "nothing")
+    assert not _jit._are_brought()
+
+
+def test_every_kernel_comes_through_here():
+    """A kernel made by `numba.njit` itself is compiled wherever it is installed."""
+    root = Path(_jit.__file__).parents[1]
+    sources = (path for package in ("spplanes", "factors", "slam") for path in (root / package).rglob("*.py"))
+    theirs = [path.name for path in sources if "from numba import njit" in path.read_text(encoding="utf-8")]
+    assert theirs == []
+
+
+def test_it_is_said_once_that_something_is_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    _jit._tell_of_compiling.cache_clear()
+
+    @_jit.njit(cache=True)
+    def twice(x):
+        return 2 * x
+
+    with caplog.at_level("INFO", logger="spplanes._jit"):
+        assert twice(2) == 4 and twice(2) == 4 and twice(2.0) == 4.0
+    assert [record.message[:29] for record in caplog.records] == ["compiling for this machine, o"]
+    _jit.KERNELS.remove(twice)
