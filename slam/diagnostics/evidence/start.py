@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from factors._conventions import POSE3_TO_SP
 from slam.backend.estimator import BackendError, pose_symbol
@@ -42,7 +42,7 @@ def start_evidence(run: Finished) -> Iterator[Evidence]:
     yield Evidence(
         "start",
         "doubtful",
-        float(chi2_distribution.sf(chi2, dof)),
+        float(chdtrc(dof, chi2)),
         far,
         "m",
         (0,),
