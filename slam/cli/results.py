@@ -55,7 +55,7 @@ def explain(
     from slam.session.state import check_session_given, session_path
 
     check_session_given(session_path(run))
-    from slam.runs.explanation import explain_keyframe
+    from slam.runs.explain_keyframe import explain_keyframe
 
     found = explain_keyframe(run, keyframe)
     if as_json:

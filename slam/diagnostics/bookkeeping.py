@@ -34,8 +34,10 @@ class Bookkeeping:
         """Its observations have been told apart; the graph does not know yet."""
         self._count_innovations(keyframe, prediction, decisions)
         self._recorder.decided(prediction.index, decisions)
-        seen = [keyframe.observations[one.observation] for one in decisions if one.match is not None]
-        self.observability.add(prediction.index, seen, self._backend.pose(prediction.pose_key), prediction.motion)
+        pairs = [(keyframe.observations[one.observation], one.match) for one in decisions if one.match is not None]
+        normals = [self._landmarks.placed(match.landmark).normal for _, match in pairs]
+        pose = self._backend.pose(prediction.pose_key)
+        self.observability.add(prediction.index, [seen for seen, _ in pairs], pose, prediction.motion, normals)
 
     def matched_late(self, late: Sequence[LateMatch]) -> None:
         """Observations of earlier keyframes have been matched to its landmarks."""

@@ -95,14 +95,20 @@ def open_directions(
     world_T_body: FloatArray,
     rules: ObservabilityConfig,
     motion: Motion | None = None,
+    normals: Sequence[FloatArray] | None = None,
 ) -> list[OpenDirection]:
     """Directions of position and orientation that the matched planes of a keyframe leave open, widest first.
 
     Of each part, with the other marginalised out: the eigenvectors of its covariance whose standard deviation exceeds
     the rule's. The planes are taken as known and odometry as silent: what is open here nothing that was seen fixes. Of
     a body that drives on a floor (`motion`) the floor holds height, roll and pitch, as closely as its noise says.
+    `normals` are those of the landmarks they were matched to, in the world, (3,) each: two noisy looks at one wall, or
+    at the two sides of a corridor, fix nothing along it.
     """
-    information = sum((plane_information(one) for one in matched), start=NOTHING + floor_information(motion))
+    planes, world_R = list(matched), world_T_body[:3, :3]
+    in_body = [None] * len(planes) if normals is None else [world_R.T @ normal for normal in normals]
+    seen = (plane_information(one, normal) for one, normal in zip(planes, in_body, strict=True))
+    information = sum(seen, start=NOTHING + floor_information(motion))
     return wide_directions(keyframe, np.asarray(np.linalg.inv(information), float), world_T_body[:3, :3], rules)
 
 
@@ -184,10 +190,15 @@ class Observability:
     """Open directions of all keyframes, one after another."""
 
     def add(
-        self, keyframe: int, matched: Iterable[Observation], world_T_body: FloatArray, motion: Motion | None = None
+        self,
+        keyframe: int,
+        matched: Iterable[Observation],
+        world_T_body: FloatArray,
+        motion: Motion | None = None,
+        normals: Sequence[FloatArray] | None = None,
     ) -> list[OpenDirection]:
-        """Look at a keyframe before the graph does; the first has nothing to be fixed by and leaves nothing open."""
-        found = [] if keyframe == 0 else open_directions(keyframe, matched, world_T_body, self.rules, motion)
+        """Look at a keyframe before the graph does, as `open_directions`; the first has nothing to be fixed by."""
+        found = [] if keyframe == 0 else open_directions(keyframe, matched, world_T_body, self.rules, motion, normals)
         self.history.extend(found)
         return found
 

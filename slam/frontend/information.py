@@ -16,14 +16,24 @@ _NO_INFORMATION = 1e-2
 _WORTH = 0.5
 
 
-def plane_information(observation: Observation) -> FloatArray:
+def plane_information(observation: Observation, normal: FloatArray | None = None) -> FloatArray:
     """Information (6, 6) that seeing a known plane gives on the pose, tangent (rx, ry, rz, x, y, z) of the body.
 
     A pose moved by (w, t) on the body's side sees the plane's normal n turned by n x w and the plane, at its centre c,
     moved along n by -n.t - w.(c x n); SP: theta = x.dn, psi = -y.dn. A line says nothing on the tilt about itself.
+
+    Args:
+        observation: the plane as it was seen.
+        normal: the known plane's, in the body, (3,); None: as seen. Looks at one wall differ in direction by their
+            noise, and would seem to fix between them what slides along it.
     """
     plane = observation.full_plane(1.0)
-    x_axis, y_axis, normal = plane.frame[:3, :3].T
+    x_axis, y_axis, seen = plane.frame[:3, :3].T
+    if normal is not None:
+        x_axis = x_axis - normal * (normal @ x_axis)
+        x_axis = x_axis / np.linalg.norm(x_axis)
+        y_axis = skew(normal) @ x_axis
+    normal = seen if normal is None else normal
     jacobian = np.zeros((3, 6))
     jacobian[0, :3], jacobian[0, 3:] = skew(normal) @ plane.centre, -normal
     jacobian[1, :3] = -y_axis  # x cross n

@@ -16,8 +16,8 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.candidates import DrivenPath, old_keyframes, radius_of
-from slam.loop_closure.local_map import surroundings, view_about, walls_from
 from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
+from slam.loop_closure.surroundings import surroundings, view_about, walls_from
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.registration.correlative_search import PlaceView, SearchResult, search_place
 from slam.registration.place_recognition import ConstellationMatch, match_constellations, match_near

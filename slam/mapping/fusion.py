@@ -18,7 +18,7 @@ from slam.geometry.extents import Extent
 from slam.geometry.frames import inverse
 from slam.map.landmarks import Landmark, Sighting, observe
 from slam.map.state import Parts
-from slam.mapping.merge import Cause, Merge
+from slam.mapping.fusion_history import Cause, Merge
 from slam.mapping.same_plane import same_plane_chi2
 
 #: After an undone merge the estimate goes back a long way: so often iSAM2 relinearises.

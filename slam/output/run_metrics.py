@@ -68,7 +68,7 @@ def details_of(run: Run) -> dict[str, Any]:
         "facing_pairs": [pair.__dict__ for pair in facing_pairs(run.planes)],
         "nis": [{**summary.__dict__, "verdict": summary.verdict} for summary in run.slam.audit.summary()],
         "open_directions": [stretch.to_dict() for stretch in run.slam.open_directions],
-        "open_in_map": [one.to_dict() for one in run.slam.open_in_map] if _has_no_odometry(run) else [],
+        "open_in_map": [one.to_dict() for one in run.slam.open_in_map],
         "stages_s": dict(run.clock.seconds),
         "warnings": warnings_of(run),
         "notes": [*run.log.notes],

@@ -15,7 +15,7 @@ from slam.diagnostics.evidence.odometry import odometry_evidence
 from slam.diagnostics.evidence.prior import prior_evidence, prior_planes
 from slam.diagnostics.evidence.start import start_evidence
 from slam.diagnostics.evidence.surfaces import Surfaces, rays_of, surface_evidence
-from slam.diagnostics.evidence.unmatched import unmatched_evidence
+from slam.diagnostics.evidence.unmatched_area import unmatched_evidence
 from slam.diagnostics.evidence.views import views_of
 from slam.diagnostics.verdict import Evidence, Verdict, weigh
 from slam.sensors.rig import Rig

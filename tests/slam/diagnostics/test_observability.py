@@ -57,6 +57,21 @@ def test_floor_ceiling_and_two_walls_leave_the_way_between_them_open():
     assert (found.keyframe, found.part, found.name, found.sigma_seen) == (4, "position", "along x", np.inf)
 
 
+def test_noisy_looks_at_one_wall_fix_nothing_along_it():
+    """Two looks 3 deg apart seem to cross; by the landmark's own normal the way along the wall stays open."""
+    corridor = [plane for plane in room_planes() if abs(plane.normal[0]) < 0.5]
+    noisy = [
+        plane.transform(gtsam.Pose3(gtsam.Rot3.Yaw(turn), np.zeros(3)).matrix())
+        for plane in corridor
+        for turn in (0.0, 0.05)
+    ]
+    looks = [sight(plane) for plane in noisy]
+    assert not any(one.name == "along x" for one in open_directions(4, looks, np.eye(4), RULES))
+    normals = [plane.normal for plane in corridor for _ in range(2)]
+    (found,) = open_directions(4, looks, np.eye(4), RULES, normals=normals)
+    assert (found.part, found.name, found.sigma_seen) == ("position", "along x", np.inf)
+
+
 def test_one_floor_leaves_what_a_floor_must():
     found = open_directions(1, [sight(room_planes()[0])], np.eye(4), RULES)
     assert sorted(one.name for one in found if one.part == "position") == ["along x", "along y"]

@@ -1,4 +1,4 @@
-"""The record of a fusion of two landmarks."""
+"""The record of fusions: which landmark became part of which, when, why, and whether it was undone."""
 
 from __future__ import annotations
 
