@@ -7,13 +7,13 @@ FUZZ_SECONDS ?= 60
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test lint types docs examples figures benchmarks fuzz release clean
+.PHONY: help demo test lint types docs examples figures benchmarks fuzz release wheel clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*## ' Makefile | sed 's/:.*## /\t/'
 
-demo: $(VENV)/.ready  ## the main job on a simulated mission: a table, pictures and a page in ./demo
+demo: $(VENV)/.ready $(VENV)/.compiled  ## the main job on a simulated mission: a table, pictures and a page in ./demo
 	$(BIN)/spplanes demo --out $(DEMO) --overwrite
 
 test: $(VENV)/.ready-dev  ## all tests
@@ -46,11 +46,19 @@ fuzz: $(VENV)/.ready-dev  ## coverage-guided fuzzing of every reader, FUZZ_SECON
 release:  ## sdist and wheel in ./dist, checked, installed and run under every supported Python that is here (minutes)
 	$(PYTHON) tools/release.py
 
+wheel: $(VENV)/.ready-dev  ## a wheel in ./dist that brings its kernels compiled, and a check that nothing is compiled
+	SPPLANES_KERNELS=all $(BIN)/pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
+	SPPLANES_WHEEL=$$(ls -t dist/*.whl | head -1) $(BIN)/python -m pytest tests/test_wheel.py
+
 clean:  ## remove the environment and everything generated
 	rm -rf $(VENV) $(DEMO) build dist .pytest_cache .ruff_cache .hypothesis
 
 $(VENV)/.ready: pyproject.toml constraints.txt tools/bootstrap.py
 	$(PYTHON) tools/bootstrap.py $(VENV)
+	@touch $@
+
+$(VENV)/.compiled: $(VENV)/.ready tools/compile_kernels.py
+	$(BIN)/python tools/compile_kernels.py --run corridor
 	@touch $@
 
 $(VENV)/.ready-dev: pyproject.toml constraints.txt tools/bootstrap.py

@@ -8,7 +8,8 @@ Planes are rows (nx, ny, nz, d) in Hesse form, n.x = d; landmarks come as GTSAM'
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from spplanes._jit import njit
 
 
 @njit(cache=True)

@@ -18,7 +18,7 @@ class LogError(ValueError):
 
 
 class MissingPackageError(LogError, ImportError):
-    """A format whose reader needs a package that is not installed; the sentence says what to install."""
+    """A format whose reader or writer needs a package that is not installed; the sentence says what to install."""
 
-    def __init__(self, path: Path | str, package: str, extra: str) -> None:
-        super().__init__(path, f"reading this needs {package}: pip install 'spplanes[{extra}]'")
+    def __init__(self, path: Path | str, package: str, extra: str, *, doing: str = "reading") -> None:
+        super().__init__(path, f"{doing} this needs {package}: pip install 'spplanes[{extra}]'")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from spplanes._eigen import jacobi3
+from spplanes._jit import njit
 
 #: Length of a moment row: n, W, cx, cy, cz, Sxx, Sxy, Sxz, Syy, Syz, Szz.
 ROW_SIZE = 11

@@ -18,16 +18,22 @@ LEAST = 1 << 15
 #: Parts for each thread, so that none waits long for another with more to do.
 SHARES = 4
 
-_lock, _pool = threading.Lock(), None
+_lock, _pool, _alone = threading.Lock(), None, False
 
 
 def available() -> int:
     """Threads to use: the cores this process may run on, at most NUMBA_NUM_THREADS."""
     most = config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
-    if most < 2:
+    if most < 2 or _alone:
         return 1  # without asking the system, which takes its time
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(min(cores, most), 1)
+
+
+def stay_alone() -> None:
+    """One thread from here on: for a process that is one of several which share the cores."""
+    global _alone
+    _alone = True
 
 
 def threads_for(size: int) -> int:
@@ -86,7 +92,7 @@ def _threads() -> ThreadPoolExecutor:
 def _forget() -> None:
     """Threads stay behind where a process forks; the child makes its own."""
     global _lock, _pool
-    _lock, _pool = threading.Lock(), None
+    _lock, _pool, _alone = threading.Lock(), None, False
 
 
 if hasattr(os, "register_at_fork"):

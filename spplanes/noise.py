@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from spplanes._check import FloatArray, as_float_array, as_shape
+from spplanes._jit import njit
 
 
 @dataclass(frozen=True)

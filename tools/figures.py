@@ -1,6 +1,6 @@
 """Make the figures of the README: `python tools/figures.py [FOLDER_OF_REAL_DATA]`.
 
-The simulated ones always; those of real data where they are: the loop, and the pages of corridor, hall and loop.
+The simulated ones always; those of real data where they are: the loop, and corridor and hall as their pages show them.
 """
 
 from __future__ import annotations
@@ -48,8 +48,11 @@ def main(data: Path) -> None:
     hall = data / "balm_hall"
     if hall.is_dir():
         log, rig = load(hall)
-        title = "a real hall: 20 clouds of a spinning lidar, no odometry"
-        page(run_slam(log, rig, SlamConfig()), IMAGES / "hall.png", title)
+        page(
+            run_slam(log, rig, SlamConfig()),
+            IMAGES / "hall.png",
+            "a real hall: 20 clouds of a spinning lidar, no odometry",
+        )
 
 
 def picture(run: Run, path: Path, title: str) -> None:

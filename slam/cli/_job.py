@@ -32,6 +32,10 @@ OdometryOption = Annotated[
     Path | None, typer.Option("--odometry", help="TUM file of odometry, of the body; in place of the log's own.")
 ]
 TimingsOption = Annotated[bool, typer.Option("--timings", help="Print the time of every stage.")]
+JobsOption = Annotated[
+    int | None,
+    typer.Option("--jobs", min=1, help="Processes that measure keyframes; default: the cores there are."),
+]
 ConfigOption = Annotated[Path | None, typer.Option("--config", help="YAML with values that differ from the defaults.")]
 KeepPartialOption = Annotated[bool, typer.Option("--keep-partial", help="Use what precedes a cut in the log.")]
 

@@ -31,7 +31,8 @@ def read_prior(path: Path, start: str, sigma: str, first: Callable[[], Keyframe]
     if len(numbers) == 6:
         world_T_start = transform_from_rpy((*numbers[:3], *np.deg2rad(numbers[3:]).tolist()))
     else:
-        world_T_start = planar_transform(numbers[0], numbers[1], float(np.deg2rad(numbers[2])))
+        x, y, yaw = numbers
+        world_T_start = planar_transform(x, y, float(np.deg2rad(yaw)))
     prior = PriorMap.load(path, world_T_start=world_T_start, start_covariance=floor_start(*sigmas))
     if start == FIND:
         prior = replace(prior, world_T_start=find_start(prior.planes, first()))

@@ -72,11 +72,15 @@ def export(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],
     to: Annotated[
         list[Path],
-        typer.Option("--to", help="File to write, by its ending: .ply, .glb, .g2o, .tum, .kitti (or .kitti.txt)."),
+        typer.Option(
+            "--to",
+            help="File to write, by its ending: .ply, .glb, .g2o, .tum, .kitti (or .kitti.txt); floor plans with "
+            "standard deviations: .dxf, .svg, .ifc.",
+        ),
     ],
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
 ) -> None:
-    """Write planes, graph or trajectory of RUN as files of other tools; --to may be given more than once."""
+    """Write planes, graph, trajectory or floor plan of RUN as files of other tools; --to may be repeated."""
     from slam.given import check_run_given
     from slam.output.export import check_target, export_run
     from slam.session.state import check_finished

@@ -10,6 +10,7 @@ import typer
 from slam.cli._job import (
     BodyFrameOption,
     ConfigOption,
+    JobsOption,
     JsonOption,
     KeepPartialOption,
     OdometryFrameOption,
@@ -62,6 +63,7 @@ def slam(
     odometry_topic: OdometryTopicOption = None,
     odometry_frame: OdometryFrameOption = None,
     body_frame: BodyFrameOption = None,
+    jobs: JobsOption = None,
     timings: TimingsOption = False,
     strict_verdict: Annotated[
         bool, typer.Option("--strict-verdict", help="Exit code 1 where the map is found to be broken.")
@@ -76,7 +78,7 @@ def slam(
         if run_folder is None or any((*begun_with, overwrite, keep_partial, keep_raw, forget_raw)):
             raise typer.BadParameter("takes the folder of a run; all else is as the run began", param_hint="--resume")
         ending = _Ending(as_json, timings, strict_verdict)
-        _resume(run_folder, moved_to, salvage=salvage, ending=ending)
+        _resume(run_folder, moved_to, salvage=salvage, jobs=jobs, ending=ending)
         return
     if log is None or out is None or salvage:
         raise typer.BadParameter("expected LOG --out DIR, or --resume RUN", param_hint="slam")
@@ -96,6 +98,7 @@ def slam(
         odometry=odometry,
     )
     from slam.cli._prior import read_prior
+    from slam.frontend.ahead import cores
     from slam.frontend.keyframes import keyframes_of
     from slam.output.run_folder import Source, new_run
     from slam.runs.slam_run import run_slam
@@ -113,7 +116,7 @@ def slam(
         new_run(out, job.log, job.rig, job.config, source, prior=known, overwrite=overwrite) as slam,
         progress_bar("keyframes") as progress,
     ):
-        run = run_slam(job.log, job.rig, job.config, slam=slam, batch=batch, clock=job.clock, progress=progress)
+        run = run_slam(*job[:3], slam=slam, batch=batch, jobs=jobs or cores(), clock=job.clock, progress=progress)
         _conclude(run, out, _Ending(as_json, timings, strict_verdict))
     say_verdict(run.verdict, strict=strict_verdict)
 
@@ -129,7 +132,7 @@ class _Ending(NamedTuple):
     """A map found to be broken is exit code 1."""
 
 
-def _resume(folder: Path, log: Path | None, *, salvage: bool, ending: _Ending) -> None:
+def _resume(folder: Path, log: Path | None, *, salvage: bool, jobs: int | None, ending: _Ending) -> None:
     """Go on with a run; of one that is finished there is nothing to do, and that is no error."""
     from slam.session.state import check_run_folder
 
@@ -137,12 +140,13 @@ def _resume(folder: Path, log: Path | None, *, salvage: bool, ending: _Ending) -
     from slam.output.run_folder import FinishedAlready
 
     try:
-        _go_on(folder, log, salvage=salvage, ending=ending)
+        _go_on(folder, log, salvage=salvage, jobs=jobs, ending=ending)
     except FinishedAlready as sentence:
         say(sentence)
 
 
-def _go_on(folder: Path, log: Path | None, *, salvage: bool, ending: _Ending) -> None:
+def _go_on(folder: Path, log: Path | None, *, salvage: bool, jobs: int | None, ending: _Ending) -> None:
+    from slam.frontend.ahead import cores
     from slam.output.run_folder import resumed_run
     from slam.runs.slam_run import StageClock, run_slam
     from slam.session.salvage import salvage_session
@@ -152,7 +156,7 @@ def _go_on(folder: Path, log: Path | None, *, salvage: bool, ending: _Ending) ->
     clock = StageClock()
     with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
         with progress_bar("keyframes") as progress:
-            run = run_slam(read, rig, slam.config, slam=slam, clock=clock, progress=progress)
+            run = run_slam(read, rig, slam.config, slam=slam, jobs=jobs or cores(), clock=clock, progress=progress)
         _conclude(run, folder, ending)
     say_verdict(run.verdict, strict=ending.strict_verdict)
 
@@ -211,6 +215,7 @@ def demo(
 
     check_free(out, overwrite=overwrite)
     from slam.config import SlamConfig
+    from slam.frontend.ahead import cores
     from slam.output.run_files import write_run
     from slam.runs.demo import compare
     from slam.runs.slam_run import StageClock, run_slam
@@ -220,7 +225,7 @@ def demo(
     with clock.stage("simulate"):
         mission = simulate_mission("corridor", n_scans=scans, seed=seed)
     with progress_bar("keyframes") as progress:
-        run = run_slam(mission.log, mission.rig, SlamConfig(), clock=clock, progress=progress)
+        run = run_slam(mission.log, mission.rig, SlamConfig(), jobs=cores(), clock=clock, progress=progress)
     rows = compare(run, mission.truth)
     with new_folder(out, overwrite=overwrite) as folder:
         write_run(run, folder, title="spplanes demo", extra=[("estimate against truth", rows)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
@@ -12,6 +12,7 @@ import numpy as np
 
 from slam.config import SlamConfig
 from slam.errors import LogError
+from slam.frontend.ahead import in_order
 from slam.frontend.deskewing import unswept
 from slam.frontend.laser_odometry import LaserTrack, laser_track, motion_between
 from slam.frontend.measurement import (
@@ -62,23 +63,25 @@ class Keyframe:
 
 
 def keyframes_of(
-    log: Log, rig: Rig, config: SlamConfig, start: int = 0, *, segment: Segment = label_scans
-) -> Iterator[Keyframe]:
+    log: Log, rig: Rig, config: SlamConfig, start: int = 0, *, segment: Segment = label_scans, jobs: int = 1
+) -> Generator[Keyframe, None, None]:
     """Cut a log into keyframes, in time order.
 
     Every 3D scan is a keyframe by itself. Without 3D scans, keyframes lie on scans of the line lasers (or of the
     push-broom lasers, if there are no others) by distance and angle of the odometry; the push-broom scans nearest to a
     keyframe are its window, so that each of them is used once. The first `start` keyframes are left out unmeasured:
-    those a session has already. `segment` finds the planes of 3D scans and of push-broom windows.
+    those a session has already. `segment` finds the planes of 3D scans and of push-broom windows. So many `jobs`
+    measure ahead of whoever takes the keyframes; what they are does not depend on it.
 
     Raises:
         LogError: no scan of a sensor that the rig knows, or no odometry where it is needed.
     """
     clouds, late = _clouds_of(log, rig, config.keyframes.strict)
     if clouds:
-        yield from _cloud_keyframes(log, clouds, late, rig, config, start, segment)
+        count, measure = len(clouds), _of_clouds(log, clouds, late, rig, config, segment)
     else:
-        yield from _laser_keyframes(log, rig, config, start, segment)
+        count, measure = _of_lasers(log, rig, config, segment)
+    yield from in_order(measure, range(start, count), jobs, shared=log.events)
 
 
 def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
@@ -87,42 +90,46 @@ def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
     return len(clouds) if clouds else len(_choose_stamps(log, rig, config))
 
 
-def _cloud_keyframes(
+def _of_clouds(
     log: Log,
     clouds: Sequence[CloudScan],
     late: dict[int, list[str]],
     rig: Rig,
     config: SlamConfig,
-    start: int,
     segment: Segment,
-) -> Iterator[Keyframe]:
+) -> Callable[[int], Keyframe]:
+    """What measures the keyframe of an index, each a 3D scan."""
     track = _track_of(log, rig) if log.odometry else None  # without it the estimator finds the motion by the planes
-    previous = clouds[start - 1] if start else None
-    for index, scan in enumerate(clouds[start:], start):
-        notes = list(late.get(index, ()))
+
+    def keyframe(index: int) -> Keyframe:
+        scan, notes = clouds[index], list(late.get(index, ()))
         measure = partial(_measured_cloud, scan, rig.sensors[scan.sensor], config, segment)
         [seen] = _measured(measure, scan.stamp_ns, config, notes) or [ScanMeasurement()]
         motion = None
-        if previous is not None and track is not None:
-            motion = track.motion(previous.stamp_ns, scan.stamp_ns)
-        yield Keyframe(
+        if index and track is not None:
+            motion = track.motion(clouds[index - 1].stamp_ns, scan.stamp_ns)
+        return Keyframe(
             scan.stamp_ns, seen.observations, motion, notes=tuple(notes), scans=(scan,), surfaces=seen.surfaces
         )
-        previous = scan
+
+    return keyframe
 
 
 def _measured_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig, segment: Segment) -> list[ScanMeasurement]:
     return [measured_cloud(scan, sensor, config, segment)]
 
 
-def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int, segment: Segment) -> Iterator[Keyframe]:
+def _of_lasers(log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> tuple[int, Callable[[int], Keyframe]]:
+    """How many keyframes 2D scans come to, and what measures that of an index."""
     track = track_of(log, rig, config)
     wheels = OdometryTrack(log.odometry, rig.odometry) if log.odometry else None
     stamps = _choose_stamps(log, rig, config)
     lines = _scans_of(log, rig, "line")
     slices = _scans_of(log, rig, "slice")
     line_homes, slice_homes = _at_home(stamps, lines), _at_home(stamps, slices)
-    for index, stamp in enumerate(stamps[start:], start):
+
+    def keyframe(index: int) -> Keyframe:
+        stamp = stamps[index]
         motion = None if index == 0 else track.motion(stamps[index - 1], stamp)
         observations: list[Observation] = []
         scans: list[LaserScan] = []
@@ -151,7 +158,9 @@ def _laser_keyframes(log: Log, rig: Rig, config: SlamConfig, start: int, segment
             ends = stamps[index - 1], stamp
             motion = motion_between(track, wheels, ends, observations, config.association.new_significance)
         returns = np.concatenate(beams) if beams else None
-        yield Keyframe(stamp, observations, motion, notes=tuple(notes), scans=tuple(scans), returns=returns)
+        return Keyframe(stamp, observations, motion, notes=tuple(notes), scans=tuple(scans), returns=returns)
+
+    return len(stamps), keyframe
 
 
 def _measured(measure: Callable[[], list[Seen]], stamp_ns: int, config: SlamConfig, notes: list[str]) -> list[Seen]:

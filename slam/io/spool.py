@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
@@ -31,6 +32,7 @@ class Spool:
         try:
             self._file.seek(place)
             self._file.write(data)
+            self._file.flush()  # all of it is in the file, wherever this process may fork
         except OSError as error:
             problem = f"expected room for its scans in the folder for temporary files: {error.strerror or error}"
             raise LogError(self._source, problem) from error
@@ -39,8 +41,11 @@ class Spool:
 
     def get(self, place: int, count: int) -> FloatArray:
         """The numbers at a place, shape (count,)."""
-        self._file.seek(place)
-        data = self._file.read(8 * count)
+        if self._end > _IN_MEMORY_BYTES:  # in a file, whose position processes that were forked would share
+            data = os.pread(self._file.fileno(), 8 * count, place)
+        else:
+            self._file.seek(place)
+            data = self._file.read(8 * count)
         if len(data) != 8 * count:
             raise LogError(self._source, "expected its scans in the folder for temporary files, found them cut off")
         return np.frombuffer(data, dtype=np.float64).copy()

@@ -147,7 +147,24 @@ def hesse_from(landmark: Landmark, pose_key: int, backend: Backend) -> tuple[Flo
     Returns:
         Normal (3,) and Hesse distance in the pose's frame, the derivative (4, K) of both and the keys it is by.
     """
-    anchor = inverse(backend.pose(pose_key)) @ backend.pose(landmark.anchor_key)
+    moved, d, blocks = _hesse_in(inverse(backend.pose(pose_key)), landmark, backend)
+    by_pose = np.zeros((4, 6))
+    by_pose[:3, :3], by_pose[3, 3:] = skew(moved), -moved
+    blocks[pose_key] = blocks.get(pose_key, np.zeros((4, 6))) + by_pose
+    return moved, d, np.hstack(list(blocks.values())), list(blocks)
+
+
+def hesse_in_world(landmark: Landmark, backend: Backend) -> tuple[FloatArray, float, FloatArray, list[int]]:
+    """The same in the world."""
+    normal, d, blocks = _hesse_in(np.eye(4), landmark, backend)
+    return normal, d, np.hstack(list(blocks.values())), list(blocks)
+
+
+def _hesse_in(
+    frame_T_world: FloatArray, landmark: Landmark, backend: Backend
+) -> tuple[FloatArray, float, dict[int, FloatArray]]:
+    """Normal (3,) and distance of a landmark in a fixed frame; derivatives by its own tangent and its anchor's."""
+    anchor = frame_T_world @ backend.pose(landmark.anchor_key)
     rotation, shift = anchor[:3, :3], anchor[:3, 3]
     plane = backend.plane(landmark.key)
     normal, d = landmark_hesse(plane)
@@ -157,11 +174,7 @@ def hesse_from(landmark: Landmark, pose_key: int, backend: Backend) -> tuple[Flo
     by_plane[:, :2], by_plane[3, 2] = turned @ rotation @ plane.normal().basis(), -1.0
     by_anchor = np.hstack((-turned @ rotation @ skew(normal), np.zeros((4, 3))))
     by_anchor[3, 3:] = normal
-    by_pose = np.zeros((4, 6))
-    by_pose[:3, :3], by_pose[3, 3:] = skew(moved), -moved
-    blocks: dict[int, FloatArray] = {landmark.key: by_plane, landmark.anchor_key: by_anchor}
-    blocks[pose_key] = blocks.get(pose_key, np.zeros((4, 6))) + by_pose
-    return moved, float(d + shift @ moved), np.hstack(list(blocks.values())), list(blocks)
+    return moved, float(d + shift @ moved), {landmark.key: by_plane, landmark.anchor_key: by_anchor}
 
 
 def _may_be_one(

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slam.errors import LogError
+from slam.errors import LogError, MissingPackageError
 from slam.files import whole_file
 
 if TYPE_CHECKING:
+    from slam.floorplan import FloorPlan
     from slam.runs.stored_run import StoredRun
 
 
@@ -18,10 +20,12 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False) -> N
     """Write one file from the folder of a run; the ending of its name says which.
 
     ``.ply`` and ``.glb``: the polygons of the planes as a coloured mesh. ``.g2o``: the graph with its planes. ``.tum``,
-    and ``.kitti`` or ``.kitti.txt``: the trajectory, every number exactly.
+    and ``.kitti`` or ``.kitti.txt``: the trajectory, every number exactly. ``.dxf``, ``.svg`` and ``.ifc``: the floor
+    plan with standard deviations, for which the run's session is replayed.
 
     Raises:
-        LogError: a file of the run that is missing or broken; a run at given poses has no graph.
+        LogError: a file of the run that is missing or broken; a run at given poses has no graph and no session.
+        MissingPackageError: a format that needs a package that is not installed.
         ValueError: an ending that is none of these, a file that exists, or a place where nothing can be written.
     """
     run, to = Path(run), Path(to)
@@ -35,8 +39,11 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False) -> N
 
 
 def check_target(to: Path, *, overwrite: bool) -> None:
-    """Refuse a name that says no format, or a file that exists, before any work is done for it."""
+    """Refuse a name that says no format or one whose package is missing, or a file that exists, before any work."""
     _writer_for(to)
+    package = _PACKAGES.get(to.suffix.lower())
+    if package is not None and find_spec(package) is None:
+        raise MissingPackageError(to, package, "bim", doing="writing")
     if to.exists() and not (overwrite and to.is_file()):
         hint = "give --overwrite to replace it" if to.is_file() else "expected a file to write, got a folder"
         raise ValueError(f"{to}: exists already; {hint}")
@@ -83,6 +90,33 @@ def _poses(run: StoredRun, path: Path) -> None:
     write_kitti(path, run.trajectory.poses)
 
 
+def _dxf(run: StoredRun, path: Path) -> None:
+    from slam.output.plan_dxf import write_dxf
+
+    write_dxf(path, *_plan(run))
+
+
+def _svg(run: StoredRun, path: Path) -> None:
+    from slam.output.plan_svg import write_svg
+
+    write_svg(path, *_plan(run))
+
+
+def _ifc(run: StoredRun, path: Path) -> None:
+    from slam.output.plan_ifc import write_ifc
+
+    write_ifc(path, *_plan(run))
+
+
+def _plan(run: StoredRun) -> tuple[FloorPlan, str | None]:
+    """Replay the run and measure its map; the plan, and the verdict on it."""
+    from slam.runs.stored_plan import stored_floor_plan
+
+    return stored_floor_plan(run), None if run.verdict is None else run.verdict.verdict
+
+
+#: Packages that a format needs, by its ending.
+_PACKAGES = {".dxf": "ezdxf", ".ifc": "ifcopenshell"}
 _TARGETS: dict[str, Callable[[StoredRun, Path], None]] = {
     ".ply": _mesh,
     ".glb": _scene,
@@ -90,4 +124,7 @@ _TARGETS: dict[str, Callable[[StoredRun, Path], None]] = {
     ".tum": _trajectory,
     ".kitti": _poses,
     ".kitti.txt": _poses,
+    ".dxf": _dxf,
+    ".svg": _svg,
+    ".ifc": _ifc,
 }

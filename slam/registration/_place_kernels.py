@@ -7,7 +7,8 @@ distance, covariance, and the coordinates of its ends along (-sin alpha, cos alp
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from spplanes._jit import njit
 
 WALL = 7
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.ndimage import label
 from scipy.special import gamma
 
-from slam.frontend._occupancy_kernels import score_motions
 from slam.frontend.occupancy import CELL_M, LEVELS, Raster
+from slam.frontend.occupancy._kernels import score_motions
 from spplanes._check import FloatArray
 
 #: Motions this much less likely than the best, as a log, do not count.

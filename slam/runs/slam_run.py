@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,6 +21,7 @@ from slam.runs.scan_trajectory import odometry_at_scans, scan_trajectory
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig
 from slam.timing import StageClock
+from spplanes._check import as_count
 
 __all__ = ["Progress", "Run", "StageClock", "odometry_of", "path_length_m", "run_slam"]
 
@@ -69,6 +71,7 @@ def run_slam(
     *,
     slam: PlaneSlam | None = None,
     batch: bool = False,
+    jobs: int = 1,
     clock: StageClock | None = None,
     progress: Progress | None = None,
 ) -> Run:
@@ -78,25 +81,29 @@ def run_slam(
         log, rig, config: what to work on, with which sensors, and how.
         slam: an estimator to go on with, which has the first keyframes of the log already; None: a new one.
         batch: solve the same graph once more as a whole at the end.
+        jobs: processes that measure keyframes while the estimate goes on; the result is the same to the bit.
         clock: takes the time of every stage.
         progress: is told how many keyframes are done, and how many there are.
 
     Raises:
         LogError: the log lacks what the rig needs.
+        ValueError: fewer jobs than one.
     """
+    if as_count("jobs", jobs) < 1:
+        raise ValueError(f"jobs: expected at least 1, got {jobs}")
     clock = clock or StageClock()
     slam = slam or PlaneSlam(config)
     slam.clock = slam.backend.clock = clock
     done_before = len(slam.keyframes)
     total = count_keyframes(log, rig, config)
-    frames = keyframes_of(log, rig, config, done_before, segment=slam.segment)
-    for done in range(done_before, total):
-        with clock.stage("measure"):
-            keyframe = next(frames)
-        with clock.stage("estimate"):
-            _add(slam, keyframe, strict=config.keyframes.strict)
-        if progress is not None:
-            progress(done + 1, total)
+    with closing(keyframes_of(log, rig, config, done_before, segment=slam.segment, jobs=jobs)) as frames:
+        for done in range(done_before, total):
+            with clock.stage("measure"):
+                keyframe = next(frames)
+            with clock.stage("estimate"):
+                _add(slam, keyframe, strict=config.keyframes.strict)
+            if progress is not None:
+                progress(done + 1, total)
     if batch:
         with clock.stage("batch"):
             slam.adopt_batch()

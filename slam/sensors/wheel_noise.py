@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from slam.sensors.mount import Frozen, NotNegative, Positive
 from spplanes._check import FloatArray, as_shape
+from spplanes._jit import njit
 
 
 class OdometryNoise(Frozen):

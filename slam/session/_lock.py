@@ -5,6 +5,10 @@ from __future__ import annotations
 import fcntl
 import os
 from pathlib import Path
+from weakref import WeakSet
+
+#: Locks that this process holds.
+_held: WeakSet[WriterLock] = WeakSet()
 
 
 class WriterLock:
@@ -33,6 +37,7 @@ class WriterLock:
                 return False
             if here is not None and here.st_ino == os.fstat(handle).st_ino:
                 self._handle = handle
+                _held.add(self)
                 return True
             os.close(handle)  # its last owner removed the file between our open and our lock
 
@@ -55,5 +60,20 @@ class WriterLock:
         if self._handle is None:
             return
         self._path.unlink(missing_ok=True)
-        os.close(self._handle)
-        self._handle = None
+        self._let_go()
+
+    def _let_go(self) -> None:
+        """Close the handle; the lock goes with the last one there is."""
+        if self._handle is not None:
+            os.close(self._handle)
+            self._handle = None
+        _held.discard(self)
+
+
+def _leave_to_parent() -> None:
+    """A process that forks off holds nothing: the lock must end with the one that took it."""
+    for lock in list(_held):
+        lock._let_go()
+
+
+os.register_at_fork(after_in_child=_leave_to_parent)

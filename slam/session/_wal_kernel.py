@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from spplanes._jit import njit
 
 
 def checksum(data: bytes, order: str, first: int, second: int) -> tuple[int, int]:

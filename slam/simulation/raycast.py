@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from spplanes._jit import njit
 
 #: Hits closer than this do not count: the ray starts on the surface.
 NEAREST_M = 1e-6

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from spplanes._jit import njit
 
 #: Powers of so many points fit beside each other into the nearest memory.
 _BLOCK = 128

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from spplanes._check import FloatArray
+from spplanes._jit import njit
 
 #: Fewer triples of neighbours than this say nothing.
 _MIN_TRIPLES = 100

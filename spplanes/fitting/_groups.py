@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
 from spplanes._check import FloatArray
+from spplanes._jit import njit
 from spplanes._rows import OK, ROW_SIZE, row_frame
 from spplanes._threads import in_parts
 from spplanes.fitting import _kernels as kernels

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from spplanes._check import FloatArray, as_positive, as_shape
+from spplanes._jit import njit
 from spplanes._rows import NO_VIEWPOINT
 from spplanes.fitting._point_checks import LARGEST_VARIANCE, SMALLEST_VARIANCE, as_covariances, as_points
 from spplanes.fitting._shared_pose import SharedPose

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from spplanes._jit import njit
 from spplanes._rows import COLLINEAR, COLLINEAR_RATIO, OK, ROW_SIZE, TOO_FEW, faces_viewpoint, row_frame, write_frame
 from spplanes.fitting._sums import accumulate, sp_covariance, start_row
 

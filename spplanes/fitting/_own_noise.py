@@ -12,12 +12,12 @@ References:
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from spplanes._check import FloatArray
-from spplanes._moment_patches import variance_along
+from spplanes._jit import njit
 from spplanes._rows import row_frame
 from spplanes.fitting._kernels import MAX_NOISE_SHARE
+from spplanes.fitting._moment_patches import variance_along
 
 #: The share of V that is taken out depends on the normal, and the normal on it; it is found in steps.
 _STEPS = 4

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_float_array
+from spplanes._jit import njit
 
 _GOOD, _NOT_FINITE, _ASYMMETRIC, _INDEFINITE, _ZERO, _EXTREME = 0, 1, 2, 3, 4, 5
 

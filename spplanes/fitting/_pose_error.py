@@ -11,10 +11,10 @@ Errors of successive scans may be correlated, rho^|s - t|: a running sum u carri
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from spplanes._check import FloatArray
-from spplanes._moment_patches import variance_along
+from spplanes._jit import njit
+from spplanes.fitting._moment_patches import variance_along
 
 
 def roots(pose_covariances: FloatArray) -> FloatArray:

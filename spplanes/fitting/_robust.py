@@ -13,9 +13,9 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 
 from spplanes._check import FloatArray
+from spplanes._jit import njit
 from spplanes._rows import COLLINEAR, OK, TOO_FEW, write_frame
 from spplanes.fitting._kernels import descend, invert3, settle, write_covariance
 from spplanes.fitting._sums import FLOOR

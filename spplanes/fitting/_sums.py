@@ -8,7 +8,8 @@ out in scalars: that is several times as fast as small arrays.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from spplanes._jit import njit
 
 #: The variance along the normal is at least this share of the trace: noise along a beam cannot vanish across a plane
 #: that the beam meets at less than 1 mrad, the divergence of a laser beam.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from spplanes._jit import njit
 from spplanes.lines._core import drop_borders, drop_doubtful_ends, start_line
 from spplanes.lines._fit import fit_beams, grow, line_sigmas, trim, turning
 from spplanes.lines._kernels import (

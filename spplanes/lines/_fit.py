@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from spplanes._jit import njit
 from spplanes.lines._round import solve_symmetric
 
 #: Gauss-Newton ends with a step that lowers chi2 by less than this: a thousandth of a standard deviation.

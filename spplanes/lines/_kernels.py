@@ -9,7 +9,8 @@ chi2 and the chi2 of a merge are O(1). The fit is first order in sigma / r; `spp
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from spplanes._jit import njit
 
 N_SUMS = 6
 #: Below this share of m[0] m[2] the bearings of a set are one bearing and do not define a line.

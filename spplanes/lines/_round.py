@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from spplanes._jit import njit
 from spplanes.lines._kernels import fit_sums, split_gate, sum_range
 
 MAX_STEPS = 8

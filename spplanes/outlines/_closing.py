@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from spplanes._jit import njit
 
 #: Parts of one region that lie apart are bridged by closing the raster with up to this many cells.
 BRIDGES = (1, 2, 4, 8, 16)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from spplanes._check import FloatArray
+from spplanes._jit import njit
 from spplanes._threads import in_parts
 
 #: A cell is (region, i, j) in one int64: 21 bits for each of i and j, offset to be positive.

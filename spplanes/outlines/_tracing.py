@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from spplanes._jit import njit
 from spplanes.outlines._closing import one_part
 
 #: How far a simplified ring may leave the steps of the raster, cells.

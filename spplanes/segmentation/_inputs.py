@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_float_array, as_positive, as_shape
+from spplanes._jit import njit
 from spplanes.fitting._point_checks import writable
 
 #: Coordinates beyond this are nobody's measurement, and their squares come to nothing, m.

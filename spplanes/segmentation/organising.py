@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from spplanes._check import as_shape
+from spplanes._jit import njit
 
 
 def organise(

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spplanes._check import FloatArray
-from spplanes._moment_patches import eigenvalues
 from spplanes._rows import NO_VIEWPOINT, OK
 from spplanes.fitting import _pose_error
 from spplanes.fitting._groups import fit_groups
 from spplanes.fitting._job import FitJob, group_by_label
+from spplanes.fitting._moment_patches import eigenvalues
 from spplanes.moments import row_frame
 from spplanes.outlines import outline
 from spplanes.plane import Plane

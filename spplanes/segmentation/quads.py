@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from spplanes._moment_patches import variance_along
+from spplanes._jit import njit
 from spplanes._threads import in_parts
+from spplanes.fitting._moment_patches import variance_along
 
 
 @njit(cache=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from spplanes._check import FloatArray
-from spplanes._moment_patches import eigenvalues
+from spplanes.fitting._moment_patches import eigenvalues
 from spplanes.moments import ROW_SIZE, merge_rows
 from spplanes.segmentation.clustering import growing
 from spplanes.segmentation.config import MapperConfig

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from spplanes._jit import njit
 
 #: Points of the map are of the surface at a return within this of it, m, with normals nearer than this cosine.
 _RADIUS_M, _ALIKE = 0.2, 0.7

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from spplanes._jit import njit
 
 #: Most bytes that one byte of LZF can stand for: three bytes say "repeat 264 bytes".
 MOST_PER_BYTE = 88

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -15,6 +16,7 @@ from slam.io.rosbags._salvaged import SalvagedBag
 
 #: The bag that clouds were last taken from: to open one anew for each cloud would take most of the time.
 _kept: dict[tuple[Path, bool, int, int], tuple[ExitStack, Any]] = {}
+_inherited: dict[tuple[Path, bool, int, int], tuple[ExitStack, Any]] = {}
 
 
 @contextmanager
@@ -104,6 +106,16 @@ def kept_open(path: Path, keep_partial: bool) -> Any:
         stack = ExitStack()
         _kept[key] = stack, stack.enter_context(opened(path, keep_partial))
     return _kept[key][1]
+
+
+def _leave_to_parent() -> None:
+    """A process that forks off opens the bag anew: where reading goes on would be shared. It closes nothing."""
+    _inherited.update(_kept)
+    _kept.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_leave_to_parent)
 
 
 @atexit.register

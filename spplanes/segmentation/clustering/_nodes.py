@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from spplanes._moment_patches import centre_sums, eigenvalues, merge_scaled, normal_of, variance_from
+from spplanes._jit import njit
+from spplanes.fitting._moment_patches import centre_sums, eigenvalues, merge_scaled, normal_of, variance_from
 from spplanes.moments import ROW_SIZE
 
 #: What is known of a node, the points of one region in one cell: number, weight, mean distance from the plane, mean row

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from spplanes._moment_patches import eigenvalues, merge_scaled, normal_of
+from spplanes._jit import njit
+from spplanes.fitting._moment_patches import eigenvalues, merge_scaled, normal_of
 
 
 @njit(cache=True)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from spplanes._moment_patches import (
+from spplanes._jit import njit
+from spplanes._threads import in_parts, threads_for
+from spplanes.fitting._moment_patches import (
     add_run,
     centre_sums,
     distance_of,
@@ -14,7 +15,6 @@ from spplanes._moment_patches import (
     residual_chi2,
     variance_from,
 )
-from spplanes._threads import in_parts, threads_for
 from spplanes.moments import merge_rows
 
 #: Threads that fit regions at most: each of them walks over all labels.

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from spplanes._moment_patches import distance_of, variance_from
+from spplanes._jit import njit
 from spplanes._threads import in_parts
+from spplanes.fitting._moment_patches import distance_of, variance_from
 
 #: Pairs that were found last, by which most repetitions are left out; a power of two.
 RECENT = 256

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from spplanes._moment_patches import eigenvalues, normal_of, variance_along
+from spplanes._jit import njit
 from spplanes._threads import in_parts
+from spplanes.fitting._moment_patches import eigenvalues, normal_of, variance_along
 
 #: Strips into which a cell is cut, along rows and along columns, in search of a step.
 STRIPS = 8

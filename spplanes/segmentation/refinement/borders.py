@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from spplanes._moment_patches import distance_of, residual_chi2, variance_from
+from spplanes._jit import njit
 from spplanes._threads import in_parts
+from spplanes.fitting._moment_patches import distance_of, residual_chi2, variance_from
 
 #: Chi2 by which another region must explain the points of a block better before they change sides.
 BLOCK_GAIN = 4.0

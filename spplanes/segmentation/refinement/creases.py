@@ -7,10 +7,10 @@ common plane, but the surface there is turned. Where noise drowns the local norm
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from spplanes._moment_patches import distance_of, variance_from
+from spplanes._jit import njit
 from spplanes._threads import in_parts
+from spplanes.fitting._moment_patches import distance_of, variance_from
 
 
 def unlabel_creases(points, covariance, valid, labels, start, planes, max_angle, certainty):

@@ -9,8 +9,8 @@ tilted to meet both; that of its parts, with a normal in common, is not, and off
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from spplanes._jit import njit
 from spplanes.segmentation.clustering._nodes import (
     OFFSET,
     REGION,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from spplanes._jit import njit
 
 #: Patches are numbered by place where a grid over the plane has no more than so many for every point, else by sorting.
 _ROOM, _LEAST_ROOM = 8, 1024

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.frontend._occupancy_kernels import widen
 from slam.frontend.information import left_open
 from slam.frontend.occupancy import CELL_M, NOVEL_SHARE, Raster, beams_of, moved
+from slam.frontend.occupancy._kernels import widen
 from slam.geometry.frames import planar_transform
 from slam.registration.scan_matching import _fit, relocate, split
 from slam.sensors.log import LaserScan

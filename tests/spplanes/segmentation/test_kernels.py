@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from spplanes._moment_patches import eigenvalues, merge_scaled, normal_of, variance_along
+from spplanes.fitting._moment_patches import eigenvalues, merge_scaled, normal_of, variance_along
 from spplanes.segmentation.clustering import cells, growing, steps
 from spplanes.segmentation.clustering.ahc import cluster, one_plane_chi2, step_chi2
 from spplanes.segmentation.quads import links, surviving_quads

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slam.frontend._occupancy_kernels import mark, squared_distances, widen
+from slam.frontend.occupancy._kernels import mark, squared_distances, widen
 from slam.sensors.log import LaserScan
 from spplanes._check import FloatArray
 

@@ -6,7 +6,8 @@ Planes that leave the segmentation are fitted with the accurate ones of ``spplan
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from spplanes._jit import njit
 
 
 @njit(cache=True)

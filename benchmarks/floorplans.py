@@ -1,0 +1,233 @@
+"""Floor plans of simulated office suites with truth: are widths, areas, heights and openings as sure as they say?
+
+    python -m benchmarks.floorplans [RUNS [FIRST]] [--sigma M] [--spacing M] [--rooms N] [--rows FILE]
+
+Seeds from FIRST on; every seed draws another suite and other noise. Each is mapped twice: with the planes as they were
+segmented, and "drawn": every one of them replaced by the true plane with an error drawn from its own covariance, which
+leaves out what segmentation does wrong. Rows are printed as they come, the summary at the end; with `--rows` they are
+kept in a file, and seeds that are in it already are left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from benchmarks._kept_rows import Row, append_row, read_rows, seeds_left
+from benchmarks._table import plain
+from slam.config import SlamConfig
+from slam.diagnostics.evidence import look_at
+from slam.floorplan import FloorPlan, JointPlanes, Quantity, floor_plan, joint_planes
+from slam.frontend.keyframes import Keyframe, keyframes_of
+from slam.frontend.observations import PlaneObservation
+from slam.geometry.frames import inverse, settle_frame
+from slam.planeslam import PlaneSlam
+from slam.sensors.rig import Rig
+from slam.simulation.record import Plan, record
+from slam.simulation.rigs import SPINNING, spinning_rig
+from slam.simulation.suite import START_M, Suite
+from slam.simulation.truth import Truth
+from spplanes import Plane
+from spplanes._check import FloatArray
+
+#: What is measured of a suite.
+KINDS = ("width", "area", "height", "thickness", "opening")
+_SUMS = ("number", "NEES", "dof", "squares", "variances")
+#: An observation is of a true plane within this distance of its centre and cosine of the angle to it, m.
+_NEAR_M, _ALIKE = 0.05, np.cos(0.05)
+#: Eigenvalues of a joint covariance below this share of the largest are of differences that are zero by construction:
+#: every room of a suite has the same floor and ceiling.
+_NOTHING = 1e-6
+
+Pairs = list[tuple[Quantity, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A suite, and what a robot with a spinning laser measured in it."""
+
+    suite: Suite
+    """The truth."""
+    rig: Rig
+    """The robot; its odometry drifts."""
+    keyframes: list[Keyframe]
+    """What it saw."""
+    truth: Truth
+    """Where it was."""
+    seed: int
+    """Of everything drawn."""
+
+    @classmethod
+    def of(cls, seed: int, *, range_sigma_m: float = 0.005, spacing_m: float = 0.6, rooms_a_side: int = 2) -> Measured:
+        """Drive through a suite of one's own."""
+        suite, rig = Suite.drawn(np.random.default_rng(seed), rooms_a_side=rooms_a_side), spinning_rig()
+        sensor = rig.sensors[SPINNING].model_copy(update={"range_sigma_m": range_sigma_m})
+        rig = rig.model_copy(update={"sensors": {SPINNING: sensor}})
+        path = suite.path()
+        log, truth = record(
+            Plan("suite", suite.world(), path, rig, spacing_m), int(path.length_m / spacing_m) + 1, seed
+        )
+        return cls(suite, rig, list(keyframes_of(log, rig, SlamConfig())), truth, seed)
+
+    def drawn(self) -> list[Keyframe]:
+        """The same with every plane drawn about its true one; what is near none is left out."""
+        rng, frames = np.random.default_rng((self.seed, 1)), []
+        for frame in self.keyframes:
+            body_T_world = inverse(self.truth.poses_at(np.array([frame.stamp_ns]))[0])
+            true = [plane.transform(body_T_world) for plane in self.truth.planes]
+            planes = [one for one in frame.observations if isinstance(one, PlaneObservation)]
+            drawn = [_drawn(one, true, rng) for one in planes]
+            frames.append(replace(frame, observations=[one for one in drawn if one is not None]))
+        return frames
+
+
+def _drawn(seen: PlaneObservation, true: Sequence[Plane], rng: np.random.Generator) -> PlaneObservation | None:
+    """The observation on the true plane that it lies on, moved by an error of its own covariance."""
+    frame = seen.plane.frame
+    alike = [one for one in true if one.normal @ frame[:3, 2] > _ALIKE]
+    nearest = min(alike, key=lambda one: abs(float(one.distance(frame[:3, 3]))), default=None)
+    if nearest is None or abs(float(nearest.distance(frame[:3, 3]))) > _NEAR_M:
+        return None
+    on_it = settle_frame(frame, nearest.normal, nearest.d)
+    shift, theta, psi = rng.multivariate_normal(np.zeros(3), seen.plane.covariance)
+    normal = on_it[:3, :3] @ np.array([theta, -psi, 1.0])  # z = shift - theta x + psi y
+    normal /= np.linalg.norm(normal)
+    moved = settle_frame(on_it, normal, float(normal @ (on_it[:3, 3] + shift * on_it[:3, 2])))
+    return replace(seen, plane=Plane(moved, seen.plane.covariance, seen.plane.n_points, seen.plane.outline))
+
+
+def mapped(keyframes: Iterable[Keyframe]) -> PlaneSlam:
+    """An estimator that was given them, solved as a whole at the end, as the export of a plan does."""
+    slam = PlaneSlam(SlamConfig())
+    for keyframe in keyframes:
+        slam.add_keyframe(keyframe)
+    slam.adopt_batch()
+    return slam
+
+
+def plan_of(slam: PlaneSlam) -> FloorPlan:
+    """The floor plan of a map."""
+    return floor_plan(joint_planes(slam.planes, slam.landmarks, slam.backend))
+
+
+def pairs_of(suite: Suite, plan: FloorPlan) -> dict[str, Pairs]:
+    """Everything measured beside its truth, by kind; rooms are told by where their middle is.
+
+    Raises:
+        ValueError: not one storey, or a room that is none of the suite's.
+    """
+    (storey,) = plan.storeys
+    found: dict[str, Pairs] = {kind: [] for kind in KINDS}
+    for room in storey.rooms:
+        true = suite.room_at(room.middle[0] + START_M, room.middle[1])
+        found["area"].append((room.area, true.area_m2))
+        found["width"] += [(w.distance, _along(w.second - w.first, true.width_m, true.depth_m)) for w in room.widths]
+        if room.height is not None:
+            found["height"].append((room.height, suite.height_m))
+    for wall in storey.walls:
+        found["thickness"].append((wall.thickness, _along(wall.front.normal, suite.partition_m, suite.wall_m)))
+    for opening in storey.openings:
+        if opening.width is not None:
+            x, y, _ = opening.outline.mean(axis=0)
+            found["opening"].append((opening.width, suite.door_at(x + START_M, y).width_m))
+    return found
+
+
+def _along(direction: FloatArray, along_x: float, along_y: float) -> float:
+    return along_x if abs(direction[0]) > abs(direction[1]) else along_y
+
+
+def nees_of(joint: JointPlanes, pairs: Pairs) -> tuple[float, int]:
+    """Squared error of several quantities under their joint covariance, and its degrees of freedom."""
+    if not pairs:
+        return 0.0, 0
+    errors = np.array([quantity.value - true for quantity, true in pairs])
+    variances, vectors = np.linalg.eigh(joint.covariance_of([quantity for quantity, _ in pairs]))
+    real = variances > _NOTHING * variances[-1]
+    return float(((vectors.T @ errors)[real] ** 2 / variances[real]).sum()), int(real.sum())
+
+
+def rows_of(seeds: Iterable[int], **how: Any) -> Iterator[Row]:
+    """One row a seed; arguments as those of `Measured.of`."""
+    for seed in seeds:
+        measured = Measured.of(seed, **how)
+        row: Row = {"seed": seed}
+        for name, keyframes in (("", measured.keyframes), (", drawn", measured.drawn())):
+            slam = mapped(keyframes)
+            if not name:
+                row["verdict"] = look_at(slam, measured.rig).verdict
+            row |= {f"{key}{name}": value for key, value in _scores(measured.suite, plan_of(slam)).items()}
+        yield row
+
+
+def _scores(suite: Suite, plan: FloorPlan) -> Row:
+    row: Row = {"rooms": sum(len(storey.rooms) for storey in plan.storeys)}
+    try:
+        pairs_by_kind = pairs_of(suite, plan)
+    except ValueError:
+        return row | {"wrong": True}
+    for kind, pairs in pairs_by_kind.items():
+        nees, dof = nees_of(plan.joint, pairs)
+        squares = [(quantity.value - true) ** 2 for quantity, true in pairs]
+        row |= {f"{kind} number": len(pairs), f"{kind} NEES": nees, f"{kind} dof": dof}
+        row |= {f"{kind} squares": sum(squares), f"{kind} variances": sum(quantity.sigma**2 for quantity, _ in pairs)}
+    return row
+
+
+def summary(rows: Sequence[Row]) -> list[Row]:
+    """Mean NEES per degree of freedom by kind, with the 99 % band of honest ones; rms errors and sigmas in mm, dm^2.
+
+    Maps with a room that is none of the suite's are counted and left out.
+    """
+    lines = []
+    for name in ("", ", drawn"):
+        right = [row for row in rows if f"wrong{name}" not in row]
+        for kind in KINDS:
+            total = {of: sum(row[f"{kind} {of}{name}"] for row in right) for of in _SUMS}
+            if not total["dof"]:
+                continue
+            low, high = chi2.ppf((0.005, 0.995), total["dof"]) / total["dof"]
+            unit = 1e2 if kind == "area" else 1e3
+            line: Row = {"measured": f"{kind}{name}", "maps": len(right), "wrong maps": len(rows) - len(right)}
+            line |= {"number": total["number"], "NEES / dof": total["NEES"] / total["dof"]}
+            line["99 % band"] = f"{low:.2f} .. {high:.2f}"
+            line["rms error"] = unit * float(np.sqrt(total["squares"] / total["number"]))
+            line["rms sigma"] = unit * float(np.sqrt(total["variances"] / total["number"]))
+            lines.append(line)
+    return lines
+
+
+def run(runs: int = 50, first: int = 0) -> list[Row]:
+    """The summary over some seeds."""
+    return summary(list(rows_of(range(first, first + runs))))
+
+
+def main() -> None:
+    """As the module says."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.floorplans")
+    parser.add_argument("runs", nargs="?", type=int, default=50)
+    parser.add_argument("first", nargs="?", type=int, default=0)
+    parser.add_argument("--sigma", type=float, default=0.005, help="of a range, m")
+    parser.add_argument("--spacing", type=float, default=0.6, help="way between two scans, m")
+    parser.add_argument("--rooms", type=int, default=1, help="rooms on each side of the corridor")
+    parser.add_argument("--rows", type=Path, help="file to keep rows in")
+    asked = parser.parse_args()
+    kept = [] if asked.rows is None else read_rows([asked.rows])
+    seeds = range(asked.first, asked.first + asked.runs)
+    how = {"range_sigma_m": asked.sigma, "spacing_m": asked.spacing, "rooms_a_side": asked.rooms}
+    for row in rows_of(seeds_left(seeds, kept), **how):
+        print(row, flush=True)
+        kept.append(row)
+        if asked.rows is not None:
+            append_row(asked.rows, row)
+    print(plain(summary(kept)))
+
+
+if __name__ == "__main__":
+    main()

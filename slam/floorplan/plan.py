@@ -1,0 +1,199 @@
+"""The floor plan of a building: rooms, walls and openings of every storey, each measure with its standard deviation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import shapely
+
+from slam.floorplan.faces import ALIKE_RAD, SHORT_M, Face, Interval, closed
+from slam.floorplan.joint_planes import JointPlanes
+from slam.floorplan.openings import Opening, find_openings
+from slam.floorplan.quantities import Corner, Quantity, area, corner, distance, length
+from slam.floorplan.rooms import room_rings
+from slam.floorplan.storeys import Storey, storeys
+from slam.floorplan.walls import Wall, wall_solids, without
+from spplanes._check import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """A side of a room: a wall face from corner to corner."""
+
+    face: Face
+    """The face."""
+    start: FloatArray
+    """Its first corner, the room on the left, shape (3,), m."""
+    end: FloatArray
+    """Its last corner, shape (3,), m."""
+    length: Quantity
+    """From corner to corner, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Width:
+    """How far two sides of a room that face each other are apart in its middle."""
+
+    first: FloatArray
+    """Where it is taken on one side, shape (3,), m."""
+    second: FloatArray
+    """Where on the other, shape (3,), m."""
+    distance: Quantity
+    """How far that is, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """A closed polygon of wall faces."""
+
+    rings: tuple[tuple[Side, ...], ...]
+    """Its sides in order, room on the left; the first ring goes round it, others round what stands in it."""
+    middle: FloatArray
+    """A point inside, its centroid where that is inside, shape (3,), in the section, m."""
+    area: Quantity
+    """Between the faces, at the height of the section, m^2."""
+    widths: tuple[Width, ...]
+    """Between facing sides that are met from the middle."""
+    height: Quantity | None
+    """From floor to ceiling at the middle, m; None where one of them was not seen."""
+
+    @property
+    def outline(self) -> tuple[FloatArray, ...]:
+        """Corners of each ring, shape (N, 3), m."""
+        return tuple(np.array([side.start for side in ring]) for ring in self.rings)
+
+
+@dataclass(frozen=True, eq=False)
+class StoreyPlan:
+    """The plan of a storey."""
+
+    storey: Storey
+    """Where it is, and what was seen there."""
+    elevation: Quantity | None
+    """Height of its floor above the lowest storey's, m; None without a floor."""
+    rooms: tuple[Room, ...]
+    """Closed rooms, the largest first."""
+    walls: tuple[Wall, ...]
+    """Where both faces were seen."""
+    single: tuple[tuple[Face, Interval], ...]
+    """Stretches of faces whose other side was not seen: how thick the wall is there is not known."""
+    openings: tuple[Opening, ...]
+    """Doorways, passages, windows."""
+
+
+@dataclass(frozen=True, eq=False)
+class FloorPlan:
+    """A building."""
+
+    joint: JointPlanes
+    """The planes that it was computed from."""
+    storeys: tuple[StoreyPlan, ...]
+    """From below."""
+
+
+def floor_plan(joint: JointPlanes) -> FloorPlan:
+    """The floor plan of a map.
+
+    Raises:
+        ValueError: no vertical plane was seen.
+    """
+    levels = storeys(joint)
+    if not any(storey.faces for storey in levels):
+        raise ValueError("planes: expected at least one vertical plane for a floor plan, got none")
+    levels = [storey for storey in levels if storey.faces]
+    lowest = levels[0].section.floor
+    return FloorPlan(joint, tuple(_plan_of(joint, storey, lowest) for storey in levels))
+
+
+def _plan_of(joint: JointPlanes, storey: Storey, lowest: int | None) -> StoreyPlan:
+    faces = storey.walls()
+    rooms = [_room(joint, storey, faces, rings) for rings in room_rings(storey, faces)]
+    rooms.sort(key=lambda one: -one.area.value)
+    extents = [(face, _extent(face, rooms)) for face in faces]
+    walls = wall_solids(joint, storey.section, extents)
+    single = [(face, span) for face, spans in extents for span in _unpaired(face, spans, walls)]
+    openings = find_openings(joint, storey, faces, walls)
+    floor, elevation = storey.section.floor, None
+    if floor is not None and lowest is not None:
+        up, place = storey.section.normal, joint.planes[floor].plane.centre
+        rise = (0.0, {}) if floor == lowest else distance(joint.hesse, lowest, floor, place, up)
+        elevation = joint.quantity(*rise)
+    return StoreyPlan(storey, elevation, tuple(rooms), tuple(walls), tuple(single), tuple(openings))
+
+
+def _room(joint: JointPlanes, storey: Storey, faces: Sequence[Face], rings: list[list[int]]) -> Room:
+    corners = [_corners(joint, storey, [faces[k] for k in ring]) for ring in rings]
+    sides = tuple(
+        tuple(_side(joint, faces[k], a, b) for k, a, b in zip(ring, ends, [*ends[1:], ends[0]], strict=True))
+        for ring, ends in zip(rings, corners, strict=True)
+    )
+    outline = [storey.in_plan(np.array([one.point for one in ends])) for ends in corners]
+    shape = shapely.Polygon(outline[0], outline[1:])
+    place = shape.centroid if shape.contains(shape.centroid) else shape.representative_point()
+    middle = _in_section(storey, np.array(place.coords[0]))
+    widths = tuple(_widths(joint, storey, [side for ring in sides for side in ring], middle))
+    height = None
+    ceiling = storey.over(shape.buffer(0.0), storey.ceilings)
+    if ceiling is not None and storey.section.floor is not None:
+        up = storey.section.normal
+        height = joint.quantity(*distance(joint.hesse, storey.section.floor, ceiling.plane, middle, up))
+    return Room(sides, middle, joint.quantity(*area(corners, storey.section)), widths, height)
+
+
+def _corners(joint: JointPlanes, storey: Storey, ring: list[Face]) -> list[Corner]:
+    """Where each side of a ring begins."""
+    return [corner(joint.hesse, ring[k - 1].plane, face.plane, storey.section) for k, face in enumerate(ring)]
+
+
+def _side(joint: JointPlanes, face: Face, start: Corner, end: Corner) -> Side:
+    return Side(face, start.point, end.point, joint.quantity(*length(start, end)))
+
+
+def _in_section(storey: Storey, xy: FloatArray) -> FloatArray:
+    point = storey.plan @ xy
+    return point + (storey.section.d - storey.section.normal @ point) * storey.section.normal
+
+
+def _widths(joint: JointPlanes, storey: Storey, sides: Sequence[Side], middle: FloatArray) -> list[Width]:
+    found = []
+    for one, other in combinations(sides, 2):
+        if one.face.normal @ other.face.normal > -np.cos(ALIKE_RAD):
+            continue
+        direction = (one.face.normal - other.face.normal) / np.linalg.norm(one.face.normal - other.face.normal)
+        ends = [middle - one.face.before(middle) * direction, middle + other.face.before(middle) * direction]
+        if all(_is_on(side, end) for side, end in zip((one, other), ends, strict=True)):
+            value = joint.quantity(*distance(joint.hesse, one.face.plane, other.face.plane, middle, direction))
+            found.append(Width(ends[0], ends[1], value))
+    return found
+
+
+def _is_on(side: Side, point: FloatArray) -> bool:
+    way = side.end - side.start
+    return 0.0 <= float((point - side.start) @ way) <= float(way @ way)
+
+
+def _extent(face: Face, rooms: Sequence[Room]) -> list[Interval]:
+    """From where to where a face goes: to the corners of the rooms that it is a side of, and as it was seen elsewhere.
+
+    What was seen beyond the last corner by no more than outlines are rough is of the corner.
+    """
+    sides = [side for room in rooms for ring in room.rings for side in ring if side.face is face]
+    known: list[Interval] = [_sorted(face.s_of(np.array([side.start, side.end]))) for side in sides]
+    ends = {end for span in known for end in span}
+    beyond = [s for s in without(face.covered, known) if s[1] - s[0] > SHORT_M or (s[0] in ends and s[1] in ends)]
+    return closed([*known, *beyond], 0.0)
+
+
+def _sorted(ends: FloatArray) -> Interval:
+    return float(ends.min()), float(ends.max())
+
+
+def _unpaired(face: Face, spans: list[Interval], walls: Sequence[Wall]) -> list[Interval]:
+    taken = [wall.span for wall in walls if wall.front is face]
+    for wall in walls:
+        if wall.back is face:
+            taken.append(_sorted(face.s_of(np.array([wall.front.point(s) for s in wall.span]))))
+    return [span for span in without(spans, taken) if span[1] - span[0] > SHORT_M]

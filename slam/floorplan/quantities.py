@@ -1,0 +1,133 @@
+"""Corners, lengths, distances and areas between planes, with their derivatives by the planes' (normal, d).
+
+A corner is where two walls meet the section, a plane at a fixed height above the floor: no frame of the world comes in,
+so what the world's origin and orientation are uncertain by does not either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from spplanes._check import FloatArray
+
+#: Derivative of a number by (normal, d) of each plane it depends on: index of the plane, shape (4,).
+Gradient = Mapping[int, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """A measured number: a length in m, or an area in m^2."""
+
+    value: float
+    """The estimate."""
+    sigma: float
+    """Its standard deviation."""
+    gradient: Gradient
+    """By what of which planes."""
+
+    def __str__(self) -> str:
+        """As 2.388 +- 0.004: the standard deviation with one digit, or two where the first is a 1, at most to 1 um."""
+        if not self.sigma >= 0.5e-6:
+            return f"{self.value:.6f} +- {self.sigma:.6f}"
+        size = int(np.floor(np.log10(self.sigma)))
+        digits = int(np.clip(-size + (self.sigma < 2.0 * 10.0**size), 0, 6))
+        return f"{self.value:.{digits}f} +- {self.sigma:.{digits}f}"
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """The plane that a floor plan is cut by."""
+
+    normal: FloatArray
+    """Upward unit normal, shape (3,)."""
+    d: float
+    """Hesse distance, m."""
+    floor: int | None
+    """The plane that it is parallel to, at a fixed height; None: it is fixed in the world."""
+
+
+@dataclass(frozen=True, eq=False)
+class Corner:
+    """A point with its derivatives."""
+
+    point: FloatArray
+    """Shape (3,), m."""
+    by: Mapping[int, FloatArray]
+    """Derivative (3, 4) by (normal, d) of each plane that it depends on."""
+
+
+def corner(hesse: FloatArray, first: int, second: int, section: Section) -> Corner:
+    """Where two planes meet a section.
+
+    With the three normals as rows of M and M x = d: d x = M^-1 (d d - [x.d n]), so a plane's column of M^-1 times
+    (-x, 1) is the derivative by its (normal, d).
+
+    Args:
+        hesse: rows (normal, d) of all planes, shape (P, 4).
+        first, second: indices of two planes that are not parallel.
+        section: the third plane.
+    """
+    matrix = np.vstack((hesse[[first, second], :3], section.normal))
+    inverse = np.linalg.inv(matrix)
+    point: FloatArray = np.asarray(inverse @ np.append(hesse[[first, second], 3], section.d), dtype=np.float64)
+    by = {}
+    for plane, column in zip((first, second, section.floor), inverse.T, strict=True):
+        if plane is not None:
+            by[plane] = np.outer(column, np.append(-point, 1.0))
+    return Corner(point, by)
+
+
+def length(a: Corner, b: Corner) -> tuple[float, Gradient]:
+    """Distance of two corners and its derivatives."""
+    way = b.point - a.point
+    distance = float(np.linalg.norm(way))
+    unit = way / distance
+    return distance, _sum([(b.by, unit), (a.by, -unit)])
+
+
+def area(rings: Sequence[Sequence[Corner]], section: Section) -> tuple[float, Gradient]:
+    """Area of a polygon in the section, outer ring anticlockwise, holes clockwise, and its derivatives.
+
+    The shoelace formula as vector area: A = 1/2 sum n.(x_k x x_k+1), d A / d x_k = 1/2 (x_k+1 - x_k-1) x n. A turn of n
+    changes nothing to first order: the vector area is parallel to it.
+    """
+    total, parts = 0.0, []
+    for ring in rings:
+        points = np.array([one.point for one in ring])
+        following, before = np.roll(points, -1, axis=0), np.roll(points, 1, axis=0)
+        total += 0.5 * float(np.cross(points - points[0], following - points[0]).sum(axis=0) @ section.normal)
+        parts += list(zip((one.by for one in ring), 0.5 * np.cross(following - before, section.normal), strict=True))
+    return total, _sum(parts)
+
+
+def distance(
+    hesse: FloatArray, first: int, second: int, place: FloatArray, direction: FloatArray
+) -> tuple[float, Gradient]:
+    """How far it is from one plane to another through a place, along a fixed direction, and its derivatives.
+
+    Of two planes that are nearly parallel it depends on place and direction in second order only.
+
+    Args:
+        hesse: rows (normal, d) of all planes, shape (P, 4).
+        first, second: indices of the planes.
+        place: shape (3,), m.
+        direction: unit vector from the first to the second, shape (3,).
+    """
+    ends, gradient = [], {}
+    for plane, sign in ((first, -1.0), (second, 1.0)):
+        normal, d = hesse[plane, :3], hesse[plane, 3]
+        slope = float(normal @ direction)
+        ends.append(float((d - normal @ place) / slope))
+        gradient[plane] = sign / slope * np.append(-(place + ends[-1] * direction), 1.0)
+    return ends[1] - ends[0], gradient
+
+
+def _sum(parts: Sequence[tuple[Mapping[int, FloatArray], FloatArray]]) -> Gradient:
+    total: dict[int, FloatArray] = {}
+    for by, outer in parts:
+        for plane, derivative in by.items():
+            total[plane] = total.get(plane, np.zeros(4)) + outer @ derivative
+    return total

@@ -1,0 +1,154 @@
+"""Storeys: level planes told apart by height, and the wall faces between a floor and what is above it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from slam.floorplan.faces import ALIKE_RAD, SHORT_M, Face, face_of
+from slam.floorplan.joint_planes import JointPlanes
+from slam.floorplan.quantities import Section
+from slam.geometry.frames import lift
+from slam.geometry.polygons import valid
+from spplanes._check import FloatArray
+
+#: Floors are at least this far apart, m: what is level and lower is a table or a step. No room is lower.
+STOREY_M = 2.0
+#: A normal this near to the world's z is level before the floor itself tells what is level.
+_ABOUT_LEVEL = np.cos(np.deg2rad(30.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """A level plane."""
+
+    plane: int
+    """Index of the plane."""
+    height: float
+    """Along the upward normal, m."""
+    outline: BaseGeometry
+    """What was seen of it, in (x, y) of the plan, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Storey:
+    """What was seen between one floor and the next."""
+
+    section: Section
+    """The plane that its plan is cut by."""
+    plan: FloatArray
+    """x and y axis of the plan, columns, shape (3, 2)."""
+    floor_height: float
+    """Height of the floor along the upward normal, m; of a storey without a floor 0."""
+    floors: tuple[Level, ...]
+    """Level planes seen from above: floors, tables, sills, the largest first."""
+    ceilings: tuple[Level, ...]
+    """Level planes seen from below: ceilings, lintels, the largest first."""
+    faces: tuple[Face, ...]
+    """All vertical planes of it."""
+
+    def in_plan(self, points: FloatArray) -> FloatArray:
+        """Points (..., 3) as (x, y) of the plan, m."""
+        return points @ self.plan
+
+    def over(self, outline: BaseGeometry, levels: tuple[Level, ...]) -> Level | None:
+        """The level plane that covers most of a piece of the plan; None where none covers any of it."""
+        areas = [shapely.intersection(outline, one.outline).area for one in levels]
+        best = int(np.argmax(areas)) if areas else -1
+        return levels[best] if areas and areas[best] > 0.0 else None
+
+    def walls(self) -> list[Face]:
+        """The faces that reach the ceiling before them; where no ceiling was seen, all."""
+        return [face for face in self.faces if self._reaches_ceiling(face)]
+
+    def _reaches_ceiling(self, face: Face) -> bool:
+        low, high = face.seen.bounds[0], face.seen.bounds[2]
+        ends = self.in_plan(np.array([face.point(low), face.point(high)]))
+        before = ends + SHORT_M * self.in_plan(face.normal)
+        strip = shapely.Polygon([*ends, before[1], before[0]])
+        above = self.over(strip, self.ceilings) or next(iter(self.ceilings), None)
+        return above is None or face.top >= above.height - self.floor_height - SHORT_M
+
+
+def storeys(joint: JointPlanes) -> list[Storey]:
+    """The storeys of a building, from below; one without a floor where no level plane was seen from above."""
+    up = _upward(joint)
+    plan = _plan_axes(up)
+    cosines = joint.hesse[:, :3] @ up
+    floors = [_level(joint, int(k), up, plan) for k in np.flatnonzero(cosines > np.cos(ALIKE_RAD))]
+    ceilings = [_level(joint, int(k), up, plan) for k in np.flatnonzero(cosines < -np.cos(ALIKE_RAD))]
+    grounds = _grounds(floors)
+    found = []
+    for number, ground in enumerate(grounds):
+        low = ground.height if number else -np.inf
+        high = grounds[number + 1].height if number + 1 < len(grounds) else np.inf
+        found.append(_storey(joint, up, plan, ground, low, high, floors, ceilings))
+    return found or [_storey(joint, up, plan, None, -np.inf, np.inf, floors, ceilings)]
+
+
+def _upward(joint: JointPlanes) -> FloatArray:
+    """Normal of the largest floor, of which the world's z tells that it is one; z itself without a floor."""
+    floors = [k for k in range(len(joint.planes)) if joint.hesse[k, 2] > _ABOUT_LEVEL]
+    if not floors:
+        return np.array([0.0, 0.0, 1.0])
+    return joint.hesse[max(floors, key=lambda k: joint.planes[k].seen.area), :3]
+
+
+def _plan_axes(up: FloatArray) -> FloatArray:
+    x = np.array([1.0, 0.0, 0.0]) - up[0] * up
+    x /= np.linalg.norm(x)
+    return np.column_stack((x, np.cross(up, x))).astype(np.float64)
+
+
+def _level(joint: JointPlanes, plane: int, up: FloatArray, plan: FloatArray) -> Level:
+    frame, seen = joint.planes[plane].plane.frame, valid(joint.planes[plane].seen)
+    outline = valid(shapely.transform(seen, lambda xy: lift(xy, frame) @ plan))
+    middle = lift(np.array(seen.centroid.coords), frame)[0]
+    return Level(plane, float(middle @ up), outline)
+
+
+def _grounds(floors: list[Level]) -> list[Level]:
+    """The floor of every storey, from below: the largest, then the next that is not in a storey of one before it."""
+    chosen: list[Level] = []
+    for one in _largest_first(floors):
+        if all(abs(one.height - other.height) > STOREY_M for other in chosen):
+            chosen.append(one)
+    return sorted(chosen, key=lambda one: one.height)
+
+
+def _largest_first(levels: list[Level]) -> list[Level]:
+    return sorted(levels, key=lambda one: (-one.outline.area, one.plane))
+
+
+def _storey(
+    joint: JointPlanes,
+    up: FloatArray,
+    plan: FloatArray,
+    ground: Level | None,
+    low: float,
+    high: float,
+    floors: list[Level],
+    ceilings: list[Level],
+) -> Storey:
+    floor = 0.0 if ground is None else ground.height
+    upright = [k for k in range(len(joint.planes)) if abs(joint.hesse[k, :3] @ up) < np.sin(ALIKE_RAD)]
+    loose = Section(up, floor, None)
+    made = [face_of(joint, k, loose, low, high, floor) for k in upright]
+    heights = [(f.seen.centroid.y, max(f.seen.area, 1e-6 * f.seen.length)) for f in made if f is not None]
+    middle = sum(z * w for z, w in heights) / sum(w for _, w in heights) if heights else 0.0
+    section = Section(up, floor + middle, None)
+    if ground is not None:
+        normal, d = joint.hesse[ground.plane, :3], float(joint.hesse[ground.plane, 3])
+        section = Section(normal, d + middle, ground.plane)
+    faces = [face_of(joint, k, section, low, high, floor) for k in upright]
+    return Storey(
+        section,
+        plan,
+        floor,
+        tuple(_largest_first([one for one in floors if low <= one.height < high - STOREY_M / 2.0])),
+        tuple(_largest_first([one for one in ceilings if low < one.height <= high])),
+        tuple(face for face in faces if face is not None),
+    )

@@ -1,0 +1,14 @@
+"""Occupancy: what level lasers saw as a raster of walls and free space, and how well points lie in one."""
+
+from slam.frontend.occupancy.raster import (
+    CELL_M,
+    LEVEL_COSINE,
+    LEVELS,
+    NOVEL_SHARE,
+    Raster,
+    beams_of,
+    moved,
+    view_from,
+)
+
+__all__ = ["CELL_M", "LEVELS", "LEVEL_COSINE", "NOVEL_SHARE", "Raster", "beams_of", "moved", "view_from"]

@@ -1,0 +1,222 @@
+"""Floor plans as IFC4: spaces, walls with openings, storeys; property sets carry the standard deviations."""
+
+from __future__ import annotations
+
+import hashlib
+import uuid
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slam.errors import MissingPackageError
+from slam.floorplan import FloorPlan, Quantity
+from slam.floorplan.faces import Face
+from slam.floorplan.openings import Opening
+from slam.floorplan.plan import Room, StoreyPlan
+from slam.floorplan.walls import Wall
+from slam.output.plan_drawing import room_name
+from spplanes._check import FloatArray
+
+#: Property set of what was measured: every value X has its XStandardDeviation beside it, in the same unit.
+MEASURED = "SPPlanes_Measured"
+_UNITS = (
+    ("LENGTHUNIT", "METRE"),
+    ("AREAUNIT", "SQUARE_METRE"),
+    ("VOLUMEUNIT", "CUBIC_METRE"),
+    ("PLANEANGLEUNIT", "RADIAN"),
+)
+
+
+def write_ifc(path: Path, plan: FloorPlan, verdict: str | None = None) -> None:
+    """Write a building of spaces (IfcSpace), walls (IfcWall) and openings (IfcOpeningElement), in metres.
+
+    A wall whose other side was not seen has a surface and no body, and says so in `OtherSideSeen`.
+
+    Raises:
+        MissingPackageError: ifcopenshell is not installed.
+    """
+    try:
+        import ifcopenshell
+        import ifcopenshell.guid
+    except ImportError as error:
+        raise MissingPackageError(path, "ifcopenshell", "bim", doing="writing") from error
+    building = _Building(ifcopenshell, plan, verdict or "unknown")
+    path.write_text(building.text(), encoding="utf-8")
+
+
+class _Building:
+    """An IFC file in the making. Equal plans are equal files: ids are made of what was measured."""
+
+    def __init__(self, ifc: Any, plan: FloorPlan, verdict: str) -> None:
+        self._ifc, self._plan, self._verdict = ifc, plan, verdict
+        self._file = ifc.file(schema="IFC4")
+        self._seed = hashlib.sha256(np.ascontiguousarray(plan.joint.hesse).tobytes()).hexdigest()
+        self._origin = self._placed((0.0, 0.0, 0.0))
+        self._context = self._new("IfcGeometricRepresentationContext", None, "Model", 3, 1e-6, self._origin, None)
+
+    def text(self) -> str:
+        """The file."""
+        units = [self._new("IfcSIUnit", None, kind, None, name) for kind, name in _UNITS]
+        project = self._new(
+            "IfcProject", self._id("project"), None, "spplanes", None, None, None, None, [self._context],
+            self._new("IfcUnitAssignment", units),
+        )  # fmt: skip
+        site = self._spatial("IfcSite", "site", None, (None,) * 5)
+        building = self._spatial("IfcBuilding", "building", None, (None,) * 3)
+        self._properties(building, {}, {"Verdict": self._new("IfcLabel", self._verdict)})
+        self._aggregate(project, [site])
+        self._aggregate(site, [building])
+        self._aggregate(building, [self._storey(k, one, building) for k, one in enumerate(self._plan.storeys)])
+        name = self._file.header.file_name
+        name.name, name.time_stamp = "building.ifc", "1970-01-01T00:00:00"
+        return self._file.to_string()
+
+    def _storey(self, number: int, plan: StoreyPlan, building: Any) -> Any:
+        height = 0.0 if plan.elevation is None else plan.elevation.value
+        storey = self._spatial("IfcBuildingStorey", f"storey {number}", building, (height,), (0.0, 0.0, height))
+        self._properties(storey, {"Elevation": plan.elevation})
+        rooms = [self._room(f"storey {number}/{room_name(k)}", one, plan, storey) for k, one in enumerate(plan.rooms)]
+        walls = [self._wall(f"storey {number}/wall {k + 1}", one, plan, storey) for k, one in enumerate(plan.walls)]
+        hosts = {id(wall): element for wall, element in zip(plan.walls, walls, strict=True)}
+        for k, opening in enumerate(plan.openings):
+            if opening.wall is not None:
+                self._opening(f"storey {number}/opening {k + 1}", opening, plan, hosts[id(opening.wall)], storey)
+        faces = [
+            self._face(f"storey {number}/face {k + 1}", face, span, plan, storey)
+            for k, (face, span) in enumerate(plan.single)
+        ]
+        self._aggregate(storey, rooms)
+        if walls + faces:
+            identity = self._id(f"in storey {number}")
+            self._new("IfcRelContainedInSpatialStructure", identity, None, None, None, walls + faces, storey)
+        return storey
+
+    def _room(self, name: str, room: Room, plan: StoreyPlan, storey: Any) -> Any:
+        height = room.height.value if room.height is not None else _height_over(plan, [room])
+        rings = [plan.storey.in_plan(ring) for ring in room.outline]
+        space = self._element("IfcSpace", name, storey, self._body(rings, 0.0, height), ("ELEMENT", "INTERNAL", None))
+        measures = {"NetFloorArea": room.area, "Height": room.height}
+        measures |= {f"Width{k + 1}": one.distance for k, one in enumerate(room.widths)}
+        sides = [side for ring in room.rings for side in ring]
+        self._properties(space, measures | {f"Side{k + 1}Length": one.length for k, one in enumerate(sides)})
+        self._quantities(space, "Qto_SpaceBaseQuantities", {"NetFloorArea": room.area, "Height": room.height})
+        return space
+
+    def _wall(self, name: str, wall: Wall, plan: StoreyPlan, storey: Any) -> Any:
+        body = self._body([plan.storey.in_plan(wall.outline)], 0.0, _height_at(plan, (wall.front, wall.back)))
+        element = self._element("IfcWall", name, storey, body, (None, "SOLIDWALL"))
+        self._properties(element, {"Thickness": wall.thickness}, {"OtherSideSeen": self._new("IfcBoolean", True)})
+        self._quantities(element, "Qto_WallBaseQuantities", {"Width": wall.thickness})
+        return element
+
+    def _face(self, name: str, face: Face, span: tuple[float, float], plan: StoreyPlan, storey: Any) -> Any:
+        ends, height = plan.storey.in_plan(np.array([face.point(s) for s in span])), _height_at(plan, (face,))
+        corners = [(*ends[0], 0.0), (*ends[1], 0.0), (*ends[1], height), (*ends[0], height)]
+        loop = self._new("IfcPolyLoop", [self._point(corner) for corner in corners])
+        surface = self._new("IfcFace", [self._new("IfcFaceOuterBound", loop, True)])
+        model = self._new("IfcFaceBasedSurfaceModel", [self._new("IfcConnectedFaceSet", [surface])])
+        shape = self._new("IfcShapeRepresentation", self._context, "Surface", "SurfaceModel", [model])
+        element = self._element("IfcWall", name, storey, shape, (None, "NOTDEFINED"))
+        self._properties(element, {}, {"OtherSideSeen": self._new("IfcBoolean", False)})
+        return element
+
+    def _opening(self, name: str, opening: Opening, plan: StoreyPlan, wall: Any, storey: Any) -> None:
+        low = opening.sill.value if opening.sill is not None else opening.seen_from_m
+        high = opening.height.value if opening.height is not None else opening.seen_to_m
+        if high is None:
+            high = _height_at(plan, (opening.face,))
+        outline = plan.storey.in_plan(opening.outline)
+        through = outline + 0.05 * (outline - outline.mean(axis=0)) @ _across(outline)
+        element = self._element("IfcOpeningElement", name, storey, self._body([through], low, high), (None, "OPENING"))
+        self._properties(element, {"Width": opening.width, "LintelHeight": opening.height, "SillHeight": opening.sill})
+        self._new("IfcRelVoidsElement", self._id(f"{name} in wall"), None, None, None, wall, element)
+
+    def _properties(self, owner: Any, measures: Mapping[str, Quantity | None], others: Mapping[str, Any] = {}) -> None:
+        """What was measured, each value with its standard deviation; what was not is left out."""
+        made = [self._new("IfcPropertySingleValue", name, None, value, None) for name, value in others.items()]
+        for name, one in measures.items():
+            if one is None:
+                continue
+            kind = "IfcAreaMeasure" if name.endswith("Area") else "IfcLengthMeasure"
+            for suffix, value in (("", one.value), ("StandardDeviation", one.sigma)):
+                made.append(
+                    self._new("IfcPropertySingleValue", name + suffix, None, self._new(kind, float(value)), None)
+                )
+        if made:
+            self._defines(
+                owner, self._new("IfcPropertySet", self._id(f"{owner.Name} measured"), None, MEASURED, None, made)
+            )
+
+    def _quantities(self, owner: Any, name: str, measures: Mapping[str, Quantity | None]) -> None:
+        made = []
+        for key, one in measures.items():
+            if one is not None:
+                kind = "IfcQuantityArea" if key.endswith("Area") else "IfcQuantityLength"
+                made.append(self._new(kind, key, f"{one}", None, float(one.value), None))
+        identity = self._id(f"{owner.Name} quantities")
+        self._defines(owner, self._new("IfcElementQuantity", identity, None, name, None, None, made))
+
+    def _defines(self, owner: Any, definition: Any) -> None:
+        identity = self._id(f"{owner.Name} {definition.Name} defines")
+        self._new("IfcRelDefinesByProperties", identity, None, None, None, [owner], definition)
+
+    def _spatial(
+        self, kind: str, name: str, parent: Any, more: tuple[Any, ...], at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> Any:
+        placement = self._new("IfcLocalPlacement", parent and parent.ObjectPlacement, self._placed(at))
+        return self._new(kind, self._id(name), None, name, None, None, placement, None, None, "ELEMENT", *more)
+
+    def _element(self, kind: str, name: str, storey: Any, shape: Any, more: tuple[Any, ...]) -> Any:
+        placement = self._new("IfcLocalPlacement", storey.ObjectPlacement, self._origin)
+        product = self._new("IfcProductDefinitionShape", None, None, [shape])
+        if kind == "IfcSpace":
+            return self._new(kind, self._id(name), None, name, None, None, placement, product, None, *more)
+        return self._new(kind, self._id(name), None, name, None, None, placement, product, *more)
+
+    def _body(self, rings: list[FloatArray], low: float, high: float) -> Any:
+        """A prism over rings (N, 2) from one height above the floor to another."""
+        lines = [self._new("IfcPolyline", [self._point(xy) for xy in (*ring, ring[0])]) for ring in rings]
+        if len(lines) == 1:
+            profile = self._new("IfcArbitraryClosedProfileDef", "AREA", None, lines[0])
+        else:
+            profile = self._new("IfcArbitraryProfileDefWithVoids", "AREA", None, lines[0], lines[1:])
+        up = self._new("IfcDirection", (0.0, 0.0, 1.0))
+        solid = self._new("IfcExtrudedAreaSolid", profile, self._placed((0.0, 0.0, low)), up, float(high - low))
+        return self._new("IfcShapeRepresentation", self._context, "Body", "SweptSolid", [solid])
+
+    def _aggregate(self, whole: Any, parts: list[Any]) -> None:
+        if parts:
+            self._new("IfcRelAggregates", self._id(f"{whole.Name} parts"), None, None, None, whole, parts)
+
+    def _placed(self, at: Iterable[float]) -> Any:
+        return self._new("IfcAxis2Placement3D", self._point(at), None, None)
+
+    def _point(self, at: Iterable[float]) -> Any:
+        return self._new("IfcCartesianPoint", tuple(float(x) for x in at))
+
+    def _id(self, name: str) -> str:
+        return self._ifc.guid.compress(uuid.uuid5(uuid.NAMESPACE_OID, f"{self._seed}/{name}").hex)
+
+    def _new(self, kind: str, *values: Any) -> Any:
+        return self._file.create_entity(kind, *values)
+
+
+def _across(outline: FloatArray) -> FloatArray:
+    """Projection (2, 2) on the way through a wall, of an opening's corners (4, 2)."""
+    way = outline[0] - outline[3]
+    way = way / np.linalg.norm(way)
+    return np.outer(way, way)
+
+
+def _height_at(plan: StoreyPlan, faces: Iterable[Face]) -> float:
+    """Height of the rooms that faces are sides of; of the faces as they were seen where there is none."""
+    faces = list(faces)
+    rooms = [room for room in plan.rooms if any(side.face in faces for ring in room.rings for side in ring)]
+    return _height_over(plan, rooms) if rooms else max(face.top for face in faces)
+
+
+def _height_over(plan: StoreyPlan, rooms: list[Room]) -> float:
+    heights = [room.height.value for room in rooms if room.height is not None]
+    return max(heights) if heights else max(side.face.top for room in rooms for ring in room.rings for side in ring)

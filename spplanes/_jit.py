@@ -1,0 +1,87 @@
+"""`numba.njit`, for whose functions a wheel may bring the machine code: then nothing is compiled where it is installed.
+
+Numba keeps what it compiled in a cache, and knows it again by the source, the version of numba, the types of the
+arguments, and the processor. A wheel is built on one machine and used on another, so its kernels are compiled for a
+processor that both have something of (`PORTABLE`), and looked for under that name before numba's own cache is. What a
+wheel does not bring, or was brought for another numba, Python or processor, is compiled at the first call as ever.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numba
+from numba import config
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+#: Where a wheel has its kernels, a folder for every module.
+BROUGHT = Path(__file__).parent / "_compiled"
+
+
+class Processor(NamedTuple):
+    """What code is compiled for, in terms of LLVM."""
+
+    name: str
+    """NUMBA_CPU_NAME."""
+    features: str
+    """NUMBA_CPU_FEATURES: what is added to the name."""
+    needs: frozenset[str]
+    """What a processor must have for such code to run on it."""
+
+
+_V3 = "avx avx2 bmi bmi2 cx16 f16c fma lzcnt movbe popcnt sahf sse3 sse4.1 sse4.2 ssse3 xsave"
+_X86 = Processor("x86-64-v3", "", frozenset(_V3.split()))  # Intel since 2013, AMD since 2015
+#: By machine; any other has its plain instructions, which all of its kind have.
+_PORTABLE = {"x86_64": _X86, "AMD64": _X86}
+PORTABLE = _PORTABLE.get(platform.machine(), Processor("generic", "", frozenset()))
+
+#: Every kernel that was imported, in that order.
+KERNELS: list[Any] = []
+
+
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """A decorator: `numba.njit` with these options, and with what a wheel brings."""
+
+    def kernel_of(function: Callable[..., Any]) -> Any:
+        kernel: Any = numba.njit(**options)(function)
+        if not config.DISABLE_JIT:  # type: ignore[attr-defined]
+            if options.get("cache") and _are_brought():
+                kernel._cache = _BroughtCache(function)
+            KERNELS.append(kernel)
+        return kernel
+
+    return kernel_of
+
+
+@cache
+def _are_brought() -> bool:
+    """Whether there are kernels here that this processor can run, and nobody asked for those of another."""
+    if not BROUGHT.is_dir() or config.CPU_NAME is not None or config.CPU_FEATURES is not None:  # type: ignore[attr-defined]
+        return False
+    from llvmlite.binding import get_host_cpu_features
+
+    try:
+        features = get_host_cpu_features()
+    except RuntimeError:  # LLVM does not know this machine
+        return not PORTABLE.needs
+    return all(features.get(one) for one in PORTABLE.needs)
+
+
+class _BroughtCache(FunctionCache):
+    """Numba's cache of one function, which looks first among what the wheel brought."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        place = BROUGHT / function.__module__
+        self._brought = IndexDataCacheFile(str(place), self._impl.filename_base, self._impl.locator.get_source_stamp())
+
+    def _load_overload(self, sig: Any, target_context: Any) -> Any:
+        (triple, *_), code = self._index_key(sig, target_context.codegen())[1:]
+        data = self._brought.load((sig, (triple, PORTABLE.name, PORTABLE.features), code))
+        if data is not None:
+            return self._impl.rebuild(target_context, data)
+        return super()._load_overload(sig, target_context)

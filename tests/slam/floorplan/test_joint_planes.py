@@ -1,0 +1,92 @@
+"""The joint covariance of a map's planes: its blocks, its derivatives, and how sure it makes the rooms of offices."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+
+from benchmarks.floorplans import Measured, mapped, nees_of, pairs_of, plan_of
+from slam.floorplan import joint_planes
+from slam.mapping.same_plane import hesse_in_world
+from slam.planeslam import PlaneSlam
+from tests.statistics import assert_jacobian, mean_nees_band
+
+SEEDS = 3
+
+
+@pytest.fixture(scope="module")
+def suites() -> list[Measured]:
+    return [Measured.of(seed, spacing_m=0.8, rooms_a_side=1) for seed in range(SEEDS)]
+
+
+@pytest.fixture(scope="module")
+def maps(suites: list[Measured]) -> list[PlaneSlam]:
+    return [mapped(one.drawn()) for one in suites]
+
+
+class At:
+    """A state with one landmark and its anchor moved by tangents."""
+
+    def __init__(self, slam: PlaneSlam, landmark, step: np.ndarray) -> None:
+        anchor = gtsam.Pose3(slam.backend.pose(landmark.anchor_key))
+        self._pose = anchor.retract(step[3:]).matrix()
+        self._plane = slam.backend.plane(landmark.key).retract(step[:3])
+
+    def pose(self, key: int) -> np.ndarray:
+        return self._pose
+
+    def plane(self, key: int) -> gtsam.OrientedPlane3:
+        return self._plane
+
+
+def test_planes_in_the_world_by_central_differences(maps: list[PlaneSlam]):
+    slam = maps[0]
+    for landmark in slam.landmarks:
+
+        def hesse(step: np.ndarray, landmark=landmark) -> np.ndarray:
+            normal, d, _, _ = hesse_in_world(landmark, At(slam, landmark, step))  # type: ignore
+            return np.append(normal, d)
+
+        _, _, jacobian, keys = hesse_in_world(landmark, slam.backend)
+        assert keys == [landmark.key, landmark.anchor_key]
+        assert_jacobian(hesse, np.zeros(9), jacobian, atol=1e-7)
+
+
+def test_blocks_are_the_covariances_of_the_map(maps: list[PlaneSlam]):
+    slam = maps[0]
+    joint = joint_planes(slam.planes, slam.landmarks, slam.backend)
+    for k, one in enumerate(slam.planes):
+        block = joint.covariance[4 * k : 4 * k + 4, 4 * k : 4 * k + 4]
+        np.testing.assert_allclose(block, one.plane.hesse_covariance, rtol=1e-4, atol=1e-12)
+        np.testing.assert_allclose(joint.hesse[k], [*one.plane.normal, one.plane.d], atol=1e-9)
+    assert np.linalg.eigvalsh(joint.covariance).min() > -1e-12
+
+
+def test_measures_of_offices_are_as_sure_as_they_say(suites: list[Measured], maps: list[PlaneSlam]):
+    """Of observations whose covariance is right; over 50 seeds `python -m benchmarks.floorplans` does the same."""
+    total: dict[str, list[tuple[float, int]]] = {}
+    for measured, slam in zip(suites, maps, strict=True):
+        plan = plan_of(slam)
+        for kind, pairs in pairs_of(measured.suite, plan).items():
+            total.setdefault(kind, []).append(nees_of(plan.joint, pairs))
+        assert len(plan.storeys[0].rooms) == 3
+        assert len(plan.storeys[0].openings) == 2
+    for kind, found in total.items():
+        nees, dof = (sum(column) for column in zip(*found, strict=True))
+        low, high = mean_nees_band(1, int(dof))
+        assert low <= nees <= high, f"{kind}: {nees:.1f} of {dof} outside [{low:.1f}, {high:.1f}]"
+
+
+def test_what_segmentation_adds_stays_below_a_millimetre(suites: list[Measured]):
+    """End to end: rooms are those of the suite, and right to 1 mm and 20 cm^2."""
+    plan = plan_of(mapped(suites[0].keyframes))
+    pairs = pairs_of(suites[0].suite, plan)
+    assert len(pairs["area"]) == 3
+    for kind, limit in (("width", 1e-3), ("height", 1e-3), ("thickness", 1e-3), ("opening", 1e-3), ("area", 2e-3)):
+        assert max(abs(one.value - true) for one, true in pairs[kind]) < limit
+
+
+def test_no_planes_have_no_covariance():
+    slam = PlaneSlam()
+    assert joint_planes([], slam.landmarks, slam.backend).covariance.shape == (0, 0)

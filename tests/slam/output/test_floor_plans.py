@@ -1,0 +1,254 @@
+"""Floor plans as DXF, SVG and IFC, read back; and from the folder of a run."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections import defaultdict
+from itertools import pairwise
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from slam.cli import main
+from slam.errors import LogError, MissingPackageError
+from slam.floorplan import FloorPlan, floor_plan
+from slam.output.export import check_target
+from slam.output.plan_dxf import write_dxf
+from slam.output.plan_ifc import MEASURED, write_ifc
+from slam.output.plan_svg import write_svg
+from slam.runs.stored_plan import stored_floor_plan
+from slam.runs.stored_run import StoredRun
+from slam.simulation import Mission
+from slam.simulation.record import Plan, record
+from slam.simulation.rigs import spinning_rig
+from slam.simulation.suite import Suite
+from tests.slam.floorplan.buildings import joint_of, planes_of
+
+SPACING_M = 0.8
+
+
+@pytest.fixture(scope="module")
+def plan() -> FloorPlan:
+    """Two storeys."""
+    return floor_plan(joint_of(planes_of() + planes_of(floor_m=3.0)))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run of a robot through a corridor and two rooms."""
+    folder, suite = tmp_path_factory.mktemp("suite"), Suite.drawn(np.random.default_rng(1), rooms_a_side=1)
+    way = suite.path()
+    log, truth = record(Plan("suite", suite.world(), way, spinning_rig(), SPACING_M), int(way.length_m / SPACING_M), 1)
+    Mission(log, spinning_rig(), truth).save(folder / "log")
+    assert command("slam", folder / "log", "--out", folder / "run") == 0
+    return folder / "run"
+
+
+def command(*words: object) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main([str(word) for word in words])
+    return int(stop.value.code or 0)
+
+
+def texts(plan: FloorPlan) -> list[str]:
+    """Everything measured that stands in a drawing."""
+    found = []
+    for storey in plan.storeys:
+        for room in storey.rooms:
+            found += [str(w.distance) for w in room.widths] + [str(s.length) for ring in room.rings for s in ring]
+            found += [f"{room.area} m2", f"height {room.height} m"]
+        found += [str(wall.thickness) for wall in storey.walls]
+        found += [str(opening.width) for opening in storey.openings]
+        found += [f"lintel {opening.height}" for opening in storey.openings]
+    return found
+
+
+def shoelace(points: np.ndarray) -> float:
+    return 0.5 * abs(sum(a[0] * b[1] - a[1] * b[0] for a, b in pairwise([*points, points[0]])))
+
+
+def groups_of(path: Path) -> list[list[tuple[int, str]]]:
+    """Entities of the model space as group codes and values: a DXF is lines in pairs, whoever wrote it."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    pairs = [(int(code), value) for code, value in zip(lines[::2], lines[1::2], strict=True)]
+    begin = pairs.index((2, "ENTITIES"))
+    end = pairs.index((0, "ENDSEC"), begin)
+    entities: list[list[tuple[int, str]]] = []
+    for code, value in pairs[begin + 1 : end]:
+        if code == 0:
+            entities.append([])
+        entities[-1].append((code, value))
+    return entities
+
+
+def test_a_dxf_read_without_its_writer(plan: FloorPlan, tmp_path: Path):
+    pytest.importorskip("ezdxf")
+    write_dxf(tmp_path / "plan.dxf", plan)
+    by_layer = defaultdict(list)
+    for entity in groups_of(tmp_path / "plan.dxf"):
+        by_layer[dict(entity)[8], dict(entity)[0]].append(entity)
+    for number, height in ((0, 0.0), (1, 3.0)):
+        rooms = by_layer[f"S{number}-ROOM", "LWPOLYLINE"]
+        for one in rooms:
+            assert (70, "1") in one  # closed
+            assert float(dict(one).get(38, 0.0)) == pytest.approx(height)
+        xy = [np.array([[float(v) for c, v in one if c == axis] for axis in (10, 20)]).T for one in rooms]
+        assert sorted(shoelace(points) for points in xy) == pytest.approx([12.0, 12.0, 17.5])
+        walls = [np.array([[float(v) for c, v in one if c == axis] for axis in (10, 20)]).T
+                 for one in by_layer[f"S{number}-WALL", "LWPOLYLINE"]]  # fmt: skip
+        assert sum(shoelace(points) for points in walls) == pytest.approx(0.2 * (4.0 - 0.9 + 5.0 - 1.0), abs=1e-6)
+        dimensions = by_layer[f"S{number}-DIMENSION", "DIMENSION"]
+        for one in dimensions:
+            values = dict(one)
+            ends = [np.array([float(values[c]) for c in codes]) for codes in ((13, 23, 33), (14, 24, 34))]
+            measured = float(values[1].split(" +- ")[0])
+            assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(measured, abs=6e-4)
+            assert [end[2] for end in ends] == pytest.approx([height] * 2)
+    written = "\n".join(
+        value for entity in groups_of(tmp_path / "plan.dxf") for code, value in entity if code in (1, 3)
+    )
+    assert all(text in written for text in texts(plan))
+
+
+def test_a_dxf_passes_the_audit_and_is_the_same_again(plan: FloorPlan, tmp_path: Path):
+    ezdxf = pytest.importorskip("ezdxf")
+    for name in ("one.dxf", "other.dxf"):
+        write_dxf(tmp_path / name, plan)
+    audit = ezdxf.readfile(tmp_path / "one.dxf").audit()
+    assert (audit.errors, audit.fixes) == ([], [])
+    assert (tmp_path / "one.dxf").read_bytes() == (tmp_path / "other.dxf").read_bytes()
+
+
+def test_an_svg(plan: FloorPlan, tmp_path: Path):
+    write_svg(tmp_path / "plan.svg", plan, "broken")
+    root = ElementTree.parse(tmp_path / "plan.svg").getroot()
+    space = "{http://www.w3.org/2000/svg}"
+    storeys = root.findall(f"{space}g")
+    assert [float(one.attrib["data-elevation"]) for one in storeys] == pytest.approx([0.0, 3.0])
+    for storey in storeys:
+        paths = [one.attrib["d"] for one in storey.findall(f"{space}path") if one.attrib["class"] == "room"]
+        areas = [shoelace(np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", d), dtype=float)) / 400.0 for d in paths]
+        assert sorted(areas) == pytest.approx([12.0, 12.0, 17.5], abs=1e-3)  # 20 mm are 1 m
+    written = "\n".join(one.text or "" for one in root.iter(f"{space}text"))
+    assert all(text in written for text in texts(plan))
+    assert written.count("the run calls its map broken") == 2
+
+
+STEP = re.compile(r"^#(\d+)=(\w+)\((.*)\);$")
+
+
+def instances_of(path: Path) -> dict[str, tuple[str, str]]:
+    """Instances of a STEP file (ISO 10303-21) as number: (type, arguments), by its text alone."""
+    found = (STEP.match(line) for line in path.read_text(encoding="utf-8").splitlines())
+    return {one[1]: (one[2], one[3]) for one in found if one}
+
+
+def test_an_ifc_read_without_its_writer(plan: FloorPlan, tmp_path: Path):
+    """Every value and its standard deviation, followed from the property sets' relations."""
+    pytest.importorskip("ifcopenshell")
+    write_ifc(tmp_path / "building.ifc", plan)
+    step = instances_of(tmp_path / "building.ifc")
+    by_name: dict[str, dict[str, float]] = {}
+    for kind, arguments in step.values():
+        if kind == "IFCRELDEFINESBYPROPERTIES":
+            owner, definition = re.findall(r"#(\d+)", arguments)[-2:]
+            if f"'{MEASURED}'" not in step[definition][1]:
+                continue
+            name = re.findall(r"'([^']*)'", step[owner][1])[1]
+            parts = [step[number][1] for number in re.findall(r"#(\d+)", step[definition][1])]
+            numbers = [re.match(r"'(\w+)',\$,IFC(?:LENGTH|AREA)MEASURE\(([^)]*)\)", part) for part in parts]
+            by_name[name] = {one[1]: float(one[2]) for one in numbers if one}
+    for number, storey in enumerate(plan.storeys):
+        for k, room in enumerate(storey.rooms):
+            read = by_name[f"storey {number}/room {k + 1}"]
+            assert read["NetFloorArea"] == pytest.approx(room.area.value, rel=1e-12)
+            assert read["NetFloorAreaStandardDeviation"] == pytest.approx(room.area.sigma, rel=1e-12)
+            assert read["Width2StandardDeviation"] == pytest.approx(room.widths[1].distance.sigma, rel=1e-12)
+            assert room.height is not None and read["Height"] == pytest.approx(room.height.value, rel=1e-12)
+        for k, wall in enumerate(storey.walls):
+            read = by_name[f"storey {number}/wall {k + 1}"]
+            assert read == pytest.approx(
+                {"Thickness": wall.thickness.value, "ThicknessStandardDeviation": wall.thickness.sigma}
+            )
+        assert len([name for name in by_name if name.startswith(f"storey {number}/opening")]) == 2
+    upper = plan.storeys[1].elevation
+    assert upper is not None and by_name["storey 1"]["ElevationStandardDeviation"] == pytest.approx(upper.sigma)
+
+
+def test_an_ifc_is_valid_and_has_the_volumes(plan: FloorPlan, tmp_path: Path):
+    ifc = pytest.importorskip("ifcopenshell")
+    from ifcopenshell import geom, validate
+    from ifcopenshell.util import shape
+
+    for name in ("one.ifc", "other.ifc"):
+        write_ifc(tmp_path / name, plan)
+    assert (tmp_path / "one.ifc").read_bytes() == (tmp_path / "other.ifc").read_bytes()
+    file, logger = ifc.open(tmp_path / "one.ifc"), validate.json_logger()
+    validate.validate(file, logger)
+    assert logger.statements == []
+    volumes = [shape.get_volume(geom.create_shape(geom.settings(), one).geometry) for one in file.by_type("IfcSpace")]
+    assert sorted(volumes) == pytest.approx(sorted(2.5 * area for area in (12.0, 12.0, 17.5) * 2))
+    solid = [one for one in file.by_type("IfcWall") if one.PredefinedType == "SOLIDWALL"]
+    volumes = [shape.get_volume(geom.create_shape(geom.settings(), one).geometry) for one in solid]
+    assert sorted(volumes[:2]) == pytest.approx([0.2 * (4.0 * 2.5 - 0.9 * 2.05), 0.2 * (5.0 * 2.5 - 1.0 * 2.05)])
+    assert [one.Elevation for one in file.by_type("IfcBuildingStorey")] == pytest.approx([0.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("write", "package", "name"), [(write_dxf, "ezdxf", "plan.dxf"), (write_ifc, "ifcopenshell", "plan.ifc")]
+)
+def test_a_package_that_is_missing_is_named(
+    write, package: str, name: str, plan: FloorPlan, tmp_path: Path, monkeypatch
+):
+    for module in [module for module in sys.modules if module.split(".")[0] == package]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingPackageError, match=rf"needs {package}: pip install 'spplanes\[bim\]'"):
+        write(tmp_path / "plan", plan)
+    monkeypatch.setattr("slam.output.export.find_spec", lambda _: None)
+    with pytest.raises(MissingPackageError, match=f"{name}: writing this needs"):
+        check_target(tmp_path / name, overwrite=False)
+
+
+def test_a_run_is_exported(run: Path, tmp_path: Path):
+    pytest.importorskip("ezdxf")
+    pytest.importorskip("ifcopenshell")
+    targets = [tmp_path / name for name in ("plan.dxf", "plan.svg", "building.IFC")]
+    assert command("export", run, *[word for one in targets for word in ("--to", one)]) == 0
+    assert all(one.stat().st_size > 3000 for one in targets)
+    assert "room 3" in targets[1].read_text()
+
+
+def test_the_plan_of_a_run_is_that_of_its_planes(run: Path):
+    stored = StoredRun.read(run)
+    plan = stored_floor_plan(stored)
+    suite = Suite.drawn(np.random.default_rng(1), rooms_a_side=1)
+    true = sorted(room.area_m2 for room in (suite.corridor, *suite.rooms))
+    assert sorted(room.area.value for room in plan.storeys[0].rooms) == pytest.approx(true, abs=0.01)
+    assert [one.id for one in plan.joint.planes] == [one.id for one in stored.planes]
+
+
+def test_a_run_without_session_says_so(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    for name in ("planes.json", "trajectory.tum", "metrics.json"):
+        (bare / name).write_bytes((run / name).read_bytes())
+    assert command("export", bare, "--to", tmp_path / "plan.svg") == 2
+    assert "expected a run with its session.db, from which the joint covariance" in capsys.readouterr().err
+    assert not (tmp_path / "plan.svg").exists()
+
+
+def test_planes_that_are_not_the_session_s_are_refused(run: Path, tmp_path: Path):
+    other = tmp_path / "other"
+    other.mkdir()
+    for name in ("trajectory.tum", "metrics.json", "session.db"):
+        (other / name).write_bytes((run / name).read_bytes())
+    planes = json.loads((run / "planes.json").read_text())
+    planes["planes"] = planes["planes"][1:]
+    (other / "planes.json").write_text(json.dumps(planes))
+    with pytest.raises(LogError, match=r"expected a session that leads to the run's planes.json, got other planes"):
+        stored_floor_plan(StoredRun.read(other))

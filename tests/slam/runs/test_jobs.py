@@ -1,0 +1,90 @@
+"""A run by several processes is the run by one, to the bit."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam.config import SlamConfig
+from slam.frontend.keyframes import keyframes_of
+from slam.io.load import load
+from slam.runs.slam_run import Run, run_slam
+from slam.session._codec import encode
+from slam.simulation import Mission, simulate_mission
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux only")
+
+
+@pytest.fixture(scope="module", params=["corridor", "room", "hall"])
+def mission(request: pytest.FixtureRequest) -> Mission:
+    return simulate_mission(request.param, n_scans={"corridor": 80, "room": 120, "hall": 8}[request.param], seed=3)
+
+
+def told(run: Run) -> list[bytes]:
+    """Everything that a run came to, as bytes."""
+    planes = [repr(one.plane.to_dict()).encode() for one in run.planes]
+    return [run.trajectory.poses.tobytes(), *planes, *(encode(list(one)) for one in run.slam.decisions)]
+
+
+def test_keyframes_are_the_same_however_many_measure(mission: Mission):
+    alone = list(keyframes_of(mission.log, mission.rig, SlamConfig()))
+    assert len(alone) > 3
+    for jobs in (2, 3):
+        shared = list(keyframes_of(mission.log, mission.rig, SlamConfig(), jobs=jobs))
+        assert len(shared) == len(alone)
+        for one, other in zip(shared, alone, strict=True):
+            assert encode(one.observations) == encode(other.observations)
+            assert all(a is b for a, b in zip(one.scans, other.scans, strict=True))
+            assert (one.motion is None) == (other.motion is None)
+            if one.motion is not None and other.motion is not None:
+                assert encode(one.motion) == encode(other.motion)
+            assert (one.returns is None) == (other.returns is None)
+            assert one.returns is None or np.array_equal(one.returns, other.returns)
+            assert one.notes == other.notes
+
+
+def test_a_run_is_the_same_however_many_measure(mission: Mission):
+    runs = [run_slam(mission.log, mission.rig, SlamConfig(), jobs=jobs) for jobs in (1, 2, 3)]
+    assert len(runs[0].trajectory) > 3 and runs[0].planes
+    assert told(runs[0]) == told(runs[1]) == told(runs[2])
+
+
+def test_fewer_than_one_job_is_refused(mission: Mission):
+    with pytest.raises(ValueError, match="jobs: expected"):
+        run_slam(mission.log, mission.rig, SlamConfig(), jobs=0)
+
+
+def test_scans_on_the_disk_are_read_by_all_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A file's position is one for all processes that were forked with it open."""
+    monkeypatch.setattr("slam.io.spool._IN_MEMORY_BYTES", 1 << 10)
+    mission = simulate_mission("room", n_scans=120, seed=0)
+    mission.save(tmp_path / "room")
+    alone, shared = (list(keyframes_of(*load(tmp_path / "room"), SlamConfig(), jobs=jobs)) for jobs in (1, 3))
+    assert [encode(one.observations) for one in alone] == [encode(one.observations) for one in shared]
+
+
+def test_a_run_that_was_killed_is_resumed_at_once(tmp_path: Path):
+    """Nor do the processes outlive it that measure, nor is the session theirs."""
+    simulate_mission("corridor", n_scans=300, seed=0).save(tmp_path / "log")
+    words = [sys.executable, "-m", "slam.cli", "slam"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
+    quiet = {"env": environment, "cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    run = subprocess.Popen([*words, "log", "--out", "killed", "--jobs", "2"], **quiet)  # type: ignore[call-overload]
+    while run.poll() is None and not (tmp_path / "killed/session.db-wal").exists():
+        time.sleep(0.01)
+    time.sleep(0.5)
+    assert run.poll() is None
+    run.send_signal(signal.SIGKILL)
+    run.wait()
+    for out, more in (("killed", ["--resume", "killed"]), ("whole", ["log", "--out", "whole", "--jobs", "1"])):
+        done = subprocess.run([*words, *more], check=False, **quiet)  # type: ignore[call-overload]
+        assert done.returncode == 0, (out, done.stderr)
+    for name in ("planes.json", "trajectory.tum", "graph.g2o"):
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

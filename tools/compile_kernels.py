@@ -1,0 +1,229 @@
+"""Compile the kernels: small jobs that call them all, several at a time, each in a process of its own.
+
+Usage: python tools/compile_kernels.py [--jobs N] [--run JOB]... [--into FOLDER]
+
+Without `--into` the machine code is where numba keeps it, beside the sources: what `make demo` does once, so that
+nothing that follows waits. With `--into` it is compiled for a processor that others have too (`spplanes._jit`), and
+what is called from Python is copied into FOLDER: what a wheel brings.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import io
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parent.parent
+PACKAGES = ("spplanes", "factors", "slam")
+
+
+def main() -> int:
+    """Read the command line; exit code 1 where a job failed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes at a time")
+    parser.add_argument("--run", choices=sorted(JOBS), action="append", help="these jobs alone")
+    parser.add_argument("--into", type=Path, help="folder for the kernels of a wheel")
+    parser.add_argument("--here", action="store_true", help="run the jobs in this process")
+    parser.add_argument("--copy-to", type=Path, help="with --here: copy what they called into this folder")
+    given = parser.parse_args()
+    names = tuple(given.run or JOBS)
+    if given.here:
+        for name in names:
+            run(name)
+        if given.copy_to:
+            copy_called(given.copy_to)
+        return 0
+    if given.into is None:
+        return spawn_all(names, given.jobs, os.environ)
+    return compile_into(given.into, names, given.jobs)
+
+
+def compile_into(folder: Path, names: tuple[str, ...], jobs: int) -> int:
+    """All kernels for a portable processor; what is compiled is kept in `build/` until a source changes."""
+    sys.path.insert(0, str(PROJECT))
+    from spplanes._jit import PORTABLE
+
+    processor = {"NUMBA_CPU_NAME": PORTABLE.name, "NUMBA_CPU_FEATURES": PORTABLE.features}
+    kept = PROJECT / "build" / "kernels" / digest_of_sources()
+    environment = {**os.environ, **processor, "NUMBA_CACHE_DIR": str(kept)}
+    code = spawn_all(names, jobs, environment)
+    if code:
+        return code
+    words = ["--here", *(f"--run={name}" for name in names), f"--copy-to={folder}"]
+    return subprocess.run([sys.executable, __file__, *words], env=with_path(environment), check=False).returncode
+
+
+def digest_of_sources() -> str:
+    """Of all modules: numba looks at a kernel's own module alone, not at those it calls into."""
+    state = hashlib.sha256()
+    for path in sorted(one for package in PACKAGES for one in (PROJECT / package).rglob("*.py")):
+        state.update(path.read_bytes())
+    return state.hexdigest()[:16]
+
+
+def with_path(environment: dict[str, str] | os._Environ[str]) -> dict[str, str]:
+    """An environment whose Python finds the packages of this clone, and uses one core."""
+    return {**environment, "PYTHONPATH": str(PROJECT), "OMP_NUM_THREADS": "1"}
+
+
+def spawn_all(names: tuple[str, ...], jobs: int, environment: dict[str, str] | os._Environ[str]) -> int:
+    """Run jobs, so many at a time, with a line that says how far they are."""
+    waiting, running, start = list(names), {}, time.perf_counter()
+    show = sys.stderr.isatty()
+    print(f"compiling the kernels, once ({min(jobs, len(names))} processes) ...", file=sys.stderr)
+    failed = 0
+    while waiting or running:
+        while waiting and len(running) < max(jobs, 1):
+            name = waiting.pop(0)
+            words = [sys.executable, __file__, "--here", f"--run={name}"]
+            running[name] = subprocess.Popen(words, env=with_path(environment))
+        for name, process in list(running.items()):
+            if process.poll() is not None:
+                del running[name]
+                failed |= process.returncode != 0
+        done = len(names) - len(waiting) - len(running)
+        if show:
+            far = f"{done} of {len(names)} done, {time.perf_counter() - start:.0f} s: {', '.join(running):.50}"
+            print(f"\r{far}\033[K", end="", file=sys.stderr)
+        time.sleep(0.1)
+    print(f"{chr(13) if show else ''}compiled in {time.perf_counter() - start:.0f} s", file=sys.stderr)
+    return int(failed)
+
+
+def run(name: str) -> None:
+    """One job, in silence, in a folder of its own.
+
+    Raises:
+        RuntimeError: it failed.
+    """
+    with tempfile.TemporaryDirectory() as scratch, contextlib.chdir(scratch):
+        JOBS[name]()
+
+
+def copy_called(folder: Path) -> None:
+    """The cache files of every kernel that was loaded to be called from Python, a folder for every module.
+
+    Raises:
+        RuntimeError: a kernel had to be compiled, which another process should have done.
+    """
+    from spplanes._jit import KERNELS
+
+    for kernel in KERNELS:
+        if kernel._cache_misses:
+            raise RuntimeError(f"{kernel.py_func.__module__}.{kernel.py_func.__name__}: expected it in the cache")
+        if kernel._cache_hits:
+            index = Path(kernel._cache._cache_file._index_path)
+            place = folder / kernel.py_func.__module__
+            place.mkdir(parents=True, exist_ok=True)
+            for file in (index, *index.parent.glob(f"{index.stem}.*.nbc")):
+                shutil.copyfile(file, place / file.name)
+
+
+def command(*words: object) -> None:
+    """A command of `spplanes`, in this process, its output thrown away."""
+    from slam.cli import main as spplanes
+
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as said:
+        try:
+            spplanes([str(word) for word in words])
+        except SystemExit as end:
+            if end.code:
+                raise RuntimeError(f"spplanes {' '.join(map(str, words))}: {said.getvalue()}") from None
+
+
+def corridor() -> None:
+    """A push-broom robot: simulation, measuring, estimating, pictures."""
+    command("demo", "--scans", 60, "--out", "demo")
+
+
+def plane() -> None:
+    """One plane through points: the smallest of all."""
+    import numpy as np
+
+    from spplanes import fit_plane
+
+    fit_plane(np.random.default_rng(0).random((99, 3)) * (1.0, 1.0, 0.01), sigma=0.01)
+
+
+def points() -> None:
+    """Planes of clouds: with and without order, of known and of unknown noise."""
+    import numpy as np
+
+    from spplanes import Plane, fit_plane
+
+    rng = np.random.default_rng(0)
+    flat = rng.random((200, 3)) * (4.0, 3.0, 0.01)
+    covariances = np.tile(np.eye(3) * 1e-4, (200, 1, 1))
+    plane: Plane = fit_plane(flat, sigma=0.01)
+    for method in ("ml", "sp"):
+        fit_plane(flat, covariances, method=method)
+    scans, shared = np.arange(200) // 20, np.tile(np.eye(6) * 1e-6, (10, 1, 1))
+    fit_plane(flat, covariances, scan_index=scans, pose_covariances=shared)
+    plane.merge(plane)
+    write_clouds(rng)
+    for cloud in ("grid.npy", "heap.npy"):
+        command("fit", cloud, "--out", f"{cloud}.out")
+        command("fit", cloud, "--sigma", 0.01)
+
+
+def write_clouds(rng: object) -> None:
+    """Three walls of a room as a range image, and the same points in no order."""
+    import numpy as np
+
+    u, v = np.meshgrid(np.linspace(-0.7, 0.7, 160), np.linspace(-0.5, 0.5, 120))
+    rays = np.stack([np.ones_like(u), u, v], axis=2)
+    with np.errstate(divide="ignore"):
+        reach = np.minimum(np.minimum(3.0, 1.2 / np.abs(u)), 0.8 / np.abs(v))
+    grid = rays * (reach + 0.004 * np.random.default_rng(0).standard_normal(u.shape))[..., None]
+    np.save("grid.npy", grid)
+    heap = grid.reshape(-1, 3)
+    np.save("heap.npy", heap[np.random.default_rng(1).permutation(len(heap))])
+
+
+def lines() -> None:
+    """A robot with level lasers: lines, laser odometry, a prior map, results read again."""
+    command("simulate", "room", "--scans", 60, "--out", "room")
+    command("slam", "room", "--out", "run")
+    command("evaluate", "run", "--truth", "room")
+
+
+def mapping() -> None:
+    """The paper's mapping at given poses, and what is done with a finished run."""
+    command("simulate", "corridor", "--scans", 60, "--out", "corridor")
+    command("slam", "corridor", "--out", "run", "--batch")
+    command("explain", "run", 1)
+    command("export", "run", "--to", "planes.ply", "--to", "planes.glb", "--to", "graph.g2o")
+    command("import", "run/graph.g2o", "--run", "run", "--out", "again")
+    command("map", "corridor", "--rig", "corridor/rig.yaml", "--out", "map")
+
+
+def spinning() -> None:
+    """A robot with a 3D laser, with odometry and without; two of its clouds registered."""
+    command("simulate", "hall", "--scans", 6, "--out", "hall")
+    command("slam", "hall", "--out", "run")
+    clouds = sorted(Path("hall/clouds").iterdir())
+    command("register", clouds[0], clouds[1])
+    command("slam", "hall/clouds", "--out", "found")
+
+
+#: Longest first.
+JOBS: dict[str, Callable[[], None]] = {
+    "corridor": corridor,
+    "spinning": spinning,
+    "points": points,
+    "mapping": mapping,
+    "lines": lines,
+    "plane": plane,
+}
+
+if __name__ == "__main__":
+    sys.exit(main())
