@@ -11,7 +11,7 @@ from slam.floorplan import FloorPlan, floor_plan, joint_planes
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam
 from slam.runs.stored_run import StoredRun
-from slam.session.store import SESSION_FILE
+from slam.session.state import SESSION_FILE
 
 #: Planes replayed and planes of the file are the same when (normal, d) differ by less: rounding, of a batch too.
 _SAME = 1e-6
