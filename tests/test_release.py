@@ -41,7 +41,7 @@ def wheel(folder: Path, files: dict[str, str]) -> Path:
 
 def test_a_wheel_as_it_should_be_and_one_with_compiled_kernels(tmp_path: Path):
     assert wheel_problems(wheel(tmp_path, content()), __version__) == []
-    kernels = {"spplanes/fitting/__pycache__/_kernels.fit-12.py311.nbi": "", "slam/__pycache__/a.f.py311.1.nbc": ""}
+    kernels = {"spplanes/fitting/__pycache__/_kernels.fit-12.py311.nbi": "", "spplanes/_compiled/a.f.py311.1.nbc": ""}
     assert wheel_problems(wheel(tmp_path, content() | kernels), __version__) == []
 
 

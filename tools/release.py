@@ -25,8 +25,8 @@ PACKAGES = ("spplanes", "factors", "slam")
 #: Oldest and newest minor version of Python 3 that is tried.
 PYTHONS = range(11, 15)
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-#: What a build may put beside the sources: compiled kernels of numba, in folders where Python looks for them.
-CACHED = re.compile(r"(^|/)__pycache__/[^/]+\.nb[ic]$")
+#: What a build may put beside the sources: compiled kernels of numba.
+CACHED = re.compile(r"\.nb[ic]$")
 
 
 def main() -> int:

@@ -16,10 +16,12 @@ from shapely import box
 from factors import map_prior, plane_landmark
 from slam import PlaneSlam, SlamConfig
 from slam.cli import main
+from slam.cli._prior import read_prior
 from slam.errors import LogError
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
 from slam.geometry.frames import inverse, planar_transform
+from slam.io.planes_json import write_planes
 from slam.map.map_planes import MapPlane
 from slam.planeslam import pose_symbol
 from slam.registration.initial_pose import find_start
@@ -242,6 +244,22 @@ def test_off_the_floor_what_cannot_be_told_is_refused_too():
         find_start(room, seen_at(room, truth, 0))
     with pytest.raises(ValueError, match=r"explains 60 % of the planes in the first keyframe, found \d+ %"):
         find_start(corner_map(), seen_at([as_entry(k, tilted(0.2 * k)) for k in range(5)], truth, 0))
+
+
+def test_a_start_as_words(tmp_path: Path):
+    """Three numbers are on the floor; six, and what is found off it, are as wide in all directions."""
+    path, known = tmp_path / "planes.json", corner_map()
+    write_planes(path, known)
+    floor = read_prior(path, "1,2,90", "0.1,2", lambda: Keyframe(0, []))
+    np.testing.assert_allclose(floor.world_T_start, planar_transform(1.0, 2.0, np.pi / 2.0), atol=1e-12)
+    np.testing.assert_array_equal(floor.start_covariance, floor_start(0.1, np.deg2rad(2.0)))
+    where = (1.0, 2.0, 0.5, *np.deg2rad((90.0, 10.0, -5.0)).tolist())
+    space = read_prior(path, "1,2,0.5,90,10,-5", "0.1,2", lambda: Keyframe(0, []))
+    np.testing.assert_allclose(space.world_T_start, transform_from_rpy(where), atol=1e-12)
+    np.testing.assert_allclose(np.sqrt(np.diag(space.start_covariance)), [0.1] * 3 + [np.deg2rad(2.0)] * 3)
+    found = read_prior(path, "find", "0.1,2", lambda: seen_at(known, transform_from_rpy(where), 0))
+    np.testing.assert_array_equal(found.start_covariance, space.start_covariance)
+    np.testing.assert_allclose(found.world_T_start, transform_from_rpy(where), atol=0.03)
 
 
 def tilted(turn: float) -> Plane:
