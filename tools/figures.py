@@ -1,6 +1,7 @@
 """Make the figures of the README: `python tools/figures.py [FOLDER_OF_REAL_DATA]`.
 
-The simulated one always; those of real data where they are: the loop, and the corridor as its page in a browser.
+The simulated ones always, the floor plan by a browser; those of real data where they are: the loop, and the corridor as
+its page in a browser.
 """
 
 from __future__ import annotations
@@ -11,26 +12,35 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from slam.config import SlamConfig
+from slam.floorplan import floor_plan, joint_planes
 from slam.io.load import load
+from slam.output.plan_svg import write_svg
 from slam.output.run_files import new_folder, write_run
 from slam.runs.slam_run import Run, run_slam
 from slam.simulation import simulate_mission
+from slam.simulation.record import Plan, record
+from slam.simulation.rigs import spinning_rig
+from slam.simulation.suite import Suite
 from slam.visualization.pictures import draw_view, title_of, view_height
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "img"
+#: Way between two scans in the office, m.
+SPACING = 0.6
 #: Width of a figure, inches, and of pictures.draw_map, to which view_height refers.
 WIDTH, USUAL_WIDTH = 8.0, 11.0
 
 
 def main(data: Path) -> None:
-    """Write docs/img/demo.png, loop.png and corridor.png."""
+    """Write docs/img/demo.png, floor_plan.png, loop.png and corridor.png."""
     IMAGES.mkdir(parents=True, exist_ok=True)
     mission = simulate_mission("corridor", n_scans=400, seed=0)
     picture(run_slam(mission.log, mission.rig, SlamConfig()), IMAGES / "demo.png", "simulated push-broom mission")
+    office(IMAGES / "floor_plan.png")
     loop = data / "loop5" / "loop5.clf.gz"
     if loop.is_file():
         log, rig = load(loop)
@@ -64,19 +74,35 @@ def plan(run: Run, path: Path, title: str) -> None:
     figure.savefig(path, dpi=70, metadata={"Software": None})
 
 
+def office(path: Path) -> None:
+    """The floor plan of a simulated office suite, as its SVG looks."""
+    suite, rig = Suite.drawn(np.random.default_rng(0)), spinning_rig()
+    way = suite.path()
+    log, _ = record(Plan("suite", suite.world(), way, rig, SPACING), int(way.length_m / SPACING), 0)
+    slam = run_slam(log, rig, SlamConfig(), batch=True).slam
+    with tempfile.TemporaryDirectory() as scratch:
+        drawn = Path(scratch) / "plan.svg"
+        write_svg(drawn, floor_plan(joint_planes(slam.planes, slam.landmarks, slam.backend)))
+        screenshot(drawn, path, "730,940")
+
+
 def page(run: Run, path: Path) -> None:
-    """The page of a run as a browser shows it; nothing without one."""
-    browser = shutil.which("chromium") or shutil.which("google-chrome")
-    if browser is None:
-        print("no Chromium here: docs/img/corridor.png stays as it is")
-        return
+    """The page of a run as a browser shows it."""
     with tempfile.TemporaryDirectory() as scratch:
         with new_folder(Path(scratch) / "run") as folder:
             write_run(run, folder, title="a real corridor: three scans of a tilting laser")
-        flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1100,645"]
-        address = (Path(scratch) / "run" / "report.html").as_uri()
-        profile = f"--user-data-dir={scratch}/profile"
-        command = [browser, *flags, profile, f"--screenshot={path}", address]
+        screenshot(Path(scratch) / "run" / "report.html", path, "1100,645")
+
+
+def screenshot(shown: Path, path: Path, size: str) -> None:
+    """A file as a browser shows it; nothing without one."""
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        print(f"no Chromium here: {path.relative_to(ROOT)} stays as it is")
+        return
+    with tempfile.TemporaryDirectory() as scratch:
+        flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--window-size={size}"]
+        command = [browser, *flags, f"--user-data-dir={scratch}", f"--screenshot={path}", shown.as_uri()]
         subprocess.run(command, check=True, capture_output=True, timeout=120)
 
 
