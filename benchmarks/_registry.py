@@ -145,6 +145,14 @@ WORKLOADS: dict[str, Workload] = {
         short={"runs": 3, "scans": 200},
         on_request=True,
     ),
+    "floorplans": Workload(
+        "Floor plans",
+        "Simulated office suites, a spinning laser of 5 mm, poses unknown: floor plans against the truth. "
+        'NEES per degree of freedom, errors and sigmas in mm, of areas in dm^2; "drawn" with every plane measured '
+        "replaced by the true one with an error of its own covariance.",
+        short={"runs": 3},
+        on_request=True,
+    ),
     "candidates": Workload(
         "Candidates",
         "Which landmarks a keyframe's dozen observations may be, over the size of the map.",

@@ -1,6 +1,7 @@
 """Make the figures of the README: `python tools/figures.py [FOLDER_OF_REAL_DATA]`.
 
-The simulated ones always; those of real data where they are: the loop, and corridor and hall as their pages show them.
+The simulated ones always, the floor plan by a browser; those of real data where they are: the loop, and corridor and hall
+as their pages in a browser show them.
 """
 
 from __future__ import annotations
@@ -11,18 +12,26 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from slam.config import SlamConfig
+from slam.floorplan import floor_plan, joint_planes
 from slam.io.load import load
 from slam.output.new_folder import new_folder
+from slam.output.plan_svg import write_svg
 from slam.output.run_files import write_run
 from slam.runs.slam_run import Run, run_slam
 from slam.simulation import simulate_mission
+from slam.simulation.record import Plan, record
+from slam.simulation.rigs import spinning_rig
+from slam.simulation.suite import Suite
 from slam.visualization.pictures import draw_view, title_of, view_height
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "img"
+#: Way between two scans in the office, m.
+SPACING = 0.6
 #: Width of a figure, inches, and of pictures.draw_map, to which view_height refers.
 WIDTH, USUAL_WIDTH = 8.0, 11.0
 
@@ -34,6 +43,7 @@ def main(data: Path) -> None:
     picture(run_slam(mission.log, mission.rig, SlamConfig()), IMAGES / "demo.png", "simulated push-broom mission")
     office = simulate_mission("office", seed=0)
     plan(run_slam(office.log, office.rig, SlamConfig()), IMAGES / "office.png", "a simulated office")
+    floor_plan_of_a_suite(IMAGES / "floor_plan.png")
     loop = data / "loop5" / "loop5.clf.gz"
     if loop.is_file():
         log, rig = load(loop)
@@ -77,19 +87,35 @@ def plan(run: Run, path: Path, title: str) -> None:
     figure.savefig(path, dpi=70, metadata={"Software": None})
 
 
+def floor_plan_of_a_suite(path: Path) -> None:
+    """The floor plan of a simulated office suite, as its SVG looks."""
+    suite, rig = Suite.drawn(np.random.default_rng(0)), spinning_rig()
+    way = suite.path()
+    log, _ = record(Plan("suite", suite.world(), way, rig, SPACING), int(way.length_m / SPACING), 0)
+    slam = run_slam(log, rig, SlamConfig(), batch=True).slam
+    with tempfile.TemporaryDirectory() as scratch:
+        drawn = Path(scratch) / "plan.svg"
+        write_svg(drawn, floor_plan(joint_planes(slam.planes, slam.landmarks, slam.backend)))
+        screenshot(drawn.as_uri(), path, "730,940")
+
+
 def page(run: Run, path: Path, title: str, part: str = "") -> None:
-    """The page of a run, or a `part` of it, as a browser shows it; nothing without one."""
+    """The page of a run, or a `part` of it, as a browser shows it."""
+    with tempfile.TemporaryDirectory() as scratch:
+        with new_folder(Path(scratch) / "run") as folder:
+            write_run(run, folder, title=title)
+        screenshot((Path(scratch) / "run" / "report.html").as_uri() + part, path, "1100,645")
+
+
+def screenshot(address: str, path: Path, size: str) -> None:
+    """What a browser shows at an address; nothing without one."""
     browser = shutil.which("chromium") or shutil.which("google-chrome")
     if browser is None:
         print(f"no Chromium here: docs/img/{path.name} stays as it is")
         return
-    with tempfile.TemporaryDirectory() as scratch:
-        with new_folder(Path(scratch) / "run") as folder:
-            write_run(run, folder, title=title)
-        flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1100,645"]
-        address = (Path(scratch) / "run" / "report.html").as_uri() + part
-        profile = f"--user-data-dir={scratch}/profile"
-        command = [browser, *flags, profile, f"--screenshot={path}", address]
+    with tempfile.TemporaryDirectory() as profile:
+        flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--window-size={size}"]
+        command = [browser, *flags, f"--user-data-dir={profile}", f"--screenshot={path}", address]
         subprocess.run(command, check=True, capture_output=True, timeout=120)
 
 

@@ -65,6 +65,11 @@ class Face:
         """Where along its line points (..., 3) are, m."""
         return (points - self.origin) @ self.along
 
+    def beside(self, other: Face, span: Interval) -> Interval:
+        """Where along its line a stretch of another face is, m."""
+        ends = self.s_of(np.array([other.point(s) for s in span]))
+        return float(ends.min()), float(ends.max())
+
     def before(self, points: FloatArray) -> FloatArray:
         """How far points (..., 3) are on its seen side, m."""
         return (points - self.origin) @ self.normal

@@ -153,15 +153,14 @@ def _contains(wall: Wall, gap: Interval) -> bool:
 
 def _contains_of(wall: Wall, face: Face, span: Interval) -> bool:
     """The same for a span along either of its faces."""
-    ends = wall.front.s_of(np.array([face.point(s) for s in span]))
-    return _contains(wall, (float(ends.min()), float(ends.max())))
+    return _contains(wall, wall.front.beside(face, span))
 
 
 def _gap_behind(wall: Wall, gap: Interval) -> Interval | None:
     """What of a gap in the front is one in the back too; None where that is less than half of it."""
     for other in wall.back.gaps_at(CUT_M):
-        ends = wall.front.s_of(np.array([wall.back.point(s) for s in other]))
-        low, high = max(gap[0], float(ends.min())), min(gap[1], float(ends.max()))
+        there = wall.front.beside(wall.back, other)
+        low, high = max(gap[0], there[0]), min(gap[1], there[1])
         if high - low > 0.5 * (gap[1] - gap[0]):
             return low, high
     return None

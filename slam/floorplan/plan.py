@@ -136,10 +136,9 @@ def _room(joint: JointPlanes, storey: Storey, faces: Sequence[Face], rings: list
     middle = _in_section(storey, np.array(place.coords[0]))
     widths = tuple(_widths(joint, storey, [side for ring in sides for side in ring], middle))
     height = None
-    ceiling = storey.over(shape.buffer(0.0), storey.ceilings)
-    if ceiling is not None and storey.section.floor is not None:
-        up = storey.section.normal
-        height = joint.quantity(*distance(joint.hesse, storey.section.floor, ceiling.plane, middle, up))
+    below, above = storey.over(shape.buffer(0.0), storey.floors), storey.over(shape.buffer(0.0), storey.ceilings)
+    if below is not None and above is not None:
+        height = joint.quantity(*distance(joint.hesse, below.plane, above.plane, middle, storey.section.normal))
     return Room(sides, middle, joint.quantity(*area(corners, storey.section)), widths, height)
 
 
@@ -193,7 +192,5 @@ def _sorted(ends: FloatArray) -> Interval:
 
 def _unpaired(face: Face, spans: list[Interval], walls: Sequence[Wall]) -> list[Interval]:
     taken = [wall.span for wall in walls if wall.front is face]
-    for wall in walls:
-        if wall.back is face:
-            taken.append(_sorted(face.s_of(np.array([wall.front.point(s) for s in wall.span]))))
+    taken += [face.beside(wall.front, wall.span) for wall in walls if wall.back is face]
     return [span for span in without(spans, taken) if span[1] - span[0] > SHORT_M]

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
@@ -21,49 +20,15 @@ import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
-from shapely.geometry.polygon import orient
 
-from slam.floorplan.faces import ALIKE_RAD, SHORT_M, Face, Interval, closed, covered_length
+from slam.floorplan.arrangement import Edge, Line, Node, cells_of, edges_of, wall_lines
+from slam.floorplan.faces import SHORT_M, Face, Interval, covered_length
 from slam.floorplan.storeys import Storey
 
 #: The thickest wall: an insulated outer one, m. What is narrower is no room, planes that are further apart no wall.
 THICKEST_M = 0.6
-#: Corners of cells are in whole micrometres, so that lines through one point meet in one corner; lines around all, m.
-_GRID_M, _AROUND_M = 1e-6, 2.0
-
-Node = tuple[float, float]
-
-
-#: Faces that look the same way and lie in one line up to this are one line of the plan: a wall that was found twice, or
-#: goes on behind another; no wall is so thin, m.
-_IN_LINE_M = 0.03
-
-
-@dataclass(frozen=True, eq=False)
-class _Line:
-    """Faces in one line."""
-
-    base: Face
-    """The longest, whose line it is."""
-    faces: tuple[int, ...]
-    """All of them, indices into the walls."""
-    covered: list[Interval]
-    """Where along the base any of them was seen, ends extended."""
-
-    def span(self, start: Node, end: Node, storey: Storey) -> Interval:
-        """From where to where an edge goes along the base."""
-        way = (np.array([start, end]) - storey.in_plan(self.base.origin)) @ storey.in_plan(self.base.along)
-        return float(way.min()), float(way.max())
-
-
-@dataclass(frozen=True)
-class _Edge:
-    """A side of a cell: from, to, the cell on its left and its line, -1 for the frame round all."""
-
-    start: Node
-    end: Node
-    cell: int
-    line: int
+#: How far parallel faces may be from it as they are built, rad: DIN 18202 allows 8 mm in a length of 3 m.
+BUILT_RAD = 0.008 / 3.0
 
 
 def room_rings(storey: Storey, walls: Sequence[Face]) -> list[list[list[int]]]:
@@ -73,13 +38,12 @@ def room_rings(storey: Storey, walls: Sequence[Face]) -> list[list[list[int]]]:
     """
     if len(walls) < 3:
         return []
-    lines = _lines(walls)
-    cells = _cells(storey, lines)
-    edges = [edge for number, cell in enumerate(cells) for edge in _edges_of(number, cell, storey, lines)]
+    lines = wall_lines(walls)
+    cells = cells_of(storey, lines)
+    edges = [edge for number, cell in enumerate(cells) for edge in edges_of(number, cell, storey, lines)]
     joined = _joined(edges, len(cells), storey, lines)
     found = []
-    for room in range(int(joined.max(initial=-1)) + 1):
-        border = _border([edge for edge in edges if joined[edge.cell] == room], edges, joined)
+    for room, border in sorted(_borders(edges, joined).items()):
         inside = shapely.union_all([cells[number] for number in np.flatnonzero(joined == room)])
         if _is_room(border, inside, storey, lines):
             rings = [_sides(ring, storey, lines, walls) for ring in _rings(border)]
@@ -88,66 +52,7 @@ def room_rings(storey: Storey, walls: Sequence[Face]) -> list[list[list[int]]]:
     return found
 
 
-def _lines(walls: Sequence[Face]) -> list[_Line]:
-    """The walls by line, those that were seen longest first."""
-    left = sorted(range(len(walls)), key=lambda k: (-_seen_length(walls[k]), k))
-    lines = []
-    while left:
-        base = walls[left[0]]
-        members = [k for k in left if _is_in_line(walls[k], base)]
-        left = [k for k in left if k not in members]
-        spans = [_along(base, walls[k], span) for k in members for span in walls[k].extended]
-        lines.append(_Line(base, tuple(members), closed(spans, 0.0)))
-    return lines
-
-
-def _seen_length(face: Face) -> float:
-    return sum(high - low for low, high in face.covered)
-
-
-def _is_in_line(face: Face, base: Face) -> bool:
-    ends = np.array([face.point(face.covered[0][0]), face.point(face.covered[-1][1])])
-    return bool(face.normal @ base.normal > np.cos(ALIKE_RAD) and np.abs(base.before(ends)).max() < _IN_LINE_M)
-
-
-def _along(base: Face, face: Face, span: Interval) -> Interval:
-    ends = base.s_of(np.array([face.point(s) for s in span]))
-    return float(ends.min()), float(ends.max())
-
-
-def _cells(storey: Storey, lines: Sequence[_Line]) -> list[shapely.Polygon]:
-    ends = storey.in_plan(np.array([line.base.point(s) for line in lines for span in line.covered for s in span]))
-    (west, south), (east, north) = ends.min(axis=0) - _AROUND_M, ends.max(axis=0) + _AROUND_M
-    box = shapely.box(west, south, east, north)
-    reach = np.hypot(east - west, north - south)
-    middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
-    drawn = [box.exterior]
-    for line in lines:
-        start, along = storey.in_plan(line.base.origin), storey.in_plan(line.base.along)
-        foot = start + ((middle - start) @ along) * along
-        drawn.append(shapely.intersection(shapely.LineString([foot - reach * along, foot + reach * along]), box))
-    noded = shapely.union_all(drawn, grid_size=_GRID_M)
-    pieces = shapely.get_parts(shapely.polygonize(shapely.get_parts(noded)))
-    return [orient(piece) for piece in pieces]
-
-
-def _edges_of(number: int, cell: shapely.Polygon, storey: Storey, lines: Sequence[_Line]) -> list[_Edge]:
-    nodes = shapely.get_coordinates(cell.exterior)
-    origins = storey.in_plan(np.array([line.base.origin for line in lines]))
-    normals = storey.in_plan(np.array([line.base.normal for line in lines]))
-    off = np.abs(np.einsum("nfi,fi->nf", nodes[:, None] - origins[None], normals))
-    off = np.maximum(off[:-1], off[1:])
-    ends = [(float(x), float(y)) for x, y in nodes]
-    edges = []
-    for a, b, away in zip(ends[:-1], ends[1:], off, strict=True):
-        choice = np.flatnonzero(away < 10.0 * _GRID_M).tolist()
-        if len(choice) > 1:  # the two sides of something thin: the one that was seen here
-            choice.sort(key=lambda k: -covered_length(lines[k].covered, *lines[k].span(a, b, storey)))
-        edges.append(_Edge(a, b, number, choice[0] if choice else -1))
-    return edges
-
-
-def _joined(edges: Sequence[_Edge], n_cells: int, storey: Storey, lines: Sequence[_Line]) -> np.ndarray:
+def _joined(edges: Sequence[Edge], n_cells: int, storey: Storey, lines: Sequence[Line]) -> np.ndarray:
     """The room that each cell belongs to, shape (n_cells,)."""
     beside = {(edge.start, edge.end): edge.cell for edge in edges}
     pairs = [
@@ -160,20 +65,25 @@ def _joined(edges: Sequence[_Edge], n_cells: int, storey: Storey, lines: Sequenc
     return connected_components(graph, directed=False)[1]
 
 
-def _is_wall(edge: _Edge, storey: Storey, lines: Sequence[_Line]) -> bool:
+def _is_wall(edge: Edge, storey: Storey, lines: Sequence[Line]) -> bool:
     if edge.line < 0:
         return False
     low, high = lines[edge.line].span(edge.start, edge.end, storey)
     return covered_length(lines[edge.line].covered, low, high) > 0.5 * (high - low)
 
 
-def _border(own: Sequence[_Edge], edges: Sequence[_Edge], joined: np.ndarray) -> list[_Edge]:
-    """The edges of a room's cells that are not inside it."""
-    rooms = {(edge.start, edge.end): joined[edge.cell] for edge in edges}
-    return [edge for edge in own if rooms.get((edge.end, edge.start), -1) != joined[edge.cell]]
+def _borders(edges: Sequence[Edge], joined: np.ndarray) -> dict[int, list[Edge]]:
+    """Of each room the edges of its cells that are not inside it."""
+    rooms = {(edge.start, edge.end): int(joined[edge.cell]) for edge in edges}
+    borders = defaultdict(list)
+    for edge in edges:
+        room = int(joined[edge.cell])
+        if rooms.get((edge.end, edge.start), -1) != room:
+            borders[room].append(edge)
+    return borders
 
 
-def _is_room(border: Sequence[_Edge], inside: BaseGeometry, storey: Storey, lines: Sequence[_Line]) -> bool:
+def _is_room(border: Sequence[Edge], inside: BaseGeometry, storey: Storey, lines: Sequence[Line]) -> bool:
     """Closed, wide enough, and seen from inside: no side of any length is the back of a face."""
     if any(edge.line < 0 for edge in border) or inside.buffer(-THICKEST_M / 2.0).is_empty:
         return False
@@ -184,7 +94,7 @@ def _is_room(border: Sequence[_Edge], inside: BaseGeometry, storey: Storey, line
     return True
 
 
-def _rings(border: Sequence[_Edge]) -> list[list[_Edge]]:
+def _rings(border: Sequence[Edge]) -> list[list[Edge]]:
     """The border as rings, the longest first."""
     leaving = defaultdict(list)
     for edge in border:
@@ -200,7 +110,7 @@ def _rings(border: Sequence[_Edge]) -> list[list[_Edge]]:
     return sorted(rings, key=lambda ring: -sum(np.hypot(*np.subtract(edge.end, edge.start)) for edge in ring))
 
 
-def _take(leaving: dict[Node, list[_Edge]], node: Node, coming: _Edge | None) -> _Edge | None:
+def _take(leaving: dict[Node, list[Edge]], node: Node, coming: Edge | None) -> Edge | None:
     """The edge to go on with; where the border touches itself, the one most to the right keeps rings apart."""
     choice = leaving.get(node)
     if not choice:
@@ -212,23 +122,35 @@ def _take(leaving: dict[Node, list[_Edge]], node: Node, coming: _Edge | None) ->
     return edge
 
 
-def _turn(coming: _Edge, going: _Edge) -> float:
+def _turn(coming: Edge, going: Edge) -> float:
     """Turn to the left from one edge to the next, rad."""
     (ax, ay), (bx, by) = np.subtract(coming.end, coming.start), np.subtract(going.end, going.start)
     return float(np.arctan2(ax * by - ay * bx, ax * bx + ay * by))
 
 
-def _sides(ring: list[_Edge], storey: Storey, lines: Sequence[_Line], walls: Sequence[Face]) -> list[int]:
+def _sides(ring: list[Edge], storey: Storey, lines: Sequence[Line], walls: Sequence[Face]) -> list[int]:
     """The face of each side of a ring: of those in its line the one that was seen most on it."""
     first = next((k for k, edge in enumerate(ring) if edge.line != ring[k - 1].line), 0)
-    runs = [list(run) for _, run in groupby(ring[first:] + ring[:first], key=lambda edge: edge.line)]
-    sides = []
-    for run in runs:
-        line = lines[run[0].line]
-        span = line.span(run[0].start, run[-1].end, storey)
+    sides: list[tuple[int, float]] = []
+    for number, run in groupby(ring[first:] + ring[:first], key=lambda edge: edge.line):
+        line, (start, *_, end) = lines[number], [node for edge in run for node in (edge.start, edge.end)]
+        span = line.span(start, end, storey)
+        sides.append((_most_seen(line, span, walls), span[1] - span[0]))
+    return _with_corners(sides, walls)
 
-        def seen(face: int, line: _Line = line, span: Interval = span) -> float:
-            return covered_length([_along(line.base, walls[face], one) for one in walls[face].extended], *span)
 
-        sides.append(max(line.faces, key=seen))
-    return sides
+def _most_seen(line: Line, span: Interval, walls: Sequence[Face]) -> int:
+    parts = [[line.base.beside(walls[k], one) for one in walls[k].extended] for k in line.faces]
+    return line.faces[int(np.argmax([covered_length(one, *span) for one in parts]))]
+
+
+def _with_corners(sides: list[tuple[int, float]], walls: Sequence[Face]) -> list[int]:
+    """Faces of sides (face, length); of two neighbours that are parallel as built, the shorter is left out."""
+    while len(sides) > 2:
+        normals = np.array([walls[face].normal for face, _ in sides])
+        turns = np.linalg.norm(np.cross(normals, np.roll(normals, 1, axis=0)), axis=1)
+        flat = int(np.argmin(turns))
+        if turns[flat] > BUILT_RAD:
+            break
+        sides.pop(min(flat, flat - 1, key=lambda k: sides[k][1]))
+    return [face for face, _ in sides]

@@ -11,11 +11,9 @@ from scipy.stats import chi2 as chi2_distribution
 from slam.floorplan.faces import ALIKE_RAD, Face, Interval, shared
 from slam.floorplan.joint_planes import JointPlanes
 from slam.floorplan.quantities import Quantity, Section, distance
-from slam.floorplan.rooms import THICKEST_M
+from slam.floorplan.rooms import BUILT_RAD, THICKEST_M
 from spplanes._check import FloatArray
 
-#: How far the faces of a wall may be from parallel as it is built, rad: DIN 18202 allows 8 mm in a length of 3 m.
-_BUILT_RAD = 0.008 / 3.0
 #: Two faces are of one wall unless chi2 of their angle says so at this level.
 _SIGNIFICANCE = 1e-3
 
@@ -54,7 +52,7 @@ def wall_solids(joint: JointPlanes, section: Section, extents: Sequence[tuple[Fa
         left = spans
         for other in _behind(joint, section, front, [face for face, _ in extents]):
             back, others = extents[other]
-            common = shared(left, [_along(front, back, span) for span in others])
+            common = shared(left, [front.beside(back, span) for span in others])
             left = without(left, common)
             if other > number:
                 found += [Wall(front, back, span, _at(joint, front, back, span)) for span in common]
@@ -65,12 +63,6 @@ def _behind(joint: JointPlanes, section: Section, front: Face, faces: Sequence[F
     """Which faces may be the other side of the wall behind one, the nearest first."""
     thick = [(_thickness(joint, section, front, back), k) for k, back in enumerate(faces) if back is not front]
     return [k for _, k in sorted((one.value, k) for one, k in thick if one is not None)]
-
-
-def _along(front: Face, back: Face, span: Interval) -> Interval:
-    """A stretch of the back as one of the front, m."""
-    ends = front.s_of(np.array([back.point(s) for s in span]))
-    return float(ends.min()), float(ends.max())
 
 
 def _thickness(joint: JointPlanes, section: Section, front: Face, back: Face) -> Quantity | None:
@@ -93,7 +85,7 @@ def _at(joint: JointPlanes, front: Face, back: Face, span: Interval) -> Quantity
 def _are_parallel(joint: JointPlanes, section: Section, front: Face, back: Face) -> bool:
     """Whether the angle between two faces in the plan is one that noise and building explain, by chi2 of 1 dof."""
     angle = joint.quantity(*plan_angle(joint, section, front, back))
-    chi2 = angle.value**2 / (angle.sigma**2 + _BUILT_RAD**2)
+    chi2 = angle.value**2 / (angle.sigma**2 + BUILT_RAD**2)
     return bool(chi2 <= chi2_distribution.isf(_SIGNIFICANCE, 1))
 
 

@@ -71,7 +71,7 @@ class Drawing:
         return (*points.min(axis=0).tolist(), *points.max(axis=0).tolist())
 
 
-#: Where lengths of sides are written, inside the room, m.
+#: Where lengths of sides and heights of openings are written, off the wall, m.
 _INSIDE_M = 0.2
 
 
@@ -103,10 +103,11 @@ def _drawing(number: int, plan: StoreyPlan, verdict: str | None) -> Drawing:
         drawing.rooms.append(tuple(in_plan(ring) for ring in room.outline))
         drawing.dimensions += _of_room(room, plan)
         drawing.labels.append(Label(in_plan(room.middle), room_lines(place, room)))
-    for opening, outline in zip(plan.openings, outlines, strict=True):
+    for opening in plan.openings:
         said = [f"{name} {value}" for name, value in (("lintel", opening.height), ("sill", opening.sill)) if value]
         if said:
-            drawing.labels.append(Label(outline.mean(axis=0), tuple(said)))
+            beside = in_plan(opening.outline[:2].mean(axis=0) + _INSIDE_M * opening.face.normal)
+            drawing.labels.append(Label(beside, tuple(said)))
     return drawing
 
 
@@ -123,8 +124,9 @@ def room_lines(number: int, room: Room) -> tuple[str, ...]:
 
 def _title(number: int, plan: StoreyPlan, verdict: str | None) -> str:
     floor = "no floor was seen" if plan.elevation is None else f"floor at {_elevation(plan.elevation)} m"
+    closed = "" if plan.rooms else "no room was seen all round; "
     warning = "" if verdict in (None, "sound") else f"; the run calls its map {verdict}"
-    return f"storey {number}: {floor}; standard deviations from the joint covariance of all planes{warning}"
+    return f"storey {number}: {floor}; {closed}standard deviations from the joint covariance of all planes{warning}"
 
 
 def _elevation(height: Quantity) -> str:

@@ -96,7 +96,11 @@ def _dimension(one: Dimension, start: FloatArray, end: FloatArray) -> str:
     left = np.array([along[1], -along[0]])  # y of the page points down
     size, colour = _SIZES[one.kind], _COLOURS[one.kind]
     shift = one.offset * _MM * left
-    place = start + (0.22 if one.kind == "width" else 0.5) * way + shift
+    place = start + 0.5 * way + shift
+    if one.kind == "width":  # at the left or the lower end, for the room's own text stands right of the middle
+        half = 0.3 * size * len(one.text) + size
+        low, lower = (start, along) if along[0] - along[1] > 0.0 else (end, -along)
+        place = low + max(0.22 * length, min(half, 0.5 * length)) * lower
     line = ""
     if one.kind in ("width", "thickness"):
         (x0, y0), (x1, y1) = start + shift, end + shift
