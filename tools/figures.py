@@ -1,7 +1,7 @@
 """Make the figures of the README: `python tools/figures.py [FOLDER_OF_REAL_DATA]`.
 
-The simulated ones always, the floor plan by a browser; those of real data where they are: the loop, and corridor and hall
-as their pages in a browser show them.
+The simulated ones always, the floor plan by a browser; those of real data where they are: the loop, and corridor and
+hall as their pages in a browser show them.
 """
 
 from __future__ import annotations
