@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 import pytest
 import shapely
@@ -44,8 +42,6 @@ def corridors(loop5) -> PlaneSlam:
 @pytest.fixture(scope="module")
 def intel() -> Run:
     """Four laps of the Intel Research Lab."""
-    if not os.environ.get("SPPLANES_LONG"):
-        pytest.skip("takes ten minutes since closures are ties of poses; SPPLANES_LONG=1 runs it")
     return run("intel/intel.clf.gz")
 
 
@@ -113,7 +109,7 @@ def test_the_audit_finds_the_covariances_of_both_logs_honest(corridors, intel):
         (row,) = slam.audit.summary()
         assert row.kind == "line" and row.count > least
         assert row.verdict != "over-confident"
-        assert row.mean_per_dof > 0.4
+        assert row.mean_per_dof > 0.35  # the default rig states 15 mm, more than these lasers have
 
 
 def test_the_intel_log_keeps_its_relations(intel):
