@@ -225,7 +225,7 @@ class PlaneSlam:
         if closure is not None:
             self._same_plane.forget()
             self._merge_same_planes({older for older, _ in closure.pairs})
-            self._closer.tie(closure)
+            self._closer.fix(closure)
 
     def optimize_batch(self) -> gtsam.Values:
         """The same graph solved as a batch by Levenberg-Marquardt; the incremental state stays as it is."""
@@ -302,4 +302,4 @@ class PlaneSlam:
             raise ValueError(f"keyframe: expected an index from 0 to {len(self.decisions) - 1}, got {keyframe}")
         seen = self.keyframes[keyframe].observations
         sentences = [decision_sentence(one, seen[one.observation]) for one in self.decisions[keyframe]]
-        return sentences + change_sentences(keyframe, self.merges.history, self.loops, self._closer.ties)
+        return sentences + change_sentences(keyframe, self.merges.history, self.loops, self._closer.closed)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from slam.association.data_association import Candidate, Decision
 from slam.frontend.observations import Observation
-from slam.loop_closure.closing import Tie
+from slam.loop_closure.closing import ClosedLoop
 from slam.loop_closure.verification import LoopDecision
 from slam.mapping.fusion import Merge
 
@@ -26,7 +26,7 @@ def decision_sentence(decision: Decision, observation: Observation) -> str:
 
 
 def change_sentences(
-    keyframe: int, merges: Iterable[Merge], loops: Sequence[LoopDecision], ties: Iterable[Tie]
+    keyframe: int, merges: Iterable[Merge], loops: Sequence[LoopDecision], closed: Iterable[ClosedLoop]
 ) -> list[str]:
     """What a keyframe changed in the map: merges, merges taken back, loops looked for, loops taken back."""
     sentences = []
@@ -38,9 +38,9 @@ def change_sentences(
     for loop in loops:
         if loop.keyframe == keyframe:
             sentences.append(f"compared with the surroundings of keyframe {loop.old_keyframe}: {loop.verdict}")
-    for tie in ties:
-        if tie.undone == keyframe:
-            ends = tie.loop.keyframe, tie.loop.old_keyframe
+    for known in closed:
+        if known.undone == keyframe:
+            ends = known.loop.keyframe, known.loop.old_keyframe
             sentences.append("keyframe {} was found not to have come back to the place of keyframe {}".format(*ends))
     return sentences
 

@@ -21,7 +21,7 @@ from slam.loop_closure.verification import LoopDecision, Surroundings, compare_w
 from slam.map.state import Parts
 from slam.mapping.fusion import Merges
 
-#: After a tie that is taken back the estimate goes back a long way: so often iSAM2 relinearises.
+#: After a loop that is taken back the estimate goes back a long way: so often iSAM2 relinearises.
 _ROUNDS = 5
 
 
@@ -36,7 +36,7 @@ class Closure:
 
 
 @dataclass(eq=False)
-class Tie:
+class ClosedLoop:
     """A closed loop: the walls that were joined for it, and the motion that the returns tell between its two ends."""
 
     loop: LoopDecision
@@ -76,7 +76,7 @@ class LoopCloser:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
         self._merges, self._sparsifier, self._config = merges, parts.thinning, parts.config
         self.decisions: list[LoopDecision] = []
-        self.ties: list[Tie] = []
+        self.closed: list[ClosedLoop] = []
         self._proposals = Proposals(parts.config.loops)
         self._ways = array("d")
         self._looked_at_m = 0.0
@@ -101,7 +101,7 @@ class LoopCloser:
                 return self._close(closed, scale)
         return None
 
-    def tie(self, closure: Closure) -> None:
+    def fix(self, closure: Closure) -> None:
         """Put in what the returns say of the loops just closed beyond their walls: how far along a corridor."""
         for loop in closure.loops:
             self._stay(loop)
@@ -110,7 +110,7 @@ class LoopCloser:
         indices = iter(self._backend.update(told, gtsam.Values(), relinearize=True) if told else ())
         for loop, factor in zip(closure.loops, factors, strict=True):
             index = None if factor is None else next(indices)
-            self.ties.append(Tie(loop, loop.motion, closure.pairs, index, factor, Trial(self._ways[-1])))
+            self.closed.append(ClosedLoop(loop, loop.motion, closure.pairs, index, factor, Trial(self._ways[-1])))
         self._backend.settle(_ROUNDS if told else 0)
         self._landmarks.refresh(self._backend)
 
@@ -120,18 +120,18 @@ class LoopCloser:
         A loop is none when half of the walls that were joined for it, or more, were found to be two after all, when the
         motion itself no longer fits, or when what is seen on the way on contradicts what was seen there before.
         """
-        self._untie([tie for tie in self.ties if tie.undone is None and self._is_refuted(tie, scale)])
+        self._open_again([known for known in self.closed if known.undone is None and self._is_refuted(known, scale)])
 
     def renumber(self, moved: Mapping[int, int]) -> None:
         """The graph has been made anew: the new index of every factor by its old one."""
-        for tie in self.ties:
-            if tie.undone is None and tie.factor_index is not None:
-                tie.factor_index = moved[tie.factor_index]
+        for known in self.closed:
+            if known.undone is None and known.factor_index is not None:
+                known.factor_index = moved[known.factor_index]
 
     def _try_again(self, around: Surroundings) -> None:
         """Hold the loops of late against what is seen on the way on."""
         way, rules = self._ways[-1], self._config.loops
-        late = [tie.trial for tie in self.ties if tie.undone is None and tie.trial.is_open(way, rules)]
+        late = [known.trial for known in self.closed if known.undone is None and known.trial.is_open(way, rules)]
         evidence = evidence_of_map(around) if late else None
         if evidence is not None:
             for trial in late:
@@ -146,7 +146,7 @@ class LoopCloser:
             return []
         self._proposals.forget(group)
         rules = self._config.loops
-        closed_m = max((tie.trial.since_m for tie in self.ties if tie.undone is None), default=-np.inf)
+        closed_m = max((known.trial.since_m for known in self.closed if known.undone is None), default=-np.inf)
         counted = counted_once(group, rules.window_m, rules.every_m, closed_m)
         numbers = [self._number_of(one.keyframe, one.old_keyframe) for one in counted]
         for number, proposal in zip(numbers, counted, strict=True):
@@ -154,7 +154,7 @@ class LoopCloser:
         return [self.decisions[number] for number in sorted(numbers) if self.decisions[number].verdict == "closed"]
 
     def _close(self, loops: list[LoopDecision], scale: float) -> Closure | None:
-        """Join the walls of loops that agree, or where the graph as a whole is against that tie their places alone."""
+        """Join the walls of loops that agree, or where the graph as a whole is against that, fix their places alone."""
         found = disjoint([pair for loop in loops for pair in loop.pairs])
         pairs = [pair for pair in found if self._merges.may_be_one(*pair)]
         if self._merges.close(pairs, scale):
@@ -178,28 +178,28 @@ class LoopCloser:
         for end in (loop.old_keyframe, loop.keyframe):
             self._sparsifier.stays(end)
 
-    def _untie(self, wrong: Sequence[Tie]) -> None:
+    def _open_again(self, wrong: Sequence[ClosedLoop]) -> None:
         """Take closures out of the graph, and what was joined for them apart."""
         if not wrong:
             return
-        indices = [tie.factor_index for tie in wrong if tie.factor_index is not None]
+        indices = [known.factor_index for known in wrong if known.factor_index is not None]
         self._backend.update([], gtsam.Values(), remove=indices, relinearize=True)
-        for tie in wrong:
-            tie.undone = len(self._keyframes) - 1
-        pairs = {pair for tie in wrong for pair in tie.pairs}
+        for known in wrong:
+            known.undone = len(self._keyframes) - 1
+        pairs = {pair for known in wrong for pair in known.pairs}
         for merge in reversed(self._merges.history):
             if merge.undone is None and merge.cause == "loop" and (merge.older, merge.younger) in pairs:
                 self._merges.undo(merge)
         self._backend.settle(_ROUNDS)
         self._landmarks.refresh(self._backend)
-        self._merges.redraw(min(tie.loop.old_keyframe for tie in wrong))
+        self._merges.redraw(min(known.loop.old_keyframe for known in wrong))
 
-    def _is_refuted(self, tie: Tie, scale: float) -> bool:
-        split = sum(younger in self._landmarks for _, younger in tie.pairs)
-        if tie.trial.is_lost or (tie.pairs and 2 * split >= len(tie.pairs)):
+    def _is_refuted(self, known: ClosedLoop, scale: float) -> bool:
+        split = sum(younger in self._landmarks for _, younger in known.pairs)
+        if known.trial.is_lost or (known.pairs and 2 * split >= len(known.pairs)):
             return True
         limit = float(chdtri(3, self._config.association.new_significance))
-        return tie.misfit(self._backend) > max(scale, 1.0) * limit
+        return known.misfit(self._backend) > max(scale, 1.0) * limit
 
     def _way(self) -> float:
         """Length of the way to the newest keyframe, m."""

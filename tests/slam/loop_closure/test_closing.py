@@ -59,7 +59,7 @@ def close(slam: PlaneSlam, old: int, pairs: list[tuple[int, int]], motion: Motio
     loop = LoopDecision(len(slam.keyframes) - 1, old, "closed", tuple(pairs), motion=motion)
     slam._closer.decisions.append(loop)
     assert slam.merges.close(pairs, 1.0)
-    slam._closer.tie(Closure((loop,), tuple(pairs)))
+    slam._closer.fix(Closure((loop,), tuple(pairs)))
 
 
 def outline_areas(slam: PlaneSlam) -> list[float]:
@@ -80,8 +80,8 @@ def test_along_a_bare_corridor_the_motion_goes_with_its_walls(batch: bool):
     run(frames[-1:], untouched)
     slam.merges.undo(slam.merges.history[0])
     run(frames[-1:], slam)
-    [tie] = slam._closer.ties
-    assert tie.undone == COUNT - 1
+    [known] = slam._closer.closed
+    assert known.undone == COUNT - 1
     assert slam.explain(COUNT - 1)[-1] == "keyframe 38 was found not to have come back to the place of keyframe 6"
     np.testing.assert_allclose(slam.trajectory.poses[:, 0, 3], untouched.trajectory.poses[:, 0, 3], atol=0.01)
     if not batch:  # after which factors are made anew
@@ -101,7 +101,7 @@ def test_a_motion_that_does_not_fit_is_taken_back_and_one_that_does_stays():
         a_T_b = inverse(scene.world_T_body[2]) @ scene.world_T_body[11] @ planar_transform(shift, 0.0, 0.0)
         close(slam, 2, [], Motion(a_T_b, np.diag((1e-4, 1e-4, 1e-5)), OUT_OF_PLANE))
         run(scene.keyframes[12:], slam)
-        assert (slam._closer.ties[0].undone is None) == stands
+        assert (slam._closer.closed[0].undone is None) == stands
         np.testing.assert_allclose(slam.trajectory.poses, run(scene.keyframes).trajectory.poses, atol=0.01)
 
 
@@ -115,13 +115,13 @@ def test_a_place_beyond_doubt_is_tied_without_the_walls_that_the_graph_refuses()
     slam._closer.decisions.append(loop)
     closure = slam._closer._close([loop], 1.0)
     assert closure is not None and closure.pairs == ()
-    slam._closer.tie(closure)
-    [tie] = slam._closer.ties
-    assert slam.loops[-1].verdict == "closed" and tie.pairs == () and tie.motion is not None
+    slam._closer.fix(closure)
+    [known] = slam._closer.closed
+    assert slam.loops[-1].verdict == "closed" and known.pairs == () and known.motion is not None
     assert len(slam.landmarks) == count
     assert slam.merges.may_be_one(*across)
     run(scene.keyframes[12:], slam)
-    assert tie.undone is None
+    assert known.undone is None
 
 
 def test_what_the_graph_refuses_and_no_return_proposes_is_not_closed():
