@@ -10,7 +10,7 @@ import numpy as np
 
 from slam.backend.estimator import Backend, pose_symbol
 from slam.config import ObservabilityConfig
-from slam.frontend.information import plane_information
+from slam.frontend.information import floor_information, plane_information
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion
@@ -21,8 +21,6 @@ Part = Literal["position", "orientation"]
 
 #: Keeps the information matrices invertible: the pose is known to a kilometre and to 30 rad anyway.
 NOTHING = np.diag([1e-3] * 3 + [1e-6] * 3)
-#: A floor is level to no less than this, m and rad: keeps the information finite where a rig states 0.
-_LEAST_SIGMA = 1e-6
 #: A direction closer than this to an axis is called by its name: cosine of 10 deg.
 _NEAR_AXIS = 0.985
 #: Directions of different keyframes are one when they are closer than this: cosine of 25 deg.
@@ -110,16 +108,6 @@ def open_directions(
     seen = (plane_information(one, normal) for one, normal in zip(planes, in_body, strict=True))
     information = sum(seen, start=NOTHING + floor_information(motion))
     return wide_directions(keyframe, np.asarray(np.linalg.inv(information), float), world_T_body[:3, :3], rules)
-
-
-def floor_information(motion: Motion | None) -> FloatArray:
-    """Information (6, 6) of (rotation, translation) in the body by the floor that it drives on; none off a floor."""
-    information = np.zeros((6, 6))
-    if motion is not None and motion.is_planar:
-        z, roll, pitch = motion.out_of_plane_sigmas
-        for axis, sigma in ((0, roll), (1, pitch), (5, z)):
-            information[axis, axis] = max(sigma, _LEAST_SIGMA) ** -2
-    return information
 
 
 def wide_directions(

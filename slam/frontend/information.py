@@ -7,11 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from slam.frontend.observations import LineObservation, Observation
+from slam.frontend.odometry import Motion
 from spplanes._check import FloatArray
 from spplanes.spmodel import skew
 
 #: Information about a motion, 1 / m^2 and 1 / rad^2, that stands for none.
 _NO_INFORMATION = 1e-2
+#: A floor is level to no less than this, m and rad: keeps the information finite where a rig states 0.
+_LEAST_SIGMA = 1e-6
 #: Information that adds less than this share to that of the walls is left out.
 _WORTH = 0.5
 
@@ -40,6 +43,16 @@ def plane_information(observation: Observation, normal: FloatArray | None = None
     jacobian[2, :3] = -x_axis  # n cross y
     told = 2 if isinstance(observation, LineObservation) else 3
     return jacobian[:told].T @ np.linalg.solve(plane.covariance[:told, :told], jacobian[:told])
+
+
+def floor_information(motion: Motion | None) -> FloatArray:
+    """Information (6, 6) of (rotation, translation) in the body by the floor that it drives on; none off a floor."""
+    information = np.zeros((6, 6))
+    if motion is not None and motion.is_planar:
+        z, roll, pitch = motion.out_of_plane_sigmas
+        for axis, sigma in ((0, roll), (1, pitch), (5, z)):
+            information[axis, axis] = max(sigma, _LEAST_SIGMA) ** -2
+    return information
 
 
 def planar_information(observations: Sequence[Observation]) -> FloatArray:

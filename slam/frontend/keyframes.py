@@ -130,7 +130,6 @@ def _of_lasers(log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> tupl
 
     def keyframe(index: int) -> Keyframe:
         stamp = stamps[index]
-        motion = None if index == 0 else track.motion(stamps[index - 1], stamp)
         observations: list[Observation] = []
         scans: list[LaserScan] = []
         beams: list[FloatArray] = []
@@ -153,10 +152,13 @@ def _of_lasers(log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> tupl
                     for line in _measured(measure, stamp, config, notes)
                 ]
                 beams += beams_of(scan, usable_ranges(scan.ranges, sensor), kf_T_body @ sensor.body_T_sensor)
-        if motion is not None and isinstance(track, LaserTrack):
-            notes += track.notes(stamps[index - 1], stamp)
+        motion = None
+        if index and isinstance(track, LaserTrack):
             ends = stamps[index - 1], stamp
+            notes += track.notes(*ends)
             motion = motion_between(track, wheels, ends, observations, config.association.new_significance)
+        elif index:
+            motion = track.motion(stamps[index - 1], stamp)
         returns = np.concatenate(beams) if beams else None
         return Keyframe(stamp, observations, motion, notes=tuple(notes), scans=tuple(scans), returns=returns)
 

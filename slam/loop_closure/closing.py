@@ -17,9 +17,10 @@ from slam.loop_closure.candidates import DrivenPath
 from slam.loop_closure.pairwise_consistency import counted_once
 from slam.loop_closure.proposals import Proposals
 from slam.loop_closure.trial import Trial, evidence_of_map
-from slam.loop_closure.verification import LoopDecision, Surroundings, compare_with_old, disjoint, joined, without_walls
+from slam.loop_closure.verification import LoopDecision, Surroundings, compare_with_old, joined, without_walls
 from slam.map.state import Parts
 from slam.mapping.fusion import Merges
+from slam.mapping.same_plane import disjoint
 
 #: After a loop that is taken back the estimate goes back a long way: so often iSAM2 relinearises.
 _ROUNDS = 5
@@ -41,18 +42,21 @@ class ClosedLoop:
 
     loop: LoopDecision
     """The comparison that found it."""
-    motion: Motion | None
-    """From the old keyframe to the newer one; None: its walls say all."""
     pairs: tuple[tuple[int, int], ...]
     """The landmarks (older, younger) that were joined with it."""
     factor_index: int | None
     """Index of the factor of the motion."""
     factor: Any
-    """That factor."""
+    """That factor; None: its walls say all."""
     trial: Trial
     """What has been seen for and against it since."""
     undone: int | None = None
     """The keyframe at which it was found wrong; None: it stands."""
+
+    @property
+    def motion(self) -> Motion | None:
+        """From the old keyframe to the newer one."""
+        return self.loop.motion
 
     def misfit(self, backend: Backend) -> float:
         """Chi2 of the motion at the current estimate."""
@@ -74,7 +78,7 @@ class LoopCloser:
 
     def __init__(self, parts: Parts, merges: Merges) -> None:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
-        self._merges, self._sparsifier, self._config = merges, parts.thinning, parts.config
+        self._merges, self._sparsifier, self._config = merges, parts.sparsifier, parts.config
         self.decisions: list[LoopDecision] = []
         self.closed: list[ClosedLoop] = []
         self._proposals = Proposals(parts.config.loops)
@@ -110,7 +114,7 @@ class LoopCloser:
         indices = iter(self._backend.update(told, gtsam.Values(), relinearize=True) if told else ())
         for loop, factor in zip(closure.loops, factors, strict=True):
             index = None if factor is None else next(indices)
-            self.closed.append(ClosedLoop(loop, loop.motion, closure.pairs, index, factor, Trial(self._ways[-1])))
+            self.closed.append(ClosedLoop(loop, closure.pairs, index, factor, Trial(self._ways[-1])))
         self._backend.settle(_ROUNDS if told else 0)
         self._landmarks.refresh(self._backend)
 

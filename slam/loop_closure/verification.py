@@ -245,14 +245,3 @@ def _decide(
     if verdict == "closed" and not pairs:
         verdict = "too few"
     return LoopDecision(now, old, verdict, pairs, distance, turn, match.chi2, match.n_dof, match.evidence)
-
-
-def disjoint(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Those pairs whose landmarks are in no pair before them."""
-    used: set[int] = set()
-    chosen = []
-    for pair in pairs:
-        if used.isdisjoint(pair):
-            chosen.append(pair)
-            used.update(pair)
-    return chosen

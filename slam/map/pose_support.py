@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 
 from factors._conventions import SP_TO_POSE3
-from slam.frontend.information import plane_information
+from slam.frontend.information import floor_information, plane_information
 from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion, spatial_covariance
 from spplanes._check import FloatArray
@@ -35,7 +35,7 @@ class PoseSupport:
 
     def step(self, keyframe: int, motion: Motion | None, matched: Iterable[Observation]) -> None:
         """A keyframe has come by a motion, None where nobody measured it, and saw known planes."""
-        information = sum((plane_information(one) for one in matched), start=_by_floor(motion))
+        information = sum((plane_information(one) for one in matched), start=floor_information(motion))
         self._by_all = _seen(_moved(self._by_all, motion), information)
         self._by_late = _seen(_moved(self._by_late, motion), information)
         root = np.linalg.cholesky(self._by_all)
@@ -43,14 +43,6 @@ class PoseSupport:
         if np.linalg.eigvalsh(0.5 * (whitened + whitened.T))[-1] <= _AS_WELL:
             self.needed_from, self._late_from = self._late_from, keyframe
             self._by_late = _seen(_UNKNOWN * np.eye(6), information)
-
-
-def _by_floor(motion: Motion | None) -> FloatArray:
-    """Information of driving on a floor."""
-    if motion is None or not motion.is_planar:
-        return np.zeros((6, 6))
-    z, roll, pitch = motion.out_of_plane_sigmas
-    return np.diag([roll**-2, pitch**-2, 0.0, 0.0, 0.0, z**-2])
 
 
 def _moved(covariance: FloatArray, motion: Motion | None) -> FloatArray:

@@ -22,7 +22,7 @@ class Parts:
     """The map."""
     backend: Backend
     """The graph."""
-    thinning: Sparsifier
+    sparsifier: Sparsifier
     """Which keyframes stay in the graph."""
     config: SlamConfig
     """The settings."""

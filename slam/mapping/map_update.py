@@ -32,7 +32,7 @@ class MapUpdater:
 
     def __init__(self, parts: Parts, associate: Associate) -> None:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
-        self._sparsifier, self._config, self._associate = parts.thinning, parts.config, associate
+        self._sparsifier, self._config, self._associate = parts.sparsifier, parts.config, associate
         self._unmatched = Waiting(parts.config.landmarks)
 
     def update(self, keyframe: Keyframe, prediction: Prediction, decisions: Sequence[Decision]) -> MapUpdate:

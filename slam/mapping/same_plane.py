@@ -86,7 +86,7 @@ def find_same_planes(
     found = [(_same_plane_chi2(*pair, backend, joint), *ids) for ids, pair in pairs.items()]
     if told_apart is not None:
         told_apart.update({(a, b): _sightings(pairs[a, b]) for chi2, a, b in found if chi2 > limit})
-    return _disjoint(sorted(one for one in found if one[0] <= limit))
+    return disjoint([(min(a, b), max(a, b)) for chi2, a, b in sorted(found) if chi2 <= limit])
 
 
 def _sightings(pair: tuple[Landmark, Landmark]) -> int:
@@ -208,11 +208,12 @@ def _may_be_one(
     return any(first.extent.is_within(config.gap_m, piece) for piece in pieces)
 
 
-def _disjoint(pairs: Sequence[tuple[float, int, int]]) -> list[tuple[int, int]]:
+def disjoint(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Those pairs whose landmarks are in no pair before them."""
     used: set[int] = set()
     chosen = []
-    for _, first, second in pairs:
-        if first not in used and second not in used:
-            chosen.append((min(first, second), max(first, second)))
-            used.update((first, second))
+    for pair in pairs:
+        if used.isdisjoint(pair):
+            chosen.append(pair)
+            used.update(pair)
     return chosen

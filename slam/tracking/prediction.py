@@ -81,7 +81,7 @@ class MotionModel:
 
     def __init__(self, parts: Parts, start: StartPose | None) -> None:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
-        self._sparsifier, self._config, self._known_start = parts.thinning, parts.config, start
+        self._sparsifier, self._config, self._known_start = parts.sparsifier, parts.config, start
         self.calibration = WheelCalibration()
 
     def predict(self, keyframe: Keyframe) -> Prediction:

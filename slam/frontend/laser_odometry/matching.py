@@ -12,6 +12,7 @@ from scipy.ndimage import maximum_filter
 from slam.frontend.information import inverted
 from slam.frontend.laser_odometry._match_kernels import align, score_box
 from slam.frontend.laser_odometry.local_map import CELL_M, TABLE_CELL_M, LocalMap, Surface
+from slam.frontend.laser_odometry.track import difference
 from slam.frontend.occupancy import CELL_M as RASTER_CELL_M
 from slam.frontend.occupancy._kernels import score_motions
 from spplanes._check import FloatArray
@@ -157,7 +158,7 @@ def _most_probable(found: list[_Found], surface: Surface, there: LocalMap, ways:
     # of one place found in two ways the way counts too: where the wheels agree with the returns, they did not slip
     costs = np.array([_unlikelihood(one.pose, ways[one.way]) + one.misfit for one in found])
     # the cells of the rasters are too coarse to tell what is nearer than a cell: the misfit does
-    if any((np.abs(_apart(pose, poses[0])) > _SAME).any() for pose in poses):
+    if any((np.abs(difference(pose, poses[0])) > _SAME).any() for pose in poses):
         mine, map_ = surface.raster, there.raster
         costs -= score_motions(
             poses, RASTER_CELL_M, mine.points, mine.weight, map_.table, map_.origin,
@@ -166,11 +167,11 @@ def _most_probable(found: list[_Found], surface: Surface, there: LocalMap, ways:
     order = np.argsort(costs, kind="stable").tolist()
     best, rivals = order[0], []
     for k in order[1:]:  # alignments that ended in one place are one
-        if all((np.abs(_apart(poses[k], poses[j])) > _SAME).any() for j in (best, *rivals)):
+        if all((np.abs(difference(poses[k], poses[j])) > _SAME).any() for j in (best, *rivals)):
             rivals.append(k)
     weights = np.exp(costs[best] - costs[rivals])
     total = 1.0 + float(weights.sum())
-    apart = np.array([_apart(poses[k], poses[best]) for k in rivals]).reshape(-1, 3)
+    apart = np.array([difference(poses[k], poses[best]) for k in rivals]).reshape(-1, 3)
     spread = np.einsum("n,ni,nj->ij", weights / total, apart, apart)
     pose, information, fit, _, way = found[best]
     return Match(pose, information, fit, 1.0 / total, spread, way)
@@ -178,13 +179,6 @@ def _most_probable(found: list[_Found], surface: Surface, there: LocalMap, ways:
 
 def _unlikelihood(pose: FloatArray, way: Expected) -> float:
     """Minus the log of the density of a pose and of having come there in this way."""
-    error = _apart(pose, way.pose)
+    error = difference(pose, way.pose)
     chi2 = float(error @ np.linalg.solve(way.covariance, error))
     return 0.5 * (np.linalg.slogdet(way.covariance)[1] + chi2) - np.log(way.probability)
-
-
-def _apart(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Difference of two poses (x, y, theta)."""
-    error = a - b
-    error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
-    return error

@@ -57,10 +57,9 @@ class LaserTrack(OdometryTrack):
         out_of_plane = (noise.z_sigma_m, noise.roll_sigma_rad, noise.pitch_sigma_rad)
         return Motion(a_T_b, wheels, out_of_plane, returns_a_T_b=a_T_b, returns_covariance=0.5 * (both + both.T))
 
-    def by_returns(self, start_ns: int, end_ns: int) -> FloatArray:
-        """Covariance of (x, y, theta) between two times by the returns alone, shape (3, 3)."""
-        first, last = self._index(start_ns), self._index(end_ns)
-        return self.matched(first, last, planar_delta(self.motion(start_ns, end_ns).a_T_b))
+    def by_returns(self, start_ns: int, end_ns: int, delta: FloatArray) -> FloatArray:
+        """Covariance of the motion `delta`, (x, y, theta), between two times by the returns alone, shape (3, 3)."""
+        return self.matched(self._index(start_ns), self._index(end_ns), delta)
 
     def notes(self, start_ns: int, end_ns: int) -> list[str]:
         """What is to be said of the steps after one time and up to another."""
@@ -118,9 +117,9 @@ def motion_between(
     measured = None if wheels is None else wheels.motion(*stamps_ns)
     if measured is None or not measured.is_planar:
         return beyond_lines(matched, observations)
-    error = planar_delta(measured.a_T_b) - planar_delta(matched.a_T_b)
-    error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
-    spread = measured.covariance + track.by_returns(*stamps_ns)
+    delta = planar_delta(matched.a_T_b)
+    error = difference(planar_delta(measured.a_T_b), delta)
+    spread = measured.covariance + track.by_returns(*stamps_ns, delta)
     if error @ np.linalg.solve(spread, error) > chdtri(3, significance):
         return beyond_lines(matched, observations)
     covariance = _larger(measured.covariance, matched.covariance)
@@ -162,6 +161,13 @@ def between(a: FloatArray, b: FloatArray) -> FloatArray:
     c, s = np.cos(a[2]), np.sin(a[2])
     dx, dy = b[0] - a[0], b[1] - a[1]
     return np.array((c * dx + s * dy, c * dy - s * dx, b[2] - a[2]))
+
+
+def difference(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Difference of two poses (x, y, theta), of the headings by the shorter way."""
+    error = a - b
+    error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
+    return error
 
 
 def rotation(angle: float) -> FloatArray:

@@ -15,7 +15,7 @@ from slam.frontend.observations import LineObservation
 from slam.frontend.odometry import Motion, planar_delta
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse, planar_transform
-from slam.loop_closure.verification import disjoint
+from slam.mapping.same_plane import disjoint
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes import ScanLine
 
