@@ -176,11 +176,9 @@ class PlaneSlam:
         """The motion to the keyframe by all its returns, for telling walls apart."""
         if prediction.motion is None:
             return None
-        matched, covariance = prediction.motion.returns_a_T_b, prediction.motion.returns_covariance
-        if matched is not None and covariance is not None:
-            told = replace(prediction.motion, a_T_b=matched, covariance=covariance)
-            return Hint(pose_symbol(prediction.index - 1), told)
-        motion = step_by_view(keyframe, prediction.motion, self.keyframes, self.backend, self.config.loops)
+        motion = prediction.motion.by_all or step_by_view(
+            keyframe, prediction.motion, self.keyframes, self.backend, self.config.loops
+        )
         return None if motion is None else Hint(pose_symbol(prediction.index - 1), motion)
 
     @timed("update")

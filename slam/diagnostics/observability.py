@@ -210,8 +210,7 @@ def _source_of(motion: Motion | None) -> str:
     """What a motion comes from: matched scans where those stand in for wheels."""
     if motion is None:
         return "the assumption of constant velocity"
-    by_returns = motion.returns_a_T_b is not None and np.array_equal(motion.a_T_b, motion.returns_a_T_b)
-    return "laser odometry" if by_returns else "odometry"
+    return "laser odometry" if motion.is_by_returns else "odometry"
 
 
 def gathered(directions: Iterable[OpenDirection]) -> list[list[OpenDirection]]:

@@ -15,6 +15,8 @@ from spplanes.spmodel import skew
 _NO_INFORMATION = 1e-2
 #: A floor is level to no less than this, m and rad: keeps the information finite where a rig states 0.
 _LEAST_SIGMA = 1e-6
+#: Standard deviations of z, roll and pitch, m and rad, of what says nothing of them.
+_NO_FLOOR = (100.0, 100.0, 100.0)
 #: Information that adds less than this share to that of the walls is left out.
 _WORTH = 0.5
 
@@ -59,6 +61,23 @@ def planar_information(observations: Sequence[Observation]) -> FloatArray:
     """Information (3, 3) that known planes seen give on (x, y, theta) of the pose, in the body's axes."""
     total = sum((plane_information(one) for one in observations), np.zeros((6, 6)))
     return total[np.ix_((3, 4, 2), (3, 4, 2))]
+
+
+def beyond_lines(motion: Motion, lines: Sequence[Observation]) -> Motion | None:
+    """What the returns say of a motion beyond lines of known walls seen at its end, as a motion; None: nothing.
+
+    These lines are measurements of their own in the graph, of the same returns: what they say is taken off. A line of
+    no known wall says nothing of the motion yet.
+    """
+    if motion.returns_a_T_b is None or motion.returns_covariance is None:
+        return None
+    turn = np.eye(3)
+    turn[:2, :2] = motion.returns_a_T_b[:2, :2]
+    by_lines = turn @ planar_information(lines) @ turn.T + _NO_INFORMATION * np.eye(3)
+    covariance = left_open(motion.returns_covariance, inverted(by_lines))
+    if covariance is None:
+        return None
+    return Motion(motion.returns_a_T_b, covariance, _NO_FLOOR)
 
 
 def left_open(found: FloatArray, by_walls: FloatArray) -> FloatArray | None:

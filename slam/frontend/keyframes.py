@@ -156,7 +156,7 @@ def _of_lasers(log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> tupl
         if index and isinstance(track, LaserTrack):
             ends = stamps[index - 1], stamp
             notes += track.notes(*ends)
-            motion = motion_between(track, wheels, ends, observations, config.association.new_significance)
+            motion = motion_between(track, wheels, ends, config.association.new_significance)
         elif index:
             motion = track.motion(stamps[index - 1], stamp)
         returns = np.concatenate(beams) if beams else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -36,10 +36,30 @@ class Motion:
     calibration_sigmas: tuple[float, float] = (0.0, 0.0)
     """Standard deviations of these two that `covariance` holds."""
     returns_a_T_b: FloatArray | None = None
-    """Planar only: pose b by wheels and all returns together, for telling walls apart and for nothing else, since the
-    lines are made of the same returns, shape (4, 4); None: no returns were matched."""
+    """Planar only: pose b by wheels and all returns together, shape (4, 4); None: no returns were matched. The lines
+    are made of the same returns: only what these say beyond them is a measurement of its own (`beyond_lines`)."""
     returns_covariance: FloatArray | None = None
-    """Covariance of its (x, y, theta), shape (3, 3)."""
+    """Covariance of (x, y, theta) by the returns alone, shape (3, 3)."""
+    refuted_a_T_b: FloatArray | None = None
+    """Planar only: pose b by wheels that the returns refute, shape (4, 4); None: they agree, or nobody measured."""
+
+    @property
+    def is_by_returns(self) -> bool:
+        """Whether wheels measured nothing: the motion is that of the returns, its covariance what is known without."""
+        return self.returns_a_T_b is not None and np.array_equal(self.a_T_b, self.returns_a_T_b)
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether wheels, right or wrong, said something."""
+        return self.refuted_a_T_b is not None or not self.is_by_returns
+
+    @property
+    def by_all(self) -> Motion | None:
+        """The motion by wheels and all returns together; None: no returns were matched."""
+        if self.returns_a_T_b is None or self.returns_covariance is None:
+            return None
+        covariance = np.linalg.inv(np.linalg.inv(self.covariance) + np.linalg.inv(self.returns_covariance))
+        return replace(self, a_T_b=self.returns_a_T_b, covariance=0.5 * (covariance + covariance.T))
 
     @property
     def is_planar(self) -> bool:

@@ -75,6 +75,12 @@ class Sparsifier:
         if link is not None:
             self._links[keyframe] = link
 
+    def tied(self, keyframe: int, factor_index: int) -> None:
+        """Another factor ties a keyframe to the one before it."""
+        if keyframe in self._links:
+            link = self._links[keyframe]
+            self._links[keyframe] = Link(link.motion, [*link.step, factor_index], link.floor)
+
     def judge(self, keyframe: int, matched: Sequence[Observation], factors: Sequence[Any], *, may_leave: bool) -> bool:
         """Whether a keyframe need not stay: it saw known landmarks, by `factors`, and is of no other use."""
         link = self._links.get(keyframe)

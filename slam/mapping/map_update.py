@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import gtsam
 
 from slam.association.data_association import Associate, Decision
 from slam.backend.estimator import pose_symbol
+from slam.frontend.information import beyond_lines
 from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import Observation
 from slam.map.landmarks import Sighting
 from slam.map.state import Parts
 from slam.mapping.insertion import Insertion, initialize_landmarks, insert_matches
@@ -49,17 +52,28 @@ class MapUpdater:
         leaves = self._sparsifier.judge(
             at, matched, [insertion.factor for insertion in insertions], may_leave=not births
         )
+        beyond = self._beyond_lines(prediction, matched)
         insertions += births
         used = {insertion.number for insertion in insertions}
         unused = [] if leaves else [i for i in range(len(seen)) if i not in used]
         self._unmatched.add(at, keyframe, unused)
-        factors = [*(insertion.factor for insertion in insertions), *prediction.pending]
+        factors = [*(insertion.factor for insertion in insertions), *prediction.pending, *beyond]
         if not factors:
             return MapUpdate(at)
         indices = self._backend.update(factors, initial, remove=list(prediction.standing_in), relinearize=True)
         for insertion, factor_index in zip(insertions, indices, strict=False):
             self._see(insertion, at, factor_index, prediction.robust)
+        if beyond:
+            self._sparsifier.tied(at, indices[-1])
         return MapUpdate(at, frozenset(insertion.landmark.id for insertion in insertions))
+
+    def _beyond_lines(self, prediction: Prediction, matched: Sequence[Observation]) -> list[Any]:
+        """The factor of what the returns say of the motion beyond what was matched, if they do."""
+        motion = prediction.motion
+        if motion is None or prediction.place is not None:
+            return []
+        beyond = beyond_lines(motion, matched)
+        return [] if beyond is None else beyond.factors(pose_symbol(prediction.index - 1), prediction.pose_key)[:1]
 
     def match_late(self, update: MapUpdate) -> list[LateMatch]:
         """Match what earlier keyframes saw of the landmarks that this one started."""

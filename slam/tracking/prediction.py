@@ -11,6 +11,7 @@ import numpy as np
 from factors import pose_prior
 from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance
+from slam.frontend.information import beyond_lines, inverted
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from slam.frontend.wheel_calibration import WheelCalibration
@@ -31,6 +32,8 @@ class _Step:
     motion: Motion | None = None
     place: FoundPlace | None = None
     pending: list[Any] = field(default_factory=list)
+    standing_in: list[Any] = field(default_factory=list)
+    is_wide: bool = False
 
 
 class StartPose(NamedTuple):
@@ -57,14 +60,12 @@ class Prediction:
     pending: tuple[gtsam.NonlinearFactor, ...] = ()
     """Factors of the motion that the place stands in for: they enter the graph together with what was seen."""
     standing_in: tuple[int, ...] = ()
-    """Indices of the factors of that place, which leave it then: it is made of what was seen."""
+    """Indices of the factors of that place, or of what the returns say beyond all lines, which leave it then: they are
+    made of what was seen."""
+    is_wide: bool = False
+    """Whether so little was known of the motion that the planes were asked."""
     robust: str | None = None
     """Robust kernel on what is matched from here: of a place that the planes had to find some of it is wrong."""
-
-    @property
-    def is_wide(self) -> bool:
-        """Whether so little was known of the motion that the planes were asked."""
-        return self.motion is not None and is_wide(self.motion)
 
     @property
     def trusted(self) -> frozenset[int] | None:
@@ -83,6 +84,7 @@ class MotionModel:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
         self._sparsifier, self._config, self._known_start = parts.sparsifier, parts.config, start
         self.calibration = WheelCalibration()
+        self._doubted = False
 
     def predict(self, keyframe: Keyframe) -> Prediction:
         """Put the pose of a new keyframe into the graph, where others may leave it."""
@@ -90,21 +92,24 @@ class MotionModel:
         step = self._start(keyframe) if index == 0 else self._step(keyframe, index)
         key, initial = pose_symbol(index), gtsam.Values()
         initial.insert(key, gtsam.Pose3(orthonormal(step.world_T_body)))
-        own_factors = [*step.factors, *(one.factor(key) for one in keyframe.pose_measurements)]
+        own_factors = [*step.factors, *step.standing_in, *(one.factor(key) for one in keyframe.pose_measurements)]
         removal = self._sparsifier.plan_removal(index)
         through = [self._through(*motion) for motion in removal.motions]
         indices = self._backend.update([*own_factors, *through], initial, remove=removal.stale)
         own = indices[: len(own_factors)]
         self._sparsifier.removed(removal, indices[len(own_factors) :])
-        measured = None if step.place is not None or index == 0 else keyframe.motion
-        self._sparsifier.entered(index, None if measured is None else Link(measured, own[:1], own[1:]))
+        measured, n_step = None if step.place is not None or index == 0 else keyframe.motion, len(step.factors)
+        standing_in = own[n_step : n_step + len(step.standing_in)]
+        floor = own[1:n_step] + own[n_step + len(standing_in) :]
+        self._sparsifier.entered(index, None if measured is None else Link(_known(measured, keyframe), own[:1], floor))
         return Prediction(
             index,
             key,
             step.motion,
             step.place,
             pending=tuple(step.pending),
-            standing_in=tuple(own[: len(step.factors)]) if step.pending else (),
+            standing_in=tuple(own[:n_step] if step.pending else standing_in),
+            is_wide=step.is_wide,
             robust=(self._config.coasting.robust if step.pending else None) or self._config.backend.robust,
         )
 
@@ -132,12 +137,17 @@ class MotionModel:
         before, key = pose_symbol(index - 1), pose_symbol(index)
         world_T_before = self._backend.pose(before)
         motion, parts = self._motion_to(keyframe), (self._keyframes, self._landmarks, self._backend)
-        place = found_place(keyframe, motion, *parts) if is_wide(motion) else None
+        wide = is_wide(_known(motion, keyframe))
+        place = found_place(keyframe, motion, *parts) if wide else None
         if place is None:
-            return _Step(world_T_before @ motion.a_T_b, motion.factors(before, key), motion)
+            beyond = beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
+            standing_in = [] if beyond is None else beyond.factors(before, key)[:1]
+            factors = motion.factors(before, key)
+            return _Step(world_T_before @ motion.a_T_b, factors, motion, standing_in=standing_in, is_wide=wide)
         kernel, there = self._config.coasting.robust or self._config.backend.robust, place.motion
         pending = [*motion.factors(before, key), *place.factors(before, key, kernel)]
-        return _Step(world_T_before @ there.a_T_b, there.factors(before, key), motion, place, pending)
+        factors = there.factors(before, key)
+        return _Step(world_T_before @ there.a_T_b, factors, motion, place, pending, is_wide=wide)
 
     def _motion_to(self, keyframe: Keyframe) -> Motion:
         """Odometry, less what is known to be wrong with it; without any the motion before goes on.
@@ -146,16 +156,30 @@ class MotionModel:
         """
         last, stamps = len(self._keyframes) - 1, [frame.stamp_ns * 1e-9 for frame in self._keyframes[-2:]]
         ahead_s = keyframe.stamp_ns * 1e-9 - stamps[-1]
-        if keyframe.motion is not None:
-            motion, significance = self.calibration.predict(keyframe.motion), self._config.association.new_significance
-            if not speaks_against(keyframe, motion, self._keyframes, self._backend, significance):
-                return motion
-            return replace(coast(None, 0.0, ahead_s, self._config.coasting), a_T_b=motion.a_T_b)
         if last == 0:
-            return coast(None, 0.0, ahead_s, self._config.coasting)
-        step = inverse(self._backend.pose(pose_symbol(last - 1))) @ self._backend.pose(pose_symbol(last))
-        return coast(step, stamps[1] - stamps[0], ahead_s, self._config.coasting)
+            unmeasured = coast(None, 0.0, ahead_s, self._config.coasting)
+        else:
+            step = inverse(self._backend.pose(pose_symbol(last - 1))) @ self._backend.pose(pose_symbol(last))
+            unmeasured = coast(step, stamps[1] - stamps[0], ahead_s, self._config.coasting)
+        if keyframe.motion is None:
+            return unmeasured
+        motion, state = self.calibration.predict(keyframe.motion), (self._keyframes, self._landmarks, self._backend)
+        guess = coast(None, 0.0, ahead_s, self._config.coasting)
+        significance = self._config.association.new_significance
+        otherwise, doubted = replace(guess, a_T_b=unmeasured.a_T_b), self._doubted
+        self._doubted = speaks_against(
+            keyframe, motion, *state, otherwise=otherwise, significance=significance, doubted=doubted
+        )
+        return replace(guess, a_T_b=motion.a_T_b) if self._doubted else motion
 
     def _through(self, first: int, last: int, motion: Motion) -> Any:
         """The factor of a motion as measured through keyframes that have left."""
         return self.calibration.corrected(motion).factors(pose_symbol(first), pose_symbol(last))[0]
+
+
+def _known(motion: Motion, keyframe: Keyframe) -> Motion:
+    """A motion as it is known without a map: by wheels, or where these say nothing by the returns beyond all lines."""
+    beyond = beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
+    if beyond is None:
+        return motion
+    return replace(motion, covariance=inverted(inverted(motion.covariance) + inverted(beyond.covariance)))

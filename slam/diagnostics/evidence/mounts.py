@@ -94,7 +94,8 @@ def _tests(counts: _Counts, frames: tuple[int, ...]) -> Iterator[Evidence]:
 
 def _neighbours(keyframes: Sequence[Keyframe]) -> list[tuple[int, int]]:
     """Successive keyframes with odometry between."""
-    return [(a, b) for a, b in pairwise(range(len(keyframes))) if keyframes[b].motion is not None]
+    pairs = pairwise(range(len(keyframes)))
+    return [(a, b) for a, b in pairs if (motion := keyframes[b].motion) is not None and motion.is_measured]
 
 
 def _has_seen(keyframe: Keyframe, by_lasers: bool) -> bool:
@@ -104,8 +105,10 @@ def _has_seen(keyframe: Keyframe, by_lasers: bool) -> bool:
 
 
 def _motion(keyframe: Keyframe) -> FloatArray:
+    """The motion as wheels measured it, also where the returns refute them: that is what a wrong mount makes them do."""
     assert keyframe.motion is not None  # a neighbour has one
-    return keyframe.motion.a_T_b
+    refuted = keyframe.motion.refuted_a_T_b
+    return keyframe.motion.a_T_b if refuted is None else refuted
 
 
 def _laser_counts(first: Keyframe, second: Keyframe, turn: FloatArray, mounts: Sequence[FloatArray]) -> FloatArray:

@@ -1,6 +1,6 @@
 """Laser odometry: every scan of a level laser is matched to a local map, with wheel odometry or without."""
 
-from slam.frontend.laser_odometry.track import LaserTrack, beyond_lines, motion_between
+from slam.frontend.laser_odometry.track import LaserTrack, motion_between
 from slam.frontend.laser_odometry.tracker import laser_track
 
-__all__ = ["LaserTrack", "beyond_lines", "laser_track", "motion_between"]
+__all__ = ["LaserTrack", "laser_track", "motion_between"]

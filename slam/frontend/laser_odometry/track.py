@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from slam.frontend.information import inverted, left_open, planar_information
-from slam.frontend.observations import Observation
+from slam.frontend.information import inverted
 from slam.frontend.odometry import Motion, OdometryTrack, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.sensors.log import OdometryReading
@@ -35,6 +34,8 @@ class Step:
     """What the returns say of the pose in the local map, in the axes of the body here, shape (3, 3): information."""
     note: str | None = None
     """What somebody should know of this step."""
+    slipped: bool = False
+    """Whether the returns found it where the wheels cannot have led."""
 
 
 class LaserTrack(OdometryTrack):
@@ -46,25 +47,24 @@ class LaserTrack(OdometryTrack):
         self._steps = list(steps)
 
     def motion(self, start_ns: int, end_ns: int) -> Motion:
-        """Motion between two times: `covariance` is that of the wheels, `returns_covariance` of both together."""
+        """Motion between two times: `covariance` is that of the wheels, `returns_covariance` that of the returns."""
         first, last = self._index(start_ns), self._index(end_ns)
         a_T_b = inverse(self.poses_at([start_ns])[0]) @ self.poses_at([end_ns])[0]
         noise, delta = self._noise, planar_delta(a_T_b)
         floor = np.diag([noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2])
         wheels = self._walked(first, last) + floor
         matched = self.matched(first, last, delta)
-        both = inverted(inverted(wheels) + inverted(matched))
         out_of_plane = (noise.z_sigma_m, noise.roll_sigma_rad, noise.pitch_sigma_rad)
-        return Motion(a_T_b, wheels, out_of_plane, returns_a_T_b=a_T_b, returns_covariance=0.5 * (both + both.T))
-
-    def by_returns(self, start_ns: int, end_ns: int, delta: FloatArray) -> FloatArray:
-        """Covariance of the motion `delta`, (x, y, theta), between two times by the returns alone, shape (3, 3)."""
-        return self.matched(self._index(start_ns), self._index(end_ns), delta)
+        return Motion(a_T_b, wheels, out_of_plane, returns_a_T_b=a_T_b, returns_covariance=0.5 * (matched + matched.T))
 
     def notes(self, start_ns: int, end_ns: int) -> list[str]:
         """What is to be said of the steps after one time and up to another."""
         chosen = self._steps[self._index(start_ns) + 1 : self._index(end_ns) + 1]
         return [one.note for one in chosen if one.note is not None]
+
+    def slipped(self, start_ns: int, end_ns: int) -> bool:
+        """Whether wheels slipped on a step after one time and up to another."""
+        return any(one.slipped for one in self._steps[self._index(start_ns) + 1 : self._index(end_ns) + 1])
 
     def _index(self, stamp_ns: int) -> int:
         """The last scan not later than a time."""
@@ -93,35 +93,28 @@ class LaserTrack(OdometryTrack):
 
 
 def motion_between(
-    track: LaserTrack,
-    wheels: OdometryTrack | None,
-    stamps_ns: tuple[int, int],
-    observations: Sequence[Observation],
-    significance: float,
+    track: LaserTrack, wheels: OdometryTrack | None, stamps_ns: tuple[int, int], significance: float
 ) -> Motion:
     """The motion between two keyframes for the graph: the wheels' own, or where returns refute them the matched one.
 
-    Lines are measurements of their own, of the same returns. Wheels owe nothing to them: as long as they agree with
-    the matched motion they are the factor, with the noise that was learnt of them where it is more than what was
-    stated, and the match only tells walls apart. Wheels that slip, stand still or are not there measure nothing: then
-    the matched motion stands in, with what the returns say beyond the lines.
+    As long as wheels agree with the matched motion they are what was measured, with the noise that was learnt of them
+    where it is more than what was stated. Wheels that slip, stand still or are not there measure nothing: then the
+    matched motion stands in, as wide as it is without the returns. What these say is kept beside it in both cases.
 
     Args:
         track: laser odometry.
         wheels: what was measured; None: nothing.
         stamps_ns: of the two keyframes.
-        observations: what the second one sees.
         significance: probability that honest wheels are refuted.
     """
     matched = track.motion(*stamps_ns)
     measured = None if wheels is None else wheels.motion(*stamps_ns)
-    if measured is None or not measured.is_planar:
-        return beyond_lines(matched, observations)
-    delta = planar_delta(matched.a_T_b)
-    error = difference(planar_delta(measured.a_T_b), delta)
-    spread = measured.covariance + track.by_returns(*stamps_ns, delta)
-    if error @ np.linalg.solve(spread, error) > chdtri(3, significance):
-        return beyond_lines(matched, observations)
+    if measured is None or not measured.is_planar or matched.returns_covariance is None:
+        return matched
+    error = difference(planar_delta(measured.a_T_b), planar_delta(matched.a_T_b))
+    spread = measured.covariance + matched.returns_covariance
+    if track.slipped(*stamps_ns) or error @ np.linalg.solve(spread, error) > chdtri(3, significance):
+        return replace(matched, refuted_a_T_b=measured.a_T_b)
     covariance = _larger(measured.covariance, matched.covariance)
     told = {"returns_a_T_b": matched.a_T_b, "returns_covariance": matched.returns_covariance}
     return replace(measured, covariance=covariance, **told)
@@ -135,25 +128,6 @@ def _larger(stated: FloatArray, learnt: FloatArray) -> FloatArray:
     turned = root @ vectors
     covariance = (turned * np.maximum(values, 1.0)) @ turned.T
     return 0.5 * (covariance + covariance.T)
-
-
-def beyond_lines(motion: Motion, observations: Sequence[Observation]) -> Motion:
-    """A motion with what the wheels, and the returns beyond the lines seen at its end, say of it.
-
-    The lines are measurements of their own in the graph, of the same returns: what they say is taken off.
-    """
-    if motion.returns_covariance is None:
-        return motion
-    wheels = inverted(motion.covariance)
-    matched = inverted(motion.returns_covariance) - wheels
-    values, vectors = np.linalg.eigh(matched)
-    matched = (vectors * np.maximum(values, _NO_INFORMATION)) @ vectors.T
-    turn = rotation(float(planar_delta(motion.a_T_b)[2]))
-    by_lines = turn @ planar_information(observations) @ turn.T + _NO_INFORMATION * np.eye(3)
-    beyond = left_open(inverted(matched), inverted(by_lines))
-    if beyond is None:
-        return motion
-    return replace(motion, covariance=inverted(wheels + inverted(beyond)))
 
 
 def between(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -65,7 +65,8 @@ class LaserOdometry:
                 told = inverted(inverted(told + 1e-3 * np.eye(3)) + match.spread)
         back = rotation(pose[2])
         note = self._watch(between(before, pose), wheels)
-        step = Step(stamp_ns, pose, covariance, back.T @ told @ back, note)
+        slipped = match is not None and match.way > 0
+        step = Step(stamp_ns, pose, covariance, back.T @ told @ back, note, slipped)
         self.steps.append(step)
         if wheels is not None and not stuck:
             self._since.append(wheels)
