@@ -115,6 +115,15 @@ def moved(elements: FloatArray, pose: FloatArray) -> FloatArray:
     return np.column_stack((lift(elements[:, :3], pose), elements[:, 3:6] @ pose[:3, :3].T, elements[:, 6:]))
 
 
+def most_information(elements: FloatArray) -> FloatArray:
+    """Of a motion by elements (N, 8), if each found a partner without error: tangent on the right, GTSAM order, (6, 6).
+
+    A registration of theirs knows less.
+    """
+    jacobian = np.hstack((np.cross(elements[:, :3], elements[:, 3:6]), elements[:, 3:6])) / elements[:, 6:7]
+    return jacobian.T @ jacobian
+
+
 def _widths(elements: FloatArray) -> FloatArray:
     """How wide elements (N, 8) are, (N,), m."""
     share = np.where(elements[:, 7] == ON_PLANE, _WIDTH_ON_PLANE, _WIDTH)
