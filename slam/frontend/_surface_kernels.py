@@ -39,6 +39,10 @@ def numbered(keys):
         if key < 0:
             number[k] = -1
             continue
+        if k > 0 and key == keys[k - 1]:  # as most points that lie beside each other
+            number[k] = number[k - 1]
+            count[number[k]] += 1
+            continue
         slot = (np.uint64(key) * _SPREAD) >> shift
         while slots[slot] >= 0 and keys[first[slots[slot]]] != key:
             slot = (slot + np.uint64(1)) & mask

@@ -50,7 +50,7 @@ _ALONG_SHARE, _STRAIGHT = 0.05, 0.05
 #: blur two sides into one.
 _INSET_RAD = 0.004
 #: Of the lines of a grid one of so many tells how far apart beams are.
-_SOME_LINES = 4
+_SOME_LINES = 16
 
 
 @dataclass(frozen=True, eq=False)

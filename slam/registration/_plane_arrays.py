@@ -47,8 +47,10 @@ class PlaneArrays:
     """Of the outlines."""
 
     @classmethod
-    def of(cls, planes: Sequence[Plane]) -> PlaneArrays:
-        """The largest, their outlines drawn roughly."""
+    def of(cls, planes: Sequence[Plane] | PlaneArrays) -> PlaneArrays:
+        """The largest, their outlines drawn roughly; arrays that are made already as they are."""
+        if isinstance(planes, PlaneArrays):
+            return planes
         areas = _areas(planes)
         order = np.argsort(-areas, kind="stable")[:_MOST].tolist()
         return cls.as_given([_drawn_coarsely(planes[k]) for k in order], order, areas[order])

@@ -55,7 +55,7 @@ class PlaneMatching:
 
 
 def match_planes_widely(
-    seen: Sequence[Plane], known: Sequence[Plane], sigmas: tuple[float, float]
+    seen: Sequence[Plane] | PlaneArrays, known: Sequence[Plane] | PlaneArrays, sigmas: tuple[float, float]
 ) -> PlaneMatching | None:
     """Find the motion that explains the largest planes, with no more of a guess than "about where it was".
 
@@ -127,7 +127,9 @@ def places_anywhere(seen: Sequence[Plane], known: Sequence[Plane]) -> list[tuple
     return sorted(placed, key=lambda one: -one[0])
 
 
-def pairs_under(known_T_seen: FloatArray, seen: Sequence[Plane], known: Sequence[Plane]) -> tuple[tuple[int, int], ...]:
+def pairs_under(
+    known_T_seen: FloatArray, seen: Sequence[Plane] | PlaneArrays, known: Sequence[Plane] | PlaneArrays
+) -> tuple[tuple[int, int], ...]:
     """(seen, known) of the planes, of the largest of both, that are one under a motion (4, 4)."""
     mine, theirs = PlaneArrays.of(seen), PlaneArrays.of(known)
     if not len(mine.normals) or not len(theirs.normals):

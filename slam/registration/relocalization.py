@@ -18,6 +18,7 @@ from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
+from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.plane_registration import PlaneMatching, match_planes_widely, pairs_under
 from slam.registration.surface_registration import Alignment, LocalMap, align
 from spplanes import Plane
@@ -90,9 +91,9 @@ def found_place(
     index, world_T_a = len(keyframes), backend.pose(pose_symbol(len(keyframes) - 1))
     expected_T_world = inverse(world_T_a @ motion.a_T_b)
     numbers = [k for k, one in enumerate(keyframe.observations) if isinstance(one, PlaneObservation)]
-    seen = [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
+    seen = PlaneArrays.of([one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)])
     recent = [one for one in landmarks if one.was_seen_between(index - _RECENT, index)]
-    known = [_placed(one, landmarks).transform(expected_T_world) for one in recent]
+    known = PlaneArrays.of([_placed(one, landmarks).transform(expected_T_world) for one in recent])
     by_planes = match_planes_widely(seen, known, _sigmas(motion))
     by_returns = _by_returns(keyframe, motion, by_planes, local_map(keyframes, backend, expected_T_world))
     if by_returns is None:

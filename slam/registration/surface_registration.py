@@ -260,7 +260,8 @@ class _Residuals:
 
     def step(self) -> FloatArray:
         """Of Gauss and Newton, toward less of them, tangent of the motion on the right, (6,)."""
-        return -np.linalg.solve(self.information() + _NOTHING, self.jacobian.T @ (self.weights * self.off))
+        told = self.jacobian.T @ (self.weights * self.off)
+        return np.linalg.solve(self.information() + _NOTHING, -told).astype(np.float64)
 
     def off_planes(self) -> tuple[FloatArray, FloatArray]:
         """Information of the elements on no plane, and information times their mean, about the motion."""
