@@ -62,6 +62,26 @@ def directions_found(rotations, normals, others, weights, least_cosine):
 
 
 @njit(cache=True)
+def unlike(rotations, trace, most):
+    """The first so many of rotations (K, 3, 3) of which none turned back by one before has that trace or more."""
+    chosen, count = np.empty((most, 3, 3)), 0
+    for k in range(len(rotations)):
+        if count == most:
+            break
+        alike = False
+        for c in range(count):
+            total = 0.0
+            for a in range(3):
+                for b in range(3):
+                    total += rotations[k, a, b] * chosen[c, a, b]
+            alike |= total >= trace
+        if not alike:
+            chosen[count] = rotations[k]
+            count += 1
+    return chosen[:count]
+
+
+@njit(cache=True)
 def best_shifts(own, normals, offsets, weights, middles, reaches, strongest, distance, sigma, tail):
     """The translations that most planes agree with, of all that three of the strongest pairs define.
 

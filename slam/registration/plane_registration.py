@@ -12,7 +12,7 @@ import numpy as np
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten, valid
 from slam.registration._plane_arrays import PlaneArrays
-from slam.registration._plane_kernels import best_shifts, directions_found, near_rotations, partners
+from slam.registration._plane_kernels import best_shifts, directions_found, near_rotations, partners, unlike
 from slam.registration.motion_from_planes import fit_pairs_on
 from slam.registration.visibility import LinesOfSight
 from spplanes import Plane
@@ -175,13 +175,8 @@ def _rotations(mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float) -> list
     turns = np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0))
     agree = directions_found(rotations, mine.normals, theirs.normals, mine.weights, np.cos(_ANGLE))
     scores = agree - _tail((turns / sigma_rad) ** 2)
-    left = rotations[np.argsort(-scores, kind="stable")].reshape(-1, 9)
-    chosen: list[FloatArray] = []
-    while len(left) and len(chosen) < _ROTATIONS:
-        best = left[0]
-        chosen.append(best.reshape(3, 3))
-        left = left[left @ best < 1.0 + 2.0 * np.cos(_ANGLE)]  # the trace of one turned back by the other
-    return chosen
+    best_first = rotations[np.argsort(-scores, kind="stable")]
+    return list(unlike(best_first, 1.0 + 2.0 * np.cos(_ANGLE), _ROTATIONS))
 
 
 def _frames(normals: FloatArray, *, ordered: bool) -> tuple[FloatArray, FloatArray]:

@@ -19,7 +19,8 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion, spatial_covariance
 from slam.geometry.frames import inverse
-from slam.registration.motion_from_planes import fit_planes_on
+from slam.registration._plane_arrays import PlaneArrays
+from slam.registration.motion_from_planes import fit_pairs_on
 from slam.registration.plane_registration import pairs_under
 from slam.registration.relocalization import SILENT, SILENT_M, SILENT_RAD, is_wide, local_map, stated
 from slam.registration.surface_registration import align, most_information
@@ -77,15 +78,14 @@ def planes_confirm(
         elements: surface elements of this one, shape (N, 8).
         significance: probability that a true motion is not confirmed.
     """
-    known = [plane.transform(inverse(motion.a_T_b)) for plane in before]
-    pairs = pairs_under(np.eye(4), seen, known)
-    widths = np.array([0.0 if plane.outline is None else np.sqrt(plane.outline.area) for plane in seen])
-    if not pairs or widths[[i for i, _ in pairs]].sum() < _MOST * widths.sum():
+    mine, theirs = (PlaneArrays.as_given(list(planes), list(range(len(planes)))) for planes in (seen, before))
+    pairs = np.array(pairs_under(motion.a_T_b, mine, theirs), dtype=np.int64).reshape(-1, 2)
+    if not len(pairs) or mine.weights[pairs[:, 0]].sum() < _MOST * mine.weights.sum():
         return False
-    fit = fit_planes_on(np.eye(4), [(seen[i], known[j]) for i, j in pairs], (SILENT_M, SILENT_RAD))
+    fit = fit_pairs_on(motion.a_T_b, mine, theirs, pairs, (SILENT_M, SILENT_RAD))
     if fit is None:
         return False
-    place, covariance = fit
+    place, covariance = inverse(motion.a_T_b) @ fit[0], fit[1]
     by_planes, at_best, apart = stated(covariance), _by_returns(most_information(elements)), _spatial(motion)
     widest = eigh(by_planes + apart, at_best + apart, eigvals_only=True)[-1]
     return bool(widest < _AS_GOOD**2) and _agree(motion, place, by_planes, significance)
