@@ -182,34 +182,25 @@ def align(elements: FloatArray, known: LocalMap, candidates: Sequence[FloatArray
     some, scan = elements[:: int(np.ceil(len(elements) / _SOME))], _Sight(elements[:, :3])
     rough: list[tuple[float, float, FloatArray]] = []
     for start in candidates:
-        motion = _descended(some, known, start, [place for *_, place in rough])
-        if motion is not None:
-            rough.append((*_scored(some, scan, known, motion), motion))
+        if any(np.abs(start - other).max() < _SAME for other in candidates[: len(rough)]):
+            rough.append((-np.inf, 0.0, start))
+            continue
+        motion = _descended(some, known, start, _REACHES)
+        rough.append((*_scored(some, scan, known, motion), motion))
     score, share, motion = max(rough, key=lambda one: one[0])
+    if len(some) < len(elements):
+        motion = _descended(elements, known, motion, _REACHES[-2:])
     found = _Residuals.of(elements, known, motion, _REACHES[-1] * _widths(elements))
-    for _ in range(_STEPS):
-        step = found.step()
-        motion = motion @ gtsam.Pose3.Expmap(step).matrix()
-        found = _Residuals.of(elements, known, motion, _REACHES[-1] * _widths(elements))
-        if np.abs(step).max() < _CONVERGED:
-            break
     return Alignment(motion, found.information(), found.off_planes(), score, share)
 
 
-def _descended(
-    elements: FloatArray, known: LocalMap, motion: FloatArray, others: Sequence[FloatArray]
-) -> FloatArray | None:
-    """The motion at which the residuals are least, by Gauss and Newton, partners looked for less and less far.
-
-    None where it falls into one of the others, which were found before.
-    """
+def _descended(elements: FloatArray, known: LocalMap, motion: FloatArray, reaches: Sequence[float]) -> FloatArray:
+    """The motion at which the residuals are least, by Gauss and Newton, partners looked for less and less far."""
     widths = _widths(elements)
-    for reach in _REACHES:
+    for reach in reaches:
         for _ in range(_STEPS):
             step = _Residuals.of(elements, known, motion, reach * widths).step()
             motion = motion @ gtsam.Pose3.Expmap(step).matrix()
-            if any(np.abs(motion - other).max() < _SAME for other in others):
-                return None
             if np.abs(step).max() < _CONVERGED:
                 break
     return motion
