@@ -18,8 +18,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
+from slam.frontend._surface_kernels import cube_keys, jumps, moments, moments_about, numbered
 from slam.geometry.frames import lift
 from slam.sensors.rig import Sensor
 from spplanes._check import FloatArray
@@ -49,6 +49,8 @@ _ALONG_SHARE, _STRAIGHT = 0.05, 0.05
 #: Edges are taken so far inside, rad, in whole beams, where returns are of the near side alone: the pixels of a camera
 #: blur two sides into one.
 _INSET_RAD = 0.004
+#: Of the lines of a grid one of so many tells how far apart beams are.
+_SOME_LINES = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,23 +68,12 @@ class _Cells:
 
     @classmethod
     def of(cls, points: FloatArray, labels: np.ndarray, share: float) -> _Cells:
-        """Points (N, 3), seen from the origin, with labels (N,) that are kept apart."""
-        level = np.floor(np.log2(share * np.maximum(np.linalg.norm(points, axis=1), 1e-3)))
-        cell = np.floor(points / np.exp2(level)[:, None])
-        key = np.column_stack((level, labels, cell)).astype(np.int64)
-        key -= key.min(axis=0)
-        sizes = key.max(axis=0) + 1
-        number = np.zeros(len(key), dtype=np.int64)
-        for column, size in zip(key.T, sizes.tolist(), strict=True):
-            number = number * size + column
-        _, first, inverse, count = np.unique(number, return_index=True, return_inverse=True, return_counts=True)
-        mean = np.stack([np.bincount(inverse, points[:, a]) for a in range(3)], axis=1) / count[:, None]
-        off = points - mean[inverse]
-        scatter = np.empty((len(count), 3, 3))
-        for a in range(3):
-            for b in range(a, 3):
-                scatter[:, a, b] = scatter[:, b, a] = np.bincount(inverse, off[:, a] * off[:, b]) / count
-        return cls(mean, scatter, count, labels[first])
+        """Points (N, 3), seen from the origin, with labels (N,) that are kept apart; below nought: left out."""
+        keys = cube_keys(points, labels, share)
+        number, first, count = numbered(keys)
+        mean, scatter = moments(points, number, count)
+        order = np.argsort(keys[first])
+        return cls(mean[order], scatter[order], count[order], labels[first[order]])
 
     def only(self, chosen: np.ndarray) -> _Cells:
         """Those of a mask (N,)."""
@@ -99,14 +90,14 @@ def surfaces_of(points: FloatArray, labels: np.ndarray, planes: FloatArray, sens
         sensor: how it errs, and where it sits.
     """
     every = int(np.ceil(np.sqrt(max(np.isfinite(points[..., 0]).sum() / _MOST_POINTS, 1.0))))
-    thin, thin_labels = points[::every, ::every].reshape(-1, 3), labels[::every, ::every].ravel()
-    seen = np.isfinite(thin).all(axis=1)
-    flat, rest = seen & (thin_labels >= 0), seen & (thin_labels < 0)
-    parts = [_on_edges(points, labels, sensor)]
-    if flat.any():
-        parts.append(_on_planes(_Cells.of(thin[flat], thin_labels[flat], _SHARE_ON_PLANE), planes, sensor))
-    if rest.any():
-        parts.append(_on_no_plane(_Cells.of(thin[rest], np.zeros(rest.sum(), dtype=np.int64), _SHARE), sensor))
+    thin, thin_labels = points[::every, ::every].reshape(-1, 3), labels[::every, ::every].reshape(-1).astype(np.int64)
+    on_plane = np.where(np.isfinite(thin[:, 0]), thin_labels, -1)
+    rest = np.where(np.isfinite(thin[:, 0]) & (thin_labels < 0), 0, -1)
+    parts = [
+        _on_edges(points, labels, sensor),
+        _on_planes(_Cells.of(thin, on_plane, _SHARE_ON_PLANE), planes, sensor),
+        _on_no_plane(_Cells.of(thin, rest, _SHARE), sensor),
+    ]
     rows = np.concatenate(parts)
     rows[:, 6] = np.hypot(rows[:, 6], sensor.surface_sigma_m * np.sqrt(_crowding(rows, sensor.surface_correlation_m)))
     turned = rows[:, 3:6] @ sensor.body_T_sensor[:3, :3].T
@@ -141,12 +132,11 @@ def _on_edges(points: FloatArray, labels: np.ndarray, sensor: Sensor) -> FloatAr
     """Edges before something farther: known across the edge and across the line of sight, to a beam or so."""
     width = _beam_width(points)
     inset = round(_INSET_RAD / width) if width > 0.0 else 0
-    ways = (points, labels), (points.transpose(1, 0, 2), labels.T)
-    found = np.unique(np.concatenate([_edge_points(*one, inset) for one in ways]), axis=0)
+    found = _edge_points(points, labels, inset)
     if len(found) < _LEAST:
         return np.empty((0, COLUMNS))
     seeds = _Cells.of(found, np.zeros(len(found), dtype=np.int64), 0.5 * _SHARE).mean
-    mean, scatter = _neighbourhoods(seeds, found)
+    mean, scatter = moments_about(seeds, found, _ALONG_SHARE * np.linalg.norm(seeds, axis=1), _LEAST)
     values, vectors = np.linalg.eigh(scatter)
     across = np.cross(mean, vectors[:, :, 2])
     ranges, length = np.linalg.norm(mean, axis=1), np.linalg.norm(across, axis=1)
@@ -155,57 +145,36 @@ def _on_edges(points: FloatArray, labels: np.ndarray, sensor: Sensor) -> FloatAr
     return _rows(mean, across, width * ranges[straight], ON_EDGE)
 
 
-def _neighbourhoods(seeds: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean (N, 3) and scatter (N, 3, 3) of the points about each seed that has enough of them."""
-    reaches = _ALONG_SHARE * np.linalg.norm(seeds, axis=1)
-    members = [np.sort(one) for one in KDTree(points).query_ball_point(seeds, reaches)]
-    groups = [points[one] for one in members if len(one) >= _LEAST]
-    if not groups:
-        return np.empty((0, 3)), np.empty((0, 3, 3))
-    return np.array([group.mean(axis=0) for group in groups]), np.array([np.cov(group.T) for group in groups])
-
-
 def _beam_width(points: FloatArray) -> float:
     """Angle between neighbouring beams of a grid, the larger of rows and columns, rad."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        rays = points / np.linalg.norm(points, axis=-1, keepdims=True)
-    widths = [np.linalg.norm(np.diff(rays, axis=axis), axis=-1) for axis in (0, 1)]
-    return max((float(np.nanmedian(one)) for one in widths if np.isfinite(one).any()), default=0.0)
+    widths = []
+    for lines in (points[::_SOME_LINES], points[:, ::_SOME_LINES].transpose(1, 0, 2)):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            rays = lines / np.sqrt(np.einsum("lbi,lbi->lb", lines, lines))[..., None]
+        apart = np.diff(rays, axis=1)
+        square = np.einsum("lbi,lbi->lb", apart, apart)
+        widths.append(square[np.isfinite(square)])
+    return max((float(np.sqrt(np.median(one))) for one in widths if len(one)), default=0.0)
 
 
 def _edge_points(points: FloatArray, labels: np.ndarray, inset: int) -> FloatArray:
-    """Points (N, 3) on the near side of jumps along the rows of a grid (S, B, 3), both ways."""
-    both = (points, labels), (points[:, ::-1], labels[:, ::-1])
-    return np.concatenate([_edges_ahead(*one, inset) for one in both])
-
-
-def _edges_ahead(points: FloatArray, labels: np.ndarray, inset: int) -> FloatArray:
-    """Where rows jump away: the next return is so much farther that nothing in sight joins the two.
+    """Points (N, 3) on the near side of jumps along rows and columns of a grid (S, B, 3), both ways; none twice.
 
     Between the last beam on the near side and the next one the edge may be anywhere: it is taken in the middle.
     """
-    ranges, n = np.linalg.norm(points, axis=-1), points.shape[1]
-    seen, reach = np.isfinite(ranges), max(inset, 1)
-    after = np.where(seen, np.arange(n), n)
-    after = np.minimum.accumulate(after[:, ::-1], axis=1)[:, ::-1]
-    row, column = np.nonzero(seen[:, :-1] & (after[:, 1:] < n))
-    inside = column >= reach
-    row, column = row[inside], column[inside]
-    behind, before = after[row, column + 1], column - reach
-    near, far, inner = ranges[row, column], ranges[row, behind], ranges[row, before]
-    step = np.abs(near - inner) / reach
-    with np.errstate(invalid="ignore"):
-        jump = far - near > np.maximum(_BEHIND_M + _BEHIND_SHARE * near, _BEHIND_STEPS * step * (behind - column))
-        jump &= np.abs(near - inner) < 0.5 * _BEHIND_M + _BEHIND_SHARE * near
-    row, column, behind = row[jump], column[jump], behind[jump]
-    a, b = (points[row, k] / ranges[row, k, None] for k in (column, behind))
-    one = (labels[row, column] >= 0) & (labels[row, column] == labels[row, behind])
-    kept = (np.einsum("ki,ki->k", a, b) > np.cos(_GAP_RAD)) & ~one
-    row, column, behind, a, b = row[kept], column[kept], behind[kept], a[kept], b[kept]
-    if inset:
-        return points[row, column - inset]
-    middle = np.where((behind == column + 1)[:, None], a + b, a)
-    return middle * (ranges[row, column] / np.linalg.norm(middle, axis=1))[:, None]
+    rows, columns = points.shape[:2]
+    flat, numbers = np.ascontiguousarray(points).reshape(-1, 3), np.ascontiguousarray(labels, dtype=np.int64).ravel()
+    ranges = np.sqrt(np.einsum("ki,ki->k", flat, flat))
+    ways = (
+        (rows, columns, columns, 1, 0),
+        (rows, columns, columns, -1, columns - 1),
+        (columns, rows, 1, columns, 0),
+        (columns, rows, 1, -columns, (rows - 1) * columns),
+    )
+    rules = _BEHIND_M, _BEHIND_SHARE, _BEHIND_STEPS, float(np.cos(_GAP_RAD))
+    found = np.concatenate([jumps(flat, ranges, numbers, way, inset, rules) for way in ways])
+    found = found[np.lexsort(found.T[::-1])]
+    return found[np.append(True, (np.diff(found, axis=0) != 0.0).any(axis=1))[: len(found)]]
 
 
 def _crowding(rows: FloatArray, width_m: float) -> FloatArray:
@@ -214,8 +183,10 @@ def _crowding(rows: FloatArray, width_m: float) -> FloatArray:
     n elements that share an error say as much as n with n times its variance each.
     """
     cell = np.column_stack((np.floor(rows[:, :3] / width_m), rows[:, 7])).astype(np.int64)
-    _, inverse, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
-    return count[inverse.ravel()].astype(np.float64)
+    cell -= cell.min(axis=0, initial=0)
+    sizes = cell.max(axis=0, initial=0) + 1
+    number, _, count = numbered(np.ravel_multi_index(tuple(cell.T), tuple(sizes)))
+    return count[number].astype(np.float64)
 
 
 def _rows(points: FloatArray, directions: FloatArray, sigma: FloatArray, kind: int) -> FloatArray:

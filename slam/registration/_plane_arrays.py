@@ -1,4 +1,4 @@
-"""The largest planes of a view as arrays, for plane registration."""
+"""Planes as arrays, for plane registration: the largest of a view, or some as they are."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
+from slam.geometry._polygon_kernels import Rings
 from slam.geometry.polygons import polygonal, valid
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -36,21 +37,46 @@ class PlaneArrays:
     """Centres, shape (N, 3), m."""
     reaches: FloatArray
     """How far from its centre each was seen, shape (N,), m."""
+    frames: FloatArray
+    """Shape (N, 4, 4)."""
+    covariances: FloatArray
+    """Of (z, theta, psi), shape (N, 3, 3)."""
+    bare: np.ndarray
+    """Which have no outline and may be anywhere, mask (N,)."""
+    rings: Rings
+    """Of the outlines."""
 
     @classmethod
-    def of(cls, planes: Sequence[Plane]) -> PlaneArrays:
-        areas = np.array([0.0 if plane.outline is None else plane.outline.area for plane in planes])
+    def of(cls, planes: Sequence[Plane] | PlaneArrays) -> PlaneArrays:
+        """The largest, their outlines drawn roughly; arrays that are made already as they are."""
+        if isinstance(planes, PlaneArrays):
+            return planes
+        areas = _areas(planes)
         order = np.argsort(-areas, kind="stable")[:_MOST].tolist()
-        chosen = [_drawn_coarsely(planes[k]) for k in order]
+        return cls.as_given([_drawn_coarsely(planes[k]) for k in order], order, areas[order])
+
+    @classmethod
+    def as_given(cls, planes: list[Plane], order: list[int], areas: FloatArray | None = None) -> PlaneArrays:
+        """All of them, with what each is called, and areas that are not those of their outlines."""
+        frames = np.array([plane.frame for plane in planes]).reshape(-1, 4, 4)
+        normals, middles = frames[:, :3, 2].copy(), frames[:, :3, 3].copy()
         return cls(
-            chosen,
+            planes,
             order,
-            np.array([plane.normal for plane in chosen]).reshape(-1, 3),
-            np.array([plane.d for plane in chosen]),
-            np.sqrt(np.maximum(areas[order], 1e-3)),
-            np.array([plane.centre for plane in chosen]).reshape(-1, 3),
-            np.array([_reach(plane) for plane in chosen]),
+            normals,
+            np.array([plane.d for plane in planes]),
+            np.sqrt(np.maximum(_areas(planes) if areas is None else areas, 1e-3)),
+            middles,
+            np.array([_reach(plane) for plane in planes]),
+            frames,
+            np.array([plane.covariance for plane in planes]).reshape(-1, 3, 3),
+            np.array([plane.outline is None for plane in planes], dtype=bool),
+            Rings.of_all([plane.outline for plane in planes]),
         )
+
+
+def _areas(planes: Sequence[Plane]) -> FloatArray:
+    return np.array([0.0 if plane.outline is None else plane.outline.area for plane in planes])
 
 
 def _reach(plane: Plane) -> float:

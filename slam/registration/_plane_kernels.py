@@ -1,9 +1,10 @@
-"""Kernels of plane registration: rotations and translations scored by the planes that find a partner."""
+"""Kernels of plane registration: rotations and translations scored by the planes that find a partner, and partners."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from slam.geometry._polygon_kernels import come_near
 from spplanes._jit import njit
 
 #: Motions that a rotation gives at most.
@@ -58,6 +59,26 @@ def directions_found(rotations, normals, others, weights, least_cosine):
                     found[k] += weights[i]
                     break
     return found
+
+
+@njit(cache=True)
+def unlike(rotations, trace, most):
+    """The first so many of rotations (K, 3, 3) of which none turned back by one before has that trace or more."""
+    chosen, count = np.empty((most, 3, 3)), 0
+    for k in range(len(rotations)):
+        if count == most:
+            break
+        alike = False
+        for c in range(count):
+            total = 0.0
+            for a in range(3):
+                for b in range(3):
+                    total += rotations[k, a, b] * chosen[c, a, b]
+            alike |= total >= trace
+        if not alike:
+            chosen[count] = rotations[k]
+            count += 1
+    return chosen[:count]
 
 
 @njit(cache=True)
@@ -168,3 +189,66 @@ def _shift_of(pairs, normals, offsets, distance, sigma, shift):
         (b * x + e * y + f * z) * scale,
         ((c * x + f * y + g * z) * scale),
     )
+
+
+@njit(cache=True)
+def partners(motion, mine, theirs, least_cosine, distance, gap):
+    """For every plane seen, the known plane nearest in offset that it is under a motion, where their outlines meet.
+
+    Args:
+        motion: known_T_seen, shape (4, 4).
+        mine: of the planes seen frames (N, 4, 4), which have no outline (N,), and `Rings`.
+        theirs: the same of those known.
+        least_cosine: of the angle between two that are one.
+        distance: two planes are one up to this offset, m.
+        gap: and up to this between their outlines, m.
+
+    Returns:
+        (seen, known), shape (K, 2).
+    """
+    frames, bare, corners, ends, of = mine
+    others, other_bare, other_corners, other_ends, other_of = theirs
+    pairs, count = np.empty((len(frames), 2), np.int64), 0
+    apart = np.empty(len(others))
+    for i in range(len(frames)):
+        frame = motion @ frames[i]
+        offset = frame[0, 2] * frame[0, 3] + frame[1, 2] * frame[1, 3] + frame[2, 2] * frame[2, 3]
+        for j in range(len(others)):
+            other, cosine, known = others[j], 0.0, 0.0
+            for a in range(3):
+                cosine += frame[a, 2] * other[a, 2]
+                known += other[a, 2] * other[a, 3]
+            apart[j] = abs(offset - known) if cosine > least_cosine else np.inf
+        while len(others):
+            j = np.argmin(apart)
+            if not apart[j] <= distance:
+                break
+            met = bare[i] or other_bare[j]
+            if not met:
+                first, last = of[i], of[i + 1]
+                flat = _flattened(corners[ends[first] : ends[last]], frame, others[j])
+                other_first, other_last = other_of[j], other_of[j + 1]
+                there = other_corners[other_ends[other_first] : other_ends[other_last]]
+                rings = ends[first : last + 1] - ends[first]
+                other_rings = other_ends[other_first : other_last + 1] - other_ends[other_first]
+                met = come_near(flat, rings, there, other_rings, gap)
+            if met:
+                pairs[count, 0], pairs[count, 1] = i, j
+                count += 1
+                break
+            apart[j] = np.inf
+    return pairs[:count]
+
+
+@njit(cache=True)
+def _flattened(corners, frame, other):
+    """Corners (C, 2) in a frame, seen along the normal of another one (4, 4), in its (x, y)."""
+    flat = np.empty_like(corners)
+    for k in range(len(corners)):
+        for b in range(2):
+            total = 0.0
+            for a in range(3):
+                place = frame[a, 0] * corners[k, 0] + frame[a, 1] * corners[k, 1] + frame[a, 3]
+                total += other[a, b] * (place - other[a, 3])
+            flat[k, b] = total
+    return flat

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import gtsam
 import numpy as np
 
+from slam.geometry._rigid_kernels import expmap, logmap
+from slam.registration._plane_arrays import PlaneArrays
 from spplanes import Plane
 from spplanes._check import FloatArray
+from spplanes._jit import njit
 
 #: What surfaces and sensors leave two views of a plane off each other, m, whatever their covariance says; over the
 #: width of a plane it is a tilt.
@@ -16,6 +18,10 @@ _OFF_M = 0.01
 #: A pair of this chi2 counts half: of three degrees of freedom, nine true ones in ten have less.
 _DOUBTFUL = 6.0
 _STEPS = 4
+#: Narrower planes tilt no more than such ones, m.
+_NARROWEST_M = 0.1
+#: Least second singular value of the known normals: below, all look one way.
+_SECOND = 0.3
 
 
 def fit_planes_on(
@@ -36,50 +42,91 @@ def fit_planes_on(
         The motion, and its covariance in the tangent on the right, GTSAM order (6, 6); None where fewer than three
         pairs, or all of one direction, leave it open.
     """
-    if len(pairs) < 3 or np.linalg.svd(np.array([known.normal for _, known in pairs]))[1][1] < 0.3:
+    order = list(range(len(pairs)))
+    seen = PlaneArrays.as_given([one for one, _ in pairs], order)
+    known = PlaneArrays.as_given([one for _, one in pairs], order)
+    return fit_pairs_on(motion, seen, known, np.repeat(np.arange(len(pairs))[:, None], 2, axis=1), sigmas, loose)
+
+
+def fit_pairs_on(
+    motion: FloatArray,
+    seen: PlaneArrays,
+    known: PlaneArrays,
+    pairs: np.ndarray,
+    sigmas: tuple[float, float],
+    loose: float = 1.0,
+) -> tuple[FloatArray, FloatArray] | None:
+    """The same of pairs (seen, known), indices of shape (K, 2), as `fit_planes_on`."""
+    i, j = pairs.T
+    if len(pairs) < 3 or np.linalg.eigvalsh(known.normals[j].T @ known.normals[j])[1] < _SECOND**2:
         return None
+    apart = np.linalg.norm(seen.middles[i] @ motion[:3, :3].T + motion[:3, 3] - known.middles[j], axis=1)
+    scatter = _scatter(seen.covariances[i], _widths(seen)[i], _widths(known)[j], apart, loose * _OFF_M)
     expected = np.diag(1.0 / np.repeat([sigmas[1], sigmas[0]], 3) ** 2)
-    frames = np.array([seen.frame for seen, _ in pairs])
-    normals, distances = np.array([known.normal for _, known in pairs]), np.array([known.d for _, known in pairs])
-    scatter = _scatter(motion, pairs, loose)
-    information = expected
-    for _ in range(_STEPS):
-        off, jacobian = _off(motion, frames, normals, distances)
-        weights = np.linalg.inv(scatter)
-        chi2 = np.einsum("ki,kij,kj->k", off, weights, off)
-        weights = weights / (1.0 + chi2 / _DOUBTFUL)[:, None, None]
-        information = expected + np.einsum("kia,kij,kjb->ab", jacobian, weights, jacobian)
-        told = expected @ gtsam.Pose3.Logmap(gtsam.Pose3(motion)) + np.einsum("kia,kij,kj->a", jacobian, weights, off)
-        motion = motion @ gtsam.Pose3.Expmap(-np.linalg.solve(information, told)).matrix()
-    return motion, np.linalg.inv(information).astype(np.float64)
+    return _solved(
+        np.ascontiguousarray(motion), seen.frames[i], known.normals[j], known.distances[j], scatter, expected
+    )
 
 
-def _scatter(motion: FloatArray, pairs: Sequence[tuple[Plane, Plane]], loose: float) -> FloatArray:
+def _widths(planes: PlaneArrays) -> FloatArray:
+    """How wide planes are, (N,), m: the root of their area; of one without an outline a metre."""
+    return np.where(planes.bare, 1.0, np.maximum(planes.weights, _NARROWEST_M))
+
+
+def _scatter(
+    measured: FloatArray, widths: FloatArray, other_widths: FloatArray, apart: FloatArray, off_m: float
+) -> FloatArray:
     """Covariances (K, 3, 3) of what pairs are off: as measured, and as planes of their size and distance may be."""
     flip = np.array([1.0, 1.0, -1.0])
-    measured = np.array([seen.covariance for seen, _ in pairs]) * np.outer(flip, flip)
-    widths = np.array([[_width(plane) for plane in pair] for pair in pairs])
-    apart = np.array([np.linalg.norm(motion[:3, :3] @ a.centre + motion[:3, 3] - b.centre) for a, b in pairs])
-    tilts = (loose * _OFF_M) ** 2 / widths**2
-    extra = np.zeros_like(measured)
-    extra[:, 0, 0] = (loose * _OFF_M) ** 2 + tilts[:, 1] * apart**2
-    extra[:, 1, 1] = extra[:, 2, 2] = tilts.sum(axis=1)
-    return measured + extra
+    scatter = measured * np.outer(flip, flip)
+    scatter[:, 0, 0] += off_m**2 + (off_m / other_widths * apart) ** 2
+    for axis in (1, 2):
+        scatter[:, axis, axis] += (off_m / widths) ** 2 + (off_m / other_widths) ** 2
+    return scatter
 
 
-def _width(plane: Plane) -> float:
-    return 1.0 if plane.outline is None else max(float(np.sqrt(plane.outline.area)), 0.1)
+@njit(cache=True)
+def _solved(motion, frames, normals, distances, scatter, expected):
+    """The motion of least squares, shape (4, 4), and its covariance (6, 6)."""
+    weights, information = np.empty_like(scatter), expected.copy()
+    for k in range(len(scatter)):
+        weights[k] = np.linalg.inv(scatter[k])
+    for _ in range(_STEPS):
+        off, jacobian = _off(motion, frames, normals, distances)
+        information, told = expected.copy(), expected @ logmap(motion)
+        for k in range(len(frames)):
+            chi2 = 0.0
+            for a in range(3):
+                for b in range(3):
+                    chi2 += off[k, a] * weights[k, a, b] * off[k, b]
+            weighted = np.ascontiguousarray(jacobian[k].T) @ (weights[k] / (1.0 + chi2 / _DOUBTFUL))
+            information += weighted @ jacobian[k]
+            told += weighted @ off[k]
+        motion = motion @ expmap(-np.linalg.solve(information, told))
+    return motion, np.linalg.inv(information)
 
 
-def _off(
-    motion: FloatArray, frames: FloatArray, normals: FloatArray, distances: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """How far known planes (K,) lie from seen ones, height and two tilts (K, 3), and the derivative (K, 3, 6)."""
-    turned, centres = normals @ motion[:3, :3], frames[:, :3, 3]
-    heights = distances - normals @ motion[:3, 3] - np.einsum("ki,ki->k", turned, centres)
-    tilts = np.einsum("kia,ki->ka", frames[:, :3, :2], turned)
-    jacobian = np.zeros((len(frames), 3, 6))
-    jacobian[:, 0, :3], jacobian[:, 0, 3:] = -np.cross(centres, turned), -turned
-    jacobian[:, 1, :3] = np.cross(frames[:, :3, 0], turned)
-    jacobian[:, 2, :3] = np.cross(frames[:, :3, 1], turned)
-    return np.column_stack((heights, tilts)), jacobian
+@njit(cache=True)
+def _off(motion, frames, normals, distances):
+    """How far known planes lie from seen ones, height and two tilts (K, 3), and the derivative (K, 3, 6).
+
+    Args:
+        motion: known_T_seen, shape (4, 4); the derivative is by its tangent on the right, GTSAM order.
+        frames: of the planes seen, shape (K, 4, 4).
+        normals, distances: of the planes known, shapes (K, 3) and (K,).
+    """
+    off, jacobian, turned = np.zeros((len(frames), 3)), np.zeros((len(frames), 3, 6)), np.empty(3)
+    for k in range(len(frames)):
+        off[k, 0] = distances[k]
+        for a in range(3):
+            turned[a] = normals[k, 0] * motion[0, a] + normals[k, 1] * motion[1, a] + normals[k, 2] * motion[2, a]
+            off[k, 0] -= normals[k, a] * motion[a, 3] + turned[a] * frames[k, a, 3]
+            off[k, 1] += frames[k, a, 0] * turned[a]
+            off[k, 2] += frames[k, a, 1] * turned[a]
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            jacobian[k, 0, a] = turned[b] * frames[k, c, 3] - turned[c] * frames[k, b, 3]
+            jacobian[k, 1, a] = frames[k, b, 0] * turned[c] - frames[k, c, 0] * turned[b]
+            jacobian[k, 2, a] = frames[k, b, 1] * turned[c] - frames[k, c, 1] * turned[b]
+            jacobian[k, 0, 3 + a] = -turned[a]
+    return off, jacobian

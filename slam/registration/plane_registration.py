@@ -12,8 +12,8 @@ import numpy as np
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten, valid
 from slam.registration._plane_arrays import PlaneArrays
-from slam.registration._plane_kernels import best_shifts, directions_found, near_rotations
-from slam.registration.motion_from_planes import fit_planes_on
+from slam.registration._plane_kernels import best_shifts, directions_found, near_rotations, partners, unlike
+from slam.registration.motion_from_planes import fit_pairs_on
 from slam.registration.visibility import LinesOfSight
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -55,7 +55,7 @@ class PlaneMatching:
 
 
 def match_planes_widely(
-    seen: Sequence[Plane], known: Sequence[Plane], sigmas: tuple[float, float]
+    seen: Sequence[Plane] | PlaneArrays, known: Sequence[Plane] | PlaneArrays, sigmas: tuple[float, float]
 ) -> PlaneMatching | None:
     """Find the motion that explains the largest planes, with no more of a guess than "about where it was".
 
@@ -127,7 +127,9 @@ def places_anywhere(seen: Sequence[Plane], known: Sequence[Plane]) -> list[tuple
     return sorted(placed, key=lambda one: -one[0])
 
 
-def pairs_under(known_T_seen: FloatArray, seen: Sequence[Plane], known: Sequence[Plane]) -> tuple[tuple[int, int], ...]:
+def pairs_under(
+    known_T_seen: FloatArray, seen: Sequence[Plane] | PlaneArrays, known: Sequence[Plane] | PlaneArrays
+) -> tuple[tuple[int, int], ...]:
     """(seen, known) of the planes, of the largest of both, that are one under a motion (4, 4)."""
     mine, theirs = PlaneArrays.of(seen), PlaneArrays.of(known)
     if not len(mine.normals) or not len(theirs.normals):
@@ -141,7 +143,7 @@ def _worked_out(
     """A rough motion after least squares over the pairs it has, and over those it has then; None without enough."""
     pairs, covariance = _partners(motion, mine, theirs), np.eye(6)
     for loose in _LOOSE:
-        fit = fit_planes_on(motion, [(mine.planes[i], theirs.planes[j]) for i, j in pairs], sigmas, loose)
+        fit = fit_pairs_on(motion, mine, theirs, np.array(pairs, dtype=np.int64).reshape(-1, 2), sigmas, loose)
         if fit is None:
             return None
         motion, covariance = fit
@@ -173,13 +175,8 @@ def _rotations(mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float) -> list
     turns = np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0))
     agree = directions_found(rotations, mine.normals, theirs.normals, mine.weights, np.cos(_ANGLE))
     scores = agree - _tail((turns / sigma_rad) ** 2)
-    left = rotations[np.argsort(-scores, kind="stable")].reshape(-1, 9)
-    chosen: list[FloatArray] = []
-    while len(left) and len(chosen) < _ROTATIONS:
-        best = left[0]
-        chosen.append(best.reshape(3, 3))
-        left = left[left @ best < 1.0 + 2.0 * np.cos(_ANGLE)]  # the trace of one turned back by the other
-    return chosen
+    best_first = rotations[np.argsort(-scores, kind="stable")]
+    return list(unlike(best_first, 1.0 + 2.0 * np.cos(_ANGLE), _ROTATIONS))
 
 
 def _frames(normals: FloatArray, *, ordered: bool) -> tuple[FloatArray, FloatArray]:
@@ -224,19 +221,13 @@ def _translations(
 
 def _partners(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays) -> list[tuple[int, int]]:
     """For every plane seen, the known plane nearest in offset that it is under a motion, where their outlines meet."""
-    turned = mine.normals @ motion[:3, :3].T
-    offsets = mine.distances + turned @ motion[:3, 3]
-    alike = turned @ theirs.normals.T > np.cos(_ANGLE)
-    apart = np.abs(offsets[:, None] - theirs.distances[None, :])
-    pairs = []
-    for i, plane in enumerate(mine.planes):
-        for j in np.argsort(np.where(alike[i], apart[i], np.inf), kind="stable").tolist():
-            if not alike[i, j] or apart[i, j] > _DISTANCE:
-                break
-            if _meet(plane, theirs.planes[j], motion):
-                pairs.append((i, j))
-                break
-    return pairs
+    motion, least = np.ascontiguousarray(motion), float(np.cos(_ANGLE))
+    found = partners(motion, _shapes(mine), _shapes(theirs), least, _DISTANCE, _GAP)
+    return [(i, j) for i, j in found.tolist()]
+
+
+def _shapes(planes: PlaneArrays) -> tuple[FloatArray, ...]:
+    return planes.frames, planes.bare, *planes.rings
 
 
 def _agreement(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, needed: float = -np.inf) -> float:
@@ -282,10 +273,3 @@ def _common(seen: Plane, known: Plane, motion: FloatArray) -> float:
     moved = valid(flatten(seen.outline, inverse(known.frame) @ motion @ seen.frame))
     least = min(moved.area, known.outline.area)
     return moved.intersection(known.outline).area / least if least > 0.0 else 0.0
-
-
-def _meet(seen: Plane, known: Plane, motion: FloatArray) -> bool:
-    if seen.outline is None or known.outline is None:
-        return True
-    moved = flatten(seen.outline, inverse(known.frame) @ motion @ seen.frame)
-    return moved.distance(known.outline) <= _GAP

@@ -8,17 +8,17 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from scipy.special import chdtri
 
 from factors import relative_pose_factor
 from factors._conventions import POSE3_TO_SP
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
-from slam.frontend.odometry import Motion, spatial_covariance
+from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
+from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.plane_registration import PlaneMatching, match_planes_widely, pairs_under
 from slam.registration.surface_registration import Alignment, LocalMap, align
 from spplanes import Plane
@@ -30,8 +30,9 @@ _WIDE_M, _WIDE_RAD = 0.25, 0.12
 _RECENT = 6
 #: What least squares over pairs leaves out, segmentation above all, against its covariance: factor, and least, m, rad.
 _SLACK, _LEAST_M, _LEAST_RAD = 1.5, 0.02, 0.004
-#: Information about a motion that stands for none: 3 rad and 10 m.
-_SILENT = np.diag(np.repeat([3.0, 10.0], 3) ** -2.0)
+#: Information about a motion that stands for none, GTSAM order: standard deviations of so many m and rad.
+SILENT_M, SILENT_RAD = 10.0, 3.0
+SILENT = np.diag(np.repeat([SILENT_RAD, SILENT_M], 3) ** -2.0)
 
 
 def is_wide(motion: Motion) -> bool:
@@ -68,39 +69,6 @@ class FoundPlace:
         return [relative_pose_factor(key_a, key_b, beyond.a_T_b, beyond.covariance, robust=robust)]  # type: ignore[arg-type]
 
 
-def speaks_against(
-    keyframe: Keyframe, motion: Motion, keyframes: Sequence[Keyframe], backend: Backend, significance: float
-) -> bool:
-    """Whether all that a 3D scan sees speaks against a motion that was measured: odometry may be a guess.
-
-    The scan is laid on what was seen before from where the motion leads; it speaks against the motion where it comes to
-    rest further off than both covariances allow.
-
-    Args:
-        keyframe: what is seen.
-        motion: what is known of its motion.
-        keyframes: those before.
-        backend: the state.
-        significance: probability that a true motion is spoken against.
-    """
-    if is_wide(motion) or keyframe.surfaces is None or not len(keyframe.surfaces):
-        return False
-    known = _local_map(keyframes, backend, inverse(backend.pose(pose_symbol(len(keyframes) - 1)) @ motion.a_T_b))
-    if known is None:
-        return False
-    found = align(keyframe.surfaces, known, [np.eye(4)])
-    off = gtsam.Pose3.Logmap(gtsam.Pose3(found.known_T_seen))[POSE3_TO_SP]
-    aligned = _stated(motion, np.eye(4), _inverted(found.information + _SILENT)).covariance
-    return bool(off @ np.linalg.solve(aligned + _spatial(motion), off) > chdtri(6, significance))
-
-
-def _spatial(motion: Motion) -> FloatArray:
-    """Covariance of a motion in SP order along the axes of its end, shape (6, 6)."""
-    if not motion.is_planar:
-        return motion.covariance
-    return spatial_covariance(motion.covariance, motion.a_T_b, motion.out_of_plane_sigmas)
-
-
 def found_place(
     keyframe: Keyframe,
     motion: Motion,
@@ -123,23 +91,23 @@ def found_place(
     index, world_T_a = len(keyframes), backend.pose(pose_symbol(len(keyframes) - 1))
     expected_T_world = inverse(world_T_a @ motion.a_T_b)
     numbers = [k for k, one in enumerate(keyframe.observations) if isinstance(one, PlaneObservation)]
-    seen = [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
+    seen = PlaneArrays.of([one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)])
     recent = [one for one in landmarks if one.was_seen_between(index - _RECENT, index)]
-    known = [_placed(one, landmarks).transform(expected_T_world) for one in recent]
+    known = PlaneArrays.of([_placed(one, landmarks).transform(expected_T_world) for one in recent])
     by_planes = match_planes_widely(seen, known, _sigmas(motion))
-    by_returns = _by_returns(keyframe, motion, by_planes, _local_map(keyframes, backend, expected_T_world))
+    by_returns = _by_returns(keyframe, motion, by_planes, local_map(keyframes, backend, expected_T_world))
     if by_returns is None:
         if by_planes is None:
             return None
         there = _stated(motion, by_planes.known_T_seen, by_planes.covariance)
         return FoundPlace(there, frozenset(numbers[i] for i, _ in by_planes.pairs))
     information = by_returns.information + _information(motion)
-    there = _stated(motion, by_returns.known_T_seen, _inverted(information))
+    there = _stated(motion, by_returns.known_T_seen, np.linalg.inv(information).astype(np.float64))
     pairs = pairs_under(by_returns.known_T_seen, seen, known)
     return FoundPlace(there, frozenset(numbers[i] for i, _ in pairs), _beyond_planes(motion, by_returns))
 
 
-def _local_map(keyframes: Sequence[Keyframe], backend: Backend, expected_T_world: FloatArray) -> LocalMap | None:
+def local_map(keyframes: Sequence[Keyframe], backend: Backend, expected_T_world: FloatArray) -> LocalMap | None:
     """What the last keyframes saw, in the frame where the body is expected; None: no 3D scans."""
     first = max(len(keyframes) - _RECENT, 0)
     parts = []
@@ -168,7 +136,7 @@ def _beyond_planes(motion: Motion, found: Alignment) -> Motion | None:
     information, told = found.off_planes
     if not information.any():
         return None
-    information = information / _SLACK**2 + _SILENT
+    information = information / _SLACK**2 + SILENT
     step = gtsam.Pose3.Expmap(np.linalg.solve(information, told / _SLACK**2)).matrix()
     covariance = np.linalg.inv(information)[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
     return replace(motion, a_T_b=motion.a_T_b @ found.known_T_seen @ step, covariance=covariance, response=None)
@@ -176,13 +144,13 @@ def _beyond_planes(motion: Motion, found: Alignment) -> Motion | None:
 
 def _stated(motion: Motion, known_T_seen: FloatArray, covariance: FloatArray) -> Motion:
     """A motion found, with its covariance (6, 6), GTSAM order, and what that leaves out."""
-    covariance = _SLACK**2 * covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
-    covariance = covariance + np.diag(np.repeat([_LEAST_M**2, _LEAST_RAD**2], 3))
-    return replace(motion, a_T_b=motion.a_T_b @ known_T_seen, covariance=covariance, response=None)
+    return replace(motion, a_T_b=motion.a_T_b @ known_T_seen, covariance=stated(covariance), response=None)
 
 
-def _inverted(information: FloatArray) -> FloatArray:
-    return np.linalg.inv(information).astype(np.float64)
+def stated(covariance: FloatArray) -> FloatArray:
+    """Covariance (6, 6), SP order, of a motion by least squares with one in GTSAM order, and what that leaves out."""
+    least = np.diag(np.repeat([_LEAST_M**2, _LEAST_RAD**2], 3))
+    return _SLACK**2 * covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)] + least
 
 
 def _information(motion: Motion) -> FloatArray:

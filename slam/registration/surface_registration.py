@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -72,7 +73,7 @@ class LocalMap:
         self.eyes = np.concatenate([np.tile(pose[:3, 3], (len(elements), 1)) for pose, elements in parts])
         self.points, self.directions, self.sigmas, self.kinds = rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7]
         self._groups = [np.flatnonzero(self.kinds != ON_EDGE), np.flatnonzero(self.kinds == ON_EDGE)]
-        self._trees = [KDTree(self.points[group]) if len(group) else None for group in self._groups]
+        self._trees = [_tree(self.points[group]) if len(group) else None for group in self._groups]
         self._newest = parts[-1]
 
     def partners(self, points: FloatArray, directions: FloatArray, kinds: np.ndarray, reach: FloatArray) -> np.ndarray:
@@ -90,24 +91,62 @@ class LocalMap:
             partner[mine[alike]] = other[alike]
         return partner
 
-    def contradicted(
-        self, known_T_seen: FloatArray, some: FloatArray, alone: np.ndarray, elements: FloatArray
-    ) -> float:
+    def contradicted(self, known_T_seen: FloatArray, some: FloatArray, alone: np.ndarray, scan: _Sight) -> float:
         """Share of a scan that is seen through: what stands before what the newest keyframe saw, or that before it.
 
         Args:
             known_T_seen: the motion, shape (4, 4).
             some: some elements of the scan, shape (M, 8).
             alone: which of them have no partner, mask (M,).
-            elements: all of them, shape (N, 8).
+            scan: all of them.
         """
         pose, newest = self._newest
         newest_T_seen = inverse(pose) @ known_T_seen
-        back = _seen_through(lift(some[alone, :3], newest_T_seen), newest[:, :3])
-        apart = KDTree(lift(elements[:, :3], newest_T_seen)).query(newest[:, :3])[0]
-        mine = newest[apart > _REACHES[-1] * _widths(newest), :3]
-        ahead = _seen_through(lift(mine, inverse(newest_T_seen)), elements[:, :3])
+        back = self.newest_sight.through(lift(some[alone, :3], newest_T_seen))
+        from_there = lift(newest[:, :3], inverse(newest_T_seen))
+        ahead = scan.through(from_there[scan.apart(from_there) > _REACHES[-1] * _widths(newest)])
         return max(back / max(len(some), 1), ahead / max(len(newest), 1))
+
+    @cached_property
+    def newest_sight(self) -> _Sight:
+        """What the newest keyframe saw."""
+        return _Sight(self._newest[1][:, :3])
+
+
+class _Sight:
+    """What a scan saw, from where it was seen: how far other points are from it, and which stand before it."""
+
+    def __init__(self, seen: FloatArray) -> None:
+        """Of points (N, 3) in the frame of the sensor or near it."""
+        self._points, self._depth = seen, np.linalg.norm(seen, axis=1)
+
+    @cached_property
+    def _directions(self) -> KDTree:
+        return _tree(self._points / self._depth[:, None])
+
+    @cached_property
+    def _places(self) -> KDTree:
+        return _tree(self._points)
+
+    def apart(self, points: FloatArray) -> FloatArray:
+        """Distances of points (N, 3) from the nearest that was seen, (N,), m."""
+        return np.asarray(self._places.query(points)[0], dtype=np.float64)
+
+    def through(self, points: FloatArray) -> int:
+        """How many of points (N, 3) stand well before all that was seen about their direction."""
+        if len(points) == 0 or len(self._points) < _ABOUT:
+            return 0
+        ranges = np.linalg.norm(points, axis=1)
+        rays = points / np.maximum(ranges, 1e-9)[:, None]
+        apart, index = self._directions.query(rays, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
+        common = np.isfinite(apart).all(axis=1)
+        nearest = self._depth[np.asarray(index)[common]].min(axis=1)
+        return int(np.count_nonzero(ranges[common] < (1.0 - _BEFORE_SHARE) * nearest - _BEFORE_M))
+
+
+def _tree(points: FloatArray) -> KDTree:
+    """A tree that is asked a few times only: made fast rather than good."""
+    return KDTree(points, balanced_tree=False, compact_nodes=False)
 
 
 def moved(elements: FloatArray, pose: FloatArray) -> FloatArray:
@@ -115,22 +154,19 @@ def moved(elements: FloatArray, pose: FloatArray) -> FloatArray:
     return np.column_stack((lift(elements[:, :3], pose), elements[:, 3:6] @ pose[:3, :3].T, elements[:, 6:]))
 
 
+def most_information(elements: FloatArray) -> FloatArray:
+    """Of a motion by elements (N, 8), if each found a partner without error: tangent on the right, GTSAM order, (6, 6).
+
+    A registration of theirs knows less.
+    """
+    jacobian = np.hstack((np.cross(elements[:, :3], elements[:, 3:6]), elements[:, 3:6])) / elements[:, 6:7]
+    return jacobian.T @ jacobian
+
+
 def _widths(elements: FloatArray) -> FloatArray:
     """How wide elements (N, 8) are, (N,), m."""
     share = np.where(elements[:, 7] == ON_PLANE, _WIDTH_ON_PLANE, _WIDTH)
     return share * np.linalg.norm(elements[:, :3], axis=1)
-
-
-def _seen_through(points: FloatArray, seen: FloatArray) -> int:
-    """How many of points (N, 3) stand well before all of the seen ones (M, 3) about their direction."""
-    if len(points) == 0 or len(seen) < _ABOUT:
-        return 0
-    ranges, depth = np.linalg.norm(points, axis=1), np.linalg.norm(seen, axis=1)
-    rays = points / np.maximum(ranges, 1e-9)[:, None]
-    apart, index = KDTree(seen / depth[:, None]).query(rays, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
-    common = np.isfinite(apart).all(axis=1)
-    nearest = depth[np.asarray(index)[common]].min(axis=1)
-    return int(np.count_nonzero(ranges[common] < (1.0 - _BEFORE_SHARE) * nearest - _BEFORE_M))
 
 
 def align(elements: FloatArray, known: LocalMap, candidates: Sequence[FloatArray]) -> Alignment:
@@ -143,14 +179,14 @@ def align(elements: FloatArray, known: LocalMap, candidates: Sequence[FloatArray
         known: where it is laid.
         candidates: motions known_T_seen to start from, about right, shape (4, 4) each; of equals the first is taken.
     """
-    some = elements[:: int(np.ceil(len(elements) / _SOME))]
+    some, scan = elements[:: int(np.ceil(len(elements) / _SOME))], _Sight(elements[:, :3])
     rough: list[tuple[float, float, FloatArray]] = []
     for start in candidates:
         if any(np.abs(start - other).max() < _SAME for other in candidates[: len(rough)]):
             rough.append((-np.inf, 0.0, start))
             continue
         motion = _descended(some, known, start, _REACHES)
-        rough.append((*_scored(some, elements, known, motion), motion))
+        rough.append((*_scored(some, scan, known, motion), motion))
     score, share, motion = max(rough, key=lambda one: one[0])
     if len(some) < len(elements):
         motion = _descended(elements, known, motion, _REACHES[-2:])
@@ -163,21 +199,20 @@ def _descended(elements: FloatArray, known: LocalMap, motion: FloatArray, reache
     widths = _widths(elements)
     for reach in reaches:
         for _ in range(_STEPS):
-            found = _Residuals.of(elements, known, motion, reach * widths)
-            step = -np.linalg.solve(found.information() + _NOTHING, found.gradient())
+            step = _Residuals.of(elements, known, motion, reach * widths).step()
             motion = motion @ gtsam.Pose3.Expmap(step).matrix()
             if np.abs(step).max() < _CONVERGED:
                 break
     return motion
 
 
-def _scored(some: FloatArray, elements: FloatArray, known: LocalMap, motion: FloatArray) -> tuple[float, float]:
+def _scored(some: FloatArray, scan: _Sight, known: LocalMap, motion: FloatArray) -> tuple[float, float]:
     """Score and share of some of a scan's elements at a motion; see `Alignment`."""
     widths = _widths(some)
     found = _Residuals.of(some, known, motion, _REACHES[-1] * widths)
     alone = np.ones(len(some), dtype=bool)
     alone[found.index] = False
-    against = known.contradicted(motion, some, alone, elements)
+    against = known.contradicted(motion, some, alone, scan)
     return found.closeness(widths) / len(some) - _AGAINST * against, len(found.off) / len(some)
 
 
@@ -214,8 +249,10 @@ class _Residuals:
     def information(self) -> FloatArray:
         return self.jacobian.T @ (self.weights[:, None] * self.jacobian)
 
-    def gradient(self) -> FloatArray:
-        return self.jacobian.T @ (self.weights * self.off)
+    def step(self) -> FloatArray:
+        """Of Gauss and Newton, toward less of them, tangent of the motion on the right, (6,)."""
+        told = self.jacobian.T @ (self.weights * self.off)
+        return np.linalg.solve(self.information() + _NOTHING, -told).astype(np.float64)
 
     def off_planes(self) -> tuple[FloatArray, FloatArray]:
         """Information of the elements on no plane, and information times their mean, about the motion."""

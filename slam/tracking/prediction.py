@@ -18,8 +18,9 @@ from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse, orthonormal
 from slam.map.sparsification import Link
 from slam.map.state import Parts
-from slam.registration.relocalization import FoundPlace, found_place, is_wide, speaks_against
+from slam.registration.relocalization import FoundPlace, found_place, is_wide
 from slam.tracking.constant_velocity import coast
+from slam.tracking.odometry_check import speaks_against
 from spplanes._check import FloatArray
 
 

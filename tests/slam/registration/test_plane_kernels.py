@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.registration._plane_kernels import BEST, best_shifts, directions_found, near_rotations
+from slam.registration._plane_kernels import BEST, best_shifts, directions_found, near_rotations, unlike
 
 DISTANCE, SIGMA, TAIL = 0.1, 0.5, 2.0
 
@@ -73,3 +73,15 @@ def test_best_shifts_are_the_best_of_all_threes(seed):
     ranks = np.array(scores)[rows]
     assert len(got) == BEST and ranks[0] == max(scores) and (np.diff(ranks) <= 0.0).all()
     assert min(np.linalg.norm(a - b) for a, b in combinations(got, 2)) >= 0.5 * DISTANCE
+
+
+def test_of_rotations_none_is_kept_that_is_like_a_better_one() -> None:
+    rng = np.random.default_rng(4)
+    turns = np.array([gtsam.Rot3.Expmap(0.2 * rng.standard_normal(3)).matrix() for _ in range(300)])
+    trace, left, chosen = 1.0 + 2.0 * np.cos(0.1), turns.reshape(-1, 9), []
+    while len(left):
+        chosen.append(left[0])
+        left = left[left @ left[0] < trace]
+    np.testing.assert_array_equal(unlike(turns, trace, 1000).reshape(-1, 9), chosen)
+    np.testing.assert_array_equal(unlike(turns, trace, 7).reshape(-1, 9), chosen[:7])
+    assert 20 < len(chosen) < 300

@@ -1,0 +1,211 @@
+"""Kernels of surface elements: points gathered in cubes, jumps of range along a grid, points about a seed.
+
+All sums go over the points in the order that they are given in, so the bits are the same on any machine.
+"""
+
+from __future__ import annotations
+
+from math import frexp
+
+import numpy as np
+
+from spplanes._jit import njit
+
+#: Cells that a hash table has for every one used, at least; and the multiplier that spreads keys over it (Knuth).
+_ROOM, _SPREAD = 2, np.uint64(0x9E3779B97F4A7C15)
+#: Levels of cubes, powers of two metres, are numbered from this one below nought.
+_LEVELS = 1024
+
+
+@njit(cache=True, nogil=True)
+def numbered(keys):
+    """Numbers of equal keys (N,), in order of the first of each; that first one (M,), and how many there are (M,).
+
+    Keys below nought are left out: their number is -1.
+    """
+    size = 16
+    while size < _ROOM * keys.size:
+        size *= 2
+    shift, mask = np.uint64(64), np.uint64(size - 1)
+    bits = size
+    while bits > 1:
+        bits //= 2
+        shift -= np.uint64(1)
+    slots = np.full(size, -1, np.int64)
+    number, first, count = np.empty(keys.size, np.int64), np.empty(keys.size, np.int64), np.zeros(keys.size, np.int64)
+    m = 0
+    for k in range(keys.size):
+        key = keys[k]
+        if key < 0:
+            number[k] = -1
+            continue
+        if k > 0 and key == keys[k - 1]:  # as most points that lie beside each other
+            number[k] = number[k - 1]
+            count[number[k]] += 1
+            continue
+        slot = (np.uint64(key) * _SPREAD) >> shift
+        while slots[slot] >= 0 and keys[first[slots[slot]]] != key:
+            slot = (slot + np.uint64(1)) & mask
+        if slots[slot] < 0:
+            slots[slot] = m
+            first[m] = k
+            m += 1
+        number[k] = slots[slot]
+        count[number[k]] += 1
+    return number, first[:m], count[:m]
+
+
+@njit(cache=True, nogil=True)
+def cube_keys(points, labels, share):
+    """Keys of the cubes that points (N, 3) lie in, (N,), of one width within each label and power of two of the range.
+
+    Ordered by width, label and place. -1 where the label (N,) is below nought.
+
+    Args:
+        points: seen from the origin, m.
+        labels: of the points.
+        share: width of a cube as a share of the range, rounded down to a power of two metres.
+    """
+    keys, most = np.full(labels.size, -1, np.int64), 0
+    side = 2 * (int(2.0 / share) + 2)  # cubes to either side, no more than a range divided by half a width
+    for k in range(labels.size):
+        most = max(most, labels[k])
+    for k in range(labels.size):
+        if labels[k] < 0:
+            continue
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        level = frexp(share * max(np.sqrt(x * x + y * y + z * z), 1e-3))[1] - 1
+        width = 2.0**level
+        key = (level + _LEVELS) * (most + 1) + labels[k]
+        key = key * side + int(np.floor(x / width)) + side // 2
+        key = key * side + int(np.floor(y / width)) + side // 2
+        keys[k] = key * side + int(np.floor(z / width)) + side // 2
+    return keys
+
+
+@njit(cache=True, nogil=True)
+def moments(points, number, count):
+    """Mean (M, 3) and scatter (M, 3, 3) of the points (N, 3) of every number, of which there are `count` (M,)."""
+    mean, scatter = np.zeros((count.size, 3)), np.zeros((count.size, 3, 3))
+    for k in range(number.size):
+        m = number[k]
+        if m >= 0:
+            for a in range(3):
+                mean[m, a] += points[k, a]
+    for m in range(count.size):
+        for a in range(3):
+            mean[m, a] /= count[m]
+    for k in range(number.size):
+        m = number[k]
+        if m >= 0:
+            for a in range(3):
+                for b in range(a, 3):
+                    scatter[m, a, b] += (points[k, a] - mean[m, a]) * (points[k, b] - mean[m, b])
+    for m in range(count.size):
+        for a in range(3):
+            for b in range(a, 3):
+                scatter[m, a, b] /= count[m]
+                scatter[m, b, a] = scatter[m, a, b]
+    return mean, scatter
+
+
+@njit(cache=True, nogil=True)
+def moments_about(seeds, points, reaches, least):
+    """Mean (K, 3) and covariance (K, 3, 3) of the points within reach of each seed that has so many of them at least.
+
+    Args:
+        seeds: shape (N, 3).
+        points: shape (M, 3), the first column ascending.
+        reaches: shape (N,).
+        least: how many.
+    """
+    mean, scatter, kept = np.zeros((len(seeds), 3)), np.zeros((len(seeds), 3, 3)), 0
+    members = np.empty(len(points), np.int64)
+    for s in range(len(seeds)):
+        n, square = 0, reaches[s] * reaches[s]
+        k = np.searchsorted(points[:, 0], seeds[s, 0] - reaches[s])
+        while k < len(points) and points[k, 0] <= seeds[s, 0] + reaches[s]:
+            x, y, z = points[k, 0] - seeds[s, 0], points[k, 1] - seeds[s, 1], points[k, 2] - seeds[s, 2]
+            if x * x + y * y + z * z <= square:
+                members[n] = k
+                n += 1
+            k += 1
+        if n < least:
+            continue
+        for m in members[:n]:
+            for a in range(3):
+                mean[kept, a] += points[m, a]
+        for a in range(3):
+            mean[kept, a] /= n
+        for m in members[:n]:
+            for a in range(3):
+                for b in range(3):
+                    scatter[kept, a, b] += (points[m, a] - mean[kept, a]) * (points[m, b] - mean[kept, b])
+        for a in range(3):
+            for b in range(3):
+                scatter[kept, a, b] /= n - 1
+        kept += 1
+    return mean[:kept], scatter[:kept]
+
+
+@njit(cache=True, nogil=True)
+def jumps(points, ranges, labels, steps, inset, rules):
+    """Where ranges jump away along the lines of a grid: the next return is so much farther that nothing joins the two.
+
+    Args:
+        points: of the grid, flat, shape (N, 3).
+        ranges: of the points, shape (N,); NaN: no return.
+        labels: planes of the points, shape (N,); an edge within one plane is none.
+        steps: (lines, beams, from line to line, from beam to beam, first): where the points of a line are.
+        inset: edges are taken so many beams inside; none: in the middle of the last beam on the near side and the next.
+        rules: what is behind is farther by this, m, by this share of the range, and by so many times the step before;
+            least cosine between the two sides.
+
+    Returns:
+        shape (K, 3).
+    """
+    lines, beams, line_step, beam_step, first = steps
+    behind_m, behind_share, behind_steps, least_cosine = rules
+    reach, count, found = max(inset, 1), 0, np.empty((lines * beams, 3))
+    for line in range(lines):
+        start, near = first + line * line_step, -1
+        for beam in range(beams):
+            there = start + beam * beam_step
+            if not np.isfinite(ranges[there]):
+                continue
+            last, near = near, beam
+            if last < reach:
+                continue
+            here, before = start + last * beam_step, start + (last - reach) * beam_step
+            r, far, inner = ranges[here], ranges[there], ranges[before]
+            if not np.isfinite(inner):
+                continue
+            change = abs(r - inner)
+            if not far - r > max(behind_m + behind_share * r, behind_steps * (change / reach) * (beam - last)):
+                continue
+            if not change < 0.5 * behind_m + behind_share * r:
+                continue
+            if labels[here] >= 0 and labels[here] == labels[there]:
+                continue
+            cosine = 0.0
+            for a in range(3):
+                cosine += (points[here, a] / r) * (points[there, a] / far)
+            if not cosine > least_cosine:
+                continue
+            if inset == 0 and beam == last + 1:
+                _between(points[here], points[there], r, far, found[count])
+            else:
+                found[count] = points[start + (last - inset) * beam_step]
+            count += 1
+    return found[:count]
+
+
+@njit(cache=True, nogil=True)
+def _between(near, far, near_m, far_m, middle):
+    """Write into `middle` (3,) the point in the direction between two others, at the range of the near one."""
+    square = 0.0
+    for a in range(3):
+        middle[a] = near[a] / near_m + far[a] / far_m
+        square += middle[a] ** 2
+    for a in range(3):
+        middle[a] *= near_m / np.sqrt(square)

@@ -1,0 +1,113 @@
+"""Odometry held against 3D scans: by their planes, and by all their returns where planes leave open what these may say.
+
+Odometry may be a guess. Where the planes of two scans agree with it and say all that the returns could say, these are
+not asked: laying a scan on those before costs more than all else about a keyframe.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+from scipy.linalg import eigh
+from scipy.special import chdtri
+
+from factors._conventions import POSE3_TO_SP
+from slam.backend.estimator import Backend, pose_symbol
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import PlaneObservation
+from slam.frontend.odometry import Motion, spatial_covariance
+from slam.geometry.frames import inverse
+from slam.registration._plane_arrays import PlaneArrays
+from slam.registration.motion_from_planes import fit_pairs_on
+from slam.registration.plane_registration import pairs_under
+from slam.registration.relocalization import SILENT, SILENT_M, SILENT_RAD, is_wide, local_map, stated
+from slam.registration.surface_registration import align, most_information
+from spplanes import Plane
+from spplanes._check import FloatArray
+
+#: Planes say as much as all returns could where what they leave to be told apart is, in every direction, at most so
+#: many times as wide, as a standard deviation. Between planes that hold a motion (1.1 to 1.4 in simulated buildings)
+#: and those that leave a direction open to returns that do not (3 and more) there is little.
+_AS_GOOD = 2.0
+#: Least share of what is seen, by the root of area, that the last scan has under the motion: most of it.
+_MOST = 0.5
+
+
+def speaks_against(
+    keyframe: Keyframe, motion: Motion, keyframes: Sequence[Keyframe], backend: Backend, significance: float
+) -> bool:
+    """Whether what a 3D scan sees speaks against a motion that was measured.
+
+    The scan is laid on what was seen before from where the motion leads; it speaks against the motion where it comes to
+    rest further off than both covariances allow.
+
+    Args:
+        keyframe: what is seen.
+        motion: what is known of its motion.
+        keyframes: those before.
+        backend: the state.
+        significance: probability that a true motion is spoken against.
+    """
+    elements = keyframe.surfaces
+    if is_wide(motion) or elements is None or not len(elements):
+        return False
+    before = keyframes[len(keyframes) - 1]
+    if planes_confirm(motion, _planes(before), _planes(keyframe), elements, significance):
+        return False
+    known = local_map(keyframes, backend, inverse(backend.pose(pose_symbol(len(keyframes) - 1)) @ motion.a_T_b))
+    if known is None:
+        return False
+    found = align(elements, known, [np.eye(4)])
+    return not _agree(motion, found.known_T_seen, _by_returns(found.information), significance)
+
+
+def planes_confirm(
+    motion: Motion, before: Sequence[Plane], seen: Sequence[Plane], elements: FloatArray, significance: float
+) -> bool:
+    """Whether the planes of two scans agree with the motion between them and leave nothing to the other returns.
+
+    What tells a wrong motion from a true one is how well it is known where the scan comes to rest, and how well the
+    motion is. By planes the two together must be about as small, in every direction, as by returns at their best.
+
+    Args:
+        motion: what is known of the motion.
+        before: planes of the scan before, in the frame of the body then.
+        seen: those of this one, in the frame of the body now.
+        elements: surface elements of this one, shape (N, 8).
+        significance: probability that a true motion is not confirmed.
+    """
+    mine, theirs = (PlaneArrays.as_given(list(planes), list(range(len(planes)))) for planes in (seen, before))
+    pairs = np.array(pairs_under(motion.a_T_b, mine, theirs), dtype=np.int64).reshape(-1, 2)
+    if not len(pairs) or mine.weights[pairs[:, 0]].sum() < _MOST * mine.weights.sum():
+        return False
+    fit = fit_pairs_on(motion.a_T_b, mine, theirs, pairs, (SILENT_M, SILENT_RAD))
+    if fit is None:
+        return False
+    place, covariance = inverse(motion.a_T_b) @ fit[0], fit[1]
+    by_planes, at_best, apart = stated(covariance), _by_returns(most_information(elements)), _spatial(motion)
+    widest = eigh(by_planes + apart, at_best + apart, eigvals_only=True)[-1]
+    return bool(widest < _AS_GOOD**2) and _agree(motion, place, by_planes, significance)
+
+
+def _agree(motion: Motion, place: FloatArray, covariance: FloatArray, significance: float) -> bool:
+    """Whether a motion and the place found from where it leads (4, 4), SP covariance (6, 6), may be the same."""
+    off = gtsam.Pose3.Logmap(gtsam.Pose3(place))[POSE3_TO_SP]
+    return bool(off @ np.linalg.solve(covariance + _spatial(motion), off) <= chdtri(6, significance))
+
+
+def _by_returns(information: FloatArray) -> FloatArray:
+    """Covariance (6, 6) in SP order of where returns of that information lay a scan."""
+    return stated(np.linalg.inv(information + SILENT).astype(np.float64))
+
+
+def _planes(keyframe: Keyframe) -> list[Plane]:
+    return [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
+
+
+def _spatial(motion: Motion) -> FloatArray:
+    """Covariance of a motion in SP order along the axes of its end, shape (6, 6)."""
+    if not motion.is_planar:
+        return motion.covariance
+    return spatial_covariance(motion.covariance, motion.a_T_b, motion.out_of_plane_sigmas)

@@ -1,0 +1,93 @@
+"""Odometry is confirmed by the planes of two scans where these say what all returns could, and by nothing less."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.config import SlamConfig
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import PlaneObservation
+from slam.frontend.odometry import Motion
+from slam.frontend.scan_surfaces import ON_NO_PLANE, ON_PLANE
+from slam.geometry.frames import inverse
+from slam.planeslam import PlaneSlam
+from slam.registration import relocalization
+from slam.tracking import odometry_check
+from slam.tracking.odometry_check import planes_confirm
+from spplanes import Plane
+from spplanes._check import FloatArray
+from tests.slam.registration.test_plane_registration import body, hall, measured
+
+#: Standard deviations of odometry over half a metre: (x, y, heading), and (z, roll, pitch).
+SIGMAS, UPRIGHT = np.array([0.014, 0.007, 0.006]), (1e-3, 1e-3, 1e-3)
+FIRST, SECOND = body(1.0, 0.5, 0.3), body(1.5, 0.6, 0.4)
+SIGNIFICANCE = SlamConfig().association.new_significance
+
+
+def odometry(off: FloatArray) -> Motion:
+    """The motion between the two bodies, off by (x, y, heading)."""
+    return Motion(inverse(FIRST) @ SECOND @ inverse(body(0.0, 0.0, 0.0)) @ body(*off), np.diag(SIGMAS**2), UPRIGHT)
+
+
+def elements_of(planes: list[Plane], sigma: float = 0.005) -> FloatArray:
+    """Surface elements at the corners of planes, in the frame that these are in."""
+    rows = []
+    for plane in planes:
+        assert plane.outline is not None
+        corners = np.array(plane.outline.exterior.coords)
+        points = plane.centre + corners @ plane.frame[:3, :2].T
+        rows += [(*point, *plane.normal, sigma, ON_PLANE) for point in points]
+    return np.array(rows)
+
+
+def seen_twice(planes: list[Plane], seed: int) -> tuple[list[Plane], list[Plane]]:
+    rng = np.random.default_rng(seed)
+    return measured(planes, FIRST, rng), measured(planes, SECOND, rng)
+
+
+def test_true_odometry_is_confirmed_by_the_planes_of_a_hall() -> None:
+    rng = np.random.default_rng(0)
+    for seed in range(60):
+        before, seen = seen_twice(hall(), seed)
+        motion = odometry(SIGMAS * rng.standard_normal(3))
+        assert planes_confirm(motion, before, seen, elements_of(seen), SIGNIFICANCE)
+
+
+@pytest.mark.parametrize("off", [(0.5, 0.0, 0.0), (0.0, -0.4, 0.0), (0.0, 0.0, 0.1), (1.0, 1.0, 0.5)])
+def test_wrong_odometry_is_not(off: tuple[float, float, float]) -> None:
+    before, seen = seen_twice(hall(), 1)
+    assert not planes_confirm(odometry(np.array(off)), before, seen, elements_of(seen), SIGNIFICANCE)
+
+
+def test_what_planes_leave_open_is_left_to_the_returns_where_these_may_say_something() -> None:
+    corridor = [*hall()[:2], *hall()[4:]]  # its long sides are left out: nothing stands across y
+    before, seen = seen_twice(corridor, 2)
+    motion, on_planes = odometry(np.zeros(3)), elements_of(seen)
+    across = SECOND[:3, :3].T @ (0.0, 1.0, 0.0)
+    clutter = np.array([(*point, *across, 0.01, ON_NO_PLANE) for point in np.eye(3)])
+    assert planes_confirm(motion, before, seen, on_planes, SIGNIFICANCE)  # all returns leave it open as well
+    assert not planes_confirm(motion, before, seen, np.vstack((on_planes, clutter)), SIGNIFICANCE)
+
+
+def test_planes_of_which_the_last_scan_had_less_than_half_confirm_nothing() -> None:
+    before, seen = seen_twice(hall(), 3)
+    motion, elements = odometry(np.zeros(3)), elements_of(seen)
+    assert planes_confirm(motion, before[:5], seen, elements, SIGNIFICANCE)
+    assert not planes_confirm(motion, before[4:], seen, elements, SIGNIFICANCE)
+    assert not planes_confirm(motion, [], seen, elements, SIGNIFICANCE)
+
+
+def test_returns_are_laid_on_what_was_seen_only_where_planes_do_not_confirm(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(
+        odometry_check, "local_map", lambda *given: asked.append(given) or relocalization.local_map(*given)
+    )
+    before, seen = seen_twice(hall(), 4)
+    for off, times in ((np.zeros(3), 0), (np.array([0.5, 0.0, 0.0]), 1)):
+        asked.clear()
+        slam = PlaneSlam()
+        for k, (planes, motion) in enumerate(((before, None), (seen, odometry(off)))):
+            observations = [PlaneObservation(plane) for plane in planes]
+            slam.add_keyframe(Keyframe(k, observations, motion, surfaces=elements_of(planes)))
+        assert len(asked) == times
