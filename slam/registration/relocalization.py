@@ -37,7 +37,7 @@ SILENT = np.diag(np.repeat([SILENT_RAD, SILENT_M], 3) ** -2.0)
 
 def is_wide(motion: Motion) -> bool:
     """Whether so little is known of a motion that single planes cannot be told apart by it."""
-    place, turn = _sigmas(motion)
+    place, turn = sigmas_of(motion)
     return place > _WIDE_M or turn > _WIDE_RAD
 
 
@@ -91,10 +91,8 @@ def found_place(
     index, world_T_a = len(keyframes), backend.pose(pose_symbol(len(keyframes) - 1))
     expected_T_world = inverse(world_T_a @ motion.a_T_b)
     numbers = [k for k, one in enumerate(keyframe.observations) if isinstance(one, PlaneObservation)]
-    seen = PlaneArrays.of([one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)])
-    recent = [one for one in landmarks if one.was_seen_between(index - _RECENT, index)]
-    known = PlaneArrays.of([_placed(one, landmarks).transform(expected_T_world) for one in recent])
-    by_planes = match_planes_widely(seen, known, _sigmas(motion))
+    seen, known = planes_about(keyframe, landmarks, expected_T_world, index)
+    by_planes = match_planes_widely(seen, known, sigmas_of(motion))
     by_returns = _by_returns(keyframe, motion, by_planes, local_map(keyframes, backend, expected_T_world))
     if by_returns is None:
         if by_planes is None:
@@ -105,6 +103,16 @@ def found_place(
     there = _stated(motion, by_returns.known_T_seen, np.linalg.inv(information).astype(np.float64))
     pairs = pairs_under(by_returns.known_T_seen, seen, known)
     return FoundPlace(there, frozenset(numbers[i] for i, _ in pairs), _beyond_planes(motion, by_returns))
+
+
+def planes_about(
+    keyframe: Keyframe, landmarks: LandmarkMap, expected_T_world: FloatArray, index: int
+) -> tuple[PlaneArrays, PlaneArrays]:
+    """Planes that the keyframe of an index sees, and those seen of late in the frame where the body is expected."""
+    seen = [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
+    recent = [one for one in landmarks if one.was_seen_between(index - _RECENT, index)]
+    known = [_placed(one, landmarks).transform(expected_T_world) for one in recent]
+    return PlaneArrays.of(seen), PlaneArrays.of(known)
 
 
 def local_map(keyframes: Sequence[Keyframe], backend: Backend, expected_T_world: FloatArray) -> LocalMap | None:
@@ -155,7 +163,7 @@ def stated(covariance: FloatArray) -> FloatArray:
 
 def _information(motion: Motion) -> FloatArray:
     """Information of what is known of a motion before looking, alike in all directions, GTSAM order, (6, 6)."""
-    place, turn = _sigmas(motion)
+    place, turn = sigmas_of(motion)
     return np.diag(1.0 / np.repeat([turn, place], 3) ** 2)
 
 
@@ -165,7 +173,7 @@ def _placed(landmark: Landmark, landmarks: LandmarkMap) -> Plane:
     return Plane._trusted(frame, 1e-6 * np.eye(3), landmark.n_points, outline)  # type: ignore[arg-type]
 
 
-def _sigmas(motion: Motion) -> tuple[float, float]:
+def sigmas_of(motion: Motion) -> tuple[float, float]:
     """Largest standard deviation of position and of orientation, m and rad."""
     split = 2 if motion.is_planar else 3
     place, turn = motion.covariance[:split, :split], motion.covariance[split:, split:]

@@ -44,7 +44,7 @@ _NOTHING_RAD, _NOTHING_M = 3.0, 10.0
 _DIRECTION_RAD, _ABOUT, _BEFORE_SHARE, _BEFORE_M = 0.1, 4, 0.08, 0.1
 #: An element seen through speaks so many times more against a place than one that fits speaks for it: where walls are
 #: alike, half of them fit anywhere, but at the right place next to nothing is seen through.
-_AGAINST = 4.0
+AGAINST = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +213,7 @@ def _scored(some: FloatArray, scan: _Sight, known: LocalMap, motion: FloatArray)
     alone = np.ones(len(some), dtype=bool)
     alone[found.index] = False
     against = known.contradicted(motion, some, alone, scan)
-    return found.closeness(widths) / len(some) - _AGAINST * against, len(found.off) / len(some)
+    return found.closeness(widths) / len(some) - AGAINST * against, len(found.off) / len(some)
 
 
 @dataclass(frozen=True, eq=False)

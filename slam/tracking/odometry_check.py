@@ -17,13 +17,24 @@ from factors._conventions import POSE3_TO_SP
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
+from slam.frontend.occupancy import NOVEL_SHARE
 from slam.frontend.odometry import Motion, spatial_covariance
 from slam.geometry.frames import inverse
+from slam.map.landmarks import LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.motion_from_planes import fit_pairs_on
-from slam.registration.plane_registration import pairs_under
-from slam.registration.relocalization import SILENT, SILENT_M, SILENT_RAD, is_wide, local_map, stated
-from slam.registration.surface_registration import align, most_information
+from slam.registration.plane_registration import match_planes_widely, pairs_under
+from slam.registration.relocalization import (
+    SILENT,
+    SILENT_M,
+    SILENT_RAD,
+    is_wide,
+    local_map,
+    planes_about,
+    sigmas_of,
+    stated,
+)
+from slam.registration.surface_registration import AGAINST, Alignment, align, most_information
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -33,34 +44,61 @@ from spplanes._check import FloatArray
 _AS_GOOD = 2.0
 #: Least share of what is seen, by the root of area, that the last scan has under the motion: most of it.
 _MOST = 0.5
+#: A place fits clearly better than another when as much less speaks against it as may have changed between two looks.
+_CLEARLY = AGAINST * NOVEL_SHARE
 
 
 def speaks_against(
-    keyframe: Keyframe, motion: Motion, keyframes: Sequence[Keyframe], backend: Backend, significance: float
+    keyframe: Keyframe,
+    motion: Motion,
+    otherwise: Motion,
+    state: tuple[Sequence[Keyframe], LandmarkMap, Backend],
+    *,
+    significance: float,
+    doubted: bool,
 ) -> bool:
     """Whether what a 3D scan sees speaks against a motion that was measured.
 
     The scan is laid on what was seen before from where the motion leads; it speaks against the motion where it comes to
-    rest further off than both covariances allow.
+    rest further off than both covariances allow. Far from the true place it may rest anywhere: where no more of what it
+    sees fits than contradicts, it is looked for as if nobody had measured the motion, and speaks against it from a
+    place that fits clearly better and is as far off. What was wrong the step before is asked so in any case, and any
+    better place will do: wheels that slip or stand still do so for a while.
 
     Args:
         keyframe: what is seen.
         motion: what is known of its motion.
-        keyframes: those before.
-        backend: the state.
+        otherwise: the motion to expect had nobody measured it.
+        state: the keyframes before, the landmarks as of the last refresh, and the graph.
         significance: probability that a true motion is spoken against.
+        doubted: the motion before was spoken against.
     """
-    elements = keyframe.surfaces
+    elements, (keyframes, landmarks, backend) = keyframe.surfaces, state
     if is_wide(motion) or elements is None or not len(elements):
         return False
     before = keyframes[len(keyframes) - 1]
-    if planes_confirm(motion, _planes(before), _planes(keyframe), elements, significance):
+    if not doubted and planes_confirm(motion, _planes(before), _planes(keyframe), elements, significance):
         return False
-    known = local_map(keyframes, backend, inverse(backend.pose(pose_symbol(len(keyframes) - 1)) @ motion.a_T_b))
+    expected_T_world = inverse(backend.pose(pose_symbol(len(keyframes) - 1)) @ motion.a_T_b)
+    known = local_map(keyframes, backend, expected_T_world)
     if known is None:
         return False
+
+    def is_off(found: Alignment) -> bool:
+        return not _agree(motion, found.known_T_seen, _by_returns(found.information), significance)
+
     found = align(elements, known, [np.eye(4)])
-    return not _agree(motion, found.known_T_seen, _by_returns(found.information), significance)
+    if is_off(found) or (found.score > 0.0 and not doubted):
+        return is_off(found)
+    b_T_a = inverse(motion.a_T_b)
+    candidates = [b_T_a @ otherwise.a_T_b, b_T_a]
+    by_planes = match_planes_widely(
+        *planes_about(keyframe, landmarks, expected_T_world, len(keyframes)), sigmas_of(otherwise)
+    )
+    if by_planes is not None:
+        candidates.insert(0, by_planes.known_T_seen)
+    rival = align(elements, known, candidates)
+    return rival.score > found.score + (0.0 if doubted else _CLEARLY) and is_off(rival)
 
 
 def planes_confirm(

@@ -167,9 +167,9 @@ class MotionModel:
         motion, state = self.calibration.predict(keyframe.motion), (self._keyframes, self._landmarks, self._backend)
         guess = coast(None, 0.0, ahead_s, self._config.coasting)
         significance = self._config.association.new_significance
-        otherwise, doubted = replace(guess, a_T_b=unmeasured.a_T_b), self._doubted
+        otherwise = replace(guess, a_T_b=unmeasured.a_T_b)
         self._doubted = speaks_against(
-            keyframe, motion, *state, otherwise=otherwise, significance=significance, doubted=doubted
+            keyframe, motion, otherwise, state, significance=significance, doubted=self._doubted
         )
         return replace(guess, a_T_b=motion.a_T_b) if self._doubted else motion
 
