@@ -105,7 +105,7 @@ def _has_seen(keyframe: Keyframe, by_lasers: bool) -> bool:
 
 
 def _motion(keyframe: Keyframe) -> FloatArray:
-    """The motion as wheels measured it, also where the returns refute them: that is what a wrong mount makes them do."""
+    """The motion as wheels measured it, also where returns refute them: that is what a wrong mount makes them do."""
     assert keyframe.motion is not None  # a neighbour has one
     refuted = keyframe.motion.refuted_a_T_b
     return keyframe.motion.a_T_b if refuted is None else refuted

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from slam.config import CoastingConfig
@@ -65,6 +67,8 @@ class LaserOdometry:
                 told = inverted(inverted(told + 1e-3 * np.eye(3)) + match.spread)
         back = rotation(pose[2])
         note = self._watch(between(before, pose), wheels)
+        if len(self.steps) == 1:  # the first scan is the map: its noise is in the match of the second
+            self.steps[0] = replace(self.steps[0], returns=told)
         slipped = match is not None and match.way > 0
         step = Step(stamp_ns, pose, covariance, back.T @ told @ back, note, slipped)
         self.steps.append(step)
@@ -179,16 +183,16 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
     stamps = [scan.stamp_ns for scan in scans]
     wheels = OdometryTrack(readings, rig.odometry).poses_at(stamps) if readings else None
     odometry = LaserOdometry(rig.odometry, coasting)
-    steps, last = [], -1
+    last = -1
     for index, scan in enumerate(scans):
         if last >= 0 and scan.stamp_ns <= scans[last].stamp_ns:
             continue
         delta = None
         if wheels is not None and last >= 0:
             delta = planar_delta(inverse(wheels[last]) @ wheels[index])
-        steps.append(odometry.add(scan.stamp_ns, _surface(scan, sensors[scan.sensor]), delta))
+        odometry.add(scan.stamp_ns, _surface(scan, sensors[scan.sensor]), delta)
         last = index
-    return LaserTrack(steps, rig.odometry)
+    return LaserTrack(odometry.steps, rig.odometry)
 
 
 def _surface(scan: LaserScan, sensor: Sensor) -> Surface:

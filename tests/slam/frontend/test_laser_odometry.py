@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from slam.config import CoastingConfig, SlamConfig
-from slam.frontend.information import inverted
+from slam.frontend.information import beyond_lines, inverted
 from slam.frontend.keyframes import keyframes_of
-from slam.frontend.laser_odometry import LaserTrack, beyond_lines, laser_track, motion_between
+from slam.frontend.laser_odometry import LaserTrack, laser_track, motion_between
 from slam.frontend.laser_odometry.local_map import LocalMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, match_scan
 from slam.frontend.laser_odometry.wheel_model import NoiseScale
@@ -64,8 +64,8 @@ def errors_of(track: OdometryTrack, truth: Drive) -> tuple[np.ndarray, np.ndarra
         true = inverse(truth.poses[first]) @ truth.poses[first + GAP]
         error = planar_delta(inverse(true) @ motion.a_T_b)
         errors.append(error)
-        if motion.returns_covariance is not None:
-            nees.append(error @ np.linalg.solve(motion.returns_covariance, error))
+        if motion.by_all is not None:
+            nees.append(error @ np.linalg.solve(motion.by_all.covariance, error))
     return np.array(errors), np.array(nees)
 
 
@@ -182,13 +182,18 @@ def test_what_the_lines_say_is_not_said_twice():
     frame = next(one for one in keyframes_of(log, stated(log), SlamConfig()) if one.motion is not None)
     lines, track = frame.observations, track_of(log)
     whole = track.motion(track._stamps[0], frame.stamp_ns)
-    motion = beyond_lines(whole, lines)
     assert whole.returns_covariance is not None and len(lines) >= 3
+    told, scale, left = inverted(whole.returns_covariance), np.sqrt(np.diag(whole.returns_covariance)), []
+    for some in ([], lines[:1], lines):
+        beyond = beyond_lines(whole, some)
+        left.append(np.zeros((3, 3)) if beyond is None else inverted(beyond.covariance))
+    for more, less in ((told, left[0]), (told, left[1]), (told, left[2]), (left[1], left[2])):
+        assert np.linalg.eigvalsh((more - less) * np.outer(scale, scale)).min() > -1e-2
+    shares = [np.trace((told - one) * np.outer(scale, scale)) for one in left]  # of 3, taken off
+    assert shares[0] < 0.01 and shares[1] > 0.05 and shares[2] > 1.0
     alone = beyond_lines(whole, [])
+    assert alone is not None
     np.testing.assert_allclose(alone.covariance, whole.returns_covariance, rtol=1e-2, atol=1e-9)  # no lines: all of it
-    for given, less in ((motion.covariance, whole.covariance), (whole.returns_covariance, motion.covariance)):
-        assert np.linalg.eigvalsh(less - given).min() > -1e-9 or given is whole.returns_covariance
-    assert np.trace(motion.covariance) > np.trace(whole.returns_covariance)
 
 
 def between_keyframes(truth: Drive, wheels: bool = True) -> tuple[LaserTrack, OdometryTrack, list[tuple[int, int]]]:
@@ -202,7 +207,7 @@ def test_wheels_that_agree_with_the_returns_are_the_factor_and_owe_nothing_to_th
     track, wheels, ends = between_keyframes(rooms(11))
     agreed = 0
     for pair in ends:
-        motion, raw = motion_between(track, wheels, pair, [], 1e-6), wheels.motion(*pair)
+        motion, raw = motion_between(track, wheels, pair, 1e-6), wheels.motion(*pair)
         if np.array_equal(motion.a_T_b, raw.a_T_b):
             agreed += 1
             assert np.linalg.eigvalsh(motion.covariance - raw.covariance).min() > -1e-12  # never surer than stated
@@ -216,17 +221,22 @@ def test_wheels_that_slip_are_not_the_factor():
     refuted = [
         pair
         for pair in ends
-        if not np.array_equal(motion_between(track, wheels, pair, [], 1e-6).a_T_b, wheels.motion(*pair).a_T_b)
+        if not np.array_equal(motion_between(track, wheels, pair, 1e-6).a_T_b, wheels.motion(*pair).a_T_b)
     ]
     assert 1 <= len(refuted) <= 4
     off = [abs(planar_delta(inverse(wheels.motion(*p).a_T_b) @ track.motion(*p).a_T_b)[2]) for p in refuted]
     assert max(off) > 0.2
+    for pair in refuted:  # what they said is kept: a wrong mount refutes them too
+        motion = motion_between(track, wheels, pair, 1e-6)
+        np.testing.assert_array_equal(motion.refuted_a_T_b, wheels.motion(*pair).a_T_b)
+        assert motion.is_by_returns and motion.is_measured
 
 
 def test_without_wheels_the_matched_motion_is_the_factor():
     track, _, ends = between_keyframes(rooms(12), wheels=False)
-    motion = motion_between(track, None, ends[3], [], 1e-6)
+    motion = motion_between(track, None, ends[3], 1e-6)
     np.testing.assert_array_equal(motion.a_T_b, track.motion(*ends[3]).a_T_b)
+    assert motion.is_by_returns and not motion.is_measured
 
 
 def test_poses_compose_as_transforms():
