@@ -1,11 +1,18 @@
-"""Evidence: so little was seen, or put to use, that the map cannot be held against anything."""
+"""Evidence: so little was seen, measured, or put to use that an assumption stands where a measurement should."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
+from slam.backend.estimator import pose_symbol
 from slam.diagnostics.evidence.finished import Finished
+from slam.diagnostics.evidence.innovations import PROMISED_M
+from slam.diagnostics.map_observability import OpenMapDirection
+from slam.diagnostics.observability import name_of
 from slam.diagnostics.verdict import Evidence, named
+from spplanes._check import FloatArray
 
 #: Keyframes with fewer than this many are no drive: nothing in them was seen twice and held against a third.
 _LEAST_KEYFRAMES = 3
@@ -42,3 +49,33 @@ def unplaced(run: Finished) -> list[int]:
 
 def _certain(count: int, keyframes: range | list[int], sentence: str) -> Evidence:
     return Evidence("coverage", "doubtful", 0.0, float(count), "keyframes", tuple(keyframes), sentence)
+
+
+def assumption_evidence(run: Finished) -> Iterator[Evidence]:
+    """Directions that the map leaves open where no motion was measured, known by all means to no better than 0.1 m.
+
+    Constant velocity is an assumption, and so is the sigma that follows from it: in a bare corridor a robot that stops
+    for a while stands where the map does not know. No statistic is needed.
+    """
+    if any(frame.motion is not None for frame in run.keyframes):
+        return
+    for one in run.open_in_map:
+        sigmas = {frame: _sigma_along(run, frame, one.direction) for frame in one.keyframes}
+        wide = tuple(frame for frame, sigma in sigmas.items() if sigma > PROMISED_M)
+        if one.part == "position" and wide:
+            worst = max(wide, key=lambda frame: sigmas[frame])
+            yield Evidence("assumption", "doubtful", 0.0, sigmas[worst], "m", wide, _sentence(one, wide, sigmas[worst]))
+
+
+def _sentence(one: OpenMapDirection, wide: tuple[int, ...], sigma: float) -> str:
+    return (
+        f"{name_of(one.part, one.direction)} nobody measured the motion and nothing that was seen tells it at "
+        f"{named(wide)}: that the body went on as before is an assumption (sigma up to {sigma:.2g} m)"
+    )
+
+
+def _sigma_along(run: Finished, keyframe: int, direction: FloatArray) -> float:
+    """Standard deviation of a keyframe's position along a direction of the world, m."""
+    key = pose_symbol(keyframe)
+    along = run.backend.pose(key)[:3, :3].T @ direction
+    return float(np.sqrt(along @ run.backend.covariance(key)[3:, 3:] @ along))

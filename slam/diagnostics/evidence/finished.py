@@ -9,6 +9,7 @@ from slam.association.decisions import Decision
 from slam.backend.estimator import Backend
 from slam.config import SlamConfig
 from slam.diagnostics.consistency import NisAudit
+from slam.diagnostics.map_observability import OpenMapDirection
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.io.trajectories import Trajectory
@@ -64,6 +65,11 @@ class Finished(Protocol):
     @property
     def loops(self) -> list[LoopDecision]:
         """Comparisons with old places."""
+        ...
+
+    @property
+    def open_in_map(self) -> list[OpenMapDirection]:
+        """Directions in which all planes together do not fix the keyframes against the first."""
         ...
 
     @property

@@ -1,0 +1,41 @@
+"""Where nobody measured the motion and the map leaves it open, a run does not call itself sound."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.diagnostics.evidence.coverage import assumption_evidence
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.observations import PlaneObservation
+from slam.frontend.odometry import Motion
+from slam.geometry.frames import inverse
+from slam.planeslam import PlaneSlam
+from spplanes import Plane
+from tests.slam.registration.test_plane_registration import body, hall, measured
+
+CORRIDOR = [*hall()[:2], *hall()[4:]]  # nothing stands across y
+
+
+def driven(planes: list[Plane], *, odometry: bool) -> PlaneSlam:
+    """Ten keyframes along y, half a second and 0.3 m apart."""
+    rng, slam, sigmas = np.random.default_rng(0), PlaneSlam(), np.array([0.01, 0.01, 0.005])
+    bodies = [body(1.0, 0.3 * k, 0.0) for k in range(10)]
+    for k, world_T_body in enumerate(bodies):
+        motion = None
+        if odometry and k:
+            motion = Motion(inverse(bodies[k - 1]) @ world_T_body, np.diag(sigmas**2), (1e-3,) * 3)
+        seen = [PlaneObservation(plane) for plane in measured(planes, world_T_body, rng)]
+        slam.add_keyframe(Keyframe(k * 500_000_000, seen, motion))
+    return slam
+
+
+def test_a_bare_corridor_without_odometry_is_doubted() -> None:
+    [found] = assumption_evidence(driven(CORRIDOR, odometry=False))
+    assert (found.kind, found.grade, found.p_value) == ("assumption", "doubtful", 0.0)
+    assert found.size > 0.1 and "along y" in found.sentence and 9 in found.keyframes
+
+
+@pytest.mark.parametrize("planes, odometry", [(hall(), False), (CORRIDOR, True)], ids=["hall", "odometry"])
+def test_what_is_seen_or_measured_is_no_assumption(planes: list[Plane], odometry: bool) -> None:
+    assert not list(assumption_evidence(driven(planes, odometry=odometry)))
