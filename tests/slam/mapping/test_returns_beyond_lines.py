@@ -7,6 +7,7 @@ import pytest
 
 from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance
+from slam.frontend.information import inverted
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation
 from slam.frontend.odometry import Motion
@@ -30,13 +31,15 @@ def wall(ahead: float, side: float) -> LineObservation:
 def after_a_step(first: list[LineObservation], second: list[LineObservation]) -> FloatArray:
     """Information of (x, y, theta) of half a metre ahead, by wheels, returns and lines, shape (3, 3)."""
     step = planar_transform(0.5, 0.0, 0.0)
-    motion = Motion(step, np.diag(WHEELS**2), (1e-3,) * 3, returns_a_T_b=step, returns_covariance=np.diag(RETURNS**2))
+    motion = Motion(
+        step, np.diag(WHEELS**2), (1e-3, 1e-3, 1e-3), returns_a_T_b=step, returns_covariance=np.diag(RETURNS**2)
+    )
     slam = PlaneSlam()
     slam.add_keyframe(Keyframe(0, first))
     slam.add_keyframe(Keyframe(1, second, motion))
     keys = [pose_symbol(0), pose_symbol(1)]
     a_T_b = inverse(slam.backend.pose(keys[0])) @ slam.backend.pose(keys[1])
-    return np.linalg.inv(motion_covariance(a_T_b, slam.backend.joint_covariance(keys).of(keys)))
+    return inverted(motion_covariance(a_T_b, slam.backend.joint_covariance(keys).of(keys)))
 
 
 BY_ALL = np.diag(WHEELS**-2.0 + RETURNS**-2.0)

@@ -24,7 +24,7 @@ def driven(planes: list[Plane], *, odometry: bool) -> PlaneSlam:
     for k, world_T_body in enumerate(bodies):
         motion = None
         if odometry and k:
-            motion = Motion(inverse(bodies[k - 1]) @ world_T_body, np.diag(sigmas**2), (1e-3,) * 3)
+            motion = Motion(inverse(bodies[k - 1]) @ world_T_body, np.diag(sigmas**2), (1e-3, 1e-3, 1e-3))
         seen = [PlaneObservation(plane) for plane in measured(planes, world_T_body, rng)]
         slam.add_keyframe(Keyframe(k * 500_000_000, seen, motion))
     return slam
