@@ -15,7 +15,7 @@ from slam.association.gating import Hypothesis, State, hypotheses_of
 from slam.association.joint_association import JointCompatibility
 from slam.backend.estimator import Backend, JointCovariance
 from slam.config import BOUND_SIGMAS, AssociationConfig
-from slam.frontend.observations import Observation, PlaneObservation
+from slam.frontend.observations import Observation, planes_of
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
 from slam.map.landmarks import Landmark, LandmarkMap, PlacedPlane
@@ -85,7 +85,7 @@ def associate(
         keys.update((landmark.key, landmark.anchor_key))
     ordered = sorted(keys)
     joint, values = backend.joint_covariance(ordered), backend.values_of(ordered)  # once is cheaper than for each pair
-    get_ready([one.plane for one in observations if isinstance(one, PlaneObservation)])
+    get_ready(planes_of(observations))
     hypotheses = [
         hypotheses_of(observation, shortlist, pose_key, joint, values, backend)
         for observation, shortlist in zip(observations, shortlists, strict=True)

@@ -231,9 +231,7 @@ def stretch_of(
     """Sum up one direction of a run; covariance (6, 6) and pose are those of its last keyframe in the whole graph."""
     signs = [1.0 if one.direction @ group[0].direction > 0.0 else -1.0 for one in group]
     mean = _upright(np.sum([sign * one.direction for sign, one in zip(signs, group, strict=True)], axis=0))
-    block = slice(3, 6) if group[0].part == "position" else slice(0, 3)
-    in_body = world_T_body[:3, :3].T @ mean
-    sigma = float(np.sqrt(max(in_body @ covariance[block, block] @ in_body, 0.0)))
+    sigma = sigma_along(group[0].part, mean, covariance, world_T_body)
     keyframes = tuple(sorted({one.keyframe for one in group}))
     return OpenStretch(group[0].part, mean, keyframes, total, sigma, source)
 
@@ -245,6 +243,13 @@ def name_of(part: Part, direction: FloatArray) -> str:
     if abs(direction[axis]) >= _NEAR_AXIS:
         return f"{word} {'xyz'[axis]}"
     return f"{word} ({', '.join(f'{x:.2f}' for x in direction)})"
+
+
+def sigma_along(part: Part, direction: FloatArray, covariance: FloatArray, world_T_body: FloatArray) -> float:
+    """Standard deviation, m or rad, of a pose along or about a direction of the world; covariance (6, 6) as GTSAM's."""
+    block = slice(3, 6) if part == "position" else slice(0, 3)
+    in_body = world_T_body[:3, :3].T @ direction
+    return float(np.sqrt(max(in_body @ covariance[block, block] @ in_body, 0.0)))
 
 
 def _upright(vector: FloatArray) -> FloatArray:

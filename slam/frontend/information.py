@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from slam.frontend.observations import LineObservation, Observation
-from slam.frontend.odometry import Motion
+from slam.frontend.odometry import NO_FLOOR, Motion
 from spplanes._check import FloatArray
 from spplanes.spmodel import skew
 
@@ -15,8 +15,6 @@ from spplanes.spmodel import skew
 _NO_INFORMATION = 1e-2
 #: A floor is level to no less than this, m and rad: keeps the information finite where a rig states 0.
 _LEAST_SIGMA = 1e-6
-#: Standard deviations of z, roll and pitch, m and rad, of what says nothing of them.
-_NO_FLOOR = (100.0, 100.0, 100.0)
 #: Information that adds less than this share to that of the walls is left out.
 _WORTH = 0.5
 
@@ -77,7 +75,7 @@ def beyond_lines(motion: Motion, lines: Sequence[Observation]) -> Motion | None:
     covariance = left_open(motion.returns_covariance, inverted(by_lines))
     if covariance is None:
         return None
-    return Motion(motion.returns_a_T_b, covariance, _NO_FLOOR)
+    return Motion(motion.returns_a_T_b, covariance, NO_FLOOR)
 
 
 def left_open(found: FloatArray, by_walls: FloatArray) -> FloatArray | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import hypot
 from typing import Any, Protocol
@@ -227,3 +228,8 @@ def _line_covariance_at_middle(line: ScanLine) -> FloatArray:
     t = float(line.endpoints.mean(axis=0) @ along)
     jacobian = np.array([[t, -1.0], [1.0, 0.0]])
     return jacobian @ line.covariance @ jacobian.T
+
+
+def planes_of(observations: Sequence[Observation]) -> list[Plane]:
+    """Those that are planes, in the body frame, in their order."""
+    return [one.plane for one in observations if isinstance(one, PlaneObservation)]

@@ -19,6 +19,8 @@ from spplanes.registration import interpolate_poses
 
 #: A robot whose odometry never leaves the floor by more than this drives on it, m and rad.
 _PLANAR_TOLERANCE = 1e-9
+#: Standard deviations of z, roll and pitch, m and rad, of a planar motion that says nothing of the floor.
+NO_FLOOR = (1e2, 1e2, 1e2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +139,13 @@ class OdometryTrack:
 def planar_delta(a_T_b: FloatArray) -> FloatArray:
     """(x, y, theta) of a transform, shape (3,)."""
     return np.array([a_T_b[0, 3], a_T_b[1, 3], np.arctan2(a_T_b[1, 0], a_T_b[0, 0])])
+
+
+def difference(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Difference of two poses (x, y, theta), of the headings by the shorter way."""
+    error = a - b
+    error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
+    return error
 
 
 def spatial_covariance(

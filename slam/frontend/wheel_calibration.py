@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
-from slam.frontend.odometry import Motion, planar_delta
+from slam.frontend.odometry import Motion, difference, planar_delta
 from spplanes._check import FloatArray
 
 #: A motion further from its prediction than this probability allows teaches nothing: something else is wrong.
@@ -62,8 +62,7 @@ class WheelCalibration:
         """
         if self.covariance is None or predicted.response is None:
             return
-        correction = planar_delta(a_T_b) - planar_delta(predicted.a_T_b)
-        correction[2] = np.remainder(correction[2] + np.pi, 2.0 * np.pi) - np.pi
+        correction = difference(planar_delta(a_T_b), planar_delta(predicted.a_T_b))
         told = np.linalg.solve(predicted.covariance, correction)
         gained = predicted.covariance - covariance
         if correction @ told > chdtri(3, _SIGNIFICANCE) or np.linalg.eigvalsh(gained)[-1] <= 0.0:

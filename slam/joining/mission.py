@@ -11,7 +11,7 @@ import numpy as np
 from slam.backend.estimator import BackendError
 from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation
+from slam.frontend.observations import planes_of
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam, pose_symbol
@@ -143,5 +143,5 @@ def _looks(slam: PlaneSlam, trajectory: Trajectory, rig: Rig | None) -> tuple[Lo
 
 
 def _look(keyframe: Keyframe, pose: FloatArray, body_T_sensor: FloatArray) -> Look:
-    planes = tuple(one.plane for one in keyframe.observations if isinstance(one, PlaneObservation))
+    planes = tuple(planes_of(keyframe.observations))
     return Look(pose, keyframe.returns, planes, body_T_sensor)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import chdtri
 
-from slam.frontend.odometry import planar_delta
+from slam.frontend.odometry import difference, planar_delta
 from slam.geometry.frames import planar_transform
 from spplanes._check import FloatArray
 
@@ -35,8 +35,7 @@ class PlanarPose:
 
     def chi2(self, other: PlanarPose) -> float:
         """Squared Mahalanobis distance to another one of the same two frames, independent of it; 3 dof."""
-        error = self.delta - other.delta
-        error[2] = (error[2] + np.pi) % (2.0 * np.pi) - np.pi
+        error = difference(self.delta, other.delta)
         return float(error @ np.linalg.solve(self.covariance + other.covariance, error))
 
 

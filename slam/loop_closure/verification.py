@@ -13,7 +13,7 @@ from slam.backend.estimator import Backend, pose_symbol
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.information import left_open
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.odometry import Motion, planar_delta
+from slam.frontend.odometry import NO_FLOOR, Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.candidates import DrivenPath, old_keyframes, radius_of
 from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
@@ -29,8 +29,6 @@ LoopVerdict = Literal[
 
 #: Sine of the angle from which on two walls fix a place between them.
 _ACROSS = 0.26
-#: Of height (m), roll and pitch (rad) the views of level lasers say nothing.
-_OUT_OF_PLANE = (1e2, 1e2, 1e2)
 
 
 @dataclass(frozen=True)
@@ -174,7 +172,7 @@ def joined(decision: LoopDecision, proposal: Proposal, around: Surroundings) -> 
     match = match_near(
         _walls(around, now), _walls(around, old), pose.delta, pose.covariance, significance=around.config.significance
     )
-    motion: Motion | None = Motion(planar_transform(*pose.delta), pose.covariance, _OUT_OF_PLANE)
+    motion: Motion | None = Motion(planar_transform(*pose.delta), pose.covariance, NO_FLOOR)
     pairs: tuple[tuple[int, int], ...] = ()
     if match is not None:
         motion = _motion_beyond(pose, match)
@@ -193,7 +191,7 @@ def without_walls(decision: LoopDecision) -> LoopDecision | None:
     if decision.proposal is None:
         return None
     pose = decision.proposal.pose
-    motion = Motion(planar_transform(*pose.delta), pose.covariance, _OUT_OF_PLANE)
+    motion = Motion(planar_transform(*pose.delta), pose.covariance, NO_FLOOR)
     return replace(decision, verdict="closed", pairs=(), motion=motion)
 
 
@@ -218,7 +216,7 @@ def _motion_beyond(found: PlanarPose, match: ConstellationMatch) -> Motion | Non
     covariance = None if match.by_walls is None else left_open(found.covariance, match.by_walls)
     if covariance is None:
         return None
-    return Motion(planar_transform(*found.delta), covariance, _OUT_OF_PLANE)
+    return Motion(planar_transform(*found.delta), covariance, NO_FLOOR)
 
 
 def _decide(

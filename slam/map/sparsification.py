@@ -75,8 +75,8 @@ class Sparsifier:
         if link is not None:
             self._links[keyframe] = link
 
-    def tied(self, keyframe: int, factor_index: int) -> None:
-        """Another factor ties a keyframe to the one before it."""
+    def linked(self, keyframe: int, factor_index: int) -> None:
+        """Another factor links a keyframe to the one before it."""
         if keyframe in self._links:
             link = self._links[keyframe]
             self._links[keyframe] = Link(link.motion, [*link.step, factor_index], link.floor)

@@ -64,7 +64,7 @@ class MapUpdater:
         for insertion, factor_index in zip(insertions, indices, strict=False):
             self._see(insertion, at, factor_index, prediction.robust)
         if beyond:
-            self._sparsifier.tied(at, indices[-1])
+            self._sparsifier.linked(at, indices[-1])
         return MapUpdate(at, frozenset(insertion.landmark.id for insertion in insertions))
 
     def _beyond_lines(self, prediction: Prediction, matched: Sequence[Observation]) -> list[Any]:

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri
 
+from slam.frontend.odometry import difference
 from slam.registration._place_kernels import fit_pose, rank_hypotheses, score_table
 from spplanes._check import FloatArray
 
@@ -157,8 +158,7 @@ class Search:
 
 def _differ(motion: MatchedMotion, other: MatchedMotion, gate: float) -> bool:
     """True when two motions are not the same within their covariances."""
-    error = other.pose - motion.pose
-    error[2] = (error[2] + np.pi) % (2.0 * np.pi) - np.pi
+    error = difference(other.pose, motion.pose)
     return float(error @ np.linalg.solve(motion.covariance + other.covariance, error)) > gate
 
 

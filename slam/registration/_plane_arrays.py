@@ -56,13 +56,15 @@ class PlaneArrays:
         return cls.as_given([_drawn_coarsely(planes[k]) for k in order], order, areas[order])
 
     @classmethod
-    def as_given(cls, planes: list[Plane], order: list[int], areas: FloatArray | None = None) -> PlaneArrays:
+    def as_given(
+        cls, planes: Sequence[Plane], order: Sequence[int] | None = None, areas: FloatArray | None = None
+    ) -> PlaneArrays:
         """All of them, with what each is called, and areas that are not those of their outlines."""
         frames = np.array([plane.frame for plane in planes]).reshape(-1, 4, 4)
         normals, middles = frames[:, :3, 2].copy(), frames[:, :3, 3].copy()
         return cls(
-            planes,
-            order,
+            list(planes),
+            list(range(len(planes)) if order is None else order),
             normals,
             np.array([plane.d for plane in planes]),
             np.sqrt(np.maximum(_areas(planes) if areas is None else areas, 1e-3)),

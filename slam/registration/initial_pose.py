@@ -18,7 +18,7 @@ import shapely
 from scipy.spatial.transform import Rotation
 
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation
+from slam.frontend.observations import planes_of
 from slam.geometry.frames import inverse, lift, planar_transform
 from slam.geometry.polygons import polygonal
 from slam.map.map_planes import MapPlane
@@ -47,7 +47,7 @@ def find_start(planes: Sequence[MapPlane], keyframe: Keyframe) -> FloatArray:
     Raises:
         ValueError: no two walls were seen, no place explains enough of what was seen, or several do.
     """
-    seen = [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
+    seen = planes_of(keyframe.observations)
     in_space = _spans_all([plane.normal for plane in seen])
     try:
         start = _on_the_floor(planes, keyframe)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from slam.geometry._rigid_kernels import expmap, logmap
 from slam.registration._plane_arrays import PlaneArrays
-from spplanes import Plane
 from spplanes._check import FloatArray
 from spplanes._jit import njit
 
@@ -24,30 +21,6 @@ _NARROWEST_M = 0.1
 _SECOND = 0.3
 
 
-def fit_planes_on(
-    motion: FloatArray, pairs: Sequence[tuple[Plane, Plane]], sigmas: tuple[float, float], loose: float = 1.0
-) -> tuple[FloatArray, FloatArray] | None:
-    """Least squares over pairs of planes, with what is expected where they are silent.
-
-    What a pair is off is the distance of the seen plane's centre from the known plane, and two tilts about axes of the
-    seen plane. Pairs far off hardly count: one wrong partner must not shift the place.
-
-    Args:
-        motion: known_T_seen to start from, shape (4, 4).
-        pairs: (seen, known), either in its own frame.
-        sigmas: standard deviations of the motion about none at all, m and rad, the same in all directions.
-        loose: planes may be so many times further off than they usually are, for a start that is rough.
-
-    Returns:
-        The motion, and its covariance in the tangent on the right, GTSAM order (6, 6); None where fewer than three
-        pairs, or all of one direction, leave it open.
-    """
-    order = list(range(len(pairs)))
-    seen = PlaneArrays.as_given([one for one, _ in pairs], order)
-    known = PlaneArrays.as_given([one for _, one in pairs], order)
-    return fit_pairs_on(motion, seen, known, np.repeat(np.arange(len(pairs))[:, None], 2, axis=1), sigmas, loose)
-
-
 def fit_pairs_on(
     motion: FloatArray,
     seen: PlaneArrays,
@@ -56,7 +29,22 @@ def fit_pairs_on(
     sigmas: tuple[float, float],
     loose: float = 1.0,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """The same of pairs (seen, known), indices of shape (K, 2), as `fit_planes_on`."""
+    """Least squares over pairs of planes, with what is expected where they are silent.
+
+    What a pair is off is the distance of the seen plane's centre from the known plane, and two tilts about axes of the
+    seen plane. Pairs far off hardly count: one wrong partner must not shift the place.
+
+    Args:
+        motion: known_T_seen to start from, shape (4, 4).
+        seen, known: planes, either in their own frame.
+        pairs: (seen, known), their indices, shape (K, 2).
+        sigmas: standard deviations of the motion about none at all, m and rad, the same in all directions.
+        loose: planes may be so many times further off than they usually are, for a start that is rough.
+
+    Returns:
+        The motion, and its covariance in the tangent on the right, GTSAM order (6, 6); None where fewer than three
+        pairs, or all of one direction, leave it open.
+    """
     i, j = pairs.T
     if len(pairs) < 3 or np.linalg.eigvalsh(known.normals[j].T @ known.normals[j])[1] < _SECOND**2:
         return None

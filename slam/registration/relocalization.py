@@ -13,7 +13,7 @@ from factors import relative_pose_factor
 from factors._conventions import POSE3_TO_SP
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation
+from slam.frontend.observations import PlaneObservation, planes_of
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import polygonal
@@ -109,7 +109,7 @@ def planes_about(
     keyframe: Keyframe, landmarks: LandmarkMap, expected_T_world: FloatArray, index: int
 ) -> tuple[PlaneArrays, PlaneArrays]:
     """Planes that the keyframe of an index sees, and those seen of late in the frame where the body is expected."""
-    seen = [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
+    seen = planes_of(keyframe.observations)
     recent = [one for one in landmarks if one.was_seen_between(index - _RECENT, index)]
     known = [_placed(one, landmarks).transform(expected_T_world) for one in recent]
     return PlaneArrays.of(seen), PlaneArrays.of(known)
@@ -132,11 +132,16 @@ def _by_returns(
     """The scan laid on what was seen before, from the candidate that all its returns speak for most; None: none."""
     if known is None or keyframe.surfaces is None or not len(keyframe.surfaces):
         return None
-    candidates = [np.eye(4), inverse(motion.a_T_b)]
-    if by_planes is not None:
-        candidates.insert(0, by_planes.known_T_seen)
-    found = align(keyframe.surfaces, known, candidates)
+    found = laid_widely(keyframe.surfaces, known, by_planes, np.eye(4), inverse(motion.a_T_b))
     return found if found.score > 0.0 else None
+
+
+def laid_widely(
+    elements: FloatArray, known: LocalMap, by_planes: PlaneMatching | None, expected: FloatArray, still: FloatArray
+) -> Alignment:
+    """A scan (N, 8) laid on a local map from where planes propose, from what is expected, and as if nothing moved."""
+    proposed = [] if by_planes is None else [by_planes.known_T_seen]
+    return align(elements, known, [*proposed, expected, still])
 
 
 def _beyond_planes(motion: Motion, found: Alignment) -> Motion | None:

@@ -16,7 +16,7 @@ from scipy.special import chdtri
 from factors._conventions import POSE3_TO_SP
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation
+from slam.frontend.observations import planes_of
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.frontend.odometry import Motion, spatial_covariance
 from slam.geometry.frames import inverse
@@ -29,6 +29,7 @@ from slam.registration.relocalization import (
     SILENT_M,
     SILENT_RAD,
     is_wide,
+    laid_widely,
     local_map,
     planes_about,
     sigmas_of,
@@ -76,8 +77,8 @@ def speaks_against(
     elements, (keyframes, landmarks, backend) = keyframe.surfaces, state
     if is_wide(motion) or elements is None or not len(elements):
         return False
-    before = keyframes[len(keyframes) - 1]
-    if not doubted and planes_confirm(motion, _planes(before), _planes(keyframe), elements, significance):
+    before, seen = (planes_of(one.observations) for one in (keyframes[-1], keyframe))
+    if not doubted and planes_confirm(motion, before, seen, elements, significance):
         return False
     expected_T_world = inverse(backend.pose(pose_symbol(len(keyframes) - 1)) @ motion.a_T_b)
     known = local_map(keyframes, backend, expected_T_world)
@@ -91,13 +92,9 @@ def speaks_against(
     if is_off(found) or (found.score > 0.0 and not doubted):
         return is_off(found)
     b_T_a = inverse(motion.a_T_b)
-    candidates = [b_T_a @ otherwise.a_T_b, b_T_a]
-    by_planes = match_planes_widely(
-        *planes_about(keyframe, landmarks, expected_T_world, len(keyframes)), sigmas_of(otherwise)
-    )
-    if by_planes is not None:
-        candidates.insert(0, by_planes.known_T_seen)
-    rival = align(elements, known, candidates)
+    seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
+    by_planes = match_planes_widely(*seen_and_known, sigmas_of(otherwise))
+    rival = laid_widely(elements, known, by_planes, b_T_a @ otherwise.a_T_b, b_T_a)
     return rival.score > found.score + (0.0 if doubted else _CLEARLY) and is_off(rival)
 
 
@@ -116,7 +113,7 @@ def planes_confirm(
         elements: surface elements of this one, shape (N, 8).
         significance: probability that a true motion is not confirmed.
     """
-    mine, theirs = (PlaneArrays.as_given(list(planes), list(range(len(planes)))) for planes in (seen, before))
+    mine, theirs = (PlaneArrays.as_given(planes) for planes in (seen, before))
     pairs = np.array(pairs_under(motion.a_T_b, mine, theirs), dtype=np.int64).reshape(-1, 2)
     if not len(pairs) or mine.weights[pairs[:, 0]].sum() < _MOST * mine.weights.sum():
         return False
@@ -138,10 +135,6 @@ def _agree(motion: Motion, place: FloatArray, covariance: FloatArray, significan
 def _by_returns(information: FloatArray) -> FloatArray:
     """Covariance (6, 6) in SP order of where returns of that information lay a scan."""
     return stated(np.linalg.inv(information + SILENT).astype(np.float64))
-
-
-def _planes(keyframe: Keyframe) -> list[Plane]:
-    return [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
 
 
 def _spatial(motion: Motion) -> FloatArray:

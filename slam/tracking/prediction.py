@@ -33,7 +33,8 @@ class _Step:
     motion: Motion | None = None
     place: FoundPlace | None = None
     pending: list[Any] = field(default_factory=list)
-    standing_in: list[Any] = field(default_factory=list)
+    beyond: Motion | None = None
+    """What the returns say beyond all lines seen, where no wheels measured it: it stands in until these are matched."""
     is_wide: bool = False
 
 
@@ -93,16 +94,18 @@ class MotionModel:
         step = self._start(keyframe) if index == 0 else self._step(keyframe, index)
         key, initial = pose_symbol(index), gtsam.Values()
         initial.insert(key, gtsam.Pose3(orthonormal(step.world_T_body)))
-        own_factors = [*step.factors, *step.standing_in, *(one.factor(key) for one in keyframe.pose_measurements)]
+        beyond = [] if step.beyond is None else step.beyond.factors(pose_symbol(index - 1), key)[:1]
+        own_factors = [*step.factors, *beyond, *(one.factor(key) for one in keyframe.pose_measurements)]
         removal = self._sparsifier.plan_removal(index)
         through = [self._through(*motion) for motion in removal.motions]
         indices = self._backend.update([*own_factors, *through], initial, remove=removal.stale)
         own = indices[: len(own_factors)]
         self._sparsifier.removed(removal, indices[len(own_factors) :])
         measured, n_step = None if step.place is not None or index == 0 else keyframe.motion, len(step.factors)
-        standing_in = own[n_step : n_step + len(step.standing_in)]
-        floor = own[1:n_step] + own[n_step + len(standing_in) :]
-        self._sparsifier.entered(index, None if measured is None else Link(_known(measured, keyframe), own[:1], floor))
+        standing_in = own[n_step : n_step + len(beyond)]
+        floor = own[1:n_step] + own[n_step + len(beyond) :]
+        link = None if measured is None else Link(_with(measured, step.beyond), own[:1], floor)
+        self._sparsifier.entered(index, link)
         return Prediction(
             index,
             key,
@@ -138,13 +141,12 @@ class MotionModel:
         before, key = pose_symbol(index - 1), pose_symbol(index)
         world_T_before = self._backend.pose(before)
         motion, parts = self._motion_to(keyframe), (self._keyframes, self._landmarks, self._backend)
-        wide = is_wide(_known(motion, keyframe))
+        beyond = beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
+        wide = is_wide(_with(motion, beyond))
         place = found_place(keyframe, motion, *parts) if wide else None
         if place is None:
-            beyond = beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
-            standing_in = [] if beyond is None else beyond.factors(before, key)[:1]
             factors = motion.factors(before, key)
-            return _Step(world_T_before @ motion.a_T_b, factors, motion, standing_in=standing_in, is_wide=wide)
+            return _Step(world_T_before @ motion.a_T_b, factors, motion, beyond=beyond, is_wide=wide)
         kernel, there = self._config.coasting.robust or self._config.backend.robust, place.motion
         pending = [*motion.factors(before, key), *place.factors(before, key, kernel)]
         factors = there.factors(before, key)
@@ -178,9 +180,8 @@ class MotionModel:
         return self.calibration.corrected(motion).factors(pose_symbol(first), pose_symbol(last))[0]
 
 
-def _known(motion: Motion, keyframe: Keyframe) -> Motion:
-    """A motion as it is known without a map: by wheels, or where these say nothing by the returns beyond all lines."""
-    beyond = beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
+def _with(motion: Motion, beyond: Motion | None) -> Motion:
+    """A motion as it is known without a map: with what its returns say beyond all lines, where they do."""
     if beyond is None:
         return motion
     return replace(motion, covariance=inverted(inverted(motion.covariance) + inverted(beyond.covariance)))

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from slam.backend.estimator import pose_symbol
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.innovations import PROMISED_M
 from slam.diagnostics.map_observability import OpenMapDirection
-from slam.diagnostics.observability import name_of
+from slam.diagnostics.observability import name_of, sigma_along
 from slam.diagnostics.verdict import Evidence, named
 from spplanes._check import FloatArray
 
@@ -60,9 +58,11 @@ def assumption_evidence(run: Finished) -> Iterator[Evidence]:
     if any(frame.motion is not None for frame in run.keyframes):
         return
     for one in run.open_in_map:
+        if one.part != "position":
+            continue
         sigmas = {frame: _sigma_along(run, frame, one.direction) for frame in one.keyframes}
         wide = tuple(frame for frame, sigma in sigmas.items() if sigma > PROMISED_M)
-        if one.part == "position" and wide:
+        if wide:
             worst = max(wide, key=lambda frame: sigmas[frame])
             yield Evidence("assumption", "doubtful", 0.0, sigmas[worst], "m", wide, _sentence(one, wide, sigmas[worst]))
 
@@ -77,5 +77,4 @@ def _sentence(one: OpenMapDirection, wide: tuple[int, ...], sigma: float) -> str
 def _sigma_along(run: Finished, keyframe: int, direction: FloatArray) -> float:
     """Standard deviation of a keyframe's position along a direction of the world, m."""
     key = pose_symbol(keyframe)
-    along = run.backend.pose(key)[:3, :3].T @ direction
-    return float(np.sqrt(along @ run.backend.covariance(key)[3:, 3:] @ along))
+    return sigma_along("position", direction, run.backend.covariance(key), run.backend.pose(key))

@@ -14,7 +14,7 @@ from slam.diagnostics.evidence.surfaces import agreement
 from slam.diagnostics.evidence.views import View, compare
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation
+from slam.frontend.observations import planes_of
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.geometry.frames import inverse
 from slam.sensors.mount import Mount
@@ -101,7 +101,7 @@ def _neighbours(keyframes: Sequence[Keyframe]) -> list[tuple[int, int]]:
 def _has_seen(keyframe: Keyframe, by_lasers: bool) -> bool:
     if by_lasers:
         return keyframe.returns is not None and len(keyframe.returns) > 0
-    return any(isinstance(one, PlaneObservation) for one in keyframe.observations)
+    return bool(planes_of(keyframe.observations))
 
 
 def _motion(keyframe: Keyframe) -> FloatArray:
@@ -135,13 +135,9 @@ def _cloud_counts(first: Keyframe, second: Keyframe, turn: FloatArray, mounts: S
     """The same of planes that a 3D sensor saw."""
     body_T_sensor = mounts[0]
     change, motion = body_T_sensor @ turn @ inverse(body_T_sensor), _motion(second)
-    here, there = ([_moved(plane, change) for plane in _planes(one)] for one in (first, second))
+    here, there = ([_moved(plane, change) for plane in planes_of(one.observations)] for one in (first, second))
     eye = body_T_sensor @ turn
     return np.add(agreement(here, there, motion, eye), agreement(there, here, inverse(motion), eye))
-
-
-def _planes(keyframe: Keyframe) -> list[Plane]:
-    return [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
 
 
 def _moved(plane: Plane, change: FloatArray) -> Plane:

@@ -14,7 +14,7 @@ from slam.diagnostics.evidence.free_space import Place, seen_through
 from slam.diagnostics.evidence.views import TOLERANCE_M
 from slam.diagnostics.verdict import Evidence
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation
+from slam.frontend.observations import planes_of
 from slam.geometry.frames import inverse, lift
 from slam.geometry.polygons import polygonal, valid
 from slam.registration.visibility import LinesOfSight, points_on
@@ -84,7 +84,7 @@ def rays_of(
     chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_KEYFRAMES)).round().astype(int)).tolist()
     found = []
     for index in chosen:
-        planes = [one.plane for one in keyframes[index].observations if isinstance(one, PlaneObservation)]
+        planes = planes_of(keyframes[index].observations)
         ends = [points_on(plane.transform(inverse(body_T_sensor))) for plane in planes]
         ends = [some for some in ends if len(some)]
         if not ends:

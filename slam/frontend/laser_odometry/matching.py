@@ -12,9 +12,9 @@ from scipy.ndimage import maximum_filter
 from slam.frontend.information import inverted
 from slam.frontend.laser_odometry._match_kernels import align, score_box
 from slam.frontend.laser_odometry.local_map import CELL_M, TABLE_CELL_M, LocalMap, Surface
-from slam.frontend.laser_odometry.track import difference
 from slam.frontend.occupancy import CELL_M as RASTER_CELL_M
 from slam.frontend.occupancy._kernels import score_motions
+from slam.frontend.odometry import difference
 from spplanes._check import FloatArray
 
 #: Rounds of Gauss-Newton.

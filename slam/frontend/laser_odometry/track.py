@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from slam.frontend.information import inverted
-from slam.frontend.odometry import Motion, OdometryTrack, planar_delta
+from slam.frontend.odometry import Motion, OdometryTrack, difference, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.sensors.log import OdometryReading
 from slam.sensors.wheel_noise import OdometryNoise
@@ -135,13 +135,6 @@ def between(a: FloatArray, b: FloatArray) -> FloatArray:
     c, s = np.cos(a[2]), np.sin(a[2])
     dx, dy = b[0] - a[0], b[1] - a[1]
     return np.array((c * dx + s * dy, c * dy - s * dx, b[2] - a[2]))
-
-
-def difference(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Difference of two poses (x, y, theta), of the headings by the shorter way."""
-    error = a - b
-    error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
-    return error
 
 
 def rotation(angle: float) -> FloatArray:

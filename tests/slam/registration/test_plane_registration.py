@@ -9,7 +9,7 @@ from shapely import box
 
 from slam.geometry.frames import inverse
 from slam.registration._plane_arrays import PlaneArrays
-from slam.registration.motion_from_planes import _off, fit_planes_on
+from slam.registration.motion_from_planes import _off, fit_pairs_on
 from slam.registration.plane_registration import _agreement, match_planes_widely
 from slam.registration.visibility import LinesOfSight
 from spplanes import Plane
@@ -98,6 +98,13 @@ def test_a_motion_is_worked_out_as_well_as_it_says():
         assert np.linalg.norm(error[3:]) < 0.02
         nees.append(error @ np.linalg.solve(covariance, error))
     assert 0.2 < np.mean(nees) < 6.0
+
+
+def fit_planes_on(
+    motion: FloatArray, pairs: list[tuple[Plane, Plane]], sigmas: tuple[float, float], loose: float = 1.0
+) -> tuple[FloatArray, FloatArray] | None:
+    seen, known = (PlaneArrays.as_given(planes) for planes in zip(*pairs, strict=True))
+    return fit_pairs_on(motion, seen, known, np.repeat(np.arange(len(pairs))[:, None], 2, axis=1), sigmas, loose)
 
 
 def test_planes_that_leave_a_motion_open_are_refused():
