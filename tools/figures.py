@@ -18,11 +18,14 @@ from matplotlib.figure import Figure
 from slam.config import SlamConfig
 from slam.floorplan import floor_plan, joint_planes
 from slam.io.load import load
+from slam.joining import FinishedMission, join
+from slam.output.joined_folder import draw_missions
 from slam.output.new_folder import new_folder
 from slam.output.plan_svg import write_svg
 from slam.output.run_files import write_run
 from slam.runs.slam_run import Run, run_slam
 from slam.simulation import simulate_mission
+from slam.simulation.drives import Recipe, make_drive
 from slam.simulation.record import Plan, record
 from slam.simulation.rigs import spinning_rig
 from slam.simulation.suite import Suite
@@ -32,6 +35,8 @@ ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "img"
 #: Way between two scans in the office, m.
 SPACING = 0.6
+#: Which part of an office each robot of a fleet drives through, and whether from the end.
+VISITS = ((0.0, 0.4, False), (0.2, 0.6, True), (0.4, 0.8, False), (0.6, 1.0, True))
 #: Width of a figure, inches, and of pictures.draw_map, to which view_height refers.
 WIDTH, USUAL_WIDTH = 8.0, 11.0
 
@@ -44,6 +49,7 @@ def main(data: Path) -> None:
     office = simulate_mission("office", seed=0)
     plan(run_slam(office.log, office.rig, SlamConfig()), IMAGES / "office.png", "a simulated office")
     floor_plan_of_a_suite(IMAGES / "floor_plan.png")
+    fleet_map(IMAGES / "joined.png")
     loop = data / "loop5" / "loop5.clf.gz"
     if loop.is_file():
         log, rig = load(loop)
@@ -97,6 +103,17 @@ def floor_plan_of_a_suite(path: Path) -> None:
         drawn = Path(scratch) / "plan.svg"
         write_svg(drawn, floor_plan(joint_planes(slam.planes, slam.landmarks, slam.backend)))
         screenshot(drawn.as_uri(), path, "730,940")
+
+
+def fleet_map(path: Path) -> None:
+    """One map of robots that each drove through a part of a simulated office, in the colours of the missions."""
+    missions = []
+    for number, (start, end, backwards) in enumerate(VISITS):
+        drive = make_drive(Recipe.parse("office/level"), seed=0, visit=number, part=(start, end), backwards=backwards)
+        run = run_slam(drive.log, drive.rig, SlamConfig())
+        missions.append(FinishedMission.of(f"robot {number + 1}", run.slam, drive.rig))
+    (component,) = join(missions).components
+    draw_missions(component, path)
 
 
 def page(run: Run, path: Path, title: str, part: str = "") -> None:

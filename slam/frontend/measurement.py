@@ -114,7 +114,8 @@ def _flat_planes(
     found = segment(points, covariances, config=settings, viewpoints=viewpoint, pose_covariances=tilts)
     rows = moments_of(found.points, found.covariance, found.labels, settings)
     rough, spreads = frames_of(rows, np.zeros((len(rows), 3)))
-    believed = believed_planes(points, covariances, found.labels, rough, sensor, viewpoint, config.measurements)
+    sure = _sure_labels(Window(points, covariances, np.empty((0, 0))), found.labels, rough, settings)
+    believed = believed_planes(points, covariances, sure, rough, sensor, viewpoint, config.measurements)
     kept = {k: one[0] for k, one in enumerate(believed) if one is not None}
     labels = found.labels.copy()
     for one in believed:
@@ -125,6 +126,15 @@ def _flat_planes(
     number[-1] = -1
     number[list(kept)] = np.arange(len(kept))
     return [_in_scan(plane, sensor) for plane in drawn], number[labels]
+
+
+def _sure_labels(window: Window, labels: np.ndarray, frames: FloatArray, config: MapperConfig) -> np.ndarray:
+    """Labels (S, B) of the points that are of no other surface; planes whose tilt these do not tell have none."""
+    sure = np.where(sure_points(window, labels, list(frames), config.flatness_m), labels, -1)
+    for plane, members in enumerate(members_of(sure, len(frames))):
+        if not tells_tilt(window, members, frames[plane], config.max_tilt_rad):
+            sure.ravel()[members] = -1
+    return sure
 
 
 def _drawn(

@@ -76,7 +76,7 @@ def believed_planes(
         frames: of about the planes, shape (R, 4, 4).
         sensor, viewpoint, rules: what errs, whence it was seen, and how much is allowed.
     """
-    _, order, bounds = group_by_label(labels.ravel(), labels.size)
+    regions, order, bounds = group_by_label(labels.ravel(), labels.size)
     largest_first = np.argsort(-np.diff(bounds), kind="stable").tolist()
     found: list[tuple[Plane, np.ndarray] | None] = [None] * len(frames)
 
@@ -84,11 +84,11 @@ def believed_planes(
         for k in largest_first[first:last]:
             members = order[bounds[k] : bounds[k + 1]]
             own, noise = points.reshape(-1, 3).take(members, 0), covariances.reshape(-1, 3, 3).take(members, 0)
-            part = ScanPart(own, noise, members, labels.shape[1], frames[k], sensor)
+            part = ScanPart(own, noise, members, labels.shape[1], frames[regions[k]], sensor)
             plane = part.fitted(viewpoint)
-            found[k] = None if plane is None else believed_plane(part, plane, viewpoint, rules)
+            found[regions[k]] = None if plane is None else believed_plane(part, plane, viewpoint, rules)
 
-    in_parts(measure, len(frames), len(order), singly=True)
+    in_parts(measure, len(regions), len(order), singly=True)
     return found
 
 
