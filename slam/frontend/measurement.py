@@ -114,7 +114,8 @@ def _flat_planes(
     found = segment(points, covariances, config=settings, viewpoints=viewpoint, pose_covariances=tilts)
     rows = moments_of(found.points, found.covariance, found.labels, settings)
     rough, spreads = frames_of(rows, np.zeros((len(rows), 3)))
-    sure = _sure_labels(Window(points, covariances, np.empty((0, 0))), found.labels, rough, settings)
+    seen = _seen_labels(points, found.labels, rough, config.measurements.max_incidence_rad)
+    sure = _sure_labels(Window(points, covariances, np.empty((0, 0))), seen, rough, settings)
     believed = believed_planes(points, covariances, sure, rough, sensor, viewpoint, config.measurements)
     kept = {k: one[0] for k, one in enumerate(believed) if one is not None}
     labels = found.labels.copy()
@@ -126,6 +127,18 @@ def _flat_planes(
     number[-1] = -1
     number[list(kept)] = np.arange(len(kept))
     return [_in_scan(plane, sensor) for plane in drawn], number[labels]
+
+
+def _seen_labels(points: FloatArray, labels: np.ndarray, frames: FloatArray, max_incidence_rad: float) -> np.ndarray:
+    """Labels (S, B) less those of planes edge-on to the sensor, artefacts of a scan line: beams meet them anywhere.
+
+    Seen from the middle of their points, not from where those are that weigh most: of a floor they are the farthest.
+    """
+    seen = [False]  # what is of no plane
+    for frame, members in zip(frames, members_of(labels, len(frames)), strict=True):
+        middle = points.reshape(-1, 3)[members].mean(axis=0)
+        seen.append(abs(float(frame[:3, 3] @ frame[:3, 2])) >= np.linalg.norm(middle) * np.cos(max_incidence_rad))
+    return np.where(np.array(seen)[labels + 1], labels, -1)
 
 
 def _sure_labels(window: Window, labels: np.ndarray, frames: FloatArray, config: MapperConfig) -> np.ndarray:

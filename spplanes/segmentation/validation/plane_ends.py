@@ -100,14 +100,18 @@ def _leave_out(points, covariances, valid, labels, planes, alike, start, others,
 
 @njit(cache=True)
 def _ends_beside(valid, labels, alike, i, j, mine):
-    """Whether a return beside a point is of no plane, or of another that looks the same way."""
+    """Whether a return beside a point is of no plane, or of another that looks the same way, and so is what follows."""
+    n_rows, n_cols = labels.shape
     for step in range(4):
-        a = i + (step == 1) - (step == 0)
-        b = j + (step == 3) - (step == 2)
-        if 0 <= a < labels.shape[0] and 0 <= b < labels.shape[1] and valid[a, b]:
-            other = labels[a, b]
-            if other != mine and (other < 0 or alike[mine, other]):
-                return True
+        down, right = (step == 1) - (step == 0), (step == 3) - (step == 2)
+        a, b = i + down, j + right
+        if not (0 <= a < n_rows and 0 <= b < n_cols and valid[a, b]) or labels[a, b] == mine:
+            continue
+        if labels[a, b] >= 0 and not alike[mine, labels[a, b]]:
+            continue
+        a, b = a + down, b + right
+        if not (0 <= a < n_rows and 0 <= b < n_cols and labels[a, b] == mine):
+            return True
     return False
 
 
