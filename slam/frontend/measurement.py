@@ -13,7 +13,7 @@ from slam.frontend.deskewing import middle_ns, place_beams
 from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import OdometryTrack
 from slam.frontend.push_broom import window_poses
-from slam.frontend.scan_regions import believed_planes, fit_if_any
+from slam.frontend.scan_regions import believed_planes, fit_if_any, members_of, sure_labels
 from slam.frontend.scan_surfaces import surfaces_of
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import coarse, flatten, largest_polygon
@@ -114,8 +114,7 @@ def _flat_planes(
     found = segment(points, covariances, config=settings, viewpoints=viewpoint, pose_covariances=tilts)
     rows = moments_of(found.points, found.covariance, found.labels, settings)
     rough, spreads = frames_of(rows, np.zeros((len(rows), 3)))
-    seen = _seen_labels(points, found.labels, rough, config.measurements.max_incidence_rad)
-    sure = _sure_labels(Window(points, covariances, np.empty((0, 0))), seen, rough, settings)
+    sure = sure_labels(points, covariances, found.labels, rough, settings, config.measurements)
     believed = believed_planes(points, covariances, sure, rough, sensor, viewpoint, config.measurements)
     kept = {k: one[0] for k, one in enumerate(believed) if one is not None}
     labels = found.labels.copy()
@@ -127,27 +126,6 @@ def _flat_planes(
     number[-1] = -1
     number[list(kept)] = np.arange(len(kept))
     return [_in_scan(plane, sensor) for plane in drawn], number[labels]
-
-
-def _seen_labels(points: FloatArray, labels: np.ndarray, frames: FloatArray, max_incidence_rad: float) -> np.ndarray:
-    """Labels (S, B) less those of planes edge-on to the sensor, artefacts of a scan line: beams meet them anywhere.
-
-    Seen from the middle of their points, not from where those are that weigh most: of a floor they are the farthest.
-    """
-    seen = [False]  # what is of no plane
-    for frame, members in zip(frames, members_of(labels, len(frames)), strict=True):
-        middle = points.reshape(-1, 3)[members].mean(axis=0)
-        seen.append(abs(float(frame[:3, 3] @ frame[:3, 2])) >= np.linalg.norm(middle) * np.cos(max_incidence_rad))
-    return np.where(np.array(seen)[labels + 1], labels, -1)
-
-
-def _sure_labels(window: Window, labels: np.ndarray, frames: FloatArray, config: MapperConfig) -> np.ndarray:
-    """Labels (S, B) of the points that are of no other surface; planes whose tilt these do not tell have none."""
-    sure = np.where(sure_points(window, labels, list(frames), config.flatness_m), labels, -1)
-    for plane, members in enumerate(members_of(sure, len(frames))):
-        if not tells_tilt(window, members, frames[plane], config.max_tilt_rad):
-            sure.ravel()[members] = -1
-    return sure
 
 
 def _drawn(
@@ -163,12 +141,6 @@ def _drawn(
         Plane._trusted(plane.frame, plane.covariance, plane.n_points, outline, plane.chi2)
         for plane, outline in zip(planes.values(), coarse(outlines), strict=True)
     ]
-
-
-def members_of(labels: np.ndarray, count: int) -> list[np.ndarray]:
-    """Indices into the flat grid of the points of every plane, ascending, from labels (S, B)."""
-    order, flat = np.argsort(labels, axis=None, kind="stable"), labels.ravel()
-    return np.split(order, np.searchsorted(flat[order], np.arange(count + 1)))[1:-1]
 
 
 def planes_of_window(
