@@ -314,8 +314,12 @@ def test_a_second_mission_from_the_command_line(tmp_path: Path, capsys: pytest.C
     code, err = run(*again, tmp_path / "first", "--start-sigma", "0.05,1")
     assert code == 0, err
     first, second = (PriorMap.load(tmp_path / name) for name in ("first", "second"))
+    metrics = tmp_path / "second" / "metrics.json"
     grown = {one.id: one.observations for one in second.planes}
     assert all(grown[one.id] > one.observations for one in first.planes[:4])
+    told = {row["metric"].strip(): row["value"] for row in json.loads(metrics.read_text())["metrics"]}
+    assert told["planes of the prior map"] == len(first.planes)
+    assert told["of them seen again"] == sum(grown[one.id] > one.observations for one in first.planes)
     assert [one.id for one in second.planes[: len(first.planes)]] == [one.id for one in first.planes]
     alone = PriorMap.load(tmp_path / "first" / "planes.json")
     assert [one.plane.to_dict() for one in alone.planes] == [
