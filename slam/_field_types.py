@@ -60,7 +60,8 @@ def _test(hint: Any) -> Test:
     if origin in (list, tuple, Sequence):
         test = _test(inside[0])
         return lambda value: _is_sequence(value) and all(map(test, value))
-    if np.ndarray in (hint, origin):
+    alias = getattr(origin, "__value__", None)  # NDArray[...], from numpy 2.5 and Python 3.12 on
+    if np.ndarray in (hint, origin, get_origin(alias)):
         return lambda value: isinstance(value, np.ndarray) and value.dtype.kind in "fiu"
     return _simple(hint)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import GenericAlias
 from typing import Any, Literal
 
 import numpy as np
@@ -57,6 +58,17 @@ PASSES: list[tuple[Any, Any]] = [
     (Polygon, box(0, 0, 1, 1)),
     (Sequence[Observation], [Seen()]),
 ]
+
+
+class Alias:
+    """What numpy 2.5 has for NDArray from Python 3.12 on: an alias that is no class, whose value is one."""
+
+    __value__ = np.ndarray[Any, np.dtype[Any]]
+
+
+ALIAS = GenericAlias(Alias, (np.float64,))
+PASSES += [(ALIAS, np.zeros(3)), (ALIAS | None, None)]
+
 #: What a validator that puts things right would take: sets and generators as tuples, 1 as True, bytes as text.
 REFUSED: list[tuple[Any, Any]] = [
     (int, True),
@@ -79,6 +91,8 @@ REFUSED: list[tuple[Any, Any]] = [
     (list[float], [1.0, None]),
     (NDArray[np.float64], [1.0]),
     (np.ndarray, np.array(["a"])),
+    (ALIAS, [1.0]),
+    (ALIAS, np.array(["a"])),
     (np.ndarray, np.array([1j])),
     (np.ndarray, np.array([None])),
     (Polygon, Point(0, 0)),
