@@ -41,10 +41,19 @@ class Step:
 class LaserTrack(OdometryTrack):
     """Poses of all scans by laser odometry; a motion's covariance says what wheels and returns know of it each."""
 
-    def __init__(self, steps: Sequence[Step], noise: OdometryNoise) -> None:
+    def __init__(
+        self,
+        steps: Sequence[Step],
+        noise: OdometryNoise,
+        wheels: OdometryTrack | None = None,
+        about_wheels: str | None = None,
+    ) -> None:
         readings = [OdometryReading(one.stamp_ns, planar_transform(*one.pose)) for one in steps]
         super().__init__(readings, noise)
         self._steps = list(steps)
+        self.wheels = wheels
+        """What wheels alone measured, in the time of the scans; None: nothing."""
+        self._about_wheels = about_wheels
 
     def motion(self, start_ns: int, end_ns: int) -> Motion:
         """Motion between two times: `covariance` is that of the wheels, `returns_covariance` that of the returns."""
@@ -58,9 +67,10 @@ class LaserTrack(OdometryTrack):
         return Motion(a_T_b, wheels, out_of_plane, returns_a_T_b=a_T_b, returns_covariance=0.5 * (matched + matched.T))
 
     def notes(self, start_ns: int, end_ns: int) -> list[str]:
-        """What is to be said of the steps after one time and up to another."""
+        """What is to be said of the steps after one time and up to another; of the whole drive with its first."""
         chosen = self._steps[self._index(start_ns) + 1 : self._index(end_ns) + 1]
-        return [one.note for one in chosen if one.note is not None]
+        whole = self._about_wheels if start_ns <= self._stamps[0] else None
+        return [note for note in (whole, *(one.note for one in chosen)) if note is not None]
 
     def slipped(self, start_ns: int, end_ns: int) -> bool:
         """Whether wheels slipped on a step after one time and up to another."""
@@ -113,7 +123,7 @@ def motion_between(
         return matched
     error = difference(planar_delta(measured.a_T_b), planar_delta(matched.a_T_b))
     spread = measured.covariance + matched.returns_covariance
-    if track.slipped(*stamps_ns) or error @ np.linalg.solve(spread, error) > chdtri(3, significance):
+    if error @ np.linalg.solve(spread, error) > chdtri(3, significance):
         return replace(matched, refuted_a_T_b=measured.a_T_b)
     covariance = _larger(measured.covariance, matched.covariance)
     told = {"returns_a_T_b": matched.a_T_b, "returns_covariance": matched.returns_covariance}

@@ -10,6 +10,7 @@ from slam.config import CoastingConfig
 from slam.frontend.information import inverted
 from slam.frontend.laser_odometry.local_map import SlidingMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
+from slam.frontend.laser_odometry.synchronization import synchronized
 from slam.frontend.laser_odometry.track import LaserTrack, Step, between, rotation
 from slam.frontend.laser_odometry.wheel_model import NoiseScale
 from slam.frontend.measurement import usable_ranges
@@ -179,9 +180,9 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
     """Laser odometry over all scans of the level lasers of a log."""
     sensors = rig.of_kind("line")
     scans = [one for one in log.scans() if isinstance(one, LaserScan) and one.sensor in sensors]
-    readings = log.odometry
-    stamps = [scan.stamp_ns for scan in scans]
-    wheels = OdometryTrack(readings, rig.odometry).poses_at(stamps) if readings else None
+    told = synchronized(log.odometry, scans, lambda scan: _surface(scan, sensors[scan.sensor]), rig.odometry)
+    by_wheels = OdometryTrack(told.readings, rig.odometry) if told.readings else None
+    wheels = None if by_wheels is None else by_wheels.poses_at([scan.stamp_ns for scan in scans])
     odometry = LaserOdometry(rig.odometry, coasting)
     last = -1
     for index, scan in enumerate(scans):
@@ -192,7 +193,7 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
             delta = planar_delta(inverse(wheels[last]) @ wheels[index])
         odometry.add(scan.stamp_ns, _surface(scan, sensors[scan.sensor]), delta)
         last = index
-    return LaserTrack(odometry.steps, rig.odometry)
+    return LaserTrack(odometry.steps, rig.odometry, by_wheels, told.note)
 
 
 def _surface(scan: LaserScan, sensor: Sensor) -> Surface:

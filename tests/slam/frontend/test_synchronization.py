@@ -1,0 +1,105 @@
+"""Temporal calibration: offsets between scans and odometry are found, and none where there is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam.config import CoastingConfig, SlamConfig
+from slam.frontend.keyframes import keyframes_of
+from slam.frontend.laser_odometry import laser_track
+from slam.frontend.laser_odometry.synchronization import Synchronized, synchronized
+from slam.frontend.laser_odometry.tracker import _surface
+from slam.frontend.odometry import OdometryTrack, planar_delta
+from slam.geometry.frames import inverse
+from slam.sensors.log import LaserScan, Log, OdometryReading
+from slam.simulation.floorplan import Drive
+from tests.slam.frontend.test_laser_odometry import rooms, stated
+
+OFTEN_NS = 50_000_000
+
+
+def read_often(truth: Drive, late_s: float) -> Log:
+    """The drive with odometry read twenty times a second beside the scans, stamped late."""
+    scans = [event for event in truth.log.events if isinstance(event, LaserScan)]
+    wheels = OdometryTrack(truth.log.odometry, stated(truth.log).odometry)
+    times = np.arange(scans[0].stamp_ns, scans[-1].stamp_ns + 1, OFTEN_NS).tolist()
+    late_ns = round(late_s * 1e9)
+    readings = [OdometryReading(t + late_ns, pose) for t, pose in zip(times, wheels.poses_at(times), strict=True)]
+    return in_order(truth.log, scans, readings)
+
+
+def in_order(log: Log, scans: list[LaserScan], readings: list[OdometryReading]) -> Log:
+    events = sorted([*readings, *scans], key=lambda one: (one.stamp_ns, isinstance(one, LaserScan)))
+    return replace(log, events=list(events))
+
+
+def told_by(log: Log) -> Synchronized:
+    rig = stated(log)
+    scans = [event for event in log.events if isinstance(event, LaserScan)]
+    return synchronized(log.odometry, scans, lambda scan: _surface(scan, rig.sensors[scan.sensor]), rig.odometry)
+
+
+@pytest.mark.parametrize("late_s", [0.12, -0.2])
+def test_odometry_stamped_at_another_time_is_found_and_said(late_s: float):
+    found = told_by(read_often(rooms(3), late_s))
+    assert found.offset_s == pytest.approx(-late_s, abs=0.03)  # where odometry is late, scans are early
+    assert found.note is not None
+    assert ("earlier" if late_s > 0.0 else "later") in found.note
+    assert f"{abs(found.offset_s):.2f} s" in found.note
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_clocks_that_agree_are_left_alone(seed: int):
+    log = read_often(rooms(seed), 0.0)
+    found = told_by(log)
+    assert found.note is None
+    assert found.readings == log.odometry
+    own = rooms(seed).log  # read at the scans alone
+    assert told_by(own).readings == own.odometry
+
+
+def test_stale_copies_beside_the_scans_give_way_to_the_readings_between():
+    truth = rooms(5)
+    between = read_often(truth, 0.0)
+    scans = [event for event in between.events if isinstance(event, LaserScan)]
+    stamped = {scan.stamp_ns for scan in scans}
+    readings = [one for one in between.odometry if one.stamp_ns not in stamped]
+    rng, wheels = np.random.default_rng(5), OdometryTrack(readings, stated(between).odometry)
+    ages = rng.integers(0, 400_000_000, len(scans))
+    stale = wheels.poses_at([scan.stamp_ns - int(age) for scan, age in zip(scans, ages, strict=True)])
+    copies = [OdometryReading(scan.stamp_ns, pose) for scan, pose in zip(scans, stale, strict=True)]
+    found = told_by(in_order(between, scans, [*readings, *copies]))
+    assert len(found.readings) == len(readings)
+    assert found.offset_s == pytest.approx(0.0, abs=0.02)
+    assert f"{len(copies)} readings" in str(found.note)
+
+
+def test_a_drive_without_turns_tells_nothing_of_the_time():
+    log = read_often(rooms(3), 0.12)
+    scans = [event for event in log.events if isinstance(event, LaserScan)][:8]
+    few = in_order(log, scans, log.odometry)
+    assert told_by(few).readings == few.odometry
+    assert told_by(replace(log, events=list(scans))).readings == []
+
+
+def test_wheels_read_at_another_time_are_as_good_as_at_their_own_once_that_is_known():
+    truth = rooms(4)
+    errors = []
+    for late_s in (0.0, 0.15):
+        log = read_often(truth, late_s)
+        track = laser_track(log, stated(log), CoastingConfig())
+        assert track.wheels is not None
+        stamps = [event.stamp_ns for event in log.events if isinstance(event, LaserScan)]
+        poses = track.wheels.poses_at(stamps)
+        steps = [
+            planar_delta(inverse(inverse(truth.poses[i]) @ truth.poses[i + 1]) @ inverse(poses[i]) @ poses[i + 1])
+            for i in range(len(stamps) - 1)
+        ]
+        errors.append(np.sqrt(np.mean(np.square(steps), axis=0)))
+    assert errors[1][2] < 1.5 * errors[0][2]
+    [first, *_] = keyframes_of(log, stated(log), SlamConfig())
+    [second] = [frame for k, frame in enumerate(keyframes_of(log, stated(log), SlamConfig())) if k == 1]
+    assert "earlier than the odometry" in " ".join((*first.notes, *second.notes))
