@@ -20,7 +20,7 @@ from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.plane_registration import PlaneMatching, match_planes_widely, pairs_under
-from slam.registration.surface_registration import Alignment, LocalMap, align
+from slam.registration.surface_registration import Alignment, LocalMap, Scan, align
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -120,28 +120,36 @@ def local_map(keyframes: Sequence[Keyframe], backend: Backend, expected_T_world:
     first = max(len(keyframes) - _RECENT, 0)
     parts = []
     for index in range(first, len(keyframes)):
-        surfaces = keyframes[index].surfaces
-        if surfaces is not None and len(surfaces):
-            parts.append((expected_T_world @ backend.pose(pose_symbol(index)), surfaces))
+        scan = scan_of(keyframes[index])
+        if scan is not None:
+            parts.append((expected_T_world @ backend.pose(pose_symbol(index)), scan))
     return LocalMap(parts) if parts else None
+
+
+def scan_of(keyframe: Keyframe) -> Scan | None:
+    """The 3D scan of a keyframe, as it is registered; None: there is none, or nothing in it."""
+    if keyframe.surfaces is None or not len(keyframe.surfaces):
+        return None
+    return Scan(keyframe.surfaces, np.zeros(3) if keyframe.viewpoint is None else keyframe.viewpoint)
 
 
 def _by_returns(
     keyframe: Keyframe, motion: Motion, by_planes: PlaneMatching | None, known: LocalMap | None
 ) -> Alignment | None:
     """The scan laid on what was seen before, from the candidate that all its returns speak for most; None: none."""
-    if known is None or keyframe.surfaces is None or not len(keyframe.surfaces):
+    scan = scan_of(keyframe)
+    if known is None or scan is None:
         return None
-    found = laid_widely(keyframe.surfaces, known, by_planes, np.eye(4), inverse(motion.a_T_b))
+    found = laid_widely(scan, known, by_planes, np.eye(4), inverse(motion.a_T_b))
     return found if found.score > 0.0 else None
 
 
 def laid_widely(
-    elements: FloatArray, known: LocalMap, by_planes: PlaneMatching | None, expected: FloatArray, still: FloatArray
+    scan: Scan, known: LocalMap, by_planes: PlaneMatching | None, expected: FloatArray, still: FloatArray
 ) -> Alignment:
-    """A scan (N, 8) laid on a local map from where planes propose, from what is expected, and as if nothing moved."""
+    """A scan laid on a local map from where planes propose, from what is expected, and as if nothing moved."""
     proposed = [] if by_planes is None else [by_planes.known_T_seen]
-    return align(elements, known, [*proposed, expected, still])
+    return align(scan, known, [*proposed, expected, still])
 
 
 def _beyond_planes(motion: Motion, found: Alignment) -> Motion | None:

@@ -64,13 +64,22 @@ class Alignment:
     """Share of the elements that found a partner."""
 
 
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A 3D scan as it is registered."""
+
+    elements: FloatArray
+    """Its surface elements in the body frame, shape (N, 8); see `slam.frontend.scan_surfaces`."""
+    viewpoint: FloatArray
+    """Where the sensor was, in the body frame, shape (3,), m."""
+
+
 class LocalMap:
     """Surface elements of a few keyframes in one frame, to register scans on."""
 
-    def __init__(self, parts: Sequence[tuple[FloatArray, FloatArray]]) -> None:
-        """Of parts: known_T_body (4, 4) with elements (N, 8)."""
-        rows = np.concatenate([moved(elements, pose) for pose, elements in parts])
-        self.eyes = np.concatenate([np.tile(pose[:3, 3], (len(elements), 1)) for pose, elements in parts])
+    def __init__(self, parts: Sequence[tuple[FloatArray, Scan]]) -> None:
+        """Of parts: known_T_body (4, 4) with what was seen from there."""
+        rows = np.concatenate([moved(scan.elements, pose) for pose, scan in parts])
         self.points, self.directions, self.sigmas, self.kinds = rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7]
         self._groups = [np.flatnonzero(self.kinds != ON_EDGE), np.flatnonzero(self.kinds == ON_EDGE)]
         self._trees = [_tree(self.points[group]) if len(group) else None for group in self._groups]
@@ -91,57 +100,67 @@ class LocalMap:
             partner[mine[alike]] = other[alike]
         return partner
 
-    def contradicted(self, known_T_seen: FloatArray, some: FloatArray, alone: np.ndarray, scan: _Sight) -> float:
+    def contradicted(self, known_T_seen: FloatArray, some: FloatArray, alone: np.ndarray, sight: _Sight) -> float:
         """Share of a scan that is seen through: what stands before what the newest keyframe saw, or that before it.
 
         Args:
             known_T_seen: the motion, shape (4, 4).
             some: some elements of the scan, shape (M, 8).
             alone: which of them have no partner, mask (M,).
-            scan: all of them.
+            sight: all of them.
         """
         pose, newest = self._newest
         newest_T_seen = inverse(pose) @ known_T_seen
         back = self.newest_sight.through(lift(some[alone, :3], newest_T_seen))
-        from_there = lift(newest[:, :3], inverse(newest_T_seen))
-        ahead = scan.through(from_there[scan.apart(from_there) > _REACHES[-1] * _widths(newest)])
-        return max(back / max(len(some), 1), ahead / max(len(newest), 1))
+        from_there = lift(newest.elements[:, :3], inverse(newest_T_seen))
+        ahead = sight.through(from_there[sight.apart(from_there) > _REACHES[-1] * _widths(newest.elements)])
+        return max(back / max(len(some), 1), ahead / max(len(newest.elements), 1))
 
     @cached_property
     def newest_sight(self) -> _Sight:
         """What the newest keyframe saw."""
-        return _Sight(self._newest[1][:, :3])
+        return _Sight(self._newest[1])
 
 
 class _Sight:
     """What a scan saw, from where it was seen: how far other points are from it, and which stand before it."""
 
-    def __init__(self, seen: FloatArray) -> None:
-        """Of points (N, 3) in the frame of the sensor or near it."""
-        self._points, self._depth = seen, np.linalg.norm(seen, axis=1)
+    def __init__(self, scan: Scan) -> None:
+        self._elements, self._viewpoint = scan.elements, scan.viewpoint
+        self._rays = scan.elements[:, :3] - scan.viewpoint
+        self._depth = np.linalg.norm(self._rays, axis=1)
 
     @cached_property
     def _directions(self) -> KDTree:
-        return _tree(self._points / self._depth[:, None])
+        return _tree(self._rays / np.maximum(self._depth, 1e-9)[:, None])
 
     @cached_property
     def _places(self) -> KDTree:
-        return _tree(self._points)
+        return _tree(self._elements[:, :3])
 
     def apart(self, points: FloatArray) -> FloatArray:
         """Distances of points (N, 3) from the nearest that was seen, (N,), m."""
         return np.asarray(self._places.query(points)[0], dtype=np.float64)
 
     def through(self, points: FloatArray) -> int:
-        """How many of points (N, 3) stand well before all that was seen about their direction."""
-        if len(points) == 0 or len(self._points) < _ABOUT:
+        """How many of points (N, 3) stand well before all that was seen about their direction.
+
+        Before a surface is what is nearer than it and off it: beside what was seen of a wall the wall goes on, and
+        along it the range is any.
+        """
+        if len(points) == 0 or len(self._elements) < _ABOUT:
             return 0
-        ranges = np.linalg.norm(points, axis=1)
-        rays = points / np.maximum(ranges, 1e-9)[:, None]
-        apart, index = self._directions.query(rays, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
+        rays = points - self._viewpoint
+        ranges = np.linalg.norm(rays, axis=1)
+        apart, index = self._directions.query(
+            rays / np.maximum(ranges, 1e-9)[:, None], k=_ABOUT, distance_upper_bound=_DIRECTION_RAD
+        )
         common = np.isfinite(apart).all(axis=1)
-        nearest = self._depth[np.asarray(index)[common]].min(axis=1)
-        return int(np.count_nonzero(ranges[common] < (1.0 - _BEFORE_SHARE) * nearest - _BEFORE_M))
+        about = np.asarray(index)[common]
+        nearer = ranges[common, None] < (1.0 - _BEFORE_SHARE) * self._depth[about] - _BEFORE_M
+        behind = self._elements[about]
+        off = np.einsum("kai,kai->ka", points[common, None] - behind[..., :3], behind[..., 3:6])
+        return int(np.count_nonzero((nearer & ((off > _BEFORE_M) | (behind[..., 7] == ON_EDGE))).all(axis=1)))
 
 
 def _tree(points: FloatArray) -> KDTree:
@@ -169,24 +188,25 @@ def _widths(elements: FloatArray) -> FloatArray:
     return share * np.linalg.norm(elements[:, :3], axis=1)
 
 
-def align(elements: FloatArray, known: LocalMap, candidates: Sequence[FloatArray]) -> Alignment:
+def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray]) -> Alignment:
     """Lay a scan on a local map, from the candidate that all its returns speak for most.
 
     Candidates are told apart by some of the elements; only the best is worked out with all.
 
     Args:
-        elements: of the scan, shape (N, 8), N > 0.
+        scan: what is seen, not nothing.
         known: where it is laid.
         candidates: motions known_T_seen to start from, about right, shape (4, 4) each; of equals the first is taken.
     """
-    some, scan = elements[:: int(np.ceil(len(elements) / _SOME))], _Sight(elements[:, :3])
+    elements, sight = scan.elements, _Sight(scan)
+    some = elements[:: int(np.ceil(len(elements) / _SOME))]
     rough: list[tuple[float, float, FloatArray]] = []
     for start in candidates:
         if any(np.abs(start - other).max() < _SAME for other in candidates[: len(rough)]):
             rough.append((-np.inf, 0.0, start))
             continue
         motion = _descended(some, known, start, _REACHES)
-        rough.append((*_scored(some, scan, known, motion), motion))
+        rough.append((*_scored(some, sight, known, motion), motion))
     score, share, motion = max(rough, key=lambda one: one[0])
     if len(some) < len(elements):
         motion = _descended(elements, known, motion, _REACHES[-2:])
@@ -206,13 +226,13 @@ def _descended(elements: FloatArray, known: LocalMap, motion: FloatArray, reache
     return motion
 
 
-def _scored(some: FloatArray, scan: _Sight, known: LocalMap, motion: FloatArray) -> tuple[float, float]:
+def _scored(some: FloatArray, sight: _Sight, known: LocalMap, motion: FloatArray) -> tuple[float, float]:
     """Score and share of some of a scan's elements at a motion; see `Alignment`."""
     widths = _widths(some)
     found = _Residuals.of(some, known, motion, _REACHES[-1] * widths)
     alone = np.ones(len(some), dtype=bool)
     alone[found.index] = False
-    against = known.contradicted(motion, some, alone, scan)
+    against = known.contradicted(motion, some, alone, sight)
     return found.closeness(widths) / len(some) - AGAINST * against, len(found.off) / len(some)
 
 

@@ -32,6 +32,7 @@ from slam.registration.relocalization import (
     laid_widely,
     local_map,
     planes_about,
+    scan_of,
     sigmas_of,
     stated,
 )
@@ -74,11 +75,11 @@ def speaks_against(
         significance: probability that a true motion is spoken against.
         doubted: the motion before was spoken against.
     """
-    elements, (keyframes, landmarks, backend) = keyframe.surfaces, state
-    if is_wide(motion) or elements is None or not len(elements):
+    scan, (keyframes, landmarks, backend) = scan_of(keyframe), state
+    if is_wide(motion) or scan is None:
         return False
     before, seen = (planes_of(one.observations) for one in (keyframes[-1], keyframe))
-    if not doubted and planes_confirm(motion, before, seen, elements, significance):
+    if not doubted and planes_confirm(motion, before, seen, scan.elements, significance):
         return False
     expected_T_world = inverse(backend.pose(pose_symbol(len(keyframes) - 1)) @ motion.a_T_b)
     known = local_map(keyframes, backend, expected_T_world)
@@ -88,13 +89,13 @@ def speaks_against(
     def is_off(found: Alignment) -> bool:
         return not _agree(motion, found.known_T_seen, _by_returns(found.information), significance)
 
-    found = align(elements, known, [np.eye(4)])
+    found = align(scan, known, [np.eye(4)])
     if is_off(found) or (found.score > 0.0 and not doubted):
         return is_off(found)
     b_T_a = inverse(motion.a_T_b)
     seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
     by_planes = match_planes_widely(*seen_and_known, sigmas_of(otherwise))
-    rival = laid_widely(elements, known, by_planes, b_T_a @ otherwise.a_T_b, b_T_a)
+    rival = laid_widely(scan, known, by_planes, b_T_a @ otherwise.a_T_b, b_T_a)
     return rival.score > found.score + (0.0 if doubted else _CLEARLY) and is_off(rival)
 
 
