@@ -20,7 +20,7 @@ from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.plane_registration import PlaneMatching, match_planes_widely, pairs_under
-from slam.registration.surface_registration import Alignment, LocalMap, Scan, align
+from slam.registration.surface_registration import Alignment, Expected, LocalMap, Scan, align
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -99,7 +99,7 @@ def found_place(
             return None
         there = _stated(motion, by_planes.known_T_seen, by_planes.covariance)
         return FoundPlace(there, frozenset(numbers[i] for i, _ in by_planes.pairs))
-    information = by_returns.information + _information(motion)
+    information = by_returns.information + information_of(motion)
     there = _stated(motion, by_returns.known_T_seen, np.linalg.inv(information).astype(np.float64))
     pairs = pairs_under(by_returns.known_T_seen, seen, known)
     return FoundPlace(there, frozenset(numbers[i] for i, _ in pairs), _beyond_planes(motion, by_returns))
@@ -140,16 +140,17 @@ def _by_returns(
     scan = scan_of(keyframe)
     if known is None or scan is None:
         return None
-    found = laid_widely(scan, known, by_planes, np.eye(4), inverse(motion.a_T_b))
+    expected = Expected(np.eye(4), information_of(motion))
+    found = laid_widely(scan, known, by_planes, expected, inverse(motion.a_T_b))
     return found if found.score > 0.0 else None
 
 
 def laid_widely(
-    scan: Scan, known: LocalMap, by_planes: PlaneMatching | None, expected: FloatArray, still: FloatArray
+    scan: Scan, known: LocalMap, by_planes: PlaneMatching | None, expected: Expected, still: FloatArray
 ) -> Alignment:
     """A scan laid on a local map from where planes propose, from what is expected, and as if nothing moved."""
     proposed = [] if by_planes is None else [by_planes.known_T_seen]
-    return align(scan, known, [*proposed, expected, still])
+    return align(scan, known, [*proposed, expected.known_T_seen, still], expected)
 
 
 def _beyond_planes(motion: Motion, found: Alignment) -> Motion | None:
@@ -174,7 +175,7 @@ def stated(covariance: FloatArray) -> FloatArray:
     return _SLACK**2 * covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)] + least
 
 
-def _information(motion: Motion) -> FloatArray:
+def information_of(motion: Motion) -> FloatArray:
     """Information of what is known of a motion before looking, alike in all directions, GTSAM order, (6, 6)."""
     place, turn = sigmas_of(motion)
     return np.diag(1.0 / np.repeat([turn, place], 3) ** 2)

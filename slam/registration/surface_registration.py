@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -188,15 +189,26 @@ def _widths(elements: FloatArray) -> FloatArray:
     return share * np.linalg.norm(elements[:, :3], axis=1)
 
 
-def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray]) -> Alignment:
+class Expected(NamedTuple):
+    """What is known of a motion before looking: along what the returns leave open it is as expected."""
+
+    known_T_seen: FloatArray
+    """Shape (4, 4)."""
+    information: FloatArray
+    """Of its tangent on the right, GTSAM order (rotation, translation), shape (6, 6)."""
+
+
+def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expected: Expected | None = None) -> Alignment:
     """Lay a scan on a local map, from the candidate that all its returns speak for most.
 
-    Candidates are told apart by some of the elements; only the best is worked out with all.
+    Candidates are told apart by some of the elements; only the best is worked out with all. Where no returns speak, a
+    descent would end anywhere: there what is expected does, or nothing moves.
 
     Args:
         scan: what is seen, not nothing.
         known: where it is laid.
         candidates: motions known_T_seen to start from, about right, shape (4, 4) each; of equals the first is taken.
+        expected: what is known before looking; the information of the result is without it.
     """
     elements, sight = scan.elements, _Sight(scan)
     some = elements[:: int(np.ceil(len(elements) / _SOME))]
@@ -205,21 +217,27 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray]) -> Alig
         if any(np.abs(start - other).max() < _SAME for other in candidates[: len(rough)]):
             rough.append((-np.inf, 0.0, start))
             continue
-        motion = _descended(some, known, start, _REACHES)
+        motion = _descended(some, known, start, _REACHES, expected)
         rough.append((*_scored(some, sight, known, motion), motion))
     score, share, motion = max(rough, key=lambda one: one[0])
     if len(some) < len(elements):
-        motion = _descended(elements, known, motion, _REACHES[-2:])
+        motion = _descended(elements, known, motion, _REACHES[-2:], expected)
     found = _Residuals.of(elements, known, motion, _REACHES[-1] * _widths(elements))
     return Alignment(motion, found.information(), found.off_planes(), score, share)
 
 
-def _descended(elements: FloatArray, known: LocalMap, motion: FloatArray, reaches: Sequence[float]) -> FloatArray:
+def _descended(
+    elements: FloatArray,
+    known: LocalMap,
+    motion: FloatArray,
+    reaches: Sequence[float],
+    expected: Expected | None = None,
+) -> FloatArray:
     """The motion at which the residuals are least, by Gauss and Newton, partners looked for less and less far."""
     widths = _widths(elements)
     for reach in reaches:
         for _ in range(_STEPS):
-            step = _Residuals.of(elements, known, motion, reach * widths).step()
+            step = _Residuals.of(elements, known, motion, reach * widths).step(motion, expected)
             motion = motion @ gtsam.Pose3.Expmap(step).matrix()
             if np.abs(step).max() < _CONVERGED:
                 break
@@ -269,10 +287,13 @@ class _Residuals:
     def information(self) -> FloatArray:
         return self.jacobian.T @ (self.weights[:, None] * self.jacobian)
 
-    def step(self) -> FloatArray:
-        """Of Gauss and Newton, toward less of them, tangent of the motion on the right, (6,)."""
-        told = self.jacobian.T @ (self.weights * self.off)
-        return np.linalg.solve(self.information() + _NOTHING, -told).astype(np.float64)
+    def step(self, motion: FloatArray, expected: Expected | None) -> FloatArray:
+        """Of Gauss and Newton, toward less of them and toward what is expected, tangent of the motion, (6,)."""
+        told, prior = self.jacobian.T @ (self.weights * self.off), _NOTHING
+        if expected is not None:
+            prior = expected.information
+            told = told + prior @ gtsam.Pose3.Logmap(gtsam.Pose3(inverse(expected.known_T_seen) @ motion))
+        return np.linalg.solve(self.information() + prior, -told).astype(np.float64)
 
     def off_planes(self) -> tuple[FloatArray, FloatArray]:
         """Information of the elements on no plane, and information times their mean, about the motion."""

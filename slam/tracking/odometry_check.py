@@ -28,6 +28,7 @@ from slam.registration.relocalization import (
     SILENT,
     SILENT_M,
     SILENT_RAD,
+    information_of,
     is_wide,
     laid_widely,
     local_map,
@@ -36,7 +37,7 @@ from slam.registration.relocalization import (
     sigmas_of,
     stated,
 )
-from slam.registration.surface_registration import AGAINST, Alignment, align, most_information
+from slam.registration.surface_registration import AGAINST, Alignment, Expected, align, most_information
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -95,7 +96,8 @@ def speaks_against(
     b_T_a = inverse(motion.a_T_b)
     seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
     by_planes = match_planes_widely(*seen_and_known, sigmas_of(otherwise))
-    rival = laid_widely(scan, known, by_planes, b_T_a @ otherwise.a_T_b, b_T_a)
+    expected = Expected(b_T_a @ otherwise.a_T_b, information_of(otherwise))
+    rival = laid_widely(scan, known, by_planes, expected, b_T_a)
     return rival.score > found.score + (0.0 if doubted else _CLEARLY) and is_off(rival)
 
 
