@@ -20,7 +20,7 @@ from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.plane_registration import PlaneMatching, match_planes_widely, pairs_under
-from slam.registration.surface_registration import Alignment, Expected, LocalMap, Scan, align
+from slam.registration.surface_registration import Alignment, Expected, LocalMap, Scan, align, turned
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -30,6 +30,8 @@ _WIDE_M, _WIDE_RAD = 0.25, 0.12
 _RECENT = 6
 #: What least squares over pairs leaves out, segmentation above all, against its covariance: factor, and least, m, rad.
 _SLACK, _LEAST_M, _LEAST_RAD = 1.5, 0.02, 0.004
+#: A scan that fits better than this is taken to lie where it was taken from.
+_MOSTLY = 0.5
 #: Information about a motion that stands for none, GTSAM order: standard deviations of so many m and rad.
 SILENT_M, SILENT_RAD = 10.0, 3.0
 SILENT = np.diag(np.repeat([SILENT_RAD, SILENT_M], 3) ** -2.0)
@@ -148,9 +150,16 @@ def _by_returns(
 def laid_widely(
     scan: Scan, known: LocalMap, by_planes: PlaneMatching | None, expected: Expected, still: FloatArray
 ) -> Alignment:
-    """A scan laid on a local map from where planes propose, from what is expected, and as if nothing moved."""
+    """A scan laid on a local map from where planes propose, from what is expected, and as if nothing moved.
+
+    Where no more than half of it fits there, also as if it had turned on its heel.
+    """
     proposed = [] if by_planes is None else [by_planes.known_T_seen]
-    return align(scan, known, [*proposed, expected.known_T_seen, still], expected)
+    found = align(scan, known, [*proposed, expected.known_T_seen, still], expected)
+    if found.score > _MOSTLY:
+        return found
+    other = align(scan, known, turned(scan, known, expected), expected)
+    return other if other.score > found.score else found
 
 
 def _beyond_planes(motion: Motion, found: Alignment) -> Motion | None:
