@@ -13,8 +13,9 @@ from factors import relative_pose_factor
 from factors._conventions import POSE3_TO_SP
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation, planes_of
+from slam.frontend.observations import Observation, PlaneObservation, planes_of
 from slam.frontend.odometry import Motion
+from slam.frontend.scan_surfaces import ON_PLANE
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
@@ -32,6 +33,8 @@ _RECENT = 6
 _SLACK, _LEAST_M, _LEAST_RAD = 1.5, 0.02, 0.004
 #: A scan that fits better than this is taken to lie where it was taken from.
 _MOSTLY = 0.5
+#: An element is on the plane that it was laid on, to rounding.
+_ITS_OWN = 1e-6
 #: Information about a motion that stands for none, GTSAM order: standard deviations of so many m and rad.
 SILENT_M, SILENT_RAD = 10.0, 3.0
 SILENT = np.diag(np.repeat([SILENT_RAD, SILENT_M], 3) ** -2.0)
@@ -51,8 +54,9 @@ class FoundPlace:
     """The motion to there; it stands in for the real one while observations are matched."""
     seen_again: frozenset[int]
     """Indices of the observations that found it."""
-    beyond_planes: Motion | None = None
-    """What the returns on no plane say of the motion, which no observation says again; None: nothing."""
+    beyond: Motion | None = None
+    """What the returns on none of those planes say of the motion, which no match of theirs says again; None: nothing.
+    """
 
     @property
     def trusted(self) -> frozenset[int] | None:
@@ -65,7 +69,7 @@ class FoundPlace:
 
     def factors(self, key_a: int, key_b: int, robust: str | None) -> list[Any]:
         """What stays in the graph of it once the observations are matched."""
-        beyond = self.beyond_planes
+        beyond = self.beyond
         if beyond is None:
             return []
         return [relative_pose_factor(key_a, key_b, beyond.a_T_b, beyond.covariance, robust=robust)]  # type: ignore[arg-type]
@@ -103,8 +107,10 @@ def found_place(
         return FoundPlace(there, frozenset(numbers[i] for i, _ in by_planes.pairs))
     information = by_returns.information + information_of(motion)
     there = _stated(motion, by_returns.known_T_seen, np.linalg.inv(information).astype(np.float64))
-    pairs = pairs_under(by_returns.known_T_seen, seen, known)
-    return FoundPlace(there, frozenset(numbers[i] for i, _ in pairs), _beyond_planes(motion, by_returns))
+    seen_again = frozenset(numbers[i] for i, _ in pairs_under(by_returns.known_T_seen, seen, known))
+    assert keyframe.surfaces is not None  # `_by_returns`
+    again = _on(keyframe.surfaces, [one for k, one in enumerate(keyframe.observations) if k in seen_again])
+    return FoundPlace(there, seen_again, _beyond(motion, by_returns, ~again))
 
 
 def planes_about(
@@ -162,9 +168,20 @@ def laid_widely(
     return other if other.score > found.score else found
 
 
-def _beyond_planes(motion: Motion, found: Alignment) -> Motion | None:
-    """What the returns on no plane say alone, as a motion whose covariance is wide where they are silent."""
-    information, told = found.off_planes
+def _on(elements: FloatArray, observations: Sequence[Observation]) -> np.ndarray:
+    """Which surface elements (N, 8) are on one of some planes, shape (N,): they were laid on their own."""
+    planes = planes_of(observations)
+    if not planes:
+        return np.zeros(len(elements), dtype=bool)
+    normals, d = np.array([one.normal for one in planes]), np.array([one.d for one in planes])
+    near = np.abs(elements[:, :3] @ normals.T - d) < _ITS_OWN
+    alike = elements[:, 3:6] @ normals.T > 1.0 - _ITS_OWN
+    return (elements[:, 7] == ON_PLANE) & (near & alike).any(axis=1)
+
+
+def _beyond(motion: Motion, found: Alignment, elements: np.ndarray) -> Motion | None:
+    """What some elements, mask (N,), say alone, as a motion whose covariance is wide where they are silent."""
+    information, told = found.residuals.told_by(elements)
     if not information.any():
         return None
     information = information / _SLACK**2 + SILENT

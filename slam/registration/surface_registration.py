@@ -59,9 +59,8 @@ class Alignment:
     """Shape (4, 4)."""
     information: FloatArray
     """Of the tangent on the right, GTSAM order (rotation, translation), by all elements, shape (6, 6)."""
-    off_planes: tuple[FloatArray, FloatArray]
-    """What the elements on no plane say alone: information (6, 6), and information times their mean, (6,), about the
-    motion above."""
+    residuals: Residuals
+    """Of all elements that found a partner, at the motion above."""
     score: float
     """Share of the elements that are where something is known, close by, less what contradicts."""
     share: float
@@ -225,8 +224,8 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expecte
     score, share, motion = max(rough, key=lambda one: one[0])
     if len(some) < len(elements):
         motion = _descended(elements, known, motion, _REACHES[-2:], expected)
-    found = _Residuals.of(elements, known, motion, _REACHES[-1] * _widths(elements))
-    return Alignment(motion, found.information(), found.off_planes(), score, share)
+    found = Residuals.of(elements, known, motion, _REACHES[-1] * _widths(elements))
+    return Alignment(motion, found.information(), found, score, share)
 
 
 def turned(scan: Scan, known: LocalMap, expected: Expected) -> list[FloatArray]:
@@ -242,7 +241,7 @@ def turned(scan: Scan, known: LocalMap, expected: Expected) -> list[FloatArray]:
             turn = np.eye(4)
             turn[:3, :3] = gtsam.Rot3.Expmap(step * _TURN_RAD * axis).matrix()
             motion = expected.known_T_seen @ turn
-            fit = _Residuals.of(some, known, motion, _REACHES[0] * widths).closeness(_REACHES[0] * widths)
+            fit = Residuals.of(some, known, motion, _REACHES[0] * widths).closeness(_REACHES[0] * widths)
             found.append((fit, motion))
     return [motion for _, motion in sorted(found, key=lambda one: -one[0])[:_MOST_TURNS]]
 
@@ -258,7 +257,7 @@ def _descended(
     widths = _widths(elements)
     for reach in reaches:
         for _ in range(_STEPS):
-            step = _Residuals.of(elements, known, motion, reach * widths).step(motion, expected)
+            step = Residuals.of(elements, known, motion, reach * widths).step(motion, expected)
             motion = motion @ gtsam.Pose3.Expmap(step).matrix()
             if np.abs(step).max() < _CONVERGED:
                 break
@@ -268,7 +267,7 @@ def _descended(
 def _scored(some: FloatArray, sight: _Sight, known: LocalMap, motion: FloatArray) -> tuple[float, float]:
     """Score and share of some of a scan's elements at a motion; see `Alignment`."""
     widths = _widths(some)
-    found = _Residuals.of(some, known, motion, _REACHES[-1] * widths)
+    found = Residuals.of(some, known, motion, _REACHES[-1] * widths)
     alone = np.ones(len(some), dtype=bool)
     alone[found.index] = False
     against = known.contradicted(motion, some, alone, sight)
@@ -276,13 +275,11 @@ def _scored(some: FloatArray, sight: _Sight, known: LocalMap, motion: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class _Residuals:
+class Residuals:
     """How far elements are from their partners, along the partners' directions."""
 
     index: np.ndarray
     """Which elements, shape (K,)."""
-    kinds: np.ndarray
-    """Their kinds, shape (K,)."""
     off: FloatArray
     """Shape (K,), m."""
     jacobian: FloatArray
@@ -291,7 +288,7 @@ class _Residuals:
     """Information of each, by its noise and the robust kernel, shape (K,), 1 / m^2."""
 
     @classmethod
-    def of(cls, elements: FloatArray, known: LocalMap, motion: FloatArray, reach: FloatArray) -> _Residuals:
+    def of(cls, elements: FloatArray, known: LocalMap, motion: FloatArray, reach: FloatArray) -> Residuals:
         rows = moved(elements, motion)
         partner = known.partners(rows[:, :3], rows[:, 3:6], rows[:, 7], reach)
         index = np.flatnonzero(partner >= 0)
@@ -303,7 +300,7 @@ class _Residuals:
         scale = max(_LEAST_SCALE_M, 1.4826 * float(np.median(np.abs(off))) if len(off) else 0.0)
         kernel = 1.0 / (1.0 + (off / (_KERNEL * scale)) ** 2) ** 2
         variance = mine[:, 6] ** 2 + known.sigmas[other] ** 2
-        return cls(index, mine[:, 7], off, jacobian, kernel / variance)
+        return cls(index, off, jacobian, kernel / variance)
 
     def information(self) -> FloatArray:
         return self.jacobian.T @ (self.weights[:, None] * self.jacobian)
@@ -316,9 +313,9 @@ class _Residuals:
             told = told + prior @ gtsam.Pose3.Logmap(gtsam.Pose3(inverse(expected.known_T_seen) @ motion))
         return np.linalg.solve(self.information() + prior, -told).astype(np.float64)
 
-    def off_planes(self) -> tuple[FloatArray, FloatArray]:
-        """Information of the elements on no plane, and information times their mean, about the motion."""
-        some = self.kinds != ON_PLANE
+    def told_by(self, elements: np.ndarray) -> tuple[FloatArray, FloatArray]:
+        """Information of some elements, mask (N,), and information times their mean, about the motion."""
+        some = elements[self.index]
         weighted = self.weights[some, None] * self.jacobian[some]
         return self.jacobian[some].T @ weighted, -weighted.T @ self.off[some]
 
