@@ -164,7 +164,8 @@ def laid_widely(
     found = align(scan, known, [*proposed, expected.known_T_seen, still], expected)
     if found.score > _MOSTLY:
         return found
-    other = align(scan, known, turned(scan, known, expected), expected)
+    turns = turned(scan, known, expected)
+    other = align(scan, known, turns, expected) if turns else found
     return other if other.score > found.score else found
 
 

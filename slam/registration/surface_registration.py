@@ -289,6 +289,7 @@ class Residuals:
 
     @classmethod
     def of(cls, elements: FloatArray, known: LocalMap, motion: FloatArray, reach: FloatArray) -> Residuals:
+        """Of elements (N, 8) at a motion (4, 4), partners looked for within reach (N,), m."""
         rows = moved(elements, motion)
         partner = known.partners(rows[:, :3], rows[:, 3:6], rows[:, 7], reach)
         index = np.flatnonzero(partner >= 0)
@@ -303,6 +304,7 @@ class Residuals:
         return cls(index, off, jacobian, kernel / variance)
 
     def information(self) -> FloatArray:
+        """Of the motion by all of them, shape (6, 6)."""
         return self.jacobian.T @ (self.weights[:, None] * self.jacobian)
 
     def step(self, motion: FloatArray, expected: Expected | None) -> FloatArray:

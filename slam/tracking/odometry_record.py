@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import gtsam
 import numpy as np
@@ -30,6 +30,8 @@ class CheckedStep(NamedTuple):
     """As it was measured."""
     check: Check
     """What the scan said."""
+    used: Literal["as stated", "erring", "not"]
+    """What became of it: used as it was stated, as far off as others were, or not, for an assumption was nearer."""
 
 
 @dataclass
@@ -75,21 +77,29 @@ class OdometryRecord:
             guess: how far a body may move of which nothing is known.
             check: what a 3D scan says of it.
         """
-        self.steps.append(CheckedStep(keyframe, motion, check))
+        nearer = self._expected_is_nearer
+        untold = self.untold(motion, check)
         if check.against:
             self._last = motion, expected
-            return expected if self._expected_is_nearer else replace(guess, a_T_b=motion.a_T_b)
-        untold = self.untold(motion, check)
-        if not len(untold):
-            return motion
-        if self._expected_is_nearer:
-            return expected
-        return _erring(motion, untold.T @ untold / (len(self._errors) + self._fine()))
+            used, known = "not", expected if nearer else replace(guess, a_T_b=motion.a_T_b)
+        elif not len(untold):
+            used, known = "as stated", motion
+        elif nearer:
+            used, known = "not", expected
+        else:
+            used, known = "erring", _erring(motion, untold.T @ untold / (len(self._errors) + self._fine()))
+        self.steps.append(CheckedStep(keyframe, motion, check, used))
+        return known
 
     def untold(self, motion: Motion, check: Check) -> FloatArray:
         """Those of the errors that a check would not have told, shape (K, 6)."""
         errors = self.errors
         return errors[~check.tells(motion, errors, self.significance)]
+
+    def believed(self) -> list[tuple[int, FloatArray]]:
+        """Steps used as stated, by their keyframes, with the errors found since that their scans left untold."""
+        stated = [(one.keyframe, self.untold(one.motion, one.check)) for one in self.steps if one.used == "as stated"]
+        return [(keyframe, errors) for keyframe, errors in stated if len(errors)]
 
     def _fine(self) -> int:
         """Of the last steps those not spoken against though most errors would have been."""

@@ -87,6 +87,8 @@ class MotionModel:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
         self._sparsifier, self._config, self._known_start = parts.sparsifier, parts.config, start
         self.calibration = WheelCalibration()
+        #: Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them.
+        self.unplaced: list[int] = []
         self.odometry_record = OdometryRecord(parts.config.association.new_significance)
 
     def predict(self, keyframe: Keyframe) -> Prediction:
@@ -145,6 +147,8 @@ class MotionModel:
         beyond = beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
         wide = is_wide(_with(motion, beyond))
         place = found_place(keyframe, motion, *parts) if wide else None
+        if wide and place is None and keyframe.surfaces is not None:
+            self.unplaced.append(index)
         if place is None:
             factors = motion.factors(before, key)
             return _Step(world_T_before @ motion.a_T_b, factors, motion, beyond=beyond, is_wide=wide)
