@@ -31,8 +31,6 @@ _WIDE_M, _WIDE_RAD = 0.25, 0.12
 _RECENT = 6
 #: What least squares over pairs leaves out, segmentation above all, against its covariance: factor, and least, m, rad.
 _SLACK, _LEAST_M, _LEAST_RAD = 1.5, 0.02, 0.004
-#: A scan that fits better than this is taken to lie where it was taken from.
-_MOSTLY = 0.5
 #: An element is on the plane that it was laid on, to rounding.
 _ITS_OWN = 1e-6
 #: Information about a motion that stands for none, GTSAM order: standard deviations of so many m and rad.
@@ -158,11 +156,11 @@ def laid_widely(
 ) -> Alignment:
     """A scan laid on a local map from where planes propose, from what is expected, and as if nothing moved.
 
-    Where no more than half of it fits there, also as if it had turned on its heel.
+    Where it fits nowhere of these, also as if it had turned on its heel.
     """
     proposed = [] if by_planes is None else [by_planes.known_T_seen]
     found = align(scan, known, [*proposed, expected.known_T_seen, still], expected)
-    if found.score > _MOSTLY:
+    if found.score > 0.0:
         return found
     turns = turned(scan, known, expected)
     other = align(scan, known, turns, expected) if turns else found
