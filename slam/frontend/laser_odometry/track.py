@@ -123,7 +123,7 @@ def motion_between(
         return matched
     error = difference(planar_delta(measured.a_T_b), planar_delta(matched.a_T_b))
     spread = measured.covariance + matched.returns_covariance
-    if error @ np.linalg.solve(spread, error) > chdtri(3, significance):
+    if track.slipped(*stamps_ns) or error @ np.linalg.solve(spread, error) > chdtri(3, significance):
         return replace(matched, refuted_a_T_b=measured.a_T_b)
     covariance = _larger(measured.covariance, matched.covariance)
     told = {"returns_a_T_b": matched.a_T_b, "returns_covariance": matched.returns_covariance}
