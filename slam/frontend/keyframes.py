@@ -130,6 +130,7 @@ def _measured_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig, segment
 def _of_lasers(log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> tuple[int, Callable[[int], Keyframe]]:
     """How many keyframes 2D scans come to, and what measures that of an index."""
     track = track_of(log, rig, config)
+    wheels = OdometryTrack(log.odometry, rig.odometry) if log.odometry else None
     stamps = _choose_stamps(log, rig, config)
     lines = _scans_of(log, rig, "line")
     slices = _scans_of(log, rig, "slice")
@@ -163,7 +164,7 @@ def _of_lasers(log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> tupl
         if index and isinstance(track, LaserTrack):
             ends = stamps[index - 1], stamp
             notes += track.notes(*ends)
-            motion = motion_between(track, track.wheels, ends, config.association.new_significance)
+            motion = motion_between(track, wheels, ends, config.association.new_significance)
         elif index:
             motion = track.motion(stamps[index - 1], stamp)
         returns = np.concatenate(beams) if beams else None

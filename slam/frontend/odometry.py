@@ -64,13 +64,6 @@ class Motion:
         return replace(self, a_T_b=self.returns_a_T_b, covariance=0.5 * (covariance + covariance.T))
 
     @property
-    def by_returns(self) -> Motion | None:
-        """What all returns alone say of the motion; None: none were matched."""
-        if self.returns_a_T_b is None or self.returns_covariance is None:
-            return None
-        return Motion(self.returns_a_T_b, self.returns_covariance, NO_FLOOR)
-
-    @property
     def is_planar(self) -> bool:
         """Whether the robot drives on a floor."""
         return len(self.covariance) == 3

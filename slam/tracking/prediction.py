@@ -11,6 +11,7 @@ import numpy as np
 from factors import pose_prior
 from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance
+from slam.frontend.information import beyond_lines, inverted
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from slam.frontend.wheel_calibration import WheelCalibration
@@ -33,8 +34,8 @@ class _Step:
     motion: Motion | None = None
     place: FoundPlace | None = None
     pending: list[Any] = field(default_factory=list)
-    returns: Motion | None = None
-    """What all returns say of a motion that no wheels measured: it stands in until lines of the same are matched."""
+    beyond: Motion | None = None
+    """What the returns say beyond all lines seen, where no wheels measured it: it stands in until these are matched."""
     is_wide: bool = False
 
 
@@ -62,7 +63,7 @@ class Prediction:
     pending: tuple[gtsam.NonlinearFactor, ...] = ()
     """Factors of the motion that the place stands in for: they enter the graph together with what was seen."""
     standing_in: tuple[int, ...] = ()
-    """Indices of the factors of that place, or of what all returns say of the motion, which leave it then: they are
+    """Indices of the factors of that place, or of what the returns say beyond all lines, which leave it then: they are
     made of what was seen."""
     is_wide: bool = False
     """Whether so little was known of the motion that the planes were asked."""
@@ -96,17 +97,17 @@ class MotionModel:
         step = self._start(keyframe) if index == 0 else self._step(keyframe, index)
         key, initial = pose_symbol(index), gtsam.Values()
         initial.insert(key, gtsam.Pose3(orthonormal(step.world_T_body)))
-        returns = [] if step.returns is None else step.returns.factors(pose_symbol(index - 1), key)[:1]
-        own_factors = [*step.factors, *returns, *(one.factor(key) for one in keyframe.pose_measurements)]
+        beyond = [] if step.beyond is None else step.beyond.factors(pose_symbol(index - 1), key)[:1]
+        own_factors = [*step.factors, *beyond, *(one.factor(key) for one in keyframe.pose_measurements)]
         removal = self._sparsifier.plan_removal(index)
         through = [self._through(*motion) for motion in removal.motions]
         indices = self._backend.update([*own_factors, *through], initial, remove=removal.stale)
         own = indices[: len(own_factors)]
         self._sparsifier.removed(removal, indices[len(own_factors) :])
         measured, n_step = None if step.place is not None or index == 0 else keyframe.motion, len(step.factors)
-        standing_in = own[n_step : n_step + len(returns)]
-        floor = own[1:n_step] + own[n_step + len(returns) :]
-        link = None if measured is None else Link(_known(measured), own[:1], floor)
+        standing_in = own[n_step : n_step + len(beyond)]
+        floor = own[1:n_step] + own[n_step + len(beyond) :]
+        link = None if measured is None else Link(_with(measured, step.beyond), own[:1], floor)
         self._sparsifier.entered(index, link)
         return Prediction(
             index,
@@ -143,14 +144,14 @@ class MotionModel:
         before, key = pose_symbol(index - 1), pose_symbol(index)
         world_T_before = self._backend.pose(before)
         motion, parts = self._motion_to(keyframe), (self._keyframes, self._landmarks, self._backend)
-        wide = is_wide(_known(motion))
+        beyond = beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
+        wide = is_wide(_with(motion, beyond))
         place = found_place(keyframe, motion, *parts) if wide else None
         if wide and place is None and keyframe.surfaces is not None:
             self.unplaced.append(index)
         if place is None:
             factors = motion.factors(before, key)
-            returns = motion.by_returns if motion.is_by_returns else None
-            return _Step(world_T_before @ motion.a_T_b, factors, motion, returns=returns, is_wide=wide)
+            return _Step(world_T_before @ motion.a_T_b, factors, motion, beyond=beyond, is_wide=wide)
         kernel, there = self._config.coasting.robust or self._config.backend.robust, place.motion
         pending = [*motion.factors(before, key), *place.factors(before, key, kernel)]
         factors = there.factors(before, key)
@@ -184,6 +185,8 @@ class MotionModel:
         return self.calibration.corrected(motion).factors(pose_symbol(first), pose_symbol(last))[0]
 
 
-def _known(motion: Motion) -> Motion:
-    """A motion as it is known without a map: by wheels, or where these say nothing by the returns."""
-    return (motion.by_all or motion) if motion.is_by_returns else motion
+def _with(motion: Motion, beyond: Motion | None) -> Motion:
+    """A motion as it is known without a map: with what its returns say beyond all lines, where they do."""
+    if beyond is None:
+        return motion
+    return replace(motion, covariance=inverted(inverted(motion.covariance) + inverted(beyond.covariance)))

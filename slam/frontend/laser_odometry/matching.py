@@ -25,8 +25,6 @@ _BASIN_M = 0.12
 #: it is doubled, so many times, and ends here.
 _SIGMAS, _FIRST_BOX, _WIDENINGS, _LARGEST_BOX = 4.0, (1.0, 0.6), 3, (4.0, np.pi)
 _LEAST_BOX = (0.2, 0.1)
-#: A match is one when the map has this share of the scan; where no place in the box is one, the box was too small.
-LEAST_FIT = 0.3
 #: Modes of the search that are looked at, if they are this share as near as the best.
 _MODES, _RIVAL = 5, 0.75
 #: A scan fits worse than scans before it where its share lies so many standard deviations below theirs; a motion
@@ -83,8 +81,7 @@ def match_scan(surface: Surface, there: LocalMap, ways: Sequence[Expected], usua
     From what the first way expects it is found by Gauss-Newton on distances of points to lines. Where that is so badly
     known that this may end beside the truth, or less of the scan fits than usual, or the motion contradicts the first
     way, the boxes of all ways are searched; a best at the edge of its box makes it wider. Of several places the most
-    probable one by all returns and all free space is taken, and how much the others leave open is said. Where the scan
-    fits none of them, the search goes as far as it ever does: wheels may slip while no scan comes.
+    probable one by all returns and all free space is taken, and how much the others leave open is said.
 
     Args:
         surface: the scan.
@@ -101,14 +98,10 @@ def match_scan(surface: Surface, there: LocalMap, ways: Sequence[Expected], usua
     if not _is_doubtful(found[0], surface, ways[0], usual_fit, far):
         one = found[0]
         return Match(one.pose, one.information, one.fit, 1.0, np.zeros((3, 3)), one.way)
-    for box in (_FIRST_BOX, _LARGEST_BOX):
-        for way, expected in enumerate(ways):
-            starts = [found[0].pose, *_modes(surface, there, expected, far, box)]
-            found += [_aligned(surface, there, start, ways, way) for start in starts]
-        match = _most_probable(found, surface, there, ways)
-        if match.fit >= LEAST_FIT:
-            break
-    return match
+    for way, expected in enumerate(ways):
+        starts = [found[0].pose, *_modes(surface, there, expected, far)]
+        found += [_aligned(surface, there, start, ways, way) for start in starts]
+    return _most_probable(found, surface, there, ways)
 
 
 def _is_doubtful(found: _Found, surface: Surface, expected: Expected, usual_fit: float, far: float) -> bool:
@@ -131,16 +124,14 @@ def _aligned(surface: Surface, there: LocalMap, start: FloatArray, ways: Sequenc
     return _Found(pose, information, fit, misfit, way)
 
 
-def _modes(
-    surface: Surface, there: LocalMap, expected: Expected, far: float, box: tuple[float, float]
-) -> list[FloatArray]:
-    """Poses in a box (m, rad) about which the scan lies near the map's surfaces, best first."""
+def _modes(surface: Surface, there: LocalMap, expected: Expected, far: float) -> list[FloatArray]:
+    """Poses about which the scan lies near the map's surfaces, best first."""
     table, origin = there.table
     every = max(1, len(surface) // _SEARCHED)
     points, looks = surface.points[::every], surface.looks[::every]
     sigmas = np.sqrt(np.diag(expected.covariance))
     step = TABLE_CELL_M / max(far, 1.0)
-    bounds = zip((sigmas[:2].max(), sigmas[2]), _LEAST_BOX, box, strict=True)
+    bounds = zip((sigmas[:2].max(), sigmas[2]), _LEAST_BOX, _FIRST_BOX, strict=True)
     reach_m, reach_rad = (min(max(_SIGMAS * s, least), most) for s, least, most in bounds)
     widenings = 0
     while True:

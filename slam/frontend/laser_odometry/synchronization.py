@@ -41,7 +41,7 @@ class Synchronized(NamedTuple):
     offset_s: float
     """By how much the stamps of scans were later than those of odometry, s."""
     note: str | None
-    """What somebody should know; None: nothing had to be changed."""
+    """What somebody should know; None: the stamps agree."""
 
 
 class _Heading(NamedTuple):
@@ -182,4 +182,4 @@ def _sentence(found: Synchronized, count: int) -> str:
         parts.append(
             f"the odometry of {count - len(found.readings)} readings stamped like a scan is that of another time"
         )
-    return " and ".join(parts) + "; odometry is read accordingly"
+    return " and ".join(parts) + "; nothing was changed for it"

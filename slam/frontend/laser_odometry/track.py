@@ -41,18 +41,10 @@ class Step:
 class LaserTrack(OdometryTrack):
     """Poses of all scans by laser odometry; a motion's covariance says what wheels and returns know of it each."""
 
-    def __init__(
-        self,
-        steps: Sequence[Step],
-        noise: OdometryNoise,
-        wheels: OdometryTrack | None = None,
-        about_wheels: str | None = None,
-    ) -> None:
+    def __init__(self, steps: Sequence[Step], noise: OdometryNoise, about_wheels: str | None = None) -> None:
         readings = [OdometryReading(one.stamp_ns, planar_transform(*one.pose)) for one in steps]
         super().__init__(readings, noise)
         self._steps = list(steps)
-        self.wheels = wheels
-        """What wheels alone measured, in the time of the scans; None: nothing."""
         self._about_wheels = about_wheels
 
     def motion(self, start_ns: int, end_ns: int) -> Motion:

@@ -9,7 +9,7 @@ import numpy as np
 from slam.config import CoastingConfig
 from slam.frontend.information import inverted
 from slam.frontend.laser_odometry.local_map import SlidingMap, Surface
-from slam.frontend.laser_odometry.matching import LEAST_FIT, Expected, Match, match_scan
+from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
 from slam.frontend.laser_odometry.synchronization import synchronized
 from slam.frontend.laser_odometry.track import LaserTrack, Step, between, rotation
 from slam.frontend.laser_odometry.wheel_model import NoiseScale
@@ -24,8 +24,8 @@ from spplanes._check import FloatArray
 
 #: Length of the way whose scans are the local map, m, and what is driven or turned between two of them, m and rad.
 _WINDOW_M, _SPACING_M, _SPACING_RAD = 6.0, 0.25, 0.3
-#: A scan enters the map when no other place of it is more likely than this.
-_LEAST_ODDS = 0.9
+#: A match is taken when the map has this share of the scan, and no other place is more likely than this.
+_LEAST_FIT, _LEAST_ODDS = 0.3, 0.9
 #: Probability that wheels slip, or count wrong, between two scans.
 _SLIP = 1e-3
 #: Scans over which the usual fit is averaged, and what it is at first.
@@ -119,7 +119,7 @@ class LaserOdometry:
             return None
         match = match_scan(surface, there, expected, self._fit)
         self._fit += (np.clip(match.fit, 0.5, 0.98) - self._fit) / _FIT_MEMORY
-        return match if match.fit >= LEAST_FIT else None
+        return match if match.fit >= _LEAST_FIT else None
 
     def _watch(self, moved: FloatArray, wheels: FloatArray | None) -> str | None:
         """Whether wheels that say nothing but "no motion" are those of a body that moves; said when it is found out."""
@@ -180,9 +180,9 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
     """Laser odometry over all scans of the level lasers of a log."""
     sensors = rig.of_kind("line")
     scans = [one for one in log.scans() if isinstance(one, LaserScan) and one.sensor in sensors]
-    told = synchronized(log.odometry, scans, lambda scan: _surface(scan, sensors[scan.sensor]), rig.odometry)
-    by_wheels = OdometryTrack(told.readings, rig.odometry) if told.readings else None
-    wheels = None if by_wheels is None else by_wheels.poses_at([scan.stamp_ns for scan in scans])
+    clocks = synchronized(log.odometry, scans, lambda scan: _surface(scan, sensors[scan.sensor]), rig.odometry)
+    readings = log.odometry
+    wheels = OdometryTrack(readings, rig.odometry).poses_at([scan.stamp_ns for scan in scans]) if readings else None
     odometry = LaserOdometry(rig.odometry, coasting)
     last = -1
     for index, scan in enumerate(scans):
@@ -193,7 +193,7 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
             delta = planar_delta(inverse(wheels[last]) @ wheels[index])
         odometry.add(scan.stamp_ns, _surface(scan, sensors[scan.sensor]), delta)
         last = index
-    return LaserTrack(odometry.steps, rig.odometry, by_wheels, told.note)
+    return LaserTrack(odometry.steps, rig.odometry, clocks.note)
 
 
 def _surface(scan: LaserScan, sensor: Sensor) -> Surface:
