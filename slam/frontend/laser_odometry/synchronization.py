@@ -1,4 +1,4 @@
-"""Temporal calibration: by how much scans are stamped later than odometry, and which of its readings go with them."""
+"""Temporal calibration: by how much scans are stamped later than odometry, and whether its readings beside them fit."""
 
 from __future__ import annotations
 
@@ -33,15 +33,24 @@ _RESOLUTION_RAD = 1e-3
 _SIGNIFICANCE = 1e-3
 
 
-class Synchronized(NamedTuple):
-    """Odometry in the time of the scans."""
+class ClockOffset(NamedTuple):
+    """How the stamps of scans and of odometry differ."""
 
-    readings: list[OdometryReading]
-    """Those that go with the scans, stamped in their time."""
     offset_s: float
-    """By how much the stamps of scans were later than those of odometry, s."""
-    note: str | None
-    """What somebody should know; None: the stamps agree."""
+    """By how much the stamps of scans are later than those of odometry, s."""
+    stale: int
+    """Readings of odometry that are stamped like a scan, and older than that."""
+
+    @property
+    def sentence(self) -> str:
+        """What somebody should know."""
+        parts = []
+        if self.offset_s:
+            later = "later" if self.offset_s > 0.0 else "earlier"
+            parts.append(f"scans are stamped {abs(self.offset_s):.2f} s {later} than the odometry that goes with them")
+        if self.stale:
+            parts.append(f"the odometry of {self.stale} readings stamped like a scan is that of another time")
+        return " and ".join(parts) + "; nothing was changed for it"
 
 
 class _Heading(NamedTuple):
@@ -74,13 +83,13 @@ class _Turn(NamedTuple):
     """By the returns, rad."""
 
 
-def synchronized(
+def clock_offset(
     readings: Sequence[OdometryReading],
     scans: Sequence[LaserScan],
     surface: Callable[[LaserScan], Surface],
     noise: OdometryNoise,
-) -> Synchronized:
-    """The readings of odometry that go with level scans, in the scans' time.
+) -> ClockOffset | None:
+    """By how much scans and odometry are stamped apart, as turns tell it; None: they tell of nothing.
 
     Turns from one scan to the next are measured by matching, and compared with those by odometry read earlier or later
     by an offset. The offset is the one of largest likelihood, of errors that are Laplace's with a width that is found
@@ -97,31 +106,22 @@ def synchronized(
         Olson, "A passive solution to the sensor synchronization problem", IROS 2010; Furgale, Rehder and Siegwart,
         "Unified temporal and spatial calibration for multi-sensor systems", IROS 2013.
     """
-    stated = Synchronized(list(readings), 0.0, None)
-    if len(readings) < 2:
-        return stated
-    every = OdometryTrack(readings, noise)
-    turns = _turns(every, scans, surface)
-    if len(turns) < _LEAST_STEPS:
-        return stated
     at_scans = {scan.stamp_ns for scan in scans}
     between = [one for one in readings if one.stamp_ns not in at_scans]
     if len(between) < _LEAST_STEPS:  # stamped with the scans: of any other time it tells nothing
-        return stated
-    choices = [stated.readings, between]
-    headings = [_Heading.of(some) for some in choices]
-    halves = turns[::2], turns[1::2]
-    gains = []
+        return None
+    turns = _turns(OdometryTrack(readings, noise), scans, surface)
+    if len(turns) < _LEAST_STEPS:
+        return None
+    whole, fresh = _Heading.of(readings), _Heading.of(between)
+    least, halves = chdtri(1, _SIGNIFICANCE) / 2.0, (turns[::2], turns[1::2])
     for learnt, other in (halves, halves[::-1]):
-        some, offset_s = _likeliest(headings, learnt)
-        gains.append(_log_likelihood(headings[some], other, offset_s) - _log_likelihood(headings[0], other, 0.0))
-    if min(gains) < chdtri(1, _SIGNIFICANCE) / 2.0:
-        return stated
-    some, offset_s = _likeliest(headings, turns)
-    found = Synchronized(choices[some], offset_s, None)
-    late_ns = round(found.offset_s * 1e9)
-    moved = [OdometryReading(one.stamp_ns + late_ns, one.odom_T_body) for one in found.readings]
-    return Synchronized(moved, found.offset_s, _sentence(found, len(readings)))
+        offset_s = _likeliest(fresh, learnt)
+        if _log_likelihood(fresh, other, offset_s) - _log_likelihood(whole, other, 0.0) < least:
+            return None
+    offset_s = _likeliest(fresh, turns)
+    gained = _log_likelihood(fresh, turns, offset_s) - _log_likelihood(whole, turns, offset_s)
+    return ClockOffset(offset_s, len(readings) - len(between) if gained >= least else 0)
 
 
 def _turns(track: OdometryTrack, scans: Sequence[LaserScan], surface: Callable[[LaserScan], Surface]) -> list[_Turn]:
@@ -133,7 +133,7 @@ def _turns(track: OdometryTrack, scans: Sequence[LaserScan], surface: Callable[[
     found = []
     for k in wide[chosen].tolist():
         angle = _turn(surface(scans[k]), surface(scans[k + 1]), steps[k])
-        if angle is not None and scans[k + 1].stamp_ns > scans[k].stamp_ns:
+        if angle is not None:
             found.append(_Turn(scans[k].stamp_ns, scans[k + 1].stamp_ns, angle))
     return found
 
@@ -148,11 +148,11 @@ def _turn(first: Surface, second: Surface, wheels: FloatArray) -> float | None:
     return float(match.pose[2]) if match.fit >= _LEAST_FIT and sigma < _KNOWN_RAD else None
 
 
-def _likeliest(headings: Sequence[_Heading], turns: Sequence[_Turn]) -> tuple[int, float]:
-    """The odometry, and by how much earlier it is read, s, that tell the turns best: the first only as it is."""
+def _likeliest(heading: _Heading, turns: Sequence[_Turn]) -> float:
+    """By how much earlier odometry is read, s, where it tells the turns best."""
     steps = round(_REACH_S / _STEP_S)
-    ways = [(0, 0.0), *((1, _STEP_S * step) for step in sorted(range(-steps, steps + 1), key=abs))]
-    return max(ways, key=lambda one: _log_likelihood(headings[one[0]], turns, one[1]))
+    offsets = [_STEP_S * step for step in sorted(range(-steps, steps + 1), key=abs)]
+    return max(offsets, key=lambda offset_s: _log_likelihood(heading, turns, offset_s))
 
 
 def _log_likelihood(heading: _Heading, turns: Sequence[_Turn], offset_s: float) -> float:
@@ -171,15 +171,3 @@ def _scale(wheels: FloatArray, seen: FloatArray) -> float:
     order = np.argsort(ratios)
     half = np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())
     return float(ratios[order][half])
-
-
-def _sentence(found: Synchronized, count: int) -> str:
-    parts = []
-    if found.offset_s:
-        later = "later" if found.offset_s > 0.0 else "earlier"
-        parts.append(f"scans are stamped {abs(found.offset_s):.2f} s {later} than the odometry that goes with them")
-    if len(found.readings) < count:
-        parts.append(
-            f"the odometry of {count - len(found.readings)} readings stamped like a scan is that of another time"
-        )
-    return " and ".join(parts) + "; nothing was changed for it"

@@ -10,7 +10,7 @@ from slam.config import CoastingConfig
 from slam.frontend.information import inverted
 from slam.frontend.laser_odometry.local_map import SlidingMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
-from slam.frontend.laser_odometry.synchronization import synchronized
+from slam.frontend.laser_odometry.synchronization import clock_offset
 from slam.frontend.laser_odometry.track import LaserTrack, Step, between, rotation
 from slam.frontend.laser_odometry.wheel_model import NoiseScale
 from slam.frontend.measurement import usable_ranges
@@ -180,8 +180,8 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
     """Laser odometry over all scans of the level lasers of a log."""
     sensors = rig.of_kind("line")
     scans = [one for one in log.scans() if isinstance(one, LaserScan) and one.sensor in sensors]
-    clocks = synchronized(log.odometry, scans, lambda scan: _surface(scan, sensors[scan.sensor]), rig.odometry)
     readings = log.odometry
+    clocks = clock_offset(readings, scans, lambda scan: _surface(scan, sensors[scan.sensor]), rig.odometry)
     wheels = OdometryTrack(readings, rig.odometry).poses_at([scan.stamp_ns for scan in scans]) if readings else None
     odometry = LaserOdometry(rig.odometry, coasting)
     last = -1
@@ -193,7 +193,7 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
             delta = planar_delta(inverse(wheels[last]) @ wheels[index])
         odometry.add(scan.stamp_ns, _surface(scan, sensors[scan.sensor]), delta)
         last = index
-    return LaserTrack(odometry.steps, rig.odometry, clocks.note)
+    return LaserTrack(odometry.steps, rig.odometry, None if clocks is None else clocks.sentence)
 
 
 def _surface(scan: LaserScan, sensor: Sensor) -> Surface:

@@ -134,6 +134,17 @@ def test_clouds_without_a_plane_have_none(hall: Mission, shape: tuple[int, ...],
     )
 
 
+def test_an_error_after_a_keyframe_has_entered_is_told_as_it_is(hall: Mission, monkeypatch: pytest.MonkeyPatch):
+    """Added again it would be refused for its time, or its pose for being there, which says nothing of the cause."""
+
+    def fails(*_: Any) -> None:
+        raise ValueError("the wheels")
+
+    monkeypatch.setattr(PlaneSlam, "_calibrate", fails)
+    with pytest.raises(ValueError, match=r"^the wheels$"):
+        run_slam(hall.log, hall.rig, SlamConfig())
+
+
 def test_two_clouds_of_one_time_are_one_keyframe_and_end_a_strict_run(hall: Mission):
     twice = with_events(hall, lambda k, event: [event, event] if isinstance(event, CloudScan) else [event])
     frames = list(keyframes_of(twice, hall.rig, SlamConfig()))
