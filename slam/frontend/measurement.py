@@ -13,7 +13,7 @@ from slam.frontend.deskewing import middle_ns, place_beams
 from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import OdometryTrack
 from slam.frontend.push_broom import window_poses
-from slam.frontend.scan_regions import believed_planes, fit_if_any
+from slam.frontend.scan_regions import believed_planes, fit_if_any, members_of, sure_labels
 from slam.frontend.scan_surfaces import surfaces_of
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import coarse, flatten, largest_polygon
@@ -114,7 +114,8 @@ def _flat_planes(
     found = segment(points, covariances, config=settings, viewpoints=viewpoint, pose_covariances=tilts)
     rows = moments_of(found.points, found.covariance, found.labels, settings)
     rough, spreads = frames_of(rows, np.zeros((len(rows), 3)))
-    believed = believed_planes(points, covariances, found.labels, rough, sensor, viewpoint, config.measurements)
+    sure = sure_labels(points, covariances, found.labels, rough, settings, config.measurements)
+    believed = believed_planes(points, covariances, sure, rough, sensor, viewpoint, config.measurements)
     kept = {k: one[0] for k, one in enumerate(believed) if one is not None}
     labels = found.labels.copy()
     for one in believed:
@@ -140,12 +141,6 @@ def _drawn(
         Plane._trusted(plane.frame, plane.covariance, plane.n_points, outline, plane.chi2)
         for plane, outline in zip(planes.values(), coarse(outlines), strict=True)
     ]
-
-
-def members_of(labels: np.ndarray, count: int) -> list[np.ndarray]:
-    """Indices into the flat grid of the points of every plane, ascending, from labels (S, B)."""
-    order, flat = np.argsort(labels, axis=None, kind="stable"), labels.ravel()
-    return np.split(order, np.searchsorted(flat[order], np.arange(count + 1)))[1:-1]
 
 
 def planes_of_window(

@@ -6,7 +6,7 @@ import numpy as np
 
 from slam.sensors.rig import Sensor
 from slam.sensors.scan_noise import servo_covariances, surface_covariances, tilt_drift
-from spplanes import Plane, fit_plane
+from spplanes import MapperConfig, Plane, fit_plane
 from spplanes._check import FloatArray
 from spplanes._rows import OK
 from spplanes._threads import in_parts
@@ -14,6 +14,9 @@ from spplanes.fitting._groups import fit_groups
 from spplanes.fitting._job import FitJob, group_by_label
 from spplanes.segmentation.validation.config import ValidationConfig
 from spplanes.segmentation.validation.one_plane import InPatches, could_be_seen, fits_its_noise
+from spplanes.segmentation.validation.plane_ends import sure_points
+from spplanes.segmentation.validation.splitting import tells_tilt
+from spplanes.segmentation.validation.spurious import Window
 
 #: So often a plane is fitted anew without what strays from it, and so much of its points must be left.
 _ROUNDS, _LEAST_SHARE = 4, 0.9
@@ -60,6 +63,45 @@ class ScanPart:
         return ScanPart(self.points[kept], covariances[kept], self.members[kept], n_columns, frame, self.sensor)
 
 
+def members_of(labels: np.ndarray, count: int) -> list[np.ndarray]:
+    """Indices into the flat grid of the points of every plane, ascending, from labels (S, B)."""
+    order, flat = np.argsort(labels, axis=None, kind="stable"), labels.ravel()
+    return np.split(order, np.searchsorted(flat[order], np.arange(count + 1)))[1:-1]
+
+
+def sure_labels(
+    points: FloatArray,
+    covariances: FloatArray,
+    labels: np.ndarray,
+    frames: FloatArray,
+    mapper: MapperConfig,
+    rules: ValidationConfig,
+) -> np.ndarray:
+    """Labels (S, B) of the points that are of no other surface; planes whose tilt these do not tell have none.
+
+    Planes edge-on to the sensor are artefacts of a scan line, and end no other: beams meet them anywhere. They are seen
+    from the middle of their points, not from where those are that weigh most: of a floor they are the farthest.
+
+    Args:
+        points, covariances, labels: shapes (S, B, 3), (S, B, 3, 3) and (S, B), -1 = none, in the sensor's frame.
+        frames: of about the planes, shape (R, 4, 4).
+        mapper: how uneven surfaces are, and the least that a plane tells of its tilt.
+        rules: how edge-on a plane may be seen.
+    """
+    seen = [False]  # what is of no plane
+    for frame, members in zip(frames, members_of(labels, len(frames)), strict=True):
+        middle = points.reshape(-1, 3)[members].mean(axis=0)
+        aside = abs(float(frame[:3, 3] @ frame[:3, 2]))
+        seen.append(aside >= float(np.linalg.norm(middle)) * np.cos(rules.max_incidence_rad))
+    labels = np.where(np.array(seen)[labels + 1], labels, -1)
+    window = Window(points, covariances, np.empty((0, 0)))
+    sure = np.where(sure_points(window, labels, list(frames), mapper.flatness_m), labels, -1)
+    for frame, members in zip(frames, members_of(sure, len(frames)), strict=True):
+        if not tells_tilt(window, members, frame, mapper.max_tilt_rad):
+            sure.ravel()[members] = -1
+    return sure
+
+
 def believed_planes(
     points: FloatArray,
     covariances: FloatArray,
@@ -76,7 +118,7 @@ def believed_planes(
         frames: of about the planes, shape (R, 4, 4).
         sensor, viewpoint, rules: what errs, whence it was seen, and how much is allowed.
     """
-    _, order, bounds = group_by_label(labels.ravel(), labels.size)
+    regions, order, bounds = group_by_label(labels.ravel(), labels.size)
     largest_first = np.argsort(-np.diff(bounds), kind="stable").tolist()
     found: list[tuple[Plane, np.ndarray] | None] = [None] * len(frames)
 
@@ -84,11 +126,11 @@ def believed_planes(
         for k in largest_first[first:last]:
             members = order[bounds[k] : bounds[k + 1]]
             own, noise = points.reshape(-1, 3).take(members, 0), covariances.reshape(-1, 3, 3).take(members, 0)
-            part = ScanPart(own, noise, members, labels.shape[1], frames[k], sensor)
+            part = ScanPart(own, noise, members, labels.shape[1], frames[regions[k]], sensor)
             plane = part.fitted(viewpoint)
-            found[k] = None if plane is None else believed_plane(part, plane, viewpoint, rules)
+            found[regions[k]] = None if plane is None else believed_plane(part, plane, viewpoint, rules)
 
-    in_parts(measure, len(frames), len(order), singly=True)
+    in_parts(measure, len(regions), len(order), singly=True)
     return found
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import maximum_filter
 
 from spplanes._check import FloatArray
+from spplanes._jit import njit
+from spplanes._threads import in_parts
+from spplanes.segmentation.refinement.dissolving import near_pairs
 from spplanes.segmentation.validation.spurious import Window
 
 #: Standard deviations within which the place where a beam meets one plane may lie on another: of returns of two planes
@@ -16,7 +18,7 @@ APART = 4.0
 #: Planes whose normals enclose less than this do not meet in a seam: cosine of 30 deg.
 _SAME_WAY = 0.866
 #: A plane may be met so many scans and beams beyond its points.
-_REACH = (1, 12)
+_REACH = 12
 
 
 def sure_points(window: Window, labels: np.ndarray, frames: Sequence[FloatArray], uneven_m: float) -> np.ndarray:
@@ -25,7 +27,12 @@ def sure_points(window: Window, labels: np.ndarray, frames: Sequence[FloatArray]
     A return at the end of a plane, the row of ceiling at the top of a wall, is given to what it lies nearer to. So
     either plane gets the errors that suit it and some of the other's points, at its very ends, and leans. Which returns
     these are must not depend on their errors: left out are those whose beam meets the plane where it would meet another
-    one within its noise, and those beside a return that is not of the plane.
+    one within its noise, and those beside a return of no plane, or of one that looks the same way: what is before or
+    behind a wall begins somewhere between two beams, and nothing says on which side of it a return is.
+
+    The place where a beam meets a plane is where its point is moved to by C n (n.x - d) / (n.C n), along the beam where
+    its range alone errs. Both planes are uneven: by as much as the first is, divided by the sine at which the beam
+    meets it, that place moves along the beam.
 
     Args:
         window: what was segmented.
@@ -33,32 +40,100 @@ def sure_points(window: Window, labels: np.ndarray, frames: Sequence[FloatArray]
         frames: of the planes, shape (4, 4) each.
         uneven_m: standard deviation of surfaces from planes, m.
     """
-    sure = (labels >= 0) & ~_ends(labels, np.isfinite(window.points[..., 0]))
-    masks = [labels == r for r in range(len(frames))]
-    near = [maximum_filter(mask, size=tuple(2 * reach + 1 for reach in _REACH)) for mask in masks]
-    for a, mine in enumerate(frames):
-        for b, other in enumerate(frames):
-            if a != b and abs(mine[:3, 2] @ other[:3, 2]) <= _SAME_WAY:
-                beside = masks[a] & near[b]
-                sure[beside] &= ~_meets_both(window.points[beside], window.covariances[beside], mine, other, uneven_m)
+    sure = labels >= 0
+    if not len(frames):
+        return sure
+    labels = np.ascontiguousarray(labels, dtype=np.int64)
+    planes = np.array([(*frame[:3, 2], frame[:3, 2] @ frame[:3, 3]) for frame in frames])
+    alike = np.abs(planes[:, :3] @ planes[:, :3].T) > _SAME_WAY
+    grid = window.points, window.covariances, np.isfinite(window.points[..., 0]), labels
+    near = _seams(labels, alike)
+
+    def some(first: int, last: int) -> None:
+        _leave_out(*grid, planes, alike, *near, uneven_m**2, first, last, sure)
+
+    in_parts(some, len(labels), labels.size)
     return sure
 
 
-def _ends(labels: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Which returns have one beside them in their scan, the next beam's, that is of another label; shape (S, B)."""
-    unlike = (labels[:, 1:] != labels[:, :-1]) & valid[:, 1:] & valid[:, :-1]
-    ends = np.zeros(labels.shape, dtype=bool)
-    ends[:, 1:] |= unlike
-    ends[:, :-1] |= unlike
-    return ends
+def _seams(labels: np.ndarray, alike: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Planes near each other that do not look the same way: those of plane r are others[start[r] : start[r + 1]]."""
+    meet = np.zeros(alike.shape, dtype=bool)
+    pairs = near_pairs(labels, _REACH)
+    meet[pairs[:, 0], pairs[:, 1]] = True
+    ours, others = np.nonzero((meet | meet.T) & ~alike)
+    return np.searchsorted(ours, np.arange(len(alike) + 1)), others
 
 
-def _meets_both(
-    points: FloatArray, covariances: FloatArray, mine: FloatArray, other: FloatArray, uneven_m: float
-) -> np.ndarray:
-    """Whether beams, by their points (N, 3), meet the one plane where they may meet the other, shape (N,) bool."""
-    toward = covariances @ mine[:3, 2]
-    along = (points - mine[:3, 3]) @ mine[:3, 2] / np.maximum(toward @ mine[:3, 2], 1e-12)
-    apart = (points - toward * along[:, None] - other[:3, 3]) @ other[:3, 2]
-    variances = np.einsum("nij,i,j->n", covariances, other[:3, 2], other[:3, 2]) + uneven_m**2
-    return apart**2 <= APART**2 * variances
+@njit(cache=True, nogil=True)
+def _leave_out(points, covariances, valid, labels, planes, alike, start, others, uneven, first, last, sure):
+    """Clear `sure`, in the rows from first to last, where a point of a plane may be of another surface."""
+    toward = np.empty(3)
+    for i in range(first, last):
+        for j in range(labels.shape[1]):
+            mine = labels[i, j]
+            if mine < 0:
+                continue
+            if _ends_beside(valid, labels, alike, i, j, mine):
+                sure[i, j] = False
+                continue
+            own, off = 0.0, -planes[mine, 3]
+            for k in range(3):
+                toward[k] = 0.0
+                for m in range(3):
+                    toward[k] += covariances[i, j, k, m] * planes[mine, m]
+                own += planes[mine, k] * toward[k]
+                off += planes[mine, k] * points[i, j, k]
+            own = max(own, 1e-12)
+            for k in range(start[mine], start[mine + 1]):
+                other = planes[others[k]]
+                ratio = (other[0] * toward[0] + other[1] * toward[1] + other[2] * toward[2]) / own
+                apart = -other[3] - ratio * off
+                for m in range(3):
+                    apart += other[m] * points[i, j, m]
+                if _meets(apart, covariances, i, j, other, uneven * (1.0 + ratio * ratio)) and _is_near(
+                    labels, i, j, others[k]
+                ):
+                    sure[i, j] = False
+                    break
+
+
+@njit(cache=True)
+def _ends_beside(valid, labels, alike, i, j, mine):
+    """Whether a return beside a point is of no plane, or of another that looks the same way, and so is what follows."""
+    n_rows, n_cols = labels.shape
+    for step in range(4):
+        down, right = (step == 1) - (step == 0), (step == 3) - (step == 2)
+        a, b = i + down, j + right
+        if not (0 <= a < n_rows and 0 <= b < n_cols and valid[a, b]) or labels[a, b] == mine:
+            continue
+        if labels[a, b] >= 0 and not alike[mine, labels[a, b]]:
+            continue
+        a, b = a + down, b + right
+        if not (0 <= a < n_rows and 0 <= b < n_cols and labels[a, b] == mine):
+            return True
+    return False
+
+
+@njit(cache=True)
+def _meets(apart, covariances, i, j, other, variance):
+    """Whether a place so far from a plane (normal, d) may lie on it, by a beam's noise and a variance beside it."""
+    most = variance
+    for k in range(3):
+        most += covariances[i, j, k, k]
+    if apart * apart > APART * APART * most:  # as nearly always: no noise along a direction exceeds the trace
+        return False
+    for k in range(3):
+        for m in range(3):
+            variance += other[k] * covariances[i, j, k, m] * other[m]
+    return apart * apart <= APART * APART * variance
+
+
+@njit(cache=True)
+def _is_near(labels, i, j, other):
+    """Whether a plane has points so few scans and beams from a place."""
+    for a in range(max(i - _REACH, 0), min(i + _REACH + 1, labels.shape[0])):
+        for b in range(max(j - _REACH, 0), min(j + _REACH + 1, labels.shape[1])):
+            if labels[a, b] == other:
+                return True
+    return False

@@ -76,7 +76,7 @@ def test_errors_of_planes_are_those_of_the_measures():
         for kind, found in scores.items():
             errors = np.array([one.value for one in measures(plan, kind)]) - [one.value for one in measures(true, kind)]
             covariance = joint.covariance_of(measures(true, kind))
-            found.append(errors @ np.linalg.pinv(covariance, rcond=RANK, hermitian=True) @ errors)
+            found.append(float(errors @ np.linalg.pinv(covariance, rcond=RANK, hermitian=True) @ errors))
     for kind, found in scores.items():
         covariance = joint.covariance_of(measures(true, kind))
         dof = np.linalg.matrix_rank(covariance, tol=RANK * np.linalg.norm(covariance, 2), hermitian=True)

@@ -45,12 +45,13 @@ def tangent(pose: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("guess", [None, "2.1,0.4,0,31"])
 def test_a_real_room_is_where_icp_has_it(guess: str | None):
-    """Not surveyed: ICP has 40.85 deg and (1.964, 0.059, 0.010) m."""
+    """Not surveyed: ICP has 40.85 deg and (1.964, 0.059, 0.010) m; 0.05 deg are a third of the claimed sigma."""
     clouds = [needs(f"pcl_room/room_scan{k}.pcd") for k in (1, 2)]
     found = register_clouds(*clouds, guess=None if guess is None else read_guess(guess))
     x, y, z = found.a_T_b[:3, 3]
     yaw = np.rad2deg(np.arctan2(found.a_T_b[1, 0], found.a_T_b[0, 0]))
-    assert (x, y, z, yaw) == pytest.approx((1.964, 0.059, 0.010, 40.85), abs=0.03)
+    assert (x, y, z) == pytest.approx((1.964, 0.059, 0.010), abs=0.03)
+    assert yaw == pytest.approx(40.85, abs=0.05)
     assert found.open == ()
 
 

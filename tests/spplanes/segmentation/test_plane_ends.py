@@ -124,6 +124,52 @@ def test_a_board_before_its_wall_ends_where_the_wall_begins():
     np.testing.assert_array_equal(left_out, [59, 60, 89, 90])
 
 
+def test_a_wall_ends_between_two_scans_as_between_two_beams():
+    view = view_of(to_wall(), 0)
+    labels = np.zeros(view.points.shape[:2], dtype=np.int32)
+    labels[:5] = -1
+    sure = sure_points(view, labels, [wall().frame], 0.0)
+    np.testing.assert_array_equal(sure, np.arange(SCANS)[:, None] * np.ones(len(BEAMS)) > 5)
+
+
+@pytest.mark.parametrize(("uneven_m", "are_sure"), [(0.0, True), (0.0025, False)])
+def test_where_a_beam_grazes_a_plane_that_it_is_uneven_moves_the_place(uneven_m: float, are_sure: bool):
+    """A floor 0.1 m below, met at a slope of 0.1: unevenness of 2.5 mm is 25 mm along the beam, 60 mm before a wall."""
+    low = Plane.from_hesse([0.0, 0.0, 1.0], -0.1, np.zeros((3, 3)))
+    across = Plane.from_hesse([0.0, -1.0, 0.0], -1.06, np.zeros((3, 3)))
+    beam = np.array([0.0, 1.0, -0.1]) / np.hypot(1.0, 0.1)
+    points = np.array([[[0.001 * k, 1.0, -0.1], [0.001 * k, 1.06, 0.0]] for k in range(3)])
+    noise = np.broadcast_to(0.005**2 * np.outer(beam, beam), (3, 2, 3, 3))
+    labels = np.array([[0, 1]] * 3)
+    sure = sure_points(Window(points, noise, NOTHING), labels, [low.frame, across.frame], uneven_m)
+    assert np.all(sure[:, 0] == are_sure)
+
+
+def test_points_left_out_are_those_whose_place_on_their_plane_may_be_on_another():
+    """Of noise in all directions and planes of any direction, by the formula for every point alone."""
+    rng, left_out = np.random.default_rng(3), 0
+    for _ in range(20):
+        labels = rng.permutation(np.repeat([0, 1, 2], 12)).reshape(6, 6)
+        normals, offsets = np.linalg.qr(rng.normal(size=(3, 3)))[0].T, rng.normal(0.0, 0.05, 3)
+        planes = [Plane.from_hesse(normal, d, np.zeros((3, 3))) for normal, d in zip(normals, offsets, strict=True)]
+        points, roots = rng.normal(0.0, 0.3, (6, 6, 3)), 0.01 * rng.normal(size=(6, 6, 3, 3))
+        noise = roots @ roots.swapaxes(-1, -2)
+        sure = sure_points(Window(points, noise, NOTHING), labels, [plane.frame for plane in planes], 0.004)
+        for (i, j), label in np.ndenumerate(labels):
+            mine, point, c = planes[label], points[i, j], noise[i, j]
+            toward = c @ mine.normal / (mine.normal @ c @ mine.normal)
+            place = point - toward * (mine.normal @ point - mine.d)
+            doubtful = [
+                (other.normal @ place - other.d) ** 2
+                <= 16.0 * (other.normal @ c @ other.normal + 0.004**2 * (1.0 + (other.normal @ toward) ** 2))
+                for k, other in enumerate(planes)
+                if k != label
+            ]
+            assert sure[i, j] == (not any(doubtful))
+            left_out += any(doubtful)
+    assert 100 < left_out < 600
+
+
 @pytest.mark.parametrize(("rows", "tells"), [(1, False), (2, False), (SCANS, True)])
 def test_points_of_a_scan_or_two_do_not_tell_how_a_plane_is_turned(rows: int, tells: bool):
     view = view_of(to_wall(), 0)
