@@ -62,7 +62,7 @@ class Alignment:
     residuals: Residuals
     """Of all elements that found a partner, at the motion above."""
     score: float
-    """Share of the elements that are where something is known, close by, less what contradicts."""
+    """Share of the elements that are where a surface is known, close by, less what contradicts."""
     share: float
     """Share of the elements that found a partner."""
 
@@ -86,7 +86,7 @@ class LocalMap:
         self.points, self.directions, self.sigmas, self.kinds = rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7]
         self._groups = [np.flatnonzero(self.kinds != ON_EDGE), np.flatnonzero(self.kinds == ON_EDGE)]
         self._trees = [_tree(self.points[group]) if len(group) else None for group in self._groups]
-        self._newest = parts[-1]
+        self._parts = parts
 
     def partners(self, points: FloatArray, directions: FloatArray, kinds: np.ndarray, reach: FloatArray) -> np.ndarray:
         """Nearest element of the same sort within reach (N,), m, that looks the same way, shape (N,); -1: none."""
@@ -112,17 +112,24 @@ class LocalMap:
             alone: which of them have no partner, mask (M,).
             sight: all of them.
         """
-        pose, newest = self._newest
+        pose, newest = self._parts[-1]
         newest_T_seen = inverse(pose) @ known_T_seen
-        back = self.newest_sight.through(lift(some[alone, :3], newest_T_seen))
+        back = self._sights[-1].through(lift(some[alone, :3], newest_T_seen))
         from_there = lift(newest.elements[:, :3], inverse(newest_T_seen))
         ahead = sight.through(from_there[sight.apart(from_there) > _REACHES[-1] * _widths(newest.elements)])
         return max(back / max(len(some), 1), ahead / max(len(newest.elements), 1))
 
+    def between(self, known_T_seen: FloatArray, elements: FloatArray) -> FloatArray:
+        """How far elements (N, 8) without a partner are from what some keyframe saw about them, (N,), m."""
+        apart = np.full(len(elements), np.inf)
+        for (pose, _), sight in zip(self._parts, self._sights, strict=True):
+            apart = np.minimum(apart, sight.off_surfaces(moved(elements, inverse(pose) @ known_T_seen)))
+        return apart
+
     @cached_property
-    def newest_sight(self) -> _Sight:
-        """What the newest keyframe saw."""
-        return _Sight(self._newest[1])
+    def _sights(self) -> list[_Sight]:
+        """What each keyframe saw."""
+        return [_Sight(scan) for _, scan in self._parts]
 
 
 class _Sight:
@@ -151,19 +158,37 @@ class _Sight:
         Before a surface is what is nearer than it and off it: beside what was seen of a wall the wall goes on, and
         along it the range is any.
         """
-        if len(points) == 0 or len(self._elements) < _ABOUT:
-            return 0
-        rays = points - self._viewpoint
-        ranges = np.linalg.norm(rays, axis=1)
-        apart, index = self._directions.query(
-            rays / np.maximum(ranges, 1e-9)[:, None], k=_ABOUT, distance_upper_bound=_DIRECTION_RAD
-        )
-        common = np.isfinite(apart).all(axis=1)
-        about = np.asarray(index)[common]
-        nearer = ranges[common, None] < (1.0 - _BEFORE_SHARE) * self._depth[about] - _BEFORE_M
+        common, about = self._about(points)
+        ranges = np.linalg.norm(points[common] - self._viewpoint, axis=1)
+        nearer = ranges[:, None] < (1.0 - _BEFORE_SHARE) * self._depth[about] - _BEFORE_M
         behind = self._elements[about]
         off = np.einsum("kai,kai->ka", points[common, None] - behind[..., :3], behind[..., 3:6])
         return int(np.count_nonzero((nearer & ((off > _BEFORE_M) | (behind[..., 7] == ON_EDGE))).all(axis=1)))
+
+    def off_surfaces(self, elements: FloatArray) -> FloatArray:
+        """How far elements (N, 8) are from the surface about their direction, (N,), m; infinite: there is none of it.
+
+        A surface goes on between the beams that it was seen by. Of those about a direction that look the same way the
+        nearest counts; across an edge nothing goes on.
+        """
+        apart = np.full(len(elements), np.inf)
+        common, index = self._about(elements[:, :3])
+        mine, about = elements[common], self._elements[index]
+        off = np.abs(np.einsum("kai,kai->ka", mine[:, None, :3] - about[..., :3], about[..., 3:6]))
+        alike = np.einsum("ki,kai->ka", mine[:, 3:6], about[..., 3:6]) > _ALIKE
+        on_surfaces = (about[..., 7] != ON_EDGE) & (mine[:, None, 7] != ON_EDGE)
+        apart[common] = np.where(alike & on_surfaces, off, np.inf).min(axis=1, initial=np.inf)
+        return apart
+
+    def _about(self, points: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+        """Which of points (N, 3) something was seen about the direction of, (K,), and what it was, (K, _ABOUT)."""
+        if len(points) == 0 or len(self._elements) < _ABOUT:
+            return np.empty(0, dtype=np.int64), np.empty((0, _ABOUT), dtype=np.int64)
+        rays = points - self._viewpoint
+        directions = rays / np.maximum(np.linalg.norm(rays, axis=1), 1e-9)[:, None]
+        apart, index = self._directions.query(directions, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
+        common = np.flatnonzero(np.isfinite(apart).all(axis=1))
+        return common, np.asarray(index)[common]
 
 
 def _tree(points: FloatArray) -> KDTree:
@@ -265,13 +290,18 @@ def _descended(
 
 
 def _scored(some: FloatArray, sight: _Sight, known: LocalMap, motion: FloatArray) -> tuple[float, float]:
-    """Score and share of some of a scan's elements at a motion; see `Alignment`."""
+    """Score and share of some of a scan's elements at a motion; see `Alignment`.
+
+    Beams move with the sensor: were only those elements counted that come to lie on another, the place where nothing
+    moved would win, at which all do. On a surface that was seen on all sides of it, an element fits as well.
+    """
     widths = _widths(some)
     found = Residuals.of(some, known, motion, _REACHES[-1] * widths)
     alone = np.ones(len(some), dtype=bool)
     alone[found.index] = False
     against = known.contradicted(motion, some, alone, sight)
-    return found.closeness(widths) / len(some) - AGAINST * against, len(found.off) / len(some)
+    fit = found.closeness(widths) + _close(known.between(motion, some[alone]), widths[alone])
+    return fit / len(some) - AGAINST * against, len(found.off) / len(some)
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,7 +353,12 @@ class Residuals:
 
     def closeness(self, widths: FloatArray) -> float:
         """Number of elements that are close to their partners, each by how close."""
-        return float((1.0 / (1.0 + (self.off / (0.25 * widths[self.index] + _LEAST_SCALE_M)) ** 2)).sum())
+        return _close(self.off, widths[self.index])
+
+
+def _close(off: FloatArray, widths: FloatArray) -> float:
+    """Number of elements close to what is known, each by how close: distances and widths of them, (N,), m."""
+    return float((1.0 / (1.0 + (off / (0.25 * widths + _LEAST_SCALE_M)) ** 2)).sum())
 
 
 _NOTHING = np.diag(np.repeat([_NOTHING_RAD, _NOTHING_M], 3) ** -2.0)

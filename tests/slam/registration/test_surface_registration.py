@@ -157,3 +157,46 @@ def test_elements_are_told_by_the_planes_that_they_lie_on() -> None:
     first = _on(seen.surfaces, seen.observations[:1])
     assert 0 < first.sum() < on_plane.sum()
     assert not _on(seen.surfaces, []).any()
+
+
+def pillared(x: float) -> Scan:
+    """Elements that a scanner of sixteen rings has of a long hall with one pillar, 1.2 m above the floor at x, m."""
+    elevation, azimuth = np.meshgrid(np.deg2rad(np.linspace(-15.0, 15.0, 16)), np.deg2rad(np.arange(0.0, 360.0, 3.0)))
+    across = np.cos(elevation)
+    rays = np.stack((across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)), axis=-1).reshape(-1, 3)
+    eye, middle = np.array([x, 0.0, 1.2]), np.array([0.0, 0.0, 2.0])
+    best, normals = np.full(len(rays), np.inf), np.zeros_like(rays)
+    boxes = [(middle, (100.0, 5.0, 2.0)), (np.array([2.3, -3.0, 2.0]), (0.3, 0.3, 2.0))]
+    for k, (centre, half) in enumerate(boxes):
+        with np.errstate(divide="ignore"):
+            near, far = np.sort([(centre + side * np.array(half) - eye) / rays for side in (-1.0, 1.0)], axis=0)
+        axis = far.argmin(axis=1) if k == 0 else near.argmax(axis=1)  # the hall is seen from inside, the pillar is not
+        reach = far.min(axis=1) if k == 0 else near.max(axis=1)
+        met = (reach > 0.0) & (reach < best) & ((k == 0) | (reach < far.min(axis=1)))
+        best[met], normals[met] = reach[met], (-np.sign(rays) * np.eye(3)[axis])[met]
+    chosen = best < 20.0
+    points = (best[:, None] * rays)[chosen]
+    return scan(np.column_stack((points, normals[chosen], np.full(len(points), 0.003), np.zeros(len(points)))))
+
+
+def test_beams_that_move_with_the_sensor_do_not_say_that_nothing_moved() -> None:
+    true = ahead(2.0)
+    seen, known = pillared(2.0), LocalMap([(np.eye(4), pillared(0.0))])
+    right, still = (align(seen, known, [start]) for start in (true, np.eye(4)))
+    assert np.linalg.norm(off(still.known_T_seen, true)[3:]) > 1.5
+    assert still.share > right.share + 0.1  # more of what is seen comes to lie on what was seen before
+    assert right.score > still.score + 0.05
+    np.testing.assert_allclose(align(seen, known, [np.eye(4), true]).known_T_seen, true, atol=0.01)
+
+
+def test_a_surface_goes_on_between_the_beams_but_not_across_an_edge() -> None:
+    sight = _Sight(pillared(0.0))
+    wall = np.array([[1.0, 5.0, 1.05, 0.0, -1.0, 0.0, 0.003, ON_PLANE]])
+    wall[:, 2] -= 1.2
+    before, away, edge = wall.copy(), wall.copy(), wall.copy()
+    before[:, 1] -= 0.2
+    away[:, 3:6] = 0.0, 1.0, 0.0
+    edge[:, 7] = ON_EDGE
+    np.testing.assert_allclose(
+        sight.off_surfaces(np.vstack((wall, before, away, edge))), (0.0, 0.2, np.inf, np.inf), atol=1e-9
+    )
