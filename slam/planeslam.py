@@ -38,6 +38,7 @@ from slam.session.prior_map import PriorMap
 from slam.session.recorder import Recorder
 from slam.session.replay import open_slam
 from slam.timing import StageClock, timed
+from slam.tracking.odometry_record import OdometryRecord
 from slam.tracking.prediction import MotionModel, Prediction, StartPose
 from spplanes._check import FloatArray
 from spplanes.segmentation.scans import label_scans
@@ -258,6 +259,16 @@ class PlaneSlam:
     def calibration(self) -> WheelCalibration:
         """What has been learnt of the wheels."""
         return self._motion_model.calibration
+
+    @property
+    def odometry_record(self) -> OdometryRecord:
+        """What 3D scans said of the odometry."""
+        return self._motion_model.odometry_record
+
+    @property
+    def unplaced(self) -> list[int]:
+        """Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them."""
+        return self._motion_model.unplaced
 
     @property
     def audit(self) -> NisAudit:

@@ -46,6 +46,8 @@ def check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
         _check_pose("keyframe.world_T_body_guess", keyframe.world_T_body_guess)
     if keyframe.surfaces is not None:
         as_shape("keyframe.surfaces", keyframe.surfaces, (None, 8))
+    if keyframe.viewpoint is not None:
+        as_shape("keyframe.viewpoint", keyframe.viewpoint, (3,))
     for index, seen in enumerate(keyframe.observations):
         name = f"keyframe.observations[{index}]"
         if isinstance(seen, PlaneObservation | LineObservation):

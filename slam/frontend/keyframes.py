@@ -60,6 +60,8 @@ class Keyframe:
     surfaces: FloatArray | None = None
     """Surface elements of a 3D scan in the body frame, rows (point, direction, sigma, kind), shape (N, 8), m: what
     motion is registered by beside the planes; see `slam.frontend.scan_surfaces`. None: no 3D scan."""
+    viewpoint: FloatArray | None = None
+    """Where the sensor of that scan was, in the body frame, shape (3,), m; None: at the body's origin."""
 
 
 def keyframes_of(
@@ -109,7 +111,13 @@ def _of_clouds(
         if index and track is not None:
             motion = track.motion(clouds[index - 1].stamp_ns, scan.stamp_ns)
         return Keyframe(
-            scan.stamp_ns, seen.observations, motion, notes=tuple(notes), scans=(scan,), surfaces=seen.surfaces
+            scan.stamp_ns,
+            seen.observations,
+            motion,
+            notes=tuple(notes),
+            scans=(scan,),
+            surfaces=seen.surfaces,
+            viewpoint=None if seen.surfaces is None else rig.sensors[scan.sensor].body_T_sensor[:3, 3].copy(),
         )
 
     return keyframe

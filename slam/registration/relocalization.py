@@ -13,14 +13,15 @@ from factors import relative_pose_factor
 from factors._conventions import POSE3_TO_SP
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation, planes_of
+from slam.frontend.observations import Observation, PlaneObservation, planes_of
 from slam.frontend.odometry import Motion
+from slam.frontend.scan_surfaces import ON_PLANE
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.plane_registration import PlaneMatching, match_planes_widely, pairs_under
-from slam.registration.surface_registration import Alignment, LocalMap, align
+from slam.registration.surface_registration import Alignment, Expected, LocalMap, Scan, align, turned
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -30,6 +31,8 @@ _WIDE_M, _WIDE_RAD = 0.25, 0.12
 _RECENT = 6
 #: What least squares over pairs leaves out, segmentation above all, against its covariance: factor, and least, m, rad.
 _SLACK, _LEAST_M, _LEAST_RAD = 1.5, 0.02, 0.004
+#: An element is on the plane that it was laid on, to rounding.
+_ITS_OWN = 1e-6
 #: Information about a motion that stands for none, GTSAM order: standard deviations of so many m and rad.
 SILENT_M, SILENT_RAD = 10.0, 3.0
 SILENT = np.diag(np.repeat([SILENT_RAD, SILENT_M], 3) ** -2.0)
@@ -49,8 +52,9 @@ class FoundPlace:
     """The motion to there; it stands in for the real one while observations are matched."""
     seen_again: frozenset[int]
     """Indices of the observations that found it."""
-    beyond_planes: Motion | None = None
-    """What the returns on no plane say of the motion, which no observation says again; None: nothing."""
+    beyond: Motion | None = None
+    """What the returns on none of those planes say of the motion, which no match of theirs says again; None: nothing.
+    """
 
     @property
     def trusted(self) -> frozenset[int] | None:
@@ -63,7 +67,7 @@ class FoundPlace:
 
     def factors(self, key_a: int, key_b: int, robust: str | None) -> list[Any]:
         """What stays in the graph of it once the observations are matched."""
-        beyond = self.beyond_planes
+        beyond = self.beyond
         if beyond is None:
             return []
         return [relative_pose_factor(key_a, key_b, beyond.a_T_b, beyond.covariance, robust=robust)]  # type: ignore[arg-type]
@@ -99,10 +103,12 @@ def found_place(
             return None
         there = _stated(motion, by_planes.known_T_seen, by_planes.covariance)
         return FoundPlace(there, frozenset(numbers[i] for i, _ in by_planes.pairs))
-    information = by_returns.information + _information(motion)
+    information = by_returns.information + information_of(motion)
     there = _stated(motion, by_returns.known_T_seen, np.linalg.inv(information).astype(np.float64))
-    pairs = pairs_under(by_returns.known_T_seen, seen, known)
-    return FoundPlace(there, frozenset(numbers[i] for i, _ in pairs), _beyond_planes(motion, by_returns))
+    seen_again = frozenset(numbers[i] for i, _ in pairs_under(by_returns.known_T_seen, seen, known))
+    assert keyframe.surfaces is not None  # `_by_returns`
+    again = _on(keyframe.surfaces, [one for k, one in enumerate(keyframe.observations) if k in seen_again])
+    return FoundPlace(there, seen_again, _beyond(motion, by_returns, ~again))
 
 
 def planes_about(
@@ -120,33 +126,61 @@ def local_map(keyframes: Sequence[Keyframe], backend: Backend, expected_T_world:
     first = max(len(keyframes) - _RECENT, 0)
     parts = []
     for index in range(first, len(keyframes)):
-        surfaces = keyframes[index].surfaces
-        if surfaces is not None and len(surfaces):
-            parts.append((expected_T_world @ backend.pose(pose_symbol(index)), surfaces))
+        scan = scan_of(keyframes[index])
+        if scan is not None:
+            parts.append((expected_T_world @ backend.pose(pose_symbol(index)), scan))
     return LocalMap(parts) if parts else None
+
+
+def scan_of(keyframe: Keyframe) -> Scan | None:
+    """The 3D scan of a keyframe, as it is registered; None: there is none, or nothing in it."""
+    if keyframe.surfaces is None or not len(keyframe.surfaces):
+        return None
+    return Scan(keyframe.surfaces, np.zeros(3) if keyframe.viewpoint is None else keyframe.viewpoint)
 
 
 def _by_returns(
     keyframe: Keyframe, motion: Motion, by_planes: PlaneMatching | None, known: LocalMap | None
 ) -> Alignment | None:
     """The scan laid on what was seen before, from the candidate that all its returns speak for most; None: none."""
-    if known is None or keyframe.surfaces is None or not len(keyframe.surfaces):
+    scan = scan_of(keyframe)
+    if known is None or scan is None:
         return None
-    found = laid_widely(keyframe.surfaces, known, by_planes, np.eye(4), inverse(motion.a_T_b))
+    expected = Expected(np.eye(4), information_of(motion))
+    found = laid_widely(scan, known, by_planes, expected, inverse(motion.a_T_b))
     return found if found.score > 0.0 else None
 
 
 def laid_widely(
-    elements: FloatArray, known: LocalMap, by_planes: PlaneMatching | None, expected: FloatArray, still: FloatArray
+    scan: Scan, known: LocalMap, by_planes: PlaneMatching | None, expected: Expected, still: FloatArray
 ) -> Alignment:
-    """A scan (N, 8) laid on a local map from where planes propose, from what is expected, and as if nothing moved."""
+    """A scan laid on a local map from where planes propose, from what is expected, and as if nothing moved.
+
+    Where it fits nowhere of these, also as if it had turned on its heel.
+    """
     proposed = [] if by_planes is None else [by_planes.known_T_seen]
-    return align(elements, known, [*proposed, expected, still])
+    found = align(scan, known, [*proposed, expected.known_T_seen, still], expected)
+    if found.score > 0.0:
+        return found
+    turns = turned(scan, known, expected)
+    other = align(scan, known, turns, expected) if turns else found
+    return other if other.score > found.score else found
 
 
-def _beyond_planes(motion: Motion, found: Alignment) -> Motion | None:
-    """What the returns on no plane say alone, as a motion whose covariance is wide where they are silent."""
-    information, told = found.off_planes
+def _on(elements: FloatArray, observations: Sequence[Observation]) -> np.ndarray:
+    """Which surface elements (N, 8) are on one of some planes, shape (N,): they were laid on their own."""
+    planes = planes_of(observations)
+    if not planes:
+        return np.zeros(len(elements), dtype=bool)
+    normals, d = np.array([one.normal for one in planes]), np.array([one.d for one in planes])
+    near = np.abs(elements[:, :3] @ normals.T - d) < _ITS_OWN
+    alike = elements[:, 3:6] @ normals.T > 1.0 - _ITS_OWN
+    return (elements[:, 7] == ON_PLANE) & (near & alike).any(axis=1)
+
+
+def _beyond(motion: Motion, found: Alignment, elements: np.ndarray) -> Motion | None:
+    """What some elements, mask (N,), say alone, as a motion whose covariance is wide where they are silent."""
+    information, told = found.residuals.told_by(elements)
     if not information.any():
         return None
     information = information / _SLACK**2 + SILENT
@@ -166,7 +200,7 @@ def stated(covariance: FloatArray) -> FloatArray:
     return _SLACK**2 * covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)] + least
 
 
-def _information(motion: Motion) -> FloatArray:
+def information_of(motion: Motion) -> FloatArray:
     """Information of what is known of a motion before looking, alike in all directions, GTSAM order, (6, 6)."""
     place, turn = sigmas_of(motion)
     return np.diag(1.0 / np.repeat([turn, place], 3) ** 2)

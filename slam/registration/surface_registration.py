@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -37,6 +38,9 @@ _LEAST_SCALE_M = 0.003
 _CONVERGED = 1e-4
 #: Candidates are told apart by about so many elements; they are one when no entry differs by more.
 _SOME, _SAME = 700, 5e-3
+#: Turns that a descent may start from: so far apart and so far at most, rad, so many standard deviations; and how many
+#: of those that fit best do start.
+_TURN_RAD, _FURTHEST_RAD, _FURTHEST_SIGMAS, _MOST_TURNS = 0.2, 0.8, 2.0, 4
 #: Standard deviations of a motion that nothing says anything of, rad and m.
 _NOTHING_RAD, _NOTHING_M = 3.0, 10.0
 #: One direction are elements within this angle, rad, when there are so many; something stands before them when it is
@@ -55,26 +59,34 @@ class Alignment:
     """Shape (4, 4)."""
     information: FloatArray
     """Of the tangent on the right, GTSAM order (rotation, translation), by all elements, shape (6, 6)."""
-    off_planes: tuple[FloatArray, FloatArray]
-    """What the elements on no plane say alone: information (6, 6), and information times their mean, (6,), about the
-    motion above."""
+    residuals: Residuals
+    """Of all elements that found a partner, at the motion above."""
     score: float
-    """Share of the elements that are where something is known, close by, less what contradicts."""
+    """Share of the elements that are where a surface is known, close by, less what contradicts."""
     share: float
     """Share of the elements that found a partner."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A 3D scan as it is registered."""
+
+    elements: FloatArray
+    """Its surface elements in the body frame, shape (N, 8); see `slam.frontend.scan_surfaces`."""
+    viewpoint: FloatArray
+    """Where the sensor was, in the body frame, shape (3,), m."""
 
 
 class LocalMap:
     """Surface elements of a few keyframes in one frame, to register scans on."""
 
-    def __init__(self, parts: Sequence[tuple[FloatArray, FloatArray]]) -> None:
-        """Of parts: known_T_body (4, 4) with elements (N, 8)."""
-        rows = np.concatenate([moved(elements, pose) for pose, elements in parts])
-        self.eyes = np.concatenate([np.tile(pose[:3, 3], (len(elements), 1)) for pose, elements in parts])
+    def __init__(self, parts: Sequence[tuple[FloatArray, Scan]]) -> None:
+        """Of parts: known_T_body (4, 4) with what was seen from there."""
+        rows = np.concatenate([moved(scan.elements, pose) for pose, scan in parts])
         self.points, self.directions, self.sigmas, self.kinds = rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7]
         self._groups = [np.flatnonzero(self.kinds != ON_EDGE), np.flatnonzero(self.kinds == ON_EDGE)]
         self._trees = [_tree(self.points[group]) if len(group) else None for group in self._groups]
-        self._newest = parts[-1]
+        self._parts = parts
 
     def partners(self, points: FloatArray, directions: FloatArray, kinds: np.ndarray, reach: FloatArray) -> np.ndarray:
         """Nearest element of the same sort within reach (N,), m, that looks the same way, shape (N,); -1: none."""
@@ -91,57 +103,92 @@ class LocalMap:
             partner[mine[alike]] = other[alike]
         return partner
 
-    def contradicted(self, known_T_seen: FloatArray, some: FloatArray, alone: np.ndarray, scan: _Sight) -> float:
+    def contradicted(self, known_T_seen: FloatArray, some: FloatArray, alone: np.ndarray, sight: _Sight) -> float:
         """Share of a scan that is seen through: what stands before what the newest keyframe saw, or that before it.
 
         Args:
             known_T_seen: the motion, shape (4, 4).
             some: some elements of the scan, shape (M, 8).
             alone: which of them have no partner, mask (M,).
-            scan: all of them.
+            sight: all of them.
         """
-        pose, newest = self._newest
+        pose, newest = self._parts[-1]
         newest_T_seen = inverse(pose) @ known_T_seen
-        back = self.newest_sight.through(lift(some[alone, :3], newest_T_seen))
-        from_there = lift(newest[:, :3], inverse(newest_T_seen))
-        ahead = scan.through(from_there[scan.apart(from_there) > _REACHES[-1] * _widths(newest)])
-        return max(back / max(len(some), 1), ahead / max(len(newest), 1))
+        back = self._sights[-1].through(lift(some[alone, :3], newest_T_seen))
+        from_there = lift(newest.elements[:, :3], inverse(newest_T_seen))
+        ahead = sight.through(from_there[sight.apart(from_there) > _REACHES[-1] * _widths(newest.elements)])
+        return max(back / max(len(some), 1), ahead / max(len(newest.elements), 1))
+
+    def between(self, known_T_seen: FloatArray, elements: FloatArray) -> FloatArray:
+        """How far elements (N, 8) without a partner are from what some keyframe saw about them, (N,), m."""
+        apart = np.full(len(elements), np.inf)
+        for (pose, _), sight in zip(self._parts, self._sights, strict=True):
+            apart = np.minimum(apart, sight.off_surfaces(moved(elements, inverse(pose) @ known_T_seen)))
+        return apart
 
     @cached_property
-    def newest_sight(self) -> _Sight:
-        """What the newest keyframe saw."""
-        return _Sight(self._newest[1][:, :3])
+    def _sights(self) -> list[_Sight]:
+        """What each keyframe saw."""
+        return [_Sight(scan) for _, scan in self._parts]
 
 
 class _Sight:
     """What a scan saw, from where it was seen: how far other points are from it, and which stand before it."""
 
-    def __init__(self, seen: FloatArray) -> None:
-        """Of points (N, 3) in the frame of the sensor or near it."""
-        self._points, self._depth = seen, np.linalg.norm(seen, axis=1)
+    def __init__(self, scan: Scan) -> None:
+        self._elements, self._viewpoint = scan.elements, scan.viewpoint
+        self._rays = scan.elements[:, :3] - scan.viewpoint
+        self._depth = np.linalg.norm(self._rays, axis=1)
 
     @cached_property
     def _directions(self) -> KDTree:
-        return _tree(self._points / self._depth[:, None])
+        return _tree(self._rays / np.maximum(self._depth, 1e-9)[:, None])
 
     @cached_property
     def _places(self) -> KDTree:
-        return _tree(self._points)
+        return _tree(self._elements[:, :3])
 
     def apart(self, points: FloatArray) -> FloatArray:
         """Distances of points (N, 3) from the nearest that was seen, (N,), m."""
         return np.asarray(self._places.query(points)[0], dtype=np.float64)
 
     def through(self, points: FloatArray) -> int:
-        """How many of points (N, 3) stand well before all that was seen about their direction."""
-        if len(points) == 0 or len(self._points) < _ABOUT:
-            return 0
-        ranges = np.linalg.norm(points, axis=1)
-        rays = points / np.maximum(ranges, 1e-9)[:, None]
-        apart, index = self._directions.query(rays, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
-        common = np.isfinite(apart).all(axis=1)
-        nearest = self._depth[np.asarray(index)[common]].min(axis=1)
-        return int(np.count_nonzero(ranges[common] < (1.0 - _BEFORE_SHARE) * nearest - _BEFORE_M))
+        """How many of points (N, 3) stand well before all that was seen about their direction.
+
+        Before a surface is what is nearer than it and off it: beside what was seen of a wall the wall goes on, and
+        along it the range is any.
+        """
+        common, about = self._about(points)
+        ranges = np.linalg.norm(points[common] - self._viewpoint, axis=1)
+        nearer = ranges[:, None] < (1.0 - _BEFORE_SHARE) * self._depth[about] - _BEFORE_M
+        behind = self._elements[about]
+        off = np.einsum("kai,kai->ka", points[common, None] - behind[..., :3], behind[..., 3:6])
+        return int(np.count_nonzero((nearer & ((off > _BEFORE_M) | (behind[..., 7] == ON_EDGE))).all(axis=1)))
+
+    def off_surfaces(self, elements: FloatArray) -> FloatArray:
+        """How far elements (N, 8) are from the surface about their direction, (N,), m; infinite: there is none of it.
+
+        A surface goes on between the beams that it was seen by. Of those about a direction that look the same way the
+        nearest counts; across an edge nothing goes on.
+        """
+        apart = np.full(len(elements), np.inf)
+        common, index = self._about(elements[:, :3])
+        mine, about = elements[common], self._elements[index]
+        off = np.abs(np.einsum("kai,kai->ka", mine[:, None, :3] - about[..., :3], about[..., 3:6]))
+        alike = np.einsum("ki,kai->ka", mine[:, 3:6], about[..., 3:6]) > _ALIKE
+        on_surfaces = (about[..., 7] != ON_EDGE) & (mine[:, None, 7] != ON_EDGE)
+        apart[common] = np.where(alike & on_surfaces, off, np.inf).min(axis=1, initial=np.inf)
+        return apart
+
+    def _about(self, points: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+        """Which of points (N, 3) something was seen about the direction of, (K,), and what it was, (K, _ABOUT)."""
+        if len(points) == 0 or len(self._elements) < _ABOUT:
+            return np.empty(0, dtype=np.int64), np.empty((0, _ABOUT), dtype=np.int64)
+        rays = points - self._viewpoint
+        directions = rays / np.maximum(np.linalg.norm(rays, axis=1), 1e-9)[:, None]
+        apart, index = self._directions.query(directions, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
+        common = np.flatnonzero(np.isfinite(apart).all(axis=1))
+        return common, np.asarray(index)[common]
 
 
 def _tree(points: FloatArray) -> KDTree:
@@ -169,61 +216,100 @@ def _widths(elements: FloatArray) -> FloatArray:
     return share * np.linalg.norm(elements[:, :3], axis=1)
 
 
-def align(elements: FloatArray, known: LocalMap, candidates: Sequence[FloatArray]) -> Alignment:
+class Expected(NamedTuple):
+    """What is known of a motion before looking: along what the returns leave open it is as expected."""
+
+    known_T_seen: FloatArray
+    """Shape (4, 4)."""
+    information: FloatArray
+    """Of its tangent on the right, GTSAM order (rotation, translation), shape (6, 6)."""
+
+
+def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expected: Expected | None = None) -> Alignment:
     """Lay a scan on a local map, from the candidate that all its returns speak for most.
 
-    Candidates are told apart by some of the elements; only the best is worked out with all.
+    Candidates are told apart by some of the elements; only the best is worked out with all. Where no returns speak, a
+    descent would end anywhere: there what is expected does, or nothing moves.
 
     Args:
-        elements: of the scan, shape (N, 8), N > 0.
+        scan: what is seen, not nothing.
         known: where it is laid.
         candidates: motions known_T_seen to start from, about right, shape (4, 4) each; of equals the first is taken.
+        expected: what is known before looking; the information of the result is without it.
     """
-    some, scan = elements[:: int(np.ceil(len(elements) / _SOME))], _Sight(elements[:, :3])
+    elements, sight = scan.elements, _Sight(scan)
+    some = elements[:: int(np.ceil(len(elements) / _SOME))]
     rough: list[tuple[float, float, FloatArray]] = []
     for start in candidates:
         if any(np.abs(start - other).max() < _SAME for other in candidates[: len(rough)]):
             rough.append((-np.inf, 0.0, start))
             continue
-        motion = _descended(some, known, start, _REACHES)
-        rough.append((*_scored(some, scan, known, motion), motion))
+        motion = _descended(some, known, start, _REACHES, expected)
+        rough.append((*_scored(some, sight, known, motion), motion))
     score, share, motion = max(rough, key=lambda one: one[0])
     if len(some) < len(elements):
-        motion = _descended(elements, known, motion, _REACHES[-2:])
-    found = _Residuals.of(elements, known, motion, _REACHES[-1] * _widths(elements))
-    return Alignment(motion, found.information(), found.off_planes(), score, share)
+        motion = _descended(elements, known, motion, _REACHES[-2:], expected)
+    found = Residuals.of(elements, known, motion, _REACHES[-1] * _widths(elements))
+    return Alignment(motion, found.information(), found, score, share)
 
 
-def _descended(elements: FloatArray, known: LocalMap, motion: FloatArray, reaches: Sequence[float]) -> FloatArray:
+def turned(scan: Scan, known: LocalMap, expected: Expected) -> list[FloatArray]:
+    """Motions turned from the expected one about each axis, as far as it may be off, under which most of a scan fits.
+
+    A descent finds back from no further than a step of these. Of all only a few are returned, shape (4, 4) each.
+    """
+    some, sigmas = scan.elements[:: int(np.ceil(len(scan.elements) / _SOME))], np.diag(expected.information)[:3] ** -0.5
+    widths, found = _widths(some), []
+    for axis, sigma in zip(np.eye(3), sigmas, strict=True):
+        furthest = int(min(_FURTHEST_SIGMAS * sigma, _FURTHEST_RAD) / _TURN_RAD)
+        for step in (*range(-furthest, 0), *range(1, furthest + 1)):
+            turn = np.eye(4)
+            turn[:3, :3] = gtsam.Rot3.Expmap(step * _TURN_RAD * axis).matrix()
+            motion = expected.known_T_seen @ turn
+            fit = Residuals.of(some, known, motion, _REACHES[0] * widths).closeness(_REACHES[0] * widths)
+            found.append((fit, motion))
+    return [motion for _, motion in sorted(found, key=lambda one: -one[0])[:_MOST_TURNS]]
+
+
+def _descended(
+    elements: FloatArray,
+    known: LocalMap,
+    motion: FloatArray,
+    reaches: Sequence[float],
+    expected: Expected | None = None,
+) -> FloatArray:
     """The motion at which the residuals are least, by Gauss and Newton, partners looked for less and less far."""
     widths = _widths(elements)
     for reach in reaches:
         for _ in range(_STEPS):
-            step = _Residuals.of(elements, known, motion, reach * widths).step()
+            step = Residuals.of(elements, known, motion, reach * widths).step(motion, expected)
             motion = motion @ gtsam.Pose3.Expmap(step).matrix()
             if np.abs(step).max() < _CONVERGED:
                 break
     return motion
 
 
-def _scored(some: FloatArray, scan: _Sight, known: LocalMap, motion: FloatArray) -> tuple[float, float]:
-    """Score and share of some of a scan's elements at a motion; see `Alignment`."""
+def _scored(some: FloatArray, sight: _Sight, known: LocalMap, motion: FloatArray) -> tuple[float, float]:
+    """Score and share of some of a scan's elements at a motion; see `Alignment`.
+
+    Beams move with the sensor: were only those elements counted that come to lie on another, the place where nothing
+    moved would win, at which all do. On a surface that was seen on all sides of it, an element fits as well.
+    """
     widths = _widths(some)
-    found = _Residuals.of(some, known, motion, _REACHES[-1] * widths)
+    found = Residuals.of(some, known, motion, _REACHES[-1] * widths)
     alone = np.ones(len(some), dtype=bool)
     alone[found.index] = False
-    against = known.contradicted(motion, some, alone, scan)
-    return found.closeness(widths) / len(some) - AGAINST * against, len(found.off) / len(some)
+    against = known.contradicted(motion, some, alone, sight)
+    fit = found.closeness(widths) + _close(known.between(motion, some[alone]), widths[alone])
+    return fit / len(some) - AGAINST * against, len(found.off) / len(some)
 
 
 @dataclass(frozen=True, eq=False)
-class _Residuals:
+class Residuals:
     """How far elements are from their partners, along the partners' directions."""
 
     index: np.ndarray
     """Which elements, shape (K,)."""
-    kinds: np.ndarray
-    """Their kinds, shape (K,)."""
     off: FloatArray
     """Shape (K,), m."""
     jacobian: FloatArray
@@ -232,7 +318,8 @@ class _Residuals:
     """Information of each, by its noise and the robust kernel, shape (K,), 1 / m^2."""
 
     @classmethod
-    def of(cls, elements: FloatArray, known: LocalMap, motion: FloatArray, reach: FloatArray) -> _Residuals:
+    def of(cls, elements: FloatArray, known: LocalMap, motion: FloatArray, reach: FloatArray) -> Residuals:
+        """Of elements (N, 8) at a motion (4, 4), partners looked for within reach (N,), m."""
         rows = moved(elements, motion)
         partner = known.partners(rows[:, :3], rows[:, 3:6], rows[:, 7], reach)
         index = np.flatnonzero(partner >= 0)
@@ -244,25 +331,34 @@ class _Residuals:
         scale = max(_LEAST_SCALE_M, 1.4826 * float(np.median(np.abs(off))) if len(off) else 0.0)
         kernel = 1.0 / (1.0 + (off / (_KERNEL * scale)) ** 2) ** 2
         variance = mine[:, 6] ** 2 + known.sigmas[other] ** 2
-        return cls(index, mine[:, 7], off, jacobian, kernel / variance)
+        return cls(index, off, jacobian, kernel / variance)
 
     def information(self) -> FloatArray:
+        """Of the motion by all of them, shape (6, 6)."""
         return self.jacobian.T @ (self.weights[:, None] * self.jacobian)
 
-    def step(self) -> FloatArray:
-        """Of Gauss and Newton, toward less of them, tangent of the motion on the right, (6,)."""
-        told = self.jacobian.T @ (self.weights * self.off)
-        return np.linalg.solve(self.information() + _NOTHING, -told).astype(np.float64)
+    def step(self, motion: FloatArray, expected: Expected | None) -> FloatArray:
+        """Of Gauss and Newton, toward less of them and toward what is expected, tangent of the motion, (6,)."""
+        told, prior = self.jacobian.T @ (self.weights * self.off), _NOTHING
+        if expected is not None:
+            prior = expected.information
+            told = told + prior @ gtsam.Pose3.Logmap(gtsam.Pose3(inverse(expected.known_T_seen) @ motion))
+        return np.linalg.solve(self.information() + prior, -told).astype(np.float64)
 
-    def off_planes(self) -> tuple[FloatArray, FloatArray]:
-        """Information of the elements on no plane, and information times their mean, about the motion."""
-        some = self.kinds != ON_PLANE
+    def told_by(self, elements: np.ndarray) -> tuple[FloatArray, FloatArray]:
+        """Information of some elements, mask (N,), and information times their mean, about the motion."""
+        some = elements[self.index]
         weighted = self.weights[some, None] * self.jacobian[some]
         return self.jacobian[some].T @ weighted, -weighted.T @ self.off[some]
 
     def closeness(self, widths: FloatArray) -> float:
         """Number of elements that are close to their partners, each by how close."""
-        return float((1.0 / (1.0 + (self.off / (0.25 * widths[self.index] + _LEAST_SCALE_M)) ** 2)).sum())
+        return _close(self.off, widths[self.index])
+
+
+def _close(off: FloatArray, widths: FloatArray) -> float:
+    """Number of elements close to what is known, each by how close: distances and widths of them, (N,), m."""
+    return float((1.0 / (1.0 + (off / (0.25 * widths + _LEAST_SCALE_M)) ** 2)).sum())
 
 
 _NOTHING = np.diag(np.repeat([_NOTHING_RAD, _NOTHING_M], 3) ** -2.0)

@@ -88,6 +88,11 @@ class StoredKeyframe(Keyframe):
         """Surface elements of a 3D scan, shape (N, 8); None: no 3D scan."""
         return self._read().surfaces if self._there[3] else None  # type: ignore[attr-defined]
 
+    @property
+    def viewpoint(self) -> FloatArray | None:  # type: ignore[override]
+        """Where the sensor of that scan was, in the body frame, shape (3,), m; None: at the body's origin."""
+        return self._read().viewpoint if self._there[3] else None  # type: ignore[attr-defined]
+
 
 class ForgottenDecisions(Growing[list[Decision]]):
     """Decisions that the session has; the last ones stay, for who only looks may know them before the session does."""

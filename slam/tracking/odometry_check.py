@@ -7,6 +7,7 @@ not asked: laying a scan on those before costs more than all else about a keyfra
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -28,14 +29,16 @@ from slam.registration.relocalization import (
     SILENT,
     SILENT_M,
     SILENT_RAD,
+    information_of,
     is_wide,
     laid_widely,
     local_map,
     planes_about,
+    scan_of,
     sigmas_of,
     stated,
 )
-from slam.registration.surface_registration import AGAINST, Alignment, align, most_information
+from slam.registration.surface_registration import AGAINST, Alignment, Expected, align, most_information
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -49,7 +52,29 @@ _MOST = 0.5
 _CLEARLY = AGAINST * NOVEL_SHARE
 
 
-def speaks_against(
+class Check(NamedTuple):
+    """What a 3D scan says of a motion that was measured."""
+
+    against: bool
+    """Whether it speaks against it."""
+    place: FloatArray | None = None
+    """Covariance of where the scan itself has the body, SP order, shape (6, 6); None: nowhere, or nobody asked."""
+
+    def tells(self, motion: Motion, errors: FloatArray, significance: float) -> np.ndarray:
+        """Which errors of a motion this scan would speak against, shape (K,).
+
+        Args:
+            motion: what was measured.
+            errors: SP order, along the axes of its end, shape (K, 6).
+            significance: probability that a true motion is spoken against.
+        """
+        if self.place is None or not len(errors):
+            return np.zeros(len(errors), dtype=bool)
+        chi2 = np.einsum("ki,ki->k", errors, np.linalg.solve(self.place + spatial(motion), errors.T).T)
+        return chi2 > chdtri(6, significance)
+
+
+def check(
     keyframe: Keyframe,
     motion: Motion,
     otherwise: Motion,
@@ -57,14 +82,14 @@ def speaks_against(
     *,
     significance: float,
     doubted: bool,
-) -> bool:
-    """Whether what a 3D scan sees speaks against a motion that was measured.
+) -> Check:
+    """Whether what a 3D scan sees speaks against a motion that was measured, and how sharply it could.
 
     The scan is laid on what was seen before from where the motion leads; it speaks against the motion where it comes to
     rest further off than both covariances allow. Far from the true place it may rest anywhere: where no more of what it
     sees fits than contradicts, it is looked for as if nobody had measured the motion, and speaks against it from a
-    place that fits clearly better and is as far off. What was wrong the step before is asked so in any case, and any
-    better place will do: wheels that slip or stand still do so for a while.
+    place that fits clearly better and is as far off. What was wrong the step before is asked so in any case, and
+    any better place will do: wheels that slip or stand still do so for a while.
 
     Args:
         keyframe: what is seen.
@@ -74,34 +99,38 @@ def speaks_against(
         significance: probability that a true motion is spoken against.
         doubted: the motion before was spoken against.
     """
-    elements, (keyframes, landmarks, backend) = keyframe.surfaces, state
-    if is_wide(motion) or elements is None or not len(elements):
-        return False
+    scan, (keyframes, landmarks, backend) = scan_of(keyframe), state
+    if is_wide(motion) or scan is None:
+        return Check(False)
     before, seen = (planes_of(one.observations) for one in (keyframes[-1], keyframe))
-    if not doubted and planes_confirm(motion, before, seen, elements, significance):
-        return False
+    if not doubted:
+        by_planes = planes_confirm(motion, before, seen, scan.elements, significance)
+        if by_planes is not None:
+            return Check(False, by_planes)
     expected_T_world = inverse(backend.pose(pose_symbol(len(keyframes) - 1)) @ motion.a_T_b)
     known = local_map(keyframes, backend, expected_T_world)
     if known is None:
-        return False
+        return Check(False)
 
     def is_off(found: Alignment) -> bool:
         return not _agree(motion, found.known_T_seen, _by_returns(found.information), significance)
 
-    found = align(elements, known, [np.eye(4)])
+    found = align(scan, known, [np.eye(4)])
+    place = _by_returns(found.information) if found.score > 0.0 else None
     if is_off(found) or (found.score > 0.0 and not doubted):
-        return is_off(found)
+        return Check(is_off(found), place)
     b_T_a = inverse(motion.a_T_b)
     seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
-    by_planes = match_planes_widely(*seen_and_known, sigmas_of(otherwise))
-    rival = laid_widely(elements, known, by_planes, b_T_a @ otherwise.a_T_b, b_T_a)
-    return rival.score > found.score + (0.0 if doubted else _CLEARLY) and is_off(rival)
+    matched = match_planes_widely(*seen_and_known, sigmas_of(otherwise))
+    expected = Expected(b_T_a @ otherwise.a_T_b, information_of(otherwise))
+    rival = laid_widely(scan, known, matched, expected, b_T_a)
+    return Check(rival.score > found.score + (0.0 if doubted else _CLEARLY) and is_off(rival), place)
 
 
 def planes_confirm(
     motion: Motion, before: Sequence[Plane], seen: Sequence[Plane], elements: FloatArray, significance: float
-) -> bool:
-    """Whether the planes of two scans agree with the motion between them and leave nothing to the other returns.
+) -> FloatArray | None:
+    """Where the planes of two scans have the body, if they agree with its motion and leave nothing to other returns.
 
     What tells a wrong motion from a true one is how well it is known where the scan comes to rest, and how well the
     motion is. By planes the two together must be about as small, in every direction, as by returns at their best.
@@ -112,24 +141,28 @@ def planes_confirm(
         seen: those of this one, in the frame of the body now.
         elements: surface elements of this one, shape (N, 8).
         significance: probability that a true motion is not confirmed.
+
+    Returns:
+        Covariance of that place, SP order, shape (6, 6); None: they do not confirm the motion.
     """
     mine, theirs = (PlaneArrays.as_given(planes) for planes in (seen, before))
     pairs = np.array(pairs_under(motion.a_T_b, mine, theirs), dtype=np.int64).reshape(-1, 2)
     if not len(pairs) or mine.weights[pairs[:, 0]].sum() < _MOST * mine.weights.sum():
-        return False
+        return None
     fit = fit_pairs_on(motion.a_T_b, mine, theirs, pairs, (SILENT_M, SILENT_RAD))
     if fit is None:
-        return False
+        return None
     place, covariance = inverse(motion.a_T_b) @ fit[0], fit[1]
-    by_planes, at_best, apart = stated(covariance), _by_returns(most_information(elements)), _spatial(motion)
+    by_planes, at_best, apart = stated(covariance), _by_returns(most_information(elements)), spatial(motion)
     widest = eigh(by_planes + apart, at_best + apart, eigvals_only=True)[-1]
-    return bool(widest < _AS_GOOD**2) and _agree(motion, place, by_planes, significance)
+    confirmed = widest < _AS_GOOD**2 and _agree(motion, place, by_planes, significance)
+    return by_planes if confirmed else None
 
 
 def _agree(motion: Motion, place: FloatArray, covariance: FloatArray, significance: float) -> bool:
     """Whether a motion and the place found from where it leads (4, 4), SP covariance (6, 6), may be the same."""
     off = gtsam.Pose3.Logmap(gtsam.Pose3(place))[POSE3_TO_SP]
-    return bool(off @ np.linalg.solve(covariance + _spatial(motion), off) <= chdtri(6, significance))
+    return bool(off @ np.linalg.solve(covariance + spatial(motion), off) <= chdtri(6, significance))
 
 
 def _by_returns(information: FloatArray) -> FloatArray:
@@ -137,7 +170,7 @@ def _by_returns(information: FloatArray) -> FloatArray:
     return stated(np.linalg.inv(information + SILENT).astype(np.float64))
 
 
-def _spatial(motion: Motion) -> FloatArray:
+def spatial(motion: Motion) -> FloatArray:
     """Covariance of a motion in SP order along the axes of its end, shape (6, 6)."""
     if not motion.is_planar:
         return motion.covariance

@@ -20,7 +20,8 @@ from slam.map.sparsification import Link
 from slam.map.state import Parts
 from slam.registration.relocalization import FoundPlace, found_place, is_wide
 from slam.tracking.constant_velocity import coast
-from slam.tracking.odometry_check import speaks_against
+from slam.tracking.odometry_check import check
+from slam.tracking.odometry_record import OdometryRecord
 from spplanes._check import FloatArray
 
 
@@ -86,7 +87,9 @@ class MotionModel:
         self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
         self._sparsifier, self._config, self._known_start = parts.sparsifier, parts.config, start
         self.calibration = WheelCalibration()
-        self._doubted = False
+        #: Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them.
+        self.unplaced: list[int] = []
+        self.odometry_record = OdometryRecord(parts.config.association.new_significance)
 
     def predict(self, keyframe: Keyframe) -> Prediction:
         """Put the pose of a new keyframe into the graph, where others may leave it."""
@@ -144,6 +147,8 @@ class MotionModel:
         beyond = beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
         wide = is_wide(_with(motion, beyond))
         place = found_place(keyframe, motion, *parts) if wide else None
+        if wide and place is None and keyframe.surfaces is not None:
+            self.unplaced.append(index)
         if place is None:
             factors = motion.factors(before, key)
             return _Step(world_T_before @ motion.a_T_b, factors, motion, beyond=beyond, is_wide=wide)
@@ -159,6 +164,7 @@ class MotionModel:
         """
         last, stamps = len(self._keyframes) - 1, [frame.stamp_ns * 1e-9 for frame in self._keyframes[-2:]]
         ahead_s = keyframe.stamp_ns * 1e-9 - stamps[-1]
+        step = None
         if last == 0:
             unmeasured = coast(None, 0.0, ahead_s, self._config.coasting)
         else:
@@ -167,13 +173,12 @@ class MotionModel:
         if keyframe.motion is None:
             return unmeasured
         motion, state = self.calibration.predict(keyframe.motion), (self._keyframes, self._landmarks, self._backend)
-        guess = coast(None, 0.0, ahead_s, self._config.coasting)
-        significance = self._config.association.new_significance
+        guess, record = coast(None, 0.0, ahead_s, self._config.coasting), self.odometry_record
+        if step is not None:
+            record.settle(step)
         otherwise = replace(guess, a_T_b=unmeasured.a_T_b)
-        self._doubted = speaks_against(
-            keyframe, motion, otherwise, state, significance=significance, doubted=self._doubted
-        )
-        return replace(guess, a_T_b=motion.a_T_b) if self._doubted else motion
+        said = check(keyframe, motion, otherwise, state, significance=record.significance, doubted=record.doubted)
+        return record.take(last + 1, motion, unmeasured, guess, said)
 
     def _through(self, first: int, last: int, motion: Motion) -> Any:
         """The factor of a motion as measured through keyframes that have left."""

@@ -29,6 +29,9 @@ def coverage_evidence(run: Finished) -> Iterator[Evidence]:
     if not any(landmark.n_keyframes >= wanted and landmark.sightings for landmark in run.landmarks):
         yield _certain(len(frames), frames, f"the map is empty: no plane was seen again at {named(frames)}")
         return
+    if run.unplaced:
+        lost = f"what was seen at {named(run.unplaced)} fits nowhere, and nobody measured the motion to there"
+        yield _certain(len(run.unplaced), run.unplaced, f"{lost}: an assumption alone placed them")
     blind = unplaced(run)
     if 2 * len(blind) > len(frames) - 1:
         much = f"{len(blind)} of {len(frames) - 1} keyframes saw no plane that was known"
@@ -53,15 +56,19 @@ def assumption_evidence(run: Finished) -> Iterator[Evidence]:
     """Directions that the map leaves open where no motion was measured, known by all means to no better than 0.1 m.
 
     Constant velocity is an assumption, and so is the sigma that follows from it: in a bare corridor a robot that stops
-    for a while stands where the map does not know. No statistic is needed.
+    for a while stands where the map does not know. Odometry that was found wrong, and left aside for an assumption, is
+    none. No statistic is needed.
     """
-    if any(frame.motion is not None for frame in run.keyframes):
+    measured = {index for index, frame in enumerate(run.keyframes) if frame.motion is not None}
+    assumed = set(range(1, len(run.keyframes))) - measured
+    assumed |= {one.keyframe for one in run.odometry_record.steps if one.used == "not"}
+    if not assumed:
         return
     for one in run.open_in_map:
         if one.part != "position":
             continue
         sigmas = {frame: _sigma_along(run, frame, one.direction) for frame in one.keyframes}
-        wide = tuple(frame for frame, sigma in sigmas.items() if sigma > PROMISED_M)
+        wide = tuple(frame for frame, sigma in sigmas.items() if sigma > PROMISED_M and frame >= min(assumed))
         if wide:
             worst = max(wide, key=lambda frame: sigmas[frame])
             yield Evidence("assumption", "doubtful", 0.0, sigmas[worst], "m", wide, _sentence(one, wide, sigmas[worst]))

@@ -17,6 +17,7 @@ from slam.loop_closure.verification import LoopDecision
 from slam.map.landmarks import LandmarkMap
 from slam.mapping.late_association import LateMatch
 from slam.session.prior_map import PriorMap
+from slam.tracking.odometry_record import OdometryRecord
 
 
 class Finished(Protocol):
@@ -75,6 +76,16 @@ class Finished(Protocol):
     @property
     def calibration(self) -> WheelCalibration:
         """What was learnt of the wheels."""
+        ...
+
+    @property
+    def odometry_record(self) -> OdometryRecord:
+        """What 3D scans said of the odometry."""
+        ...
+
+    @property
+    def unplaced(self) -> list[int]:
+        """Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them."""
         ...
 
     @property

@@ -11,7 +11,7 @@ from slam.diagnostics.evidence.free_space import free_space_evidence
 from slam.diagnostics.evidence.innovations import nis_evidence
 from slam.diagnostics.evidence.loops import loop_evidence
 from slam.diagnostics.evidence.mounts import mount_evidence
-from slam.diagnostics.evidence.odometry import odometry_evidence
+from slam.diagnostics.evidence.odometry import believed_evidence, odometry_evidence
 from slam.diagnostics.evidence.prior import prior_evidence, prior_planes
 from slam.diagnostics.evidence.start import start_evidence
 from slam.diagnostics.evidence.surfaces import Surfaces, rays_of, surface_evidence
@@ -21,7 +21,7 @@ from slam.diagnostics.verdict import Evidence, Verdict, weigh
 from slam.sensors.rig import Rig
 
 #: Kinds of statistics there are, which share the significance.
-KINDS = 11
+KINDS = 12
 
 
 def look_at(run: Finished, rig: Rig) -> Verdict:
@@ -37,6 +37,7 @@ def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     yield from assumption_evidence(run)
     yield from nis_evidence(run)
     yield from odometry_evidence(run)
+    yield from believed_evidence(run)
     yield from unmatched_evidence(run)
     yield from free_space_evidence(views, poses)
     yield from loop_evidence(run.loops, run.config.loops.significance)

@@ -9,8 +9,9 @@ from scipy.special import chdtrc, chdtri
 
 from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance
+from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.finished import Finished
-from slam.diagnostics.evidence.innovations import at_risk, claimed_sigmas
+from slam.diagnostics.evidence.innovations import PROMISED_M, PROMISED_SIGMAS, at_risk, claimed_sigmas
 from slam.diagnostics.verdict import Evidence, named
 from slam.frontend.odometry import planar_delta
 from slam.geometry.frames import inverse
@@ -49,6 +50,34 @@ def odometry_evidence(run: Finished) -> Iterator[Evidence]:
         tuple(sorted({*frames, *risky})),
         f"the odometry errs {factor:.2g} times as much as stated, most at {named(frames)}: claimed sigmas up to "
         f"{max(sigmas.values()):.2g} m rest on it at {named(risky)}",
+    )
+
+
+def believed_evidence(run: Finished) -> Iterator[Evidence]:
+    """Steps of odometry that was found wrong elsewhere, used as stated where no scan would have told such errors.
+
+    They are as far off as those found, as often as those were, and all the same way at worst. It matters where that is
+    more than a sound map promises.
+    """
+    record = run.odometry_record
+    wrong = [one.keyframe for one in record.steps if one.check.against]
+    believed = record.believed()
+    if not wrong or not believed:
+        return
+    share = len(wrong) / len(record.steps)
+    off = share * sum(float(np.sqrt(np.mean(np.sum(errors[:, :3] ** 2, axis=1)))) for _, errors in believed)
+    if off <= max(PROMISED_M, PROMISED_SIGMAS * max(claimed_sigmas(run).values())):
+        return
+    frames = tuple(keyframe for keyframe, _ in believed)
+    yield Evidence(
+        "believed odometry",
+        "doubtful",
+        float(at_least(len(wrong), len(record.steps), record.significance)),
+        off,
+        "m",
+        frames,
+        f"what was seen speaks against the odometry at {named(wrong)}, and could not have at {named(frames)}, which "
+        f"rest on it: they may be {off:.2g} m off",
     )
 
 

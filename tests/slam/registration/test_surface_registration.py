@@ -8,12 +8,17 @@ from scipy.stats import chi2
 
 from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE
 from slam.geometry.frames import inverse
-from slam.registration.surface_registration import LocalMap, _Residuals, align, moved
+from slam.registration.relocalization import _on, laid_widely
+from slam.registration.surface_registration import Expected, LocalMap, Residuals, Scan, _Sight, align, moved
 from tests.slam.depth_scenes import between, looking, measured
 
 FIRST = looking(-1.5, 0.0, 1.2, 0.0, 0.6)
 #: 10 cm to the side, along the one direction that floor, top and side leave open, and turned by 3 deg.
 SECOND = looking(-1.5, 0.1, 1.22, 0.05, 0.62)
+
+
+def scan(elements: np.ndarray, viewpoint: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Scan:
+    return Scan(elements, np.array(viewpoint))
 
 
 def off(found: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -24,10 +29,10 @@ def test_edges_hold_the_direction_that_the_planes_leave_open() -> None:
     rng = np.random.default_rng(0)
     known, seen = measured(FIRST, rng).surfaces, measured(SECOND, rng).surfaces
     assert known is not None and seen is not None
-    found = align(seen, LocalMap([(np.eye(4), known)]), [np.eye(4)])
+    found = align(scan(seen), LocalMap([(np.eye(4), scan(known))]), [np.eye(4)])
     assert np.linalg.norm(off(found.known_T_seen, between(FIRST, SECOND))[3:]) < 0.01
     planes = [one[one[:, 7] == ON_PLANE] for one in (known, seen)]
-    bare = align(planes[1], LocalMap([(np.eye(4), planes[0])]), [np.eye(4)])
+    bare = align(scan(planes[1]), LocalMap([(np.eye(4), scan(planes[0]))]), [np.eye(4)])
     along = SECOND[:3, :3].T @ np.array([0.0, 1.0, 0.0])
     by_all, by_planes = (
         np.sqrt(along @ np.linalg.inv(one.information + 1e-6 * np.eye(6))[3:, 3:] @ along) for one in (found, bare)
@@ -42,8 +47,9 @@ def test_a_wrong_place_scores_less_than_the_right_one() -> None:
     assert known is not None and seen is not None
     wrong = between(FIRST, SECOND)
     wrong[:3, 3] += FIRST[:3, :3].T @ np.array([0.0, 0.5, 0.0])
-    there = LocalMap([(np.eye(4), known)])
-    assert align(seen, there, [between(FIRST, SECOND)]).score > align(seen, there, [wrong]).score + 0.05
+    there = LocalMap([(np.eye(4), scan(known))])
+    right = align(scan(seen), there, [between(FIRST, SECOND)])
+    assert right.score > align(scan(seen), there, [wrong]).score + 0.05
 
 
 def elements(rng: np.random.Generator, sigma: float) -> tuple[np.ndarray, np.ndarray]:
@@ -63,10 +69,10 @@ def test_the_stated_covariance_is_what_the_error_has() -> None:
     for _ in range(60):
         true, seen = elements(rng, 0.005)
         motion = gtsam.Pose3.Expmap(rng.normal(0.0, (0.01, 0.01, 0.01, 0.02, 0.02, 0.02))).matrix()
-        found = align(moved(seen, inverse(motion)), LocalMap([(np.eye(4), true)]), [np.eye(4)])
+        found = align(scan(moved(seen, inverse(motion))), LocalMap([(np.eye(4), scan(true))]), [np.eye(4)])
         error = off(found.known_T_seen, motion)
         nees.append(error @ found.information @ error)
-        information, told = found.off_planes
+        information, told = found.residuals.told_by(seen[:, 7] != ON_PLANE)
         rest = np.linalg.solve(information, told) - error
         beyond.append(rest @ information @ rest)
     high = chi2.ppf(0.9995, 6 * 60) / 60
@@ -76,11 +82,121 @@ def test_the_stated_covariance_is_what_the_error_has() -> None:
 
 def test_residuals_have_the_derivative_that_they_say() -> None:
     true, seen = elements(np.random.default_rng(3), 0.005)
-    known, motion = LocalMap([(np.eye(4), true)]), gtsam.Pose3.Expmap(np.full(6, 0.003)).matrix()
+    known, motion = LocalMap([(np.eye(4), scan(true))]), gtsam.Pose3.Expmap(np.full(6, 0.003)).matrix()
     reach = np.full(len(seen), 0.3)
-    here = _Residuals.of(seen, known, motion, reach)
+    here = Residuals.of(seen, known, motion, reach)
     for k in range(6):
         step = 1e-6 * np.eye(6)[k]
-        there = _Residuals.of(seen, known, motion @ gtsam.Pose3.Expmap(step).matrix(), reach)
+        there = Residuals.of(seen, known, motion @ gtsam.Pose3.Expmap(step).matrix(), reach)
         np.testing.assert_array_equal(there.index, here.index)
         np.testing.assert_allclose((there.off - here.off) / 1e-6, here.jacobian[:, k], atol=1e-4)
+
+
+#: A camera a metre above the origin of its body.
+EYE = (0.1, 0.0, 1.0)
+
+
+def corridor(world_T_body: np.ndarray, *, end_m: float = np.inf) -> Scan:
+    """Elements of a corridor along x, 2 m wide and 2.5 m high, from a camera that looks ahead and 5 m far."""
+    v, u = np.mgrid[-0.4:0.41:0.05, -0.55:0.56:0.05]
+    rays = np.stack([np.ones_like(u), u, v], axis=-1).reshape(-1, 3) @ world_T_body[:3, :3].T
+    eye = world_T_body[:3, :3] @ EYE + world_T_body[:3, 3]
+    normals, d = np.vstack([np.eye(3), -np.eye(3)])[[1, 4, 2, 5, 3]], np.array([-1.0, -1.0, 0.0, -2.5, -end_m])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = np.where(rays @ normals.T < 0.0, (d - eye @ normals.T) / (rays @ normals.T), np.inf)
+    first = reach.argmin(axis=1)
+    seen = reach.min(axis=1) < 5.0
+    points = eye + reach.min(axis=1)[seen, None] * rays[seen]
+    rows = np.column_stack((points, normals[first[seen]], np.full(seen.sum(), 0.003), np.zeros(seen.sum())))
+    return scan(moved(rows, inverse(world_T_body)), EYE)
+
+
+def ahead(metres: float, turn: float = 0.0) -> np.ndarray:
+    return gtsam.Pose3(gtsam.Rot3.Yaw(turn), np.array([metres, 0.0, 0.0])).matrix()
+
+
+def test_nothing_is_seen_through_from_the_true_place_wherever_the_sensor_sits() -> None:
+    for metres, turn in ((0.25, 0.0), (0.5, 0.0), (1.25, 0.0), (0.25, 0.4)):
+        seen = corridor(ahead(metres, turn))
+        known, alone = LocalMap([(np.eye(4), corridor(np.eye(4)))]), np.ones(len(seen.elements), dtype=bool)
+        assert known.contradicted(ahead(metres, turn), seen.elements, alone, _Sight(seen)) < 0.005
+
+
+def test_what_stands_before_a_surface_that_was_seen_is_seen_through() -> None:
+    sight = _Sight(corridor(np.eye(4), end_m=4.0))
+    post = np.column_stack((np.full(20, 2.0), np.full(20, 0.1), np.linspace(0.6, 1.4, 20)))
+    assert sight.through(post) == 20
+    assert sight.through(post + np.array([1.99, 0.0, 0.0])) == 0  # on the wall at the end
+    assert sight.through(post + np.array([3.0, 0.0, 0.0])) == 0  # behind it
+
+
+def test_along_what_the_returns_leave_open_a_scan_stays_where_it_is_expected() -> None:
+    seen, known = corridor(ahead(0.5)), LocalMap([(np.eye(4), corridor(np.eye(4)))])
+    guess = ahead(0.6)
+    guess[1, 3] = 0.1
+    expected = Expected(guess, np.diag(np.repeat([0.2, 0.3], 3) ** -2.0))
+    for start in (guess, np.eye(4)):
+        found = align(seen, known, [start], expected).known_T_seen
+        np.testing.assert_allclose(found[:3, 3], (0.6, 0.0, 0.0), atol=0.01)
+
+
+def test_a_scan_that_has_turned_on_its_heel_is_found() -> None:
+    true = ahead(0.2, 0.45)
+    seen, known = corridor(true, end_m=3.0), LocalMap([(np.eye(4), corridor(np.eye(4), end_m=3.0))])
+    expected = Expected(ahead(0.2, -0.2), np.diag(np.repeat([0.4, 0.3], 3) ** -2.0))
+    found = laid_widely(seen, known, None, expected, np.eye(4))
+    assert np.linalg.norm(off(found.known_T_seen, true)) < 0.02
+
+
+def test_elements_are_told_by_the_planes_that_they_lie_on() -> None:
+    rng = np.random.default_rng(4)
+    seen = measured(FIRST, rng)
+    assert seen.surfaces is not None
+    on_plane = seen.surfaces[:, 7] == ON_PLANE
+    np.testing.assert_array_equal(_on(seen.surfaces, seen.observations), on_plane)
+    first = _on(seen.surfaces, seen.observations[:1])
+    assert 0 < first.sum() < on_plane.sum()
+    assert not _on(seen.surfaces, []).any()
+
+
+def pillared(x: float) -> Scan:
+    """Elements that a scanner of sixteen rings has of a long hall with one pillar, 1.2 m above the floor at x, m."""
+    elevation, azimuth = np.meshgrid(np.deg2rad(np.linspace(-15.0, 15.0, 16)), np.deg2rad(np.arange(0.0, 360.0, 3.0)))
+    across = np.cos(elevation)
+    rays = np.stack((across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)), axis=-1).reshape(-1, 3)
+    eye, middle = np.array([x, 0.0, 1.2]), np.array([0.0, 0.0, 2.0])
+    best, normals = np.full(len(rays), np.inf), np.zeros_like(rays)
+    boxes = [(middle, (100.0, 5.0, 2.0)), (np.array([2.3, -3.0, 2.0]), (0.3, 0.3, 2.0))]
+    for k, (centre, half) in enumerate(boxes):
+        with np.errstate(divide="ignore"):
+            near, far = np.sort([(centre + side * np.array(half) - eye) / rays for side in (-1.0, 1.0)], axis=0)
+        axis = far.argmin(axis=1) if k == 0 else near.argmax(axis=1)  # the hall is seen from inside, the pillar is not
+        reach = far.min(axis=1) if k == 0 else near.max(axis=1)
+        met = (reach > 0.0) & (reach < best) & ((k == 0) | (reach < far.min(axis=1)))
+        best[met], normals[met] = reach[met], (-np.sign(rays) * np.eye(3)[axis])[met]
+    chosen = best < 20.0
+    points = (best[:, None] * rays)[chosen]
+    return scan(np.column_stack((points, normals[chosen], np.full(len(points), 0.003), np.zeros(len(points)))))
+
+
+def test_beams_that_move_with_the_sensor_do_not_say_that_nothing_moved() -> None:
+    true = ahead(2.0)
+    seen, known = pillared(2.0), LocalMap([(np.eye(4), pillared(0.0))])
+    right, still = (align(seen, known, [start]) for start in (true, np.eye(4)))
+    assert np.linalg.norm(off(still.known_T_seen, true)[3:]) > 1.5
+    assert still.share > right.share + 0.1  # more of what is seen comes to lie on what was seen before
+    assert right.score > still.score + 0.05
+    np.testing.assert_allclose(align(seen, known, [np.eye(4), true]).known_T_seen, true, atol=0.01)
+
+
+def test_a_surface_goes_on_between_the_beams_but_not_across_an_edge() -> None:
+    sight = _Sight(pillared(0.0))
+    wall = np.array([[1.0, 5.0, 1.05, 0.0, -1.0, 0.0, 0.003, ON_PLANE]])
+    wall[:, 2] -= 1.2
+    before, away, edge = wall.copy(), wall.copy(), wall.copy()
+    before[:, 1] -= 0.2
+    away[:, 3:6] = 0.0, 1.0, 0.0
+    edge[:, 7] = ON_EDGE
+    np.testing.assert_allclose(
+        sight.off_surfaces(np.vstack((wall, before, away, edge))), (0.0, 0.2, np.inf, np.inf), atol=1e-9
+    )

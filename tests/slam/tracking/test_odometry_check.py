@@ -53,13 +53,13 @@ def test_true_odometry_is_confirmed_by_the_planes_of_a_hall() -> None:
     for seed in range(60):
         before, seen = seen_twice(hall(), seed)
         motion = odometry(SIGMAS * rng.standard_normal(3))
-        assert planes_confirm(motion, before, seen, elements_of(seen), SIGNIFICANCE)
+        assert planes_confirm(motion, before, seen, elements_of(seen), SIGNIFICANCE) is not None
 
 
 @pytest.mark.parametrize("off", [(0.5, 0.0, 0.0), (0.0, -0.4, 0.0), (0.0, 0.0, 0.1), (1.0, 1.0, 0.5)])
 def test_wrong_odometry_is_not(off: tuple[float, float, float]) -> None:
     before, seen = seen_twice(hall(), 1)
-    assert not planes_confirm(odometry(np.array(off)), before, seen, elements_of(seen), SIGNIFICANCE)
+    assert planes_confirm(odometry(np.array(off)), before, seen, elements_of(seen), SIGNIFICANCE) is None
 
 
 def test_what_planes_leave_open_is_left_to_the_returns_where_these_may_say_something() -> None:
@@ -68,16 +68,18 @@ def test_what_planes_leave_open_is_left_to_the_returns_where_these_may_say_somet
     motion, on_planes = odometry(np.zeros(3)), elements_of(seen)
     across = SECOND[:3, :3].T @ (0.0, 1.0, 0.0)
     clutter = np.array([(*point, *across, 0.01, ON_NO_PLANE) for point in np.eye(3)])
-    assert planes_confirm(motion, before, seen, on_planes, SIGNIFICANCE)  # all returns leave it open as well
-    assert not planes_confirm(motion, before, seen, np.vstack((on_planes, clutter)), SIGNIFICANCE)
+    assert (
+        planes_confirm(motion, before, seen, on_planes, SIGNIFICANCE) is not None
+    )  # all returns leave it open as well
+    assert planes_confirm(motion, before, seen, np.vstack((on_planes, clutter)), SIGNIFICANCE) is None
 
 
 def test_planes_of_which_the_last_scan_had_less_than_half_confirm_nothing() -> None:
     before, seen = seen_twice(hall(), 3)
     motion, elements = odometry(np.zeros(3)), elements_of(seen)
-    assert planes_confirm(motion, before[:5], seen, elements, SIGNIFICANCE)
-    assert not planes_confirm(motion, before[4:], seen, elements, SIGNIFICANCE)
-    assert not planes_confirm(motion, [], seen, elements, SIGNIFICANCE)
+    assert planes_confirm(motion, before[:5], seen, elements, SIGNIFICANCE) is not None
+    assert planes_confirm(motion, before[4:], seen, elements, SIGNIFICANCE) is None
+    assert planes_confirm(motion, [], seen, elements, SIGNIFICANCE) is None
 
 
 def test_returns_are_laid_on_what_was_seen_only_where_planes_do_not_confirm(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,131 @@
+"""What 3D scans have said of the odometry so far, and by how much it errs where they can say nothing."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import gtsam
+import numpy as np
+
+from factors._conventions import POSE3_TO_SP
+from slam.frontend.odometry import Motion
+from slam.geometry.frames import inverse
+from slam.tracking.odometry_check import Check
+from spplanes._check import FloatArray
+
+#: Steps that say how the odometry is of late: wheels that slip on one floor hold on the next.
+_LATE = 60
+#: Of (x, y, heading) in SP order.
+_PLANAR = [0, 1, 5]
+
+
+class CheckedStep(NamedTuple):
+    """A step of the odometry that a 3D scan was held against."""
+
+    keyframe: int
+    """Where it ends."""
+    motion: Motion
+    """As it was measured."""
+    check: Check
+    """What the scan said."""
+    used: Literal["as stated", "erring", "not"]
+    """What became of it: used as it was stated, as far off as others were, or not, for an assumption was nearer."""
+
+
+@dataclass
+class OdometryRecord:
+    """The steps of the odometry that were checked, and how far off those spoken against turned out to be.
+
+    A corridor does not make wheels right that stood still in front of it. Where a scan would not have told errors such
+    as those before, they are to be expected as often as they were found where scans did tell.
+    """
+
+    significance: float
+    """Probability that a true motion is spoken against."""
+
+    def __post_init__(self) -> None:
+        self.steps: list[CheckedStep] = []
+        self._errors: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=_LATE)
+        self._last: tuple[Motion, Motion] | None = None
+
+    @property
+    def doubted(self) -> bool:
+        """Whether the last step was spoken against."""
+        return bool(self.steps) and self.steps[-1].check.against
+
+    @property
+    def errors(self) -> FloatArray:
+        """What the last steps spoken against were off, SP order along the axes of their ends, shape (K, 6)."""
+        return np.array([one for one, _ in self._errors]).reshape(-1, 6)
+
+    def settle(self, a_T_b: FloatArray) -> None:
+        """Take in where the last step led, shape (4, 4), now that it was seen."""
+        if self._last is not None:
+            measured, expected = self._last
+            self._errors.append((_off(measured.a_T_b, a_T_b), _off(expected.a_T_b, a_T_b)))
+            self._last = None
+
+    def take(self, keyframe: int, motion: Motion, expected: Motion, guess: Motion, check: Check) -> Motion:
+        """What is known of a step by odometry and the check of it.
+
+        Args:
+            keyframe: where it ends.
+            motion: as it was measured.
+            expected: the motion had nobody measured it.
+            guess: how far a body may move of which nothing is known.
+            check: what a 3D scan says of it.
+        """
+        nearer = self._expected_is_nearer
+        untold = self.untold(motion, check)
+        if check.against:
+            self._last = motion, expected
+            used, known = "not", expected if nearer else replace(guess, a_T_b=motion.a_T_b)
+        elif not len(untold):
+            used, known = "as stated", motion
+        elif nearer:
+            used, known = "not", expected
+        else:
+            used, known = "erring", _erring(motion, untold.T @ untold / (len(self._errors) + self._fine()))
+        self.steps.append(CheckedStep(keyframe, motion, check, used))
+        return known
+
+    def untold(self, motion: Motion, check: Check) -> FloatArray:
+        """Those of the errors that a check would not have told, shape (K, 6)."""
+        errors = self.errors
+        return errors[~check.tells(motion, errors, self.significance)]
+
+    def believed(self) -> list[tuple[int, FloatArray]]:
+        """Steps used as stated, by their keyframes, with the errors found since that their scans left untold."""
+        stated = [(one.keyframe, self.untold(one.motion, one.check)) for one in self.steps if one.used == "as stated"]
+        return [(keyframe, errors) for keyframe, errors in stated if len(errors)]
+
+    def _fine(self) -> int:
+        """Of the last steps those not spoken against though most errors would have been."""
+        errors, late = self.errors, self.steps[-_LATE:]
+        told = (one.check.tells(one.motion, errors, self.significance).mean() for one in late if not one.check.against)
+        return sum(share > 0.5 for share in told)
+
+    @property
+    def _expected_is_nearer(self) -> bool:
+        """Whether steps spoken against were further off than what would have been expected without them.
+
+        Squares of m and of rad at a metre.
+        """
+        measured, expected = (np.sum(np.square([one[k] for one in self._errors])) for k in (0, 1))
+        return bool(expected < measured)
+
+
+def _off(expected: FloatArray, found: FloatArray) -> FloatArray:
+    """How far one motion (4, 4) is off another, SP order, shape (6,)."""
+    return gtsam.Pose3.Logmap(gtsam.Pose3(inverse(expected) @ found))[POSE3_TO_SP].astype(np.float64)
+
+
+def _erring(motion: Motion, square: FloatArray) -> Motion:
+    """A motion that errs by so much more, mean square in SP order along the axes of its end, shape (6, 6)."""
+    if not motion.is_planar:
+        return replace(motion, covariance=motion.covariance + square)
+    turn = np.eye(3)
+    turn[:2, :2] = motion.a_T_b[:2, :2]  # the covariance is along the axes of its start
+    return replace(motion, covariance=motion.covariance + turn @ square[np.ix_(_PLANAR, _PLANAR)] @ turn.T)

@@ -1,0 +1,86 @@
+"""Odometry that was found wrong errs where nothing tells, as often as it was found; what would tell makes it right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam.config import CoastingConfig
+from slam.frontend.odometry import Motion
+from slam.geometry.frames import planar_transform
+from slam.simulation.drives import Recipe, make_drive
+from slam.tracking.constant_velocity import coast
+from slam.tracking.odometry_check import Check
+from slam.tracking.odometry_record import OdometryRecord
+
+STILL = Motion(np.eye(4), np.diag([1e-4, 1e-4, 1e-5]) ** 2, (1e-3, 1e-3, 1e-3))
+GUESS = coast(None, 0.0, 0.5, CoastingConfig())
+SHARP, NOWHERE = np.diag(np.repeat([0.02, 0.005], 3) ** 2), np.diag([9.0, 4e-4, 4e-4, 2e-5, 2e-5, 2e-5])
+AHEAD = planar_transform(0.25, 0.0, 0.0)
+
+
+def record_of(wrong: int, fine: int, expected: np.ndarray = AHEAD) -> OdometryRecord:
+    """So many steps that were spoken against, 25 cm off, and so many that were not though they would have been."""
+    record = OdometryRecord(0.001)
+    guess = replace(GUESS, a_T_b=expected)
+    for k in range(wrong):
+        record.take(k + 1, STILL, guess, GUESS, Check(True, SHARP))
+        record.settle(AHEAD)
+    for k in range(fine):
+        record.take(wrong + k + 1, STILL, guess, GUESS, Check(False, SHARP))
+    return record
+
+
+def test_odometry_that_nothing_spoke_against_is_used_as_stated() -> None:
+    record = record_of(0, 5)
+    assert record.take(6, STILL, GUESS, GUESS, Check(False, NOWHERE)) is STILL
+    assert record.take(7, STILL, GUESS, GUESS, Check(False)) is STILL
+    assert record.believed() == []
+
+
+def test_where_errors_would_have_been_told_it_is_used_as_stated_and_elsewhere_it_errs() -> None:
+    record = record_of(9, 27, expected=planar_transform(-0.25, 0.0, 0.0))  # expected worse than measured
+    assert record.take(40, STILL, GUESS, GUESS, Check(False, SHARP)) is STILL
+    erring = record.take(41, STILL, GUESS, GUESS, Check(False, NOWHERE))
+    assert erring.is_planar
+    assert erring.covariance[0, 0] == pytest.approx(1e-8 + 9 / (9 + 28) * 0.25**2)  # found in 9 of 37 steps that tell
+    np.testing.assert_allclose(erring.covariance[1:, 1:], STILL.covariance[1:, 1:], atol=1e-12)
+    assert [one.used for one in record.steps[-2:]] == ["as stated", "erring"]
+
+
+def test_errors_are_along_the_axes_of_the_end_and_covariances_of_motions_of_the_start() -> None:
+    record = record_of(5, 0, expected=planar_transform(-0.25, 0.0, 0.0))
+    turned = replace(STILL, a_T_b=planar_transform(0.0, 0.0, np.pi / 2))
+    erring = record.take(6, turned, GUESS, GUESS, Check(False))
+    assert erring.covariance[1, 1] == pytest.approx(0.25**2, rel=1e-4)
+    assert erring.covariance[0, 0] == pytest.approx(1e-8, rel=1e-3)
+
+
+def test_an_assumption_that_was_nearer_takes_the_place_of_odometry_that_stands_still() -> None:
+    record, expected = record_of(5, 0), replace(GUESS, a_T_b=AHEAD)
+    assert record.doubted
+    assert record.take(6, STILL, expected, GUESS, Check(False)) is expected
+    assert record.take(7, STILL, expected, GUESS, Check(True)) is expected
+    assert not record_of(0, 1).doubted
+
+
+def test_steps_believed_before_the_odometry_was_found_wrong_are_known() -> None:
+    record = OdometryRecord(0.001)
+    for k, place in enumerate((NOWHERE, SHARP, None)):
+        record.take(k + 1, STILL, GUESS, GUESS, Check(False, place))
+    record.take(4, STILL, GUESS, GUESS, Check(True, SHARP))
+    record.settle(AHEAD)
+    assert [keyframe for keyframe, _ in record.believed()] == [1, 3]
+
+
+def test_a_drive_whose_views_do_not_overlap_in_turns_is_never_called_sound() -> None:
+    """Odometry stands still, every fifth image: 1.25 m and up to 120 deg from one to the next, 58 deg wide."""
+    from slam.config import SlamConfig
+    from slam.runs.slam_run import run_slam
+
+    drive = make_drive(Recipe.parse("office/depth/still/fifth"), 110001)
+    run = run_slam(drive.log, drive.rig, SlamConfig())
+    assert run.verdict.verdict != "sound"
+    assert any("fits nowhere" in reason for reason in run.verdict.reasons)
