@@ -6,6 +6,7 @@ before others that are seen.
 
 References:
     Chen, Medioni, "Object modelling by registration of multiple range images", IVC 1992, for point to plane.
+    Yang et al., "Graduated non-convexity for robust spatial perception", RA-L 2020, for a kernel that narrows.
     Vizzo et al., "KISS-ICP: in defense of point-to-point ICP", RA-L 2023, for thresholds that follow the data.
 """
 
@@ -278,11 +279,17 @@ def _descended(
     reaches: Sequence[float],
     expected: Expected | None = None,
 ) -> FloatArray:
-    """The motion at which the residuals are least, by Gauss and Newton, partners looked for less and less far."""
+    """The motion at which the residuals are least, by Gauss and Newton, partners looked for less and less far.
+
+    The kernel narrows with the reach (graduated non-convexity), and follows the residuals in the last stage alone: most
+    are of floor and walls, which a motion along them leaves where they are, and a kernel as narrow as these are close
+    is blind to the pillars that tell it.
+    """
     widths = _widths(elements)
     for reach in reaches:
+        kernel = reach * widths if reach > _REACHES[-1] else None
         for _ in range(_STEPS):
-            step = Residuals.of(elements, known, motion, reach * widths).step(motion, expected)
+            step = Residuals.of(elements, known, motion, reach * widths, kernel).step(motion, expected)
             motion = motion @ gtsam.Pose3.Expmap(step).matrix()
             if np.abs(step).max() < _CONVERGED:
                 break
@@ -318,8 +325,23 @@ class Residuals:
     """Information of each, by its noise and the robust kernel, shape (K,), 1 / m^2."""
 
     @classmethod
-    def of(cls, elements: FloatArray, known: LocalMap, motion: FloatArray, reach: FloatArray) -> Residuals:
-        """Of elements (N, 8) at a motion (4, 4), partners looked for within reach (N,), m."""
+    def of(
+        cls,
+        elements: FloatArray,
+        known: LocalMap,
+        motion: FloatArray,
+        reach: FloatArray,
+        kernel: FloatArray | None = None,
+    ) -> Residuals:
+        """Of elements (N, 8) at a motion (4, 4).
+
+        Args:
+            elements: of a scan.
+            known: where partners are looked for.
+            motion: known_T_seen.
+            reach: how far off they may be, shape (N,), m.
+            kernel: width of the robust kernel, shape (N,), m; None: by how far off most are.
+        """
         rows = moved(elements, motion)
         partner = known.partners(rows[:, :3], rows[:, 3:6], rows[:, 7], reach)
         index = np.flatnonzero(partner >= 0)
@@ -328,10 +350,10 @@ class Residuals:
         off = np.einsum("ki,ki->k", rows[index, :3] - known.points[other], normals)
         turned = normals @ motion[:3, :3]
         jacobian = np.hstack((np.cross(mine[:, :3], turned), turned))
-        scale = max(_LEAST_SCALE_M, 1.4826 * float(np.median(np.abs(off))) if len(off) else 0.0)
-        kernel = 1.0 / (1.0 + (off / (_KERNEL * scale)) ** 2) ** 2
+        usual = max(_LEAST_SCALE_M, 1.4826 * float(np.median(np.abs(off))) if len(off) else 0.0)
+        believed = 1.0 / (1.0 + (off / (_KERNEL * usual if kernel is None else kernel[index])) ** 2) ** 2
         variance = mine[:, 6] ** 2 + known.sigmas[other] ** 2
-        return cls(index, off, jacobian, kernel / variance)
+        return cls(index, off, jacobian, believed / variance)
 
     def information(self) -> FloatArray:
         """Of the motion by all of them, shape (6, 6)."""

@@ -41,7 +41,7 @@ def test_a_hall_is_not_taken_for_itself_turned_round(seed: int, chosen: slice):
 
 @pytest.mark.parametrize("seed", [30, 33])
 def test_a_pillar_is_not_taken_for_the_next_where_the_way_along_them_is_open(seed: int):
-    """Where at one of these scans only walls along the way and pillars are seen, nobody knows where along it that was."""
+    """Where at one of these scans only walls along the way and pillars are seen, nobody knows where along it it was."""
     run, positions, _ = without_odometry(seed, slice(70, 82))
     covariances = [run.slam.marginal_covariance(pose_symbol(k)) for k in range(len(positions))]
     sigmas = np.array([np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]) for covariance in covariances])

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
+import pytest
 from scipy.stats import chi2
 
+from slam.config import SlamConfig
+from slam.frontend.keyframes import keyframes_of
 from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE
 from slam.geometry.frames import inverse
-from slam.registration.relocalization import _on, laid_widely
+from slam.registration.relocalization import _on, laid_widely, scan_of
 from slam.registration.surface_registration import Expected, LocalMap, Residuals, Scan, _Sight, align, moved
+from slam.simulation import simulate_mission
 from tests.slam.depth_scenes import between, looking, measured
 
 FIRST = looking(-1.5, 0.0, 1.2, 0.0, 0.6)
@@ -45,11 +49,14 @@ def test_a_wrong_place_scores_less_than_the_right_one() -> None:
     rng = np.random.default_rng(1)
     known, seen = measured(FIRST, rng).surfaces, measured(SECOND, rng).surfaces
     assert known is not None and seen is not None
-    wrong = between(FIRST, SECOND)
-    wrong[:3, 3] += FIRST[:3, :3].T @ np.array([0.0, 0.5, 0.0])
     there = LocalMap([(np.eye(4), scan(known))])
     right = align(scan(seen), there, [between(FIRST, SECOND)])
-    assert right.score > align(scan(seen), there, [wrong]).score + 0.05
+    for aside in (1.25, 1.5):  # from nearer a descent finds back
+        wrong = between(FIRST, SECOND)
+        wrong[:3, 3] += FIRST[:3, :3].T @ np.array([0.0, aside, 0.0])
+        found = align(scan(seen), there, [wrong])
+        assert np.linalg.norm(off(found.known_T_seen, between(FIRST, SECOND))[3:]) > 0.2
+        assert right.score > found.score + 0.05
 
 
 def elements(rng: np.random.Generator, sigma: float) -> tuple[np.ndarray, np.ndarray]:
@@ -157,6 +164,20 @@ def test_elements_are_told_by_the_planes_that_they_lie_on() -> None:
     first = _on(seen.surfaces, seen.observations[:1])
     assert 0 < first.sum() < on_plane.sum()
     assert not _on(seen.surfaces, []).any()
+
+
+@pytest.mark.parametrize("seed", range(3, 7))
+def test_pillars_are_found_from_further_off_than_walls_are_uneven(seed: int) -> None:
+    """Hundreds of elements on floor and walls are close wherever along the hall the scan is laid; few tell where."""
+    mission = simulate_mission("hall", n_scans=2, seed=seed)
+    first, second = keyframes_of(mission.log, mission.rig, SlamConfig())
+    known, seen = scan_of(first), scan_of(second)
+    assert known is not None and seen is not None
+    world_T_first, world_T_second = mission.truth.poses_at(np.array([first.stamp_ns, second.stamp_ns]))
+    true = inverse(world_T_first) @ world_T_second
+    assert 0.4 < np.linalg.norm(true[:3, 3]) < 0.6
+    found = align(seen, LocalMap([(np.eye(4), known)]), [np.eye(4)])
+    assert np.linalg.norm(off(found.known_T_seen, true)[3:]) < 0.01
 
 
 def pillared(x: float) -> Scan:
