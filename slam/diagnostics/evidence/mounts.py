@@ -51,7 +51,9 @@ def mount_evidence(keyframes: Sequence[Keyframe], rig: Rig) -> Iterator[Evidence
 
     Of each pair of neighbours a look at a surface is confirmed or goes through it. Where of any pair, or of
     all, more go through under the stated mount than `NOVEL_SHARE` explains, others are tried: were the stated one
-    right, another would be as often worse as better, which is a sign test over the pairs, one for each mount.
+    right, another would be as often worse as better, which is a sign test over the pairs, one for each mount. Mounts
+    that the same test does not tell from the best are named beside the first of them: of a drive without turns one
+    backwards is one that is upside down as well.
     """
     lasers, clouds = rig.of_kind("line"), rig.of_kind("cloud")
     mounts = [sensor.body_T_sensor for sensor in (lasers or clouds).values()]
@@ -78,18 +80,26 @@ def _tests(counts: _Counts, frames: tuple[int, ...]) -> Iterator[Evidence]:
     for turn in _TURNS:
         under = counts(Mount(rpy_deg=(turn.roll_deg, 0.0, turn.yaw_deg)).as_matrix())
         gain = (under[:, 0] - under[:, 1]) - (stated[:, 0] - stated[:, 1])
-        better, told = int((gain > 0).sum()), int((gain != 0).sum())
+        better, told = _better(gain)
         if 2 * better > told:
-            p_value = len(_TURNS) * float(at_least(better, told))
-            tests.append((float(gain.sum()), p_value, better, told, turn.name))
+            tests.append((gain, better, told, turn.name))
     if not tests:
         return
-    _, p_value, better, told, name = max(tests)
+    best = max((gain for gain, *_ in tests), key=lambda gain: float(gain.sum()))
+    (_, better, told, name), *others = [one for one in tests if at_least(*_better(best - one[0])) > SIGNIFICANCE]
     sentence = (
         f"a sensor {name} would explain what the stated mount does not: under it {better} of {told} pairs of "
         f"neighbouring scans fit the odometry better ({named(frames)})"
     )
+    if others:
+        sentence += f"; nothing tells that from one {' or '.join(name for *_, name in others)}"
+    p_value = len(_TURNS) * float(at_least(better, told))
     yield Evidence("mount", "broken", min(p_value, 1.0), better / told, "of pairs", frames, sentence)
+
+
+def _better(gain: FloatArray) -> tuple[int, int]:
+    """On how many of pairs (P,) something is gained, and of how many that tell."""
+    return int((gain > 0).sum()), int((gain != 0).sum())
 
 
 def _neighbours(keyframes: Sequence[Keyframe]) -> list[tuple[int, int]]:

@@ -82,6 +82,7 @@ def test_a_3d_sensor_backwards_is_broken_and_named():
     verdict = look_at(run_slam(log, turned(rig), SlamConfig()).slam, turned(rig))
     assert verdict.verdict == "broken"
     assert "mounted backwards" in verdict.reasons[0]
+    assert "nothing tells that from one mounted upside down" in verdict.reasons[0]  # a drive without turns
 
 
 def test_a_prior_map_is_confirmed_from_its_start_and_not_from_another(right: Run):
