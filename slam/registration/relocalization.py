@@ -21,7 +21,7 @@ from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.plane_registration import PlaneMatching, match_planes_widely, pairs_under
-from slam.registration.surface_registration import Alignment, Expected, LocalMap, Scan, align, turned
+from slam.registration.surface_registration import Alignment, Expected, LocalMap, Scan, align
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -154,17 +154,9 @@ def _by_returns(
 def laid_widely(
     scan: Scan, known: LocalMap, by_planes: PlaneMatching | None, expected: Expected, still: FloatArray
 ) -> Alignment:
-    """A scan laid on a local map from where planes propose, from what is expected, and as if nothing moved.
-
-    Where it fits nowhere of these, also as if it had turned on its heel.
-    """
+    """A scan laid on a local map from where planes propose, from what is expected, and as if nothing moved."""
     proposed = [] if by_planes is None else [by_planes.known_T_seen]
-    found = align(scan, known, [*proposed, expected.known_T_seen, still], expected)
-    if found.score > 0.0:
-        return found
-    turns = turned(scan, known, expected)
-    other = align(scan, known, turns, expected) if turns else found
-    return other if other.score > found.score else found
+    return align(scan, known, [*proposed, expected.known_T_seen, still], expected)
 
 
 def _on(elements: FloatArray, observations: Sequence[Observation]) -> np.ndarray:

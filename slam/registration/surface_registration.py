@@ -39,9 +39,6 @@ _LEAST_SCALE_M = 0.003
 _CONVERGED = 1e-4
 #: Candidates are told apart by about so many elements; they are one when no entry differs by more.
 _SOME, _SAME = 700, 5e-3
-#: Turns that a descent may start from: so far apart and so far at most, rad, so many standard deviations; and how many
-#: of those that fit best do start.
-_TURN_RAD, _FURTHEST_RAD, _FURTHEST_SIGMAS, _MOST_TURNS = 0.2, 0.8, 2.0, 4
 #: Standard deviations of a motion that nothing says anything of, rad and m.
 _NOTHING_RAD, _NOTHING_M = 3.0, 10.0
 #: One direction are elements within this angle, rad, when there are so many; something stands before them when it is
@@ -252,24 +249,6 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expecte
         motion = _descended(elements, known, motion, _REACHES[-2:], expected)
     found = Residuals.of(elements, known, motion, _REACHES[-1] * _widths(elements))
     return Alignment(motion, found.information(), found, score, share)
-
-
-def turned(scan: Scan, known: LocalMap, expected: Expected) -> list[FloatArray]:
-    """Motions turned from the expected one about each axis, as far as it may be off, under which most of a scan fits.
-
-    A descent finds back from no further than a step of these. Of all only a few are returned, shape (4, 4) each.
-    """
-    some, sigmas = scan.elements[:: int(np.ceil(len(scan.elements) / _SOME))], np.diag(expected.information)[:3] ** -0.5
-    widths, found = _widths(some), []
-    for axis, sigma in zip(np.eye(3), sigmas, strict=True):
-        furthest = int(min(_FURTHEST_SIGMAS * sigma, _FURTHEST_RAD) / _TURN_RAD)
-        for step in (*range(-furthest, 0), *range(1, furthest + 1)):
-            turn = np.eye(4)
-            turn[:3, :3] = gtsam.Rot3.Expmap(step * _TURN_RAD * axis).matrix()
-            motion = expected.known_T_seen @ turn
-            fit = Residuals.of(some, known, motion, _REACHES[0] * widths).closeness(_REACHES[0] * widths)
-            found.append((fit, motion))
-    return [motion for _, motion in sorted(found, key=lambda one: -one[0])[:_MOST_TURNS]]
 
 
 def _descended(
