@@ -33,6 +33,7 @@ from slam.mapping.fusion import Merges
 from slam.mapping.late_association import LateMatch
 from slam.mapping.map_update import MapUpdate, MapUpdater
 from slam.mapping.same_plane import SamePlaneFinder
+from slam.registration.relocalization import Rivals
 from slam.registration.submaps import step_by_view
 from slam.session.prior_map import PriorMap
 from slam.session.recorder import Recorder
@@ -269,6 +270,11 @@ class PlaneSlam:
     def unplaced(self) -> list[int]:
         """Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them."""
         return self._motion_model.unplaced
+
+    @property
+    def rivals(self) -> dict[int, Rivals]:
+        """Of every keyframe placed by what it saw alone, the other places that this fits."""
+        return self._motion_model.rivals
 
     @property
     def audit(self) -> NisAudit:

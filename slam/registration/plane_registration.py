@@ -85,7 +85,7 @@ def match_planes_widely(
         found = _worked_out(motion, mine, theirs, sigmas)
         if found is None or any(np.abs(found.known_T_seen - one.known_T_seen).max() < _SAME for *_, one in tried):
             continue
-        price = _price(found.known_T_seen, sigmas)
+        price = price_of(found.known_T_seen, sigmas)
         score = _agreement(found.known_T_seen, mine, theirs, best - alike + price) - price
         if score > best - alike:
             score -= sight.blocked(found.known_T_seen)
@@ -151,7 +151,7 @@ def _worked_out(
     return PlaneMatching(motion, covariance, tuple((mine.order[i], theirs.order[j]) for i, j in pairs))
 
 
-def _price(motion: FloatArray, sigmas: tuple[float, float]) -> float:
+def price_of(motion: FloatArray, sigmas: tuple[float, float]) -> float:
     """What a motion of this size costs: half its chi2 by the expectation while small, only the log of it far off.
 
     Expectations fail: wheels slip, guesses are guesses, and what carries a sensor turns on its heel.
@@ -215,7 +215,7 @@ def _translations(
     for shift, weight in zip(shifts, found.tolist(), strict=True):
         motion = np.eye(4)
         motion[:3, :3], motion[:3, 3] = rotation, shift
-        results.append((weight - _price(motion, sigmas), motion))
+        results.append((weight - price_of(motion, sigmas), motion))
     return results
 
 

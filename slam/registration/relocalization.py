@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
+from scipy.special import chdtri
 
 from factors import relative_pose_factor
 from factors._conventions import POSE3_TO_SP
@@ -31,6 +32,8 @@ _WIDE_M, _WIDE_RAD = 0.25, 0.12
 _RECENT = 6
 #: What least squares over pairs leaves out, segmentation above all, against its covariance: factor, and least, m, rad.
 _SLACK, _LEAST_M, _LEAST_RAD = 1.5, 0.02, 0.004
+#: Probability that two that are one place are taken for two.
+_SIGNIFICANCE = 1e-3
 #: An element is on the plane that it was laid on, to rounding.
 _ITS_OWN = 1e-6
 #: Information about a motion that stands for none, GTSAM order: standard deviations of so many m and rad.
@@ -44,6 +47,20 @@ def is_wide(motion: Motion) -> bool:
     return place > _WIDE_M or turn > _WIDE_RAD
 
 
+class Rivals(NamedTuple):
+    """Other places that what was seen fits as well, or nearly so."""
+
+    probability: float
+    """That the body is at one of them."""
+    distance_m: float
+    """How far the likeliest of them is from where it was placed."""
+    angle_rad: float
+    """How far it is turned from there."""
+
+
+NO_RIVALS = Rivals(0.0, 0.0, 0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class FoundPlace:
     """Where a body is by the planes it sees again, and by all else that it sees."""
@@ -55,6 +72,8 @@ class FoundPlace:
     beyond: Motion | None = None
     """What the returns on none of those planes say of the motion, which no match of theirs says again; None: nothing.
     """
+    rivals: Rivals = NO_RIVALS
+    """The other places that were looked at."""
 
     @property
     def trusted(self) -> frozenset[int] | None:
@@ -108,7 +127,8 @@ def found_place(
     seen_again = frozenset(numbers[i] for i, _ in pairs_under(by_returns.known_T_seen, seen, known))
     assert keyframe.surfaces is not None  # `_by_returns`
     again = _on(keyframe.surfaces, [one for k, one in enumerate(keyframe.observations) if k in seen_again])
-    return FoundPlace(there, seen_again, _beyond(motion, by_returns, ~again))
+    beyond = _beyond(motion, by_returns, ~again)
+    return FoundPlace(there, seen_again, beyond, _rivals(by_returns, there.covariance))
 
 
 def planes_about(
@@ -157,6 +177,26 @@ def laid_widely(
     """A scan laid on a local map from where planes propose, from what is expected, and as if nothing moved."""
     proposed = [] if by_planes is None else [by_planes.known_T_seen]
     return align(scan, known, [*proposed, expected.known_T_seen, still], expected)
+
+
+def _rivals(found: Alignment, covariance: FloatArray) -> Rivals:
+    """The other places that a scan may lie at; SP covariance (6, 6) of the one that was found."""
+    odds, places = [], [found.known_T_seen]
+    for one in found.tried[1:]:
+        if all(_apart(place, one.known_T_seen, covariance) for place in places):
+            places.append(one.known_T_seen)
+            odds.append(float(np.exp(one.log_likelihood - found.tried[0].log_likelihood)))
+    if not odds:
+        return NO_RIVALS
+    off = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(places[0]) @ places[1]))  # the likeliest comes first
+    far = float(np.linalg.norm(places[1][:3, 3] - places[0][:3, 3]))
+    return Rivals(sum(odds) / (1.0 + sum(odds)), far, float(np.linalg.norm(off[:3])))
+
+
+def _apart(place: FloatArray, other: FloatArray, covariance: FloatArray) -> bool:
+    """Whether two places (4, 4) are not the same within the covariance (6, 6), SP order, of one."""
+    off = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(place) @ other))[POSE3_TO_SP]
+    return bool(off @ np.linalg.solve(covariance, off) > chdtri(6, _SIGNIFICANCE))
 
 
 def _on(elements: FloatArray, observations: Sequence[Observation]) -> np.ndarray:

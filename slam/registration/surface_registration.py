@@ -23,6 +23,7 @@ from scipy.spatial import KDTree
 
 from slam.frontend.scan_surfaces import ON_EDGE, ON_PLANE
 from slam.geometry.frames import inverse, lift
+from slam.registration.plane_registration import price_of
 from spplanes._check import FloatArray
 
 #: An element is about so wide as a share of its range, one on a plane the latter; all reaches are multiples of that.
@@ -44,9 +45,22 @@ _NOTHING_RAD, _NOTHING_M = 3.0, 10.0
 #: One direction are elements within this angle, rad, when there are so many; something stands before them when it is
 #: nearer than all by this share of the range and so many m.
 _DIRECTION_RAD, _ABOUT, _BEFORE_SHARE, _BEFORE_M = 0.1, 4, 0.08, 0.1
-#: An element seen through speaks so many times more against a place than one that fits speaks for it: where walls are
-#: alike, half of them fit anywhere, but at the right place next to nothing is seen through.
+#: An element seen through speaks so many times more against a place than one that fits speaks for it, 3.8 by the
+#: regression below: where walls are alike, half of them fit anywhere, but at the right place next to nothing is seen
+#: through.
 AGAINST = 4.0
+#: A place that fits a scan better by a score of one is likelier by so much, as a logarithm: logistic regression over
+#: 881 pairs of the true place and another at which a scan came to rest (27 drives with lidars and depth cameras).
+_TELLING = 18.0
+
+
+class Tried(NamedTuple):
+    """A place at which a scan came to rest."""
+
+    known_T_seen: FloatArray
+    """Shape (4, 4)."""
+    log_likelihood: float
+    """By how well it fits and by what was expected, up to a constant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +77,8 @@ class Alignment:
     """Share of the elements that are where a surface is known, close by, less what contradicts."""
     share: float
     """Share of the elements that found a partner."""
+    tried: tuple[Tried, ...]
+    """All places that were looked at, the likeliest, which is the one above, first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,9 +238,14 @@ class Expected(NamedTuple):
     information: FloatArray
     """Of its tangent on the right, GTSAM order (rotation, translation), shape (6, 6)."""
 
+    def log_likelihood(self, known_T_seen: FloatArray) -> float:
+        """Of a motion, with the tails that expectations have, up to a constant."""
+        turn, place = np.diag(self.information)[[0, 3]] ** -0.5
+        return -price_of(inverse(self.known_T_seen) @ known_T_seen, (place, turn))
+
 
 def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expected: Expected | None = None) -> Alignment:
-    """Lay a scan on a local map, from the candidate that all its returns speak for most.
+    """Lay a scan on a local map, from the likeliest of candidates, by all its returns and by what was expected.
 
     Candidates are told apart by some of the elements; only the best is worked out with all. Where no returns speak, a
     descent would end anywhere: there what is expected does, or nothing moves.
@@ -237,18 +258,21 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expecte
     """
     elements, sight = scan.elements, _Sight(scan)
     some = elements[:: int(np.ceil(len(elements) / _SOME))]
-    rough: list[tuple[float, float, FloatArray]] = []
-    for start in candidates:
-        if any(np.abs(start - other).max() < _SAME for other in candidates[: len(rough)]):
-            rough.append((-np.inf, 0.0, start))
+    rough: list[tuple[Tried, float, float]] = []
+    for number, start in enumerate(candidates):
+        if any(np.abs(start - other).max() < _SAME for other in candidates[:number]):
             continue
         motion = _descended(some, known, start, _REACHES, expected)
-        rough.append((*_scored(some, sight, known, motion), motion))
-    score, share, motion = max(rough, key=lambda one: one[0])
+        score, share = _scored(some, sight, known, motion)
+        prior = 0.0 if expected is None else expected.log_likelihood(motion)
+        rough.append((Tried(motion, _TELLING * score + prior), score, share))
+    rough.sort(key=lambda one: -one[0].log_likelihood)  # stable: of equals the first
+    (best, score, share), *_ = rough
+    motion = best.known_T_seen
     if len(some) < len(elements):
         motion = _descended(elements, known, motion, _REACHES[-2:], expected)
     found = Residuals.of(elements, known, motion, _REACHES[-1] * _widths(elements))
-    return Alignment(motion, found.information(), found, score, share)
+    return Alignment(motion, found.information(), found, score, share, tuple(one for one, *_ in rough))
 
 
 def _descended(

@@ -18,7 +18,7 @@ from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse, orthonormal
 from slam.map.sparsification import Link
 from slam.map.state import Parts
-from slam.registration.relocalization import FoundPlace, found_place, is_wide
+from slam.registration.relocalization import FoundPlace, Rivals, found_place, is_wide
 from slam.tracking.constant_velocity import coast
 from slam.tracking.odometry_check import check
 from slam.tracking.odometry_record import OdometryRecord
@@ -89,6 +89,7 @@ class MotionModel:
         self.calibration = WheelCalibration()
         #: Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them.
         self.unplaced: list[int] = []
+        self.rivals: dict[int, Rivals] = {}
         self.odometry_record = OdometryRecord(parts.config.association.new_significance)
 
     def predict(self, keyframe: Keyframe) -> Prediction:
@@ -152,6 +153,7 @@ class MotionModel:
         if place is None:
             factors = motion.factors(before, key)
             return _Step(world_T_before @ motion.a_T_b, factors, motion, beyond=beyond, is_wide=wide)
+        self.rivals[index] = place.rivals
         kernel, there = self._config.coasting.robust or self._config.backend.robust, place.motion
         pending = [*motion.factors(before, key), *place.factors(before, key, kernel)]
         factors = there.factors(before, key)

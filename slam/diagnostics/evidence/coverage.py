@@ -1,8 +1,10 @@
-"""Evidence: so little was seen, measured, or put to use that an assumption stands where a measurement should."""
+"""Evidence: too little was seen, measured or put to use: an assumption or chance stands where a measurement should."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+
+import numpy as np
 
 from slam.backend.estimator import pose_symbol
 from slam.diagnostics.evidence.finished import Finished
@@ -14,6 +16,8 @@ from spplanes._check import FloatArray
 
 #: Keyframes with fewer than this many are no drive: nothing in them was seen twice and held against a third.
 _LEAST_KEYFRAMES = 3
+#: A sound run is wrong by a place taken for another more seldom than with this probability.
+_MOST_WRONG = 0.05
 
 
 def coverage_evidence(run: Finished) -> Iterator[Evidence]:
@@ -85,3 +89,22 @@ def _sigma_along(run: Finished, keyframe: int, direction: FloatArray) -> float:
     """Standard deviation of a keyframe's position along a direction of the world, m."""
     key = pose_symbol(keyframe)
     return sigma_along("position", direction, run.backend.covariance(key), run.backend.pose(key))
+
+
+def ambiguity_evidence(run: Finished) -> Iterator[Evidence]:
+    """Places found by what was seen alone, where other places fit as well: with what probability one of them is wrong.
+
+    A row of pillars looks the same from one pillar on, a hall from both of its ends.
+    """
+    right = float(np.prod([1.0 - one.probability for one in run.rivals.values()]))
+    if right >= 1.0 - _MOST_WRONG:
+        return
+    likely = [frame for frame, one in run.rivals.items() if one.probability > (1.0 - right) / (2.0 * len(run.rivals))]
+    worst = max(likely, key=lambda frame: run.rivals[frame].probability)
+    _, distance_m, angle_rad = run.rivals[worst]
+    other = f"{distance_m:.1f} m and {np.rad2deg(angle_rad):.0f} deg off at {named((worst,))}"
+    sentence = (
+        f"what was seen at {named(likely)} fits other places nearly as well, {other}: "
+        f"with probability {1.0 - right:.2f} one of those chosen is wrong"
+    )
+    yield Evidence("ambiguity", "doubtful", 0.0, 1.0 - right, "probability", tuple(likely), sentence)

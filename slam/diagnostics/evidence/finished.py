@@ -16,6 +16,7 @@ from slam.io.trajectories import Trajectory
 from slam.loop_closure.verification import LoopDecision
 from slam.map.landmarks import LandmarkMap
 from slam.mapping.late_association import LateMatch
+from slam.registration.relocalization import Rivals
 from slam.session.prior_map import PriorMap
 from slam.tracking.odometry_record import OdometryRecord
 
@@ -86,6 +87,11 @@ class Finished(Protocol):
     @property
     def unplaced(self) -> list[int]:
         """Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them."""
+        ...
+
+    @property
+    def rivals(self) -> dict[int, Rivals]:
+        """Of every keyframe placed by what it saw alone, the other places that this fits."""
         ...
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from slam.diagnostics.evidence.coverage import assumption_evidence, coverage_evidence
+from slam.diagnostics.evidence.coverage import ambiguity_evidence, assumption_evidence, coverage_evidence
 from slam.diagnostics.evidence.doubled import doubled_evidence
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.free_space import free_space_evidence
@@ -35,6 +35,7 @@ def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
         return
     poses, views = run.trajectory.poses, views_of(run.keyframes)
     yield from assumption_evidence(run)
+    yield from ambiguity_evidence(run)
     yield from nis_evidence(run)
     yield from odometry_evidence(run)
     yield from believed_evidence(run)

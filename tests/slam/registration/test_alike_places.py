@@ -55,3 +55,14 @@ def test_where_only_walls_along_the_way_are_known_again_it_is_open():
     run, positions, _ = without_odometry(33, slice(70, 82))
     ((opened,),) = [stretch.keyframes for stretch in run.slam.open_directions]
     assert positions[opened] > 0.1
+
+
+def test_a_scan_that_fits_one_pillar_on_as_well_makes_a_run_doubtful():
+    """Three seconds without a scan, and nothing but scans: at the fifth the next pillar is taken for the first."""
+    run, positions, _ = without_odometry(55, slice(62, 83, 3))
+    assert positions.max() > 4.0
+    assert run.verdict.verdict == "doubtful"
+    [found] = [one for one in run.verdict.evidence if one.kind == "ambiguity"]
+    assert 4 in found.keyframes and found.size > 0.2
+    sure, positions, _ = without_odometry(50, slice(62, 83, 3))
+    assert positions.max() < 0.01 and sure.verdict.verdict == "sound"

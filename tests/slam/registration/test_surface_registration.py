@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -11,8 +13,9 @@ from slam.config import SlamConfig
 from slam.frontend.keyframes import keyframes_of
 from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE
 from slam.geometry.frames import inverse
-from slam.registration.relocalization import _on
-from slam.registration.surface_registration import Expected, LocalMap, Residuals, Scan, _Sight, align, moved
+from slam.registration.plane_registration import price_of
+from slam.registration.relocalization import NO_RIVALS, _on, _rivals, scan_of
+from slam.registration.surface_registration import Expected, LocalMap, Residuals, Scan, Tried, _Sight, align, moved
 from slam.simulation import simulate_mission
 from tests.slam.depth_scenes import between, looking, measured
 
@@ -172,15 +175,15 @@ def test_pillars_are_found_from_further_off_than_walls_are_uneven(seed: int) -> 
     assert np.linalg.norm(off(found.known_T_seen, true)[3:]) < 0.01
 
 
-def pillared(x: float) -> Scan:
-    """Elements that a scanner of sixteen rings has of a long hall with one pillar, 1.2 m above the floor at x, m."""
+def pillared(x: float, pillars: int = 1) -> Scan:
+    """Elements that a scanner of sixteen rings has of a long hall with a pillar or none, 1.2 m above its floor, m."""
     elevation, azimuth = np.meshgrid(np.deg2rad(np.linspace(-15.0, 15.0, 16)), np.deg2rad(np.arange(0.0, 360.0, 3.0)))
     across = np.cos(elevation)
     rays = np.stack((across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)), axis=-1).reshape(-1, 3)
     eye, middle = np.array([x, 0.0, 1.2]), np.array([0.0, 0.0, 2.0])
     best, normals = np.full(len(rays), np.inf), np.zeros_like(rays)
     boxes = [(middle, (100.0, 5.0, 2.0)), (np.array([2.3, -3.0, 2.0]), (0.3, 0.3, 2.0))]
-    for k, (centre, half) in enumerate(boxes):
+    for k, (centre, half) in enumerate(boxes[: 1 + pillars]):
         with np.errstate(divide="ignore"):
             near, far = np.sort([(centre + side * np.array(half) - eye) / rays for side in (-1.0, 1.0)], axis=0)
         axis = far.argmin(axis=1) if k == 0 else near.argmax(axis=1)  # the hall is seen from inside, the pillar is not
@@ -213,3 +216,32 @@ def test_a_surface_goes_on_between_the_beams_but_not_across_an_edge() -> None:
     np.testing.assert_allclose(
         sight.off_surfaces(np.vstack((wall, before, away, edge))), (0.0, 0.2, np.inf, np.inf), atol=1e-9
     )
+
+
+def test_of_places_that_fit_alike_the_expected_one_is_taken_and_the_other_is_named() -> None:
+    """A hall without a pillar, from its middle: turned on one's heel it looks the same."""
+    seen, known = pillared(0.0, pillars=0), LocalMap([(np.eye(4), pillared(0.0, pillars=0))])
+    heel = ahead(0.0, np.pi)
+    for start, other in ((np.eye(4), heel), (heel, np.eye(4))):
+        expected = Expected(start, np.diag(np.repeat([0.5, 1.0], 3) ** -2.0))
+        found = align(seen, known, [other, start], expected)
+        np.testing.assert_allclose(found.known_T_seen, start, atol=1e-6)
+        first, second = found.tried
+        assert first.log_likelihood - second.log_likelihood == pytest.approx(price_of(heel, (1.0, 0.5)), abs=0.2)
+
+
+def test_rivals_are_other_places_and_each_counts_once() -> None:
+    found = align(pillared(0.0), LocalMap([(np.eye(4), pillared(0.0))]), [np.eye(4)])
+    best = found.tried[0].log_likelihood
+    off = [
+        Tried(ahead(5.0), best - np.log(4.0)),
+        Tried(ahead(5.001), best - np.log(4.0)),
+        Tried(ahead(0.0, 3.0), -np.inf),
+    ]
+    near = Tried(ahead(0.01), best - 0.1)
+    covariance = np.diag(np.repeat([0.02, 0.004], 3) ** 2)
+    rivals = _rivals(replace(found, tried=(found.tried[0], near, *off)), covariance)
+    assert rivals == pytest.approx((0.2, 5.0, 0.0), abs=1e-6)
+    wide = np.diag([9.0, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])  # along an open direction a place is one, however long
+    assert _rivals(replace(found, tried=(found.tried[0], near, *off)), wide).probability == 0.0
+    assert _rivals(replace(found, tried=(found.tried[0], near)), covariance) == NO_RIVALS

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from slam.diagnostics.evidence.coverage import assumption_evidence
+from slam.diagnostics.evidence.coverage import ambiguity_evidence, assumption_evidence
+from slam.diagnostics.verdict import Evidence
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
 from slam.planeslam import PlaneSlam
+from slam.registration.relocalization import Rivals
 from spplanes import Plane
 from tests.slam.registration.test_plane_registration import body, hall, measured
 
@@ -39,3 +43,15 @@ def test_a_bare_corridor_without_odometry_is_doubted() -> None:
 @pytest.mark.parametrize("planes, odometry", [(hall(), False), (CORRIDOR, True)], ids=["hall", "odometry"])
 def test_what_is_seen_or_measured_is_no_assumption(planes: list[Plane], odometry: bool) -> None:
     assert not list(assumption_evidence(driven(planes, odometry=odometry)))
+
+
+def test_places_that_fit_as_well_are_counted_together() -> None:
+    def of(*probabilities: float) -> list[Evidence]:
+        rivals = {3 + k: Rivals(p, 5.0 + k, np.pi) for k, p in enumerate(probabilities)}
+        return list(ambiguity_evidence(SimpleNamespace(rivals=rivals)))  # type: ignore[arg-type]
+
+    assert of() == of(0.0) == of(0.02, 0.02) == []
+    [found] = of(0.2, 0.0, 0.5)
+    assert found.size == pytest.approx(0.6) and found.keyframes == (3, 5) and found.grade == "doubtful"
+    assert "7.0 m and 180 deg off at keyframe 5" in found.sentence and "probability 0.60" in found.sentence
+    assert len(of(*[0.01] * 6)) == 1
