@@ -22,7 +22,8 @@ from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.plane_registration import PlaneMatching, match_planes_widely, pairs_under
-from slam.registration.surface_registration import Alignment, Expected, LocalMap, Scan, align
+from slam.registration.surface_registration import Alignment, Expected, LocalMap, align
+from slam.registration.visibility import Scan
 from spplanes import Plane
 from spplanes._check import FloatArray
 

@@ -19,19 +19,17 @@ from typing import NamedTuple
 
 import gtsam
 import numpy as np
-from scipy.spatial import KDTree
 
 from slam.frontend.scan_surfaces import ON_EDGE, ON_PLANE
 from slam.geometry.frames import inverse, lift
 from slam.registration.plane_registration import price_of
+from slam.registration.visibility import ALIKE, Scan, Sight, tree_of
 from spplanes._check import FloatArray
 
 #: An element is about so wide as a share of its range, one on a plane the latter; all reaches are multiples of that.
 _WIDTH, _WIDTH_ON_PLANE = 0.03, 0.06
 #: How far, in widths, partners are looked for in one stage after another; and the iterations of each.
 _REACHES, _STEPS = (6.0, 3.0, 1.5, 1.0), 6
-#: Partners look the same way to this cosine; of edges, whose direction turns with the viewpoint, likewise.
-_ALIKE = 0.85
 #: Residuals are weighed by a Geman-McClure kernel of so many robust standard deviations of all of them.
 _KERNEL = 3.0
 #: That is never taken for less than this, m.
@@ -42,9 +40,6 @@ _CONVERGED = 1e-4
 _SOME, _SAME = 700, 5e-3
 #: Standard deviations of a motion that nothing says anything of, rad and m.
 _NOTHING_RAD, _NOTHING_M = 3.0, 10.0
-#: One direction are elements within this angle, rad, when there are so many; something stands before them when it is
-#: nearer than all by this share of the range and so many m.
-_DIRECTION_RAD, _ABOUT, _BEFORE_SHARE, _BEFORE_M = 0.1, 4, 0.08, 0.1
 #: An element seen through speaks so many times more against a place than one that fits speaks for it, 3.8 by the
 #: regression below: where walls are alike, half of them fit anywhere, but at the right place next to nothing is seen
 #: through.
@@ -81,16 +76,6 @@ class Alignment:
     """All places that were looked at, the likeliest, which is the one above, first."""
 
 
-@dataclass(frozen=True, eq=False)
-class Scan:
-    """A 3D scan as it is registered."""
-
-    elements: FloatArray
-    """Its surface elements in the body frame, shape (N, 8); see `slam.frontend.scan_surfaces`."""
-    viewpoint: FloatArray
-    """Where the sensor was, in the body frame, shape (3,), m."""
-
-
 class LocalMap:
     """Surface elements of a few keyframes in one frame, to register scans on."""
 
@@ -99,7 +84,7 @@ class LocalMap:
         rows = np.concatenate([moved(scan.elements, pose) for pose, scan in parts])
         self.points, self.directions, self.sigmas, self.kinds = rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7]
         self._groups = [np.flatnonzero(self.kinds != ON_EDGE), np.flatnonzero(self.kinds == ON_EDGE)]
-        self._trees = [_tree(self.points[group]) if len(group) else None for group in self._groups]
+        self._trees = [tree_of(self.points[group]) if len(group) else None for group in self._groups]
         self._parts = parts
 
     def partners(self, points: FloatArray, directions: FloatArray, kinds: np.ndarray, reach: FloatArray) -> np.ndarray:
@@ -113,11 +98,11 @@ class LocalMap:
             near = apart < reach[mine]
             mine, other = mine[near], group[np.asarray(index)[near]]
             cosine = np.einsum("ki,ki->k", directions[mine], self.directions[other])
-            alike = (np.abs(cosine) if edges else cosine) > _ALIKE
+            alike = (np.abs(cosine) if edges else cosine) > ALIKE
             partner[mine[alike]] = other[alike]
         return partner
 
-    def contradicted(self, known_T_seen: FloatArray, some: FloatArray, alone: np.ndarray, sight: _Sight) -> float:
+    def contradicted(self, known_T_seen: FloatArray, some: FloatArray, alone: np.ndarray, sight: Sight) -> float:
         """Share of a scan that is seen through: what stands before what the newest keyframe saw, or that before it.
 
         Args:
@@ -141,73 +126,9 @@ class LocalMap:
         return apart
 
     @cached_property
-    def _sights(self) -> list[_Sight]:
+    def _sights(self) -> list[Sight]:
         """What each keyframe saw."""
-        return [_Sight(scan) for _, scan in self._parts]
-
-
-class _Sight:
-    """What a scan saw, from where it was seen: how far other points are from it, and which stand before it."""
-
-    def __init__(self, scan: Scan) -> None:
-        self._elements, self._viewpoint = scan.elements, scan.viewpoint
-        self._rays = scan.elements[:, :3] - scan.viewpoint
-        self._depth = np.linalg.norm(self._rays, axis=1)
-
-    @cached_property
-    def _directions(self) -> KDTree:
-        return _tree(self._rays / np.maximum(self._depth, 1e-9)[:, None])
-
-    @cached_property
-    def _places(self) -> KDTree:
-        return _tree(self._elements[:, :3])
-
-    def apart(self, points: FloatArray) -> FloatArray:
-        """Distances of points (N, 3) from the nearest that was seen, (N,), m."""
-        return np.asarray(self._places.query(points)[0], dtype=np.float64)
-
-    def through(self, points: FloatArray) -> int:
-        """How many of points (N, 3) stand well before all that was seen about their direction.
-
-        Before a surface is what is nearer than it and off it: beside what was seen of a wall the wall goes on, and
-        along it the range is any.
-        """
-        common, about = self._about(points)
-        ranges = np.linalg.norm(points[common] - self._viewpoint, axis=1)
-        nearer = ranges[:, None] < (1.0 - _BEFORE_SHARE) * self._depth[about] - _BEFORE_M
-        behind = self._elements[about]
-        off = np.einsum("kai,kai->ka", points[common, None] - behind[..., :3], behind[..., 3:6])
-        return int(np.count_nonzero((nearer & ((off > _BEFORE_M) | (behind[..., 7] == ON_EDGE))).all(axis=1)))
-
-    def off_surfaces(self, elements: FloatArray) -> FloatArray:
-        """How far elements (N, 8) are from the surface about their direction, (N,), m; infinite: there is none of it.
-
-        A surface goes on between the beams that it was seen by. Of those about a direction that look the same way the
-        nearest counts; across an edge nothing goes on.
-        """
-        apart = np.full(len(elements), np.inf)
-        common, index = self._about(elements[:, :3])
-        mine, about = elements[common], self._elements[index]
-        off = np.abs(np.einsum("kai,kai->ka", mine[:, None, :3] - about[..., :3], about[..., 3:6]))
-        alike = np.einsum("ki,kai->ka", mine[:, 3:6], about[..., 3:6]) > _ALIKE
-        on_surfaces = (about[..., 7] != ON_EDGE) & (mine[:, None, 7] != ON_EDGE)
-        apart[common] = np.where(alike & on_surfaces, off, np.inf).min(axis=1, initial=np.inf)
-        return apart
-
-    def _about(self, points: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-        """Which of points (N, 3) something was seen about the direction of, (K,), and what it was, (K, _ABOUT)."""
-        if len(points) == 0 or len(self._elements) < _ABOUT:
-            return np.empty(0, dtype=np.int64), np.empty((0, _ABOUT), dtype=np.int64)
-        rays = points - self._viewpoint
-        directions = rays / np.maximum(np.linalg.norm(rays, axis=1), 1e-9)[:, None]
-        apart, index = self._directions.query(directions, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
-        common = np.flatnonzero(np.isfinite(apart).all(axis=1))
-        return common, np.asarray(index)[common]
-
-
-def _tree(points: FloatArray) -> KDTree:
-    """A tree that is asked a few times only: made fast rather than good."""
-    return KDTree(points, balanced_tree=False, compact_nodes=False)
+        return [Sight(scan) for _, scan in self._parts]
 
 
 def moved(elements: FloatArray, pose: FloatArray) -> FloatArray:
@@ -256,7 +177,7 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expecte
         candidates: motions known_T_seen to start from, about right, shape (4, 4) each; of equals the first is taken.
         expected: what is known before looking; the information of the result is without it.
     """
-    elements, sight = scan.elements, _Sight(scan)
+    elements, sight = scan.elements, Sight(scan)
     some = elements[:: int(np.ceil(len(elements) / _SOME))]
     rough: list[tuple[Tried, float, float]] = []
     for number, start in enumerate(candidates):
@@ -299,7 +220,7 @@ def _descended(
     return motion
 
 
-def _scored(some: FloatArray, sight: _Sight, known: LocalMap, motion: FloatArray) -> tuple[float, float]:
+def _scored(some: FloatArray, sight: Sight, known: LocalMap, motion: FloatArray) -> tuple[float, float]:
     """Score and share of some of a scan's elements at a motion; see `Alignment`.
 
     Beams move with the sensor: were only those elements counted that come to lie on another, the place where nothing

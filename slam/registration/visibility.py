@@ -1,13 +1,16 @@
-"""Visibility: what is seen cannot lie behind a known wall."""
+"""Visibility: what is seen cannot lie behind a known wall, and what was seen through is not there."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import shapely
+from scipy.spatial import KDTree
 
+from slam.frontend.scan_surfaces import ON_EDGE
 from slam.geometry.frames import inverse, lift
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -17,6 +20,11 @@ from spplanes._check import FloatArray
 _BEFORE_M, _INSIDE_M, _STEEP = 0.3, 0.1, 0.17
 #: Rays to a plane: a grid of so many by so many over the box around its outline, those that meet it.
 _GRID = 3
+#: Two surface elements look the same way to this cosine; of edges, whose direction turns with the viewpoint, likewise.
+ALIKE = 0.85
+#: One direction are elements within this angle, rad, when there are so many; something stands before them when it is
+#: nearer than all by this share of the range and so many m.
+_DIRECTION_RAD, _ABOUT, _NEARER_SHARE, _NEARER_M = 0.1, 4, 0.08, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,3 +83,77 @@ def points_on(plane: Plane) -> FloatArray:
         middle = outline.representative_point()
         places = np.array([[middle.x, middle.y, 0.0]])
     return lift(places, plane.frame)
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A 3D scan as it is registered."""
+
+    elements: FloatArray
+    """Its surface elements in the body frame, shape (N, 8); see `slam.frontend.scan_surfaces`."""
+    viewpoint: FloatArray
+    """Where the sensor was, in the body frame, shape (3,), m."""
+
+
+class Sight:
+    """What a scan saw, from where it was seen: how far other points are from it, and which stand before it."""
+
+    def __init__(self, scan: Scan) -> None:
+        self._elements, self._viewpoint = scan.elements, scan.viewpoint
+        self._rays = scan.elements[:, :3] - scan.viewpoint
+        self._depth = np.linalg.norm(self._rays, axis=1)
+
+    @cached_property
+    def _directions(self) -> KDTree:
+        return tree_of(self._rays / np.maximum(self._depth, 1e-9)[:, None])
+
+    @cached_property
+    def _places(self) -> KDTree:
+        return tree_of(self._elements[:, :3])
+
+    def apart(self, points: FloatArray) -> FloatArray:
+        """Distances of points (N, 3) from the nearest that was seen, (N,), m."""
+        return np.asarray(self._places.query(points)[0], dtype=np.float64)
+
+    def through(self, points: FloatArray) -> int:
+        """How many of points (N, 3) stand well before all that was seen about their direction.
+
+        Before a surface is what is nearer than it and off it: beside what was seen of a wall the wall goes on, and
+        along it the range is any.
+        """
+        common, about = self._about(points)
+        ranges = np.linalg.norm(points[common] - self._viewpoint, axis=1)
+        nearer = ranges[:, None] < (1.0 - _NEARER_SHARE) * self._depth[about] - _NEARER_M
+        behind = self._elements[about]
+        off = np.einsum("kai,kai->ka", points[common, None] - behind[..., :3], behind[..., 3:6])
+        return int(np.count_nonzero((nearer & ((off > _NEARER_M) | (behind[..., 7] == ON_EDGE))).all(axis=1)))
+
+    def off_surfaces(self, elements: FloatArray) -> FloatArray:
+        """How far elements (N, 8) are from the surface about their direction, (N,), m; infinite: there is none of it.
+
+        A surface goes on between the beams that it was seen by. Of those about a direction that look the same way the
+        nearest counts; across an edge nothing goes on.
+        """
+        apart = np.full(len(elements), np.inf)
+        common, index = self._about(elements[:, :3])
+        mine, about = elements[common], self._elements[index]
+        off = np.abs(np.einsum("kai,kai->ka", mine[:, None, :3] - about[..., :3], about[..., 3:6]))
+        alike = np.einsum("ki,kai->ka", mine[:, 3:6], about[..., 3:6]) > ALIKE
+        on_surfaces = (about[..., 7] != ON_EDGE) & (mine[:, None, 7] != ON_EDGE)
+        apart[common] = np.where(alike & on_surfaces, off, np.inf).min(axis=1, initial=np.inf)
+        return apart
+
+    def _about(self, points: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+        """Which of points (N, 3) something was seen about the direction of, (K,), and what it was, (K, _ABOUT)."""
+        if len(points) == 0 or len(self._elements) < _ABOUT:
+            return np.empty(0, dtype=np.int64), np.empty((0, _ABOUT), dtype=np.int64)
+        rays = points - self._viewpoint
+        directions = rays / np.maximum(np.linalg.norm(rays, axis=1), 1e-9)[:, None]
+        apart, index = self._directions.query(directions, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
+        common = np.flatnonzero(np.isfinite(apart).all(axis=1))
+        return common, np.asarray(index)[common]
+
+
+def tree_of(points: FloatArray) -> KDTree:
+    """A tree that is asked a few times only: made fast rather than good."""
+    return KDTree(points, balanced_tree=False, compact_nodes=False)

@@ -15,7 +15,8 @@ from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE
 from slam.geometry.frames import inverse
 from slam.registration.plane_registration import price_of
 from slam.registration.relocalization import NO_RIVALS, _on, _rivals, scan_of
-from slam.registration.surface_registration import Expected, LocalMap, Residuals, Scan, Tried, _Sight, align, moved
+from slam.registration.surface_registration import Expected, LocalMap, Residuals, Tried, align, moved
+from slam.registration.visibility import Scan, Sight
 from slam.simulation import simulate_mission
 from tests.slam.depth_scenes import between, looking, measured
 
@@ -129,11 +130,11 @@ def test_nothing_is_seen_through_from_the_true_place_wherever_the_sensor_sits() 
     for metres, turn in ((0.25, 0.0), (0.5, 0.0), (1.25, 0.0), (0.25, 0.4)):
         seen = corridor(ahead(metres, turn))
         known, alone = LocalMap([(np.eye(4), corridor(np.eye(4)))]), np.ones(len(seen.elements), dtype=bool)
-        assert known.contradicted(ahead(metres, turn), seen.elements, alone, _Sight(seen)) < 0.005
+        assert known.contradicted(ahead(metres, turn), seen.elements, alone, Sight(seen)) < 0.005
 
 
 def test_what_stands_before_a_surface_that_was_seen_is_seen_through() -> None:
-    sight = _Sight(corridor(np.eye(4), end_m=4.0))
+    sight = Sight(corridor(np.eye(4), end_m=4.0))
     post = np.column_stack((np.full(20, 2.0), np.full(20, 0.1), np.linspace(0.6, 1.4, 20)))
     assert sight.through(post) == 20
     assert sight.through(post + np.array([1.99, 0.0, 0.0])) == 0  # on the wall at the end
@@ -206,7 +207,7 @@ def test_beams_that_move_with_the_sensor_do_not_say_that_nothing_moved() -> None
 
 
 def test_a_surface_goes_on_between_the_beams_but_not_across_an_edge() -> None:
-    sight = _Sight(pillared(0.0))
+    sight = Sight(pillared(0.0))
     wall = np.array([[1.0, 5.0, 1.05, 0.0, -1.0, 0.0, 0.003, ON_PLANE]])
     wall[:, 2] -= 1.2
     before, away, edge = wall.copy(), wall.copy(), wall.copy()
