@@ -168,8 +168,9 @@ class Expected(NamedTuple):
 def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expected: Expected | None = None) -> Alignment:
     """Lay a scan on a local map, from the likeliest of candidates, by all its returns and by what was expected.
 
-    Candidates are told apart by some of the elements; only the best is worked out with all. Where no returns speak, a
-    descent would end anywhere: there what is expected does, or nothing moves.
+    From each a scan comes to rest by the likelier of two descents. They are told apart by some of the elements; only the
+    best is worked out with all. Where no returns speak, a descent would end anywhere: there what is expected does, or
+    nothing moves.
 
     Args:
         scan: what is seen, not nothing.
@@ -183,10 +184,13 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expecte
     for number, start in enumerate(candidates):
         if any(np.abs(start - other).max() < _SAME for other in candidates[:number]):
             continue
-        motion = _descended(some, known, start, _REACHES, expected)
-        score, share = _scored(some, sight, known, motion)
-        prior = 0.0 if expected is None else expected.log_likelihood(motion)
-        rough.append((Tried(motion, _TELLING * score + prior), score, share))
+        ends: list[tuple[Tried, float, float]] = []
+        for graduated in (False, True):
+            motion = _descended(some, known, start, _REACHES, expected, graduated=graduated)
+            score, share = _scored(some, sight, known, motion)
+            prior = 0.0 if expected is None else expected.log_likelihood(motion)
+            ends.append((Tried(motion, _TELLING * score + prior), score, share))
+        rough.append(max(ends, key=lambda one: one[0].log_likelihood))
     rough.sort(key=lambda one: -one[0].log_likelihood)  # stable: of equals the first
     (best, score, share), *_ = rough
     motion = best.known_T_seen
@@ -202,16 +206,18 @@ def _descended(
     motion: FloatArray,
     reaches: Sequence[float],
     expected: Expected | None = None,
+    *,
+    graduated: bool = False,
 ) -> FloatArray:
     """The motion at which the residuals are least, by Gauss and Newton, partners looked for less and less far.
 
-    The kernel narrows with the reach (graduated non-convexity), and follows the residuals in the last stage alone: most
-    are of floor and walls, which a motion along them leaves where they are, and a kernel as narrow as these are close
-    is blind to the pillars that tell it.
+    The kernel follows the residuals; or it narrows with the reach (graduated non-convexity), and follows them in the
+    last stage alone. Most are of floor and walls, which a motion along them leaves where they are, and a kernel as
+    narrow as these are close is blind to the pillars that tell it; a wide one is led astray by clutter.
     """
     widths = _widths(elements)
     for reach in reaches:
-        kernel = reach * widths if reach > _REACHES[-1] else None
+        kernel = reach * widths if graduated and reach > _REACHES[-1] else None
         for _ in range(_STEPS):
             step = Residuals.of(elements, known, motion, reach * widths, kernel).step(motion, expected)
             motion = motion @ gtsam.Pose3.Expmap(step).matrix()
