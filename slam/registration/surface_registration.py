@@ -168,9 +168,9 @@ class Expected(NamedTuple):
 def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expected: Expected | None = None) -> Alignment:
     """Lay a scan on a local map, from the likeliest of candidates, by all its returns and by what was expected.
 
-    From each a scan comes to rest by the likelier of two descents. They are told apart by some of the elements; only the
-    best is worked out with all. Where no returns speak, a descent would end anywhere: there what is expected does, or
-    nothing moves.
+    From each of them a scan comes to rest by the likelier of two descents. They are told apart by some of the elements;
+    only the best is worked out with all. Where no returns speak, a descent would end anywhere: there what is expected
+    does, or nothing moves.
 
     Args:
         scan: what is seen, not nothing.

@@ -16,8 +16,9 @@ from spplanes._check import FloatArray
 
 #: Keyframes with fewer than this many are no drive: nothing in them was seen twice and held against a third.
 _LEAST_KEYFRAMES = 3
-#: A sound run is wrong by a place taken for another more seldom than with this probability.
-_MOST_WRONG = 0.05
+#: A sound run is wrong by a place taken for another more seldom than with this probability: that a run is wrong and
+#: does not say so counts three times as much as that one is right and doubted.
+_MOST_WRONG = 0.25
 
 
 def coverage_evidence(run: Finished) -> Iterator[Evidence]:

@@ -50,8 +50,8 @@ def test_places_that_fit_as_well_are_counted_together() -> None:
         rivals = {3 + k: Rivals(p, 5.0 + k, np.pi) for k, p in enumerate(probabilities)}
         return list(ambiguity_evidence(SimpleNamespace(rivals=rivals)))  # type: ignore[arg-type]
 
-    assert of() == of(0.0) == of(0.02, 0.02) == []
+    assert of() == of(0.0) == of(0.1, 0.1) == []
     [found] = of(0.2, 0.0, 0.5)
     assert found.size == pytest.approx(0.6) and found.keyframes == (3, 5) and found.grade == "doubtful"
     assert "7.0 m and 180 deg off at keyframe 5" in found.sentence and "probability 0.60" in found.sentence
-    assert len(of(*[0.01] * 6)) == 1
+    assert len(of(*[0.05] * 6)) == 1
