@@ -144,7 +144,8 @@ class PlaneSlam:
         The keyframe is kept: its arrays must not be written to afterwards.
 
         Raises:
-            ValueError: the keyframe is not later than the last one, or has a covariance that is none; it left no trace.
+            KeyframeError: the keyframe is not later than the last one, or has a covariance that is none; it left no
+                trace. A ValueError.
         """
         check_keyframe(keyframe, self.keyframes[-1].stamp_ns if len(self.keyframes) else None)
         keyframe = self._bookkeeping.measured(len(self.keyframes), keyframe)

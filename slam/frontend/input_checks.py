@@ -23,13 +23,24 @@ _FARTHEST_M, _LARGEST_PLANE_M = 1e7, 2e3
 _LEAST_SIGMA, _LARGEST_SIGMA = 1e-9, 1e9
 
 
+class KeyframeError(ValueError):
+    """A keyframe that is refused before anything is done with it; the sentence says what is wrong with it."""
+
+
 def check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
     """Refuse what would leave the graph half changed.
 
     Raises:
-        ValueError: a time not after `after_ns`, or a covariance that is none: of the motion, or of what was seen; and
-            what is no keyframe at all.
+        KeyframeError: a time not after `after_ns`, or a covariance that is none: of the motion, or of what was seen;
+            and what is no keyframe at all.
     """
+    try:
+        _check_keyframe(keyframe, after_ns)
+    except ValueError as error:
+        raise KeyframeError(str(error)) from error
+
+
+def _check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
     check_instance("keyframe", keyframe, Keyframe)
     if not isinstance(keyframe.stamp_ns, int | np.integer):
         raise ValueError(f"keyframe.stamp_ns: expected whole nanoseconds, got {keyframe.stamp_ns!r}")

@@ -184,20 +184,22 @@ def _rivals(found: Alignment, covariance: FloatArray) -> Rivals:
     """The other places that a scan may lie at; SP covariance (6, 6) of the one that was found."""
     odds, places = [], [found.known_T_seen]
     for one in found.tried[1:]:
-        if all(_apart(place, one.known_T_seen, covariance) for place in places):
+        if not any(are_one(place, one.known_T_seen, covariance, _SIGNIFICANCE) for place in places):
             places.append(one.known_T_seen)
             odds.append(float(np.exp(one.log_likelihood - found.tried[0].log_likelihood)))
     if not odds:
         return NO_RIVALS
-    off = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(places[0]) @ places[1]))  # the likeliest comes first
-    far = float(np.linalg.norm(places[1][:3, 3] - places[0][:3, 3]))
-    return Rivals(sum(odds) / (1.0 + sum(odds)), far, float(np.linalg.norm(off[:3])))
+    between = gtsam.Pose3(inverse(places[0]) @ places[1])  # the likeliest comes first
+    distance_m, angle_rad = (
+        float(np.linalg.norm(one)) for one in (between.translation(), gtsam.Rot3.Logmap(between.rotation()))
+    )
+    return Rivals(sum(odds) / (1.0 + sum(odds)), distance_m, angle_rad)
 
 
-def _apart(place: FloatArray, other: FloatArray, covariance: FloatArray) -> bool:
-    """Whether two places (4, 4) are not the same within the covariance (6, 6), SP order, of one."""
+def are_one(place: FloatArray, other: FloatArray, covariance: FloatArray, significance: float) -> bool:
+    """Whether two places (4, 4) may be the same, by the covariance (6, 6) of their difference, SP order."""
     off = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(place) @ other))[POSE3_TO_SP]
-    return bool(off @ np.linalg.solve(covariance, off) > chdtri(6, _SIGNIFICANCE))
+    return bool(off @ np.linalg.solve(covariance, off) <= chdtri(6, significance))
 
 
 def _on(elements: FloatArray, observations: Sequence[Observation]) -> np.ndarray:

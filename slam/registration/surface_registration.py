@@ -237,7 +237,7 @@ def _scored(some: FloatArray, sight: Sight, known: LocalMap, motion: FloatArray)
     alone = np.ones(len(some), dtype=bool)
     alone[found.index] = False
     against = known.contradicted(motion, some, alone, sight)
-    fit = found.closeness(widths) + _close(known.between(motion, some[alone]), widths[alone])
+    fit = _close(found.off, widths[found.index]) + _close(known.between(motion, some[alone]), widths[alone])
     return fit / len(some) - AGAINST * against, len(found.off) / len(some)
 
 
@@ -302,10 +302,6 @@ class Residuals:
         some = elements[self.index]
         weighted = self.weights[some, None] * self.jacobian[some]
         return self.jacobian[some].T @ weighted, -weighted.T @ self.off[some]
-
-    def closeness(self, widths: FloatArray) -> float:
-        """Number of elements that are close to their partners, each by how close."""
-        return _close(self.off, widths[self.index])
 
 
 def _close(off: FloatArray, widths: FloatArray) -> float:

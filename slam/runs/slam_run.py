@@ -12,7 +12,7 @@ import numpy as np
 from slam.config import SlamConfig
 from slam.diagnostics.evidence import look_at
 from slam.diagnostics.verdict import Verdict
-from slam.frontend.input_checks import check_keyframe
+from slam.frontend.input_checks import KeyframeError
 from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
 from slam.frontend.odometry import OdometryTrack
 from slam.geometry.frames import inverse
@@ -117,12 +117,11 @@ def run_slam(
 def _add(slam: PlaneSlam, keyframe: Keyframe, *, strict: bool) -> None:
     """Add a keyframe; what it saw is left out, with a note, where it is refused."""
     try:
-        check_keyframe(keyframe, slam.keyframes[-1].stamp_ns if len(slam.keyframes) else None)
-    except ValueError as error:
+        slam.add_keyframe(keyframe)
+    except KeyframeError as error:  # any other came after it had entered
         if strict:
             raise
-        keyframe = replace(keyframe, observations=[], notes=(*keyframe.notes, str(error)))
-    slam.add_keyframe(keyframe)
+        slam.add_keyframe(replace(keyframe, observations=[], notes=(*keyframe.notes, str(error))))
 
 
 def odometry_of(log: Log, rig: Rig, trajectory: Trajectory) -> Trajectory:

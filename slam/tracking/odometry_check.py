@@ -9,12 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import gtsam
 import numpy as np
 from scipy.linalg import eigh
 from scipy.special import chdtri
 
-from factors._conventions import POSE3_TO_SP
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
@@ -29,6 +27,7 @@ from slam.registration.relocalization import (
     SILENT,
     SILENT_M,
     SILENT_RAD,
+    are_one,
     information_of,
     is_wide,
     laid_widely,
@@ -161,8 +160,7 @@ def planes_confirm(
 
 def _agree(motion: Motion, place: FloatArray, covariance: FloatArray, significance: float) -> bool:
     """Whether a motion and the place found from where it leads (4, 4), SP covariance (6, 6), may be the same."""
-    off = gtsam.Pose3.Logmap(gtsam.Pose3(place))[POSE3_TO_SP]
-    return bool(off @ np.linalg.solve(covariance + spatial(motion), off) <= chdtri(6, significance))
+    return are_one(np.eye(4), place, covariance + spatial(motion), significance)
 
 
 def _by_returns(information: FloatArray) -> FloatArray:

@@ -89,6 +89,7 @@ class MotionModel:
         self.calibration = WheelCalibration()
         #: Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them.
         self.unplaced: list[int] = []
+        #: Of every keyframe placed by what it saw alone, the other places that this fits.
         self.rivals: dict[int, Rivals] = {}
         self.odometry_record = OdometryRecord(parts.config.association.new_significance)
 

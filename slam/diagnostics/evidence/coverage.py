@@ -37,13 +37,13 @@ def coverage_evidence(run: Finished) -> Iterator[Evidence]:
     if run.unplaced:
         lost = f"what was seen at {named(run.unplaced)} fits nowhere, and nobody measured the motion to there"
         yield _certain(len(run.unplaced), run.unplaced, f"{lost}: an assumption alone placed them")
-    blind = unplaced(run)
+    blind = unmatched_keyframes(run)
     if 2 * len(blind) > len(frames) - 1:
         much = f"{len(blind)} of {len(frames) - 1} keyframes saw no plane that was known"
         yield _certain(len(blind), blind, f"{much} ({named(blind)}): odometry or an assumption alone placed them")
 
 
-def unplaced(run: Finished) -> list[int]:
+def unmatched_keyframes(run: Finished) -> list[int]:
     """Keyframes after the first none of whose observations was matched, then or later."""
     late = {one.keyframe for one in run.late_matches}
     return [
