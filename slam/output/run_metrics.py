@@ -35,6 +35,8 @@ def metrics_of(run: Run) -> list[Metric]:
         rows.append(Metric("metres of wall", length, "m"))
         rows.append(Metric("wall landmarks per metre of wall", n_walls / length, "1/m"))
     rows += _pair_rows(facing_pairs(run.planes)[:6])
+    if steps := [one for one in run.slam.odometry_record.steps if one.check.off is not None]:
+        rows.append(Metric("odometry errs, times what is stated, by 3D scans", steps[-1].scale, ""))
     for summary in run.slam.audit.summary():
         band = f"{summary.low:.3f} to {summary.high:.3f}"
         rows.append(Metric(f"NIS per dof, {summary.kind} factors (95 % band {band})", summary.mean_per_dof, ""))

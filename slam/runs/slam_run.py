@@ -15,6 +15,7 @@ from slam.diagnostics.verdict import Verdict
 from slam.frontend.input_checks import KeyframeError
 from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
 from slam.frontend.odometry import OdometryTrack
+from slam.frontend.range_noise import with_shown_noise
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory
 from slam.planeslam import MapPlane, PlaneSlam
@@ -79,7 +80,8 @@ def run_slam(
     """Estimate trajectory and planes of a log.
 
     Args:
-        log, rig, config: what to work on, with which sensors, and how.
+        log, rig, config: what to work on, with which sensors, and how; of ranges that show more noise than the rig
+            states what they show is taken, with a note in the log (`slam.frontend.range_noise`).
         slam: an estimator to go on with, which has the first keyframes of the log already; None: a new one.
         batch: solve the same graph once more as a whole at the end.
         jobs: processes that measure keyframes while the estimate goes on; the result is the same to the bit.
@@ -96,6 +98,7 @@ def run_slam(
     slam = slam or PlaneSlam(config)
     slam.clock = slam.backend.clock = clock
     done_before = len(slam.keyframes)
+    rig = with_shown_noise(log, rig)
     total = count_keyframes(log, rig, config)
     with closing(keyframes_of(log, rig, config, done_before, segment=slam.segment, jobs=jobs)) as frames:
         for done in range(done_before, total):

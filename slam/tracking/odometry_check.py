@@ -9,15 +9,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import gtsam
 import numpy as np
 from scipy.linalg import eigh
 from scipy.special import chdtri
 
+from factors._conventions import POSE3_TO_SP
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
 from slam.frontend.occupancy import NOVEL_SHARE
-from slam.frontend.odometry import Motion, spatial_covariance
+from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
 from slam.map.landmarks import LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
@@ -38,6 +40,7 @@ from slam.registration.relocalization import (
     stated,
 )
 from slam.registration.surface_registration import AGAINST, Alignment, Expected, align, most_information
+from slam.tracking.odometry_scale import spatial
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -58,6 +61,10 @@ class Check(NamedTuple):
     """Whether it speaks against it."""
     place: FloatArray | None = None
     """Covariance of where the scan itself has the body, SP order, shape (6, 6); None: nowhere, or nobody asked."""
+    off: FloatArray | None = None
+    """How far from where the motion leads that is, SP order along the axes there, shape (6,); None: as for it."""
+    known: FloatArray | None = None
+    """Covariance of that as the fit has it, without what it leaves out, shape (6, 6); None: as for it."""
 
     def tells(self, motion: Motion, errors: FloatArray, significance: float) -> np.ndarray:
         """Which errors of a motion this scan would speak against, shape (K,).
@@ -105,7 +112,7 @@ def check(
     if not doubted:
         by_planes = planes_confirm(motion, before, seen, scan.elements, significance)
         if by_planes is not None:
-            return Check(False, by_planes)
+            return by_planes
     expected_T_world = inverse(backend.pose(pose_symbol(len(keyframes) - 1)) @ motion.a_T_b)
     known = local_map(keyframes, backend, expected_T_world)
     if known is None:
@@ -115,21 +122,21 @@ def check(
         return not _agree(motion, found.known_T_seen, _by_returns(found.information), significance)
 
     found = align(scan, known, [np.eye(4)])
-    place = _by_returns(found.information) if found.score > 0.0 else None
+    rests = _rests(found) if found.score > 0.0 else (None, None, None)
     if is_off(found) or (found.score > 0.0 and not doubted):
-        return Check(is_off(found), place)
+        return Check(is_off(found), *rests)
     b_T_a = inverse(motion.a_T_b)
     seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
     matched = match_planes_widely(*seen_and_known, sigmas_of(otherwise))
     expected = Expected(b_T_a @ otherwise.a_T_b, information_of(otherwise))
     rival = laid_widely(scan, known, matched, expected, b_T_a)
-    return Check(rival.score > found.score + (0.0 if doubted else _CLEARLY) and is_off(rival), place)
+    return Check(rival.score > found.score + (0.0 if doubted else _CLEARLY) and is_off(rival), *rests)
 
 
 def planes_confirm(
     motion: Motion, before: Sequence[Plane], seen: Sequence[Plane], elements: FloatArray, significance: float
-) -> FloatArray | None:
-    """Where the planes of two scans have the body, if they agree with its motion and leave nothing to other returns.
+) -> Check | None:
+    """What the planes of two scans say, if they agree with a motion and leave nothing to other returns.
 
     What tells a wrong motion from a true one is how well it is known where the scan comes to rest, and how well the
     motion is. By planes the two together must be about as small, in every direction, as by returns at their best.
@@ -142,7 +149,7 @@ def planes_confirm(
         significance: probability that a true motion is not confirmed.
 
     Returns:
-        Covariance of that place, SP order, shape (6, 6); None: they do not confirm the motion.
+        Where they have the body; None: they do not confirm the motion.
     """
     mine, theirs = (PlaneArrays.as_given(planes) for planes in (seen, before))
     pairs = np.array(pairs_under(motion.a_T_b, mine, theirs), dtype=np.int64).reshape(-1, 2)
@@ -155,7 +162,7 @@ def planes_confirm(
     by_planes, at_best, apart = stated(covariance), _by_returns(most_information(elements)), spatial(motion)
     widest = eigh(by_planes + apart, at_best + apart, eigvals_only=True)[-1]
     confirmed = widest < _AS_GOOD**2 and _agree(motion, place, by_planes, significance)
-    return by_planes if confirmed else None
+    return Check(False, by_planes, _off(place), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]) if confirmed else None
 
 
 def _agree(motion: Motion, place: FloatArray, covariance: FloatArray, significance: float) -> bool:
@@ -168,8 +175,12 @@ def _by_returns(information: FloatArray) -> FloatArray:
     return stated(np.linalg.inv(information + SILENT).astype(np.float64))
 
 
-def spatial(motion: Motion) -> FloatArray:
-    """Covariance of a motion in SP order along the axes of its end, shape (6, 6)."""
-    if not motion.is_planar:
-        return motion.covariance
-    return spatial_covariance(motion.covariance, motion.a_T_b, motion.out_of_plane_sigmas)
+def _rests(found: Alignment) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where returns lay a scan: covariance as believed, how far off that is, and covariance as the fit has it."""
+    covariance = np.linalg.inv(found.information + SILENT).astype(np.float64)
+    return stated(covariance), _off(found.known_T_seen), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+
+
+def _off(place: FloatArray) -> FloatArray:
+    """A small motion (4, 4) in SP order, shape (6,)."""
+    return gtsam.Pose3.Logmap(gtsam.Pose3(place))[POSE3_TO_SP].astype(np.float64)

@@ -27,11 +27,13 @@ class CheckedStep(NamedTuple):
     keyframe: int
     """Where it ends."""
     motion: Motion
-    """As it was measured."""
+    """As it was measured, as wide as it was taken to be."""
     check: Check
     """What the scan said."""
     used: Literal["as stated", "erring", "not"]
     """What became of it: used as it was stated, as far off as others were, or not, for an assumption was nearer."""
+    scale: float = 1.0
+    """Times its stated sigma that `motion` has; see `slam.tracking.odometry_scale`."""
 
 
 @dataclass
@@ -67,7 +69,9 @@ class OdometryRecord:
             self._errors.append((_off(measured.a_T_b, a_T_b), _off(expected.a_T_b, a_T_b)))
             self._last = None
 
-    def take(self, keyframe: int, motion: Motion, expected: Motion, guess: Motion, check: Check) -> Motion:
+    def take(
+        self, keyframe: int, motion: Motion, expected: Motion, guess: Motion, check: Check, scale: float = 1.0
+    ) -> Motion:
         """What is known of a step by odometry and the check of it.
 
         Args:
@@ -76,6 +80,7 @@ class OdometryRecord:
             expected: the motion had nobody measured it.
             guess: how far a body may move of which nothing is known.
             check: what a 3D scan says of it.
+            scale: times its stated sigma that the motion has.
         """
         nearer = self._expected_is_nearer
         untold = self.untold(motion, check)
@@ -88,7 +93,7 @@ class OdometryRecord:
             used, known = "not", expected
         else:
             used, known = "erring", _erring(motion, untold.T @ untold / (len(self._errors) + self._fine()))
-        self.steps.append(CheckedStep(keyframe, motion, check, used))
+        self.steps.append(CheckedStep(keyframe, motion, check, used, scale))
         return known
 
     def untold(self, motion: Motion, check: Check) -> FloatArray:

@@ -22,6 +22,7 @@ from slam.registration.relocalization import FoundPlace, Rivals, found_place, is
 from slam.tracking.constant_velocity import coast
 from slam.tracking.odometry_check import check
 from slam.tracking.odometry_record import OdometryRecord
+from slam.tracking.odometry_scale import OdometryScale, scaled
 from spplanes._check import FloatArray
 
 
@@ -92,6 +93,7 @@ class MotionModel:
         #: Of every keyframe placed by what it saw alone, the other places that this fits.
         self.rivals: dict[int, Rivals] = {}
         self.odometry_record = OdometryRecord(parts.config.association.new_significance)
+        self.odometry_scale = OdometryScale()
 
     def predict(self, keyframe: Keyframe) -> Prediction:
         """Put the pose of a new keyframe into the graph, where others may leave it."""
@@ -106,7 +108,10 @@ class MotionModel:
         indices = self._backend.update([*own_factors, *through], initial, remove=removal.stale)
         own = indices[: len(own_factors)]
         self._sparsifier.removed(removal, indices[len(own_factors) :])
-        measured, n_step = None if step.place is not None or index == 0 else keyframe.motion, len(step.factors)
+        measured = None if step.place is not None or index == 0 else keyframe.motion
+        if measured is not None:
+            measured = scaled(measured, self.odometry_scale.factor)
+        n_step = len(step.factors)
         standing_in = own[n_step : n_step + len(beyond)]
         floor = own[1:n_step] + own[n_step + len(beyond) :]
         link = None if measured is None else Link(_with(measured, step.beyond), own[:1], floor)
@@ -175,13 +180,17 @@ class MotionModel:
             unmeasured = coast(step, stamps[1] - stamps[0], ahead_s, self._config.coasting)
         if keyframe.motion is None:
             return unmeasured
-        motion, state = self.calibration.predict(keyframe.motion), (self._keyframes, self._landmarks, self._backend)
+        stated, state = self.calibration.predict(keyframe.motion), (self._keyframes, self._landmarks, self._backend)
+        motion = scaled(stated, self.odometry_scale.factor)
         guess, record = coast(None, 0.0, ahead_s, self._config.coasting), self.odometry_record
         if step is not None:
             record.settle(step)
         otherwise = replace(guess, a_T_b=unmeasured.a_T_b)
         said = check(keyframe, motion, otherwise, state, significance=record.significance, doubted=record.doubted)
-        return record.take(last + 1, motion, unmeasured, guess, said)
+        if said.off is not None and said.known is not None:
+            self.odometry_scale.learn(stated, said.off, said.known, guess)
+            motion = scaled(stated, self.odometry_scale.factor)  # this step is one of those that tell
+        return record.take(last + 1, motion, unmeasured, guess, said, self.odometry_scale.factor)
 
     def _through(self, first: int, last: int, motion: Motion) -> Any:
         """The factor of a motion as measured through keyframes that have left."""

@@ -15,6 +15,7 @@ from slam.diagnostics.evidence.innovations import PROMISED_M, PROMISED_SIGMAS, a
 from slam.diagnostics.verdict import Evidence, named
 from slam.frontend.odometry import planar_delta
 from slam.geometry.frames import inverse
+from slam.tracking.odometry_scale import scaled
 
 #: Steps whose residuals are looked at, evenly over the run.
 _MOST_STEPS = 60
@@ -81,6 +82,11 @@ def believed_evidence(run: Finished) -> Iterator[Evidence]:
     )
 
 
+def _scales(run: Finished) -> dict[int, float]:
+    """By how much more than stated each step was taken to err."""
+    return {one.keyframe: one.scale for one in run.odometry_record.steps}
+
+
 def _steps(run: Finished) -> list[int]:
     """Keyframes to which planar odometry leads between two that the graph still holds, evenly over the run."""
     held = [run.backend.holds(pose_symbol(k)) for k in range(len(run.keyframes))]
@@ -93,7 +99,7 @@ def _residual(run: Finished, keyframe: int) -> tuple[float, float]:
     """Chi2 of a step, and what it is expected to be."""
     keys, measured = [pose_symbol(keyframe - 1), pose_symbol(keyframe)], run.keyframes[keyframe].motion
     assert measured is not None  # `_steps`
-    motion = run.calibration.corrected(measured)
+    motion = scaled(run.calibration.corrected(measured), _scales(run).get(keyframe, 1.0))
     a_T_b = inverse(run.backend.pose(keys[0])) @ run.backend.pose(keys[1])
     residual = planar_delta(inverse(motion.a_T_b) @ a_T_b)
     residual[:2] = motion.a_T_b[:2, :2] @ residual[:2]

@@ -1,0 +1,91 @@
+"""The factor on the odometry's sigma: found where scans tell it, one where it is as stated, slips left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam.config import CoastingConfig, SlamConfig
+from slam.frontend.odometry import Motion
+from slam.geometry.frames import planar_transform
+from slam.runs.slam_run import run_slam
+from slam.sensors.log import CloudScan
+from slam.simulation.drives import Recipe, make_drive
+from slam.tracking.constant_velocity import coast
+from slam.tracking.odometry_scale import OdometryScale, scaled, spatial
+
+STEP = Motion(
+    planar_transform(0.4, 0.02, 0.3),
+    np.array([[2.0e-4, 2e-5, 0.0], [2e-5, 6e-5, 1e-5], [0.0, 1e-5, 5e-5]]),
+    (1e-3, 1e-3, 1e-3),
+)
+SPATIAL = Motion(STEP.a_T_b, np.diag([2e-4, 1e-4, 1e-4, 5e-5, 4e-5, 4e-5]), (1e-3, 1e-3, 1e-3))
+SCAN = np.diag(np.repeat([0.002, 0.0005], 3) ** 2)
+GUESS = coast(None, 0.0, 0.5, CoastingConfig())
+
+
+def after(rng: np.random.Generator, motion: Motion, times: float, steps: int, *, slips: float = 0.0) -> float:
+    """The factor after so many steps that err so many times as much as stated, a share of them at random."""
+    scale = OdometryScale()
+    covariance = spatial(scaled(motion, times)) + SCAN
+    wide = spatial(GUESS)
+    for _ in range(steps):
+        off = rng.multivariate_normal(np.zeros(6), wide if rng.random() < slips else covariance)
+        scale.learn(motion, off, SCAN, GUESS)
+    return scale.factor
+
+
+@pytest.mark.parametrize("motion", [STEP, SPATIAL], ids=["planar", "spatial"])
+@pytest.mark.parametrize("times", [1.0, 2.0, 3.0, 6.0])
+def test_the_factor_is_found_in_sixty_steps(motion: Motion, times: float) -> None:
+    rng = np.random.default_rng(1)
+    found = np.array([after(rng, motion, times, 60) for _ in range(40)])
+    # 60 steps of at least 3 errors tell a factor to 1 / sqrt(360); none below one is told from one
+    assert np.mean(found) == pytest.approx(times, rel=0.04)
+    assert np.std(found / times) < 1.5 / np.sqrt(360)
+
+
+def test_three_steps_tell_an_odometry_three_times_worse_than_stated_from_one_that_is_not() -> None:
+    rng = np.random.default_rng(2)
+    worse, honest = (np.array([after(rng, STEP, times, 3) for _ in range(100)]) for times in (3.0, 1.0))
+    assert np.quantile(worse, 0.1) > 1.7 > np.quantile(honest, 0.9)
+    assert OdometryScale().factor == 1.0
+
+
+def test_slips_are_left_out_and_a_scan_that_knows_nothing_tells_nothing() -> None:
+    rng = np.random.default_rng(3)
+    assert np.mean([after(rng, STEP, 1.0, 60, slips=0.15) for _ in range(20)]) < 1.1
+    assert np.mean([after(rng, STEP, 3.0, 60, slips=0.15) for _ in range(20)]) == pytest.approx(3.0, rel=0.1)
+    blind, sharp = OdometryScale(), OdometryScale()
+    for _ in range(30):
+        off = np.array([0.4, 0.0, 0.0, 0.0, 0.0, 0.0])
+        blind.learn(STEP, off, SCAN + np.diag([100.0, 0.0, 0.0, 0.0, 0.0, 0.0]), GUESS)
+        sharp.learn(STEP, 0.2 * off, SCAN, GUESS)
+    assert blind.factor < 1.1 < 4.0 < sharp.factor  # nothing was off where the scans tell
+
+
+def test_wheels_that_get_better_are_believed_again() -> None:
+    rng, scale = np.random.default_rng(4), OdometryScale()
+    for times in np.repeat([5.0, 1.0], 60):
+        scale.learn(STEP, rng.multivariate_normal(np.zeros(6), spatial(scaled(STEP, times)) + SCAN), SCAN, GUESS)
+    assert scale.factor < 1.15
+
+
+def test_a_scaled_motion_is_as_much_wider_and_leads_to_the_same_place() -> None:
+    wider = scaled(STEP, 3.0)
+    assert scaled(STEP, 1.0) is STEP and wider.a_T_b is STEP.a_T_b
+    np.testing.assert_allclose(wider.covariance, 9.0 * STEP.covariance)
+
+
+def test_a_lidar_with_odometry_three_times_worse_than_stated_maps_as_one_without_any() -> None:
+    """Taken at its word, the poses were 7 to 30 cm off and half the planes in the map twice."""
+    drive = make_drive(Recipe.parse("sloped/lidar32/worse3"), 170024)
+    scans = [event for event in drive.log.events if isinstance(event, CloudScan)][:10]
+    events = [event for event in drive.log.events if event.stamp_ns <= scans[-1].stamp_ns]
+    run = run_slam(replace(drive.log, events=events), drive.rig, SlamConfig())
+    true = drive.truth.world_T_body[np.searchsorted(drive.truth.stamps_ns, run.trajectory.stamps_ns)]
+    off = np.linalg.inv(np.linalg.inv(true[0]) @ true) @ np.linalg.inv(run.trajectory.poses[0]) @ run.trajectory.poses
+    assert np.abs(off[:, :3, 3]).max() < 0.005
+    assert 2.0 < run.slam.odometry_record.steps[-1].scale < 5.0
