@@ -14,7 +14,7 @@ from slam.ahead import in_order
 from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.frontend.deskewing import unswept
-from slam.frontend.laser_odometry import LaserTrack, laser_track, motion_between
+from slam.frontend.laser_odometry import LaserTrack, is_level, laser_track, motion_between
 from slam.frontend.measurement import (
     ScanMeasurement,
     Segment,
@@ -24,7 +24,7 @@ from slam.frontend.measurement import (
     usable_ranges,
 )
 from slam.frontend.observations import Observation, on_real_wall
-from slam.frontend.occupancy import LEVEL_COSINE, beams_of
+from slam.frontend.occupancy import beams_of
 from slam.frontend.odometry import Motion, OdometryTrack
 from slam.frontend.pose_measurements import PoseMeasurement
 from slam.geometry.frames import inverse
@@ -229,7 +229,7 @@ _TRACKS: WeakKeyDictionary[Log, tuple[Rig, SlamConfig, OdometryTrack]] = WeakKey
 
 
 def track_of(log: Log, rig: Rig, config: SlamConfig) -> OdometryTrack:
-    """How the body moved, before any map: by laser odometry where all sensors are level lasers, else by its odometry.
+    """How the body moved, before any map: by laser odometry where there is a level laser, else by its odometry.
 
     Raises:
         LogError: no odometry where it is needed.
@@ -237,14 +237,10 @@ def track_of(log: Log, rig: Rig, config: SlamConfig) -> OdometryTrack:
     known = _TRACKS.get(log)
     if known is not None and known[0] is rig and known[1] is config:
         return known[2]
-    level = all(_is_level(sensor) for sensor in rig.sensors.values()) and bool(_scans_of(log, rig, "line"))
+    level = any(is_level(rig.sensors[scan.sensor]) for scan in _scans_of(log, rig, "line"))
     track = laser_track(log, rig, config.coasting) if level else _track_of(log, rig)
     _TRACKS[log] = (rig, config, track)
     return track
-
-
-def _is_level(sensor: Sensor) -> bool:
-    return sensor.kind == "line" and bool(sensor.body_T_sensor[2, 2] >= LEVEL_COSINE)
 
 
 def _track_of(log: Log, rig: Rig) -> OdometryTrack:

@@ -41,10 +41,18 @@ class Step:
 class LaserTrack(OdometryTrack):
     """Poses of all scans by laser odometry; a motion's covariance says what wheels and returns know of it each."""
 
-    def __init__(self, steps: Sequence[Step], noise: OdometryNoise, about_wheels: str | None = None) -> None:
+    def __init__(
+        self,
+        steps: Sequence[Step],
+        noise: OdometryNoise,
+        about_wheels: str | None = None,
+        wheels: Sequence[OdometryReading] = (),
+    ) -> None:
+        """Wheels, in a frame of their own, say how the body moved before the first scan and after the last."""
         readings = [OdometryReading(one.stamp_ns, planar_transform(*one.pose)) for one in steps]
-        super().__init__(readings, noise)
+        super().__init__(_with_ends(readings, wheels), noise)
         self._steps = list(steps)
+        self._scan_stamps = np.array([one.stamp_ns for one in steps], dtype=np.int64)
         self._about_wheels = about_wheels
 
     def motion(self, start_ns: int, end_ns: int) -> Motion:
@@ -61,7 +69,7 @@ class LaserTrack(OdometryTrack):
     def notes(self, start_ns: int, end_ns: int) -> list[str]:
         """What is to be said of the steps after one time and up to another; of the whole drive with its first."""
         chosen = self._steps[self._index(start_ns) + 1 : self._index(end_ns) + 1]
-        whole = self._about_wheels if start_ns <= self._stamps[0] else None
+        whole = self._about_wheels if start_ns <= self._scan_stamps[0] else None
         return [note for note in (whole, *(one.note for one in chosen)) if note is not None]
 
     def slipped(self, start_ns: int, end_ns: int) -> bool:
@@ -70,7 +78,7 @@ class LaserTrack(OdometryTrack):
 
     def _index(self, stamp_ns: int) -> int:
         """The last scan not later than a time."""
-        return int(np.clip(np.searchsorted(self._stamps, stamp_ns, side="right") - 1, 0, len(self._steps) - 1))
+        return int(np.clip(np.searchsorted(self._scan_stamps, stamp_ns, side="right") - 1, 0, len(self._steps) - 1))
 
     def _walked(self, first: int, last: int) -> FloatArray:
         """Covariance of (x, y, theta) from one scan to a later one by wheels alone, in the axes of the first."""
@@ -92,6 +100,22 @@ class LaserTrack(OdometryTrack):
         carry[:2, 2] = -delta[1], delta[0]
         turn = rotation(delta[2])
         return carry @ a @ carry.T + turn @ b @ turn.T
+
+
+def _with_ends(matched: Sequence[OdometryReading], wheels: Sequence[OdometryReading]) -> list[OdometryReading]:
+    """Matched poses of scans, and those by wheels before the first of them and after the last, joined to them."""
+    if not matched or not wheels:
+        return list(matched)
+    first, last = matched[0], matched[-1]
+    at = OdometryTrack(wheels, OdometryNoise()).poses_at([first.stamp_ns, last.stamp_ns])
+    track_T_wheels = [one.odom_T_body @ inverse(pose) for one, pose in zip((first, last), at, strict=True)]
+    before = [
+        replace(one, odom_T_body=track_T_wheels[0] @ one.odom_T_body) for one in wheels if one.stamp_ns < first.stamp_ns
+    ]
+    after = [
+        replace(one, odom_T_body=track_T_wheels[1] @ one.odom_T_body) for one in wheels if one.stamp_ns > last.stamp_ns
+    ]
+    return [*before, *matched, *after]
 
 
 def motion_between(

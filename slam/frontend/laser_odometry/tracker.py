@@ -14,6 +14,7 @@ from slam.frontend.laser_odometry.synchronization import clock_offset
 from slam.frontend.laser_odometry.track import LaserTrack, Step, between, rotation
 from slam.frontend.laser_odometry.wheel_model import NoiseScale
 from slam.frontend.measurement import usable_ranges
+from slam.frontend.occupancy import LEVEL_COSINE
 from slam.frontend.odometry import Motion, OdometryTrack, planar_delta
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse, planar_transform
@@ -178,7 +179,7 @@ def compose(pose: FloatArray, delta: FloatArray) -> FloatArray:
 
 def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
     """Laser odometry over all scans of the level lasers of a log."""
-    sensors = rig.of_kind("line")
+    sensors = {name: sensor for name, sensor in rig.of_kind("line").items() if is_level(sensor)}
     scans = [one for one in log.scans() if isinstance(one, LaserScan) and one.sensor in sensors]
     readings = log.odometry
     clocks = clock_offset(readings, scans, lambda scan: _surface(scan, sensors[scan.sensor]), rig.odometry)
@@ -193,7 +194,12 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
             delta = planar_delta(inverse(wheels[last]) @ wheels[index])
         odometry.add(scan.stamp_ns, _surface(scan, sensors[scan.sensor]), delta)
         last = index
-    return LaserTrack(odometry.steps, rig.odometry, None if clocks is None else clocks.sentence)
+    return LaserTrack(odometry.steps, rig.odometry, None if clocks is None else clocks.sentence, readings)
+
+
+def is_level(sensor: Sensor) -> bool:
+    """Whether a sensor is a 2D laser that looks along the floor."""
+    return sensor.kind == "line" and bool(sensor.body_T_sensor[2, 2] >= LEVEL_COSINE)
 
 
 def _surface(scan: LaserScan, sensor: Sensor) -> Surface:
