@@ -101,7 +101,9 @@ def _of_clouds(
     segment: Segment,
 ) -> Callable[[int], Keyframe]:
     """What measures the keyframe of an index, each a 3D scan."""
-    track = _track_of(log, rig) if log.odometry else None  # without it the estimator finds the motion by the planes
+    track = (
+        _track_of(log, rig) if log.measured_motion else None
+    )  # without it the estimator finds the motion by the planes
 
     def keyframe(index: int) -> Keyframe:
         scan, notes = clouds[index], list(late.get(index, ()))
@@ -130,7 +132,9 @@ def _measured_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig, segment
 def _of_lasers(log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> tuple[int, Callable[[int], Keyframe]]:
     """How many keyframes 2D scans come to, and what measures that of an index."""
     track = track_of(log, rig, config)
-    wheels = OdometryTrack(log.odometry, rig.odometry) if log.odometry else None
+    readings = log.measured_motion
+    wheels = OdometryTrack(readings, rig.odometry) if readings else None
+    within = wheels or track  # over the time of a scan wheels err by less than two matched scans
     stamps = _choose_stamps(log, rig, config)
     lines = _scans_of(log, rig, "line")
     slices = _scans_of(log, rig, "slice")
@@ -146,7 +150,7 @@ def _of_lasers(log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> tupl
             window = slice_homes.get((index, name), [])
             if window:
                 scans += window
-                measure = partial(planes_of_window, window, stamp, sensor, track, config, segment)
+                measure = partial(planes_of_window, window, stamp, sensor, track, config, segment, sweeps=within)
                 observations += _measured(measure, stamp, config, notes)
         for name, sensor in rig.of_kind("line").items():
             near = line_homes.get((index, name), [])
@@ -154,7 +158,7 @@ def _of_lasers(log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> tupl
                 scan = min(near, key=lambda s: abs(s.stamp_ns - stamp))
                 scans.append(scan)
                 kf_T_body = inverse(track.poses_at([stamp])[0]) @ track.poses_at([scan.stamp_ns])[0]
-                measure = partial(lines_of_scan, unswept(scan, sensor, track), sensor, kf_T_body, config.lines)
+                measure = partial(lines_of_scan, unswept(scan, sensor, within), sensor, kf_T_body, config.lines)
                 observations += [
                     on_real_wall(line, sensor.surface_sigma_m, sensor.surface_correlation_m)
                     for line in _measured(measure, stamp, config, notes)

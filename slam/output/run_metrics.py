@@ -97,8 +97,10 @@ def _whose(log: Log) -> str:
 
 def assumptions_of(log: Log) -> list[str]:
     """What a run took for granted because neither the log nor its user said it, one sentence each."""
-    without = [] if log.odometry else ["no odometry: how the robot moves is found by what it sees"]
-    return [*log.assumed, *without]
+    if log.measured_motion:
+        return list(log.assumed)
+    which = "the odometry never moves" if log.odometry else "no odometry"
+    return [*log.assumed, f"{which}: how the robot moves is found by what it sees"]
 
 
 def empty_map(planes: Sequence[MapPlane]) -> list[str]:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from spplanes._check import FloatArray
 
 
@@ -101,6 +103,13 @@ class Log:
     def odometry(self) -> list[OdometryReading]:
         """The odometry readings, in time order."""
         return [event for event in self.events if isinstance(event, OdometryReading)]
+
+    @property
+    def measured_motion(self) -> list[OdometryReading]:
+        """The odometry readings; none where all are of one pose: odometry that never moves says nothing of a motion."""
+        readings = self.odometry
+        moves = any(not np.array_equal(one.odom_T_body, readings[0].odom_T_body) for one in readings[1:])
+        return readings if moves else []
 
     def scans(self, sensor: str | None = None) -> list[LaserScan | CloudScan]:
         """The scans of one sensor, or of all, in time order."""

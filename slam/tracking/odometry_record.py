@@ -18,7 +18,7 @@ from spplanes._check import FloatArray
 #: Steps that say how the odometry is of late: wheels that slip on one floor hold on the next.
 _LATE = 60
 #: Of (x, y, heading) in SP order.
-_PLANAR = [0, 1, 5]
+_PLANAR = [0, 1, 3]
 
 
 class CheckedStep(NamedTuple):

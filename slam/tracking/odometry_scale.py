@@ -20,7 +20,7 @@ _PRIOR = np.log(np.append(0.5, np.full(24, 0.5 / 24)))
 #: Share of steps that tell nothing of the others, before any is seen: a slip, or a scan that came to rest elsewhere.
 _SLIPS = 0.1
 #: Of (x, y, heading) in SP order.
-_PLANAR = [0, 1, 5]
+_PLANAR = [0, 1, 3]
 
 
 class OdometryScale:

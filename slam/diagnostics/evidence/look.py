@@ -10,7 +10,7 @@ from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.free_space import free_space_evidence
 from slam.diagnostics.evidence.innovations import nis_evidence
 from slam.diagnostics.evidence.loops import loop_evidence
-from slam.diagnostics.evidence.mounts import mount_evidence
+from slam.diagnostics.evidence.mounts import heading_evidence, mount_evidence
 from slam.diagnostics.evidence.odometry import believed_evidence, odometry_evidence
 from slam.diagnostics.evidence.prior import prior_evidence, prior_planes
 from slam.diagnostics.evidence.start import start_evidence
@@ -21,7 +21,7 @@ from slam.diagnostics.verdict import Evidence, Verdict, weigh
 from slam.sensors.rig import Rig
 
 #: Kinds of statistics there are, which share the significance.
-KINDS = 12
+KINDS = 13
 
 
 def look_at(run: Finished, rig: Rig) -> Verdict:
@@ -43,6 +43,7 @@ def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     yield from free_space_evidence(views, poses)
     yield from loop_evidence(run.loops, run.config.loops.significance)
     yield from mount_evidence(run.keyframes, rig)
+    yield from heading_evidence(run.keyframes, poses, rig)
     surfaces = Surfaces.of(run)
     rays = [
         one

@@ -25,6 +25,9 @@ from spplanes._check import FloatArray
 #: Pairs of neighbouring keyframes that are compared under every mount, evenly over the run: of lasers, of 3D sensors.
 _MOST_PAIRS, _MOST_CLOUD_PAIRS = 60, 15
 
+#: A body goes backwards all along with this share of its way, of at least so many metres.
+_ALL_ALONG, _SOME_WAY_M = 0.8, 3.0
+
 
 class _Turn(NamedTuple):
     """A mount that is easily taken for another: the sensor turned about its own axes."""
@@ -67,6 +70,36 @@ def mount_evidence(keyframes: Sequence[Keyframe], rig: Rig) -> Iterator[Evidence
         return np.array([of_pair(keyframes[a], keyframes[b], turn, mounts) for a, b in pairs])
 
     yield from _tests(counts, tuple(sorted({one for pair in pairs for one in pair})))
+
+
+def heading_evidence(keyframes: Sequence[Keyframe], poses: FloatArray, rig: Rig) -> Iterator[Evidence]:
+    """A body that goes backwards all along, where nobody measured its motion: poses (N, 4, 4).
+
+    Without odometry a sensor mounted backwards sees nothing that contradicts it, and the path is that of the sensor
+    turned about the body. Bodies with a mount that somebody measured go forwards most of their way; one that never does
+    is one whose mount is turned, or whose log is played in reverse. Which of these it is nothing tells.
+    """
+    sensors = rig.of_kind("line") or rig.of_kind("cloud")
+    unmeasured = all(one.motion is None or not one.motion.is_measured for one in keyframes[1:])
+    if len(keyframes) < 2 or not unmeasured or not any(one.body_T_sensor[:3, 3].any() for one in sensors.values()):
+        return
+    steps = (np.linalg.inv(poses[:-1]) @ poses[1:])[:, :3, 3]
+    ways = np.linalg.norm(steps, axis=1)
+    ahead = np.abs(steps[:, 0]) > 0.5 * ways
+    if ways.sum() < _SOME_WAY_M or 2 * np.count_nonzero(ahead) < len(steps):
+        return
+    backwards = ahead & (steps[:, 0] < 0.0)
+    share = float(ways[backwards].sum() / ways.sum())
+    if share < _ALL_ALONG:
+        return
+    p_value = float(at_least(np.count_nonzero(backwards), np.count_nonzero(ahead)))
+    frames = tuple((np.flatnonzero(backwards) + 1).tolist())
+    sentence = (
+        f"nobody measured the motion, and the body goes backwards over {100.0 * share:.0f} % of its way "
+        f"({named(frames)}): a sensor mounted backwards (yaw 180 deg from what the rig says) would explain it, "
+        "or a log played in reverse"
+    )
+    yield Evidence("mount", "doubtful", p_value, share, "of the way", frames, sentence)
 
 
 def _tests(counts: _Counts, frames: tuple[int, ...]) -> Iterator[Evidence]:

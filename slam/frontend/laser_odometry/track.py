@@ -46,11 +46,11 @@ class LaserTrack(OdometryTrack):
         steps: Sequence[Step],
         noise: OdometryNoise,
         about_wheels: str | None = None,
-        wheels: Sequence[OdometryReading] = (),
+        between: Sequence[OdometryReading] = (),
     ) -> None:
-        """Wheels, in a frame of their own, say how the body moved before the first scan and after the last."""
+        """Readings between the scans, before the first and after the last, are of the same frame."""
         readings = [OdometryReading(one.stamp_ns, planar_transform(*one.pose)) for one in steps]
-        super().__init__(_with_ends(readings, wheels), noise)
+        super().__init__(sorted((*readings, *between), key=lambda one: one.stamp_ns), noise)
         self._steps = list(steps)
         self._scan_stamps = np.array([one.stamp_ns for one in steps], dtype=np.int64)
         self._about_wheels = about_wheels
@@ -102,22 +102,6 @@ class LaserTrack(OdometryTrack):
         return carry @ a @ carry.T + turn @ b @ turn.T
 
 
-def _with_ends(matched: Sequence[OdometryReading], wheels: Sequence[OdometryReading]) -> list[OdometryReading]:
-    """Matched poses of scans, and those by wheels before the first of them and after the last, joined to them."""
-    if not matched or not wheels:
-        return list(matched)
-    first, last = matched[0], matched[-1]
-    at = OdometryTrack(wheels, OdometryNoise()).poses_at([first.stamp_ns, last.stamp_ns])
-    track_T_wheels = [one.odom_T_body @ inverse(pose) for one, pose in zip((first, last), at, strict=True)]
-    before = [
-        replace(one, odom_T_body=track_T_wheels[0] @ one.odom_T_body) for one in wheels if one.stamp_ns < first.stamp_ns
-    ]
-    after = [
-        replace(one, odom_T_body=track_T_wheels[1] @ one.odom_T_body) for one in wheels if one.stamp_ns > last.stamp_ns
-    ]
-    return [*before, *matched, *after]
-
-
 def motion_between(
     track: LaserTrack, wheels: OdometryTrack | None, stamps_ns: tuple[int, int], significance: float
 ) -> Motion:
@@ -161,6 +145,11 @@ def between(a: FloatArray, b: FloatArray) -> FloatArray:
     c, s = np.cos(a[2]), np.sin(a[2])
     dx, dy = b[0] - a[0], b[1] - a[1]
     return np.array((c * dx + s * dy, c * dy - s * dx, b[2] - a[2]))
+
+
+def compose(pose: FloatArray, delta: FloatArray) -> FloatArray:
+    """A pose (x, y, theta) moved on by a step in its own axes."""
+    return pose + rotation(pose[2]) @ delta
 
 
 def rotation(angle: float) -> FloatArray:

@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from slam.config import CoastingConfig
+from slam.frontend.deskewing import unswept
 from slam.frontend.information import inverted
+from slam.frontend.laser_odometry.between_scans import between_scans
 from slam.frontend.laser_odometry.local_map import SlidingMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
 from slam.frontend.laser_odometry.synchronization import clock_offset
-from slam.frontend.laser_odometry.track import LaserTrack, Step, between, rotation
+from slam.frontend.laser_odometry.track import LaserTrack, Step, between, compose, rotation
 from slam.frontend.laser_odometry.wheel_model import NoiseScale
 from slam.frontend.measurement import usable_ranges
 from slam.frontend.occupancy import LEVEL_COSINE
@@ -23,12 +25,15 @@ from slam.sensors.rig import Rig, Sensor
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray
 
+#: Wheels stand that go less than this in a step, m and rad: what rounding leaves of nothing.
+_STOOD = 1e-9
 #: Length of the way whose scans are the local map, m, and what is driven or turned between two of them, m and rad.
 _WINDOW_M, _SPACING_M, _SPACING_RAD = 6.0, 0.25, 0.3
 #: A match is taken when the map has this share of the scan, and no other place is more likely than this.
 _LEAST_FIT, _LEAST_ODDS = 0.3, 0.9
-#: Probability that wheels slip, or count wrong, between two scans.
-_SLIP = 1e-3
+#: Probability that wheels slip, or count wrong, between two scans; and that they err by more than is known of them as
+#: yet, by how many times: of the first steps the rig alone knows.
+_SLIP, _WORSE, _TIMES = 1e-3, 0.05, 4.0
 #: Scans over which the usual fit is averaged, and what it is at first.
 _FIT_MEMORY, _FIRST_FIT = 50.0, 0.9
 #: So many steps in a row on which the wheels stood still while the body was seen to move by more than this, m or rad:
@@ -57,7 +62,7 @@ class LaserOdometry:
             self.steps.append(step)
             return step
         before = self.steps[-1].pose
-        stuck = self._stuck >= _STUCK_STEPS and wheels is not None and not wheels.any()
+        stuck = self._stuck >= _STUCK_STEPS and wheels is not None and np.abs(wheels).max() < _STOOD
         ways = self._ways(stamp_ns, None if stuck else wheels)
         turn = rotation(before[2])
         expected = [Expected(compose(before, delta), turn @ cov @ turn.T, share) for delta, cov, share in ways]
@@ -71,7 +76,7 @@ class LaserOdometry:
         note = self._watch(between(before, pose), wheels)
         if len(self.steps) == 1:  # the first scan is the map: its noise is in the match of the second
             self.steps[0] = replace(self.steps[0], returns=told)
-        slipped = match is not None and match.way > 0
+        slipped = match is not None and match.way > 0 and match.way == len(ways) - 1
         step = Step(stamp_ns, pose, covariance, back.T @ told @ back, note, slipped)
         self.steps.append(step)
         if wheels is not None and not stuck:
@@ -84,7 +89,9 @@ class LaserOdometry:
         delta, covariance = self._coasted(stamp_ns)
         if wheels is None:
             return [(delta, covariance, 1.0)]
-        return [(*self._by_wheels(wheels), 1.0 - _SLIP), (delta, covariance, _SLIP)]
+        led, known = self._by_wheels(wheels)
+        worse = led, _TIMES**2 * known, _WORSE
+        return [(led, known, 1.0 - _WORSE - _SLIP), worse, (delta, covariance, _SLIP)]
 
     def _by_wheels(self, wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The next step by wheels, less what is known to be wrong with them."""
@@ -126,7 +133,7 @@ class LaserOdometry:
         """Whether wheels that say nothing but "no motion" are those of a body that moves; said when it is found out."""
         if wheels is None:
             return None
-        stood = not wheels.any()
+        stood = np.abs(wheels).max() < _STOOD
         if not stood or (self._stuck < _STUCK_STEPS and np.abs(moved).max() < _MOVED):
             self._stuck = 0
             return None
@@ -172,18 +179,14 @@ class LaserOdometry:
         self._scale.learn(error, random, posterior, known)
 
 
-def compose(pose: FloatArray, delta: FloatArray) -> FloatArray:
-    """A pose (x, y, theta) moved on by a step in its own axes."""
-    return pose + rotation(pose[2]) @ delta
-
-
 def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
-    """Laser odometry over all scans of the level lasers of a log."""
+    """Laser odometry over all scans of the level lasers of a log; what moves within a scan is told by the wheels."""
     sensors = {name: sensor for name, sensor in rig.of_kind("line").items() if is_level(sensor)}
     scans = [one for one in log.scans() if isinstance(one, LaserScan) and one.sensor in sensors]
-    readings = log.odometry
+    readings = log.measured_motion
     clocks = clock_offset(readings, scans, lambda scan: _surface(scan, sensors[scan.sensor]), rig.odometry)
-    wheels = OdometryTrack(readings, rig.odometry).poses_at([scan.stamp_ns for scan in scans]) if readings else None
+    track = OdometryTrack(readings, rig.odometry) if readings else None
+    wheels = None if track is None else track.poses_at([scan.stamp_ns for scan in scans])
     odometry = LaserOdometry(rig.odometry, coasting)
     last = -1
     for index, scan in enumerate(scans):
@@ -192,9 +195,11 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
         delta = None
         if wheels is not None and last >= 0:
             delta = planar_delta(inverse(wheels[last]) @ wheels[index])
-        odometry.add(scan.stamp_ns, _surface(scan, sensors[scan.sensor]), delta)
+        at_once = scan if track is None else unswept(scan, sensors[scan.sensor], track)
+        odometry.add(scan.stamp_ns, _surface(at_once, sensors[scan.sensor]), delta)
         last = index
-    return LaserTrack(odometry.steps, rig.odometry, None if clocks is None else clocks.sentence, readings)
+    inner = between_scans(odometry.steps, readings)
+    return LaserTrack(odometry.steps, rig.odometry, None if clocks is None else clocks.sentence, inner)
 
 
 def is_level(sensor: Sensor) -> bool:

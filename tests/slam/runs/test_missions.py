@@ -68,11 +68,14 @@ def test_map_planes_are_honest_single_and_right(missions: list[tuple[Mission, Ru
 
 
 def test_the_audit_finds_the_measurements_about_as_far_off_as_they_say(missions: list[tuple[Mission, Run]]):
-    """Not one by one: planes of a window share the odometry's error, which the pose takes for its own and lines see."""
+    """Not one by one: planes of a window share the odometry's error, which the pose takes for its own and lines see.
+
+    Windows are placed by laser odometry and stated to err as wheels do, by more: planes are cautious.
+    """
     rows = [row for _, run in missions for row in run.slam.audit.summary()]
     for kind in ("line", "plane"):
         means = [row.mean_per_dof for row in rows if row.kind == kind]
-        assert 0.8 < np.mean(means) < 1.2
+        assert (0.8 if kind == "line" else 0.6) < np.mean(means) < 1.2
     assert [row.verdict for row in rows].count("over-confident") <= 2
 
 

@@ -84,3 +84,14 @@ def test_a_drive_whose_views_do_not_overlap_in_turns_is_never_called_sound() -> 
     run = run_slam(drive.log, drive.rig, SlamConfig())
     assert run.verdict.verdict != "sound"
     assert any("fits nowhere" in reason for reason in run.verdict.reasons)
+
+
+def test_errors_of_the_heading_widen_the_heading() -> None:
+    record, turned = OdometryRecord(0.001), planar_transform(0.0, 0.0, 0.1)
+    expected = replace(GUESS, a_T_b=planar_transform(0.0, 0.0, -0.3))
+    for k in range(5):
+        record.take(k + 1, STILL, expected, GUESS, Check(True, SHARP))
+        record.settle(turned)
+    erring = record.take(6, STILL, expected, GUESS, Check(False))
+    assert erring.covariance[2, 2] == pytest.approx(0.01, rel=1e-3)
+    np.testing.assert_allclose(erring.covariance[:2, :2], STILL.covariance[:2, :2], atol=1e-12)
