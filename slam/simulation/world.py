@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
-from shapely import MultiPolygon, Polygon, box, unary_union
+from shapely import MultiPolygon, Polygon, box, transform, unary_union
 
 from slam.simulation.raycast import cast_polygons, cast_scans
 from spplanes._check import FloatArray
@@ -27,7 +27,10 @@ class World:
     """Rectangles and polygons that belong to planes, and round bars that belong to none."""
 
     planes: list[Plane]
-    """The true planes; labels are indices into this list. Covariances are zero, outlines are what can be hit."""
+    """The true planes; labels are indices into this list. Covariances are zero, outlines are what can be hit, or of a
+    wall with gaps their convex hull."""
+    surfaces: list[Polygon | MultiPolygon]
+    """All of each plane that can be hit and no more, in (x, y) of its frame."""
     corners: FloatArray
     """A corner of each rectangle, shape (R, 3), m."""
     edges_u: FloatArray
@@ -180,8 +183,10 @@ class WorldBuilder:
     def build(self) -> World:
         """The world so far."""
         corners, edges_u, edges_v, planes = zip(*self._rectangles, strict=True) if self._rectangles else ((),) * 4
+        true = [_true_plane(surface) for surface in self._surfaces]
         return World(
-            planes=[_true_plane(surface) for surface in self._surfaces],
+            planes=[plane for plane, _ in true],
+            surfaces=[surface for _, surface in true],
             corners=_stack(corners),
             edges_u=_stack(edges_u),
             edges_v=_stack(edges_v),
@@ -224,31 +229,22 @@ def _cells_without_holes(length_u: float, length_v: float, holes: Sequence[Hole]
     return cells
 
 
-def _true_plane(surface: _Surface) -> Plane:
-    """The plane with its patch: frame at the patch's centroid, x along the longer side, z toward the viewer."""
-    patch = unary_union(surface.patches)
-    if surface.whole and isinstance(patch, MultiPolygon):
-        patch = patch.convex_hull
-    assert isinstance(patch, (Polygon, MultiPolygon))
+def _true_plane(surface: _Surface) -> tuple[Plane, Polygon | MultiPolygon]:
+    """The plane with its patch, and all of its patches: frame at the patch's centroid, x along the longer side."""
+    patches = unary_union(surface.patches)
+    assert isinstance(patches, (Polygon, MultiPolygon))
+    whole = patches.convex_hull if surface.whole and isinstance(patches, MultiPolygon) else patches
+    assert isinstance(whole, (Polygon, MultiPolygon))
     u, v = surface.u, surface.v
-    middle = surface.corner + patch.centroid.x * u + patch.centroid.y * v
+    middle = surface.corner + whole.centroid.x * u + whole.centroid.y * v
     normal = np.cross(u, v)
     normal *= 1.0 if normal @ (surface.toward - middle) > 0.0 else -1.0
-    low_u, low_v, high_u, high_v = patch.bounds
+    low_u, low_v, high_u, high_v = whole.bounds
     x_axis = u if high_u - low_u >= high_v - low_v else v
     frame = np.eye(4)
     frame[:3, :3] = np.column_stack([x_axis, np.cross(normal, x_axis), normal])
     frame[:3, 3] = middle
-    uv_to_xy = frame[:3, :2].T @ np.column_stack([u, v])
-    return Plane(frame=frame, covariance=np.zeros((3, 3)), outline=_mapped(patch, uv_to_xy))
-
-
-def _mapped(patch: Polygon | MultiPolygon, matrix: FloatArray) -> Polygon:
-    """The patch in plane coordinates about its centroid; its largest piece when holes cut it in pieces."""
-    piece = max(patch.geoms, key=lambda g: g.area) if isinstance(patch, MultiPolygon) else patch
-    centroid = np.array([patch.centroid.x, patch.centroid.y])
-
-    def ring(coordinates) -> FloatArray:
-        return (np.array(coordinates) - centroid) @ matrix.T
-
-    return Polygon(ring(piece.exterior.coords), [ring(hole.coords) for hole in piece.interiors])
+    uv_to_xy, centroid = frame[:3, :2].T @ np.column_stack([u, v]), np.array([whole.centroid.x, whole.centroid.y])
+    outline, seen = (transform(one, lambda uv: (uv - centroid) @ uv_to_xy.T) for one in (whole, patches))
+    piece = max(outline.geoms, key=lambda g: g.area) if isinstance(outline, MultiPolygon) else outline
+    return Plane(frame=frame, covariance=np.zeros((3, 3)), outline=piece), seen

@@ -14,6 +14,7 @@ from slam.sensors.log import Event, Log, OdometryReading
 from slam.sensors.rig import Mount, Rig
 from slam.session.prior_map import PriorMap, floor_start
 from slam.simulation.truth import Truth
+from slam.simulation.world import World
 from spplanes._check import FloatArray
 from spplanes.plane import Plane
 
@@ -37,8 +38,10 @@ class Given:
     """What was where."""
     prior: PriorMap | None = None
     """A map from before."""
-    elsewhere: tuple[Plane, ...] = ()
-    """Planes of another building."""
+    world: World | None = None
+    """The building; None: nobody needs it."""
+    elsewhere: World | None = None
+    """Another building."""
 
 
 Disturbance = Callable[[Given, np.random.Generator], Given]
@@ -111,14 +114,14 @@ def backward_in_time(given: Given, rng: np.random.Generator) -> Given:
 def prior(given: Given, rng: np.random.Generator) -> Given:
     """A map of this building and about where the drive begins in it."""
     start = _first_pose(given) @ planar_transform(*rng.standard_normal(3) * (0.1, 0.1, 0.03))
-    return replace(given, prior=_map_of(given.truth.planes, start, rng))
+    return replace(given, prior=_map_of(given.world, start, rng))
 
 
 def prior_start(given: Given, rng: np.random.Generator) -> Given:
     """A map of this building, and a start metres from the true one that is stated to 0.3 m."""
     direction = rng.uniform(0.0, 2.0 * np.pi)
     away = (_AWAY_M * np.cos(direction), _AWAY_M * np.sin(direction), rng.choice([-1.0, 1.0]) * _TURNED_RAD)
-    return replace(given, prior=_map_of(given.truth.planes, _first_pose(given) @ planar_transform(*away), rng))
+    return replace(given, prior=_map_of(given.world, _first_pose(given) @ planar_transform(*away), rng))
 
 
 def prior_elsewhere(given: Given, rng: np.random.Generator) -> Given:
@@ -146,14 +149,15 @@ def _first_pose(given: Given) -> FloatArray:
     return given.truth.poses_at(np.array([given.log.scans()[0].stamp_ns]))[0]
 
 
-def _map_of(planes: list[Plane] | tuple[Plane, ...], start: FloatArray, rng: np.random.Generator) -> PriorMap:
-    """The larger of some true planes as a map that errs as it says, each plane by itself."""
+def _map_of(world: World | None, start: FloatArray, rng: np.random.Generator) -> PriorMap:
+    """The larger planes of a building as a map that errs as it says, each by itself, with all that is of them."""
+    assert world is not None  # whoever makes the drive gives it
     sigmas = np.array([_KNOWN_M, _KNOWN_RAD, _KNOWN_RAD])
-    large = [plane for plane in planes if plane.outline is not None and plane.outline.area >= _LARGE_M2]
+    both = zip(world.planes, world.surfaces, strict=True)
+    large = [(plane, seen) for plane, seen in both if plane.outline is not None and plane.outline.area >= _LARGE_M2]
     known = [
-        MapPlane(number, _moved(plane, sigmas * rng.standard_normal(3), sigmas), plane.outline, 3, ("plane",))
-        for number, plane in enumerate(large)
-        if plane.outline is not None
+        MapPlane(number, _moved(plane, sigmas * rng.standard_normal(3), sigmas), seen, 3, ("plane",))
+        for number, (plane, seen) in enumerate(large)
     ]
     covariance = np.diag(np.tile(sigmas**2, len(known)))
     return PriorMap(known, covariance, start, floor_start())

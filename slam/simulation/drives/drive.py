@@ -114,7 +114,7 @@ def make_drive(
     given = _recorded(scene, SENSORS[recipe.sensors], recipe, streams[1], streams[2])
     if recipe.disturbance == "prior_elsewhere":
         other = build(streams[4])
-        given = Given(given.log, given.rig, given.truth, elsewhere=tuple(other.world.planes))
+        given = replace(given, elsewhere=other.world)
     given = DISTURBANCES[recipe.disturbance](given, streams[3])
     return Drive(recipe, seed, scene.course.level, given.log, given.rig, given.truth, given.prior)
 
@@ -139,7 +139,8 @@ def _recorded(
         scans, labels[sensing.name] = _scans(scene, sensing, poses[at], stamps[at], rng)
         events += scans
     events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
-    return Given(Log(events, Path(f"simulated {recipe.name}")), rig, Truth(stamps, poses, scene.world.planes, labels))
+    truth = Truth(stamps, poses, scene.world.planes, labels)
+    return Given(Log(events, Path(f"simulated {recipe.name}")), rig, truth, world=scene.world)
 
 
 def _scans(
