@@ -31,8 +31,8 @@ _STOOD = 1e-9
 _WINDOW_M, _SPACING_M, _SPACING_RAD = 6.0, 0.25, 0.3
 #: A match is taken when the map has this share of the scan, and no other place is more likely than this.
 _LEAST_FIT, _LEAST_ODDS = 0.3, 0.9
-#: Probability that wheels slip, or count wrong, between two scans; and, as far as the rig alone has said how they err,
-#: that they err by so many times as much.
+#: Probability that wheels slip, or count wrong, between two scans; and that they err by more than is known of them as
+#: yet, by how many times: of the first steps the rig alone knows.
 _SLIP, _WORSE, _TIMES = 1e-3, 0.05, 4.0
 #: Scans over which the usual fit is averaged, and what it is at first.
 _FIT_MEMORY, _FIRST_FIT = 50.0, 0.9
@@ -90,9 +90,8 @@ class LaserOdometry:
         if wheels is None:
             return [(delta, covariance, 1.0)]
         led, known = self._by_wheels(wheels)
-        unlearnt = _WORSE * self._scale.stated_share
-        worse = led, _TIMES**2 * known, unlearnt
-        return [(led, known, 1.0 - unlearnt - _SLIP), worse, (delta, covariance, _SLIP)]
+        worse = led, _TIMES**2 * known, _WORSE
+        return [(led, known, 1.0 - _WORSE - _SLIP), worse, (delta, covariance, _SLIP)]
 
     def _by_wheels(self, wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The next step by wheels, less what is known to be wrong with them."""

@@ -28,11 +28,6 @@ class NoiseScale:
         """On the variances, shape (3,)."""
         return self._rate / self._shape
 
-    @property
-    def stated_share(self) -> float:
-        """What part of what is known of them the rig alone has said: 1 before any step is seen."""
-        return float(_STATED / self._shape.mean())
-
     def scaled(self, covariance: FloatArray) -> FloatArray:
         """A stated covariance (3, 3) of (x, y, theta), x along the motion, as the drive has shown it to be."""
         roots = np.sqrt(self.factors)
