@@ -101,9 +101,8 @@ def _of_clouds(
     segment: Segment,
 ) -> Callable[[int], Keyframe]:
     """What measures the keyframe of an index, each a 3D scan."""
-    track = (
-        _track_of(log, rig) if log.measured_motion else None
-    )  # without it the estimator finds the motion by the planes
+    # without odometry the estimator finds the motion by the planes
+    track = _track_of(log, rig) if log.measured_motion else None
 
     def keyframe(index: int) -> Keyframe:
         scan, notes = clouds[index], list(late.get(index, ()))

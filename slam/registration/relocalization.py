@@ -198,8 +198,13 @@ def _rivals(found: Alignment, covariance: FloatArray) -> Rivals:
 
 def are_one(place: FloatArray, other: FloatArray, covariance: FloatArray, significance: float) -> bool:
     """Whether two places (4, 4) may be the same, by the covariance (6, 6) of their difference, SP order."""
-    off = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(place) @ other))[POSE3_TO_SP]
+    off = displacement(place, other)
     return bool(off @ np.linalg.solve(covariance, off) <= chdtri(6, significance))
+
+
+def displacement(place: FloatArray, other: FloatArray) -> FloatArray:
+    """How far another place (4, 4) is off one, SP order along the axes of that, shape (6,)."""
+    return gtsam.Pose3.Logmap(gtsam.Pose3(inverse(place) @ other))[POSE3_TO_SP].astype(np.float64)
 
 
 def _on(elements: FloatArray, observations: Sequence[Observation]) -> np.ndarray:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import gtsam
 import numpy as np
 from scipy.linalg import eigh
 from scipy.special import chdtri
@@ -30,6 +29,7 @@ from slam.registration.relocalization import (
     SILENT_M,
     SILENT_RAD,
     are_one,
+    displacement,
     information_of,
     is_wide,
     laid_widely,
@@ -162,7 +162,11 @@ def planes_confirm(
     by_planes, at_best, apart = stated(covariance), _by_returns(most_information(elements)), spatial(motion)
     widest = eigh(by_planes + apart, at_best + apart, eigvals_only=True)[-1]
     confirmed = widest < _AS_GOOD**2 and _agree(motion, place, by_planes, significance)
-    return Check(False, by_planes, _off(place), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]) if confirmed else None
+    return (
+        Check(False, by_planes, displacement(np.eye(4), place), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)])
+        if confirmed
+        else None
+    )
 
 
 def _agree(motion: Motion, place: FloatArray, covariance: FloatArray, significance: float) -> bool:
@@ -178,9 +182,4 @@ def _by_returns(information: FloatArray) -> FloatArray:
 def _rests(found: Alignment) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Where returns lay a scan: covariance as believed, how far off that is, and covariance as the fit has it."""
     covariance = np.linalg.inv(found.information + SILENT).astype(np.float64)
-    return stated(covariance), _off(found.known_T_seen), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
-
-
-def _off(place: FloatArray) -> FloatArray:
-    """A small motion (4, 4) in SP order, shape (6,)."""
-    return gtsam.Pose3.Logmap(gtsam.Pose3(place))[POSE3_TO_SP].astype(np.float64)
+    return stated(covariance), displacement(np.eye(4), found.known_T_seen), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]

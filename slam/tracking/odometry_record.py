@@ -6,19 +6,13 @@ from collections import deque
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
-import gtsam
 import numpy as np
 
-from factors._conventions import POSE3_TO_SP
 from slam.frontend.odometry import Motion
-from slam.geometry.frames import inverse
+from slam.registration.relocalization import displacement
 from slam.tracking.odometry_check import Check
+from slam.tracking.odometry_scale import LATE, PLANAR
 from spplanes._check import FloatArray
-
-#: Steps that say how the odometry is of late: wheels that slip on one floor hold on the next.
-_LATE = 60
-#: Of (x, y, heading) in SP order.
-_PLANAR = [0, 1, 3]
 
 
 class CheckedStep(NamedTuple):
@@ -49,7 +43,7 @@ class OdometryRecord:
 
     def __post_init__(self) -> None:
         self.steps: list[CheckedStep] = []
-        self._errors: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=_LATE)
+        self._errors: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=LATE)
         self._last: tuple[Motion, Motion] | None = None
 
     @property
@@ -66,7 +60,7 @@ class OdometryRecord:
         """Take in where the last step led, shape (4, 4), now that it was seen."""
         if self._last is not None:
             measured, expected = self._last
-            self._errors.append((_off(measured.a_T_b, a_T_b), _off(expected.a_T_b, a_T_b)))
+            self._errors.append((displacement(measured.a_T_b, a_T_b), displacement(expected.a_T_b, a_T_b)))
             self._last = None
 
     def take(
@@ -108,7 +102,7 @@ class OdometryRecord:
 
     def _fine(self) -> int:
         """Of the last steps those not spoken against though most errors would have been."""
-        errors, late = self.errors, self.steps[-_LATE:]
+        errors, late = self.errors, self.steps[-LATE:]
         told = (one.check.tells(one.motion, errors, self.significance).mean() for one in late if not one.check.against)
         return sum(share > 0.5 for share in told)
 
@@ -122,15 +116,10 @@ class OdometryRecord:
         return bool(expected < measured)
 
 
-def _off(expected: FloatArray, found: FloatArray) -> FloatArray:
-    """How far one motion (4, 4) is off another, SP order, shape (6,)."""
-    return gtsam.Pose3.Logmap(gtsam.Pose3(inverse(expected) @ found))[POSE3_TO_SP].astype(np.float64)
-
-
 def _erring(motion: Motion, square: FloatArray) -> Motion:
     """A motion that errs by so much more, mean square in SP order along the axes of its end, shape (6, 6)."""
     if not motion.is_planar:
         return replace(motion, covariance=motion.covariance + square)
     turn = np.eye(3)
     turn[:2, :2] = motion.a_T_b[:2, :2]  # the covariance is along the axes of its start
-    return replace(motion, covariance=motion.covariance + turn @ square[np.ix_(_PLANAR, _PLANAR)] @ turn.T)
+    return replace(motion, covariance=motion.covariance + turn @ square[np.ix_(PLANAR, PLANAR)] @ turn.T)

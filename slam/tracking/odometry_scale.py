@@ -11,8 +11,8 @@ from scipy.special import logsumexp
 from slam.frontend.odometry import Motion, spatial_covariance
 from spplanes._check import FloatArray
 
-#: Steps that are remembered: wheels err differently on the next floor.
-_LATE = 60
+#: Steps that say how the odometry is of late: wheels that slip on one floor hold on the next.
+LATE = 60
 #: Factors on the stated sigma that are told apart, and how likely each is before any step is seen: a rig is as likely
 #: right as not, and an odometry that errs by ten times as much is a guess at best.
 _FACTORS = np.geomspace(1.0, 10.0, 25)
@@ -20,7 +20,7 @@ _PRIOR = np.log(np.append(0.5, np.full(24, 0.5 / 24)))
 #: Share of steps that tell nothing of the others, before any is seen: a slip, or a scan that came to rest elsewhere.
 _SLIPS = 0.1
 #: Of (x, y, heading) in SP order.
-_PLANAR = [0, 1, 3]
+PLANAR = [0, 1, 3]
 
 
 class OdometryScale:
@@ -31,7 +31,7 @@ class OdometryScale:
     """
 
     def __init__(self) -> None:
-        self._steps: deque[FloatArray] = deque(maxlen=_LATE)
+        self._steps: deque[FloatArray] = deque(maxlen=LATE)
 
     @property
     def factor(self) -> float:
@@ -50,7 +50,7 @@ class OdometryScale:
             covariance: of that, shape (6, 6).
             guess: how far a body may move of which nothing is known.
         """
-        axes = _PLANAR if motion.is_planar else list(range(6))
+        axes = PLANAR if motion.is_planar else list(range(6))
         grid = np.ix_(axes, axes)
         stated = np.array([spatial(scaled(motion, factor))[grid] for factor in _FACTORS])
         honest = _log_density(off[axes], stated + covariance[grid])

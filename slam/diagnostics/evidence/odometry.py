@@ -30,8 +30,9 @@ def odometry_evidence(run: Finished) -> Iterator[Evidence]:
     the poses.
     """
     total, dof, frames = 0.0, 0.0, []
+    scales = {one.keyframe: one.scale for one in run.odometry_record.steps}
     for keyframe in _steps(run):
-        chi2, freedom = _residual(run, keyframe)
+        chi2, freedom = _residual(run, keyframe, scales.get(keyframe, 1.0))
         total, dof = total + chi2, dof + freedom
         if chi2 > chdtri(3, 0.05):
             frames.append(keyframe)
@@ -82,11 +83,6 @@ def believed_evidence(run: Finished) -> Iterator[Evidence]:
     )
 
 
-def _scales(run: Finished) -> dict[int, float]:
-    """By how much more than stated each step was taken to err."""
-    return {one.keyframe: one.scale for one in run.odometry_record.steps}
-
-
 def _steps(run: Finished) -> list[int]:
     """Keyframes to which planar odometry leads between two that the graph still holds, evenly over the run."""
     held = [run.backend.holds(pose_symbol(k)) for k in range(len(run.keyframes))]
@@ -95,11 +91,11 @@ def _steps(run: Finished) -> list[int]:
     return known[:: max(1, -(-len(known) // _MOST_STEPS))]
 
 
-def _residual(run: Finished, keyframe: int) -> tuple[float, float]:
-    """Chi2 of a step, and what it is expected to be."""
+def _residual(run: Finished, keyframe: int, scale: float) -> tuple[float, float]:
+    """Chi2 of a step taken to err by so many times what is stated, and what it is expected to be."""
     keys, measured = [pose_symbol(keyframe - 1), pose_symbol(keyframe)], run.keyframes[keyframe].motion
     assert measured is not None  # `_steps`
-    motion = scaled(run.calibration.corrected(measured), _scales(run).get(keyframe, 1.0))
+    motion = scaled(run.calibration.corrected(measured), scale)
     a_T_b = inverse(run.backend.pose(keys[0])) @ run.backend.pose(keys[1])
     residual = planar_delta(inverse(motion.a_T_b) @ a_T_b)
     residual[:2] = motion.a_T_b[:2, :2] @ residual[:2]

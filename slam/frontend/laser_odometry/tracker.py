@@ -62,7 +62,7 @@ class LaserOdometry:
             self.steps.append(step)
             return step
         before = self.steps[-1].pose
-        stuck = self._stuck >= _STUCK_STEPS and wheels is not None and np.abs(wheels).max() < _STOOD
+        stuck = self._stuck >= _STUCK_STEPS and wheels is not None and _stand(wheels)
         ways = self._ways(stamp_ns, None if stuck else wheels)
         turn = rotation(before[2])
         expected = [Expected(compose(before, delta), turn @ cov @ turn.T, share) for delta, cov, share in ways]
@@ -133,8 +133,7 @@ class LaserOdometry:
         """Whether wheels that say nothing but "no motion" are those of a body that moves; said when it is found out."""
         if wheels is None:
             return None
-        stood = np.abs(wheels).max() < _STOOD
-        if not stood or (self._stuck < _STUCK_STEPS and np.abs(moved).max() < _MOVED):
+        if not _stand(wheels) or (self._stuck < _STUCK_STEPS and np.abs(moved).max() < _MOVED):
             self._stuck = 0
             return None
         self._stuck += 1
@@ -200,6 +199,11 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
         last = index
     inner = between_scans(odometry.steps, readings)
     return LaserTrack(odometry.steps, rig.odometry, None if clocks is None else clocks.sentence, inner)
+
+
+def _stand(wheels: FloatArray) -> bool:
+    """Whether wheels say that a step (x, y, theta) was none."""
+    return bool(np.abs(wheels).max() < _STOOD)
 
 
 def is_level(sensor: Sensor) -> bool:

@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.frontend.range_noise import noise_factor, with_shown_noise
-from slam.runs.slam_run import run_slam
 from slam.sensors.log import CloudScan, Event, LaserScan, Log, StoredCloud
 from slam.sensors.rig import Rig, Sensor
 from slam.simulation.drives import Recipe, make_drive
 from spplanes._check import FloatArray
+from tests.slam.short_drives import mapped_beginning
 
 
 def room(rng: np.random.Generator, sigma: float, *, rows: int = 16, columns: int = 600) -> FloatArray:
@@ -102,12 +101,7 @@ def test_drives_whose_rigs_are_honest_keep_them(name: str) -> None:
 
 def test_a_drive_whose_rig_states_a_third_of_the_noise_is_mapped_as_if_it_had_stated_all() -> None:
     """Without, its map is empty and 1.8 m wrong."""
-    drive = make_drive(Recipe.parse("cluttered/lidar32/biased/noise0.3"), 410000)
-    lidar = [event for event in drive.log.events if isinstance(event, CloudScan)][:6]
-    events = [event for event in drive.log.events if event.stamp_ns <= lidar[-1].stamp_ns]
-    run = run_slam(replace(drive.log, events=events), drive.rig, SlamConfig())
-    true = drive.truth.world_T_body[np.searchsorted(drive.truth.stamps_ns, run.trajectory.stamps_ns)]
-    off = np.linalg.inv(true[0]) @ true @ np.linalg.inv(np.linalg.inv(run.trajectory.poses[0]) @ run.trajectory.poses)
+    run, off = mapped_beginning("cluttered/lidar32/biased/noise0.3", 410000, 6)
     assert np.abs(off[:, :3, 3]).max() < 0.005
     assert len(run.planes) > 20 and run.rig.sensors["lidar"].range_sigma_m == pytest.approx(0.015, rel=0.1)
 

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from slam.config import CoastingConfig, SlamConfig
+from slam.config import CoastingConfig
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import planar_transform
-from slam.runs.slam_run import run_slam
-from slam.sensors.log import CloudScan
-from slam.simulation.drives import Recipe, make_drive
 from slam.tracking.constant_velocity import coast
 from slam.tracking.odometry_scale import OdometryScale, scaled, spatial
+from tests.slam.short_drives import mapped_beginning
 
 STEP = Motion(
     planar_transform(0.4, 0.02, 0.3),
@@ -81,11 +77,6 @@ def test_a_scaled_motion_is_as_much_wider_and_leads_to_the_same_place() -> None:
 
 def test_a_lidar_with_odometry_three_times_worse_than_stated_maps_as_one_without_any() -> None:
     """Taken at its word, the poses were 7 to 30 cm off and half the planes in the map twice."""
-    drive = make_drive(Recipe.parse("sloped/lidar32/worse3"), 170024)
-    scans = [event for event in drive.log.events if isinstance(event, CloudScan)][:10]
-    events = [event for event in drive.log.events if event.stamp_ns <= scans[-1].stamp_ns]
-    run = run_slam(replace(drive.log, events=events), drive.rig, SlamConfig())
-    true = drive.truth.world_T_body[np.searchsorted(drive.truth.stamps_ns, run.trajectory.stamps_ns)]
-    off = np.linalg.inv(np.linalg.inv(true[0]) @ true) @ np.linalg.inv(run.trajectory.poses[0]) @ run.trajectory.poses
+    run, off = mapped_beginning("sloped/lidar32/worse3", 170024, 10)
     assert np.abs(off[:, :3, 3]).max() < 0.005
     assert 2.0 < run.slam.odometry_record.steps[-1].scale < 5.0

@@ -1,0 +1,23 @@
+"""The beginning of a drive of the corpus, mapped, and how far off the truth its keyframes are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from slam.config import SlamConfig
+from slam.runs.slam_run import Run, run_slam
+from slam.simulation.drives import Recipe, make_drive
+from spplanes._check import FloatArray
+
+
+def mapped_beginning(name: str, seed: int, n_scans: int) -> tuple[Run, FloatArray]:
+    """A run of the first scans of a drive, and the errors of its keyframes against the first one, (N, 4, 4)."""
+    drive = make_drive(Recipe.parse(name), seed)
+    end = drive.log.scans()[n_scans - 1].stamp_ns
+    events = [event for event in drive.log.events if event.stamp_ns <= end]
+    run = run_slam(replace(drive.log, events=events), drive.rig, SlamConfig())
+    true = drive.truth.world_T_body[np.searchsorted(drive.truth.stamps_ns, run.trajectory.stamps_ns)]
+    moved, estimated = (np.linalg.inv(poses[0]) @ poses for poses in (true, run.trajectory.poses))
+    return run, np.linalg.inv(moved) @ estimated
