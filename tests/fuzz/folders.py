@@ -36,8 +36,9 @@ from slam.simulation.truth import Truth
 from spplanes import ScanLine
 from tests.fuzz.target import Target, check_log, check_plane, check_points, check_pose, folded, unfolded, written
 from tests.fuzz.wrapping import e57, png, record, unrecorded, zipped
+from tests.slam.io.bags import Messages, write
 from tests.slam.io.test_las_e57 import write_e57, write_las
-from tests.slam.io.test_rosbag import Messages, mission, write
+from tests.slam.io.test_rosbag import mission
 from tests.slam.scenes import drive, room_planes
 
 _POINTS = np.random.default_rng(0).normal((10.0, 20.0, 5.0), 3.0, (40, 3))

@@ -24,7 +24,8 @@ from slam.visualization.glb import write_glb
 from slam.visualization.rerun_export import write_rerun
 from tests.fuzz.target import NEXT_FILE
 from tests.fuzz.targets import TARGETS
-from tests.slam.io.test_rosbag import mission, write
+from tests.slam.io.bags import write
+from tests.slam.io.test_rosbag import mission
 
 NAMES = ("<script>", "../x", "/tmp/x", "a\nb\x1b[31m\0c", "n" * 10_000, "..", "C:\\x", "\u202e")
 

@@ -1,0 +1,172 @@
+"""ROS 1 and ROS 2 bags of any messages, written by rosbags."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags", reason="rosbags is not installed")
+
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from spplanes._check import FloatArray
+
+TF = "tf2_msgs/msg/TFMessage"
+SECOND = 1_000_000_000
+
+
+class Messages:
+    """Makes messages of one typestore."""
+
+    def __init__(self, ros1: bool) -> None:
+        self.store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+        if ros1:
+            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+        self.types, self.ros1 = self.store.types, ros1
+
+    def make(self, kind: str, **values: Any) -> Any:
+        return self.types[kind](**values)
+
+    def header(self, stamp_ns: int, frame: str) -> Any:
+        seconds, rest = divmod(stamp_ns, SECOND)
+        stamp = self.make("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
+        more = {"seq": 0} if self.ros1 else {}
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **more)
+
+    def _turn(self, transform: FloatArray) -> Any:
+        from scipy.spatial.transform import Rotation
+
+        x, y, z, w = Rotation.from_matrix(transform[:3, :3]).as_quat().tolist()
+        return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+    def _xyz(self, kind: str, transform: FloatArray) -> Any:
+        x, y, z = transform[:3, 3].tolist()
+        return self.make(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
+
+    def odometry(self, stamp_ns: int, odom_T_body: FloatArray, child: str = "base_link") -> Any:
+        pose_ = self.make(
+            "geometry_msgs/msg/Pose", position=self._xyz("Point", odom_T_body), orientation=self._turn(odom_T_body)
+        )
+        zero = self._xyz("Vector3", np.eye(4))
+        twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
+        return self.make(
+            "nav_msgs/msg/Odometry",
+            header=self.header(stamp_ns, "odom"),
+            child_frame_id=child,
+            pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose_, covariance=np.zeros(36)),
+            twist=self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+        )
+
+    def tf(self, parent: str, child: str, transform: FloatArray, stamp_ns: int = 0) -> Any:
+        inside = self.make(
+            "geometry_msgs/msg/Transform",
+            translation=self._xyz("Vector3", transform),
+            rotation=self._turn(transform),
+        )
+        one = self.make(
+            "geometry_msgs/msg/TransformStamped",
+            header=self.header(stamp_ns, parent),
+            child_frame_id=child,
+            transform=inside,
+        )
+        return self.make(TF, transforms=[one])
+
+    def scan(self, stamp_ns: int, ranges: FloatArray, frame: str = "laser", **other: float) -> Any:
+        values = {
+            "angle_min": -1.5,
+            "angle_max": 1.5,
+            "angle_increment": 3.0 / (len(ranges) - 1),
+            "time_increment": 1e-4,
+            "scan_time": 0.1,
+            "range_min": 0.1,
+            "range_max": 20.0,
+        }
+        return self.make(
+            "sensor_msgs/msg/LaserScan",
+            header=self.header(stamp_ns, frame),
+            ranges=ranges.astype(np.float32),
+            intensities=np.empty(0, np.float32),
+            **{**values, **other},
+        )
+
+    def cloud(
+        self,
+        stamp_ns: int,
+        points: FloatArray,
+        frame: str = "lidar",
+        *,
+        layout: str = "plain",
+        **other: Any,
+    ) -> Any:
+        """`layout`: plain, shuffled (fields in another order, room between), padded (rows), big (endian), double."""
+        grid = points if points.ndim == 3 else points[None]
+        order = ">" if layout == "big" else "<"
+        float_ = order + ("f8" if layout == "double" else "f4")
+        size = np.dtype(float_).itemsize
+        places = {"z": 4, "ring": 4 + size, "x": 16 + size, "y": 20 + 2 * size} if layout == "shuffled" else {}
+        places = places or {"x": 0, "y": size, "z": 2 * size}
+        step = max(places.values()) + size + (4 if layout != "plain" else 0)
+        names = list(places)
+        formats = [float_ if name in "xyz" else "<u2" for name in names]
+        dtype = np.dtype({"names": names, "formats": formats, "offsets": list(places.values()), "itemsize": step})
+        padding = 24 if layout == "padded" else 0
+        rows = []
+        for row in grid:
+            table = np.zeros(len(row), dtype=dtype)
+            for k, axis in enumerate("xyz"):
+                table[axis] = row[:, k]
+            rows.append(table.tobytes() + bytes(padding))
+        fields = [
+            self.make(
+                "sensor_msgs/msg/PointField",
+                name=name,
+                offset=place,
+                datatype=(8 if size == 8 else 7) if name in "xyz" else 4,
+                count=1,
+            )
+            for name, place in places.items()
+        ]
+        values = {
+            "height": grid.shape[0],
+            "width": grid.shape[1],
+            "fields": fields,
+            "is_bigendian": layout == "big",
+            "point_step": step,
+            "row_step": step * grid.shape[1] + padding,
+            "data": np.frombuffer(b"".join(rows), dtype=np.uint8),
+            "is_dense": False,
+        }
+        return self.make("sensor_msgs/msg/PointCloud2", header=self.header(stamp_ns, frame), **{**values, **other})
+
+
+def write(folder: Path, kind: str, make: Any) -> Path:
+    """A bag of `make(messages)`: tuples of topic, time of recording and message."""
+    ros1 = kind.startswith("ros1")
+    messages = Messages(ros1)
+    path = folder / ("run 1 ü.bag" if ros1 else "run 1 ü")
+    plugin = StoragePlugin.MCAP if "mcap" in kind else StoragePlugin.SQLITE3
+    writer: Any = Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=plugin)
+    connections: dict[str, Any] = {}
+    if kind in ("ros1 bz2", "ros1 lz4"):
+        writer.set_compression(Writer1.CompressionFormat[kind[-3:].upper()])
+        writer.chunk_threshold = 1000  # so that there are several
+    if "zstd" in kind:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        for topic, stamp_ns, message in make(messages):
+            name = message.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, name, typestore=messages.store)
+            pack = messages.store.serialize_ros1 if ros1 else messages.store.serialize_cdr
+            writer.write(connections[topic], stamp_ns, pack(message, name))
+    if kind.endswith("alone"):
+        (inside,) = [entry for entry in path.iterdir() if entry.suffix in (".db3", ".mcap")]
+        return Path(shutil.move(inside, folder / f"alone{inside.suffix}"))
+    return path
