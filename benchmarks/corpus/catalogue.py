@@ -56,6 +56,7 @@ def simulated() -> list[str]:
         "bare/lidar16/worse3",
         "bare/paper/worse3",
     ]
+    wheels += ["irregular/level/absent", "office/paper/absent", "loop/level/absent"]
     wheels += ["hall/depth/absent", "cluttered/lidar32/absent", "symmetric/lidar16/absent", "ramp/lidar16/absent"]
     wrong = [
         f"{world}/{sensors}/good/{what}"
@@ -84,6 +85,7 @@ SHORT = _named(
         "loop/level/biased",
         "office/lidar16/absent",
         "bare/lidar16/absent",
+        "irregular/level/absent",
         "irregular/lidar16/still",
         "office/level/good/backwards",
         "office/level/good/noise0.3",
@@ -129,9 +131,10 @@ def drawn(count: int, seeds: Sequence[int]) -> list[Entry]:
 
 
 def _makes_sense(recipe: Recipe) -> bool:
-    """2D lasers without odometry are refused before they start; ramps are not for them."""
-    is_2d = recipe.sensors in ("level", "paper", "pushbroom")
-    return not (is_2d and (recipe.odometry == "absent" or recipe.world == "ramp"))
+    """A push-broom laser alone is refused where nothing tells the motion; ramps are not for 2D lasers."""
+    if recipe.sensors == "pushbroom" and recipe.odometry in ("absent", "still"):
+        return False
+    return not (recipe.sensors in ("level", "paper", "pushbroom") and recipe.world == "ramp")
 
 
 def _is_real(name: str) -> bool:

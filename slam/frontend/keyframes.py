@@ -247,9 +247,10 @@ def track_of(log: Log, rig: Rig, config: SlamConfig) -> OdometryTrack:
 
 
 def _track_of(log: Log, rig: Rig) -> OdometryTrack:
-    readings = log.odometry
+    readings = log.measured_motion
     if not readings:
-        raise LogError(log.source, "expected odometry beside the scans, found none")
+        found = "got one pose all along" if log.odometry else "found none"
+        raise LogError(log.source, f"expected odometry beside the scans, {found}")
     return OdometryTrack(readings, rig.odometry)
 
 

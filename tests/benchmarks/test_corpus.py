@@ -47,6 +47,9 @@ def test_drawn_drives_are_those_of_their_seeds():
     assert first == again
     assert first[6:] == later
     assert len({entry.name for entry in first}) > 6
+    names = {entry.name for entry in drawn(400, range(400))}
+    assert not any("pushbroom/absent" in name or "pushbroom/still" in name for name in names)
+    assert any("level/absent" in name for name in names)  # a level laser measures the motion itself
 
 
 def test_a_drive_counts_for_its_parts():

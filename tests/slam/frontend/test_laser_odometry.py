@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from slam.config import CoastingConfig, SlamConfig
+from slam.errors import LogError
 from slam.frontend.information import beyond_lines, inverted
 from slam.frontend.keyframes import keyframes_of
 from slam.frontend.keyframes import track_of as made_track
@@ -318,6 +319,15 @@ def test_clouds_whose_odometry_never_moves_have_no_measured_motion():
     events = [event for event in log.events if event.stamp_ns <= log.scans()[2].stamp_ns]
     frames = list(keyframes_of(replace(log, events=events), rig, SlamConfig()))
     assert len(frames) == 3 and all(frame.motion is None for frame in frames)
+
+
+@pytest.mark.parametrize("wheels, sentence", [("still", "got one pose all along"), ("good", "found none")])
+def test_a_push_broom_laser_alone_needs_odometry_that_moves(wheels: str, sentence: str):
+    """With wheels that never moved all scans were one window, minutes of work for a heap of points."""
+    drive = make_drive(Recipe.parse(f"hall/pushbroom/{wheels}"), 5)
+    log = drive.log if wheels == "still" else scans_alone(drive.log)
+    with pytest.raises(LogError, match=f"expected odometry beside the scans, {sentence}"):
+        list(keyframes_of(log, drive.rig, SlamConfig()))
 
 
 @pytest.mark.parametrize("name, seed", [("office/paper/worse3/half", 460002), ("people/paper/worse3/reversed", 430010)])
