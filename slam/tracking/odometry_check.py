@@ -92,10 +92,12 @@ def check(
     """Whether what a 3D scan sees speaks against a motion that was measured, and how sharply it could.
 
     The scan is laid on what was seen before from where the motion leads; it speaks against the motion where it comes to
-    rest further off than both covariances allow. Far from the true place it may rest anywhere: where no more of what it
-    sees fits than contradicts, it is looked for as if nobody had measured the motion, and speaks against it from a
-    place that fits clearly better and is as far off. What was wrong the step before is asked so in any case, and
-    any better place will do: wheels that slip or stand still do so for a while.
+    rest further off than both covariances allow, and does not fit nearly as well where the motion holds it: along a
+    corridor a scan slides to the next place that looks alike. Far from the true place it may rest anywhere: where more
+    of what it sees contradicts than fits, it is looked for as if nobody had measured the motion, and speaks against it
+    from a place that fits clearly better and is as far off; where nothing of it was seen before there is nothing to
+    say. What was wrong the step before is asked so in any case, and any better place will do: wheels that slip or stand
+    still do so for a while.
 
     Args:
         keyframe: what is seen.
@@ -121,16 +123,22 @@ def check(
     def is_off(found: Alignment) -> bool:
         return not _agree(motion, found.known_T_seen, _by_returns(found.information), significance)
 
+    enough = 0.0 if doubted else _CLEARLY
     found = align(scan, known, [np.eye(4)])
     rests = _rests(found) if found.score > 0.0 else (None, None, None)
-    if is_off(found) or (found.score > 0.0 and not doubted):
-        return Check(is_off(found), *rests)
+    if is_off(found):
+        held = align(scan, known, [np.eye(4)], Expected(np.eye(4), information_of(motion)))
+        if is_off(held) or found.score > held.score + enough:
+            return Check(True, *rests)
+        found, rests = held, (_by_returns(held.information) if held.score > 0.0 else None, None, None)
+    if found.score >= 0.0 and not doubted:
+        return Check(False, *rests)
     b_T_a = inverse(motion.a_T_b)
     seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
     matched = match_planes_widely(*seen_and_known, sigmas_of(otherwise))
     expected = Expected(b_T_a @ otherwise.a_T_b, information_of(otherwise))
     rival = laid_widely(scan, known, matched, expected, b_T_a)
-    return Check(rival.score > found.score + (0.0 if doubted else _CLEARLY) and is_off(rival), *rests)
+    return Check(rival.score > found.score + enough and is_off(rival), *rests)
 
 
 def planes_confirm(
