@@ -99,22 +99,31 @@ def test_a_bag_of_a_lidar_without_odometry(tmp_path: Path, capsys: pytest.Captur
     assert figures["ATE from the first pose, translation max"] < 0.03
 
 
-def test_a_bag_of_a_laser_whose_wheels_only_tf_tells_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = needs("intel/intel.clf.gz")
-    bag = write(tmp_path, "sqlite3", lambda messages: laser_bag(messages, log, 150, wheels=True))
+@pytest.mark.parametrize(
+    "log, kind, n_scans, wheels, said, n_relations, mean_m",
+    [
+        ("intel.clf.gz", "sqlite3", 150, True, "no Odometry: took tf from odom to base_link", 5, 0.04),
+        ("intel_full.clf.gz", "mcap", 400, False, "assumed: no odometry", 10, 0.08),
+    ],
+    ids=["wheels in tf", "scans and nothing else"],
+)
+def test_a_bag_of_a_laser(
+    log: str,
+    kind: str,
+    n_scans: int,
+    wheels: bool,
+    said: str,
+    n_relations: int,
+    mean_m: float,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = needs(f"intel/{log}")
+    bag = write(tmp_path, kind, lambda messages: laser_bag(messages, path, n_scans, wheels))
     _, printed = mapped(capsys, bag, tmp_path / "run")
-    assert "no Odometry: took tf from odom to base_link" in printed
+    assert said in printed
     figures = off_by(capsys, tmp_path / "run", needs("intel/intel.relations.gz"))
-    assert figures["relations found"] >= 5 and figures["relations translation mean"] < 0.04
-
-
-def test_a_bag_of_scans_and_nothing_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = needs("intel/intel_full.clf.gz")
-    bag = write(tmp_path, "mcap", lambda messages: laser_bag(messages, log, 400, wheels=False))
-    _, printed = mapped(capsys, bag, tmp_path / "run")
-    assert "assumed: no odometry" in printed
-    figures = off_by(capsys, tmp_path / "run", needs("intel/intel.relations.gz"))
-    assert figures["relations found"] >= 10 and figures["relations translation mean"] < 0.08
+    assert figures["relations found"] >= n_relations and figures["relations translation mean"] < mean_m
 
 
 def test_a_folder_of_unordered_clouds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
