@@ -255,7 +255,7 @@ class PlaneSlam:
 
     def marginal_covariance(self, key: int) -> FloatArray:
         """Marginal covariance of a variable, in its GTSAM tangent order: (rx, ry, rz, x, y, z) for a pose."""
-        return self.backend.covariance(key)
+        return self.backend.read_covariance(key)
 
     @property
     def calibration(self) -> WheelCalibration:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import gtsam
@@ -11,12 +11,12 @@ from scipy.linalg import cho_factor, cho_solve
 
 from slam.backend.joint_covariance import STAYS, JointCovariance
 from slam.backend.marginalized_poses import PastPose, PastPoses
+from slam.backend.shared_unknown import SharedUnknown
 from slam.config import BackendConfig
 from slam.timing import StageClock, timed
 from spplanes._check import FloatArray
 
 _POSES = (ord("x"), ord("m"))  # of a keyframe, of a prior map
-_PLANE_STAYS = np.eye(3)
 #: Of more variables than this a joint covariance is read from the graph.
 _MANY = 64
 
@@ -41,6 +41,7 @@ class Backend:
         self.clock = StageClock()
         self._isam = gtsam.ISAM2(self._parameters)
         self._past = PastPoses()
+        self._ask_shared: Callable[[], SharedUnknown | None] = lambda: None
         self._forget()
 
     def _forget(self) -> None:
@@ -50,7 +51,7 @@ class Backend:
         self._planes: dict[int, gtsam.OrientedPlane3] = {}
         self._delta: gtsam.VectorValues | None = None
         self._joint: JointCovariance | None = None
-        self._anew: gtsam.ISAM2 | None = None
+        self._known_shared: SharedUnknown | None = None
 
     @property
     def values(self) -> gtsam.Values:
@@ -203,37 +204,62 @@ class Backend:
         What was asked last is kept until the graph changes.
         """
         if self._joint is None or not self._joint.has(keys):
-            marginal = self._marginal(self._isam, keys)
+            marginal = self._marginal(keys)
             self._joint = JointCovariance(keys, marginal, [self._to_estimate(key) for key in keys])
         return self._joint
 
     @timed("marginals")
-    def read_joint_covariance(self, keys: Sequence[int]) -> JointCovariance:
+    def read_joint_covariance(self, keys: Sequence[int], *, shared: bool = True) -> JointCovariance:
         """The same for who looks at the map: bits do not depend on who asked what before.
 
-        It is read from the graph eliminated anew, so that it is linearised at the estimate.
+        With the uncertainty of what factors share that is no variable of the graph, unless it is asked without.
         """
-        if self._anew is None:
-            self._anew = gtsam.ISAM2(self._parameters)
-            try:
-                self._anew.update(self.graph, self.values)
-            except RuntimeError as error:
-                raise BackendError(_first_line(error)) from error
-        turns = [STAYS if _is_pose(key) else _PLANE_STAYS for key in keys]
-        return JointCovariance(keys, self._marginal(self._anew, keys), turns)
+        joint = JointCovariance(keys, self._marginal(keys), [self._to_estimate(key) for key in keys])
+        unknown = self._shared if shared else None
+        return joint if unknown is None else joint.plus(np.vstack([unknown.effect_on(key) for key in keys]))
 
-    def _marginal(self, tree: gtsam.ISAM2, keys: Sequence[int]) -> FloatArray:
-        """Joint marginal covariance of some variables at the linearisation point of a tree.
+    def share(self, unknown: Callable[[], SharedUnknown | None]) -> None:
+        """Let covariances that are read hold that of an unknown that factors share; it is asked for when they are."""
+        self._ask_shared = unknown
+
+    @property
+    def _shared(self) -> SharedUnknown | None:
+        if self._known_shared is None:
+            self._known_shared = self._ask_shared()
+        return self._known_shared
+
+    @timed("optimise")
+    def with_shared(self, key: int, instead: Mapping[int, gtsam.GaussianFactor]) -> SharedUnknown:
+        """The graph at its estimate with one more variable, known to linear factors that stand for some of its own.
+
+        Args:
+            key: of the variable.
+            instead: those factors, by the indices of the ones they stand for, linearised at `values`.
+
+        Raises:
+            BackendError: the system became indeterminate.
+        """
+        ours, values, linear = self._isam.getFactorsUnsafe(), self.values, gtsam.GaussianFactorGraph()
+        for index in range(ours.size()):
+            if ours.at(index) is not None:
+                linear.push_back(instead[index] if index in instead else ours.at(index).linearize(values))
+        try:
+            return SharedUnknown.of(key, linear)
+        except RuntimeError as error:
+            raise BackendError(_first_line(error)) from error
+
+    def _marginal(self, keys: Sequence[int]) -> FloatArray:
+        """Joint marginal covariance of some variables at the linearisation point of the tree.
 
         Of many of them by eliminating all others from the graph: what the tree takes grows with more than their cube
         (373 of 402: 13.5 s by the tree, 0.16 s by the graph, the same to 2e-8 of the standard deviations).
         """
         if len(keys) > _MANY:
-            covariance = _inverse_of_information(self.graph.linearize(tree.getLinearizationPoint()), keys)
+            covariance = _inverse_of_information(self.graph.linearize(self._isam.getLinearizationPoint()), keys)
             if covariance is not None:
                 return covariance
         try:
-            return tree.jointMarginalCovariance(list(keys)).fullMatrix()
+            return self._isam.jointMarginalCovariance(list(keys)).fullMatrix()
         except RuntimeError as error:
             raise BackendError(_first_line(error)) from error
 
@@ -249,6 +275,16 @@ class Backend:
         except RuntimeError as error:
             raise BackendError(_first_line(error)) from error
         return JointCovariance([key], marginal, [self._to_estimate(key)]).of([key])
+
+    def read_covariance(self, key: int) -> FloatArray:
+        """The same for who looks at the map, with the uncertainty of what factors share."""
+        if key in self._past:
+            return self._past.covariance(key, self.read_covariance)
+        covariance, unknown = self.covariance(key), self._shared
+        if unknown is None:
+            return covariance
+        effect = unknown.effect_on(key)
+        return covariance + effect @ effect.T
 
     def _to_estimate(self, key: int) -> FloatArray:
         """Matrix that takes a tangent at iSAM2's linearisation point to one at the estimate.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from copy import copy
 
 import gtsam
 import numpy as np
@@ -29,6 +30,12 @@ class JointCovariance:
     def has(self, keys: Iterable[int]) -> bool:
         """Whether it is of all these keys, and maybe of more."""
         return all(key in self._columns for key in keys)
+
+    def plus(self, effects: FloatArray) -> JointCovariance:
+        """With what independent errors of variance 1 do to the variables, rows as those of `full`, shape (D, K)."""
+        more = copy(self)
+        more._full = self._full + effects @ effects.T
+        return more
 
     @property
     def full(self) -> FloatArray:

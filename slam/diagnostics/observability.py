@@ -202,7 +202,7 @@ def open_stretches(seen: Observability, keyframes: Sequence[Keyframe], backend: 
         last = group[-1].keyframe
         source = _source_of(keyframes[last].motion)
         key = pose_symbol(last)
-        stretches.append(stretch_of(group, len(keyframes) - 1, backend.covariance(key), backend.pose(key), source))
+        stretches.append(stretch_of(group, len(keyframes) - 1, backend.read_covariance(key), backend.pose(key), source))
     return stretches
 
 

@@ -42,6 +42,11 @@ class Observation(Protocol):
         ...
 
     @property
+    def sigma_m(self) -> float:
+        """Standard deviation of where its middle lies along the normal, m."""
+        ...
+
+    @property
     def normal(self) -> FloatArray:
         """Measured unit normal in the body frame, toward the sensor, shape (3,)."""
         ...
@@ -88,6 +93,11 @@ class PlaneObservation:
     def volume(self) -> float:
         """Root of the determinant of the covariance, rad^2 m."""
         return float(np.sqrt(np.linalg.det(self.plane.covariance)))
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of its centre along the normal, m."""
+        return float(np.sqrt(self.plane.covariance[0, 0]))
 
     @property
     def normal(self) -> FloatArray:
@@ -143,6 +153,11 @@ class LineObservation:
     def volume(self) -> float:
         """Root of the determinant of the covariance, rad m."""
         return float(np.sqrt(np.linalg.det(self.line.covariance)))
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of its middle along the normal, m."""
+        return float(np.sqrt(_line_covariance_at_middle(self.line)[0, 0]))
 
     @property
     def normal(self) -> FloatArray:

@@ -34,7 +34,8 @@ class Motion:
     out_of_plane_sigmas: tuple[float, float, float]
     """Planar only: sigmas of (z m, roll rad, pitch rad) in this motion."""
     response: FloatArray | None = None
-    """Planar only: derivative of (x, y, theta) by the wheels' errors of calibration, scale and curvature, (3, 2)."""
+    """Derivative of (x, y, heading), x and y along a's axes, by the wheels' errors of calibration, scale and curvature,
+    shape (3, 2); None: no wheels measured it."""
     calibration_sigmas: tuple[float, float] = (0.0, 0.0)
     """Standard deviations of these two that `covariance` holds."""
     returns_a_T_b: FloatArray | None = None
@@ -133,7 +134,8 @@ class OdometryTrack:
         out_of_plane = (noise.z_sigma_m, noise.roll_sigma_rad, noise.pitch_sigma_rad)
         if self.is_planar:
             return Motion(a_T_b, covariance, out_of_plane, noise.response(steps), noise.calibration_sigmas)
-        return Motion(a_T_b, spatial_covariance(covariance, a_T_b, out_of_plane), out_of_plane)
+        spatial = spatial_covariance(covariance, a_T_b, out_of_plane)
+        return Motion(a_T_b, spatial, out_of_plane, noise.response(steps), noise.calibration_sigmas)
 
 
 def planar_delta(a_T_b: FloatArray) -> FloatArray:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 
 from factors._conventions import POSE3_TO_SP
 from slam.frontend.odometry import Motion
+from slam.frontend.wheel_calibration import shared_covariance
 from spplanes._check import FloatArray
 
 
@@ -16,32 +19,32 @@ def chained(first: Motion, second: Motion) -> Motion:
     To first order. Errors of calibration are the same in both; all others of one are independent of those of the other.
     """
     a_T_c = first.a_T_b @ second.a_T_b
-    if not first.is_planar:
-        carry = gtsam.Pose3(second.a_T_b).inverse().AdjointMap()[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
-        covariance = carry @ first.covariance @ carry.T + second.covariance
-        return Motion(a_T_c, covariance, first.out_of_plane_sigmas)
     turn, carry = np.eye(3), np.eye(3)
     turn[:2, :2] = first.a_T_b[:2, :2]
     moved = turn[:2, :2] @ second.a_T_b[:2, 3]
     carry[:2, 2] = -moved[1], moved[0]
-    covariance = carry @ _own(first) @ carry.T + turn @ _own(second) @ turn.T
-    response = None
+    response, own = None, (first.covariance, second.covariance)
     if first.response is not None and second.response is not None:
-        response = carry @ first.response + turn @ second.response
-        covariance = covariance + _shared(response, first.calibration_sigmas)
-    out = _out_of_plane(first, second)
-    return Motion(a_T_c, covariance, out, response, first.calibration_sigmas)
+        response, own = carry @ first.response + turn @ second.response, (_own(first), _own(second))
+    if first.is_planar:
+        covariance = carry @ own[0] @ carry.T + turn @ own[1] @ turn.T
+        out = _out_of_plane(first, second)
+    else:
+        back = gtsam.Pose3(second.a_T_b).inverse().AdjointMap()[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+        covariance, out = back @ own[0] @ back.T + own[1], first.out_of_plane_sigmas
+    whole = Motion(a_T_c, covariance, out, response, first.calibration_sigmas)
+    if response is None:
+        return whole
+    return replace(whole, covariance=covariance + shared_covariance(whole, _stated(whole)))
 
 
 def _own(motion: Motion) -> FloatArray:
     """The part of a covariance that is of no other motion."""
-    if motion.response is None:
-        return motion.covariance
-    return motion.covariance - _shared(motion.response, motion.calibration_sigmas)
+    return motion.covariance - shared_covariance(motion, _stated(motion))
 
 
-def _shared(response: FloatArray, sigmas: tuple[float, float]) -> FloatArray:
-    return response @ np.diag(np.square(sigmas)) @ response.T
+def _stated(motion: Motion) -> FloatArray:
+    return np.diag(np.square(motion.calibration_sigmas))
 
 
 def _out_of_plane(first: Motion, second: Motion) -> tuple[float, float, float]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from slam.config import BOUND_SIGMAS
 from slam.sensors.rig import Sensor
-from slam.sensors.scan_noise import servo_covariances, surface_covariances, tilt_drift
+from slam.sensors.scan_noise import model_of, servo_covariances, surface_covariances, tilt_drift
 from spplanes import MapperConfig, Plane, fit_plane
 from spplanes._check import FloatArray
 from spplanes._rows import OK
@@ -100,6 +101,40 @@ def sure_labels(
         if not tells_tilt(window, members, frame, mapper.max_tilt_rad):
             sure.ravel()[members] = -1
     return sure
+
+
+def on_planes(
+    points: FloatArray, covariances: FloatArray, labels: np.ndarray, frames: FloatArray, sensor: Sensor
+) -> tuple[np.ndarray, FloatArray]:
+    """Labels and covariances of points by where their beams meet their plane, not by what they read.
+
+    Of a surface near a limit of the sensor those returns are left that err to this side of it: near the 5 m of a depth
+    camera planes came out 0.9 to 1.7 sigmas too near in four drives. And where noise grows with the range, those that
+    read too little would count for more than those that read too much.
+
+    Args:
+        points, covariances, labels: shapes (S, B, 3), (S, B, 3, 3) and (S, B), -1 = none, in the sensor's frame.
+        frames: of about the planes, shape (R, 4, 4).
+        sensor: its limits and its noise.
+
+    Returns:
+        The labels but for beams that the limits may cut off, and the covariances, those of points on a plane anew.
+    """
+    labels, (members,) = labels.copy(), np.nonzero(labels.ravel() >= 0)
+    own, flat = labels.ravel(), points.reshape(-1, 3)[members]
+    normals, origins = frames[own[members], :3, 2], frames[own[members], :3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        there = flat * (np.einsum("ki,ki->k", origins, normals) / np.einsum("ki,ki->k", flat, normals))[:, None]
+    met = np.linalg.norm(there, axis=1)
+    margin = BOUND_SIGMAS * np.sqrt(sensor.range_variance_at(met))
+    inside = (met - margin > sensor.range_min_m) & (met + margin < sensor.range_max_m)
+    own[members[~inside]] = -1
+    model = model_of(sensor)
+    if model.range_sigma_per_m2 == 0.0 or not inside.any():
+        return labels, covariances
+    covariances = covariances.copy()
+    covariances.reshape(-1, 3, 3)[members[inside]] = model.covariances(there[inside])
+    return labels, covariances
 
 
 def believed_planes(

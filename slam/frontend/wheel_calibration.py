@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
-from slam.frontend.odometry import Motion, difference, planar_delta
+from slam.frontend.odometry import Motion, difference, planar_delta, spatial_covariance
+from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS
 from spplanes._check import FloatArray
 
 #: A motion further from its prediction than this probability allows teaches nothing: something else is wrong.
@@ -27,30 +28,37 @@ class WheelCalibration:
     def __init__(self) -> None:
         self.mean = np.zeros(2)
         self.covariance: FloatArray | None = None
-        self._initial = np.zeros((2, 2))
 
     def predict(self, motion: Motion) -> Motion:
-        """The motion corrected by what is known of the wheels; as it is when its noise model states no such errors."""
-        if motion.response is None or not np.any(motion.calibration_sigmas):
+        """The motion corrected by what is known of the wheels; as it is while no such errors are stated nor found."""
+        if motion.response is None:
             return motion
+        initial = unknown_at_first(motion)
         if self.covariance is None:
-            self._initial = np.diag(np.square(motion.calibration_sigmas))
-            self.covariance = self._initial.copy()
+            if not np.any(motion.calibration_sigmas):
+                return motion
+            self.covariance = initial
         way = float(np.linalg.norm(motion.response[:2, 0]))
-        self.covariance = self.covariance + self._initial * way / _MEMORY_M
-        self.covariance *= np.sqrt(
-            np.outer(*(2 * [np.minimum(1.0, np.diag(self._initial) / np.diag(self.covariance))]))
-        )
+        self.covariance = self.covariance + initial * way / _MEMORY_M
+        self.covariance *= np.sqrt(np.outer(*(2 * [np.minimum(1.0, np.diag(initial) / np.diag(self.covariance))])))
         return self.corrected(motion)
 
     def corrected(self, motion: Motion) -> Motion:
-        """A motion as measured, by what is known of the wheels now."""
+        """A motion as measured, by what is known of the wheels now.
+
+        As wide as they may be off where such errors are stated; what is found where none are, all motions share.
+        """
         if motion.response is None or self.covariance is None:
             return motion
-        unknown = self.covariance - self._initial
-        delta = planar_delta(motion.a_T_b) + motion.response @ self.mean
-        covariance = motion.covariance + motion.response @ unknown @ motion.response.T
-        return replace(motion, a_T_b=_transform(delta), covariance=covariance)
+        turned, shifted = np.eye(4), motion.a_T_b.copy()
+        x, y, heading = (motion.response @ self.mean).tolist()
+        turned[:2, :2] = ((np.cos(heading), -np.sin(heading)), (np.sin(heading), np.cos(heading)))
+        shifted[:3, :3] = turned[:3, :3] @ shifted[:3, :3]
+        shifted[:2, 3] += x, y
+        if not np.any(motion.calibration_sigmas):
+            return replace(motion, a_T_b=shifted)
+        more = shared_covariance(motion, self.covariance - np.diag(np.square(motion.calibration_sigmas)))
+        return replace(motion, a_T_b=shifted, covariance=motion.covariance + more)
 
     def learn(self, predicted: Motion, a_T_b: FloatArray, covariance: FloatArray) -> None:
         """Take in what became of a predicted motion.
@@ -60,7 +68,7 @@ class WheelCalibration:
             a_T_b: The motion by the estimate, shape (4, 4).
             covariance: Of its (x, y, theta), shape (3, 3), in the axes of a.
         """
-        if self.covariance is None or predicted.response is None:
+        if self.covariance is None or predicted.response is None or not predicted.is_planar:
             return
         correction = difference(planar_delta(a_T_b), planar_delta(predicted.a_T_b))
         told = np.linalg.solve(predicted.covariance, correction)
@@ -78,9 +86,14 @@ def _positive(matrix: FloatArray) -> FloatArray:
     return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
-def _transform(delta: FloatArray) -> FloatArray:
-    x, y, theta = delta.tolist()
-    a_T_b = np.eye(4)
-    a_T_b[:2, :2] = ((np.cos(theta), -np.sin(theta)), (np.sin(theta), np.cos(theta)))
-    a_T_b[:2, 3] = x, y
-    return a_T_b
+def unknown_at_first(motion: Motion) -> FloatArray:
+    """Covariance (2, 2) of scale and curvature before anything was seen: as stated, or of wheels nobody describes."""
+    stated = motion.calibration_sigmas
+    return np.diag(np.square(stated if np.any(stated) else UNCALIBRATED_WHEELS.calibration_sigmas))
+
+
+def shared_covariance(motion: Motion, covariance: FloatArray) -> FloatArray:
+    """What errors of calibration of a covariance (2, 2) do to a motion, in the order of the motion's own covariance."""
+    assert motion.response is not None
+    planar = motion.response @ covariance @ motion.response.T
+    return planar if motion.is_planar else spatial_covariance(planar, motion.a_T_b, (0.0, 0.0, 0.0))

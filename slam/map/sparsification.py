@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,6 +37,19 @@ class Link:
     def factors(self) -> list[int]:
         """All of them."""
         return [*self.step, *self.floor]
+
+
+class MeasuredStep(NamedTuple):
+    """A motion that wheels measured, and its factor."""
+
+    before: int
+    """The keyframe it starts at."""
+    keyframe: int
+    """The one it leads to."""
+    motion: Motion
+    """As measured."""
+    factor_index: int
+    """Of its factor in the graph."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +93,25 @@ class Sparsifier:
         if keyframe in self._links:
             link = self._links[keyframe]
             self._links[keyframe] = Link(link.motion, [*link.step, factor_index], link.floor)
+
+    @property
+    def n_steps(self) -> int:
+        """How many keyframes are tied to the one before them by a motion."""
+        return len(self._links)
+
+    def measured_steps(self) -> list[MeasuredStep]:
+        """The steps that wheels measured, in order of time."""
+        by_wheels = [one for one, link in self._links.items() if link.motion.response is not None and link.step]
+        return [
+            MeasuredStep(self._before(one), one, self._links[one].motion, self._links[one].step[0])
+            for one in sorted(by_wheels)
+        ]
+
+    def relinked(self, steps: Sequence[MeasuredStep], factor_indices: Sequence[int]) -> None:
+        """The motions of steps have other factors now."""
+        for step, index in zip(steps, factor_indices, strict=True):
+            link = self._links[step.keyframe]
+            self._links[step.keyframe] = Link(link.motion, [index, *link.step[1:]], link.floor)
 
     def judge(self, keyframe: int, matched: Sequence[Observation], factors: Sequence[Any], *, may_leave: bool) -> bool:
         """Whether a keyframe need not stay: it saw known landmarks, by `factors`, and is of no other use."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from slam.evaluation.map_summary import FacingPair, facing_pairs
 from slam.evaluation.metrics import Metric
 from slam.evaluation.wall_density import metres_of_wall
@@ -37,6 +39,7 @@ def metrics_of(run: Run) -> list[Metric]:
     rows += _pair_rows(facing_pairs(run.planes)[:6])
     if steps := [one for one in run.slam.odometry_record.steps if one.check.off is not None]:
         rows.append(Metric("odometry errs, times what is stated, by 3D scans", steps[-1].scale, ""))
+    rows += _calibration_rows(run)
     for summary in run.slam.audit.summary():
         band = f"{summary.low:.3f} to {summary.high:.3f}"
         rows.append(Metric(f"NIS per dof, {summary.kind} factors (95 % band {band})", summary.mean_per_dof, ""))
@@ -113,6 +116,20 @@ def empty_map(planes: Sequence[MapPlane]) -> list[str]:
 def _has_no_odometry(run: Run) -> bool:
     """Whether nothing but what was seen holds some keyframe."""
     return any(frame.motion is None for frame in run.slam.keyframes[1:])
+
+
+def _calibration_rows(run: Run) -> list[Metric]:
+    """What was found of the wheels' errors of calibration, where the rig states some or the drive shows some."""
+    found = run.slam.calibration
+    if found.covariance is None:
+        return []
+    mean, sigmas = found.mean, np.sqrt(np.diag(found.covariance))
+    return [
+        Metric("ways, longer than the odometry says", 100.0 * float(mean[0]), "%"),
+        Metric("  its standard deviation (ways)", 100.0 * float(sigmas[0]), "%"),
+        Metric("heading, turns more than the odometry says", float(np.rad2deg(mean[1])), "deg/m"),
+        Metric("  its standard deviation (heading)", float(np.rad2deg(sigmas[1])), "deg/m"),
+    ]
 
 
 def _pair_rows(pairs: list[FacingPair]) -> list[Metric]:

@@ -19,6 +19,7 @@ from slam.geometry.frames import inverse, orthonormal
 from slam.map.sparsification import Link
 from slam.map.state import Parts
 from slam.registration.relocalization import FoundPlace, Rivals, found_place, is_wide
+from slam.tracking.calibration_by_graph import CalibrationByGraph
 from slam.tracking.constant_velocity import coast
 from slam.tracking.odometry_check import check
 from slam.tracking.odometry_record import OdometryRecord
@@ -38,6 +39,8 @@ class _Step:
     beyond: Motion | None = None
     """What the returns say beyond all lines seen, where no wheels measured it: it stands in until these are matched."""
     is_wide: bool = False
+    is_measured: bool = False
+    """Whether its factor is the motion that came with the keyframe."""
 
 
 class StartPose(NamedTuple):
@@ -94,6 +97,7 @@ class MotionModel:
         self.rivals: dict[int, Rivals] = {}
         self.odometry_record = OdometryRecord(parts.config.association.new_significance)
         self.odometry_scale = OdometryScale()
+        self._by_graph = CalibrationByGraph(self._sparsifier, self._backend)
 
     def predict(self, keyframe: Keyframe) -> Prediction:
         """Put the pose of a new keyframe into the graph, where others may leave it."""
@@ -108,7 +112,7 @@ class MotionModel:
         indices = self._backend.update([*own_factors, *through], initial, remove=removal.stale)
         own = indices[: len(own_factors)]
         self._sparsifier.removed(removal, indices[len(own_factors) :])
-        measured = None if step.place is not None or index == 0 else keyframe.motion
+        measured = keyframe.motion if step.is_measured else None
         if measured is not None:
             measured = scaled(measured, self.odometry_scale.factor)
         n_step = len(step.factors)
@@ -128,8 +132,10 @@ class MotionModel:
         )
 
     def learn(self, prediction: Prediction) -> None:
-        """What a motion, now that its end has been seen, says about the wheels."""
+        """What a motion, now that its end has been seen, says about the wheels, and every so often all of them."""
         motion = prediction.motion
+        if self._by_graph.learn(self.calibration):
+            return
         if motion is None or motion.response is None or self.calibration.covariance is None:
             return
         keys = [pose_symbol(prediction.index - 1), prediction.pose_key]
@@ -157,8 +163,10 @@ class MotionModel:
         if wide and place is None and keyframe.surfaces is not None:
             self.unplaced.append(index)
         if place is None:
-            factors = motion.factors(before, key)
-            return _Step(world_T_before @ motion.a_T_b, factors, motion, beyond=beyond, is_wide=wide)
+            factors, measured = motion.factors(before, key), keyframe.motion is not None and self._is_used
+            return _Step(
+                world_T_before @ motion.a_T_b, factors, motion, beyond=beyond, is_wide=wide, is_measured=measured
+            )
         self.rivals[index] = place.rivals
         kernel, there = self._config.coasting.robust or self._config.backend.robust, place.motion
         pending = [*motion.factors(before, key), *place.factors(before, key, kernel)]
@@ -191,6 +199,11 @@ class MotionModel:
             self.odometry_scale.learn(stated, said.off, said.known, guess)
             motion = scaled(stated, self.odometry_scale.factor)  # this step is one of those that tell
         return record.take(last + 1, motion, unmeasured, guess, said, self.odometry_scale.factor)
+
+    @property
+    def _is_used(self) -> bool:
+        """Whether the last motion that came with a keyframe was used as it was stated."""
+        return bool(self.odometry_record.steps) and self.odometry_record.steps[-1].used == "as stated"
 
     def _through(self, first: int, last: int, motion: Motion) -> Any:
         """The factor of a motion as measured through keyframes that have left."""

@@ -89,7 +89,7 @@ def _sentence(one: OpenMapDirection, wide: tuple[int, ...], sigma: float) -> str
 def _sigma_along(run: Finished, keyframe: int, direction: FloatArray) -> float:
     """Standard deviation of a keyframe's position along a direction of the world, m."""
     key = pose_symbol(keyframe)
-    return sigma_along("position", direction, run.backend.covariance(key), run.backend.pose(key))
+    return sigma_along("position", direction, run.backend.read_covariance(key), run.backend.pose(key))
 
 
 def ambiguity_evidence(run: Finished) -> Iterator[Evidence]:

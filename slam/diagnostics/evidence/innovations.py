@@ -31,7 +31,7 @@ def claimed_sigmas(run: Finished) -> dict[int, float]:
     """Largest standard deviation of the position of some keyframes, by their index, m."""
     count = len(run.keyframes)
     chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_POSES)).round().astype(int)).tolist()
-    blocks = {key: run.backend.covariance(pose_symbol(key))[3:, 3:] for key in chosen}
+    blocks = {key: run.backend.read_covariance(pose_symbol(key))[3:, 3:] for key in chosen}
     return {key: float(np.sqrt(max(np.linalg.eigvalsh(block)[-1], 0.0))) for key, block in blocks.items()}
 
 

@@ -37,7 +37,7 @@ def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     yield from assumption_evidence(run)
     yield from ambiguity_evidence(run)
     yield from nis_evidence(run)
-    yield from odometry_evidence(run)
+    yield from odometry_evidence(run, rig)
     yield from believed_evidence(run)
     yield from unmatched_evidence(run)
     yield from free_space_evidence(views, poses)

@@ -30,7 +30,7 @@ def start_evidence(run: Finished) -> Iterator[Evidence]:
     if run.prior is None or not len(run.trajectory):
         return
     try:
-        covariance = run.backend.covariance(pose_symbol(0))[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+        covariance = run.backend.read_covariance(pose_symbol(0))[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
     except (BackendError, KeyError, ValueError, RuntimeError):
         return
     chi2, dof, error = start_innovation(

@@ -268,6 +268,25 @@ def test_the_planes_of_a_grid_are_those_of_their_points_alone_and_a_line_is_none
         np.testing.assert_array_equal(measured[0].covariance, alone.covariance)
 
 
+def test_a_wall_that_reaches_beyond_the_sensors_range_is_where_it_is():
+    """Of its far end those returns are left that err to this side: 3 dof, over walls from 4.3 m to beyond the 5 m."""
+    rng = np.random.default_rng(11)
+    v, u = np.mgrid[:60, :80] + 0.5
+    rays = np.stack(((u - 40.0) / 72.5, (v - 30.0) / 72.5, np.ones_like(u)), axis=-1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    camera = sensor(range_sigma_m=0.0015, disparity_sigma_per_m=0.0014, range_min_m=0.3, range_max_m=5.0)
+    nees = []
+    for _ in range(60):
+        tilt, d = rng.uniform(0.2, 0.5), rng.uniform(4.1, 4.5)
+        normal = np.array((np.sin(tilt), 0.0, -np.cos(tilt)))  # toward the camera
+        ranges = -d * np.cos(tilt) / (rays @ normal)
+        read = ranges + np.sqrt(camera.range_variance_at(ranges)) * rng.standard_normal(ranges.shape)
+        seen = planes_of_cloud(CloudScan(0, "camera", rays * read[..., None]), camera, SlamConfig())
+        assert len(seen) == 1
+        nees.append(seen[0].plane.mahalanobis(Plane.from_hesse(normal, -d * np.cos(tilt), np.zeros((3, 3)))))
+    assert_mean_in_band(np.array(nees), 3)
+
+
 def test_planes_of_a_spinning_laser_are_as_sure_as_they_say():
     """With returns that may be of another surface the mean is 3.5; two strips taken for one plane count as 30."""
     found = []

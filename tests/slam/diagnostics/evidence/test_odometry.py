@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from slam.diagnostics.evidence.innovations import claimed_sigmas
 from slam.diagnostics.evidence.odometry import _Residual, _test
 from tests.slam.short_drives import mapped_beginning
 
@@ -37,9 +38,18 @@ def test_a_bias_that_no_step_shows_adds_up():
     assert chi2 > 20.0 * dof
 
 
-@pytest.mark.parametrize("wheels, verdict", [("biased", "doubtful"), ("good", "sound")])
-def test_wheels_with_an_error_of_calibration_that_a_corridor_does_not_tell_are_doubted(wheels: str, verdict: str):
-    """Ways 3 % wrong, 0.6 m along a bare corridor for claimed 0.13: the heading, which the walls tell, drifts too."""
-    run, _ = mapped_beginning(f"bare/lidar16/{wheels}", 640003, 40)
-    assert run.verdict.verdict == verdict
-    assert ("errors of the odometry add up to" in run.verdict.line) == (wheels == "biased")
+@pytest.mark.parametrize("wheels, least_m, most_m", [("biased", 0.4, 1.5), ("good", 0.0, 0.15)])
+def test_an_error_of_calibration_that_a_corridor_does_not_tell_is_claimed(wheels: str, least_m: float, most_m: float):
+    """Ways 3 % wrong, 0.6 m along a bare corridor: the walls tell that the heading drifts, nothing how long it is."""
+    run, off = mapped_beginning(f"bare/lidar16/{wheels}", 640003, 40)
+    claimed = max(claimed_sigmas(run.slam).values())
+    assert run.verdict.verdict == "sound"
+    assert least_m < claimed < most_m
+    assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 3.0 * claimed
+
+
+def test_windows_measured_by_wheels_with_an_error_of_calibration_are_doubted():
+    """It is taken out of the steps, but not out of what a push-broom laser saw along them."""
+    run, _ = mapped_beginning("bare/pushbroom/biased", 710006, 600)
+    assert run.slam.calibration.mean.any()
+    assert "errors of the odometry add up to" in run.verdict.line

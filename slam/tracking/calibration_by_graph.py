@@ -1,0 +1,124 @@
+"""The wheels' errors of calibration by all that the graph knows: they are one unknown of the whole way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+from scipy.special import expit
+
+from slam.backend.estimator import Backend, pose_symbol
+from slam.backend.shared_unknown import SharedUnknown
+from slam.frontend.odometry import Motion
+from slam.frontend.wheel_calibration import WheelCalibration, unknown_at_first
+from slam.map.sparsification import MeasuredStep, Sparsifier
+from spplanes._check import FloatArray
+
+#: The key of the unknown, in the linear graph alone.
+_KEY = gtsam.symbol("c", 0)
+#: Steps before it is first asked for, and by how many times more before it is asked for again.
+_FIRST, _GROWTH = 16, 1.25
+#: Rounds of relinearisation after the steps changed.
+_ROUNDS = 5
+
+
+class FoundCalibration(NamedTuple):
+    """Scale and curvature of the odometry as the graph has them."""
+
+    mean: FloatArray
+    """Shape (2,), 1 and rad/m; of both cases, that there are none and that there are some."""
+    covariance: FloatArray
+    """The same, shape (2, 2)."""
+    as_stated: float
+    """Probability that there are none, as the rig says."""
+
+
+class CalibrationByGraph:
+    """Asks the graph every so often, and lets all steps so far have the answer.
+
+    Errors of calibration are the same in every step: small in each, they add up, and what tells them may come long
+    after the steps that suffered from them. With c the errors, a step's residual is r - G c. All other unknowns of the
+    linearised graph are eliminated, which leaves information L and vector l on c: exact but for the linearisation, and
+    all correlations with it. A rig that states no errors of calibration is right with probability one half, or they
+    have the prior of wheels that nobody describes, S:
+    p(graph | c ~ S) / p(graph | c = 0) = |I + S L|^-1/2 exp(l^T (L + S^-1)^-1 l / 2).
+    Once there are more likely some than none, all steps have their mean over both cases, and what is still open about
+    them is in every covariance that is read (`SharedUnknown`); where nothing tells, the rig is believed. Where a rig
+    states them, each step is as wide as they make it, and they are learnt on the way (`WheelCalibration`).
+
+    References:
+        Martinelli, Tomatis, Siegwart, "Simultaneous localization and odometry self calibration", Auton. Robots 2007,
+        for the errors as part of the state.
+    """
+
+    def __init__(self, sparsifier: Sparsifier, backend: Backend) -> None:
+        self._sparsifier, self._backend = sparsifier, backend
+        self._next, self._found = _FIRST, False
+        backend.share(self._unknown)
+
+    def learn(self, calibration: WheelCalibration) -> bool:
+        """Ask, if it is time; whether all steps so far are of other factors now."""
+        if self._sparsifier.n_steps < self._next:
+            return False
+        self._next = int(np.ceil(_GROWTH * self._sparsifier.n_steps))
+        steps = self._sparsifier.measured_steps()
+        if not steps or np.any(steps[0].motion.calibration_sigmas):
+            return False
+        found, _ = calibration_by_graph(steps, self._backend)
+        self._found = self._found or found.as_stated < 0.5
+        if not self._found:
+            return False
+        calibration.mean, calibration.covariance = found.mean, found.covariance
+        factors = [_factor(step, calibration.corrected(step.motion)) for step in steps]
+        indices = self._backend.exchange(factors, [step.factor_index for step in steps], ())
+        self._sparsifier.relinked(steps, indices)
+        self._backend.settle(_ROUNDS)
+        return True
+
+    def _unknown(self) -> SharedUnknown | None:
+        """The errors of calibration, once they were found: what is still open about them all steps share."""
+        steps = self._sparsifier.measured_steps() if self._found else []
+        return calibration_by_graph(steps, self._backend)[1] if steps else None
+
+
+def calibration_by_graph(steps: Sequence[MeasuredStep], backend: Backend) -> tuple[FoundCalibration, SharedUnknown]:
+    """The errors of calibration in steps that are in the graph, and what they do to it.
+
+    Raises:
+        BackendError: the graph became indeterminate.
+    """
+    graph = backend.with_shared(_KEY, {step.factor_index: _with_calibration(step, backend) for step in steps})
+    prior = unknown_at_first(steps[0].motion)
+    covariance = np.linalg.inv(graph.information + np.linalg.inv(prior))
+    mean = covariance @ graph.vector
+    log_odds = 0.5 * float(graph.vector @ mean - np.linalg.slogdet(np.eye(2) + prior @ graph.information)[1])
+    some = float(expit(log_odds))
+    covariance = some * (0.5 * (covariance + covariance.T) + (1.0 - some) * np.outer(mean, mean))
+    return FoundCalibration(some * mean, covariance, 1.0 - some), graph.known(covariance)
+
+
+def _factor(step: MeasuredStep, motion: Motion) -> gtsam.NonlinearFactor:
+    return motion.factors(pose_symbol(step.before), pose_symbol(step.keyframe))[0]
+
+
+def _with_calibration(step: MeasuredStep, backend: Backend) -> gtsam.GaussianFactor:
+    """The step as measured, linearised, its errors of calibration an unknown.
+
+    With them the measured motion is another by G c, x and y along the axes of its start, and the error less by that, in
+    the tangent of its end.
+    """
+    keys = pose_symbol(step.before), pose_symbol(step.keyframe)
+    motion = step.motion
+    assert motion.response is not None
+    linear = _factor(step, motion).linearize(backend.values_of(keys))
+    jacobian, target = linear.jacobian()
+    first, second = jacobian[:, :6], jacobian[:, 6:]
+    if next(iter(linear.keys())) != keys[0]:
+        first, second = second, first
+    b_R_a = motion.a_T_b[:3, :3].T
+    moved = np.zeros((6, 2))
+    moved[:3], moved[3:] = np.outer(b_R_a[:, 2], motion.response[2]), b_R_a[:, :2] @ motion.response[:2]
+    unit = gtsam.noiseModel.Unit.Create(len(target))
+    return gtsam.JacobianFactor(keys[0], first, keys[1], second, _KEY, -second @ moved, target, unit)

@@ -1,0 +1,72 @@
+"""Chains of poses driven by wheels with errors of calibration, and seen now and then: graphs of known truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from factors import pose_prior
+from slam.backend.estimator import Backend, pose_symbol
+from slam.config import BackendConfig
+from slam.frontend.odometry import Motion, planar_delta
+from slam.geometry.frames import planar_transform
+from slam.map.sparsification import MeasuredStep
+from slam.sensors.wheel_noise import OdometryNoise
+from spplanes._check import FloatArray
+
+#: A rig that states no errors of calibration.
+NOISE = OdometryNoise(z_sigma_m=1e-3, pitch_sigma_rad=1e-3, roll_sigma_rad=1e-3)
+#: Standard deviations of what is seen of a pose: where it is, m, and how it is turned, rad.
+_SEEN_M, _SEEN_RAD = 0.02, 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """A graph, and the truth."""
+
+    backend: Backend
+    """The graph."""
+    steps: list[MeasuredStep]
+    """The odometry in it."""
+    true: FloatArray
+    """World poses (N, 4, 4)."""
+
+
+def chain(
+    rng: np.random.Generator, errors: FloatArray, *, n_poses: int = 60, seen_every: int = 10, until: int | None = None
+) -> Chain:
+    """Half a metre a step, turning; every so many poses are seen, up to one.
+
+    Args:
+        rng: of noise and way.
+        errors: scale and curvature that take measured motions to true ones.
+        n_poses: how many.
+        seen_every: of so many one is seen.
+        until: none from here on.
+    """
+    backend, steps, true = Backend(BackendConfig()), [], [np.eye(4)]
+    at = np.eye(4)
+    sigmas = np.array([_SEEN_M, _SEEN_M, 1e-2, _SEEN_RAD, 1e-2, 1e-2])
+    for k in range(n_poses):
+        factors, values = [], gtsam.Values()
+        if k:
+            measured = np.array((0.5, 0.0, rng.normal(0.0, 0.1)))
+            response, random = NOISE.response([measured]), NOISE.covariance(measured)
+            moved = measured + response @ errors + np.linalg.cholesky(random) @ rng.standard_normal(3)
+            true.append(true[-1] @ planar_transform(*moved))
+            motion = Motion(planar_transform(*measured), random, (1e-3,) * 3, response, NOISE.calibration_sigmas)
+            steps.append(MeasuredStep(k - 1, k, motion, -1))
+            factors += motion.factors(pose_symbol(k - 1), pose_symbol(k))[:1]
+            at = backend.pose(pose_symbol(k - 1)) @ motion.a_T_b
+        if k % seen_every == 0 and (until is None or k < until):
+            off = sigmas * rng.standard_normal(6) if k else np.zeros(6)
+            x, y, heading = planar_delta(true[-1]) + off[[0, 1, 3]]
+            factors.append(pose_prior(pose_symbol(k), planar_transform(x, y, heading), np.diag(sigmas**2)))
+        values.insert(pose_symbol(k), gtsam.Pose3(at))
+        indices = backend.update(factors, values)
+        if k:
+            steps[-1] = steps[-1]._replace(factor_index=indices[0])
+    backend.settle(10)
+    return Chain(backend, steps, np.array(true))
