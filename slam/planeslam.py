@@ -195,7 +195,10 @@ class PlaneSlam:
     @timed("learn wheels")
     def _calibrate(self, prediction: Prediction) -> None:
         """What the last motion, now that its end has been seen, says about the wheels."""
-        self._motion_model.learn(prediction)
+        if self._motion_model.learn(prediction):
+            self._same_plane.forget()
+            self.landmarks.refresh(self.backend)
+            self.merges.redraw(0)
 
     @timed("update")
     def _match_late(self, update: MapUpdate) -> list[LateMatch]:
@@ -254,7 +257,11 @@ class PlaneSlam:
         return map_planes(self.landmarks, self.backend, self.config.landmarks.min_observations)
 
     def marginal_covariance(self, key: int) -> FloatArray:
-        """Marginal covariance of a variable, in its GTSAM tangent order: (rx, ry, rz, x, y, z) for a pose."""
+        """Marginal covariance of a variable, in its GTSAM tangent order: (rx, ry, rz, x, y, z) for a pose.
+
+        Where errors of the wheels' calibration were found, the first one after a keyframe takes as long as eliminating
+        the whole graph: what is open about them is in it.
+        """
         return self.backend.read_covariance(key)
 
     @property

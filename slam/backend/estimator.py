@@ -280,11 +280,7 @@ class Backend:
         """The same for who looks at the map, with the uncertainty of what factors share."""
         if key in self._past:
             return self._past.covariance(key, self.read_covariance)
-        covariance, unknown = self.covariance(key), self._shared
-        if unknown is None:
-            return covariance
-        effect = unknown.effect_on(key)
-        return covariance + effect @ effect.T
+        return self.read_joint_covariance([key]).full
 
     def _to_estimate(self, key: int) -> FloatArray:
         """Matrix that takes a tangent at iSAM2's linearisation point to one at the estimate.

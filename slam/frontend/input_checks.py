@@ -152,18 +152,18 @@ def _check_covariance(name: str, covariance: FloatArray, sizes: tuple[int, ...])
 
 
 def _check_wheels(name: str, motion: Motion) -> None:
-    """What a planar motion says beside its covariance."""
+    """What a motion says beside its covariance."""
+    if motion.response is not None:
+        as_shape(f"{name}.response", motion.response, (3, 2))
+        if not all(0.0 <= sigma <= _LARGEST_SIGMA for sigma in motion.calibration_sigmas):
+            wanted = "standard deviations of scale and curvature"
+            raise ValueError(f"{name}.calibration_sigmas: expected {wanted}, got {motion.calibration_sigmas}")
     if not motion.is_planar:
         return
     for sigma in motion.out_of_plane_sigmas:
         if not _LEAST_SIGMA <= sigma <= _LARGEST_SIGMA:
             wanted = f"standard deviations from {_LEAST_SIGMA:g} to {_LARGEST_SIGMA:g}"
             raise ValueError(f"{name}.out_of_plane_sigmas: expected {wanted}, got {sigma}")
-    if motion.response is not None:
-        as_shape(f"{name}.response", motion.response, (3, 2))
-        if not all(0.0 <= sigma <= _LARGEST_SIGMA for sigma in motion.calibration_sigmas):
-            wanted = "standard deviations of scale and curvature"
-            raise ValueError(f"{name}.calibration_sigmas: expected {wanted}, got {motion.calibration_sigmas}")
 
 
 def _check_pose(name: str, pose: FloatArray) -> None:

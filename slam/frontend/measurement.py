@@ -13,7 +13,7 @@ from slam.frontend.deskewing import middle_ns, place_beams
 from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import OdometryTrack
 from slam.frontend.push_broom import window_poses
-from slam.frontend.scan_regions import believed_planes, fit_if_any, members_of, on_planes, sure_labels
+from slam.frontend.scan_regions import believed_planes, fit_if_any, members_of, on_planes, sure_labels, telling_labels
 from slam.frontend.scan_surfaces import surfaces_of
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import coarse, flatten, largest_polygon
@@ -116,6 +116,7 @@ def _flat_planes(
     rough, spreads = frames_of(rows, np.zeros((len(rows), 3)))
     sure = sure_labels(points, covariances, found.labels, rough, settings, config.measurements)
     sure, covariances = on_planes(points, covariances, sure, rough, sensor)
+    sure = telling_labels(points, covariances, sure, rough, settings)
     believed = believed_planes(points, covariances, sure, rough, sensor, viewpoint, config.measurements)
     kept = {k: one[0] for k, one in enumerate(believed) if one is not None}
     labels = found.labels.copy()

@@ -78,7 +78,7 @@ def sure_labels(
     mapper: MapperConfig,
     rules: ValidationConfig,
 ) -> np.ndarray:
-    """Labels (S, B) of the points that are of no other surface; planes whose tilt these do not tell have none.
+    """Labels (S, B) of the points that are of no other surface.
 
     Planes edge-on to the sensor are artefacts of a scan line, and end no other: beams meet them anywhere. They are seen
     from the middle of their points, not from where those are that weigh most: of a floor they are the farthest.
@@ -86,7 +86,7 @@ def sure_labels(
     Args:
         points, covariances, labels: shapes (S, B, 3), (S, B, 3, 3) and (S, B), -1 = none, in the sensor's frame.
         frames: of about the planes, shape (R, 4, 4).
-        mapper: how uneven surfaces are, and the least that a plane tells of its tilt.
+        mapper: how uneven surfaces are.
         rules: how edge-on a plane may be seen.
     """
     seen = [False]  # what is of no plane
@@ -96,11 +96,7 @@ def sure_labels(
         seen.append(aside >= float(np.linalg.norm(middle)) * np.cos(rules.max_incidence_rad))
     labels = np.where(np.array(seen)[labels + 1], labels, -1)
     window = Window(points, covariances, np.empty((0, 0)))
-    sure = np.where(sure_points(window, labels, list(frames), mapper.flatness_m), labels, -1)
-    for frame, members in zip(frames, members_of(sure, len(frames)), strict=True):
-        if not tells_tilt(window, members, frame, mapper.max_tilt_rad):
-            sure.ravel()[members] = -1
-    return sure
+    return np.where(sure_points(window, labels, list(frames), mapper.flatness_m), labels, -1)
 
 
 def on_planes(
@@ -123,11 +119,12 @@ def on_planes(
     labels, (members,) = labels.copy(), np.nonzero(labels.ravel() >= 0)
     own, flat = labels.ravel(), points.reshape(-1, 3)[members]
     normals, origins = frames[own[members], :3, 2], frames[own[members], :3, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        there = flat * (np.einsum("ki,ki->k", origins, normals) / np.einsum("ki,ki->k", flat, normals))[:, None]
+    along, away = np.einsum("ki,ki->k", flat, normals), np.einsum("ki,ki->k", origins, normals)
+    there = flat * np.divide(away, along, out=np.zeros(len(flat)), where=along * away > 0.0)[:, None]
     met = np.linalg.norm(there, axis=1)
+    met = np.where(met < 2.0 * sensor.range_max_m, met, 0.0)  # a beam hardly meets a plane that it runs along
     margin = BOUND_SIGMAS * np.sqrt(sensor.range_variance_at(met))
-    inside = (met - margin > sensor.range_min_m) & (met + margin < sensor.range_max_m)
+    inside = (met > 0.0) & (met - margin > sensor.range_min_m) & (met + margin < sensor.range_max_m)
     own[members[~inside]] = -1
     model = model_of(sensor)
     if model.range_sigma_per_m2 == 0.0 or not inside.any():
@@ -135,6 +132,17 @@ def on_planes(
     covariances = covariances.copy()
     covariances.reshape(-1, 3, 3)[members[inside]] = model.covariances(there[inside])
     return labels, covariances
+
+
+def telling_labels(
+    points: FloatArray, covariances: FloatArray, labels: np.ndarray, frames: FloatArray, mapper: MapperConfig
+) -> np.ndarray:
+    """Labels (S, B) of the points of planes whose tilt their points tell; arguments as above."""
+    window, labels = Window(points, covariances, np.empty((0, 0))), labels.copy()
+    for frame, members in zip(frames, members_of(labels, len(frames)), strict=True):
+        if not tells_tilt(window, members, frame, mapper.max_tilt_rad):
+            labels.ravel()[members] = -1
+    return labels
 
 
 def believed_planes(

@@ -31,12 +31,10 @@ class WheelCalibration:
 
     def predict(self, motion: Motion) -> Motion:
         """The motion corrected by what is known of the wheels; as it is while no such errors are stated nor found."""
-        if motion.response is None:
-            return motion
+        if motion.response is None or not np.any(motion.calibration_sigmas):
+            return self.corrected(motion)
         initial = unknown_at_first(motion)
         if self.covariance is None:
-            if not np.any(motion.calibration_sigmas):
-                return motion
             self.covariance = initial
         way = float(np.linalg.norm(motion.response[:2, 0]))
         self.covariance = self.covariance + initial * way / _MEMORY_M

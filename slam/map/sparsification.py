@@ -81,23 +81,21 @@ class Sparsifier:
         self._leaving: set[int] = set()
         self._links: dict[int, Link] = {}
         self._support = PoseSupport()
+        #: How many steps wheels have measured, those that have left the graph included.
+        self.n_measured = 0
 
     def entered(self, keyframe: int, link: Link | None) -> None:
         """A keyframe is in the graph; None: by something else than odometry, so it stays, and those before it."""
         self.held.append(keyframe)
         if link is not None:
             self._links[keyframe] = link
+            self.n_measured += link.motion.response is not None
 
     def linked(self, keyframe: int, factor_index: int) -> None:
         """Another factor links a keyframe to the one before it."""
         if keyframe in self._links:
             link = self._links[keyframe]
             self._links[keyframe] = Link(link.motion, [*link.step, factor_index], link.floor)
-
-    @property
-    def n_steps(self) -> int:
-        """How many keyframes are tied to the one before them by a motion."""
-        return len(self._links)
 
     def measured_steps(self) -> list[MeasuredStep]:
         """The steps that wheels measured, in order of time."""

@@ -121,7 +121,7 @@ def _has_no_odometry(run: Run) -> bool:
 def _calibration_rows(run: Run) -> list[Metric]:
     """What was found of the wheels' errors of calibration, where the rig states some or the drive shows some."""
     found = run.slam.calibration
-    if found.covariance is None:
+    if found.covariance is None or not found.mean.any():
         return []
     mean, sigmas = found.mean, np.sqrt(np.diag(found.covariance))
     return [

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from scipy.special import expit
 
-from slam.backend.estimator import Backend, pose_symbol
+from slam.backend.estimator import Backend, BackendError, pose_symbol
 from slam.backend.shared_unknown import SharedUnknown
 from slam.frontend.odometry import Motion
 from slam.frontend.wheel_calibration import WheelCalibration, unknown_at_first
@@ -55,22 +55,25 @@ class CalibrationByGraph:
 
     def __init__(self, sparsifier: Sparsifier, backend: Backend) -> None:
         self._sparsifier, self._backend = sparsifier, backend
-        self._next, self._found = _FIRST, False
+        self._next = _FIRST
+        self._used: FloatArray | None = None
         backend.share(self._unknown)
 
     def learn(self, calibration: WheelCalibration) -> bool:
         """Ask, if it is time; whether all steps so far are of other factors now."""
-        if self._sparsifier.n_steps < self._next:
+        if self._sparsifier.n_measured < self._next:
             return False
-        self._next = int(np.ceil(_GROWTH * self._sparsifier.n_steps))
+        self._next = int(np.ceil(_GROWTH * self._sparsifier.n_measured))
         steps = self._sparsifier.measured_steps()
-        if not steps or np.any(steps[0].motion.calibration_sigmas):
+        if not steps or any(np.any(step.motion.calibration_sigmas) for step in steps):
             return False
-        found, _ = calibration_by_graph(steps, self._backend)
-        self._found = self._found or found.as_stated < 0.5
-        if not self._found:
+        try:
+            found, _ = calibration_by_graph(steps, self._backend)
+        except BackendError:  # the graph cannot be asked now; nothing was changed
             return False
-        calibration.mean, calibration.covariance = found.mean, found.covariance
+        if self._used is None and found.as_stated >= 0.5:
+            return False
+        calibration.mean, calibration.covariance, self._used = found.mean, found.covariance, found.mean
         factors = [_factor(step, calibration.corrected(step.motion)) for step in steps]
         indices = self._backend.exchange(factors, [step.factor_index for step in steps], ())
         self._sparsifier.relinked(steps, indices)
@@ -78,13 +81,17 @@ class CalibrationByGraph:
         return True
 
     def _unknown(self) -> SharedUnknown | None:
-        """The errors of calibration, once they were found: what is still open about them all steps share."""
-        steps = self._sparsifier.measured_steps() if self._found else []
-        return calibration_by_graph(steps, self._backend)[1] if steps else None
+        """The errors of calibration, once they were found: by how much what all steps have may be wrong."""
+        steps = self._sparsifier.measured_steps()
+        if self._used is None or not steps:
+            return None
+        found, graph = calibration_by_graph(steps, self._backend)
+        since = found.mean - self._used  # what was seen since the steps were put in says otherwise by so much
+        return graph.known(found.covariance + np.outer(since, since))
 
 
 def calibration_by_graph(steps: Sequence[MeasuredStep], backend: Backend) -> tuple[FoundCalibration, SharedUnknown]:
-    """The errors of calibration in steps that are in the graph, and what they do to it.
+    """The errors of calibration in steps that are in the graph, and the graph as it depends on them.
 
     Raises:
         BackendError: the graph became indeterminate.
@@ -96,7 +103,7 @@ def calibration_by_graph(steps: Sequence[MeasuredStep], backend: Backend) -> tup
     log_odds = 0.5 * float(graph.vector @ mean - np.linalg.slogdet(np.eye(2) + prior @ graph.information)[1])
     some = float(expit(log_odds))
     covariance = some * (0.5 * (covariance + covariance.T) + (1.0 - some) * np.outer(mean, mean))
-    return FoundCalibration(some * mean, covariance, 1.0 - some), graph.known(covariance)
+    return FoundCalibration(some * mean, covariance, 1.0 - some), graph
 
 
 def _factor(step: MeasuredStep, motion: Motion) -> gtsam.NonlinearFactor:

@@ -39,8 +39,8 @@ class _Step:
     beyond: Motion | None = None
     """What the returns say beyond all lines seen, where no wheels measured it: it stands in until these are matched."""
     is_wide: bool = False
-    is_measured: bool = False
-    """Whether its factor is the motion that came with the keyframe."""
+    measured: Motion | None = None
+    """The motion that came with the keyframe, as its factor has it but for errors of calibration; None: none has."""
 
 
 class StartPose(NamedTuple):
@@ -112,13 +112,10 @@ class MotionModel:
         indices = self._backend.update([*own_factors, *through], initial, remove=removal.stale)
         own = indices[: len(own_factors)]
         self._sparsifier.removed(removal, indices[len(own_factors) :])
-        measured = keyframe.motion if step.is_measured else None
-        if measured is not None:
-            measured = scaled(measured, self.odometry_scale.factor)
         n_step = len(step.factors)
         standing_in = own[n_step : n_step + len(beyond)]
         floor = own[1:n_step] + own[n_step + len(beyond) :]
-        link = None if measured is None else Link(_with(measured, step.beyond), own[:1], floor)
+        link = None if step.measured is None else Link(_with(step.measured, step.beyond), own[:1], floor)
         self._sparsifier.entered(index, link)
         return Prediction(
             index,
@@ -131,17 +128,21 @@ class MotionModel:
             robust=(self._config.coasting.robust if step.pending else None) or self._config.backend.robust,
         )
 
-    def learn(self, prediction: Prediction) -> None:
-        """What a motion, now that its end has been seen, says about the wheels, and every so often all of them."""
+    def learn(self, prediction: Prediction) -> bool:
+        """What a motion, now that its end has been seen, says about the wheels, and every so often all of them.
+
+        Whether all steps so far are of other factors now, so that the map may have been bent.
+        """
         motion = prediction.motion
         if self._by_graph.learn(self.calibration):
-            return
-        if motion is None or motion.response is None or self.calibration.covariance is None:
-            return
+            return True
+        if motion is None or motion.response is None or not np.any(motion.calibration_sigmas):
+            return False
         keys = [pose_symbol(prediction.index - 1), prediction.pose_key]
         a_T_b = inverse(self._backend.pose(keys[0])) @ self._backend.pose(keys[1])
         covariance = motion_covariance(a_T_b, self._backend.joint_covariance(keys).of(keys))
         self.calibration.learn(motion, a_T_b, covariance)
+        return False
 
     def _start(self, keyframe: Keyframe) -> _Step:
         """Where the first keyframe is, and its prior."""
@@ -163,10 +164,8 @@ class MotionModel:
         if wide and place is None and keyframe.surfaces is not None:
             self.unplaced.append(index)
         if place is None:
-            factors, measured = motion.factors(before, key), keyframe.motion is not None and self._is_used
-            return _Step(
-                world_T_before @ motion.a_T_b, factors, motion, beyond=beyond, is_wide=wide, is_measured=measured
-            )
+            factors, measured = motion.factors(before, key), self._measured(keyframe, motion)
+            return _Step(world_T_before @ motion.a_T_b, factors, motion, beyond=beyond, is_wide=wide, measured=measured)
         self.rivals[index] = place.rivals
         kernel, there = self._config.coasting.robust or self._config.backend.robust, place.motion
         pending = [*motion.factors(before, key), *place.factors(before, key, kernel)]
@@ -200,10 +199,13 @@ class MotionModel:
             motion = scaled(stated, self.odometry_scale.factor)  # this step is one of those that tell
         return record.take(last + 1, motion, unmeasured, guess, said, self.odometry_scale.factor)
 
-    @property
-    def _is_used(self) -> bool:
-        """Whether the last motion that came with a keyframe was used as it was stated."""
-        return bool(self.odometry_record.steps) and self.odometry_record.steps[-1].used == "as stated"
+    def _measured(self, keyframe: Keyframe, used: Motion) -> Motion | None:
+        """The motion that came with a keyframe as the graph has it, errors of calibration still in it; see `_Step`."""
+        if keyframe.motion is None or self.odometry_record.steps[-1].used == "not":
+            return None
+        if self.odometry_record.steps[-1].used == "erring":
+            return replace(used, response=None)
+        return scaled(keyframe.motion, self.odometry_scale.factor)
 
     def _through(self, first: int, last: int, motion: Motion) -> Any:
         """The factor of a motion as measured through keyframes that have left."""

@@ -36,7 +36,8 @@ def odometry_evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     push-broom laser alone were measured with them.
     """
     scales = {one.keyframe: one.scale for one in run.odometry_record.steps}
-    in_windows = rig.of_kind("slice") and not rig.of_kind("line") and not any(rig.odometry.calibration_sigmas)
+    alone = {sensor.kind for sensor in rig.sensors.values()} == {"slice"}
+    in_windows = alone and not any(rig.odometry.calibration_sigmas)
     calibration = WheelCalibration() if in_windows else run.calibration
     steps = {keyframe: _residual(run, keyframe, calibration, scales.get(keyframe, 1.0)) for keyframe in _steps(run)}
     if not steps:

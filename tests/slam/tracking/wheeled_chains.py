@@ -48,7 +48,6 @@ def chain(
     """
     backend, steps, true = Backend(BackendConfig()), [], [np.eye(4)]
     at = np.eye(4)
-    sigmas = np.array([_SEEN_M, _SEEN_M, 1e-2, _SEEN_RAD, 1e-2, 1e-2])
     for k in range(n_poses):
         factors, values = [], gtsam.Values()
         if k:
@@ -61,12 +60,18 @@ def chain(
             factors += motion.factors(pose_symbol(k - 1), pose_symbol(k))[:1]
             at = backend.pose(pose_symbol(k - 1)) @ motion.a_T_b
         if k % seen_every == 0 and (until is None or k < until):
-            off = sigmas * rng.standard_normal(6) if k else np.zeros(6)
-            x, y, heading = planar_delta(true[-1]) + off[[0, 1, 3]]
-            factors.append(pose_prior(pose_symbol(k), planar_transform(x, y, heading), np.diag(sigmas**2)))
+            factors.append(seen(rng, k, true[-1], exact=k == 0))
         values.insert(pose_symbol(k), gtsam.Pose3(at))
         indices = backend.update(factors, values)
         if k:
             steps[-1] = steps[-1]._replace(factor_index=indices[0])
     backend.settle(10)
     return Chain(backend, steps, np.array(true))
+
+
+def seen(rng: np.random.Generator, k: int, true: FloatArray, *, exact: bool = False) -> gtsam.NonlinearFactor:
+    """A look that tells a pose, world_T_body (4, 4), as well as looks do."""
+    sigmas = np.array([_SEEN_M, _SEEN_M, 1e-2, _SEEN_RAD, 1e-2, 1e-2])
+    off = np.zeros(6) if exact else sigmas * rng.standard_normal(6)
+    x, y, heading = planar_delta(true) + off[[0, 1, 3]]
+    return pose_prior(pose_symbol(k), planar_transform(x, y, heading), np.diag(sigmas**2))
