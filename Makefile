@@ -17,7 +17,7 @@ demo: $(VENV)/.ready $(VENV)/.compiled  ## the main job on a simulated mission: 
 	$(BIN)/spplanes demo --out $(DEMO) --overwrite
 
 test: $(VENV)/.ready-dev  ## all tests
-	$(BIN)/python -m pytest -n auto --dist loadgroup
+	$(BIN)/python -m pytest -n auto --dist loadscope
 
 lint: $(VENV)/.ready-dev  ## ruff, lint and format
 	$(BIN)/ruff check .

@@ -25,9 +25,6 @@ def run(name: str) -> Run:
     return run_slam(log, rig, SlamConfig())
 
 
-pytestmark = pytest.mark.xdist_group("real logs")  # one worker makes each run, once
-
-
 @pytest.fixture(scope="module")
 def loop5() -> Run:
     """The office corridor loop."""
