@@ -204,8 +204,7 @@ class Backend:
         What was asked last is kept until the graph changes.
         """
         if self._joint is None or not self._joint.has(keys):
-            marginal = self._marginal(keys)
-            self._joint = JointCovariance(keys, marginal, [self._to_estimate(key) for key in keys])
+            self._joint = self._joint_of(keys)
         return self._joint
 
     @timed("marginals")
@@ -214,7 +213,7 @@ class Backend:
 
         With the uncertainty of what factors share that is no variable of the graph, unless it is asked without.
         """
-        joint = JointCovariance(keys, self._marginal(keys), [self._to_estimate(key) for key in keys])
+        joint = self._joint_of(keys)
         unknown = self._shared if shared else None
         return joint if unknown is None else joint.plus(np.vstack([unknown.effect_on(key) for key in keys]))
 
@@ -247,6 +246,9 @@ class Backend:
             return SharedUnknown.of(key, linear)
         except RuntimeError as error:
             raise BackendError(_first_line(error)) from error
+
+    def _joint_of(self, keys: Sequence[int]) -> JointCovariance:
+        return JointCovariance(keys, self._marginal(keys), [self._to_estimate(key) for key in keys])
 
     def _marginal(self, keys: Sequence[int]) -> FloatArray:
         """Joint marginal covariance of some variables at the linearisation point of the tree.

@@ -122,7 +122,7 @@ def on_planes(
     along, away = np.einsum("ki,ki->k", flat, normals), np.einsum("ki,ki->k", origins, normals)
     there = flat * np.divide(away, along, out=np.zeros(len(flat)), where=along * away > 0.0)[:, None]
     met = np.linalg.norm(there, axis=1)
-    met = np.where(met < 2.0 * sensor.range_max_m, met, 0.0)  # a beam hardly meets a plane that it runs along
+    met = np.where(met < sensor.range_max_m, met, 0.0)  # a beam hardly meets a plane that it runs along
     margin = BOUND_SIGMAS * np.sqrt(sensor.range_variance_at(met))
     inside = (met > 0.0) & (met - margin > sensor.range_min_m) & (met + margin < sensor.range_max_m)
     own[members[~inside]] = -1

@@ -27,7 +27,7 @@ class Link:
     """What ties a keyframe to the one before it in the graph."""
 
     motion: Motion
-    """The motion from there as measured."""
+    """The motion from there as measured, as wide as it was used."""
     step: list[int]
     """Index of its factor."""
     floor: list[int]

@@ -82,8 +82,10 @@ class CalibrationByGraph:
 
     def _unknown(self) -> SharedUnknown | None:
         """The errors of calibration, once they were found: by how much what all steps have may be wrong."""
+        if self._used is None:
+            return None
         steps = self._sparsifier.measured_steps()
-        if self._used is None or not steps:
+        if not steps:
             return None
         found, graph = calibration_by_graph(steps, self._backend)
         since = found.mean - self._used  # what was seen since the steps were put in says otherwise by so much

@@ -30,7 +30,6 @@ def calibrated(made: Chain) -> Chain:
     class Steps(Sparsifier):
         def __init__(self) -> None:
             self.steps = made.steps
-
             self.n_measured = len(self.steps)
 
         def measured_steps(self):
