@@ -13,6 +13,7 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parent.parent
@@ -26,14 +27,22 @@ def main(arguments: list[str]) -> int:
     environment, dev = Path(arguments[0]), "--dev" in arguments
     if not make_environment(environment):
         return refuse("python -m venv does not work here; on Debian or Ubuntu: apt-get install python3-venv")
-    if dev and not have_libusb():
+    with ThreadPoolExecutor(1) as beside:  # the system's packages while Python's are installed
+        system = beside.submit(look_after_the_system) if dev else None
+        pip_install(environment, f"-e{PROJECT}" + ("[dev]" if dev else ""))
+        if system is not None:
+            system.result()
+    return 0
+
+
+def look_after_the_system() -> None:
+    """Install what the tests need of the system, and say what could not be."""
+    if not have_libusb():
         print("Open3D needs the system library libusb-1.0, which could not be installed here; its tests are skipped.")
         print("On Debian or Ubuntu: sudo apt-get install libusb-1.0-0")
-    if dev and not have_chromium():
+    if not have_chromium():
         print("Chromium with its driver could not be installed here; the tests of a run's page are skipped.")
         print("On Debian or Ubuntu: sudo apt-get install chromium chromium-driver")
-    pip_install(environment, f"-e{PROJECT}" + ("[dev]" if dev else ""))
-    return 0
 
 
 def refuse(sentence: str) -> int:
@@ -98,9 +107,12 @@ def apt_install(package: str) -> bool:
 
 
 def pip_install(environment: Path, requirement: str) -> None:
-    """Install with the versions of constraints.txt, so that tomorrow's environment is today's."""
+    """Install with the versions of constraints.txt, so that tomorrow's environment is today's.
+
+    What is imported is compiled to bytecode then: most of it never is.
+    """
     constraints = str(PROJECT / "constraints.txt")
-    command = [str(python_of(environment)), "-m", "pip", "install", "-q", "--disable-pip-version-check"]
+    command = [str(python_of(environment)), "-m", "pip", "install", "-q", "--no-compile", "--disable-pip-version-check"]
     subprocess.run([*command, "-c", constraints, requirement], check=True)
 
 
