@@ -56,4 +56,7 @@ def _moved(covariance: FloatArray, motion: Motion | None) -> FloatArray:
 
 
 def _seen(covariance: FloatArray, information: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.inv(np.linalg.inv(covariance) + information), dtype=np.float64)
+    """By a square root: a difference of inverses is not symmetric where much is unknown and much is told."""
+    root = np.linalg.cholesky(covariance)
+    half = np.linalg.solve(np.linalg.cholesky(np.eye(6) + root.T @ information @ root), root.T)
+    return np.asarray(half.T @ half, dtype=np.float64)

@@ -16,7 +16,7 @@ from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion, spatial_covariance
 from slam.frontend.odometry_chain import chained
 from slam.geometry.frames import inverse, planar_transform
-from slam.map.pose_support import PoseSupport
+from slam.map.pose_support import PoseSupport, _seen
 from slam.planeslam import pose_symbol
 from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation.rigs import spinning_rig
@@ -171,3 +171,20 @@ def test_what_was_seen_is_needed_until_all_directions_have_been_seen_again():
     for keyframe in range(20, 24):
         footing.step(keyframe, step, planes)
     assert footing.needed_from >= 20
+
+
+@pytest.mark.parametrize("orders", [3, 7])
+def test_what_is_told_very_well_of_a_pose_that_is_unknown_leaves_a_covariance(orders: int):
+    """Where fourteen orders lie between what is known and what is not, a difference of inverses is no covariance."""
+    rng = np.random.default_rng(3)
+    basis = np.linalg.qr(rng.standard_normal((6, 6)))[0]
+    covariance = (basis * np.logspace(0, orders, 6)) @ basis.T
+    covariance = 0.5 * (covariance + covariance.T)
+    for told in (1, 3):
+        normals = rng.standard_normal((told, 6))
+        information = 10.0**orders * normals.T @ normals
+        seen = _seen(covariance, information)
+        np.linalg.cholesky(seen)
+        assert np.array_equal(seen, seen.T)
+        if orders == 3:
+            assert np.allclose(seen, np.linalg.inv(np.linalg.inv(covariance) + information), atol=1e-8)
