@@ -26,7 +26,7 @@ def run_entry(entry: Entry, changes: dict[str, Any]) -> Row:
     if entry.name.startswith(f"{REAL_WORD}/"):
         from benchmarks.corpus.real import real_row
 
-        return real_row(entry.name.removeprefix(f"{REAL_WORD}/"), config)
+        return real_row(entry.name.removeprefix(f"{REAL_WORD}/"), config, entry.seed)
     from benchmarks.corpus.score import score
     from slam.planeslam import PlaneSlam
     from slam.runs.slam_run import run_slam

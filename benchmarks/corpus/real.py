@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks._measure import PROJECT
+from benchmarks.corpus.perturbed import PERTURBATIONS
 from benchmarks.corpus.score import Row, error_row, said_row, scans_of
 from slam.config import SlamConfig
 from slam.evaluation import absolute_error
@@ -88,14 +89,20 @@ REAL: dict[str, RealLog] = {
     "fr_clinic": RealLog("fr_clinic/fr-clinic.clf.gz", "none"),
 }
 
+#: Those of one laser and wheels with relations, which may be made worse.
+WHEELED = ("intel", "intel_full", "aces")
 
-def real_row(name: str, config: SlamConfig | None = None) -> Row:
-    """Run a real log and score it; a row that says why where the data are absent."""
-    known = REAL[name]
+
+def real_row(name: str, config: SlamConfig | None = None, seed: int = 0) -> Row:
+    """Run a real log, LOG or LOG/PERTURBATION, and score it; a row that says why where the data are absent."""
+    word, _, worse = name.partition("/")
+    known = REAL[word]
     path = DATA / known.path
     if not path.exists():
         return {"state": f"skipped: {known.path} is not on this machine"}
     log, rig = load(path)
+    if worse:
+        log = PERTURBATIONS[worse](log, rig, np.random.default_rng(seed))
     run = run_slam(log, rig, config or SlamConfig())
     row: Row = {"truth": known.truth}
     if known.errors is not None:

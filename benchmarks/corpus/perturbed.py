@@ -1,0 +1,112 @@
+"""Real logs made worse in known ways: wheels that slip or lose their heading, noisier lasers, scans or clocks amiss."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from slam.frontend.odometry import planar_delta
+from slam.geometry.frames import inverse, planar_transform
+from slam.sensors.log import Event, LaserScan, Log, OdometryReading
+from slam.sensors.rig import Rig
+from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS
+from spplanes._check import FloatArray
+
+Perturbation = Callable[[Log, Rig, np.random.Generator], Log]
+
+#: Headings err so many times as much as the default rig says.
+_WORSE = 3.0
+#: One slip in so many metres, by so much, rad.
+_SLIP_EVERY_M, _SLIP_RAD = 100.0, float(np.deg2rad(20.0))
+#: Scans are stamped later by this, s.
+_LATE_S = 0.1
+
+
+def heading3(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
+    """Heading noise beside that of the wheels themselves, together three times what the default rig says."""
+    noise, share = UNCALIBRATED_WHEELS, np.sqrt(_WORSE**2 - 1.0)
+
+    def sigma(way_m: float, turn_rad: float) -> float:
+        by_way, by_turn = noise.heading_sigma_rad_per_sqrt_m**2, noise.heading_sigma_rad_per_sqrt_rad**2
+        return float(share * np.sqrt(by_way * way_m + by_turn * abs(turn_rad)))
+
+    deltas = _deltas(log)
+    return _turned(log, np.array([sigma(np.hypot(x, y), turn) for x, y, turn in deltas]) * rng.normal(size=len(deltas)))
+
+
+def slips(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
+    """A slip to either side once in a hundred metres, at a random place of each."""
+    driven = np.cumsum([np.hypot(x, y) for x, y, _ in _deltas(log)])
+    turns = np.zeros(len(driven))
+    for start in np.arange(0.0, driven[-1], _SLIP_EVERY_M):
+        where = int(np.searchsorted(driven, start + rng.uniform(0.0, _SLIP_EVERY_M)))
+        if where < len(turns):
+            turns[where] += rng.choice([-1.0, 1.0]) * _SLIP_RAD
+    return _turned(log, turns)
+
+
+def noise2(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
+    """Ranges that scatter twice as much as the default rig says."""
+
+    def noisier(scan: LaserScan) -> LaserScan:
+        sigma = np.sqrt(3.0) * rig.sensors[scan.sensor].range_sigma_m
+        return replace(scan, ranges=scan.ranges + sigma * rng.normal(size=len(scan.ranges)))
+
+    return replace(log, events=[noisier(one) if isinstance(one, LaserScan) else one for one in log.events])
+
+
+def half(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
+    """Every second scan, from the first or the second on."""
+    first, count = int(rng.integers(2)), 0
+    events: list[Event] = []
+    for event in log.events:
+        if not isinstance(event, OdometryReading):
+            count += 1
+            if (count + first) % 2:
+                continue
+        events.append(event)
+    return replace(log, events=events)
+
+
+def late(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
+    """Odometry stamped a tenth of a second later or earlier than it was read."""
+    shift = int(rng.choice([-1.0, 1.0]) * _LATE_S * 1e9)
+    moved = [
+        replace(event, stamp_ns=event.stamp_ns + shift) if isinstance(event, OdometryReading) else event
+        for event in log.events
+    ]
+    return replace(log, events=sorted(moved, key=lambda one: (one.stamp_ns, not isinstance(one, OdometryReading))))
+
+
+#: Kinds of perturbations of a log of 2D scans and wheel odometry.
+PERTURBATIONS: dict[str, Perturbation] = {
+    "heading3": heading3,
+    "slips": slips,
+    "noise2": noise2,
+    "half": half,
+    "late": late,
+}
+
+
+def _deltas(log: Log) -> list[FloatArray]:
+    """The odometry's steps (x, y, theta)."""
+    return [planar_delta(inverse(a.odom_T_body) @ b.odom_T_body) for a, b in pairwise(log.odometry)]
+
+
+def _turned(log: Log, turns: FloatArray) -> Log:
+    """The log with steps of the odometry that turn by so much more, rad."""
+    pose = log.odometry[0].odom_T_body
+    poses = [pose]
+    for (x, y, theta), more in zip(_deltas(log), turns, strict=True):
+        pose = pose @ planar_transform(x, y, theta + float(more))
+        poses.append(pose)
+    moved = iter(poses)
+    return replace(
+        log,
+        events=[
+            replace(one, odom_T_body=next(moved)) if isinstance(one, OdometryReading) else one for one in log.events
+        ],
+    )
