@@ -21,8 +21,8 @@ from spplanes._check import FloatArray
 _ROUNDS = 15
 #: Returns off by less than this are found without a search, m.
 _BASIN_M = 0.12
-#: The search reaches so many standard deviations, at most so far at first, m and rad; where the best lies at its edge
-#: it is doubled, so many times, and ends here.
+#: The search reaches so many standard deviations, at most so far at first, m and rad; where the best lies at its edge,
+#: or nothing in it fits as usual, it is doubled, so many times, and ends here.
 _SIGMAS, _FIRST_BOX, _WIDENINGS, _LARGEST_BOX = 4.0, (1.0, 0.6), 3, (4.0, np.pi)
 _LEAST_BOX = (0.2, 0.1)
 #: Modes of the search that are looked at, if they are this share as near as the best.
@@ -80,8 +80,9 @@ def match_scan(surface: Surface, there: LocalMap, ways: Sequence[Expected], usua
 
     From what the first way expects it is found by Gauss-Newton on distances of points to lines. Where that is so badly
     known that this may end beside the truth, or less of the scan fits than usual, or the motion contradicts the first
-    way, the boxes of all ways are searched; a best at the edge of its box makes it wider. Of several places the most
-    probable one by all returns and all free space is taken, and how much the others leave open is said.
+    way, the boxes of all ways are searched; a best at the edge of its box, or nothing in it that fits as scans before
+    did, makes it wider. Of several places the most probable one by all returns and all free space is taken, and how
+    much the others leave open is said.
 
     Args:
         surface: the scan.
@@ -98,21 +99,26 @@ def match_scan(surface: Surface, there: LocalMap, ways: Sequence[Expected], usua
     if not _is_doubtful(found[0], surface, ways[0], usual_fit, far):
         one = found[0]
         return Match(one.pose, one.information, one.fit, 1.0, np.zeros((3, 3)), one.way)
-    for way, expected in enumerate(ways):
-        starts = [found[0].pose, *_modes(surface, there, expected, far)]
-        found += [_aligned(surface, there, start, ways, way) for start in starts]
+    for way in range(len(ways)):
+        found.append(_aligned(surface, there, found[0].pose, ways, way))
+        found += _searched(surface, there, ways, way, usual_fit, far)
     return _most_probable(found, surface, there, ways)
 
 
 def _is_doubtful(found: _Found, surface: Surface, expected: Expected, usual_fit: float, far: float) -> bool:
     """Whether an alignment from the expected pose on may have ended beside the truth."""
-    independent = max(float(surface.looks.sum()), 1.0)
-    if usual_fit - found.fit > _SIGNIFICANT * np.sqrt(usual_fit * (1.0 - usual_fit) / independent):
+    if _fits_worse(found, surface, usual_fit):
         return True
     sigmas, error = np.sqrt(np.diag(expected.covariance)), found.pose - expected.pose
     if _SIGMAS * max(float(sigmas[:2].max()), float(sigmas[2]) * far) > 2.0 * _BASIN_M:
         return True
     return float(error @ np.linalg.solve(expected.covariance, error)) > _CONTRADICTS
+
+
+def _fits_worse(found: _Found, surface: Surface, usual_fit: float) -> bool:
+    """Whether significantly less of a scan fits than of scans before it."""
+    independent = max(float(surface.looks.sum()), 1.0)
+    return usual_fit - found.fit > _SIGNIFICANT * np.sqrt(usual_fit * (1.0 - usual_fit) / independent)
 
 
 def _aligned(surface: Surface, there: LocalMap, start: FloatArray, ways: Sequence[Expected], way: int) -> _Found:
@@ -124,32 +130,49 @@ def _aligned(surface: Surface, there: LocalMap, start: FloatArray, ways: Sequenc
     return _Found(pose, information, fit, misfit, way)
 
 
-def _modes(surface: Surface, there: LocalMap, expected: Expected, far: float) -> list[FloatArray]:
-    """Poses about which the scan lies near the map's surfaces, best first."""
+def _searched(
+    surface: Surface, there: LocalMap, ways: Sequence[Expected], way: int, usual_fit: float, far: float
+) -> list[_Found]:
+    """Alignments from all modes in the box of one way.
+
+    The box is made wider as far as the way reaches, where the best of it lies at its edge or does not fit as usual.
+    """
+    sigmas = np.sqrt(np.diag(ways[way].covariance))
+    full = _SIGMAS * sigmas[:2].max(), _SIGMAS * sigmas[2]
+    reach = [min(max(one, least), most) for one, least, most in zip(full, _LEAST_BOX, _FIRST_BOX, strict=True)]
+    for widening in range(_WIDENINGS + 1):
+        modes, shifted, turned = _modes(surface, there, ways[way].pose, reach, far)
+        found = [_aligned(surface, there, mode, ways, way) for mode in modes]
+        unlike = all(_fits_worse(one, surface, usual_fit) for one in found)
+        wider = [
+            min(r * (1 + (at_edge or (unlike and r < whole))), largest)
+            for r, whole, at_edge, largest in zip(reach, full, (shifted, turned), _LARGEST_BOX, strict=True)
+        ]
+        if widening == _WIDENINGS or wider == reach:
+            break
+        reach = wider
+    return found
+
+
+def _modes(
+    surface: Surface, there: LocalMap, centre: FloatArray, reach: Sequence[float], far: float
+) -> tuple[list[FloatArray], bool, bool]:
+    """Poses in a box, so many m and rad to either side, about which the scan lies near the map's surfaces, best first;
+    and whether the best is at the edge of the box, in place and in heading."""
     table, origin = there.table
     every = max(1, len(surface) // _SEARCHED)
     points, looks = surface.points[::every], surface.looks[::every]
-    sigmas = np.sqrt(np.diag(expected.covariance))
     step = TABLE_CELL_M / max(far, 1.0)
-    bounds = zip((sigmas[:2].max(), sigmas[2]), _LEAST_BOX, _FIRST_BOX, strict=True)
-    reach_m, reach_rad = (min(max(_SIGMAS * s, least), most) for s, least, most in bounds)
-    widenings = 0
-    while True:
-        steps, turns = int(np.ceil(reach_m / TABLE_CELL_M)), int(np.ceil(reach_rad / step))
-        angles = step * np.arange(-turns, turns + 1)
-        scores = score_box(points, looks, expected.pose, table, origin, TABLE_CELL_M, angles, steps)
-        t, r, k = np.unravel_index(int(scores.argmax()), scores.shape)
-        turned, shifted = t in (0, 2 * turns), bool({int(r), int(k)} & {0, 2 * steps})
-        if widenings == _WIDENINGS or not (turned or shifted):
-            break
-        widenings += 1
-        reach_m = min(reach_m * (1 + shifted), _LARGEST_BOX[0])
-        reach_rad = min(reach_rad * (1 + turned), _LARGEST_BOX[1])
+    steps, turns = int(np.ceil(reach[0] / TABLE_CELL_M)), int(np.ceil(reach[1] / step))
+    angles = step * np.arange(-turns, turns + 1)
+    scores = score_box(points, looks, centre, table, origin, TABLE_CELL_M, angles, steps)
+    t, r, k = np.unravel_index(int(scores.argmax()), scores.shape)
     peaks = (scores == maximum_filter(scores, size=5)) & (scores > _RIVAL * scores.max())
     places = np.argwhere(peaks)
     places = places[np.argsort(-scores[tuple(places.T)], kind="stable")][:_MODES]
     shifts = [((k - steps) * TABLE_CELL_M, (r - steps) * TABLE_CELL_M, angles[t]) for t, r, k in places.tolist()]
-    return [expected.pose + np.array(shift) for shift in shifts]
+    at_edge = bool({int(r), int(k)} & {0, 2 * steps}), t in (0, 2 * turns)
+    return [centre + np.array(shift) for shift in shifts], *at_edge
 
 
 def _most_probable(found: list[_Found], surface: Surface, there: LocalMap, ways: Sequence[Expected]) -> Match:
@@ -180,5 +203,8 @@ def _most_probable(found: list[_Found], surface: Surface, there: LocalMap, ways:
 def _unlikelihood(pose: FloatArray, way: Expected) -> float:
     """Minus the log of the density of a pose and of having come there in this way."""
     error = difference(pose, way.pose)
-    chi2 = float(error @ np.linalg.solve(way.covariance, error))
-    return 0.5 * (np.linalg.slogdet(way.covariance)[1] + chi2) - np.log(way.probability)
+    covariance = way.covariance.copy()
+    if covariance[2, 2] > 2.0 * np.pi:  # headings lie on a circle: no density about one is below the uniform one
+        covariance *= np.outer(*[np.array((1.0, 1.0, np.sqrt(2.0 * np.pi / covariance[2, 2])))] * 2)
+    chi2 = float(error @ np.linalg.solve(covariance, error))
+    return 0.5 * (np.linalg.slogdet(covariance)[1] + chi2) - np.log(way.probability)

@@ -29,7 +29,7 @@ from spplanes._check import FloatArray
 _STOOD = 1e-9
 #: Length of the way whose scans are the local map, m, and what is driven or turned between two of them, m and rad.
 _WINDOW_M, _SPACING_M, _SPACING_RAD = 6.0, 0.25, 0.3
-#: A match is taken when the map has this share of the scan, and no other place is more likely than this.
+#: A match is taken when the map has this share of the scan; a scan joins the map where it lies there as likely as this.
 _LEAST_FIT, _LEAST_ODDS = 0.3, 0.9
 #: Probability that wheels slip, or count wrong, between two scans; and that they err by more than is known of them as
 #: yet, by how many times: of the first steps the rig alone knows.
@@ -69,14 +69,16 @@ class LaserOdometry:
         match = self._match(surface, expected)
         pose, told, covariance = expected[0].pose, np.zeros((3, 3)), ways[0][1]
         if match is not None:
-            pose, told, covariance = match.pose, match.information, ways[match.way][1]
-            if match.odds < 1.0:
+            if match.fit >= _LEAST_FIT:
+                pose, told, covariance = match.pose, match.information, ways[match.way][1]
+            if match.odds < 1.0:  # that it is elsewhere is as true of the way there as of what is seen from it
+                covariance = covariance + turn.T @ match.spread @ turn
                 told = inverted(inverted(told + 1e-3 * np.eye(3)) + match.spread)
         back = rotation(pose[2])
         note = self._watch(between(before, pose), wheels)
         if len(self.steps) == 1:  # the first scan is the map: its noise is in the match of the second
             self.steps[0] = replace(self.steps[0], returns=told)
-        slipped = match is not None and match.way > 0 and match.way == len(ways) - 1
+        slipped = match is not None and match.fit >= _LEAST_FIT and match.way > 0 and match.way == len(ways) - 1
         step = Step(stamp_ns, pose, covariance, back.T @ told @ back, note, slipped)
         self.steps.append(step)
         if wheels is not None and not stuck:
@@ -109,17 +111,19 @@ class LaserOdometry:
         return whole, response, covariance - response @ np.diag(np.square(self._noise.calibration_sigmas)) @ response.T
 
     def _coasted(self, stamp_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Constant velocity."""
+        """Constant velocity: that of the step before as far as it is not forgotten, in the end any that bodies have."""
         rules, ahead_s = self._coasting, (stamp_ns - self.steps[-1].stamp_ns) * 1e-9
-        if len(self.steps) < 2:
-            delta, sigmas = np.zeros(3), (rules.speed_sigma_m_per_s * ahead_s, rules.turn_sigma_rad_per_s * ahead_s)
-        else:
+        usual = np.array((rules.speed_sigma_m_per_s, rules.speed_sigma_m_per_s, rules.turn_sigma_rad_per_s))
+        velocity, sigmas = np.zeros(3), usual
+        if len(self.steps) > 1:
             before_s = (self.steps[-1].stamp_ns - self.steps[-2].stamp_ns) * 1e-9
-            delta = between(self.steps[-2].pose, self.steps[-1].pose) * min(ahead_s / before_s, 2.0)
-            square = ahead_s * max(ahead_s, before_s)
-            sigmas = rules.acceleration_sigma_m_per_s2 * square, rules.turn_change_sigma_rad_per_s2 * square
-        least = max(sigmas[0], self._noise.floor_m), max(sigmas[1], self._noise.floor_rad)
-        return delta, np.diag(np.square((least[0], least[0], least[1])))
+            changes = rules.acceleration_sigma_m_per_s2, rules.turn_change_sigma_rad_per_s2
+            changed = max(ahead_s, before_s) * np.array((changes[0], changes[0], changes[1]))
+            kept = usual**2 / (usual**2 + changed**2)
+            velocity = kept * between(self.steps[-2].pose, self.steps[-1].pose) / before_s
+            sigmas = np.sqrt(kept) * changed
+        floor = (self._noise.floor_m, self._noise.floor_m, self._noise.floor_rad)
+        return velocity * ahead_s, np.diag(np.square(np.maximum(sigmas * ahead_s, floor)))
 
     def _match(self, surface: Surface, expected: list[Expected]) -> Match | None:
         there = self._map.map
@@ -127,7 +131,7 @@ class LaserOdometry:
             return None
         match = match_scan(surface, there, expected, self._fit)
         self._fit += (np.clip(match.fit, 0.5, 0.98) - self._fit) / _FIT_MEMORY
-        return match if match.fit >= _LEAST_FIT else None
+        return match
 
     def _watch(self, moved: FloatArray, wheels: FloatArray | None) -> str | None:
         """Whether wheels that say nothing but "no motion" are those of a body that moves; said when it is found out."""

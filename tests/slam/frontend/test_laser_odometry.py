@@ -14,9 +14,10 @@ from slam.errors import LogError
 from slam.frontend.information import beyond_lines, inverted
 from slam.frontend.keyframes import keyframes_of
 from slam.frontend.keyframes import track_of as made_track
-from slam.frontend.laser_odometry import LaserTrack, laser_track, motion_between
+from slam.frontend.laser_odometry import LaserTrack, laser_track, motion_between, tracker
 from slam.frontend.laser_odometry.local_map import LocalMap, Surface
-from slam.frontend.laser_odometry.matching import Expected, match_scan
+from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
+from slam.frontend.laser_odometry.tracker import LaserOdometry
 from slam.frontend.laser_odometry.wheel_model import NoiseScale
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.geometry.frames import inverse, planar_transform
@@ -101,6 +102,102 @@ def test_a_slip_of_twenty_degrees_is_the_wheels_own(slip_rad: float):
     assert end_error_m(wheels, truth) > 0.5
     errors, nees = errors_of(track, truth)
     assert np.abs(errors).max() < 0.03 and nees.mean() < 3.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_half_a_turn_that_neither_scans_nor_wheels_saw_is_found_at_the_first_scan_after_it(seed: int):
+    """Three seconds without a scan; the reading after them is still that from before, as odometry that lags is."""
+    truth = rooms(seed)
+    stamps = np.array([event.stamp_ns for event in truth.log.events if isinstance(event, LaserScan)])
+    blind = round(3e9 / np.diff(stamps).min())
+    headings = np.unwrap(np.arctan2(truth.poses[:, 1, 0], truth.poses[:, 0, 0]))
+    start = int(np.argmax(np.abs(headings[blind:] - headings[:-blind])))
+    first, last = int(stamps[start]), int(stamps[start + blind])
+    stale = next(event.odom_T_body for event in truth.log.odometry if event.stamp_ns == first)
+    events = [event for event in truth.log.events if not first < event.stamp_ns < last]
+    lagging = [
+        replace(event, odom_T_body=stale) if isinstance(event, OdometryReading) and event.stamp_ns == last else event
+        for event in events
+    ]
+    track = track_of(replace(truth.log, events=lagging))
+    found = inverse(track.poses_at([first])[0]) @ track.poses_at([last])[0]
+    error = planar_delta(inverse(inverse(truth.poses[start]) @ truth.poses[start + blind]) @ found)
+    assert abs(headings[start + blind] - headings[start]) > 2.5 and np.abs(error).max() < 0.02
+    assert end_error_m(track, truth) < 0.03
+
+
+def test_what_fits_elsewhere_as_well_leaves_the_wheels_in_doubt_too():
+    """Two like bays of a long wall: which one it is stays open, in all that is said."""
+    surface = scan_in((1.0, 1.0, 0.0))
+    odometry = LaserOdometry(NOISE, CoastingConfig())
+    odometry.add(0, surface, None)
+    sure = odometry.add(100_000_000, surface, np.zeros(3))
+    spread = np.diag((0.25, 0.0, 0.0))
+    with pytest.MonkeyPatch.context() as patch:
+        torn = Match(sure.pose, 1e4 * np.eye(3), 0.9, 0.5, spread, 0)
+        patch.setattr(tracker, "match_scan", lambda *given: torn)
+        step = odometry.add(200_000_000, surface, np.zeros(3))
+        unlike = replace(torn, fit=0.05, information=np.zeros((3, 3)))
+        patch.setattr(tracker, "match_scan", lambda *given: unlike)
+        lost = odometry.add(300_000_000, surface, np.zeros(3))
+    for one in (step, lost):
+        assert one.wheels[0, 0] > 0.25 and one.wheels[1, 1] < 0.01
+        assert one.returns[0, 0] < 4.1
+    assert np.array_equal(lost.pose, step.pose)  # what does not fit moves nothing
+
+
+def test_a_velocity_is_forgotten_in_the_end():
+    rules, surface = CoastingConfig(), scan_in((1.0, 1.0, 0.0))
+    odometry = LaserOdometry(NOISE, rules)
+    odometry.add(0, surface, None)
+    odometry.steps.append(replace(odometry.steps[0], stamp_ns=100_000_000, pose=np.array((0.05, 0.0, 0.02))))
+    soon, spread = odometry._coasted(200_000_000)
+    assert soon == pytest.approx((0.05, 0.0, 0.02), rel=0.02)
+    assert np.sqrt(spread[0, 0]) == pytest.approx(rules.acceleration_sigma_m_per_s2 * 0.1**2, rel=0.02)
+    late, spread = odometry._coasted(100_100_000_000)  # 100 s: any velocity that bodies have
+    assert np.abs(late).max() < 0.01 * 0.5 * 100.0
+    assert np.sqrt(spread[0, 0]) == pytest.approx(rules.speed_sigma_m_per_s * 100.0, rel=0.01)
+    assert np.sqrt(spread[2, 2]) == pytest.approx(rules.turn_sigma_rad_per_s * 100.0, rel=0.01)
+
+
+def fan(things: list[tuple[float, float, float]]) -> Surface:
+    """A wall five metres ahead, and things before it: from bearing to bearing, rad, at a distance, m."""
+    angles = np.linspace(-0.9, 0.9, 361)
+    ranges = 5.0 / np.cos(angles)
+    for first, last, distance in things:
+        ranges = np.where((angles >= first) & (angles <= last), distance, ranges)
+    scan = LaserScan(0, "FLASER", ranges, angles)
+    sensor = Rig.model_validate(
+        {"sensors": {"FLASER": {"kind": "line", "range_sigma_m": 0.01, "range_max_m": 8.0}}}
+    ).sensors["FLASER"]
+    return Surface.of(scan, ranges, sensor, np.eye(4))
+
+
+def test_a_thing_that_stands_free_is_one_look_and_a_wall_is_not():
+    free, wide = fan([(-0.1, 0.1, 3.0)]), fan([(-0.4, 0.4, 3.0)])
+    near = np.hypot(*free.points.T) < 3.01
+    assert near.sum() > 30 and free.looks[near].sum() == pytest.approx(1.0)
+    assert np.all(free.looks[~near] == free.looks[0])
+    assert np.all(wide.looks == wide.looks[0])  # two metres and a half: nobody carries that about
+    beside = fan([(-0.1, 0.1, 4.95)])  # a board on the wall
+    assert np.all(beside.looks == beside.looks[0])
+    nearer = fan([(-0.1, 0.1, 3.0), (0.1, 0.4, 2.0)])  # half hidden: how wide it is nobody knows
+    hidden = np.abs(np.hypot(*nearer.points.T) - 3.0) < 0.01
+    assert np.all(nearer.looks[hidden] == nearer.looks[0])
+
+
+@pytest.mark.parametrize("name, seed", [("people/level/worse3/none", 900079), ("people/level/absent/half", 900144)])
+def test_people_who_walk_by_do_not_take_the_robot_along(name: str, seed: int):
+    """In a corridor they are half of what tells how far one came: these two drives were 1.1 and 4.9 m off."""
+    truth = make_drive(Recipe.parse(name), seed)
+    track = laser_track(truth.log, truth.rig, CoastingConfig())
+    stamps = [scan.stamp_ns for scan in truth.log.scans()]
+    true, found = truth.truth.poses_at(np.array(stamps)), track.poses_at(stamps)
+    errors = [
+        np.linalg.norm((inverse(inverse(a) @ b) @ inverse(c) @ d)[:2, 3])
+        for (a, b), (c, d) in zip(pairwise(true), pairwise(found), strict=True)
+    ]
+    assert max(errors) < 0.06
 
 
 def test_odometry_that_stands_still_is_named_and_ignored():
