@@ -140,7 +140,8 @@ def _searched(
     sigmas = np.sqrt(np.diag(ways[way].covariance))
     full = _SIGMAS * sigmas[:2].max(), _SIGMAS * sigmas[2]
     reach = [min(max(one, least), most) for one, least, most in zip(full, _LEAST_BOX, _FIRST_BOX, strict=True)]
-    for widening in range(_WIDENINGS + 1):
+    found: list[_Found] = []
+    for _ in range(_WIDENINGS + 1):
         modes, shifted, turned = _modes(surface, there, ways[way].pose, reach, far)
         found = [_aligned(surface, there, mode, ways, way) for mode in modes]
         unlike = all(_fits_worse(one, surface, usual_fit) for one in found)
@@ -148,7 +149,7 @@ def _searched(
             min(r * (1 + (at_edge or (unlike and r < whole))), largest)
             for r, whole, at_edge, largest in zip(reach, full, (shifted, turned), _LARGEST_BOX, strict=True)
         ]
-        if widening == _WIDENINGS or wider == reach:
+        if wider == reach:
             break
         reach = wider
     return found
