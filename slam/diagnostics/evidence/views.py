@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from slam.frontend.keyframes import Keyframe
+from slam.frontend.occupancy import free_standing
 from slam.geometry.frames import inverse
 from spplanes._check import FloatArray
 
@@ -35,22 +36,24 @@ class View:
     tree: KDTree
     """The returns."""
     looks: FloatArray
-    """One return in every square, shape (N, 2), m."""
+    """One return in every square, shape (N, 2), m; of nothing that stands free, for that may be gone for others."""
 
     @classmethod
     def of(cls, beams: FloatArray) -> View:
         """From beams (B, 4) as rows (x0, y0, x1, y1), m."""
         origins, of_origin = np.unique(beams[:, :2], axis=0, return_inverse=True)
-        fans = []
+        fans, fixed = [], []
         for number, origin in enumerate(origins):
             away = beams[of_origin.ravel() == number, 2:] - origin
             bearings = np.arctan2(away[:, 1], away[:, 0])
             order = np.argsort(bearings, kind="stable")
             fans.append((origin, bearings[order], np.linalg.norm(away, axis=1)[order]))
-        ends = beams[:, 2:]
+            step = float(np.median(np.diff(bearings[order]))) if len(order) > 1 else 1.0
+            fixed.append((away[order] + origin)[free_standing(away[order], step) < 0])
+        ends = np.concatenate(fixed)
         squares = np.floor(ends / LOOK_M).astype(np.int64)
         _, first = np.unique(squares, axis=0, return_index=True)
-        return cls(tuple(fans), KDTree(ends), ends[np.sort(first)])
+        return cls(tuple(fans), KDTree(beams[:, 2:]), ends[np.sort(first)])
 
     def confirms(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
         """Which places (N, 2) have a return within the tolerance, shape (N,)."""

@@ -50,8 +50,7 @@ def align(
 
     Returns:
         pose (3,); information (3, 3) of the returns alone, in the map's axes; share of the looks that fit; misfit:
-        minus the log of how much likelier the looks near a surface are than if they were anywhere near it, bounded for
-        each.
+        half of the chi2 of the looks near a surface, bounded for each, beyond what it is expected to be.
     """
     pose = pose.copy()
     told = np.zeros((3, 3))
@@ -94,8 +93,7 @@ def align(
         there, off, mx, my = _surface_at(x, y, nx, ny, points, normals, weights, start, origin, cell, columns, rows)
         squared = off * off / variance[i] if there else np.inf
         if there:
-            spread = np.sqrt(2.0 * np.pi * variance[i]) / (2.0 * _RADIUS_M)
-            misfit += looks[i] * (0.5 * min(squared, _DOUBTED * _DOUBTED) + np.log(spread))
+            misfit += 0.5 * looks[i] * (min(squared, _DOUBTED * _DOUBTED) - 1.0)
         total += looks[i]
         if squared < _DOUBTED * _DOUBTED:
             fits += looks[i]

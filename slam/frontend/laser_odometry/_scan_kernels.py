@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from slam.frontend.occupancy.free_standing import GAP_STEPS, LEAST_GAP_M
 from spplanes._jit import njit
 
 
@@ -23,7 +24,7 @@ def surface_of(points, away, angle_step, range_variance, surface_variance, corre
     variance, looks = np.zeros(count), np.zeros(count)
     for i in range(count):
         reach = np.sqrt(away[i, 0] ** 2 + away[i, 1] ** 2)
-        gap = max(_LEAST_GAP_M, _GAP_STEPS * reach * angle_step)
+        gap = max(LEAST_GAP_M, GAP_STEPS * reach * angle_step)
         low, high = i, i
         while low > 0 and i - low < _MOST and _apart(points, low, low - 1) < gap and _apart(points, i, low) < _PATCH_M:
             low -= 1
@@ -58,43 +59,9 @@ def surface_of(points, away, angle_step, range_variance, surface_variance, corre
         alike = max(1.0, correlation_m / spacing)
         variance[i] = max(range_variance, smallest) + surface_variance
         looks[i] = variance[i] / (max(range_variance, smallest) + surface_variance * alike)
-    _count_free_standing_once(points, away, angle_step, looks)
     return normals, variance, looks
 
 
-@njit(cache=True, error_model="numpy")
-def _count_free_standing_once(points, away, angle_step, looks):
-    """Make the returns of every small thing that stands in front of all beside it one look together.
-
-    Such a thing may be on its way, a person say: then all of its returns are off alike.
-    """
-    count = points.shape[0]
-    first = 0
-    for i in range(count):
-        reach = np.sqrt(away[i, 0] ** 2 + away[i, 1] ** 2)
-        gap = max(_LEAST_GAP_M, _GAP_STEPS * reach * angle_step)
-        if i + 1 < count and _apart(points, i, i + 1) < gap:
-            continue
-        before, after = _distance(away, first - 1), _distance(away, i + 1)
-        if before > _distance(away, first) and after > reach and _apart(points, first, i) < _MOVABLE_M:
-            total = looks[first : i + 1].sum()
-            if total > 1.0:
-                looks[first : i + 1] /= total
-        first = i + 1
-
-
-@njit(cache=True, error_model="numpy")
-def _distance(away, i):
-    """How far a return is from the sensor, m; beyond the scan's ends nothing is near."""
-    if i < 0 or i >= away.shape[0]:
-        return np.inf
-    return np.sqrt(away[i, 0] ** 2 + away[i, 1] ** 2)
-
-
-#: What is narrower and stands in front of all beside it may move, m.
-_MOVABLE_M = 1.0
-#: Neighbouring returns further apart than so many steps of the beams at their range, and m, are of two surfaces.
-_GAP_STEPS, _LEAST_GAP_M = 6.0, 0.15
 #: A normal is fitted to so many returns on either side, within so many metres.
 _MOST, _PATCH_M = 5, 0.25
 

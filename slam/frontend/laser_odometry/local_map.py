@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from slam.frontend.laser_odometry._scan_kernels import merge_patches, nearness, sort_into_cells, surface_of
-from slam.frontend.occupancy import Raster
+from slam.frontend.occupancy import Raster, free_standing
 from slam.sensors.log import LaserScan
 from slam.sensors.rig import Sensor
 from spplanes._check import FloatArray
@@ -38,7 +38,7 @@ class Surface:
     variance: FloatArray
     """Of a return along its normal, shape (N,), m^2."""
     looks: FloatArray
-    """Share of an independent look at the surface that each return is, shape (N,)."""
+    """Share of an independent look at the surface that each return is, shape (N,); a thing that stands free is one."""
     origin: FloatArray
     """Where the sensor is, shape (2,), m."""
 
@@ -55,6 +55,9 @@ class Surface:
         normals, variance, looks = surface_of(
             points, away, step, sensor.range_variance_m2, sensor.surface_sigma_m**2, sensor.surface_correlation_m
         )
+        things = free_standing(-away, step)
+        many = np.bincount(things[things >= 0], looks[things >= 0])  # all of a thing that walks is off alike
+        looks[things >= 0] /= np.maximum(many, 1.0)[things[things >= 0]]
         kept = np.isfinite(normals[:, 0])
         return cls(points[kept], normals[kept], variance[kept], looks[kept], body_T_sensor[:2, 3])
 

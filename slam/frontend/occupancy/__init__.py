@@ -1,5 +1,6 @@
 """Occupancy: what level lasers saw as a raster of walls and free space, and how well points lie in one."""
 
+from slam.frontend.occupancy.free_standing import free_standing
 from slam.frontend.occupancy.raster import (
     CELL_M,
     LEVEL_COSINE,
@@ -11,4 +12,14 @@ from slam.frontend.occupancy.raster import (
     view_from,
 )
 
-__all__ = ["CELL_M", "LEVELS", "LEVEL_COSINE", "NOVEL_SHARE", "Raster", "beams_of", "moved", "view_from"]
+__all__ = [
+    "CELL_M",
+    "LEVELS",
+    "LEVEL_COSINE",
+    "NOVEL_SHARE",
+    "Raster",
+    "beams_of",
+    "free_standing",
+    "moved",
+    "view_from",
+]
