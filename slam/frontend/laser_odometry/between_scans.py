@@ -21,10 +21,13 @@ def between_scans(steps: Sequence[Step], wheels: Sequence[OdometryReading]) -> l
     Between two scans the wheels, made to meet both, err as a bridge of their random walk: with the variance s (1 - s)
     times that of the step at its share s. Going on evenly errs by s (1 - s) / 2 of what a change of velocity makes of
     the step, and by how much the velocity changes the steps before and after tell. The two are weighed by that, for the
-    place and for the heading. Before the first scan and after the last there are the wheels alone.
+    place and for the heading. Before the first scan and after the last there are the wheels alone; without any the body
+    goes on there as in the step beside, for as long as that took.
     """
-    if not steps or not wheels:
+    if not steps:
         return []
+    if not wheels:
+        return _going_on(steps)
     stamps = np.array([one.stamp_ns for one in steps], dtype=np.int64)
     at_scans = OdometryTrack(wheels, OdometryNoise()).poses_at(stamps.tolist())
     times = np.array([one.stamp_ns for one in wheels], dtype=np.int64)
@@ -42,6 +45,16 @@ def between_scans(steps: Sequence[Step], wheels: Sequence[OdometryReading]) -> l
             weight = _weight_of_wheels(share, steps[after].wheels, uneven[after])
             pose = evenly + weight * difference(by_wheels, evenly)
         found.append(OdometryReading(int(times[number]), planar_transform(*pose)))
+    return found
+
+
+def _going_on(steps: Sequence[Step]) -> list[OdometryReading]:
+    """A step more at both ends: other sensors look before the first scan and after the last."""
+    found = []
+    for end, beside in ((0, 1), (-1, -2)) if len(steps) > 1 else ():
+        a, b = steps[beside], steps[end]
+        pose = compose(b.pose, between(a.pose, b.pose))
+        found.append(OdometryReading(2 * b.stamp_ns - a.stamp_ns, planar_transform(*pose)))
     return found
 
 
