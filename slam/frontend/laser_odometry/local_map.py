@@ -97,6 +97,7 @@ class LocalMap:
     """Number of rows."""
     _seen: tuple[tuple[Surface, FloatArray], ...]
     """The scans and their poses."""
+    _tables: dict[float, tuple[FloatArray, FloatArray]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, surfaces: list[Surface], poses: list[FloatArray]) -> LocalMap:
@@ -128,13 +129,15 @@ class LocalMap:
         """What the scans found occupied and free."""
         return Raster.of(np.concatenate([surface.beams(pose) for surface, pose in self._seen]), LOOK_M)
 
-    @cached_property
-    def table(self) -> tuple[FloatArray, FloatArray]:
-        """How near every place is to a surface, and the corner of the table's first cell."""
-        origin = self.origin - 3.0 * TABLE_CELL_M
-        span = np.array((self.columns, self.rows)) * CELL_M + 6.0 * TABLE_CELL_M
-        columns, rows = np.ceil(span / TABLE_CELL_M).astype(int).tolist()
-        return nearness(self.points, origin, TABLE_CELL_M, columns, rows, TABLE_SIGMA_M), origin
+    def table(self, coarser: float = 1.0) -> tuple[FloatArray, FloatArray]:
+        """How near every place is to a surface, in cells so many times as wide, and the corner of the first cell."""
+        if coarser not in self._tables:
+            cell = coarser * TABLE_CELL_M
+            origin = self.origin - 3.0 * cell
+            columns, rows = np.ceil(np.array((self.columns, self.rows)) * CELL_M / cell + 6.0).astype(int).tolist()
+            table = nearness(self.points, origin, cell, columns, rows, coarser * TABLE_SIGMA_M)
+            self._tables[coarser] = table, origin
+        return self._tables[coarser]
 
 
 def _patches(points: FloatArray, normals: FloatArray, weights: FloatArray) -> tuple[FloatArray, ...]:

@@ -24,6 +24,8 @@ _BASIN_M = 0.12
 #: The search reaches so many standard deviations, at most so far at first, m and rad; where the best lies at its edge,
 #: or nothing in it fits as usual, it is doubled, so many times, and ends here.
 _SIGMAS, _FIRST_BOX, _WIDENINGS, _LARGEST_BOX = 4.0, (1.0, 0.6), 3, (4.0, np.pi)
+#: Cells and turns are so many times coarser there: an alignment finds what lies within them.
+_COARSER = 2.0
 _LEAST_BOX = (0.2, 0.1)
 #: Modes of the search that are looked at, if they are this share as near as the best.
 _MODES, _RIVAL = 5, 0.75
@@ -141,8 +143,9 @@ def _searched(
     full = _SIGMAS * sigmas[:2].max(), _SIGMAS * sigmas[2]
     reach = [min(max(one, least), most) for one, least, most in zip(full, _LEAST_BOX, _FIRST_BOX, strict=True)]
     found: list[_Found] = []
-    for _ in range(_WIDENINGS + 1):
-        modes, shifted, turned = _modes(surface, there, ways[way].pose, reach, far)
+    for widening in range(_WIDENINGS + 1):
+        coarser = _COARSER if widening else 1.0
+        modes, shifted, turned = _modes(surface, there, ways[way].pose, reach, far, coarser)
         found = [_aligned(surface, there, mode, ways, way) for mode in modes]
         unlike = all(_fits_worse(one, surface, usual_fit) for one in found)
         wider = [
@@ -156,22 +159,22 @@ def _searched(
 
 
 def _modes(
-    surface: Surface, there: LocalMap, centre: FloatArray, reach: Sequence[float], far: float
+    surface: Surface, there: LocalMap, centre: FloatArray, reach: Sequence[float], far: float, coarser: float
 ) -> tuple[list[FloatArray], bool, bool]:
     """Poses in a box, so many m and rad to either side, about which the scan lies near the map's surfaces, best first;
-    and whether the best is at the edge of the box, in place and in heading."""
-    table, origin = there.table
+    and whether the best is at the edge of the box, in place and in heading. Steps are so many times coarser."""
+    (table, origin), cell = there.table(coarser), coarser * TABLE_CELL_M
     every = max(1, len(surface) // _SEARCHED)
     points, looks = surface.points[::every], surface.looks[::every]
-    step = TABLE_CELL_M / max(far, 1.0)
-    steps, turns = int(np.ceil(reach[0] / TABLE_CELL_M)), int(np.ceil(reach[1] / step))
+    step = cell / max(far, 1.0)
+    steps, turns = int(np.ceil(reach[0] / cell)), int(np.ceil(reach[1] / step))
     angles = step * np.arange(-turns, turns + 1)
-    scores = score_box(points, looks, centre, table, origin, TABLE_CELL_M, angles, steps)
+    scores = score_box(points, looks, centre, table, origin, cell, angles, steps)
     t, r, k = np.unravel_index(int(scores.argmax()), scores.shape)
     peaks = (scores == maximum_filter(scores, size=5)) & (scores > _RIVAL * scores.max())
     places = np.argwhere(peaks)
     places = places[np.argsort(-scores[tuple(places.T)], kind="stable")][:_MODES]
-    shifts = [((k - steps) * TABLE_CELL_M, (r - steps) * TABLE_CELL_M, angles[t]) for t, r, k in places.tolist()]
+    shifts = [((k - steps) * cell, (r - steps) * cell, angles[t]) for t, r, k in places.tolist()]
     at_edge = bool({int(r), int(k)} & {0, 2 * steps}), t in (0, 2 * turns)
     return [centre + np.array(shift) for shift in shifts], *at_edge
 

@@ -15,8 +15,10 @@ from slam.frontend.information import beyond_lines, inverted
 from slam.frontend.keyframes import keyframes_of
 from slam.frontend.keyframes import track_of as made_track
 from slam.frontend.laser_odometry import LaserTrack, laser_track, motion_between, tracker
+from slam.frontend.laser_odometry.between_scans import between_scans
 from slam.frontend.laser_odometry.local_map import LocalMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
+from slam.frontend.laser_odometry.track import Step
 from slam.frontend.laser_odometry.tracker import LaserOdometry
 from slam.frontend.laser_odometry.wheel_model import NoiseScale
 from slam.frontend.odometry import OdometryTrack, planar_delta
@@ -376,6 +378,32 @@ def test_between_scans_before_the_first_and_after_the_last_the_wheels_say_how_it
     np.testing.assert_allclose(half.poses_at([scans[4].stamp_ns])[0], planar_transform(*half._steps[2].pose))
     alone = laser_track(scans_alone(truth.log), stated(truth.log), CoastingConfig())
     assert np.array_equal(alone.poses_at([0]), alone.poses_at([scans[0].stamp_ns]))
+
+
+def test_without_wheels_the_body_goes_on_for_a_step_beyond_the_first_scan_and_the_last():
+    poses = [np.array((0.3 * k, 0.0, 0.1 * k)) for k in range(3)]
+    steps = [Step(1_000_000_000 * k, pose, np.eye(3), np.eye(3)) for k, pose in enumerate(poses)]
+    before, after = (one for one in between_scans(steps, []))
+    assert (before.stamp_ns, after.stamp_ns) == (-1_000_000_000, 3_000_000_000)
+    for reading, a, b in ((before, steps[1], steps[0]), (after, steps[1], steps[2])):
+        step = inverse(planar_transform(*a.pose)) @ planar_transform(*b.pose)
+        assert reading.odom_T_body == pytest.approx(planar_transform(*b.pose) @ step)
+    assert between_scans(steps[:1], []) == []
+
+
+def test_what_matched_scans_know_is_not_asked_of_the_planes():
+    """Two lasers and no odometry in a corridor: its walls alone had moved the first keyframes back by 2.4 m."""
+    truth = make_drive(Recipe.parse("people/paper/absent/none"), 900001)
+    first = truth.log.scans()[0].stamp_ns
+    scans = [scan for scan in truth.log.scans() if scan.stamp_ns <= first + 12_000_000_000]
+    run = run_slam(replace(truth.log, events=scans), truth.rig, SlamConfig())
+    true = truth.truth.poses_at(run.trajectory.stamps_ns)
+    errors = inverse(true[0]) @ true - inverse(run.trajectory.poses[0]) @ run.trajectory.poses
+    assert len(errors) > 8 and np.abs(errors[:, :2, 3]).max() < 0.02
+    carried = run.scan_trajectory
+    last = inverse(true[0]) @ truth.truth.poses_at(carried.stamps_ns[-1:])[0]
+    found = inverse(run.trajectory.poses[0]) @ carried.poses[-1]
+    assert np.linalg.norm((last - found)[:2, 3]) < 0.02
 
 
 def test_a_level_laser_beside_a_push_broom_one_measures_the_motion_too():
