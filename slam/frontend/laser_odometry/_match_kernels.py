@@ -43,10 +43,13 @@ def _surface_at(x, y, nx, ny, points, normals, weights, start, origin, cell, col
 
 @njit(cache=True, error_model="numpy")
 def align(
-    pose, scan, scan_normals, variance, looks, points, normals, weights, start, origin, cell, columns, rows,
+    pose, scan, scan_normals, variance, looks, turns, points, normals, weights, start, origin, cell, columns, rows,
     expected, information, rounds, first_m,
 ):  # fmt: skip
     """Gauss-Newton on robust point-to-line distances and a normal prior about `expected` (x, y, theta).
+
+    Normals err: those of one wall differ, and seem to tell something along it. Of a normal with the variance v of its
+    direction, n n^T is expected to be v t t^T too large, t along the wall; that much is taken off.
 
     Returns:
         pose (3,); information (3, 3) of the returns alone, in the map's axes; share of the looks that fit; misfit:
@@ -76,10 +79,19 @@ def align(
             told[1, 1] += weight * my * my
             told[1, 2] += weight * my * j2
             told[2, 2] += weight * j2 * j2
+            along, t2 = weight * turns[i], mx * lx + my * ly  # of t = (-my, mx)
+            told[0, 0] -= along * my * my
+            told[0, 1] += along * my * mx
+            told[0, 2] += along * my * t2
+            told[1, 1] -= along * mx * mx
+            told[1, 2] -= along * mx * t2
+            told[2, 2] -= along * t2 * t2
             pull[0] -= weight * mx * off
             pull[1] -= weight * my * off
             pull[2] -= weight * j2 * off
         told[1, 0], told[2, 0], told[2, 1] = told[0, 1], told[0, 2], told[1, 2]
+        values, vectors = np.linalg.eigh(told)
+        told = (vectors * np.maximum(values, 0.0)) @ vectors.T
         change = np.linalg.solve(told + information, pull + information @ (expected - pose))
         pose += change
         if step > 3 and abs(change[0]) + abs(change[1]) < 2e-4 and abs(change[2]) < 2e-5:

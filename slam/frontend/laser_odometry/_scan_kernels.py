@@ -17,11 +17,12 @@ def surface_of(points, away, angle_step, range_variance, surface_variance, corre
 
     Returns:
         normals (B, 2), toward the sensor, NaN without; variance (B,) of a return along its normal, m^2; looks (B,): the
-        share of an independent look at the surface that a return is, for the unevenness of a wall is alike nearby.
+        share of an independent look at the surface that a return is, for the unevenness of a wall is alike nearby;
+        turns (B,): variance of the normals' directions, rad^2.
     """
     count = points.shape[0]
     normals = np.full((count, 2), np.nan)
-    variance, looks = np.zeros(count), np.zeros(count)
+    variance, looks, turns = np.zeros(count), np.zeros(count), np.zeros(count)
     for i in range(count):
         reach = np.sqrt(away[i, 0] ** 2 + away[i, 1] ** 2)
         gap = max(LEAST_GAP_M, GAP_STEPS * reach * angle_step)
@@ -59,7 +60,8 @@ def surface_of(points, away, angle_step, range_variance, surface_variance, corre
         alike = max(1.0, correlation_m / spacing)
         variance[i] = max(range_variance, smallest) + surface_variance
         looks[i] = variance[i] / (max(range_variance, smallest) + surface_variance * alike)
-    return normals, variance, looks
+        turns[i] = variance[i] / (looks[i] * (0.5 * (xx + yy) + root))
+    return normals, variance, looks, turns
 
 
 #: A normal is fitted to so many returns on either side, within so many metres.

@@ -39,6 +39,8 @@ class Surface:
     """Of a return along its normal, shape (N,), m^2."""
     looks: FloatArray
     """Share of an independent look at the surface that each return is, shape (N,); a thing that stands free is one."""
+    turns: FloatArray
+    """Variance of the normals' directions, shape (N,), rad^2."""
     origin: FloatArray
     """Where the sensor is, shape (2,), m."""
 
@@ -52,14 +54,14 @@ class Surface:
         away = directions * -ranges[seen][:, None]
         points = body_T_sensor[:2, 3] - away
         step = float(np.abs(np.diff(angles)).mean()) if len(angles) > 1 else 1.0
-        normals, variance, looks = surface_of(
+        normals, variance, looks, turns = surface_of(
             points, away, step, sensor.range_variance_m2, sensor.surface_sigma_m**2, sensor.surface_correlation_m
         )
         things = free_standing(-away, step)
         many = np.bincount(things[things >= 0], looks[things >= 0])  # all of a thing that walks is off alike
         looks[things >= 0] /= np.maximum(many, 1.0)[things[things >= 0]]
         kept = np.isfinite(normals[:, 0])
-        return cls(points[kept], normals[kept], variance[kept], looks[kept], body_T_sensor[:2, 3])
+        return cls(points[kept], normals[kept], variance[kept], looks[kept], turns[kept], body_T_sensor[:2, 3])
 
     def __len__(self) -> int:
         return len(self.points)

@@ -125,7 +125,7 @@ def _fits_worse(found: _Found, surface: Surface, usual_fit: float) -> bool:
 
 def _aligned(surface: Surface, there: LocalMap, start: FloatArray, ways: Sequence[Expected], way: int) -> _Found:
     pose, information, fit, misfit = align(
-        start, surface.points, surface.normals, surface.variance, surface.looks,
+        start, surface.points, surface.normals, surface.variance, surface.looks, surface.turns,
         there.points, there.normals, there.weights, there.start, there.origin, CELL_M, there.columns, there.rows,
         ways[way].pose, inverted(ways[way].covariance), _ROUNDS, 2.0 * _BASIN_M,
     )  # fmt: skip

@@ -188,6 +188,30 @@ def test_a_thing_that_stands_free_is_one_look_and_a_wall_is_not():
     assert np.all(nearer.looks[hidden] == nearer.looks[0])
 
 
+def corridor(x: float, rng: np.random.Generator) -> Surface:
+    """Two bare walls, 1.2 m to either side, from so far along them."""
+    angles = np.linspace(-np.pi, np.pi, 361)[:-1]
+    with np.errstate(divide="ignore"):
+        ranges = 1.2 / np.abs(np.sin(angles))
+    ranges = np.where(ranges < 8.0, ranges + 0.01 * rng.standard_normal(len(angles)), np.nan)
+    sensor = Rig.model_validate({"sensors": {"FLASER": {"kind": "line", "range_sigma_m": 0.01, "range_max_m": 8.0}}})
+    return Surface.of(LaserScan(0, "FLASER", ranges, angles), ranges, sensor.sensors["FLASER"], np.eye(4))
+
+
+def test_walls_tell_nothing_along_them_however_much_their_normals_err():
+    """Five centimetres were claimed of it: a drive of 58 keyframes along a bare corridor was 14 m off, and sound."""
+    rng = np.random.default_rng(2)
+    wide = np.diag((0.3, 0.1, 0.02)) ** 2
+    for _ in range(20):
+        there = LocalMap.of(
+            [corridor(0.25 * k, rng) for k in range(8)], [np.array((0.25 * k, 0.0, 0.0)) for k in range(8)]
+        )
+        match = match_scan(corridor(2.1, rng), there, [Expected(np.array((2.0, 0.02, 0.005)), wide, 1.0)], 0.9)
+        sigmas = 1.0 / np.sqrt(np.diag(match.information) + 1e-3)  # of each where the others are known
+        assert sigmas[0] > 0.5 and sigmas[1] < 0.01 and sigmas[2] < 0.005
+        assert np.abs(match.pose[1:]).max() < 0.01
+
+
 @pytest.mark.parametrize("name, seed", [("people/level/worse3/none", 900079), ("people/level/absent/half", 900144)])
 def test_people_who_walk_by_do_not_take_the_robot_along(name: str, seed: int):
     """In a corridor they are half of what tells how far one came: these two drives were 1.1 and 4.9 m off."""
