@@ -107,9 +107,9 @@ class CoastingConfig(_Frozen):
     clouds that tell no time are taken as 1 s apart."""
 
     speed_sigma_m_per_s: float = Field(default=2.0, gt=0)
-    """Of the speed, as long as no motion before is known, m/s."""
+    """Of the speed, as long as no motion before is known, or when it is forgotten, m/s."""
     turn_sigma_rad_per_s: float = Field(default=1.4, gt=0)
-    """Of the rate of turn, as long as no motion before is known, rad/s."""
+    """Of the rate of turn, as long as no motion before is known, or when it is forgotten, rad/s."""
     acceleration_sigma_m_per_s2: float = Field(default=2.0, gt=0)
     """Of the change of speed, m/s^2: somebody who carries the sensor starts and stops within a second or two."""
     turn_change_sigma_rad_per_s2: float = Field(default=1.4, gt=0)

@@ -2,9 +2,9 @@
 
 Usage: python tools/compile_kernels.py [--jobs N] [--run JOB]... [--into FOLDER]
 
-Without `--into` the machine code is where numba keeps it, beside the sources: what `make demo` does once, so that
-nothing that follows waits. With `--into` it is compiled for a processor that others have too (`spplanes._jit`), and
-what is called from Python is copied into FOLDER: what a wheel brings.
+Without `--into` the machine code is where numba keeps it, beside the sources: what `make demo` and `make test` do once,
+so that nothing that follows waits. With `--into` it is compiled for a processor that others have too (`spplanes._jit`),
+and what is called from Python is copied into FOLDER: what a wheel brings.
 """
 
 from __future__ import annotations

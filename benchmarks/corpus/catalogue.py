@@ -111,10 +111,11 @@ def corpus(seeds: Sequence[int], *, short: bool = False, kinds: Sequence[str] = 
     """The drives of a run: real logs, then the simulated ones with the first seed, with the next, and so on.
 
     Args:
-        seeds: of the simulated drives.
+        seeds: of the simulated drives, and of real logs made worse.
         short: fewer of them.
         kinds: only drives with one of these words as a part of their name, or whose name matches one as a pattern; a
-            whole name need not be in the catalogue. Real logs made worse are there by names and patterns alone.
+            whole name need not be in the catalogue. Real logs made worse are there by names, and by
+            patterns that nothing else matches.
 
     Raises:
         ValueError: a kind that no drive is of.

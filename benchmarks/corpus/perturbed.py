@@ -17,11 +17,11 @@ from spplanes._check import FloatArray
 
 Perturbation = Callable[[Log, Rig, np.random.Generator], Log]
 
-#: Headings err so many times as much as the default rig says.
-_WORSE = 3.0
+#: Headings, and ranges, err so many times as much as the default rig says.
+_WORSE, _NOISIER = 3.0, 2.0
 #: One slip in so many metres, by so much, rad.
 _SLIP_EVERY_M, _SLIP_RAD = 100.0, float(np.deg2rad(20.0))
-#: Scans are stamped later by this, s.
+#: Odometry is stamped later or earlier by this, s.
 _LATE_S = 0.1
 
 
@@ -52,7 +52,7 @@ def noise2(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
     """Ranges that scatter twice as much as the default rig says."""
 
     def noisier(scan: LaserScan) -> LaserScan:
-        sigma = np.sqrt(3.0) * rig.sensors[scan.sensor].range_sigma_m
+        sigma = np.sqrt(_NOISIER**2 - 1.0) * rig.sensors[scan.sensor].range_sigma_m
         return replace(scan, ranges=scan.ranges + sigma * rng.normal(size=len(scan.ranges)))
 
     return replace(log, events=[noisier(one) if isinstance(one, LaserScan) else one for one in log.events])

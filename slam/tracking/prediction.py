@@ -159,7 +159,7 @@ class MotionModel:
         world_T_before = self._backend.pose(before)
         motion, parts = self._motion_to(keyframe), (self._keyframes, self._landmarks, self._backend)
         beyond = beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
-        wide = is_wide(motion if motion.by_all is None else motion.by_all)
+        wide = is_wide(motion.by_all or motion)
         place = found_place(keyframe, motion, *parts) if wide else None
         if wide and place is None and keyframe.surfaces is not None:
             self.unplaced.append(index)

@@ -42,15 +42,16 @@ class View:
     def of(cls, beams: FloatArray) -> View:
         """From beams (B, 4) as rows (x0, y0, x1, y1), m."""
         origins, of_origin = np.unique(beams[:, :2], axis=0, return_inverse=True)
-        fans, fixed = [], []
+        fans, fixed = [], np.ones(len(beams), dtype=bool)
         for number, origin in enumerate(origins):
-            away = beams[of_origin.ravel() == number, 2:] - origin
+            rows = np.flatnonzero(of_origin.ravel() == number)
+            away = beams[rows, 2:] - origin
             bearings = np.arctan2(away[:, 1], away[:, 0])
             order = np.argsort(bearings, kind="stable")
             fans.append((origin, bearings[order], np.linalg.norm(away, axis=1)[order]))
             step = float(np.median(np.diff(bearings[order]))) if len(order) > 1 else 1.0
-            fixed.append((away[order] + origin)[free_standing(away[order], step) < 0])
-        ends = np.concatenate(fixed)
+            fixed[rows[order]] = free_standing(away[order], step) < 0
+        ends = beams[fixed, 2:]
         squares = np.floor(ends / LOOK_M).astype(np.int64)
         _, first = np.unique(squares, axis=0, return_index=True)
         return cls(tuple(fans), KDTree(beams[:, 2:]), ends[np.sort(first)])

@@ -48,18 +48,21 @@ def align(
 ):  # fmt: skip
     """Gauss-Newton on robust point-to-line distances and a normal prior about `expected` (x, y, theta).
 
-    Normals err: those of one wall differ, and seem to tell something along it. Of a normal with the variance v of its
-    direction, n n^T is expected to be v t t^T too large, t along the wall; that much is taken off.
+    Normals err: those of one wall differ, and seem to tell something along it. Of a normal that errs by an angle of
+    mean square sine v, n n^T is expected to hold v t t^T, t along the wall; that much is taken off the information,
+    with v of the scan's normal: the map's, a mean of several, errs by less.
 
     Returns:
         pose (3,); information (3, 3) of the returns alone, in the map's axes; share of the looks that fit; misfit:
         half of the chi2 of the looks near a surface, bounded for each, beyond what it is expected to be.
     """
     pose = pose.copy()
-    told = np.zeros((3, 3))
+    told, erring, far = np.zeros((3, 3)), np.zeros((3, 3)), 1.0
     for step in range(rounds):
         wide = max(first_m * 0.5**step, 0.0)
         told[:] = 0.0
+        erring[:] = 0.0
+        looked = moment = 0.0
         pull = np.zeros(3)
         c, s = np.cos(pose[2]), np.sin(pose[2])
         for i in range(scan.shape[0]):
@@ -80,18 +83,20 @@ def align(
             told[1, 2] += weight * my * j2
             told[2, 2] += weight * j2 * j2
             along, t2 = weight * turns[i], mx * lx + my * ly  # of t = (-my, mx)
-            told[0, 0] -= along * my * my
-            told[0, 1] += along * my * mx
-            told[0, 2] += along * my * t2
-            told[1, 1] -= along * mx * mx
-            told[1, 2] -= along * mx * t2
-            told[2, 2] -= along * t2 * t2
+            erring[0, 0] += along * my * my
+            erring[0, 1] -= along * my * mx
+            erring[0, 2] -= along * my * t2
+            erring[1, 1] += along * mx * mx
+            erring[1, 2] += along * mx * t2
+            erring[2, 2] += along * t2 * t2
+            looked += weight
+            moment += weight * (lx * lx + ly * ly)
             pull[0] -= weight * mx * off
             pull[1] -= weight * my * off
             pull[2] -= weight * j2 * off
         told[1, 0], told[2, 0], told[2, 1] = told[0, 1], told[0, 2], told[1, 2]
-        values, vectors = np.linalg.eigh(told)
-        told = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        erring[1, 0], erring[2, 0], erring[2, 1] = erring[0, 1], erring[0, 2], erring[1, 2]
+        far = np.sqrt(max(moment / max(looked, 1e-12), 1e-6))
         change = np.linalg.solve(told + information, pull + information @ (expected - pose))
         pose += change
         if step > 3 and abs(change[0]) + abs(change[1]) < 2e-4 and abs(change[2]) < 2e-5:
@@ -109,7 +114,15 @@ def align(
         total += looks[i]
         if squared < _DOUBTED * _DOUBTED:
             fits += looks[i]
-    return pose, told, fits / max(total, 1e-12), misfit
+    return pose, _without(told, erring, far), fits / max(total, 1e-12), misfit
+
+
+@njit(cache=True, error_model="numpy")
+def _without(told, erring, far):
+    """Information about (x, y, theta) less what errs of it, not below none; a turn counts by its arc at `far`, m."""
+    scale = np.array((1.0, 1.0, far))
+    values, vectors = np.linalg.eigh((told - erring) / np.outer(scale, scale))
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T * np.outer(scale, scale)
 
 
 @njit(cache=True, error_model="numpy")

@@ -4,28 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.frontend.occupancy.free_standing import GAP_STEPS, LEAST_GAP_M
 from spplanes._jit import njit
 
 
 @njit(cache=True, error_model="numpy")
-def surface_of(points, away, angle_step, range_variance, surface_variance, correlation_m):
+def surface_of(points, away, angle_step, range_variance, surface_variance, correlation_m, gap_steps, least_gap_m):
     """Normals and noise of the returns (B, 2) of one scan, seen from `away` (B, 2), the sensor's place less each.
 
-    A normal is fitted to the neighbours in the order of the beams that lie on one surface: no further apart than a few
-    beams' steps at their range. Returns that lie alone have none.
+    A normal is fitted to the neighbours in the order of the beams that lie on one surface: no further apart than
+    `gap_steps` of the beams at their range, or `least_gap_m`. Returns that lie alone have none.
 
     Returns:
         normals (B, 2), toward the sensor, NaN without; variance (B,) of a return along its normal, m^2; looks (B,): the
         share of an independent look at the surface that a return is, for the unevenness of a wall is alike nearby;
-        turns (B,): variance of the normals' directions, rad^2.
+        turns (B,): the square of the sine by which a normal is expected to err.
     """
     count = points.shape[0]
     normals = np.full((count, 2), np.nan)
     variance, looks, turns = np.zeros(count), np.zeros(count), np.zeros(count)
     for i in range(count):
         reach = np.sqrt(away[i, 0] ** 2 + away[i, 1] ** 2)
-        gap = max(LEAST_GAP_M, GAP_STEPS * reach * angle_step)
+        gap = max(least_gap_m, gap_steps * reach * angle_step)
         low, high = i, i
         while low > 0 and i - low < _MOST and _apart(points, low, low - 1) < gap and _apart(points, i, low) < _PATCH_M:
             low -= 1
@@ -60,7 +59,7 @@ def surface_of(points, away, angle_step, range_variance, surface_variance, corre
         alike = max(1.0, correlation_m / spacing)
         variance[i] = max(range_variance, smallest) + surface_variance
         looks[i] = variance[i] / (max(range_variance, smallest) + surface_variance * alike)
-        turns[i] = variance[i] / (looks[i] * (0.5 * (xx + yy) + root))
+        turns[i] = 0.5 * (1.0 - np.exp(-2.0 * variance[i] / (looks[i] * (0.5 * (xx + yy) + root))))
     return normals, variance, looks, turns
 
 

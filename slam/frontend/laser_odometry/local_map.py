@@ -9,6 +9,7 @@ import numpy as np
 
 from slam.frontend.laser_odometry._scan_kernels import merge_patches, nearness, sort_into_cells, surface_of
 from slam.frontend.occupancy import Raster, free_standing
+from slam.frontend.occupancy.free_standing import GAP_STEPS, LEAST_GAP_M
 from slam.sensors.log import LaserScan
 from slam.sensors.rig import Sensor
 from spplanes._check import FloatArray
@@ -40,7 +41,7 @@ class Surface:
     looks: FloatArray
     """Share of an independent look at the surface that each return is, shape (N,); a thing that stands free is one."""
     turns: FloatArray
-    """Variance of the normals' directions, shape (N,), rad^2."""
+    """Square of the sine by which each normal is expected to err, shape (N,)."""
     origin: FloatArray
     """Where the sensor is, shape (2,), m."""
 
@@ -55,7 +56,14 @@ class Surface:
         points = body_T_sensor[:2, 3] - away
         step = float(np.abs(np.diff(angles)).mean()) if len(angles) > 1 else 1.0
         normals, variance, looks, turns = surface_of(
-            points, away, step, sensor.range_variance_m2, sensor.surface_sigma_m**2, sensor.surface_correlation_m
+            points,
+            away,
+            step,
+            sensor.range_variance_m2,
+            sensor.surface_sigma_m**2,
+            sensor.surface_correlation_m,
+            GAP_STEPS,
+            LEAST_GAP_M,
         )
         things = free_standing(-away, step)
         many = np.bincount(things[things >= 0], looks[things >= 0])  # all of a thing that walks is off alike

@@ -137,7 +137,8 @@ def _searched(
 ) -> list[_Found]:
     """Alignments from all modes in the box of one way.
 
-    The box is made wider as far as the way reaches, where the best of it lies at its edge or does not fit as usual.
+    The box is made wider where the best of it lies at its edge; as far as the way reaches also where nothing in it fits
+    as usual.
     """
     sigmas = np.sqrt(np.diag(ways[way].covariance))
     full = _SIGMAS * sigmas[:2].max(), _SIGMAS * sigmas[2]
@@ -146,7 +147,7 @@ def _searched(
     for widening in range(_WIDENINGS + 1):
         coarser = _COARSER if widening else 1.0
         modes, shifted, turned = _modes(surface, there, ways[way].pose, reach, far, coarser)
-        found = [_aligned(surface, there, mode, ways, way) for mode in modes]
+        found += [_aligned(surface, there, mode, ways, way) for mode in modes]
         unlike = all(_fits_worse(one, surface, usual_fit) for one in found)
         wider = [
             min(r * (1 + (at_edge or (unlike and r < whole))), largest)
@@ -175,7 +176,8 @@ def _modes(
     places = np.argwhere(peaks)
     places = places[np.argsort(-scores[tuple(places.T)], kind="stable")][:_MODES]
     shifts = [((k - steps) * cell, (r - steps) * cell, angles[t]) for t, r, k in places.tolist()]
-    at_edge = bool({int(r), int(k)} & {0, 2 * steps}), t in (0, 2 * turns)
+    meets = bool(scores.max() > 0.0)
+    at_edge = meets and bool({int(r), int(k)} & {0, 2 * steps}), meets and t in (0, 2 * turns)
     return [centre + np.array(shift) for shift in shifts], *at_edge
 
 
@@ -208,7 +210,8 @@ def _unlikelihood(pose: FloatArray, way: Expected) -> float:
     """Minus the log of the density of a pose and of having come there in this way."""
     error = difference(pose, way.pose)
     covariance = way.covariance.copy()
-    if covariance[2, 2] > 2.0 * np.pi:  # headings lie on a circle: no density about one is below the uniform one
-        covariance *= np.outer(*[np.array((1.0, 1.0, np.sqrt(2.0 * np.pi / covariance[2, 2])))] * 2)
+    if covariance[2, 2] > 2.0 * np.pi:  # headings lie on a circle: at its peak no density is below the uniform one
+        scale = np.array((1.0, 1.0, np.sqrt(2.0 * np.pi / covariance[2, 2])))
+        covariance *= np.outer(scale, scale)
     chi2 = float(error @ np.linalg.solve(covariance, error))
     return 0.5 * (np.linalg.slogdet(covariance)[1] + chi2) - np.log(way.probability)

@@ -17,7 +17,7 @@ from slam.frontend.laser_odometry.track import LaserTrack, Step, between, compos
 from slam.frontend.laser_odometry.wheel_model import NoiseScale
 from slam.frontend.measurement import usable_ranges
 from slam.frontend.occupancy import LEVEL_COSINE
-from slam.frontend.odometry import Motion, OdometryTrack, planar_delta
+from slam.frontend.odometry import Motion, OdometryTrack, difference, planar_delta
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse, planar_transform
 from slam.sensors.log import LaserScan, Log
@@ -71,9 +71,13 @@ class LaserOdometry:
         if match is not None:
             if match.fit >= _LEAST_FIT:
                 pose, told, covariance = match.pose, match.information, ways[match.way][1]
-            if match.odds < 1.0:  # that it is elsewhere is as true of the way there as of what is seen from it
-                covariance = covariance + turn.T @ match.spread @ turn
-                told = inverted(inverted(told + 1e-3 * np.eye(3)) + match.spread)
+            if (
+                match.odds < 1.0
+            ):  # it may be elsewhere: true of the way there and of what is seen, half of it said by each
+                away = difference(match.pose, pose)
+                spread = 2.0 * (match.spread + np.outer(away, away))
+                covariance = covariance + turn.T @ spread @ turn
+                told = inverted(inverted(told + 1e-3 * np.eye(3)) + spread)
         back = rotation(pose[2])
         note = self._watch(between(before, pose), wheels)
         if len(self.steps) == 1:  # the first scan is the map: its noise is in the match of the second
@@ -151,7 +155,7 @@ class LaserOdometry:
         moved = np.array((np.inf, np.inf, np.inf)) if last is None else between(last, pose)
         if np.hypot(*moved[:2]) < _SPACING_M and abs(moved[2]) < _SPACING_RAD:
             return
-        if match is not None and match.odds < _LEAST_ODDS:
+        if match is not None and match.fit >= _LEAST_FIT and match.odds < _LEAST_ODDS:
             return
         if len(surface):
             self._map.add(surface, pose)

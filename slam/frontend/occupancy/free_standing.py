@@ -15,21 +15,31 @@ MOVABLE_M = 1.0
 def free_standing(away: FloatArray, angle_step: float) -> np.ndarray:
     """Which thing that stands free each return is of, shape (N,): a number from 0 on; -1: of none.
 
-    A thing is what lies between two gaps. It stands free where the returns beside it, if any, are farther from the
-    sensor: how wide it is, is seen then.
+    A thing is what lies between two gaps. It stands free where the returns on both sides of it are farther from the
+    sensor: only then it is seen how wide it is. A fan without ends goes on from its last return to its first.
 
     Args:
         away: returns in the order of the beams, from the sensor, shape (N, 2), m.
         angle_step: between two beams, rad.
     """
-    if not len(away):
-        return np.empty(0, dtype=np.int64)
+    none = np.full(len(away), -1, dtype=np.int64)
+    if len(away) < 3:
+        return none
     ranges = np.hypot(away[:, 0], away[:, 1])
-    apart = np.hypot(*np.diff(away, axis=0).T)
-    ends = np.flatnonzero(apart >= np.maximum(LEAST_GAP_M, GAP_STEPS * angle_step * ranges[:-1]))
-    first, last = np.concatenate(([0], ends + 1)), np.concatenate((ends, [len(away) - 1]))
-    beside = np.concatenate(([np.inf], ranges, [np.inf]))
-    free = (beside[first] > ranges[first]) & (beside[last + 2] > ranges[last])
-    free &= np.hypot(*(away[last] - away[first]).T) < MOVABLE_M
+    gaps = np.hypot(*(np.roll(away, -1, axis=0) - away).T) >= np.maximum(LEAST_GAP_M, GAP_STEPS * angle_step * ranges)
+    between_ends = np.arctan2(away[0, 1], away[0, 0]) - np.arctan2(away[-1, 1], away[-1, 0])
+    is_closed = abs(np.remainder(between_ends + np.pi, 2.0 * np.pi) - np.pi) < GAP_STEPS * angle_step
+    if is_closed and not gaps.any():
+        return none
+    start = int(np.argmax(gaps)) + 1 if is_closed else 0  # a thing begins here
+    turned, near, ends = np.roll(away, -start, axis=0), np.roll(ranges, -start), np.roll(gaps, -start)
+    ends[-1] = True
+    last = np.flatnonzero(ends)
+    first = np.concatenate(([0], last[:-1] + 1))
+    free = (near[first - 1] > near[first]) & (near[(last + 1) % len(near)] > near[last])
+    if not is_closed:
+        free[[0, -1]] = False
+    extent = np.maximum.reduceat(turned, first) - np.minimum.reduceat(turned, first)
+    free &= np.hypot(extent[:, 0], extent[:, 1]) < MOVABLE_M
     numbers = np.where(free, np.cumsum(free) - 1, -1)
-    return np.repeat(numbers, last - first + 1)
+    return np.roll(np.repeat(numbers, last - first + 1), start)

@@ -106,3 +106,18 @@ def test_a_laser_upside_down_is_found_and_named():
 def test_a_mount_as_stated_is_never_taken_for_another():
     for seed in range(5):
         assert list(mount_evidence(keyframes(way(24), seed=seed), RIG)) == []
+
+
+def test_who_walks_away_is_no_surface_that_was_seen_through_and_a_room_all_round_is_one():
+    angles = np.linspace(-np.pi, np.pi, 721)[:-1]
+    room = 2.5 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
+
+    def seen(ranges: FloatArray) -> View:
+        ends = ranges[:, None] * np.stack((np.cos(angles), np.sin(angles)), axis=1)
+        return View.of(np.hstack((np.zeros_like(ends), ends)))
+
+    empty, with_somebody = seen(room), seen(np.where(np.abs(angles - 0.7) < 0.12, 1.4, room))
+    confirmed, through = compare(empty, with_somebody, np.eye(4))
+    assert through == 0 and confirmed > 30
+    wall = np.where(np.abs(angles - 0.7) < 0.5, 1.4, room)  # wider than anybody is
+    assert compare(empty, seen(wall), np.eye(4))[1] >= 2
