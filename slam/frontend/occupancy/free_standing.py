@@ -16,7 +16,8 @@ def free_standing(away: FloatArray, angle_step: float) -> np.ndarray:
     """Which thing that stands free each return is of, shape (N,): a number from 0 on; -1: of none.
 
     A thing is what lies between two gaps. It stands free where the returns on both sides of it are farther from the
-    sensor: only then it is seen how wide it is. A fan without ends goes on from its last return to its first.
+    sensor; beyond the ends of a fan nothing is known to be nearer, and what is cut off there may walk as well. A fan
+    without ends goes on from its last return to its first.
 
     Args:
         away: returns in the order of the beams, from the sensor, shape (N, 2), m.
@@ -36,9 +37,10 @@ def free_standing(away: FloatArray, angle_step: float) -> np.ndarray:
     ends[-1] = True
     last = np.flatnonzero(ends)
     first = np.concatenate(([0], last[:-1] + 1))
-    free = (near[first - 1] > near[first]) & (near[(last + 1) % len(near)] > near[last])
+    before, after = near[first - 1], near[(last + 1) % len(near)]
     if not is_closed:
-        free[[0, -1]] = False
+        before[0] = after[-1] = np.inf
+    free = (before > near[first]) & (after > near[last])
     extent = np.maximum.reduceat(turned, first) - np.minimum.reduceat(turned, first)
     free &= np.hypot(extent[:, 0], extent[:, 1]) < MOVABLE_M
     numbers = np.where(free, np.cumsum(free) - 1, -1)
