@@ -103,7 +103,7 @@ def test_a_bag_of_a_lidar_without_odometry(tmp_path: Path, capsys: pytest.Captur
     "log, kind, n_scans, wheels, said, n_relations, mean_m",
     [
         ("intel.clf.gz", "sqlite3", 150, True, "no Odometry: took tf from odom to base_link", 5, 0.04),
-        ("intel_full.clf.gz", "mcap", 400, False, "assumed: no odometry", 10, 0.08),
+        ("intel_full.clf.gz", "mcap", 400, False, "assumed: no odometry", 10, 0.09),
     ],
     ids=["wheels in tf", "scans and nothing else"],
 )
