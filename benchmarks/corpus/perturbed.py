@@ -1,8 +1,8 @@
-"""Real logs made worse in known ways: wheels that slip or lose their heading, noisier lasers, scans or clocks amiss."""
+"""Real logs made worse in known ways: wheels that slip, err or are not there, noisier lasers, scans or clocks amiss."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -34,18 +34,20 @@ def heading3(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
         return float(share * np.sqrt(by_way * way_m + by_turn * abs(turn_rad)))
 
     deltas = _deltas(log)
-    return _turned(log, np.array([sigma(np.hypot(x, y), turn) for x, y, turn in deltas]) * rng.normal(size=len(deltas)))
+    sigmas = np.array([sigma(np.hypot(x, y), turn) for x, y, turn in deltas])
+    return _turned(log, deltas, sigmas * rng.normal(size=len(deltas)))
 
 
 def slips(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
     """A slip to either side once in a hundred metres, at a random place of each."""
-    driven = np.cumsum([np.hypot(x, y) for x, y, _ in _deltas(log)])
+    deltas = _deltas(log)
+    driven = np.cumsum([np.hypot(x, y) for x, y, _ in deltas])
     turns = np.zeros(len(driven))
     for start in np.arange(0.0, driven[-1], _SLIP_EVERY_M):
         where = int(np.searchsorted(driven, start + rng.uniform(0.0, _SLIP_EVERY_M)))
         if where < len(turns):
             turns[where] += rng.choice([-1.0, 1.0]) * _SLIP_RAD
-    return _turned(log, turns)
+    return _turned(log, deltas, turns)
 
 
 def noise2(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
@@ -81,6 +83,11 @@ def late(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
     return replace(log, events=sorted(moved, key=lambda one: (one.stamp_ns, not isinstance(one, OdometryReading))))
 
 
+def absent(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
+    """No odometry at all."""
+    return replace(log, events=[one for one in log.events if not isinstance(one, OdometryReading)])
+
+
 #: Kinds of perturbations of a log of 2D scans and wheel odometry.
 PERTURBATIONS: dict[str, Perturbation] = {
     "heading3": heading3,
@@ -88,6 +95,7 @@ PERTURBATIONS: dict[str, Perturbation] = {
     "noise2": noise2,
     "half": half,
     "late": late,
+    "absent": absent,
 }
 
 
@@ -96,11 +104,11 @@ def _deltas(log: Log) -> list[FloatArray]:
     return [planar_delta(inverse(a.odom_T_body) @ b.odom_T_body) for a, b in pairwise(log.odometry)]
 
 
-def _turned(log: Log, turns: FloatArray) -> Log:
-    """The log with steps of the odometry that turn by so much more, rad."""
+def _turned(log: Log, deltas: Sequence[FloatArray], turns: FloatArray) -> Log:
+    """The log with steps of the odometry, each of which turns by so much more, rad."""
     pose = log.odometry[0].odom_T_body
     poses = [pose]
-    for (x, y, theta), more in zip(_deltas(log), turns, strict=True):
+    for (x, y, theta), more in zip(deltas, turns, strict=True):
         pose = pose @ planar_transform(x, y, theta + float(more))
         poses.append(pose)
     moved = iter(poses)

@@ -57,12 +57,10 @@ def align(
         half of the chi2 of the looks near a surface, bounded for each, beyond what it is expected to be.
     """
     pose = pose.copy()
-    told, erring, far = np.zeros((3, 3)), np.zeros((3, 3)), 1.0
+    told, erring = np.zeros((3, 3)), np.zeros((3, 3))
     for step in range(rounds):
         wide = max(first_m * 0.5**step, 0.0)
         told[:] = 0.0
-        erring[:] = 0.0
-        looked = moment = 0.0
         pull = np.zeros(3)
         c, s = np.cos(pose[2]), np.sin(pose[2])
         for i in range(scan.shape[0]):
@@ -82,6 +80,28 @@ def align(
             told[1, 1] += weight * my * my
             told[1, 2] += weight * my * j2
             told[2, 2] += weight * j2 * j2
+            pull[0] -= weight * mx * off
+            pull[1] -= weight * my * off
+            pull[2] -= weight * j2 * off
+        told[1, 0], told[2, 0], told[2, 1] = told[0, 1], told[0, 2], told[1, 2]
+        change = np.linalg.solve(told + information, pull + information @ (expected - pose))
+        pose += change
+        if step > 3 and abs(change[0]) + abs(change[1]) < 2e-4 and abs(change[2]) < 2e-5:
+            break
+    fits = total = misfit = looked = moment = 0.0
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    for i in range(scan.shape[0]):
+        lx, ly = c * scan[i, 0] - s * scan[i, 1], s * scan[i, 0] + c * scan[i, 1]
+        nx, ny = c * scan_normals[i, 0] - s * scan_normals[i, 1], s * scan_normals[i, 0] + c * scan_normals[i, 1]
+        there, off, mx, my = _surface_at(
+            pose[0] + lx, pose[1] + ly, nx, ny, points, normals, weights, start, origin, cell, columns, rows
+        )
+        squared = off * off / variance[i] if there else np.inf
+        if there:
+            misfit += 0.5 * looks[i] * (min(squared, _DOUBTED * _DOUBTED) - 1.0)
+            weight = looks[i] / variance[i] / (1.0 + squared / (_DOUBTED * _DOUBTED)) ** 2
+            looked += weight
+            moment += weight * (lx * lx + ly * ly)
             along, t2 = weight * turns[i], mx * lx + my * ly  # of t = (-my, mx)
             erring[0, 0] += along * my * my
             erring[0, 1] -= along * my * mx
@@ -89,31 +109,11 @@ def align(
             erring[1, 1] += along * mx * mx
             erring[1, 2] += along * mx * t2
             erring[2, 2] += along * t2 * t2
-            looked += weight
-            moment += weight * (lx * lx + ly * ly)
-            pull[0] -= weight * mx * off
-            pull[1] -= weight * my * off
-            pull[2] -= weight * j2 * off
-        told[1, 0], told[2, 0], told[2, 1] = told[0, 1], told[0, 2], told[1, 2]
-        erring[1, 0], erring[2, 0], erring[2, 1] = erring[0, 1], erring[0, 2], erring[1, 2]
-        far = np.sqrt(max(moment / max(looked, 1e-12), 1e-6))
-        change = np.linalg.solve(told + information, pull + information @ (expected - pose))
-        pose += change
-        if step > 3 and abs(change[0]) + abs(change[1]) < 2e-4 and abs(change[2]) < 2e-5:
-            break
-    fits, total, misfit = 0.0, 0.0, 0.0
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    for i in range(scan.shape[0]):
-        x = pose[0] + c * scan[i, 0] - s * scan[i, 1]
-        y = pose[1] + s * scan[i, 0] + c * scan[i, 1]
-        nx, ny = c * scan_normals[i, 0] - s * scan_normals[i, 1], s * scan_normals[i, 0] + c * scan_normals[i, 1]
-        there, off, mx, my = _surface_at(x, y, nx, ny, points, normals, weights, start, origin, cell, columns, rows)
-        squared = off * off / variance[i] if there else np.inf
-        if there:
-            misfit += 0.5 * looks[i] * (min(squared, _DOUBTED * _DOUBTED) - 1.0)
         total += looks[i]
         if squared < _DOUBTED * _DOUBTED:
             fits += looks[i]
+    erring[1, 0], erring[2, 0], erring[2, 1] = erring[0, 1], erring[0, 2], erring[1, 2]
+    far = np.sqrt(max(moment / max(looked, 1e-12), 1e-6))
     return pose, _without(told, erring, far), fits / max(total, 1e-12), misfit
 
 

@@ -14,6 +14,7 @@ from slam.frontend.laser_odometry.local_map import SlidingMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
 from slam.frontend.laser_odometry.synchronization import clock_offset
 from slam.frontend.laser_odometry.track import LaserTrack, Step, between, compose, rotation
+from slam.frontend.laser_odometry.velocity import VelocityFilter, stamp_sigma
 from slam.frontend.laser_odometry.wheel_model import NoiseScale
 from slam.frontend.measurement import usable_ranges
 from slam.frontend.occupancy import LEVEL_COSINE
@@ -44,8 +45,9 @@ _STUCK_STEPS, _MOVED = 3, 0.02
 class LaserOdometry:
     """Turns scans and what the wheels said between them into poses."""
 
-    def __init__(self, noise: OdometryNoise, coasting: CoastingConfig) -> None:
-        self._noise, self._coasting = noise, coasting
+    def __init__(self, noise: OdometryNoise, coasting: CoastingConfig, stamp_sigma_s: float = 0.0) -> None:
+        self._noise = noise
+        self._velocity = VelocityFilter(coasting, stamp_sigma_s)
         self._map = SlidingMap(_WINDOW_M)
         self._scale, self._calibration = NoiseScale(), WheelCalibration()
         self._fit = _FIRST_FIT
@@ -85,6 +87,7 @@ class LaserOdometry:
         slipped = match is not None and match.fit >= _LEAST_FIT and match.way > 0 and match.way == len(ways) - 1
         step = Step(stamp_ns, pose, covariance, back.T @ told @ back, note, slipped)
         self.steps.append(step)
+        self._learn_velocity()
         if wheels is not None and not stuck:
             self._since.append(wheels)
         self._extend_map(surface, pose, match)
@@ -115,19 +118,17 @@ class LaserOdometry:
         return whole, response, covariance - response @ np.diag(np.square(self._noise.calibration_sigmas)) @ response.T
 
     def _coasted(self, stamp_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Constant velocity: that of the step before as far as it is not forgotten, in the end any that bodies have."""
-        rules, ahead_s = self._coasting, (stamp_ns - self.steps[-1].stamp_ns) * 1e-9
-        usual = np.array((rules.speed_sigma_m_per_s, rules.speed_sigma_m_per_s, rules.turn_sigma_rad_per_s))
-        velocity, sigmas = np.zeros(3), usual
-        if len(self.steps) > 1:
-            before_s = (self.steps[-1].stamp_ns - self.steps[-2].stamp_ns) * 1e-9
-            changes = rules.acceleration_sigma_m_per_s2, rules.turn_change_sigma_rad_per_s2
-            changed = max(ahead_s, before_s) * np.array((changes[0], changes[0], changes[1]))
-            kept = usual**2 / (usual**2 + changed**2)
-            velocity = kept * between(self.steps[-2].pose, self.steps[-1].pose) / before_s
-            sigmas = np.sqrt(kept) * changed
-        floor = (self._noise.floor_m, self._noise.floor_m, self._noise.floor_rad)
-        return velocity * ahead_s, np.diag(np.square(np.maximum(sigmas * ahead_s, floor)))
+        """Constant velocity."""
+        delta, covariance = self._velocity.ahead(1e-9 * (stamp_ns - self.steps[-1].stamp_ns))
+        least = np.square((self._noise.floor_m, self._noise.floor_m, self._noise.floor_rad))
+        return delta, covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0))
+
+    def _learn_velocity(self) -> None:
+        """What the last step says of the velocity."""
+        before, step = self.steps[-2:]
+        track = LaserTrack([before, step], self._noise)
+        moved = between(before.pose, step.pose)
+        self._velocity.learn(1e-9 * (step.stamp_ns - before.stamp_ns), moved, track.matched(0, 1, moved))
 
     def _match(self, surface: Surface, expected: list[Expected]) -> Match | None:
         there = self._map.map
@@ -194,7 +195,8 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
     clocks = clock_offset(readings, scans, lambda scan: _surface(scan, sensors[scan.sensor]), rig.odometry)
     track = OdometryTrack(readings, rig.odometry) if readings else None
     wheels = None if track is None else track.poses_at([scan.stamp_ns for scan in scans])
-    odometry = LaserOdometry(rig.odometry, coasting)
+    by_sensor = [[scan.stamp_ns for scan in scans if scan.sensor == name] for name in sensors]
+    odometry = LaserOdometry(rig.odometry, coasting, max(map(stamp_sigma, by_sensor), default=0.0))
     last = -1
     for index, scan in enumerate(scans):
         if last >= 0 and scan.stamp_ns <= scans[last].stamp_ns:

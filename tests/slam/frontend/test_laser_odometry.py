@@ -149,20 +149,6 @@ def test_what_fits_elsewhere_as_well_leaves_the_wheels_in_doubt_too():
     assert np.array_equal(lost.pose, step.pose)  # what does not fit moves nothing
 
 
-def test_a_velocity_is_forgotten_in_the_end():
-    rules, surface = CoastingConfig(), scan_in((1.0, 1.0, 0.0))
-    odometry = LaserOdometry(NOISE, rules)
-    odometry.add(0, surface, None)
-    odometry.steps.append(replace(odometry.steps[0], stamp_ns=100_000_000, pose=np.array((0.05, 0.0, 0.02))))
-    soon, spread = odometry._coasted(200_000_000)
-    assert soon == pytest.approx((0.05, 0.0, 0.02), rel=0.02)
-    assert np.sqrt(spread[0, 0]) == pytest.approx(rules.acceleration_sigma_m_per_s2 * 0.1**2, rel=0.02)
-    late, spread = odometry._coasted(100_100_000_000)  # 100 s: any velocity that bodies have
-    assert np.abs(late).max() < 0.01 * 0.5 * 100.0
-    assert np.sqrt(spread[0, 0]) == pytest.approx(rules.speed_sigma_m_per_s * 100.0, rel=0.01)
-    assert np.sqrt(spread[2, 2]) == pytest.approx(rules.turn_sigma_rad_per_s * 100.0, rel=0.01)
-
-
 def fan(things: list[tuple[float, float, float]]) -> Surface:
     """A wall five metres ahead, and things before it: from bearing to bearing, rad, at a distance, m."""
     angles = np.linspace(-0.9, 0.9, 361)

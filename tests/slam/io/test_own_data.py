@@ -100,10 +100,10 @@ def test_a_bag_of_a_lidar_without_odometry(tmp_path: Path, capsys: pytest.Captur
 
 
 @pytest.mark.parametrize(
-    "log, kind, n_scans, wheels, said, n_relations, mean_m",
+    "log, kind, n_scans, wheels, said, n_relations, mean_m, mean_deg",
     [
-        ("intel.clf.gz", "sqlite3", 150, True, "no Odometry: took tf from odom to base_link", 5, 0.04),
-        ("intel_full.clf.gz", "mcap", 400, False, "assumed: no odometry", 10, 0.09),
+        ("intel.clf.gz", "sqlite3", 150, True, "no Odometry: took tf from odom to base_link", 5, 0.04, 0.6),
+        ("intel_full.clf.gz", "mcap", 400, False, "assumed: no odometry", 10, 0.03, 0.4),
     ],
     ids=["wheels in tf", "scans and nothing else"],
 )
@@ -115,6 +115,7 @@ def test_a_bag_of_a_laser(
     said: str,
     n_relations: int,
     mean_m: float,
+    mean_deg: float,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -124,6 +125,7 @@ def test_a_bag_of_a_laser(
     assert said in printed
     figures = off_by(capsys, tmp_path / "run", needs("intel/intel.relations.gz"))
     assert figures["relations found"] >= n_relations and figures["relations translation mean"] < mean_m
+    assert figures["relations rotation mean"] < mean_deg
 
 
 def test_a_folder_of_unordered_clouds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
