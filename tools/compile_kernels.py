@@ -232,14 +232,14 @@ def spinning() -> None:
     command("slam", "hall/clouds", "--out", "found")
 
 
-#: Longest first.
+#: The longest first, then what it calls late, compiled by the time it does; what shares most with both comes last.
 JOBS: dict[str, Callable[[], None]] = {
     "corridor": corridor,
-    "spinning": spinning,
-    "points": points,
-    "mapping": mapping,
-    "lines": lines,
     "pieces": pieces,
+    "spinning": spinning,
+    "mapping": mapping,
+    "points": points,
+    "lines": lines,
     "plane": plane,
 }
 

@@ -62,7 +62,7 @@ class LaserTrack(OdometryTrack):
         noise, delta = self._noise, planar_delta(a_T_b)
         floor = np.diag([noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2])
         wheels = self._walked(first, last) + floor
-        matched = self.matched(first, last, delta)
+        matched = matched_covariance(self._steps[first], self._steps[last], delta)
         out_of_plane = (noise.z_sigma_m, noise.roll_sigma_rad, noise.pitch_sigma_rad)
         return Motion(a_T_b, wheels, out_of_plane, returns_a_T_b=a_T_b, returns_covariance=0.5 * (matched + matched.T))
 
@@ -92,14 +92,15 @@ class LaserTrack(OdometryTrack):
             total += carry @ self._steps[index].wheels @ carry.T
         return total
 
-    def matched(self, first: int, last: int, delta: FloatArray) -> FloatArray:
-        """Covariance of the same by the returns of both ends in the local map."""
-        nothing = _NO_INFORMATION * np.eye(3)
-        a, b = (inverted(self._steps[index].returns + nothing) for index in (first, last))
-        carry = np.eye(3)
-        carry[:2, 2] = -delta[1], delta[0]
-        turn = rotation(delta[2])
-        return carry @ a @ carry.T + turn @ b @ turn.T
+
+def matched_covariance(first: Step, last: Step, delta: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of a motion (x, y, theta) between two scans, by the returns of both in the local map."""
+    nothing = _NO_INFORMATION * np.eye(3)
+    a, b = (inverted(step.returns + nothing) for step in (first, last))
+    carry = np.eye(3)
+    carry[:2, 2] = -delta[1], delta[0]
+    turn = rotation(delta[2])
+    return carry @ a @ carry.T + turn @ b @ turn.T
 
 
 def motion_between(

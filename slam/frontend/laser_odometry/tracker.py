@@ -13,7 +13,7 @@ from slam.frontend.laser_odometry.between_scans import between_scans
 from slam.frontend.laser_odometry.local_map import SlidingMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
 from slam.frontend.laser_odometry.synchronization import clock_offset
-from slam.frontend.laser_odometry.track import LaserTrack, Step, between, compose, rotation
+from slam.frontend.laser_odometry.track import LaserTrack, Step, between, compose, matched_covariance, rotation
 from slam.frontend.laser_odometry.velocity import VelocityFilter, stamp_sigma
 from slam.frontend.laser_odometry.wheel_model import NoiseScale
 from slam.frontend.measurement import usable_ranges
@@ -126,9 +126,8 @@ class LaserOdometry:
     def _learn_velocity(self) -> None:
         """What the last step says of the velocity."""
         before, step = self.steps[-2:]
-        track = LaserTrack([before, step], self._noise)
         moved = between(before.pose, step.pose)
-        self._velocity.learn(1e-9 * (step.stamp_ns - before.stamp_ns), moved, track.matched(0, 1, moved))
+        self._velocity.learn(1e-9 * (step.stamp_ns - before.stamp_ns), moved, matched_covariance(before, step, moved))
 
     def _match(self, surface: Surface, expected: list[Expected]) -> Match | None:
         there = self._map.map
@@ -169,9 +168,8 @@ class LaserOdometry:
         if not since or len(since) != last - first:
             return
         whole, response, random = self._stated(since)
-        track = LaserTrack([self.steps[first], self.steps[last]], self._noise)
         estimate = between(self.steps[first].pose, self.steps[last].pose)
-        matched = inverted(track.matched(0, 1, estimate))
+        matched = inverted(matched_covariance(self.steps[first], self.steps[last], estimate))
         sigmas = self._noise.calibration_sigmas
         stated = random + response @ np.diag(np.square(sigmas)) @ response.T
         motion = Motion(planar_transform(*whole), stated, (1.0, 1.0, 1.0), response, sigmas)
