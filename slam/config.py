@@ -151,6 +151,8 @@ class BackendConfig(_Frozen):
 
     relinearize_threshold: float = Field(default=0.01, gt=0)
     """Change of a variable that makes iSAM2 relinearise it, rad or m."""
+    relinearize_tilt_rad: float = Field(default=1e-4, gt=0)
+    """The same of a plane's normal, rad: linearised at one that is off, parallel planes fix what they leave open."""
     robust: RobustKernel | None = None
     """Robust kernel on plane and line factors. None: "dcs" made maps of an office with misread boards honester, but is
     not convex; corridors came out 12 mm too low with it."""

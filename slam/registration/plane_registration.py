@@ -29,6 +29,8 @@ _FINE_ANGLE, _FINE_DISTANCE = np.deg2rad(1.0), 0.03
 _LOOSE = (5.0, 1.0)
 #: A motion is looked for as far as so many standard deviations; what it costs grows slower beyond the first few.
 _FAR, _TAIL = 6.0, 2.0
+#: Whatever carries a sensor keeps upright: standard deviation of its tilt, however long nobody looked, rad.
+_TILT_RAD = 0.5
 #: Planes closer in direction than this define no rotation: cosine of 20 deg.
 _PARALLEL = 0.94
 #: Rotations that are looked at closer, pairs that make translations, and motions whose outlines are compared.
@@ -76,7 +78,7 @@ def match_planes_widely(
     mine, theirs = PlaneArrays.of(seen), PlaneArrays.of(known)
     if min(len(mine.normals), len(theirs.normals)) < 2:
         return None
-    motions = [one for R in _rotations(mine, theirs, sigmas[1]) for one in _translations(R, mine, theirs, sigmas)]
+    motions = _motions(mine, theirs, sigmas, upright=True)
     sight = LinesOfSight.between(mine.planes, mine.weights, theirs.planes)
     best, alike = -np.inf, _ALIKE * float(mine.weights.sum())
     tried: list[tuple[float, float, PlaneMatching]] = []
@@ -114,7 +116,7 @@ def places_anywhere(seen: Sequence[Plane], known: Sequence[Plane]) -> list[tuple
     centred = PlaneArrays.of([plane.transform(inverse(origin)) for plane in known])
     reach = float(np.linalg.norm(centred.middles, axis=1).max()) + 1.0
     anywhere = (reach, np.pi)
-    motions = [one for R in _rotations(mine, centred, np.pi) for one in _translations(R, mine, centred, anywhere)]
+    motions = _motions(mine, centred, anywhere, upright=False)
     sight = LinesOfSight.between(mine.planes, mine.weights, centred.planes)
     found: list[tuple[float, PlaneMatching]] = []
     for _, motion in sorted(motions, key=lambda one: -one[0])[: 2 * _MOTIONS]:
@@ -151,20 +153,40 @@ def _worked_out(
     return PlaneMatching(motion, covariance, tuple((mine.order[i], theirs.order[j]) for i, j in pairs))
 
 
-def price_of(motion: FloatArray, sigmas: tuple[float, float]) -> float:
+def price_of(motion: FloatArray, sigmas: tuple[float, float], *, upright: bool = True) -> float:
     """What a motion of this size costs: half its chi2 by the expectation while small, only the log of it far off.
 
-    Expectations fail: wheels slip, guesses are guesses, and what carries a sensor turns on its heel.
+    Expectations fail: wheels slip, guesses are guesses, and what carries a sensor turns on its heel. But nobody turns
+    it upside down, and a room so turned may have more planes in common with itself than it has seen from another place.
+
+    Args:
+        motion: shape (4, 4).
+        sigmas: standard deviations of place and turn, m and rad.
+        upright: whether the third axes of both frames point up.
     """
     angle = np.arccos(np.clip(0.5 * (np.trace(motion[:3, :3]) - 1.0), -1.0, 1.0))
-    return _tail((angle / sigmas[1]) ** 2) + _tail(motion[:3, 3] @ motion[:3, 3] / sigmas[0] ** 2)
+    tilted = float(_tilted(motion[2, 2])) if upright else 0.0
+    return tilted + _tail((angle / sigmas[1]) ** 2) + _tail(motion[:3, 3] @ motion[:3, 3] / sigmas[0] ** 2)
+
+
+def _tilted(cosines: Any) -> Any:
+    """What it costs that upright axes enclose angles of these cosines: half the chi2."""
+    return 0.5 * np.square(np.arccos(np.clip(cosines, -1.0, 1.0)) / _TILT_RAD)
 
 
 def _tail(chi2: Any) -> Any:
     return _TAIL * np.log1p(0.5 * chi2 / _TAIL)
 
 
-def _rotations(mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float) -> list[FloatArray]:
+def _motions(
+    mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float], *, upright: bool
+) -> list[tuple[float, FloatArray]]:
+    """Motions that pairs of planes propose, with their scores."""
+    rotations = _rotations(mine, theirs, sigmas[1], upright=upright)
+    return [one for R in rotations for one in _translations(R, mine, theirs, sigmas, upright=upright)]
+
+
+def _rotations(mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float, *, upright: bool) -> list[FloatArray]:
     """Rotations under which most directions agree, best first, none twice."""
     frames, angles = _frames(mine.normals[:_SEEDS], ordered=False)
     others, other_angles = _frames(theirs.normals, ordered=True)
@@ -174,7 +196,7 @@ def _rotations(mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float) -> list
     rotations, traces = near_rotations(frames, angles, others, other_angles, _ANGLE, 1.0 + 2.0 * np.cos(furthest))
     turns = np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0))
     agree = directions_found(rotations, mine.normals, theirs.normals, mine.weights, np.cos(_ANGLE))
-    scores = agree - _tail((turns / sigma_rad) ** 2)
+    scores = agree - _tail((turns / sigma_rad) ** 2) - (_tilted(rotations[:, 2, 2]) if upright else 0.0)
     best_first = rotations[np.argsort(-scores, kind="stable")]
     return list(unlike(best_first, 1.0 + 2.0 * np.cos(_ANGLE), _ROTATIONS))
 
@@ -195,7 +217,7 @@ def _frames(normals: FloatArray, *, ordered: bool) -> tuple[FloatArray, FloatArr
 
 
 def _translations(
-    rotation: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float]
+    rotation: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float], *, upright: bool
 ) -> list[tuple[float, FloatArray]]:
     """The best motions with a rotation, with their scores: from threes of pairs, and what is expected beside them."""
     turned = mine.normals @ rotation.T
@@ -215,7 +237,7 @@ def _translations(
     for shift, weight in zip(shifts, found.tolist(), strict=True):
         motion = np.eye(4)
         motion[:3, :3], motion[:3, 3] = rotation, shift
-        results.append((weight - price_of(motion, sigmas), motion))
+        results.append((weight - price_of(motion, sigmas, upright=upright), motion))
     return results
 
 

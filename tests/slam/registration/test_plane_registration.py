@@ -10,7 +10,7 @@ from shapely import box
 from slam.geometry.frames import inverse
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.motion_from_planes import _off, fit_pairs_on
-from slam.registration.plane_registration import _agreement, match_planes_widely
+from slam.registration.plane_registration import _agreement, match_planes_widely, places_anywhere
 from slam.registration.visibility import LinesOfSight
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -144,3 +144,25 @@ def test_a_hall_is_told_from_itself_turned_round_by_what_would_be_seen_through_a
     assert found is not None
     error = inverse(inverse(expected) @ true) @ found.known_T_seen
     assert np.linalg.norm(error[:3, 3]) < 0.02 and error[0, 0] > 0.9999
+
+
+def test_a_body_is_not_turned_upside_down_by_a_room_that_fits_better_so():
+    """A low cupboard was seen before, a high one is now; turned about the long axis of the room they are one."""
+    long, wide, high = 6.0, 4.0, 3.0
+    room = [
+        wall((0.0, 0.0, -high / 2.0), (0.0, 0.0, 1.0), long, wide),
+        wall((0.0, 0.0, high / 2.0), (0.0, 0.0, -1.0), long, wide),
+        wall((0.0, wide / 2.0, 0.0), (0.0, -1.0, 0.0), long, high),
+        wall((0.0, -wide / 2.0, 0.0), (0.0, 1.0, 0.0), long, high),
+    ]
+    low, high_up = (wall((long / 2.0, 0.0, z), (-1.0, 0.0, 0.0), wide, 0.6) for z in (-1.2, 1.2))
+    true = body(0.3, 0.2, 0.1)
+    true[2, 3] = 0.0
+    known, seen = [*room, low], measured([*room, high_up], true, np.random.default_rng(4))
+    tipped = np.diag((1.0, -1.0, -1.0, 1.0)) @ true
+    shares = [_agreement(one, PlaneArrays.of(seen), PlaneArrays.of(known)) for one in (true, tipped)]
+    assert shares[1] > shares[0] + 1.0
+    found = match_planes_widely(seen, known, (10.0, 35.0))
+    assert found is not None and np.abs(found.known_T_seen - true)[:3, :3].max() < 0.01
+    _, anywhere = places_anywhere(seen, known)[0]  # of a map that may lie on its side nothing is known
+    assert np.abs(anywhere.known_T_seen - tipped).max() < 0.05
