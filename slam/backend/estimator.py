@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from factors import isam2_parameters
 from slam.backend.joint_covariance import STAYS, JointCovariance
 from slam.backend.marginalized_poses import PastPose, PastPoses
 from slam.backend.shared_unknown import SharedUnknown
@@ -16,7 +17,7 @@ from slam.config import BackendConfig
 from slam.timing import StageClock, timed
 from spplanes._check import FloatArray
 
-_POSES = (ord("x"), ord("m"))  # of a keyframe, of a prior map
+_POSES = ("x", "m")  # letters of their symbols: of a keyframe, of a prior map
 #: Of more variables than this a joint covariance is read from the graph.
 _MANY = 64
 
@@ -33,11 +34,8 @@ class Backend:
     """
 
     def __init__(self, config: BackendConfig) -> None:
-        self._parameters = gtsam.ISAM2Params()
-        self._parameters.setFactorization("QR")
+        self._parameters = isam2_parameters()
         self._parameters.setRelinearizeThreshold(_thresholds(config))
-        self._parameters.relinearizeSkip = 1
-        self._parameters.cacheLinearizedFactors = True
         self.clock = StageClock()
         self._isam = gtsam.ISAM2(self._parameters)
         self._past = PastPoses()
@@ -346,7 +344,7 @@ def _thresholds(config: BackendConfig) -> gtsam.ISAM2ThresholdMap:
     by 4 mrad, its height measured to 0.2 mm from every keyframe, says to 5 cm where the body is, each time.
     """
     thresholds, change = gtsam.ISAM2ThresholdMap(), config.relinearize_threshold
-    for letter in ("x", "m"):
+    for letter in _POSES:
         thresholds.insert((letter, np.full(6, change)))
     tilt = min(config.relinearize_tilt_rad, change)
     thresholds.insert(("p", np.array((tilt, tilt, change))))
@@ -354,7 +352,7 @@ def _thresholds(config: BackendConfig) -> gtsam.ISAM2ThresholdMap:
 
 
 def _is_pose(key: int) -> bool:
-    return key >> 56 in _POSES
+    return chr(key >> 56) in _POSES
 
 
 def _first_line(error: Exception) -> str:
