@@ -113,9 +113,10 @@ class LocalMap:
         """
         pose, newest = self._parts[-1]
         newest_T_seen = inverse(pose) @ known_T_seen
-        back = self._sights[-1].through(lift(some[alone, :3], newest_T_seen))
+        back = np.count_nonzero(self._sights[-1].through(lift(some[alone, :3], newest_T_seen)))
         from_there = lift(newest.elements[:, :3], inverse(newest_T_seen))
-        ahead = sight.through(from_there[sight.apart(from_there) > _REACHES[-1] * _widths(newest.elements)])
+        far = sight.apart(from_there) > _REACHES[-1] * _widths(newest.elements)
+        ahead = np.count_nonzero(sight.through(from_there[far]))
         return max(back / max(len(some), 1), ahead / max(len(newest.elements), 1))
 
     def between(self, known_T_seen: FloatArray, elements: FloatArray) -> FloatArray:

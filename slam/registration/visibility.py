@@ -115,18 +115,22 @@ class Sight:
         """Distances of points (N, 3) from the nearest that was seen, (N,), m."""
         return np.asarray(self._places.query(points)[0], dtype=np.float64)
 
-    def through(self, points: FloatArray) -> int:
-        """How many of points (N, 3) stand well before all that was seen about their direction.
+    def through(
+        self, points: FloatArray, nearer_m: float = _NEARER_M, nearer_share: float = _NEARER_SHARE
+    ) -> np.ndarray:
+        """Which of points (N, 3) stand so far before all that was seen about their direction, shape (N,).
 
         Before a surface is what is nearer than it and off it: beside what was seen of a wall the wall goes on, and
         along it the range is any.
         """
+        through = np.zeros(len(points), dtype=bool)
         common, about = self._about(points)
         ranges = np.linalg.norm(points[common] - self._viewpoint, axis=1)
-        nearer = ranges[:, None] < (1.0 - _NEARER_SHARE) * self._depth[about] - _NEARER_M
+        nearer = ranges[:, None] < (1.0 - nearer_share) * self._depth[about] - nearer_m
         behind = self._elements[about]
         off = np.einsum("kai,kai->ka", points[common, None] - behind[..., :3], behind[..., 3:6])
-        return int(np.count_nonzero((nearer & ((off > _NEARER_M) | (behind[..., 7] == ON_EDGE))).all(axis=1)))
+        through[common] = (nearer & ((off > nearer_m) | (behind[..., 7] == ON_EDGE))).all(axis=1)
+        return through
 
     def off_surfaces(self, elements: FloatArray) -> FloatArray:
         """How far elements (N, 8) are from the surface about their direction, (N,), m; infinite: there is none of it.

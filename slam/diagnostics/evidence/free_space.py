@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slam.diagnostics.evidence._binomial import at_least
-from slam.diagnostics.evidence.views import View, comparisons, pairs_of
+from slam.diagnostics.evidence.views import V, comparisons, pairs_of
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named
 from slam.frontend.occupancy import NOVEL_SHARE
 from spplanes._check import FloatArray
@@ -34,8 +34,8 @@ class Place:
         self.keyframes.update(keyframes)
 
 
-def free_space_evidence(views: dict[int, View], poses: FloatArray) -> Iterator[Evidence]:
-    """Looks of level lasers through surfaces that other keyframes saw, at the final poses (N, 4, 4)."""
+def free_space_evidence(views: Mapping[int, V], poses: FloatArray) -> Iterator[Evidence]:
+    """Looks through surfaces that other keyframes saw, at the final poses (N, 4, 4)."""
     places: dict[Hashable, Place] = {}
     way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1))))
     stretch = np.floor(way / _STRETCH_M).astype(int).tolist()

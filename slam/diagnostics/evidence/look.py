@@ -13,6 +13,7 @@ from slam.diagnostics.evidence.loops import loop_evidence
 from slam.diagnostics.evidence.mounts import heading_evidence, mount_evidence
 from slam.diagnostics.evidence.odometry import believed_evidence, odometry_evidence
 from slam.diagnostics.evidence.prior import prior_evidence, prior_planes
+from slam.diagnostics.evidence.scan_views import scan_views_of
 from slam.diagnostics.evidence.start import start_evidence
 from slam.diagnostics.evidence.surfaces import Surfaces, rays_of, surface_evidence
 from slam.diagnostics.evidence.unmatched_area import unmatched_evidence
@@ -21,7 +22,7 @@ from slam.diagnostics.verdict import Evidence, Verdict, weigh
 from slam.sensors.rig import Rig
 
 #: Kinds of statistics there are, which share the significance.
-KINDS = 13
+KINDS = 14
 
 
 def look_at(run: Finished, rig: Rig) -> Verdict:
@@ -41,6 +42,7 @@ def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     yield from believed_evidence(run)
     yield from unmatched_evidence(run)
     yield from free_space_evidence(views, poses)
+    yield from free_space_evidence(scan_views_of(run.keyframes, poses), poses)
     yield from loop_evidence(run.loops, run.config.loops.significance)
     yield from mount_evidence(run.keyframes, rig)
     yield from heading_evidence(run.keyframes, poses, rig)

@@ -1,9 +1,10 @@
-"""What level lasers saw from different keyframes, held against each other: surfaces confirmed, or seen through."""
+"""What was seen from different keyframes, held against each other: surfaces confirmed, or seen through."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -25,6 +26,25 @@ _REACH_M = 4.0
 _STRETCH_M, _PARTNERS = 2.0, 8
 #: Comparisons over a whole run: the sample of a long one is as good.
 _MOST_PAIRS = 3000
+
+
+class Looks(Protocol):
+    """What one keyframe saw, to be asked what it says of what another one saw."""
+
+    def looks_of(self, other: Self, here_T_other: FloatArray) -> FloatArray:
+        """Places, a row each, where another view has a surface to look for, as seen from here."""
+        ...
+
+    def confirms(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+        """Which places have a surface within the tolerance, shape (N,)."""
+        ...
+
+    def sees_through(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+        """Which places lie in front of all that was seen about their direction, shape (N,)."""
+        ...
+
+
+V = TypeVar("V", bound=Looks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +75,10 @@ class View:
         squares = np.floor(ends / LOOK_M).astype(np.int64)
         _, first = np.unique(squares, axis=0, return_index=True)
         return cls(tuple(fans), KDTree(beams[:, 2:]), ends[np.sort(first)])
+
+    def looks_of(self, other: View, here_T_other: FloatArray) -> FloatArray:
+        """Another view's looks as seen from here, shape (N, 2)."""
+        return other.looks @ here_T_other[:2, :2].T + here_T_other[:2, 3]
 
     def confirms(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
         """Which places (N, 2) have a return within the tolerance, shape (N,)."""
@@ -120,14 +144,14 @@ def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
     return pairs[:: max(1, -(-len(pairs) // _MOST_PAIRS))]
 
 
-def compare(view: View, other: View, here_T_other: FloatArray, tolerance_m: float = TOLERANCE_M) -> tuple[int, int]:
+def compare(view: V, other: V, here_T_other: FloatArray, tolerance_m: float = TOLERANCE_M) -> tuple[int, int]:
     """How many looks of another view at a pose (4, 4) a view confirms, and how many it sees through."""
-    places = other.looks @ here_T_other[:2, :2].T + here_T_other[:2, 3]
+    places = view.looks_of(other, here_T_other)
     confirmed = view.confirms(places, tolerance_m)
     return int(confirmed.sum()), int((view.sees_through(places, tolerance_m) & ~confirmed).sum())
 
 
-def comparisons(views: dict[int, View], poses: FloatArray, pairs: Sequence[tuple[int, int]]) -> list[Comparison]:
+def comparisons(views: Mapping[int, V], poses: FloatArray, pairs: Sequence[tuple[int, int]]) -> list[Comparison]:
     """Each pair of keyframes (one, other) at poses (N, 4, 4)."""
     found = []
     for one, other in pairs:

@@ -1,6 +1,6 @@
 """Occupancy: what level lasers saw as a raster of walls and free space, and how well points lie in one."""
 
-from slam.frontend.occupancy.free_standing import free_standing
+from slam.frontend.occupancy.free_standing import LEAST_GAP_M, MOVABLE_M, free_standing
 from slam.frontend.occupancy.raster import (
     CELL_M,
     LEVEL_COSINE,
@@ -14,8 +14,10 @@ from slam.frontend.occupancy.raster import (
 
 __all__ = [
     "CELL_M",
+    "LEAST_GAP_M",
     "LEVELS",
     "LEVEL_COSINE",
+    "MOVABLE_M",
     "NOVEL_SHARE",
     "Raster",
     "beams_of",

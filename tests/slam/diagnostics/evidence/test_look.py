@@ -11,7 +11,9 @@ from slam import PlaneSlam
 from slam.association.decisions import Decision
 from slam.config import SlamConfig
 from slam.diagnostics.evidence import look_at
+from slam.diagnostics.evidence.free_space import free_space_evidence
 from slam.diagnostics.evidence.loops import loop_evidence
+from slam.diagnostics.evidence.scan_views import scan_views_of
 from slam.geometry.frames import planar_transform
 from slam.loop_closure.verification import LoopDecision
 from slam.runs.slam_run import Run, run_slam
@@ -56,6 +58,19 @@ def test_a_right_run_is_sound_and_reading_it_changes_nothing(right: Run):
     assert verdict == look_at(right.slam, right.rig) == right.verdict
     assert (verdict.verdict, verdict.reasons) == ("sound", [])
     np.testing.assert_array_equal(right.slam.trajectory.poses, before)
+
+
+def test_scans_at_right_poses_are_no_evidence_and_a_jump_in_them_is(right: Run):
+    """Nothing but what 3D scans see from one keyframe, against what others saw."""
+    poses = right.slam.trajectory.poses
+    views = scan_views_of(right.slam.keyframes, poses)
+    assert len(views) == len(poses)
+    assert list(free_space_evidence(views, poses)) == []
+    bent = poses.copy()
+    bent[8:] = planar_transform(-0.6, 0.4, 0.0) @ bent[8:]
+    (found,) = free_space_evidence(views, bent)
+    assert found.p_value < 1e-4 and found.size > 0.15
+    assert min(found.keyframes) < 8 <= max(found.keyframes)
 
 
 def test_odometry_that_stands_still_is_refuted_by_the_scans_and_harms_nothing(right: Run):

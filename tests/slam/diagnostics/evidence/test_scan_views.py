@@ -1,0 +1,64 @@
+"""Views of 3D sensors: walls are looked for, seen through where nothing is, and what may walk is no wall."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.diagnostics.evidence.scan_views import ScanView
+from slam.diagnostics.evidence.views import compare
+from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE
+from slam.registration.visibility import Scan
+from spplanes._check import FloatArray
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def facing(
+    ahead_m: float, half_m: float, kind: int = ON_PLANE, normal: tuple[float, float, float] = (-1.0, 0.0, 0.0)
+) -> FloatArray:
+    """Elements of a square board so far ahead, so wide to either side, one every 10 cm."""
+    steps = np.arange(-half_m, half_m + 0.05, 0.1)
+    y, z = (axis.ravel() for axis in np.meshgrid(steps, steps))
+    return np.column_stack((np.full(y.size, ahead_m), y, z, np.tile([*normal, 0.01, kind], (y.size, 1))))
+
+
+def view(*parts: FloatArray) -> ScanView:
+    return ScanView(Scan(np.concatenate(parts), np.zeros(3)), UP)
+
+
+def moved(x: float) -> FloatArray:
+    pose = np.eye(4)
+    pose[0, 3] = x
+    return pose
+
+
+def test_a_wall_is_confirmed_where_it_is_seen_through_where_it_is_not_and_hidden_behind_itself():
+    wall = view(facing(4.0, 2.0))
+    count = len(wall.looks)
+    assert count > 40
+    assert compare(wall, wall, moved(0.0)) == compare(wall, wall, moved(-0.05)) == (count, 0)
+    confirmed, through = compare(wall, wall, moved(-1.0))  # what is nearer than the wall reaches out of view
+    assert confirmed == 0 and through > count / 2
+    assert compare(wall, wall, moved(1.0)) == (0, 0)
+
+
+def test_edges_floors_and_what_may_walk_are_no_walls():
+    wall, board = facing(4.0, 2.0), facing(2.0, 0.3, ON_NO_PLANE)
+    alone = view(wall)
+    np.testing.assert_array_equal(view(wall, board).looks, alone.looks)  # 0.85 m from corner to corner
+    assert len(view(wall, facing(2.0, 0.6)).looks) > len(alone.looks)
+    assert len(view(facing(4.0, 2.0, ON_EDGE)).looks) == 0
+    assert len(view(facing(4.0, 2.0, normal=(0.0, 0.0, 1.0))).looks) == 0
+
+
+def test_who_has_gone_is_not_seen_through_and_a_wall_that_is_gone_is():
+    empty = view(facing(4.0, 2.0))
+    assert compare(empty, view(facing(4.0, 2.0), facing(2.0, 0.3)), moved(0.0))[1] == 0
+    assert compare(empty, view(facing(4.0, 2.0), facing(2.0, 0.8)), moved(0.0))[1] > 5
+
+
+def test_far_elements_of_a_wall_hang_together_however_far_apart_they_are():
+    wall = facing(4.0, 2.0)
+    far = wall.copy()
+    far[:, :3] *= 5.0  # every half metre at 20 m
+    assert len(view(far).looks) == len(far)
