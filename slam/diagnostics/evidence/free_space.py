@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slam.diagnostics.evidence._binomial import at_least
-from slam.diagnostics.evidence.views import V, comparisons, pairs_of
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named
+from slam.diagnostics.views.comparing import V, comparisons, pairs_of
 from slam.frontend.occupancy import NOVEL_SHARE
 from spplanes._check import FloatArray
 

@@ -13,12 +13,12 @@ from slam.diagnostics.evidence.loops import loop_evidence
 from slam.diagnostics.evidence.mounts import heading_evidence, mount_evidence
 from slam.diagnostics.evidence.odometry import believed_evidence, odometry_evidence
 from slam.diagnostics.evidence.prior import prior_evidence, prior_planes
-from slam.diagnostics.evidence.scan_views import scan_views_of
 from slam.diagnostics.evidence.start import start_evidence
 from slam.diagnostics.evidence.surfaces import Surfaces, rays_of, surface_evidence
 from slam.diagnostics.evidence.unmatched_area import unmatched_evidence
-from slam.diagnostics.evidence.views import views_of
 from slam.diagnostics.verdict import Evidence, Verdict, weigh
+from slam.diagnostics.views.level import views_of
+from slam.diagnostics.views.scans import scan_views_of
 from slam.sensors.rig import Rig
 
 #: Kinds of statistics there are, which share the significance.

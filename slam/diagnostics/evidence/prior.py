@@ -12,8 +12,9 @@ from shapely.geometry.base import BaseGeometry
 from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.surfaces import Rays, Surfaces
-from slam.diagnostics.evidence.views import TOLERANCE_M, View
 from slam.diagnostics.verdict import Evidence, named
+from slam.diagnostics.views.comparing import TOLERANCE_M
+from slam.diagnostics.views.level import View
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.geometry.frames import inverse, lift
 from slam.map.landmarks import Landmark

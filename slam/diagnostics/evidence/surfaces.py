@@ -11,8 +11,8 @@ import shapely
 
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.free_space import Place, seen_through
-from slam.diagnostics.evidence.views import TOLERANCE_M
 from slam.diagnostics.verdict import Evidence
+from slam.diagnostics.views.comparing import TOLERANCE_M
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
 from slam.geometry.frames import inverse, lift

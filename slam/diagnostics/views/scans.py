@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from slam.diagnostics.evidence.views import LOOK_M
+from slam.diagnostics.views.comparing import LOOK_M
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy import LEAST_GAP_M, MOVABLE_M
 from slam.frontend.scan_surfaces import ON_EDGE
