@@ -100,8 +100,12 @@ def surfaces_of(points: FloatArray, labels: np.ndarray, planes: FloatArray, sens
     ]
     rows = np.concatenate(parts)
     rows[:, 6] = np.hypot(rows[:, 6], sensor.surface_sigma_m * np.sqrt(_crowding(rows, sensor.surface_correlation_m)))
-    turned = rows[:, 3:6] @ sensor.body_T_sensor[:3, :3].T
-    return np.column_stack((lift(rows[:, :3], sensor.body_T_sensor), turned, rows[:, 6:]))
+    return moved(rows, sensor.body_T_sensor)
+
+
+def moved(elements: FloatArray, pose: FloatArray) -> FloatArray:
+    """Elements (N, 8) in the frame that a pose (4, 4) is of theirs in."""
+    return np.column_stack((lift(elements[:, :3], pose), elements[:, 3:6] @ pose[:3, :3].T, elements[:, 6:]))
 
 
 def _on_planes(cells: _Cells, planes: FloatArray, sensor: Sensor) -> FloatArray:

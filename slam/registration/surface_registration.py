@@ -20,7 +20,7 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
-from slam.frontend.scan_surfaces import ON_EDGE, ON_PLANE
+from slam.frontend.scan_surfaces import ON_EDGE, ON_PLANE, moved
 from slam.geometry.frames import inverse, lift
 from slam.registration.plane_registration import price_of
 from slam.registration.visibility import ALIKE, Scan, Sight, tree_of
@@ -130,11 +130,6 @@ class LocalMap:
     def _sights(self) -> list[Sight]:
         """What each keyframe saw."""
         return [Sight(scan) for _, scan in self._parts]
-
-
-def moved(elements: FloatArray, pose: FloatArray) -> FloatArray:
-    """Elements (N, 8) in another frame."""
-    return np.column_stack((lift(elements[:, :3], pose), elements[:, 3:6] @ pose[:3, :3].T, elements[:, 6:]))
 
 
 def most_information(elements: FloatArray) -> FloatArray:

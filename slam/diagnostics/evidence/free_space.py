@@ -9,12 +9,9 @@ import numpy as np
 
 from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named
-from slam.diagnostics.views.comparing import V, comparisons, pairs_of
+from slam.diagnostics.views.comparing import V, comparisons, pairs_of, way_along
 from slam.frontend.occupancy import NOVEL_SHARE
 from spplanes._check import FloatArray
-
-#: Keyframes within a stretch of the way of this length look at one place together, m.
-_STRETCH_M = 2.0
 
 
 @dataclass
@@ -37,8 +34,7 @@ class Place:
 def free_space_evidence(views: Mapping[int, V], poses: FloatArray) -> Iterator[Evidence]:
     """Looks through surfaces that other keyframes saw, at the final poses (N, 4, 4)."""
     places: dict[Hashable, Place] = {}
-    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1))))
-    stretch = np.floor(way / _STRETCH_M).astype(int).tolist()
+    stretch = np.floor(way_along(poses)).astype(int).tolist()
     for one in comparisons(views, poses, pairs_of(sorted(views), poses)):
         pair = one.keyframe, one.other
         key = tuple(sorted(stretch[frame] for frame in pair))

@@ -14,12 +14,14 @@ from spplanes._check import FloatArray
 
 #: A return is of the same surface, or in front of it, by more than this, m: what a map may err by before it is wrong.
 TOLERANCE_M = 0.1
-#: One return in a square of this side is looked at: neighbours are of one surface, and say the same, m.
-LOOK_M = 0.5
+#: One return in a cell of this side is looked at: neighbours are of one surface, and say the same, m.
+_LOOK_M = 0.5
 #: Keyframes further apart than this are not compared, m: what one sees of the other's surroundings is at a slant.
 _REACH_M = 4.0
-#: Partners of a keyframe are from different stretches of the way of this length, m, and so many at most.
-_STRETCH_M, _PARTNERS = 2.0, 8
+#: Keyframes within a stretch of the way of this length look at one place together, m.
+_STRETCH_M = 2.0
+#: Partners of a keyframe are from different stretches of the way, and so many at most.
+_PARTNERS = 8
 #: Comparisons over a whole run: the sample of a long one is as good.
 _MOST_PAIRS = 3000
 
@@ -57,10 +59,22 @@ class Comparison:
     """Looks through surfaces: something is there for the one and nothing for the other."""
 
 
+def one_of_each_cell(places: FloatArray) -> np.ndarray:
+    """Of places (N, 2) or (N, 3) the first in every square or cube that is looked at once, ascending rows (M,)."""
+    _, first = np.unique(np.floor(places / _LOOK_M).astype(np.int64), axis=0, return_index=True)
+    return np.sort(first)
+
+
+def way_along(poses: FloatArray) -> FloatArray:
+    """How far along the way poses (N, 4, 4) are, in the stretches that look at one place together, shape (N,)."""
+    steps = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1)
+    return np.concatenate(([0.0], np.cumsum(steps))) / _STRETCH_M
+
+
 def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
     """Keyframes to compare by poses (N, 4, 4) of all: each with the nearest of every other stretch of the way."""
     places = poses[:, :2, 3]
-    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))))
+    way = way_along(poses)
     held, pairs = np.asarray(views), []
     if not len(held):
         return []
@@ -69,7 +83,7 @@ def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
         near = held[sorted(tree.query_ball_point(places[index], _REACH_M))]
         near = near[near != index]
         away = np.linalg.norm(places[near] - places[index], axis=1)
-        stretch = np.floor(np.abs(way[near] - way[index]) / _STRETCH_M).astype(int)
+        stretch = np.floor(np.abs(way[near] - way[index])).astype(int)
         order = np.lexsort((near, away, stretch))
         _, first = np.unique(stretch[order], return_index=True)
         chosen = near[order][first]

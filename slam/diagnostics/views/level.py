@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from slam.diagnostics.views.comparing import LOOK_M
+from slam.diagnostics.views.comparing import one_of_each_cell
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy import free_standing
 from spplanes._check import FloatArray
@@ -42,9 +42,7 @@ class View:
             step = float(np.median(np.diff(bearings[order]))) if len(order) > 1 else 1.0
             fixed[rows[order]] = free_standing(away[order], step) < 0
         ends = beams[fixed, 2:]
-        squares = np.floor(ends / LOOK_M).astype(np.int64)
-        _, first = np.unique(squares, axis=0, return_index=True)
-        return cls(tuple(fans), KDTree(beams[:, 2:]), ends[np.sort(first)])
+        return cls(tuple(fans), KDTree(beams[:, 2:]), ends[one_of_each_cell(ends)])
 
     def looks_of(self, other: View, here_T_other: FloatArray) -> FloatArray:
         """Another view's looks as seen from here, shape (N, 2)."""

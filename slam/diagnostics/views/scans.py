@@ -9,11 +9,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from slam.diagnostics.views.comparing import LOOK_M
+from slam.diagnostics.views.comparing import one_of_each_cell
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy import LEAST_GAP_M, MOVABLE_M
-from slam.frontend.scan_surfaces import ON_EDGE
-from slam.geometry.frames import lift
+from slam.frontend.scan_surfaces import ON_EDGE, moved
 from slam.registration.visibility import Scan, Sight
 from spplanes._check import FloatArray
 
@@ -30,7 +29,7 @@ _NEIGHBOURS = 8
 class ScanView:
     """All that a 3D sensor saw from one keyframe, to be asked what it says of what another one saw.
 
-    Its looks are walls: elements (N, 8) that face level, one in every cube of `LOOK_M`, on no thing that is narrower
+    Its looks are walls: elements (N, 8) that face level, one in every cube, on no thing that is narrower
     than `MOVABLE_M`, for that may be gone for others. Where edges are depends on who looks.
     """
 
@@ -39,13 +38,11 @@ class ScanView:
         self._sight = Sight(scan)
         walls = scan.elements[(scan.elements[:, 7] != ON_EDGE) & (np.abs(scan.elements[:, 3:6] @ up) < _LEVEL)]
         walls = walls[~_movable(walls[:, :3], scan.viewpoint, up)]
-        _, first = np.unique(np.floor(walls[:, :3] / LOOK_M).astype(np.int64), axis=0, return_index=True)
-        self.looks = walls[np.sort(first)]
+        self.looks = walls[one_of_each_cell(walls[:, :3])]
 
     def looks_of(self, other: ScanView, here_T_other: FloatArray) -> FloatArray:
         """Another view's looks as seen from here, shape (N, 8)."""
-        turned = other.looks[:, 3:6] @ here_T_other[:3, :3].T
-        return np.column_stack((lift(other.looks[:, :3], here_T_other), turned, other.looks[:, 6:]))
+        return moved(other.looks, here_T_other)
 
     def confirms(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
         """Which elements (N, 8) lie on a surface that was seen, to the tolerance, shape (N,)."""

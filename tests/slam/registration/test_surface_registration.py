@@ -11,11 +11,11 @@ from scipy.stats import chi2
 
 from slam.config import SlamConfig
 from slam.frontend.keyframes import keyframes_of
-from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE
+from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE, moved
 from slam.geometry.frames import inverse
 from slam.registration.plane_registration import price_of
 from slam.registration.relocalization import NO_RIVALS, _on, _rivals, scan_of
-from slam.registration.surface_registration import Expected, LocalMap, Residuals, Tried, align, moved
+from slam.registration.surface_registration import Expected, LocalMap, Residuals, Tried, align
 from slam.registration.visibility import Scan, Sight
 from slam.simulation import simulate_mission
 from tests.slam.depth_scenes import between, looking, measured

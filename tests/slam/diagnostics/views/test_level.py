@@ -1,4 +1,4 @@
-"""Views agree where poses are right, and see through each other's surfaces where they are not."""
+"""Views of level lasers agree where poses are right, and see through each other where they are not."""
 
 from __future__ import annotations
 
