@@ -26,6 +26,9 @@ ALIKE = 0.85
 #: nearer than all by this share of the range and so many m.
 _DIRECTION_RAD, _ABOUT, _NEARER_SHARE, _NEARER_M = 0.1, 4, 0.08, 0.1
 
+#: Angles are computed to this, rad.
+_ROUNDING = 1e-9
+
 
 @dataclass(frozen=True, eq=False)
 class LinesOfSight:
@@ -120,12 +123,18 @@ class Sight:
     ) -> np.ndarray:
         """Which of points (N, 3) stand so far before all that was seen about their direction, shape (N,).
 
+        That is known between directions that were seen, not beside them: where a field of view ends, or a surface that
+        gave no return begins, all that was seen is on one side.
+
         Before a surface is what is nearer than it and off it: beside what was seen of a wall the wall goes on, and
         along it the range is any.
         """
         through = np.zeros(len(points), dtype=bool)
         common, about = self._about(points)
-        ranges = np.linalg.norm(points[common] - self._viewpoint, axis=1)
+        rays = points[common] - self._viewpoint
+        between = _between(rays, self._rays[about])
+        common, about, rays = common[between], about[between], rays[between]
+        ranges = np.linalg.norm(rays, axis=1)
         nearer = ranges[:, None] < (1.0 - nearer_share) * self._depth[about] - nearer_m
         behind = self._elements[about]
         off = np.einsum("kai,kai->ka", points[common, None] - behind[..., :3], behind[..., 3:6])
@@ -156,6 +165,16 @@ class Sight:
         apart, index = self._directions.query(directions, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
         common = np.flatnonzero(np.isfinite(apart).all(axis=1))
         return common, np.asarray(index)[common]
+
+
+def _between(rays: FloatArray, about: FloatArray) -> np.ndarray:
+    """Which rays (N, 3) have rays (N, K, 3) on all sides of them, shape (N,): no open half plane holds all of these."""
+    along = rays / np.maximum(np.linalg.norm(rays, axis=1), 1e-9)[:, None]
+    side = np.cross(along, np.eye(3)[np.abs(along).argmin(axis=1)]) if len(along) else along
+    x, y = (np.einsum("kai,ki->ka", about, axis) for axis in (side, np.cross(along, side)))
+    bearings = np.sort(np.arctan2(y, x), axis=1)
+    gaps = np.diff(bearings, axis=1, append=bearings[:, :1] + 2.0 * np.pi)
+    return (gaps < np.pi + _ROUNDING).all(axis=1)
 
 
 def tree_of(points: FloatArray) -> KDTree:

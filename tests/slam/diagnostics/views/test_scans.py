@@ -62,3 +62,16 @@ def test_far_elements_of_a_wall_hang_together_however_far_apart_they_are():
     far = wall.copy()
     far[:, :3] *= 5.0  # every half metre at 20 m
     assert len(view(far).looks) == len(far)
+
+
+def test_nothing_is_known_of_what_is_beside_the_field_of_view():
+    """A corridor's side wall that the one saw and the other did not look at, at the pose that both have."""
+    roof = facing(0.0, 4.0, normal=(0.0, 0.0, -1.0))[:, [1, 2, 0, 3, 4, 5, 6, 7]]
+    side, farther = (facing(y, 2.0)[:, [1, 0, 2, 4, 3, 5, 6, 7]] for y in (2.0, 4.0))
+    roof[:, :3] += (4.0, 0.0, 2.0)
+    side[:, :3] += (4.0, 0.0, -0.3)
+    farther[:, :3] += (4.0, 0.0, -0.3)
+    roof = roof[np.abs(roof[:, 1]) < 1.8]
+    looking = view(roof, side)
+    assert compare(view(roof), looking, moved(0.0)) == (0, 0)
+    assert compare(view(roof, farther), looking, moved(0.0))[1] > 10
