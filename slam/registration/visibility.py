@@ -174,7 +174,7 @@ def _between(rays: FloatArray, about: FloatArray) -> np.ndarray:
     x, y = (np.einsum("kai,ki->ka", about, axis) for axis in (side, np.cross(along, side)))
     bearings = np.sort(np.arctan2(y, x), axis=1)
     gaps = np.diff(bearings, axis=1, append=bearings[:, :1] + 2.0 * np.pi)
-    return (gaps < np.pi + _ROUNDING).all(axis=1)
+    return gaps.max(axis=1) < np.pi + _ROUNDING
 
 
 def tree_of(points: FloatArray) -> KDTree:

@@ -32,23 +32,18 @@ class Place:
 
 
 def free_space_evidence(views: Mapping[int, V], poses: FloatArray) -> Iterator[Evidence]:
-    """Looks through surfaces that other keyframes saw, at the final poses (N, 4, 4)."""
+    """Looks through surfaces that other keyframes saw, at the final poses (N, 4, 4).
+
+    That a surface was not there when another keyframe looked happens to `NOVEL_SHARE` of looks even about one place:
+    people, doors, glass and edges. Each place has a binomial test, and its share of the significance (Bonferroni): one
+    that fails is of poses that do not fit together. Where the whole drive fails, all of it is broken.
+    """
     places: dict[Hashable, Place] = {}
     stretch = np.floor(way_along(poses)).astype(int).tolist()
     for one in comparisons(views, poses, pairs_of(sorted(views), poses)):
         pair = one.keyframe, one.other
         key = tuple(sorted(stretch[frame] for frame in pair))
         places.setdefault(key, Place()).add(one.confirmed + one.through, one.through, pair)
-    yield from seen_through(places, "looks go through surfaces that other keyframes saw")
-
-
-def seen_through(places: Mapping[Hashable, Place], what: str) -> Iterator[Evidence]:
-    """Evidence from places where more looks go through surfaces than people, doors, glass and edges explain.
-
-    That a surface was not there when another keyframe looked happens to `NOVEL_SHARE` of looks even about one place.
-    Each place has a binomial test, and its share of the significance (Bonferroni): one that fails is of poses that do
-    not fit together. Where the whole drive fails, all of it is broken.
-    """
     if not places:
         return
     looks, through = (np.array(column) for column in zip(*((p.looks, p.through) for p in places.values()), strict=True))
@@ -66,6 +61,6 @@ def seen_through(places: Mapping[Hashable, Place], what: str) -> Iterator[Eviden
         gone / seen,
         "of looks",
         frames,
-        f"at {named(frames)} {100.0 * gone / seen:.0f} % of {seen} {what} "
+        f"at {named(frames)} {100.0 * gone / seen:.0f} % of {seen} looks go through surfaces that other keyframes saw "
         f"({100.0 * through.sum() / looks.sum():.1f} % of {looks.sum()} in the whole run)",
     )

@@ -14,7 +14,7 @@ from slam.diagnostics.evidence.mounts import heading_evidence, mount_evidence
 from slam.diagnostics.evidence.odometry import believed_evidence, odometry_evidence
 from slam.diagnostics.evidence.prior import prior_evidence, prior_planes
 from slam.diagnostics.evidence.start import start_evidence
-from slam.diagnostics.evidence.surfaces import Surfaces, rays_of, surface_evidence
+from slam.diagnostics.evidence.surfaces import Surfaces
 from slam.diagnostics.evidence.unmatched_area import unmatched_evidence
 from slam.diagnostics.verdict import Evidence, Verdict, weigh
 from slam.diagnostics.views.level import views_of
@@ -22,7 +22,7 @@ from slam.diagnostics.views.scans import scan_views_of
 from slam.sensors.rig import Rig
 
 #: Kinds of statistics there are, which share the significance.
-KINDS = 14
+KINDS = 13
 
 
 def look_at(run: Finished, rig: Rig) -> Verdict:
@@ -47,13 +47,7 @@ def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     yield from mount_evidence(run.keyframes, rig)
     yield from heading_evidence(run.keyframes, poses, rig)
     surfaces = Surfaces.of(run)
-    rays = [
-        one
-        for sensor in rig.of_kind("cloud").values()
-        for one in rays_of(run.keyframes, poses, surfaces, sensor.body_T_sensor)
-    ]
-    yield from surface_evidence(rays)
     yield from doubled_evidence(run, surfaces)
     yield from start_evidence(run)
     if run.prior is not None:
-        yield from prior_evidence(run, prior_planes(run, views, rays, surfaces))
+        yield from prior_evidence(run, prior_planes(run, rig, views, surfaces))

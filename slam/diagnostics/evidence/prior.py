@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,13 +12,14 @@ from shapely.geometry.base import BaseGeometry
 
 from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.finished import Finished
-from slam.diagnostics.evidence.surfaces import Rays, Surfaces
+from slam.diagnostics.evidence.surfaces import Surfaces, stopped_rays
 from slam.diagnostics.verdict import Evidence, named
 from slam.diagnostics.views.comparing import TOLERANCE_M
 from slam.diagnostics.views.level import View
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.geometry.frames import inverse, lift
 from slam.map.landmarks import Landmark
+from slam.sensors.rig import Rig
 from spplanes._check import FloatArray
 
 #: Sine of the angle from which on two walls fix a place between them.
@@ -40,15 +42,14 @@ class PriorPlanes:
     """Whether those seen are walls in more than one direction."""
 
 
-def prior_planes(run: Finished, views: Mapping[int, View], rays: Sequence[Rays], surfaces: Surfaces) -> PriorPlanes:
+def prior_planes(run: Finished, rig: Rig, views: Mapping[int, View], surfaces: Surfaces) -> PriorPlanes:
     """Count the planes of the prior map at the final poses."""
     known = [landmark for landmark in run.landmarks if landmark.known]
     seen = tuple(one.id for one in known if one.sightings or one.seen_by_past)
-    through = _through(known, run, views)
-    for one in rays:
-        for number in one.stopped_by[one.stopped_by >= 0].tolist():
-            through[surfaces.ids[number]] = through.get(surfaces.ids[number], 0) + 1
-    missed = tuple(one.id for one in known if one.id not in seen and through.get(one.id, 0) > 0)
+    through = Counter(_through(known, run, views))
+    for sensor in rig.of_kind("cloud").values():
+        through.update(stopped_rays(run.keyframes, run.trajectory.poses, surfaces, sensor.body_T_sensor))
+    missed = tuple(one.id for one in known if one.id not in seen and through[one.id] > 0)
     return PriorPlanes(len(known), seen, missed, _fix_a_place([run.landmarks.placed(key).normal for key in seen]))
 
 

@@ -1,17 +1,15 @@
-"""What 3D scans say of the planes of the map: rays to what was seen that planes of the map would have stopped."""
+"""Planes of a map as what stops rays, and planes seen from two places against each other."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 
 from slam.diagnostics.evidence.finished import Finished
-from slam.diagnostics.evidence.free_space import Place, seen_through
-from slam.diagnostics.verdict import Evidence
 from slam.diagnostics.views.comparing import TOLERANCE_M
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
@@ -52,55 +50,19 @@ class Surfaces:
         return cls(tuple(one[0] for one in found), tuple(one[1:] for one in found))
 
 
-@dataclass(frozen=True, eq=False)
-class Rays:
-    """Rays of one keyframe to the planes that it saw, against the map."""
-
-    keyframe: int
-    """Which."""
-    of_plane: np.ndarray
-    """Number of the plane each ray goes to, among those with an outline, shape (N,)."""
-    stopped_by: np.ndarray
-    """Which of the surfaces would have stopped it, -1 for none, shape (N,)."""
-
-    @cached_property
-    def through(self) -> int:
-        """Planes seen to at least half through others."""
-        counts = np.bincount(self.of_plane)
-        stopped = np.bincount(self.of_plane, weights=self.stopped_by >= 0)
-        return int((2.0 * stopped >= counts).sum()) if len(self.of_plane) else 0
-
-    @cached_property
-    def looks(self) -> int:
-        """Planes seen."""
-        return len(np.unique(self.of_plane))
-
-
-def rays_of(
+def stopped_rays(
     keyframes: Sequence[Keyframe], poses: FloatArray, surfaces: Surfaces, body_T_sensor: FloatArray
-) -> list[Rays]:
-    """Rays of keyframes of a 3D sensor at poses (N, 4, 4)."""
+) -> Counter[int]:
+    """Rays of a 3D sensor to the planes that keyframes at poses (N, 4, 4) saw: how many each landmark would stop."""
     count = len(keyframes)
     chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_KEYFRAMES)).round().astype(int)).tolist()
-    found = []
+    found: Counter[int] = Counter()
     for index in chosen:
-        planes = planes_of(keyframes[index].observations)
-        ends = [points_on(plane.transform(inverse(body_T_sensor))) for plane in planes]
-        ends = [some for some in ends if len(some)]
-        if not ends:
-            continue
-        numbers = np.repeat(np.arange(len(ends)), [len(some) for some in ends])
-        sight = LinesOfSight(np.concatenate(ends), np.ones(len(numbers)), surfaces.walls)
-        found.append(Rays(index, numbers, sight.stopped_by(poses[index] @ body_T_sensor)))
+        seen = [plane.transform(inverse(body_T_sensor)) for plane in planes_of(keyframes[index].observations)]
+        sight = replace(LinesOfSight.between(seen, np.ones(len(seen)), ()), walls=surfaces.walls)
+        stopped_by = sight.stopped_by(poses[index] @ body_T_sensor)
+        found.update(surfaces.ids[number] for number in stopped_by[stopped_by >= 0].tolist())
     return found
-
-
-def surface_evidence(rays: Sequence[Rays]) -> Iterator[Evidence]:
-    """Planes seen through planes of the map, keyframe by keyframe."""
-    places: dict[Hashable, Place] = {}
-    for one in rays:
-        places.setdefault(one.keyframe, Place()).add(one.looks, one.through, [one.keyframe])
-    yield from seen_through(places, "planes seen lie behind planes of the map")
 
 
 def agreement(
