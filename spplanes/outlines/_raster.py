@@ -62,7 +62,7 @@ def draw(points, labels, projections):
         labels.size,
     )
     low, high = np.min([part[0] for part in found], axis=0), np.max([part[1] for part in found], axis=0)
-    scale, first, corner, shape = _layout(low, high)
+    scale, first, corner, shape = layout(low, high)
     projections *= scale[:, None, None]
     filled = np.zeros(first[-1], dtype=np.bool_)
     in_parts(
@@ -152,7 +152,7 @@ def _mark_quads(above, below, hit):
 
 
 @njit(cache=True)
-def _layout(low, high):
+def layout(low, high):
     """Scale that keeps every raster below the largest, and where it lies; see `draw`."""
     n_regions = low.shape[0]
     scale, first = np.ones(n_regions), np.zeros(n_regions + 1, dtype=np.int64)

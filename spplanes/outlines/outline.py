@@ -13,7 +13,8 @@ from shapely import Polygon, box
 
 from spplanes._check import FloatArray
 from spplanes._threads import in_parts
-from spplanes.outlines._raster import draw, onto_planes
+from spplanes.outlines._hull_kernels import CORNERS, fill_convex, hulls_of_groups
+from spplanes.outlines._raster import draw, layout, onto_planes
 from spplanes.outlines._tracing import rings_around
 
 #: A plane is not projected along an axis with which its normal has less than this cosine.
@@ -33,8 +34,53 @@ def outlines_of_grid(
     """
     projections = onto_planes(frames, cells)
     filled, first, corner, shape = draw(points, labels, projections)
-    sides = 1.0 / np.linalg.norm(projections[:, 0, :3], axis=1)
-    rings: list[tuple[FloatArray, np.ndarray] | None] = [None] * len(frames)
+    return _traced(filled, first, corner, shape, 1.0 / np.linalg.norm(projections[:, 0, :3], axis=1))
+
+
+def outlines_of_groups(
+    points: FloatArray, groups: np.ndarray, labels: np.ndarray, frames: FloatArray, cells: FloatArray
+) -> list[Polygon | None]:
+    """Outlines of regions of points without order: the hulls of groups of neighbours; None where there are none.
+
+    Args:
+        points: shape (N, 3), m.
+        groups: of neighbours, small where a region ends, shape (N,).
+        labels: region of every point, shape (N,), -1 = none.
+        frames: world_T_plane of every region, shape (R, 4, 4).
+        cells: side of the raster's cells of every region, shape (R,), m.
+    """
+    if not len(frames):
+        return []
+    projections = onto_planes(frames, cells)
+    names, order, bounds = _groups_of(groups, labels)
+    angles = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
+    corners = np.empty((len(names), CORNERS, 2))
+    hulls_of_groups(points, order, bounds, names, projections, np.stack((np.cos(angles), np.sin(angles)), 1), corners)
+    low, high = np.full((len(frames), 2), np.inf), np.full((len(frames), 2), -np.inf)
+    np.minimum.at(low, names, corners.min(axis=1))
+    np.maximum.at(high, names, corners.max(axis=1))
+    scale, first, corner, shape = layout(low, high)
+    filled = np.zeros(first[-1], dtype=np.bool_)
+    fill_convex(filled, first, corner, shape, scale, names, corners)
+    return _traced(filled, first, corner, shape, cells / scale)
+
+
+def _groups_of(groups: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Region (G,) of the groups of three points and more, the points in their order, and bounds (G + 1,)."""
+    used = np.flatnonzero(labels >= 0)
+    codes = labels[used] * (groups.max(initial=0) + 1) + groups[used]
+    _, inverse, counts = np.unique(codes, return_inverse=True, return_counts=True)
+    used, inverse = used[counts[inverse] >= 3], inverse[counts[inverse] >= 3]
+    order = used[np.argsort(inverse, kind="stable")]
+    bounds = np.concatenate(([0], np.cumsum(counts[counts >= 3])))
+    return labels[order[bounds[:-1]]], order, bounds
+
+
+def _traced(
+    filled: np.ndarray, first: np.ndarray, corner: np.ndarray, shape: np.ndarray, sides: FloatArray
+) -> list[Polygon | None]:
+    """Polygons round what is filled of rasters, in plane coordinates, m; arguments as returned by `draw`."""
+    rings: list[tuple[FloatArray, np.ndarray] | None] = [None] * len(shape)
     largest_first = np.argsort(-np.diff(first), kind="stable")
 
     def trace(begin: int, end: int) -> None:
@@ -42,7 +88,7 @@ def outlines_of_grid(
             raster = filled[first[r] : first[r + 1]].reshape(shape[r])
             rings[r] = rings_around(raster) if raster.any() else None
 
-    in_parts(trace, len(frames), len(filled), singly=True)
+    in_parts(trace, len(shape), len(filled), singly=True)
     polygons = iter(_polygons([((ring[0] + corner[r]) * sides[r], ring[1]) for r, ring in enumerate(rings) if ring]))
     return [ring and next(polygons) for ring in rings]
 

@@ -1,7 +1,8 @@
-"""Planes of one cloud in one call: any array of points or Open3D cloud, organised or not."""
+"""Planes of one cloud in one call: any array of points or Open3D cloud, in any order."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,53 +10,262 @@ from numpy.typing import ArrayLike
 
 from spplanes._check import TOO_LARGE, FloatArray, as_float_array, as_positive, as_shape
 from spplanes.clouds.arrange import arrange
-from spplanes.clouds.scatter import scatter_of
+from spplanes.clouds.octree import Curve
+from spplanes.outlines.outline import outlines_of_groups
 from spplanes.plane import Plane
 from spplanes.segmentation.config import MapperConfig
-from spplanes.segmentation.scans import segment_scans
+from spplanes.segmentation.planes import FittedPlanes, cells_of, fit_labelled, or_rectangles, outlines_in
+from spplanes.segmentation.scans import label_scans
+from spplanes.segmentation.unordered import label_curve
+from spplanes.segmentation.validation.config import ValidationConfig
+from spplanes.segmentation.validation.one_plane import could_be_seen
 
 _DEFAULT = MapperConfig()
 #: Clouds without any noise (made, not measured) get this much, m: no covariance is zero.
 _LEAST_SIGMA_M = 1e-4
+#: The shared error that the search begins with, as a share of the noise; then it is what planes show.
+_FIRST_OCTAVE = 0.1
+#: Clouds with less than this share of their points on planes are told of.
+_LOW_COVERAGE = 0.5
+#: Clouds wider than this are probably not in metres.
+_WIDE_M = 2000.0
+#: Planes nearer than this share of the usual range are of what carries the sensor.
+_TOO_NEAR = 0.1
+
+
+@dataclass(frozen=True)
+class CloudNoise:
+    """What errors the planes of a cloud were found and told with."""
+
+    sigma_m: float
+    """Standard deviation of the points about their planes, the median over them, m."""
+    octave_sigma_m: float
+    """Standard deviation of an octave of the error that neighbouring points share, m (`fitting.shared_error`)."""
+    source: str
+    """Where the numbers come from, one sentence."""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Every point of a cloud, counted once."""
+
+    total: int
+    """Given."""
+    no_return: int
+    """Not finite, or at the viewpoint."""
+    repeated: int
+    """The same point as another one, to the last bit; counted, and used once."""
+    on_planes: int
+    """Distinct points on planes."""
+    on_no_plane: int
+    """Distinct points on nothing that is a plane, or on fewer than `MapperConfig.min_points`."""
+
+    @property
+    def share(self) -> float:
+        """Share of the distinct returns that are on planes."""
+        return self.on_planes / max(self.on_planes + self.on_no_plane, 1)
+
+
+class CloudPlanes(tuple[np.ndarray, "list[Plane]"]):
+    """The planes of one cloud: unpacks as ``labels, planes``, and tells what they were found with."""
+
+    noise: CloudNoise
+    """Noise of the points, and what they share."""
+    coverage: Coverage
+    """What became of every point."""
+    flags: list[str]
+    """Of every plane: "" or why it may be none of the scene's, "edge-on" or "too near"."""
+    warnings: list[str]
+    """What speaks against these planes, a sentence each."""
+
+    def __new__(
+        cls,
+        labels: np.ndarray,
+        planes: list[Plane],
+        noise: CloudNoise,
+        coverage: Coverage,
+        flags: list[str],
+        warnings: list[str],
+    ) -> CloudPlanes:
+        """Put together what was found."""
+        self = super().__new__(cls, (labels, planes))
+        self.noise, self.coverage, self.flags, self.warnings = noise, coverage, flags, warnings
+        return self
+
+    @property
+    def labels(self) -> np.ndarray:
+        """Plane of every point, int32, -1 = none."""
+        return self[0]
+
+    @property
+    def planes(self) -> list[Plane]:
+        """The planes, largest first."""
+        return self[1]
 
 
 def segment_cloud(
-    cloud: Any, *, sigma: float | None = None, viewpoint: ArrayLike = (0.0, 0.0, 0.0), config: MapperConfig = _DEFAULT
-) -> tuple[np.ndarray, list[Plane]]:
+    cloud: Any,
+    *,
+    sigma: float | None = None,
+    viewpoint: ArrayLike = (0.0, 0.0, 0.0),
+    normals: ArrayLike | None = None,
+    config: MapperConfig = _DEFAULT,
+) -> CloudPlanes:
     """Planes of one cloud, and the plane of every point.
 
+    Points (N, 3) have no order: whatever it is, the planes are the same. Grids (S, B, 3) are searched along their rows
+    and columns, which is faster. The error that neighbouring points share is found in the cloud, whatever sigma says,
+    and is part of the planes' covariances.
+
     Args:
-        cloud: points in the sensor's frame, or any other with its ``viewpoint``, m: an array (N, 3), or (S, B, 3) where
-            rows are scan lines or image rows; a structured array (N,) or (S, B) with fields x, y, z; an
+        cloud: points in any frame, m: an array (N, 3), or (S, B, 3) where rows are scan lines or image rows, in the
+            sensor's frame or with its ``viewpoint``; a structured array (N,) or (S, B) with fields x, y, z; an
             ``open3d.geometry.PointCloud`` or ``open3d.t.geometry.PointCloud``. What is not finite is no return.
-        sigma: standard deviation of the points, m; None: measured, from how ranges of neighbouring beams scatter.
-        viewpoint: where the cloud was seen from, shape (3,): points without order are arranged as a range image round
-            it, and normals point to it.
+        sigma: standard deviation of the points, m, at least; None: measured, from how points scatter about planes
+            through their neighbours.
+        viewpoint: where the cloud was seen from, shape (3,), or every point of points (N, 3) by itself, shape (N, 3),
+            m: normals point there.
+        normals: of points (N, 3), shape (N, 3), to turn the planes' by instead; an Open3D cloud's own by default.
         config: settings of the segmentation.
 
     Returns:
-        labels: plane of every point, shape (N,) or (S, B), int32, index into planes; -1 = none, or hidden by another.
-        planes: with outlines, in the order of the segmentation.
+        labels: plane of every point, shape (N,) or (S, B), int32, index into planes; -1 = none.
+        planes: with outlines, those with most points first.
+        And as attributes ``noise``, ``coverage``, ``flags`` and ``warnings``.
 
     Raises:
         ValueError: what is no cloud, fewer than three points, a sigma that is not positive, or none given where the
             cloud has too few neighbours to measure it.
     """
     points = points_of(cloud)
-    eye = as_shape("viewpoint", viewpoint, (3,))
+    eyes = _eyes_of(viewpoint, points)
     seen = np.asarray(np.isfinite(points).all(axis=-1))
     largest = float(np.abs(points[seen]).max(initial=0.0))
     if largest >= TOO_LARGE:
         raise ValueError(f"cloud: expected numbers below {TOO_LARGE:g}, got {largest:.3g}")
-    seen &= (np.abs(points - eye) > 1.0 / TOO_LARGE).any(axis=-1)  # at the viewpoint itself there is no direction
+    seen &= (np.abs(points - eyes) > 1.0 / TOO_LARGE).any(axis=-1)  # at the viewpoint itself there is no direction
     if np.count_nonzero(seen) < 3:
         raise ValueError(f"cloud: expected at least three points, got {np.count_nonzero(seen)}")
-    grid = arrange(np.where(seen[..., None], points - eye, np.nan))
-    noise = _sigma_of(grid) if sigma is None else as_positive("sigma", sigma)
-    grid_labels, planes = segment_scans(grid, sigma=noise, viewpoints=(0.0, 0.0, 0.0), config=config)
-    back = np.eye(4)
-    back[:3, 3] = eye
-    return _labels_of(points - eye, grid, grid_labels), [plane.transform(back) for plane in planes]
+    job = _Job(points, seen, np.broadcast_to(eyes, points.shape), sigma, config)
+    turned = _normals_of(cloud if normals is None else normals, normals is not None, points)
+    return job.of_points(turned) if points.ndim == 2 else job.of_grid()
+
+
+@dataclass(eq=False)
+class _Job:
+    """A cloud that is searched for planes."""
+
+    points: FloatArray
+    """Shape (N, 3) or (S, B, 3), m."""
+    seen: np.ndarray
+    """Which are returns, shape (N,) or (S, B)."""
+    eyes: FloatArray
+    """Where they were seen from, of the points' shape, m."""
+    sigma: float | None
+    """As given."""
+    config: MapperConfig
+    """As given."""
+
+    def of_points(self, normals: FloatArray | None) -> CloudPlanes:
+        """Planes of points without order."""
+        origin = self.points[self.seen].mean(axis=0)  # far from the origin nothing is lost
+        origin = np.round(origin / 1024.0) * 1024.0
+        used, eyes = self.points[self.seen] - origin, self.eyes[self.seen] - origin
+        curve = Curve.through(used)
+        first = np.zeros(len(curve.points), dtype=np.int64)
+        first[curve.number[::-1]] = np.arange(len(used))[::-1]
+        eyes = eyes[first]
+        variances = self._variances(curve, np.linalg.norm(curve.points - eyes, axis=1))
+        labels, _ = label_curve(curve, variances, _FIRST_OCTAVE * float(np.sqrt(np.median(variances))), self.config)
+        labels = _largest_first(labels)
+        n_planes = int(labels.max(initial=-1)) + 1
+        grid = curve.points[None], self._fitting_variances(variances)[None, :, None], labels[None]
+        sides = _mean_of(eyes, labels, n_planes)
+        if normals is not None:
+            sides = _mean_of(curve.points, labels, n_planes) + _mean_of(normals[self.seen][first], labels, n_planes)
+        fitted = fit_labelled(*grid, sides, self.config, stated=self.sigma is not None)
+        outlines = outlines_of_groups(
+            curve.points, curve.neighbourhoods(), labels, fitted.frames, cells_of(fitted.extents, self.config)
+        )
+        planes = fitted.with_outlines(or_rectangles(outlines, fitted.extents))
+        back = np.eye(4)
+        back[:3, 3] = origin
+        return self._result(labels[curve.number], [plane.transform(back) for plane in planes], fitted, variances)
+
+    def of_grid(self) -> CloudPlanes:
+        """Planes of a grid."""
+        eye = self.eyes.reshape(-1, 3)[0]
+        grid = arrange(np.where(self.seen[..., None], self.points - eye, np.nan))
+        here = np.isfinite(grid[..., 0])
+        curve = Curve.through(grid[here])
+        variances = self._variances(curve, np.linalg.norm(curve.points, axis=1))
+        spread = np.ones(here.shape)
+        spread[here] = self._fitting_variances(variances)[curve.number]
+        found = label_scans(grid, sigma=np.sqrt(spread), viewpoints=np.zeros(3), config=self.config)
+        labels = _largest_first(found.labels)
+        eyes = np.zeros((int(labels.max(initial=-1)) + 1, 3))
+        fitted = fit_labelled(grid, found.covariance, labels, eyes, self.config, stated=self.sigma is not None)
+        planes = fitted.with_outlines(outlines_in(fitted.frames, grid, labels, fitted.extents, self.config))
+        back = np.eye(4)
+        back[:3, 3] = eye
+        own = _labels_of(self.points - eye, grid, labels)[self.seen]
+        return self._result(own, [plane.transform(back) for plane in planes], fitted, variances)
+
+    def _variances(self, curve: Curve, ranges: FloatArray) -> FloatArray:
+        """Of the distinct points, for tests: what is stated, and no less than they show, shape (N,), m^2."""
+        shown = curve.noise_variances(ranges)
+        if shown is None and self.sigma is None:
+            raise ValueError("sigma: expected a standard deviation, for the cloud has too few neighbours to measure it")
+        least = _LEAST_SIGMA_M if self.sigma is None else as_positive("sigma", self.sigma)
+        return np.full(len(ranges), least**2) if shown is None else np.maximum(shown, least**2)
+
+    def _fitting_variances(self, variances: FloatArray) -> FloatArray:
+        """Of the distinct points, for covariances, which find by themselves where a stated one is too small."""
+        return variances if self.sigma is None else np.full(len(variances), self.sigma**2)
+
+    def _result(
+        self, labels: np.ndarray, planes: list[Plane], fitted: FittedPlanes, variances: FloatArray
+    ) -> CloudPlanes:
+        every = np.full(self.seen.shape, -1, dtype=np.int32)
+        every[self.seen] = labels
+        n_used, n_distinct = int(self.seen.sum()), len(variances)
+        on_planes = round(float(fitted.counts.sum()))
+        coverage = Coverage(
+            self.seen.size, self.seen.size - n_used, n_used - n_distinct, on_planes, n_distinct - on_planes
+        )
+        sigma = float(np.sqrt(np.median(self._fitting_variances(variances)) * fitted.noise_factor))
+        source = "as given, and no less than" if self.sigma is not None else "measured:"
+        noise = CloudNoise(
+            sigma,
+            fitted.octave_sigma_m,
+            f"{source} points scatter by {1e3 * sigma:.2g} mm about their planes, and neighbours share an error of "
+            f"{1e3 * fitted.octave_sigma_m:.2g} mm an octave",
+        )
+        eyes = _mean_of(self.eyes[self.seen], labels, len(planes))
+        return CloudPlanes(every, planes, noise, coverage, self._flags(planes, eyes), self._warnings(coverage))
+
+    def _flags(self, planes: list[Plane], eyes: FloatArray) -> list[str]:
+        ranges = np.linalg.norm(self.points[self.seen] - self.eyes[self.seen], axis=1)
+        near, rules = _TOO_NEAR * float(np.median(ranges)), ValidationConfig()
+        return [
+            "too near"
+            if np.linalg.norm(plane.centre - eye) < near
+            else ("" if could_be_seen(plane, eye, rules) else "edge-on")
+            for plane, eye in zip(planes, eyes, strict=True)
+        ]
+
+    def _warnings(self, coverage: Coverage) -> list[str]:
+        used, eyes = self.points[self.seen], self.eyes[self.seen]
+        low, high, found = used.min(axis=0), used.max(axis=0), []
+        size = float(np.linalg.norm(high - low))
+        outside = float(np.linalg.norm(np.maximum(np.maximum(low - eyes, eyes - high), 0.0), axis=1).min())
+        if size > _WIDE_M:
+            found.append(f"the cloud is {size:,.0f} m wide: are its coordinates millimetres? metres are expected")
+        if outside > size:
+            found.append(f"the viewpoint lies {outside:.3g} m outside of the cloud: normals may point to either side")
+        if coverage.share < _LOW_COVERAGE:
+            found.append(f"{100.0 * coverage.share:.0f} % of the points are on planes: the rest is on none, or too few")
+        return found
 
 
 def points_of(cloud: Any) -> FloatArray:
@@ -85,11 +295,43 @@ def _positions(cloud: Any) -> Any:
     return np.asarray(cloud.points) if hasattr(cloud, "points") else cloud
 
 
-def _sigma_of(grid: FloatArray) -> float:
-    scatter = scatter_of(grid)
-    if scatter is None:
-        raise ValueError("sigma: expected a standard deviation, for the cloud has too few neighbours to measure it")
-    return max(scatter.surface_m, _LEAST_SIGMA_M)
+def _normals_of(given: Any, are_normals: bool, points: FloatArray) -> FloatArray | None:
+    """Normals (N, 3) as given, or of an Open3D cloud that has some."""
+    if are_normals:
+        return as_shape("normals", given, (len(points), 3), finite=False)
+    if isinstance(given, np.ndarray):
+        return None
+    tensors = getattr(given, "point", None)
+    if tensors is not None:
+        return as_float_array("normals", tensors["normals"].cpu().numpy()) if "normals" in tensors else None
+    normals = np.asarray(getattr(given, "normals", []))
+    return as_float_array("normals", normals) if len(normals) == len(points) else None
+
+
+def _eyes_of(viewpoint: ArrayLike, points: FloatArray) -> FloatArray:
+    """Viewpoint of all points (3,), or of each (N, 3)."""
+    eyes = as_float_array("viewpoint", viewpoint)
+    if eyes.shape == (3,) or points.ndim != 2:
+        return as_shape("viewpoint", viewpoint, (3,))
+    return as_shape("viewpoint", viewpoint, (len(points), 3))
+
+
+def _largest_first(labels: np.ndarray) -> np.ndarray:
+    """The same regions, those with most points first; of equal ones the one that comes first."""
+    counts = np.bincount(labels[labels >= 0].ravel(), minlength=1)
+    order = np.argsort(-counts, kind="stable")
+    order = order[counts[order] > 0]
+    rank = np.full(len(counts) + 1, -1)
+    rank[order] = np.arange(len(order))
+    return rank[labels]
+
+
+def _mean_of(values: FloatArray, labels: np.ndarray, n_planes: int) -> FloatArray:
+    """Mean of values (N, 3) of the points of every plane, shape (n_planes, 3)."""
+    held = labels >= 0
+    counts = np.maximum(np.bincount(labels[held], minlength=n_planes), 1)
+    sums = [np.bincount(labels[held], np.nan_to_num(values[held, k]), minlength=n_planes) for k in range(3)]
+    return np.stack(sums, axis=1) / counts[:, None]
 
 
 def _labels_of(points: FloatArray, grid: FloatArray, labels: np.ndarray) -> np.ndarray:

@@ -27,9 +27,9 @@ class MapperConfig:
     It loosens every test (as noise of each point and as a bias that more points do not average away), never the
     covariance of the planes."""
     surface_sigma_m: float = 0.0
-    """Systematic error of a whole plane, m, added to its covariance: this much along z, and a tilt of this much per
-    rms extent. Off by default, because then the covariance is exactly the noise that was given; for a real laser
-    scanner, whose range bias and real walls do not average out, set 0.003 to 0.01."""
+    """Least standard deviation of an octave of the error that neighbouring points share, m: flatness of real walls,
+    range bias. What residuals show beyond it is found and added (`spplanes.fitting.shared_error`); state more where a
+    cloud cannot show it, as of a bias that all points of a plane have."""
     max_incidence_rad: float = 1.48
     """Steepest incidence at which a surface is still expected, rad (85 deg): larger steps in depth are jumps."""
     literal_edge_test: bool = False

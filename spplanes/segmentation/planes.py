@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,8 +14,9 @@ from spplanes.fitting import _pose_error
 from spplanes.fitting._groups import fit_groups
 from spplanes.fitting._job import FitJob, group_by_label
 from spplanes.fitting._moment_patches import eigenvalues
+from spplanes.fitting.shared_error import shared_error_of
 from spplanes.moments import row_frame
-from spplanes.outlines import outline
+from spplanes.outlines.outline import outline_from_extent, outlines_of_grid
 from spplanes.plane import Plane
 from spplanes.segmentation.clustering.growing import fit_regions
 from spplanes.segmentation.config import FEW_ROWS, MapperConfig
@@ -23,6 +26,34 @@ if TYPE_CHECKING:
 
 #: A region's outline has at least this many cells across its smaller rms extent.
 CELLS_PER_EXTENT = 8.0
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPlanes:
+    """Planes of labelled points, without outlines."""
+
+    frames: FloatArray
+    """World_T_plane, shape (R, 4, 4)."""
+    extents: FloatArray
+    """Standard deviations of the points along x and y, shape (R, 2), m."""
+    covariances: FloatArray
+    """Of (z, theta, psi), shape (R, 3, 3)."""
+    counts: np.ndarray
+    """Points of each, shape (R,)."""
+    chi2: FloatArray
+    """Sum of squared normalised residuals, shape (R,)."""
+    octave_sigma_m: float
+    """Standard deviation of an octave of the error that neighbouring points share, m."""
+    noise_factor: float
+    """Median variance of the points about their planes over what was given."""
+
+    def with_outlines(self, outlines: Sequence[Polygon]) -> list[Plane]:
+        """The planes."""
+        numbers = zip(self.counts.astype(int).tolist(), outlines, self.chi2.tolist(), strict=True)
+        return [
+            Plane._trusted(self.frames[r], self.covariances[r], n, outline, chi2)
+            for r, (n, outline, chi2) in enumerate(numbers)
+        ]
 
 
 def planes_of(
@@ -41,27 +72,59 @@ def planes_of(
         labels: shape (S, B), 0..K-1, -1 = none.
         views: viewpoint of every row, shape (S, 3), m, or None for d >= 0.
         poses: pose covariances (S, 6, 6) and the points they turn about (S, 3), or None.
-        config: flatness and outlines.
+        config: outlines and the least shared error.
     """
-    n_regions = int(labels.max(initial=-1)) + 1
+    eyes = _eyes(labels, int(labels.max(initial=-1)) + 1, views)
+    fitted = fit_labelled(points, covariance, labels, eyes, config, poses=poses)
+    return fitted.with_outlines(outlines_in(fitted.frames, points, labels, fitted.extents, config))
+
+
+def fit_labelled(
+    points: FloatArray,
+    covariance: FloatArray,
+    labels: np.ndarray,
+    eyes: FloatArray,
+    config: MapperConfig,
+    *,
+    poses: tuple[FloatArray, FloatArray] | None = None,
+    stated: bool = True,
+) -> FittedPlanes:
+    """Planes of labelled points with all that their errors share.
+
+    Args:
+        points, covariance, labels, poses, config: as of `planes_of`.
+        eyes: where each plane was seen from, shape (R, 3), m; NaN for d >= 0.
+        stated: whether the covariance is a lower bound, or a guess that residuals may lower.
+    """
+    n_regions = len(eyes)
     if n_regions == 0:
-        return []
+        none = np.empty(0)
+        return FittedPlanes(np.empty((0, 4, 4)), np.empty((0, 2)), np.empty((0, 3, 3)), none, none, 0.0, 1.0)
     rows = moments_of(points, covariance, labels, config)
-    eyes = _eyes(labels, n_regions, views)
     frames, spreads = frames_of(rows, eyes)
-    if len(points) < FEW_ROWS or covariance.shape[2] == 9:
+    if 1 < len(points) < FEW_ROWS or covariance.shape[2] == 9:
         _maximise_likelihood(points, covariance, labels, eyes, frames, rows, spreads)
     covariances = np.zeros((n_regions, 3, 3))
     covariances[:, (0, 1, 2), (0, 1, 2)] = 1.0 / spreads
-    covariances[:, (0, 1, 2), (0, 1, 2)] += config.surface_sigma_m**2 * rows[:, 1:2] / spreads
+    shared = shared_error_of(
+        points.reshape(-1, 3),
+        covariance.reshape(-1, covariance.shape[2]),
+        labels.ravel(),
+        frames,
+        covariances,
+        stated=stated,
+        least_m=config.surface_sigma_m,
+        estimate=poses is None,  # what scans share by their poses shows in the residuals as well, and is known
+    )
+    covariances = shared.covariances
     if poses is not None:
-        covariances += _shared_parts(points, covariance, labels, frames, spreads, *poses, config.pose_decay)
-    polygons = outlines_in(frames, points, labels, np.sqrt(spreads[:, 1:] / rows[:, 1:2]), config)
-    chi2 = [eigenvalues(row)[0] for row in rows]
-    return [
-        Plane._trusted(frames[r], covariances[r], int(rows[r, 0]), polygons[r], float(chi2[r]))
-        for r in range(n_regions)
-    ]
+        covariances = covariances + _shared_parts(
+            points, covariance, labels, frames, spreads, *poses, config.pose_decay
+        )
+    extents = np.sqrt(spreads[:, 1:] / rows[:, 1:2])
+    chi2 = np.array([eigenvalues(row)[0] for row in rows])
+    factor = float(np.median(shared.noise_factors))
+    return FittedPlanes(frames, extents, covariances, rows[:, 0], chi2, shared.octave_sigma_m, factor)
 
 
 def moments_of(points: FloatArray, covariance: FloatArray, labels: np.ndarray, config: MapperConfig) -> FloatArray:
@@ -135,6 +198,14 @@ def outlines_in(
     """
     if not len(frames):
         return []
-    cell = np.minimum(config.outline_cell_m, extents[:, 1] / CELLS_PER_EXTENT)
-    polygons = outline.outlines_of_grid(points, labels, frames, cell)
-    return [polygon or outline.outline_from_extent(*(np.sqrt(3.0) * extents[r])) for r, polygon in enumerate(polygons)]
+    return or_rectangles(outlines_of_grid(points, labels, frames, cells_of(extents, config)), extents)
+
+
+def cells_of(extents: FloatArray, config: MapperConfig) -> FloatArray:
+    """Sides of the cells in which outlines of planes of such extents (R, 2), m, are drawn, shape (R,), m."""
+    return np.minimum(config.outline_cell_m, extents[:, 1] / CELLS_PER_EXTENT)
+
+
+def or_rectangles(outlines: Sequence[Polygon | None], extents: FloatArray) -> list[Polygon]:
+    """Outlines, or rectangles of their extents (R, 2), m, where there are none."""
+    return [one or outline_from_extent(*(3.0**0.5 * extent)) for one, extent in zip(outlines, extents, strict=True)]

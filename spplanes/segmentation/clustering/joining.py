@@ -53,11 +53,14 @@ def join_cells(sheet: Sheet, quads: np.ndarray, size: int, config: MapperConfig)
     cells.paint(sheet.labels[sheet.fresh], node, label_of[root], free, size)
 
 
-def cluster_patches(rows: FloatArray, bias: FloatArray, edges: np.ndarray, config: MapperConfig) -> np.ndarray:
+def cluster_patches(
+    rows: FloatArray, bias: FloatArray, edges: np.ndarray, config: MapperConfig, flatness_m: float | None = None
+) -> np.ndarray:
     """Root of every patch; rows and bias are those of the trees afterwards. See `cluster`."""
+    flatness = config.flatness_m if flatness_m is None else flatness_m
     known = not bias[:, 0].any()
     limits = chdtri(np.array([1, 3]), (STEP_SIGNIFICANCE, FUSE_SIGNIFICANCE) if known else config.significance)
-    return cluster(rows, bias, edges, limits, config.flatness_m, max(config.pose_correlation_scans, 1.0))
+    return cluster(rows, bias, edges, limits, flatness, max(config.pose_correlation_scans, 1.0))
 
 
 def fuse_neighbours(sheet: Sheet, views: FloatArray, gap: int, config: MapperConfig) -> None:

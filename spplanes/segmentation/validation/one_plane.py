@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from spplanes import Plane
 from spplanes._check import FloatArray
+from spplanes.plane import Plane
 from spplanes.segmentation.validation._patch_kernels import along_normal, numbered, patches_of, strays
 from spplanes.segmentation.validation.config import ValidationConfig
 

@@ -74,13 +74,16 @@ def test_covariance_is_honest():
     assert low < nees / runs < high
 
 
-def test_surface_sigma_adds_a_floor_scaled_by_extent():
-    points = noisy(cast(rays(), [((1, 0, 0), 3.0, anywhere)])[0], SIGMA, 4)
-    plain = segment_scans(points, sigma=SIGMA)[1][0]
-    floor = segment_scans(points, sigma=SIGMA, config=MapperConfig(surface_sigma_m=0.01))[1][0]
-    added = floor.covariance - plain.covariance
-    extent = np.sqrt(plain.covariance[0, 0] / np.diag(plain.covariance)[1:])
-    np.testing.assert_allclose(np.diag(added), [1e-4, 1e-4 / extent[0] ** 2, 1e-4 / extent[1] ** 2], rtol=1e-9)
+def test_stated_surface_errors_shift_planes_alike_and_tilt_larger_ones_less():
+    exact = cast(rays(), [((1, 0, 0), 3.0, anywhere)])[0]
+    added = []
+    for scale in (1.0, 4.0):
+        points = noisy(scale * exact, SIGMA, 4)
+        plain = segment_scans(points, sigma=SIGMA)[1][0]
+        floor = segment_scans(points, sigma=SIGMA, config=MapperConfig(surface_sigma_m=0.01))[1][0]
+        added.append(np.diag(floor.covariance - plain.covariance))
+    assert 1e-4 < added[0][0] < 4e-4  # an octave longer than the plane, and what is left of those on it
+    np.testing.assert_allclose(added[1], added[0] / [1.0, 16.0, 16.0], rtol=0.02)
 
 
 @pytest.mark.parametrize(("step", "expected"), [(0.03, 2), (0.0, 1)])

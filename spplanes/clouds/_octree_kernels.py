@@ -1,0 +1,157 @@
+"""Kernels of `spplanes.clouds.octree`: cells are runs of points along a Morton curve."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from spplanes._jit import njit
+from spplanes.fitting._moment_patches import eigenvalues, normal_of
+from spplanes.moments import ROW_SIZE
+
+#: Bits of a place along each axis: the finest cells are a millionth of the cloud.
+LEVELS = 20
+
+
+#: The noise of points is that about a plane through so many neighbours; it has the shared error up to that scale in it.
+LOCAL = 48
+
+
+@njit(cache=True)
+def octaves(n):
+    """Octaves of wavelengths between the extent of n points and of those in which noise is looked for."""
+    return max(0.5 * np.log2(n / LOCAL), 0.0)
+
+
+@njit(cache=True)
+def run_moments(points, weights, first, last, row):
+    """Moments of the points from first to last, (N, 3), with weights (N,) or (1,), about a point near them."""
+    ox, oy, oz = points[first, 0], points[first, 1], points[first, 2]
+    step = 1 if weights.shape[0] > 1 else 0
+    sw = sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
+    for k in range(first, last):
+        w = weights[k * step]
+        x, y, z = points[k, 0] - ox, points[k, 1] - oy, points[k, 2] - oz
+        wx, wy, wz = w * x, w * y, w * z
+        sw, sx, sy, sz = sw + w, sx + wx, sy + wy, sz + wz
+        xx, xy, xz = xx + wx * x, xy + wx * y, xz + wx * z
+        yy, yz, zz = yy + wy * y, yz + wy * z, zz + wz * z
+    sx, sy, sz = sx / sw, sy / sw, sz / sw
+    row[0], row[1], row[2], row[3], row[4] = last - first, sw, ox + sx, oy + sy, oz + sz
+    row[5], row[6], row[7] = xx - sw * sx * sx, xy - sw * sx * sy, xz - sw * sx * sz
+    row[8], row[9], row[10] = yy - sw * sy * sy, yz - sw * sy * sz, zz - sw * sz * sz
+
+
+@njit(cache=True)
+def octant_end(keys, first, last, shift):
+    """Where the run of points ends that share the octant of the first."""
+    octant, end = keys[first] >> shift, first + 1
+    while end < last and keys[end] >> shift == octant:
+        end += 1
+    return end
+
+
+@njit(cache=True)
+def local_scatter(points, keys, fewest):
+    """(n, least, middle eigenvalue of the scatter, first point) of the smallest cells of so many points, (K, 4)."""
+    result, count = np.empty((points.shape[0] // fewest + 1, 4)), 0
+    stack, top = np.empty((8 * LEVELS + 8, 3), np.int64), 1
+    stack[0, 0], stack[0, 1], stack[0, 2] = 0, points.shape[0], 0
+    row, one = np.empty(ROW_SIZE), np.ones(1)
+    while top > 0:
+        top -= 1
+        first, last, level = stack[top, 0], stack[top, 1], stack[top, 2]
+        if last - first < fewest:
+            continue
+        if last - first < 4 * fewest or level == LEVELS:
+            run_moments(points, one, first, last, row)
+            least, middle, _ = eigenvalues(row)
+            result[count, 0], result[count, 1], result[count, 2], result[count, 3] = row[0], least, middle, first
+            count += 1
+            continue
+        while first < last:
+            end = octant_end(keys, first, last, 3 * (LEVELS - level - 1))
+            stack[top, 0], stack[top, 1], stack[top, 2] = first, end, level + 1
+            first, top = end, top + 1
+    return result[:count]
+
+
+@njit(cache=True)
+def neighbourhoods(keys, most):
+    """Number (N,) of the largest cell of at most so many points that every point lies in."""
+    result, count = np.empty(keys.shape[0], np.int64), 0
+    stack, top = np.empty((8 * LEVELS + 8, 3), np.int64), min(keys.shape[0], 1)
+    stack[0, 0], stack[0, 1], stack[0, 2] = 0, keys.shape[0], 0
+    while top > 0:
+        top -= 1
+        first, last, level = stack[top, 0], stack[top, 1], stack[top, 2]
+        if last - first <= most or level == LEVELS:
+            result[first:last] = count
+            count += 1
+            continue
+        while first < last:
+            end = octant_end(keys, first, last, 3 * (LEVELS - level - 1))
+            stack[top, 0], stack[top, 1], stack[top, 2] = first, end, level + 1
+            first, top = end, top + 1
+    return result
+
+
+@njit(cache=True)
+def planar_leaves(points, keys, variances, octave, fewest, limits):
+    """Leaves (first point, level, planar) along the curve, shape (C, 3), and their moments, (C, 11).
+
+    Args:
+        points, keys: along a Morton curve, shape (N, 3) and (N,).
+        variances: shape (N,), m^2.
+        octave: variance of the shared error of an octave, m^2.
+        fewest: points of a cell that is judged.
+        limits: normal quantile and slack of the residuals of a cell, largest chi2 of an octant's offset, least
+            information on a tilt, 1 / rad^2.
+    """
+    cells, rows, count = np.empty((points.shape[0], 3), np.int64), np.empty((points.shape[0], ROW_SIZE)), 0
+    stack, top = np.empty((8 * LEVELS + 8, 3), np.int64), min(points.shape[0], 1)
+    stack[0, 0], stack[0, 1], stack[0, 2] = 0, points.shape[0], 0
+    weights = 1.0 / variances
+    while top > 0:
+        top -= 1
+        first, last, level = stack[top, 0], stack[top, 1], stack[top, 2]
+        run_moments(points, weights, first, last, rows[count])
+        shift = 3 * (LEVELS - level - 1)
+        planar = last - first >= fewest and is_planar(
+            points, keys, weights, octave, first, last, shift, rows[count], limits
+        )
+        if planar or last - first < fewest or level == LEVELS:
+            cells[count, 0], cells[count, 1], cells[count, 2] = first, level, planar
+            count += 1
+            continue
+        begin = top
+        while first < last:
+            end = octant_end(keys, first, last, shift)
+            stack[top, 0], stack[top, 1], stack[top, 2] = first, end, level + 1
+            first, top = end, top + 1
+        for k in range((top - begin) // 2):  # so that the first is taken first
+            for c in range(3):
+                stack[begin + k, c], stack[top - 1 - k, c] = stack[top - 1 - k, c], stack[begin + k, c]
+    return cells[:count].copy(), rows[:count].copy()
+
+
+@njit(cache=True)
+def is_planar(points, keys, weights, octave, first, last, shift, row, limits):
+    """Whether the points of a cell fit one plane and determine it; see `Cells.of`."""
+    dof = row[0] - 3.0
+    spread = 2.0 / (9.0 * dof)
+    least, middle, _ = eigenvalues(row)
+    slack = limits[1] * (1.0 + octave * row[1] / row[0] * octaves(row[0]))
+    if least > slack * dof * (1.0 - spread + limits[0] * np.sqrt(spread)) ** 3 or middle - row[0] < limits[3]:
+        return False
+    nx, ny, nz = normal_of(row, least)
+    while shift >= 0 and first < last:
+        end = octant_end(keys, first, last, shift)
+        total = mean = 0.0
+        for k in range(first, end):
+            x, y, z = points[k, 0] - row[2], points[k, 1] - row[3], points[k, 2] - row[4]
+            total += weights[k]
+            mean += weights[k] * (x * nx + y * ny + z * nz)
+        if mean * mean > limits[2] * (total + octave * total * total):
+            return False
+        first = end
+    return True

@@ -1,0 +1,193 @@
+"""Octree of a cloud without order: points along a Morton curve, cells that are planar, neighbours of cells.
+
+The curve makes the order of a cloud its own: whatever order the points come in, they leave in the same. The points of a
+cell follow each other on it, so that a cell is a run of points and needs no list.
+
+References:
+    Morton, "A computer oriented geodetic data base and a new technique in file sequencing", IBM 1966.
+    Meagher, "Geometric modeling using octree encoding", Computer Graphics and Image Processing 1982.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.optimize import isotonic_regression
+from scipy.special import chdtri, ndtri
+
+from spplanes._check import FloatArray
+from spplanes.clouds._octree_kernels import LEVELS, LOCAL, local_scatter, neighbourhoods, planar_leaves
+
+#: Fewest points of a cell that is judged.
+FEWEST = 6
+#: Cells whose smallest extent is less than this share of the middle one look planar.
+_FLAT = 0.1
+#: Share of the points that must lie in such cells, or cells are taken larger.
+_ENOUGH = 0.3
+#: Noise is found in so many bins of range at most, each of so many cells at least.
+_BINS, _CELLS_OF_BIN = 12, 20
+#: Of a planar cell, share that the tests of its residuals and of its octants may refuse.
+_SIGNIFICANCE, _OCTANT_SIGNIFICANCE = 1e-3, 1e-4
+#: The mean squared residual of a planar cell may exceed the noise by this factor.
+_SLACK = 1.15
+#: Offsets of a cell's 26 neighbours.
+_AROUND = np.array([step for step in product((-1, 0, 1), repeat=3) if any(step)])
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """The distinct points of a cloud along a Morton curve."""
+
+    points: FloatArray
+    """Shape (N, 3), m, no two the same."""
+    keys: np.ndarray
+    """Their places on the curve, ascending, shape (N,), int64."""
+    number: np.ndarray
+    """Which of them each point of the cloud is, shape (M,), int64."""
+    side_m: float
+    """Of the cube around them all, m."""
+
+    @classmethod
+    def through(cls, cloud: FloatArray) -> Curve:
+        """Through the points of a cloud (M, 3), all finite, at least one."""
+        corner, side = cloud.min(axis=0), max(float(np.ptp(cloud, axis=0).max()), 1e-9)
+        keys = _interleaved(np.minimum((cloud - corner) / side * (1 << LEVELS), (1 << LEVELS) - 1).astype(np.int64))
+        order = np.argsort(keys, kind="stable")
+        tied = np.diff(keys[order]) == 0
+        if (tied & (np.diff(cloud[order], axis=0) != 0.0).any(axis=1)).any():  # the same place, not the same point
+            order = np.lexsort((cloud[:, 2], cloud[:, 1], cloud[:, 0], keys))
+        sorted_points, sorted_keys = cloud[order] + 0.0, keys[order]
+        first = np.ones(len(order), dtype=bool)
+        first[1:] = (np.diff(sorted_points, axis=0) != 0.0).any(axis=1)
+        number = np.empty(len(order), dtype=np.int64)
+        number[order] = np.cumsum(first) - 1
+        return cls(sorted_points[first], sorted_keys[first], number, side)
+
+    def noise_variances(self, ranges: FloatArray) -> FloatArray | None:
+        """Variance of every point about planes through its neighbours, shape (N,), m^2; None where too few look flat.
+
+        It is the median over flat cells at about the same range, and never falls with it: noise of range sensors grows.
+        Cells are taken larger, four times as many points, until enough look flat: where points lie closer than they
+        err, small cells are balls.
+
+        Args:
+            ranges: of the points from where they were seen, shape (N,), m.
+        """
+        fewest, cells = LOCAL, np.empty((0, 4))
+        while fewest <= max(len(self.points), LOCAL):
+            judged = local_scatter(self.points, self.keys, fewest)
+            flat = judged[judged[:, 1] < _FLAT * judged[:, 2]]
+            cells = flat if flat[:, 0].sum() > cells[:, 0].sum() else cells
+            if cells[:, 0].sum() > _ENOUGH * len(self.points):
+                break
+            fewest *= 4
+        if not len(cells):
+            return None
+        cells = cells[np.argsort(ranges[cells[:, 3].astype(np.int64)], kind="stable")]
+        bins = np.array_split(cells, max(min(len(cells) // _CELLS_OF_BIN, _BINS), 1))
+        medians = np.array([_median_variance(one) for one in bins])
+        middles = np.array([np.median(ranges[one[:, 3].astype(np.int64)]) for one in bins])
+        rising = isotonic_regression(medians, weights=[one[:, 0].sum() for one in bins]).x
+        return np.interp(ranges, middles, rising)
+
+    def neighbourhoods(self) -> np.ndarray:
+        """A number for every point, the same for up to 2 LOCAL neighbours, shape (N,)."""
+        return neighbourhoods(self.keys, 2 * LOCAL)
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The leaves of an octree, along the curve."""
+
+    bounds: np.ndarray
+    """First point of each, and where the last one ends, shape (C + 1,)."""
+    level: np.ndarray
+    """Times that the cube was halved, shape (C,)."""
+    place: np.ndarray
+    """Key of the corner nearest the origin, shape (C,)."""
+    planar: np.ndarray
+    """Whether all points fit one plane that they determine, shape (C,) bool."""
+    rows: FloatArray
+    """Moments, weighted by inverse variances, shape (C, 11)."""
+
+    @classmethod
+    def of(
+        cls, points: FloatArray, keys: np.ndarray, variances: FloatArray, octave: float, max_tilt_rad: float
+    ) -> Cells:
+        """Leaves of points (N, 3) along a curve with variances (N,), m^2: the largest cells that are planar.
+
+        A cell is planar when its residuals are those of the noise, when no octant of it lies off its plane, and when
+        its points determine the plane's tilt to ``max_tilt_rad``.
+        """
+        limits = np.array([-ndtri(_SIGNIFICANCE), _SLACK, chdtri(1, _OCTANT_SIGNIFICANCE), max_tilt_rad**-2.0])
+        found, rows = planar_leaves(points, keys, variances, octave, FEWEST, limits)
+        bounds = np.append(found[:, 0], len(points))
+        shift = 3 * (LEVELS - found[:, 1])
+        return cls(bounds, found[:, 1], keys[found[:, 0]] >> shift << shift, found[:, 2] > 0, rows)
+
+    @property
+    def of_points(self) -> np.ndarray:
+        """The cell of every point, shape (N,)."""
+        return np.repeat(np.arange(len(self.level)), np.diff(self.bounds))
+
+    def neighbours(self) -> np.ndarray:
+        """Pairs of cells that touch, at a face, an edge or a corner, each once, shape (E, 2)."""
+        shift = LEVELS - self.level
+        corner = _separated(self.place) >> shift[:, None]
+        beside = corner[:, None, :] + _AROUND
+        inside = ((beside >= 0) & (beside < (1 << self.level)[:, None, None])).all(axis=2)
+        cell, which = np.nonzero(inside)
+        keys = _interleaved(beside[cell, which]) << 3 * shift[cell]
+        other = np.searchsorted(self.place, keys, side="right") - 1
+        larger = 3 * (LEVELS - self.level[other])
+        holds = (other >= 0) & (keys >> larger == self.place[other] >> larger) & (self.level[other] <= self.level[cell])
+        pairs = np.sort(np.stack((cell[holds], other[holds]), axis=1), axis=1)
+        codes = np.unique(pairs[:, 0] * len(self.level) + pairs[:, 1])
+        return np.stack(np.divmod(codes, max(len(self.level), 1)), axis=1)
+
+
+def _median_variance(cells: FloatArray) -> float:
+    """Variance of the noise that most points show, m^2, by the scatter of cells (n, sum of squares, ...)."""
+    dof = cells[:, 0] - 3.0
+    values = cells[:, 1] / chdtri(dof, 0.5)  # the median of chi2 is what half of the cells stay below
+    order = np.argsort(values, kind="stable")
+    share = np.cumsum(cells[order, 0])
+    return float(values[order[np.searchsorted(share, 0.5 * share[-1])]])
+
+
+def _interleaved(places: np.ndarray) -> np.ndarray:
+    """Keys of places (..., 3) of up to 20 bits: their bits in turn, shape (...,), int64."""
+    return _spread(places[..., 0]) | _spread(places[..., 1]) << 1 | _spread(places[..., 2]) << 2
+
+
+_STEPS = (
+    (32, 0x001F00000000FFFF),
+    (16, 0x001F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+
+
+def _spread(values: np.ndarray) -> np.ndarray:
+    """Two zeros before every bit."""
+    for shift, mask in _STEPS:
+        values = (values | values << shift) & mask
+    return values
+
+
+def _separated(keys: np.ndarray) -> np.ndarray:
+    """Places (K, 3) of keys (K,)."""
+    return np.stack([_gathered(keys >> axis) for axis in range(3)], axis=-1)
+
+
+def _gathered(values: np.ndarray) -> np.ndarray:
+    """Every third bit."""
+    values = values & _STEPS[-1][1]
+    for (shift, _), (_, mask) in zip(
+        reversed(_STEPS), (*reversed(_STEPS[:-1]), (0, (1 << LEVELS + 1) - 1)), strict=True
+    ):
+        values = (values | values >> shift) & mask
+    return values

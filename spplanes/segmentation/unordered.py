@@ -1,0 +1,192 @@
+"""Planes of a cloud without order: octree cells that are planar fuse into regions, then every point finds its plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from spplanes._check import FloatArray
+from spplanes.clouds._octree_kernels import LOCAL
+from spplanes.clouds.octree import Cells, Curve
+from spplanes.fitting.shared_error import octave_sigma_of
+from spplanes.moments import ROW_SIZE
+from spplanes.segmentation._assign_kernels import assign
+from spplanes.segmentation.clustering.growing import fit_regions, hesse
+from spplanes.segmentation.clustering.joining import cluster_patches
+from spplanes.segmentation.config import MapperConfig
+from spplanes.segmentation.planes import frames_of
+from spplanes.segmentation.sheet import is_determined
+
+#: The search starts again, once, with the points that fit no plane, and with the shared error that planes have shown.
+_ROUNDS = 2
+#: Planes grow by at most so many cells a round; when fewer than this share of the points change theirs, they rest.
+_MOST_STEPS, _AT_REST = 12, 1e-3
+#: A region is superfluous when larger ones beside it explain more than this share of its points.
+_SUPERFLUOUS = 0.7
+
+
+def label_curve(curve: Curve, variances: FloatArray, octave_m: float, config: MapperConfig) -> tuple[np.ndarray, float]:
+    """The plane of every point of a curve, and the error that neighbours share.
+
+    What surfaces wander from planes by is found with them: the regions of a round tell the shared error that the next
+    one goes by.
+
+    Args:
+        curve: the cloud.
+        variances: of its points, shape (N,), m^2.
+        octave_m: least standard deviation of an octave of the shared error, m; see `spplanes.fitting.shared_error`.
+        config: tests; what surfaces may deviate by follows from the shared error.
+
+    Returns:
+        labels: shape (N,), -1 = none.
+        octave_m: standard deviation of an octave of the shared error, m.
+    """
+    state: _Labelling | None = None
+    for _ in range(_ROUNDS):
+        free = np.ones(len(variances), dtype=bool) if state is None else state.labels < 0
+        if not free.any():
+            break
+        cells = Cells.of(curve.points[free], curve.keys[free], variances[free], octave_m**2, config.max_tilt_rad)
+        state = state or _Labelling(curve.points, variances, cells, config)
+        state.octave_m = octave_m
+        state.add_regions(cells, free)
+        state.spread()
+        octave_m = max(octave_m, state.shown_octave_m())
+    return (np.full(len(variances), -1) if state is None else state.labels), octave_m
+
+
+@dataclass(eq=False)
+class _Labelling:
+    """A cloud while it is being labelled."""
+
+    points: FloatArray
+    """Along the curve, shape (N, 3), m."""
+    variances: FloatArray
+    """Of the points, shape (N,), m^2."""
+    cells: Cells
+    """Of all points: where planes meet, and where they grow."""
+    config: MapperConfig
+    octave_m: float = 0.0
+    """Standard deviation of an octave of the shared error, m."""
+    rows: FloatArray = field(default_factory=lambda: np.empty((0, ROW_SIZE)))
+    """Moments of the regions, shape (R, 11)."""
+
+    def __post_init__(self) -> None:
+        n_cells = len(self.cells.level)
+        pairs = self.cells.neighbours()
+        itself = np.repeat(np.arange(n_cells)[:, None], 2, axis=1)
+        both = np.concatenate((pairs, pairs[:, ::-1], itself))
+        self._touch: Any = csr_matrix(
+            (np.ones(len(both), np.int32), (both[:, 0], both[:, 1])), shape=(n_cells, n_cells)
+        )
+        self._cell = self.cells.of_points
+        self.labels = np.full(len(self.points), -1)
+
+    def add_regions(self, cells: Cells, free: np.ndarray) -> None:
+        """Planar cells of free points (N,), bool, that are one plane with those they touch become regions."""
+        number = np.cumsum(cells.planar) - 1
+        pairs, rows = cells.neighbours(), cells.rows[cells.planar]
+        edges = number[pairs[cells.planar[pairs].all(axis=1)]]
+        root = self._clustered(rows, edges)
+        few = self.config.min_points / 2
+        kept = [r for r in np.unique(root) if rows[r, 0] >= few and is_determined(rows[r], self.config)]
+        label = np.full(len(rows), -1)
+        label[kept] = len(self.rows) + np.arange(len(kept))
+        of_cell = np.full(len(cells.level), -1)
+        of_cell[cells.planar] = label[root]
+        self.labels[free] = of_cell[cells.of_points]
+        self.rows = np.concatenate((self.rows, rows[kept]))
+
+    def spread(self) -> None:
+        """Every point finds its plane, planes are fitted again, and fuse where they are one; until they rest."""
+        for _ in range(_MOST_STEPS):
+            if not len(self.rows):
+                return
+            changed = self._assign()
+            self._refit()
+            if self._fuse_and_dissolve():
+                self._refit()
+            elif changed <= _AT_REST * len(self.points):
+                break
+        self._keep([r for r, row in enumerate(self.rows) if self._is_plane(row)])
+
+    def shown_octave_m(self) -> float:
+        """Standard deviation of an octave of the error that neighbours share, as the regions show it, m."""
+        if not len(self.rows):
+            return 0.0
+        frames, spreads = frames_of(self.rows, np.full((len(self.rows), 3), np.nan))
+        return octave_sigma_of(self.points, self.variances[:, None], self.labels, frames, spreads)
+
+    def _is_plane(self, row: FloatArray) -> bool:
+        return row[0] >= self.config.min_points and is_determined(row, self.config)
+
+    def _clustered(self, rows: FloatArray, edges: np.ndarray) -> np.ndarray:
+        """Root of every patch; rows are those of the trees afterwards."""
+        return cluster_patches(rows, np.zeros((len(rows), 2)), edges, self.config, self.octave_m)
+
+    def _wander(self) -> FloatArray:
+        """Variance of the points of every region about its plane beside their noise, shape (R,), m^2."""
+        octaves = 0.5 * np.log2(np.maximum(self.rows[:, 0], 1.0) / LOCAL)
+        return self.octave_m**2 * np.maximum(octaves, 1.0)
+
+    def _in_cells(self) -> Any:  # scipy's sparse matrices have no useful types
+        """How many points every region has in every cell, shape (C, R)."""
+        new = np.flatnonzero((np.diff(self.labels, prepend=-2) != 0) | (np.diff(self._cell, prepend=-1) != 0))
+        new = new[self.labels[new] >= 0]
+        shape = len(self.cells.level), len(self.rows)
+        return csr_matrix((np.ones(len(new), np.int32), (self._cell[new], self.labels[new])), shape=shape)
+
+    def _assign(self) -> int:
+        """Points go to the plane that they fit best of those in their cell and beside it; how many changed."""
+        near = self._touch @ self._in_cells()
+        near.sort_indices()
+        gate, planes = self.config.gate_sigma**2, hesse(self.rows)
+        grown = self.points, self.variances, self.cells.bounds, near.indptr, near.indices
+        return assign(*grown, planes, self._wander(), gate, self.labels)
+
+    def _refit(self) -> None:
+        """Moments of the regions from all of their points; those without any go."""
+        self._keep(np.unique(self.labels[self.labels >= 0]))
+        grid = self.points[None], self.variances[None, :, None], self.labels[None]
+        self.rows = fit_regions(*grid, self.rows, np.zeros_like(self.rows), 0.0)
+
+    def _keep(self, kept: np.ndarray | list[int]) -> None:
+        """Keep some regions, in the order given; the points of others are free."""
+        number = np.full(len(self.rows) + 1, -1)
+        number[kept] = np.arange(len(kept))
+        self.labels, self.rows = number[self.labels], self.rows[kept]
+
+    def _fuse_and_dissolve(self) -> bool:
+        """Regions that meet and are one plane become one, superfluous ones none; whether there were any."""
+        own = self._in_cells()
+        meeting = (own.T @ (self._touch @ own)).tocoo()
+        edges = np.stack((meeting.row, meeting.col), axis=1)[meeting.row < meeting.col].astype(np.int64)
+        if not len(edges):
+            return False
+        edges = edges[np.lexsort(edges.T[::-1])]
+        root = self._clustered(self.rows, edges)
+        self.labels = np.append(root, -1)[self.labels]
+        dissolved = self._dissolve(root[edges])
+        return dissolved or bool((root != np.arange(len(root))).any())
+
+    def _dissolve(self, edges: np.ndarray) -> bool:
+        """Regions most of whose points larger ones beside them explain give them up; whether there were any."""
+        planes, wander = hesse(self.rows), self._wander()
+        sizes = np.bincount(self.labels[self.labels >= 0], minlength=len(self.rows))
+        order = np.argsort(self.labels, kind="stable")
+        first = np.searchsorted(self.labels[order], np.arange(len(self.rows) + 1))
+        swap = sizes[edges[:, 0]] > sizes[edges[:, 1]]
+        small, large = np.where(swap[:, None], edges[:, ::-1], edges).T
+        gone = np.zeros(len(self.rows), dtype=bool)
+        for r in sorted(np.unique(small), key=lambda r: (sizes[r], r)):
+            mine, hosts = order[first[r] : first[r + 1]], np.unique(large[(small == r) & (large != r)])
+            hosts = hosts[~gone[hosts]]
+            if len(mine) and len(hosts):
+                off = self.points[mine] @ planes[hosts, :3].T - planes[hosts, 3]
+                near = off**2 <= self.config.gate_sigma**2 * (self.variances[mine][:, None] + wander[hosts])
+                gone[r] = near.any(axis=1).mean() > _SUPERFLUOUS
+        self.labels[np.append(gone, False)[self.labels]] = -1
+        return bool(gone.any())

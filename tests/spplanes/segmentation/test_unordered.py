@@ -1,0 +1,181 @@
+"""Clouds without order: the same planes whatever the order, and covariances that hold on real sensors."""
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from benchmarks import _scans
+from spplanes import Plane, segment_cloud
+
+DATA = Path(__file__).parents[3].parent / "shared" / "data"
+HALF = np.array([2.0, 1.5, 1.2])
+
+
+def needs(folder):
+    return pytest.mark.skipif(not (DATA / folder).is_dir(), reason=f"real data not here: {folder}")
+
+
+def box(seed: int, n: int = 60_000) -> np.ndarray:
+    """Points spread evenly over the six faces of a room, with 5 mm of noise."""
+    rng = np.random.default_rng(seed)
+    face = rng.integers(0, 6, n)
+    points = rng.uniform(-1.0, 1.0, (n, 3)) * HALF
+    axis = face % 3
+    points[np.arange(n), axis] = np.where(face < 3, 1.0, -1.0) * HALF[axis]
+    return points + 0.005 * rng.normal(size=points.shape)
+
+
+def assert_same(one, other, order: np.ndarray) -> None:
+    """The same planes to the bit, and the same labels, of a cloud and of its points in another order."""
+    np.testing.assert_array_equal(one.labels[order], other.labels)
+    for a, b in zip(one.planes, other.planes, strict=True):
+        np.testing.assert_array_equal(a.frame, b.frame)
+        np.testing.assert_array_equal(a.covariance, b.covariance)
+
+
+def test_an_even_room_has_six_walls_whatever_the_order():
+    points = box(0)
+    found = segment_cloud(points)
+    labels, planes = found
+    assert len(planes) == 6
+    assert (labels >= 0).mean() > 0.97
+    assert [plane.n_points for plane in planes] == sorted((plane.n_points for plane in planes), reverse=True)
+    assert found.noise.sigma_m == pytest.approx(0.005, rel=0.05)
+    assert found.coverage.share > 0.97
+    assert found.flags == [""] * 6
+    assert not found.warnings
+    areas = sorted(plane.outline.area for plane in planes)
+    np.testing.assert_allclose(areas, [7.2, 7.2, 9.6, 9.6, 12.0, 12.0], rtol=0.06)
+    order = np.random.default_rng(1).permutation(len(points))
+    assert_same(found, segment_cloud(points[order]), order)
+
+
+@pytest.mark.parametrize("sigma", [None, 0.005])
+def test_walls_of_an_even_room_are_as_well_known_as_is_said(sigma):
+    total, count = 0.0, 0
+    for seed in range(12):
+        for plane in segment_cloud(box(seed, 12_000), sigma=sigma)[1]:
+            axis = int(np.abs(plane.normal).argmax())
+            truth = np.zeros(3)
+            truth[axis] = -np.sign(plane.normal[axis]) * HALF[axis]
+            true_normal = np.sign(plane.normal[axis]) * np.eye(3)[axis]
+            x, y, n = plane.frame[:3, :3].T
+            slope = true_normal / (true_normal @ n)
+            error = np.array([(truth - plane.centre) @ slope, slope @ x, -(slope @ y)])
+            total, count = total + error @ np.linalg.solve(plane.covariance, error), count + 1
+    low, high = chi2.ppf([0.0005, 0.9995], 3 * count) / count
+    assert count == 72
+    assert low < total / count < high  # half or twice the covariance: beyond by nine standard deviations
+
+
+def test_a_floor_alone_and_noise_that_is_not_shown():
+    rng = np.random.default_rng(2)
+    floor = np.column_stack((rng.uniform(-5.0, 5.0, (20_000, 2)), 0.005 * rng.normal(size=20_000)))
+    labels, planes = segment_cloud(floor, viewpoint=(0.0, 0.0, 2.0))
+    assert len(planes) == 1
+    assert (labels >= 0).mean() > 0.99
+    assert planes[0].normal[2] > 0.999
+    exact = np.column_stack((rng.uniform(-5.0, 5.0, (2_000, 2)), np.zeros(2_000)))
+    assert np.diag(segment_cloud(exact)[1][0].covariance).min() > 0.0
+
+
+def test_repeated_points_count_once_and_are_labelled():
+    points = box(3, 6_000)
+    once, twice = segment_cloud(points), segment_cloud(np.concatenate((points, points[::-1])))
+    assert twice.coverage.repeated == 6_000
+    np.testing.assert_array_equal(twice.labels, np.concatenate((once.labels, once.labels[::-1])))
+    np.testing.assert_array_equal(once.planes[0].covariance, twice.planes[0].covariance)
+
+
+def test_normals_and_viewpoints_of_points_turn_planes():
+    points = box(4, 6_000)
+    outside = points * 3.0
+    inward, outward = segment_cloud(points)[1], segment_cloud(points, viewpoint=outside)[1]
+    assert all(plane.normal @ plane.centre < 0.0 for plane in inward)
+    assert all(plane.normal @ plane.centre > 0.0 for plane in outward)
+    assert all(plane.normal @ plane.centre > 0.0 for plane in segment_cloud(points, normals=points)[1])
+    with pytest.raises(ValueError, match=r"normals: expected shape \(6000, 3\)"):
+        segment_cloud(points, normals=points[:5])
+
+
+def test_what_speaks_against_a_cloud_is_said():
+    assert any("millimetres" in one for one in segment_cloud(1000.0 * box(5, 6_000)).warnings)
+    assert any("viewpoint" in one for one in segment_cloud(box(5, 6_000) + 100.0).warnings)
+    noise = np.random.default_rng(6).uniform(-1.0, 1.0, (3_000, 3))
+    assert any("% of the points" in one for one in segment_cloud(noise, sigma=0.005).warnings)
+
+
+def test_far_from_the_origin_planes_are_the_same():
+    points = box(7, 12_000)
+    shift = np.array([4.1e5, 5.3e6, 120.0])
+    here, there = segment_cloud(points), segment_cloud(points + shift, viewpoint=shift)
+    assert len(here.planes) == len(there.planes)
+    for a, b in zip(here.planes, there.planes, strict=True):
+        assert a.n_points == pytest.approx(b.n_points, rel=0.01)
+        np.testing.assert_allclose(a.covariance, b.covariance, rtol=0.1, atol=1e-9)
+
+
+@needs("pcl_room")
+def test_a_real_room_is_the_same_in_any_order():
+    points = _scans.read_pcd(DATA / "pcl_room" / "room_scan1.pcd")
+    order = np.random.default_rng(0).permutation(len(points))
+    found = segment_cloud(points)
+    assert found.coverage.share > 0.84
+    assert found.coverage.repeated == len(points) - len(np.unique(points, axis=0))
+    assert_same(found, segment_cloud(points[order]), order)
+
+
+def angles_chi2(here: list[Plane], there: list[Plane], pairs: list[tuple[int, int]]) -> list[float]:
+    """Of angles of 32 to 148 deg between two planes, seen from two places, by what is claimed of the normals."""
+    found = []
+    for (i, j), (k, m) in combinations(pairs, 2):
+        cosines = here[i].normal @ here[k].normal, there[j].normal @ there[m].normal
+        if j != m and abs(cosines[0]) < np.cos(np.radians(32.0)):
+            variance = sum(turned(a, b) + turned(b, a) for a, b in ((here[i], here[k]), (there[j], there[m])))
+            found.append((cosines[0] - cosines[1]) ** 2 / variance)
+    return found
+
+
+def turned(plane: Plane, other: Plane) -> float:
+    """Variance of the cosine of two normals by the tilts of the first."""
+    x, y = plane.frame[:3, :2].T
+    gain = np.array([x @ other.normal, -(y @ other.normal)])
+    return float(gain @ plane.covariance[1:, 1:] @ gain)
+
+
+def matched(here: list[Plane], there: list[Plane], here_T_there: np.ndarray) -> list[tuple[int, int]]:
+    """The largest planes of 800 points and more that lie on one another: within 5 deg, 15 cm, half their extents."""
+    pairs = []
+    for i, a in enumerate(here):
+        for j, b in enumerate(there):
+            moved = b.transform(here_T_there)
+            reach = 0.5 * np.sqrt(min(a.outline.area, b.outline.area))
+            near = max(abs(a.distance(moved.centre)), abs(moved.distance(a.centre))) < 0.15
+            beside = np.linalg.norm(a.centre - moved.centre) < reach
+            if a.n_points >= 800 <= b.n_points and a.normal @ moved.normal > 0.9962 and near and beside:
+                pairs.append((i, j))
+                break
+    return pairs
+
+
+@needs("balm_hall")
+def test_angles_between_planes_of_a_real_hall_are_as_well_known_as_is_said():
+    """Angles do not depend on any pose: claimed with the noise alone, their median chi2 is 39."""
+    from scipy.spatial.transform import Rotation
+
+    clouds = np.linspace(0, 19, 4).astype(int)
+    rows = np.loadtxt(DATA / "balm_hall" / "lidar_odometry.tum")
+    poses = np.tile(np.eye(4), (len(clouds), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(rows[clouds, 4:]).as_matrix()
+    poses[:, :3, 3] = rows[clouds, 1:4]
+    planes = [segment_cloud(_scans.hall_cloud(DATA, k))[1] for k in clouds]
+    seen = []
+    for a, b in combinations(range(len(clouds)), 2):
+        here_T_there = np.linalg.inv(poses[a]) @ poses[b]
+        seen += angles_chi2(planes[a], planes[b], matched(planes[a], planes[b], here_T_there))
+    assert len(seen) > 20
+    assert 0.1 < np.median(seen) < 0.8  # 0.455; walls are uneven alike from both places, which the difference loses
+    assert np.mean(np.array(seen) > chi2.isf(0.001, 1)) < 0.05
