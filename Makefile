@@ -4,10 +4,12 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 DEMO ?= demo
 FUZZ_SECONDS ?= 60
+# Files over all cores, in the order of tests/conftest.py: the longest first.
+SPREAD = -n auto --dist loadscope --no-loadscope-reorder
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test lint types docs examples figures benchmarks fuzz release wheel clean
+.PHONY: help demo test soak lint types docs examples figures benchmarks fuzz release wheel clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -17,7 +19,10 @@ demo: $(VENV)/.ready $(VENV)/.compiled  ## the main job on a simulated mission: 
 	$(BIN)/spplanes demo --out $(DEMO) --overwrite
 
 test: $(VENV)/.ready-dev $(VENV)/.kernels  ## all tests
-	$(BIN)/python -m pytest -n auto --dist loadscope
+	$(BIN)/python -m pytest $(SPREAD)
+
+soak: $(VENV)/.ready-dev $(VENV)/.kernels  ## fuzzing and killed runs, repeated often: not among all tests
+	$(BIN)/python -m pytest $(SPREAD) --soak
 
 lint: $(VENV)/.ready-dev  ## ruff, lint and format
 	$(BIN)/ruff check .

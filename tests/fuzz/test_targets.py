@@ -200,10 +200,16 @@ def test_what_was_found_stays_found(name: str, data: bytes, tmp_path: Path):
 
 
 @pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
-def test_broken_inputs_are_an_answer_or_one_sentence(target):
+def test_broken_inputs_are_an_answer_or_one_sentence(target, times):
     seeds = target.seeds()
 
-    @settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck), database=None)
+    @settings(
+        max_examples=times(8, 1000),
+        deadline=None,
+        derandomize=True,
+        suppress_health_check=list(HealthCheck),
+        database=None,
+    )
     @given(broken(seeds))
     def check(data: bytes) -> None:
         with tempfile.TemporaryDirectory() as folder:

@@ -1,8 +1,9 @@
-"""The beginning of a drive of the corpus, mapped, and how far off the truth its keyframes are."""
+"""The beginning of a drive of the corpus, mapped once a process, and how far off the truth its keyframes are."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from slam.simulation.drives import Recipe, make_drive
 from spplanes._check import FloatArray
 
 
+@cache
 def mapped_beginning(name: str, seed: int, n_scans: int) -> tuple[Run, FloatArray]:
     """A run of the first scans of a drive, and the errors of its keyframes against the first one, (N, 4, 4)."""
     drive = make_drive(Recipe.parse(name), seed)

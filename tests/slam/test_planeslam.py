@@ -37,10 +37,13 @@ def test_one_landmark_for_every_plane_and_all_matches_right():
 
 
 def test_final_poses_and_planes_are_consistent_over_many_runs():
-    """NEES of the last pose in the floor plane (3 dof) and of every map plane (3 dof each), 60 runs."""
+    """NEES of the last pose in the floor plane (3 dof) and of every map plane (3 dof each).
+
+    30 runs: twice or half a covariance is off its band in 98 of 100, half as much again in 61; a sign always.
+    """
     poses, planes = [], []
     in_plane = [2, 3, 4]
-    for seed in range(60):
+    for seed in range(30):
         scene = drive(seed)
         slam = run(scene)
         last = len(scene.keyframes) - 1
@@ -51,8 +54,8 @@ def test_final_poses_and_planes_are_consistent_over_many_runs():
             truth = max(room_planes(), key=lambda plane: plane.normal @ map_plane.plane.normal)
             planes.append(map_plane.plane.mahalanobis(truth))
     assert_mean_in_band(np.array(poses), 3)
-    # planes of one run share poses, so they are not independent: the band of 60 runs, not of 360 planes
-    assert_mean_in_band(np.array(planes).reshape(60, 6).mean(axis=1), 3)
+    # planes of one run share poses, so they are not independent: the band of 30 runs, not of 180 planes
+    assert_mean_in_band(np.array(planes).reshape(30, 6).mean(axis=1), 3)
 
 
 def test_the_audit_finds_an_honest_run_consistent_and_an_over_confident_one_not():

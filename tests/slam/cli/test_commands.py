@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -48,17 +46,6 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytes
     for command in ("slam", "demo", "simulate", "evaluate"):
         assert command in out
         assert run(capsys, command, "--help")[0] == 0
-
-
-def test_help_does_not_load_what_only_runs_need():
-    script = (
-        "import sys; from slam.cli import main\n"
-        "try: main(['--help'])\n"
-        "except SystemExit: pass\n"
-        "print(sorted({'gtsam', 'numba', 'matplotlib', 'open3d', 'scipy', 'shapely'} & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout.strip().splitlines()[-1] == "[]"
 
 
 def test_unknown_commands_and_options_are_usage_errors(capsys: pytest.CaptureFixture[str]):

@@ -12,7 +12,7 @@ import pytest
 from slam.session.state import SESSION_FILE
 
 #: Each takes a tenth of a second and more to import; pydantic, which typer needs, is not among them.
-HEAVY = ("numpy", "numba", "gtsam", "scipy", "shapely", "matplotlib", "rich")
+HEAVY = ("numpy", "numba", "gtsam", "scipy", "shapely", "matplotlib", "open3d", "rich")
 REFUSED = {
     "an option there is not": ["slam", "--nonsense"],
     "no such command": ["nonsense"],

@@ -471,10 +471,9 @@ def test_odometry_that_never_moves_is_as_good_as_none():
 
 
 def test_clouds_whose_odometry_never_moves_have_no_measured_motion():
-    log = make_drive(Recipe.parse("office/lidar16/still"), 3).log
-    rig = make_drive(Recipe.parse("office/lidar16/still"), 3).rig
-    events = [event for event in log.events if event.stamp_ns <= log.scans()[2].stamp_ns]
-    frames = list(keyframes_of(replace(log, events=events), rig, SlamConfig()))
+    drive = make_drive(Recipe.parse("office/lidar16/still"), 3)
+    events = [event for event in drive.log.events if event.stamp_ns <= drive.log.scans()[2].stamp_ns]
+    frames = list(keyframes_of(replace(drive.log, events=events), drive.rig, SlamConfig()))
     assert len(frames) == 3 and all(frame.motion is None for frame in frames)
 
 

@@ -376,10 +376,10 @@ def test_other_files_with_the_name_of_a_bag(tmp_path: Path):
 
 
 @pytest.mark.parametrize("kind", ["ros1", "ros1 lz4", "db3 alone", "mcap alone"])
-def test_damaged_bytes_are_a_sentence_or_a_log(kind: str, tmp_path: Path):
+def test_damaged_bytes_are_a_sentence_or_a_log(kind: str, tmp_path: Path, times):
     path = write(tmp_path, kind, lambda messages: islice(mission(messages), 5))
     whole, rng = path.read_bytes(), np.random.default_rng(1)
-    for trial in range(20):
+    for trial in range(times(8, 500)):
         data = bytearray(whole)
         for place in rng.integers(0, 600 if trial % 2 else len(data), 4):
             data[place] = rng.integers(0, 256)
@@ -387,10 +387,6 @@ def test_damaged_bytes_are_a_sentence_or_a_log(kind: str, tmp_path: Path):
         with suppress(LogError):
             log, _ = load(path, keep_partial=trial % 4 > 1)
             assert isinstance(log, Log) and log.scans()
-
-
-def test_a_log_of_a_bag_is_a_log(tmp_path: Path):
-    assert isinstance(read_rosbag(write(tmp_path, "ros1", mission)), Log)
 
 
 @pytest.mark.parametrize("kind", ["ros1 bz2", "ros1 lz4", "mcap zstd alone"])

@@ -23,7 +23,8 @@ from tests.slam.scenes import Drive, drive, room_planes
 from tests.statistics import assert_mean_in_band
 
 IN_PLANE = [2, 3, 4]
-RUNS = 24
+#: Pairs of missions: of 3 dof twice or half a covariance is off the band in 84 and 71 of 100, of 12 dof always.
+RUNS = 16
 
 
 def about(seed: int) -> np.ndarray:
@@ -50,7 +51,7 @@ def planar_nees(covariance: np.ndarray, truth: np.ndarray, estimate: np.ndarray)
 
 
 def test_joined_planes_poses_and_frames_are_honest():
-    """NEES of planes, of the second mission's frame and of its last pose, 3 dof each, over 24 pairs of missions."""
+    """NEES of planes, of the second mission's frame and of its last pose, 3 dof each."""
     planes, frames, poses = [], [], []
     for seed in range(RUNS):
         component = joined(seed).components[0]
@@ -156,7 +157,7 @@ def test_comparisons_say_what_they_saw():
 
 
 def test_chi2_of_the_common_planes_is_chi2():
-    """Six planes, 12 dof, over 24 pairs of missions."""
+    """Six planes, 12 dof."""
     values = [
         compare_missions(first(s).mission, second(s).mission, SlamConfig(), significance=1e-3, guess=about(s)).alignment
         for s in range(RUNS)

@@ -22,19 +22,20 @@ def mission(seed: int) -> Mission:
     return simulate_mission("hall", n_scans=83, seed=seed)
 
 
-def without_odometry(seed: int, chosen: slice) -> tuple[Run, np.ndarray, np.ndarray]:
-    """A run over some of the scans, and how far off its poses are from the first on, m and rad."""
+@cache
+def without_odometry(seed: int, *chosen: int) -> tuple[Run, np.ndarray, np.ndarray]:
+    """A run over some of the scans, a slice, and how far off its poses are from the first on, m and rad."""
     whole = mission(seed)
-    scans = [event for event in whole.log.events if isinstance(event, CloudScan)][chosen]
+    scans = [event for event in whole.log.events if isinstance(event, CloudScan)][slice(*chosen)]
     run = run_slam(replace(whole.log, events=scans), whole.rig, SlamConfig())
     true = Trajectory(run.trajectory.stamps_ns, whole.truth.poses_at(run.trajectory.stamps_ns))
     errors = absolute_error(run.trajectory, true, alignment="first")
     return run, errors.translation_m, errors.rotation_rad
 
 
-@pytest.mark.parametrize(("seed", "chosen"), [(30, slice(0, 3)), (33, slice(0, 3)), (30, slice(0, 6, 2))])
-def test_a_hall_is_not_taken_for_itself_turned_round(seed: int, chosen: slice):
-    _, positions, angles = without_odometry(seed, chosen)
+@pytest.mark.parametrize(("seed", "chosen"), [(30, (0, 3)), (33, (0, 3)), (30, (0, 6, 2))])
+def test_a_hall_is_not_taken_for_itself_turned_round(seed: int, chosen: tuple[int, ...]):
+    _, positions, angles = without_odometry(seed, *chosen)
     assert angles.max() < np.deg2rad(0.1)
     assert positions.max() < 0.01
 
@@ -42,7 +43,7 @@ def test_a_hall_is_not_taken_for_itself_turned_round(seed: int, chosen: slice):
 @pytest.mark.parametrize("seed", [30, 33])
 def test_a_pillar_is_not_taken_for_the_next_where_the_way_along_them_is_open(seed: int):
     """Where at one of these scans only walls along the way and pillars are seen, nobody knows where along it it was."""
-    run, positions, _ = without_odometry(seed, slice(70, 82))
+    run, positions, _ = without_odometry(seed, 70, 82)
     covariances = [run.slam.marginal_covariance(pose_symbol(k)) for k in range(len(positions))]
     sigmas = np.array([np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]) for covariance in covariances])
     assert np.all(positions < np.maximum(3.0 * sigmas, 0.01))
@@ -52,17 +53,17 @@ def test_a_pillar_is_not_taken_for_the_next_where_the_way_along_them_is_open(see
 
 
 def test_where_only_walls_along_the_way_are_known_again_it_is_open():
-    run, positions, _ = without_odometry(33, slice(70, 82))
+    run, positions, _ = without_odometry(33, 70, 82)
     ((opened,),) = [stretch.keyframes for stretch in run.slam.open_directions]
     assert positions[opened] > 10.0 * np.delete(positions, opened).max()  # where it was along the walls nobody knows
 
 
 def test_a_scan_that_fits_one_pillar_on_as_well_makes_a_run_doubtful():
     """Three seconds without a scan, and nothing but scans: at the fifth the next pillar is taken for the first."""
-    run, positions, _ = without_odometry(55, slice(62, 83, 3))
+    run, positions, _ = without_odometry(55, 62, 83, 3)
     assert positions.max() > 4.0
     assert run.verdict.verdict == "doubtful"
     [found] = [one for one in run.verdict.evidence if one.kind == "ambiguity"]
     assert 4 in found.keyframes and found.size > 0.2
-    sure, positions, _ = without_odometry(50, slice(62, 83, 3))
+    sure, positions, _ = without_odometry(50, 62, 83, 3)
     assert positions.max() < 0.01 and sure.verdict.verdict == "sound"

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import gtsam
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from slam.config import SlamConfig
 from slam.evaluation import absolute_error, match_planes
 from slam.geometry.frames import inverse
-from slam.io.trajectories import Trajectory
+from slam.io.trajectories import Trajectory, read_tum
+from slam.output.run_files import write_run
 from slam.planeslam import pose_symbol
 from slam.runs.demo import compare, in_frame_of_truth
 from slam.runs.slam_run import Run, run_slam
@@ -22,11 +26,8 @@ IN_PLANE = [2, 3, 4]
 
 @pytest.fixture(scope="module")
 def missions() -> list[tuple[Mission, Run]]:
-    result = []
-    for seed in SEEDS:
-        mission = simulate_mission("corridor", n_scans=200, seed=seed)
-        result.append((mission, run_slam(mission.log, mission.rig, SlamConfig())))
-    return result
+    made = [simulate_mission("corridor", n_scans=200, seed=seed) for seed in SEEDS]
+    return [(mission, run_slam(mission.log, mission.rig, SlamConfig())) for mission in made]
 
 
 def rmse(path: Trajectory, mission: Mission) -> float:
@@ -86,3 +87,43 @@ def test_the_demos_table_compares_room_and_planes_with_the_truth(missions: list[
     assert rows["corridor width, truth"] == pytest.approx(2.268, abs=1e-9)
     assert rows["corridor height, estimate"] == pytest.approx(2.7, abs=0.004)
     assert rows["corridor width, estimate"] == pytest.approx(2.268, abs=0.004)
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_scans_are_no_worse_than_keyframes(number: int, missions: list[tuple[Mission, Run]]):
+    """Between keyframes comes on top what odometry is uncertain by when both ends are known: a Brownian bridge.
+
+    Its mean variance along a way L is sigma^2 L / 6; in each stretch each of two coordinates is one degree of freedom.
+    """
+    mission, run = missions[number]
+    truth, known = mission.truth, run.trajectory
+    inside = run.scan_trajectory.stamps_ns[run.scan_trajectory.stamps_ns <= known.stamps_ns[-1]]
+    scans = run.scan_trajectory.poses[: len(inside)]
+    assert len(scans) > 5 * len(known)
+    truth_T_run = truth.poses_at(known.stamps_ns[:1])[0] @ inverse(known.poses[0])
+    rmse = [
+        float(np.sqrt(np.mean(np.sum((truth_T_run @ poses - truth.poses_at(stamps))[:, :3, 3] ** 2, axis=1))))
+        for stamps, poses in ((known.stamps_ns, known.poses), (inside, scans))
+    ]
+    way_m = float(np.linalg.norm(np.diff(known.poses[:, :3, 3], axis=0), axis=1).max())
+    noise = mission.rig.odometry
+    bridge = way_m / 6.0 * (noise.along_sigma_m_per_sqrt_m**2 + noise.lateral_sigma_m_per_sqrt_m**2)
+    dof = 2 * (len(known) - 1)
+    assert rmse[1] < rmse[0] + np.sqrt(bridge * chi2.ppf(0.999, dof) / dof)
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_its_stamps_are_those_of_the_log_and_the_files_say_the_same(
+    number: int, missions: list[tuple[Mission, Run]], tmp_path: Path
+):
+    mission, run = missions[number]
+    expected = sorted({scan.stamp_ns for scan in mission.log.scans()})
+    assert run.scan_trajectory.stamps_ns.tolist() == expected
+    places = np.searchsorted(run.scan_trajectory.stamps_ns, run.trajectory.stamps_ns)
+    np.testing.assert_array_equal(run.scan_trajectory.poses[places], run.trajectory.poses)
+    np.testing.assert_allclose(run.scan_odometry.poses[places], run.odometry.poses, atol=1e-9)
+    write_run(run, tmp_path, title="mission")
+    written = read_tum(tmp_path / "scans.tum")
+    assert written.stamps_ns.tolist() == expected
+    np.testing.assert_allclose(written.poses, run.scan_trajectory.poses, atol=1e-12)
+    assert read_tum(tmp_path / "odometry.tum").stamps_ns.tolist() == expected

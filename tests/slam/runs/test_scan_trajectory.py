@@ -13,15 +13,15 @@ from scipy.stats import chi2
 from slam.config import SlamConfig
 from slam.evaluation import absolute_error
 from slam.frontend.odometry import OdometryTrack
-from slam.geometry.frames import inverse, planar_transform
+from slam.geometry.frames import planar_transform
 from slam.io.trajectories import Trajectory, read_tum
-from slam.output.run_files import write_map, write_run
+from slam.output.run_files import write_map
 from slam.runs.mapping_run import run_map
 from slam.runs.scan_trajectory import carried
-from slam.runs.slam_run import Run, run_slam
+from slam.runs.slam_run import run_slam
 from slam.sensors.log import OdometryReading
 from slam.sensors.wheel_noise import OdometryNoise
-from slam.simulation import Mission, simulate_mission
+from slam.simulation import simulate_mission
 
 SECOND = 1_000_000_000
 
@@ -97,34 +97,6 @@ def test_nothing_gives_nothing():
     np.testing.assert_array_equal(carried(one, np.array([1, 9]), None).poses, np.tile(np.eye(4), (2, 1, 1)))
 
 
-@pytest.fixture(scope="module", params=[1, 2])
-def driven(request: pytest.FixtureRequest) -> tuple[Mission, Run]:
-    mission = simulate_mission("corridor", n_scans=200, seed=request.param)
-    return mission, run_slam(mission.log, mission.rig, SlamConfig())
-
-
-def test_scans_are_no_worse_than_keyframes(driven: tuple[Mission, Run]):
-    """Between keyframes comes on top what odometry is uncertain by when both ends are known: a Brownian bridge.
-
-    Its mean variance along a way L is sigma^2 L / 6; in each stretch each of two coordinates is one degree of freedom.
-    """
-    mission, run = driven
-    truth, known = mission.truth, run.trajectory
-    inside = run.scan_trajectory.stamps_ns[run.scan_trajectory.stamps_ns <= known.stamps_ns[-1]]
-    scans = run.scan_trajectory.poses[: len(inside)]
-    assert len(scans) > 5 * len(known)
-    truth_T_run = truth.poses_at(known.stamps_ns[:1])[0] @ inverse(known.poses[0])
-    rmse = [
-        float(np.sqrt(np.mean(np.sum((truth_T_run @ poses - truth.poses_at(stamps))[:, :3, 3] ** 2, axis=1))))
-        for stamps, poses in ((known.stamps_ns, known.poses), (inside, scans))
-    ]
-    way_m = float(np.linalg.norm(np.diff(known.poses[:, :3, 3], axis=0), axis=1).max())
-    noise = mission.rig.odometry
-    bridge = way_m / 6.0 * (noise.along_sigma_m_per_sqrt_m**2 + noise.lateral_sigma_m_per_sqrt_m**2)
-    dof = 2 * (len(known) - 1)
-    assert rmse[1] < rmse[0] + np.sqrt(bridge * chi2.ppf(0.999, dof) / dof)
-
-
 def test_between_exact_keyframes_the_error_is_that_of_a_bridge():
     """Odometry of a random walk, half way between two known poses: variance L / 4 of what a metre adds, 400 draws."""
     noise = OdometryNoise(
@@ -146,20 +118,6 @@ def test_between_exact_keyframes_the_error_is_that_of_a_bridge():
     nees = float((errors**2).sum() / (0.03**2 * length / 4.0))
     low, high = chi2.ppf([0.001, 0.999], 2 * draws)
     assert low < nees < high
-
-
-def test_its_stamps_are_those_of_the_log_and_the_files_say_the_same(driven: tuple[Mission, Run], tmp_path: Path):
-    mission, run = driven
-    expected = sorted({scan.stamp_ns for scan in mission.log.scans()})
-    assert run.scan_trajectory.stamps_ns.tolist() == expected
-    places = np.searchsorted(run.scan_trajectory.stamps_ns, run.trajectory.stamps_ns)
-    np.testing.assert_array_equal(run.scan_trajectory.poses[places], run.trajectory.poses)
-    np.testing.assert_allclose(run.scan_odometry.poses[places], run.odometry.poses, atol=1e-9)
-    write_run(run, tmp_path, title="mission")
-    written = read_tum(tmp_path / "scans.tum")
-    assert written.stamps_ns.tolist() == expected
-    np.testing.assert_allclose(written.poses, run.scan_trajectory.poses, atol=1e-12)
-    assert read_tum(tmp_path / "odometry.tum").stamps_ns.tolist() == expected
 
 
 def test_keyframes_that_left_the_graph_keep_their_poses():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import gtsam
@@ -30,7 +30,7 @@ from slam.session.store import Session, SessionError
 from spplanes import Plane
 from spplanes.spmodel import transform_from_rpy
 from tests.slam.scenes import SIGMAS, Drive, drive, measured, room_planes
-from tests.statistics import assert_mean_in_band
+from tests.statistics import assert_mean_in_band, central_differences
 
 IN_PLANE = [2, 3, 4]
 #: Floor and three walls are mapped first; ceiling and the fourth wall are new to the second mission.
@@ -65,9 +65,12 @@ def rough_start(scene: Drive, rng: np.random.Generator) -> np.ndarray:
 
 
 def test_localising_in_a_prior_map_is_honest_and_extends_it():
-    """Pose NEES (3 dof in the floor plane) at the start and at the end, and of every plane, known or new; 24 runs."""
+    """Pose NEES (3 dof in the floor plane) at the start and at the end, and of every plane, known or new.
+
+    16 runs: twice a covariance is off its band in 84 of 100 for each of the four, half of it in 71.
+    """
     first, last, known, new = [], [], [], []
-    for seed in range(24):
+    for seed in range(16):
         rng = np.random.default_rng(seed)
         earlier, scene = mapped(seed), drive(1000 + seed)
         slam = second_mission(seed, prior_of(earlier, rough_start(scene, rng)), scene)
@@ -91,7 +94,7 @@ def truth_of(one: MapPlane) -> Plane:
 def test_the_joint_covariance_of_a_map_is_that_of_its_planes_together():
     """Its diagonal blocks are the planes' own covariances, and the joint NEES over runs is that of 12 dof."""
     joint = []
-    for seed in range(16):
+    for seed in range(8):  # of 12 dof: twice or half is off the band in 98 of 100
         slam = mapped(seed)
         covariance = map_covariance(slam.planes, slam.landmarks, slam.backend)
         for row, one in enumerate(slam.planes):
@@ -100,6 +103,31 @@ def test_the_joint_covariance_of_a_map_is_that_of_its_planes_together():
         error = np.concatenate([deviation(one.plane.frame, truth_of(one)) for one in slam.planes])
         joint.append(error @ np.linalg.solve(covariance, error))
     assert_mean_in_band(np.array(joint), 12)
+
+
+def test_what_planes_of_a_map_share_is_what_the_graph_says_they_do():
+    """Of which the NEES above knows nothing: by differences, from the marginals of the graph solved as one."""
+    slam = mapped(0)
+    values, owners = slam.backend.values, [slam.landmarks[one.id] for one in slam.planes]
+    keys = sorted({key for one in owners for key in (one.anchor_key, one.key)})
+
+    def moved(key: int, step: np.ndarray) -> np.ndarray:
+        steps = gtsam.VectorValues()
+        steps.insert(key, step)
+        now, found = values.retract(steps), []
+        for one, known in zip(owners, slam.planes, strict=True):
+            world = now.atOrientedPlane3(one.key).transform(now.atPose3(one.anchor_key).inverse()).planeCoefficients()
+            found.append(deviation(known.plane.frame, Plane.from_hesse(world[:3], -world[3], np.zeros((3, 3)))))
+        return np.concatenate(found)
+
+    sizes = [6 if chr(key >> 56) == "x" else 3 for key in keys]
+    columns = [central_differences(partial(moved, key), np.zeros(size)) for key, size in zip(keys, sizes, strict=True)]
+    whole = gtsam.Marginals(slam.backend.graph, values).jointMarginalCovariance(keys).fullMatrix()
+    expected = np.hstack(columns) @ whole @ np.hstack(columns).T
+    sigmas = np.sqrt(np.diag(expected))
+    found = map_covariance(slam.planes, slam.landmarks, slam.backend)
+    np.testing.assert_allclose(found / np.outer(sigmas, sigmas), expected / np.outer(sigmas, sigmas), atol=0.02)
+    assert np.abs(np.triu(expected / np.outer(sigmas, sigmas), 3)).max() > 0.1
 
 
 def deviation(frame: np.ndarray, truth: Plane) -> np.ndarray:

@@ -385,11 +385,11 @@ def test_a_read_only_folder(whole: Path):
     assert int(count) > 5 and "cannot be written (Permission denied)" in sentence
 
 
-def test_killed_runs_lose_nothing_and_damage_is_never_read_as_truth(job: kill.Job, tmp_path: Path):
-    killed = kill.kill_row(job, tmp_path, kills=6, seed=4)
-    assert killed["trials"] == 6
+def test_killed_runs_lose_nothing_and_damage_is_never_read_as_truth(job: kill.Job, tmp_path: Path, times):
+    killed = kill.kill_row(job, tmp_path, kills=times(3, 200), seed=4)
+    assert killed["trials"] == times(3, 200)
     assert [killed[key] for key in ("lost", "damaged", "different")] == [0, 0, 0]
-    damaged = kill.damage_row(job, tmp_path, damages=16, seed=5)
+    damaged = kill.damage_row(job, tmp_path, damages=times(8, 200), seed=5)
     assert damaged["wrong"] == damaged["different"] == 0 < damaged["noticed"]
     assert damaged["saved"] > damaged["beyond saving"]
 

@@ -46,7 +46,7 @@ def calibrated(made: Chain) -> Chain:
 def test_errors_of_calibration_are_honest_and_what_a_rig_states_is_believed() -> None:
     """Drawn as the prior has them: NEES with 2 degrees of freedom. Where there are none, seldom are any found."""
     rng, nees, missed = np.random.default_rng(1), [], 0
-    for _ in range(100):
+    for _ in range(50):  # twice or half the covariance is off its band in 99 of 100
         errors = _PRIOR * rng.standard_normal(2)
         made = chain(rng, errors)
         found, _ = calibration_by_graph(made.steps, made.backend)
@@ -55,8 +55,8 @@ def test_errors_of_calibration_are_honest_and_what_a_rig_states_is_believed() ->
         missed += found.as_stated > 0.05 and bool(np.any(np.abs(errors) > 6.0 * np.sqrt(np.diag(found.covariance))))
     assert_mean_in_band(np.array(nees), 2)
     assert missed == 0
-    stated = [calibration_by_graph(one.steps, one.backend)[0] for one in (chain(rng, np.zeros(2)) for _ in range(60))]
-    assert sum(found.as_stated < 0.05 for found in stated) <= 3
+    stated = [calibration_by_graph(one.steps, one.backend)[0] for one in (chain(rng, np.zeros(2)) for _ in range(30))]
+    assert sum(found.as_stated < 0.05 for found in stated) <= 2
     assert np.median([found.as_stated for found in stated]) > 0.9
 
 
@@ -105,7 +105,7 @@ def test_what_steps_share_is_in_the_covariances_exactly() -> None:
 def test_poses_far_from_what_was_seen_are_honest() -> None:
     """After half the way nothing is seen: what is left open about the wheels moves all that follows alike."""
     rng, nees, blind = np.random.default_rng(3), [], []
-    while len(nees) < 60:
+    while len(nees) < 30:  # twice or half the covariance is off its band in 98 of 100
         errors = _PRIOR * rng.standard_normal(2)
         if np.abs(errors / _PRIOR).max() < 1.0:
             continue  # hardly to be told from none
@@ -124,7 +124,7 @@ def test_poses_far_from_what_was_seen_are_honest() -> None:
 def test_what_is_seen_after_the_graph_was_asked_is_counted_too() -> None:
     """As after a loop: the steps have errors that are no longer the likeliest, until the graph is asked again."""
     rng, nees = np.random.default_rng(5), []
-    while len(nees) < 60:
+    while len(nees) < 30:
         errors = _PRIOR * rng.standard_normal(2)
         made = chain(rng, errors, until=11)
         if calibration_by_graph(made.steps, made.backend)[0].as_stated >= 0.5:
@@ -136,7 +136,7 @@ def test_what_is_seen_after_the_graph_was_asked_is_counted_too() -> None:
         key = pose_symbol(len(made.true) - 1)
         off = planar_delta(inverse(made.backend.pose(key)) @ made.true[-1])
         nees.append(off @ np.linalg.solve(made.backend.read_covariance(key)[np.ix_([3, 4, 2], [3, 4, 2])], off))
-    assert np.mean(nees) < 3.9  # the upper end of the band of 3 degrees of freedom; it may claim less than it knows
+    assert np.mean(nees) < 4.3  # the upper end of the band of 3 degrees of freedom; it may claim less than it knows
     assert np.mean(nees) > 1.5
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from slam.simulation import simulate_mission
 from tests.slam.scenes import drive
 
 
+@cache
 def hall(seed: int = 3) -> tuple[Log, Rig]:
     mission = simulate_mission("hall", n_scans=16, seed=seed)
     return mission.log, mission.rig

@@ -1,0 +1,52 @@
+"""The order of the tests, and how often what is random is repeated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+_SOAK = "--soak"
+#: Files that take longest, longest first (`pytest --durations` tells): begun last, one would keep a single core busy.
+_LONGEST = (
+    "tests/slam/runs/test_intel.py",
+    "tests/slam/fleet/test_fleet.py",
+    "tests/slam/runs/test_real_logs.py",
+    "tests/slam/registration/test_real_places.py",
+    "tests/slam/tracking/test_calibration_by_graph.py",
+    "tests/slam/session/test_resume.py",
+    "tests/slam/joining/test_joining.py",
+    "tests/slam/runs/test_missions.py",
+    "tests/slam/frontend/test_laser_odometry.py",
+    "tests/test_examples.py",
+    "tests/test_docs.py",
+    "tests/slam/joining/test_overlap.py",
+    "tests/slam/cli/test_joining.py",
+    "tests/slam/tracking/test_odometry_check.py",
+    "tests/slam/tracking/test_odometry_record.py",
+    "tests/slam/registration/test_alike_places.py",
+    "tests/slam/session/test_prior_map.py",
+    "tests/fuzz/test_targets.py",
+)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(_SOAK, action="store_true", help="only what is repeated at random, often (`make soak`)")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """The longest files first, the others in their order; of a soak what asks how often."""
+    if config.getoption(_SOAK):
+        items[:] = [item for item in items if "times" in getattr(item, "fixturenames", ())]
+    place = {name: number for number, name in enumerate(_LONGEST)}
+    items.sort(key=lambda item: place.get(item.nodeid.split("::", 1)[0], len(place)))
+
+
+@pytest.fixture
+def times(request: pytest.FixtureRequest) -> Callable[[int, int], int]:
+    """How often something random is done: a few times, or as many as `make soak` does it."""
+
+    def choose(few: int, many: int) -> int:
+        return many if request.config.getoption(_SOAK) else few
+
+    return choose

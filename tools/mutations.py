@@ -1,0 +1,267 @@
+"""Errors put into the sources one by one, each with the tests that must notice: is a test lost, or too weak?
+
+Usage: python tools/mutations.py [NUMBER]...
+
+Every one is made in a copy of this clone, in a process of its own; the tests named pass before and fail after. Exit
+code 1 where a test fails without an error or none fails with one. By hand, when tests were thinned out: a few minutes.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+PROJECT = Path(__file__).resolve().parent.parent
+_LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "build", "demo", ".pytest_cache", ".hypothesis")
+#: Imported once: what all processes need and takes longest to import.
+_OTHERS = ("numpy", "numba", "gtsam", "scipy.stats", "shapely", "pytest", "typer", "pydantic")
+
+
+class Mutation(NamedTuple):
+    """One error."""
+
+    what: str
+    """In words."""
+    path: str
+    """Of the source."""
+    right: str
+    """What is there, once."""
+    wrong: str
+    """What comes in its place."""
+    tests: str
+    """Which must fail."""
+
+
+MUTATIONS = (
+    Mutation(
+        "conventions: a flipped tilt of planes",
+        "factors/_conventions.py",
+        "matrices[:, 2, :2] = -np.einsum",
+        "matrices[:, 2, :2] = np.einsum",
+        "tests/factors/test_conventions.py",
+    ),
+    Mutation(
+        "factors: planes twice as sure as they state",
+        "factors/_conventions.py",
+        "return np.asarray(np.linalg.qr(whitener,",
+        "return np.asarray(np.linalg.qr(np.sqrt(2.0) * whitener,",
+        "tests/slam/test_planeslam.py::test_final_poses_and_planes_are_consistent_over_many_runs",
+    ),
+    Mutation(
+        "fitting: the distance of a plane without its lever arm",
+        "spplanes/_hesse.py",
+        "    inverse[0, :3] = -(x @ c) * x - (y @ c) * y\n",
+        "",
+        "tests/spplanes/test_plane.py",
+    ),
+    Mutation(
+        "covariance: of a motion, turned the wrong way",
+        "slam/frontend/odometry.py",
+        "turn[:3, :3] = a_T_b[:3, :3].T",
+        "turn[:3, :3] = a_T_b[:3, :3]",
+        "tests/slam/frontend/test_push_broom.py::test_spatial_covariance_turns_into_the_axes_of_the_second_pose",
+    ),
+    Mutation(
+        "covariance: of a line's shift and turn, correlated the other way",
+        "slam/frontend/observations.py",
+        "[[t, -1.0], [1.0, 0.0]]",
+        "[[t, 1.0], [1.0, 0.0]]",
+        "tests/slam/frontend/test_observations.py",
+    ),
+    Mutation(
+        "segmentation: patches that meet at a crease stay one plane",
+        "spplanes/segmentation/pipeline.py",
+        "        part_at_creases(sheet, views, config)\n",
+        "        pass\n",
+        "tests/spplanes/segmentation/test_segment_scans.py tests/spplanes/segmentation/test_splitting.py",
+    ),
+    Mutation(
+        "association: whatever is near is a match, however unlikely",
+        "slam/association/decisions.py",
+        "        if candidate.p_value >= config.significance and candidate.log_likelihood >= chance\n",
+        "",
+        "tests/slam/association/test_data_association.py",
+    ),
+    Mutation(
+        "loop closure: the way back to the first axes with the wrong sign",
+        "slam/loop_closure/pairwise_consistency.py",
+        "self.delta[1] - delta[1], delta[0] - self.delta[0]",
+        "delta[1] - self.delta[1], self.delta[0] - delta[0]",
+        "tests/slam/loop_closure/test_pairwise_consistency.py",
+    ),
+    Mutation(
+        "loop closure: closures agree that are ten times too far apart",
+        "slam/loop_closure/pairwise_consistency.py",
+        "return chi2 <= float(",
+        "return chi2 <= 100.0 * float(",
+        "tests/slam/loop_closure/test_pairwise_consistency.py",
+    ),
+    Mutation(
+        "verdict: looking at more doubts more",
+        "slam/diagnostics/verdict.py",
+        "SIGNIFICANCE / max(kinds, 1)",
+        "SIGNIFICANCE",
+        "tests/slam/diagnostics/test_verdict.py",
+    ),
+    Mutation(
+        "odometry: errors of what saw it counted as its own",
+        "slam/tracking/odometry_scale.py",
+        "_log_density(off[axes], stated + covariance[grid])",
+        "_log_density(off[axes], stated)",
+        "tests/slam/tracking/test_odometry_scale.py",
+    ),
+    Mutation(
+        "calibration: twice as sure of the wheels' errors as the graph is",
+        "slam/tracking/calibration_by_graph.py",
+        "covariance = some * (0.5 *",
+        "covariance = some * (0.25 *",
+        "tests/slam/tracking/test_calibration_by_graph.py::"
+        "test_errors_of_calibration_are_honest_and_what_a_rig_states_is_believed",
+    ),
+    Mutation(
+        "calibration: what was seen since is forgotten",
+        "slam/tracking/calibration_by_graph.py",
+        "graph.known(found.covariance + np.outer(since, since))",
+        "graph.known(found.covariance)",
+        "tests/slam/tracking/test_calibration_by_graph.py::test_what_is_seen_after_the_graph_was_asked_is_counted_too",
+    ),
+    Mutation(
+        "calibration: what steps share is left out of the covariances",
+        "slam/backend/estimator.py",
+        "unknown = self._shared if shared else None",
+        "unknown = None",
+        "tests/slam/tracking/test_calibration_by_graph.py::test_poses_far_from_what_was_seen_are_honest",
+    ),
+    Mutation(
+        "prior map: its planes as if they were independent",
+        "slam/session/prior_map.py",
+        "    return jacobian @ joint.full @ jacobian.T\n",
+        "    full = jacobian @ joint.full @ jacobian.T\n"
+        "    return full * np.kron(np.eye(len(owners)), np.ones((3, 3)))\n",
+        "tests/slam/session/test_prior_map.py::test_what_planes_of_a_map_share_is_what_the_graph_says_they_do",
+    ),
+    Mutation(
+        "joining: a tie's derivative without the anchor",
+        "slam/joining/ties.py",
+        "by_b @ adjoints[1], by_b",
+        "by_b, by_b",
+        "tests/slam/joining/test_ties.py",
+    ),
+    Mutation(
+        "joining: one of two maps taken for exact",
+        "slam/joining/alignment.py",
+        "spread = a.covariance_of(rows_a) + by_b @ b.covariance_of(rows_b) @ by_b.T",
+        "spread = a.covariance_of(rows_a)",
+        "tests/slam/joining/test_joining.py::test_chi2_of_the_common_planes_is_chi2",
+    ),
+    Mutation(
+        "poses at scans: half of a disagreement wherever the scan is",
+        "slam/runs/scan_trajectory.py",
+        "gtsam.Pose3.Expmap(share * step)",
+        "gtsam.Pose3.Expmap(0.5 * step)",
+        "tests/slam/runs/test_scan_trajectory.py::"
+        "test_a_disagreement_is_spread_along_the_way_and_not_while_the_robot_stands",
+    ),
+    Mutation(
+        "io: a laser's place in the frame of the robot, turned the wrong way",
+        "slam/io/carmen/reader.py",
+        "c * dx + s * dy, -s * dx + c * dy, turn",
+        "c * dx - s * dy, s * dx + c * dy, turn",
+        "tests/slam/io/test_carmen.py",
+    ),
+    Mutation(
+        "io: quaternions that are none are taken",
+        "slam/geometry/quaternions.py",
+        "NORM_TOLERANCE = 1e-3",
+        "NORM_TOLERANCE = 1e3",
+        "tests/slam/geometry/test_quaternions.py tests/slam/io/test_trajectories.py",
+    ),
+    Mutation(
+        "io: rotations that are none are taken",
+        "slam/io/trajectories.py",
+        "proper = (errors <= NORM_TOLERANCE) & (",
+        "proper = ~(errors < 0.0) & (",
+        "tests/fuzz/test_targets.py::test_what_was_found_stays_found tests/slam/io/test_trajectories.py",
+    ),
+    Mutation(
+        "session: keyframes whose checksum is wrong are read",
+        "slam/session/_records.py",
+        "if row is None or chain != row[2]:",
+        "if row is None:",
+        "tests/slam/session/test_store.py::test_nothing_changed_is_read_as_truth",
+    ),
+    Mutation(
+        "session: a resumed run measures its last keyframe again",
+        "slam/runs/slam_run.py",
+        "keyframes_of(log, rig, config, done_before,",
+        "keyframes_of(log, rig, config, max(done_before - 1, 0),",
+        "tests/slam/session/test_resume.py::test_a_run_that_ended_early_goes_on_to_the_same_result",
+    ),
+    Mutation(
+        "session: decisions are not compared with those recorded",
+        "slam/session/replay.py",
+        "            _check_same(self.session, index, recorded, decisions)\n",
+        "            pass\n",
+        "tests/slam/session/test_store.py::test_decisions_are_recorded_and_compared",
+    ),
+    Mutation(
+        "evaluation: a plane turned the wrong way onto the truth",
+        "slam/evaluation/trajectories.py",
+        "np.arctan2(cross[1, 0] - cross[0, 1],",
+        "np.arctan2(cross[0, 1] - cross[1, 0],",
+        "tests/slam/evaluation/test_trajectories_and_planes.py",
+    ),
+)
+
+
+def main(words: list[str]) -> int:
+    """Make the errors of these numbers, or all; exit code 1 where one is not noticed."""
+    numbers = [int(word) for word in words] or range(len(MUTATIONS))
+    for name in _OTHERS:
+        __import__(name)
+    with tempfile.TemporaryDirectory() as scratch:
+        clone = Path(scratch) / "clone"
+        shutil.copytree(PROJECT, clone, ignore=_LEFT_OUT, symlinks=True)
+        (Path(scratch) / "shared").symlink_to(PROJECT.parent / "shared")
+        return int(sum(not _noticed(number, clone) for number in numbers) > 0)
+
+
+def _noticed(number: int, clone: Path) -> bool:
+    """Whether the tests pass without an error, and one fails with it."""
+    mutation = MUTATIONS[number]
+    source = clone / mutation.path
+    text = source.read_text(encoding="utf-8")
+    if text.count(mutation.right) != 1:
+        print(f"{number:2} {mutation.what}: {mutation.path} is no longer what it was")
+        return False
+    passed = _passes(mutation, clone)
+    source.write_text(text.replace(mutation.right, mutation.wrong), encoding="utf-8")
+    failed = not _passes(mutation, clone)
+    source.write_text(text, encoding="utf-8")
+    said = "noticed" if passed and failed else "NOT NOTICED" if passed else "its tests fail without it"
+    print(f"{number:2} {mutation.what}: {said}", flush=True)
+    return passed and failed
+
+
+def _passes(mutation: Mutation, clone: Path) -> bool:
+    """Whether the tests pass, in a process that has what takes long to import already."""
+    child = os.fork()
+    if child == 0:
+        os.chdir(clone)
+        sys.path.insert(0, str(clone))
+        os.environ["PYTHONPATH"] = str(clone)
+        log = os.open(clone / "mutation.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        os.dup2(log, 1), os.dup2(log, 2)
+        import pytest
+
+        options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-p", "no:randomly"]
+        os._exit(int(pytest.main([*options, *mutation.tests.split()])))
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
