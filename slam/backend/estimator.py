@@ -18,6 +18,9 @@ from slam.timing import StageClock, timed
 from spplanes._check import FloatArray
 
 _POSES = ("x", "m")  # letters of their symbols: of a keyframe, of a prior map
+#: All variables that have moved are relinearised at one of so many updates, two of which a keyframe takes; those in use
+#: at every one. An odd number: it falls on predictions and on what is seen in turn.
+_ALL_EVERY = 21
 #: Of more variables than this a joint covariance is read from the graph.
 _MANY = 64
 
@@ -39,6 +42,8 @@ class Backend:
         self.clock = StageClock()
         self._isam = gtsam.ISAM2(self._parameters)
         self._past = PastPoses()
+        self._n_updates = 0
+        self._used: set[int] = set()
         self._ask_shared: Callable[[], SharedUnknown | None] = lambda: None
         self._forget()
 
@@ -81,13 +86,32 @@ class Backend:
     ) -> list[int]:
         """Add factors and variables, remove factors by index; returns the indices of the new factors.
 
+        Of what has moved the variables in use, those of these factors and of the ones before, are relinearised first:
+        gates are drawn and estimates made by them. The others, which a correction moves a little all along the way, are
+        every so often, and where `relinearize` asks for it, once more after.
+
         Raises:
             BackendError: the system became indeterminate.
         """
-        result = self._step(_graph_of(factors), initial, list(remove))
+        given = list(factors)
+        held = None if relinearize else self._out_of_use(given)
+        result = self._step(_graph_of(given), initial, list(remove), None, held)
         if relinearize:
             self._step()
         return list(result.getNewFactorsIndices())
+
+    def _out_of_use(self, factors: Sequence[Any]) -> gtsam.KeyList | None:
+        """Keys of the variables that need not be relinearised when factors are added; None: all may be."""
+        used = {key for factor in factors for key in list(factor.keys())}
+        in_use, self._used = used | self._used, used
+        self._n_updates += 1
+        if self._n_updates % _ALL_EVERY == 0:
+            return None
+        held = gtsam.KeyList()
+        for key in list(self._isam.getLinearizationPoint().keys()):
+            if key not in in_use:
+                held.push_back(key)
+        return held
 
     @timed("optimise")
     def exchange(self, factors: Iterable[Any], remove: Sequence[int], leaving: Iterable[int]) -> list[int]:

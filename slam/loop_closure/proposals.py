@@ -52,31 +52,35 @@ class Proposals:
 
     def _agreeing(self, backend: Backend) -> np.ndarray:
         """Which of those that wait agree two by two, shape (N, N)."""
-        count = len(self._waiting)
-        agreeing = np.eye(count, dtype=bool)
-        for i in range(count):
-            for j in range(i):
-                agreeing[i, j] = agreeing[j, i] = self._agree(self._waiting[j], self._waiting[i], backend)
+        pairs = [(self._waiting[j], self._waiting[i]) for i in range(len(self._waiting)) for j in range(i)]
+        self._look_up([pair for pair in pairs if _ends(*pair) not in self._known], backend)
+        agreeing = np.eye(len(self._waiting), dtype=bool)
+        rows, columns = np.tril_indices(len(self._waiting), -1)
+        agreeing[rows, columns] = agreeing[columns, rows] = [self._known[_ends(*pair)] for pair in pairs]
         return agreeing
 
-    def _agree(self, first: Proposal, second: Proposal, backend: Backend) -> bool:
-        """Whether the loop over two closures and the way between them closes."""
-        ends = first.keyframe, first.old_keyframe, second.keyframe, second.old_keyframe
-        if ends not in self._known:
-            self._known[ends] = self._loop_closes(first, second, backend)
-        return self._known[ends]
-
-    def _loop_closes(self, first: Proposal, second: Proposal, backend: Backend) -> bool:
-        newer, older = (
-            _between(*ends, backend)
-            for ends in ((first.keyframe, second.keyframe), (first.old_keyframe, second.old_keyframe))
-        )
-        return agree(loop_chi2(first, second, newer, older), self._config.significance)
+    def _look_up(self, pairs: Sequence[tuple[Proposal, Proposal]], backend: Backend) -> None:
+        """Whether the loops over two closures each and the way between them close."""
+        ways = _between([way for pair in pairs for way in _ways(*pair)], backend)
+        for first, second in pairs:
+            newer, older = (ways[way] for way in _ways(first, second))
+            closes = agree(loop_chi2(first, second, newer, older), self._config.significance)
+            self._known[_ends(first, second)] = closes
 
 
-def _between(first: int, second: int, backend: Backend) -> PlanarPose:
-    """Where a keyframe is from another one by the estimate."""
-    if first == second:
-        return PlanarPose(np.zeros(3), np.zeros((3, 3)))
-    found = RelativePose.of(pose_symbol(first), pose_symbol(second), backend)
-    return PlanarPose(found.delta, found.covariance)
+def _ends(first: Proposal, second: Proposal) -> tuple[int, int, int, int]:
+    """The keyframes at the ends of two proposals."""
+    return first.keyframe, first.old_keyframe, second.keyframe, second.old_keyframe
+
+
+def _ways(first: Proposal, second: Proposal) -> tuple[tuple[int, int], tuple[int, int]]:
+    """The keyframes between which the estimate leads from one proposal to another: new ones, old ones."""
+    return (first.keyframe, second.keyframe), (first.old_keyframe, second.old_keyframe)
+
+
+def _between(ways: Sequence[tuple[int, int]], backend: Backend) -> dict[tuple[int, int], PlanarPose]:
+    """Where keyframes (second) are from others (first) by the estimate."""
+    apart = sorted({way for way in ways if way[0] != way[1]})
+    found = RelativePose.of_all([(pose_symbol(first), pose_symbol(second)) for first, second in apart], backend)
+    same = {way: PlanarPose(np.zeros(3), np.zeros((3, 3))) for way in ways if way[0] == way[1]}
+    return same | {way: PlanarPose(one.delta, one.covariance) for way, one in zip(apart, found, strict=True)}

@@ -104,11 +104,15 @@ def compare_with_old(around: Surroundings) -> Iterator[LoopDecision]:
     if len(here) < (1 if has_view else config.min_walls):
         return
     view: PlaceView | None = None
-    for old in old_keyframes(path, around.backend, config):
+    olds = old_keyframes(path, around.backend, config)
+    seen = [old for old in olds if has_view and around.keyframes[old].returns is not None]
+    ends = [(pose_symbol(old), pose_symbol(now)) for old in seen]
+    estimates = dict(zip(seen, RelativePose.of_all(ends, around.backend), strict=True))
+    for old in olds:
         there = around.landmarks_about(old)
         shared = [one for one in here if one in there]
-        if has_view and around.keyframes[old].returns is not None:
-            estimate = RelativePose.of(pose_symbol(old), pose_symbol(now), around.backend)
+        if old in estimates:
+            estimate = estimates[old]
             if is_tied(shared, estimate, around.landmarks, config):
                 continue
             view, other = view or around.view_about(now), around.view_about(old)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import gtsam
@@ -153,8 +154,12 @@ def local_map(keyframes: Sequence[Keyframe], backend: Backend, expected_T_world:
     return LocalMap(parts) if parts else None
 
 
+@lru_cache(maxsize=_RECENT + 2)
 def scan_of(keyframe: Keyframe) -> Scan | None:
-    """The 3D scan of a keyframe, as it is registered; None: there is none, or nothing in it."""
+    """The 3D scan of a keyframe, as it is registered; None: there is none, or nothing in it.
+
+    Those of the latest are kept: what each saw is fixed in its body, and asked for at several keyframes after it.
+    """
     if keyframe.surfaces is None or not len(keyframe.surfaces):
         return None
     return Scan(keyframe.surfaces, np.zeros(3) if keyframe.viewpoint is None else keyframe.viewpoint)

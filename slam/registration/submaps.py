@@ -34,6 +34,13 @@ class RelativePose:
         joint = backend.joint_covariance([old_key, key]).of([old_key, key])
         return cls(planar_delta(old_T_now), motion_covariance(old_T_now, joint))
 
+    @classmethod
+    def of_all(cls, ends: Sequence[tuple[int, int]], backend: Backend) -> list[RelativePose]:
+        """Of many pairs (old, now) by one joint marginal: that of twenty poses takes iSAM2 twice as long as of two."""
+        if ends:
+            backend.joint_covariance(sorted({key for pair in ends for key in pair}))  # kept until the graph changes
+        return [cls.of(*pair, backend) for pair in ends]
+
     @property
     def reach_m(self) -> float:
         """Three sigma of the position in its least known direction, m."""

@@ -36,7 +36,7 @@ _KERNEL = 3.0
 _LEAST_SCALE_M = 0.003
 #: A motion has converged when a step is smaller, rad and m.
 _CONVERGED = 1e-4
-#: Candidates are told apart by about so many elements; they are one when no entry differs by more.
+#: Candidates are told apart by about so many elements; places are one when no entry differs by more.
 _SOME, _SAME = 700, 5e-3
 #: Standard deviations of a motion that nothing says anything of, rad and m.
 _NOTHING_RAD, _NOTHING_M = 3.0, 10.0
@@ -129,7 +129,7 @@ class LocalMap:
     @cached_property
     def _sights(self) -> list[Sight]:
         """What each keyframe saw."""
-        return [Sight(scan) for _, scan in self._parts]
+        return [scan.sight for _, scan in self._parts]
 
 
 def most_information(elements: FloatArray) -> FloatArray:
@@ -174,52 +174,86 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expecte
         candidates: motions known_T_seen to start from, about right, shape (4, 4) each; of equals the first is taken.
         expected: what is known before looking; the information of the result is without it.
     """
-    elements, sight = scan.elements, Sight(scan)
+    elements, sight = scan.elements, scan.sight
     some = elements[:: int(np.ceil(len(elements) / _SOME))]
-    rough: list[tuple[Tried, float, float]] = []
-    for number, start in enumerate(candidates):
-        if any(np.abs(start - other).max() < _SAME for other in candidates[:number]):
-            continue
-        ends: list[tuple[Tried, float, float]] = []
-        for graduated in (False, True):
-            motion = _descended(some, known, start, _REACHES, expected, graduated=graduated)
-            score, share = _scored(some, sight, known, motion)
-            prior = 0.0 if expected is None else expected.log_likelihood(motion)
-            ends.append((Tried(motion, _TELLING * score + prior), score, share))
-        rough.append(max(ends, key=lambda one: one[0].log_likelihood))
+    starts = [one for k, one in enumerate(candidates) if not any(_are_same(one, other) for other in candidates[:k])]
+    rests = _rests(some, known, starts, expected)
+    judged = {id(end): _judged(some, sight, known, end, expected) for ends in rests for end in ends}
+    rough = [max((judged[id(end)] for end in ends), key=lambda one: one[0].log_likelihood) for ends in rests]
     rough.sort(key=lambda one: -one[0].log_likelihood)  # stable: of equals the first
     (best, score, share), *_ = rough
     motion = best.known_T_seen
     if len(some) < len(elements):
-        motion = _descended(elements, known, motion, _REACHES[-2:], expected)
+        for reach in _REACHES[-2:]:
+            motion = _Stage(elements, known, expected, reach).descend(motion)
     found = Residuals.of(elements, known, motion, _REACHES[-1] * _widths(elements))
     return Alignment(motion, found.information(), found, score, share, tuple(one for one, *_ in rough))
 
 
-def _descended(
-    elements: FloatArray,
-    known: LocalMap,
-    motion: FloatArray,
-    reaches: Sequence[float],
-    expected: Expected | None = None,
-    *,
-    graduated: bool = False,
-) -> FloatArray:
-    """The motion at which the residuals are least, by Gauss and Newton, partners looked for less and less far.
+def _rests(
+    some: FloatArray, known: LocalMap, starts: Sequence[FloatArray], expected: Expected | None
+) -> list[list[FloatArray]]:
+    """Where some elements come to rest from each start, by two descents; of both ends one where they are one.
 
     The kernel follows the residuals; or it narrows with the reach (graduated non-convexity), and follows them in the
     last stage alone. Most are of floor and walls, which a motion along them leaves where they are, and a kernel as
-    narrow as these are close is blind to the pillars that tell it; a wide one is led astray by clutter.
+    narrow as these are close is blind to the pillars that tell it; a wide one is led astray by clutter. Whatever has
+    become one place on the way goes on as one.
     """
-    widths = _widths(elements)
-    for reach in reaches:
-        kernel = reach * widths if graduated and reach > _REACHES[-1] else None
+    widths, motions = _widths(some), [(start, start) for start in starts]
+    for reach in _REACHES:
+        following = _Stage(some, known, expected, reach)
+        narrowing = following
+        if reach > _REACHES[-1]:
+            narrowing = _Stage(some, known, expected, reach, kernel=reach * widths)
+        motions = [(following.descend(one), narrowing.descend(other)) for one, other in motions]
+    return [[one] if one is other else [one, other] for one, other in motions]
+
+
+class _Stage:
+    """One stage of descents: to the motion at which the residuals are least, by Gauss and Newton."""
+
+    def __init__(
+        self,
+        elements: FloatArray,
+        known: LocalMap,
+        expected: Expected | None,
+        reach: float,
+        kernel: FloatArray | None = None,
+    ) -> None:
+        """Of elements (N, 8), partners looked for so many widths far; `kernel` as in `Residuals.of`."""
+        self._elements, self._known, self._expected = elements, known, expected
+        self._reach, self._kernel = reach * _widths(elements), kernel
+        self._ends: list[tuple[FloatArray, FloatArray]] = []
+
+    def descend(self, start: FloatArray) -> FloatArray:
+        """The motion where a descent from one ends, shape (4, 4); from one and the same it is the same array."""
+        for known, end in self._ends:
+            if _are_same(known, start):
+                return end
+        motion = start
         for _ in range(_STEPS):
-            step = Residuals.of(elements, known, motion, reach * widths, kernel).step(motion, expected)
+            residuals = Residuals.of(self._elements, self._known, motion, self._reach, self._kernel)
+            step = residuals.step(motion, self._expected)
             motion = motion @ gtsam.Pose3.Expmap(step).matrix()
             if np.abs(step).max() < _CONVERGED:
                 break
-    return motion
+        self._ends.append((start, motion))
+        return motion
+
+
+def _are_same(motion: FloatArray, other: FloatArray) -> bool:
+    """Whether from two motions a descent ends at one."""
+    return bool(np.abs(motion - other).max() < _SAME)
+
+
+def _judged(
+    some: FloatArray, sight: Sight, known: LocalMap, motion: FloatArray, expected: Expected | None
+) -> tuple[Tried, float, float]:
+    """A place where some of a scan's elements came to rest, its score, and the share of them with a partner."""
+    score, share = _scored(some, sight, known, motion)
+    prior = 0.0 if expected is None else expected.log_likelihood(motion)
+    return Tried(motion, _TELLING * score + prior), score, share
 
 
 def _scored(some: FloatArray, sight: Sight, known: LocalMap, motion: FloatArray) -> tuple[float, float]:

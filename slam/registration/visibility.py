@@ -97,6 +97,11 @@ class Scan:
     viewpoint: FloatArray
     """Where the sensor was, in the body frame, shape (3,), m."""
 
+    @cached_property
+    def sight(self) -> Sight:
+        """What it saw, to be asked for other points."""
+        return Sight(self)
+
 
 class Sight:
     """What a scan saw, from where it was seen: how far other points are from it, and which stand before it."""
