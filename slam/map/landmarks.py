@@ -5,7 +5,6 @@ from __future__ import annotations
 from bisect import bisect_left, insort
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import gtsam
 import numpy as np
@@ -14,10 +13,9 @@ from shapely.geometry.base import BaseGeometry
 from factors import landmark_hesse
 from slam.backend.estimator import Backend
 from slam.frontend.observations import Observation
-from slam.geometry.extents import Extent
-from slam.geometry.frames import inverse
 from slam.geometry.sphere_index import SphereIndex
 from spplanes._check import FloatArray
+from spplanes.outlines.extents import Extent
 
 
 @dataclass(eq=False)
@@ -226,17 +224,6 @@ class PlacedPlane:
     def normal(self) -> FloatArray:
         """Unit normal in the world, shape (3,)."""
         return self.world_T_plane[:3, 2]
-
-
-def observe(
-    observation: Observation, pose_key: int, landmark: Landmark, backend: Backend, robust: str | None = None
-) -> Any:
-    """The factor of an observation of a landmark from a pose, both in the graph."""
-    expected = None
-    if landmark.anchor_key != pose_key:
-        anchor_T_body = inverse(backend.pose(landmark.anchor_key)) @ backend.pose(pose_key)
-        expected = backend.plane(landmark.key).transform(gtsam.Pose3(anchor_T_body))
-    return observation.factor(pose_key, landmark.key, landmark.anchor_key, robust, expected)
 
 
 def _settle(frames: FloatArray, normals: FloatArray, distances: FloatArray) -> FloatArray:

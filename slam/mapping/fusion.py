@@ -12,14 +12,15 @@ import numpy as np
 from scipy.special import chdtri
 
 from factors import plane_factor, plane_landmark
+from factors.association.estimate import observe
 from slam.backend.estimator import BackendError, pose_symbol
 from slam.frontend.observations import Observation
-from slam.geometry.extents import Extent
 from slam.geometry.frames import inverse
-from slam.map.landmarks import Landmark, Sighting, observe
+from slam.map.landmarks import Landmark, Sighting
 from slam.map.state import Parts
 from slam.mapping.fusion_history import Cause, Merge
 from slam.mapping.same_plane import same_plane_chi2
+from spplanes.outlines.extents import Extent
 
 #: After an undone merge the estimate goes back a long way: so often iSAM2 relinearises.
 _ROUNDS = 5

@@ -9,12 +9,13 @@ from typing import Any
 import gtsam
 
 from factors import plane_factor, plane_landmark
+from factors.association.estimate import observe
 from slam.association.data_association import Decision
 from slam.backend.estimator import Backend
 from slam.config import SlamConfig
 from slam.frontend.observations import Observation
 from slam.geometry.frames import inverse
-from slam.map.landmarks import Landmark, LandmarkMap, observe
+from slam.map.landmarks import Landmark, LandmarkMap
 from slam.mapping.initialization import group_new
 from spplanes._check import FloatArray
 

@@ -9,10 +9,9 @@ from math import log, pi
 import gtsam
 import numpy as np
 
-from slam.association.decisions import Candidate
-from slam.backend.estimator import Backend, JointCovariance
-from slam.frontend.observations import Observation
-from slam.map.landmarks import Landmark, observe
+from factors.association.decisions import Candidate
+from factors.association.estimate import Estimate, Joint, Landmark, observe
+from factors.association.observations import Observation
 from spplanes._check import FloatArray
 
 _LOG_2PI = log(2.0 * pi)
@@ -40,9 +39,9 @@ class Innovation:
 
 
 class State:
-    """Mean and covariance of the tangents of all variables that a keyframe may touch."""
+    """Mean and covariance of the tangents of all variables that a pose's observations may touch."""
 
-    def __init__(self, joint: JointCovariance) -> None:
+    def __init__(self, joint: Joint) -> None:
         self._covariance = joint.full.copy()
         self._mean = np.zeros(len(self._covariance))
 
@@ -83,14 +82,14 @@ def hypotheses_of(
     observation: Observation,
     shortlist: Sequence[Landmark],
     pose_key: int,
-    joint: JointCovariance,
+    joint: Joint,
     values: gtsam.Values,
-    backend: Backend,
+    estimate: Estimate,
 ) -> list[Hypothesis]:
     """The observation's factor for each landmark of its shortlist, linearised at the estimate."""
     blank, hypotheses = -float(np.log(observation.volume)) if shortlist else 0.0, []
     for landmark in shortlist:
-        linear = observe(observation, pose_key, landmark, backend).linearize(values)
+        linear = observe(observation, pose_key, landmark, estimate).linearize(values)
         jacobian, target = linear.jacobian()
         telling = np.abs(jacobian).max(axis=1) > 0.0  # a native line factor has an empty row: two dof, not three
         candidate = Candidate(landmark.id, 0.0, int(telling.sum()), blank, landmark.n_keyframes > 1)
