@@ -110,7 +110,7 @@ class Landmarks(Protocol[AnyLandmark]):
         ...
 
 
-def observe(
+def observation_factor(
     observation: Observation, pose_key: int, landmark: Landmark, estimate: Estimate, robust: str | None = None
 ) -> Any:
     """The factor of an observation of a landmark from a pose, both in the graph."""

@@ -31,7 +31,9 @@ class JointCompatibility:
     hypotheses: Sequence[Sequence[Hypothesis]]
     """Of every observation: one for each landmark it may be."""
     chances: Sequence[float]
-    """Of every observation: log density of other planes about it."""
+    """Of every observation: log density of other planes about it, turned anyhow."""
+    parallel_chances: Sequence[float]
+    """Of every observation: log of how many others lie parallel to each of its landmarks, per m."""
     away: Callable[[int, int], float]
     """How much less likely, in nats, a landmark (its id) is for where an observation (its index) lies."""
     n_points: Sequence[int]

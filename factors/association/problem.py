@@ -12,7 +12,14 @@ from factors.association.gates import AssociationGates
 from factors.association.gating import Hypothesis, State, hypotheses_of
 from factors.association.joint_association import JointCompatibility
 from factors.association.observations import Observation, PlaneObservation
-from factors.association.shortlist import Bounds, OutlineGap, PoseUncertainty, log_density, shortlist
+from factors.association.shortlist import (
+    Bounds,
+    OutlineGap,
+    PoseUncertainty,
+    log_density,
+    log_parallel_density,
+    shortlist,
+)
 from factors.plane import get_ready
 
 
@@ -46,6 +53,7 @@ def joint_compatibility(
     bounds = [Bounds.of(observation, uncertainty, gates) for observation in observations]
     shortlists = [shortlist(one, landmarks, world_T_body) for one in bounds]
     chances = [log_density(one, len(near), gates) for one, near in zip(bounds, shortlists, strict=True)]
+    parallel = [log_parallel_density(one, len(near), gates) for one, near in zip(bounds, shortlists, strict=True)]
     if trusted is not None:
         shortlists = [near if index in trusted else [] for index, near in enumerate(shortlists)]
     if among is not None:
@@ -60,6 +68,7 @@ def joint_compatibility(
             for observation, near in zip(observations, shortlists, strict=True)
         ],
         chances,
+        parallel,
         OutlineGap(observations, landmarks, world_T_body, gates.gap_m),
         [observation.n_points for observation in observations],
         state=lambda: _informed(joint, hint, values),

@@ -64,6 +64,14 @@ def log_density(bounds: Bounds, n_near: int, gates: AssociationGates) -> float:
     return float(np.log(gates.chance_factor * (n_near + 1) / volume))
 
 
+def log_parallel_density(bounds: Bounds, n_near: int, gates: AssociationGates) -> float:
+    """Log of how many other planes lie parallel to each landmark about an observation, per m.
+
+    Rooms have planes beside planes, cupboards before walls: as many as there are planes turned anyhow.
+    """
+    return float(np.log(gates.chance_factor * (n_near + 1) / (max(n_near, 1) * 2.0 * bounds.margin)))
+
+
 def shortlist(bounds: Bounds, landmarks: Landmarks[AnyLandmark], world_T_body: FloatArray) -> list[AnyLandmark]:
     """Landmarks that the observation is compared with: those near by their bounds, then by their outlines."""
     middle = 0.5 * (bounds.vertices.min(axis=0) + bounds.vertices.max(axis=0))

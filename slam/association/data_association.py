@@ -15,7 +15,7 @@ from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion
 from slam.map.landmarks import LandmarkMap
 
-__all__ = ["Associate", "Candidate", "Decision", "Hint", "associate"]
+__all__ = ["Associate", "Candidate", "Decision", "Hint", "associate", "gates_of"]
 
 
 class Associate(Protocol):
@@ -58,13 +58,18 @@ def associate(
     Returns:
         One decision for each observation, in their order.
     """
-    gates = AssociationGates(**config.model_dump(), bound_sigmas=BOUND_SIGMAS)
+    gates = gates_of(config)
     known = None if hint is None else hint.motion.factors(hint.key, pose_key)[0]
     problem = joint_compatibility(
         observations, pose_key, landmarks, backend, gates, known, among=among, trusted=trusted
     )
     decisions = problem.best().decisions
     return [decisions[index] for index in range(len(observations))]
+
+
+def gates_of(config: AssociationConfig) -> AssociationGates:
+    """The gates that a run's settings state."""
+    return AssociationGates(**config.model_dump(), bound_sigmas=BOUND_SIGMAS)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,20 @@ def lift(points: FloatArray, transform: FloatArray) -> FloatArray:
     return points @ transform[:3, : points.shape[1]].T + transform[:3, 3]
 
 
+def settle_frames(frames: FloatArray, normals: FloatArray, distances: FloatArray) -> FloatArray:
+    """Plane frames (N, 4, 4), moved the shortest way onto the planes of normals (N, 3) and Hesse distances (N,).
+
+    x keeps its direction as far as it can; the origin is projected.
+    """
+    x_axes = frames[:, :3, 0] - normals * np.einsum("ni,ni->n", normals, frames[:, :3, 0])[:, None]
+    x_axes /= np.linalg.norm(x_axes, axis=1, keepdims=True)
+    settled = np.tile(np.eye(4), (len(frames), 1, 1))
+    settled[:, :3, 0], settled[:, :3, 1], settled[:, :3, 2] = x_axes, np.cross(normals, x_axes), normals
+    origins = frames[:, :3, 3]
+    settled[:, :3, 3] = origins + normals * (distances - np.einsum("ni,ni->n", normals, origins))[:, None]
+    return settled
+
+
 def flatten(outline: BaseGeometry, plane_T_outline: FloatArray) -> BaseGeometry:
     """An outline in one plane frame, seen along the normal of another, in that one's (x, y)."""
     return shapely.transform(outline, lambda xy: lift(xy, plane_T_outline)[:, :2])
