@@ -70,7 +70,7 @@ def associate(
     landmarks: LandmarkExtents,
     *,
     gates: AssociationGates | None = None,
-    least_probability: float = 0.5,
+    least_probability: float = 0.0,
     wall_tilt_sigma_rad: float = 0.01,
 ) -> Association:
     """Decide which landmark each observation of a pose is of, before any of them is in the graph.
@@ -85,8 +85,8 @@ def associate(
         prediction: the pose, in the graph by odometry say, with joint covariances.
         landmarks: what was seen of each landmark; all of them are in the prediction's values.
         gates: significances and bounds; by default `AssociationGates()`.
-        least_probability: a verdict less probable than this, in [0, 1], is unsure; by default what is less probable
-            than all else together. 0 leaves the verdicts of the gates as they are.
+        least_probability: a verdict less probable than this, in [0, 1], is unsure; by default the verdicts of the gates
+            stay as they are, those of `slam`.
         wall_tilt_sigma_rad: how far new walls seen by lines may lean from the scan plane's normal, rad, where two of
             them are held against each other.
 

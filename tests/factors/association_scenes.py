@@ -123,6 +123,6 @@ def scene(pose_covariance: np.ndarray, rng: np.random.Generator, mapped: tuple[i
 
 
 def asked(scene: Scene, observations: list, **how: object) -> Association:
-    """What the observations are."""
+    """What the observations are; what is less probable than all else is unsure."""
     gates = AssociationGates(**how)  # type: ignore[arg-type]
-    return associate(observations, scene.prediction, scene.landmarks, gates=gates)
+    return associate(observations, scene.prediction, scene.landmarks, gates=gates, least_probability=0.5)
