@@ -9,6 +9,12 @@ import factors.archive  # noqa: F401  tells `copy` and `pickle` about plane fact
 if TYPE_CHECKING:
     from factors._conventions import hesse as landmark_hesse
     from factors.archive import copy_graph
+    from factors.association.associate import Association, Identity, associate
+    from factors.association.estimate import observation_factor
+    from factors.association.gates import AssociationGates
+    from factors.association.landmark_extents import LandmarkExtents
+    from factors.association.observations import LineObservation, PlaneObservation
+    from factors.association.prediction import Prediction
     from factors.isam import isam2_parameters, isam_covariance, settle
     from factors.landmarks import (
         change_anchor,
@@ -35,7 +41,15 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "Association",
+    "AssociationGates",
+    "Identity",
+    "LandmarkExtents",
+    "LineObservation",
+    "PlaneObservation",
+    "Prediction",
     "anchored_plane_jacobian",
+    "associate",
     "change_anchor",
     "copy_graph",
     "direction_prior",
@@ -52,6 +66,7 @@ __all__ = [
     "line_factor",
     "line_factor_2d",
     "map_prior",
+    "observation_factor",
     "odometry_factor",
     "odometry_factor_2d",
     "parallel_factor",
@@ -72,6 +87,12 @@ __all__ = [
 
 _OF_MODULES = {
     "archive": ("copy_graph",),
+    "association.associate": ("Association", "Identity", "associate"),
+    "association.estimate": ("observation_factor",),
+    "association.gates": ("AssociationGates",),
+    "association.landmark_extents": ("LandmarkExtents",),
+    "association.observations": ("LineObservation", "PlaneObservation"),
+    "association.prediction": ("Prediction",),
     "isam": ("isam2_parameters", "isam_covariance", "settle"),
     "landmarks": (
         "change_anchor",

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slam.association.decisions import Decision
-from slam.association.gating import hypotheses_of
+from factors.association.gating import hypotheses_of
+from slam.association.data_association import Decision
 from slam.backend.estimator import Backend
 from slam.frontend.observations import Observation
 from slam.map.landmarks import LandmarkMap

@@ -7,14 +7,10 @@ import numpy as np
 from spplanes import Plane
 from spplanes._check import FloatArray
 from spplanes._hesse import covariance_from_hesse
+from spplanes.outlines.growing import lift
 from spplanes.spmodel import inverse_transform as inverse
 
 __all__ = ["covariance_in", "inverse", "lift", "orthonormal", "settle_frame"]
-
-
-def lift(points: FloatArray, transform: FloatArray) -> FloatArray:
-    """Points (N, 2), lying in z = 0, or (N, 3) through a (4, 4) transform, shape (N, 3)."""
-    return points @ transform[:3, : points.shape[1]].T + transform[:3, 3]
 
 
 def orthonormal(transform: FloatArray) -> FloatArray:

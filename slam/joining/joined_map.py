@@ -11,7 +11,6 @@ import gtsam
 import numpy as np
 
 from factors import landmark_hesse
-from slam.geometry.extents import Extent
 from slam.geometry.frames import inverse, settle_frame
 from slam.geometry.polygons import flatten, largest_polygon
 from slam.io.trajectories import Trajectory
@@ -22,6 +21,7 @@ from slam.joining.ties import Place
 from slam.map.map_planes import MapPlane
 from spplanes import Plane
 from spplanes._check import FloatArray
+from spplanes.outlines.extents import Extent
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from bisect import bisect_left, insort
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import gtsam
 import numpy as np
@@ -14,10 +13,10 @@ from shapely.geometry.base import BaseGeometry
 from factors import landmark_hesse
 from slam.backend.estimator import Backend
 from slam.frontend.observations import Observation
-from slam.geometry.extents import Extent
-from slam.geometry.frames import inverse
 from slam.geometry.sphere_index import SphereIndex
 from spplanes._check import FloatArray
+from spplanes.outlines.extents import Extent
+from spplanes.outlines.growing import settle_frames
 
 
 @dataclass(eq=False)
@@ -179,7 +178,7 @@ class LandmarkMap:
         poses = {key: backend.pose(key) for key in anchors}
         births = np.array([landmark.anchor_T_birth for landmark in self])
         hesse = [landmark_hesse(backend.plane(landmark.key)) for landmark in self]
-        settled = _settle(births, np.array([normal for normal, _ in hesse]), np.array([d for _, d in hesse]))
+        settled = settle_frames(births, np.array([normal for normal, _ in hesse]), np.array([d for _, d in hesse]))
         self._world_T_plane = np.array([poses[landmark.anchor_key] for landmark in self]) @ settled
         low, high = np.split(np.array([landmark.extent.bounds for landmark in self]), 2, axis=1)
         middles = 0.5 * (low + high)
@@ -226,28 +225,3 @@ class PlacedPlane:
     def normal(self) -> FloatArray:
         """Unit normal in the world, shape (3,)."""
         return self.world_T_plane[:3, 2]
-
-
-def observe(
-    observation: Observation, pose_key: int, landmark: Landmark, backend: Backend, robust: str | None = None
-) -> Any:
-    """The factor of an observation of a landmark from a pose, both in the graph."""
-    expected = None
-    if landmark.anchor_key != pose_key:
-        anchor_T_body = inverse(backend.pose(landmark.anchor_key)) @ backend.pose(pose_key)
-        expected = backend.plane(landmark.key).transform(gtsam.Pose3(anchor_T_body))
-    return observation.factor(pose_key, landmark.key, landmark.anchor_key, robust, expected)
-
-
-def _settle(frames: FloatArray, normals: FloatArray, distances: FloatArray) -> FloatArray:
-    """The plane frames at birth (N, 4, 4), moved the shortest way onto the planes (N, 3), (N,): `settle_frame` of all.
-
-    x keeps its direction as far as it can; the origin is projected.
-    """
-    x_axes = frames[:, :3, 0] - normals * np.einsum("ni,ni->n", normals, frames[:, :3, 0])[:, None]
-    x_axes /= np.linalg.norm(x_axes, axis=1, keepdims=True)
-    settled = np.tile(np.eye(4), (len(frames), 1, 1))
-    settled[:, :3, 0], settled[:, :3, 1], settled[:, :3, 2] = x_axes, np.cross(normals, x_axes), normals
-    origins = frames[:, :3, 3]
-    settled[:, :3, 3] = origins + normals * (distances - np.einsum("ni,ni->n", normals, origins))[:, None]
-    return settled

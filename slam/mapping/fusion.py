@@ -12,14 +12,15 @@ import numpy as np
 from scipy.special import chdtri
 
 from factors import plane_factor, plane_landmark
+from factors.association.estimate import observation_factor
 from slam.backend.estimator import BackendError, pose_symbol
 from slam.frontend.observations import Observation
-from slam.geometry.extents import Extent
 from slam.geometry.frames import inverse
-from slam.map.landmarks import Landmark, Sighting, observe
+from slam.map.landmarks import Landmark, Sighting
 from slam.map.state import Parts
 from slam.mapping.fusion_history import Cause, Merge
 from slam.mapping.same_plane import same_plane_chi2
+from spplanes.outlines.extents import Extent
 
 #: After an undone merge the estimate goes back a long way: so often iSAM2 relinearises.
 _ROUNDS = 5
@@ -81,7 +82,9 @@ class Merges:
         gone, home = self._landmarks[younger], self._landmarks[older]
         otherwise = self._config.backend.robust_loops if cause == "loop" else None
         factors = [
-            observe(self._observation(one), pose_symbol(one.keyframe), home, self._backend, one.robust or otherwise)
+            observation_factor(
+                self._observation(one), pose_symbol(one.keyframe), home, self._backend, one.robust or otherwise
+            )
             for one in gone.sightings
         ]
         return factors, [one.factor_index for one in gone.sightings]
@@ -193,7 +196,9 @@ class Merges:
 
     def _misfit(self, sighting: Sighting, landmark: Landmark) -> float:
         """Chi2 of a sighting if it is of a landmark."""
-        factor = observe(self._observation(sighting), pose_symbol(sighting.keyframe), landmark, self._backend)
+        factor = observation_factor(
+            self._observation(sighting), pose_symbol(sighting.keyframe), landmark, self._backend
+        )
         return 2.0 * float(factor.error(self._backend.values_of(factor.keys())))
 
     def _move(

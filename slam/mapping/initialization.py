@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import chdtri
-from shapely.geometry.base import BaseGeometry
 
+from factors.association.grouping import group_planes
+from slam.association.data_association import gates_of
 from slam.config import AssociationConfig, LandmarkConfig
 from slam.frontend.observations import LineObservation, Observation
-from slam.geometry.frames import inverse
-from slam.geometry.polygons import grow
 from spplanes import Plane
 
 #: A plane of so many points whose tilt is known to this share of what is asked starts a landmark though it has only
@@ -50,51 +48,10 @@ def group_new(
 ) -> list[list[int]]:
     """Gather measurements of one keyframe that are one plane; the first of each group, the firmest, starts it.
 
-    They share a pose, so the chi2 of two of them needs no state: it is that of two planes of one frame. Measurements
-    that may not start a landmark join a group but do not make one.
+    Measurements that may not start a landmark join a group but do not make one.
 
     Returns:
         Groups of indices into `observations`, in order of their first member.
     """
-    limit = float(chdtri(3, association.significance))
-    planes = [observation.full_plane(rules.wall_tilt_sigma_rad) for observation in observations]
-    order = sorted(range(len(observations)), key=lambda index: (-_patch_size(observations[index]), index))
-    groups: list[list[int]] = []
-    outlines: list[BaseGeometry] = []
-    for index in order:
-        home = _home(index, groups, planes, outlines, observations, limit, association.gap_m)
-        if home is not None:
-            frame = planes[groups[home][0]].frame
-            outlines[home] = grow(outlines[home], observations[index].patch_in(inverse(frame)))
-            groups[home].append(index)
-        elif may_start(observations[index], rules):
-            groups.append([index])
-            outlines.append(observations[index].patch_in(inverse(planes[index].frame)))
-    return groups
-
-
-def _home(
-    index: int,
-    groups: Sequence[Sequence[int]],
-    planes: Sequence[Plane],
-    outlines: Sequence[BaseGeometry],
-    observations: Sequence[Observation],
-    limit: float,
-    gap_m: float,
-) -> int | None:
-    """The group whose plane is nearest in chi2, if it is near enough in chi2 and in place."""
-    best: tuple[float, int] | None = None
-    for number, group in enumerate(groups):
-        first = planes[group[0]]
-        distance = first.mahalanobis(planes[index])
-        if distance > limit or (best is not None and distance >= best[0]):
-            continue
-        if outlines[number].distance(observations[index].patch_in(inverse(first.frame))) <= gap_m:
-            best = (distance, number)
-    return None if best is None else best[1]
-
-
-def _patch_size(observation: Observation) -> float:
-    """Extent of what was seen, m: the diagonal of its corners' box."""
-    vertices = observation.vertices
-    return float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    firm = [may_start(observation, rules) for observation in observations]
+    return group_planes(observations, gates_of(association), rules.wall_tilt_sigma_rad, firm)

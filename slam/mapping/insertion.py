@@ -9,12 +9,13 @@ from typing import Any
 import gtsam
 
 from factors import plane_factor, plane_landmark
+from factors.association.estimate import observation_factor
 from slam.association.data_association import Decision
 from slam.backend.estimator import Backend
 from slam.config import SlamConfig
 from slam.frontend.observations import Observation
 from slam.geometry.frames import inverse
-from slam.map.landmarks import Landmark, LandmarkMap, observe
+from slam.map.landmarks import Landmark, LandmarkMap
 from slam.mapping.initialization import group_new
 from spplanes._check import FloatArray
 
@@ -50,7 +51,7 @@ def insert_matches(
             continue
         observation = observations[decision.observation]
         landmark = landmarks[decision.match.landmark]
-        factor = observe(observation, pose_key, landmark, backend, robust)
+        factor = observation_factor(observation, pose_key, landmark, backend, robust)
         plane_T_body = inverse(landmarks.placed(landmark.id).world_T_plane) @ backend.pose(pose_key)
         insertions.append(Insertion(landmark, observation, decision.observation, factor, plane_T_body))
     return insertions

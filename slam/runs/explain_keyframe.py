@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from slam.association.decisions import Candidate, Decision
+from slam.association.data_association import Candidate, Decision
 from slam.frontend.observations import Observation
 from slam.planeslam import PlaneSlam
 from slam.session.state import session_path

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from slam.association.decisions import Decision
+from slam.association.data_association import Decision
 from slam.backend.estimator import Backend
 from slam.config import SlamConfig
 from slam.diagnostics.consistency import NisAudit

@@ -7,11 +7,10 @@ import pytest
 from scipy.stats import chi2 as chi2_distribution
 from shapely import box
 
+from factors.association.decisions import Candidate, decide, is_open
+from factors.association.gates import AssociationGates
+from factors.association.gating import chi2_and_log_det
 from slam import PlaneSlam
-from slam.association.data_association import Candidate
-from slam.association.decisions import decide, is_open
-from slam.association.gating import chi2_and_log_det
-from slam.config import AssociationConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion
@@ -70,7 +69,7 @@ def step(way_m: float) -> Motion:
 
 def test_of_two_that_it_could_be_it_is_the_one_seen_there_and_it_waits_only_for_a_rival_that_is_near():
     board, wall = Candidate(7, 0.5, 2, 8.4, True), Candidate(2, 7.8, 2, 5.2, True)
-    rules = AssociationConfig()
+    rules = AssociationGates()
 
     def decided(far_from_board: float) -> int:
         decision = decide(0, [board, wall], 0.0, {7: far_from_board, 2: 0.0}.__getitem__, rules)

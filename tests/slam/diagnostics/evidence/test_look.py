@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam import PlaneSlam
-from slam.association.decisions import Decision
+from slam.association.data_association import Decision
 from slam.config import SlamConfig
 from slam.diagnostics.evidence import look_at
 from slam.diagnostics.evidence.free_space import free_space_evidence

@@ -8,7 +8,7 @@ from typing import Literal
 
 from scipy.special import chdtrc
 
-from slam.config import AssociationConfig
+from factors.association.gates import AssociationGates
 
 #: Where two landmarks could both be it, one that was seen this much farther from the observation is e times less
 #: likely, m: a level laser's line half a metre below a notice-board is of the wall behind the board.
@@ -55,7 +55,7 @@ def decide(
     candidates: Sequence[Candidate],
     chance: float,
     away: Callable[[int], float],
-    config: AssociationConfig,
+    gates: AssociationGates,
 ) -> Decision:
     """The decision about an observation by its candidates.
 
@@ -64,12 +64,12 @@ def decide(
         candidates: most likely first.
         chance: log density of other planes about the observation.
         away: how much less likely, in nats, a landmark (its id) is for where the observation lies.
-        config: the gates.
+        gates: when a match is one.
     """
     accepted = [
         candidate
         for candidate in candidates
-        if candidate.p_value >= config.significance and candidate.log_likelihood >= chance
+        if candidate.p_value >= gates.significance and candidate.log_likelihood >= chance
     ]
     if len(accepted) > 1:
         accepted.sort(key=lambda one: away(one.landmark) - one.log_likelihood)
@@ -77,17 +77,17 @@ def decide(
         # a landmark that one look made may be a bad copy of a known one: it must not take the known one's measurements
         best = next((candidate for candidate in accepted if candidate.confirmed), accepted[0])
         return Decision(index, "match", best, tuple(candidates))
-    near = any(candidate.p_value >= config.new_significance for candidate in candidates)
+    near = any(candidate.p_value >= gates.new_significance for candidate in candidates)
     return Decision(index, "unsure" if near else "new", None, tuple(candidates))
 
 
-def is_open(decision: Decision, away: Callable[[int], float], config: AssociationConfig) -> bool:
+def is_open(decision: Decision, away: Callable[[int], float], gates: AssociationGates) -> bool:
     """Whether more knowledge of the pose could change the decision: unsure, or a match that has a rival."""
     match = decision.match
     if match is None:
         return decision.verdict == "unsure"
-    rivals = [one for one in decision.candidates if one is not match and one.p_value >= config.significance]
+    rivals = [one for one in decision.candidates if one is not match and one.p_value >= gates.significance]
     if not rivals:
         return False
-    least = match.log_likelihood - away(match.landmark) - config.rival_log_ratio
+    least = match.log_likelihood - away(match.landmark) - gates.rival_log_ratio
     return any(one.log_likelihood - away(one.landmark) >= least for one in rivals)

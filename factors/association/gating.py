@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from math import log, pi
 
 import gtsam
 import numpy as np
 
-from slam.association.decisions import Candidate
-from slam.backend.estimator import Backend, JointCovariance
-from slam.frontend.observations import Observation
-from slam.map.landmarks import Landmark, observe
+from factors.association.decisions import Candidate
+from factors.association.estimate import Estimate, Joint, Landmark, observation_factor
+from factors.association.observations import Observation
 from spplanes._check import FloatArray
 
 _LOG_2PI = log(2.0 * pi)
@@ -27,6 +27,8 @@ class Hypothesis:
     columns: np.ndarray
     jacobian: FloatArray
     target: FloatArray
+    by_distance: FloatArray | None = None
+    """Derivative of the whitened error by the landmark's distance, per m: what a parallel plane beside it would do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +42,15 @@ class Innovation:
 
 
 class State:
-    """Mean and covariance of the tangents of all variables that a keyframe may touch."""
+    """Mean and covariance of the tangents of all variables that a pose's observations may touch."""
 
-    def __init__(self, joint: JointCovariance) -> None:
+    def __init__(self, joint: Joint) -> None:
         self._covariance = joint.full.copy()
         self._mean = np.zeros(len(self._covariance))
+
+    def copy(self) -> State:
+        """One that goes its own way."""
+        return copy(self)  # both matrices are replaced by updates, never written into
 
     def innovation(self, hypothesis: Hypothesis) -> Innovation:
         """Compare a hypothesis with the state: chi2 and likelihood."""
@@ -79,22 +85,37 @@ def chi2_and_log_det(residual: list[float], covariance: list[list[float]]) -> tu
     return chi2, log_det
 
 
+def log_parallel(innovation: Innovation) -> float:
+    """Log likelihood that an observation is of a plane parallel to the landmark, one a metre, anywhere beside it.
+
+    The integral of the innovation's density over the landmark's distance; -inf where the distance changes nothing.
+    """
+    by_distance = innovation.hypothesis.by_distance
+    if by_distance is None or not by_distance.any():
+        return -float("inf")
+    weighed = np.linalg.solve(innovation.covariance, by_distance)
+    precision, pull = float(by_distance @ weighed), float(innovation.residual @ weighed)
+    return innovation.candidate.log_likelihood + 0.5 * (pull**2 / precision + _LOG_2PI - log(precision))
+
+
 def hypotheses_of(
     observation: Observation,
     shortlist: Sequence[Landmark],
     pose_key: int,
-    joint: JointCovariance,
+    joint: Joint,
     values: gtsam.Values,
-    backend: Backend,
+    estimate: Estimate,
 ) -> list[Hypothesis]:
     """The observation's factor for each landmark of its shortlist, linearised at the estimate."""
     blank, hypotheses = -float(np.log(observation.volume)) if shortlist else 0.0, []
     for landmark in shortlist:
-        linear = observe(observation, pose_key, landmark, backend).linearize(values)
+        linear = observation_factor(observation, pose_key, landmark, estimate).linearize(values)
         jacobian, target = linear.jacobian()
         telling = np.abs(jacobian).max(axis=1) > 0.0  # a native line factor has an empty row: two dof, not three
         candidate = Candidate(landmark.id, 0.0, int(telling.sum()), blank, landmark.n_keyframes > 1)
-        hypotheses.append(Hypothesis(candidate, joint.columns(list(linear.keys())), jacobian[telling], target[telling]))
+        columns, distance = joint.columns(list(linear.keys())), joint.columns([landmark.key])[-1]
+        by_distance = jacobian[telling][:, columns == distance][:, 0]
+        hypotheses.append(Hypothesis(candidate, columns, jacobian[telling], target[telling], by_distance))
     return hypotheses
 
 

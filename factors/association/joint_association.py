@@ -1,4 +1,4 @@
-"""Joint compatibility: all observations of a keyframe at once, again where one match shuts out what fits."""
+"""Joint compatibility: all observations from a pose at once, again where one match shuts out what fits."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from slam.association.decisions import Candidate, Decision, decide, is_open
-from slam.association.gating import Hypothesis, Innovation, State, innovations_of
-from slam.config import AssociationConfig
+from factors.association.decisions import Candidate, Decision, decide, is_open
+from factors.association.gates import AssociationGates
+from factors.association.gating import Hypothesis, Innovation, State, innovations_of
 
 #: So many other first matches are tried, each of another landmark.
 _TRIED = 4
@@ -16,7 +16,7 @@ _TRIED = 4
 
 @dataclass(frozen=True, eq=False)
 class JointHypothesis:
-    """What all observations of a keyframe are, taken together."""
+    """What all observations from a pose are, taken together."""
 
     decisions: dict[int, Decision]
     """By index of the observation."""
@@ -26,21 +26,23 @@ class JointHypothesis:
 
 @dataclass(frozen=True, eq=False)
 class JointCompatibility:
-    """Decides the observations of a keyframe, the firmest first, the state conditioned on every match."""
+    """Decides the observations from a pose, the firmest first, the state conditioned on every match."""
 
     hypotheses: Sequence[Sequence[Hypothesis]]
     """Of every observation: one for each landmark it may be."""
     chances: Sequence[float]
-    """Of every observation: log density of other planes about it."""
+    """Of every observation: log density of other planes about it, turned anyhow."""
+    parallel_chances: Sequence[float]
+    """Of every observation: log of how many others lie parallel to each of its landmarks, per m."""
     away: Callable[[int, int], float]
     """How much less likely, in nats, a landmark (its id) is for where an observation (its index) lies."""
     n_points: Sequence[int]
     """Of every observation: the more the firmer."""
     state: Callable[[], State]
-    """The state before the keyframe's observations, anew."""
+    """The state before the observations, anew."""
     honest: Callable[[], State] | None
     """The state that chi2 are reported of, where the other one knows a hint."""
-    config: AssociationConfig
+    gates: AssociationGates
     """The gates."""
 
     def best(self) -> JointHypothesis:
@@ -72,7 +74,7 @@ class JointCompatibility:
                     decision = replace(decision, candidates=tuple(compared))
                 else:
                     decision = self._decide(index, compared)
-                if stage == "clear" and is_open(decision, partial(self.away, index), self.config):
+                if stage == "clear" and is_open(decision, partial(self.away, index), self.gates):
                     continue
                 decision, likelihood = self._take_in(decision, found, state, honest)
                 decisions[index], total = decision, total + likelihood
@@ -89,7 +91,7 @@ class JointCompatibility:
         likelihood = chosen.candidate.log_likelihood
         if honest is not None:
             innovation = honest.innovation(chosen.hypothesis)
-            if innovation.candidate.p_value < self.config.significance:
+            if innovation.candidate.p_value < self.gates.significance:
                 return replace(decision, verdict="unsure", match=None), chance
             honest.condition(innovation)
             decision = replace(decision, match=innovation.candidate)
@@ -110,7 +112,7 @@ class JointCompatibility:
         return [(index, landmark) for landmark, index in tried.items()][:_TRIED]
 
     def _decide(self, index: int, candidates: Sequence[Candidate]) -> Decision:
-        return decide(index, candidates, self.chances[index], partial(self.away, index), self.config)
+        return decide(index, candidates, self.chances[index], partial(self.away, index), self.gates)
 
     def _firmest_first(self) -> list[int]:
         return sorted(range(len(self.n_points)), key=lambda i: (-self.n_points[i], i))

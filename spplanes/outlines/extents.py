@@ -9,8 +9,8 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from slam.geometry.polygons import all_valid, grow, grow_all
 from spplanes._check import FloatArray
+from spplanes.outlines.growing import all_valid, grow, grow_all
 
 #: Side of a tile, and how far each reaches into its neighbours so that simplified borders leave no gap between, m.
 _TILE_M, _LAP_M = 4.0, 0.05

@@ -1,0 +1,1 @@
+"""Data association: gating by innovations, joint compatibility, decisions and their probabilities."""

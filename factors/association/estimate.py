@@ -1,0 +1,121 @@
+"""What association asks of a graph and of its landmarks, and the factor of an observation by that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol, TypeVar
+
+import gtsam
+import numpy as np
+
+from factors.association.observations import Observation
+from spplanes._check import FloatArray
+from spplanes.outlines.extents import Extent
+from spplanes.spmodel import inverse_transform
+
+
+class Joint(Protocol):
+    """A joint marginal covariance of a few variables, each in its tangent at the estimate."""
+
+    @property
+    def full(self) -> FloatArray:
+        """The whole matrix, shape (D, D)."""
+        ...
+
+    def columns(self, keys: Sequence[int], /) -> np.ndarray:
+        """Rows and columns of the stacked tangents of some of the variables."""
+        ...
+
+
+class Estimate(Protocol):
+    """A solution of a graph with its covariances."""
+
+    def pose(self, key: int, /) -> FloatArray:
+        """world_T_body of a pose, shape (4, 4)."""
+        ...
+
+    def plane(self, key: int, /) -> gtsam.OrientedPlane3:
+        """A plane landmark, in its anchor's frame."""
+        ...
+
+    def values_of(self, keys: Sequence[int], /) -> gtsam.Values:
+        """The estimates of some variables, and maybe of more."""
+        ...
+
+    def covariance(self, key: int, /) -> FloatArray:
+        """Marginal covariance of a variable, in GTSAM's tangent."""
+        ...
+
+    def joint_covariance(self, keys: Sequence[int], /) -> Joint:
+        """Joint marginal covariance of some variables, and maybe of more."""
+        ...
+
+
+class Landmark(Protocol):
+    """A plane of the map, as far as association looks at it."""
+
+    @property
+    def id(self) -> int:
+        """Its name; equals are taken in its order."""
+        ...
+
+    @property
+    def key(self) -> int:
+        """Its GTSAM key."""
+        ...
+
+    @property
+    def anchor_key(self) -> int | None:
+        """Key of the pose in whose frame it lives; None: in the world."""
+        ...
+
+    @property
+    def extent(self) -> Extent:
+        """What was seen of it, in (x, y) of its plane frame."""
+        ...
+
+    @property
+    def n_keyframes(self) -> int:
+        """From how many poses it was seen."""
+        ...
+
+
+class Placed(Protocol):
+    """Where a landmark is."""
+
+    @property
+    def world_T_plane(self) -> FloatArray:
+        """Its plane frame in the world, z the normal, (x, y) those of its extent, shape (4, 4)."""
+        ...
+
+
+AnyLandmark = TypeVar("AnyLandmark", bound=Landmark, covariant=True)
+
+
+class Landmarks(Protocol[AnyLandmark]):
+    """All landmarks, and where each of them is."""
+
+    def near(
+        self, normal: FloatArray, middle: FloatArray, reach: float, max_angle: float, /
+    ) -> Sequence[tuple[AnyLandmark, Placed]]:
+        """Landmarks of about a direction whose extent comes within `reach` (m) of a place, all in the world."""
+        ...
+
+    def placed(self, landmark_id: int, /) -> Placed:
+        """Where a landmark is."""
+        ...
+
+    def __getitem__(self, landmark_id: int, /) -> AnyLandmark:
+        """A landmark by its id."""
+        ...
+
+
+def observation_factor(
+    observation: Observation, pose_key: int, landmark: Landmark, estimate: Estimate, robust: str | None = None
+) -> Any:
+    """The factor of an observation of a landmark from a pose, both in the graph."""
+    expected = None
+    if landmark.anchor_key is not None and landmark.anchor_key != pose_key:
+        anchor_T_body = inverse_transform(estimate.pose(landmark.anchor_key)) @ estimate.pose(pose_key)
+        expected = estimate.plane(landmark.key).transform(gtsam.Pose3(anchor_T_body))
+    return observation.factor(pose_key, landmark.key, landmark.anchor_key, robust, expected)

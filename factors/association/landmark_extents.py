@@ -1,0 +1,167 @@
+"""Landmarks of somebody's own graph: in whose frame each lives, and all that was seen of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+from shapely.geometry.base import BaseGeometry
+
+from factors._check import as_key, told_key
+from factors._conventions import hesse
+from factors.association.observations import Observation, PlaneObservation
+from factors.landmarks import plane_landmark
+from spplanes import Plane
+from spplanes._check import FloatArray, check_instance
+from spplanes.outlines.extents import Extent
+from spplanes.outlines.growing import settle_frames
+from spplanes.spmodel import inverse_transform
+
+
+@dataclass(eq=False)
+class LandmarkExtent:
+    """A plane landmark as the graph does not know it."""
+
+    key: int
+    """Its GTSAM key."""
+    anchor_key: int | None
+    """Key of the pose in whose frame it lives; None: in the world."""
+    anchor_T_plane: FloatArray
+    """Its plane frame when it was started, in the frame it lives in, shape (4, 4); it follows the estimate."""
+    extent: Extent
+    """What was seen of it, in (x, y) of its plane frame."""
+    pose_keys: set[int] = field(default_factory=set)
+    """The poses that saw it."""
+
+    @property
+    def id(self) -> int:
+        """Its key."""
+        return self.key
+
+    @property
+    def n_keyframes(self) -> int:
+        """From how many poses it was seen."""
+        return len(self.pose_keys)
+
+    @property
+    def outline(self) -> BaseGeometry:
+        """What was seen of it, in (x, y) of its plane frame, m."""
+        return self.extent.geometry
+
+
+class LandmarkExtents:
+    """Landmarks by key, growing as observations are added. Estimates stay in the graph and are asked of values."""
+
+    def __init__(self) -> None:
+        self._landmarks: dict[int, LandmarkExtent] = {}
+
+    def __len__(self) -> int:
+        return len(self._landmarks)
+
+    def __iter__(self) -> Iterator[LandmarkExtent]:
+        """In the order of their keys."""
+        return iter([self._landmarks[key] for key in sorted(self._landmarks)])
+
+    def __contains__(self, plane_key: object) -> bool:
+        return plane_key in self._landmarks
+
+    def __getitem__(self, plane_key: int, /) -> LandmarkExtent:
+        """ValueError: no landmark of that key."""
+        if plane_key not in self._landmarks:
+            raise ValueError(f"plane_key: expected a landmark that was started, got {_told(plane_key)}")
+        return self._landmarks[plane_key]
+
+    def start(
+        self,
+        plane_key: int,
+        observation: Observation | Plane,
+        pose_key: int,
+        values: gtsam.Values,
+        *,
+        anchor_key: int | None = None,
+    ) -> gtsam.OrientedPlane3:
+        """Start a landmark with what one pose saw of it; its initial value, in the frame of the anchor or the world.
+
+        Args:
+            plane_key: a new key.
+            observation: in the frame of the pose.
+            pose_key: the pose that saw it.
+            values: hold the pose and the anchor.
+            anchor_key: the pose in whose frame the landmark is to live; None: the world.
+
+        Raises:
+            ValueError: a landmark of that key is there, no such pose in values, no observation.
+        """
+        key, seen = as_key("plane_key", plane_key), as_observation("observation", observation)
+        if key in self._landmarks:
+            raise ValueError(f"plane_key: expected a new landmark's, got {told_key(key)}, which is there")
+        body_T_plane = seen.full_plane(1.0)
+        anchor_T_body = _frame_of("pose_key", pose_key, values)
+        if anchor_key is not None:
+            anchor_T_body = inverse_transform(_frame_of("anchor_key", anchor_key, values)) @ anchor_T_body
+        frame = anchor_T_body @ body_T_plane.frame
+        extent = Extent(seen.patch_in(inverse_transform(body_T_plane.frame)))
+        self._landmarks[key] = LandmarkExtent(key, anchor_key, frame, extent, {pose_key})
+        return plane_landmark(Plane(frame, np.eye(3)))
+
+    def see(self, plane_key: int, observation: Observation | Plane, pose_key: int, values: gtsam.Values) -> None:
+        """Let a landmark's extent grow by what a pose saw of it, where `values` has pose, landmark and anchor.
+
+        ValueError: no landmark of that key, one of them not in values, no observation.
+        """
+        seen, landmark = as_observation("observation", observation), self[plane_key]
+        world_T_body = _frame_of("pose_key", pose_key, values)
+        plane_T_body = inverse_transform(place_all([landmark], values)[0]) @ world_T_body
+        landmark.extent.grow(seen.patch_in(plane_T_body))
+        landmark.pose_keys.add(pose_key)
+
+    def remove(self, plane_key: int) -> LandmarkExtent:
+        """Take a landmark out, one that was found to be another, say. ValueError: no landmark of that key."""
+        landmark = self[plane_key]
+        del self._landmarks[plane_key]
+        return landmark
+
+
+def as_observation(name: str, value: object) -> Observation:
+    """An observation, or the one that a plane in the body frame is. ValueError: it is neither."""
+    if isinstance(value, Plane):
+        return PlaneObservation(value)
+    if not callable(getattr(value, "patch_in", None)):
+        kind = type(value).__name__
+        raise ValueError(f"{name}: expected a Plane, a PlaneObservation or a LineObservation, got {kind}")
+    return value  # pyright: ignore[reportReturnType]
+
+
+def place_all(landmarks: list[LandmarkExtent], values: gtsam.Values) -> FloatArray:
+    """Plane frames of landmarks in the world by an estimate, shape (N, 4, 4)."""
+    if not landmarks:
+        return np.empty((0, 4, 4))
+    anchors = {key: _frame_of("landmarks", key, values) for key in {one.anchor_key for one in landmarks}}
+    planes = [hesse(_plane_of(one.key, values)) for one in landmarks]
+    normals, distances = np.array([normal for normal, _ in planes]), np.array([d for _, d in planes])
+    settled = settle_frames(np.array([one.anchor_T_plane for one in landmarks]), normals, distances)
+    return np.array([anchors[one.anchor_key] for one in landmarks]) @ settled
+
+
+def _plane_of(key: int, values: gtsam.Values) -> gtsam.OrientedPlane3:
+    try:
+        return values.atOrientedPlane3(key)
+    except RuntimeError as error:
+        raise ValueError(f"landmarks: expected keys of OrientedPlane3 in values, got {told_key(key)}") from error
+
+
+def _frame_of(name: str, key: int | None, values: gtsam.Values) -> FloatArray:
+    """world_T_body of a pose in values; of None, the world."""
+    if key is None:
+        return np.eye(4)
+    check_instance("values", values, gtsam.Values)
+    try:
+        return values.atPose3(as_key(name, key)).matrix()
+    except RuntimeError as error:
+        raise ValueError(f"{name}: expected the key of a Pose3 in values, got {told_key(key)}") from error
+
+
+def _told(key: object) -> str:
+    return told_key(key) if isinstance(key, int) and not isinstance(key, bool) and 0 <= key < 2**64 else repr(key)

@@ -1,0 +1,234 @@
+"""What one pose saw: planes and laser lines in the body frame, behind one small interface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot
+from typing import Any, Protocol
+
+import gtsam
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from factors.line import line_factor
+from factors.plane import plane_factor
+from spplanes import Plane, ScanLine
+from spplanes._check import FloatArray, as_transform, check_instance
+from spplanes.outlines.growing import flatten, lift
+from spplanes.spmodel import skew
+
+#: Sine of the angle between a landmark and the scan plane from which on a line's factor is native.
+_MIN_CUT = 0.5
+
+
+class Observation(Protocol):
+    """A measurement of a plane landmark."""
+
+    @property
+    def kind(self) -> str:
+        """Name of the factor type, for the audit."""
+        ...
+
+    @property
+    def n_points(self) -> int:
+        """Number of beams behind the measurement."""
+        ...
+
+    @property
+    def volume(self) -> float:
+        """Root of the determinant of the measurement's covariance, rad m (line) or rad^2 m (plane)."""
+        ...
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of where its middle lies along the normal, m."""
+        ...
+
+    @property
+    def normal(self) -> FloatArray:
+        """Measured unit normal in the body frame, toward the sensor, shape (3,)."""
+        ...
+
+    @property
+    def vertices(self) -> FloatArray:
+        """Corners of the seen patch in the body frame, shape (N, 3), m."""
+        ...
+
+    def factor(
+        self,
+        pose_key: int,
+        plane_key: int,
+        anchor_key: int | None,
+        robust: str | None = None,
+        expected: gtsam.OrientedPlane3 | None = None,
+    ) -> Any:
+        """The measurement as a factor of a pose and an anchored landmark, which the body should see as `expected`."""
+        ...
+
+    def full_plane(self, tilt_sigma_rad: float) -> Plane:
+        """The measurement as a plane of full rank; what it left open is closed by an assumption on the tilt."""
+        ...
+
+    def patch_in(self, plane_T_body: FloatArray) -> BaseGeometry:
+        """The seen patch in the (x, y) coordinates of a plane frame."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneObservation:
+    """A plane fitted in the body frame of a pose."""
+
+    plane: Plane
+    """The plane, n toward the sensor, with the covariance of sensor (and in-window motion) noise only."""
+    kind: str = "plane"
+
+    def __post_init__(self) -> None:
+        check_instance("plane", self.plane, Plane)
+
+    @property
+    def n_points(self) -> int:
+        """Number of points the plane was fitted to."""
+        return self.plane.n_points
+
+    @property
+    def volume(self) -> float:
+        """Root of the determinant of the covariance, rad^2 m."""
+        return float(np.sqrt(np.linalg.det(self.plane.covariance)))
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of its centre along the normal, m."""
+        return float(np.sqrt(self.plane.covariance[0, 0]))
+
+    @property
+    def normal(self) -> FloatArray:
+        """Unit normal, shape (3,)."""
+        return self.plane.normal
+
+    @property
+    def vertices(self) -> FloatArray:
+        """Corners of the outline in the body frame, shape (N, 3), m."""
+        outline = self.plane.outline
+        flat = np.zeros((1, 2)) if outline is None or outline.is_empty else shapely.get_coordinates(outline)
+        return lift(flat, self.plane.frame)
+
+    def factor(
+        self,
+        pose_key: int,
+        plane_key: int,
+        anchor_key: int | None,
+        robust: str | None = None,
+        expected: gtsam.OrientedPlane3 | None = None,
+    ) -> Any:
+        """Full-rank plane factor."""
+        return plane_factor(self.plane, pose_key, plane_key, anchor_key=anchor_key, robust=robust)
+
+    def full_plane(self, tilt_sigma_rad: float) -> Plane:
+        """The plane itself: nothing is left open."""
+        return self.plane
+
+    def patch_in(self, plane_T_body: FloatArray) -> BaseGeometry:
+        """The outline, or the centre when there is none."""
+        outline = self.plane.outline
+        if outline is None or outline.is_empty:
+            return shapely.Point((plane_T_body @ self.plane.frame)[:2, 3])
+        return flatten(outline, plane_T_body @ self.plane.frame)
+
+
+@dataclass(frozen=True, eq=False)
+class LineObservation:
+    """A line seen by a 2D laser: rank-2 information on a plane."""
+
+    line: ScanLine
+    """The line in the sensor's scan plane."""
+    body_T_sensor: FloatArray
+    """Mount of the laser, a (4, 4) matrix or a ``gtsam.Pose3``."""
+    kind: str = "line"
+
+    def __post_init__(self) -> None:
+        check_instance("line", self.line, ScanLine)
+        object.__setattr__(self, "body_T_sensor", as_transform("body_T_sensor", self.body_T_sensor))
+
+    @property
+    def n_points(self) -> int:
+        """Number of beams on the line."""
+        return len(self.line.indices)
+
+    @property
+    def volume(self) -> float:
+        """Root of the determinant of the covariance, rad m."""
+        return float(np.sqrt(np.linalg.det(self.line.covariance)))
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of its middle along the normal, m."""
+        return float(np.sqrt(_line_covariance_at_middle(self.line)[0, 0]))
+
+    @property
+    def normal(self) -> FloatArray:
+        """Normal of the plane through the line and square to the scan plane, toward the sensor, shape (3,)."""
+        return -self.body_T_sensor[:3, :2] @ np.array([np.cos(self.line.alpha), np.sin(self.line.alpha)])
+
+    @property
+    def vertices(self) -> FloatArray:
+        """The two ends in the body frame, shape (2, 3), m."""
+        return lift(self.line.endpoints, self.body_T_sensor)
+
+    def factor(
+        self,
+        pose_key: int,
+        plane_key: int,
+        anchor_key: int | None,
+        robust: str | None = None,
+        expected: gtsam.OrientedPlane3 | None = None,
+    ) -> Any:
+        """Rank-2 line factor; native, and so faster, where the landmark is known to cut the scan plane."""
+        if expected is not None:
+            # a weight that depends on the expected direction is only as good as that: not for planes near the scan's
+            cut = hypot(*(expected.normal().point3() @ self.body_T_sensor[:3, :2]).tolist())
+            expected = expected if cut >= _MIN_CUT else None
+        return line_factor(
+            self.line,
+            self.body_T_sensor,
+            pose_key,
+            plane_key,
+            anchor_key=anchor_key,
+            expected=expected,
+            robust=robust,
+        )
+
+    def full_plane(self, tilt_sigma_rad: float) -> Plane:
+        """The plane through the line and square to the scan plane; its tilt about the line is a stated assumption.
+
+        Frame: x along the line, y along the scan plane's normal. A rotation about x (psi) tilts the plane about the
+        line, which the laser does not see; z and theta are the line's own two numbers.
+        """
+        middle = self.vertices.mean(axis=0)
+        z_axis = self.normal
+        y_axis = self.body_T_sensor[:3, 2]
+        frame = np.eye(4)
+        frame[:3, :3] = np.column_stack((skew(y_axis) @ z_axis, y_axis, z_axis))
+        frame[:3, 3] = middle
+        covariance = np.zeros((3, 3))
+        covariance[:2, :2] = _line_covariance_at_middle(self.line)
+        covariance[2, 2] = tilt_sigma_rad**2
+        return Plane(frame=frame, covariance=covariance, n_points=self.n_points)
+
+    def patch_in(self, plane_T_body: FloatArray) -> BaseGeometry:
+        """The segment."""
+        ends = lift(self.vertices, plane_T_body)[:, :2]
+        return shapely.LineString(ends) if np.ptp(ends, axis=0).max() > 0.0 else shapely.Point(ends[0])
+
+
+def _line_covariance_at_middle(line: ScanLine) -> FloatArray:
+    """Covariance of (z, theta): shift along the plane's normal at the segment's middle, rotation about y.
+
+    With m the middle, u the direction along the line (alpha + 90 deg) and t = m.u: a change (d_alpha, d_rho) moves
+    the line at m by d_rho - t d_alpha along the outward normal, so the plane's z, whose normal is the inward one,
+    changes by z = -(d_rho - t d_alpha). The outward normal turns by d_alpha about the scan plane's z = the frame's y.
+    """
+    along = np.array([-np.sin(line.alpha), np.cos(line.alpha)])
+    t = float(line.endpoints.mean(axis=0) @ along)
+    jacobian = np.array([[t, -1.0], [1.0, 0.0]])
+    return jacobian @ line.covariance @ jacobian.T

@@ -1,0 +1,161 @@
+"""Probabilities of data association: the posterior over the joint hypotheses that the gates let through."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+
+from factors.association.gating import Hypothesis, Innovation, State, innovations_of, log_parallel
+from factors.association.joint_association import JointCompatibility, JointHypothesis
+
+#: So many rival joint hypotheses are worked out at most, the likeliest first: each is a scan decided anew.
+_MOST_RIVALS = 32
+#: A joint hypothesis this much less probable than the best, in nats, weighs nothing.
+_NEGLIGIBLE = 20.0
+
+#: Probability of each landmark (its id), and by None that it is none of them.
+Posterior = dict[int | None, float]
+
+
+def posteriors(problem: JointCompatibility, best: JointHypothesis) -> list[Posterior]:
+    """What each observation is with which probability, in their order.
+
+    An observation whose match could be another landmark is taken for that one first, and all others are decided anew:
+    that moves the pose, and everything moves with it. Joint hypotheses that are left count by their likelihood (Murty's
+    ranking by its first members). Within each, an observation is compared with every landmark, and with a plane that is
+    none, by the state that knows all *other* matches: the posterior is the sum of those, each with the probability of
+    its joint hypothesis. What the gate of new planes refuses counts as none.
+
+    References:
+        Neira and Tardos, "Data association in stochastic mapping using the joint compatibility test", IEEE Trans.
+        Robotics and Automation 17 (6), 2001.
+    """
+    gaps = _gaps(problem)
+    joint = _distinct([best, *(problem.decide_all(start) for start in _rivals(problem, best, gaps))])
+    weighed = [_weigh(problem, one, gaps) for one in joint]
+    logs = np.array([log for log, _ in weighed])
+    kept = np.flatnonzero(logs >= logs.max() - _NEGLIGIBLE)
+    weights = np.exp(logs[kept] - logs.max())
+    found: list[Posterior] = [{} for _ in problem.hypotheses]
+    for weight, number in zip((weights / weights.sum()).tolist(), kept.tolist(), strict=True):
+        for index, conditional in _conditionals(problem, weighed[number][1], gaps):
+            for landmark, probability in conditional.items():
+                found[index][landmark] = found[index].get(landmark, 0.0) + weight * probability
+    return found
+
+
+def _gaps(problem: JointCompatibility) -> list[dict[int, float]]:
+    """How much less likely each landmark is for where an observation lies than the nearest that passes, in nats."""
+    state, gaps = problem.state(), []
+    for index, hypotheses in enumerate(problem.hypotheses):
+        away = {one.candidate.landmark: problem.away(index, one.candidate.landmark) for one in hypotheses}
+        passing = [
+            away[one.candidate.landmark]
+            for one in innovations_of(hypotheses, state)
+            if one.candidate.p_value >= problem.gates.significance
+        ]
+        least = min(passing, default=0.0)
+        gaps.append({landmark: max(one - least, 0.0) for landmark, one in away.items()})
+    return gaps
+
+
+def _rivals(
+    problem: JointCompatibility, best: JointHypothesis, gaps: Sequence[dict[int, float]]
+) -> list[tuple[int, int]]:
+    """Observations and other landmarks that they could be before anything is decided, the likeliest first."""
+    state, rivals = problem.state(), []
+    for index, hypotheses in enumerate(problem.hypotheses):
+        match, chance = best.decisions[index].match, problem.chances[index]
+        taken = None if match is None else match.landmark
+        passing = [
+            (one.candidate.log_likelihood - gaps[index][one.candidate.landmark], one.candidate.landmark)
+            for one in innovations_of(hypotheses, state)
+            if one.candidate.p_value >= problem.gates.significance and one.candidate.log_likelihood >= chance
+        ]
+        most = max((log for log, _ in passing), default=0.0)
+        rivals += [(most - log, index, landmark) for log, landmark in passing if landmark != taken]
+    return [(index, landmark) for _, index, landmark in sorted(rivals)[:_MOST_RIVALS]]
+
+
+def _distinct(joint: Sequence[JointHypothesis]) -> list[JointHypothesis]:
+    """Joint hypotheses without those that say what one before them says."""
+    known: dict[tuple[int | None, ...], JointHypothesis] = {}
+    for one in joint:
+        matches = (one.decisions[index].match for index in sorted(one.decisions))
+        known.setdefault(tuple(None if match is None else match.landmark for match in matches), one)
+    return list(known.values())
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """A joint hypothesis as updates of the state."""
+
+    matched: list[tuple[int, Hypothesis]]
+    """Observations that are a landmark, and that one's hypothesis."""
+    state: State
+    """The state that knows all of them."""
+
+
+def _weigh(
+    problem: JointCompatibility, joint: JointHypothesis, gaps: Sequence[dict[int, float]]
+) -> tuple[float, _Known]:
+    """Log likelihood of all observations under a joint hypothesis."""
+    state, matched, total = problem.state(), [], 0.0
+    for index, hypotheses in enumerate(problem.hypotheses):
+        match = joint.decisions[index].match
+        taken = None if match is None else match.landmark
+        for hypothesis in (one for one in hypotheses if one.candidate.landmark == taken):
+            innovation = state.innovation(hypothesis)
+            total += innovation.candidate.log_likelihood - gaps[index][hypothesis.candidate.landmark]
+            state.condition(innovation)
+            matched.append((index, hypothesis))
+    others = set(range(len(problem.hypotheses))) - {index for index, _ in matched}
+    for index in sorted(others):
+        total += _log_none(problem, index, innovations_of(problem.hypotheses[index], state))
+    return total, _Known(matched, state)
+
+
+def _conditionals(
+    problem: JointCompatibility, known: _Known, gaps: Sequence[dict[int, float]]
+) -> Iterator[tuple[int, Posterior]]:
+    """Of every observation, its posterior given what the others are."""
+    for index, state in _each_left_out(problem.state(), known.matched):
+        yield index, _conditional(problem, index, state, gaps[index])
+    for index in sorted(set(range(len(problem.hypotheses))) - {index for index, _ in known.matched}):
+        yield index, _conditional(problem, index, known.state, gaps[index])
+
+
+def _each_left_out(state: State, matched: Sequence[tuple[int, Hypothesis]]) -> Iterator[tuple[int, State]]:
+    """Of every match, the state that knows all others: half and half, n log n updates for n matches."""
+    if len(matched) == 1:
+        yield matched[0][0], state
+    if len(matched) <= 1:
+        return
+    half = len(matched) // 2
+    for inside, outside in ((matched[:half], matched[half:]), (matched[half:], matched[:half])):
+        without = state.copy()
+        for _, hypothesis in outside:
+            without.condition(without.innovation(hypothesis))
+        yield from _each_left_out(without, inside)
+
+
+def _conditional(problem: JointCompatibility, index: int, state: State, gaps: dict[int, float]) -> Posterior:
+    """Posterior of one observation by a state."""
+    innovations = innovations_of(problem.hypotheses[index], state)
+    logs: Posterior = {None: _log_none(problem, index, innovations)}
+    for candidate in (one.candidate for one in innovations):
+        if candidate.p_value >= problem.gates.new_significance:
+            logs[candidate.landmark] = candidate.log_likelihood - gaps[candidate.landmark]
+    most = max(logs.values())
+    shares = {landmark: float(np.exp(log - most)) for landmark, log in logs.items()}
+    total = sum(shares.values())
+    return {landmark: share / total for landmark, share in shares.items()}
+
+
+def _log_none(problem: JointCompatibility, index: int, innovations: Sequence[Innovation]) -> float:
+    """Log density of what is no landmark: half of such planes are turned anyhow, half are parallel to one."""
+    beside = (problem.parallel_chances[index] + log_parallel(one) for one in innovations)
+    return float(np.logaddexp.reduce([problem.chances[index], *beside])) - log(2.0)

@@ -1,0 +1,280 @@
+"""Association for a graph of one's own: calibrated, independent of orders, joint, the same from every source."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from scipy.stats import binom
+from shapely import box
+
+from factors import (
+    AssociationGates,
+    LandmarkExtents,
+    LineObservation,
+    Prediction,
+    associate,
+    isam2_parameters,
+    observation_factor,
+    pose_prior,
+    settle,
+)
+from factors.association.gates import AssociationGates as Gates
+from slam.association.data_association import gates_of
+from slam.config import AssociationConfig
+from spplanes import Plane
+from tests.factors.association_scenes import MAPPED, ROOM, X, asked, drawn, key, plane_of, scene
+
+#: A level robot whose position is known to 20 cm and whose heading to half a degree; rotation first.
+LOOSE = np.diag([1e-3, 1e-3, 9e-3, 0.2, 0.2, 1e-3]) ** 2
+#: One whose walls cannot be taken for one another, and no pose moves by more than 3 cm.
+FIRM = np.diag([1e-3, 1e-3, 3e-3, 0.01, 0.01, 1e-3]) ** 2
+WHOLE = tuple(range(len(ROOM)))
+
+
+def looks(runs: int, seed: int, covariance: np.ndarray, mapped: tuple[int, ...] = WHOLE, **how: float):
+    """Truth (a key, or None), identity, of every observation of many poses that see five surfaces each."""
+    rng = np.random.default_rng(seed)
+    for _ in range(runs):
+        place = scene(covariance, rng, mapped)
+        numbers = rng.permutation(len(ROOM))[:5].tolist()
+        seen = [place.line(n, rng) if n != 4 and rng.uniform() < 0.4 else place.seen(n, rng) for n in numbers]
+        for number, identity in zip(numbers, asked(place, seen, **how).identities, strict=True):
+            yield key(number) if number in mapped else None, identity
+
+
+@pytest.mark.parametrize("mapped", [WHOLE, (0, 1, 2, 4, 6)], ids=["all known", "two of seven unknown"])
+def test_probabilities_hold(mapped: tuple[int, ...]):
+    told = list(looks(60, 1, LOOSE, mapped))
+    claims = [(one.plane_key == truth) for truth, one in told if one.verdict == "match" and one.probability >= 0.99]
+    assert len(claims) > 100
+    assert len(claims) - sum(claims) <= binom.ppf(0.999, len(claims), 0.01)
+    all_claims = [(p, landmark == truth) for truth, one in told for landmark, p in one.probabilities.items()]
+    p, right = np.array(all_claims, dtype=float).T
+    for low, high in ((0.0, 0.05), (0.05, 0.2)):  # what is claimed to be improbable is
+        among = (p >= low) & (p < high)
+        assert right[among].sum() <= binom.ppf(0.999, int(among.sum()), p[among].mean())
+    wrong = sum(one.verdict == "match" and one.plane_key != truth for truth, one in told)
+    assert wrong <= 0.05 * len(told)
+    assert all(sum(one.probabilities.values()) == pytest.approx(1.0) for _, one in told)
+
+
+@pytest.mark.parametrize("significance", [0.2, 0.05])
+def test_true_matches_are_refused_as_often_as_the_gate_says(significance: float):
+    told = list(looks(80, 2, FIRM, significance=significance, new_significance=1e-9))
+    refused = sum(one.verdict != "match" for _, one in told)
+    low, high = binom.ppf((0.0005, 0.9995), len(told), significance)
+    assert low <= refused <= high
+    assert not any(one.verdict == "match" and one.plane_key != truth for truth, one in told)
+
+
+def test_without_the_covariance_of_the_pose_true_matches_are_refused():
+    rng = np.random.default_rng(3)
+    refused = 0
+    for _ in range(10):
+        place = scene(np.diag([1e-3, 1e-3, 9e-3, 0.05, 0.05, 1e-3]) ** 2, rng)
+        covariance = place.covariance.copy()
+        covariance[:6, :6] *= 1e-6
+        seen = [place.seen(number, rng) for number in range(5)]
+        refused += len(asked(replace(place, covariance=covariance), seen).matches) < 5
+        assert len(asked(place, seen).matches) == 5
+    assert refused == 10
+
+
+def test_the_order_of_observations_and_landmarks_changes_nothing():
+    rng = np.random.default_rng(4)
+    place = scene(LOOSE, rng, (0, 1, 2, 4, 6))
+    alike = [replace(place.seen(number, rng), n_points=300) for number in WHOLE]
+    first = asked(place, alike)
+    order = [3, 6, 0, 5, 2, 4, 1]
+    landmarks = LandmarkExtents()
+    for landmark in reversed(list(place.landmarks)):
+        landmarks._landmarks[landmark.key] = landmark
+    again = asked(replace(place, landmarks=landmarks), [alike[number] for number in order])
+    for index, number in enumerate(order):
+        one, other = first.identities[number], again.identities[index]
+        assert (one.verdict, one.plane_key, one.probabilities) == (other.verdict, other.plane_key, other.probabilities)
+    assert {tuple(order[member] for member in group) for group in again.new_planes} == set(first.new_planes)
+
+
+def test_two_walls_nearer_than_the_pose_is_known_are_told_apart_by_all_that_is_seen():
+    """A cabinet 0.6 m before a wall, and a pose 0.4 m too far back: by itself the wall is rather the cabinet."""
+    rng = np.random.default_rng(5)
+    place = scene(np.diag([1e-3, 1e-3, 3e-3, 0.25, 0.01, 1e-3]) ** 2, rng, (0, 1, 5))
+    place.values.update(X, gtsam.Pose3(place.truth.rotation(), place.truth.translation() - np.array([0.4, 0.0, 0.0])))
+    axis = gtsam.Pose3(place.truth.rotation(), np.zeros(3)).inverse().AdjointMap()
+    place.covariance[:6, :6] = axis @ place.covariance[:6, :6] @ axis.T  # along the world's axes
+    wall = replace(place.seen(0, rng), outline=box(-2.0, -1.2, -1.0, 0.0))  # behind where the cabinet is
+    [alone] = asked(place, [wall]).identities
+    likeliest = max(alone.probabilities, key=lambda landmark: alone.probabilities[landmark])
+    assert likeliest == key(5) and alone.candidates[0].landmark == key(5)
+    assert alone.probability < 0.9
+    together = asked(place, [wall, replace(place.seen(1, rng), n_points=10)]).identities
+    assert [one.plane_key for one in together] == [key(0), key(1)]
+    assert min(one.probability for one in together) > 0.95
+
+
+def test_of_two_faces_that_fit_it_is_the_one_that_was_seen_there():
+    """Two doors of one front, 4 mm out of line and 3 m apart: only their extents tell which is seen."""
+    values, landmarks, frame = gtsam.Values(), LandmarkExtents(), plane_of(0).frame
+    values.insert(X, gtsam.Pose3())
+    doors = []
+    for number, (shift, low) in enumerate(((0.0, -2.0), (0.004, 1.0))):
+        moved = frame.copy()
+        moved[0, 3] += shift
+        doors.append(Plane(moved, MAPPED, 500, box(low, -1.0, low + 1.0, 1.0)))
+        values.insert(key(number), landmarks.start(key(number), doors[-1], X, values))
+        landmarks[key(number)].pose_keys.add(-1)
+    covariance = np.zeros((12, 12))
+    covariance[:6, :6] = np.diag([1e-3, 1e-3, 1e-3, 0.02, 0.02, 1e-3]) ** 2
+    prediction = Prediction.of_matrix(covariance, [X, key(0), key(1)], values, X)
+    for number, door in enumerate(doors):
+        [alone] = associate([drawn(door, MAPPED, np.random.default_rng(number))], prediction, landmarks).identities
+        assert alone.plane_key == key(number)
+        assert alone.probability > 0.9
+
+
+def solved() -> tuple[gtsam.ISAM2, gtsam.NonlinearFactorGraph, LandmarkExtents, list[Plane | LineObservation]]:
+    """Two poses by a relative prior; the first has mapped the room in its own frame, the second is about to look."""
+    rng = np.random.default_rng(6)
+    graph, values, landmarks = gtsam.NonlinearFactorGraph(), gtsam.Values(), LandmarkExtents()
+    second = gtsam.symbol("x", 1)
+    moved = gtsam.Pose3(gtsam.Rot3.Yaw(0.2), np.array([0.4, 0.1, 0.0]))
+    values.insert(X, gtsam.Pose3())
+    values.insert(second, moved)
+    graph.push_back(pose_prior(X, gtsam.Pose3(), np.diag([1e-3] * 6) ** 2))
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([1e-3, 1e-3, 0.01, 0.1, 0.1, 1e-3]))
+    graph.push_back(gtsam.BetweenFactorPose3(X, second, moved, noise))
+    isam = gtsam.ISAM2(isam2_parameters())
+    isam.update(graph, values)
+    prediction = Prediction.of_isam(isam, X)
+    new_graph, new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for number in WHOLE:
+        plane = drawn(plane_of(number), MAPPED, rng)
+        initial = landmarks.start(key(number), plane, X, prediction.values, anchor_key=X)
+        new_values.insert(key(number), initial)
+        start = gtsam.Values(prediction.values)
+        start.insert(key(number), initial)
+        factor = observation_factor(as_seen(plane), X, landmarks[key(number)], replace(prediction, values=start))
+        new_graph.push_back(factor)
+        graph.push_back(factor)
+    isam.update(new_graph, new_values)
+    settle(isam)
+    there = gtsam.Pose3(gtsam.Rot3.Yaw(0.21), np.array([0.5, 0.0, 0.0]))
+    seen = [drawn(plane_of(number).transform(there.inverse().matrix()), MAPPED, rng) for number in WHOLE]
+    return isam, graph, landmarks, seen
+
+
+def as_seen(plane: Plane):
+    from factors import PlaneObservation
+
+    return PlaneObservation(plane)
+
+
+def test_isam_marginals_and_a_matrix_give_the_same_answer():
+    isam, graph, landmarks, seen = solved()
+    second, values = gtsam.symbol("x", 1), isam.calculateEstimate()
+    marginals = gtsam.Marginals(graph, values)
+    keys = [X, second, *(landmark.key for landmark in landmarks)]
+    joint = marginals.jointMarginalCovariance(keys)
+    matrix = np.block([[joint.at(a, b) for b in keys] for a in keys])
+    sources = [
+        Prediction.of_isam(isam, second),
+        Prediction.of_marginals(marginals, values, second),
+        Prediction.of_matrix(matrix, keys, values, second),
+    ]
+    first, *others = [associate(seen, source, landmarks) for source in sources]
+    assert [one.plane_key for one in first.identities] == [key(number) for number in WHOLE]
+    for other in others:
+        for one, same in zip(first.identities, other.identities, strict=True):
+            assert (one.verdict, one.plane_key) == (same.verdict, same.plane_key)
+            assert one.probability == pytest.approx(same.probability, abs=1e-6)
+            assert one.candidates[0].chi2 == pytest.approx(same.candidates[0].chi2, rel=1e-4, abs=1e-6)
+
+
+def test_extents_grow_where_the_estimate_has_the_landmark():
+    place = scene(FIRM, np.random.default_rng(7), (0,))
+    values = gtsam.Values(place.values)
+    values.update(X, gtsam.Pose3())
+    half = Plane(plane_of(0).frame, MAPPED, 100, box(2.8, -1.2, 4.0, 1.2))
+    before = place.landmarks[key(0)].outline.area
+    place.landmarks.see(key(0), half, X, values)
+    assert place.landmarks[key(0)].outline.area == pytest.approx(before + 1.2 * 2.4, rel=0.01)
+    assert place.landmarks[key(0)].n_keyframes == 2
+    assert place.landmarks.remove(key(0)).key == key(0)
+    assert len(place.landmarks) == 0 and key(0) not in place.landmarks
+
+
+def test_pieces_of_a_wall_that_nobody_knew_are_one_new_plane():
+    place = scene(FIRM, np.random.default_rng(8), (0, 1))
+    rng = np.random.default_rng(9)
+    wall = place.seen(3, rng)
+    pieces = [replace(wall, outline=box(low, -1.0, low + 1.0, 1.0), n_points=n) for low, n in ((-3.0, 90), (-1.5, 80))]
+    found = asked(place, [pieces[0], place.seen(0, rng), pieces[1], place.seen(4, rng)])
+    assert [one.verdict for one in found.identities] == ["new", "match", "new", "new"]
+    assert sorted(sorted(group) for group in found.new_planes) == [[0, 2], [3]]
+    assert len(found.new) == 3 and len(found.matches) == 1 and not found.unsure
+
+
+def test_gates_are_those_of_a_run():
+    assert gates_of(AssociationConfig()) == Gates()
+
+
+def test_what_is_no_prediction_is_refused():
+    place = scene(FIRM, np.random.default_rng(10), (0, 1))
+    keys, values, matrix = place.keys, place.values, place.covariance
+    with pytest.raises(ValueError, match=r"^covariance: expected finite numbers, got NaN or infinity$"):
+        Prediction.of_matrix(np.full_like(matrix, np.nan), keys, values, X)
+    with pytest.raises(ValueError, match=r"^covariance: expected a positive semidefinite covariance, got smallest"):
+        Prediction.of_matrix(-matrix, keys, values, X)
+    with pytest.raises(ValueError, match=r"^covariance: expected shape \(12, 12\), got \(6, 6\)$"):
+        Prediction.of_matrix(matrix[:6, :6], keys, values, X)
+    with pytest.raises(ValueError, match=r"^keys: expected the key of a Pose3 or an OrientedPlane3 in values, got l9$"):
+        Prediction.of_matrix(matrix, [X, key(0), key(9)], values, X)
+    with pytest.raises(ValueError, match=r"^keys: expected the pose x0 among them, got l0$"):
+        Prediction.of_matrix(matrix[6:9, 6:9], [key(0)], values, X)
+    with pytest.raises(ValueError, match=r"^pose_key: expected the key of a Pose3 in values, got l0, a plane$"):
+        Prediction.of_matrix(matrix, keys, values, key(0))
+    with pytest.raises(ValueError, match=r"^pose_key: expected the key of a Pose3 or .* got x7$"):
+        Prediction.of_isam(gtsam.ISAM2(), gtsam.symbol("x", 7))
+    with pytest.raises(ValueError, match=r"^keys: expected all landmarks and anchors compared, got none of l1$"):
+        few = Prediction.of_matrix(matrix[:9, :9], keys[:2], values, X)
+        associate([place.seen(number, np.random.default_rng(0)) for number in (0, 1)], few, place.landmarks)
+
+
+def test_what_is_no_observation_landmark_or_gate_is_refused():
+    place = scene(FIRM, np.random.default_rng(11), (0, 1))
+    seen = place.seen(0, np.random.default_rng(0))
+    with pytest.raises(ValueError, match=r"^observations\[1\]: expected a Plane, .* got float$"):
+        associate([seen, 1.0], place.prediction, place.landmarks)  # type: ignore[list-item]
+    with pytest.raises(ValueError, match=r"^landmarks: expected a LandmarkExtents, got dict$"):
+        associate([seen], place.prediction, {})  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"^prediction: expected a Prediction, got ndarray$"):
+        associate([seen], place.covariance, place.landmarks)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"^least_probability: expected a number from 0 to 1, got 2.0$"):
+        associate([seen], place.prediction, place.landmarks, least_probability=2.0)
+    with pytest.raises(ValueError, match=r"^significance: expected a probability between 0 and 1, got 0.0$"):
+        AssociationGates(significance=0.0)
+    with pytest.raises(ValueError, match=r"^gap_m: expected a number >= 0, got -1.0$"):
+        AssociationGates(gap_m=-1.0)
+    with pytest.raises(ValueError, match=r"^body_T_sensor: expected shape \(4, 4\), got \(3, 3\)$"):
+        LineObservation(place.line(0, np.random.default_rng(0)).line, np.eye(3))
+    other = gtsam.Values()
+    other.insert(X, gtsam.Pose3())
+    with pytest.raises(ValueError, match=r"^landmarks: expected keys of OrientedPlane3 in values, got l0$"):
+        associate([seen], Prediction.of_matrix(np.eye(6), [X], other, X), place.landmarks)
+    with pytest.raises(ValueError, match=r"^plane_key: expected a new landmark's, got l0, which is there$"):
+        place.landmarks.start(key(0), seen, X, place.values)
+    with pytest.raises(ValueError, match=r"^plane_key: expected a landmark that was started, got l5$"):
+        place.landmarks.see(key(5), seen, X, place.values)
+    with pytest.raises(ValueError, match=r"^pose_key: expected the key of a Pose3 in values, got x4$"):
+        place.landmarks.see(key(0), seen, gtsam.symbol("x", 4), place.values)
+
+
+def test_nothing_seen_and_nothing_known_are_answers():
+    place = scene(FIRM, np.random.default_rng(12), ())
+    assert asked(place, []).identities == ()
+    [one] = asked(place, [place.seen(0, np.random.default_rng(0))]).identities
+    assert one.verdict == "new" and one.probability == 1.0
