@@ -22,20 +22,21 @@ _UNKNOWN_SIGMA = 1e8
 def odometry_factor(
     key_a: int,
     key_b: int,
-    delta: ArrayLike,
+    delta: ArrayLike | gtsam.Pose2,
     covariance: ArrayLike,
     *,
     out_of_plane_sigmas: Sequence[float] = OUT_OF_PLANE_SIGMAS,
     robust: Robust = None,
 ) -> gtsam.BetweenFactorPose3:
-    """2D odometry between two Pose3: ``delta`` = (x, y, theta) of b in the frame of a.
+    """2D odometry between two Pose3: ``delta`` = (x, y, theta), m and rad, or the Pose2, of b in the frame of a.
 
     ``covariance`` (3, 3) is that of the three numbers, x and y along the axes of a. Out of the plane the motion is zero
     up to ``out_of_plane_sigmas`` = (z m, roll rad, pitch rad), per step, along the axes of b.
-    ValueError: wrong shapes, keys that are no integers, a singular covariance, sigmas that are not positive.
+    ValueError: wrong shapes, an angle beyond a full turn (degrees, most likely), keys that are no integers, a singular
+    covariance, sigmas that are not positive.
     """
     check_distinct(key_a=key_a, key_b=key_b)
-    x, y, theta = as_shape("delta", delta, (3,))
+    x, y, theta = _x_y_theta(delta)
     full = np.zeros((6, 6))
     in_plane = np.ix_([3, 4, 2], [3, 4, 2])
     full[in_plane] = _in_frame_of_b(theta, as_definite_covariance("covariance", covariance, 3))
@@ -47,11 +48,11 @@ def odometry_factor(
 
 
 def odometry_factor_2d(
-    key_a: int, key_b: int, delta: ArrayLike, covariance: ArrayLike, *, robust: Robust = None
+    key_a: int, key_b: int, delta: ArrayLike | gtsam.Pose2, covariance: ArrayLike, *, robust: Robust = None
 ) -> gtsam.BetweenFactorPose2:
     """2D odometry between two Pose2; arguments as in `odometry_factor`."""
     check_distinct(key_a=key_a, key_b=key_b)
-    x, y, theta = as_shape("delta", delta, (3,))
+    x, y, theta = _x_y_theta(delta)
     own = _in_frame_of_b(theta, as_definite_covariance("covariance", covariance, 3))
     noise = with_robust(gtsam.noiseModel.Gaussian.Covariance(own), robust, 3)
     return gtsam.BetweenFactorPose2(as_key("key_a", key_a), as_key("key_b", key_b), gtsam.Pose2(x, y, theta), noise)
@@ -75,6 +76,16 @@ def planar_motion_factor(
     tilt = with_robust(gtsam.noiseModel.Isotropic.Sigma(2, max(roll, pitch)), robust, 2)
     graph.push_back(gtsam.AttitudeFactorPose3(key, gtsam.Unit3(0.0, 0.0, 1.0), tilt))
     return graph
+
+
+def _x_y_theta(delta: ArrayLike | gtsam.Pose2) -> FloatArray:
+    """x, y, theta of a planar motion, m and rad, shape (3,)."""
+    if isinstance(delta, gtsam.Pose2):
+        return np.array([delta.x(), delta.y(), delta.theta()])
+    numbers = as_shape("delta", delta, (3,))
+    if abs(numbers[2]) > 2.0 * np.pi:
+        raise ValueError(f"delta: expected an angle of at most a full turn, in rad, got {numbers[2]:g}")
+    return numbers
 
 
 def _in_frame_of_b(theta: float, covariance: FloatArray) -> FloatArray:

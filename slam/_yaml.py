@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import yaml
 
@@ -40,6 +43,22 @@ def read_yaml(path: Path) -> Any:
     except (ValueError, LookupError, AttributeError, TypeError, ArithmeticError, RecursionError) as error:
         # the constructors of `!!int ''`, `!!bool x` or `!!timestamp x` fail in as many ways
         raise LogError(path, "expected YAML, got a value that is not what its tag says, or too deep") from error
+
+
+def near_key(model: Any, place: Sequence[int | str]) -> str:
+    """What to say of an unknown key at a place in a file of a model: the known key that is nearest, if one is near."""
+    for part in place[:-1]:
+        known = _keys_of(model)
+        model = known.get(str(part)) if known else next(iter(get_args(model)[1:]), None)
+    found = get_close_matches(str(place[-1]), _keys_of(model), n=1)
+    return f", did you mean {found[0]}?" if found else ""
+
+
+def _keys_of(model: Any) -> dict[str, Any]:
+    """Keys of a pydantic model or a dataclass with the types of their values; none of anything else."""
+    if is_dataclass(model):
+        return {one.name: one.type for one in fields(model)}
+    return {name: one.annotation for name, one in getattr(model, "model_fields", {}).items()}
 
 
 def _values_of(node: Any, known: dict[int, int]) -> int:

@@ -8,7 +8,7 @@ from typing import Final, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from slam._yaml import read_yaml
+from slam._yaml import near_key, read_yaml
 from spplanes import LineConfig, MapperConfig
 from spplanes.segmentation.validation.config import ValidationConfig
 
@@ -192,7 +192,9 @@ class SlamConfig(_Frozen):
             return cls.model_validate({} if data is None else data)
         except ValidationError as error:
             first = error.errors()[0]
-            raise ValueError(f"{path}: {'.'.join(map(str, first['loc'])):.100}: {first['msg']}") from error
+            unknown = first["type"] in ("extra_forbidden", "unexpected_keyword_argument")
+            near = near_key(cls, first["loc"]) if unknown else ""
+            raise ValueError(f"{path}: {'.'.join(map(str, first['loc'])):.100}: {first['msg']}{near}") from error
 
     def to_yaml(self) -> str:
         """The configuration as YAML, every field written out."""

@@ -35,6 +35,8 @@ class Plane:
     plane's own frame: shift along z, rotation about y, rotation about x, composed on the right of `frame`. To first
     order the perturbed plane is z(x, y) = p_z - theta x + psi y.
 
+    A value: planes with the same numbers and outline are equal, and its arrays are read-only.
+
     References:
         Weingarten, Gruener, Siegwart, "Probabilistic Plane Fitting in 3D", ICRA 2004, sections II and III.
     """
@@ -51,9 +53,8 @@ class Plane:
     """Sum of the squared normalised residuals of the fit, n_points - 3 on average; 0 when it was not computed."""
 
     def __post_init__(self) -> None:
-        frame = as_transform("frame", self.frame)
-        object.__setattr__(self, "frame", frame.copy() if frame is self.frame else frame)
-        object.__setattr__(self, "covariance", as_covariance("covariance", self.covariance, 3))
+        object.__setattr__(self, "frame", _read_only(as_transform("frame", self.frame).copy()))
+        object.__setattr__(self, "covariance", _read_only(as_covariance("covariance", self.covariance, 3).copy()))
         object.__setattr__(self, "n_points", as_count("n_points", self.n_points))
         object.__setattr__(self, "chi2", as_number("chi2", self.chi2))
         if self.outline is not None and getattr(self.outline, "geom_type", None) != "Polygon":
@@ -65,8 +66,30 @@ class Plane:
     ) -> Self:
         """A plane from values that are known to be good, without checking them again."""
         plane = object.__new__(cls)
-        plane.__dict__.update(frame=frame, covariance=covariance, n_points=n_points, outline=outline, chi2=chi2)
+        plane.__setstate__(
+            {"frame": frame, "covariance": covariance, "n_points": n_points, "outline": outline, "chi2": chi2}
+        )
         return plane
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """What it is made of, from a pickle too, which does not keep arrays from being written to."""
+        self.__dict__.update(state)
+        self.__dict__.update(frame=_read_only(state["frame"]), covariance=_read_only(state["covariance"]))
+
+    def __eq__(self, other: object) -> bool:
+        """Whether frame, covariance, points, chi2 and outline are the same, to the bit."""
+        if not isinstance(other, Plane):
+            return NotImplemented
+        return (
+            self.n_points == other.n_points
+            and self.chi2 == other.chi2
+            and np.array_equal(self.frame, other.frame)
+            and np.array_equal(self.covariance, other.covariance)
+            and self.outline == other.outline
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.n_points, *self.centre.tolist()))
 
     @classmethod
     def from_hesse(
@@ -229,6 +252,13 @@ class Plane:
         scatter = axes @ spread @ axes.T + self.chi2 * np.outer(self.normal, self.normal)
         centre = self.centre + axes @ (x, y)
         return np.concatenate(([self.n_points, weight], centre, scatter[np.triu_indices(3)]))
+
+
+def _read_only(array: FloatArray) -> FloatArray:
+    """The same numbers, not to be written to through what is returned."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def _points(value: ArrayLike) -> FloatArray:

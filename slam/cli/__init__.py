@@ -27,6 +27,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+#: Options of the group that may come after the command too.
+_OF_GROUP = ("-v", "-vv", "--verbose", "-q", "--quiet")
 #: What click makes of Ctrl-C.
 _CLICK_INTERRUPTED = 130
 
@@ -35,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point: 0 done, 2 bad input or usage in one sentence on stderr, 1 anything else."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     try:
-        app(args=list(arguments) if arguments is not None else None, prog_name="spplanes")
+        app(args=_group_first(sys.argv[1:] if arguments is None else arguments), prog_name="spplanes")
     except (ValueError, ImportError) as error:  # an ImportError says which extra to install
         _fail(error, 2)
     except KeyboardInterrupt:
@@ -48,6 +50,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _fail(f"{error.filename or 'a file'}: {error.strerror}" if error.strerror else error, 1)
     except Exception as error:  # the boundary: whatever it is, no traceback
         _fail(f"unexpected {type(error).__name__}: {error}", 1)
+
+
+def _group_first(arguments: Sequence[str]) -> list[str]:
+    """The arguments with -v and -q before the command, wherever they were given: no command has such options."""
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    own = [one for one in arguments[:end] if one in _OF_GROUP]
+    return [*own, *(one for one in arguments[:end] if one not in _OF_GROUP), *arguments[end:]]
 
 
 def _fail(error: object, code: int) -> None:

@@ -23,6 +23,8 @@ from spplanes.plane import Plane
 
 #: Name of the row that says how many poses were compared.
 COMPARED = "poses compared"
+#: Before the names of the rows of the odometry, and the row in which both are compared in a sentence.
+_ALONE, _ERROR = "odometry alone: ", "ATE translation rmse"
 #: Numbers that an alignment in space takes, and the relative standard deviation of a root mean square beyond which a
 #: sentence says so: that of n numbers is 1 / sqrt(2 n).
 _ALIGNMENT, _MOST_DOUBT = 6, 0.1
@@ -99,7 +101,7 @@ def _for_each_path(run: Path, score: Callable[[Trajectory], list[Metric]]) -> li
     rows = score(read_tum(best_path(run)))
     if (run / "odometry.tum").exists():
         alone = score(read_tum(run / "odometry.tum"))
-        rows += [row._replace(name=f"odometry alone: {row.name}") for row in alone]
+        rows += [row._replace(name=f"{_ALONE}{row.name}") for row in alone]
     return rows
 
 
@@ -130,10 +132,15 @@ def _what_was_compared(run: Path, rows: list[Metric]) -> list[str]:
     if FOUND in values:
         return [f"scored {values[FOUND]} of {values[STATED]} relations, by {file}"]
     compared = values[COMPARED]
+    errors = {row.name: row.value for row in rows}
     notes = [
         f"compared {compared} of {values['poses of the run']} poses of the run ({file}) with "
         f"{values['poses of the truth']} of the truth"
     ]
+    mine, alone = (errors.get(f"{whose}{_ERROR}", np.nan) for whose in ("", _ALONE))
+    if np.isfinite(alone):
+        word = "less" if alone < mine else "more"
+        notes.append(f"odometry alone errs by {alone:.4f} m, {word} than the estimate with {mine:.4f} m ({_ERROR})")
     spare = 3 * compared - _ALIGNMENT
     doubt = float(np.sqrt(0.5 / spare)) if spare > 0 else 1.0
     if doubt > _MOST_DOUBT:

@@ -7,19 +7,20 @@ from functools import partial
 from pathlib import Path
 
 from slam.errors import LogError
-from slam.given import check_log_given
+from slam.given import check_cloud_given, check_log_given
 from slam.io.carmen.reader import read_carmen
 from slam.io.clouds import is_cloud_file, read_cloud
 from slam.io.clouds.arrange import grid_of
 from slam.io.default_rigs import assumptions, bag_rig, cloud_rig, depth_rig, threedtk_rig, turned_laser_rig
 from slam.io.folders.clouds import clouds_in, has_clouds, read_cloud_folder, read_e57_log
 from slam.io.folders.depth_images import CAMERA_POSES, is_depth_folder, read_depth_folder
-from slam.io.folders.threedtk import is_3dtk_folder, read_3dtk
+from slam.io.folders.threedtk import is_3dtk_folder, is_3dtk_scan, read_3dtk
+from slam.io.folders.threedtk import read_points as read_3dtk_points
 from slam.io.odometry_file import with_odometry
 from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag, sensor_name
-from slam.sensors.log import Log
+from slam.sensors.log import CloudScan, Log
 from slam.sensors.rig import Rig, Sensor, default_rig_for
-from spplanes.clouds.arrange import shows_lines
+from spplanes.clouds.arrange import arrange, shows_lines
 
 #: Name of the rig file that a folder of a mission carries.
 RIG_FILE = "rig.yaml"
@@ -70,6 +71,29 @@ def load(
     if rig is None:
         log.assumed.extend(assumptions(log, sensors))
     return log, sensors
+
+
+def load_cloud(path: Path) -> tuple[Log, Rig]:
+    """One cloud, of any format that `slam.io.clouds` or `slam.io.folders.threedtk` reads, as a log of one scan.
+
+    Returns:
+        The log, and the rig that is assumed for such clouds, as `load` would for a folder of them.
+
+    Raises:
+        LogError: no such file, or what the reader of its format says.
+    """
+    path = Path(path)
+    check_cloud_given(path)
+    if is_3dtk_scan(path):
+        points, rig = read_3dtk_points(path), threedtk_rig()
+    else:
+        cloud = read_cloud(path)
+        points = cloud.points
+        rig = depth_rig() if cloud.is_depth_image else turned_laser_rig() if shows_lines(points) else cloud_rig()
+    ((name, sensor),) = rig.sensors.items()
+    log = Log([CloudScan(0, name, arrange(points, grid_of(sensor)))], path)
+    log.assumed.extend(assumptions(log, rig))
+    return log, rig
 
 
 def _load(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path | None) -> tuple[Log, Rig]:

@@ -44,6 +44,8 @@ def check_target(to: Path, *, overwrite: bool) -> None:
     package = _PACKAGES.get(to.suffix.lower())
     if package is not None and find_spec(package) is None:
         raise MissingPackageError(to, package, "bim", doing="writing")
+    if not to.parent.is_dir():
+        raise ValueError(f"{to}: expected a file in a folder that exists, found no folder {to.parent}")
     if to.exists() and not (overwrite and to.is_file()):
         hint = "give --overwrite to replace it" if to.is_file() else "expected a file to write, got a folder"
         raise ValueError(f"{to}: exists already; {hint}")

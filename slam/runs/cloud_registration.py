@@ -1,11 +1,11 @@
-"""Registration of two clouds by their planes: the pose of one in the other, with covariance and what is left open."""
+"""Registration of two clouds: the pose of one in the other, its covariance, its rivals, and a verdict on it."""
 
 from __future__ import annotations
 
-import tempfile
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -13,17 +13,22 @@ from scipy.spatial.transform import Rotation
 
 from factors._conventions import POSE3_TO_SP
 from slam.config import SlamConfig
+from slam.diagnostics.evidence.registration import judge
+from slam.diagnostics.verdict import Verdict
 from slam.errors import LogError
+from slam.frontend.keyframes import Keyframe, keyframes_of
+from slam.frontend.observations import PlaneObservation
+from slam.frontend.odometry import Motion
+from slam.frontend.range_noise import with_shown_noise
 from slam.geometry.frames import inverse
-from slam.io.clouds import read_cloud
-from slam.io.load import load
-from slam.io.trajectories import Trajectory, write_tum
-from slam.runs.slam_run import Run, run_slam
+from slam.io.load import load_cloud
+from slam.planeslam import PlaneSlam
+from slam.runs.cloud_places import ABOUT_M, ABOUT_RAD, Place, Rival, find_place
 from spplanes._check import FloatArray, as_transform
 from spplanes.spmodel import transform_from_rpy
 
-#: Seconds between two clouds that say nothing of when they were taken: a folder's numbering.
-_STEP_NS = 1_000_000_000
+#: Numbers of a pose.
+_POSE = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,60 +43,144 @@ class Registration:
     """Planes that both clouds have."""
     open: tuple[str, ...]
     """One sentence for each direction, in the frame of A, that the planes leave open."""
+    verdict: Verdict
+    """Sound, doubtful or broken, and why."""
+    rivals: tuple[Rival, ...]
+    """Other places that were looked at, the likeliest first."""
+    overlap: float
+    """Share of what B sees that lies on a surface that A sees."""
+    nis_per_dof: float
+    """Chi2 of the planes in both, by the noise assumed for such sensors, per degree of freedom; `covariance` is scaled
+    by it. NaN: too few planes to tell."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, for JSON."""
         sigmas = np.sqrt(np.diag(self.covariance))
         return {
             "a_T_b": self.a_T_b.tolist(),
-            "xyz_m": self.a_T_b[:3, 3].tolist(),
-            "ypr_deg": Rotation.from_matrix(self.a_T_b[:3, :3]).as_euler("ZYX", degrees=True).tolist(),
+            **_told(self.a_T_b),
             "sigma_xyz_m": sigmas[:3].tolist(),
             "sigma_ypr_deg": np.rad2deg(sigmas[3:]).tolist(),
             "covariance": self.covariance.tolist(),
             "planes": self.n_planes,
             "open": list(self.open),
+            "verdict": self.verdict.verdict,
+            "reasons": self.verdict.reasons,
+            "rivals": [
+                {"a_T_b": one.a_T_b.tolist(), **_told(one.a_T_b), "probability": one.probability} for one in self.rivals
+            ],
+            "overlap": self.overlap,
+            "nis_per_dof": self.nis_per_dof if np.isfinite(self.nis_per_dof) else None,
         }
 
 
-def register_clouds(a: Path | str, b: Path | str, *, guess: FloatArray | None = None) -> Registration:
-    """The pose of cloud B in the frame of cloud A, both files that `slam.io.clouds.read_cloud` reads.
+def _told(pose: FloatArray) -> dict[str, list[float]]:
+    """A pose (4, 4) as numbers for people."""
+    R = pose[:3, :3]
+    turn = np.arctan2(R[1, 0], R[0, 0]), -np.arcsin(np.clip(R[2, 0], -1.0, 1.0)), np.arctan2(R[2, 1], R[2, 2])
+    return {"xyz_m": pose[:3, 3].tolist(), "ypr_deg": np.rad2deg(turn).tolist()}
 
-    It is a run of two keyframes: planes with the noise of the clouds' sensor, matched, refused and solved as in any
-    other run, so that what holds for a run's covariances holds here. Each cloud is in its sensor's frame.
+
+def register_clouds(a: Path | str, b: Path | str, *, guess: FloatArray | None = None) -> Registration:
+    """The pose of cloud B in the frame of cloud A, files of any format that `slam.io.load.load_cloud` reads.
+
+    Planes propose places anywhere, all returns decide between them (`slam.runs.cloud_places`). From the likeliest a run
+    of two keyframes refines the pose, by the planes and by what the returns on none of them add. Each cloud is in its
+    sensor's frame, a depth image in its camera's. The verdict says whether that is the place, or may be another one, or
+    another building.
+
+    The sensors' noise is assumed, as for a folder of such clouds. What it really is the planes that both clouds have
+    tell: the covariance is scaled by their chi2 (variance of unit weight).
 
     Args:
         a, b: the files.
-        guess: a_T_b about as it should be, shape (4, 4) or a ``gtsam.Pose3``; None: about the same place.
+        guess: a_T_b about as it should be, shape (4, 4) or a ``gtsam.Pose3``: one more place to look at, which is not
+            believed; None: there is none.
 
     Raises:
         LogError: a file that cannot be read.
         ValueError: no planes that both have.
     """
-    files = [Path(a), Path(b)]
-    for path in files:
-        read_cloud(path)  # what is wrong with a file is said with its own name
+    files = Path(a), Path(b)
     start = None if guess is None else as_transform("guess", guess)
-    run = _run_of_two(files, start)
-    both = [plane for plane in run.planes if plane.observations > 1]
-    if len(run.trajectory) != len(files) or not both:
+    seen = [_measured(path) for path in files]
+    mounts = [one.body_T_sensor for one in seen]
+    about = None if start is None else mounts[0] @ start @ inverse(mounts[1])
+    place = find_place(seen[0].keyframe, seen[1].keyframe, about)
+    slam = None if place is None else _run_of_two(seen[0].keyframe, seen[1].keyframe, place)
+    chi2 = [] if slam is None else _chi2_of_pairs(slam)
+    if place is None or slam is None or not chi2:
         raise ValueError(f"{files[0].name}, {files[1].name}: expected planes that both clouds have, found none")
-    first, second = run.trajectory.poses
-    covariance = run.slam.marginal_covariance(gtsam.symbol("x", 1))[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
-    left_open = tuple(stretch.sentence for stretch in run.slam.open_directions)
-    return Registration(inverse(first) @ second, np.asarray(covariance), len(both), left_open)
+    return _registration(slam, place, chi2, mounts)
 
 
-def _run_of_two(files: list[Path], guess: FloatArray | None) -> Run:
-    """The run of a folder that holds just these clouds, in this order, and the guess as odometry."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for number, path in enumerate(files):
-            (folder / f"{number}{''.join(path.suffixes[-2:]).lower()}").symlink_to(path.resolve())
-        if guess is not None:
-            stamps = np.arange(2, dtype=np.int64) * _STEP_NS
-            write_tum(folder / "odometry.tum", Trajectory(stamps, np.array([np.eye(4), guess])))
-        return run_slam(*load(folder), SlamConfig())
+class _Measured(NamedTuple):
+    """What one cloud shows."""
+
+    keyframe: Keyframe
+    """Planes and surface elements, in the frame of a body that the sensor is on."""
+    body_T_sensor: FloatArray
+    """Shape (4, 4)."""
+
+
+def _measured(path: Path) -> _Measured:
+    log, rig = load_cloud(path)
+    rig = with_shown_noise(log, rig)
+    ((_, sensor),) = rig.sensors.items()
+    return _Measured(next(keyframes_of(log, rig, SlamConfig())), sensor.body_T_sensor)
+
+
+def _run_of_two(a: Keyframe, b: Keyframe, place: Place) -> PlaneSlam:
+    """The run of the two clouds, the second about where it was found."""
+    slam = PlaneSlam(SlamConfig())
+    slam.add_keyframe(replace(a, stamp_ns=0))
+    about = np.diag(np.repeat([ABOUT_M, ABOUT_RAD], 3) ** 2)
+    motion = Motion(place.a_T_b, about, (ABOUT_M, ABOUT_RAD, ABOUT_RAD))
+    slam.add_keyframe(replace(b, stamp_ns=1, motion=motion))
+    return slam
+
+
+def _chi2_of_pairs(slam: PlaneSlam) -> list[float]:
+    """Squared Mahalanobis distances of the planes in both clouds, as measured, at the pose found: 3 dof each.
+
+    Planes that come to face each other have none, and are in both no more.
+    """
+    first, second = slam.trajectory.poses
+    found = []
+    for landmark in slam.landmarks:
+        numbers = {one.keyframe: one.observation for one in landmark.sightings}
+        if len(numbers) == 2:
+            pair = [slam.keyframes[keyframe].observations[numbers[keyframe]] for keyframe in (0, 1)]
+            planes = [one.plane for one in pair if isinstance(one, PlaneObservation)]
+            found.append(planes[0].mahalanobis(planes[1].transform(inverse(first) @ second)))
+    return [chi2 for chi2 in found if np.isfinite(chi2)]
+
+
+def _registration(slam: PlaneSlam, place: Place, chi2: Sequence[float], mounts: Sequence[FloatArray]) -> Registration:
+    """What the run of two found, in the frames of the sensors.
+
+    Of K planes 3 K - 6 degrees of freedom are left beside the pose. By so few the noise is known with an error of its
+    own: that of the pose has a variance larger than the estimate by dof / (dof - 2) (Student's t).
+    """
+    first, second = slam.trajectory.poses
+    nis, spare = float("nan"), 3 * len(chi2) - _POSE
+    covariance = slam.marginal_covariance(gtsam.symbol("x", 1))[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+    if spare > 2:
+        nis = float(sum(chi2)) / spare
+        covariance = covariance * nis * spare / (spare - 2)
+    a_T_body, b_T_sensor = inverse(mounts[0]), mounts[1]
+    moved = gtsam.Pose3(inverse(b_T_sensor)).AdjointMap()[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+    covariance = np.asarray(moved @ covariance @ moved.T, dtype=np.float64)
+    return Registration(
+        a_T_body @ inverse(first) @ second @ b_T_sensor,
+        covariance,
+        len(chi2),
+        tuple(stretch.sentence for stretch in slam.open_directions),
+        judge(place.match, covariance),
+        tuple(one._replace(a_T_b=a_T_body @ one.a_T_b @ b_T_sensor) for one in place.rivals),
+        place.overlap,
+        nis,
+    )
 
 
 def read_guess(text: str) -> FloatArray:

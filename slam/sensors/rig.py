@@ -11,7 +11,7 @@ import yaml
 from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from slam._yaml import read_yaml
+from slam._yaml import near_key, read_yaml
 from slam.errors import LogError
 from slam.sensors.log import LaserScan, Log
 from slam.sensors.mount import Finite, Frozen, Mount, NotNegative, Positive
@@ -197,7 +197,7 @@ def _first_problem(error: ValidationError) -> str:
     first = error.errors()[0]
     key = f"{'.'.join(str(part) for part in first['loc']):.100}" or "rig"
     if first["type"] == "extra_forbidden":
-        return f"{key}: unknown key"
+        return f"{key}: unknown key{near_key(Rig, first['loc'])}"
     if first["type"] == "missing":
         return f"{key}: missing"
     message = first["msg"].removeprefix("Value error, ")

@@ -8,7 +8,7 @@ deviation along the normal as "sigma_m". Nothing here opens a window.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -38,7 +38,7 @@ _GOLDEN_RATIO = 0.6180339887498949
 
 
 def planes_to_mesh(
-    planes: Sequence[MapPlane | Plane],
+    planes: Sequence[MapPlane | Plane] | MapPlane | Plane | Any,
     *,
     colour_by: ColourBy = "plane",
     sigma_limit_m: float | None = None,
@@ -47,7 +47,8 @@ def planes_to_mesh(
     """Triangle mesh of the outlines, holes left open, counter-clockwise seen from the side a plane was seen from.
 
     Args:
-        planes: of a map, or fitted ones; the id of the latter is their place in the sequence. One without an outline is
+        planes: of a map, or fitted ones, or one of them, or what has `planes` such as a `Run`.
+            Of fitted ones the id is their place in the sequence. One without an outline is
             drawn as the rectangle with the rms extents of its points, which its covariance tells; of one without
             points either nothing can be drawn, and a warning says so (``fit_plane(..., outline=True)`` and
             ``world_plane(..., shape_of=...)`` give outlines).
@@ -111,10 +112,10 @@ def trajectory_to_lines(
 ) -> Any:
     """Line set through the positions of a trajectory in one colour, RGB in 0..1; `tensor` as in `outlines_to_lines`.
 
-    ``trajectory`` is a `Trajectory`, poses of shape (N, 4, 4), or a sequence of ``gtsam.Pose3``.
+    ``trajectory`` is a `Trajectory` or what has one such as a `Run`, poses of shape (N, 4, 4), positions of shape
+    (N, 3), or a sequence of ``gtsam.Pose3``. ValueError: something else.
     """
-    poses = trajectory.poses if isinstance(trajectory, Trajectory) else trajectory
-    positions = as_shape("trajectory", poses, (None, 4, 4))[:, :3, 3] if len(poses) else np.empty((0, 3))
+    positions = _positions_of(getattr(trajectory, "trajectory", trajectory))
     colours = np.tile(np.asarray(rgb, dtype=np.float64), (max(len(positions) - 1, 0), 1))
     return _line_set([positions], colours, None, tensor)
 
@@ -168,7 +169,8 @@ def points_to_cloud(points: ArrayLike, labels: ArrayLike | None = None, *, tenso
     """Point cloud of the points that are returns, coloured by plane; grey where there is none.
 
     Args:
-        points: shape (..., 3), m; a point that is not finite is left out.
+        points: shape (..., 3), m, or what has such points, as a `slam.io.clouds.Cloud`; one that is not finite is left
+            out.
         labels: plane of each point as `spplanes.segment_scans` gives it, shape (...,), integers, negative = none.
         tensor: ``open3d.t.geometry.PointCloud`` with the attribute "plane" in place of the legacy one.
 
@@ -177,7 +179,7 @@ def points_to_cloud(points: ArrayLike, labels: ArrayLike | None = None, *, tenso
         ValueError: points of another shape, or labels that are not one integer per point.
     """
     o3d = _open3d()
-    array = as_float_array("points", points)
+    array = as_float_array("points", getattr(points, "points", points))
     if array.ndim < 1 or array.shape[-1] != 3:
         raise ValueError(f"points: expected shape (..., 3), got {array.shape}")
     numbers = np.full(array.shape[:-1], -1) if labels is None else np.asarray(labels)
@@ -228,9 +230,10 @@ def _sigma_colours(sigmas: FloatArray, limit_m: float | None) -> FloatArray:
     return colormaps["viridis"](np.minimum(sigmas / largest, 1.0))[:, :3]
 
 
-def _as_map_planes(planes: Sequence[MapPlane | Plane]) -> list[MapPlane]:
+def _as_map_planes(planes: Any) -> list[MapPlane]:
     """The planes of a map as they are; fitted ones with what is known of them."""
     result, empty = [], 0
+    planes = _planes_in(planes)
     for index, plane in enumerate(planes):
         if isinstance(plane, MapPlane):
             result.append(plane)
@@ -245,6 +248,37 @@ def _as_map_planes(planes: Sequence[MapPlane | Plane]) -> list[MapPlane]:
             stacklevel=3,
         )
     return result
+
+
+def _positions_of(trajectory: Any) -> FloatArray:
+    """Positions (N, 3) of poses, or of positions."""
+    poses = trajectory.poses if isinstance(trajectory, Trajectory) else trajectory
+    if not hasattr(poses, "__len__"):
+        raise ValueError(
+            "trajectory: expected a Trajectory, poses (N, 4, 4), positions (N, 3) or Pose3s, got "
+            f"{type(poses).__name__}"
+        )
+    if not len(poses):
+        return np.empty((0, 3))
+    if np.ndim(poses) == 2 and np.shape(poses)[1] == 3:
+        return as_shape("trajectory", poses, (None, 3))
+    return as_shape("trajectory", poses, (None, 4, 4))[:, :3, 3]
+
+
+def _planes_in(given: Any) -> list[MapPlane | Plane]:
+    """The planes of what was handed in: one of them, several, or anything that has `planes`."""
+    found = getattr(given, "planes", given)
+    found = [found] if isinstance(found, MapPlane | Plane) else found
+    if isinstance(found, Iterable) and not isinstance(found, str | np.ndarray):
+        found = list(found)
+        wrong = next((one for one in found if not isinstance(one, MapPlane | Plane)), None)
+        if wrong is None:
+            return found
+        given = wrong
+    raise ValueError(
+        "planes: expected a Plane or MapPlane, several of them, or what has planes such as a Run, got "
+        f"{type(given).__name__}"
+    )
 
 
 def _rectangle_of(plane: Plane) -> Polygon:

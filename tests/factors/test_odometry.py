@@ -78,3 +78,13 @@ def test_the_floor_holds_height_and_tilt_and_nothing_else(yaw, where):
     ):
         off = floor.error(values_of(x0=level.retract(np.array(tangent, dtype=float))))
         assert off == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("factor", [odometry_factor, odometry_factor_2d])
+def test_odometry_takes_a_pose2_and_refuses_degrees(factor):
+    covariance = np.diag([1e-4, 1e-4, 1e-6])
+    numbers, pose = (factor(1, 2, delta, covariance) for delta in ((1.0, -2.0, 0.5), gtsam.Pose2(1.0, -2.0, 0.5)))
+    assert numbers.equals(pose, 1e-12)
+    assert factor(1, 2, (0.0, 0.0, -2.0 * np.pi), covariance).measured().equals(type(pose.measured())(), 1e-9)
+    with pytest.raises(ValueError, match="delta: expected an angle of at most a full turn, in rad, got 90"):
+        factor(1, 2, (1.0, 0.0, 90.0), covariance)

@@ -1,10 +1,11 @@
 import json
+from copy import deepcopy
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shapely import Polygon
+from shapely import Polygon, box
 
 from spplanes import Location, Moments, Plane
 from spplanes._hesse import hesse_jacobian, slopes_in
@@ -287,3 +288,21 @@ def test_mahalanobis_is_symmetric_for_planes_apart_and_tilted():
         a = Plane(np.eye(4), np.diag([1e-4, 1e-2, 1e-3]))
         b = Plane(turn.transform, 1e-3 * root @ root.T)
         assert a.mahalanobis(b) == pytest.approx(b.mahalanobis(a), rel=1e-9)
+
+
+def test_a_plane_is_a_value():
+    """Equal to the bit is equal, whatever made it; what it holds cannot be written to, after a copy either."""
+    frame, covariance = np.eye(4), np.diag([1e-4, 1e-5, 1e-5])
+    plane = Plane(frame, covariance, 40, box(-1, -1, 1, 1))
+    same = deepcopy(plane)
+    assert plane == same and hash(plane) == hash(same) and len({plane, same}) == 1
+    assert plane == Plane.from_dict(plane.to_dict()) and plane in [Plane(frame, 2.0 * covariance, 40), same]
+    shifted = transform_from_rpy((1e-15, 0, 0, 0, 0, 0))
+    for other in (Plane(frame, covariance, 41), Plane(frame, covariance, 40), plane.transform(shifted), "a plane"):
+        assert plane != other
+    for one in (plane, same, plane.transform(np.eye(4)), plane.merge(same)):
+        for array in (one.frame, one.covariance, one.normal, one.centre):
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 7.0
+    frame[0, 3] = covariance[0, 0] = 7.0  # the caller's own arrays stay the caller's
+    assert plane == same

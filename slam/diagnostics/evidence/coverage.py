@@ -18,7 +18,7 @@ from spplanes._check import FloatArray
 _LEAST_KEYFRAMES = 3
 #: A sound run is wrong by a place taken for another more seldom than with this probability: that a run is wrong and
 #: does not say so counts three times as much as that one is right and doubted.
-_MOST_WRONG = 0.25
+MOST_WRONG = 0.25
 
 
 def coverage_evidence(run: Finished) -> Iterator[Evidence]:
@@ -98,7 +98,7 @@ def ambiguity_evidence(run: Finished) -> Iterator[Evidence]:
     A row of pillars looks the same from one pillar on, a hall from both of its ends.
     """
     right = float(np.prod([1.0 - one.probability for one in run.rivals.values()]))
-    if right >= 1.0 - _MOST_WRONG:
+    if right >= 1.0 - MOST_WRONG:
         return
     likely = [frame for frame, one in run.rivals.items() if one.probability > (1.0 - right) / (2.0 * len(run.rivals))]
     worst = max(likely, key=lambda frame: run.rivals[frame].probability)

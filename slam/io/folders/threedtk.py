@@ -37,6 +37,11 @@ def is_3dtk_folder(path: Path) -> bool:
     return path.is_dir() and any(_SCAN_NAME.match(entry.name) for entry in path.iterdir())
 
 
+def is_3dtk_scan(path: Path) -> bool:
+    """Whether the name is that of a scan of 3DTK."""
+    return _SCAN_NAME.match(path.name) is not None
+
+
 def read_3dtk(folder: Path) -> Log:
     """Read a folder of 3DTK scans in the order of their numbers.
 

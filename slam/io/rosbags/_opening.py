@@ -38,7 +38,8 @@ def opened(path: Path, keep_partial: bool = False) -> Iterator[Any]:
         stack.enter_context(reader)
     except Exception as error:  # rosbags on damage: errors of its own, of struct, sqlite3, yaml, zstd and others
         inside = _file_of(path)
-        if not keep_partial or inside is None:
+        wrong_index = isinstance(error, AssertionError)  # rosbags asserts what an index says of its records
+        if inside is None or not (keep_partial or wrong_index):
             raise _broken(path, error, inside is not None) from error
         try:
             reader = SalvagedBag(inside)
@@ -46,6 +47,8 @@ def opened(path: Path, keep_partial: bool = False) -> Iterator[Any]:
             raise
         except Exception as worse:  # topics or types that cannot be made out
             raise _broken(path, worse) from worse
+        if not (keep_partial or reader.is_whole):
+            raise _broken(path, error, True) from error
         yield reader
         return
     try:

@@ -1,4 +1,4 @@
-"""What is left of a ROS 1 bag or an MCAP file that was cut off: its records one after another, without the index.
+"""A ROS 1 bag or an MCAP file that was cut off, or whose index is wrong: its records one after another, without it.
 
 Both formats are rows of records, some of them chunks of further ones, with an index at the end that a recording which
 broke off does not have. `SalvagedBag` reads the records up to the break, all into memory, and offers what
@@ -18,7 +18,7 @@ from slam.io.rosbags._bounded_unpacking import TooLarge, unpack
 from slam.io.rosbags._messages import READ, with_todays_header
 
 _ROS1_MAGIC, _MCAP_MAGIC = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"
-_MESSAGE, _CHUNK, _CONNECTION = 0x02, 0x05, 0x07
+_MESSAGE, _BAG, _CHUNK, _CONNECTION = 0x02, 0x03, 0x05, 0x07
 _MCAP_SCHEMA, _MCAP_CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK = 0x03, 0x04, 0x05, 0x06
 
 
@@ -55,6 +55,9 @@ class SalvagedBag:
         self._messages: list[tuple[Connection, int, bytes]] = []
         self._connections: dict[int, Connection] = {}
         self._schemas: dict[int, tuple[str, str]] = {}
+        #: Whether the records go on to the end of the file.
+        self.is_whole = True
+        self._chunks, self._stated_chunks, self._strangers = 0, 0, 0
         data = path.read_bytes()
         if data.startswith(_ROS1_MAGIC):
             self._take(self._ros1(path, data, len(_ROS1_MAGIC)))
@@ -65,6 +68,16 @@ class SalvagedBag:
         self.is_ros1 = data.startswith(_ROS1_MAGIC)
         self._messages.sort(key=lambda one: one[1])
         self._typestore = self._make_typestore()
+
+    @property
+    def missing(self) -> str:
+        """What the bag's header states and its records do not have; empty: nothing."""
+        told = []
+        if self._chunks < self._stated_chunks:
+            told.append(f"{self._stated_chunks - self._chunks} of {self._stated_chunks} chunks")
+        if self._strangers:
+            told.append(f"the topics of {self._strangers} messages")
+        return " and ".join(told)
 
     @property
     def connections(self) -> list[Connection]:
@@ -111,20 +124,25 @@ class SalvagedBag:
             for number, stamp, raw in messages:
                 if number in self._connections:
                     self._messages.append((self._connections[number], stamp, raw))
+                else:
+                    self._strangers += 1
         except (_Cut, struct.error):
-            pass
+            self.is_whole = False
 
     def _ros1(self, path: Path, data: bytes, place: int) -> Iterator[tuple[int, int, bytes]]:
         """Record by record: header with fields name=value, then data."""
         while place < len(data):
             header, place = _sized(data, place)
             fields = _fields(header)
+            self._chunks += fields.get(b"op") == bytes([_CHUNK])
             if fields.get(b"op") == bytes([_CHUNK]) and fields.get(b"compression") == b"none":
                 place += 4  # its records are records like others: those before the break are whole
                 continue
             body, place = _sized(data, place)
             kind = fields.get(b"op", b"\0")[0]
-            if kind == _CHUNK:
+            if kind == _BAG and b"chunk_count" in fields:
+                (self._stated_chunks,) = struct.unpack("<I", fields[b"chunk_count"])
+            elif kind == _CHUNK:
                 yield from self._ros1(path, _unpack(path, body, fields[b"compression"].decode()), 0)
             elif kind == _CONNECTION:
                 told = _fields(body)

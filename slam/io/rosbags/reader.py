@@ -110,7 +110,7 @@ def read_rosbag(
     notes: list[str] = []
     with opened(path, keep_partial) as reader:
         if isinstance(reader, SalvagedBag):
-            notes.append("the bag breaks off and has no index; kept the messages that are whole")
+            notes.append(_salvaged_note(reader))
         chosen = _choose(path, reader, topics or Topics(), notes)
         found = _read(path, reader, chosen, notes, keep_partial)
     if not found.scans and not found.clouds:
@@ -127,6 +127,13 @@ def read_rosbag(
         events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received, grid, keep_partial)))
     events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
     return Log(_without_doubles(events, notes), path, notes, _mounts(found, body, names, notes, mounted))
+
+
+def _salvaged_note(bag: SalvagedBag) -> str:
+    if not bag.is_whole:
+        return "the bag breaks off and has no index; kept the messages that are whole"
+    missing = bag.missing or "nothing"
+    return f"the bag's index contradicts its records; read to the end without it: {missing} is missing"
 
 
 def _choose(path: Path, reader: Any, wanted: Topics, notes: list[str]) -> Topics:

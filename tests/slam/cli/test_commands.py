@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from slam.cli import main
+from slam.config import SlamConfig
 from spplanes import __version__
 from tests.slam.io.test_threedtk import scanner_points, write_scan
 
@@ -249,3 +250,31 @@ def test_demo_beats_odometry_and_leaves_a_page(tmp_path: Path, capsys: pytest.Ca
     page = (tmp_path / "demo" / "report.html").read_text()
     assert "data:image/png;base64," in page and "corridor width, truth" in page
     assert "http://" not in page and "https://" not in page
+
+
+def test_what_the_group_is_told_may_come_after_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    for flags in (["-v", "fit", "nothing.pcd"], ["fit", "nothing.pcd", "-v"], ["fit", "-q", "nothing.pcd"]):
+        assert "nothing.pcd" in refused(capsys, *flags)
+    assert run(capsys, "fit", "x", "-v", "-q")[0] == 2
+    assert "expected one of -v and -q" in run(capsys, "fit", "x", "-v", "-q")[2]
+
+
+@pytest.mark.parametrize(
+    ("text", "near"),
+    [
+        ("keyframes: {distanc_m: 1}", "distance_m"),
+        ("keyframe: {}", "keyframes"),
+        ("mapper: {min_point: 3}", "min_points"),
+    ],
+)
+def test_a_near_key_is_proposed_for_a_typo(text: str, near: str, tmp_path: Path):
+    (tmp_path / "config.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=f"did you mean {near}"):
+        SlamConfig.from_yaml(tmp_path / "config.yaml")
+
+
+def test_export_makes_no_folder_of_a_mistyped_path(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert "expected a file in a folder that exists" in refused(
+        capsys, "export", tmp_path, "--to", tmp_path / "reslts" / "planes.ply"
+    )
+    assert not (tmp_path / "reslts").exists()

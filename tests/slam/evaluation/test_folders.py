@@ -82,6 +82,8 @@ def test_poses_at_every_scan_are_scored_where_the_run_has_them(mission, tmp_path
     after = compare_with_truth(run, tmp_path / "my.relations")
     assert after.notes == ["scored 3 of 3 relations, by scans.tum"]
     assert {row.name: row.value for row in after.rows}["relations translation max"] < 1e-6
+    notes = compare_with_truth(run, tmp_path / "truth.tum").notes
+    assert any(one.startswith("odometry alone errs by") and "more than the estimate" in one for one in notes)
     rows = {row.name: row.value for row in evaluate_run(run, tmp_path / "truth.tum")}
     assert rows["poses compared"] == rows["poses of the run"] == rows["poses of the truth"] == len(stamps)
     assert "odometry alone: poses compared" in rows

@@ -19,6 +19,7 @@ from slam.errors import LogError
 from slam.io import packed
 from slam.io.load import load
 from slam.io.rosbags._bounded_unpacking import TooLarge, unpack
+from slam.io.rosbags._salvaged import SalvagedBag
 from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig, Sensor
@@ -242,6 +243,27 @@ def test_bags_of_2010_are_read(cut: int, tmp_path: Path):
     assert [scan.stamp_ns for scan in log.scans()] == [SECOND, 2 * SECOND, 3 * SECOND]
     first = log.scans()[0]
     assert isinstance(first, LaserScan) and np.nanmax(np.abs(first.ranges - 2.0)) < 1e-6
+
+
+def test_a_bag_whose_index_contradicts_its_records_is_read_without_it(tmp_path: Path):
+    """An index that counts more messages than it lists: rosbags asserts that it does not."""
+    path = write(tmp_path, "ros1", mission)
+    whole, _ = load(path)
+    data = bytearray(path.read_bytes())
+    data[data.rindex(b"count=", 0, data.rindex(b"op=\x04")) + 6] += 1
+    path.write_bytes(data)
+    log, _ = load(path)
+    assert [scan.stamp_ns for scan in log.scans()] == [scan.stamp_ns for scan in whole.scans()]
+    assert len(log.odometry) == len(whole.odometry)
+    assert "the bag's index contradicts its records; read to the end without it: nothing is missing" in log.notes
+    path.write_bytes(data[:-30])
+    with pytest.raises(LogError, match="expected a whole bag"):
+        load(path)
+    at = data.index(b"chunk_count=") + 12  # as many more chunks are stated than there are
+    chunks = data[at]
+    data[at] += 1
+    path.write_bytes(data)
+    assert SalvagedBag(path).missing == f"1 of {chunks + 1} chunks"
 
 
 def test_the_only_file_of_a_folder_that_breaks_off_is_salvaged(tmp_path: Path):

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from factors._conventions import SP_TO_POSE3
 from slam.errors import LogError
 from slam.geometry.frames import inverse
+from slam.io.folders.threedtk import read_frames
 from slam.io.trajectories import read_tum
 from slam.runs.cloud_registration import read_guess, register_clouds
 from slam.simulation import simulate_mission
@@ -35,6 +36,12 @@ def test_two_scans_of_a_hall_lie_as_sure_as_they_say(seed: int, tmp_path: Path):
     assert nees < chi2.ppf(0.9999, 6)
     assert np.linalg.norm(error[3:]) < 0.02
     assert found.n_planes >= 3
+    # the hall looks nearly the same from both ends: that, and no line of sight, may speak against the place
+    assert {one.kind for one in found.verdict.evidence} <= {"ambiguity", "chance"}, found.verdict.reasons
+    assert 0.5 < found.overlap <= 1.0
+    lost = read_guess("8,7,0,200")  # one more place to look at, and not believed
+    again = register_clouds(*clouds[:2], guess=lost)
+    np.testing.assert_allclose(again.a_T_b, found.a_T_b, atol=1e-3)
 
 
 def tangent(pose: np.ndarray) -> np.ndarray:
@@ -43,7 +50,7 @@ def tangent(pose: np.ndarray) -> np.ndarray:
     return np.array([turn[2, 1], turn[0, 2], turn[1, 0], *pose[:3, 3]])
 
 
-@pytest.mark.parametrize("guess", [None, "2.1,0.4,0,31"])
+@pytest.mark.parametrize("guess", [None, "2.1,0.4,0,31", "8,7,0,200"])
 def test_a_real_room_is_where_icp_has_it(guess: str | None):
     """Not surveyed: ICP has 40.85 deg and (1.964, 0.059, 0.010) m; 0.05 deg are a third of the claimed sigma."""
     clouds = [needs(f"pcl_room/room_scan{k}.pcd") for k in (1, 2)]
@@ -53,14 +60,29 @@ def test_a_real_room_is_where_icp_has_it(guess: str | None):
     assert (x, y, z) == pytest.approx((1.964, 0.059, 0.010), abs=0.03)
     assert yaw == pytest.approx(40.85, abs=0.05)
     assert found.open == ()
+    assert found.verdict.verdict == "sound", found.verdict.reasons
+
+
+def test_clouds_of_every_kind(tmp_path: Path):
+    """Scans of 3DTK without their folder, and depth images with the intrinsics one folder up."""
+    scans = [needs(f"3dtk_corridor/scan00{k}.3d.gz") for k in (0, 1)]
+    truth = [read_frames(scan.with_name(f"{scan.name[:7]}.frames.4cc29d4c")) for scan in scans]
+    found = register_clouds(*scans)
+    off = inverse(found.a_T_b) @ inverse(truth[0]) @ truth[1]
+    assert np.linalg.norm(off[:3, 3]) < 0.06  # two registrations of 3DTK differ by 0.05 m
+    images = sorted(needs("tum_fr3_cabinet/depth").glob("*.png"))[:2]
+    assert register_clouds(*images).verdict.verdict == "doubtful"  # five planes, no walls: any corner has as many
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     simulate_mission("hall", n_scans=2, seed=0).save(tmp_path)
     a, b = sorted((tmp_path / "clouds").iterdir())[:2]
     told = json.loads(run(capsys, "register", a, b, "--json")[1])
-    assert {"a_T_b", "covariance", "xyz_m", "sigma_xyz_m", "planes", "open"} <= set(told)
-    assert "planes are in both" in run(capsys, "register", a, b)[1]
+    assert {"a_T_b", "covariance", "xyz_m", "sigma_xyz_m", "planes", "open", "overlap", "nis_per_dof"} <= set(told)
+    assert told["verdict"] in ("sound", "doubtful") and bool(told["reasons"]) == (told["verdict"] == "doubtful")
+    assert all({"a_T_b", "xyz_m", "ypr_deg", "probability"} <= set(one) for one in told["rivals"])
+    shown = run(capsys, "register", a, b)[1]
+    assert "planes are in both" in shown and f"the pose is {told['verdict']}" in shown
     assert "--guess: expected X,Y,Z,YAW or a file" in refused(capsys, "register", a, b, "--guess", "1,2,x,4")
     assert "nothing.ply" in refused(capsys, "register", a, tmp_path / "nothing.ply")
 

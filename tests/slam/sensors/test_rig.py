@@ -75,14 +75,17 @@ def test_the_papers_lasers_look_where_they_should():
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (("record: FLASER", "recrod: FLASER"), "sensors.front.recrod: unknown key"),
+        (("record: FLASER", "recrod: FLASER"), "sensors.front.recrod: unknown key, did you mean record?"),
         (("kind: line", "kind: sonar"), "sensors.front.kind: input should be 'line', 'slice' or 'cloud', got 'sonar'"),
         (("range_sigma_m: 0.01,", ""), "sensors.front.range_sigma_m: missing"),
         (("range_sigma_m: 0.015", "range_sigma_m: -1"), "sensors.up.range_sigma_m: input should be greater than 0"),
         (("range_max_m: 8.0", "range_max_m: .nan"), "sensors.up.range_max_m: input should be a finite number"),
         (("[0.1, 0.2, 0.3]", "[0.1, 0.2]"), r"sensors.up.body_T_sensor.xyz_m.2: missing"),
         (("{xyz_m: [0.1, 0.2, 0.3], rpy_deg: [0, -90, 0]}", "[[1, 0], [0, 1]]"), r"body_T_sensor: .*expected shape"),
-        (("along_sigma", "allong_sigma"), "odometry.allong_sigma_m_per_sqrt_m: unknown key"),
+        (
+            ("along_sigma", "allong_sigma"),
+            "odometry.allong_sigma_m_per_sqrt_m: unknown key, did you mean along_sigma_m_per_sqrt_m?",
+        ),
         (("sensors:\n", "sensors: [\n"), "expected YAML, got a syntax error"),
         ((GOOD, "sensors: {}"), "sensors: expected at least one sensor"),
         ((GOOD, "[1, 2]"), "expected a mapping with the key 'sensors', got list"),

@@ -1,6 +1,7 @@
 """Maps as Open3D geometry: shapes, sides, holes, deviations; legacy and tensor alike; without a window."""
 
 import sys
+from types import SimpleNamespace
 
 import gtsam
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from shapely import LineString, MultiPolygon, Polygon, box
 
 from factors import plane_factor, plane_landmark, pose_prior, world_plane
+from slam.io.clouds import Cloud
 from slam.io.trajectories import Trajectory
 from slam.planeslam import MapPlane
 from slam.visualization.open3d_export import (
@@ -281,3 +283,24 @@ def test_without_open3d_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(ImportError, match=r"pip install spplanes\[open3d\].*libusb-1.0"):
         planes_to_mesh([])
+
+
+@needs_open3d
+def test_what_one_would_hand_in_is_taken():
+    """One plane, a run, positions, a cloud as it was read."""
+    run, one = SimpleNamespace(planes=two_planes(), trajectory=path()), two_planes()[:1]
+    assert len(planes_to_mesh(run).vertices) == len(planes_to_mesh(two_planes()).vertices)
+    assert len(planes_to_mesh(one[0]).vertices) == len(planes_to_mesh(one).vertices)
+    for way in (run, path().poses[:, :3, 3], [gtsam.Pose3(pose) for pose in path().poses]):
+        assert len(trajectory_to_lines(way).lines) == 2
+    cloud = Cloud(np.array([[1.0, 2.0, 3.0], [np.nan] * 3]))
+    assert len(points_to_cloud(cloud).points) == 1
+
+
+@needs_open3d
+def test_what_cannot_be_drawn_says_what_is_wanted():
+    for wrong, name in (([1.0], "float"), (np.eye(4), "ndarray"), ("planes", "str"), (None, "NoneType")):
+        with pytest.raises(ValueError, match=f"planes: expected a Plane or MapPlane.*got {name}"):
+            planes_to_mesh(wrong)
+    with pytest.raises(ValueError, match=r"trajectory: expected a Trajectory.*got NoneType"):
+        trajectory_to_lines(None)
