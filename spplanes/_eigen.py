@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 
 _MAX_SWEEPS = 30
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _rotation(app: float, aqq: float, apq: float) -> tuple[float, float, float]:
     """Tangent, cosine and sine of the Jacobi rotation that zeroes ``apq``, the smaller of the two angles."""
     tau = (aqq - app) / (2.0 * apq)
@@ -22,7 +22,7 @@ def _rotation(app: float, aqq: float, apq: float) -> tuple[float, float, float]:
     return t, c, t * c
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _is_negligible(off: float, a: float, b: float) -> bool:
     """Whether an off-diagonal entry is below the rounding of both its diagonal entries."""
     return abs(off) <= 1e-17 * math.sqrt(abs(a)) * math.sqrt(abs(b)) or abs(off) < 1e-300
@@ -69,7 +69,7 @@ def jacobi3(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, va
     _store_sorted(xx, yy, zz, v, values, vectors)
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _store_sorted(a: float, b: float, c: float, v, values, vectors) -> None:
     """Write eigenpairs in ascending order of eigenvalue."""
     i, j, k = 0, 1, 2

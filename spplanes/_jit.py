@@ -45,10 +45,10 @@ KERNELS: list[Any] = []
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """A decorator: `numba.njit` with these options, and with what a wheel brings."""
+    """A decorator: `numba.njit` with these options, without an entry for C, and with what a wheel brings."""
 
     def kernel_of(function: Callable[..., Any]) -> Any:
-        kernel: Any = numba.njit(**options)(function)
+        kernel: Any = numba.njit(**{"no_cfunc_wrapper": True, **options})(function)
         if not config.DISABLE_JIT:  # type: ignore[attr-defined]
             if options.get("cache"):
                 kernel._cache = _Cache(function)
@@ -56,6 +56,26 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return kernel
 
     return kernel_of
+
+
+def inner(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """A decorator: `njit` for what only kernels call. Without an entry for Python it compiles a seventh faster.
+
+    Called from Python, it raises TypeError.
+    """
+
+    def inner_of(function: Callable[..., Any]) -> Any:
+        kernel = njit(no_cpython_wrapper=True, **options)(function)
+        if not config.DISABLE_JIT:  # type: ignore[attr-defined]
+
+            def refuse(*_: Any, **__: Any) -> None:
+                raise TypeError(f"{function.__module__}.{function.__qualname__}: only kernels can call it")
+
+            kernel._insert = lambda *_: None  # numba would jump to the entry that is not there
+            kernel._compile_for_args = refuse
+        return kernel
+
+    return inner_of
 
 
 @cache

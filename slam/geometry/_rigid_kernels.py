@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 
 #: Angles below this, rad, take the series of what else would be nought by nought.
 _SMALL = 1e-5
@@ -56,7 +56,7 @@ def logmap(motion):
     return tangent
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _log_of_rotation(R, tangent):
     """Write the rotation vector of R, the first three rows and columns, by the quaternion's largest entry."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]

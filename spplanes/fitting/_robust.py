@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 from spplanes._check import FloatArray
-from spplanes._jit import njit
+from spplanes._jit import inner
 from spplanes._rows import COLLINEAR, OK, TOO_FEW, write_frame
 from spplanes.fitting._kernels import descend, invert3, settle, write_covariance
 from spplanes.fitting._sums import FLOOR
@@ -48,7 +48,7 @@ OUT_WEIGHT, _, OUT_SCORE = _biweight_means(lambda u: np.full_like(u, 0.5 / CUTOF
 GAIN = WEIGHT / SLOPE
 
 
-@njit(cache=True)
+@inner(cache=True)
 def triple_frame(points, i, j, k, frame) -> bool:
     """Write the frame of the plane through three points; False where they are as good as collinear, or not three."""
     a, b = points[j] - points[i], points[k] - points[i]
@@ -63,7 +63,7 @@ def triple_frame(points, i, j, k, frame) -> bool:
     return True
 
 
-@njit(cache=True)
+@inner(cache=True)
 def truncated_cost(points, covs, step, order, lo, hi, stride, frame, cutoff2) -> float:
     """Sum of min(z^2 / s^2, cutoff2) over every ``stride``-th point of a group."""
     nx, ny, nz = frame[0, 2], frame[1, 2], frame[2, 2]
@@ -78,7 +78,7 @@ def truncated_cost(points, covs, step, order, lo, hi, stride, frame, cutoff2) ->
     return cost
 
 
-@njit(cache=True)
+@inner(cache=True)
 def consensus_frame(points, covs, step, order, lo, hi, fractions, cutoff2, frame) -> int:
     """Write the frame of the triple whose plane the group agrees with most."""
     n = hi - lo
@@ -97,7 +97,7 @@ def consensus_frame(points, covs, step, order, lo, hi, fractions, cutoff2, frame
     return OK if best < np.inf else COLLINEAR
 
 
-@njit(cache=True)
+@inner(cache=True)
 def locate(points, covs, step, i, frame) -> tuple[float, float, float]:
     """In-plane coordinates x and y of a point, m, and its squared normalised distance from the plane."""
     c, x, y, z, variance, trace = covs[i * step], 0.0, 0.0, 0.0, 0.0, 0.0
@@ -112,7 +112,7 @@ def locate(points, covs, step, i, frame) -> tuple[float, float, float]:
     return x, y, z * z / max(variance, FLOOR * trace)
 
 
-@njit(cache=True)
+@inner(cache=True)
 def patch_points(points, covs, step, order, lo, hi, frame, cutoff2, kept) -> int:
     """Write to ``kept`` the group's points over the patch its inliers fill, at whatever height; returns how many.
 
@@ -148,13 +148,13 @@ def patch_points(points, covs, step, order, lo, hi, frame, cutoff2, kept) -> int
     return size
 
 
-@njit(cache=True)
+@inner(cache=True)
 def within_patch(x, y, xx, xy, yy) -> bool:
     """Whether (x, y) is within PATCH_SIGMAS of a spread, by its Mahalanobis distance."""
     return yy * x * x - 2.0 * xy * x * y + xx * y * y <= PATCH_SIGMAS * PATCH_SIGMAS * (xx * yy - xy * xy)
 
 
-@njit(cache=True)
+@inner(cache=True)
 def ring_information(points, covs, step, order, lo, hi, frame, cutoff2, ring) -> None:
     """Add to ``ring`` (6,) the unweighted information, sum w h h^T, of the points between one and two cutoffs off.
 
@@ -177,7 +177,7 @@ def ring_information(points, covs, step, order, lo, hi, frame, cutoff2, ring) ->
         ring[5] += w * y * y
 
 
-@njit(cache=True)
+@inner(cache=True)
 def discount_outliers(sums, ring, score) -> None:
     """Turn the weights' information in ``sums`` into the curvature of the cost, and write the variance of its score.
 
@@ -195,7 +195,7 @@ def discount_outliers(sums, ring, score) -> None:
     sums[15:18] *= SLOPE / WEIGHT
 
 
-@njit(cache=True)
+@inner(cache=True)
 def robust_group(points, covs, step, order, lo, hi, viewpoint, fractions, frame, covariance, sums) -> int:
     """Tukey fit of one group; writes frame, covariance and the sums of the kept points at the minimum."""
     if hi - lo < 3:

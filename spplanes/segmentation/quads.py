@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import variance_along
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _jump_chi2(points, covariance, i, j, k, m, views, tangent):
     """Chi2 (1 dof) of the step in depth that no surface seen at less than the steepest incidence explains."""
     ax, ay, az = points[i, j, 0] - views[i, 0], points[i, j, 1] - views[i, 1], points[i, j, 2] - views[i, 2]
@@ -27,7 +27,7 @@ def _jump_chi2(points, covariance, i, j, k, m, views, tangent):
     return rest * rest / variance if variance > 0.0 else np.inf
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _literal_chi2(points, covariance, i, j, k, m):
     """Chi2 (3 dof) of the whole displacement, the paper's test: (e_a - e_b)^T (C_a + C_b)^-1 (e_a - e_b)."""
     total, step = np.zeros((3, 3)), np.empty(3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 
 #: Points of the map are of the surface at a return within this of it, m, with normals nearer than this cosine.
 _RADIUS_M, _ALIKE = 0.2, 0.7
@@ -14,7 +14,7 @@ _SMOOTH_M = 0.08
 _DOUBTED = 3.0
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inner(cache=True, error_model="numpy", inline="always")
 def _surface_at(x, y, nx, ny, points, normals, weights, start, origin, cell, columns, rows):
     """The map's surface at a place: whether there is one, its signed distance and its normal."""
     column, row = int(np.floor((x - origin[0]) / cell)), int(np.floor((y - origin[1]) / cell))
@@ -117,7 +117,7 @@ def align(
     return pose, _without(told, erring, far), fits / max(total, 1e-12), misfit
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def _without(told, erring, far):
     """Information about (x, y, theta) less what errs of it, not below none; a turn counts by its arc at `far`, m."""
     scale = np.array((1.0, 1.0, far))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 from spplanes.fitting._moment_patches import eigenvalues, merge_scaled, normal_of
 
 
@@ -47,7 +47,7 @@ def step_chi2(a, b, tolerance, work):
     return gain / (1.0 + gain * tolerance / (step * step))
 
 
-@njit(cache=True)
+@inner(cache=True)
 def find(parent, i):
     """Root of i, with path halving."""
     while parent[i] != i:
@@ -56,7 +56,7 @@ def find(parent, i):
     return i
 
 
-@njit(cache=True)
+@inner(cache=True)
 def push(keys, items, size, key, item):
     """Put an entry into a heap of `size`; returns the new size."""
     i = size
@@ -70,7 +70,7 @@ def push(keys, items, size, key, item):
     return size + 1
 
 
-@njit(cache=True)
+@inner(cache=True)
 def pop(keys, items, size):
     """Remove the first entry; the caller has read it."""
     size -= 1
@@ -91,14 +91,14 @@ def pop(keys, items, size):
     return size
 
 
-@njit(cache=True)
+@inner(cache=True)
 def merged_distance(a, b, work):
     """Mean squared normalised distance of the points of both rows to their common plane."""
     merge_scaled(work, a, 1.0, b, 1.0)
     return eigenvalues(work)[0] / max(work[0] - 3.0, 1.0)
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _are_one(rows, bias, a, b, flatness, correlation, limits, work):
     """Whether two patches are one plane: what they share with scans counts as far as their scans differ."""
     apart = 1.0 - np.exp(-abs(bias[a, 1] - bias[b, 1]) / correlation)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 from spplanes._threads import in_parts, threads_for
 from spplanes.fitting._moment_patches import (
     add_run,
@@ -122,7 +122,7 @@ def grow(points, covariance, valid, labels, start, planes, gate, floor_variance)
                 tail += 1
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _mark_sources(labels, valid, start, i, marked):
     """Mark the labelled points of row i beside a free one in the rows from `start` on, whole rows at once."""
     n_rows, n_cols = labels.shape

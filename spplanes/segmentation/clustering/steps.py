@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import eigenvalues, normal_of, variance_along
 
@@ -68,7 +68,7 @@ def _reject_in(planar, points, covariance, rows, free, size, floor_variance, lim
             planar[ci, cj] = chi2 <= limit
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _step_chi2(strips, total, tolerance):
     """Largest chi2 (1 dof) of a step between strips, beside a linear trend: weighted regression, step by step.
 

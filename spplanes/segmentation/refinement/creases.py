@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import distance_of, variance_from
 
@@ -62,7 +62,7 @@ def _unlabel_in(points, covariance, valid, labels, planes, max_angle, certainty,
                 labels[i, j] = -1
 
 
-@njit(cache=True, nogil=True)
+@inner(cache=True, nogil=True)
 def _differences(points, valid):
     """Right minus left and below minus above, two points each, (S, B, 3), and whether the five by five are returns."""
     n_rows, n_cols = valid.shape
@@ -144,7 +144,7 @@ def _judge_columns(
                     labels[i, j] = -1
 
 
-@njit(cache=True, nogil=True)
+@inner(cache=True, nogil=True)
 def _sum_along(values, labels, reach):
     """Sums of the values within reach along every row that lie in the same run of equal labels."""
     n_rows, n_cols = values.shape

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 from spplanes.fitting._moment_patches import residual_chi2
 
 #: Points are explained block by block, this many on a side: a point alone always finds some plane that suits it.
@@ -87,7 +87,7 @@ def near_pairs(labels, gap):
     return pairs[:count]
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _members(labels, start, n_regions):
     """Points of every region in the order of their blocks, as flat indices, and where each region begins."""
     first = np.zeros(n_regions + 1, dtype=np.int64)
@@ -108,7 +108,7 @@ def _members(labels, start, n_regions):
     return members, first
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _is_superfluous(points, covariance, n_cols, mine, region, candidates, planes, floor_variance):
     """Whether the best neighbour of every block explains the points nearly as well as the region itself."""
     limit = MEAN_GAIN * mine.shape[0] + SUM_GAIN
@@ -131,7 +131,7 @@ def _is_superfluous(points, covariance, n_cols, mine, region, candidates, planes
     return True
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _hand_over(points, covariance, labels, mine, candidates, planes, floor_variance):
     """Label every block of points with the neighbour that explains it best."""
     n_cols = labels.shape[1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 
 #: Fewest points on either side of a cut.
 FEWEST = 6
@@ -62,7 +62,7 @@ def best_cut(row, column, place, residuals, weights, drift, uneven, least):
     return (row >= i0) & (row < i1) & (column >= j0) & (column < j1), best
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _explained(row, place, residuals, weights, drift):
     """Covariance of plane and offsets of scans, (3 + S, 3 + S), and what they leave of the residuals, shape (N,)."""
     size = 3 + drift.shape[0]
@@ -89,7 +89,7 @@ def _explained(row, place, residuals, weights, drift):
     return inverse, left
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _step(sums, i0, i1, j0, j1, inverse, uneven, least, z):
     """Chi2 of the step of the points in scans i0 to i1 and beams j0 to j1, from sums over beams before."""
     z[:] = 0.0
