@@ -48,7 +48,8 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """A decorator: `numba.njit` with these options, without an entry for C, and with what a wheel brings."""
 
     def kernel_of(function: Callable[..., Any]) -> Any:
-        kernel: Any = numba.njit(**{"no_cfunc_wrapper": True, **options})(function)
+        settings: dict[str, Any] = {"no_cfunc_wrapper": True, **options}
+        kernel: Any = numba.njit(**settings)(function)
         if not config.DISABLE_JIT:  # type: ignore[attr-defined]
             if options.get("cache"):
                 kernel._cache = _Cache(function)
