@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._eigen import jacobi3
-from spplanes._jit import inner, njit
+from spplanes._jit import inlined, inner, njit
 
 #: Length of a moment row: n, W, cx, cy, cz, Sxx, Sxy, Sxz, Syy, Syz, Szz.
 ROW_SIZE = 11
@@ -140,7 +140,7 @@ def write_frame(n, x, c, frame) -> None:
     frame[2, 1] = frame[0, 2] * frame[1, 0] - frame[1, 2] * frame[0, 0]
 
 
-@inner(cache=True)
+@inlined
 def extent_status(row, middle: float, largest: float) -> int:
     """OK, COINCIDENT or COLLINEAR, judged by the two larger eigenvalues of the scatter and by rounding."""
     size = ROUNDING * max(abs(row[2]), abs(row[3]), abs(row[4]))

@@ -10,7 +10,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from spplanes._check import FloatArray
-from spplanes._jit import inner, njit
+from spplanes._jit import inlined, inner
 
 
 class Rings(NamedTuple):
@@ -34,7 +34,7 @@ class Rings(NamedTuple):
         return cls(corners, ends, np.searchsorted(owner[part], np.arange(len(geometries) + 1)))
 
 
-@njit(cache=True)
+@inlined
 def come_near(corners, ends, others, other_ends, gap):
     """Whether two polygons, even-odd, have points no farther apart than a gap.
 
@@ -60,7 +60,7 @@ def come_near(corners, ends, others, other_ends, gap):
     return False
 
 
-@inner(cache=True)
+@inlined
 def _boxes_come_near(corners, others, gap):
     for axis in range(2):
         low, high, other_low, other_high = np.inf, -np.inf, np.inf, -np.inf
@@ -87,7 +87,7 @@ def _contains(corners, ends, x, y):
     return inside
 
 
-@inner(cache=True)
+@inlined
 def _sides_come_near(a, b, c, d, gap):
     """Whether two segments have points no farther apart than a gap."""
     for axis in range(2):

@@ -95,7 +95,8 @@ def members_of(labels, count):
     for label in labels:
         if label >= 0:
             begins[label + 1] += 1
-    begins = np.cumsum(begins)
+    for label in range(count):
+        begins[label + 1] += begins[label]
     members, at = np.empty(begins[count], dtype=np.int64), begins.copy()
     for k in range(labels.size):
         if labels[k] >= 0:

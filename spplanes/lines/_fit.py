@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inner
+from spplanes._jit import inlined, inner
 from spplanes.lines._round import solve_symmetric
 
 #: Gauss-Newton ends with a step that lowers chi2 by less than this: a thousandth of a standard deviation.
@@ -14,7 +14,7 @@ MAX_STEPS = 20
 MAX_PREDICTION = 5.0
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def normal_equations(cosines, sines, ranges, sigmas, members, alpha, rho):
     """Of the range residuals e: information sum J J^T / sigma^2 (3 entries), gradient sum J e / sigma^2 (2), chi2.
 
@@ -104,7 +104,7 @@ def grow(bearings, ranges, sigmas, breaks, labels, members, line, gate):
     return np.concatenate((np.arange(low, members[0]), members, np.arange(members[-1] + 1, high)))
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def turning(bearings, cosines, sines, ranges, sigmas, members, line):
     """Angle, rad, by which the beams turn from end to end if they are an arc, and its standard deviation.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inner
+from spplanes._jit import inlined, inner
 
 N_SUMS = 6
 #: Below this share of m[0] m[2] the bearings of a set are one bearing and do not define a line.
@@ -112,7 +112,7 @@ def sum_range(moments, low, high):
     return total
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def triple_fails(bearings, ranges, sigmas, sines, i, j, k, gate):
     """True when three neighbouring beams are not on one line: chi2 with 1 dof of their collinearity above `gate`.
 
@@ -230,7 +230,7 @@ def refine(moments, breaks, starts, significance):
     return kept[: count + 1], undecided
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def mark_undecided(cost, low, high, at, undecided):
     """Mark the beams between the first and the last split that are about as good as the best one, `at`."""
     first = last = at

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inner
+from spplanes._jit import inlined, inner
 
 #: Parts of one region that lie apart are bridged by closing the raster with up to this many cells.
 BRIDGES = (1, 2, 4, 8, 16)
 
 
-@inner(cache=True, nogil=True)
+@inlined
 def one_part(filled):
     """The raster without pinches and in one part: closed as far as it takes, or else its largest part.
 
@@ -50,7 +50,7 @@ def fill_pinches(filled):
                     changed = True
 
 
-@inner(cache=True, nogil=True)
+@inlined
 def closed(filled, reach):
     """Closing by a square that reaches up to 31 cells to each side; 64 cells at a time, as bits of words."""
     n_i, n_j = filled.shape
@@ -70,7 +70,7 @@ def closed(filled, reach):
     return result
 
 
-@inner(cache=True, nogil=True)
+@inlined
 def _complement(words):
     for i in range(words.shape[0]):
         for k in range(words.shape[1]):
@@ -138,7 +138,7 @@ def _root(parent, k):
     return k
 
 
-@inner(cache=True, nogil=True)
+@inlined
 def _largest_part(filled):
     """The largest 4-connected part, of several the first."""
     n_j = filled.shape[1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._check import FloatArray
-from spplanes._jit import inner, njit
+from spplanes._jit import inlined, inner, njit
 from spplanes._threads import in_parts
 
 #: A cell is (region, i, j) in one int64: 21 bits for each of i and j, offset to be positive.
@@ -139,7 +139,7 @@ def _cells_of_row(flat, labels, scale, corner, i, place, inward):
                 inward[k, j], inward[k + 2, j] = int(np.ceil(place[j, k])), int(np.floor(place[j, k]))
 
 
-@inner(cache=True, nogil=True)
+@inlined
 def _mark_quads(above, below, hit):
     """Mark the quads that may hold a centre, by the box of their corners: whole rows at once, as compilers like it."""
     for j in range(hit.shape[0] - 1):

@@ -96,14 +96,15 @@ def test_what_only_kernels_call_refuses_python_and_serves_kernels():
 def made_by(node: ast.AST, *makers: str) -> bool:
     """Whether a function has one of these decorators."""
     given = node.decorator_list if isinstance(node, ast.FunctionDef) else []
-    return any(isinstance(one, ast.Call) and isinstance(one.func, ast.Name) and one.func.id in makers for one in given)
+    names = [one.func if isinstance(one, ast.Call) else one for one in given]
+    return any(isinstance(name, ast.Name) and name.id in makers for name in names)
 
 
 def names_outside_kernels(node: ast.AST) -> Iterator[str]:
     for child in ast.iter_child_nodes(node):
         if isinstance(child, ast.Name):
             yield child.id
-        if not made_by(child, "njit", "inner"):
+        if not made_by(child, "njit", "inner", "inlined"):
             yield from names_outside_kernels(child)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inner, njit
+from spplanes._jit import inlined, inner, njit
 from spplanes.segmentation.clustering._nodes import (
     OFFSET,
     REGION,
@@ -83,7 +83,7 @@ def _step(a, b, tolerance):
     return step * step / (1.0 / a[WEIGHT] + 1.0 / b[WEIGHT] + tolerance)
 
 
-@inner(cache=True)
+@inlined
 def _drift(a, b, bias, correlation):
     """Variance that errors shared with scans add to the step between two nodes, m^2."""
     return 2.0 * bias[int(a[REGION])] * (1.0 - np.exp(-abs(a[ROW] - b[ROW]) / correlation))
@@ -132,7 +132,7 @@ def _unite(nodes, parent, a, b):
     parent[b] = a
 
 
-@inner(cache=True)
+@inlined
 def _rejoin(nodes, trees, parent, pairs, edges, bias, limit, tolerated, correlation):
     """Unite trees between which the surface has no step where they meet, each with the likest; whether there were any.
 
@@ -182,7 +182,7 @@ def _rejoin(nodes, trees, parent, pairs, edges, bias, limit, tolerated, correlat
     return united
 
 
-@inner(cache=True)
+@inlined
 def _combined(total):
     """Mean step and its variance from those inside scans, where shared errors cancel, and from scan to scan.
 
@@ -198,7 +198,7 @@ def _combined(total):
     return moment / weight, 1.0 / weight
 
 
-@inner(cache=True)
+@inlined
 def _number(nodes, parent, hides, settled_rows, first, min_points):
     """Label of every node and the region every new label was part of: largest parts and those in settled rows stay."""
     n_settled = first[settled_rows, 0] if settled_rows < first.shape[0] else nodes.shape[0]
