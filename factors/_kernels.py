@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 
 
 @njit(cache=True)
@@ -42,7 +42,7 @@ def unit_bases(normals):
     return out
 
 
-@njit(cache=True)
+@inner(cache=True)
 def cross(a, b):
     """Cross product of two (3,) vectors."""
     out = np.empty(3)
@@ -205,7 +205,7 @@ def direction_error(world_T_anchor, world_T_body, coefficients, directions):
     return directions @ seen[:3], directions @ jacobian[:3]
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _reference_rows(coefficients):
     """Hesse row (4,) of a landmark in its own frame and its derivative (4, 3)."""
     own = coefficients.copy()
@@ -216,7 +216,7 @@ def _reference_rows(coefficients):
     return own, jacobian
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _joined(by_seen, jacobian, by_own, own_jacobian):
     """Chain rule of an error of two planes: derivative (m, 18)."""
     derivative = np.empty((len(by_seen), 18))

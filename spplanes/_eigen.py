@@ -1,4 +1,4 @@
-"""Eigenvalues of 3x3 symmetric matrices by Jacobi rotations: accurate when near-degenerate, numba-callable."""
+"""3x3 symmetric matrices, numba-callable: eigenvalues by Jacobi rotations, accurate when near-degenerate; solutions."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner, njit
 
 _MAX_SWEEPS = 30
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _rotation(app: float, aqq: float, apq: float) -> tuple[float, float, float]:
     """Tangent, cosine and sine of the Jacobi rotation that zeroes ``apq``, the smaller of the two angles."""
     tau = (aqq - app) / (2.0 * apq)
@@ -22,7 +22,7 @@ def _rotation(app: float, aqq: float, apq: float) -> tuple[float, float, float]:
     return t, c, t * c
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _is_negligible(off: float, a: float, b: float) -> bool:
     """Whether an off-diagonal entry is below the rounding of both its diagonal entries."""
     return abs(off) <= 1e-17 * math.sqrt(abs(a)) * math.sqrt(abs(b)) or abs(off) < 1e-300
@@ -69,7 +69,7 @@ def jacobi3(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, va
     _store_sorted(xx, yy, zz, v, values, vectors)
 
 
-@njit(cache=True)
+@inlined
 def _store_sorted(a: float, b: float, c: float, v, values, vectors) -> None:
     """Write eigenpairs in ascending order of eigenvalue."""
     i, j, k = 0, 1, 2
@@ -84,3 +84,21 @@ def _store_sorted(a: float, b: float, c: float, v, values, vectors) -> None:
     values[0], values[1], values[2] = low, mid, high
     for r in range(3):
         vectors[r, 0], vectors[r, 1], vectors[r, 2] = v[r, i], v[r, j], v[r, k]
+
+
+@inner(cache=True)
+def solve3(matrix, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Solution of a positive definite 3x3 system by the factors L D L^T; of `matrix` the upper triangle, six entries.
+
+    Raises:
+        ZeroDivisionError: the matrix is singular to the last digit.
+    """
+    xx, xy, xz, yy, yz, zz = matrix
+    a, b = xy / xx, xz / xx
+    d = yy - a * xy
+    c = (yz - a * xz) / d
+    y -= a * x
+    z -= b * x + c * y
+    z /= zz - b * xz - c * c * d
+    y = y / d - c * z
+    return x / xx - a * y - b * z, y, z

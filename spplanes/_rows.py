@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._eigen import jacobi3
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner, njit
 
 #: Length of a moment row: n, W, cx, cy, cz, Sxx, Sxy, Sxz, Syy, Syz, Szz.
 ROW_SIZE = 11
@@ -21,7 +21,7 @@ COLLINEAR_RATIO = 1e-6
 ROUNDING = 1e-15
 
 
-@njit(cache=True)
+@inner(cache=True)
 def add_point(row, p, w: float) -> None:
     """Add point ``p``, shape (3,), with weight ``w`` to a moment row in place."""
     row[0] += 1.0
@@ -103,7 +103,7 @@ def points_row(points, weights, row) -> None:
         row[10] += w * z * z
 
 
-@njit(cache=True)
+@inner(cache=True)
 def faces_viewpoint(n, c, viewpoint) -> bool:
     """Whether normal ``n`` at centre ``c`` has the agreed sign: to the viewpoint or, where that is NaN, d >= 0."""
     side = n[0] * (viewpoint[0] - c[0]) + n[1] * (viewpoint[1] - c[1]) + n[2] * (viewpoint[2] - c[2])
@@ -121,7 +121,7 @@ def faces_viewpoint(n, c, viewpoint) -> bool:
     return n[largest] > 0.0
 
 
-@njit(cache=True)
+@inner(cache=True)
 def write_frame(n, x, c, frame) -> None:
     """Write the (4, 4) frame with z axis ``n``, x axis along ``x`` (largest component positive), origin ``c``."""
     largest = 0
@@ -140,7 +140,7 @@ def write_frame(n, x, c, frame) -> None:
     frame[2, 1] = frame[0, 2] * frame[1, 0] - frame[1, 2] * frame[0, 0]
 
 
-@njit(cache=True)
+@inlined
 def extent_status(row, middle: float, largest: float) -> int:
     """OK, COINCIDENT or COLLINEAR, judged by the two larger eigenvalues of the scatter and by rounding."""
     size = ROUNDING * max(abs(row[2]), abs(row[3]), abs(row[4]))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import hashlib
 import io
 import os
@@ -105,6 +106,7 @@ def run(name: str) -> None:
     Raises:
         RuntimeError: it failed.
     """
+    gc.set_threshold(100_000, 20, 20)  # compiling fills memory with what lives long: looked through less often
     with tempfile.TemporaryDirectory() as scratch, contextlib.chdir(scratch):
         JOBS[name]()
 

@@ -9,7 +9,7 @@ from math import frexp
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, njit
 
 #: Cells that a hash table has for every one used, at least; and the multiplier that spreads keys over it (Knuth).
 _ROOM, _SPREAD = 2, np.uint64(0x9E3779B97F4A7C15)
@@ -200,7 +200,7 @@ def jumps(points, ranges, labels, steps, inset, rules):
     return found[:count]
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _between(near, far, near_m, far_m, middle):
     """Write into `middle` (3,) the point in the direction between two others, at the range of the near one."""
     square = 0.0

@@ -10,7 +10,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from spplanes._check import FloatArray
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner
 
 
 class Rings(NamedTuple):
@@ -34,7 +34,7 @@ class Rings(NamedTuple):
         return cls(corners, ends, np.searchsorted(owner[part], np.arange(len(geometries) + 1)))
 
 
-@njit(cache=True)
+@inlined
 def come_near(corners, ends, others, other_ends, gap):
     """Whether two polygons, even-odd, have points no farther apart than a gap.
 
@@ -60,7 +60,7 @@ def come_near(corners, ends, others, other_ends, gap):
     return False
 
 
-@njit(cache=True)
+@inlined
 def _boxes_come_near(corners, others, gap):
     for axis in range(2):
         low, high, other_low, other_high = np.inf, -np.inf, np.inf, -np.inf
@@ -73,7 +73,7 @@ def _boxes_come_near(corners, others, gap):
     return True
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _contains(corners, ends, x, y):
     """Whether a point lies within rings, even-odd."""
     inside = False
@@ -87,7 +87,7 @@ def _contains(corners, ends, x, y):
     return inside
 
 
-@njit(cache=True)
+@inlined
 def _sides_come_near(a, b, c, d, gap):
     """Whether two segments have points no farther apart than a gap."""
     for axis in range(2):
@@ -100,13 +100,13 @@ def _sides_come_near(a, b, c, d, gap):
     return square <= gap * gap
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _side(a, b, p):
     """On which side of the line from a to b a point lies: the sign."""
     return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _square(p, a, b):
     """Square of the distance of a point from a segment."""
     x, y, length = b[0] - a[0], b[1] - a[1], (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2

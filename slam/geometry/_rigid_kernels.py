@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined
 
 #: Angles below this, rad, take the series of what else would be nought by nought.
 _SMALL = 1e-5
 
 
-@njit(cache=True)
+@inlined
 def expmap(tangent):
     """The rigid motion (4, 4) of a tangent vector (6,), rad and m."""
     x, y, z = tangent[0], tangent[1], tangent[2]
@@ -36,7 +36,7 @@ def expmap(tangent):
     return motion
 
 
-@njit(cache=True)
+@inlined
 def logmap(motion):
     """The tangent vector (6,) of a rigid motion (4, 4), turns of up to pi."""
     tangent = np.empty(6)
@@ -56,7 +56,7 @@ def logmap(motion):
     return tangent
 
 
-@njit(cache=True)
+@inlined
 def _log_of_rotation(R, tangent):
     """Write the rotation vector of R, the first three rows and columns, by the quaternion's largest entry."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]

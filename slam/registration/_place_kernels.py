@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 
 WALL = 7
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def innovation(pose, covariance, wall, other):
     """How far `wall` (in a), moved by the pose, is from `other` (in b).
 
@@ -37,7 +37,7 @@ def innovation(pose, covariance, wall, other):
     return turn, shift, v00 + other[2], v01 + other[3], v11 + other[4], overlap, along
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def evidence(pose, covariance, wall, other, density, gate, min_overlap):
     """Log ratio of the shift's density if they are one wall to that of chance; -inf beyond the gate or apart."""
     turn, shift, v00, v01, v11, overlap, along = innovation(pose, covariance, wall, other)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slam.geometry._polygon_kernels import come_near
-from spplanes._jit import njit
+from spplanes._jit import inlined, njit
 
 #: Motions that a rotation gives at most.
 BEST = 3
@@ -117,7 +117,7 @@ def best_shifts(own, normals, offsets, weights, middles, reaches, strongest, dis
     return shifts[:count], found[:count]
 
 
-@njit(cache=True)
+@inlined
 def _keep(shift, weight, score, shifts, found, scores, count, apart):
     """Put a translation among the best, in place of those as near as `apart` that are worse; how many there are then.
 
@@ -140,7 +140,7 @@ def _keep(shift, weight, score, shifts, found, scores, count, apart):
     return min(kept + 1, BEST)
 
 
-@njit(cache=True)
+@inlined
 def _weight_left(own, weights):
     """Weight of the planes of this pair and of all after it, shape (P + 1,)."""
     left = np.zeros(own.size + 1)
@@ -149,7 +149,7 @@ def _weight_left(own, weights):
     return left
 
 
-@njit(cache=True)
+@inlined
 def _weight_found(own, normals, offsets, weights, middles, reaches, left, shift, distance, needed):
     """Weight of the planes that a translation brings to a known one that they meet, none at `distance` from it.
 
@@ -172,7 +172,7 @@ def _weight_found(own, normals, offsets, weights, middles, reaches, left, shift,
     return weight if p == own.size else -np.inf
 
 
-@njit(cache=True)
+@inlined
 def _shift_of(pairs, normals, offsets, distance, sigma, shift):
     """Translation of least squares by three pairs, errors of `distance`, and the expectation that it is none."""
     share = (distance / sigma) ** 2
@@ -240,7 +240,7 @@ def partners(motion, mine, theirs, least_cosine, distance, gap):
     return pairs[:count]
 
 
-@njit(cache=True)
+@inlined
 def _flattened(corners, frame, other):
     """Corners (C, 2) in a frame, seen along the normal of another one (4, 4), in its (x, y)."""
     flat = np.empty_like(corners)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 
 
 @njit(cache=True, error_model="numpy")
@@ -80,7 +80,7 @@ def peaks_of(keys, strides, order, scores, prominence):
     return parent
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def _top(parent, index):
     """The highest cell of the peak that a cell has joined."""
     while parent[index] != index:

@@ -7,7 +7,7 @@ import numpy as np
 from slam.geometry._rigid_kernels import expmap, logmap
 from slam.registration._plane_arrays import PlaneArrays
 from spplanes._check import FloatArray
-from spplanes._jit import njit
+from spplanes._jit import inlined, njit
 
 #: What surfaces and sensors leave two views of a plane off each other, m, whatever their covariance says; over the
 #: width of a plane it is a tilt.
@@ -94,7 +94,7 @@ def _solved(motion, frames, normals, distances, scatter, expected):
     return motion, np.linalg.inv(information)
 
 
-@njit(cache=True)
+@inlined
 def _off(motion, frames, normals, distances):
     """How far known planes lie from seen ones, height and two tilts (K, 3), and the derivative (K, 3, 6).
 

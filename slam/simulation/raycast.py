@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, njit
 
 #: Hits closer than this do not count: the ray starts on the surface.
 NEAREST_M = 1e-6
@@ -12,7 +12,7 @@ NEAREST_M = 1e-6
 NOTHING = -1
 
 
-@njit(cache=True)
+@inlined
 def _crosses(corner, edge_u, edge_v, origin, normal):
     """Whether a rectangle has corners on both sides of the plane through `origin`, or on it."""
     first = 0.0
@@ -27,7 +27,7 @@ def _crosses(corner, edge_u, edge_v, origin, normal):
     return low <= 0.0 <= high
 
 
-@njit(cache=True)
+@inlined
 def _nearer_rectangle(corner, edge_u, edge_v, origin, rays, index, ranges, hits):
     """Enter the rectangle corner + a u + b v, 0 <= a, b <= 1, where a ray of the scan hits it first."""
     nx = edge_u[1] * edge_v[2] - edge_u[2] * edge_v[1]
@@ -51,7 +51,7 @@ def _nearer_rectangle(corner, edge_u, edge_v, origin, rays, index, ranges, hits)
             ranges[b], hits[b] = t, index
 
 
-@njit(cache=True)
+@inlined
 def _hit_bar(foot, axis, radius, origin, ray):
     """Distance along the unit `ray` to the mantle of the bar foot + a axis, 0 <= a <= 1; infinity for a miss."""
     length2 = axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2
@@ -110,7 +110,7 @@ def cast_scans(origins, rays, scan_normals, corners, edges_u, edges_v, feet, axe
     return ranges, hits
 
 
-@njit(cache=True)
+@inlined
 def _inside(x, y, edges, first, last):
     """Whether a point of a polygon's plane is inside its rings: an odd number of edges to the right of it."""
     odd = False
@@ -121,7 +121,7 @@ def _inside(x, y, edges, first, last):
     return odd
 
 
-@njit(cache=True)
+@inlined
 def _polygon_crosses(frame, edges, first, last, origin, normal):
     """Whether a polygon has corners on both sides of the plane through `origin`, or on it."""
     offset = 0.0

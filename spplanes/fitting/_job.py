@@ -103,19 +103,20 @@ def group_by_label(labels: ArrayLike | None, n: int) -> tuple[np.ndarray, np.nda
     return ranked[starts], order[first:], np.append(starts, n) - first
 
 
-@njit(cache=True)
 def _count_labels(labels, largest: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same by counting, for labels that are not far apart: no comparison, one walk over the points."""
-    ends = np.zeros(largest + 2, np.int64)
-    for label in labels:
-        if label >= 0:
-            ends[label + 1] += 1
-    names = np.flatnonzero(ends[1:])
-    ends = np.cumsum(ends)
+    counts = np.bincount(labels[labels >= 0], minlength=largest + 1)
+    ends = np.concatenate(([0], np.cumsum(counts)))
+    names, order = np.flatnonzero(counts), np.empty(ends[-1], np.int64)
     bounds = np.append(ends[names], ends[-1])
-    order = np.empty(ends[-1], np.int64)
+    _put_in_place(labels, ends, order)
+    return names, order, bounds
+
+
+@njit(cache=True)
+def _put_in_place(labels, ends, order) -> None:
+    """Write the points of one label after the other to `order`; `ends`, where each begins, are moved to its end."""
     for i in range(labels.shape[0]):
         if labels[i] >= 0:
             order[ends[labels[i]]] = i
             ends[labels[i]] += 1
-    return names, order, bounds

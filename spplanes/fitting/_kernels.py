@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner, njit
 from spplanes._rows import COLLINEAR, COLLINEAR_RATIO, OK, ROW_SIZE, TOO_FEW, faces_viewpoint, row_frame, write_frame
 from spplanes.fitting._sums import accumulate, sp_covariance, start_row
 
@@ -22,7 +22,7 @@ TOLERANCE = 1e-6
 MAX_ITERATIONS = 50
 
 
-@njit(cache=True)
+@inner(cache=True)
 def sp_group(points, covs, step, order, lo, hi, viewpoint, frame, covariance) -> tuple[int, float]:
     """The paper's fit of one group, weights 1 / trace^2: writes frame and covariance; returns outcome and chi2."""
     if hi - lo < 3:
@@ -49,7 +49,7 @@ def invert3(a00, a01, a02, a11, a12, a22, out) -> bool:
     return True
 
 
-@njit(cache=True)
+@inner(cache=True)
 def multiply3(a, b, out) -> None:
     """Product of two 3x3 matrices; for so small ones a call of BLAS takes longer."""
     for j in range(3):
@@ -77,7 +77,7 @@ def move_frame(source, b0, ax, ay, target) -> None:
     write_frame(normal, x, origin, target)
 
 
-@njit(cache=True)
+@inner(cache=True)
 def descend(points, covs, step, order, lo, hi, cutoff2, gain, frame, sums) -> int:
     """Gauss-Newton from ``frame`` to the minimum; leaves ``frame`` there and ``sums`` as good as taken there.
 
@@ -97,7 +97,10 @@ def descend(points, covs, step, order, lo, hi, cutoff2, gain, frame, sums) -> in
             return TOO_FEW
         if not invert3(sums[4], sums[5], sums[6], sums[7], sums[8], sums[9], inverse):
             return COLLINEAR
-        best, base[:] = sums[0], frame
+        best = sums[0]
+        for j in range(4):
+            for k in range(4):
+                base[j, k] = frame[j, k]
         g0, g1, g2 = gain * sums[1], gain * sums[2], gain * sums[3]
         b0 = inverse[0, 0] * g0 + inverse[0, 1] * g1 + inverse[0, 2] * g2
         ax = inverse[1, 0] * g0 + inverse[1, 1] * g1 + inverse[1, 2] * g2
@@ -108,7 +111,7 @@ def descend(points, covs, step, order, lo, hi, cutoff2, gain, frame, sums) -> in
     return OK
 
 
-@njit(cache=True)
+@inlined
 def noise_share(sums) -> float:
     """Share of the in-plane noise to take out of the information: less than 1 where it would eat the whole extent.
 
@@ -173,13 +176,14 @@ def settle(base, sums, viewpoint, frame, to_p) -> int:
         x[k] = c * base[k, 0] + s * base[k, 1]
         centre[k] = base[k, 3] + cx * base[k, 0] + cy * base[k, 1]
     if not faces_viewpoint(normal, centre, viewpoint):
-        normal *= -1.0
+        for k in range(3):
+            normal[k] = -normal[k]
     write_frame(normal, x, centre, frame)
     write_to_p(base, frame, cx, cy, to_p)
     return OK
 
 
-@njit(cache=True)
+@inlined
 def write_to_p(base, frame, cx, cy, to_p) -> None:
     """Matrix from (b0, ax, ay) in ``base`` to (z, theta, psi) in ``frame``, of the same plane, origin at (cx, cy)."""
     xx = xy = yx = yy = side = 0.0
@@ -195,7 +199,7 @@ def write_to_p(base, frame, cx, cy, to_p) -> None:
     to_p[2, 0], to_p[2, 1], to_p[2, 2] = 0.0, flip * yx, flip * yy
 
 
-@njit(cache=True)
+@inner(cache=True)
 def ml_group(points, covs, step, order, lo, hi, viewpoint, frame, covariance, sums) -> int:
     """Maximum-likelihood fit of one group from a PCA start; writes frame, covariance and the sums at the minimum."""
     if hi - lo < 3:
@@ -211,7 +215,7 @@ def ml_group(points, covs, step, order, lo, hi, viewpoint, frame, covariance, su
     return finish(base, sums, viewpoint, frame, covariance)
 
 
-@njit(cache=True)
+@inlined
 def finish(base, sums, viewpoint, frame, covariance) -> int:
     """Write frame and covariance from the sums at the minimum."""
     to_p = np.empty((3, 3))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 
 
 @njit(cache=True)
@@ -86,7 +86,7 @@ def variance_along(covariance, i, j, nx, ny, nz):
     return max(along, 1e-3 * (xx + yy + zz))
 
 
-@njit(cache=True)
+@inner(cache=True)
 def distance_of(points, i, j, planes, r):
     """Signed distance of point (i, j) from plane r of (normal, d), shape (R, 4), m."""
     return (
@@ -94,20 +94,20 @@ def distance_of(points, i, j, planes, r):
     )
 
 
-@njit(cache=True)
+@inner(cache=True)
 def variance_from(covariance, i, j, planes, r):
     """Variance of point (i, j) along the normal of plane r, m^2."""
     return variance_along(covariance, i, j, planes[r, 0], planes[r, 1], planes[r, 2])
 
 
-@njit(cache=True)
+@inner(cache=True)
 def residual_chi2(points, covariance, i, j, planes, r, floor_variance):
     """Squared distance of point (i, j) from plane r by its variance along the normal (1 dof)."""
     distance = distance_of(points, i, j, planes, r)
     return distance * distance / (variance_from(covariance, i, j, planes, r) + floor_variance)
 
 
-@njit(cache=True)
+@inner(cache=True)
 def add_run(sums, points, covariance, i, begin, end, about, normal, floor_variance, weighted):
     """Add points [begin, end) of row i to sums about a point near them, weighted by their noise along a normal.
 
@@ -136,7 +136,7 @@ def add_run(sums, points, covariance, i, begin, end, about, normal, floor_varian
     sums[10] += zz
 
 
-@njit(cache=True)
+@inner(cache=True)
 def centre_sums(sums, about):
     """Turn sums about a point into moments about their own centre, in place."""
     x, y, z = sums[2] / sums[1], sums[3] / sums[1], sums[4] / sums[1]

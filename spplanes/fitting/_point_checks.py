@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_float_array
-from spplanes._jit import njit
+from spplanes._jit import inlined, njit
 
 _GOOD, _NOT_FINITE, _ASYMMETRIC, _INDEFINITE, _ZERO, _EXTREME = 0, 1, 2, 3, 4, 5
 
@@ -26,7 +26,7 @@ def _first_too_far(points, limit: float) -> int:
     return -1
 
 
-@njit(cache=True)
+@inlined
 def _judge(c, tolerance: float) -> int:
     """What a (3, 3) matrix is. Semidefinite up to the tolerance: with that much on its diagonal all pivots are > 0."""
     scale = 0.0
@@ -64,7 +64,7 @@ def _first_bad_covariance(covariances, tolerance: float) -> tuple[int, int]:
     return -1, _GOOD
 
 
-@njit(cache=True)
+@inlined
 def _is_plain(covariances, i) -> bool:
     """Whether a matrix is clearly a covariance, by products alone: exactly symmetric, minors well above zero."""
     a, b, c = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 0, 2]

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._check import FloatArray
-from spplanes._jit import njit
+from spplanes._jit import inlined, njit
 from spplanes.fitting._moment_patches import variance_along
 
 
@@ -55,7 +55,7 @@ def accumulate(points, covariance, labels, planes, anchors, pose_roots, origins,
             seen[r] = False
 
 
-@njit(cache=True)
+@inlined
 def _close_scan(total, running, gain):
     """Add one scan's gain (4, 6) to D and, transposed, to the running sum."""
     for a in range(4):
@@ -67,7 +67,7 @@ def _close_scan(total, running, gain):
             running[k, a] += gain[a, k]
 
 
-@njit(cache=True)
+@inlined
 def _add(moments, points, covariance, i, j, planes, r, anchors, origins):
     """Add w (1, p - r) (n^T dp/dxi) of point (i, j) to m (4, 6) of region r."""
     nx, ny, nz = planes[r, 0], planes[r, 1], planes[r, 2]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 from spplanes.fitting._sums import FLOOR
 
 
-@njit(cache=True)
+@inner(cache=True)
 def lever(v, q, out) -> None:
     """v^T dp/dxi, shape (6,): v itself, then the part of v along the velocity of q under each rotation."""
     out[0], out[1], out[2] = v[0], v[1], v[2]
@@ -17,7 +17,7 @@ def lever(v, q, out) -> None:
     out[5] = q[1] * v[2] - q[2] * v[1]
 
 
-@njit(cache=True)
+@inner(cache=True)
 def add_cross(base, a, b, sign, out) -> None:
     """base + sign a x b, shape (3,); out may be none of them."""
     out[0] = base[0] + sign * (a[1] * b[2] - a[2] * b[1])

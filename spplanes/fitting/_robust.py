@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 from spplanes._check import FloatArray
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner
 from spplanes._rows import COLLINEAR, OK, TOO_FEW, write_frame
 from spplanes.fitting._kernels import descend, invert3, settle, write_covariance
 from spplanes.fitting._sums import FLOOR
@@ -48,22 +48,26 @@ OUT_WEIGHT, _, OUT_SCORE = _biweight_means(lambda u: np.full_like(u, 0.5 / CUTOF
 GAIN = WEIGHT / SLOPE
 
 
-@njit(cache=True)
+@inlined
 def triple_frame(points, i, j, k, frame) -> bool:
     """Write the frame of the plane through three points; False where they are as good as collinear, or not three."""
-    a, b = points[j] - points[i], points[k] - points[i]
-    normal = np.empty(3)
+    a, b, normal = np.empty(3), np.empty(3), np.empty(3)
+    for m in range(3):
+        a[m], b[m] = points[j, m] - points[i, m], points[k, m] - points[i, m]
     normal[0] = a[1] * b[2] - a[2] * b[1]
     normal[1] = a[2] * b[0] - a[0] * b[2]
     normal[2] = a[0] * b[1] - a[1] * b[0]
-    area, length2 = math.sqrt(np.sum(normal * normal)), np.sum(a * a)
-    if not area > 1e-6 * max(length2, np.sum(b * b)):
+    area = math.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
+    length2, other2 = a[0] * a[0] + a[1] * a[1] + a[2] * a[2], b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
+    if not area > 1e-6 * max(length2, other2):
         return False
-    write_frame(normal / area, a / math.sqrt(length2), points[i], frame)
+    for m in range(3):
+        normal[m], a[m] = normal[m] / area, a[m] / math.sqrt(length2)
+    write_frame(normal, a, points[i], frame)
     return True
 
 
-@njit(cache=True)
+@inlined
 def truncated_cost(points, covs, step, order, lo, hi, stride, frame, cutoff2) -> float:
     """Sum of min(z^2 / s^2, cutoff2) over every ``stride``-th point of a group."""
     nx, ny, nz = frame[0, 2], frame[1, 2], frame[2, 2]
@@ -78,7 +82,7 @@ def truncated_cost(points, covs, step, order, lo, hi, stride, frame, cutoff2) ->
     return cost
 
 
-@njit(cache=True)
+@inlined
 def consensus_frame(points, covs, step, order, lo, hi, fractions, cutoff2, frame) -> int:
     """Write the frame of the triple whose plane the group agrees with most."""
     n = hi - lo
@@ -93,11 +97,13 @@ def consensus_frame(points, covs, step, order, lo, hi, fractions, cutoff2, frame
         cost = truncated_cost(points, covs, step, order, lo, hi, stride, trial, cutoff2)
         if cost < best:
             best = cost
-            frame[:] = trial
+            for j in range(4):
+                for m in range(4):
+                    frame[j, m] = trial[j, m]
     return OK if best < np.inf else COLLINEAR
 
 
-@njit(cache=True)
+@inner(cache=True)
 def locate(points, covs, step, i, frame) -> tuple[float, float, float]:
     """In-plane coordinates x and y of a point, m, and its squared normalised distance from the plane."""
     c, x, y, z, variance, trace = covs[i * step], 0.0, 0.0, 0.0, 0.0, 0.0
@@ -112,7 +118,7 @@ def locate(points, covs, step, i, frame) -> tuple[float, float, float]:
     return x, y, z * z / max(variance, FLOOR * trace)
 
 
-@njit(cache=True)
+@inlined
 def patch_points(points, covs, step, order, lo, hi, frame, cutoff2, kept) -> int:
     """Write to ``kept`` the group's points over the patch its inliers fill, at whatever height; returns how many.
 
@@ -148,13 +154,13 @@ def patch_points(points, covs, step, order, lo, hi, frame, cutoff2, kept) -> int
     return size
 
 
-@njit(cache=True)
+@inner(cache=True)
 def within_patch(x, y, xx, xy, yy) -> bool:
     """Whether (x, y) is within PATCH_SIGMAS of a spread, by its Mahalanobis distance."""
     return yy * x * x - 2.0 * xy * x * y + xx * y * y <= PATCH_SIGMAS * PATCH_SIGMAS * (xx * yy - xy * xy)
 
 
-@njit(cache=True)
+@inlined
 def ring_information(points, covs, step, order, lo, hi, frame, cutoff2, ring) -> None:
     """Add to ``ring`` (6,) the unweighted information, sum w h h^T, of the points between one and two cutoffs off.
 
@@ -177,25 +183,29 @@ def ring_information(points, covs, step, order, lo, hi, frame, cutoff2, ring) ->
         ring[5] += w * y * y
 
 
-@njit(cache=True)
+@inlined
 def discount_outliers(sums, ring, score) -> None:
     """Turn the weights' information in ``sums`` into the curvature of the cost, and write the variance of its score.
 
     Inliers bring curvature SLOPE and variance SCORE; outliers within the cutoff, as many as in the ring, no curvature
     but variance OUT_SCORE. They are believed in as far as a fifth of the information is left without them.
     """
-    inverse, part = np.empty((3, 3)), OUT_WEIGHT
-    left = 0.8 * sums[4:10] - part * ring
-    while not invert3(left[0], left[1], left[2], left[3], left[4], left[5], inverse):
+    inverse, left, part = np.empty((3, 3)), np.empty(6), OUT_WEIGHT
+    while True:
+        for k in range(6):
+            left[k] = 0.8 * sums[4 + k] - part * ring[k]
+        if invert3(left[0], left[1], left[2], left[3], left[4], left[5], inverse):
+            break
         part = 0.5 * part if part > 1e-3 else 0.0
-        left = 0.8 * sums[4:10] - part * ring
-    inliers = (sums[4:10] - part * ring) / WEIGHT
-    score[:] = SCORE * inliers + part / OUT_WEIGHT * OUT_SCORE * ring
-    sums[4:10] = SLOPE * inliers
-    sums[15:18] *= SLOPE / WEIGHT
+    for k in range(6):
+        inliers = (sums[4 + k] - part * ring[k]) / WEIGHT
+        score[k] = SCORE * inliers + part / OUT_WEIGHT * OUT_SCORE * ring[k]
+        sums[4 + k] = SLOPE * inliers
+    for k in range(15, 18):
+        sums[k] *= SLOPE / WEIGHT
 
 
-@njit(cache=True)
+@inner(cache=True)
 def robust_group(points, covs, step, order, lo, hi, viewpoint, fractions, frame, covariance, sums) -> int:
     """Tukey fit of one group; writes frame, covariance and the sums of the kept points at the minimum."""
     if hi - lo < 3:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, njit
 
 #: The variance along the normal is at least this share of the trace: noise along a beam cannot vanish across a plane
 #: that the beam meets at less than 1 mrad, the divergence of a laser beam.
@@ -55,7 +55,7 @@ def start_row(points, covs, step, order, lo, hi, power, row) -> None:
     row[8], row[9], row[10] = yy - total * sy * sy, yz - total * sy * sz, zz - total * sz * sz
 
 
-@njit(cache=True)
+@inlined
 def sp_covariance(points, covs, step, order, lo, hi, frame, row, values, covariance) -> float:
     """SP covariance of the weighted PCA plane, C = F diag(C_i) F^T with the exact derivative F; returns chi2.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner
 from spplanes.lines._round import solve_symmetric
 
 #: Gauss-Newton ends with a step that lowers chi2 by less than this: a thousandth of a standard deviation.
@@ -14,7 +14,7 @@ MAX_STEPS = 20
 MAX_PREDICTION = 5.0
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def normal_equations(cosines, sines, ranges, sigmas, members, alpha, rho):
     """Of the range residuals e: information sum J J^T / sigma^2 (3 entries), gradient sum J e / sigma^2 (2), chi2.
 
@@ -33,7 +33,7 @@ def normal_equations(cosines, sines, ranges, sigmas, members, alpha, rho):
     return i00, i01, i11, g0, g1, chi2
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def fit_beams(cosines, sines, ranges, sigmas, members, alpha, rho):
     """Gauss-Newton from (alpha, rho): (alpha, rho, var alpha, cov, var rho, chi2); chi2 = inf: it did not converge."""
     for _ in range(MAX_STEPS):
@@ -50,7 +50,7 @@ def fit_beams(cosines, sines, ranges, sigmas, members, alpha, rho):
     return alpha, rho, 0.0, 0.0, 0.0, np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def line_sigmas(bearings, sigmas, members, alpha, rho, bearing_sigma):
     """`sigmas` with the bearing noise of the members in them: the range of the line changes by rho sin / cos^2."""
     result = sigmas.copy()
@@ -60,7 +60,7 @@ def line_sigmas(bearings, sigmas, members, alpha, rho, bearing_sigma):
     return result
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def belongs(bearing, r, sigma, line, gate):
     """True when a beam next to the line is on it: chi2 under `gate`, where the line predicts its range well."""
     alpha, rho, v00, v01, v11, _ = line
@@ -72,7 +72,7 @@ def belongs(bearing, r, sigma, line, gate):
     return variance < MAX_PREDICTION * sigma * sigma and (r - rho / c) ** 2 < gate * variance
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def trim(bearings, ranges, sigmas, members, line, gate):
     """Members without the end beams that do not belong to the line."""
     low, high = 0, members.size
@@ -83,13 +83,13 @@ def trim(bearings, ranges, sigmas, members, line, gate):
     return members[low:high]
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def misses(bearings, ranges, sigmas, k, line, gate):
     """True when beam k, already on the line, is farther from it than its noise allows."""
     return (ranges[k] - line[1] / np.cos(bearings[k] - line[0])) ** 2 > gate * sigmas[k] ** 2
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def grow(bearings, ranges, sigmas, breaks, labels, members, line, gate):
     """Members with the free beams next to both ends that belong to the line."""
     low, high = members[0], members[-1] + 1
@@ -104,7 +104,7 @@ def grow(bearings, ranges, sigmas, breaks, labels, members, line, gate):
     return np.concatenate((np.arange(low, members[0]), members, np.arange(members[-1] + 1, high)))
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def turning(bearings, cosines, sines, ranges, sigmas, members, line):
     """Angle, rad, by which the beams turn from end to end if they are an arc, and its standard deviation.
 

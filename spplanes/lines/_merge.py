@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner
 from spplanes.lines._kernels import N_SUMS, fit_sums, sum_range
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def add_flatness(alpha, rho, v_alpha, cov, v_rho, first, last, flatness):
     """Entries of the covariance of (alpha, rho) for a wall straight to `flatness` (rms) from bearing first to last.
 
@@ -20,7 +20,7 @@ def add_flatness(alpha, rho, v_alpha, cov, v_rho, first, last, flatness):
     return v_alpha + turn, cov + middle * turn, v_rho + flatness * flatness + middle * middle * turn
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def polar_of_sums(m, first, last, flatness):
     """(alpha, rho, var alpha, cov, var rho) of the beams whose sums are `m`, the flatness of the wall in it."""
     u, v, _ = fit_sums(m)
@@ -34,7 +34,7 @@ def polar_of_sums(m, first, last, flatness):
     return alpha, rho, *add_flatness(alpha, rho, v_alpha, cov, v_rho, first, last, flatness)
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def flat_chi2(bearings, m, piece, other_m, other_piece, flatness):
     """Chi2, 2 dof, of two pieces being one wall that is straight to `flatness`."""
     p = polar_of_sums(m, bearings[piece[0]], bearings[piece[1] - 1], flatness)
@@ -45,7 +45,7 @@ def flat_chi2(bearings, m, piece, other_m, other_piece, flatness):
     return (c * turn * turn - 2.0 * b * turn * shift + a * shift * shift) / (a * c - b * b)
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def may_bridge(bearings, ranges, sigmas, u, v, pieces, i, j, max_through, max_step):
     """True when line (u, v) may join pieces i and j: what lies between neither contradicts nor exceeds them."""
     through = 0
@@ -67,12 +67,12 @@ def may_bridge(bearings, ranges, sigmas, u, v, pieces, i, j, max_through, max_st
     return t[2] - t[1] <= t[1] - t[0] + t[3] - t[2] or step <= max_step
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def merge(bearings, ranges, sigmas, moments, starts, is_round, max_through, max_step, flatness, gate):
     """Join pieces that are one line (chi2 with 2 dof): the label of each beam (V,), -1 for pieces under 3 beams."""
     n_pieces = starts.size - 1
     pieces = np.empty((n_pieces, 2), dtype=np.int64)
-    sums = np.empty((n_pieces, N_SUMS))
+    sums, both = np.zeros((n_pieces, N_SUMS)), np.empty(N_SUMS)
     labels = np.full(moments.shape[0], -1, dtype=np.int64)
     count = 0
     for i in range(n_pieces):
@@ -82,7 +82,9 @@ def merge(bearings, ranges, sigmas, moments, starts, is_round, max_through, max_
         pieces[count, 0], pieces[count, 1] = starts[i], starts[i + 1]
         target = count
         for j in range(count - 1, -1, -1):
-            u, v, chi2 = fit_sums(sums[j] + new)
+            for k in range(N_SUMS):
+                both[k] = sums[j, k] + new[k]
+            u, v, chi2 = fit_sums(both)
             gain = chi2 - fit_sums(sums[j])[2] - fit_sums(new)[2]
             if gain > gate and flatness > 0.0:
                 gain = flat_chi2(bearings, sums[j], pieces[j], new, pieces[count], flatness)
@@ -91,9 +93,9 @@ def merge(bearings, ranges, sigmas, moments, starts, is_round, max_through, max_
                 break
         labels[starts[i] : starts[i + 1]] = target
         if target == count:
-            sums[count] = new
             count += 1
         else:
-            sums[target] += new
             pieces[target, 1] = starts[i + 1]
+        for k in range(N_SUMS):
+            sums[target, k] += new[k]
     return labels, count

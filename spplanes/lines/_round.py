@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner
 from spplanes.lines._kernels import fit_sums, split_gate, sum_range
 
 MAX_STEPS = 8
@@ -18,7 +18,7 @@ MIN_COSINE = 0.1
 DAMPING = 1e-9
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def solve_symmetric(a, b, c, d, e, f, x, y, z):
     """Solution of [[a, b, c], [b, d, e], [c, e, f]] p = (x, y, z), and the determinant."""
     m00, m01, m02 = d * f - e * e, c * e - b * f, b * e - c * d
@@ -32,7 +32,7 @@ def solve_symmetric(a, b, c, d, e, f, x, y, z):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def circle_step(cosines, sines, ranges, sigmas, low, high, x, y, radius):
     """One Gauss-Newton step for the circle nearest to beams low..high-1: (x, y, radius, chi2 before the step)."""
     a = b = c = d = e = f = gx = gy = gr = chi2 = 0.0
@@ -51,7 +51,7 @@ def circle_step(cosines, sines, ranges, sigmas, low, high, x, y, radius):
     return x + sx, y + sy, radius + sr, chi2
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def algebraic_circle(cosines, sines, ranges, low, high):
     """Circle from the linear least squares of x^2 + y^2 = 2 a x + 2 b y + c about the middle beam: (x, y, radius)."""
     middle = (low + high) // 2
@@ -68,7 +68,7 @@ def algebraic_circle(cosines, sines, ranges, low, high):
     return ox + 0.5 * px, oy + 0.5 * py, np.sqrt(max(pr + 0.25 * (px * px + py * py), 1e-12))
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def bulges(bearings, ranges, low, at, high):
     """True when beam `at` lies nearer to the sensor than the chord from beam low to beam high - 1."""
     span = bearings[high - 1] - bearings[low]
@@ -79,7 +79,7 @@ def bulges(bearings, ranges, low, at, high):
     return np.sin(span) > 0.0 and np.sin(span) / ranges[at] > inverse
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def bulging_arc(cosines, sines, ranges, sigmas, low, high, chi2_lines):
     """Angle by which beams low..high-1 turn as an arc bulging to the sensor; 0 when lines of that chi2 fit better."""
     x, y, radius = algebraic_circle(cosines, sines, ranges, low, high)
@@ -99,7 +99,7 @@ def bulging_arc(cosines, sines, ranges, sigmas, low, high, chi2_lines):
     return abs((last - first + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def find_round(bearings, cosines, sines, ranges, sigmas, moments, breaks, starts, significance, min_arc):
     """Whether each beam (V,) is on an arc of at least `min_arc` that explains neighbouring pieces as lines do."""
     result = np.zeros(bearings.size, dtype=np.bool_)

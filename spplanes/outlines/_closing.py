@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner
 
 #: Parts of one region that lie apart are bridged by closing the raster with up to this many cells.
 BRIDGES = (1, 2, 4, 8, 16)
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def one_part(filled):
     """The raster without pinches and in one part: closed as far as it takes, or else its largest part.
 
@@ -28,7 +28,7 @@ def one_part(filled):
     return _largest_part(filled)
 
 
-@njit(cache=True, nogil=True)
+@inner(cache=True, nogil=True)
 def fill_pinches(filled):
     """Fill a cell beside every two that touch at a corner only, in place, so that no ring meets itself."""
     n_i, n_j = filled.shape
@@ -50,7 +50,7 @@ def fill_pinches(filled):
                     changed = True
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def closed(filled, reach):
     """Closing by a square that reaches up to 31 cells to each side; 64 cells at a time, as bits of words."""
     n_i, n_j = filled.shape
@@ -70,14 +70,14 @@ def closed(filled, reach):
     return result
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _complement(words):
     for i in range(words.shape[0]):
         for k in range(words.shape[1]):
             words[i, k] = ~words[i, k]
 
 
-@njit(cache=True, nogil=True)
+@inner(cache=True, nogil=True)
 def _any_in_window(words, width):
     """Set every bit where the square of so many cells to a side that begins there has one that is set; in place.
 
@@ -97,7 +97,7 @@ def _any_in_window(words, width):
         have += step
 
 
-@njit(cache=True, nogil=True)
+@inner(cache=True, nogil=True)
 def count_parts(filled):
     """Number of 4-connected parts: runs of cells along rows that meet runs of the row before."""
     n_i, n_j = filled.shape
@@ -130,7 +130,7 @@ def count_parts(filled):
     return n_parts
 
 
-@njit(cache=True, nogil=True)
+@inner(cache=True, nogil=True)
 def _root(parent, k):
     while parent[k] != k:
         parent[k] = parent[parent[k]]
@@ -138,7 +138,7 @@ def _root(parent, k):
     return k
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _largest_part(filled):
     """The largest 4-connected part, of several the first."""
     n_j = filled.shape[1]

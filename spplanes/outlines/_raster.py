@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._check import FloatArray
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner, njit
 from spplanes._threads import in_parts
 
 #: A cell is (region, i, j) in one int64: 21 bits for each of i and j, offset to be positive.
@@ -125,7 +125,7 @@ def _fill(filled, first, shape, flat, labels, scale, corner, begin, end):
                     _triangle(filled, first[b], shape[b, 1], place, inward, u, j + 1, v, j + 1, v, j)
 
 
-@njit(cache=True, nogil=True)
+@inner(cache=True, nogil=True)
 def _cells_of_row(flat, labels, scale, corner, i, place, inward):
     """Places of the labelled points of a row in their own rasters, whole numbers at the centres of cells, (B, 2).
 
@@ -139,7 +139,7 @@ def _cells_of_row(flat, labels, scale, corner, i, place, inward):
                 inward[k, j], inward[k + 2, j] = int(np.ceil(place[j, k])), int(np.floor(place[j, k]))
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _mark_quads(above, below, hit):
     """Mark the quads that may hold a centre, by the box of their corners: whole rows at once, as compilers like it."""
     for j in range(hit.shape[0] - 1):
@@ -170,7 +170,7 @@ def layout(low, high):
     return scale, first, corner, shape
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(cache=True, nogil=True, error_model="numpy")
 def _triangle(filled, first, width, place, inward, pu, p, qu, q, ru, r):
     """Fill the cells whose centres lie in the triangle of three points, given by row, 0 or 1, and column."""
     i0 = min(inward[pu, 0, p], inward[qu, 0, q], inward[ru, 0, r])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner, njit
 from spplanes.outlines._closing import one_part
 
 #: How far a simplified ring may leave the steps of the raster, cells.
@@ -29,7 +29,7 @@ def rings_around(filled):
         if k == 0 or not few:
             for v in range(first, last):
                 if kept[v] or few:
-                    vertices[count] = vertices[v]
+                    vertices[count, 0], vertices[count, 1] = vertices[v, 0], vertices[v, 1]
                     count += 1
             ends[n_rings] = count
             n_rings += 1
@@ -37,7 +37,7 @@ def rings_around(filled):
     return vertices[:count], ends[:n_rings]
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _trace(filled):
     """Rings around the filled cells, corners only: vertices (V, 2) and the end of every ring.
 
@@ -62,11 +62,11 @@ def _trace(filled):
                 a, b = i + di[d], j + dj[d]
                 right = (d + 3) % 4
                 if not filled[a, b]:
-                    vertices[n_vertices] = _corner(i, j, d)
+                    vertices[n_vertices, 0], vertices[n_vertices, 1] = _corner(i, j, d)
                     n_vertices += 1
                     d = (d + 1) % 4
                 elif filled[a + di[right], b + dj[right]]:
-                    vertices[n_vertices] = _corner(i, j, d)
+                    vertices[n_vertices, 0], vertices[n_vertices, 1] = _corner(i, j, d)
                     n_vertices += 1
                     i, j, d = a + di[right], b + dj[right], right
                 else:
@@ -76,7 +76,7 @@ def _trace(filled):
     return vertices[:n_vertices], ends[:n_rings]
 
 
-@njit(cache=True, nogil=True)
+@inner(cache=True, nogil=True)
 def _corner(i, j, d):
     """End of the side of cell (i, j) that is walked in direction d, the cell on its left."""
     if d == 0:
@@ -88,7 +88,7 @@ def _corner(i, j, d):
     return i + 1.0, j + 0.0
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _simplify(ring, kept):
     """Mark the vertices of a ring (V, 2) that Douglas and Peucker's algorithm keeps; returns their number."""
     n = ring.shape[0]
@@ -118,7 +118,7 @@ def _simplify(ring, kept):
     return count
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _from_segment(p, a, b):
     """Squared distance of a point from a segment."""
     ux, uy, vx, vy = b[0] - a[0], b[1] - a[1], p[0] - a[0], p[1] - a[1]

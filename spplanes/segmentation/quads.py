@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._eigen import solve3
+from spplanes._jit import inlined, njit
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import variance_along
 
 
-@njit(cache=True)
+@inlined
 def _jump_chi2(points, covariance, i, j, k, m, views, tangent):
     """Chi2 (1 dof) of the step in depth that no surface seen at less than the steepest incidence explains."""
     ax, ay, az = points[i, j, 0] - views[i, 0], points[i, j, 1] - views[i, 1], points[i, j, 2] - views[i, 2]
@@ -27,20 +28,17 @@ def _jump_chi2(points, covariance, i, j, k, m, views, tangent):
     return rest * rest / variance if variance > 0.0 else np.inf
 
 
-@njit(cache=True)
+@inlined
 def _literal_chi2(points, covariance, i, j, k, m):
     """Chi2 (3 dof) of the whole displacement, the paper's test: (e_a - e_b)^T (C_a + C_b)^-1 (e_a - e_b)."""
-    total, step = np.zeros((3, 3)), np.empty(3)
-    for a in range(3):
-        step[a] = points[k, m, a] - points[i, j, a]
-        for b in range(3):
-            if covariance.shape[2] == 1:
-                total[a, b] = covariance[i, j, 0] + covariance[k, m, 0] if a == b else 0.0
-            else:
-                total[a, b] = covariance[i, j, 3 * a + b] + covariance[k, m, 3 * a + b]
-        total[a, a] *= 1.0 + 1e-9
-        total[a, a] += 1e-18
-    return np.sum(step * np.linalg.solve(total, step))
+    x, y, z = points[k, m, 0] - points[i, j, 0], points[k, m, 1] - points[i, j, 1], points[k, m, 2] - points[i, j, 2]
+    c, d = covariance[i, j], covariance[k, m]
+    if covariance.shape[2] == 1:
+        return (x * x + y * y + z * z) / ((c[0] + d[0]) * (1.0 + 1e-9) + 1e-18)
+    more = 1.0 + 1e-9
+    xx, yy, zz = (c[0] + d[0]) * more + 1e-18, (c[4] + d[4]) * more + 1e-18, (c[8] + d[8]) * more + 1e-18
+    solved = solve3((xx, c[1] + d[1], c[2] + d[2], yy, c[5] + d[5], zz), x, y, z)
+    return x * solved[0] + y * solved[1] + z * solved[2]
 
 
 def links(points, covariance, valid, views, tangent, limit, literal):

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from numba import njit
 
 from spplanes import Moments
-from spplanes._eigen import jacobi3
+from spplanes._eigen import jacobi3, solve3
 from spplanes.moments import ROW_SIZE, add_point, merge_rows, smallest_eigen
 
 
@@ -118,3 +118,12 @@ def test_bad_input():
         Moments.from_points(np.ones((3, 3))).plane()
     with pytest.raises(ValueError, match="points: expected points that span a plane, got 3 collinear ones"):
         Moments.from_points([[0.1, 0.1, 0.3], [0.2, 0.2, 0.6], [0.4, 0.4, 1.2]]).plane()
+
+
+def test_a_positive_definite_system_is_solved():
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        root = rng.standard_normal((3, 3))
+        matrix, right = root @ root.T + 0.01 * np.eye(3), rng.standard_normal(3)
+        found = solve3.py_func(tuple(matrix[np.triu_indices(3)]), *right)
+        assert matrix @ found == pytest.approx(right, abs=1e-9)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, njit
 
 #: Points of the map are of the surface at a return within this of it, m, with normals nearer than this cosine.
 _RADIUS_M, _ALIKE = 0.2, 0.7
@@ -14,7 +14,7 @@ _SMOOTH_M = 0.08
 _DOUBTED = 3.0
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _surface_at(x, y, nx, ny, points, normals, weights, start, origin, cell, columns, rows):
     """The map's surface at a place: whether there is one, its signed distance and its normal."""
     column, row = int(np.floor((x - origin[0]) / cell)), int(np.floor((y - origin[1]) / cell))
@@ -53,8 +53,9 @@ def align(
     with v of the scan's normal: the map's, a mean of several, errs by less.
 
     Returns:
-        pose (3,); information (3, 3) of the returns alone, in the map's axes; share of the looks that fit; misfit:
-        half of the chi2 of the looks near a surface, bounded for each, beyond what it is expected to be.
+        pose (3,); information (3, 3) of the returns alone, in the map's axes, and what errs of it; distance at which
+        they turn the scan, m; share of the looks that fit; misfit: half of the chi2 of the looks near a surface,
+        bounded for each, beyond what it is expected to be.
     """
     pose = pose.copy()
     told, erring = np.zeros((3, 3)), np.zeros((3, 3))
@@ -114,15 +115,7 @@ def align(
             fits += looks[i]
     erring[1, 0], erring[2, 0], erring[2, 1] = erring[0, 1], erring[0, 2], erring[1, 2]
     far = np.sqrt(max(moment / max(looked, 1e-12), 1e-6))
-    return pose, _without(told, erring, far), fits / max(total, 1e-12), misfit
-
-
-@njit(cache=True, error_model="numpy")
-def _without(told, erring, far):
-    """Information about (x, y, theta) less what errs of it, not below none; a turn counts by its arc at `far`, m."""
-    scale = np.array((1.0, 1.0, far))
-    values, vectors = np.linalg.eigh((told - erring) / np.outer(scale, scale))
-    return (vectors * np.maximum(values, 0.0)) @ vectors.T * np.outer(scale, scale)
+    return pose, told, erring, far, fits / max(total, 1e-12), misfit
 
 
 @njit(cache=True, error_model="numpy")

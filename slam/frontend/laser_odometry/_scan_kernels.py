@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 
 
 @njit(cache=True, error_model="numpy")
@@ -67,7 +67,7 @@ def surface_of(points, away, angle_step, range_variance, surface_variance, corre
 _MOST, _PATCH_M = 5, 0.25
 
 
-@njit(cache=True, error_model="numpy")
+@inner(cache=True, error_model="numpy")
 def _apart(points, i, j):
     return np.sqrt((points[i, 0] - points[j, 0]) ** 2 + (points[i, 1] - points[j, 1]) ** 2)
 

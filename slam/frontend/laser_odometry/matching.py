@@ -124,12 +124,19 @@ def _fits_worse(found: _Found, surface: Surface, usual_fit: float) -> bool:
 
 
 def _aligned(surface: Surface, there: LocalMap, start: FloatArray, ways: Sequence[Expected], way: int) -> _Found:
-    pose, information, fit, misfit = align(
+    pose, told, erring, far, fit, misfit = align(
         start, surface.points, surface.normals, surface.variance, surface.looks, surface.turns,
         there.points, there.normals, there.weights, there.start, there.origin, CELL_M, there.columns, there.rows,
         ways[way].pose, inverted(ways[way].covariance), _ROUNDS, 2.0 * _BASIN_M,
     )  # fmt: skip
-    return _Found(pose, information, fit, misfit, way)
+    return _Found(pose, _without(told, erring, far), fit, misfit, way)
+
+
+def _without(told: FloatArray, erring: FloatArray, far: float) -> FloatArray:
+    """Information about (x, y, theta) less what errs of it, not below none; a turn counts by its arc at `far`, m."""
+    scale = np.array((1.0, 1.0, far))
+    values, vectors = np.linalg.eigh((told - erring) / np.outer(scale, scale))
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T * np.outer(scale, scale)
 
 
 def _searched(

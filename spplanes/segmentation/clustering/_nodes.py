@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner
 from spplanes.fitting._moment_patches import centre_sums, eigenvalues, merge_scaled, normal_of, variance_from
 from spplanes.moments import ROW_SIZE
 
@@ -13,7 +13,7 @@ from spplanes.moments import ROW_SIZE
 N, WEIGHT, OFFSET, ROW, REGION = range(5)
 
 
-@njit(cache=True)
+@inlined
 def nodes_of(points, covariance, labels, planes, size):
     """First node of every cell, shape (R, C + 1), the nodes (K, 5) in the order of their cells, and moments (K, 11)."""
     n_rows, n_cols = (labels.shape[0] + size - 1) // size, (labels.shape[1] + size - 1) // size
@@ -37,7 +37,7 @@ def nodes_of(points, covariance, labels, planes, size):
                             rows = np.concatenate((rows, np.zeros(rows.shape)))
                             about = np.concatenate((about, np.zeros(about.shape)))
                         nodes[k, REGION] = r
-                        about[k] = points[i, j]
+                        about[k, 0], about[k, 1], about[k, 2] = points[i, j, 0], points[i, j, 1], points[i, j, 2]
                     w = 1.0 / variance_from(covariance, i, j, planes, r)
                     _add(rows[k], w, points[i, j, 0], points[i, j, 1], points[i, j, 2], about[k])
                     nodes[k, ROW] += i
@@ -49,7 +49,7 @@ def nodes_of(points, covariance, labels, planes, size):
     return first, nodes[:count].copy(), rows[:count].copy()
 
 
-@njit(cache=True)
+@inlined
 def _add(sums, w, x, y, z, about):
     """Add a point to sums about a point near it."""
     x, y, z = x - about[0], y - about[1], z - about[2]
@@ -66,7 +66,7 @@ def _add(sums, w, x, y, z, about):
     sums[10] += w * z * z
 
 
-@njit(cache=True)
+@inner(cache=True)
 def node_of(first, nodes, ci, cj, region):
     """The node of a region in a cell, or -1."""
     for k in range(first[ci, cj], first[ci, cj + 1]):
@@ -75,7 +75,7 @@ def node_of(first, nodes, ci, cj, region):
     return -1
 
 
-@njit(cache=True)
+@inlined
 def edges_of(first, nodes, hides):
     """Pairs of nodes of one region in neighbouring cells, and those one cell further on either side or -1: (E, 2)."""
     pairs, edges = np.empty((2 * nodes.shape[0], 2), dtype=np.int64), np.empty((2 * nodes.shape[0], 2), dtype=np.int64)
@@ -100,7 +100,7 @@ def edges_of(first, nodes, hides):
     return pairs[:count], edges[:count]
 
 
-@njit(cache=True)
+@inlined
 def hides_steps(nodes, n_regions, flatness):
     """Whether the points of a region have more noise than surfaces are granted, shape (R,) bool."""
     total = np.zeros((n_regions, 2))
@@ -110,7 +110,7 @@ def hides_steps(nodes, n_regions, flatness):
     return total[:, 0] > flatness * flatness * total[:, 1]
 
 
-@njit(cache=True)
+@inner(cache=True)
 def measure(nodes, rows, normals):
     """Offsets of the nodes along the normals of their regions, in place, from the region's first node."""
     origin = np.full(normals.shape[0], -1)
@@ -123,7 +123,7 @@ def measure(nodes, rows, normals):
             nodes[k, OFFSET] += normals[r, m] * (rows[k, 2 + m] - rows[origin[r], 2 + m])
 
 
-@njit(cache=True)
+@inlined
 def common_normals(nodes, rows, parent, normals):
     """The normals of parallel planes, one through each tree of a region, in place."""
     trees, inside = rows.copy(), np.zeros((normals.shape[0], ROW_SIZE))
@@ -131,10 +131,12 @@ def common_normals(nodes, rows, parent, normals):
     for k in range(rows.shape[0]):
         if parent[k] != k:
             merge_scaled(work, trees[parent[k]], 1.0, rows[k], 1.0)
-            trees[parent[k]] = work
+            for m in range(ROW_SIZE):
+                trees[parent[k], m] = work[m]
     for k in range(rows.shape[0]):
         if parent[k] == k:
-            inside[int(nodes[k, REGION]), 5:] += trees[k, 5:]
+            for m in range(5, ROW_SIZE):
+                inside[int(nodes[k, REGION]), m] += trees[k, m]
     for r in range(normals.shape[0]):
         if inside[r, 5] + inside[r, 8] + inside[r, 10] > 0.0:
             normals[r, 0], normals[r, 1], normals[r, 2] = normal_of(inside[r], eigenvalues(inside[r])[0])

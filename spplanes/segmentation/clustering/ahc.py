@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner, njit
 from spplanes.fitting._moment_patches import eigenvalues, merge_scaled, normal_of
 
 
-@njit(cache=True)
+@inlined
 def one_plane_chi2(a, b, bias, work):
     """Chi2 (3 dof) of the hypothesis that two rows of moments are one plane, up to a systematic error between them.
 
@@ -25,7 +25,7 @@ def one_plane_chi2(a, b, bias, work):
     return eigenvalues(work)[0] - eigenvalues(a)[0] - scale * eigenvalues(b)[0]
 
 
-@njit(cache=True)
+@inlined
 def step_chi2(a, b, tolerance, work):
     """Chi2 (1 dof) of the step between two parallel planes, one through each of two rows of moments.
 
@@ -47,7 +47,7 @@ def step_chi2(a, b, tolerance, work):
     return gain / (1.0 + gain * tolerance / (step * step))
 
 
-@njit(cache=True)
+@inner(cache=True)
 def find(parent, i):
     """Root of i, with path halving."""
     while parent[i] != i:
@@ -56,7 +56,7 @@ def find(parent, i):
     return i
 
 
-@njit(cache=True)
+@inner(cache=True)
 def push(keys, items, size, key, item):
     """Put an entry into a heap of `size`; returns the new size."""
     i = size
@@ -70,7 +70,7 @@ def push(keys, items, size, key, item):
     return size + 1
 
 
-@njit(cache=True)
+@inner(cache=True)
 def pop(keys, items, size):
     """Remove the first entry; the caller has read it."""
     size -= 1
@@ -91,14 +91,14 @@ def pop(keys, items, size):
     return size
 
 
-@njit(cache=True)
+@inner(cache=True)
 def merged_distance(a, b, work):
     """Mean squared normalised distance of the points of both rows to their common plane."""
     merge_scaled(work, a, 1.0, b, 1.0)
     return eigenvalues(work)[0] / max(work[0] - 3.0, 1.0)
 
 
-@njit(cache=True)
+@inlined
 def _are_one(rows, bias, a, b, flatness, correlation, limits, work):
     """Whether two patches are one plane: what they share with scans counts as far as their scans differ."""
     apart = 1.0 - np.exp(-abs(bias[a, 1] - bias[b, 1]) / correlation)
@@ -149,8 +149,10 @@ def cluster(rows, bias, edges, limits, flatness, correlation):
         if b < a:
             a, b = b, a
         merge_scaled(work, rows[a], 1.0, rows[b], 1.0)
-        bias[a] = (bias[a] * rows[a, 1] + bias[b] * rows[b, 1]) / work[1]
-        rows[a] = work
+        for k in range(bias.shape[1]):
+            bias[a, k] = (bias[a, k] * rows[a, 1] + bias[b, k] * rows[b, 1]) / work[1]
+        for k in range(work.shape[0]):
+            rows[a, k] = work[k]
         parent[b] = a
         version[a] += version[b] + 1
     for i in range(parent.shape[0]):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner, njit
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import add_run, centre_sums, eigenvalues, normal_of, variance_along
 from spplanes.moments import ROW_SIZE
@@ -33,7 +33,7 @@ def cell_moments(points, covariance, free, size, floor_variance):
     return rows
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _is_filled(count, ci, cj, shape, size):
     """Whether a cell has enough points to be judged."""
     area = min(size, shape[0] - ci * size) * min(size, shape[1] - cj * size)
@@ -55,7 +55,7 @@ def _moments_of(rows, points, covariance, free, size, floor_variance, first, las
                 _one_cell(rows[ci, cj], points, covariance, free, ci * size, cj * size, size, floor_variance)
 
 
-@njit(cache=True)
+@inlined
 def _one_cell(row, points, covariance, free, i0, j0, size, floor_variance):
     i1, j1 = min(i0 + size, points.shape[0]), min(j0 + size, points.shape[1])
     about, normal, isotropic = np.zeros(3), np.array([0.0, 0.0, 1.0]), covariance.shape[2] == 1
@@ -71,7 +71,7 @@ def _one_cell(row, points, covariance, free, i0, j0, size, floor_variance):
                     j += 1
                 if j > begin:
                     if row[0] == 0.0:
-                        about[:] = points[i, begin]
+                        about[0], about[1], about[2] = points[i, begin, 0], points[i, begin, 1], points[i, begin, 2]
                     add_run(row, points, covariance, i, begin, j, about, normal, floor_variance, last)
                 while j < j1 and not free[i, j]:
                     j += 1
@@ -163,7 +163,7 @@ def cell_edges(node, labels, start, size):
     return edges[:count]
 
 
-@njit(cache=True)
+@inlined
 def _region_edges(edges, count, me, labels, i0, j0, size):
     """Append an edge to every region that touches the frame of points around a cell; runs are counted once."""
     n_rows, n_cols = labels.shape

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, njit
 from spplanes._threads import in_parts, threads_for
 from spplanes.fitting._moment_patches import (
     add_run,
@@ -48,13 +48,13 @@ def fit_regions(points, covariance, labels, rows, prior, floor_variance):
     return fresh
 
 
-@njit(cache=True)
 def _share_out(rows, n_shares):
     """A share for every region, (R,): largest regions first, each to the share with the fewest points so far."""
-    share, load = np.zeros(rows.shape[0], dtype=np.int64), np.zeros(n_shares)
-    for r in np.argsort(-rows[:, 0], kind="mergesort"):
-        share[r] = load.argmin()
-        load[share[r]] += rows[r, 0]
+    share, load = np.zeros(len(rows), dtype=np.int64), [0.0] * n_shares
+    if n_shares > 1:
+        for r in np.argsort(-rows[:, 0], kind="stable").tolist():
+            share[r] = load.index(min(load))
+            load[share[r]] += rows[r, 0]
     return share
 
 
@@ -76,9 +76,15 @@ def _fit_share(points, covariance, labels, rows, planes, prior, floor_variance, 
             merge_rows(prior[r], sums[r], fresh[r])
 
 
-@njit(cache=True)
 def shared_of_regions(shared, labels, planes):
     """Of every region: mean variance along the normal that points share with their scans, and mean scan, (R, 2)."""
+    total, count = _shared_sums(shared, labels, planes)
+    return total / np.maximum(count, 1.0)[:, None]
+
+
+@njit(cache=True)
+def _shared_sums(shared, labels, planes):
+    """Sums over the points of every region of that variance and of the scan, (R, 2), and how many points (R,)."""
     total, count = np.zeros((planes.shape[0], 2)), np.zeros(planes.shape[0])
     for i in range(labels.shape[0]):
         for j in range(labels.shape[1]):
@@ -88,7 +94,7 @@ def shared_of_regions(shared, labels, planes):
                 total[r, 1] += i
                 if shared.shape[0] > 1:
                     total[r, 0] += variance_from(shared, i, j, planes, r)
-    return total / np.maximum(count, 1.0).reshape(-1, 1)
+    return total, count
 
 
 @njit(cache=True)
@@ -122,7 +128,7 @@ def grow(points, covariance, valid, labels, start, planes, gate, floor_variance)
                 tail += 1
 
 
-@njit(cache=True)
+@inlined
 def _mark_sources(labels, valid, start, i, marked):
     """Mark the labelled points of row i beside a free one in the rows from `start` on, whole rows at once."""
     n_rows, n_cols = labels.shape

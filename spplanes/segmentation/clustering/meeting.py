@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, njit
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import distance_of, variance_from
 
@@ -76,7 +76,7 @@ def _pairs_of_rows(points, covariance, valid, views, labels, planes, sizes, bias
     return pairs[:count]
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _enter(pairs, count, recent, q, r):
     """Put a pair down unless it was there lately; returns whether."""
     place = (31 * q + r) & (RECENT - 1)
@@ -87,7 +87,7 @@ def _enter(pairs, count, recent, q, r):
     return 1
 
 
-@njit(cache=True)
+@inlined
 def _side(points, covariance, i, j, views, planes, r, bias):
     """1: the point lies before the plane, on the viewpoint's side; -1: behind it; 0: within its noise and tolerance."""
     distance = distance_of(points, i, j, planes, r)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._eigen import solve3
+from spplanes._jit import inner, njit
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import eigenvalues, normal_of, variance_along
 
@@ -68,7 +69,7 @@ def _reject_in(planar, points, covariance, rows, free, size, floor_variance, lim
             planar[ci, cj] = chi2 <= limit
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _step_chi2(strips, total, tolerance):
     """Largest chi2 (1 dof) of a step between strips, beside a linear trend: weighted regression, step by step.
 
@@ -77,23 +78,20 @@ def _step_chi2(strips, total, tolerance):
         total: sums of w u u, w u v, w v v, w r u, w r v of all.
         tolerance: variance that a step may have anyway, m^2.
     """
-    matrix, right = np.empty((3, 3)), np.empty((3, 2))
-    w, u, v = strips[:, 0].sum(), strips[:, 1].sum(), strips[:, 2].sum()
-    matrix[0] = w, u, v
-    matrix[1] = u, total[0], total[1]
-    matrix[2] = v, total[1], total[2]
-    for k in range(3):
-        matrix[k, k] += 1e-6 * w  # a cell of one row has no trend across rows
-    right[0, 0], right[1, 0], right[2, 0] = strips[:, 3].sum(), total[3], total[4]
-    best, beyond = 0.0, np.zeros(4)
+    w = u = v = r = 0.0
+    for k in range(strips.shape[0]):
+        w, u, v, r = w + strips[k, 0], u + strips[k, 1], v + strips[k, 2], r + strips[k, 3]
+    least, best = 1e-6 * w, 0.0  # a cell of one row has no trend across rows
+    matrix = (w + least, u, v, total[0] + least, total[1], total[2] + least)
+    trend = solve3(matrix, r, total[3], total[4])
+    bw = bu = bv = br = 0.0
     for k in range(strips.shape[0] - 1, 0, -1):
-        beyond += strips[k]
-        if beyond[0] == 0.0 or beyond[0] == w:
+        bw, bu, bv, br = bw + strips[k, 0], bu + strips[k, 1], bv + strips[k, 2], br + strips[k, 3]
+        if bw == 0.0 or bw == w:
             continue
-        right[:, 1] = beyond[:3]
-        solved = np.linalg.solve(matrix, right)
-        share = beyond[0] - (beyond[:3] * solved[:, 1]).sum()
+        solved = solve3(matrix, bw, bu, bv)
+        share = bw - (bw * solved[0] + bu * solved[1] + bv * solved[2])
         if share > 1e-3 * w:
-            step = (beyond[3] - (beyond[:3] * solved[:, 0]).sum()) / share
+            step = (br - (bw * trend[0] + bu * trend[1] + bv * trend[2])) / share
             best = max(best, step * step / (1.0 / share + tolerance))
     return best

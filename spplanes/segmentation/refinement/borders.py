@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner, njit
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import distance_of, residual_chi2, variance_from
 
@@ -94,7 +94,7 @@ def _move_blocks(points, covariance, labels, start, planes, gate, floor_variance
     return moved
 
 
-@njit(cache=True)
+@inlined
 def _wake_neighbours(state, u, v):
     """Look at the blocks beside and below a changed one that were alike all round: their frames may no longer be."""
     for a, b in ((u, v + 1), (u + 1, v - 1), (u + 1, v), (u + 1, v + 1)):
@@ -102,7 +102,7 @@ def _wake_neighbours(state, u, v):
             state[a, b] = MISFIT
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _misfit(points, covariance, labels, i0, j0, i1, j1, region, planes, floor_variance):
     """Chi2 (1 dof) of the mean distance from its plane of the points that a region has in a block."""
     weight, mean = 0.0, 0.0
@@ -118,7 +118,7 @@ def _misfit(points, covariance, labels, i0, j0, i1, j1, region, planes, floor_va
     return mean * mean / (1.0 / weight + floor_variance)
 
 
-@njit(cache=True)
+@inlined
 def _is_uniform(labels, i0, j0, i1, j1):
     """Whether a block and the frame one point wide around it have one label: most have, and rows compare fast."""
     j0, j1 = max(j0 - 1, 0), min(j1 + 1, labels.shape[1])
@@ -131,7 +131,7 @@ def _is_uniform(labels, i0, j0, i1, j1):
     return True
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _regions_around(labels, i0, j0, i1, j1, found):
     """Different regions in a block and in a frame one point wide around it; returns their number."""
     count = 0
@@ -181,7 +181,7 @@ def choose_points(points, covariance, valid, labels, start, planes, gate, floor_
     return changed
 
 
-@njit(cache=True)
+@inlined
 def _votes_around(labels, valid, i, j, found, votes):
     """Labels of a point, first, and of the returns around it, and how many of those have each; how many of either."""
     found[0], votes[0] = labels[i, j], 0
@@ -201,7 +201,7 @@ def _votes_around(labels, valid, i, j, found, votes):
     return n_found, n_around
 
 
-@njit(cache=True)
+@inlined
 def _mark_border(labels, valid, i, marked):
     """Mark the returns of row i beside a return of another label: whole rows at once, which the compiler vectorises."""
     above, below = max(i - 1, 0), min(i + 1, labels.shape[0] - 1)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner, njit
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import distance_of, variance_from
 
@@ -62,7 +62,7 @@ def _unlabel_in(points, covariance, valid, labels, planes, max_angle, certainty,
                 labels[i, j] = -1
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _differences(points, valid):
     """Right minus left and below minus above, two points each, (S, B, 3), and whether the five by five are returns."""
     n_rows, n_cols = valid.shape
@@ -102,8 +102,10 @@ def unlabel_seams(points, covariance, views, labels, start, planes, tolerance, f
         _weigh_rows(points, covariance, labels, planes, reach, start + first, start + last, weight, moment)
 
     def down(first: int, last: int) -> None:
-        sums = weight, moment
-        _judge_columns(covariance, views, labels, start, planes, tolerance, flatness, reach, limit, first, last, *sums)
+        columns = [np.ascontiguousarray(of_all[:, first:last].T) for of_all in (labels, weight, moment)]
+        _judge_columns(
+            covariance, views, labels, start, planes, tolerance, flatness, reach, limit, first, last, *columns
+        )
 
     in_parts(across, len(labels) - start, labels.size)
     in_parts(down, labels.shape[1], labels.size)
@@ -119,19 +121,22 @@ def _weigh_rows(points, covariance, labels, planes, reach, first, last, weight, 
             if r >= 0:
                 w = 1.0 / variance_from(covariance, i, j, planes, r)
                 own_weight[i - first, j], own_moment[i - first, j] = w, w * distance_of(points, i, j, planes, r)
-    own_labels = np.ascontiguousarray(labels[first:last])
-    weight[first:last] = _sum_along(own_weight, own_labels, reach)
-    moment[first:last] = _sum_along(own_moment, own_labels, reach)
+    _sum_along(own_weight, labels[first:last], reach, weight[first:last])
+    _sum_along(own_moment, labels[first:last], reach, moment[first:last])
 
 
 @njit(cache=True, nogil=True)
 def _judge_columns(
-    covariance, views, labels, start, planes, tolerance, flatness, reach, limit, first, last, weight, moment
-):
-    """Unlabel the points of the columns from first to last where the mean of their window lies behind the plane."""
-    own_labels = np.ascontiguousarray(labels[:, first:last].T)
-    own_weight = _sum_along(np.ascontiguousarray(weight[:, first:last].T), own_labels, reach)
-    own_moment = _sum_along(np.ascontiguousarray(moment[:, first:last].T), own_labels, reach)
+    covariance, views, labels, start, planes, tolerance, flatness, reach, limit, first, last, own_labels,
+    weight, moment,
+):  # fmt: skip
+    """Unlabel the points of the columns from first to last where the mean of their window lies behind the plane.
+
+    Of these columns, one after the other: `own_labels`, `weight` and `moment`, the sums along the rows.
+    """
+    own_weight, own_moment = np.zeros(weight.shape), np.zeros(moment.shape)
+    _sum_along(weight, own_labels, reach, own_weight)
+    _sum_along(moment, own_labels, reach, own_moment)
     for i in range(start, labels.shape[0]):
         for j in range(first, last):
             r = labels[i, j]
@@ -144,11 +149,10 @@ def _judge_columns(
                     labels[i, j] = -1
 
 
-@njit(cache=True, nogil=True)
-def _sum_along(values, labels, reach):
-    """Sums of the values within reach along every row that lie in the same run of equal labels."""
+@inner(cache=True, nogil=True)
+def _sum_along(values, labels, reach, result):
+    """Write sums of the values within reach along every row that lie in the same run of equal labels; else nothing."""
     n_rows, n_cols = values.shape
-    result = np.zeros(values.shape)
     for i in range(n_rows):
         end = 0
         while end < n_cols:
@@ -166,7 +170,6 @@ def _sum_along(values, labels, reach):
                 if j - reach - 1 >= begin:
                     total -= values[i, j - reach - 1]
                 result[i, j] = total
-    return result
 
 
 @njit(cache=True)

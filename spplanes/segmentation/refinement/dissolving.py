@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner, njit
 from spplanes.fitting._moment_patches import residual_chi2
 
 #: Points are explained block by block, this many on a side: a point alone always finds some plane that suits it.
@@ -15,7 +15,6 @@ MEAN_GAIN = 0.15
 SUM_GAIN = 16.3
 
 
-@njit(cache=True)
 def dissolve(points, covariance, labels, start, sizes, pairs, planes, floor_variance):
     """Give the points of superfluous regions to their neighbours, in place; smallest regions first.
 
@@ -30,6 +29,13 @@ def dissolve(points, covariance, labels, start, sizes, pairs, planes, floor_vari
     Returns:
         Number of regions dissolved.
     """
+    order = np.argsort(sizes, kind="stable")
+    return _dissolve(points, covariance, labels, start, sizes, order, pairs, planes, floor_variance)
+
+
+@njit(cache=True)
+def _dissolve(points, covariance, labels, start, sizes, order, pairs, planes, floor_variance):
+    """The same; `order` of the regions, (R,), is that of their sizes."""
     members, first = _members(labels, start, sizes.shape[0])
     candidates = np.empty(sizes.shape[0], dtype=np.int64)
     fixed = np.zeros(sizes.shape[0], dtype=np.bool_)
@@ -38,7 +44,7 @@ def dissolve(points, covariance, labels, start, sizes, pairs, planes, floor_vari
             if labels[i, j] >= 0:
                 fixed[labels[i, j]] = True
     count = 0
-    for r in np.argsort(sizes):
+    for r in order:
         n = first[r + 1] - first[r]
         if n == 0 or fixed[r]:
             continue
@@ -87,7 +93,7 @@ def near_pairs(labels, gap):
     return pairs[:count]
 
 
-@njit(cache=True)
+@inlined
 def _members(labels, start, n_regions):
     """Points of every region in the order of their blocks, as flat indices, and where each region begins."""
     first = np.zeros(n_regions + 1, dtype=np.int64)
@@ -95,7 +101,8 @@ def _members(labels, start, n_regions):
         for j in range(labels.shape[1]):
             if labels[i, j] >= 0:
                 first[labels[i, j] + 1] += 1
-    first = np.cumsum(first)
+    for r in range(n_regions):
+        first[r + 1] += first[r]
     place, members = first.copy(), np.empty(first[-1], dtype=np.int64)
     for i0 in range(start, labels.shape[0], BLOCK):
         for j0 in range(0, labels.shape[1], BLOCK):
@@ -108,7 +115,7 @@ def _members(labels, start, n_regions):
     return members, first
 
 
-@njit(cache=True)
+@inlined
 def _is_superfluous(points, covariance, n_cols, mine, region, candidates, planes, floor_variance):
     """Whether the best neighbour of every block explains the points nearly as well as the region itself."""
     limit = MEAN_GAIN * mine.shape[0] + SUM_GAIN
@@ -123,7 +130,7 @@ def _is_superfluous(points, covariance, n_cols, mine, region, candidates, planes
             sums[m] += residual_chi2(points, covariance, i, j, planes, candidates[m], floor_variance)
         in_block += 1
         if in_block == BLOCK * BLOCK or k == mine.shape[0] - 1:
-            other += sums.min()
+            other += sums[_least(sums)]
             if other > limit:
                 return False
             sums[:] = 0.0
@@ -131,7 +138,17 @@ def _is_superfluous(points, covariance, n_cols, mine, region, candidates, planes
     return True
 
 
-@njit(cache=True)
+@inner(cache=True)
+def _least(values):
+    """Place of the least of some numbers, of equal ones the first."""
+    best = 0
+    for k in range(1, values.shape[0]):
+        if values[k] < values[best]:
+            best = k
+    return best
+
+
+@inlined
 def _hand_over(points, covariance, labels, mine, candidates, planes, floor_variance):
     """Label every block of points with the neighbour that explains it best."""
     n_cols = labels.shape[1]
@@ -142,7 +159,7 @@ def _hand_over(points, covariance, labels, mine, candidates, planes, floor_varia
         for m in range(candidates.shape[0]):
             sums[m] += residual_chi2(points, covariance, i, j, planes, candidates[m], floor_variance)
         if k - block_start == BLOCK * BLOCK - 1 or k == mine.shape[0] - 1:
-            best = candidates[sums.argmin()]
+            best = candidates[_least(sums)]
             for q in range(block_start, k + 1):
                 labels[mine[q] // n_cols, mine[q] % n_cols] = best
             sums[:] = 0.0

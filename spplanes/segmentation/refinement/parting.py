@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, inner, njit
 from spplanes.segmentation.clustering._nodes import (
     OFFSET,
     REGION,
@@ -76,20 +76,20 @@ def part(points, covariance, labels, start, planes, bias, size, limit, flatness,
     return origin
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _step(a, b, tolerance):
     """Chi2 (1 dof) of the step between two nodes."""
     step = a[OFFSET] - b[OFFSET]
     return step * step / (1.0 / a[WEIGHT] + 1.0 / b[WEIGHT] + tolerance)
 
 
-@njit(cache=True)
+@inlined
 def _drift(a, b, bias, correlation):
     """Variance that errors shared with scans add to the step between two nodes, m^2."""
     return 2.0 * bias[int(a[REGION])] * (1.0 - np.exp(-abs(a[ROW] - b[ROW]) / correlation))
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _fuse(nodes, edges, limit, tolerated):
     """Root of every node after fusing along edges, the pair first whose step is least; nodes become those of trees."""
     parent = np.arange(nodes.shape[0])
@@ -119,7 +119,7 @@ def _fuse(nodes, edges, limit, tolerated):
     return parent
 
 
-@njit(cache=True)
+@inner(cache=True)
 def _unite(nodes, parent, a, b):
     """Let two trees be one, under the earlier root."""
     if b < a:
@@ -132,7 +132,7 @@ def _unite(nodes, parent, a, b):
     parent[b] = a
 
 
-@njit(cache=True)
+@inlined
 def _rejoin(nodes, trees, parent, pairs, edges, bias, limit, tolerated, correlation):
     """Unite trees between which the surface has no step where they meet, each with the likest; whether there were any.
 
@@ -182,7 +182,7 @@ def _rejoin(nodes, trees, parent, pairs, edges, bias, limit, tolerated, correlat
     return united
 
 
-@njit(cache=True)
+@inlined
 def _combined(total):
     """Mean step and its variance from those inside scans, where shared errors cancel, and from scan to scan.
 
@@ -198,7 +198,7 @@ def _combined(total):
     return moment / weight, 1.0 / weight
 
 
-@njit(cache=True)
+@inlined
 def _number(nodes, parent, hides, settled_rows, first, min_points):
     """Label of every node and the region every new label was part of: largest parts and those in settled rows stay."""
     n_settled = first[settled_rows, 0] if settled_rows < first.shape[0] else nodes.shape[0]

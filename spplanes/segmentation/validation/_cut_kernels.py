@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inlined, njit
 
 #: Fewest points on either side of a cut.
 FEWEST = 6
@@ -14,7 +14,6 @@ BANDS = 24
 CORNER = 7.4
 
 
-@njit(cache=True)
 def best_cut(row, column, place, residuals, weights, drift, uneven, least):
     """The set of points that is stepped most surely from the others, and the chi2 (1 dof) of its step.
 
@@ -32,8 +31,16 @@ def best_cut(row, column, place, residuals, weights, drift, uneven, least):
     Returns:
         Which points are beyond the best cut, shape (N,) bool, and its chi2; 0 where there is none to be judged.
     """
-    n_rows, n_columns = drift.shape[0], column.max() + 1
     inverse, left = _explained(row, place, residuals, weights, drift)
+    n_columns = int(column.max()) + 1
+    (i0, i1, j0, j1), chi2 = _surest(row, column, place, left, weights, inverse, n_columns, uneven, least)
+    return (row >= i0) & (row < i1) & (column >= j0) & (column < j1), chi2
+
+
+@njit(cache=True)
+def _surest(row, column, place, left, weights, inverse, n_columns, uneven, least):
+    """Scans and beams, from and to, of the surest step that is left, and its chi2; see `best_cut`."""
+    n_rows = inverse.shape[0] - 3
     sums = np.zeros((n_rows, n_columns + 1, 5))
     for k in range(row.shape[0]):
         cell, w = sums[row[k], column[k] + 1], weights[k]
@@ -42,8 +49,10 @@ def best_cut(row, column, place, residuals, weights, drift, uneven, least):
         cell[2] += w * place[k, 1]
         cell[3] += w * left[k]
         cell[4] += 1.0
-    for j in range(n_columns):
-        sums[:, j + 1] += sums[:, j]
+    for i in range(n_rows):
+        for j in range(n_columns):
+            for k in range(5):
+                sums[i, j + 1, k] += sums[i, j, k]
     best, cut = 0.0, (0, n_rows, 0, 0)
     every = max(n_columns // BANDS, 1)
     z = np.empty(3 + n_rows)
@@ -58,54 +67,44 @@ def best_cut(row, column, place, residuals, weights, drift, uneven, least):
                 chi2 = _step(sums, i0, i1, j0, j1, inverse, uneven, least, z) - (0.0 if straight else CORNER)
                 if chi2 > best:
                     best, cut = chi2, (i0, i1, j0, j1)
-    i0, i1, j0, j1 = cut
-    return (row >= i0) & (row < i1) & (column >= j0) & (column < j1), best
+    return cut, best
 
 
-@njit(cache=True)
 def _explained(row, place, residuals, weights, drift):
     """Covariance of plane and offsets of scans, (3 + S, 3 + S), and what they leave of the residuals, shape (N,)."""
-    size = 3 + drift.shape[0]
-    matrix, right, z = np.zeros((size, size)), np.zeros(size), np.ones(3)
-    matrix[3:, 3:] = drift
-    for k in range(row.shape[0]):
-        i, w = 3 + row[k], weights[k]
-        z[1], z[2] = place[k, 0], place[k, 1]
-        for a in range(3):
-            right[a] += w * z[a] * residuals[k]
-            matrix[a, i] += w * z[a]
-            matrix[i, a] += w * z[a]
-            for b in range(3):
-                matrix[a, b] += w * z[a] * z[b]
-        right[i] += w * residuals[k]
-        matrix[i, i] += w
-    for a in range(size):
-        matrix[a, a] *= 1.0 + 1e-9  # points of one line do not tell a tilt
+    shape = np.column_stack((np.ones(len(row)), place))
+    weighted = weights[:, None] * shape
+    of_scans = np.array([np.bincount(row, column, len(drift)) for column in weighted.T])
+    matrix = np.block([[weighted.T @ shape, of_scans], [of_scans.T, drift + np.diag(of_scans[0])]])
+    matrix[np.diag_indices_from(matrix)] *= 1.0 + 1e-9  # points of one line do not tell a tilt
     inverse = np.linalg.inv(matrix)
+    right = np.concatenate((weighted.T @ residuals, np.bincount(row, weights * residuals, len(drift))))
     found = inverse @ right
-    left = np.empty_like(residuals)
-    for k in range(row.shape[0]):
-        left[k] = residuals[k] - found[0] - found[1] * place[k, 0] - found[2] * place[k, 1] - found[3 + row[k]]
-    return inverse, left
+    return inverse, residuals - shape @ found[:3] - found[3 + row]
 
 
-@njit(cache=True)
+@inlined
 def _step(sums, i0, i1, j0, j1, inverse, uneven, least, z):
     """Chi2 of the step of the points in scans i0 to i1 and beams j0 to j1, from sums over beams before."""
     z[:] = 0.0
-    moment, count = 0.0, 0.0
+    moment, count, total = 0.0, 0.0, 0.0
+    for i in range(sums.shape[0]):
+        total += sums[i, -1, 4]
     for i in range(i0, i1):
         for k in range(3):
             z[k] += sums[i, j1, k] - sums[i, j0, k]
         z[3 + i] = sums[i, j1, 0] - sums[i, j0, 0]
         moment += sums[i, j1, 3] - sums[i, j0, 3]
         count += sums[i, j1, 4] - sums[i, j0, 4]
-    if count < FEWEST or sums[:, -1, 4].sum() - count < FEWEST:
+    if count < FEWEST or total - count < FEWEST:
         return 0.0
     share = z[0]
     for a in range(z.shape[0]):
         if z[a] != 0.0:
-            share -= z[a] * (inverse[a] * z).sum()
+            explained = 0.0
+            for b in range(z.shape[0]):
+                explained += inverse[a, b] * z[b]
+            share -= z[a] * explained
     if share <= 1e-6 * z[0]:
         return 0.0
     step = moment / share

@@ -12,7 +12,6 @@ _ROOM, _LEAST_ROOM = 8, 1024
 _FARTHEST = 2.0**29
 
 
-@njit(cache=True)
 def patches_of(points, frame, side):
     """Row and column (N,) of the patch of every point, from 0 on, int64, and how many rows and columns there are.
 
@@ -21,6 +20,17 @@ def patches_of(points, frame, side):
         frame: the plane's, shape (4, 4).
         side: of a patch, m.
     """
+    row, column = _squares_of(points, frame, side)
+    if len(points) == 0:
+        return row, column, 0, 0
+    row -= row.min()
+    column -= column.min()
+    return row, column, int(row.max()) + 1, int(column.max()) + 1
+
+
+@njit(cache=True)
+def _squares_of(points, frame, side):
+    """Row and column (N,) of the square that every point lies in, the plane's origin at a corner of (0, 0)."""
     n = points.shape[0]
     row, column = np.empty(n, np.int64), np.empty(n, np.int64)
     for k in range(n):
@@ -29,26 +39,15 @@ def patches_of(points, frame, side):
         v = np.floor((x * frame[0, 1] + y * frame[1, 1] + z * frame[2, 1]) / side)
         row[k] = int(min(max(u, -_FARTHEST), _FARTHEST))
         column[k] = int(min(max(v, -_FARTHEST), _FARTHEST))
-    if n == 0:
-        return row, column, 0, 0
-    row -= row.min()
-    column -= column.min()
-    return row, column, row.max() + 1, column.max() + 1
+    return row, column
 
 
-@njit(cache=True)
 def numbered(codes, span):
     """A number (N,) for every code from 0 to span - 1, the same for the same code, and how many numbers there are."""
-    if span <= _ROOM * codes.shape[0] + _LEAST_ROOM:
+    if span <= _ROOM * len(codes) + _LEAST_ROOM:
         return codes, span
-    order = np.argsort(codes, kind="mergesort")
-    number, count, last = np.empty_like(codes), 0, np.int64(-1)
-    for k in order:
-        if codes[k] != last:
-            last = codes[k]
-            count += 1
-        number[k] = count - 1
-    return number, count
+    present, number = np.unique(codes, return_inverse=True)
+    return number, len(present)
 
 
 @njit(cache=True)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from spplanes._check import FloatArray
-from spplanes._jit import njit
+from spplanes._jit import inlined, njit
 from spplanes._threads import in_parts
 from spplanes.segmentation.refinement.dissolving import near_pairs
 from spplanes.segmentation.validation.spurious import Window
@@ -98,7 +98,7 @@ def _leave_out(points, covariances, valid, labels, planes, alike, start, others,
                     break
 
 
-@njit(cache=True)
+@inlined
 def _ends_beside(valid, labels, alike, i, j, mine):
     """Whether a return beside a point is of no plane, or of another that looks the same way, and so is what follows."""
     n_rows, n_cols = labels.shape
@@ -115,7 +115,7 @@ def _ends_beside(valid, labels, alike, i, j, mine):
     return False
 
 
-@njit(cache=True)
+@inlined
 def _meets(apart, covariances, i, j, other, variance):
     """Whether a place so far from a plane (normal, d) may lie on it, by a beam's noise and a variance beside it."""
     most = variance
@@ -129,7 +129,7 @@ def _meets(apart, covariances, i, j, other, variance):
     return apart * apart <= APART * APART * variance
 
 
-@njit(cache=True)
+@inlined
 def _is_near(labels, i, j, other):
     """Whether a plane has points so few scans and beams from a place."""
     for a in range(max(i - _REACH, 0), min(i + _REACH + 1, labels.shape[0])):
