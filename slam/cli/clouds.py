@@ -12,7 +12,7 @@ from slam.cli._job import OverwriteOption
 from slam.cli._output import visible, warn_of
 
 if TYPE_CHECKING:
-    from slam.runs.cloud_fit import CloudPlanes
+    from slam.runs.cloud_fit import FittedCloud
 
 
 def fit(
@@ -50,30 +50,32 @@ def fit(
         with new_folder(out, overwrite=overwrite) as folder:
             write_cloud_planes(found, folder)
     _show(cloud.name, found, as_json)
+    warn_of(found.warnings)
     if not found.planes:
         warn_of([f"no planes of {min_points} points or more were found"])
 
 
-def _show(name: str, found: CloudPlanes, as_json: bool) -> None:
+def _show(name: str, found: FittedCloud, as_json: bool) -> None:
     rows = found.table()
     if as_json:
         import json
 
-        noise = {"sigma_m": found.sigma_m, "sigma_note": found.note}
-        print(json.dumps({**noise, "points": asdict(found.counts), "planes": rows}, indent=1))
+        noise = {"sigma_m": found.sigma_m, "octave_sigma_m": found.octave_sigma_m, "sigma_note": found.note}
+        told = {"points": asdict(found.counts), "planes": rows, "warnings": found.warnings}
+        print(json.dumps({**noise, **told}, indent=1))
         return
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
     table = Table(title=f"{escape(visible(name))}, points of {1000 * found.sigma_m:.3g} mm", title_justify="left")
-    headings = ("", "normal", "d\n(m)", "sigma d\n(mm)", "sigma tilt\n(deg)", "points", "area\n(m2)")
+    headings = ("", "normal", "d\n(m)", "sigma d\n(mm)", "sigma tilt\n(deg)", "points", "area\n(m2)", "")
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
         normal = " ".join(f"{value:+.3f}" for value in row["normal"])
         numbers = (f"{row['d']:+.3f}", f"{1000 * row['sigma_d_m']:.2g}", f"{row['sigma_tilt_deg']:.2g}")
-        table.add_row(str(row["id"]), normal, *numbers, str(row["n_points"]), f"{row['area_m2']:.3g}")
+        table.add_row(str(row["id"]), normal, *numbers, str(row["n_points"]), f"{row['area_m2']:.3g}", row["flag"])
     console = Console()
     console.print(table)
     share, counts = 100.0 * found.share, found.counts

@@ -13,7 +13,7 @@ from slam.io.planes_json import write_planes
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
 from slam.output.run_files import write_ply
-from slam.runs.cloud_fit import CloudPlanes
+from slam.runs.cloud_fit import FittedCloud
 from slam.visualization.mesh import colour_of, mesh_of
 from slam.visualization.pictures import draw_view, save
 
@@ -30,7 +30,7 @@ class _Picture:
     odometry: Trajectory
 
 
-def write_cloud_planes(found: CloudPlanes, folder: Path) -> None:
+def write_cloud_planes(found: FittedCloud, folder: Path) -> None:
     """planes.json, planes.ply (outlines as triangles), points.ply (the returns with their plane) and planes.png."""
     write_planes(folder / "planes.json", found.map_planes)
     write_ply(folder / "planes.ply", mesh_of(found.map_planes))
@@ -38,7 +38,7 @@ def write_cloud_planes(found: CloudPlanes, folder: Path) -> None:
     _draw(found, folder / "planes.png")
 
 
-def _write_points(found: CloudPlanes, path: Path) -> None:
+def _write_points(found: FittedCloud, path: Path) -> None:
     colours = np.array([*(colour_of(plane) for plane in found.map_planes), (40, 40, 40)], dtype=np.uint8)
     fields = [("x", "f8"), ("y", "f8"), ("z", "f8"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("plane", "i4")]
     table = np.empty(len(found.points), dtype=fields)
@@ -50,7 +50,7 @@ def _write_points(found: CloudPlanes, path: Path) -> None:
     write_ply_tables(path, {"vertex": table})
 
 
-def _draw(found: CloudPlanes, path: Path) -> None:
+def _draw(found: FittedCloud, path: Path) -> None:
     """Plan and side view of the planes over the points that belong to none."""
     figure = Figure(figsize=(11.0, 9.0), layout="constrained")
     plan, side = figure.subplots(2, 1, height_ratios=[3, 1], sharex=True)

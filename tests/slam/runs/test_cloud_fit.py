@@ -57,7 +57,9 @@ def test_planes_of_a_room(room: Path, capsys: pytest.CaptureFixture[str]):
     code, out, _ = run(capsys, "fit", room, "--json", "--min-points", 500)
     assert code == 0
     answer = json.loads(out)
-    assert answer["sigma_m"] == pytest.approx(0.01, rel=0.1) and answer["sigma_note"].startswith("measured")
+    # 1 cm along the beams is less along the normals, on slanted walls the most
+    assert 0.007 < answer["sigma_m"] < 0.0105 and answer["sigma_note"].startswith("measured")
+    assert answer["octave_sigma_m"] < 0.0005 and answer["warnings"] == []
     assert len(answer["planes"]) == 6
     for plane in answer["planes"]:
         normal, d = HERE[:3, :3] @ plane["normal"], plane["d"] + (HERE[:3, :3] @ plane["normal"]) @ HERE[:3, 3]
@@ -137,12 +139,14 @@ def test_every_point_is_counted_once(room: Path, capsys: pytest.CaptureFixture[s
     assert code == 0 and told["total"] == sum(value for name, value in told.items() if name != "total")
 
 
-def test_lines_of_the_scan_seen_edge_on_are_no_planes():
-    """952 points of this scan by a turned laser lie on planes through the laser."""
+def test_planes_seen_edge_on_and_of_the_sensors_housing_are_flagged():
     found = fit_cloud(read_cloud(needs("pcl_room") / "room_scan1.pcd"), Path("x"))
-    assert found.counts.edge_on > 0
-    for plane in found.planes:
-        assert abs(plane.distance(np.zeros(3))) > 0.07 * np.linalg.norm(plane.centre)
+    edge_on = {
+        k for k, one in enumerate(found.planes) if abs(one.distance([0, 0, 0])) < 0.07 * np.linalg.norm(one.centre)
+    }
+    assert edge_on == {k for k, flag in enumerate(found.flags) if flag == "edge-on"}
+    near = [one for one, flag in zip(found.planes, found.flags, strict=True) if flag == "too near"]
+    assert near and all(np.linalg.norm(one.centre) < 0.4 for one in near)  # its housing is 0.12 m away
 
 
 def test_an_unordered_camera_cloud_keeps_the_middle_of_the_wall():
