@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import njit
+from spplanes._jit import inner, njit
 from spplanes.fitting._moment_patches import eigenvalues, normal_of
 from spplanes.moments import ROW_SIZE
 
@@ -16,13 +16,13 @@ LEVELS = 20
 LOCAL = 48
 
 
-@njit(cache=True)
+@inner(cache=True)
 def octaves(n):
     """Octaves of wavelengths between the extent of n points and of those in which noise is looked for."""
     return max(0.5 * np.log2(n / LOCAL), 0.0)
 
 
-@njit(cache=True)
+@inner(cache=True)
 def run_moments(points, weights, first, last, row):
     """Moments of the points from first to last, (N, 3), with weights (N,) or (1,), about a point near them."""
     ox, oy, oz = points[first, 0], points[first, 1], points[first, 2]
@@ -41,7 +41,7 @@ def run_moments(points, weights, first, last, row):
     row[8], row[9], row[10] = yy - sw * sy * sy, yz - sw * sy * sz, zz - sw * sz * sz
 
 
-@njit(cache=True)
+@inner(cache=True)
 def octant_end(keys, first, last, shift):
     """Where the run of points ends that share the octant of the first."""
     octant, end = keys[first] >> shift, first + 1
@@ -134,7 +134,7 @@ def planar_leaves(points, keys, variances, octave, fewest, limits):
     return cells[:count].copy(), rows[:count].copy()
 
 
-@njit(cache=True)
+@inner(cache=True)
 def is_planar(points, keys, weights, octave, first, last, shift, row, limits):
     """Whether the points of a cell fit one plane and determine it; see `Cells.of`."""
     dof = row[0] - 3.0
