@@ -54,6 +54,7 @@ def export(*arguments: object) -> int:
 def test_every_target_from_the_command_line(run: Path, tmp_path: Path):
     names = ("planes.ply", "planes.glb", "graph.g2o", "traj.tum", "traj.kitti", "TRAJ.KITTI.TXT")
     targets = [tmp_path / "out" / name for name in names]
+    (tmp_path / "out").mkdir()
     assert export(run, *[word for target in targets for word in ("--to", target)]) == 0
     assert (tmp_path / "out" / "planes.ply").read_bytes() == (run / "map.ply").read_bytes()
     assert (tmp_path / "out" / "graph.g2o").read_text() == GRAPH
