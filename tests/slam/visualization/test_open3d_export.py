@@ -202,8 +202,8 @@ def test_trajectories_of_any_kind_are_lines():
             np.asarray(trajectory_to_lines(given).points), np.asarray(trajectory_to_lines(path()).points)
         )
     assert len(trajectory_to_lines([]).points) == 0
-    with pytest.raises(ValueError, match=r"trajectory: expected shape \(N, 4, 4\), got \(3, 3\)"):
-        trajectory_to_lines(np.eye(3))
+    with pytest.raises(ValueError, match=r"trajectory: expected shape \(N, 4, 4\), got \(4, 4\)"):
+        trajectory_to_lines(np.eye(4))
 
 
 @needs_open3d
