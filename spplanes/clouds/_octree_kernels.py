@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._jit import inner, njit
-from spplanes.fitting._moment_patches import eigenvalues, normal_of
+from spplanes.fitting._moment_patches import add_run, centre_sums, eigenvalues, normal_of
 from spplanes.moments import ROW_SIZE
 
 #: Bits of a place along each axis: the finest cells are a millionth of the cloud.
 LEVELS = 20
-
-
 #: The noise of points is that about a plane through so many neighbours; it has the shared error up to that scale in it.
 LOCAL = 48
 
@@ -23,22 +21,12 @@ def octaves(n):
 
 
 @inner(cache=True)
-def run_moments(points, weights, first, last, row):
-    """Moments of the points from first to last, (N, 3), with weights (N,) or (1,), about a point near them."""
-    ox, oy, oz = points[first, 0], points[first, 1], points[first, 2]
-    step = 1 if weights.shape[0] > 1 else 0
-    sw = sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
-    for k in range(first, last):
-        w = weights[k * step]
-        x, y, z = points[k, 0] - ox, points[k, 1] - oy, points[k, 2] - oz
-        wx, wy, wz = w * x, w * y, w * z
-        sw, sx, sy, sz = sw + w, sx + wx, sy + wy, sz + wz
-        xx, xy, xz = xx + wx * x, xy + wx * y, xz + wx * z
-        yy, yz, zz = yy + wy * y, yz + wy * z, zz + wz * z
-    sx, sy, sz = sx / sw, sy / sw, sz / sw
-    row[0], row[1], row[2], row[3], row[4] = last - first, sw, ox + sx, oy + sy, oz + sz
-    row[5], row[6], row[7] = xx - sw * sx * sx, xy - sw * sx * sy, xz - sw * sx * sz
-    row[8], row[9], row[10] = yy - sw * sy * sy, yz - sw * sy * sz, zz - sw * sz * sz
+def run_moments(points, variances, first, last, weighted, row):
+    """Moments of the points from first to last, (1, N, 3), by their variances (1, N, 1) where they are weighted."""
+    row[:] = 0.0
+    about = points[0, first]
+    add_run(row, points, variances, 0, first, last, about, about, 0.0, weighted)  # isotropic: along any normal
+    centre_sums(row, about)
 
 
 @inner(cache=True)
@@ -50,28 +38,35 @@ def octant_end(keys, first, last, shift):
     return end
 
 
+@inner(cache=True)
+def push_octants(keys, first, last, level, stack, top):
+    """Put the octants of a cell (first point, last, level) on a stack; how many cells are on it then."""
+    while first < last:
+        end = octant_end(keys, first, last, 3 * (LEVELS - level - 1))
+        stack[top, 0], stack[top, 1], stack[top, 2] = first, end, level + 1
+        first, top = end, top + 1
+    return top
+
+
 @njit(cache=True)
 def local_scatter(points, keys, fewest):
     """(n, least, middle eigenvalue of the scatter, first point) of the smallest cells of so many points, (K, 4)."""
     result, count = np.empty((points.shape[0] // fewest + 1, 4)), 0
     stack, top = np.empty((8 * LEVELS + 8, 3), np.int64), 1
     stack[0, 0], stack[0, 1], stack[0, 2] = 0, points.shape[0], 0
-    row, one = np.empty(ROW_SIZE), np.ones(1)
+    row, grid, none = np.empty(ROW_SIZE), points.reshape(1, -1, 3), np.empty((1, 0, 1))
     while top > 0:
         top -= 1
         first, last, level = stack[top, 0], stack[top, 1], stack[top, 2]
         if last - first < fewest:
             continue
         if last - first < 4 * fewest or level == LEVELS:
-            run_moments(points, one, first, last, row)
+            run_moments(grid, none, first, last, False, row)
             least, middle, _ = eigenvalues(row)
             result[count, 0], result[count, 1], result[count, 2], result[count, 3] = row[0], least, middle, first
             count += 1
             continue
-        while first < last:
-            end = octant_end(keys, first, last, 3 * (LEVELS - level - 1))
-            stack[top, 0], stack[top, 1], stack[top, 2] = first, end, level + 1
-            first, top = end, top + 1
+        top = push_octants(keys, first, last, level, stack, top)
     return result[:count]
 
 
@@ -88,10 +83,7 @@ def neighbourhoods(keys, most):
             result[first:last] = count
             count += 1
             continue
-        while first < last:
-            end = octant_end(keys, first, last, 3 * (LEVELS - level - 1))
-            stack[top, 0], stack[top, 1], stack[top, 2] = first, end, level + 1
-            first, top = end, top + 1
+        top = push_octants(keys, first, last, level, stack, top)
     return result
 
 
@@ -110,11 +102,11 @@ def planar_leaves(points, keys, variances, octave, fewest, limits):
     cells, rows, count = np.empty((points.shape[0], 3), np.int64), np.empty((points.shape[0], ROW_SIZE)), 0
     stack, top = np.empty((8 * LEVELS + 8, 3), np.int64), min(points.shape[0], 1)
     stack[0, 0], stack[0, 1], stack[0, 2] = 0, points.shape[0], 0
-    weights = 1.0 / variances
+    weights, grid, noise = 1.0 / variances, points.reshape(1, -1, 3), variances.reshape(1, -1, 1)
     while top > 0:
         top -= 1
         first, last, level = stack[top, 0], stack[top, 1], stack[top, 2]
-        run_moments(points, weights, first, last, rows[count])
+        run_moments(grid, noise, first, last, True, rows[count])
         shift = 3 * (LEVELS - level - 1)
         planar = last - first >= fewest and is_planar(
             points, keys, weights, octave, first, last, shift, rows[count], limits
@@ -124,10 +116,7 @@ def planar_leaves(points, keys, variances, octave, fewest, limits):
             count += 1
             continue
         begin = top
-        while first < last:
-            end = octant_end(keys, first, last, shift)
-            stack[top, 0], stack[top, 1], stack[top, 2] = first, end, level + 1
-            first, top = end, top + 1
+        top = push_octants(keys, first, last, level, stack, top)
         for k in range((top - begin) // 2):  # so that the first is taken first
             for c in range(3):
                 stack[begin + k, c], stack[top - 1 - k, c] = stack[top - 1 - k, c], stack[begin + k, c]

@@ -11,6 +11,7 @@ References:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -19,6 +20,8 @@ from scipy.special import chdtri, ndtri
 
 from spplanes._check import FloatArray
 from spplanes.clouds._octree_kernels import LEVELS, LOCAL, local_scatter, neighbourhoods, planar_leaves
+from spplanes.fitting.shared_error import weighted_median
+from spplanes.outlines._raster import distinct
 
 #: Fewest points of a cell that is judged.
 FEWEST = 6
@@ -132,6 +135,7 @@ class Cells:
         """The cell of every point, shape (N,)."""
         return np.repeat(np.arange(len(self.level)), np.diff(self.bounds))
 
+    @cached_property
     def neighbours(self) -> np.ndarray:
         """Pairs of cells that touch, at a face, an edge or a corner, each once, shape (E, 2)."""
         shift = LEVELS - self.level
@@ -144,17 +148,14 @@ class Cells:
         larger = 3 * (LEVELS - self.level[other])
         holds = (other >= 0) & (keys >> larger == self.place[other] >> larger) & (self.level[other] <= self.level[cell])
         pairs = np.sort(np.stack((cell[holds], other[holds]), axis=1), axis=1)
-        codes = np.unique(pairs[:, 0] * len(self.level) + pairs[:, 1])
+        codes = distinct(pairs[:, 0] * len(self.level) + pairs[:, 1])
         return np.stack(np.divmod(codes, max(len(self.level), 1)), axis=1)
 
 
 def _median_variance(cells: FloatArray) -> float:
     """Variance of the noise that most points show, m^2, by the scatter of cells (n, sum of squares, ...)."""
     dof = cells[:, 0] - 3.0
-    values = cells[:, 1] / chdtri(dof, 0.5)  # the median of chi2 is what half of the cells stay below
-    order = np.argsort(values, kind="stable")
-    share = np.cumsum(cells[order, 0])
-    return float(values[order[np.searchsorted(share, 0.5 * share[-1])]])
+    return weighted_median(cells[:, 1] / chdtri(dof, 0.5), cells[:, 0])  # half of chi2 lies below its median
 
 
 def _interleaved(places: np.ndarray) -> np.ndarray:

@@ -143,7 +143,7 @@ class _Patches:
         """Variance of the points inside of patches over the stated one, shape (P,)."""
         dof = np.maximum(self.dof, 1.0)
         own = self.chi2 / dof
-        common = _weighted_median(own, self.dof) if self.dof.sum() > 0.0 else 1.0
+        common = weighted_median(own, self.dof) if self.dof.sum() > 0.0 else 1.0
         refused = self.chi2.sum() > chdtri(max(self.dof.sum(), 1.0), SIGNIFICANCE)
         common = max(common if refused else 1.0, 1.0) if stated else max(common, 1e-12)
         return np.where(self.chi2 > common * chdtri(dof, SIGNIFICANCE), np.maximum(own, common), common)
@@ -191,12 +191,13 @@ def _reml(values: FloatArray, squares: FloatArray, least: float) -> tuple[float,
     common = least
     if 2.0 * (_total(values, squares, pooled) - _total(values, squares, 0.0)) > limit:
         signal = pooled * values / (1.0 + pooled * values)
-        common = max(_weighted_median(own, (signal**2).sum(axis=1)), least)
+        common = max(weighted_median(own, (signal**2).sum(axis=1)), least)
     gain = _log_likelihood(values, squares, np.maximum(own, common)) - _log_likelihood(values, squares, common)
     return common, np.where(2.0 * gain > limit, np.maximum(own, common), common)
 
 
-def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
+def weighted_median(values: FloatArray, weights: FloatArray) -> float:
+    """The least of values (N,) that half of the weights (N,) lie at or below."""
     order = np.argsort(values, kind="stable")
     share = np.cumsum(weights[order])
     return float(values[order[np.searchsorted(share, 0.5 * share[-1])]])

@@ -147,7 +147,9 @@ def segment_cloud(
     if np.count_nonzero(seen) < 3:
         raise ValueError(f"cloud: expected at least three points, got {np.count_nonzero(seen)}")
     job = _Job(points, seen, np.broadcast_to(eyes, points.shape), sigma, config)
-    turned = _normals_of(cloud if normals is None else normals, normals is not None, points)
+    turned = (
+        _normals_in(cloud, points) if normals is None else as_shape("normals", normals, (len(points), 3), finite=False)
+    )
     return job.of_points(turned) if points.ndim == 2 else job.of_grid()
 
 
@@ -176,8 +178,8 @@ class _Job:
         first[curve.number[::-1]] = np.arange(len(used))[::-1]
         eyes = eyes[first]
         variances = self._variances(curve, np.linalg.norm(curve.points - eyes, axis=1))
-        labels, _ = label_curve(curve, variances, _FIRST_OCTAVE * float(np.sqrt(np.median(variances))), self.config)
-        labels = _largest_first(labels)
+        first_octave_m = _FIRST_OCTAVE * float(np.sqrt(np.median(variances)))
+        labels = _largest_first(label_curve(curve, variances, first_octave_m, self.config))
         n_planes = int(labels.max(initial=-1)) + 1
         grid = curve.points[None], self._fitting_variances(variances)[None, :, None], labels[None]
         sides = _mean_of(eyes, labels, n_planes)
@@ -295,16 +297,14 @@ def _positions(cloud: Any) -> Any:
     return np.asarray(cloud.points) if hasattr(cloud, "points") else cloud
 
 
-def _normals_of(given: Any, are_normals: bool, points: FloatArray) -> FloatArray | None:
-    """Normals (N, 3) as given, or of an Open3D cloud that has some."""
-    if are_normals:
-        return as_shape("normals", given, (len(points), 3), finite=False)
-    if isinstance(given, np.ndarray):
+def _normals_in(cloud: Any, points: FloatArray) -> FloatArray | None:
+    """Normals (N, 3) of an Open3D cloud that has some."""
+    if isinstance(cloud, np.ndarray):
         return None
-    tensors = getattr(given, "point", None)
+    tensors = getattr(cloud, "point", None)
     if tensors is not None:
         return as_float_array("normals", tensors["normals"].cpu().numpy()) if "normals" in tensors else None
-    normals = np.asarray(getattr(given, "normals", []))
+    normals = np.asarray(getattr(cloud, "normals", []))
     return as_float_array("normals", normals) if len(normals) == len(points) else None
 
 

@@ -28,8 +28,8 @@ _MOST_STEPS, _AT_REST = 12, 1e-3
 _SUPERFLUOUS = 0.7
 
 
-def label_curve(curve: Curve, variances: FloatArray, octave_m: float, config: MapperConfig) -> tuple[np.ndarray, float]:
-    """The plane of every point of a curve, and the error that neighbours share.
+def label_curve(curve: Curve, variances: FloatArray, octave_m: float, config: MapperConfig) -> np.ndarray:
+    """The plane of every point of a curve, shape (N,), -1 = none.
 
     What surfaces wander from planes by is found with them: the regions of a round tell the shared error that the next
     one goes by.
@@ -39,10 +39,6 @@ def label_curve(curve: Curve, variances: FloatArray, octave_m: float, config: Ma
         variances: of its points, shape (N,), m^2.
         octave_m: least standard deviation of an octave of the shared error, m; see `spplanes.fitting.shared_error`.
         config: tests; what surfaces may deviate by follows from the shared error.
-
-    Returns:
-        labels: shape (N,), -1 = none.
-        octave_m: standard deviation of an octave of the shared error, m.
     """
     state: _Labelling | None = None
     for _ in range(_ROUNDS):
@@ -55,7 +51,7 @@ def label_curve(curve: Curve, variances: FloatArray, octave_m: float, config: Ma
         state.add_regions(cells, free)
         state.spread()
         octave_m = max(octave_m, state.shown_octave_m())
-    return (np.full(len(variances), -1) if state is None else state.labels), octave_m
+    return np.full(len(variances), -1) if state is None else state.labels
 
 
 @dataclass(eq=False)
@@ -76,7 +72,7 @@ class _Labelling:
 
     def __post_init__(self) -> None:
         n_cells = len(self.cells.level)
-        pairs = self.cells.neighbours()
+        pairs = self.cells.neighbours
         itself = np.repeat(np.arange(n_cells)[:, None], 2, axis=1)
         both = np.concatenate((pairs, pairs[:, ::-1], itself))
         self._touch: Any = csr_matrix(
@@ -88,7 +84,7 @@ class _Labelling:
     def add_regions(self, cells: Cells, free: np.ndarray) -> None:
         """Planar cells of free points (N,), bool, that are one plane with those they touch become regions."""
         number = np.cumsum(cells.planar) - 1
-        pairs, rows = cells.neighbours(), cells.rows[cells.planar]
+        pairs, rows = cells.neighbours, cells.rows[cells.planar]
         edges = number[pairs[cells.planar[pairs].all(axis=1)]]
         root = self._clustered(rows, edges)
         few = self.config.min_points / 2
