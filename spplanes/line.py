@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, cos, hypot, inf, isfinite, nan, pi, remainder, sin
+from math import atan2, cos, hypot, isfinite, nan, pi, remainder, sin
 from typing import Self
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from spplanes._check import (
     COVARIANCE_TOLERANCE,
+    TOO_LARGE,
     FloatArray,
     as_covariance,
     as_number,
@@ -55,7 +56,7 @@ class ScanLine:
         alpha, rho = as_number("alpha", self.alpha, finite=False), as_number("rho", self.rho, finite=False)
         if not isfinite(alpha):
             raise ValueError(f"alpha: expected a finite angle, got {alpha}")
-        if not 0.0 <= rho < inf:
+        if not 0.0 <= rho < TOO_LARGE:
             raise ValueError(f"rho: expected a finite distance >= 0, got {rho}")
         object.__setattr__(self, "alpha", alpha if -pi < alpha <= pi else wrap_angle(alpha))
         object.__setattr__(self, "rho", rho)
@@ -191,6 +192,6 @@ def _as_square(name: str, value: ArrayLike) -> FloatArray:
     """`value` as (2, 2) of finite floats."""
     if isinstance(value, np.ndarray) and value.shape == (2, 2) and value.dtype == np.float64:
         (a, b), (c, d) = value.tolist()
-        if isfinite(a + b + c + d):
+        if max(abs(a), abs(b), abs(c), abs(d)) < TOO_LARGE and isfinite(a + b + c + d):
             return value
     return as_shape(name, value, (2, 2))

@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 from factors.line import line_factor
 from factors.plane import plane_factor
 from spplanes import Plane, ScanLine
-from spplanes._check import FloatArray, as_transform, check_instance
+from spplanes._check import FloatArray, as_number, as_transform, check_instance
 from spplanes.outlines.growing import flatten, lift
 from spplanes.spmodel import skew
 
@@ -130,7 +130,7 @@ class PlaneObservation:
 
     def patch_in(self, plane_T_body: FloatArray) -> BaseGeometry:
         """The outline, or the centre when there is none."""
-        outline = self.plane.outline
+        plane_T_body, outline = as_transform("plane_T_body", plane_T_body), self.plane.outline
         if outline is None or outline.is_empty:
             return shapely.Point((plane_T_body @ self.plane.frame)[:2, 3])
         return flatten(outline, plane_T_body @ self.plane.frame)
@@ -212,12 +212,12 @@ class LineObservation:
         frame[:3, 3] = middle
         covariance = np.zeros((3, 3))
         covariance[:2, :2] = _line_covariance_at_middle(self.line)
-        covariance[2, 2] = tilt_sigma_rad**2
+        covariance[2, 2] = as_number("tilt_sigma_rad", tilt_sigma_rad) ** 2
         return Plane(frame=frame, covariance=covariance, n_points=self.n_points)
 
     def patch_in(self, plane_T_body: FloatArray) -> BaseGeometry:
         """The segment."""
-        ends = lift(self.vertices, plane_T_body)[:, :2]
+        ends = lift(self.vertices, as_transform("plane_T_body", plane_T_body))[:, :2]
         return shapely.LineString(ends) if np.ptp(ends, axis=0).max() > 0.0 else shapely.Point(ends[0])
 
 

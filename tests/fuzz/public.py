@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,25 @@ class Numbers:
     def landmark(self) -> gtsam.OrientedPlane3:
         """A landmark of GTSAM."""
         return factors.plane_landmark(self.plane())
+
+    def plane_observation(self) -> factors.PlaneObservation:
+        """A plane seen from a pose."""
+        return factors.PlaneObservation(self.plane())
+
+    def line_observation(self) -> factors.LineObservation:
+        """A line seen by a laser of any mount."""
+        return factors.LineObservation(self.line(), self.array(4, 4))
+
+    def prediction(self) -> factors.Prediction:
+        """A pose (0), another that anchors a landmark (2), and a landmark in the world (3), with any covariance."""
+        return factors.Prediction.of_matrix(self.array(18, 18), [0, 1, 2, 3], _values(), 0)
+
+    def extents(self) -> factors.LandmarkExtents:
+        """What pose 1 saw of both landmarks."""
+        extents = factors.LandmarkExtents()
+        extents.start(2, self.plane(), 1, _values(), anchor_key=1)
+        extents.start(3, self.line_observation(), 1, _values())
+        return extents
 
 
 Call = Callable[[Numbers], Any]
@@ -103,6 +123,23 @@ CALLS: dict[str, Call] = {
     "factors.world_plane_from_joint": lambda n: factors.world_plane_from_joint(
         n.landmark(), n.array(4, 4), n.array(9, 9), centre=n.array(3)
     ),
+    "factors.AssociationGates": lambda n: factors.AssociationGates(*n.array(len(fields(factors.AssociationGates)))),
+    "factors.LandmarkExtents.see": lambda n: n.extents().see(2, n.plane_observation(), 0, _values()),
+    "factors.LandmarkExtents.start": Numbers.extents,
+    "factors.LineObservation": Numbers.line_observation,
+    "factors.LineObservation.factor": lambda n: n.line_observation().factor(0, 2, 1),
+    "factors.LineObservation.full_plane": lambda n: n.line_observation().full_plane(n.number()),
+    "factors.LineObservation.patch_in": lambda n: n.line_observation().patch_in(n.array(4, 4)),
+    "factors.PlaneObservation": Numbers.plane_observation,
+    "factors.PlaneObservation.factor": lambda n: n.plane_observation().factor(0, 2, 1),
+    "factors.PlaneObservation.full_plane": lambda n: n.plane_observation().full_plane(n.number()),
+    "factors.PlaneObservation.patch_in": lambda n: n.plane_observation().patch_in(n.array(4, 4)),
+    "factors.Prediction.covariance": lambda n: n.prediction().covariance(0),
+    "factors.Prediction.joint_covariance": lambda n: n.prediction().joint_covariance([3, 0]).full,
+    "factors.Prediction.of_matrix": Numbers.prediction,
+    "factors.associate": lambda n: factors.associate(
+        [n.plane(), n.line_observation()], n.prediction(), n.extents(), least_probability=n.number()
+    ),
 }
 #: Those that a target of their own feeds (`tests.fuzz.functions`).
 ELSEWHERE = {
@@ -119,6 +156,10 @@ WITHOUT_ARRAYS = {
     *("spplanes.Moments", "spplanes.Moments.from_row", "spplanes.Moments.as_row", "spplanes.PlaneMapper.labels"),
     *("factors.copy_graph", "factors.isam2_parameters", "factors.landmark_anchors", "factors.settle"),
     *("factors.isam_covariance", "factors.joint_covariance", "factors.seen_plane", "factors.world_plane"),
+    *("factors.Association", "factors.Identity", "factors.LandmarkExtents", "factors.LandmarkExtents.remove"),
+    *("factors.Prediction", "factors.Prediction.of_isam", "factors.Prediction.of_marginals"),
+    *("factors.Prediction.pose", "factors.Prediction.plane", "factors.Prediction.values_of"),
+    "factors.observation_factor",
     *("slam.SlamConfig", "slam.SlamConfig.from_yaml", "slam.SlamConfig.to_yaml", "slam.PlaneSlam.open"),
     *("slam.PlaneSlam.close", "slam.PlaneSlam.optimize_batch", "slam.PlaneSlam.adopt_batch"),
     "slam.PlaneSlam.explain",
@@ -142,6 +183,9 @@ def _check(answer: Any) -> None:
         assert np.isfinite(answer.covariance).all()
     elif isinstance(answer, ScanLine):
         assert np.isfinite([answer.alpha, answer.rho, *answer.covariance.ravel()]).all()
+    elif isinstance(answer, factors.Association):
+        told = np.array([sum(one.probabilities.values()) for one in answer.identities])
+        np.testing.assert_allclose(told, 1.0)
     elif isinstance(answer, np.ndarray | float):
         assert not np.isnan(answer).any()
     elif isinstance(answer, gtsam.NonlinearFactor | gtsam.NonlinearFactorGraph):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
 
+from factors import PlaneObservation
 from slam import PlaneSlam
 from slam.frontend.keyframes import Keyframe
 from slam.geometry.frames import inverse
@@ -63,9 +66,9 @@ def test_the_audit_finds_an_honest_run_consistent_and_an_over_confident_one_not(
     assert summary.kind == "plane" and summary.count == 14 * 6 and summary.verdict == "consistent"
     lying = PlaneSlam()
     for keyframe in drive(1).keyframes:
-        for seen in keyframe.observations:
-            seen.plane.covariance[:] /= 2.0
-        lying.add_keyframe(keyframe)
+        planes = [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
+        sure = [PlaneObservation(replace(plane, covariance=plane.covariance / 2.0)) for plane in planes]
+        lying.add_keyframe(replace(keyframe, observations=sure))
     assert lying.audit.summary()[0].verdict == "over-confident"
     assert "over-confident" in lying.audit.warnings()[0]
 

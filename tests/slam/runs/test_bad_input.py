@@ -59,7 +59,7 @@ def test_a_covariance_that_is_none_is_refused_and_leaves_no_trace(part: str):
         first = good.observations[0]
         assert isinstance(first, PlaneObservation)
         seen = PlaneObservation(replace(first.plane, covariance=np.diag([1e-4, 1e-4, 1e-4])))
-        seen.plane.covariance[:] = wrong
+        object.__setattr__(seen.plane, "covariance", wrong)
         bad = replace(good, observations=[seen, *good.observations[1:]])
         problem = r"keyframe.observations\[0\].plane.covariance: expected a positive definite covariance, got the eigen"
     else:
