@@ -118,11 +118,11 @@ def _flat_planes(
     sure, covariances = on_planes(points, covariances, sure, rough, sensor)
     sure = telling_labels(points, covariances, sure, rough, settings)
     believed = believed_planes(points, covariances, sure, rough, sensor, viewpoint, config.measurements)
-    kept = {k: one[0] for k, one in enumerate(believed) if one is not None}
+    kept = {k: one.plane for k, one in enumerate(believed) if one is not None}
     labels = found.labels.copy()
     for one in believed:
         if one is not None:
-            labels.ravel()[one[1]] = -1
+            labels.ravel()[one.strayed] = -1
     drawn = _drawn(kept, points, labels, np.sqrt(spreads[:, 1:] / rows[:, 1:2]), settings)
     number = np.full(len(rows) + 1, -2)
     number[-1] = -1

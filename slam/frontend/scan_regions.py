@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from slam.config import BOUND_SIGMAS
@@ -13,6 +16,7 @@ from spplanes._rows import OK
 from spplanes._threads import in_parts
 from spplanes.fitting._groups import fit_groups
 from spplanes.fitting._job import FitJob, group_by_label
+from spplanes.fitting.shared_error import shared_error_of
 from spplanes.segmentation.validation.config import ValidationConfig
 from spplanes.segmentation.validation.one_plane import InPatches, could_be_seen, fits_its_noise
 from spplanes.segmentation.validation.plane_ends import sure_points
@@ -62,6 +66,18 @@ class ScanPart:
         covariances, n_columns, frame = self._source
         kept = np.flatnonzero(chosen)
         return ScanPart(self.points[kept], covariances[kept], self.members[kept], n_columns, frame, self.sensor)
+
+
+@dataclass(frozen=True, eq=False)
+class Believed:
+    """A region that is a plane."""
+
+    plane: Plane
+    """What it is."""
+    part: ScanPart
+    """The points that are on it."""
+    strayed: np.ndarray
+    """Members of the region that are not, shape (N,)."""
 
 
 def members_of(labels: np.ndarray, count: int) -> list[np.ndarray]:
@@ -153,8 +169,8 @@ def believed_planes(
     sensor: Sensor,
     viewpoint: FloatArray,
     rules: ValidationConfig,
-) -> list[tuple[Plane, np.ndarray] | None]:
-    """`believed_plane` of every region of a grid, fitted with all errors counted.
+) -> list[Believed | None]:
+    """`believed_plane` of every region of a grid, fitted with all errors counted, those that residuals show as well.
 
     Args:
         points, covariances, labels: shapes (S, B, 3), (S, B, 3, 3) and (S, B), -1 = none.
@@ -163,7 +179,7 @@ def believed_planes(
     """
     regions, order, bounds = group_by_label(labels.ravel(), labels.size)
     largest_first = np.argsort(-np.diff(bounds), kind="stable").tolist()
-    found: list[tuple[Plane, np.ndarray] | None] = [None] * len(frames)
+    found: list[Believed | None] = [None] * len(frames)
 
     def measure(first: int, last: int) -> None:
         for k in largest_first[first:last]:
@@ -174,13 +190,31 @@ def believed_planes(
             found[regions[k]] = None if plane is None else believed_plane(part, plane, viewpoint, rules)
 
     in_parts(measure, len(regions), len(order), singly=True)
-    return found
+    shown = iter(with_shared_error([one for one in found if one is not None]))
+    return [None if one is None else next(shown) for one in found]
 
 
-def believed_plane(
-    part: ScanPart, plane: Plane, viewpoint: FloatArray, rules: ValidationConfig
-) -> tuple[Plane, np.ndarray] | None:
-    """The plane of a region, if it is one, and which members of the region are not on it; None: it is none.
+def with_shared_error(planes: Sequence[Believed]) -> list[Believed]:
+    """The planes of a scan with the errors that their residuals have in common beyond what the sensor states."""
+    if not planes:
+        return []
+    sizes = [len(one.part.points) for one in planes]
+    shared = shared_error_of(
+        np.concatenate([one.part.points for one in planes]),
+        np.concatenate([one.part.blurred for one in planes]).reshape(-1, 9),
+        np.repeat(np.arange(len(planes)), sizes),
+        np.array([one.plane.frame for one in planes]),
+        np.array([one.plane.covariance for one in planes]),
+        stated=True,
+    )
+    return [
+        replace(one, plane=replace(one.plane, covariance=covariance))
+        for one, covariance in zip(planes, shared.covariances, strict=True)
+    ]
+
+
+def believed_plane(part: ScanPart, plane: Plane, viewpoint: FloatArray, rules: ValidationConfig) -> Believed | None:
+    """The plane of a region, if it is one; None: it is none.
 
     A plane is fitted anew without the patches that stray, which moves it and its patches: so a few times over.
     """
@@ -189,7 +223,7 @@ def believed_plane(
         patches = InPatches(plane, rest.points, rest.noise, rules, drift_m=rest.drift(plane))
         if could_be_seen(plane, viewpoint, rules) and fits_its_noise(plane, rules) and not patches.has_step:
             strayed = part.members[:0] if rest is part else np.setdiff1d(part.members, rest.members, assume_unique=True)
-            return plane, strayed
+            return Believed(plane, rest, strayed)
         chosen = patches.without_strays()
         if chosen is None or np.count_nonzero(chosen) < _LEAST_SHARE * len(part.members):
             return None
