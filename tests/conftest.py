@@ -1,10 +1,15 @@
-"""The order of the tests, and how often what is random is repeated."""
+"""The order of the tests, how often what is random is repeated, and how many threads a test has."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 
 import pytest
+
+# As `make test` has it, before anything imports numpy: cores have a test each, and threads of BLAS that wait for one
+# another on small matrices take up to twenty times as long. Processes that tests start and xdist's have it from here.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 _SOAK = "--soak"
 #: Files that take longest, longest first (`pytest --durations` tells): begun last, one would keep a single core busy.
