@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 from spplanes import Moments, fit_plane
-from tests.spplanes.fitting.fit_scenes import Scene, plane_frame, run, scenes
+from tests.spplanes.fitting.fit_scenes import Scene, linear_run, plane_frame, run, scenes
 from tests.statistics import assert_mean_in_band, nees
 
 RUNS = 2000
+#: Of what is compared with the linear estimate on the same noise. The difference of the mean NEES scatters by 0.2 to
+#: 0.6 % then: a covariance that is wrong by 4 % is told from a right one by 3 to 10 of these.
+FEW = 200
 SCENES = scenes()
 
 
@@ -25,16 +28,14 @@ def loss(local, scene):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_ml_is_consistent_and_efficient(name):
-    """NEES in the 99 % band of 2000 runs; error within 2 % of the bound.
-
-    A mean of 2000 squared errors of 3 components scatters by 1.8 %, its root by 0.9 %: with errors exactly at the
-    bound, 2 % is exceeded once in 70 times.
-    """
+    """NEES within 2 % of that of the best linear estimate on the same noise, which is chi2; error within 0.5 %."""
     scene = SCENES[name]
-    values, local, _ = run(scene, fit(), RUNS, seed=1)
-    assert_mean_in_band(values, 3)
+    values, local, _ = run(scene, fit(), FEW, seed=1)
+    best = linear_run(scene, FEW, seed=1)
+    assert_mean_in_band(best.chi2, 3)
+    assert values.mean() == pytest.approx(best.chi2.mean(), rel=0.02)
     if len(scene.true_points) >= 50:
-        assert loss(local, scene) < 1.02
+        assert loss(local, scene) < 1.005 * loss(best.local, scene)
 
 
 @pytest.mark.parametrize(
@@ -66,8 +67,11 @@ def test_sp_is_consistent_where_noise_is_not_oblique(name):
 
 
 def test_sp_with_shared_poses_is_consistent():
-    values, _, _ = run(SCENES["20 scans, shared poses"], fit("sp"), RUNS, seed=3)
-    assert_mean_in_band(values, 3)
+    scene = SCENES["20 scans, shared poses"]
+    values, _, _ = run(scene, fit("sp"), FEW, seed=3)
+    exact = linear_run(scene, FEW, seed=3, weights=1.0 / np.trace(scene.covariances, axis1=1, axis2=2))
+    assert_mean_in_band(exact.chi2, 3)
+    assert values.mean() == pytest.approx(exact.chi2.mean(), rel=0.03)
 
 
 def test_pose_errors_counted_per_point_are_not_consistent():
@@ -128,17 +132,27 @@ def lopsided_poses():
     return Scene(scene.true_points, scene.covariances, scene.frame, scene.sensor, scene.scan_index, 0.001 * poses)
 
 
-@pytest.mark.parametrize(("make", "method"), [(lopsided, "sp"), (lopsided_poses, "sp"), (lopsided_poses, "ml")])
-def test_signs_of_the_correlations(make, method):
-    """Each pair of signs flipped moves the mean NEES far out of the band."""
+@pytest.mark.parametrize(
+    ("make", "method", "runs"), [(lopsided, "sp", RUNS), (lopsided_poses, "sp", FEW), (lopsided_poses, "ml", FEW)]
+)
+def test_signs_of_the_correlations(make, method, runs):
+    """Each pair of signs flipped moves the mean NEES far out of the band.
+
+    Weights that ignore the noise are as wrong as noise in one corner makes them, and no linear estimate is near then.
+    """
     scene = make()
     errors, covariances, rng = [], [], np.random.default_rng(9)
-    for _ in range(RUNS):
+    for _ in range(runs):
         plane = fit(method)(scene.sample(rng), scene)
         errors.append(scene.error(plane.frame))
         covariances.append(plane.covariance)
     errors, covariances = np.array(errors), np.array(covariances)
-    assert_mean_in_band(nees(errors, covariances), 3)
+    values = nees(errors, covariances)
+    if make is lopsided:
+        assert_mean_in_band(values, 3)
+    else:
+        weights = 1.0 / np.trace(scene.covariances, axis1=1, axis2=2) if method == "sp" else None
+        assert values.mean() == pytest.approx(linear_run(scene, runs, 9, weights).chi2.mean(), rel=0.03)
     for kept in range(3):
         signs = np.where(np.arange(3) == kept, -1.0, 1.0)
         assert nees(errors * signs, covariances).mean() > 3.6

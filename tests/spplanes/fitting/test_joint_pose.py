@@ -7,7 +7,8 @@ import pytest
 
 from spplanes import fit_plane
 from spplanes.plane import Plane
-from tests.statistics import mean_nees_band
+from tests.spplanes.fitting.fit_scenes import Linear
+from tests.statistics import assert_mean_in_band, mean_nees_band
 
 SIGMA_M = 0.01
 SCANS, BEAMS = 12, 30
@@ -34,14 +35,15 @@ def moved(points: np.ndarray, xi: np.ndarray) -> np.ndarray:
     return points + xi[:, None, :3] + np.cross(turn, points)
 
 
-def nees_of(method: str, joint: bool, runs: int) -> float:
+def nees_of(method: str, joint: bool, runs: int) -> tuple[float, Linear]:
+    """Mean NEES, and what the linear estimate with the same weights makes of the same noise."""
     rng = np.random.default_rng(11)
     truth = Plane.from_hesse([0.0, -1.0, 0.0], -2.0, np.zeros((3, 3)))
     root = np.linalg.cholesky(random_walk())
     full = random_walk().reshape(SCANS, 6, SCANS, 6)
     covariance = random_walk() if joint else np.stack([full[s, :, s, :] for s in range(SCANS)])
     index = np.repeat(np.arange(SCANS), BEAMS)
-    total = 0.0
+    total, noise = 0.0, []
     for _ in range(runs):
         points = moved(wall(), (root @ rng.standard_normal(6 * SCANS)).reshape(SCANS, 6))
         points = points.reshape(-1, 3) + SIGMA_M * rng.standard_normal((SCANS * BEAMS, 3))
@@ -49,18 +51,28 @@ def nees_of(method: str, joint: bool, runs: int) -> float:
             points, sigma=SIGMA_M, method=method, viewpoint=np.zeros(3), scan_index=index, pose_covariances=covariance
         )
         total += plane.mahalanobis(truth)
-    return total / runs
+        noise.append(points[:, 1] - 2.0)
+    h = np.column_stack([np.ones(SCANS * BEAMS), wall().reshape(-1, 3)[:, [0, 2]]])
+    by_pose = np.stack([moved(wall(), np.tile(one, (SCANS, 1))) - wall() for one in np.eye(6)], axis=3)[..., 1, :]
+    shared = np.einsum("sbi,sitj,tcj->sbtc", by_pose, full, by_pose).reshape(SCANS * BEAMS, -1)
+    weights = np.ones(SCANS * BEAMS) if method == "sp" else None
+    return total / runs, Linear.of(np.array(noise), h, shared + SIGMA_M**2 * np.eye(SCANS * BEAMS), weights)
 
 
 @pytest.mark.parametrize("method", ["ml", "sp"])
 def test_a_random_walk_of_poses_is_consistent_with_its_joint_covariance(method: str):
-    low, high = mean_nees_band(600, 3, 0.99)
-    assert low <= nees_of(method, joint=True, runs=600) <= high
+    """Within 3 % of the linear estimate: with 150 runs the difference of the two means scatters by 0.7 %.
+
+    What is neglected beyond first order adds 1 %; the mean of a fit alone scatters as little after 14,000 runs.
+    """
+    nees, exact = nees_of(method, joint=True, runs=150)
+    assert_mean_in_band(exact.chi2, 3)
+    assert nees == pytest.approx(exact.chi2.mean(), rel=0.03)
 
 
 def test_the_blocks_alone_claim_too_much():
     # why the joint form exists: as if independent, the errors of a walk average away that do not
-    assert nees_of("ml", joint=False, runs=60) > 8.0
+    assert nees_of("ml", joint=False, runs=60)[0] > 8.0
 
 
 def test_independent_scans_are_the_joint_case_without_cross_terms():
