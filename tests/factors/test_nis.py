@@ -1,4 +1,8 @@
-"""Factors mean what their covariance says: the error of measurements drawn from it is chi-squared, at every normal."""
+"""Factors mean what their covariance says: the error of measurements drawn from it is chi-squared, at every normal.
+
+What is drawn has a chi2 of its own, so the factors' error is compared with that of each draw and not with its mean: the
+difference does not scatter as chi2 does, and few draws tell a covariance that is wrong by a hundredth.
+"""
 
 import gtsam
 import numpy as np
@@ -22,7 +26,7 @@ from tests.factors.factor_scenes import (
     values_of,
 )
 
-SAMPLES = 200
+SAMPLES = 20
 N_RANDOM = 200  # with the tied ones: 218 normals
 
 
@@ -36,16 +40,17 @@ def normals() -> np.ndarray:
     return np.vstack([TIED_NORMALS, random_normals(np.random.default_rng(11), N_RANDOM)])
 
 
-def measured_planes(rng: np.random.Generator, true_frame: np.ndarray) -> list[Plane]:
-    """Measurements of one plane: their perturbation to the truth is drawn from the covariance they carry."""
+def measured_planes(rng: np.random.Generator, true_frame: np.ndarray) -> tuple[list[Plane], float]:
+    """Measurements of one plane: their perturbation to the truth is drawn from the covariance they carry; mean chi2."""
     ratio = 50.0 ** rng.random()
     sigmas = np.array([0.005, np.radians(1.0) / ratio, np.radians(1.0)])
     if rng.random() < 0.5:
         sigmas = sigmas[[0, 2, 1]]
     covariance = random_covariance(rng, sigmas)
-    perturbations = rng.normal(size=(SAMPLES, 3)) @ np.linalg.cholesky(covariance).T
+    drawn = rng.normal(size=(SAMPLES, 3))
+    perturbations = drawn @ np.linalg.cholesky(covariance).T
     measured = true_frame @ np.linalg.inv(np.stack([perturbed(np.eye(4), p) for p in perturbations]))
-    return [Plane(frame=frame, covariance=covariance) for frame in measured]
+    return [Plane(frame=frame, covariance=covariance) for frame in measured], float((drawn**2).sum() / SAMPLES)
 
 
 def nis(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
@@ -53,18 +58,18 @@ def nis(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
 
 
 def mean_nis_at(form: str, index: int, normal: np.ndarray) -> float:
-    """Mean NIS of plane measurements with ``normal`` in the body's frame, at the truth."""
+    """Mean NIS of plane measurements with ``normal`` in the body's frame, at the truth, over what was drawn."""
     rng = np.random.default_rng([5, index])
     frame = frame_of(normal, rng.uniform(-3, 3, 3), rng.uniform(0, 2 * np.pi))
-    planes, pose, anchor = measured_planes(rng, frame), random_pose(rng), random_pose(rng)
+    (planes, drawn), pose, anchor = measured_planes(rng, frame), random_pose(rng), random_pose(rng)
     seen = gtsam.OrientedPlane3(np.array([*frame[:3, 2], -frame[:3, 2] @ frame[:3, 3]]))
     in_world = seen.transform(pose.inverse())
     at = {"anchored": in_world.transform(anchor), "own anchor": seen}.get(form, in_world)
     values = values_of(x0=pose, a0=anchor, l0=at)
     if form == "stock":
-        return nis(stock_graph(planes), values)
+        return nis(stock_graph(planes), values) / drawn
     anchor_keys = {"anchored": [A] * SAMPLES, "own anchor": [X] * SAMPLES}.get(form)
-    return nis(plane_factors(planes, [X] * SAMPLES, [L] * SAMPLES, anchor_keys), values)
+    return nis(plane_factors(planes, [X] * SAMPLES, [L] * SAMPLES, anchor_keys), values) / drawn
 
 
 def stock_graph(planes: list[Plane]) -> gtsam.NonlinearFactorGraph:
@@ -77,23 +82,23 @@ def stock_graph(planes: list[Plane]) -> gtsam.NonlinearFactorGraph:
     return graph
 
 
-@pytest.mark.parametrize("form", ["anchored", "world", "own anchor"])
-def test_plane_factor_at_every_normal(form):
-    means = np.array([mean_nis_at(form, i, normal) for i, normal in enumerate(normals())])
-    low, high = band(3, SAMPLES, 0.999)
-    assert ((means > low) & (means < high)).all(), (means.min(), means.max(), low, high)
-    low, high = band(3, SAMPLES * len(means), 0.95)
-    assert low < means.mean() < high
+@pytest.mark.parametrize(
+    ("form", "each", "mean"), [("anchored", 0.15, 0.01), ("world", 0.01, 0.001), ("own anchor", 0.01, 0.001)]
+)
+def test_plane_factor_at_every_normal(form: str, each: float, mean: float):
+    """Of every normal and on average; an anchored one is corrected beyond first order, by the sample."""
+    ratios = np.array([mean_nis_at(form, i, normal) for i, normal in enumerate(normals())])
+    np.testing.assert_allclose(ratios, 1.0, atol=each)
+    assert ratios.mean() == pytest.approx(1.0, abs=mean)
 
 
 def test_the_stock_factor_fails_where_components_tie():
     """Why this package exists: with the same covariance the stock factor is right only away from ties."""
     stock = np.array([mean_nis_at("stock", i, normal) for i, normal in enumerate(normals()[:30])])
-    ours = np.array([mean_nis_at("anchored", i, normal) for i, normal in enumerate(normals()[:30])])
-    low, high = band(3, SAMPLES, 0.999)
-    assert ((ours > low) & (ours < high)).all()
-    assert (stock > high).sum() >= 10
-    assert stock.max() > 300.0
+    ours = np.array([mean_nis_at("world", i, normal) for i, normal in enumerate(normals()[:30])])
+    np.testing.assert_allclose(ours, 1.0, atol=0.01)
+    assert (stock > 1.2).sum() >= 10
+    assert stock.max() > 100.0
 
 
 def true_line(plane: gtsam.OrientedPlane3, world_T_sensor: gtsam.Pose3) -> tuple[float, float]:
@@ -114,7 +119,7 @@ MOUNTS = {
 @pytest.mark.parametrize("mount", MOUNTS)
 def test_line_factor_on_walls_of_every_tilt(mount, anchored):
     """Planes at 15 to 90 degrees to the scan plane; alpha and rho correlated."""
-    means = []
+    ratios = []
     body_T_sensor = MOUNTS[mount]
     for i in range(40):
         rng = np.random.default_rng([9, i])
@@ -126,17 +131,16 @@ def test_line_factor_on_walls_of_every_tilt(mount, anchored):
         alpha, rho = true_line(plane, world_T_sensor)
         r = rng.uniform(-0.9, 0.9) * np.radians(0.5) * 0.01
         covariance = np.array([[np.radians(0.5) ** 2, r], [r, 0.01**2]])
-        noise = rng.normal(size=(SAMPLES, 2)) @ np.linalg.cholesky(covariance).T
+        drawn = rng.normal(size=(SAMPLES, 2))
+        noise = drawn @ np.linalg.cholesky(covariance).T
         graph, key = gtsam.NonlinearFactorGraph(), A if anchored else None
         for da, dr in noise:
             line = make_line(alpha + da, rho + dr, covariance)
             graph.push_back(line_factor(line, body_T_sensor.matrix(), X, L, anchor_key=key))
         values = values_of(x0=pose, a0=anchor, l0=plane.transform(anchor) if anchored else plane)
-        means.append(nis(graph, values))
-    low, high = band(2, SAMPLES, 0.999)
-    assert ((np.array(means) > low) & (np.array(means) < high)).all(), (min(means), max(means), low, high)
-    low, high = band(2, SAMPLES * len(means), 0.95)
-    assert low < np.mean(means) < high
+        ratios.append(nis(graph, values) / ((drawn**2).sum() / SAMPLES))
+    np.testing.assert_allclose(ratios, 1.0, atol=0.06)  # lines are not quite linear in the wall
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.005)
 
 
 @pytest.mark.parametrize("mount", MOUNTS)
