@@ -1,8 +1,9 @@
-"""The order of the tests, how often what is random is repeated, and how many threads a test has."""
+"""The order of the tests, how often what is random is repeated, and what processes have that tests start."""
 
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 
 import pytest
@@ -10,6 +11,10 @@ import pytest
 # As `make test` has it, before anything imports numpy: cores have a test each, and threads of BLAS that wait for one
 # another on small matrices take up to twenty times as long. Processes that tests start and xdist's have it from here.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Beside the compiled kernels, even where the environment (an image, say) has it turned off: a process that finds no
+# bytecode compiles all it imports, and tests start more than a hundred.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 _SOAK = "--soak"
 #: Files that take longest, longest first (`pytest --durations` tells): begun last, one would keep a single core busy.
