@@ -18,6 +18,7 @@ from slam.io.load import load
 from slam.runs.slam_run import Run, run_slam
 from slam.session._codec import encode
 from slam.simulation import Mission, simulate_mission
+from tests.slam.cli.test_commands import run
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux only")
 
@@ -70,21 +71,21 @@ def test_scans_on_the_disk_are_read_by_all_at_a_time(tmp_path: Path, monkeypatch
     assert [encode(one.observations) for one in alone] == [encode(one.observations) for one in shared]
 
 
-def test_a_run_that_was_killed_is_resumed_at_once(tmp_path: Path):
-    """Nor do the processes outlive it that measure, nor is the session theirs."""
-    simulate_mission("corridor", n_scans=300, seed=0).save(tmp_path / "log")
-    words = [sys.executable, "-m", "slam.cli", "slam"]
+def test_a_run_that_was_killed_is_resumed_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Nor do the processes outlive it that measure, nor is the session theirs. Killed with keyframes in its journal."""
+    simulate_mission("corridor", n_scans=150, seed=0).save(tmp_path / "log")
+    words = [sys.executable, "-m", "slam.cli", "slam", "log", "--out", "killed", "--jobs", "2"]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
-    quiet = {"env": environment, "cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
-    run = subprocess.Popen([*words, "log", "--out", "killed", "--jobs", "2"], **quiet)  # type: ignore[call-overload]
-    while run.poll() is None and not (tmp_path / "killed/session.db-wal").exists():
+    nowhere = subprocess.DEVNULL
+    killed = subprocess.Popen(words, env=environment, cwd=tmp_path, stdout=nowhere, stderr=nowhere)
+    journal = tmp_path / "killed" / "session.db-wal"
+    while killed.poll() is None and not (journal.exists() and journal.stat().st_size > 150_000):
         time.sleep(0.01)
-    time.sleep(0.5)
-    assert run.poll() is None
-    run.send_signal(signal.SIGKILL)
-    run.wait()
-    for out, more in (("killed", ["--resume", "killed"]), ("whole", ["log", "--out", "whole", "--jobs", "1"])):
-        done = subprocess.run([*words, *more], check=False, **quiet)  # type: ignore[call-overload]
-        assert done.returncode == 0, (out, done.stderr)
+    assert killed.poll() is None
+    killed.send_signal(signal.SIGKILL)
+    killed.wait()
+    for out, more in (("killed", ["--resume"]), ("whole", [tmp_path / "log", "--jobs", 1, "--out"])):
+        code, _, said = run(capsys, "slam", *more, tmp_path / out)
+        assert code == 0, (out, said)
     for name in ("planes.json", "trajectory.tum", "graph.g2o"):
         assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
