@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from shapely.geometry.base import BaseGeometry
@@ -126,11 +127,18 @@ def blind(keyframes: Sequence[Keyframe]) -> list[str]:
     ]
 
 
-def skipped(keyframes: list[str]) -> list[str]:
-    """The sentence that counts what could not be used, and the first of them."""
-    if not keyframes:
+def skipped(notes: Sequence[str]) -> list[str]:
+    """The sentence that counts scans that could not be used, a note each, and says why for the first of them."""
+    if not notes:
         return []
-    return [f"{len(keyframes)} scans could not be used; the first: {keyframes[0]}"]
+    if len(notes) == 1:
+        return [f"1 scan could not be used: {notes[0]}"]
+    return [f"{len(notes)} scans could not be used; the first: {notes[0]}"]
+
+
+def counted(notes: Iterable[str]) -> list[str]:
+    """Every sentence once, in the order in which they first come, with how often it was said where that was more."""
+    return [note if times == 1 else f"{note} ({times} times)" for note, times in Counter(notes).items()]
 
 
 def _check_covariance(name: str, covariance: FloatArray, sizes: tuple[int, ...]) -> None:

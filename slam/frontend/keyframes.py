@@ -49,7 +49,7 @@ class Keyframe:
     world_T_body_guess: FloatArray | None = None
     """Where the first pose is, shape (4, 4); None: at the origin."""
     notes: tuple[str, ...] = field(default=())
-    """What could not be used, one sentence each."""
+    """Scans that could not be used, one sentence each."""
     scans: tuple[LaserScan | CloudScan, ...] = field(default=())
     """The raw scans it was measured from; the estimator does without them."""
     returns: FloatArray | None = None
@@ -62,6 +62,8 @@ class Keyframe:
     motion is registered by beside the planes; see `slam.frontend.scan_surfaces`. None: no 3D scan."""
     viewpoint: FloatArray | None = None
     """Where the sensor of that scan was, in the body frame, shape (3,), m; None: at the body's origin."""
+    motion_notes: tuple[str, ...] = field(default=())
+    """What somebody should know of how the body moved up to here, one sentence each: wheels that stand still, say."""
 
 
 def keyframes_of(
@@ -145,6 +147,7 @@ def _of_lasers(log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> tupl
         scans: list[LaserScan] = []
         beams: list[FloatArray] = []
         notes: list[str] = []
+        motion_notes: list[str] = []
         for name, sensor in rig.of_kind("slice").items():
             window = slice_homes.get((index, name), [])
             if window:
@@ -166,12 +169,20 @@ def _of_lasers(log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> tupl
         motion = None
         if index and isinstance(track, LaserTrack):
             ends = stamps[index - 1], stamp
-            notes += track.notes(*ends)
+            motion_notes = track.notes(*ends)
             motion = motion_between(track, wheels, ends, config.association.new_significance)
         elif index:
             motion = track.motion(stamps[index - 1], stamp)
         returns = np.concatenate(beams) if beams else None
-        return Keyframe(stamp, observations, motion, notes=tuple(notes), scans=tuple(scans), returns=returns)
+        return Keyframe(
+            stamp,
+            observations,
+            motion,
+            notes=tuple(notes),
+            scans=tuple(scans),
+            returns=returns,
+            motion_notes=tuple(motion_notes),
+        )
 
     return len(stamps), keyframe
 

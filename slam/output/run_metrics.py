@@ -10,7 +10,7 @@ import numpy as np
 from slam.evaluation.map_summary import FacingPair, facing_pairs
 from slam.evaluation.metrics import Metric
 from slam.evaluation.wall_density import metres_of_wall
-from slam.frontend.input_checks import blind, silences, skipped
+from slam.frontend.input_checks import blind, counted, silences, skipped
 from slam.planeslam import MapPlane
 from slam.runs.mapping_run import MapResult
 from slam.runs.slam_run import Run, path_length_m
@@ -89,7 +89,8 @@ def warnings_of(run: Run) -> list[str]:
     limits = {"position": 0.1 * rules.max_sigma_m, "orientation": 0.1 * rules.max_sigma_rad}
     directions = [one.sentence for one in run.slam.open_directions if one.sigma >= limits[one.part]]
     known = run.slam.prior.warnings if run.slam.prior is not None else []
-    health = [*skipped(notes), *silences(run.log, run.rig), *blind(run.slam.keyframes)]
+    moved = counted(note for frame in run.slam.keyframes for note in frame.motion_notes)
+    health = [*skipped(notes), *moved, *silences(run.log, run.rig), *blind(run.slam.keyframes)]
     whole = [one.sentence for one in run.slam.open_in_map] if _has_no_odometry(run) else []
     return [*known, *empty_map(run.planes), *health, *run.slam.audit.warnings(), *directions, *whole]
 

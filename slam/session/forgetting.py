@@ -19,6 +19,7 @@ from spplanes._check import FloatArray
 _KEPT = 32
 
 Read = Callable[[], Keyframe]
+_Notes = tuple[tuple[str, ...], tuple[str, ...]]
 
 
 class ForgottenKeyframes(Growing[Keyframe]):
@@ -28,15 +29,16 @@ class ForgottenKeyframes(Growing[Keyframe]):
         self._read = lru_cache(maxsize=_KEPT)(session.keyframe)
         #: Time, number of observations, whether there are a motion, returns, a guess of the pose, and surfaces.
         self._known = Rows("qibbbb")
-        self._notes: dict[int, tuple[str, ...]] = {}
+        #: Of keyframes with any: their notes, and those on their motion.
+        self._notes: dict[int, _Notes] = {}
 
     def __len__(self) -> int:
         return len(self._known)
 
     def append(self, value: Keyframe) -> None:
         """Add one whose measurements the session has."""
-        if value.notes:
-            self._notes[len(self)] = value.notes
+        if value.notes or value.motion_notes:
+            self._notes[len(self)] = value.notes, value.motion_notes
         parts = (value.motion, value.returns, value.world_T_body_guess, value.surfaces)
         there = (part is not None for part in parts)
         self._known.append((int(value.stamp_ns), len(value.observations), *there))
@@ -44,7 +46,7 @@ class ForgottenKeyframes(Growing[Keyframe]):
     def at(self, index: int) -> Keyframe:
         """One of them; nothing is read yet."""
         stamp_ns, count, *there = self._known.at(index)
-        return StoredKeyframe(stamp_ns, count, self._notes.get(index, ()), partial(self._read, index), there)
+        return StoredKeyframe(stamp_ns, count, self._notes.get(index, ((), ())), partial(self._read, index), there)
 
 
 class StoredKeyframe(Keyframe):
@@ -54,9 +56,10 @@ class StoredKeyframe(Keyframe):
         """Of the fields of a keyframe, as `dataclasses.replace` gives them, one in memory."""
         return Keyframe(**fields) if "motion" in fields else super().__new__(cls)
 
-    def __init__(self, stamp_ns: int, count: int, notes: tuple[str, ...], read: Read, there: Sequence[int]) -> None:
+    def __init__(self, stamp_ns: int, count: int, notes: _Notes, read: Read, there: Sequence[int]) -> None:
         seen = _StoredObservations(read, count)
-        known = {"stamp_ns": stamp_ns, "observations": seen, "notes": notes, "scans": ()}
+        known = {"stamp_ns": stamp_ns, "observations": seen, "scans": ()}
+        known["notes"], known["motion_notes"] = notes
         for name, value in {**known, "_read": read, "_there": there}.items():
             object.__setattr__(self, name, value)  # frozen: set once, here
 

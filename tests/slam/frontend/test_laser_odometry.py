@@ -248,7 +248,7 @@ def test_odometry_that_stands_still_is_named_and_ignored():
     track = track_of(log)
     assert end_error_m(track, truth) < 0.05
     frames = list(keyframes_of(log, stated(log), SlamConfig()))
-    said = [note for frame in frames for note in frame.notes]
+    said = [note for frame in frames for note in frame.motion_notes]
     assert said == ["the odometry stands still while everything seen moves past: it is ignored until it moves"]
     assert len(frames) > 15
 

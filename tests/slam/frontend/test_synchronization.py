@@ -7,12 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slam import PlaneSlam
 from slam.config import SlamConfig
 from slam.frontend.keyframes import keyframes_of
 from slam.frontend.laser_odometry.synchronization import ClockOffset, clock_offset
 from slam.frontend.laser_odometry.tracker import _surface
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.geometry.frames import inverse
+from slam.io.trajectories import Trajectory
+from slam.output.run_metrics import warnings_of
+from slam.runs.slam_run import Run, StageClock
 from slam.sensors.log import LaserScan, Log, OdometryReading
 from slam.simulation.floorplan import Drive
 from tests.slam.frontend.test_laser_odometry import rooms, stated
@@ -99,4 +103,11 @@ def test_wheels_read_at_another_time_are_as_good_as_at_their_own_once_that_is_kn
 def test_a_run_says_so():
     log = read_often(rooms(4), 0.15)
     frames = [*zip(range(2), keyframes_of(log, stated(log), SlamConfig()), strict=False)]
-    assert "earlier than the odometry" in " ".join(note for _, frame in frames for note in frame.notes)
+    assert "earlier than the odometry" in " ".join(note for _, frame in frames for note in frame.motion_notes)
+    slam = PlaneSlam()
+    for _, frame in frames:
+        slam.add_keyframe(frame)
+    run = Run(slam, slam.planes, slam.trajectory, Trajectory.empty(), log, stated(log), StageClock())
+    said = warnings_of(run)
+    assert sum("earlier than the odometry" in one for one in said) == 1
+    assert not any("could not be used" in one for one in said)

@@ -23,8 +23,11 @@ def test_a_copy_of_what_waits_on_the_disk_is_in_memory():
     cloud = replace(StoredCloud(1, "laser", partial(np.ones, (4, 3))), sensor="other")
     assert type(cloud) is CloudScan and cloud.sensor == "other" and cloud.points.shape == (4, 3)
     whole = replace(drive(0, count=2).keyframes[1], surfaces=np.ones((2, 8)))
-    stored = StoredKeyframe(whole.stamp_ns, len(whole.observations), (), lambda: whole, (1, 0, 0, 1))
+    notes = ("dusty",), ("slipped",)
+    stored = StoredKeyframe(whole.stamp_ns, len(whole.observations), notes, lambda: whole, (1, 0, 0, 1))
+    assert (stored.notes, stored.motion_notes) == notes
     frame = replace(stored, notes=("late",))
-    assert type(frame) is Keyframe and frame.motion is whole.motion and frame.notes == ("late",)
+    assert type(frame) is Keyframe and frame.motion is whole.motion
+    assert (frame.notes, frame.motion_notes) == (("late",), ("slipped",))
     assert frame.surfaces is whole.surfaces
     assert list(frame.observations) == list(whole.observations)
