@@ -15,13 +15,22 @@ R = TypeVar("R")
 
 @dataclass
 class StageClock:
-    """Wall time by stage, s. A stage inside another one stops the outer one's time: they add up to the whole."""
+    """Wall time by stage, s. A stage inside another one stops the outer one's time: none is counted twice."""
 
     seconds: dict[str, float] = field(default_factory=dict)
     now: Callable[[], float] = time.perf_counter
     """What tells the time, s: `time.process_time` where other work on the machine is not to count."""
     _open: list[str] = field(default_factory=list, repr=False)
     _since: float = 0.0
+    _began: float = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._began = self.now()
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time since the clock was made, s: of all stages, and of what is none."""
+        return self.now() - self._began
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

@@ -66,7 +66,9 @@ def open_job(
     """Read all that a command is given; whatever is wrong is said before any work is done."""
     from slam.given import check_file_given, check_log_given
     from slam.output.new_folder import check_free
+    from slam.timing import StageClock
 
+    clock = StageClock()  # before the imports below: whoever waits for the command waits for them too
     check_free(out, overwrite=overwrite)
     for name, given in (("--odometry-topic", odometry_topic), ("--odometry-frame", odometry_frame)):
         if odometry is not None and given is not None:
@@ -80,10 +82,8 @@ def open_job(
     from slam.io.load import load
     from slam.io.rosbags.reader import Topics
     from slam.sensors.rig import Rig
-    from slam.timing import StageClock
 
     settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
-    clock = StageClock()
     with clock.stage("read"):
         described = None if rig is None else Rig.from_yaml(rig)
         chosen = Topics(tuple(topics or ()), odometry_topic, odometry_frame, body_frame)

@@ -95,15 +95,18 @@ def warn_of(sentences: Sequence[str]) -> None:
 def show_result(
     title: str, rows: Sequence[Metric], clock: StageClock, folder: Path, *, as_json: bool, timings: bool
 ) -> None:
-    """The table of a run, where its time went (in one line, or as rows), and where its results are."""
+    """The table of a run, how long it took and with what (in one line, or as rows), and where its results are."""
+    from slam.evaluation.metrics import Metric
     from slam.output.run_metrics import timings_of
 
-    times = timings_of(clock)
+    took_s = clock.elapsed_s
+    stages = {**clock.seconds, "imports and the rest": took_s - sum(clock.seconds.values())}
+    times = [*timings_of(stages), Metric("time, the whole run", took_s, "s")]
     show(title, [*rows, *(times if timings or as_json else [])], as_json)
     if not timings:
-        longest = sorted(clock.seconds.items(), key=lambda one: -one[1])[:3]
+        longest = sorted(stages.items(), key=lambda one: -one[1])[:3]
         most = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in longest)
-        say(f"took {sum(clock.seconds.values()):.1f} s, most of it: {most} (--timings for all)")
+        say(f"took {took_s:.1f} s, most of it: {most} (--timings for all)")
     page = folder / "report.html"
     say(f"results: {folder}" + (f", the page: {page}" if page.exists() else ""))
 

@@ -146,14 +146,16 @@ def _resume(folder: Path, log: Path | None, *, salvage: bool, jobs: int | None, 
 
 
 def _go_on(folder: Path, log: Path | None, *, salvage: bool, jobs: int | None, ending: _Ending) -> None:
+    from slam.timing import StageClock
+
+    clock = StageClock()  # before the imports below: whoever waits for the command waits for them too
     from slam.ahead import cores
     from slam.output.run_folder import resumed_run
-    from slam.runs.slam_run import StageClock, run_slam
+    from slam.runs.slam_run import run_slam
     from slam.session.salvage import salvage_session
 
     if salvage:
         say(salvage_session(folder).sentence)
-    clock = StageClock()
     with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
         with progress_bar("keyframes") as progress:
             run = run_slam(read, rig, slam.config, slam=slam, jobs=jobs or cores(), clock=clock, progress=progress)
@@ -168,7 +170,8 @@ def _conclude(run: Run, folder: Path, ending: _Ending) -> None:
     from slam.output.run_metrics import assumptions_of, metrics_of, warnings_of
 
     name = run.log.source.name
-    conclude(run.slam, folder, lambda work: write_run(run, work, title=f"spplanes slam {name}"))
+    with run.clock.stage("write"):
+        conclude(run.slam, folder, lambda work: write_run(run, work, title=f"spplanes slam {name}"))
     rows = metrics_of(run)
     warn_of(warnings_of(run))
     for sentence in assumptions_of(run.log):
@@ -195,7 +198,7 @@ def map_(
 
     with progress_bar("scans") as progress:
         result = run_map(job.log, job.rig, job.config, clock=job.clock, progress=progress)
-    with new_folder(out, overwrite=overwrite) as folder:
+    with result.clock.stage("write"), new_folder(out, overwrite=overwrite) as folder:
         rows = write_map(result, folder, job.config, job.rig, title=f"spplanes map {log.name}", log=job.log)
     warn_of(empty_map(result.planes))
     for sentence in job.log.assumed:

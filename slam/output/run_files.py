@@ -33,7 +33,7 @@ from slam.visualization.uncertainty import draw_uncertainty
 
 def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, Sequence[Metric]]] = ()) -> None:
     """Write everything about a run into a folder that exists; `extra` tables go into the numbers and the page."""
-    rows = metrics_of(run) + timings_of(run.clock)
+    rows = metrics_of(run) + timings_of(run.clock.seconds)
     numbers = {"metrics": as_json(rows), **details_of(run), **{caption: as_json(table) for caption, table in extra}}
     write_result(run, folder, run.slam.config, run.rig, numbers, run.verdict.keyframes)
     write_tum(folder / "scans.tum", run.scan_trajectory)
@@ -56,7 +56,7 @@ def write_map(
     With the `log` that it was made from, some of its points are shown on the page.
     """
     table = map_metrics_of(result)
-    rows = table + timings_of(result.clock)
+    rows = table + timings_of(result.clock.seconds)
     write_result(result, folder, config, rig, {"metrics": as_json(rows)})
     write_tum(folder / "scans.tum", result.scan_trajectory)
     points = None if log is None else points_of_map(log, rig, result.scan_trajectory)
