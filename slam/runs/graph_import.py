@@ -24,6 +24,10 @@ from spplanes._check import FloatArray
 
 #: Two spellings of one pose or one plane differ by less: numbers of a file are exact, products of rotations are not.
 _SAME = 1e-6
+#: Of what two graphs measure between the same vertices this share has to be the same for both to be of one run ...
+_OF_ONE_RUN = 0.5
+#: ... up to what other tools round to, of numbers around 1; two looks at one plane are hardly ever as near.
+_ROUNDED = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +58,8 @@ def import_graph(path: Path | str, run: Path | str, *, solve: bool = True) -> Im
         solve: take the optimum of the file's graph; otherwise its vertices as they are.
 
     Raises:
-        LogError: a file that is missing or broken, that shares no pose with the run's graph, or whose graph leaves
-            poses or planes open.
+        LogError: a file that is missing or broken, that shares no pose with the run's graph or has the measurements of
+            another run, or whose graph leaves poses or planes open.
     """
     path, stored = Path(path), StoredRun.read(run)
     source = stored.folder / "graph.g2o"
@@ -65,6 +69,7 @@ def import_graph(path: Path | str, run: Path | str, *, solve: bool = True) -> Im
     shared = sorted(before.poses.keys() & after.poses.keys())
     if not shared:
         raise LogError(path, f"expected poses with the vertex ids of {source}, found none")
+    _check_origin(before, after, path, run)
     values, marginals = _solution(after, path, solve=solve)
     moved = _Moved(before, values, shared)
     numbers = _vertices_of(stored.planes, before)
@@ -104,6 +109,35 @@ class _Moved:
             return run
         waits = np.abs(run.stamps_ns[:, None] - run.stamps_ns[known][None])
         return Trajectory(run.stamps_ns, self._motions[owners[known[waits.argmin(axis=1)]]] @ run.poses)
+
+
+def _check_origin(before: G2oGraph, after: G2oGraph, path: Path, run: Path | str) -> None:
+    """Refuse the graph of another run: vertex ids count up in all of them, but what was measured is a run's own.
+
+    Edges may have gone, come, or been given other numbers, yet most that are left between the same vertices measure
+    what they did. Planes are asked first: runs of one log share their odometry.
+    """
+    for kind in ("EDGE_SE3_PLANE_CALIB", "EDGE_SE3:QUAT"):
+        known: dict[tuple[int, ...], list[FloatArray]] = defaultdict(list)
+        for edge in before.edges:
+            if edge.kind == kind:
+                known[edge.ids].append(edge.measured)
+        edges = [edge for edge in after.edges if edge.kind == kind]
+        if not edges or not known:
+            continue
+        beside = [edge for edge in edges if edge.ids in known]
+        same = sum(any(_is_rounded(edge.measured, one) for one in known[edge.ids]) for edge in beside)
+        if not beside or same < _OF_ONE_RUN * len(beside):
+            found = f"{same} of {len(edges)} edges {kind} measure what they do there"
+            raise LogError(path, f"expected the graph of {run}, got that of another run: {found}")
+        return
+
+
+def _is_rounded(one: FloatArray, other: FloatArray) -> bool:
+    """Whether two measurements are the same, as text of fewer digits; the sign of a quaternion or a plane is free."""
+    room = _ROUNDED * (1.0 + np.abs(other))
+    turned = np.append(one[:3], -one[3:]) if len(one) == 7 else -one
+    return bool((np.abs(one - other) <= room).all() or (np.abs(turned - other) <= room).all())
 
 
 def _solution(graph: G2oGraph, path: Path, *, solve: bool) -> tuple[gtsam.Values, gtsam.Marginals]:

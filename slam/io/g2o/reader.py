@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gtsam
 import gtsam_unstable
@@ -21,6 +21,17 @@ from spplanes._check import TOO_LARGE, FloatArray
 _MOST_VERTICES = 10_000_000
 
 
+class G2oEdge(NamedTuple):
+    """An edge as it stands in a g2o file."""
+
+    kind: str
+    """Its first word."""
+    ids: tuple[int, ...]
+    """Of its vertices, and of the sensor."""
+    measured: FloatArray
+    """What was measured: a pose (x, y, z, qx, qy, qz, qw), shape (7,), or a plane in the sensor's frame, shape (4,)."""
+
+
 @dataclass(frozen=True, eq=False)
 class G2oGraph:
     """The graph of a g2o file."""
@@ -33,6 +44,8 @@ class G2oGraph:
     """GTSAM key of every pose, by vertex id: symbol x and the id."""
     planes: dict[int, int]
     """GTSAM key of every plane, by vertex id: symbol p and the id."""
+    edges: list[G2oEdge] = field(default_factory=list)
+    """As the file has them, in its order."""
 
 
 def read_g2o(path: Path | str) -> G2oGraph:
@@ -110,7 +123,12 @@ class _Reader:
         for line, kind, ids, numbers in self.edges:
             graph.push_back(self._factor(line, kind, ids, numbers))
         poses = {number: gtsam.symbol("x", number) for number in self.poses if number not in sensors - used}
-        return G2oGraph(graph, values, poses, {number: gtsam.symbol("p", number) for number in self.planes})
+        planes = {number: gtsam.symbol("p", number) for number in self.planes}
+        edges = [
+            G2oEdge(kind, tuple(ids), numbers[: 4 if kind == "EDGE_SE3_PLANE_CALIB" else 7])
+            for _, kind, ids, numbers in self.edges
+        ]
+        return G2oGraph(graph, values, poses, planes, edges)
 
     def _factor(self, line: int, kind: str, ids: list[int], numbers: FloatArray) -> gtsam.NonlinearFactor:
         poses = ids[: _POSES_OF[kind]]

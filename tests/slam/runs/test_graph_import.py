@@ -119,6 +119,33 @@ def test_the_command_leaves_a_folder_that_goes_on(run: Path, tmp_path: Path):
     assert command("import", edited, "--run", run, "--out", out) == 2
 
 
+@pytest.mark.parametrize("world", [("corridor", 80, 4), ("hall", 6, 0)], ids=["same place", "elsewhere"])
+def test_the_graph_of_another_run_is_refused(
+    world: tuple[str, int, int], run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """Once its planes came back wherever ids happened to be the same."""
+    name, scans, seed = world
+    assert command("simulate", name, "--out", tmp_path / "mission", "--scans", scans, "--seed", seed) == 0
+    assert command("slam", tmp_path / "mission", "--out", tmp_path / "other") == 0
+    capsys.readouterr()
+    assert command("import", tmp_path / "other" / "graph.g2o", "--run", run, "--out", tmp_path / "back") == 2
+    said = capsys.readouterr().err
+    assert "graph.g2o: expected the graph of" in said and "got that of another run" in said
+    assert len(said.strip().splitlines()) == 1 and not (tmp_path / "back").exists()
+    assert command("import", run / "graph.g2o", "--run", tmp_path / "other", "--out", tmp_path / "back") == 2
+
+
+def test_a_graph_in_six_digits_with_another_odometry_is_of_its_run(run: Path, tmp_path: Path):
+    lines = [line.split() for line in (run / "graph.g2o").read_text().splitlines()]
+    for words in lines:
+        if words[0] == "EDGE_SE3:QUAT":
+            words[3] = str(float(words[3]) + 0.01)
+        first, size = {"EDGE_SE3:QUAT": (3, 7), "EDGE_SE3_PLANE_CALIB": (4, 4)}.get(words[0], (0, 0))
+        words[first : first + size] = [f"{float(word):.6g}" for word in words[first : first + size]]
+    (tmp_path / "edited.g2o").write_text("\n".join(" ".join(words) for words in lines) + "\n")
+    assert len(import_graph(tmp_path / "edited.g2o", run, solve=False).planes) == len(StoredRun.read(run).planes)
+
+
 def test_what_cannot_be_taken_back(run: Path, tmp_path: Path):
     other = tmp_path / "other.g2o"
     other.write_text("VERTEX_SE3:QUAT 999 0 0 0 0 0 0 1\nFIX 999\n")
