@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from slam.cli._job import JsonOption
-from slam.cli._output import say, show, visible
+from slam.cli._output import say, show, visible, warn_of
 
 
 def evaluate(
@@ -89,8 +89,10 @@ def export(
         check_target(target, overwrite=overwrite)
     check_finished(run)
     check_run_given(run)
+    said: dict[str, None] = {}  # once for all files
     for target in to:
-        export_run(run, target, overwrite=overwrite)
+        said.update(dict.fromkeys(export_run(run, target, overwrite=overwrite)))
+    warn_of(list(said))
 
 
 def view(

@@ -93,19 +93,30 @@ class FloorPlan:
     storeys: tuple[StoreyPlan, ...]
     """From below."""
 
+    @property
+    def warnings(self) -> list[str]:
+        """What whoever expects rooms must know, one sentence each."""
+        if any(storey.rooms for storey in self.storeys):
+            return []
+        return ["the floor plan has no rooms: none was seen all round, only walls and openings are drawn"]
+
 
 def floor_plan(joint: JointPlanes) -> FloorPlan:
     """The floor plan of a map.
 
     Raises:
-        ValueError: no vertical plane was seen.
+        ValueError: no vertical plane was seen, or none that is long enough and reaches the ceiling: nothing to draw.
     """
     levels = storeys(joint)
     if not any(storey.faces for storey in levels):
         raise ValueError("planes: expected at least one vertical plane for a floor plan, got none")
     levels = [storey for storey in levels if storey.faces]
     lowest = levels[0].section.floor
-    return FloorPlan(joint, tuple(_plan_of(joint, storey, lowest) for storey in levels))
+    plans = tuple(_plan_of(joint, storey, lowest) for storey in levels)
+    drawn = tuple(one for one in plans if one.rooms or one.walls or one.single or one.openings)
+    if not drawn:
+        raise ValueError("planes: expected a wall that reaches the ceiling for a floor plan, got none")
+    return FloorPlan(joint, drawn)
 
 
 def _plan_of(joint: JointPlanes, storey: Storey, lowest: int | None) -> StoreyPlan:

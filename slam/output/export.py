@@ -15,13 +15,18 @@ if TYPE_CHECKING:
     from slam.floorplan import FloorPlan
     from slam.runs.stored_run import StoredRun
 
+    _Writer = Callable[[StoredRun, Path], list[str] | None]
 
-def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False) -> None:
+
+def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False) -> list[str]:
     """Write one file from the folder of a run; the ending of its name says which.
 
     ``.ply`` and ``.glb``: the polygons of the planes as a coloured mesh. ``.g2o``: the graph with its planes. ``.tum``,
     and ``.kitti`` or ``.kitti.txt``: the trajectory, every number exactly. ``.dxf``, ``.svg`` and ``.ifc``: the floor
     plan with standard deviations, for which the run's session is replayed.
+
+    Returns:
+        What whoever reads the file must know, a sentence each: a floor plan without rooms.
 
     Raises:
         LogError: a file of the run that is missing or broken; a run at given poses has no graph and no session.
@@ -35,7 +40,7 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False) -> N
     write = _writer_for(to)
     stored = StoredRun.read(run)
     with whole_file(to, overwrite=overwrite) as scratch:
-        write(stored, scratch)
+        return write(stored, scratch) or []
 
 
 def check_target(to: Path, *, overwrite: bool) -> None:
@@ -51,7 +56,7 @@ def check_target(to: Path, *, overwrite: bool) -> None:
         raise ValueError(f"{to}: exists already; {hint}")
 
 
-def _writer_for(to: Path) -> Callable[[StoredRun, Path], None]:
+def _writer_for(to: Path) -> _Writer:
     for ending, write in _TARGETS.items():
         if to.name.lower().endswith(ending):
             return write
@@ -92,22 +97,28 @@ def _poses(run: StoredRun, path: Path) -> None:
     write_kitti(path, run.trajectory.poses)
 
 
-def _dxf(run: StoredRun, path: Path) -> None:
+def _dxf(run: StoredRun, path: Path) -> list[str]:
     from slam.output.plan_dxf import write_dxf
 
-    write_dxf(path, *_plan(run))
+    plan, verdict = _plan(run)
+    write_dxf(path, plan, verdict)
+    return plan.warnings
 
 
-def _svg(run: StoredRun, path: Path) -> None:
+def _svg(run: StoredRun, path: Path) -> list[str]:
     from slam.output.plan_svg import write_svg
 
-    write_svg(path, *_plan(run))
+    plan, verdict = _plan(run)
+    write_svg(path, plan, verdict)
+    return plan.warnings
 
 
-def _ifc(run: StoredRun, path: Path) -> None:
+def _ifc(run: StoredRun, path: Path) -> list[str]:
     from slam.output.plan_ifc import write_ifc
 
-    write_ifc(path, *_plan(run))
+    plan, verdict = _plan(run)
+    write_ifc(path, plan, verdict)
+    return plan.warnings
 
 
 def _plan(run: StoredRun) -> tuple[FloorPlan, str | None]:
@@ -119,7 +130,7 @@ def _plan(run: StoredRun) -> tuple[FloorPlan, str | None]:
 
 #: Packages that a format needs, by its ending.
 _PACKAGES = {".dxf": "ezdxf", ".ifc": "ifcopenshell"}
-_TARGETS: dict[str, Callable[[StoredRun, Path], None]] = {
+_TARGETS: dict[str, _Writer] = {
     ".ply": _mesh,
     ".glb": _scene,
     ".g2o": _graph,

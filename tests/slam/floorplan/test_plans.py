@@ -35,6 +35,17 @@ def is_face(plane: Plane, axis: int, at: float) -> bool:
     return abs(abs(plane.normal[axis]) - 1.0) < 1e-9 and abs(plane.centre[axis] - at) < 1e-9
 
 
+def test_of_what_has_no_walls_there_is_no_plan():
+    """Once the picture of nothing ended in numpy's sentence on arrays to concatenate."""
+    ceiling = [plane for plane in planes_of() if abs(plane.normal[2]) > 0.9]
+    low = [plane for plane in box((1.0, -0.5, 0.0), (2.0, 0.5, 0.9)) if abs(plane.normal[2]) < 0.1]
+    assert low and len(ceiling) > 1
+    with pytest.raises(ValueError, match="expected at least one vertical plane for a floor plan, got none"):
+        floor_plan(joint_of(ceiling))
+    with pytest.raises(ValueError, match="expected a wall that reaches the ceiling for a floor plan, got none"):
+        floor_plan(joint_of([*ceiling, *low]))
+
+
 def test_a_suite_is_measured():
     plan = only(joint_of(planes_of()))
     assert sorted(room.area.value for room in plan.rooms) == pytest.approx([12.0, 12.0, 17.5])

@@ -16,7 +16,7 @@ import pytest
 from slam.cli import main
 from slam.errors import LogError, MissingPackageError
 from slam.floorplan import FloorPlan, floor_plan
-from slam.output.export import check_target
+from slam.output.export import check_target, export_run
 from slam.output.plan_dxf import write_dxf
 from slam.output.plan_ifc import MEASURED, write_ifc
 from slam.output.plan_svg import write_svg
@@ -221,6 +221,18 @@ def test_a_run_is_exported(run: Path, tmp_path: Path):
     assert command("export", run, *[word for one in targets for word in ("--to", one)]) == 0
     assert all(one.stat().st_size > 3000 for one in targets)
     assert "room 3" in targets[1].read_text()
+
+
+def test_a_plan_without_rooms_says_so_once(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert command("simulate", "corridor", "--out", tmp_path / "log", "--scans", 80, "--seed", 3) == 0
+    assert command("slam", tmp_path / "log", "--out", tmp_path / "run") == 0
+    capsys.readouterr()
+    assert command("export", tmp_path / "run", "--to", tmp_path / "a.svg", "--to", tmp_path / "b.svg") == 0
+    sentence = "the floor plan has no rooms: none was seen all round, only walls and openings are drawn"
+    assert capsys.readouterr().err == f"warning: {sentence}\n"
+    assert export_run(tmp_path / "run", tmp_path / "c.svg") == [sentence]
+    assert command("export", run, "--to", tmp_path / "rooms.svg") == 0
+    assert capsys.readouterr().err == ""
 
 
 def test_the_plan_of_a_run_is_that_of_its_planes(run: Path):
