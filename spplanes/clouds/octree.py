@@ -95,6 +95,12 @@ class Curve:
         rising = isotonic_regression(medians, weights=[one[:, 0].sum() for one in bins]).x
         return np.interp(ranges, middles, rising)
 
+    def number_of_first(self) -> np.ndarray:
+        """Which point of the cloud, the first of its copies, each point is, shape (N,), int64."""
+        first = np.zeros(len(self.points), dtype=np.int64)
+        first[self.number[::-1]] = np.arange(len(self.number))[::-1]
+        return first
+
     def neighbourhoods(self) -> np.ndarray:
         """A number for every point, the same for up to 2 LOCAL neighbours, shape (N,)."""
         return neighbourhoods(self.keys, 2 * LOCAL)

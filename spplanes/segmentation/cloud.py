@@ -115,7 +115,8 @@ def segment_cloud(
 
     Points (N, 3) have no order: whatever it is, the planes are the same. Grids (S, B, 3) are searched along their rows
     and columns, which is faster. The error that neighbouring points share is found in the cloud, whatever sigma says,
-    and is part of the planes' covariances.
+    and is part of the planes' covariances. Points that are repeated to the last bit are counted in ``coverage``; they
+    make no plane more certain than its distinct points do.
 
     Args:
         cloud: points in any frame, m: an array (N, 3), or (S, B, 3) where rows are scan lines or image rows, in the
@@ -174,8 +175,7 @@ class _Job:
         origin = np.round(origin / 1024.0) * 1024.0
         used, eyes = self.points[self.seen] - origin, self.eyes[self.seen] - origin
         curve = Curve.through(used)
-        first = np.zeros(len(curve.points), dtype=np.int64)
-        first[curve.number[::-1]] = np.arange(len(used))[::-1]
+        first = curve.number_of_first()
         eyes = eyes[first]
         variances = self._variances(curve, np.linalg.norm(curve.points - eyes, axis=1))
         first_octave_m = _FIRST_OCTAVE * float(np.sqrt(np.median(variances)))
@@ -204,13 +204,18 @@ class _Job:
         spread = np.ones(here.shape)
         spread[here] = self._fitting_variances(variances)[curve.number]
         found = label_scans(grid, sigma=np.sqrt(spread), viewpoints=np.zeros(3), config=self.config)
-        labels = _largest_first(found.labels)
+        labels = once = _largest_first(found.labels)
+        if len(curve.points) < len(curve.number):  # copies take part in the search, and tell the fit nothing
+            counted = here.copy()
+            counted[here] = curve.number_of_first()[curve.number] == np.arange(len(curve.number))
+            labels = _largest_first(found.labels, counted, self.config.min_points)
+            once = np.where(counted, labels, -1)
         eyes = np.zeros((int(labels.max(initial=-1)) + 1, 3))
-        fitted = fit_labelled(grid, found.covariance, labels, eyes, self.config, stated=self.sigma is not None)
+        fitted = fit_labelled(grid, found.covariance, once, eyes, self.config, stated=self.sigma is not None)
         planes = fitted.with_outlines(outlines_in(fitted.frames, grid, labels, fitted.extents, self.config))
         back = np.eye(4)
         back[:3, 3] = eye
-        own = _labels_of(self.points - eye, grid, labels)[self.seen]
+        own = _labels_of(self.points - eye, grid, once)[self.seen]
         return self._result(own, [plane.transform(back) for plane in planes], fitted, variances)
 
     def _variances(self, curve: Curve, ranges: FloatArray) -> FloatArray:
@@ -316,11 +321,18 @@ def _eyes_of(viewpoint: ArrayLike, points: FloatArray) -> FloatArray:
     return as_shape("viewpoint", viewpoint, (len(points), 3))
 
 
-def _largest_first(labels: np.ndarray) -> np.ndarray:
-    """The same regions, those with most points first; of equal ones the one that comes first."""
-    counts = np.bincount(labels[labels >= 0].ravel(), minlength=1)
+def _largest_first(labels: np.ndarray, counted: np.ndarray | None = None, fewest: int = 1) -> np.ndarray:
+    """The same regions, those with most points first; of equal ones the one that comes first.
+
+    Args:
+        labels: region of every point, -1 = none.
+        counted: which points are counted, of the labels' shape, bool; None: all.
+        fewest: regions of fewer are left out.
+    """
+    held = labels >= 0 if counted is None else counted & (labels >= 0)
+    counts = np.bincount(labels[held], minlength=int(labels.max(initial=0)) + 1)
     order = np.argsort(-counts, kind="stable")
-    order = order[counts[order] > 0]
+    order = order[counts[order] >= fewest]
     rank = np.full(len(counts) + 1, -1)
     rank[order] = np.arange(len(order))
     return rank[labels]

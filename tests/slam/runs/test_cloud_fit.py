@@ -139,6 +139,16 @@ def test_every_point_is_counted_once(room: Path, capsys: pytest.CaptureFixture[s
     assert code == 0 and told["total"] == sum(value for name, value in told.items() if name != "total")
 
 
+def test_the_command_says_how_many_points_are_repeated(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    grid = np.load(room)
+    np.save(tmp_path / "twice.npy", np.concatenate((grid, grid)))
+    size = grid[..., 0].size
+    told = json.loads(run(capsys, "fit", tmp_path / "twice.npy", "--json")[1])["points"]
+    assert told["repeated"] == size and told["on_planes"] <= size and told["on_no_plane"] >= 0
+    assert told["total"] == sum(value for name, value in told.items() if name != "total")
+    assert f"{size} repeated." in " ".join(run(capsys, "fit", tmp_path / "twice.npy")[1].split())
+
+
 def test_planes_seen_edge_on_and_of_the_sensors_housing_are_flagged():
     found = fit_cloud(read_cloud(needs("pcl_room") / "room_scan1.pcd"), Path("x"))
     edge_on = {

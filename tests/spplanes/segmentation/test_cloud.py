@@ -54,6 +54,25 @@ def test_grids_and_lists_of_points_give_the_same_walls(room):
         check(np.asarray(points, dtype=np.float64), labels, planes, -EYE)
 
 
+@pytest.mark.parametrize("copies", [(1, 2), (3, 1)], ids=["written twice", "lines thrice"])
+def test_points_repeated_in_a_grid_are_counted_and_make_no_plane_more_certain(room, copies: tuple[int, int]):
+    """Once they were on planes twice, on none less than never, and the error that neighbours share was theirs."""
+    lines, whole = copies
+    grid = np.concatenate([np.repeat(room, lines, axis=0)] * whole)
+    once, found = segment_cloud(room), segment_cloud(grid)
+    used = np.count_nonzero(np.isfinite(room[..., 0]))
+    counts = found.coverage
+    assert counts.repeated == (lines * whole - 1) * used and counts.on_planes + counts.on_no_plane == used
+    assert counts.on_planes == sum(plane.n_points for plane in found.planes)
+    own, copied = found.labels[: lines * len(room) : lines], found.labels[lines - 1 :: lines][-len(room) :]
+    np.testing.assert_array_equal(own, copied)
+    assert [np.count_nonzero(own == k) for k in range(len(found.planes))] == [one.n_points for one in found.planes]
+    assert len(found.planes) == len(once.planes)
+    for ours, theirs in zip(found.planes, once.planes, strict=True):
+        assert ours.n_points == pytest.approx(theirs.n_points, rel=0.02)
+        np.testing.assert_allclose(np.diag(ours.covariance), np.diag(theirs.covariance), rtol=0.1)
+
+
 def test_structured_arrays(room):
     table = np.zeros(room.shape[:2], dtype=[("intensity", "u1"), ("x", "f8"), ("y", "f8"), ("z", "f8")])
     for k, axis in enumerate("xyz"):
