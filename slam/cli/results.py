@@ -78,6 +78,9 @@ def export(
             "standard deviations: .dxf, .svg, .ifc.",
         ),
     ],
+    level: Annotated[
+        bool, typer.Option("--level", help="Turn the world so that the largest floor is level; floor plans always are.")
+    ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
 ) -> None:
     """Write planes, graph, trajectory or floor plan of RUN as files of other tools; --to may be repeated."""
@@ -91,7 +94,7 @@ def export(
     check_run_given(run)
     said: dict[str, None] = {}  # once for all files
     for target in to:
-        said.update(dict.fromkeys(export_run(run, target, overwrite=overwrite)))
+        said.update(dict.fromkeys(export_run(run, target, overwrite=overwrite, level=level)))
     warn_of(list(said))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from slam.floorplan.joint_planes import JointPlanes
 from slam.floorplan.quantities import Section
 from slam.geometry.frames import lift
 from slam.geometry.polygons import valid
+from slam.map.map_planes import MapPlane
 from spplanes._check import FloatArray
 
 #: Floors are at least this far apart, m: what is level and lower is a table or a step. No room is lower.
@@ -75,8 +77,9 @@ class Storey:
 
 def storeys(joint: JointPlanes) -> list[Storey]:
     """The storeys of a building, from below; one without a floor where no level plane was seen from above."""
-    up = _upward(joint)
-    plan = _plan_axes(up)
+    up = upward(joint.hesse[:, :3], joint.planes)
+    up = np.array([0.0, 0.0, 1.0]) if up is None else up
+    plan = plan_axes(up)
     cosines = joint.hesse[:, :3] @ up
     floors = [_level(joint, int(k), up, plan) for k in np.flatnonzero(cosines > np.cos(ALIKE_RAD))]
     ceilings = [_level(joint, int(k), up, plan) for k in np.flatnonzero(cosines < -np.cos(ALIKE_RAD))]
@@ -89,15 +92,19 @@ def storeys(joint: JointPlanes) -> list[Storey]:
     return found or [_storey(joint, up, plan, None, -np.inf, np.inf, floors, ceilings)]
 
 
-def _upward(joint: JointPlanes) -> FloatArray:
-    """Normal of the largest floor, of which the world's z tells that it is one; z itself without a floor."""
-    floors = [k for k in range(len(joint.planes)) if joint.hesse[k, 2] > _ABOUT_LEVEL]
-    if not floors:
-        return np.array([0.0, 0.0, 1.0])
-    return joint.hesse[max(floors, key=lambda k: joint.planes[k].seen.area), :3]
+def upward(normals: FloatArray, planes: Sequence[MapPlane]) -> FloatArray | None:
+    """Normal (3,) of the largest floor, of which the world's z tells that it is one; None without a floor.
+
+    Args:
+        normals: of the planes, shape (P, 3).
+        planes: what was seen of each.
+    """
+    floors = [k for k in range(len(planes)) if normals[k, 2] > _ABOUT_LEVEL]
+    return normals[max(floors, key=lambda k: planes[k].seen.area)] if floors else None
 
 
-def _plan_axes(up: FloatArray) -> FloatArray:
+def plan_axes(up: FloatArray) -> FloatArray:
+    """x and y axis of the plan, columns, shape (3, 2): x goes where the world's does, seen from above."""
     x = np.array([1.0, 0.0, 0.0]) - up[0] * up
     x /= np.linalg.norm(x)
     return np.column_stack((x, np.cross(up, x))).astype(np.float64)

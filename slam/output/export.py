@@ -18,18 +18,20 @@ if TYPE_CHECKING:
     _Writer = Callable[[StoredRun, Path], list[str] | None]
 
 
-def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False) -> list[str]:
+def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False, level: bool = False) -> list[str]:
     """Write one file from the folder of a run; the ending of its name says which.
 
     ``.ply`` and ``.glb``: the polygons of the planes as a coloured mesh. ``.g2o``: the graph with its planes. ``.tum``,
     and ``.kitti`` or ``.kitti.txt``: the trajectory, every number exactly. ``.dxf``, ``.svg`` and ``.ifc``: the floor
-    plan with standard deviations, for which the run's session is replayed.
+    plan with standard deviations, for which the run's session is replayed. With ``level`` the world is turned so that
+    its largest floor is level (`slam.runs.levelling.levelled`); floor plans always are.
 
     Returns:
         What whoever reads the file must know, a sentence each: a floor plan without rooms.
 
     Raises:
-        LogError: a file of the run that is missing or broken; a run at given poses has no graph and no session.
+        LogError: a file of the run that is missing or broken; a run at given poses has no graph and no session;
+            a map without a floor to ``level`` it by.
         MissingPackageError: a format that needs a package that is not installed.
         ValueError: an ending that is none of these, a file that exists, or a place where nothing can be written.
     """
@@ -39,6 +41,11 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False) -> l
 
     write = _writer_for(to)
     stored = StoredRun.read(run)
+    if level:
+        from slam.runs.levelling import levelled
+
+        turned = levelled(stored)
+        stored = stored if write in (_dxf, _svg, _ifc) else turned  # these measure the run's own planes once more
     with whole_file(to, overwrite=overwrite) as scratch:
         return write(stored, scratch) or []
 
@@ -64,7 +71,12 @@ def _writer_for(to: Path) -> _Writer:
 
 
 def _trajectory(run: StoredRun, path: Path) -> None:
-    """The file of the run itself: turned into matrices and back, the last digit could differ."""
+    """The file of the run itself, unless moved: turned into matrices and back, the last digit could differ."""
+    if run.moved_by is not None:
+        from slam.io.trajectories import write_tum
+
+        write_tum(path, run.trajectory)
+        return
     shutil.copyfile(run.folder / "trajectory.tum", path)
 
 
@@ -74,7 +86,12 @@ def _graph(run: StoredRun, path: Path) -> None:
         raise LogError(source, "expected the graph of a run with poses estimated, found none")
     from slam.io.g2o.reader import read_g2o
 
-    read_g2o(source)
+    read = read_g2o(source)
+    if run.moved_by is not None:
+        from slam.io.g2o.writer import in_another_world
+
+        path.write_text(in_another_world(source, read, run.moved_by), encoding="ascii")
+        return
     shutil.copyfile(source, path)
 
 

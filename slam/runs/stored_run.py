@@ -18,6 +18,7 @@ from slam.io.trajectories import Trajectory, read_tum
 from slam.map.map_planes import MapPlane
 from slam.runs.history import History
 from slam.session.state import check_finished
+from spplanes._check import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +39,8 @@ class StoredRun:
     """The tables of metrics.json, with their captions; the run's own first."""
     verdict: Verdict | None = None
     """What the run said of itself; None where it said nothing: a map made at given poses."""
+    moved_by: FloatArray | None = None
+    """Rigid motion (4, 4) from the world of the folder's files to the one of these values; None: it is the same."""
 
     @classmethod
     def read(cls, folder: Path | str) -> StoredRun:

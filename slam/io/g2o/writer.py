@@ -79,6 +79,34 @@ def with_vertices(path: Path | str, read: G2oGraph, values: gtsam.Values) -> str
     return "\n".join(lines) + "\n"
 
 
+def in_another_world(path: Path | str, read: G2oGraph, new_T_old: FloatArray) -> str:
+    """Text of a g2o file that `slam.io.g2o.reader.read_g2o` read, as another world has it; no comments.
+
+    Vertices and priors move by the rigid motion ``new_T_old`` (4, 4). What was measured of planes from the origin of
+    the old world is measured from there still: that is a fixed vertex of its own. Every error stays what it was.
+    """
+    motion, lines = gtsam.Pose3(new_T_old), []
+    sensors = {edge.ids[2] for edge in read.edges if edge.kind == "EDGE_SE3_PLANE_CALIB"}
+    values = gtsam.Values()
+    for number, key in read.poses.items():
+        pose = read.values.atPose3(key)
+        values.insert(key, pose if number in sensors else motion.compose(pose))
+    for key in read.planes.values():
+        values.insert(key, read.values.atOrientedPlane3(key).transform(motion.inverse()))
+    origin = 1 + max([*read.poses, *read.planes, *sensors])
+    for words in map(str.split, with_vertices(path, read, values).splitlines()):
+        if words[0] == "EDGE_SE3_PRIOR":
+            x, y, z, qx, qy, qz, qw = map(float, words[3:10])
+            measured = gtsam.Pose3(gtsam.Rot3.Quaternion(qw, qx, qy, qz), np.array([x, y, z]))
+            words[3:10] = [_pose(motion.compose(measured))]
+        elif words[0] == "EDGE_SE3_PLANE_CALIB" and int(words[1]) in sensors:
+            words[1] = str(origin)
+        lines.append(" ".join(words))
+    if any(edge.kind == "EDGE_SE3_PLANE_CALIB" and edge.ids[0] in sensors for edge in read.edges):
+        lines = [f"VERTEX_SE3:QUAT {origin} {_pose(motion)}", f"FIX {origin}", *lines]
+    return "\n".join(lines) + "\n"
+
+
 class _Writer:
     """The vertices and edges of one graph."""
 

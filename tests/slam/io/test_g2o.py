@@ -22,7 +22,7 @@ from factors import (
 from slam.errors import LogError
 from slam.io.g2o._tangents import plane_jacobian, sensor_rotation
 from slam.io.g2o.reader import read_g2o
-from slam.io.g2o.writer import write_g2o
+from slam.io.g2o.writer import in_another_world, write_g2o
 from slam.planeslam import PlaneSlam
 from spplanes import Location, Plane, ScanLine
 from spplanes.spmodel import transform_from_rpy
@@ -277,6 +277,32 @@ def test_priors_of_all_kinds_become_edges(tmp_path: Path):
         assert (
             np.abs(values.atPose3(key).localCoordinates(solved.atPose3(back.poses[number]))).max() < 1e-4
         )  # the second order, of a tilt of 0.01
+
+
+def test_a_graph_in_another_world_errs_as_it_did_and_is_solved_as_it_was(tmp_path: Path):
+    """Priors on poses and on planes too, of which those on planes are held in the world itself."""
+    graph, values = plane_graph()
+    graph.push_back(plane_prior(seen_plane(WALLS[3], POSES[0], np.random.default_rng(1)), P[3]))
+    floor = gtsam.noiseModel.Diagonal.Sigmas(np.array([1e8, 1e8, 0.01]))
+    graph.push_back(gtsam.PoseTranslationPrior3D(X[1], np.array([0.0, 0.0, 0.02]), floor))
+    content = write_g2o(tmp_path / "graph.g2o", graph, values)
+    here = read_g2o(tmp_path / "graph.g2o")
+    motion = transform_from_rpy((3.0, -2.0, 0.5, 0.4, 0.2, -0.3))
+    (tmp_path / "moved.g2o").write_text(in_another_world(tmp_path / "graph.g2o", here, motion))
+    there = read_g2o(tmp_path / "moved.g2o")
+    assert there.graph.error(there.values) == pytest.approx(here.graph.error(here.values), rel=1e-9)
+    first, second = (optimum(one.graph, one.values) for one in (here, there))
+    for number in content.poses.values():
+        pose = gtsam.Pose3(motion).compose(first.atPose3(here.poses[number]))
+        assert np.abs(pose.localCoordinates(second.atPose3(there.poses[number]))).max() < 1e-6
+    for number in content.planes.values():
+        plane = first.atOrientedPlane3(here.planes[number]).transform(gtsam.Pose3(motion).inverse())
+        assert np.abs(plane.errorVector(second.atOrientedPlane3(there.planes[number]))).max() < 1e-6
+    covariances = [
+        gtsam.Marginals(one.graph, solved).marginalCovariance(one.poses[content.poses[X[2]]])
+        for one, solved in ((here, first), (there, second))
+    ]
+    np.testing.assert_allclose(covariances[1], covariances[0], rtol=1e-4, atol=1e-9)
 
 
 def test_landmarks_in_the_world_stay_where_they_are(tmp_path: Path):

@@ -16,16 +16,21 @@ import pytest
 from slam.cli import main
 from slam.errors import LogError, MissingPackageError
 from slam.floorplan import FloorPlan, floor_plan
+from slam.io.g2o.reader import read_g2o
+from slam.io.trajectories import read_kitti, read_tum
 from slam.output.export import check_target, export_run
 from slam.output.plan_dxf import write_dxf
 from slam.output.plan_ifc import MEASURED, write_ifc
 from slam.output.plan_svg import write_svg
+from slam.output.run_files import write_ply
+from slam.runs.levelling import levelled
 from slam.runs.stored_plan import stored_floor_plan
 from slam.runs.stored_run import StoredRun
 from slam.simulation import Mission
 from slam.simulation.record import Plan, record
 from slam.simulation.rigs import spinning_rig
 from slam.simulation.suite import Suite
+from slam.visualization.mesh import mesh_of
 from tests.slam.floorplan.buildings import joint_of, planes_of
 
 SPACING_M = 0.8
@@ -233,6 +238,25 @@ def test_a_plan_without_rooms_says_so_once(run: Path, tmp_path: Path, capsys: py
     assert export_run(tmp_path / "run", tmp_path / "c.svg") == [sentence]
     assert command("export", run, "--to", tmp_path / "rooms.svg") == 0
     assert capsys.readouterr().err == ""
+
+
+def test_a_run_is_exported_level(run: Path, tmp_path: Path):
+    names = ("way.tum", "way.kitti", "graph.g2o", "planes.ply", "plan.svg")
+    assert command("export", run, "--level", *[word for one in names for word in ("--to", tmp_path / one)]) == 0
+    given, level = StoredRun.read(run), levelled(StoredRun.read(run))
+    turn = level.moved_by
+    assert turn is not None and 1e-7 < np.abs(turn - np.eye(4)).max() < 0.01
+    poses = read_tum(tmp_path / "way.tum").poses
+    np.testing.assert_allclose(poses, turn @ given.trajectory.poses, atol=1e-12)
+    np.testing.assert_allclose(read_kitti(tmp_path / "way.kitti"), poses, atol=1e-12)
+    before, after = read_g2o(run / "graph.g2o"), read_g2o(tmp_path / "graph.g2o")
+    assert after.graph.error(after.values) == pytest.approx(before.graph.error(before.values), rel=1e-6)
+    normals = [after.values.atOrientedPlane3(key).normal().point3()[2] for key in after.planes.values()]
+    assert max(normals) > 1.0 - 1e-12 and before.planes.keys() == after.planes.keys()
+    write_ply(tmp_path / "expected.ply", mesh_of(level.planes))
+    assert (tmp_path / "planes.ply").read_bytes() == (tmp_path / "expected.ply").read_bytes()
+    export_run(run, tmp_path / "as_it_was.svg")
+    assert (tmp_path / "plan.svg").read_bytes() == (tmp_path / "as_it_was.svg").read_bytes()
 
 
 def test_the_plan_of_a_run_is_that_of_its_planes(run: Path):
