@@ -98,8 +98,9 @@ def run_slam(
     slam = slam or PlaneSlam(config)
     slam.clock = slam.backend.clock = clock
     done_before = len(slam.keyframes)
-    rig = with_shown_noise(log, rig)
-    total = count_keyframes(log, rig, config)
+    with clock.stage("measure"):  # what shows the noise, and laser odometry, which says where keyframes are
+        rig = with_shown_noise(log, rig)
+        total = count_keyframes(log, rig, config)
     with closing(keyframes_of(log, rig, config, done_before, segment=slam.segment, jobs=jobs)) as frames:
         for done in range(done_before, total):
             with clock.stage("measure"):
