@@ -62,13 +62,19 @@ def room_with(odometry: list[tuple[float, float, float, float]] | None, folder: 
 
 @pytest.mark.parametrize("guess", [GUESS, (2.1, 0.4, 0.0, 0.55), None], ids=["guess", "another", "none"])
 def test_a_room_is_where_icp_has_it_whatever_odometry_guesses_and_its_floor_is_one_plane(guess, tmp_path: Path):
-    """Two scans; not surveyed: floor -1.26 m, ceiling 1.67 m. The guess is 0.68 m off."""
+    """Two scans; not surveyed: floor -1.26 m, ceiling 1.67 m. The guess is 0.68 m off.
+
+    Heights are less sure than places: laid by ICP's motion, the second scan's floor is 2.0 cm below the first's
+    and its ceiling 0.8 cm above (medians of some 3,100 and 14,800 points that lie less than 5 cm
+    from another): any height is wrong by 1.4 cm.
+    """
     log, rig = load(room_with(None if guess is None else [(0.0, 0.0, 0.0, 0.0), guess], tmp_path))
     run = run_slam(log, rig, SlamConfig())
     first, second = run.trajectory.poses
     motion = inverse(first) @ second
     assert np.rad2deg(np.arctan2(motion[1, 0], motion[0, 0])) == pytest.approx(np.rad2deg(ICP[3]), abs=0.5)
-    assert np.linalg.norm(motion[:3, 3] - ICP[:3]) < 0.03
+    assert np.linalg.norm(motion[:2, 3] - ICP[:2]) < 0.015
+    assert abs(motion[2, 3] - ICP[2]) < 0.04
     level = [one for one in run.planes if one.plane.normal[2] > 0.99 and abs(one.plane.d + 1.26) < 0.1]
     assert len(level) == 1
     assert level[0].observations == 2
