@@ -149,7 +149,7 @@ def fit_shared_pose(
         left = np.empty((3, 3))
         if not _invert(information[np.triu_indices(3)], left):
             return OPEN_POSES, base, left, chi2
-        gradient -= 0.5 * _volume_gradient(points, covs, step, shared, base, u, np.sqrt(np.diag(left)))
+        gradient -= 0.5 * _volume_gradient(points, covs, step, shared, base, u, solved[..., :3], np.sqrt(np.diag(left)))
         step_b = left @ gradient
         step_u = solved[..., 3] - solved[..., :3] @ step_b
         u += step_u
@@ -178,12 +178,21 @@ def _normal_equations(
 
 
 def _volume_gradient(
-    points: FloatArray, covs: FloatArray, step: int, shared: SharedPose, base: FloatArray, u: FloatArray, by: FloatArray
+    points: FloatArray,
+    covs: FloatArray,
+    step: int,
+    shared: SharedPose,
+    base: FloatArray,
+    u: FloatArray,
+    follow: FloatArray,
+    by: FloatArray,
 ) -> FloatArray:
     """Derivative, by (z, theta, psi), of log det of the information on u, by central differences of ``by`` (3,).
 
     What the data say of the pose errors depends on where the plane is thought to be. Their best values alone would
-    draw it to where they are told sharply, so they are integrated out (Laplace): that adds half this determinant.
+    draw it to where they are told sharply, so they are integrated out (Laplace): that adds half this determinant, at
+    the best u for each plane. Those go with it, by -``follow`` (., M, 3): at a u that stays, planes seem to be met at
+    another slant than they are.
     """
     gradient, moved = np.empty(3), np.empty((4, 4))
     for k in range(3):
@@ -191,7 +200,7 @@ def _volume_gradient(
         for sign in (1.0, -1.0):
             z, theta, psi = (sign * by[j] * (j == k) for j in range(3))
             kernels.move_frame(base, z, theta, psi, moved)
-            middle = _normal_equations(points, covs, step, shared, moved, u)[4]
+            middle = _normal_equations(points, covs, step, shared, moved, u - follow @ (z, theta, psi))[4]
             volumes.append(np.linalg.slogdet(middle)[1].sum())
         gradient[k] = (volumes[0] - volumes[1]) / (2.0 * by[k])
     return gradient
