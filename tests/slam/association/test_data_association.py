@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from scipy.stats import chi2 as chi2_distribution
@@ -9,7 +11,8 @@ from shapely import box
 
 from factors.association.decisions import Candidate, decide, is_open
 from factors.association.gates import AssociationGates
-from factors.association.gating import chi2_and_log_det
+from factors.association.gating import Hypothesis, State, chi2_and_log_det
+from factors.association.joint_association import JointCompatibility
 from slam import PlaneSlam
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
@@ -84,3 +87,48 @@ def test_of_two_that_it_could_be_it_is_the_one_seen_there_and_it_waits_only_for_
     assert not is_open(decision, {7: 8.0, 2: 0.0}.__getitem__, rules)
     alone = decide(0, [board], 0.0, {7: 8.0}.__getitem__, rules)
     assert alone.match is board  # a wall goes on where it was not seen yet
+
+
+@pytest.mark.parametrize(
+    ("p", "log_likelihood", "verdict"),
+    [(2e-3, 1.0, "match"), (2e-3, -1.0, "unsure"), (5e-4, 1.0, "unsure"), (2e-6, 1.0, "unsure"), (5e-7, 1.0, "new")],
+)
+@pytest.mark.parametrize("dof", [2, 3])
+def test_between_the_gates_and_where_another_plane_is_as_likely_neither_is_said(p, log_likelihood, verdict, dof):
+    """What is unsure is left out: as a match it would pull the pose, as a new plane be in the map twice."""
+    candidate = Candidate(7, float(chi2_distribution.isf(p, dof)), dof, log_likelihood, True)
+    decision = decide(0, [candidate], 0.0, lambda _: 0.0, AssociationGates())
+    assert decision.verdict == verdict
+    assert decision.match is (candidate if verdict == "match" else None)
+
+
+class Known:
+    """A joint covariance of one variable of one dimension."""
+
+    full = np.eye(1)
+
+    def columns(self, keys: Sequence[int], /) -> np.ndarray:
+        return np.zeros(len(keys), dtype=int)
+
+
+@pytest.mark.parametrize(("target", "verdict"), [(3.0, "match"), (6.0, "unsure")])
+def test_a_match_that_only_a_hint_makes_fit_is_not_used(target: float, verdict: str):
+    """The hint says that the pose is where the landmark fits; without it the landmark is 2.1 or 4.2 sigma off."""
+
+    def hypothesis(sigma: float) -> Hypothesis:
+        return Hypothesis(
+            Candidate(0, 0.0, 1, 0.0, True), np.zeros(1, dtype=int), np.eye(1) / sigma, np.array([target]) / sigma
+        )
+
+    def hinted() -> State:
+        state = State(Known())
+        state.condition(state.innovation(hypothesis(1e-3)))
+        return state
+
+    problem = JointCompatibility(
+        [[hypothesis(1.0)]], [-9.0], [-9.0], lambda *_: 0.0, [1], hinted, lambda: State(Known()), AssociationGates()
+    )
+    decision = problem.best().decisions[0]
+    assert decision.verdict == verdict
+    if decision.match is not None:
+        assert decision.match.chi2 == pytest.approx(target**2 / 2.0)  # and told as it is without the hint
