@@ -63,6 +63,21 @@ def test_slips_are_left_out_and_a_scan_that_knows_nothing_tells_nothing() -> Non
     assert blind.factor < 1.1 < 3.0 < sharp.factor  # nothing was off where the scans tell
 
 
+@pytest.mark.parametrize(
+    ("off_m", "slips", "least", "most"),
+    [(0.1, 2, 1.0, 1.3), (0.05, 1, 1.25, 1.9)],
+    ids=["two slips, 5.5 if one step in a hundred were one", "maybe one, 1.1 if every second were, 2.4 if none"],
+)
+def test_one_step_in_ten_may_be_a_slip_among_few(off_m: float, slips: int, least: float, most: float) -> None:
+    """Many steps as stated outweigh a slip whatever its share; after three it is that share that does."""
+    scale = OdometryScale()
+    for _ in range(3):
+        scale.learn(STEP, np.array([0.01, 0.006, 0.0, 0.005, 0.0, 0.0]), SCAN, GUESS)  # each about one sigma
+    for _ in range(slips):
+        scale.learn(STEP, off_m * np.array([1.0, -0.5, 0.0, 1.0, 0.0, 0.0]), SCAN, GUESS)
+    assert least <= scale.factor < most
+
+
 def test_wheels_that_get_better_are_believed_again() -> None:
     rng, scale = np.random.default_rng(4), OdometryScale()
     for times in np.repeat([5.0, 1.0], 60):
