@@ -234,14 +234,75 @@ def spinning() -> None:
     command("slam", "hall/clouds", "--out", "found")
 
 
+def places() -> None:
+    """Two looks at one room compared: by their walls, and by all returns and all free space."""
+    import numpy as np
+
+    from slam.frontend.occupancy import Raster
+    from slam.registration.correlative_search import PlaceView, search_place
+    from slam.registration.place_recognition import Wall, match_constellations
+    from slam.registration.scan_matching import relocate
+
+    corners = np.array([(0, 0), (6, 0), (6, 1.5), (7.2, 1.5), (7.2, 2.6), (6, 2.6), (6, 4), (2.2, 4), (2.2, 5), (0, 5)])
+    ends = np.stack((corners, np.roll(corners, -1, axis=0)), axis=1) - (3.0, 2.0)
+    along = np.diff(ends, axis=1)[:, 0]
+    walls = [
+        Wall(alpha, float(end[0] @ (np.cos(alpha), np.sin(alpha))), np.eye(2) * 1e-5, end)
+        for alpha, end in zip(np.arctan2(-along[:, 0], along[:, 1]).tolist(), ends, strict=True)
+    ]
+    match_constellations(walls, walls)
+    hits = np.concatenate([np.linspace(first, last, 40) for first, last in ends])
+    raster, nowhere = Raster.of(np.hstack((np.zeros_like(hits), hits)), 0.5), np.zeros(3)
+    reach = np.array((0.3, 0.3, 0.1))
+    relocate(raster, raster, nowhere, np.eye(3) * 0.01, reach)
+    search_place(PlaceView(raster), PlaceView(raster), nowhere, np.eye(3) * 0.01, reach, looks=9.0)
+
+
+def rest() -> None:
+    """What commands seldom call: clouds without order, packed ones, other factors, pose errors in other fits."""
+    import gtsam
+    import numpy as np
+
+    import factors
+    from slam.io.clouds.lzf import lzf_decompress
+    from slam.session._wal_kernel import checksum
+    from spplanes import fit_plane
+    from spplanes.clouds.arrange import arrange
+    from spplanes.segmentation.organising import organise
+
+    rng = np.random.default_rng(0)
+    heap = rng.standard_normal((2000, 3))
+    arrange(heap)
+    organise(heap)
+    lzf_decompress(b"\x00a", 1)
+    checksum(bytes(8), "<", 0, 0)
+    flat, scans = rng.random((200, 3)) * (4.0, 3.0, 0.01), np.arange(200) // 20
+    poses = np.tile(np.eye(6) * 1e-6, (10, 1, 1))
+    fit_plane(flat, sigma=0.01, method="sp", scan_index=scans, pose_covariances=poses)
+    fit_plane(flat, sigma=0.01, robust="tukey", scan_index=scans, pose_covariances=poses)
+    values = gtsam.Values()
+    values.insert(0, gtsam.Pose3())
+    for key in (1, 2):
+        values.insert(key, gtsam.OrientedPlane3(1.0, 0.0, 0.0, float(key)))
+    for factor in (
+        factors.direction_prior(1, (1.0, 0.0, 0.0), 0.1, anchor_key=0),
+        factors.parallel_factor(1, 2, 0.1),
+        factors.perpendicular_factor(1, 2, 0.1),
+        factors.distance_factor(1, 2, 1.0, 0.1),
+    ):
+        factor.linearize(values)
+
+
 #: The longest first, then what it calls late, compiled by the time it does; what shares most with both comes last.
 JOBS: dict[str, Callable[[], None]] = {
     "corridor": corridor,
     "pieces": pieces,
     "spinning": spinning,
+    "places": places,
     "mapping": mapping,
     "points": points,
     "lines": lines,
+    "rest": rest,
     "plane": plane,
 }
 

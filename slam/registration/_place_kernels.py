@@ -88,7 +88,7 @@ def fit_pose(pose, walls, others, prior):
             normal += weighted @ jacobian
             right += weighted @ error
             chi2 += error @ inverse @ error
-        covariance = np.linalg.inv(normal)
+        covariance = np.ascontiguousarray(np.linalg.inv(normal))  # one layout: all that takes it is compiled once
         step = covariance @ right
         pose = pose + step
         if step @ normal @ step < 1e-8:

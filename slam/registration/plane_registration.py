@@ -221,7 +221,7 @@ def _translations(
 ) -> list[tuple[float, FloatArray]]:
     """The best motions with a rotation, with their scores: from threes of pairs, and what is expected beside them."""
     turned = mine.normals @ rotation.T
-    i, j = np.nonzero(turned @ theirs.normals.T > np.cos(_ANGLE))
+    i, j = np.ascontiguousarray(np.nonzero(turned @ theirs.normals.T > np.cos(_ANGLE)))
     if len(i) < 3:
         return []
     weights = np.minimum(mine.weights[i], theirs.weights[j])

@@ -173,7 +173,7 @@ def _modes(
     and whether the best is at the edge of the box, in place and in heading. Steps are so many times coarser."""
     (table, origin), cell = there.table(coarser), coarser * TABLE_CELL_M
     every = max(1, len(surface) // _SEARCHED)
-    points, looks = surface.points[::every], surface.looks[::every]
+    points, looks = np.ascontiguousarray(surface.points[::every]), np.ascontiguousarray(surface.looks[::every])
     step = cell / max(far, 1.0)
     steps, turns = int(np.ceil(reach[0] / cell)), int(np.ceil(reach[1] / step))
     angles = step * np.arange(-turns, turns + 1)
