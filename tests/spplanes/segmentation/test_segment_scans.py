@@ -339,3 +339,25 @@ def test_planes_of_slanted_beams_err_as_their_covariance_says():
             values.append(error @ np.linalg.solve(plane.covariance, error))
     low, high = chi2.ppf([0.001, 0.999], 3 * len(values)) / len(values)
     assert low < np.mean(values) < high
+
+
+def wall_with_a_board(board_m, size, seed):
+    """A wall 3 m ahead seen to 1 cm, 64 x 96 points, with a board of size x size points before it."""
+    y, z = np.meshgrid(np.linspace(-1.0, 1.0, 96), np.linspace(-0.6, 0.6, 64))
+    x = 3.0 + 0.01 * np.random.default_rng(seed).standard_normal(y.shape)
+    x[24 : 24 + size, 40 : 40 + size] -= board_m
+    return np.stack((x, y, z), axis=-1)
+
+
+def test_a_board_nearer_to_its_wall_than_points_scatter_is_no_part_of_it():
+    """Point for point 15 mm pass the gate of 35 mm: only whole cells of them tell."""
+    for seed in range(3):
+        labels, planes = segment_scans(wall_with_a_board(0.015, 16, seed), sigma=0.01, viewpoints=np.zeros(3))
+        assert len(planes) == 2
+        assert (labels[26:38, 42:54] != labels[5, 5]).all()
+
+
+@pytest.mark.parametrize(("size", "expected"), [(7, 1), (16, 2)])
+def test_a_patch_of_fewer_points_than_asked_is_no_plane(size, expected):
+    labels, planes = segment_scans(wall_with_a_board(0.5, size, 0), sigma=0.01, viewpoints=np.zeros(3))
+    assert len(planes) == labels.max() + 1 == expected
