@@ -37,7 +37,8 @@ def onto_planes(frames: FloatArray, cells: FloatArray) -> FloatArray:
     """Projections onto the x and y of plane frames (R, 4, 4), in cells of side (R,), shape (R, 2, 4)."""
     axes = frames[:, :3, :2].transpose(0, 2, 1)
     shift = -np.einsum("rka,ra->rk", axes, frames[:, :3, 3])
-    return np.concatenate((axes, shift[..., None]), axis=2) / cells[:, None, None]
+    # of whatever number of planes in one layout: for each the kernels would be compiled
+    return np.ascontiguousarray(np.concatenate((axes, shift[..., None]), axis=2) / cells[:, None, None])
 
 
 def draw(points, labels, projections):

@@ -82,7 +82,7 @@ def _neighbours(sheet: Sheet, views: FloatArray, planes: FloatArray, gap: int, c
         views,
         sheet.labels,
         planes,
-        sheet.rows[:, 0],
+        np.ascontiguousarray(sheet.rows[:, 0]),
         tolerance,
         gap,
         HIDDEN,

@@ -62,7 +62,7 @@ def _seams(labels: np.ndarray, alike: np.ndarray) -> tuple[np.ndarray, np.ndarra
     pairs = near_pairs(labels, _REACH)
     meet[pairs[:, 0], pairs[:, 1]] = True
     ours, others = np.nonzero((meet | meet.T) & ~alike)
-    return np.searchsorted(ours, np.arange(len(alike) + 1)), others
+    return np.searchsorted(ours, np.arange(len(alike) + 1)), np.ascontiguousarray(others)
 
 
 @njit(cache=True, nogil=True)
