@@ -59,6 +59,13 @@ MUTATIONS = (
         "tests/spplanes/test_plane.py",
     ),
     Mutation(
+        "fitting: pose errors stay where they are while they are integrated out",
+        "spplanes/fitting/_shared_pose.py",
+        "u - follow @ (z, theta, psi)",
+        "u",
+        "tests/spplanes/fitting/test_joint_pose.py::test_the_plane_is_the_likeliest_whatever_the_tilts_were",
+    ),
+    Mutation(
         "covariance: of a motion, turned the wrong way",
         "slam/frontend/odometry.py",
         "turn[:3, :3] = a_T_b[:3, :3].T",
@@ -80,9 +87,23 @@ MUTATIONS = (
         "tests/spplanes/segmentation/test_segment_scans.py tests/spplanes/segmentation/test_splitting.py",
     ),
     Mutation(
+        "segmentation: cells off their plane stay in it",
+        "spplanes/segmentation/pipeline.py",
+        "            release_misfits(sheet, config)\n",
+        "            pass\n",
+        "tests/spplanes/segmentation/test_segment_scans.py",
+    ),
+    Mutation(
+        "association: what is no match is a new plane",
+        "factors/association/decisions.py",
+        '"unsure" if near else "new"',
+        '"new"',
+        "tests/slam/association/test_data_association.py",
+    ),
+    Mutation(
         "association: whatever is near is a match, however unlikely",
-        "slam/association/decisions.py",
-        "        if candidate.p_value >= config.significance and candidate.log_likelihood >= chance\n",
+        "factors/association/decisions.py",
+        "        if candidate.p_value >= gates.significance and candidate.log_likelihood >= chance\n",
         "",
         "tests/slam/association/test_data_association.py",
     ),
@@ -112,6 +133,13 @@ MUTATIONS = (
         "slam/tracking/odometry_scale.py",
         "_log_density(off[axes], stated + covariance[grid])",
         "_log_density(off[axes], stated)",
+        "tests/slam/tracking/test_odometry_scale.py",
+    ),
+    Mutation(
+        "odometry: next to no step is a slip",
+        "slam/tracking/odometry_scale.py",
+        "_SLIPS = 0.1",
+        "_SLIPS = 1e-3",
         "tests/slam/tracking/test_odometry_scale.py",
     ),
     Mutation(
