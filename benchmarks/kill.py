@@ -79,12 +79,12 @@ def work(mission: Path, out: Path, acknowledge: int | None) -> None:
     if (out / SESSION_FILE).exists():
         with resumed_run(out) as (slam, log, rig):
             done = run_slam(log, rig, slam.config, slam=slam, progress=progress)
-            conclude(slam, out, partial(_results, done.slam))
+            conclude(done, out, partial(_results, done.slam))
         return
     log, rig = load(mission)
     with new_run(out, log, rig, CONFIG, Source(mission), prior=None, overwrite=out.exists()) as slam:
         done = run_slam(log, rig, CONFIG, slam=slam, progress=progress)
-        conclude(slam, out, partial(_results, done.slam))
+        conclude(done, out, partial(_results, done.slam))
 
 
 def kill_row(job: Job, scratch: Path, kills: int, seed: int = 0) -> dict:

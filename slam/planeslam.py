@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, MutableSequence, Sequence
+from collections.abc import Callable, Iterable, MutableSequence, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -36,7 +36,7 @@ from slam.mapping.same_plane import SamePlaneFinder
 from slam.registration.relocalization import Rivals
 from slam.registration.submaps import step_by_view
 from slam.session.prior_map import PriorMap
-from slam.session.recorder import Recorder
+from slam.session.recorder import Places, Recorder, Rehearsal
 from slam.session.replay import open_slam
 from slam.timing import StageClock, timed
 from slam.tracking.odometry_record import OdometryRecord
@@ -101,7 +101,7 @@ class PlaneSlam:
         self._sparsifier = Sparsifier(self.config.thinning, self.backend, self.landmarks)
         parts = Parts(self.keyframes, self.landmarks, self.backend, self._sparsifier, self.config)
         self._motion_model = MotionModel(parts, start)
-        self._associate = associate
+        self._associate, self._loop_closer = associate, loop_closer
         self._map_updater = MapUpdater(parts, associate)
         self._same_plane = SamePlaneFinder(parts)
         self.merges = Merges(parts)
@@ -147,7 +147,7 @@ class PlaneSlam:
             KeyframeError: the keyframe is not later than the last one, or has a covariance that is none; it left no
                 trace. A ValueError.
         """
-        check_keyframe(keyframe, self.keyframes[-1].stamp_ns if len(self.keyframes) else None)
+        check_keyframe(keyframe, self.keyframes[-1].stamp_ns if len(self.keyframes) else None, len(self.keyframes))
         keyframe = self._bookkeeping.measured(len(self.keyframes), keyframe)
         prediction = self._predict(keyframe)
         decisions = self._match(keyframe, prediction)
@@ -230,6 +230,36 @@ class PlaneSlam:
             self._same_plane.forget()
             self._merge_same_planes({older for older, _ in closure.pairs})
             self._closer.fix(closure)
+
+    def again(self, places: Places, progress: Callable[[int, int], None] | None = None) -> PlaneSlam:
+        """The same keyframes through a new estimator, which knows beforehand what places some of them stand near.
+
+        This one stays as it is, and so does what is recorded, until the new one is to `stand_for` it.
+
+        Args:
+            places: by index of the keyframe; they take the place of those that it has.
+            progress: is told how many keyframes are done, and how many there are.
+        """
+        recorder = Rehearsal(self.recorder, len(self.keyframes))
+        slam = type(self)(
+            self.config,
+            prior=self.prior,
+            recorder=recorder,
+            segment=self.segment,
+            associate=self._associate,
+            loop_closer=self._loop_closer,
+        )
+        slam.clock = slam.backend.clock = self.clock
+        for index, keyframe in enumerate(self.keyframes):
+            slam.add_keyframe(replace(keyframe, places=places[index]) if index in places else keyframe)
+            if progress is not None:
+                progress(index + 1, len(self.keyframes))
+        return slam
+
+    def stand_for(self, first: PlaneSlam, places: Places) -> None:
+        """From here on this is the run: what was recorded of the `first` is replaced by what was decided `again`."""
+        first.recorder.mended(places, self.decisions)
+        self.recorder = first.recorder
 
     def optimize_batch(self) -> gtsam.Values:
         """The same graph solved as a batch by Levenberg-Marquardt; the incremental state stays as it is."""

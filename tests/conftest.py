@@ -28,6 +28,7 @@ _LONGEST = (
     "tests/slam/simulation/test_floorplans.py",
     "tests/slam/tracking/test_odometry_check.py",
     "tests/slam/runs/test_jobs.py",
+    "tests/slam/runs/test_repair.py",
     "tests/slam/registration/test_real_places.py",
     "tests/slam/frontend/test_laser_odometry.py",
     "tests/spplanes/fitting/test_robust.py",

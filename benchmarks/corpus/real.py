@@ -86,11 +86,12 @@ REAL: dict[str, RealLog] = {
     "intel": RealLog("intel/intel.clf.gz", "relations", _relations("intel/intel.relations.gz")),
     "intel_full": RealLog("intel/intel_full.clf.gz", "relations", _relations("intel/intel.relations.gz")),
     "aces": RealLog("aces/aces.clf.gz", "relations", _relations("aces/aces.relations.gz")),
+    "fr079": RealLog("fr079/fr079.clf.gz", "relations", _relations("fr079/fr079.relations.gz")),
     "fr_clinic": RealLog("fr_clinic/fr-clinic.clf.gz", "none"),
 }
 
 #: Those of one laser and wheels with relations, which may be made worse.
-WHEELED = ("intel", "intel_full", "aces")
+WHEELED = ("intel", "intel_full", "aces", "fr079")
 
 
 def real_row(name: str, config: SlamConfig | None = None, seed: int = 0) -> Row:

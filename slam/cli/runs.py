@@ -59,6 +59,9 @@ def slam(
     forget_raw: Annotated[bool, typer.Option("--forget-raw", help="Keep measurements on disk, not in memory.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="End the run at a scan that cannot be used.")] = False,
     batch: Annotated[bool, typer.Option("--batch", help="Solve the graph once more as a whole at the end.")] = False,
+    no_repair: Annotated[
+        bool, typer.Option("--no-repair", help="Leave a map that is found to be wrong as it is.")
+    ] = False,
     topic: TopicOption = None,
     odometry_topic: OdometryTopicOption = None,
     odometry_frame: OdometryFrameOption = None,
@@ -116,7 +119,15 @@ def slam(
         new_run(out, job.log, job.rig, job.config, source, prior=known, overwrite=overwrite) as slam,
         progress_bar("keyframes") as progress,
     ):
-        run = run_slam(*job[:3], slam=slam, batch=batch, jobs=jobs or cores(), clock=job.clock, progress=progress)
+        run = run_slam(
+            *job[:3],
+            slam=slam,
+            batch=batch,
+            repair=not no_repair,
+            jobs=jobs or cores(),
+            clock=job.clock,
+            progress=progress,
+        )
         _conclude(run, out, _Ending(as_json, timings, strict_verdict))
     say_verdict(run.verdict, strict=strict_verdict)
 
@@ -171,11 +182,13 @@ def _conclude(run: Run, folder: Path, ending: _Ending) -> None:
 
     name = run.log.source.name
     with run.clock.stage("write"):
-        conclude(run.slam, folder, lambda work: write_run(run, work, title=f"spplanes slam {name}"))
+        conclude(run, folder, lambda work: write_run(run, work, title=f"spplanes slam {name}"))
     rows = metrics_of(run)
     warn_of(warnings_of(run))
     for sentence in assumptions_of(run.log):
         say(f"assumed: {sentence}")
+    for repair in run.repairs or ():
+        say(repair.sentence)
     show_result(name, rows, run.clock, folder, as_json=ending.as_json, timings=ending.timings)
 
 

@@ -46,6 +46,8 @@ class Bookkeeping:
     def _count_innovations(self, keyframe: Keyframe, prediction: Prediction, decisions: Sequence[Decision]) -> None:
         """Hold what was matched against what was known: without odometry nothing of the pose."""
         seen = keyframe.observations
+        if prediction.hints:  # what says where to look was made of what was seen here
+            return
         if not prediction.is_wide:
             self.audit.add(prediction.index, [one.kind for one in seen], decisions)
             return

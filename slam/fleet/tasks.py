@@ -127,8 +127,8 @@ def _map(order: Order, folder: Path) -> None:
         source = Source(path, order.keep_partial, assumed=tuple(log.assumed))
         with new_run(made, log, sensors, config, source, prior=None, overwrite=False) as slam:
             run = run_slam(log, sensors, config, slam=slam)
-            finished = FinishedMission.of(order.name, slam, sensors)
-            conclude(slam, made, lambda into: write_run(run, into, title=f"spplanes fleet {order.name}"))
+            finished = FinishedMission.of(order.name, run.slam, sensors)
+            conclude(run, made, lambda into: write_run(run, into, title=f"spplanes fleet {order.name}"))
         (made / RECORD_FILE).write_bytes(finished_to_bytes(finished))
         try:
             made.rename(folder)

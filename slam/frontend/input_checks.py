@@ -28,15 +28,16 @@ class KeyframeError(ValueError):
     """A keyframe that is refused before anything is done with it; the sentence says what is wrong with it."""
 
 
-def check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
+def check_keyframe(keyframe: Keyframe, after_ns: int | None, index: int | None = None) -> None:
     """Refuse what would leave the graph half changed.
 
     Raises:
-        KeyframeError: a time not after `after_ns`, or a covariance that is none: of the motion, or of what was seen;
-            and what is no keyframe at all.
+        KeyframeError: a time not after `after_ns`, a covariance that is none: of the motion, or of what was seen; a
+            match with a place that is not before `index`; and what is no keyframe at all.
     """
     try:
         _check_keyframe(keyframe, after_ns)
+        _check_places(keyframe, index)
     except ValueError as error:
         raise KeyframeError(str(error)) from error
 
@@ -79,6 +80,17 @@ def _check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
             known.factor(0)
         except ValueError as error:
             raise ValueError(f"keyframe.pose_measurements[{index}]: {error}") from error
+
+
+def _check_places(keyframe: Keyframe, index: int | None) -> None:
+    """Refuse matches with what is no place of before."""
+    for number, match in enumerate(keyframe.places):
+        name = f"keyframe.places[{number}]"
+        if match.keyframe < 0 or (index is not None and match.keyframe >= index):
+            raise ValueError(f"{name}.keyframe: expected an earlier keyframe, got {match.keyframe}")
+        as_shape(f"{name}.delta", match.delta, (3,))
+        _check_near(f"{name}.delta", match.delta, _FARTHEST_M)
+        _check_covariance(f"{name}.covariance", match.covariance, (3,))
 
 
 def check_extent(name: str, frame: FloatArray, outline: BaseGeometry | None) -> None:

@@ -26,7 +26,7 @@ from slam.frontend.measurement import (
 from slam.frontend.observations import Observation, on_real_wall
 from slam.frontend.occupancy import beams_of
 from slam.frontend.odometry import Motion, OdometryTrack
-from slam.frontend.pose_measurements import PoseMeasurement
+from slam.frontend.pose_measurements import PlaceMatch, PoseMeasurement
 from slam.geometry.frames import inverse
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig, Sensor
@@ -64,6 +64,8 @@ class Keyframe:
     """Where the sensor of that scan was, in the body frame, shape (3,), m; None: at the body's origin."""
     motion_notes: tuple[str, ...] = field(default=())
     """What somebody should know of how the body moved up to here, one sentence each: wheels that stand still, say."""
+    places: Sequence[PlaceMatch] = field(default=())
+    """Where it is from earlier ones, by whoever looked beyond the estimate: loops that need not be looked for."""
 
 
 def keyframes_of(

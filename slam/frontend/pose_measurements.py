@@ -1,4 +1,4 @@
-"""Measurements of a keyframe's pose that are of no plane: gravity from an IMU, and what else a robot knows of itself.
+"""Measurements of a keyframe's pose that are of no plane: gravity from an IMU, places, and what else a robot knows.
 
 A new kind is a frozen dataclass of numbers and arrays with a method `factor`, named in `KINDS`: sessions write it, the
 graph takes it, and it leaves with its keyframe.
@@ -33,6 +33,21 @@ class GravityMeasurement:
     def factor(self, pose_key: int) -> Any:
         """A native factor that holds roll and pitch."""
         return gravity_factor(pose_key, self.up_in_body, self.sigma_rad)
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceMatch:
+    """Where a keyframe is from an earlier one, as what was seen about both tells it."""
+
+    keyframe: int
+    """Index of the earlier one."""
+    delta: FloatArray
+    """(x, y, theta) of the later one in its frame, shape (3,), m and rad."""
+    covariance: FloatArray
+    """Its covariance, additive, x and y along the axes of the earlier one, shape (3, 3)."""
+    inferred: bool = False
+    """Whether it follows from what was measured elsewhere: a hint where to look for planes seen before, no measurement
+    of its own."""
 
 
 #: Every kind that sessions know.

@@ -12,12 +12,21 @@ import numpy as np
 from scipy.special import chdtri
 
 from slam.backend.estimator import Backend, pose_symbol
+from slam.backend.places import anchored
 from slam.frontend.odometry import Motion
+from slam.frontend.pose_measurements import PlaceMatch
 from slam.loop_closure.candidates import DrivenPath
-from slam.loop_closure.pairwise_consistency import counted_once
+from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal, counted_once
 from slam.loop_closure.proposals import Proposals
 from slam.loop_closure.trial import Trial, evidence_of_map
-from slam.loop_closure.verification import LoopDecision, Surroundings, compare_with_old, joined, without_walls
+from slam.loop_closure.verification import (
+    LoopDecision,
+    Surroundings,
+    compare_with_old,
+    joined,
+    proposed,
+    without_walls,
+)
 from slam.map.state import Parts
 from slam.mapping.fusion import Merges
 from slam.mapping.same_plane import disjoint
@@ -92,11 +101,16 @@ class LoopCloser:
         """
         rules, needed = self._config.loops, self._config.landmarks.min_observations
         self._ways.append(self._way())
-        if rules.max_candidates == 0 or self._ways[-1] - self._looked_at_m < rules.every_m:
+        given = [one for one in self._keyframes[-1].places if not one.inferred]
+        is_time = rules.max_candidates > 0 and self._ways[-1] - self._looked_at_m >= rules.every_m
+        if not is_time and not given:
             return None
-        self._looked_at_m = self._ways[-1]
         path = DrivenPath.of(self._sparsifier.held, np.array(self._ways), self._backend)
         around = Surroundings(path, self._keyframes, self._landmarks, self._backend, rules, needed)
+        closed = [one for one in self._given(given, around) if one.verdict == "closed"]
+        if closed or not is_time:
+            return self._close(closed, scale) if closed else None
+        self._looked_at_m = self._ways[-1]
         self._try_again(around)
         for decision in compare_with_old(around):
             self.decisions.append(decision)
@@ -140,6 +154,18 @@ class LoopCloser:
         if evidence is not None:
             for trial in late:
                 trial.hear(evidence, way, rules)
+
+    def _given(self, matches: Sequence[PlaceMatch], around: Surroundings) -> list[LoopDecision]:
+        """What becomes of the places that the newest keyframe is known to stand near."""
+        now, decisions = len(self._keyframes) - 1, []
+        for match in matches:
+            base, *pose = anchored(match, self._backend)
+            way_m = float(around.path.lengths[-1])
+            proposal = Proposal(now, gtsam.Symbol(base).index(), PlanarPose(*pose), np.inf, way_m)
+            decision = proposed(proposal, around)
+            decisions.append(decision if decision.verdict == "known" else joined(decision, proposal, around))
+        self.decisions += decisions
+        return decisions
 
     def _accepted(self, decision: LoopDecision, around: Surroundings) -> list[LoopDecision]:
         """The loops that may be closed now that this comparison has been made, the newest last."""

@@ -13,7 +13,7 @@ from slam.backend.estimator import Backend, pose_symbol
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.information import left_open
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.odometry import NO_FLOOR, Motion, planar_delta
+from slam.frontend.odometry import NO_FLOOR, Motion, difference, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.candidates import DrivenPath, old_keyframes, radius_of
 from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
@@ -22,6 +22,7 @@ from slam.map.landmarks import Landmark, LandmarkMap
 from slam.registration.correlative_search import PlaceView, SearchResult, search_place
 from slam.registration.place_recognition import ConstellationMatch, match_constellations, match_near
 from slam.registration.submaps import RelativePose
+from spplanes._check import FloatArray
 
 LoopVerdict = Literal[
     "closed", "waiting", "refused", "known", "not seen", "ambiguous", "unobservable", "far", "too few"
@@ -125,8 +126,11 @@ def compare_with_old(around: Surroundings) -> Iterator[LoopDecision]:
 
 def is_tied(shared: Sequence[Landmark], estimate: RelativePose, landmarks: LandmarkMap, config: LoopConfig) -> bool:
     """Whether two places see so much in common that nothing is left to find: walls in more than one direction."""
-    if estimate.reach_m <= config.tied_m and shared:
-        return True
+    return bool(estimate.reach_m <= config.tied_m and shared) or ties(shared, landmarks, config)
+
+
+def ties(shared: Sequence[Landmark], landmarks: LandmarkMap, config: LoopConfig) -> bool:
+    """Whether walls that two places see, in more than one direction, leave nothing open between them."""
     if len(shared) < config.min_walls:
         return False
     normals = np.array([landmarks.placed(one.id).normal for one in shared])
@@ -155,14 +159,31 @@ def _decide_by_search(found: SearchResult, estimate: RelativePose, old: int, pat
     if not found.modes:
         return LoopDecision(now, old, "not seen")
     best = found.modes[0]
-    offset = inverse(planar_transform(*estimate.delta)) @ planar_transform(*best.pose)
-    far, turn = float(np.linalg.norm(offset[:2, 3])), float(planar_delta(offset)[2])
+    far, turn = _offset(estimate.delta, best.pose)
     if best.log_odds <= 0.0 or found.is_at_edge:
         rivals = len(found.modes) > 1 or found.is_at_edge
         return LoopDecision(now, old, "ambiguous" if rivals else "not seen", (), far, turn, evidence=best.evidence)
     pose = PlanarPose(best.pose, best.covariance)
     proposal = Proposal(now, old, pose, best.log_odds, float(path.lengths[-1]))
     return LoopDecision(now, old, "waiting", (), far, turn, evidence=best.evidence, proposal=proposal)
+
+
+def proposed(proposal: Proposal, around: Surroundings) -> LoopDecision:
+    """A closure that somebody else proposes, before it is accepted: known, where walls that both see bear it out."""
+    now, old, pose = proposal.keyframe, proposal.old_keyframe, proposal.pose
+    estimate = planar_delta(inverse(around.path.pose(old)) @ around.path.pose(now))
+    far, turn = _offset(estimate, pose.delta)
+    here, there = (around.landmarks_about(frame) for frame in (now, old))
+    error, limit = difference(estimate, pose.delta), chdtri(3, around.config.significance)
+    fits = error @ np.linalg.solve(pose.covariance, error) <= limit
+    is_known = fits and ties([one for one in here if one in there], around.landmarks, around.config)
+    return LoopDecision(now, old, "known" if is_known else "waiting", (), far, turn, proposal=proposal)
+
+
+def _offset(estimate: FloatArray, found: FloatArray) -> tuple[float, float]:
+    """How far two motions (x, y, theta) lie from another, m, and how much they are turned, rad."""
+    offset = inverse(planar_transform(*estimate)) @ planar_transform(*found)
+    return float(np.linalg.norm(offset[:2, 3])), float(planar_delta(offset)[2])
 
 
 def joined(decision: LoopDecision, proposal: Proposal, around: Surroundings) -> LoopDecision:

@@ -62,8 +62,10 @@ class MapUpdater:
         self._unmatched.add(at, keyframe, unused)
         factors = [*(insertion.factor for insertion in insertions), *prediction.pending, *beyond]
         if not factors:
+            if prediction.hints:
+                self._backend.update([], initial, remove=prediction.hints)
             return MapUpdate(at)
-        leaving, expected = list(prediction.standing_in), self._backend.pose(pose_key)
+        leaving, expected = [*prediction.standing_in, *prediction.hints], self._backend.pose(pose_key)
         indices = self._backend.update(factors, initial, remove=leaving, relinearize=prediction.is_wide)
         turn = inverse(expected)[:3, :3] @ self._backend.pose(pose_key)[:3, :3]
         if not prediction.is_wide and bends(turn, [insertion.observation for insertion in insertions]):

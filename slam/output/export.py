@@ -24,7 +24,7 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False, leve
     ``.ply`` and ``.glb``: the polygons of the planes as a coloured mesh. ``.g2o``: the graph with its planes. ``.tum``,
     and ``.kitti`` or ``.kitti.txt``: the trajectory, every number exactly. ``.dxf``, ``.svg`` and ``.ifc``: the floor
     plan with standard deviations, for which the run's session is replayed. With ``level`` the world is turned so that
-    its largest floor is level (`slam.runs.levelling.levelled`); floor plans always are.
+    its largest floor is level (`slam.output.levelling.levelled`); floor plans always are.
 
     Returns:
         What whoever reads the file must know, a sentence each: a floor plan without rooms.
@@ -42,7 +42,7 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False, leve
     write = _writer_for(to)
     stored = StoredRun.read(run)
     if level:
-        from slam.runs.levelling import levelled
+        from slam.output.levelling import levelled
 
         turned = levelled(stored)
         stored = stored if write in (_dxf, _svg, _ifc) else turned  # these measure the run's own planes once more

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import tempfile
@@ -18,6 +19,7 @@ from slam.frontend.keyframes import keyframes_of
 from slam.io.load import load
 from slam.output.new_folder import check_free
 from slam.planeslam import PlaneSlam
+from slam.runs.slam_run import Run
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig
 from slam.session._digest import fingerprint
@@ -28,6 +30,8 @@ from slam.session.state import SESSION_FILE, check_run_folder, session_path
 from slam.session.store import Session, SessionError
 
 _WORK = ".results-"
+#: What was mended at the end of a run, among the results in its session: nothing is left to mend.
+_REPAIRS = "repairs"
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,7 @@ def resumed_run(folder: Path, log_path: Path | None = None) -> Iterator[Resumed]
     folder = Path(folder)
     check_run_folder(folder)
     with Session.open(session_path(folder)) as session:
-        if session.is_finished:
+        if session.is_finished and not _is_open_to_repair(folder, session):
             raise FinishedAlready(f"{folder}: finished already; nothing is left to do")
         source = Source.of(session, log_path)
         if session.rig is None:
@@ -139,7 +143,16 @@ def resumed_run(folder: Path, log_path: Path | None = None) -> Iterator[Resumed]
         yield Resumed(resumed(PlaneSlam, session, recorder), log, rig)
 
 
-def conclude(slam: PlaneSlam, folder: Path, write: Callable[[Path], None]) -> None:
+def _is_open_to_repair(folder: Path, session: Session) -> bool:
+    """Whether a finished run found itself wrong before there was anything to be done about it."""
+    try:
+        numbers = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+        return session.result(_REPAIRS) is None and numbers["verdict"]["verdict"] != "sound"
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def conclude(run: Run, folder: Path, write: Callable[[Path], None]) -> None:
     """Put the results of a run beside its session, then say in the session that it is finished.
 
     `write` writes them into a folder given; each is moved into its place when all are written. A run that dies in here
@@ -156,9 +169,12 @@ def conclude(slam: PlaneSlam, folder: Path, write: Callable[[Path], None]) -> No
     finally:
         for left in folder.glob(f"{_WORK}*"):
             shutil.rmtree(left, ignore_errors=True)
-    recorder = slam.recorder
+    recorder = run.slam.recorder
     if isinstance(recorder, SessionRecorder):
-        recorder.session.finish(**_results(slam))
+        results = _results(run.slam)
+        if run.repairs is not None:
+            results[_REPAIRS] = json.dumps([one.to_dict() for one in run.repairs]).encode()
+        recorder.session.finish(**results)
     for replaced in folder.parent.glob(f".{folder.name}-old-*"):
         shutil.rmtree(replaced, ignore_errors=True)
 

@@ -27,6 +27,9 @@ def metrics_of(run: Run) -> list[Metric]:
         Metric("planes in the map", len(run.planes), ""),
         Metric("landmarks tried", len(run.slam.landmarks), ""),
     ]
+    if run.repairs:
+        rows.append(Metric("places laid anew", sum(one.moved for one in run.repairs), ""))
+        rows.append(Metric("  the farthest by", max(one.offset_m for one in run.repairs), "m"))
     known = [landmark for landmark in run.slam.landmarks if landmark.known]
     if known:
         again = sum(bool(landmark.sightings or landmark.seen_by_past) for landmark in known)
@@ -69,6 +72,7 @@ def details_of(run: Run) -> dict[str, Any]:
     return {
         "verdict": run.verdict.to_dict(),
         "evidence": [one.to_dict() for one in run.verdict.evidence],
+        "repairs": [one.to_dict() for one in run.repairs or ()],
         "facing_pairs": [pair.__dict__ for pair in facing_pairs(run.planes)],
         "nis": [{**summary.__dict__, "verdict": summary.verdict} for summary in run.slam.audit.summary()],
         "open_directions": [stretch.to_dict() for stretch in run.slam.open_directions],

@@ -19,6 +19,7 @@ from slam.frontend.range_noise import with_shown_noise
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory
 from slam.planeslam import MapPlane, PlaneSlam
+from slam.runs.repair import Repair, repaired
 from slam.runs.scan_trajectory import odometry_at_scans, scan_trajectory
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig
@@ -48,6 +49,10 @@ class Run:
     """With which sensors."""
     clock: StageClock
     """Time per stage."""
+    repairs: tuple[Repair, ...] | None = None
+    """What was mended when it had ended; None: that was not asked for."""
+    judged: Verdict | None = None
+    """The verdict, where it is known."""
 
     @cached_property
     def scan_trajectory(self) -> Trajectory:
@@ -62,6 +67,8 @@ class Run:
     @cached_property
     def verdict(self) -> Verdict:
         """Sound, doubtful or broken, and why."""
+        if self.judged is not None:
+            return self.judged
         with self.clock.stage("verdict"):
             return look_at(self.slam, self.rig)
 
@@ -73,6 +80,7 @@ def run_slam(
     *,
     slam: PlaneSlam | None = None,
     batch: bool = False,
+    repair: bool = True,
     jobs: int = 1,
     clock: StageClock | None = None,
     progress: Progress | None = None,
@@ -84,6 +92,7 @@ def run_slam(
             states what they show is taken, with a note in the log (`slam.frontend.range_noise`).
         slam: an estimator to go on with, which has the first keyframes of the log already; None: a new one.
         batch: solve the same graph once more as a whole at the end.
+        repair: mend a map that is found to be wrong where the drive tells how (`slam.runs.repair`).
         jobs: processes that measure keyframes while the estimate goes on; the result is the same to the bit.
         clock: takes the time of every stage.
         progress: is told how many keyframes are done, and how many there are.
@@ -109,13 +118,19 @@ def run_slam(
                 _add(slam, keyframe, strict=config.keyframes.strict)
             if progress is not None:
                 progress(done + 1, total)
+    judged, repairs = None, None
+    if repair:
+        with clock.stage("repair"):
+            slam, judged, repairs = repaired(slam, rig, progress)
     if batch:
+        judged = None
         with clock.stage("batch"):
             slam.adopt_batch()
     with clock.stage("map"):
         planes = slam.planes
     trajectory = slam.trajectory
-    return Run(slam, planes, trajectory, odometry_of(log, rig, trajectory), log, rig, clock)
+    odometry = odometry_of(log, rig, trajectory)
+    return Run(slam, planes, trajectory, odometry, log, rig, clock, repairs, judged)
 
 
 def _add(slam: PlaneSlam, keyframe: Keyframe, *, strict: bool) -> None:

@@ -21,7 +21,7 @@ from slam.association.data_association import Candidate, Decision
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import Motion
-from slam.frontend.pose_measurements import KINDS
+from slam.frontend.pose_measurements import KINDS, PlaceMatch
 from slam.io.spool import StoredScan
 from slam.map.map_planes import MapPlane
 from slam.sensors.log import CloudScan, LaserScan, StoredCloud
@@ -38,6 +38,7 @@ _CLASSES: dict[str, type] = {
         LineObservation,
         MapPlane,
         Motion,
+        PlaceMatch,
         Plane,
         PlaneObservation,
         ScanLine,
@@ -121,6 +122,11 @@ def keyframe_of(data: bytes) -> Keyframe:
 def decisions_of(data: bytes) -> list[Decision]:
     """The decisions about a keyframe."""
     return _held(decode(data), list[Decision])
+
+
+def places_of(data: bytes) -> dict[int, tuple[PlaceMatch, ...]]:
+    """The places that keyframes stand near, by their indices."""
+    return dict(_held(decode(data), list[tuple[int, tuple[PlaceMatch, ...]]]))
 
 
 def scan_of(data: bytes) -> LaserScan | CloudScan:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from slam.association.data_association import Decision
 from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe
+from slam.frontend.pose_measurements import PlaceMatch
 from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import Rig
-from slam.session._codec import CodecError, decisions_of, keyframe_of, scan_of
+from slam.session._codec import CodecError, decisions_of, keyframe_of, places_of, scan_of
 from slam.session._digest import digest
 from slam.session._file import SessionDamaged, SessionError, translated
 from slam.session._opening import OpenFile
@@ -70,6 +71,8 @@ class SessionRecords:
         except ValueError as error:
             raise SessionError(f"{self.path}: expected the parameters of a run, got others") from error
         self.prior = parameters["prior"]
+        #: Places found after the drive, by the keyframe that stands near them; a keyframe is read with its own.
+        self.places = self._read_places()
         self._last = b""
         self._root = digest(*(parameters[key] for key in _PARAMETERS))
         if damaged:  # nobody knows how many there were
@@ -110,14 +113,26 @@ class SessionRecords:
             chain = digest(chain, index, row[0], row[1]) if row is not None else b""
             if row is None or chain != row[2]:
                 raise self._damaged(index)
-            yield Entry(self._checked(keyframe_of, row[1], index), self.decisions(index, chain))
+            yield Entry(self._keyframe(row[1], index), self.decisions(index, chain))
 
     def keyframe(self, index: int) -> Keyframe:
         """The measurements of one keyframe."""
         row = self._one("SELECT stamp_ns, data, digest FROM keyframes WHERE id = ?", index)
         if row is None or digest(self._digest_of(index - 1), index, row[0], row[1]) != row[2]:
             raise self._damaged(index)
-        return self._checked(keyframe_of, row[1], index)
+        return self._keyframe(row[1], index)
+
+    def _keyframe(self, data: bytes, index: int) -> Keyframe:
+        """A keyframe out of its record, with the places that were found for it since."""
+        measured = self._checked(keyframe_of, data, index)
+        return replace(measured, places=self.places[index]) if index in self.places else measured
+
+    def _read_places(self) -> dict[int, tuple[PlaceMatch, ...]]:
+        data = self._read("session", "places")
+        try:
+            return {} if data is None else places_of(data)
+        except CodecError as error:
+            raise SessionError(f"{self.path}: expected places that were found, got something else ({error})") from error
 
     def decisions(self, index: int, chain: bytes | None = None) -> list[Decision] | None:
         """What the measurements of a keyframe were taken for; None: not recorded."""

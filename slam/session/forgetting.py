@@ -10,7 +10,7 @@ from slam.association.data_association import Decision
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion
-from slam.frontend.pose_measurements import PoseMeasurement
+from slam.frontend.pose_measurements import PlaceMatch, PoseMeasurement
 from slam.growable import Growing, Rows
 from slam.session.store import Session
 from spplanes._check import FloatArray
@@ -85,6 +85,11 @@ class StoredKeyframe(Keyframe):
     def pose_measurements(self) -> Sequence[PoseMeasurement]:  # type: ignore[override]
         """What is known of the pose beside motion and planes."""
         return self._read().pose_measurements  # type: ignore[attr-defined]
+
+    @property
+    def places(self) -> Sequence[PlaceMatch]:  # type: ignore[override]
+        """Earlier keyframes that it is known to stand near."""
+        return self._read().places  # type: ignore[attr-defined]
 
     @property
     def surfaces(self) -> FloatArray | None:  # type: ignore[override]

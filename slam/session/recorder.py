@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import MutableSequence, Sequence
+from collections.abc import Mapping, MutableSequence, Sequence
 
 from slam.association.data_association import Decision
 from slam.frontend.keyframes import Keyframe
+from slam.frontend.pose_measurements import PlaceMatch
+
+#: Places by the keyframe that stands near them.
+Places = Mapping[int, Sequence[PlaceMatch]]
 
 
 class Recorder:
@@ -29,5 +33,29 @@ class Recorder:
     def decided(self, index: int, decisions: Sequence[Decision]) -> None:
         """What each of them was taken for, before its factor is added."""
 
+    def mended(self, places: Places, decisions: Sequence[Sequence[Decision]]) -> None:
+        """All keyframes were matched anew with more places known: these decisions take the place of those before."""
+
     def close(self) -> None:
         """Nothing more will come."""
+
+
+class Rehearsal(Recorder):
+    """Listens to keyframes that another recorder has, as they are matched anew; of those that follow it tells that one.
+
+    Args:
+        first: the recorder.
+        count: keyframes that it has.
+    """
+
+    def __init__(self, first: Recorder, count: int) -> None:
+        self._first, self._count = first, count
+
+    def measured(self, index: int, keyframe: Keyframe) -> Keyframe:
+        """Those that are known stay as they are."""
+        return keyframe if index < self._count else self._first.measured(index, keyframe)
+
+    def decided(self, index: int, decisions: Sequence[Decision]) -> None:
+        """Nothing is kept before the first recorder is told that all of it counts."""
+        if index >= self._count:
+            self._first.decided(index, decisions)

@@ -16,7 +16,7 @@ from slam.sensors.log import Log
 from slam.session._codec import encode
 from slam.session.forgetting import ForgottenDecisions, ForgottenKeyframes
 from slam.session.prior_map import PriorMap
-from slam.session.recorder import Recorder
+from slam.session.recorder import Places, Recorder
 from slam.session.state import session_path
 from slam.session.store import Session, SessionError
 
@@ -82,6 +82,10 @@ class SessionRecorder(Recorder):
         elif not self.session.read_only:
             self.session.add_decisions(index, decisions)
 
+    def mended(self, places: Places, decisions: Sequence[Sequence[Decision]]) -> None:
+        """Commit both at once."""
+        self.session.mend(places, decisions)
+
     def close(self) -> None:
         """Close the session."""
         self.session.close()
@@ -121,7 +125,7 @@ def replay(session: Session, slam: Estimator) -> None:
 
 def is_measured_again(session: Session, index: int, keyframe: Keyframe) -> bool:
     """Whether a keyframe measured anew is the one that was recorded, bit for bit."""
-    again, before = replace(keyframe, scans=()), session.keyframe(index)
+    again, before = replace(keyframe, scans=()), replace(session.keyframe(index), places=keyframe.places)
     return encode(again) == encode(before)
 
 

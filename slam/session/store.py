@@ -25,6 +25,7 @@ from slam.session._file import (
 )
 from slam.session._opening import make_file, open_file, put
 from slam.session._records import Entry, RawScan, SessionRecords
+from slam.session.recorder import Places
 from slam.session.state import check_session_given, session_path
 from spplanes import __version__
 
@@ -134,6 +135,25 @@ class Session(SessionRecords):
         row = (index, data, digest(self._digest_of(index), data))
         with self._on_the_way():
             self._db.execute("INSERT INTO decisions VALUES (?, ?, ?)", row)
+
+    def mend(self, places: Places, decisions: Sequence[Sequence[Decision]]) -> None:
+        """Record places that were found after the drive, and what all measurements were taken for with them known.
+
+        One transaction: a session is the one that it was, or the one that is replayed to the mended map; until `finish`
+        it has no results.
+        """
+        self._check_writable()
+        known = {**self.places, **{index: tuple(found) for index, found in places.items()}}
+        data = encode([(index, found) for index, found in sorted(known.items())])
+        with transaction(self.path, self._db):
+            put(self._db, "session", "places", data)
+            self._db.execute("DELETE FROM decisions")
+            for index, one in enumerate(decisions):
+                told = encode(list(one))
+                row = (index, told, digest(self._digest_of(index), told))
+                self._db.execute("INSERT INTO decisions VALUES (?, ?, ?)", row)
+            self._seal("running")
+        self.places = known
 
     @contextmanager
     def _on_the_way(self) -> Iterator[None]:

@@ -7,15 +7,17 @@ from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
+from scipy.special import chdtri
 
 from factors import pose_prior
 from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance
+from slam.backend.places import anchored
 from slam.frontend.information import beyond_lines, inverted
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.odometry import Motion
+from slam.frontend.odometry import NO_FLOOR, Motion, difference, planar_delta
 from slam.frontend.wheel_calibration import WheelCalibration
-from slam.geometry.frames import inverse, orthonormal
+from slam.geometry.frames import inverse, orthonormal, planar_transform
 from slam.map.sparsification import Link
 from slam.map.state import Parts
 from slam.registration.relocalization import FoundPlace, Rivals, found_place, is_wide
@@ -73,6 +75,8 @@ class Prediction:
     """Whether so little was known of the motion that the planes were asked."""
     robust: str | None = None
     """Robust kernel on what is matched from here: of a place that the planes had to find some of it is wrong."""
+    hints: tuple[int, ...] = ()
+    """Indices of factors that say where to look, and leave the graph when it has been looked."""
 
     @property
     def trusted(self) -> frozenset[int] | None:
@@ -106,7 +110,8 @@ class MotionModel:
         key, initial = pose_symbol(index), gtsam.Values()
         initial.insert(key, gtsam.Pose3(orthonormal(step.world_T_body)))
         beyond = [] if step.beyond is None else step.beyond.factors(pose_symbol(index - 1), key)[:1]
-        own_factors = [*step.factors, *beyond, *(one.factor(key) for one in keyframe.pose_measurements)]
+        hints = self._hints(keyframe, step.world_T_body, key)
+        own_factors = [*step.factors, *beyond, *(one.factor(key) for one in keyframe.pose_measurements), *hints]
         removal = self._sparsifier.plan_removal(index)
         through = [self._through(*motion) for motion in removal.motions]
         indices = self._backend.update([*own_factors, *through], initial, remove=removal.stale)
@@ -114,7 +119,7 @@ class MotionModel:
         self._sparsifier.removed(removal, indices[len(own_factors) :])
         n_step = len(step.factors)
         standing_in = own[n_step : n_step + len(beyond)]
-        floor = own[1:n_step] + own[n_step + len(beyond) :]
+        floor = own[1:n_step] + own[n_step + len(beyond) : len(own) - len(hints)]
         link = None if step.measured is None else Link(_with(step.measured, step.beyond), own[:1], floor)
         self._sparsifier.entered(index, link)
         return Prediction(
@@ -126,7 +131,20 @@ class MotionModel:
             standing_in=tuple(own[:n_step] if step.pending else standing_in),
             is_wide=step.is_wide,
             robust=(self._config.coasting.robust if step.pending else None) or self._config.backend.robust,
+            hints=tuple(own[len(own) - len(hints) :]),
         )
+
+    def _hints(self, keyframe: Keyframe, world_T_body: FloatArray, key: int) -> list[Any]:
+        """Factors of where a keyframe is known to be from earlier ones, where the prediction says otherwise."""
+        factors = []
+        for match in keyframe.places:
+            base, delta, covariance = anchored(match, self._backend)
+            error = difference(planar_delta(inverse(self._backend.pose(base)) @ world_T_body), delta)
+            if match.inferred and error @ np.linalg.solve(covariance, error) > chdtri(
+                3, self._config.loops.significance
+            ):
+                factors += Motion(planar_transform(*delta), covariance, NO_FLOOR).factors(base, key)[:1]
+        return factors
 
     def learn(self, prediction: Prediction) -> bool:
         """What a motion, now that its end has been seen, says about the wheels, and every so often all of them.

@@ -36,5 +36,5 @@ def write_office(folder: Path, seed: int, number: int) -> Path:
     log.write_text(folder.name, encoding="utf-8")
     with new_run(folder, drive.log, drive.rig, SlamConfig(), Source(log), prior=None, overwrite=False) as slam:
         run = run_slam(drive.log, drive.rig, SlamConfig(), slam=slam)
-        conclude(slam, folder, lambda work: write_run(run, work, title=folder.name))
+        conclude(run, folder, lambda work: write_run(run, work, title=folder.name))
     return folder

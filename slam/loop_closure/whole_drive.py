@@ -1,0 +1,199 @@
+"""Loop closure over a whole drive: every pair of stretches that may be one place, and the poses that they agree on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import gtsam
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.special import chdtri
+
+from factors import odometry_factor_2d
+from slam.config import BOUND_SIGMAS, LoopConfig
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.occupancy import CELL_M
+from slam.frontend.odometry import Motion, difference, planar_delta
+from slam.geometry.frames import inverse
+from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
+from slam.registration.correlative_search import PlaceView, search_place
+from slam.registration.submaps import view_of
+from spplanes._check import FloatArray
+
+#: Submaps that are kept to be searched in again.
+_VIEWS = 128
+#: Most pairs of stretches of a drive that are compared: of more, every second or third.
+_MOST_PAIRS = 600
+#: A robust solution is looked for in so many steps.
+_STEPS = 100
+#: Kernel of everything in it: a finding may be of another place, a step a slip.
+_KERNEL = "cauchy"
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """What a drive agrees on where all of it is held against all of it."""
+
+    proposals: tuple[Proposal, ...]
+    """Pairs of keyframes that stand near each other, in the order of the drive, of each two stretches one."""
+    offsets_m: FloatArray
+    """How far each of them is from where the estimate had it, m."""
+    refused: int
+    """Pairs that looked alike and do not agree with the others."""
+    inferred: tuple[Proposal, ...] = ()
+    """For every keyframe that passes an earlier one, where all of it together has it from there."""
+
+
+def agreement(keyframes: Sequence[Keyframe], poses: FloatArray, config: LoopConfig) -> Agreement | None:
+    """Which stretches of a drive are one place, all of it looked at once; None where it is not driven on a floor.
+
+    Loops are closed on the way by what was known then, and where one was missed or was none, all that follows bends to
+    the map that is there. Here the map is not asked: every pair of stretches that the estimate has near each other is
+    searched for its relative pose, as far around as the drive may have drifted. The graph of these findings and of all
+    steps as wheels and successive scans measured them is solved under a robust kernel, from the estimate and from dead
+    reckoning, whichever costs less. What fits the solution is what the drive agrees on.
+
+    Args:
+        keyframes: what was measured; those with `returns` take part.
+        poses: the estimate, world_T_body of each, shape (N, 4, 4).
+        config: the rules of loop closure; `significance` is the probability that a right finding is left out.
+    """
+    steps = [one.motion for one in keyframes[1:]]
+    if not steps or not all(one is not None and one.is_planar for one in steps):
+        return None
+    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1))))
+    found = list(_search(keyframes, poses, way, config))
+    graph, values = _solved([one for one in steps if one is not None], found, poses)
+    solved = np.array([_delta(values.atPose2(index)) for index in range(len(poses))])
+    limit = float(chdtri(3, config.significance))
+    fitting = [one for one in found if _misfit(one, solved) <= limit]
+    chosen = _one_of_each(fitting, way, config.window_m)
+    estimate = np.array([planar_delta(pose) for pose in poses])
+    offsets = [float(np.linalg.norm(_error(one, estimate)[:2])) for one in chosen]
+    inferred = _inferred(graph, values, solved, way, config) if chosen else ()
+    return Agreement(tuple(chosen), np.array(offsets), len(found) - len(fitting), tuple(inferred))
+
+
+def _search(
+    keyframes: Sequence[Keyframe], poses: FloatArray, way: FloatArray, config: LoopConfig
+) -> Iterator[Proposal]:
+    """The likeliest relative pose of every pair of stretches, where it is likelier than all else together."""
+
+    @lru_cache(_VIEWS)
+    def view(frame: int) -> PlaceView | None:
+        first, last = np.searchsorted(way, (way[frame] - config.window_m, way[frame] + config.window_m)).tolist()
+        seen = view_of([keyframes[one] for one in range(first, last)], list(poses[first:last]), poses[frame], config)
+        return None if seen is None else PlaceView(seen)
+
+    warp = np.diag(np.square(0.5 * CELL_M * np.array((1.0, 1.0, 1.0 / config.window_m))))  # a submap is not quite rigid
+    for old, new in _pairs(keyframes, poses, way, config):
+        here, there = view(new), view(old)
+        if here is None or there is None:
+            continue
+        drift = min(config.drift_share * (way[new] - way[old]), 0.5 * config.window_m)
+        reach = drift * np.array((1.0, 1.0, 2.0 / config.window_m))
+        guess, covariance = planar_delta(inverse(poses[old]) @ poses[new]), np.diag((reach / BOUND_SIGMAS) ** 2)
+        found = search_place(here, there, guess, covariance, reach, looks=config.looks_per_place)
+        if found.modes and found.modes[0].log_odds > 0.0 and not found.is_at_edge:
+            best = found.modes[0]
+            yield Proposal(new, old, PlanarPose(best.pose, best.covariance + warp), best.log_odds, float(way[new]))
+
+
+def _pairs(
+    keyframes: Sequence[Keyframe], poses: FloatArray, way: FloatArray, config: LoopConfig
+) -> list[tuple[int, int]]:
+    """Keyframes (old, new), two in a window of travel, about which the estimate has the drive twice in one place.
+
+    Of each stretch that lies near, the nearest. Loops shorter than three windows are left to association.
+    """
+    nodes: list[int] = []
+    for frame, keyframe in enumerate(keyframes):
+        is_due = not nodes or way[frame] - way[nodes[-1]] >= 0.5 * config.window_m
+        if is_due and keyframe.returns is not None and len(keyframe.returns):
+            nodes.append(frame)
+    if not nodes:
+        return []
+    places, lengths, pairs = poses[nodes, :2, 3], way[nodes], []
+    tree = KDTree(places)
+    for row, new in enumerate(nodes):
+        near = np.array(tree.query_ball_point(places[row], config.window_m), dtype=np.int64)
+        near = near[lengths[row] - lengths[near] > 3.0 * config.window_m]
+        away = np.linalg.norm(places[near] - places[row], axis=1)
+        stretch = np.floor(lengths[near] / config.window_m)
+        order = np.lexsort((near, away, stretch))
+        _, first = np.unique(stretch[order], return_index=True)
+        pairs += [(nodes[one], new) for one in near[order][first].tolist()]
+    return pairs[:: max(1, -(-len(pairs) // _MOST_PAIRS))]
+
+
+def _solved(
+    steps: Sequence[Motion], found: Sequence[Proposal], poses: FloatArray
+) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """The graph of steps and findings, and the Pose2 of every keyframe by it."""
+    start = gtsam.Pose2(*planar_delta(poses[0]))
+    graph, estimate, reckoned = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.Values()
+    graph.push_back(gtsam.NonlinearEqualityPose2(0, start))
+    for index, pose in enumerate(poses):
+        estimate.insert(index, gtsam.Pose2(*planar_delta(pose)))
+    reckoned.insert(0, start)
+    for index, step in enumerate(steps):
+        motion = step.by_all or step
+        delta = planar_delta(motion.a_T_b)
+        graph.push_back(odometry_factor_2d(index, index + 1, delta, motion.covariance, robust=_KERNEL))
+        reckoned.insert(index + 1, reckoned.atPose2(index).compose(gtsam.Pose2(*delta)))
+    for one in found:
+        ends = one.old_keyframe, one.keyframe
+        graph.push_back(odometry_factor_2d(*ends, one.pose.delta, one.pose.covariance, robust=_KERNEL))
+    return graph, min((_minimum(graph, values) for values in (estimate, reckoned)), key=graph.error)
+
+
+def _inferred(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, places: FloatArray, way: FloatArray, config: LoopConfig
+) -> Iterator[Proposal]:
+    """Where each keyframe is from the nearest of those more than three windows before: a laser sees far."""
+    marginals = gtsam.Marginals(graph, values)
+    for new, length in enumerate(way.tolist()):
+        n_before = int(np.searchsorted(way, length - 3.0 * config.window_m))
+        if not n_before:
+            continue
+        nearest = int(np.argmin(np.linalg.norm(places[:n_before, :2] - places[new, :2], axis=1)))
+        by_old, by_new = np.zeros((3, 3), order="F"), np.zeros((3, 3), order="F")
+        there = values.atPose2(nearest).between(values.atPose2(new), by_old, by_new)
+        turn = np.eye(3)
+        turn[:2, :2] = there.rotation().matrix()
+        jacobian = turn @ np.hstack((by_old, by_new))
+        joint = marginals.jointMarginalCovariance([nearest, new]).fullMatrix()
+        yield Proposal(new, nearest, PlanarPose(_delta(there), jacobian @ joint @ jacobian.T), np.inf, length)
+
+
+def _minimum(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(_STEPS)
+    return gtsam.LevenbergMarquardtOptimizer(graph, start, parameters).optimize()
+
+
+def _error(one: Proposal, places: FloatArray) -> FloatArray:
+    """How far poses (N, 3) have the two keyframes from where they were found, (x, y, theta) as the finding, (3,)."""
+    old, new = (gtsam.Pose2(*places[end]) for end in (one.old_keyframe, one.keyframe))
+    return difference(_delta(old.between(new)), one.pose.delta)
+
+
+def _delta(pose: gtsam.Pose2) -> FloatArray:
+    return np.array((pose.x(), pose.y(), pose.theta()))
+
+
+def _misfit(one: Proposal, places: FloatArray) -> float:
+    """Chi2 of a finding, 3 dof."""
+    error = _error(one, places)
+    return float(error @ np.linalg.solve(one.pose.covariance, error))
+
+
+def _one_of_each(found: Sequence[Proposal], way: FloatArray, window_m: float) -> list[Proposal]:
+    """Of findings about the same two stretches the likeliest: the others saw the same."""
+    chosen: dict[tuple[int, ...], Proposal] = {}
+    for one in sorted(found, key=lambda one: (-one.log_odds, one.keyframe, one.old_keyframe)):
+        stretches = np.floor(way[[one.old_keyframe, one.keyframe]] / window_m).astype(int)
+        chosen.setdefault(tuple(stretches.tolist()), one)
+    return sorted(chosen.values(), key=lambda one: (one.keyframe, one.old_keyframe))

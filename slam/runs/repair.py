@@ -1,0 +1,111 @@
+"""Repair: where the verdict says that a map is wrong, all of the drive is held against all of it, and mapped again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slam.diagnostics.evidence import look_at
+from slam.diagnostics.verdict import Verdict
+from slam.diagnostics.views.comparing import TOLERANCE_M
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.pose_measurements import PlaceMatch
+from slam.loop_closure.whole_drive import Agreement, agreement
+from slam.planeslam import PlaneSlam
+from slam.sensors.rig import Rig
+
+#: A map is mended again while that makes it better, at most so often.
+_ROUNDS = 3
+#: Verdicts, the better first.
+_GRADES = ("sound", "doubtful", "broken")
+
+
+@dataclass(frozen=True)
+class Repair:
+    """What was done to a run after its end."""
+
+    places: int
+    """Pairs of keyframes that the drive as a whole has in one place, and that the map was made anew with."""
+    moved: int
+    """Those that the map before had elsewhere, by more than a map may err."""
+    offset_m: float
+    """The farthest of them, m."""
+    before: str
+    """The verdict on the map before, in one line."""
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        return (
+            f"repaired: {self.moved} of {self.places} places that the drive passed again lay up to {self.offset_m:.2g} "
+            f"m from where all of it together has them; before, {self.before}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """For metrics.json."""
+        return {"places": self.places, "moved": self.moved, "offset_m": self.offset_m, "before": self.before}
+
+
+class Repaired(NamedTuple):
+    """A run, its verdict, and what was done to it."""
+
+    slam: PlaneSlam
+    """The estimator, the one that was where nothing was repaired."""
+    verdict: Verdict
+    """On its map."""
+    repairs: tuple[Repair, ...]
+    """One after the other."""
+
+
+def repaired(slam: PlaneSlam, rig: Rig, progress: Callable[[int, int], None] | None = None) -> Repaired:
+    """The verdict on a run that has ended, and the run mended where it is not sound and the drive tells how.
+
+    The verdict names what contradicts the map. The other way to explain the drive is the one that all stretches of it
+    agree on when each is held against each (`slam.loop_closure.whole_drive`): where places are elsewhere by that, the
+    keyframes are mapped again with these places known. The new map is kept where the evidence speaks less against it,
+    and mended again until nothing gets better. Drives with level lasers on a floor are; what is localised in a prior
+    map is not.
+    """
+    with slam.clock.stage("verdict"):
+        verdict = look_at(slam, rig)
+    repairs: list[Repair] = []
+    while verdict.verdict != "sound" and len(repairs) < _ROUNDS and is_open_to_repair(slam):
+        found = agreement(slam.keyframes, slam.trajectory.poses, slam.config.loops)
+        moved = 0 if found is None else int((found.offsets_m > TOLERANCE_M).sum())
+        if found is None or not moved:
+            break
+        places = _places_of(found, slam.keyframes)
+        other = slam.again(places, progress)
+        with slam.clock.stage("verdict"):
+            judged = look_at(other, rig)
+        if _badness(judged) >= _badness(verdict):
+            break
+        other.stand_for(slam, places)
+        repairs.append(Repair(len(found.proposals), moved, float(found.offsets_m.max()), verdict.line))
+        slam, verdict = other, judged
+    return Repaired(slam, verdict, tuple(repairs))
+
+
+def is_open_to_repair(slam: PlaneSlam) -> bool:
+    """Whether loops are looked for at all, nothing but the drive itself says where it was, and it is in memory."""
+    return slam.config.loops.max_candidates > 0 and slam.prior is None and isinstance(slam.keyframes, list)
+
+
+def _places_of(found: Agreement, keyframes: Sequence[Keyframe]) -> dict[int, tuple[PlaceMatch, ...]]:
+    """What the drive agrees on, by the later keyframe; nothing, where something else was said before."""
+    places: dict[int, list[PlaceMatch]] = {index: [] for index, frame in enumerate(keyframes) if frame.places}
+    for inferred, proposals in ((False, found.proposals), (True, found.inferred)):
+        for one in proposals:
+            match = PlaceMatch(one.old_keyframe, one.pose.delta, one.pose.covariance, inferred)
+            places.setdefault(one.keyframe, []).append(match)
+    return {keyframe: tuple(matches) for keyframe, matches in places.items()}
+
+
+def _badness(verdict: Verdict) -> tuple[int, float]:
+    """How much speaks against a map: its grade, then how unlikely all that was found is of a sound one, nats."""
+    least = np.finfo(float).tiny
+    unlikely = -sum(float(np.log(max(one.p_value, least))) for one in verdict.evidence)
+    return _GRADES.index(verdict.verdict), unlikely

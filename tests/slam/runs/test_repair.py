@@ -1,0 +1,189 @@
+"""A run that is wrong says so, is mapped again with what the whole drive agrees on, and is right then."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from slam import PlaneSlam
+from slam.cli import app
+from slam.config import LoopConfig, SlamConfig
+from slam.frontend.keyframes import Keyframe, keyframes_of
+from slam.frontend.odometry import planar_delta
+from slam.frontend.pose_measurements import PlaceMatch
+from slam.geometry.frames import inverse, planar_transform
+from slam.output.run_metrics import details_of, metrics_of
+from slam.runs.repair import is_open_to_repair, repaired
+from slam.runs.slam_run import Run, odometry_of
+from slam.sensors.rig import default_rig_for
+from slam.session._codec import encode
+from slam.session.recorder import Places
+from slam.session.salvage import salvage_session
+from slam.session.store import Session, SessionDamaged
+from slam.simulation import simulate_mission
+from slam.simulation.floorplan import Drive, LaserSettings, Wheels, drive, ring
+from tests.slam.diagnostics.evidence.test_look import turned
+
+#: The keyframe that somebody says stands elsewhere, from an early one, by so much, and how sure: the map has to bend.
+AT, OLD, ASIDE, SURE = 80, 4, (1.2, 0.4, 0.03), (1e-4, 1e-4, 1e-5)
+
+
+@pytest.fixture(scope="module")
+def truth() -> Drive:
+    rng = np.random.default_rng(4)
+    plan = ring(rng, length_m=10.0, depth_m=7.0, doors_per_wall=3)
+    return drive(plan, rng, LaserSettings(), Wheels(scale=0.04, curvature_rad_per_m=0.05))
+
+
+@pytest.fixture(scope="module")
+def frames(truth: Drive) -> list[Keyframe]:
+    """The keyframes of a drive round a block, one with a loop that is none."""
+    made = list(keyframes_of(truth.log, default_rig_for(truth.log), SlamConfig()))
+    old, at = (truth.poses_at(np.array([made[index].stamp_ns]))[0] for index in (OLD, AT))
+    false = planar_delta(inverse(old) @ at @ planar_transform(*ASIDE))
+    made[AT] = replace(made[AT], places=(PlaceMatch(OLD, false, np.diag(SURE) ** 2),))
+    return made
+
+
+@pytest.fixture(scope="module")
+def bent(frames: list[Keyframe], truth: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The session of the run that believed it."""
+    path = tmp_path_factory.mktemp("bent") / "session.db"
+    with PlaneSlam.open(path, SlamConfig()) as slam:
+        for frame in frames:
+            slam.add_keyframe(frame)
+    return path
+
+
+@pytest.fixture(scope="module")
+def mended(bent: Path, truth: Drive, tmp_path_factory: pytest.TempPathFactory):
+    """A copy of it mended: the run, its session, the error before, the progress told, and the session until then."""
+    path, told = tmp_path_factory.mktemp("mended") / "session.db", []
+    until_then, count = path.with_name("until_then.db"), PlaneSlam.stand_for
+
+    def kept(slam: PlaneSlam, first: PlaneSlam, places: Places) -> None:
+        with sqlite3.connect(path) as now, sqlite3.connect(until_then) as copy:
+            now.backup(copy)
+        count(slam, first, places)
+
+    path.write_bytes(bent.read_bytes())
+    with PlaneSlam.open(path) as slam, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(PlaneSlam, "stand_for", kept)
+        before = errors(slam, truth).max()
+        out = repaired(slam, default_rig_for(truth.log), lambda done, total: told.append((done, total)))
+    return out, path, before, told, until_then
+
+
+def errors(slam: PlaneSlam, truth: Drive) -> np.ndarray:
+    """Of the poses, the first given, m."""
+    path = slam.trajectory
+    away = inverse(path.poses[0]) @ path.poses - truth.poses_at(path.stamps_ns)
+    return np.linalg.norm(away[:, :2, 3], axis=1)
+
+
+def test_a_false_loop_is_found_and_the_drive_mapped_without_it(mended, truth: Drive):
+    out, _, before, told, _ = mended
+    [repair] = out.repairs
+    assert before > 0.5 and errors(out.slam, truth).max() < 0.05
+    assert out.verdict.verdict == "sound"
+    assert repair.before.startswith("the map is broken") and repair.moved >= 1 and repair.offset_m > 0.5
+    assert f"{repair.moved} of {repair.places} places" in repair.sentence
+    assert told[-1] == (len(out.slam.keyframes), len(out.slam.keyframes))
+
+
+def test_the_mended_run_is_what_its_session_is_replayed_to(mended):
+    out, path, *_ = mended
+    with PlaneSlam.open(path, read_only=True, forget_raw=True) as again:
+        assert again.trajectory.poses.tobytes() == out.slam.trajectory.poses.tobytes()
+        assert all(match.delta[0] < 1.0 for match in again.keyframes[AT].places if match.keyframe == OLD)
+
+
+def test_it_goes_on_as_any_run(mended, frames: list[Keyframe], tmp_path: Path):
+    path = mended[1]
+    copy = tmp_path / "session.db"
+    copy.write_bytes(path.read_bytes())
+    with PlaneSlam.open(copy) as slam:
+        last = frames[-1]
+        slam.add_keyframe(replace(last, stamp_ns=last.stamp_ns + 10**9))
+        whole = slam.trajectory.poses
+    with PlaneSlam.open(copy, read_only=True) as again:
+        assert again.trajectory.poses.tobytes() == whole.tobytes()
+
+
+def test_until_the_new_map_counts_the_session_is_the_old_one(mended, bent: Path):
+    *_, until_then = mended
+    with Session.open(until_then, read_only=True) as session, Session.open(bent, read_only=True) as before:
+        assert session.places == {} and len(session) == len(before)
+        assert all(encode(session.decisions(k)) == encode(before.decisions(k)) for k in range(len(before)))
+
+
+def test_damaged_places_are_said_and_a_salvaged_session_keeps_whole_ones(mended, tmp_path: Path):
+    path, damaged, saved = mended[1], tmp_path / "damaged.db", tmp_path / "saved.db"
+    damaged.write_bytes(path.read_bytes())
+    with sqlite3.connect(damaged) as other:
+        other.execute("UPDATE session SET data = data || X'00' WHERE key = 'places'")
+    with pytest.raises(SessionDamaged, match="places"):
+        Session.open(damaged, read_only=True)
+    saved.write_bytes(path.read_bytes())
+    with sqlite3.connect(saved) as other:
+        other.execute("UPDATE keyframes SET data = data || X'00' WHERE id = 87")
+    assert salvage_session(saved).saved == 87
+    with Session.open(saved, read_only=True) as again, Session.open(path, read_only=True) as whole:
+        for index in range(87):
+            assert encode(list(again.keyframe(index).places)) == encode(list(whole.keyframe(index).places))
+            assert encode(again.decisions(index)) == encode(whole.decisions(index))
+
+
+def test_numbers_and_table_tell_what_was_repaired(mended, truth: Drive):
+    out = mended[0]
+    rig, path = default_rig_for(truth.log), out.slam.trajectory
+    run = Run(out.slam, out.slam.planes, path, odometry_of(truth.log, rig, path), truth.log, rig, out.slam.clock,
+              out.repairs, out.verdict)  # fmt: skip
+    assert {"places laid anew", "  the farthest by"} <= {row.name for row in metrics_of(run)}
+    assert details_of(run)["repairs"][0]["before"].startswith("the map is broken")
+
+
+@pytest.mark.parametrize(
+    ("change", "keeps"),
+    [
+        (lambda config: config, True),
+        (lambda config: config.model_copy(update={"loops": LoopConfig(max_candidates=0)}), False),
+    ],
+)
+def test_where_no_loops_are_looked_for_none_are_mended(change: Callable[[SlamConfig], SlamConfig], keeps: bool):
+    assert is_open_to_repair(PlaneSlam(change(SlamConfig()))) is keeps
+
+
+def test_places_that_a_user_knows_close_a_loop(frames: list[Keyframe], truth: Drive):
+    """Own place recognition goes in with the keyframe; not a later place, nor a covariance that is none."""
+    old, at = (truth.poses_at(np.array([frames[index].stamp_ns]))[0] for index in (OLD, AT))
+    right = PlaceMatch(OLD, planar_delta(inverse(old) @ at), np.diag((0.02, 0.02, 0.004)) ** 2)
+    slam = PlaneSlam(SlamConfig(loops=LoopConfig(max_candidates=0)))
+    for index, frame in enumerate(frames[: AT + 1]):
+        slam.add_keyframe(replace(frame, places=(right,) if index == AT else ()))
+    [decision] = slam.loops
+    assert (decision.keyframe, decision.old_keyframe, decision.verdict) == (AT, OLD, "known")
+    for wrong in (replace(right, keyframe=AT + 1), replace(right, covariance=-right.covariance)):
+        with pytest.raises(ValueError, match=r"places\[0\]"):
+            slam.add_keyframe(replace(frames[AT + 1], places=(wrong,)))
+
+
+def test_a_finished_run_that_is_wrong_is_open_to_repair_once(tmp_path: Path):
+    """A mount that is stated backwards: nothing that the drive agrees on mends it, and it is asked once."""
+    mission, out = tmp_path / "log", tmp_path / "run"
+    made = simulate_mission("hall", n_scans=10, seed=3)
+    made.save(mission)
+    turned(made.rig).to_yaml(tmp_path / "backwards.yaml")
+    command = ["slam", str(mission), "--rig", str(tmp_path / "backwards.yaml"), "--out", str(out), "--no-repair"]
+    assert CliRunner().invoke(app, command).exit_code == 0
+    with Session.open(out, read_only=True) as session:
+        assert session.result("repairs") is None
+    for said in ("the map is broken", "finished already"):
+        done = CliRunner().invoke(app, ["slam", "--resume", str(out)])
+        assert (done.exit_code, said in done.output) == (0, True)
