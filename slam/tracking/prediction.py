@@ -13,6 +13,7 @@ from factors import pose_prior
 from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance
 from slam.backend.places import anchored
+from slam.config import BOUND_SIGMAS
 from slam.frontend.information import beyond_lines, inverted
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import NO_FLOOR, Motion, difference, planar_delta
@@ -135,14 +136,17 @@ class MotionModel:
         )
 
     def _hints(self, keyframe: Keyframe, world_T_body: FloatArray, key: int) -> list[Any]:
-        """Factors of where a keyframe is known to be from earlier ones, where the prediction says otherwise."""
-        factors = []
-        for match in keyframe.places:
+        """Factors of where a keyframe is known to be from earlier ones, where the prediction says otherwise.
+
+        By what is known of that and by more than what passes for tied: a wall is taken for another by decimetres.
+        """
+        rules, factors = self._config.loops, []
+        tied = rules.tied_m / BOUND_SIGMAS * np.array((1.0, 1.0, 1.0 / rules.window_m))
+        for match in (one for one in keyframe.places if one.inferred):
             base, delta, covariance = anchored(match, self._backend)
             error = difference(planar_delta(inverse(self._backend.pose(base)) @ world_T_body), delta)
-            if match.inferred and error @ np.linalg.solve(covariance, error) > chdtri(
-                3, self._config.loops.significance
-            ):
+            is_off = error @ np.linalg.solve(covariance, error) > chdtri(3, rules.significance)
+            if is_off and np.any(np.abs(error) > tied):
                 factors += Motion(planar_transform(*delta), covariance, NO_FLOOR).factors(base, key)[:1]
         return factors
 

@@ -141,7 +141,7 @@ def fit_shared_pose(
         open_side = (shared.roots.transpose(0, 2, 1) @ pose_side[..., None])[..., 0] - u
         sides = np.concatenate([coupling.transpose(0, 2, 1), open_side[..., None]], axis=2)
         try:
-            solved = np.linalg.solve(middle, sides)
+            solved = np.asarray(np.linalg.solve(middle, sides), dtype=np.float64)
         except np.linalg.LinAlgError:  # pose errors so large that one more than them is no more: rounding decides
             return OPEN_POSES, base, left, chi2
         information = (info - coupling @ solved[..., :3]).sum(axis=0)
