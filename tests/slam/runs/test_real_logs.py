@@ -15,9 +15,9 @@ from tests.slam.real_data import needs
 FIRST, LAST = 18, 100
 
 
-def mapped(name: str) -> Run:
+def mapped(name: str, *, repair: bool = True) -> Run:
     log, rig = load(needs(name))
-    return run_slam(log, rig, SlamConfig())
+    return run_slam(log, rig, SlamConfig(), repair=repair)
 
 
 def assert_honest(slam: PlaneSlam, least: int) -> None:
