@@ -36,7 +36,7 @@ from slam.mapping.same_plane import SamePlaneFinder
 from slam.registration.relocalization import Rivals
 from slam.registration.submaps import step_by_view
 from slam.session.prior_map import PriorMap
-from slam.session.recorder import Places, Recorder, Rehearsal
+from slam.session.recorder import Places, Recorder, SecondPass
 from slam.session.replay import open_slam
 from slam.timing import StageClock, timed
 from slam.tracking.odometry_record import OdometryRecord
@@ -231,16 +231,16 @@ class PlaneSlam:
             self._merge_same_planes({older for older, _ in closure.pairs})
             self._closer.fix(closure)
 
-    def again(self, places: Places, progress: Callable[[int, int], None] | None = None) -> PlaneSlam:
+    def remap(self, places: Places, progress: Callable[[int, int], None] | None = None) -> PlaneSlam:
         """The same keyframes through a new estimator, which knows beforehand what places some of them stand near.
 
-        This one stays as it is, and so does what is recorded, until the new one is to `stand_for` it.
+        This one stays as it is, and so does what is recorded, until the new one is to `supersede` it.
 
         Args:
             places: by index of the keyframe; they take the place of those that it has.
             progress: is told how many keyframes are done, and how many there are.
         """
-        recorder = Rehearsal(self.recorder, len(self.keyframes))
+        recorder = SecondPass(self.recorder, len(self.keyframes))
         slam = type(self)(
             self.config,
             prior=self.prior,
@@ -256,8 +256,8 @@ class PlaneSlam:
                 progress(index + 1, len(self.keyframes))
         return slam
 
-    def stand_for(self, first: PlaneSlam, places: Places) -> None:
-        """From here on this is the run: what was recorded of the `first` is replaced by what was decided `again`."""
+    def supersede(self, first: PlaneSlam, places: Places) -> None:
+        """From here on this is the run: what was recorded of the `first` is replaced by what this one decided."""
         first.recorder.mended(places, self.decisions)
         self.recorder = first.recorder
 

@@ -28,7 +28,7 @@ class KeyframeError(ValueError):
     """A keyframe that is refused before anything is done with it; the sentence says what is wrong with it."""
 
 
-def check_keyframe(keyframe: Keyframe, after_ns: int | None, index: int | None = None) -> None:
+def check_keyframe(keyframe: Keyframe, after_ns: int | None, index: int) -> None:
     """Refuse what would leave the graph half changed.
 
     Raises:
@@ -82,11 +82,11 @@ def _check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
             raise ValueError(f"keyframe.pose_measurements[{index}]: {error}") from error
 
 
-def _check_places(keyframe: Keyframe, index: int | None) -> None:
+def _check_places(keyframe: Keyframe, index: int) -> None:
     """Refuse matches with what is no place of before."""
     for number, match in enumerate(keyframe.places):
         name = f"keyframe.places[{number}]"
-        if match.keyframe < 0 or (index is not None and match.keyframe >= index):
+        if not 0 <= match.keyframe < index:
             raise ValueError(f"{name}.keyframe: expected an earlier keyframe, got {match.keyframe}")
         as_shape(f"{name}.delta", match.delta, (3,))
         _check_near(f"{name}.delta", match.delta, _FARTHEST_M)

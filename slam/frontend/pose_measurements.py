@@ -1,7 +1,8 @@
 """Measurements of a keyframe's pose that are of no plane: gravity from an IMU, places, and what else a robot knows.
 
-A new kind is a frozen dataclass of numbers and arrays with a method `factor`, named in `KINDS`: sessions write it, the
-graph takes it, and it leaves with its keyframe.
+A new kind of what a keyframe knows of its own pose is a frozen dataclass of numbers and arrays with a method `factor`,
+named in `KINDS`: sessions write it, the graph takes it, and it leaves with its keyframe. A `PlaceMatch` is of two
+keyframes: loop closure and the prediction weigh it.
 """
 
 from __future__ import annotations

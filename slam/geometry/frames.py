@@ -51,3 +51,9 @@ def planar_transform(x: float, y: float, theta: float) -> FloatArray:
     """(4, 4) transform of a pose on the floor."""
     c, s = np.cos(theta), np.sin(theta)
     return np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+
+
+def way_to(poses: FloatArray) -> FloatArray:
+    """Length of the way on the floor from the first of some poses (N, 4, 4) to each, m, shape (N,)."""
+    steps = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1)
+    return np.concatenate(([0.0], np.cumsum(steps)))

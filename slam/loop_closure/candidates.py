@@ -69,3 +69,16 @@ def radius_of(pose_key: int, backend: Backend) -> float:
     """Three sigma of a pose's position in its least known direction, m."""
     covariance = backend.covariance(pose_key)[3:, 3:]
     return BOUND_SIGMAS * float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+
+
+def nearest_of_each(near: np.ndarray, away: FloatArray, stretch: np.ndarray) -> np.ndarray:
+    """Of candidates near a place the nearest of each stretch of the way, ascending by stretch, shape (M,).
+
+    Args:
+        near: the candidates, shape (N,).
+        away: how far they are from the place, m, shape (N,).
+        stretch: number of the stretch that each is of, shape (N,).
+    """
+    order = np.lexsort((near, away, stretch))
+    _, first = np.unique(stretch[order], return_index=True)
+    return near[order][first]

@@ -157,10 +157,9 @@ class LoopCloser:
 
     def _given(self, matches: Sequence[PlaceMatch], around: Surroundings) -> list[LoopDecision]:
         """What becomes of the places that the newest keyframe is known to stand near."""
-        now, decisions = len(self._keyframes) - 1, []
+        now, way_m, decisions = len(self._keyframes) - 1, float(around.path.lengths[-1]), []
         for match in matches:
             base, *pose = anchored(match, self._backend)
-            way_m = float(around.path.lengths[-1])
             proposal = Proposal(now, gtsam.Symbol(base).index(), PlanarPose(*pose), np.inf, way_m)
             decision = proposed(proposal, around)
             decisions.append(decision if decision.verdict == "known" else joined(decision, proposal, around))

@@ -35,8 +35,12 @@ class PlanarPose:
 
     def chi2(self, other: PlanarPose) -> float:
         """Squared Mahalanobis distance to another one of the same two frames, independent of it; 3 dof."""
-        error = difference(self.delta, other.delta)
-        return float(error @ np.linalg.solve(self.covariance + other.covariance, error))
+        return PlanarPose(self.delta, self.covariance + other.covariance).misfit(other.delta)
+
+    def misfit(self, delta: FloatArray) -> float:
+        """Squared Mahalanobis distance to a motion (x, y, theta) that is exact, 3 dof."""
+        error = difference(self.delta, delta)
+        return float(error @ np.linalg.solve(self.covariance, error))
 
 
 @dataclass(frozen=True, eq=False)

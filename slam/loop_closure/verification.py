@@ -13,7 +13,7 @@ from slam.backend.estimator import Backend, pose_symbol
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.information import left_open
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.odometry import NO_FLOOR, Motion, difference, planar_delta
+from slam.frontend.odometry import NO_FLOOR, Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.candidates import DrivenPath, old_keyframes, radius_of
 from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
@@ -173,10 +173,10 @@ def proposed(proposal: Proposal, around: Surroundings) -> LoopDecision:
     now, old, pose = proposal.keyframe, proposal.old_keyframe, proposal.pose
     estimate = planar_delta(inverse(around.path.pose(old)) @ around.path.pose(now))
     far, turn = _offset(estimate, pose.delta)
-    here, there = (around.landmarks_about(frame) for frame in (now, old))
-    error, limit = difference(estimate, pose.delta), chdtri(3, around.config.significance)
-    fits = error @ np.linalg.solve(pose.covariance, error) <= limit
-    is_known = fits and ties([one for one in here if one in there], around.landmarks, around.config)
+    is_known = False
+    if pose.misfit(estimate) <= chdtri(3, around.config.significance):
+        here, there = (around.landmarks_about(frame) for frame in (now, old))
+        is_known = ties([one for one in here if one in there], around.landmarks, around.config)
     return LoopDecision(now, old, "known" if is_known else "waiting", (), far, turn, proposal=proposal)
 
 

@@ -15,8 +15,9 @@ from factors import odometry_factor_2d
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy import CELL_M
-from slam.frontend.odometry import Motion, difference, planar_delta
-from slam.geometry.frames import inverse
+from slam.frontend.odometry import Motion, planar_delta
+from slam.geometry.frames import inverse, way_to
+from slam.loop_closure.candidates import nearest_of_each
 from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
 from slam.registration.correlative_search import PlaceView, search_place
 from slam.registration.submaps import view_of
@@ -63,7 +64,7 @@ def agreement(keyframes: Sequence[Keyframe], poses: FloatArray, config: LoopConf
     steps = [one.motion for one in keyframes[1:]]
     if not steps or not all(one is not None and one.is_planar for one in steps):
         return None
-    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1))))
+    way = way_to(poses)
     found = list(_search(keyframes, poses, way, config))
     graph, values = _solved([one for one in steps if one is not None], found, poses)
     solved = np.array([_delta(values.atPose2(index)) for index in range(len(poses))])
@@ -71,7 +72,7 @@ def agreement(keyframes: Sequence[Keyframe], poses: FloatArray, config: LoopConf
     fitting = [one for one in found if _misfit(one, solved) <= limit]
     chosen = _one_of_each(fitting, way, config.window_m)
     estimate = np.array([planar_delta(pose) for pose in poses])
-    offsets = [float(np.linalg.norm(_error(one, estimate)[:2])) for one in chosen]
+    offsets = [float(np.linalg.norm((_delta_at(one, estimate) - one.pose.delta)[:2])) for one in chosen]
     inferred = _inferred(graph, values, solved, way, config) if chosen else ()
     return Agreement(tuple(chosen), np.array(offsets), len(found) - len(fitting), tuple(inferred))
 
@@ -122,9 +123,7 @@ def _pairs(
         near = near[lengths[row] - lengths[near] > 3.0 * config.window_m]
         away = np.linalg.norm(places[near] - places[row], axis=1)
         stretch = np.floor(lengths[near] / config.window_m)
-        order = np.lexsort((near, away, stretch))
-        _, first = np.unique(stretch[order], return_index=True)
-        pairs += [(nodes[one], new) for one in near[order][first].tolist()]
+        pairs += [(nodes[one], new) for one in nearest_of_each(near, away, stretch).tolist()]
     return pairs[:: max(1, -(-len(pairs) // _MOST_PAIRS))]
 
 
@@ -174,10 +173,10 @@ def _minimum(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Va
     return gtsam.LevenbergMarquardtOptimizer(graph, start, parameters).optimize()
 
 
-def _error(one: Proposal, places: FloatArray) -> FloatArray:
-    """How far poses (N, 3) have the two keyframes from where they were found, (x, y, theta) as the finding, (3,)."""
+def _delta_at(one: Proposal, places: FloatArray) -> FloatArray:
+    """Where poses (N, 3) have the newer keyframe of a finding from the old one, (x, y, theta), shape (3,)."""
     old, new = (gtsam.Pose2(*places[end]) for end in (one.old_keyframe, one.keyframe))
-    return difference(_delta(old.between(new)), one.pose.delta)
+    return _delta(old.between(new))
 
 
 def _delta(pose: gtsam.Pose2) -> FloatArray:
@@ -186,8 +185,7 @@ def _delta(pose: gtsam.Pose2) -> FloatArray:
 
 def _misfit(one: Proposal, places: FloatArray) -> float:
     """Chi2 of a finding, 3 dof."""
-    error = _error(one, places)
-    return float(error @ np.linalg.solve(one.pose.covariance, error))
+    return one.pose.misfit(_delta_at(one, places))
 
 
 def _one_of_each(found: Sequence[Proposal], way: FloatArray, window_m: float) -> list[Proposal]:

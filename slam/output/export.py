@@ -117,32 +117,28 @@ def _poses(run: StoredRun, path: Path) -> None:
 def _dxf(run: StoredRun, path: Path) -> list[str]:
     from slam.output.plan_dxf import write_dxf
 
-    plan, verdict = _plan(run)
-    write_dxf(path, plan, verdict)
-    return plan.warnings
+    return _drawn(write_dxf, run, path)
 
 
 def _svg(run: StoredRun, path: Path) -> list[str]:
     from slam.output.plan_svg import write_svg
 
-    plan, verdict = _plan(run)
-    write_svg(path, plan, verdict)
-    return plan.warnings
+    return _drawn(write_svg, run, path)
 
 
 def _ifc(run: StoredRun, path: Path) -> list[str]:
     from slam.output.plan_ifc import write_ifc
 
-    plan, verdict = _plan(run)
-    write_ifc(path, plan, verdict)
-    return plan.warnings
+    return _drawn(write_ifc, run, path)
 
 
-def _plan(run: StoredRun) -> tuple[FloorPlan, str | None]:
-    """Replay the run and measure its map; the plan, and the verdict on it."""
+def _drawn(write: Callable[[Path, FloorPlan, str | None], None], run: StoredRun, path: Path) -> list[str]:
+    """Replay the run, measure its map and write the plan with the verdict on it; what to know of the plan."""
     from slam.runs.stored_plan import stored_floor_plan
 
-    return stored_floor_plan(run), None if run.verdict is None else run.verdict.verdict
+    plan = stored_floor_plan(run)
+    write(path, plan, None if run.verdict is None else run.verdict.verdict)
+    return plan.warnings
 
 
 #: Packages that a format needs, by its ending.

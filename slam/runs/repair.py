@@ -16,6 +16,7 @@ from slam.frontend.pose_measurements import PlaceMatch
 from slam.loop_closure.whole_drive import Agreement, agreement
 from slam.planeslam import PlaneSlam
 from slam.sensors.rig import Rig
+from slam.session.forgetting import ForgottenKeyframes
 
 #: A map is mended again while that makes it better, at most so often.
 _ROUNDS = 3
@@ -54,8 +55,8 @@ class Repaired(NamedTuple):
 
     slam: PlaneSlam
     """The estimator, the one that was where nothing was repaired."""
-    verdict: Verdict
-    """On its map."""
+    verdict: Verdict | None
+    """On its map; None: it was not asked for, for nothing would have been done about it."""
     repairs: tuple[Repair, ...]
     """One after the other."""
 
@@ -69,21 +70,23 @@ def repaired(slam: PlaneSlam, rig: Rig, progress: Callable[[int, int], None] | N
     and mended again until nothing gets better. Drives with level lasers on a floor are; what is localised in a prior
     map is not.
     """
+    if not is_open_to_repair(slam) or all(frame.returns is None for frame in slam.keyframes):
+        return Repaired(slam, None, ())  # what the verdict would say changes nothing: who reads it asks for it
     with slam.clock.stage("verdict"):
         verdict = look_at(slam, rig)
     repairs: list[Repair] = []
-    while verdict.verdict != "sound" and len(repairs) < _ROUNDS and is_open_to_repair(slam):
+    while verdict.verdict != "sound" and len(repairs) < _ROUNDS:
         found = agreement(slam.keyframes, slam.trajectory.poses, slam.config.loops)
         moved = 0 if found is None else int((found.offsets_m > TOLERANCE_M).sum())
         if found is None or not moved:
             break
         places = _places_of(found, slam.keyframes)
-        other = slam.again(places, progress)
+        other = slam.remap(places, progress)
         with slam.clock.stage("verdict"):
             judged = look_at(other, rig)
         if _badness(judged) >= _badness(verdict):
             break
-        other.stand_for(slam, places)
+        other.supersede(slam, places)
         repairs.append(Repair(len(found.proposals), moved, float(found.offsets_m.max()), verdict.line))
         slam, verdict = other, judged
     return Repaired(slam, verdict, tuple(repairs))
@@ -91,7 +94,11 @@ def repaired(slam: PlaneSlam, rig: Rig, progress: Callable[[int, int], None] | N
 
 def is_open_to_repair(slam: PlaneSlam) -> bool:
     """Whether loops are looked for at all, nothing but the drive itself says where it was, and it is in memory."""
-    return slam.config.loops.max_candidates > 0 and slam.prior is None and isinstance(slam.keyframes, list)
+    return (
+        slam.config.loops.max_candidates > 0
+        and slam.prior is None
+        and not isinstance(slam.keyframes, ForgottenKeyframes)
+    )
 
 
 def _places_of(found: Agreement, keyframes: Sequence[Keyframe]) -> dict[int, tuple[PlaceMatch, ...]]:

@@ -40,7 +40,7 @@ class Recorder:
         """Nothing more will come."""
 
 
-class Rehearsal(Recorder):
+class SecondPass(Recorder):
     """Listens to keyframes that another recorder has, as they are matched anew; of those that follow it tells that one.
 
     Args:

@@ -131,10 +131,8 @@ class Session(SessionRecords):
     def add_decisions(self, index: int, decisions: Sequence[Decision]) -> None:
         """Record what the measurements of a keyframe were taken for."""
         self._check_writable()
-        data = encode(list(decisions))
-        row = (index, data, digest(self._digest_of(index), data))
         with self._on_the_way():
-            self._db.execute("INSERT INTO decisions VALUES (?, ?, ?)", row)
+            self._put_decisions(index, decisions)
 
     def mend(self, places: Places, decisions: Sequence[Sequence[Decision]]) -> None:
         """Record places that were found after the drive, and what all measurements were taken for with them known.
@@ -149,11 +147,14 @@ class Session(SessionRecords):
             put(self._db, "session", "places", data)
             self._db.execute("DELETE FROM decisions")
             for index, one in enumerate(decisions):
-                told = encode(list(one))
-                row = (index, told, digest(self._digest_of(index), told))
-                self._db.execute("INSERT INTO decisions VALUES (?, ?, ?)", row)
+                self._put_decisions(index, one)
             self._seal("running")
         self.places = known
+
+    def _put_decisions(self, index: int, decisions: Sequence[Decision]) -> None:
+        data = encode(list(decisions))
+        row = (index, data, digest(self._digest_of(index), data))
+        self._db.execute("INSERT INTO decisions VALUES (?, ?, ?)", row)
 
     @contextmanager
     def _on_the_way(self) -> Iterator[None]:

@@ -118,9 +118,9 @@ class MotionModel:
         indices = self._backend.update([*own_factors, *through], initial, remove=removal.stale)
         own = indices[: len(own_factors)]
         self._sparsifier.removed(removal, indices[len(own_factors) :])
-        n_step = len(step.factors)
+        n_step, n_stay = len(step.factors), len(own) - len(hints)
         standing_in = own[n_step : n_step + len(beyond)]
-        floor = own[1:n_step] + own[n_step + len(beyond) : len(own) - len(hints)]
+        floor = own[1:n_step] + own[n_step + len(beyond) : n_stay]
         link = None if step.measured is None else Link(_with(step.measured, step.beyond), own[:1], floor)
         self._sparsifier.entered(index, link)
         return Prediction(
@@ -132,7 +132,7 @@ class MotionModel:
             standing_in=tuple(own[:n_step] if step.pending else standing_in),
             is_wide=step.is_wide,
             robust=(self._config.coasting.robust if step.pending else None) or self._config.backend.robust,
-            hints=tuple(own[len(own) - len(hints) :]),
+            hints=tuple(own[n_stay:]),
         )
 
     def _hints(self, keyframe: Keyframe, world_T_body: FloatArray, key: int) -> list[Any]:

@@ -161,8 +161,8 @@ WITHOUT_ARRAYS = {
     *("factors.Prediction.pose", "factors.Prediction.plane", "factors.Prediction.values_of"),
     "factors.observation_factor",
     *("slam.SlamConfig", "slam.SlamConfig.from_yaml", "slam.SlamConfig.to_yaml", "slam.PlaneSlam.open"),
-    *("slam.PlaneSlam.close", "slam.PlaneSlam.optimize_batch", "slam.PlaneSlam.adopt_batch", "slam.PlaneSlam.again"),
-    "slam.PlaneSlam.stand_for",
+    *("slam.PlaneSlam.close", "slam.PlaneSlam.optimize_batch", "slam.PlaneSlam.adopt_batch", "slam.PlaneSlam.remap"),
+    "slam.PlaneSlam.supersede",
     "slam.PlaneSlam.explain",
     "slam.PlaneSlam.marginal_covariance",
 }

@@ -9,7 +9,8 @@ from typing import Protocol, Self, TypeVar
 import numpy as np
 from scipy.spatial import KDTree
 
-from slam.geometry.frames import inverse
+from slam.geometry.frames import inverse, way_to
+from slam.loop_closure.candidates import nearest_of_each
 from spplanes._check import FloatArray
 
 #: A return is of the same surface, or in front of it, by more than this, m: what a map may err by before it is wrong.
@@ -67,8 +68,7 @@ def one_of_each_cell(places: FloatArray) -> np.ndarray:
 
 def way_along(poses: FloatArray) -> FloatArray:
     """How far along the way poses (N, 4, 4) are, in the stretches that look at one place together, shape (N,)."""
-    steps = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1)
-    return np.concatenate(([0.0], np.cumsum(steps))) / _STRETCH_M
+    return way_to(poses) / _STRETCH_M
 
 
 def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
@@ -84,9 +84,7 @@ def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
         near = near[near != index]
         away = np.linalg.norm(places[near] - places[index], axis=1)
         stretch = np.floor(np.abs(way[near] - way[index])).astype(int)
-        order = np.lexsort((near, away, stretch))
-        _, first = np.unique(stretch[order], return_index=True)
-        chosen = near[order][first]
+        chosen = nearest_of_each(near, away, stretch)
         spread = np.unique(np.linspace(0, len(chosen) - 1, min(_PARTNERS, len(chosen))).round().astype(int))
         pairs += [(index, other) for other in chosen[spread].tolist()]
     return pairs[:: max(1, -(-len(pairs) // _MOST_PAIRS))]

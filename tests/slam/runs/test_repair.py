@@ -65,7 +65,7 @@ def bent(frames: list[Keyframe], truth: Drive, tmp_path_factory: pytest.TempPath
 def mended(bent: Path, truth: Drive, tmp_path_factory: pytest.TempPathFactory):
     """A copy of it mended: the run, its session, the error before, the progress told, and the session until then."""
     path, told = tmp_path_factory.mktemp("mended") / "session.db", []
-    until_then, count = path.with_name("until_then.db"), PlaneSlam.stand_for
+    until_then, count = path.with_name("until_then.db"), PlaneSlam.supersede
 
     def kept(slam: PlaneSlam, first: PlaneSlam, places: Places) -> None:
         with sqlite3.connect(path) as now, sqlite3.connect(until_then) as copy:
@@ -74,7 +74,7 @@ def mended(bent: Path, truth: Drive, tmp_path_factory: pytest.TempPathFactory):
 
     path.write_bytes(bent.read_bytes())
     with PlaneSlam.open(path) as slam, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(PlaneSlam, "stand_for", kept)
+        patch.setattr(PlaneSlam, "supersede", kept)
         before = errors(slam, truth).max()
         out = repaired(slam, default_rig_for(truth.log), lambda done, total: told.append((done, total)))
     return out, path, before, told, until_then
