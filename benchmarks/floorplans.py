@@ -21,6 +21,7 @@ from scipy.stats import chi2
 
 from benchmarks._kept_rows import Row, append_row, read_rows, seeds_left
 from benchmarks._table import plain
+from benchmarks.corpus.suite import START_M, Suite
 from slam.config import SlamConfig
 from slam.diagnostics.evidence import look_at
 from slam.floorplan import FloorPlan, JointPlanes, Quantity, floor_plan, joint_planes
@@ -31,7 +32,6 @@ from slam.planeslam import PlaneSlam
 from slam.sensors.rig import Rig
 from slam.simulation.record import Plan, record
 from slam.simulation.rigs import SPINNING, spinning_rig
-from slam.simulation.suite import START_M, Suite
 from slam.simulation.truth import Truth
 from spplanes import Plane
 from spplanes._check import FloatArray

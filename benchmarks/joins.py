@@ -14,12 +14,12 @@ from itertools import combinations
 import gtsam
 import numpy as np
 
+from benchmarks.corpus.drives import Recipe, make_drive
 from slam import SlamConfig
 from slam.geometry.frames import inverse
 from slam.joining import FinishedMission, Mission
 from slam.joining.overlap import compare_missions
 from slam.runs.slam_run import run_slam
-from slam.simulation.drives import Recipe, make_drive
 
 #: In the plane: heading, x, y of GTSAM's tangent.
 _PLANAR = [2, 3, 4]
@@ -63,7 +63,7 @@ def true_joins(recipe: Recipe, seeds: Sequence[int], significance: float) -> tup
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print."""
     one = argparse.ArgumentParser(prog="python -m benchmarks joins", description=(__doc__ or "").splitlines()[0])
-    one.add_argument("--recipe", default="office/level", help="world/sensors, as in slam.simulation.drives")
+    one.add_argument("--recipe", default="office/level", help="world/sensors, as in benchmarks.corpus.drives")
     one.add_argument("--buildings", type=int, default=46)
     one.add_argument("--visits", type=int, default=20, help="buildings that are visited twice")
     one.add_argument("--significance", type=float, default=1e-3, help="of one pair")

@@ -12,12 +12,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from benchmarks.corpus.floorplan import Drive, LaserSettings, Wheels, drive, office, ring, wrong_landmarks
 from slam import PlaneSlam, SlamConfig
 from slam.frontend.keyframes import keyframes_of
 from slam.geometry.frames import inverse
 from slam.runs.slam_run import odometry_of
 from slam.sensors.rig import default_rig_for
-from slam.simulation.floorplan import Drive, LaserSettings, Wheels, drive, office, ring, wrong_landmarks
 
 KINDS = ("many doors", "few doors", "no doors", "long block", "office")
 

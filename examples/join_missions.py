@@ -7,11 +7,11 @@ trajectories in one frame, planes with the covariance that all robots give them.
 
 import numpy as np
 
+from benchmarks.corpus.drives import Recipe, make_drive
 from slam import SlamConfig
 from slam.geometry.frames import inverse
 from slam.joining import FinishedMission, join
 from slam.runs.slam_run import run_slam
-from slam.simulation.drives import Recipe, make_drive
 
 #: Which part of the building each drives through, and whether from the end.
 VISITS = ((0.0, 0.5, False), (0.25, 0.75, True), (0.5, 1.0, False))

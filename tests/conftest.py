@@ -25,7 +25,7 @@ _LONGEST = (
     "tests/slam/session/test_resume.py",
     "tests/test_wheel.py",
     "tests/slam/runs/test_cloud_registration.py",
-    "tests/slam/simulation/test_floorplans.py",
+    "tests/benchmarks/test_floorplans.py",
     "tests/slam/tracking/test_odometry_check.py",
     "tests/slam/runs/test_jobs.py",
     "tests/slam/runs/test_repair.py",

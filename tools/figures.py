@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks.corpus.drives import Recipe, make_drive
+from benchmarks.corpus.suite import Suite
 from slam.config import SlamConfig
 from slam.floorplan import floor_plan, joint_planes
 from slam.io.load import load
@@ -25,10 +27,8 @@ from slam.output.plan_svg import write_svg
 from slam.output.run_files import write_run
 from slam.runs.slam_run import Run, run_slam
 from slam.simulation import simulate_mission
-from slam.simulation.drives import Recipe, make_drive
 from slam.simulation.record import Plan, record
 from slam.simulation.rigs import spinning_rig
-from slam.simulation.suite import Suite
 from slam.visualization.pictures import draw_view, title_of, view_height
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -8,9 +8,9 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
+from benchmarks.corpus.drives import DISTURBANCES, ODOMETRIES, WORLDS, Recipe
 from benchmarks.corpus.perturbed import PERTURBATIONS
 from benchmarks.corpus.real import REAL, WHEELED
-from slam.simulation.drives import DISTURBANCES, ODOMETRIES, WORLDS, Recipe
 
 #: First word of the name of a real log.
 REAL_WORD = "real"

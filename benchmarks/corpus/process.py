@@ -27,10 +27,10 @@ def run_entry(entry: Entry, changes: dict[str, Any]) -> Row:
         from benchmarks.corpus.real import real_row
 
         return real_row(entry.name.removeprefix(f"{REAL_WORD}/"), config, entry.seed)
+    from benchmarks.corpus.drives import Recipe, make_drive
     from benchmarks.corpus.score import score
     from slam.planeslam import PlaneSlam
     from slam.runs.slam_run import run_slam
-    from slam.simulation.drives import Recipe, make_drive
 
     drive = make_drive(Recipe.parse(entry.name), entry.seed)
     slam = None if drive.prior is None else PlaneSlam(config, prior=drive.prior)

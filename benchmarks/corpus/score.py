@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import chi2
 from shapely import Polygon, unary_union
 
+from benchmarks.corpus.drives import Drive
 from slam.config import SlamConfig
 from slam.evaluation import PlaneMatch, absolute_error, match_planes
 from slam.evaluation.planes import outline_in
@@ -22,7 +23,6 @@ from slam.io.trajectories import Trajectory
 from slam.output.run_metrics import details_of
 from slam.planeslam import MapPlane, pose_symbol
 from slam.runs.slam_run import Run
-from slam.simulation.drives import Drive
 from spplanes import Plane
 from spplanes._check import FloatArray
 

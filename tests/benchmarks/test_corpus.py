@@ -9,13 +9,13 @@ from shapely import box
 from benchmarks.corpus import __main__ as corpus_main
 from benchmarks.corpus import ablation
 from benchmarks.corpus.catalogue import SHORT, Entry, corpus, drawn, simulated
+from benchmarks.corpus.drives import DISTURBANCES, ODOMETRIES, SENSORS, WORLDS
 from benchmarks.corpus.process import rows_of, run_entry
 from benchmarks.corpus.score import _nees, doubles, judged
 from benchmarks.corpus.summary import by_kind, compared
 from benchmarks.corpus.switches import SWITCHES, changed
 from slam.config import SlamConfig
 from slam.evaluation import PlaneMatch
-from slam.simulation.drives import DISTURBANCES, ODOMETRIES, SENSORS, WORLDS
 from spplanes import Plane
 
 

@@ -7,9 +7,9 @@ from functools import cache
 
 import numpy as np
 
+from benchmarks.corpus.drives import Recipe, make_drive
 from slam.config import SlamConfig
 from slam.runs.slam_run import Run, run_slam
-from slam.simulation.drives import Recipe, make_drive
 from spplanes._check import FloatArray
 
 

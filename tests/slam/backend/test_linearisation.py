@@ -7,12 +7,12 @@ from itertools import pairwise
 import gtsam
 import numpy as np
 
+from benchmarks.corpus.drives import Recipe, make_drive
 from factors import pose_prior, relative_pose_factor
 from slam.backend.estimator import _ALL_EVERY, Backend, pose_symbol
 from slam.config import SlamConfig
 from slam.geometry.frames import inverse
 from slam.runs.slam_run import run_slam
-from slam.simulation.drives import Recipe, make_drive
 
 
 def test_a_floor_does_not_say_where_along_it_the_body_is():

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from benchmarks.corpus.suite import Door, Suite, SuiteRoom
 from slam.floorplan import JointPlanes
 from slam.geometry.frames import settle_frame
 from slam.map.map_planes import MapPlane
-from slam.simulation.suite import Door, Suite, SuiteRoom
 from spplanes import Plane
 
 #: A corridor 2 m wide with a room above and one below; doors 0.9 and 1 m; walls 0.2 m; 2.5 m high.

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.corpus.drives import Recipe, make_drive
+from benchmarks.corpus.floorplan import PATCH_M, Drive, FloorPlan, Wheels, drive
 from slam.config import CoastingConfig, SlamConfig
 from slam.errors import LogError
 from slam.frontend.information import beyond_lines, inverted
@@ -28,8 +30,6 @@ from slam.runs.slam_run import run_slam
 from slam.sensors.log import LaserScan, Log, OdometryReading
 from slam.sensors.rig import Mount, Rig, default_rig_for
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS as NOISE
-from slam.simulation.drives import Recipe, make_drive
-from slam.simulation.floorplan import PATCH_M, Drive, FloorPlan, Wheels, drive
 
 GAP = 5
 """Scans from one end of a motion that is judged to the other: half a metre, or half a radian."""
@@ -267,7 +267,7 @@ def test_the_same_log_gives_the_same_bits():
 
 def scan_in(pose: tuple[float, float, float], seed: int = 0) -> Surface:
     """A scan in a room of 4 x 3 m with a niche, noise 1 mm."""
-    from slam.simulation.floorplan import cast
+    from benchmarks.corpus.floorplan import cast
 
     corners = [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (2.5, 3.0), (2.5, 3.4), (1.5, 3.4), (1.5, 3.0), (0.0, 3.0)]
     walls = np.array(list(zip(corners, [*corners[1:], corners[0]], strict=True)))

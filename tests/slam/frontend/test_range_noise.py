@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.corpus.drives import Recipe, make_drive
 from slam.errors import LogError
 from slam.frontend.range_noise import noise_factor, with_shown_noise
 from slam.sensors.log import CloudScan, Event, LaserScan, Log, StoredCloud
 from slam.sensors.rig import Rig, Sensor
-from slam.simulation.drives import Recipe, make_drive
 from spplanes._check import FloatArray
 from tests.slam.short_drives import mapped_beginning
 

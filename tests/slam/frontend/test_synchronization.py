@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.corpus.floorplan import Drive
 from slam import PlaneSlam
 from slam.config import SlamConfig
 from slam.frontend.keyframes import keyframes_of
@@ -18,7 +19,6 @@ from slam.io.trajectories import Trajectory
 from slam.output.run_metrics import warnings_of
 from slam.runs.slam_run import Run, StageClock
 from slam.sensors.log import LaserScan, Log, OdometryReading
-from slam.simulation.floorplan import Drive
 from tests.slam.frontend.test_laser_odometry import rooms, stated
 
 OFTEN_NS = 50_000_000

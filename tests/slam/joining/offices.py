@@ -5,13 +5,13 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
+from benchmarks.corpus.drives import Recipe, make_drive
+from benchmarks.corpus.drives.drive import Drive
 from slam import SlamConfig
 from slam.joining import FinishedMission
 from slam.output.run_files import write_run
 from slam.output.run_folder import Source, conclude, new_run
 from slam.runs.slam_run import run_slam
-from slam.simulation.drives import Recipe, make_drive
-from slam.simulation.drives.drive import Drive
 
 LEVEL = Recipe.parse("office/level")
 #: Visits of one building: which part of the way, and whether backwards.

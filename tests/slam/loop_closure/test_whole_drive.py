@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from benchmarks.corpus.floorplan import LaserSettings, drive, office
 from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe, keyframes_of
 from slam.frontend.odometry import Motion, difference, planar_delta
@@ -16,7 +17,6 @@ from slam.loop_closure import whole_drive
 from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
 from slam.loop_closure.whole_drive import agreement
 from slam.sensors.rig import default_rig_for
-from slam.simulation.floorplan import LaserSettings, drive, office
 from spplanes._check import FloatArray
 
 RULES = SlamConfig().loops

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from benchmarks.corpus.suite import Suite
 from slam.cli import main
 from slam.errors import LogError, MissingPackageError
 from slam.floorplan import FloorPlan, floor_plan
@@ -29,7 +30,6 @@ from slam.runs.stored_run import StoredRun
 from slam.simulation import Mission
 from slam.simulation.record import Plan, record
 from slam.simulation.rigs import spinning_rig
-from slam.simulation.suite import Suite
 from slam.visualization.mesh import mesh_of
 from tests.slam.floorplan.buildings import joint_of, planes_of
 

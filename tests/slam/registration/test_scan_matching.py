@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.corpus.floorplan import FloorPlan, cast
 from slam.frontend.information import left_open
 from slam.frontend.occupancy import CELL_M, NOVEL_SHARE, Raster, beams_of, moved
 from slam.frontend.occupancy._kernels import widen
 from slam.geometry.frames import planar_transform
 from slam.registration.scan_matching import _fit, relocate, split
 from slam.sensors.log import LaserScan
-from slam.simulation.floorplan import FloorPlan, cast
 
 ANGLES = np.linspace(-np.pi, np.pi, 361)
 WIDE = np.diag((0.5, 0.5, 0.1)) ** 2

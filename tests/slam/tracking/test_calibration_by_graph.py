@@ -6,6 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from benchmarks.corpus.drives import Recipe, make_drive
 from slam.backend.estimator import pose_symbol
 from slam.config import SlamConfig
 from slam.frontend.odometry import OdometryTrack, planar_delta
@@ -16,7 +17,6 @@ from slam.map.sparsification import Sparsifier
 from slam.runs.slam_run import run_slam
 from slam.sensors.log import OdometryReading
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS, OdometryNoise
-from slam.simulation.drives import Recipe, make_drive
 from slam.tracking.calibration_by_graph import CalibrationByGraph, calibration_by_graph
 from tests.slam.tracking.wheeled_chains import Chain, chain, seen
 from tests.statistics import assert_mean_in_band

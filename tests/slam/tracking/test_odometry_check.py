@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.corpus.drives import Recipe, make_drive
 from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
@@ -14,7 +15,6 @@ from slam.geometry.frames import inverse
 from slam.planeslam import PlaneSlam
 from slam.registration import relocalization
 from slam.runs.slam_run import run_slam
-from slam.simulation.drives import Recipe, make_drive
 from slam.tracking import odometry_check
 from slam.tracking.odometry_check import planes_confirm
 from spplanes import Plane

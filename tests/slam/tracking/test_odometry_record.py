@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.corpus.drives import Recipe, make_drive
 from slam.config import CoastingConfig
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import planar_transform
-from slam.simulation.drives import Recipe, make_drive
 from slam.tracking.constant_velocity import coast
 from slam.tracking.odometry_check import Check
 from slam.tracking.odometry_record import OdometryRecord

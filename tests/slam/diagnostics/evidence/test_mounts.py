@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.corpus.drives import Recipe, make_drive
 from slam.config import SlamConfig
 from slam.diagnostics.evidence.mounts import heading_evidence
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from slam.runs.slam_run import run_slam
 from slam.sensors.rig import Mount, Rig, Sensor
-from slam.simulation.drives import Recipe, make_drive
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from benchmarks.corpus.floorplan import cast
 from slam.diagnostics.evidence.free_space import free_space_evidence
 from slam.diagnostics.evidence.mounts import mount_evidence
 from slam.diagnostics.views.comparing import compare, pairs_of
@@ -14,7 +15,6 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse, planar_transform
 from slam.sensors.rig import Rig, Sensor
-from slam.simulation.floorplan import cast
 from spplanes._check import FloatArray
 
 #: A room of 8 x 5 m with a box in it, free space on the left of each wall.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slam.simulation.drives import WORLDS
+from benchmarks.corpus.drives import WORLDS
 from slam.simulation.rigs import Beams
 
 BEAMS = Beams.of_spinning(np.linspace(-np.pi, np.pi, 90, endpoint=False), np.deg2rad(np.linspace(-60, 80, 15)))

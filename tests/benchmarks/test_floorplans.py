@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.corpus.floorplan import Drive, LaserSettings, Wheels, drive, office, ring, wrong_landmarks
 from slam import PlaneSlam, SlamConfig
 from slam.frontend.keyframes import keyframes_of
 from slam.geometry.frames import inverse
 from slam.runs.slam_run import odometry_of
 from slam.sensors.rig import default_rig_for
-from slam.simulation.floorplan import Drive, LaserSettings, Wheels, drive, office, ring, wrong_landmarks
 
 
 def estimate(truth: Drive) -> tuple[PlaneSlam, np.ndarray, np.ndarray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.simulation.drives.scene import Course, Scene
+from benchmarks.corpus.drives.scene import Course, Scene
 from slam.simulation.path import Path
 from slam.simulation.world import WorldBuilder
 

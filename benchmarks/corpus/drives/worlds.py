@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 from shapely import LineString, Polygon, box, unary_union
 
-from slam.simulation.drives.building import Roof, add_furniture, add_shell, tidy
-from slam.simulation.drives.ramp import ramp
-from slam.simulation.drives.scene import Course, Scene, Walker
+from benchmarks.corpus.drives.building import Roof, add_furniture, add_shell, tidy
+from benchmarks.corpus.drives.ramp import ramp
+from benchmarks.corpus.drives.scene import Course, Scene, Walker
 from slam.simulation.path import Path
 from slam.simulation.world import WorldBuilder
 from spplanes._check import FloatArray

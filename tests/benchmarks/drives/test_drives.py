@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from benchmarks.corpus.drives import DISTURBANCES, ODOMETRIES, Recipe, make_drive
+from benchmarks.corpus.drives.sensing import depth_sigma
+from benchmarks.corpus.drives.wheels import ON_RAMPS
+from benchmarks.corpus.drives.worlds import WORLDS
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.geometry.frames import inverse
 from slam.sensors.log import LaserScan, OdometryReading
 from slam.sensors.wheel_noise import OdometryNoise
-from slam.simulation.drives import DISTURBANCES, ODOMETRIES, Recipe, make_drive
-from slam.simulation.drives.sensing import depth_sigma
-from slam.simulation.drives.wheels import ON_RAMPS
-from slam.simulation.drives.worlds import WORLDS
 
 
 def range_errors(drive, sensor):

@@ -10,14 +10,14 @@ from typing import Self
 
 import numpy as np
 
+from benchmarks.corpus.drives.disturbances import DISTURBANCES, Given
+from benchmarks.corpus.drives.scene import Scene
+from benchmarks.corpus.drives.sensing import SENSORS, Sensing
+from benchmarks.corpus.drives.wheels import ODOMETRIES, noise_on
+from benchmarks.corpus.drives.worlds import WORLDS
 from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading
 from slam.sensors.rig import Rig
 from slam.session.prior_map import PriorMap
-from slam.simulation.drives.disturbances import DISTURBANCES, Given
-from slam.simulation.drives.scene import Scene
-from slam.simulation.drives.sensing import SENSORS, Sensing
-from slam.simulation.drives.wheels import ODOMETRIES, noise_on
-from slam.simulation.drives.worlds import WORLDS
 from slam.simulation.record import BLOCK_BEAMS, SPEED_M_PER_S, START_NS
 from slam.simulation.truth import Truth
 from slam.simulation.world import NO_PLANE
