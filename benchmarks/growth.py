@@ -24,7 +24,7 @@ from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.sensors.wheel_noise import OdometryNoise
-from slam.simulation.office import office, office_path
+from slam.simulation.buildings import office, office_path
 from spplanes import Plane
 
 #: Way between two keyframes, how far and how much of a plane is seen, m; how many planes at most.

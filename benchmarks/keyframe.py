@@ -22,16 +22,16 @@ from slam.config import SlamConfig
 from slam.frontend.keyframes import keyframes_of
 from slam.frontend.measurement import for_points, for_sensor, usable_points
 from slam.io.clouds import read_cloud
-from slam.io.clouds.arrange import grid_of
+from slam.io.clouds.cloud import grid_of
 from slam.io.default_rigs import cloud_rig, threedtk_rig
 from slam.io.load import load
 from slam.planeslam import PlaneSlam
 from slam.sensors.log import CloudScan, Log, OdometryReading
 from slam.sensors.rig import OdometryNoise, Rig, Sensor
 from slam.sensors.scan_noise import line_tilt_covariances, model_of
-from slam.simulation.hall import hall, hall_path
-from slam.simulation.noise import drifting_odometry, noisy_ranges
+from slam.simulation.buildings import hall, hall_path
 from slam.simulation.path import pose_matrices
+from slam.simulation.record import drifting_odometry, noisy_ranges
 from slam.timing import StageClock
 from spplanes import segment_scans
 from spplanes._check import FloatArray

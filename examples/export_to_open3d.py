@@ -20,7 +20,7 @@ from slam.visualization.open3d_export import (
     points_to_cloud,
     trajectory_to_lines,
 )
-from slam.visualization.uncertainty import position_covariances
+from slam.visualization.pictures import position_covariances
 from spplanes import segment_scans
 from spplanes.noise import SensorModel
 from spplanes.registration import register_scans

@@ -10,7 +10,6 @@ from typing import Self
 import gtsam
 import numpy as np
 
-from slam.association.data_association import Associate, Decision, Hint, associate
 from slam.backend.estimator import Backend, pose_symbol
 from slam.config import SlamConfig
 from slam.diagnostics.bookkeeping import Bookkeeping
@@ -25,13 +24,13 @@ from slam.frontend.wheel_calibration import WheelCalibration
 from slam.io.trajectories import Trajectory
 from slam.loop_closure.closing import LoopCloser, LoopClosing
 from slam.loop_closure.verification import LoopDecision
+from slam.map.data_association import Associate, Decision, Hint, associate
 from slam.map.landmarks import LandmarkMap
 from slam.map.map_planes import MapPlane, map_planes
 from slam.map.sparsification import Sparsifier
 from slam.map.state import Parts
 from slam.mapping.fusion import Merges
-from slam.mapping.late_association import LateMatch
-from slam.mapping.map_update import MapUpdate, MapUpdater
+from slam.mapping.map_update import LateMatch, MapUpdate, MapUpdater
 from slam.mapping.same_plane import SamePlaneFinder
 from slam.registration.relocalization import Rivals
 from slam.registration.submaps import step_by_view

@@ -29,7 +29,6 @@ ROOMS = {
         ("frontend",),
         ("backend",),
         ("map",),
-        ("association",),
         ("registration",),
         ("tracking",),
         ("mapping",),

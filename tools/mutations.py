@@ -98,14 +98,14 @@ MUTATIONS = (
         "factors/association/decisions.py",
         '"unsure" if near else "new"',
         '"new"',
-        "tests/slam/association/test_data_association.py",
+        "tests/slam/map/test_data_association.py",
     ),
     Mutation(
         "association: whatever is near is a match, however unlikely",
         "factors/association/decisions.py",
         "        if candidate.p_value >= gates.significance and candidate.log_likelihood >= chance\n",
         "",
-        "tests/slam/association/test_data_association.py",
+        "tests/slam/map/test_data_association.py",
     ),
     Mutation(
         "loop closure: the way back to the first axes with the wrong sign",
@@ -174,7 +174,7 @@ MUTATIONS = (
     ),
     Mutation(
         "joining: a tie's derivative without the anchor",
-        "slam/joining/ties.py",
+        "slam/joining/solution.py",
         "by_b @ adjoints[1], by_b",
         "by_b, by_b",
         "tests/slam/joining/test_ties.py",

@@ -13,12 +13,11 @@ from benchmarks.corpus.perturbed import PERTURBATIONS
 from benchmarks.corpus.score import Row, error_row, said_row, scans_of
 from slam.config import SlamConfig
 from slam.evaluation import absolute_error
-from slam.evaluation.relations import relation_errors
+from slam.evaluation.relations import read_relations, relation_errors
 from slam.geometry.frames import inverse, planar_transform
 from slam.io.folders.depth_images import CAMERA_MOUNT
 from slam.io.folders.threedtk import read_frames
 from slam.io.load import load
-from slam.io.relations import read_relations
 from slam.io.trajectories import Trajectory, read_tum
 from slam.runs.slam_run import Run, run_slam
 

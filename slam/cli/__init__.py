@@ -11,12 +11,10 @@ import typer
 
 from slam.cli._output import be_quiet, tell_of_compiling, visible
 from slam.cli.clouds import fit
-from slam.cli.graphs import import_
 from slam.cli.joining import fleet, join
-from slam.cli.missions import simulate
 from slam.cli.registration import register
-from slam.cli.results import evaluate, explain, export, view
-from slam.cli.runs import demo, map_, slam
+from slam.cli.results import evaluate, explain, export, import_, view
+from slam.cli.runs import demo, map_, simulate, slam
 
 app = typer.Typer(
     name="spplanes",

@@ -1,4 +1,4 @@
-"""Commands on a finished run: evaluate, explain, export, view."""
+"""Commands on a finished run: evaluate, explain, export, view, import."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from slam.cli._job import JsonOption
+from slam.cli._job import JsonOption, OutOption, OverwriteOption
 from slam.cli._output import say, show, visible, warn_of
 
 
@@ -37,7 +37,7 @@ def evaluate(
     found = compare_with_truth(run, truth, truth_of=truth_of, by_row=by_row)
     rows = found.rows
     if clouds is not None:
-        from slam.evaluation.clouds import sharpness_of_run
+        from slam.evaluation.sharpness import sharpness_of_run
 
         rows += sharpness_of_run(run, reference_for(run, truth, truth_of=truth_of, by_row=by_row), clouds)
     add_to_metrics(run, "evaluation", rows)
@@ -55,7 +55,7 @@ def explain(
     from slam.session.state import check_session_given, session_path
 
     check_session_given(session_path(run))
-    from slam.runs.explain_keyframe import explain_keyframe
+    from slam.runs.stored_run import explain_keyframe
 
     found = explain_keyframe(run, keyframe)
     if as_json:
@@ -124,3 +124,27 @@ def view(
         written.append(rerun)
     for path in written:
         typer.echo(path)
+
+
+def import_(
+    graph: Annotated[Path, typer.Argument(help="g2o file: the graph.g2o of a run, edited or solved elsewhere.")],
+    run: Annotated[Path, typer.Option("--run", help="Folder of the run that it came from.")],
+    out: OutOption,
+    as_it_is: Annotated[bool, typer.Option("--as-is", help="Take the vertices as they are, without solving.")] = False,
+    overwrite: OverwriteOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Take an edited GRAPH back: planes.json, mesh and trajectory of the run as the graph has them."""
+    from slam.given import check_file_given, check_run_given
+    from slam.output.new_folder import check_free, new_folder
+
+    check_free(out, overwrite=overwrite)
+    check_run_given(run)
+    check_file_given(graph)
+    from slam.output.run_files import write_import
+    from slam.runs.graph_import import import_graph
+
+    imported = import_graph(graph, run, solve=not as_it_is)
+    with new_folder(out, overwrite=overwrite) as folder:
+        write_import(imported, folder, run)
+    show(f"{graph.name} back into {run.name}", imported.table, as_json)

@@ -1,4 +1,4 @@
-"""Commands that make a map: slam, map, demo."""
+"""Commands that make a map, or data for one: slam, map, demo, simulate."""
 
 from __future__ import annotations
 
@@ -249,3 +249,26 @@ def demo(
     warn_of(run.slam.audit.warnings())
     say(f"results: {out}, the page: {out / 'report.html'}")
     say_verdict(run.verdict)
+
+
+def simulate(
+    world: Annotated[str, typer.Argument(help="World to drive through: corridor, office, room, or hall for 3D scans.")],
+    out: OutOption,
+    scans: Annotated[
+        int | None, typer.Option("--scans", min=2, help="Push-broom or 3D scans; default: the whole way.")
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of all noise.")] = 0,
+    laps: Annotated[int, typer.Option("--laps", min=1, help="Times round a world that is a loop.")] = 1,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Write a simulated mission: log, rig.yaml and the truth."""
+    from slam.given import check_world_given
+    from slam.output.new_folder import check_free, new_folder
+
+    check_world_given(world)
+    check_free(out, overwrite=overwrite)
+    from slam.simulation import simulate_mission
+
+    mission = simulate_mission(world, n_scans=scans, seed=seed, laps=laps)
+    with new_folder(out, overwrite=overwrite) as folder:
+        mission.save(folder)

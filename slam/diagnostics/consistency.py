@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import gammaincinv
 
-from slam.association.data_association import Decision
 from slam.growable import Rows
+from slam.map.data_association import Decision
 
 #: Two-sided probability of the band that a mean NIS is held against.
 BAND = 0.95
@@ -22,7 +22,7 @@ class NisAudit:
     Innovations are taken before the update, with state and measurement covariance, so their sum over a run is chi2
     with the summed degrees of freedom when every covariance is honest. The gate cuts the upper tail off, which moves
     the mean down by less than its significance. Of a keyframe without odometry the pose is taken as unknown: what its
-    planes say beyond finding it is an innovation (`slam/diagnostics/pose_free_innovations.py`).
+    planes say beyond finding it is an innovation (`slam/diagnostics/bookkeeping.py`).
     """
 
     history: dict[str, Rows] = field(default_factory=dict)

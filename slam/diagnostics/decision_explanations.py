@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from slam.association.data_association import Candidate, Decision
 from slam.frontend.observations import Observation
 from slam.loop_closure.closing import ClosedLoop
 from slam.loop_closure.verification import LoopDecision
+from slam.map.data_association import Candidate, Decision
 from slam.mapping.fusion import Merge
 
 #: Candidates named in a sentence.

@@ -10,9 +10,9 @@ import shapely
 import shapely.ops
 from shapely.geometry.base import BaseGeometry
 
-from slam.geometry.frames import inverse
+from slam.geometry.frames import inverse, lift
 from slam.geometry.polygons import flatten, valid
-from slam.planeslam import MapPlane
+from slam.map.map_planes import MapPlane
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -100,3 +100,23 @@ def _variance_at(plane: Plane, point: FloatArray) -> float:
     x, y = (point - frame[:3, 3]) @ frame[:3, :2]
     slope = np.array([1.0, -x, y])
     return float(slope @ covariance @ slope)
+
+
+#: Walls lean less than this from the vertical: sine.
+_MAX_LEAN = 0.26
+#: Walls nearer to each other than this, over one place of the plan, are counted as one metre of wall, m.
+_SAME_M = 0.3
+
+
+def metres_of_wall(planes: Sequence[MapPlane]) -> tuple[int, float]:
+    """Number of walls among planes, and the length of wall that they cover in plan, m, each place once."""
+    strips = []
+    for plane in planes:
+        if abs(float(plane.plane.normal[2])) > _MAX_LEAN:
+            continue
+        corners = lift(shapely.get_coordinates(plane.seen), plane.plane.frame)[:, :2]
+        across = plane.plane.normal[:2] / np.linalg.norm(plane.plane.normal[:2])
+        along = corners @ np.array((-across[1], across[0]))
+        ends = corners[[int(np.argmin(along)), int(np.argmax(along))]]
+        strips.append(shapely.LineString(ends).buffer(0.5 * _SAME_M, cap_style="flat"))
+    return len(strips), float(shapely.union_all(strips).area / _SAME_M) if strips else 0.0

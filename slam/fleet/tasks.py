@@ -27,7 +27,7 @@ from slam.output.run_files import write_run
 from slam.output.run_folder import Source, conclude, new_run
 from slam.runs.slam_run import run_slam
 from slam.sensors.rig import Rig
-from slam.session._digest import fingerprint
+from slam.session._file import fingerprint
 from spplanes import __version__
 
 #: The record of a mission in its run's folder.

@@ -15,7 +15,7 @@ import numpy as np
 
 from slam.errors import LogError
 from slam.frontend.measurement import usable_points, usable_ranges
-from slam.io.clouds.arrange import grid_of
+from slam.io.clouds.cloud import grid_of
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig, Sensor
 from spplanes._check import FloatArray

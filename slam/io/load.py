@@ -10,7 +10,7 @@ from slam.errors import LogError
 from slam.given import check_cloud_given, check_log_given
 from slam.io.carmen.reader import read_carmen
 from slam.io.clouds import is_cloud_file, read_cloud
-from slam.io.clouds.arrange import grid_of
+from slam.io.clouds.cloud import grid_of
 from slam.io.default_rigs import assumptions, bag_rig, cloud_rig, depth_rig, threedtk_rig, turned_laser_rig
 from slam.io.folders.clouds import clouds_in, has_clouds, read_cloud_folder, read_e57_log
 from slam.io.folders.depth_images import CAMERA_POSES, is_depth_folder, read_depth_folder

@@ -16,8 +16,7 @@ from slam.geometry.polygons import flatten, largest_polygon
 from slam.io.trajectories import Trajectory
 from slam.joining.mission import FinishedMission
 from slam.joining.overlap import Comparison
-from slam.joining.solution import JointSolution, MissionPosterior
-from slam.joining.ties import Place
+from slam.joining.solution import JointSolution, MissionPosterior, Place
 from slam.map.map_planes import MapPlane
 from spplanes import Plane
 from spplanes._check import FloatArray

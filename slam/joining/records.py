@@ -15,7 +15,7 @@ from slam.joining.mission import FinishedMission, Look, Mission, MissionGraph
 from slam.joining.overlap import Comparison
 from slam.sensors.rig import Rig
 from slam.session._codec import CodecError, decode, encode
-from slam.session._digest import digest
+from slam.session._file import digest
 from slam.session.store import rig_json
 from spplanes import __version__
 

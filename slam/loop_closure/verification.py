@@ -9,19 +9,20 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri
 
-from slam.backend.estimator import Backend, pose_symbol
+from slam.backend.estimator import Backend, JointCovariance, pose_symbol
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.information import left_open
 from slam.frontend.keyframes import Keyframe
+from slam.frontend.occupancy import Raster
 from slam.frontend.odometry import NO_FLOOR, Motion, planar_delta
-from slam.geometry.frames import inverse, planar_transform
+from slam.geometry.frames import inverse, lift, planar_transform
 from slam.loop_closure.candidates import DrivenPath, old_keyframes, radius_of
 from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
-from slam.loop_closure.surroundings import surroundings, view_about, walls_from
 from slam.map.landmarks import Landmark, LandmarkMap
+from slam.mapping.same_plane import hesse_from, landmark_keys
 from slam.registration.correlative_search import PlaceView, SearchResult, search_place
-from slam.registration.place_recognition import ConstellationMatch, match_constellations, match_near
-from slam.registration.submaps import RelativePose
+from slam.registration.place_recognition import ConstellationMatch, Wall, match_constellations, match_near
+from slam.registration.submaps import RelativePose, view_of
 from spplanes._check import FloatArray
 
 LoopVerdict = Literal[
@@ -268,3 +269,47 @@ def _decide(
     if verdict == "closed" and not pairs:
         verdict = "too few"
     return LoopDecision(now, old, verdict, pairs, distance, turn, match.chi2, match.n_dof, match.evidence)
+
+
+def surroundings(
+    index: int, path: DrivenPath, landmarks: LandmarkMap, config: LoopConfig, min_keyframes: int
+) -> list[Landmark]:
+    """Confirmed landmarks seen within the window of travel around a keyframe."""
+    first, last = path.window(index, config.window_m)
+    return [
+        landmark
+        for landmark in landmarks
+        if landmark.n_keyframes >= min_keyframes and landmark.was_seen_between(first, last)
+    ]
+
+
+def view_about(
+    frame: int, path: DrivenPath, keyframes: Sequence[Keyframe], backend: Backend, config: LoopConfig
+) -> Raster | None:
+    """What level lasers saw within the window of travel around a keyframe, in its frame."""
+    first, last = path.window(frame, config.window_m)
+    members = list(range(first, last + 1))
+    poses = [backend.pose(pose_symbol(one)) for one in members]
+    return view_of([keyframes[one] for one in members], poses, path.pose(frame), config)
+
+
+def walls_from(pose_key: int, seen: Sequence[Landmark], landmarks: LandmarkMap, backend: Backend) -> list[Wall]:
+    """The landmarks as walls in the frame of a pose, with their covariance relative to it."""
+    keys = {pose_key}.union(*(landmark_keys(landmark) for landmark in seen))
+    joint = backend.joint_covariance(sorted(keys))
+    body_T_world = inverse(backend.pose(pose_key))
+    return [_wall_from(pose_key, one, body_T_world, landmarks, backend, joint) for one in seen]
+
+
+def _wall_from(
+    pose_key: int,
+    landmark: Landmark,
+    body_T_world: FloatArray,
+    landmarks: LandmarkMap,
+    backend: Backend,
+    joint: JointCovariance,
+) -> Wall:
+    normal, d, jacobian, keys = hesse_from(landmark, pose_key, backend)
+    covariance = jacobian @ joint.of(keys) @ jacobian.T
+    body_T_plane = body_T_world @ landmarks.placed(landmark.id).world_T_plane
+    return Wall.from_plane(normal, d, covariance, lift(landmark.extent.corners, body_T_plane))

@@ -3,20 +3,71 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+import gtsam
 import numpy as np
 
+from factors._conventions import POSE3_TO_SP, SP_TO_POSE3
 from slam.backend.estimator import Backend, pose_symbol
 from slam.config import ThinningConfig
+from slam.frontend.information import floor_information, plane_information
 from slam.frontend.observations import Observation
-from slam.frontend.odometry import Motion
-from slam.frontend.odometry_chain import chained
+from slam.frontend.odometry import Motion, spatial_covariance
+from slam.frontend.wheel_calibration import shared_covariance
 from slam.map.landmarks import LandmarkMap
-from slam.map.pose_support import PoseSupport
 from spplanes._check import FloatArray
+
+#: Variance of a pose of which nothing is known, m^2 and rad^2.
+_UNKNOWN = 1e4
+#: A pose is known as well by less when no variance is larger by more than this factor: 10 % of a standard deviation.
+_AS_WELL = 1.2
+
+
+class PoseSupport:
+    """Follows how well the newest pose is known in the map by all that was seen, and by the latest part of it alone.
+
+    Along a corridor that part reaches back to the last end wall or door frame; where all directions are seen at once it
+    is a keyframe or two. Two Kalman filters of the pose with the map taken as known, without their means.
+    """
+
+    def __init__(self) -> None:
+        self._by_all = _UNKNOWN * np.eye(6)
+        self._by_late = _UNKNOWN * np.eye(6)
+        self._late_from = 0
+        self.needed_from = 0
+        """What was seen before this keyframe tells nothing of the newest pose that was not seen since."""
+
+    def step(self, keyframe: int, motion: Motion | None, matched: Iterable[Observation]) -> None:
+        """A keyframe has come by a motion, None where nobody measured it, and saw known planes."""
+        information = sum((plane_information(one) for one in matched), start=floor_information(motion))
+        self._by_all = _seen(_moved(self._by_all, motion), information)
+        self._by_late = _seen(_moved(self._by_late, motion), information)
+        root = np.linalg.cholesky(self._by_all)
+        whitened = np.linalg.solve(root, np.linalg.solve(root, self._by_late).T)
+        if np.linalg.eigvalsh(0.5 * (whitened + whitened.T))[-1] <= _AS_WELL:
+            self.needed_from, self._late_from = self._late_from, keyframe
+            self._by_late = _seen(_UNKNOWN * np.eye(6), information)
+
+
+def _moved(covariance: FloatArray, motion: Motion | None) -> FloatArray:
+    if motion is None:
+        return _UNKNOWN * np.eye(6)
+    carry = gtsam.Pose3(motion.a_T_b).inverse().AdjointMap()
+    own = motion.covariance
+    if motion.is_planar:
+        own = spatial_covariance(own, motion.a_T_b, motion.out_of_plane_sigmas)
+    return carry @ covariance @ carry.T + own[np.ix_(SP_TO_POSE3, SP_TO_POSE3)]
+
+
+def _seen(covariance: FloatArray, information: FloatArray) -> FloatArray:
+    """By a square root: a difference of inverses is not symmetric where much is unknown and much is told."""
+    root = np.linalg.cholesky(covariance)
+    half = np.linalg.solve(np.linalg.cholesky(np.eye(6) + root.T @ information @ root), root.T)
+    return np.asarray(half.T @ half, dtype=np.float64)
+
 
 #: Most keyframes that leave at once: more would be a jolt.
 _AT_ONCE = 4
@@ -223,3 +274,49 @@ def _size(joint: Any, key: int) -> int:
 
 def _log_det(jacobian: FloatArray, covariance: FloatArray) -> float:
     return float(np.linalg.slogdet(jacobian @ covariance @ jacobian.T + np.eye(len(jacobian)))[1])
+
+
+def chained(first: Motion, second: Motion) -> Motion:
+    """The motion from a to c by those from a to b and from b to c, both as measured, of one kind and one robot.
+
+    To first order. Errors of calibration are the same in both; all others of one are independent of those of the other.
+    """
+    a_T_c = first.a_T_b @ second.a_T_b
+    turn, carry = np.eye(3), np.eye(3)
+    turn[:2, :2] = first.a_T_b[:2, :2]
+    moved = turn[:2, :2] @ second.a_T_b[:2, 3]
+    carry[:2, 2] = -moved[1], moved[0]
+    response, own = None, (first.covariance, second.covariance)
+    if first.response is not None and second.response is not None:
+        response, own = carry @ first.response + turn @ second.response, (_own(first), _own(second))
+    if first.is_planar:
+        covariance = carry @ own[0] @ carry.T + turn @ own[1] @ turn.T
+        out = _out_of_plane(first, second)
+    else:
+        back = gtsam.Pose3(second.a_T_b).inverse().AdjointMap()[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+        covariance, out = back @ own[0] @ back.T + own[1], first.out_of_plane_sigmas
+    whole = Motion(a_T_c, covariance, out, response, first.calibration_sigmas)
+    if response is None:
+        return whole
+    return replace(whole, covariance=covariance + shared_covariance(whole, _stated(whole)))
+
+
+def _own(motion: Motion) -> FloatArray:
+    """The part of a covariance that is of no other motion."""
+    return motion.covariance - shared_covariance(motion, _stated(motion))
+
+
+def _stated(motion: Motion) -> FloatArray:
+    return np.diag(np.square(motion.calibration_sigmas))
+
+
+def _out_of_plane(first: Motion, second: Motion) -> tuple[float, float, float]:
+    """Standard deviations (z, roll, pitch) of both: a tilt of the first lifts the end of the second."""
+    lever = float(np.linalg.norm(second.a_T_b[:3, 3]))
+    (z, *tilts), (other_z, *others) = first.out_of_plane_sigmas, second.out_of_plane_sigmas
+    tilt = max(tilts)
+    return (
+        float(np.sqrt(z**2 + other_z**2 + (lever * tilt) ** 2)),
+        float(np.hypot(tilt, others[0])),
+        float(np.hypot(tilt, others[1])),
+    )

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import gtsam
 import numpy as np
@@ -18,9 +18,31 @@ from slam.frontend.observations import Observation
 from slam.geometry.frames import inverse
 from slam.map.landmarks import Landmark, Sighting
 from slam.map.state import Parts
-from slam.mapping.fusion_history import Cause, Merge
 from slam.mapping.same_plane import same_plane_chi2
 from spplanes.outlines.extents import Extent
+
+Cause = Literal["same plane", "loop"]
+
+
+@dataclass(eq=False)
+class Merge:
+    """Two landmarks that were taken for one."""
+
+    keyframe: int
+    """When: index of the keyframe."""
+    older: int
+    """Id of the landmark that took everything."""
+    younger: int
+    """Id of the one that is gone."""
+    cause: Cause
+    """twins: their difference passed its chi2; loop: a closure paired them."""
+    gone: Landmark
+    """The younger as it was."""
+    undone: int | None = None
+    """The keyframe at which the merge was found wrong; None: it stands."""
+    next_look: int = 0
+    """Keyframe from which on its residuals are looked at again."""
+
 
 #: After an undone merge the estimate goes back a long way: so often iSAM2 relinearises.
 _ROUNDS = 5

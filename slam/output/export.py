@@ -103,7 +103,7 @@ def _mesh(run: StoredRun, path: Path) -> None:
 
 
 def _scene(run: StoredRun, path: Path) -> None:
-    from slam.visualization.glb import write_glb
+    from slam.visualization.mesh import write_glb
 
     write_glb(path, run.planes)
 

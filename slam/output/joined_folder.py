@@ -19,8 +19,7 @@ from slam.io.g2o.writer import write_g2o
 from slam.io.planes_json import write_planes
 from slam.io.trajectories import Trajectory, write_tum
 from slam.joining import JoinedComponent, JoinedMap
-from slam.joining.solution import FLOOR_M, FLOOR_RAD
-from slam.joining.ties import Place, joint_key
+from slam.joining.solution import FLOOR_M, FLOOR_RAD, Place, joint_key
 from slam.map.map_planes import MapPlane
 from slam.output.run_files import as_json, write_json, write_result
 from slam.runs.history import History

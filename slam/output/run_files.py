@@ -11,24 +11,26 @@ from typing import Any
 import numpy as np
 
 from slam.config import SlamConfig
+from slam.errors import LogError
 from slam.evaluation.metrics import Metric
+from slam.frontend.measurement import usable_points, usable_ranges
+from slam.geometry.frames import lift
 from slam.io.clouds.ply import write_ply_tables
 from slam.io.g2o.writer import write_g2o
 from slam.io.planes_json import write_planes
-from slam.io.trajectories import write_tum
+from slam.io.trajectories import Trajectory, write_tum
 from slam.output.run_metrics import details_of, map_metrics_of, metrics_of, timings_of
 from slam.runs.graph_import import ImportedRun
 from slam.runs.history import History
-from slam.runs.map_points import points_of_map
 from slam.runs.mapping_run import MapResult
 from slam.runs.slam_run import Run
-from slam.sensors.log import Log
-from slam.sensors.rig import Rig
+from slam.sensors.log import CloudScan, LaserScan, Log
+from slam.sensors.rig import Rig, Sensor
 from slam.visualization.mesh import Mesh, mesh_of
-from slam.visualization.pictures import Drawn, draw_map
+from slam.visualization.pictures import Drawn, draw_map, draw_uncertainty
 from slam.visualization.report import write_report
 from slam.visualization.scene import scene_of
-from slam.visualization.uncertainty import draw_uncertainty
+from spplanes._check import FloatArray
 
 
 def write_run(run: Run, folder: Path, *, title: str, extra: Sequence[tuple[str, Sequence[Metric]]] = ()) -> None:
@@ -132,3 +134,52 @@ def write_ply(path: Path, mesh: Mesh) -> None:
 def write_json(path: Path, data: dict[str, Any]) -> None:
     """Strict JSON: NaN is refused rather than written as a word no other reader knows."""
     path.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+#: Points that are kept: a page of some 150 kB more, drawn in some 10 ms.
+MOST_POINTS = 15_000
+#: Scans that they come from, evenly over the run: 3D scans are read from their files again.
+_MOST_CLOUDS, _MOST_SCANS = 24, 400
+
+
+def points_of_map(log: Log, rig: Rig, scans: Trajectory) -> FloatArray:
+    """Returns of scans at their poses, shape (N, 3), m, N at most `MOST_POINTS`; the same ones each time.
+
+    Args:
+        log: whose scans; those of sensors that the rig does not have, and of files that cannot be read, are left out.
+        rig: where the sensors sit and how far they see.
+        scans: world_T_body at the scans, by their times.
+    """
+    known = [one for one in log.scans() if one.sensor in rig.sensors]
+    rows = np.searchsorted(scans.stamps_ns, [one.stamp_ns for one in known])
+    posed = [
+        (one, row)
+        for one, row in zip(known, rows.tolist(), strict=True)
+        if row < len(scans) and scans.stamps_ns[row] == one.stamp_ns
+    ]
+    most = _MOST_CLOUDS if any(isinstance(one, CloudScan) for one, _ in posed) else _MOST_SCANS
+    chosen = [posed[k] for k in _evenly(len(posed), most)]
+    parts = [np.empty((0, 3))]
+    for scan, row in chosen:
+        sensor = rig.sensors[scan.sensor]
+        try:
+            seen = returns_of(scan, sensor)
+        except LogError:
+            continue
+        kept = seen[_evenly(len(seen), MOST_POINTS // len(chosen))]
+        parts.append(lift(kept, scans.poses[row] @ sensor.body_T_sensor))
+    return np.concatenate(parts)
+
+
+def returns_of(scan: LaserScan | CloudScan, sensor: Sensor) -> FloatArray:
+    """What a scan met within the reach of its sensor, in the sensor's frame, shape (N, 3), m."""
+    if isinstance(scan, CloudScan):
+        points = usable_points(scan.points, sensor).reshape(-1, 3)
+    else:
+        bearings = np.stack((np.cos(scan.angles), np.sin(scan.angles), np.zeros(len(scan.angles))), axis=1)
+        points = usable_ranges(scan.ranges, sensor)[:, None] * bearings
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _evenly(count: int, most: int) -> np.ndarray:
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

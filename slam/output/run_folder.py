@@ -22,8 +22,7 @@ from slam.planeslam import PlaneSlam
 from slam.runs.slam_run import Run
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig
-from slam.session._digest import fingerprint
-from slam.session._file import sync_folder
+from slam.session._file import fingerprint, sync_folder
 from slam.session.prior_map import PriorMap, finished_map
 from slam.session.replay import RawScans, SessionRecorder, is_measured_again, resumed
 from slam.session.state import SESSION_FILE, check_run_folder, session_path

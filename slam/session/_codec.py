@@ -17,12 +17,12 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from slam._field_types import check_fields, holds
-from slam.association.data_association import Candidate, Decision
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import Motion
 from slam.frontend.pose_measurements import KINDS, PlaceMatch
 from slam.io.spool import StoredScan
+from slam.map.data_association import Candidate, Decision
 from slam.map.map_planes import MapPlane
 from slam.sensors.log import CloudScan, LaserScan, StoredCloud
 from spplanes import Plane, ScanLine

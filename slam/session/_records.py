@@ -9,15 +9,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from slam.association.data_association import Decision
 from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.pose_measurements import PlaceMatch
+from slam.map.data_association import Decision
 from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import Rig
 from slam.session._codec import CodecError, decisions_of, keyframe_of, places_of, scan_of
-from slam.session._digest import digest
-from slam.session._file import SessionDamaged, SessionError, translated
+from slam.session._file import SessionDamaged, SessionError, digest, translated
 from slam.session._opening import OpenFile
 
 #: Parameters in the order in which the chain of checksums begins with them.

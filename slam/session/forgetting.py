@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
 from typing import Any, overload
 
-from slam.association.data_association import Decision
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion
 from slam.frontend.pose_measurements import PlaceMatch, PoseMeasurement
 from slam.growable import Growing, Rows
+from slam.map.data_association import Decision
 from slam.session.store import Session
 from spplanes._check import FloatArray
 

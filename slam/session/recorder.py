@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, MutableSequence, Sequence
 
-from slam.association.data_association import Decision
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.pose_measurements import PlaceMatch
+from slam.map.data_association import Decision
 
 #: Places by the keyframe that stands near them.
 Places = Mapping[int, Sequence[PlaceMatch]]

@@ -9,9 +9,9 @@ from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 
-from slam.association.data_association import Decision
 from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe
+from slam.map.data_association import Decision
 from slam.sensors.log import Log
 from slam.session._codec import encode
 from slam.session.forgetting import ForgottenDecisions, ForgottenKeyframes

@@ -8,7 +8,7 @@ from itertools import count
 from pathlib import Path
 
 from slam.session._codec import encode
-from slam.session._lock import WriterLock
+from slam.session._opening import WriterLock
 from slam.session.state import check_session_given, session_path
 from slam.session.store import RawScan, Session, SessionDamaged, SessionError
 

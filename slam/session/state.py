@@ -6,8 +6,7 @@ import json
 from contextlib import closing
 from pathlib import Path
 
-from slam.session._digest import digest
-from slam.session._file import SessionDamaged, SessionError, translated
+from slam.session._file import SessionDamaged, SessionError, digest, translated
 from slam.session._opening import open_file
 
 #: Name of the session in the folder of a run.

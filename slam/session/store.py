@@ -9,16 +9,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
-from slam.association.data_association import Decision
 from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe
+from slam.map.data_association import Decision
 from slam.sensors.rig import Rig
 from slam.session._codec import encode, encode_and_compare, keyframe_of, without_scans
-from slam.session._digest import digest
 from slam.session._file import (
     SessionDamaged,
     SessionError,
     StorageError,
+    digest,
     fold_journal,
     transaction,
     translated,

@@ -12,12 +12,10 @@ import numpy as np
 
 from slam.given import check_world_given
 from slam.io.carmen.writer import write_carmen
-from slam.io.folders.writer import write_cloud_folder
+from slam.io.folders.clouds import write_cloud_folder
 from slam.sensors.log import LaserScan, Log
 from slam.sensors.rig import Rig
-from slam.simulation.corridor import corridor
-from slam.simulation.hall import hall, hall_path, room, room_path
-from slam.simulation.office import office, office_path
+from slam.simulation.buildings import corridor, hall, hall_path, office, office_path, room, room_path
 from slam.simulation.path import Path as DrivenPath
 from slam.simulation.record import Plan, record
 from slam.simulation.rigs import checked_rig, paper_rig, spinning_rig

@@ -1,16 +1,21 @@
-"""Outlines of map planes as triangles and line segments in the world."""
+"""Outlines of map planes as triangles and line segments in the world, and as GLB."""
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
 
 from slam.geometry.polygons import polygons_of
-from slam.planeslam import MapPlane
+from slam.map.map_planes import MapPlane
 from spplanes._check import FloatArray
+from spplanes._version import __version__
 
 #: Colours by what a plane is, RGB in 0..255: floor-like, ceiling-like, walls by the direction they face.
 FLOOR_RGB, CEILING_RGB = (150, 150, 150), (205, 205, 215)
@@ -68,3 +73,113 @@ def _triangle_corners(plane: MapPlane) -> FloatArray:
         for triangle in shapely.get_parts(shapely.constrained_delaunay_triangles(polygon)):
             triangles.append(shapely.get_coordinates(shapely.orient_polygons(triangle))[:3])
     return np.concatenate(triangles) if triangles else np.empty((0, 2))
+
+
+# Constants of the format, Khronos glTF 2.0 specification, sections 3.6, 4.4 and 5.1.
+_MAGIC, _VERSION, _JSON, _BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
+_FLOAT, _UINT, _UBYTE = 5126, 5125, 5121
+_VERTICES, _INDICES = 34962, 34963
+#: glTF is y-up, the map z-up: x stays, z becomes y.
+_Z_UP = [-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]
+
+
+def write_glb(path: Path | str, planes: Sequence[MapPlane]) -> None:
+    """Write the polygons of a map, holes left open, coloured and lit from the side they were seen from.
+
+    Every plane is a node "plane ID" whose extras hold normal, d, sigma_m (along the normal at its centre) and
+    n_points. glTF has single precision and y up: coordinates are relative to the plane's centre, which is the node's
+    translation, and a root node "map" turns z up.
+    """
+    document, chunks = _scene([plane for plane in planes if len(mesh_of([plane]).triangles)])
+    binary = b"".join(chunks)
+    if binary:
+        document["buffers"] = [{"byteLength": len(binary)}]
+    text = json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+    body = _chunk(_JSON, text, b" ") + (_chunk(_BIN, binary, b"\0") if binary else b"")
+    Path(path).write_bytes(struct.pack("<III", _MAGIC, _VERSION, 12 + len(body)) + body)
+
+
+def _scene(planes: Sequence[MapPlane]) -> tuple[dict[str, Any], list[bytes]]:
+    buffers = _Buffers()
+    nodes: list[dict[str, Any]] = [{"name": "map", "rotation": _Z_UP}]
+    meshes = []
+    for index, plane in enumerate(planes):
+        meshes.append({"name": f"plane {plane.id}", "primitives": [_primitive(plane, mesh_of([plane]), buffers)]})
+        node = {"name": f"plane {plane.id}", "mesh": index, "translation": plane.plane.centre.tolist()}
+        nodes.append({**node, "extras": _numbers_of(plane)})
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": f"spplanes {__version__}"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": nodes,
+    }
+    if planes:
+        nodes[0]["children"] = list(range(1, len(nodes)))
+        matte = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": True}
+        document |= {"meshes": meshes, "materials": [matte]}
+        document |= {"accessors": buffers.accessors, "bufferViews": buffers.views}
+    return document, buffers.chunks
+
+
+def _primitive(plane: MapPlane, mesh: Mesh, buffers: _Buffers) -> dict[str, Any]:
+    positions = (mesh.vertices - plane.plane.centre).astype("<f4")
+    normals = np.tile(plane.plane.normal, (len(positions), 1)).astype("<f4")
+    opaque = np.full((len(positions), 1), 255, dtype=np.uint8)
+    return {
+        "attributes": {
+            "POSITION": buffers.add(positions, _FLOAT, "VEC3", _VERTICES, bounded=True),
+            "NORMAL": buffers.add(normals, _FLOAT, "VEC3", _VERTICES),
+            "COLOR_0": buffers.add(np.hstack((mesh.colours, opaque)), _UBYTE, "VEC4", _VERTICES, normalised=True),
+        },
+        "indices": buffers.add(mesh.triangles.astype("<u4").ravel(), _UINT, "SCALAR", _INDICES),
+        "material": 0,
+    }
+
+
+def _numbers_of(plane: MapPlane) -> dict[str, Any]:
+    return {
+        "id": plane.id,
+        "normal": plane.plane.normal.tolist(),
+        "d": plane.plane.d,
+        "sigma_m": float(np.sqrt(plane.plane.covariance[0, 0])),
+        "n_points": int(plane.plane.n_points),
+    }
+
+
+class _Buffers:
+    """Arrays one after the other in the binary chunk; every one a multiple of four bytes long."""
+
+    def __init__(self) -> None:
+        self.chunks: list[bytes] = []
+        self.views: list[dict[str, Any]] = []
+        self.accessors: list[dict[str, Any]] = []
+        self._length = 0
+
+    def add(
+        self,
+        array: np.ndarray,
+        component: int,
+        kind: str,
+        target: int,
+        *,
+        bounded: bool = False,
+        normalised: bool = False,
+    ) -> int:
+        """Index of the accessor of an array."""
+        data = np.ascontiguousarray(array).tobytes()
+        self.views.append({"buffer": 0, "byteOffset": self._length, "byteLength": len(data), "target": target})
+        accessor: dict[str, Any] = {"bufferView": len(self.views) - 1, "componentType": component}
+        accessor |= {"count": len(array), "type": kind}
+        if bounded:
+            accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+        if normalised:
+            accessor["normalized"] = True
+        self.accessors.append(accessor)
+        self.chunks.append(data)
+        self._length += len(data)
+        return len(self.accessors) - 1
+
+
+def _chunk(kind: int, data: bytes, padding: bytes) -> bytes:
+    data += padding * (-len(data) % 4)
+    return struct.pack("<II", len(data), kind) + data

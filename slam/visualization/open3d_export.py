@@ -132,7 +132,7 @@ def ellipsoids_to_lines(
     """Confidence ellipsoids of positions, each as three great ellipses in its principal planes.
 
     The positions of a run and their covariances in the world are what
-    `slam.visualization.uncertainty.position_covariances` gives.
+    `slam.visualization.pictures.position_covariances` gives.
 
     Args:
         centres: shape (N, 3), m.

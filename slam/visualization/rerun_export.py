@@ -17,7 +17,7 @@ from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
 from slam.runs.stored_run import StoredRun
 from slam.visualization.mesh import colour_of, mesh_of
-from slam.visualization.uncertainty import CONFIDENCE, position_covariances
+from slam.visualization.pictures import CONFIDENCE, position_covariances
 
 #: Timelines: number of the keyframe, and its time in the log.
 KEYFRAME, STAMP = "keyframe", "stamp"

@@ -7,10 +7,9 @@ from pathlib import Path
 
 from slam.files import whole_file
 from slam.runs.stored_run import StoredRun
-from slam.visualization.pictures import draw_one
+from slam.visualization.pictures import draw_one, draw_uncertainty
 from slam.visualization.report import write_report
 from slam.visualization.scene import scene_of
-from slam.visualization.uncertainty import draw_uncertainty
 
 
 def view_run(run: Path | str, out: Path | str | None = None) -> list[Path]:

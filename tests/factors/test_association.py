@@ -22,8 +22,8 @@ from factors import (
     settle,
 )
 from factors.association.gates import AssociationGates as Gates
-from slam.association.data_association import gates_of
 from slam.config import AssociationConfig
+from slam.map.data_association import gates_of
 from spplanes import Plane
 from tests.factors.association_scenes import MAPPED, ROOM, X, asked, drawn, key, plane_of, scene
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slam.association.data_association import Candidate, Decision
+from slam.map.data_association import Candidate, Decision
 from slam.session._codec import decisions_of, decode, encode
 from slam.session.replay import _choice, _numbers
 from tests.fuzz.target import Target

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from slam import PlaneSlam, SlamConfig
-from slam.association.data_association import Decision, associate
 from slam.loop_closure.closing import LoopCloser
+from slam.map.data_association import Decision, associate
 from slam.runs.slam_run import run_slam
 from slam.simulation import simulate_mission
 from spplanes.segmentation.scans import Labelled, label_scans

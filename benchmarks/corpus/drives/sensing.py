@@ -9,7 +9,7 @@ import numpy as np
 from slam.io.default_rigs import depth_rig
 from slam.io.folders.depth_images import CAMERA_MOUNT
 from slam.sensors.rig import Mount, Sensor
-from slam.simulation.noise import noisy_ranges
+from slam.simulation.record import noisy_ranges
 from slam.simulation.rigs import BEAMS, HORIZONTAL, VERTICAL, Beams, paper_rig
 from spplanes._check import FloatArray
 

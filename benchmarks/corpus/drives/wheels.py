@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from slam.sensors.wheel_noise import OdometryNoise
-from slam.simulation.noise import drifting_odometry
 from slam.simulation.path import pose_matrices
+from slam.simulation.record import drifting_odometry
 from slam.simulation.rigs import ON_LEVEL_FLOOR
 from spplanes._check import FloatArray
 

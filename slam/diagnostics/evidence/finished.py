@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from slam.association.data_association import Decision
 from slam.backend.estimator import Backend
 from slam.config import SlamConfig
 from slam.diagnostics.consistency import NisAudit
@@ -14,8 +13,9 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.io.trajectories import Trajectory
 from slam.loop_closure.verification import LoopDecision
+from slam.map.data_association import Decision
 from slam.map.landmarks import LandmarkMap
-from slam.mapping.late_association import LateMatch
+from slam.mapping.map_update import LateMatch
 from slam.registration.relocalization import Rivals
 from slam.session.prior_map import PriorMap
 from slam.tracking.odometry_record import OdometryRecord

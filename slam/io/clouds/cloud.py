@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slam.errors import LogError
 from spplanes._check import FloatArray
+from spplanes.clouds.arrange import Grid
+
+if TYPE_CHECKING:
+    from slam.sensors.rig import Sensor
 
 #: What a file says lies farther away was never seen, m.
 FARTHEST_M = 1e9
@@ -42,3 +47,8 @@ def checked(path: Path, points: FloatArray, world_T_sensor: FloatArray | None = 
     if not finite.all():
         points = np.where(finite[..., None], points, np.nan)
     return Cloud(np.ascontiguousarray(points, dtype=np.float64), world_T_sensor)
+
+
+def grid_of(sensor: Sensor) -> Grid | None:
+    """The range image that a rig states for a sensor."""
+    return None if sensor.rows is None or sensor.columns is None else Grid(sensor.rows, sensor.columns)

@@ -15,9 +15,9 @@ from slam.evaluation import (
     relation_metrics,
     relative_error,
 )
+from slam.evaluation.relations import Relations, read_relations
 from slam.geometry.frames import planar_transform
 from slam.io.carmen.reader import read_carmen
-from slam.io.relations import Relations, read_relations
 from slam.io.trajectories import Trajectory, read_tum
 from spplanes import Plane
 from tests.slam.real_data import needs

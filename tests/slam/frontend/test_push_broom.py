@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from slam.frontend.measurement import window_poses
 from slam.frontend.odometry import OdometryTrack, planar_delta, spatial_covariance
-from slam.frontend.push_broom import window_poses
 from slam.geometry.frames import inverse, planar_transform
 from slam.sensors.log import OdometryReading
 from slam.sensors.wheel_noise import OdometryNoise

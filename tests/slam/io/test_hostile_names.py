@@ -20,7 +20,7 @@ from slam.io.load import load
 from slam.runs.history import History
 from slam.runs.stored_run import StoredRun
 from slam.simulation.truth import Truth
-from slam.visualization.glb import write_glb
+from slam.visualization.mesh import write_glb
 from slam.visualization.rerun_export import write_rerun
 from tests.fuzz.target import NEXT_FILE
 from tests.fuzz.targets import TARGETS

@@ -10,9 +10,8 @@ import numpy as np
 from factors import world_plane
 from slam.joining import FinishedMission, JoinedComponent
 from slam.joining.condensation import condense
-from slam.joining.shared_landmarks import classes_of, shared_by
-from slam.joining.solution import JointSolution
-from slam.joining.ties import Place, Tie, joint_key
+from slam.joining.join import classes_of, shared_by
+from slam.joining.solution import JointSolution, Place, Tie, joint_key
 from slam.output.joined_folder import flat_graph
 from tests.slam.joining.rooms import first, room_T_second, second
 

@@ -15,7 +15,7 @@ from slam.geometry.frames import inverse, planar_transform
 from slam.joining import FinishedMission, JoinedMap, join
 from slam.joining.join import names_of
 from slam.joining.overlap import compare_missions
-from slam.joining.ties import base_key
+from slam.joining.solution import base_key
 from slam.map.map_planes import MapPlane
 from spplanes import Plane
 from tests.slam.joining.rooms import ELSEWHERE, first, mission, room_T_second, scene, second

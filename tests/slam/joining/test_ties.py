@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.joining.ties import TiedKeys, tied_difference
+from slam.joining.solution import TiedKeys, tied_difference
 from tests.statistics import assert_jacobian
 
 FIRST, SECOND = TiedKeys(1, 2, 3), TiedKeys(4, 5, 6)

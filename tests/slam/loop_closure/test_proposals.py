@@ -17,8 +17,7 @@ from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.candidates import DrivenPath
 from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
-from slam.loop_closure.proposals import Proposals
-from slam.loop_closure.trial import Trial, evidence_of_map
+from slam.loop_closure.proposals import Proposals, Trial, evidence_of_map
 from slam.loop_closure.verification import Surroundings
 from slam.map.landmarks import LandmarkMap
 

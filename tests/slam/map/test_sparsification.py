@@ -14,9 +14,8 @@ from slam.config import ThinningConfig
 from slam.diagnostics.evidence.odometry import odometry_evidence
 from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion, spatial_covariance
-from slam.frontend.odometry_chain import chained
 from slam.geometry.frames import inverse, planar_transform
-from slam.map.pose_support import PoseSupport, _seen
+from slam.map.sparsification import PoseSupport, _seen, chained
 from slam.planeslam import pose_symbol
 from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation.rigs import spinning_rig

@@ -19,8 +19,7 @@ from slam.output.export import export_run
 from slam.output.run_files import as_json, write_json, write_ply
 from slam.runs.history import History
 from slam.runs.stored_run import StoredRun
-from slam.visualization.glb import write_glb
-from slam.visualization.mesh import mesh_of
+from slam.visualization.mesh import mesh_of, write_glb
 from tests.slam.ply_tables import read_tables
 from tests.slam.visualization.test_open3d_export import WINDOW, needs_open3d, o3d, path, two_planes, wall
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.evaluation.relations import relation_errors
+from slam.evaluation.map_summary import metres_of_wall
+from slam.evaluation.relations import read_relations, relation_errors
 from slam.evaluation.trajectories import absolute_error
-from slam.evaluation.wall_density import metres_of_wall
-from slam.io.relations import read_relations
 from slam.io.trajectories import read_tum
 from slam.runs.slam_run import Run
 from tests.slam.real_data import needs

@@ -11,8 +11,8 @@ import pytest
 from slam.errors import LogError
 from slam.geometry.frames import planar_transform
 from slam.io.trajectories import Trajectory
+from slam.output.run_files import MOST_POINTS, points_of_map
 from slam.runs.history import History
-from slam.runs.map_points import MOST_POINTS, points_of_map
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.mount import Mount
 from slam.sensors.rig import Rig, Sensor

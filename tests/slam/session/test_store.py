@@ -12,13 +12,13 @@ import pytest
 import shapely
 
 from slam import PlaneSlam, SlamConfig
-from slam.association.data_association import Candidate, Decision
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation
+from slam.map.data_association import Candidate, Decision
 from slam.planeslam import pose_symbol
 from slam.sensors.log import CloudScan, LaserScan
 from slam.session._codec import CodecError, decode, encode, keyframe_of, without_scans
-from slam.session._digest import digest, fingerprint
+from slam.session._file import digest, fingerprint
 from slam.session.store import Session, SessionDamaged, SessionError
 from spplanes import ScanLine
 from tests.slam.scenes import drive

@@ -13,8 +13,8 @@ from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import LocalisationNoise, Rig, Sensor
 from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Path, Truth, paper_rig, simulate_mission, spinning_rig
-from slam.simulation.noise import drifting_odometry, localised_poses, noisy_ranges, relative_motions
 from slam.simulation.path import pose_matrices
+from slam.simulation.record import drifting_odometry, localised_poses, noisy_ranges, relative_motions
 from spplanes.noise import SensorModel
 from spplanes.registration import register_scans
 from tests.statistics import assert_mean_in_band, nees

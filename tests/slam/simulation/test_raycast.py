@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from slam.simulation import WorldBuilder
-from slam.simulation.corridor import HEIGHT_M, WIDTH_M, corridor
-from slam.simulation.office import office
+from slam.simulation.buildings import HEIGHT_M, WIDTH_M, corridor, office
 from slam.simulation.rigs import BEAMS
 from spplanes.registration import beam_directions
 

@@ -10,10 +10,9 @@ from benchmarks.corpus.drives import Recipe, make_drive
 from slam.backend.estimator import pose_symbol
 from slam.config import SlamConfig
 from slam.frontend.odometry import OdometryTrack, planar_delta
-from slam.frontend.odometry_chain import chained
 from slam.frontend.wheel_calibration import WheelCalibration, unknown_at_first
 from slam.geometry.frames import inverse
-from slam.map.sparsification import Sparsifier
+from slam.map.sparsification import Sparsifier, chained
 from slam.runs.slam_run import run_slam
 from slam.sensors.log import OdometryReading
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS, OdometryNoise

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from slam import PlaneSlam
-from slam.association.data_association import Decision
 from slam.config import SlamConfig
 from slam.diagnostics.evidence import look_at
-from slam.diagnostics.evidence.free_space import free_space_evidence
-from slam.diagnostics.evidence.loops import loop_evidence
+from slam.diagnostics.evidence.coverage import loop_evidence
+from slam.diagnostics.evidence.surfaces import free_space_evidence
 from slam.diagnostics.views.scans import scan_views_of
 from slam.geometry.frames import planar_transform
 from slam.loop_closure.verification import LoopDecision
+from slam.map.data_association import Decision
 from slam.runs.slam_run import Run, run_slam
 from slam.sensors.log import Log, OdometryReading
 from slam.sensors.mount import Mount

@@ -8,7 +8,7 @@ import pytest
 
 from factors._conventions import SP_TO_POSE3
 from slam import PlaneSlam
-from slam.diagnostics.evidence.start import start_evidence, start_innovation
+from slam.diagnostics.evidence.prior import start_evidence, start_innovation
 from slam.frontend.keyframes import Keyframe
 from slam.geometry.frames import planar_transform
 from slam.session.prior_map import PriorMap, floor_start

@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 
 from benchmarks.corpus.floorplan import cast
-from slam.diagnostics.evidence.free_space import free_space_evidence
 from slam.diagnostics.evidence.mounts import mount_evidence
+from slam.diagnostics.evidence.surfaces import free_space_evidence
 from slam.diagnostics.views.comparing import compare, pairs_of
 from slam.diagnostics.views.level import View, views_of
 from slam.frontend.keyframes import Keyframe

@@ -1,1 +1,0 @@
-"""Data association: gating by innovations, joint compatibility, decisions."""

@@ -1,0 +1,287 @@
+"""Buildings to drive through: a corridor like the paper's, an office and a hall; their walls and doors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from slam.simulation.path import Path
+from slam.simulation.world import Hole, World, WorldBuilder
+
+DOOR_WIDTH_M, DOOR_HEIGHT_M = 0.95, 2.05
+#: How far a closed door is set back, and how thick the walls between corridors and rooms are, m.
+_DOOR_DEPTH_M, _WALL_THICKNESS_M = 0.12, 0.12
+#: Depth of the narrow closed chamber behind an open doorway, m.
+_CHAMBER_DEPTH_M = 2.5
+#: Width along the wall, depth and height of a room behind a doorway, m.
+_ROOM_WIDTH_M, _ROOM_DEPTH_M, _ROOM_HEIGHT_M = 4.0, 3.5, 2.5
+#: What stands or hangs against a wall: depth out of it, bottom, top, m.
+_BLOCKS = {"locker": (0.05, 0.0, 1.9), "closet": (0.40, 0.0, 2.1), "board": (0.02, 1.0, 2.0)}
+#: Openings in the wall.
+_OPENINGS = ("door", "chamber", "room")
+
+Point = tuple[float, float, float]
+
+
+class Feature(NamedTuple):
+    """Something in or on a wall."""
+
+    kind: str
+    """door, chamber, room (all openings), locker, closet, board."""
+    start_m: float
+    """Where it begins along the wall, m."""
+    end_m: float
+    """Where it ends along the wall, m."""
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A straight wall along x or y, from the floor up, seen from one side."""
+
+    start: tuple[float, float]
+    """Where it begins, m."""
+    along: tuple[float, float]
+    """Unit direction it runs in, along x or y."""
+    inward: tuple[float, float]
+    """Unit direction to the side it is seen from."""
+    length_m: float
+    """Its length, m."""
+    height_m: float
+    """Its height, m."""
+
+    def point(self, s: float, n: float, z: float) -> Point:
+        """The point `s` along the wall, `n` in front of it and `z` above the floor."""
+        x = self.start[0] + s * self.along[0] + n * self.inward[0]
+        y = self.start[1] + s * self.along[1] + n * self.inward[1]
+        return (x, y, z)
+
+    def across(self, s: float, n: float, z: float) -> Point:
+        """The vector of `s` along, `n` inward and `z` up."""
+        return (s * self.along[0] + n * self.inward[0], s * self.along[1] + n * self.inward[1], z)
+
+
+def features_along(length_m: float, pattern: Sequence[tuple[str, float, float]]) -> list[Feature]:
+    """Repeat a pattern of (kind, gap before it, length) along a wall, m, as far as it fits."""
+    placed: list[Feature] = []
+    s = 0.0
+    while True:
+        kind, gap, length = pattern[len(placed) % len(pattern)]
+        if s + gap + length > length_m - 0.5:
+            return placed
+        placed.append(Feature(kind, s + gap, s + gap + length))
+        s += gap + length
+
+
+def add_wall(builder: WorldBuilder, wall: Wall, features: Sequence[Feature], floor: int) -> None:
+    """Add the wall, its openings as holes, and everything on it and behind it; floors behind it enlarge `floor`."""
+    holes: list[Hole] = [(f.start_m, 0.0, f.end_m, DOOR_HEIGHT_M) for f in features if f.kind in _OPENINGS]
+    corner, seen_from = wall.point(0.0, 0.0, 0.0), wall.point(0.0, 1.0, 1.0)
+    u, v = wall.across(wall.length_m, 0.0, 0.0), (0.0, 0.0, wall.height_m)
+    builder.add_patch(corner, u, v, toward=seen_from, holes=holes)
+    for feature in features:
+        if feature.kind in _BLOCKS:
+            _add_block(builder, wall, feature)
+        elif feature.kind == "room":
+            _add_room(builder, wall, feature, floor)
+        else:
+            depth = _DOOR_DEPTH_M if feature.kind == "door" else _CHAMBER_DEPTH_M
+            _add_passage(builder, wall, feature, floor, depth, closed=True)
+
+
+def _add_passage(
+    builder: WorldBuilder, wall: Wall, feature: Feature, floor: int, depth: float, *, closed: bool
+) -> None:
+    """The sides, lintel and floor of an opening of some depth, and its far end if it is closed."""
+    a, b = feature.start_m, feature.end_m
+    middle = wall.point((a + b) / 2.0, -depth / 2.0, DOOR_HEIGHT_M / 2.0)
+    up, back, along = (0.0, 0.0, DOOR_HEIGHT_M), wall.across(0.0, -depth, 0.0), wall.across(b - a, 0.0, 0.0)
+    if closed:
+        builder.add_patch(wall.point(a, -depth, 0.0), along, up, toward=middle)
+    for s in (a, b):
+        builder.add_patch(wall.point(s, 0.0, 0.0), back, up, toward=middle)
+    builder.add_patch(wall.point(a, 0.0, 0.0), along, back, toward=middle, plane=floor)
+    builder.add_patch(wall.point(a, 0.0, DOOR_HEIGHT_M), along, back, toward=middle)
+
+
+def _add_block(builder: WorldBuilder, wall: Wall, feature: Feature) -> None:
+    """Lockers, a closet or a notice-board: a box against the wall."""
+    depth, bottom, top = _BLOCKS[feature.kind]
+    ends = (wall.point(feature.start_m, 0.0, bottom), wall.point(feature.end_m, depth, top))
+    low, high = ([f(pair) for pair in zip(*ends, strict=True)] for f in (min, max))
+    axis = 0 if wall.inward[0] else 1
+    hidden = ["xy"[axis] + ("-" if wall.inward[axis] > 0.0 else "+")]
+    builder.add_box(low, high, hidden=hidden if bottom > 0.0 else [*hidden, "z-"])
+
+
+def _add_room(builder: WorldBuilder, wall: Wall, feature: Feature, floor: int) -> None:
+    """An open doorway and a room behind it with a cupboard and a round pillar."""
+    _add_passage(builder, wall, feature, floor, _WALL_THICKNESS_M, closed=False)
+    centre = (feature.start_m + feature.end_m) / 2.0
+    a, b = centre - _ROOM_WIDTH_M / 2.0, centre + _ROOM_WIDTH_M / 2.0
+    near, far = -_WALL_THICKNESS_M, -_WALL_THICKNESS_M - _ROOM_DEPTH_M
+    middle = wall.point(centre, (near + far) / 2.0, _ROOM_HEIGHT_M / 2.0)
+    up, along, back = (0.0, 0.0, _ROOM_HEIGHT_M), wall.across(b - a, 0.0, 0.0), wall.across(0.0, far - near, 0.0)
+    doorway: Hole = (feature.start_m - a, 0.0, feature.end_m - a, DOOR_HEIGHT_M)
+    builder.add_patch(wall.point(a, near, 0.0), along, up, toward=middle, holes=[doorway])
+    builder.add_patch(wall.point(a, far, 0.0), along, up, toward=middle)
+    for s in (a, b):
+        builder.add_patch(wall.point(s, near, 0.0), back, up, toward=middle)
+    builder.add_patch(wall.point(a, near, 0.0), along, back, toward=middle, plane=floor)
+    builder.add_patch(wall.point(a, near, _ROOM_HEIGHT_M), along, back, toward=middle)
+    back_wall = Wall(wall.point(a, far, 0.0)[:2], wall.along, wall.inward, b - a, _ROOM_HEIGHT_M)
+    _add_block(builder, back_wall, Feature("closet", 0.6, 2.2))
+    builder.add_bar(back_wall.point(3.2, 0.8, 0.0), back_wall.point(3.2, 0.8, _ROOM_HEIGHT_M), 0.15)
+
+
+#: Measured by hand in the paper, m.
+WIDTH_M, HEIGHT_M = 2.268, 2.700
+#: The corridor begins this far behind the robot's start and ends this far beyond the end of its way, m.
+BEHIND_M, OUTLINE_GAP_SCALE_M = 2.0, 3.0
+#: The way of the paper's 1083 scans, m: shorter missions drive in the same corridor.
+SHORTEST_WAY_M = 29.3
+
+#: What stands along each wall, again and again: kind, gap before it, length along the wall, m.
+_LEFT = (("locker", 1.1, 3.0), ("door", 0.8, 0.95), ("board", 1.0, 1.5), ("door", 1.2, 0.95), ("closet", 0.7, 1.0))
+_RIGHT = (("door", 1.6, 0.95), ("board", 0.9, 1.2), ("chamber", 1.3, 0.95), ("locker", 0.8, 2.4), ("board", 1.0, 0.9))
+
+
+def corridor(way_m: float) -> World:
+    """The corridor along x for a robot that drives `way_m` from the origin, its axis at y = 0, the floor at z = 0."""
+    builder = WorldBuilder()
+    start, end = -BEHIND_M, max(way_m, SHORTEST_WAY_M) + OUTLINE_GAP_SCALE_M
+    half, length = WIDTH_M / 2.0, end - start
+    inside = (0.0, 0.0, HEIGHT_M / 2.0)
+    floor = builder.add_patch((start, -half, 0.0), (length, 0, 0), (0, WIDTH_M, 0), toward=inside)
+    builder.add_patch((start, -half, HEIGHT_M), (length, 0, 0), (0, WIDTH_M, 0), toward=inside)
+    for side, pattern in ((1.0, _LEFT), (-1.0, _RIGHT)):
+        wall = Wall((start, side * half), (1.0, 0.0), (0.0, -side), length, HEIGHT_M)
+        add_wall(builder, wall, features_along(length, pattern), floor)
+    for x in (start, end):
+        builder.add_patch((x, -half, 0.0), (0, WIDTH_M, 0), (0, 0, HEIGHT_M), toward=inside)
+    _add_ceiling(builder, start, end)
+    return builder.build()
+
+
+def _add_ceiling(builder: WorldBuilder, start: float, end: float) -> None:
+    """Neon lamps along the middle, round steel beams from wall to wall, both just under the ceiling."""
+    x = start + 1.5
+    while x + 1.5 < end:
+        builder.add_box((x, -0.12, HEIGHT_M - 0.10), (x + 1.3, 0.12, HEIGHT_M), hidden=["z+"])
+        builder.add_bar((x + 2.4, -WIDTH_M / 2.0, HEIGHT_M - 0.25), (x + 2.4, WIDTH_M / 2.0, HEIGHT_M - 0.25), 0.07)
+        x += 4.0
+
+
+#: The room: length, width, height, and how much of two of its corners is cut off, m.
+ROOM_M, CUT_M = (8.0, 6.0, 2.6), 1.5
+#: The hall: length, width, height of its long walls and of its ridge, m.
+HALL_M, RIDGE_M = (30.0, 20.0, 6.0), 8.0
+
+
+def room() -> World:
+    """A closed room around the origin: eight walls, two of them slanted, a cupboard, a table leg, a round pillar."""
+    builder = WorldBuilder()
+    x, y, height = ROOM_M[0] / 2.0, ROOM_M[1] / 2.0, ROOM_M[2]
+    middle, up = (0.0, 0.0, height / 2.0), (0.0, 0.0, height)
+    outline = [(-x, -y), (x - CUT_M, -y), (x, -y + CUT_M), (x, y), (-x + CUT_M, y), (-x, y - CUT_M)]
+    for a, b in zip(outline, [*outline[1:], outline[0]], strict=True):
+        builder.add_patch((*a, 0.0), (b[0] - a[0], b[1] - a[1], 0.0), up, toward=middle)
+    for z in (0.0, height):
+        builder.add_patch((-x, -y, z), (2.0 * x, 0, 0), (0, 2.0 * y, 0), toward=middle)
+    builder.add_box((-x, 0.2, 0.0), (-x + 0.5, 1.4, 1.9), hidden=["x-", "z-"])
+    builder.add_box((2.2, 1.6, 0.0), (2.6, 2.0, 1.2), hidden=["z-"])
+    builder.add_bar((-1.8, -2.0, 0.0), (-1.8, -2.0, height), 0.2)
+    return builder.build()
+
+
+def room_path(laps: int) -> Path:
+    """A rounded rectangle about the middle of the room, from the origin."""
+    corners = [(1.5, 0.0), (1.5, 1.2), (-1.8, 1.2), (-1.8, 0.0)]
+    return Path.rounded([(0.0, 0.0), *(corners * laps), (0.5, 0.0)], 0.5)
+
+
+def hall() -> World:
+    """A closed hall: long walls, gables, a roof of two slopes, two rows of square pillars, crates and round columns."""
+    builder = WorldBuilder()
+    x, y, height = HALL_M[0] / 2.0, HALL_M[1] / 2.0, HALL_M[2]
+    middle = (0.0, 0.0, height / 2.0)
+    builder.add_patch((-x, -y, 0.0), (2.0 * x, 0, 0), (0, 2.0 * y, 0), toward=middle)
+    for side in (-1.0, 1.0):
+        builder.add_patch((-x, side * y, 0.0), (2.0 * x, 0, 0), (0, 0, height), toward=middle)
+        builder.add_patch((-x, side * y, height), (2.0 * x, 0, 0), (0, -side * y, RIDGE_M - height), toward=middle)
+        builder.add_patch((side * x, -y, 0.0), (0, 2.0 * y, 0), (0, 0, RIDGE_M), toward=middle)
+    for place in np.linspace(-10.0, 10.0, 5):
+        for side in (-5.0, 5.0):
+            builder.add_box((place - 0.3, side - 0.3, 0.0), (place + 0.3, side + 0.3, RIDGE_M), hidden=["z-", "z+"])
+    for k, (a, b) in enumerate([(-12.0, -8.0), (-3.0, 8.0), (4.0, -8.5), (12.0, 7.0)]):
+        builder.add_box((a, b, 0.0), (a + 1.5 + 0.3 * k, b + 1.2, 1.0 + 0.3 * k), hidden=["z-"])
+        builder.add_bar((a - 1.0, b, 0.0), (a - 1.0, b, RIDGE_M), 0.25)
+    return builder.build()
+
+
+def hall_path(laps: int) -> Path:
+    """A rounded rectangle between the rows of pillars and the walls, from the origin's side of it."""
+    corners = [(11.5, 0.0), (11.5, 6.5), (-12.0, 6.5), (-12.0, 0.0)]
+    return Path.rounded([(0.0, 0.0), *(corners * laps), (1.0, 0.0)], 1.5)
+
+
+#: Corners of the rectangle along the middle of the corridors, m; the robot starts at the origin, heading along x.
+LEFT_M, RIGHT_M, BOTTOM_M, TOP_M = -8.0, 18.0, 0.0, 14.0
+#: Width and height of the corridors, and the radius the robot takes its corners with, m.
+OFFICE_WIDTH_M, OFFICE_HEIGHT_M, TURN_RADIUS_M = 2.2, 2.7, 0.8
+
+#: Features of the eight walls, outer then inner, anticlockwise from the bottom: kind, start, end along the wall, m.
+_OUTER = (
+    (("room", 3.0, 3.95), ("board", 6.5, 7.7), ("room", 10.0, 10.95), ("locker", 14.0, 17.0), ("room", 21.0, 21.95)),
+    (("door", 3.0, 3.95), ("room", 7.5, 8.45), ("closet", 11.5, 12.5)),
+    (("room", 4.0, 4.95), ("locker", 8.0, 10.4), ("door", 12.0, 12.95), ("room", 16.5, 17.45), ("door", 22.0, 22.95)),
+    (("board", 2.5, 4.0), ("room", 6.0, 6.95), ("door", 11.0, 11.95)),
+)
+_INNER = (
+    (("door", 2.0, 2.95), ("room", 6.0, 6.95), ("locker", 10.0, 12.4), ("room", 15.0, 15.95), ("board", 19.0, 20.2)),
+    (("board", 2.0, 3.2), ("door", 6.0, 6.95)),
+    (("room", 4.0, 4.95), ("closet", 8.5, 9.5), ("door", 12.0, 12.95), ("room", 17.0, 17.95)),
+    (("locker", 2.0, 4.4), ("door", 7.0, 7.95)),
+)
+
+
+def office() -> World:
+    """The ring with its rooms."""
+    builder = WorldBuilder()
+    half = OFFICE_WIDTH_M / 2.0
+    outer = (LEFT_M - half, RIGHT_M + half, BOTTOM_M - half, TOP_M + half)
+    inner = (LEFT_M + half, RIGHT_M - half, BOTTOM_M + half, TOP_M - half)
+    size = (outer[1] - outer[0], outer[3] - outer[2])
+    block = (OFFICE_WIDTH_M, OFFICE_WIDTH_M, size[0] - OFFICE_WIDTH_M, size[1] - OFFICE_WIDTH_M)
+    levels = [
+        builder.add_patch((outer[0], outer[2], z), (size[0], 0, 0), (0, size[1], 0), toward=(0, 0, 1), holes=[block])
+        for z in (0.0, OFFICE_HEIGHT_M)
+    ]
+    for rectangle, features, side in ((outer, _OUTER, 1.0), (inner, _INNER, -1.0)):
+        for wall, on_it in zip(_walls(rectangle, side), features, strict=True):
+            add_wall(builder, wall, [Feature(*f) for f in on_it], floor=levels[0])
+    for k in range(6):
+        x = LEFT_M + 2.0 + 4.0 * k
+        for y in (BOTTOM_M, TOP_M):
+            builder.add_box((x, y - 0.12, OFFICE_HEIGHT_M - 0.10), (x + 1.3, y + 0.12, OFFICE_HEIGHT_M), hidden=["z+"])
+    return builder.build()
+
+
+def _walls(rectangle: tuple[float, float, float, float], side: float) -> list[Wall]:
+    """The walls of a rectangle (x0, x1, y0, y1), anticlockwise from the bottom, seen from inside (+1) or outside."""
+    x0, x1, y0, y1 = rectangle
+    width, depth = x1 - x0, y1 - y0
+    return [
+        Wall((x0, y0), (1.0, 0.0), (0.0, side), width, OFFICE_HEIGHT_M),
+        Wall((x1, y0), (0.0, 1.0), (-side, 0.0), depth, OFFICE_HEIGHT_M),
+        Wall((x1, y1), (-1.0, 0.0), (0.0, -side), width, OFFICE_HEIGHT_M),
+        Wall((x0, y1), (0.0, -1.0), (side, 0.0), depth, OFFICE_HEIGHT_M),
+    ]
+
+
+def office_path(laps: int) -> Path:
+    """Round the ring `laps` times, anticlockwise from the origin, and 2 m beyond where it began."""
+    corners = [(RIGHT_M, BOTTOM_M), (RIGHT_M, TOP_M), (LEFT_M, TOP_M), (LEFT_M, BOTTOM_M)]
+    return Path.rounded([(0.0, 0.0), *(corners * laps), (2.0, 0.0)], TURN_RADIUS_M)
