@@ -35,7 +35,7 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("names", nargs="*", metavar="NAME", help=f"out of {', '.join(WORKLOADS)}")
     one.add_argument("--peers", action="store_true", help="first make the environment of the peers that need their own")
     one.add_argument("--short", action="store_true", help="few repeats and short missions")
-    one.add_argument("--write", action="store_true", help="put the results into docs/benchmarks.json and its page")
+    one.add_argument("--write", action="store_true", help="put the results into benchmarks/results.json and its page")
     one.add_argument("--page", action="store_true", help="only write the page again from the results kept")
     one.add_argument("--gate", action="store_true", help="exit code 1 where a ratio or an accuracy is worse")
     one.add_argument("--baseline", action="store_true", help="keep what was measured as the baseline")

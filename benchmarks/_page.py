@@ -14,8 +14,8 @@ from benchmarks._registry import WORKLOADS
 from benchmarks._table import markdown
 from benchmarks.peers import environment
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
-RESULTS, PAGE = DOCS / "benchmarks.json", DOCS / "benchmarks.md"
+_HERE = Path(__file__).resolve().parent
+RESULTS, PAGE = _HERE / "results.json", _HERE / "results.md"
 _PACKAGES = ("spplanes", "numpy", "numba", "scipy", "gtsam", "shapely", "open3d")
 _INTRODUCTION = """# Benchmarks
 

@@ -45,7 +45,7 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--json", type=Path, metavar="FILE", help="write all rows to a file")
     one.add_argument("--resume", action="store_true", help="go on with the drives that FILE does not have yet")
     one.add_argument("--compare", type=Path, metavar="FILE", help="rows of an earlier run: before and after by kind")
-    one.add_argument("--write", action="store_true", help="put the table by kind into docs/benchmarks.md")
+    one.add_argument("--write", action="store_true", help="put the table by kind into benchmarks/results.md")
     return one
 
 

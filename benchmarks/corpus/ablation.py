@@ -30,7 +30,7 @@ def parser() -> argparse.ArgumentParser:
     add_choice(one)
     one.add_argument("--without", nargs="+", metavar="NAME", help=f"only these out of {', '.join(SWITCHES)}")
     one.add_argument("--json", type=Path, metavar="FILE", help="write all rows to a file")
-    one.add_argument("--write", action="store_true", help="put the table into docs/benchmarks.md")
+    one.add_argument("--write", action="store_true", help="put the table into benchmarks/results.md")
     return one
 
 
