@@ -2,60 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from spplanes._check import FloatArray
 from spplanes._jit import njit
 
-#: Fewer triples of neighbours than this say nothing.
-_MIN_TRIPLES = 100
 #: Neighbours lie within this share of each other's range: one surface, not an edge.
 _SAME_SURFACE = 0.05
 #: The wider of two steps between beams is less than so many times the narrower, as chords.
 _EVEN = 2.5
-#: Distances between the three beams that are looked at, and the widest angle between two of them, rad.
-_LAGS, _WIDEST_RAD = (1, 2, 4, 8), 0.06
-#: A normal deviate lies within this many standard deviations half of the time.
-_MEDIAN = 0.6744897501960817
-
-
-@dataclass(frozen=True)
-class Scatter:
-    """How far ranges lie from planes through their neighbours."""
-
-    beam_m: float
-    """Standard deviation between beams next to each other, m: what each has of its own."""
-    surface_m: float
-    """The largest over beams up to some degrees apart, m: with what neighbours share, uneven surfaces and slow errors.
-    """
-
-
-def scatter_of(grid: FloatArray) -> Scatter | None:
-    """Scatter of the ranges of a grid of points (S, B, 3) round its sensor; None where too little is seen."""
-    sigmas = []
-    for lag in _LAGS:
-        wide = lag > 1 and _median_step(grid) * lag > _WIDEST_RAD
-        sigma = None if wide else range_sigma_of(grid, lag)
-        if sigma is not None:
-            sigmas.append(sigma)
-    return Scatter(sigmas[0], max(sigmas)) if sigmas else None
-
-
-def range_sigma_of(grid: FloatArray, lag: int = 1) -> float | None:
-    """Standard deviation of the ranges of a grid of points round its sensor, m; None where too little is seen.
-
-    The median over all triples does not see edges and clutter, as long as most of the scan is smooth. Curved surfaces
-    and steps of the ranges count as noise.
-
-    Args:
-        grid: shape (S, B, 3), m, in the sensor's frame; NaN = no return.
-        lag: how many beams the three lie apart.
-    """
-    missed = misses_of(grid, lag)
-    missed = missed[np.isfinite(missed)]
-    return float(np.median(np.abs(missed))) / _MEDIAN if len(missed) >= _MIN_TRIPLES else None
 
 
 def misses_of(grid: FloatArray, lag: int = 1, *, closed: bool = False) -> FloatArray:
@@ -99,16 +54,3 @@ def _misses(grid, lag, closed):
             slope_a, slope_c = expected**2 * sin_bc / (whole * a**2), expected**2 * sin_ab / (whole * c**2)
             missed[i, j] = (b - expected) / np.sqrt(1.0 + slope_a**2 + slope_c**2)
     return missed
-
-
-def _median_step(grid: FloatArray) -> float:
-    """Angle between neighbours in a row, rad."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        rays = grid / np.linalg.norm(grid, axis=-1, keepdims=True)
-    steps = _angle(rays[:, :-1], rays[:, 1:])
-    return float(np.median(steps[np.isfinite(steps)])) if np.isfinite(steps).any() else np.inf
-
-
-def _angle(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Angle between unit vectors (..., 3), rad, exact for small ones too."""
-    return 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(one - other, axis=-1), 0.0, 1.0))
