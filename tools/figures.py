@@ -23,7 +23,7 @@ from slam.io.load import load
 from slam.joining import FinishedMission, join
 from slam.output.joined_folder import draw_missions
 from slam.output.new_folder import new_folder
-from slam.output.plan_svg import write_svg
+from slam.output.plan_drawing import write_svg
 from slam.output.run_files import write_run
 from slam.runs.slam_run import Run, run_slam
 from slam.simulation import simulate_mission

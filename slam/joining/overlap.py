@@ -12,8 +12,7 @@ from scipy.stats import binom
 
 from slam.config import SlamConfig
 from slam.diagnostics.evidence.surfaces import agreement
-from slam.diagnostics.views.comparing import compare
-from slam.diagnostics.views.level import View
+from slam.diagnostics.views import View, compare
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.geometry.frames import inverse, lift
 from slam.joining.alignment import LEVEL_SIGMA_M, LEVEL_SIGMA_RAD, Alignment, align, common_planes, facing_pairs

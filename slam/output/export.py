@@ -121,7 +121,7 @@ def _dxf(run: StoredRun, path: Path) -> list[str]:
 
 
 def _svg(run: StoredRun, path: Path) -> list[str]:
-    from slam.output.plan_svg import write_svg
+    from slam.output.plan_drawing import write_svg
 
     return _drawn(write_svg, run, path)
 

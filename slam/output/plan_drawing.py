@@ -1,8 +1,11 @@
-"""A floor plan as a drawing: polygons, lines, dimensions and texts in plan coordinates, for whatever writes them."""
+"""A floor plan as a drawing: polygons, lines, dimensions and texts in plan coordinates; as SVG."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
 
 import numpy as np
 import shapely
@@ -151,3 +154,108 @@ def _of_room(room: Room, plan: StoreyPlan) -> list[Dimension]:
     for ring in room.rings:
         found += [Dimension("side", in_plan(s.start), in_plan(s.end), str(s.length), _INSIDE_M) for s in ring]
     return found
+
+
+#: Millimetres of the picture to a metre: a scale of 1:50.
+_MM = 20.0
+#: Margin round a storey and height of a title, mm.
+_MARGIN, _TITLE = 12.0, 8.0
+#: Sizes of texts, mm.
+_SIZES = {"side": 1.8, "width": 2.2, "thickness": 1.5, "opening": 1.7, "label": 2.0}
+_COLOURS = {"side": "#777", "width": "#05a", "thickness": "#a40", "opening": "#080"}
+_STYLE = (
+    "text{font-family:sans-serif}.room{fill:#eef4fb;stroke:none}.wall{fill:#444;stroke:none}"
+    ".face{stroke:#444;stroke-width:.6;stroke-dasharray:2 1}.side{stroke:#444;stroke-width:.4;fill:none}"
+    ".opening{fill:#fff;stroke:#080;stroke-width:.2}"
+)
+
+
+def write_svg(path: Path, plan: FloorPlan, verdict: str | None = None) -> None:
+    """Write the drawing of every storey; dashed lines are faces of walls whose other side was not seen."""
+    path.write_text(svg_of(drawings(plan, verdict)), encoding="utf-8")
+
+
+def svg_of(storeys: Sequence[Drawing]) -> str:
+    """The text of the picture."""
+    sizes = [(b[2] - b[0], b[3] - b[1]) for b in (one.bounds for one in storeys)]
+    width = max(w for w, _ in sizes) * _MM + 2.0 * _MARGIN
+    height = sum(h * _MM + 2.0 * _MARGIN + _TITLE for _, h in sizes)
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.1f}mm" height="{height:.1f}mm" '
+        f'viewBox="0 0 {width:.2f} {height:.2f}">',
+        f'<style>{_STYLE}</style><rect width="100%" height="100%" fill="#fff"/>',
+    ]
+    top = 0.0
+    for storey, (_, deep) in zip(storeys, sizes, strict=True):
+        west, _, _, north = storey.bounds
+        parts.append(f'<g id="{storey.name.replace(" ", "-")}" data-elevation="{storey.elevation:.4f}">')
+        parts.append(f'<text x="{_MARGIN:.2f}" y="{top + _TITLE:.2f}" font-size="3">{escape(storey.title)}</text>')
+        corner = np.array([_MARGIN - west * _MM, top + _TITLE + _MARGIN + north * _MM])
+        parts += _storey(storey, corner)
+        parts.append("</g>")
+        top += deep * _MM + 2.0 * _MARGIN + _TITLE
+    return "\n".join([*parts, "</svg>\n"])
+
+
+def _storey(storey: Drawing, corner: FloatArray) -> Iterator[str]:
+    def on_page(xy: FloatArray) -> FloatArray:
+        return corner + xy * np.array([_MM, -_MM])
+
+    for rings in storey.rooms:
+        yield f'<path class="room" fill-rule="evenodd" d="{"".join(_path(on_page(ring)) for ring in rings)}"/>'
+        yield f'<path class="side" d="{"".join(_path(on_page(ring)) for ring in rings)}"/>'
+    for wall in storey.walls:
+        rings = [shapely.get_coordinates(ring)[:-1] for ring in (wall.exterior, *wall.interiors)]
+        yield f'<path class="wall" fill-rule="evenodd" d="{"".join(_path(on_page(ring)) for ring in rings)}"/>'
+    for ends in storey.faces:
+        (x0, y0), (x1, y1) = on_page(ends)
+        yield f'<line class="face" x1="{x0:.3f}" y1="{y0:.3f}" x2="{x1:.3f}" y2="{y1:.3f}"/>'
+    for outline in storey.openings:
+        yield f'<path class="opening" d="{_path(on_page(outline))}"/>'
+    for one in storey.dimensions:
+        yield _dimension(one, on_page(one.start), on_page(one.end))
+    for label in storey.labels:
+        yield from _label(label, on_page(label.place))
+
+
+def _label(label: Label, place: FloatArray) -> Iterator[str]:
+    """Lines above a place; those of a room stand to the right of where its widths cross."""
+    size = _SIZES["label"] if len(label.lines) > 1 else _SIZES["opening"]
+    anchor, x = ("start", place[0] + 0.5 * size) if len(label.lines) > 1 else ("middle", place[0])
+    for row, line in enumerate(label.lines):
+        y = place[1] + (row - len(label.lines) - 0.2) * 1.25 * size
+        yield f'<text x="{x:.2f}" y="{y:.2f}" font-size="{size}" style="text-anchor:{anchor}">{escape(line)}</text>'
+
+
+def _path(corners: FloatArray) -> str:
+    return "M" + "L".join(f"{x:.3f} {y:.3f}" for x, y in corners) + "Z"
+
+
+def _dimension(one: Dimension, start: FloatArray, end: FloatArray) -> str:
+    """The text along its line, upright or read from the right; widths with their line, from wall to wall."""
+    way = end - start
+    length = float(np.hypot(*way))
+    along = way / max(length, 1e-9)
+    left = np.array([along[1], -along[0]])  # y of the page points down
+    size, colour = _SIZES[one.kind], _COLOURS[one.kind]
+    shift = one.offset * _MM * left
+    place = start + 0.5 * way + shift
+    if one.kind == "width":  # at the left or the lower end, for the room's own text stands right of the middle
+        half = 0.3 * size * len(one.text) + size
+        low, lower = (start, along) if along[0] - along[1] > 0.0 else (end, -along)
+        place = low + max(0.22 * length, min(half, 0.5 * length)) * lower
+    line = ""
+    if one.kind in ("width", "thickness"):
+        (x0, y0), (x1, y1) = start + shift, end + shift
+        line = f'<line x1="{x0:.3f}" y1="{y0:.3f}" x2="{x1:.3f}" y2="{y1:.3f}" stroke="{colour}" stroke-width=".15"/>'
+    angle = float(np.degrees(np.arctan2(along[1], along[0])))
+    angle += 180.0 if angle < -90.1 else -180.0 if angle > 89.9 else 0.0  # read from below or from the right
+    drop, anchor = 0.25 * size if one.kind in ("side", "opening") else -0.4 * size, "middle"
+    if one.kind == "thickness":
+        place, angle, drop = end + size * along, 0.0, 0.35 * size
+        anchor = "middle" if abs(along[0]) < 0.7 else "start" if along[0] > 0.0 else "end"
+    x, y = place
+    return (
+        f'{line}<text data-kind="{one.kind}" transform="translate({x:.2f} {y:.2f}) rotate({angle:.2f})" y="{drop:.2f}" '
+        f'font-size="{size}" fill="{colour}" style="text-anchor:{anchor}">{escape(one.text)}</text>'
+    )

@@ -15,8 +15,7 @@ from factors._conventions import POSE3_TO_SP
 from slam.config import SlamConfig
 from slam.diagnostics.evidence.registration import CloudMatch, judge
 from slam.diagnostics.verdict import Verdict
-from slam.diagnostics.views.comparing import compare
-from slam.diagnostics.views.scans import ScanView
+from slam.diagnostics.views import ScanView, compare
 from slam.errors import LogError
 from slam.frontend.keyframes import Keyframe, keyframes_of
 from slam.frontend.observations import PlaneObservation, planes_of

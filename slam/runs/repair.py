@@ -10,7 +10,7 @@ import numpy as np
 
 from slam.diagnostics.evidence import look_at
 from slam.diagnostics.verdict import Verdict
-from slam.diagnostics.views.comparing import TOLERANCE_M
+from slam.diagnostics.views import TOLERANCE_M
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.pose_measurements import PlaceMatch
 from slam.loop_closure.whole_drive import Agreement, agreement

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from slam.diagnostics.evidence.coverage import ambiguity_evidence, assumption_evidence, coverage_evidence, loop_evidence
-from slam.diagnostics.evidence.doubled import doubled_evidence
+from slam.diagnostics.evidence.coverage import (
+    ambiguity_evidence,
+    assumption_evidence,
+    coverage_evidence,
+    loop_evidence,
+    unmatched_evidence,
+)
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.innovations import nis_evidence
 from slam.diagnostics.evidence.mounts import heading_evidence, mount_evidence
 from slam.diagnostics.evidence.odometry import believed_evidence, odometry_evidence
 from slam.diagnostics.evidence.prior import prior_evidence, prior_planes, start_evidence
-from slam.diagnostics.evidence.surfaces import Surfaces, free_space_evidence
-from slam.diagnostics.evidence.unmatched_area import unmatched_evidence
+from slam.diagnostics.evidence.surfaces import Surfaces, doubled_evidence, free_space_evidence
 from slam.diagnostics.verdict import Evidence, Verdict, weigh
-from slam.diagnostics.views.level import views_of
-from slam.diagnostics.views.scans import scan_views_of
+from slam.diagnostics.views import scan_views_of, views_of
 from slam.sensors.rig import Rig
 
 #: Kinds of statistics there are, which share the significance.

@@ -12,8 +12,7 @@ import numpy as np
 from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.surfaces import agreement
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named
-from slam.diagnostics.views.comparing import compare
-from slam.diagnostics.views.level import View
+from slam.diagnostics.views import View, compare
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
 from slam.frontend.occupancy import NOVEL_SHARE

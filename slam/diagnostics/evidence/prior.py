@@ -18,8 +18,7 @@ from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.surfaces import Surfaces, stopped_rays
 from slam.diagnostics.verdict import Evidence, named
-from slam.diagnostics.views.comparing import TOLERANCE_M
-from slam.diagnostics.views.level import View
+from slam.diagnostics.views import TOLERANCE_M, View
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.geometry.frames import inverse, lift
 from slam.map.landmarks import Landmark

@@ -8,7 +8,7 @@ from shapely.geometry import box
 
 from slam.config import LandmarkConfig
 from slam.frontend.observations import PlaneObservation
-from slam.mapping.insertion import may_start
+from slam.mapping.map_update import may_start
 from spplanes import Plane
 
 

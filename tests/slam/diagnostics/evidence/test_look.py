@@ -13,7 +13,7 @@ from slam.config import SlamConfig
 from slam.diagnostics.evidence import look_at
 from slam.diagnostics.evidence.coverage import loop_evidence
 from slam.diagnostics.evidence.surfaces import free_space_evidence
-from slam.diagnostics.views.scans import scan_views_of
+from slam.diagnostics.views import scan_views_of
 from slam.geometry.frames import planar_transform
 from slam.loop_closure.verification import LoopDecision
 from slam.map.data_association import Decision

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from shapely import box
 
-from slam.diagnostics.evidence.doubled import doubled_pairs
-from slam.diagnostics.evidence.surfaces import Surfaces, agreement, stopped_rays
+from slam.diagnostics.evidence.surfaces import Surfaces, agreement, doubled_pairs, stopped_rays
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
 from slam.geometry.frames import inverse, planar_transform

@@ -9,8 +9,7 @@ import numpy as np
 from benchmarks.corpus.floorplan import cast
 from slam.diagnostics.evidence.mounts import mount_evidence
 from slam.diagnostics.evidence.surfaces import free_space_evidence
-from slam.diagnostics.views.comparing import compare, pairs_of
-from slam.diagnostics.views.level import View, views_of
+from slam.diagnostics.views import View, compare, pairs_of, views_of
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse, planar_transform

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.diagnostics.views.comparing import compare
-from slam.diagnostics.views.scans import ScanView
+from slam.diagnostics.views import ScanView, compare
 from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE
 from slam.registration.visibility import Scan
 from spplanes._check import FloatArray

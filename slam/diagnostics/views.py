@@ -1,0 +1,238 @@
+"""What lasers and 3D sensors saw from different keyframes, held against each other: confirmed, or seen through."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol, Self, TypeVar
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from slam.frontend.keyframes import Keyframe
+from slam.frontend.occupancy import LEAST_GAP_M, MOVABLE_M, free_standing
+from slam.frontend.scan_surfaces import ON_EDGE, moved
+from slam.geometry.frames import inverse, way_to
+from slam.loop_closure.candidates import nearest_of_each
+from slam.registration.visibility import Scan, Sight
+from spplanes._check import FloatArray
+
+#: A return is of the same surface, or in front of it, by more than this, m: what a map may err by before it is wrong.
+TOLERANCE_M = 0.1
+#: One return in a cell of this side is looked at: neighbours are of one surface, and say the same, m.
+_LOOK_M = 0.5
+#: Keyframes further apart than this are not compared, m: what one sees of the other's surroundings is at a slant.
+_REACH_M = 4.0
+#: Keyframes within a stretch of the way of this length look at one place together, m.
+_STRETCH_M = 2.0
+#: Partners of a keyframe are from different stretches of the way, and so many at most.
+_PARTNERS = 8
+#: Comparisons over a whole run: the sample of a long one is as good.
+_MOST_PAIRS = 3000
+
+
+class Looks(Protocol):
+    """What one keyframe saw, to be asked what it says of what another one saw."""
+
+    def looks_of(self, other: Self, here_T_other: FloatArray) -> FloatArray:
+        """Places, a row each, where another view has a surface to look for, as seen from here."""
+        ...
+
+    def confirms(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+        """Which places have a surface within the tolerance, shape (N,)."""
+        ...
+
+    def sees_through(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+        """Which places lie in front of all that was seen about their direction, shape (N,)."""
+        ...
+
+
+V = TypeVar("V", bound=Looks)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What one keyframe's view says of the surfaces that another one saw."""
+
+    keyframe: int
+    """That looks."""
+    other: int
+    """Whose surfaces are looked for."""
+    confirmed: int
+    """Looks at surfaces that are there."""
+    through: int
+    """Looks through surfaces: something is there for the one and nothing for the other."""
+
+
+def one_of_each_cell(places: FloatArray) -> np.ndarray:
+    """Of places (N, 2) or (N, 3) the first in every square or cube that is looked at once, ascending rows (M,)."""
+    _, first = np.unique(np.floor(places / _LOOK_M).astype(np.int64), axis=0, return_index=True)
+    return np.sort(first)
+
+
+def way_along(poses: FloatArray) -> FloatArray:
+    """How far along the way poses (N, 4, 4) are, in the stretches that look at one place together, shape (N,)."""
+    return way_to(poses) / _STRETCH_M
+
+
+def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
+    """Keyframes to compare by poses (N, 4, 4) of all: each with the nearest of every other stretch of the way."""
+    places = poses[:, :2, 3]
+    way = way_along(poses)
+    held, pairs = np.asarray(views), []
+    if not len(held):
+        return []
+    tree = KDTree(places[held])
+    for index in views:
+        near = held[sorted(tree.query_ball_point(places[index], _REACH_M))]
+        near = near[near != index]
+        away = np.linalg.norm(places[near] - places[index], axis=1)
+        stretch = np.floor(np.abs(way[near] - way[index])).astype(int)
+        chosen = nearest_of_each(near, away, stretch)
+        spread = np.unique(np.linspace(0, len(chosen) - 1, min(_PARTNERS, len(chosen))).round().astype(int))
+        pairs += [(index, other) for other in chosen[spread].tolist()]
+    return pairs[:: max(1, -(-len(pairs) // _MOST_PAIRS))]
+
+
+def compare(view: V, other: V, here_T_other: FloatArray, tolerance_m: float = TOLERANCE_M) -> tuple[int, int]:
+    """How many looks of another view at a pose (4, 4) a view confirms, and how many it sees through."""
+    places = view.looks_of(other, here_T_other)
+    confirmed = view.confirms(places, tolerance_m)
+    return int(confirmed.sum()), int((view.sees_through(places, tolerance_m) & ~confirmed).sum())
+
+
+def comparisons(views: Mapping[int, V], poses: FloatArray, pairs: Sequence[tuple[int, int]]) -> list[Comparison]:
+    """Each pair of keyframes (one, other) at poses (N, 4, 4)."""
+    found = []
+    for one, other in pairs:
+        counts = compare(views[one], views[other], inverse(poses[one]) @ poses[other])
+        found.append(Comparison(one, other, *counts))
+    return found
+
+
+#: Between beams further apart than this nothing is known to be free, rad: a few steps of a laser of 0.5 or 1 deg.
+_GAP_RAD = np.deg2rad(2.2)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """The returns of one keyframe in its body's plane of motion, to be asked what they say of places about it."""
+
+    fans: tuple[tuple[FloatArray, FloatArray, FloatArray], ...]
+    """Of every laser its place (2,), bearings (B,) ascending, rad, and ranges (B,), m."""
+    tree: KDTree
+    """The returns."""
+    looks: FloatArray
+    """One return in every square, shape (N, 2), m; of nothing that stands free, for that may be gone for others."""
+
+    @classmethod
+    def of(cls, beams: FloatArray) -> View:
+        """From beams (B, 4) as rows (x0, y0, x1, y1), m."""
+        origins, of_origin = np.unique(beams[:, :2], axis=0, return_inverse=True)
+        fans, fixed = [], np.ones(len(beams), dtype=bool)
+        for number, origin in enumerate(origins):
+            rows = np.flatnonzero(of_origin.ravel() == number)
+            away = beams[rows, 2:] - origin
+            bearings = np.arctan2(away[:, 1], away[:, 0])
+            order = np.argsort(bearings, kind="stable")
+            fans.append((origin, bearings[order], np.linalg.norm(away, axis=1)[order]))
+            step = float(np.median(np.diff(bearings[order]))) if len(order) > 1 else 1.0
+            fixed[rows[order]] = free_standing(away[order], step) < 0
+        ends = beams[fixed, 2:]
+        return cls(tuple(fans), KDTree(beams[:, 2:]), ends[one_of_each_cell(ends)])
+
+    def looks_of(self, other: View, here_T_other: FloatArray) -> FloatArray:
+        """Another view's looks as seen from here, shape (N, 2)."""
+        return other.looks @ here_T_other[:2, :2].T + here_T_other[:2, 3]
+
+    def confirms(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+        """Which places (N, 2) have a return within the tolerance, shape (N,)."""
+        return np.isfinite(self.tree.query(places, distance_upper_bound=tolerance_m)[0])
+
+    def sees_through(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+        """Which places (N, 2) lie in front of what both beams beside them met, by more than the tolerance, (N,)."""
+        through = np.zeros(len(places), dtype=bool)
+        for origin, bearings, ranges in self.fans:
+            if len(bearings) < 2:
+                continue
+            away = places - origin
+            bearing = np.arctan2(away[:, 1], away[:, 0])
+            after = np.clip(np.searchsorted(bearings, bearing), 1, len(bearings) - 1)
+            low, high = bearings[after - 1], bearings[after]
+            between = (high - low < _GAP_RAD) & (bearing >= low) & (bearing <= high)
+            free_m = np.minimum(ranges[after], ranges[after - 1]) - tolerance_m
+            through |= between & (np.linalg.norm(away, axis=1) < free_m)
+        return through
+
+
+def views_of(keyframes: Sequence[Keyframe]) -> dict[int, View]:
+    """The views of the keyframes that level lasers saw something from."""
+    return {
+        index: View.of(keyframe.returns)
+        for index, keyframe in enumerate(keyframes)
+        if keyframe.returns is not None and len(keyframe.returns)
+    }
+
+
+#: Walls face level to this, sine of 30 deg. Where on a floor a body is its floor and ceiling do not tell.
+_LEVEL = 0.5
+#: What stands before a surface is nearer by this share of its range at least: as wide are the elements it is made of.
+_WIDE_SHARE = 0.03
+#: Elements further apart than this share of their range are of two surfaces: they are 3.4 deg wide at most.
+_APART_SHARE = 0.1
+#: Neighbours of an element that may be of its surface.
+_NEIGHBOURS = 8
+
+
+class ScanView:
+    """All that a 3D sensor saw from one keyframe, to be asked what it says of what another one saw.
+
+    Its looks are walls: elements (N, 8) that face level, one in every cube, on no thing that is narrower
+    than `MOVABLE_M`, for that may be gone for others. Where edges are depends on who looks.
+    """
+
+    def __init__(self, scan: Scan, up: FloatArray) -> None:
+        """A scan, and the direction up (3,) in its body."""
+        self._sight = Sight(scan)
+        walls = scan.elements[(scan.elements[:, 7] != ON_EDGE) & (np.abs(scan.elements[:, 3:6] @ up) < _LEVEL)]
+        walls = walls[~_movable(walls[:, :3], scan.viewpoint, up)]
+        self.looks = walls[one_of_each_cell(walls[:, :3])]
+
+    def looks_of(self, other: ScanView, here_T_other: FloatArray) -> FloatArray:
+        """Another view's looks as seen from here, shape (N, 8)."""
+        return moved(other.looks, here_T_other)
+
+    def confirms(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+        """Which elements (N, 8) lie on a surface that was seen, to the tolerance, shape (N,)."""
+        return (self._sight.apart(places[:, :3]) < tolerance_m) | (self._sight.off_surfaces(places) < tolerance_m)
+
+    def sees_through(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+        """Which elements (N, 8) stand before all that was seen about their direction by more than that, (N,)."""
+        return self._sight.through(places[:, :3], tolerance_m, _WIDE_SHARE)
+
+
+def scan_views_of(keyframes: Sequence[Keyframe], poses: FloatArray) -> dict[int, ScanView]:
+    """The views of the keyframes that 3D sensors saw something from; up is what is by their poses (N, 4, 4)."""
+    found = {}
+    for index, keyframe in enumerate(keyframes):
+        if keyframe.surfaces is not None and keyframe.viewpoint is not None and len(keyframe.surfaces):
+            found[index] = ScanView(Scan(keyframe.surfaces, keyframe.viewpoint), poses[index][2, :3])
+    return found
+
+
+def _movable(points: FloatArray, viewpoint: FloatArray, up: FloatArray) -> np.ndarray:
+    """Which points (N, 3) are of things that are narrower, seen from above, than what walks, shape (N,)."""
+    if len(points) < 2:
+        return np.ones(len(points), dtype=bool)
+    apart, near = KDTree(points).query(points, k=min(_NEIGHBOURS + 1, len(points)))
+    limit = np.maximum(LEAST_GAP_M, _APART_SHARE * np.linalg.norm(points - viewpoint, axis=1))
+    mine, which = np.nonzero(apart < limit[:, None])
+    links = coo_array((np.ones(len(mine)), (mine, np.asarray(near)[mine, which])), shape=(len(points),) * 2)
+    count, thing = connected_components(links, directed=False)
+    level = points - np.outer(points @ up, up)
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, thing, level)
+    np.maximum.at(high, thing, level)
+    return (np.linalg.norm(high - low, axis=1) < MOVABLE_M)[thing]
