@@ -23,7 +23,7 @@ from benchmarks._kept_rows import Row, append_row, read_rows, seeds_left
 from benchmarks._table import plain
 from benchmarks.corpus.suite import START_M, Suite
 from slam.config import SlamConfig
-from slam.diagnostics.evidence import look_at
+from slam.diagnostics.evidence import assess_run
 from slam.floorplan import FloorPlan, JointPlanes, Quantity, floor_plan, joint_planes
 from slam.frontend.keyframes import Keyframe, keyframes_of
 from slam.frontend.observations import PlaneObservation
@@ -161,7 +161,7 @@ def rows_of(seeds: Iterable[int], **how: Any) -> Iterator[Row]:
         for name, keyframes in (("", measured.keyframes), (", drawn", measured.drawn())):
             slam = mapped(keyframes)
             if not name:
-                row["verdict"] = look_at(slam, measured.rig).verdict
+                row["verdict"] = assess_run(slam, measured.rig).verdict
             row |= {f"{key}{name}": value for key, value in _scores(measured.suite, plan_of(slam)).items()}
         yield row
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slam.diagnostics.evidence import look_at
+from slam.diagnostics.evidence import assess_run
 from slam.diagnostics.verdict import Verdict
 from slam.diagnostics.views import TOLERANCE_M
 from slam.frontend.keyframes import Keyframe
@@ -73,7 +73,7 @@ def repaired(slam: PlaneSlam, rig: Rig, progress: Callable[[int, int], None] | N
     if not is_open_to_repair(slam) or all(frame.returns is None for frame in slam.keyframes):
         return Repaired(slam, None, ())  # what the verdict would say changes nothing: who reads it asks for it
     with slam.clock.stage("verdict"):
-        verdict = look_at(slam, rig)
+        verdict = assess_run(slam, rig)
     repairs: list[Repair] = []
     while verdict.verdict != "sound" and len(repairs) < _ROUNDS:
         found = agreement(slam.keyframes, slam.trajectory.poses, slam.config.loops)
@@ -83,7 +83,7 @@ def repaired(slam: PlaneSlam, rig: Rig, progress: Callable[[int, int], None] | N
         places = _places_of(found, slam.keyframes)
         other = slam.remap(places, progress)
         with slam.clock.stage("verdict"):
-            judged = look_at(other, rig)
+            judged = assess_run(other, rig)
         if _badness(judged) >= _badness(verdict):
             break
         other.supersede(slam, places)

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from slam.config import SlamConfig
-from slam.diagnostics.evidence import look_at
+from slam.diagnostics.evidence import assess_run
 from slam.diagnostics.verdict import Verdict
 from slam.frontend.input_checks import KeyframeError
 from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
@@ -70,7 +70,7 @@ class Run:
         if self.judged is not None:
             return self.judged
         with self.clock.stage("verdict"):
-            return look_at(self.slam, self.rig)
+            return assess_run(self.slam, self.rig)
 
 
 def run_slam(

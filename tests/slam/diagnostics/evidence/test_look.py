@@ -10,7 +10,7 @@ import pytest
 
 from slam import PlaneSlam
 from slam.config import SlamConfig
-from slam.diagnostics.evidence import look_at
+from slam.diagnostics.evidence import assess_run
 from slam.diagnostics.evidence.coverage import loop_evidence
 from slam.diagnostics.evidence.surfaces import free_space_evidence
 from slam.diagnostics.views import scan_views_of
@@ -56,8 +56,8 @@ def right() -> Run:
 
 def test_a_right_run_is_sound_and_reading_it_changes_nothing(right: Run):
     before = right.slam.trajectory.poses
-    verdict = look_at(right.slam, right.rig)
-    assert verdict == look_at(right.slam, right.rig) == right.verdict
+    verdict = assess_run(right.slam, right.rig)
+    assert verdict == assess_run(right.slam, right.rig) == right.verdict
     assert (verdict.verdict, verdict.reasons) == ("sound", [])
     np.testing.assert_array_equal(right.slam.trajectory.poses, before)
 
@@ -79,7 +79,7 @@ def test_odometry_that_stands_still_is_refuted_by_the_scans_and_harms_nothing(ri
     log, rig = hall()
     still = run_slam(standing(log), rig, SlamConfig())
     off = np.linalg.norm(still.trajectory.poses[:, :3, 3] - right.trajectory.poses[:, :3, 3], axis=1)
-    assert off.max() < 0.05 and look_at(still.slam, rig).verdict == "sound"
+    assert off.max() < 0.05 and assess_run(still.slam, rig).verdict == "sound"
 
 
 def test_what_matches_nothing_is_no_sound_run():
@@ -89,14 +89,14 @@ def test_what_matches_nothing_is_no_sound_run():
     def nothing(observations, *state, **how):
         return [Decision(number, "new", None, ()) for number in range(len(observations))]
 
-    verdict = look_at(run_slam(log, rig, SlamConfig(), slam=PlaneSlam(associate=nothing)).slam, rig)
+    verdict = assess_run(run_slam(log, rig, SlamConfig(), slam=PlaneSlam(associate=nothing)).slam, rig)
     assert verdict.verdict != "sound"
     assert any(one.kind == "unmatched" and "match nothing" in one.sentence for one in verdict.evidence)
 
 
 def test_a_3d_sensor_backwards_is_broken_and_named():
     log, rig = hall()
-    verdict = look_at(run_slam(log, turned(rig), SlamConfig()).slam, turned(rig))
+    verdict = assess_run(run_slam(log, turned(rig), SlamConfig()).slam, turned(rig))
     assert verdict.verdict == "broken"
     assert "mounted backwards" in verdict.reasons[0]
     assert "nothing tells that from one mounted upside down" in verdict.reasons[0]  # a drive without turns
@@ -109,7 +109,7 @@ def test_a_prior_map_is_confirmed_from_its_start_and_not_from_another(right: Run
         prior = PriorMap(planes, covariance, right.trajectory.poses[0] @ start, floor_start())
         log, rig = hall(seed=4)
         again = run_slam(log, rig, SlamConfig(), slam=PlaneSlam(SlamConfig(), prior=prior))
-        verdict = look_at(again.slam, rig)
+        verdict = assess_run(again.slam, rig)
         assert verdict.verdict == word or (word is None and verdict.verdict != "sound")
 
 
@@ -125,10 +125,10 @@ def test_a_loop_refused_may_be_chance_and_several_are_not():
 
 def test_too_few_keyframes_and_an_empty_map_are_doubtful():
     slam, rig = PlaneSlam(), hall()[1]
-    assert "has only 0 keyframes" in look_at(slam, rig).reasons[0]
+    assert "has only 0 keyframes" in assess_run(slam, rig).reasons[0]
     for keyframe in drive(0, count=5).keyframes:
         slam.add_keyframe(replace(keyframe, observations=[]))
-    verdict = look_at(slam, rig)
+    verdict = assess_run(slam, rig)
     assert (verdict.verdict, verdict.evidence[0].keyframes) == ("doubtful", (0, 1, 2, 3, 4))
     assert "the map is empty" in verdict.reasons[0]
 
@@ -137,7 +137,7 @@ def test_observations_that_match_nothing_leave_keyframes_to_odometry():
     slam, rig = PlaneSlam(), hall()[1]
     for index, keyframe in enumerate(drive(0, count=12).keyframes):
         slam.add_keyframe(keyframe if index < 4 else replace(keyframe, observations=[]))
-    (reason,) = look_at(slam, rig).reasons
+    (reason,) = assess_run(slam, rig).reasons
     assert "8 of 11 keyframes saw no plane that was known (keyframes 4 to 11)" in reason
 
 
@@ -152,6 +152,6 @@ def test_odometry_worse_than_stated_counts_where_the_poses_rest_on_it():
             error = planar_transform(*(4.0 * spread @ rng.standard_normal(3)))
             motion = replace(motion, a_T_b=motion.a_T_b @ error)
         slam.add_keyframe(replace(keyframe, motion=motion, observations=seen))
-    verdict = look_at(slam, rig)
+    verdict = assess_run(slam, rig)
     (found,) = [one for one in verdict.evidence if one.kind == "odometry"]
     assert 1.5 < found.size < 6.0 and "times as much as stated" in found.sentence

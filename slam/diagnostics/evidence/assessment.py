@@ -25,7 +25,7 @@ from slam.sensors.rig import Rig
 KINDS = 13
 
 
-def look_at(run: Finished, rig: Rig) -> Verdict:
+def assess_run(run: Finished, rig: Rig) -> Verdict:
     """The verdict by everything that is known at the end of a run; reading changes nothing."""
     return weigh(_evidence(run, rig), KINDS)
 
