@@ -191,7 +191,7 @@ class Backend:
         """Whether a pose is a variable of the graph; if not, it has left it."""
         return key not in self._past
 
-    def carrier(self, key: int) -> tuple[int, FloatArray]:
+    def rigid_base(self, key: int) -> tuple[int, FloatArray]:
         """The pose in the graph that a pose moves with, itself where it is there, and where it is from it, (4, 4)."""
         carrier_T_pose = np.eye(4)
         while not self.holds(key):
@@ -204,7 +204,7 @@ class Backend:
         """How many poses have left the graph."""
         return len(self._past)
 
-    def let_go(self, bases: dict[int, int]) -> None:
+    def marginalize(self, bases: dict[int, int]) -> None:
         """Remember poses, which are about to leave the graph, each (key) by one that stays (value)."""
         joint = self.joint_covariance(sorted({*bases, *bases.values()}))
         for key, base in bases.items():

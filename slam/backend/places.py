@@ -26,7 +26,7 @@ class Anchored(NamedTuple):
 
 def anchored(match: PlaceMatch, backend: Backend) -> Anchored:
     """A match by the pose that the earlier keyframe moves with, itself where it is in the graph."""
-    key, base_T_old = backend.carrier(pose_symbol(match.keyframe))
+    key, base_T_old = backend.rigid_base(pose_symbol(match.keyframe))
     turn = np.eye(3)
     turn[:2, :2] = base_T_old[:2, :2]
     delta = planar_delta(base_T_old @ planar_transform(*match.delta))

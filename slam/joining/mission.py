@@ -107,7 +107,7 @@ class FinishedMission:
         except BackendError as error:
             raise ValueError(f"{name}: expected a graph that holds every plane, got one that does not") from error
         trajectory = slam.trajectory
-        carried = [slam.backend.carrier(pose_symbol(index)) for index in range(len(trajectory))]
+        carried = [slam.backend.rigid_base(pose_symbol(index)) for index in range(len(trajectory))]
         graph = MissionGraph(
             slam.backend.graph,
             gtsam.Values(slam.backend.values),

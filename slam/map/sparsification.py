@@ -191,7 +191,7 @@ class Sparsifier:
         going = [one for one in going if self._after(one) in self._links]
         if not going:
             return Removal()
-        self._backend.let_go(self._bases(going))
+        self._backend.marginalize(self._bases(going))
         stale: list[int] = []
         anew: set[int] = set()
         for one in going:
