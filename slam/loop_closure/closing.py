@@ -152,7 +152,7 @@ class LoopCloser:
         evidence = evidence_of_map(around) if late else None
         if evidence is not None:
             for trial in late:
-                trial.hear(evidence, way, rules)
+                trial.update(evidence, way, rules)
 
     def _given(self, matches: Sequence[PlaceMatch], around: Surroundings) -> list[LoopDecision]:
         """What becomes of the places that the newest keyframe is known to stand near."""

@@ -117,7 +117,7 @@ class Trial:
         """Whether it still runs, so much way later."""
         return way_m - self.since_m <= _WINDOWS * config.window_m
 
-    def hear(self, evidence: float, way_m: float, config: LoopConfig) -> None:
+    def update(self, evidence: float, way_m: float, config: LoopConfig) -> None:
         """Count what was seen, by the share of it that is new.
 
         Args:

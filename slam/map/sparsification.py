@@ -168,7 +168,7 @@ class Sparsifier:
         self._support.step(keyframe, None if link is None else link.motion, matched)
         if not (may_leave and self._config.passes and link and factors and self._is_known_place()):
             return False
-        if news(factors, pose_symbol(keyframe), self._backend) > self._config.max_news:
+        if information_gain(factors, pose_symbol(keyframe), self._backend) > self._config.max_news:
             return False
         self._leaving.add(keyframe)
         return True
@@ -242,7 +242,7 @@ class Sparsifier:
         return 1 + int((np.diff(frames) > self._config.apart).sum()) > self._config.passes
 
 
-def news(factors: Sequence[Any], pose_key: int, backend: Backend) -> float:
+def information_gain(factors: Sequence[Any], pose_key: int, backend: Backend) -> float:
     """What factors of a pose and known landmarks tell of the landmarks, nats per degree of freedom.
 
     The mutual information of the measurements and everything but the pose: with A the whitened derivatives, P the joint

@@ -89,11 +89,11 @@ def test_a_proposal_whose_keyframe_left_the_graph_is_forgotten():
 
 def test_a_loop_is_lost_when_what_contradicts_it_outweighs_what_closed_it():
     trial = Trial(100.0)
-    trial.hear(900.0, 103.0, CONFIG)  # however well it fits, no witness is surer than 1 / significance twice
+    trial.update(900.0, 103.0, CONFIG)  # however well it fits, no witness is surer than 1 / significance twice
     assert trial.log_odds == pytest.approx(-2.0 * np.log(CONFIG.significance))
-    trial.hear(-90.0, 106.0, CONFIG)  # half a window of new returns, 9 looks a witness
+    trial.update(-90.0, 106.0, CONFIG)  # half a window of new returns, 9 looks a witness
     assert trial.log_odds == pytest.approx(13.8 - 5.0, abs=0.02)
-    trial.hear(-180.0, 109.0, CONFIG)
+    trial.update(-180.0, 109.0, CONFIG)
     assert trial.is_lost
     assert trial.is_open(117.0, CONFIG)
     assert not trial.is_open(119.0, CONFIG)
