@@ -12,7 +12,14 @@ from slam.config import SlamConfig
 from slam.frontend.deskewing import middle_ns, place_beams
 from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import OdometryTrack, planar_delta
-from slam.frontend.scan_regions import believed_planes, fit_if_any, members_of, on_planes, sure_labels, telling_labels
+from slam.frontend.scan_regions import (
+    believed_planes,
+    fit_if_any,
+    members_of,
+    on_planes,
+    unambiguous_labels,
+    well_conditioned_labels,
+)
 from slam.frontend.scan_surfaces import surfaces_of
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import coarse, flatten, largest_polygon
@@ -170,9 +177,9 @@ def _flat_planes(
     found = segment(points, covariances, config=settings, viewpoints=viewpoint, pose_covariances=tilts)
     rows = moments_of(found.points, found.covariance, found.labels, settings)
     rough, spreads = frames_of(rows, np.zeros((len(rows), 3)))
-    sure = sure_labels(points, covariances, found.labels, rough, settings, config.measurements)
+    sure = unambiguous_labels(points, covariances, found.labels, rough, settings, config.measurements)
     sure, covariances = on_planes(points, covariances, sure, rough, sensor)
-    sure = telling_labels(points, covariances, sure, rough, settings)
+    sure = well_conditioned_labels(points, covariances, sure, rough, settings)
     believed = believed_planes(points, covariances, sure, rough, sensor, viewpoint, config.measurements)
     kept = {k: one.plane for k, one in enumerate(believed) if one is not None}
     labels = found.labels.copy()

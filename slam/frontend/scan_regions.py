@@ -86,7 +86,7 @@ def members_of(labels: np.ndarray, count: int) -> list[np.ndarray]:
     return np.split(order, np.searchsorted(flat[order], np.arange(count + 1)))[1:-1]
 
 
-def sure_labels(
+def unambiguous_labels(
     points: FloatArray,
     covariances: FloatArray,
     labels: np.ndarray,
@@ -150,7 +150,7 @@ def on_planes(
     return labels, covariances
 
 
-def telling_labels(
+def well_conditioned_labels(
     points: FloatArray, covariances: FloatArray, labels: np.ndarray, frames: FloatArray, mapper: MapperConfig
 ) -> np.ndarray:
     """Labels (S, B) of the points of planes whose tilt their points tell; arguments as above."""
