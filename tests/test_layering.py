@@ -21,7 +21,7 @@ NEVER = {"tests", "examples", "benchmarks"}
 ROOMS = {
     "slam": (
         ("errors", "timing", "files", "growable", "ahead", "_field_types"),
-        ("_yaml", "given"),
+        ("_yaml", "preconditions"),
         ("config",),
         ("geometry",),
         ("sensors",),

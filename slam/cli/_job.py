@@ -64,8 +64,8 @@ def open_job(
     odometry: Path | None = None,
 ) -> Job:
     """Read all that a command is given; whatever is wrong is said before any work is done."""
-    from slam.given import check_file_given, check_log_given
     from slam.output.new_folder import check_free
+    from slam.preconditions import check_file_given, check_log_given
     from slam.timing import StageClock
 
     clock = StageClock()  # before the imports below: whoever waits for the command waits for them too

@@ -32,8 +32,8 @@ def fit(
     as_json: Annotated[bool, typer.Option("--json", help="Print the planes as JSON.")] = False,
 ) -> None:
     """Find the planes of one CLOUD."""
-    from slam.given import check_cloud_given
     from slam.output.new_folder import check_free, new_folder
+    from slam.preconditions import check_cloud_given
 
     if sigma is not None and not 0.0 < sigma < 1e3:
         raise ValueError(f"--sigma: expected a standard deviation above 0 in metres, got {sigma}")

@@ -30,7 +30,7 @@ def register(
     as_json: Annotated[bool, typer.Option("--json", help="Print pose and covariance as JSON.")] = False,
 ) -> None:
     """Find the pose of cloud B in cloud A, with its covariance, its rivals, and whether it can be believed."""
-    from slam.given import check_cloud_given
+    from slam.preconditions import check_cloud_given
 
     check_cloud_given(a)
     check_cloud_given(b)

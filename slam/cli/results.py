@@ -27,7 +27,7 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Score RUN against the truth; the numbers also go into its metrics.json."""
-    from slam.given import check_folder_given, check_truth_given
+    from slam.preconditions import check_folder_given, check_truth_given
 
     check_folder_given(run)
     check_truth_given(truth)
@@ -84,8 +84,8 @@ def export(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
 ) -> None:
     """Write planes, graph, trajectory or floor plan of RUN as files of other tools; --to may be repeated."""
-    from slam.given import check_run_given
     from slam.output.export import check_target, export_run
+    from slam.preconditions import check_run_given
     from slam.session.state import check_finished
 
     for target in to:
@@ -106,7 +106,7 @@ def view(
     rerun: Annotated[Path | None, typer.Option("--rerun", help="Also write a recording for Rerun, FILE.rrd.")] = None,
 ) -> None:
     """Draw RUN: plan, side view, uncertainty as PNG, and a page to turn and ask the map in a browser."""
-    from slam.given import check_run_given
+    from slam.preconditions import check_run_given
     from slam.session.state import check_finished
 
     check_finished(run)
@@ -135,8 +135,8 @@ def import_(
     as_json: JsonOption = False,
 ) -> None:
     """Take an edited GRAPH back: planes.json, mesh and trajectory of the run as the graph has them."""
-    from slam.given import check_file_given, check_run_given
     from slam.output.new_folder import check_free, new_folder
+    from slam.preconditions import check_file_given, check_run_given
 
     check_free(out, overwrite=overwrite)
     check_run_given(run)

@@ -262,8 +262,8 @@ def simulate(
     overwrite: OverwriteOption = False,
 ) -> None:
     """Write a simulated mission: log, rig.yaml and the truth."""
-    from slam.given import check_world_given
     from slam.output.new_folder import check_free, new_folder
+    from slam.preconditions import check_world_given
 
     check_world_given(world)
     check_free(out, overwrite=overwrite)

@@ -14,10 +14,10 @@ from slam.evaluation.planes import plane_metrics
 from slam.evaluation.relations import FOUND, STATED, read_relations, relation_metrics
 from slam.evaluation.trajectories import PoseErrors, absolute_error, alignment_of, common_poses, relative_error
 from slam.geometry.frames import inverse
-from slam.given import check_truth_given
 from slam.io.folders.depth_images import CAMERA_POSES, is_depth_folder
 from slam.io.planes_json import read_planes
 from slam.io.trajectories import Trajectory, read_tum
+from slam.preconditions import check_truth_given
 from slam.sensors.rig import Rig
 from slam.session.state import check_finished, session_path
 from slam.session.store import Session

@@ -13,12 +13,12 @@ from slam.diagnostics.verdict import Verdict
 from slam.errors import LogError
 from slam.evaluation.metrics import Metric
 from slam.frontend.observations import Observation
-from slam.given import check_run_given
 from slam.io.planes_json import read_map
 from slam.io.trajectories import Trajectory, read_tum
 from slam.map.data_association import Candidate, Decision
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam
+from slam.preconditions import check_run_given
 from slam.runs.history import History
 from slam.session.state import check_finished, session_path
 from slam.session.store import Session
