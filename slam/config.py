@@ -116,10 +116,11 @@ class CoastingConfig(_Frozen):
     """Of the change of the rate of turn, rad/s^2."""
     robust: RobustKernel | None = "cauchy"
     """Robust kernel on what is matched at a place that the planes had to find: some of it will be wrong."""
-    floor_m: float = Field(default=0.05, gt=0)
-    """Least standard deviation of a step, m."""
-    floor_rad: float = Field(default=0.05, gt=0)
-    """Least standard deviation of a turn, rad."""
+    floor_m: float = Field(default=0.01, gt=0)
+    """Least standard deviation of a step, m; below what `acceleration_sigma_m_per_s2` says of steps of 0.1 s, or the
+    speed of a camera would walk away along what its images leave open."""
+    floor_rad: float = Field(default=0.03, gt=0)
+    """Least standard deviation of a turn, rad: hands shake."""
 
 
 class ObservabilityConfig(_Frozen):
