@@ -9,6 +9,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from benchmarks.corpus.drives import DISTURBANCES, ODOMETRIES, WORLDS, Recipe
+from benchmarks.corpus.handheld import HANDHELD, HANDHELD_WORD
 from benchmarks.corpus.perturbed import PERTURBATIONS
 from benchmarks.corpus.real import REAL, WHEELED
 
@@ -24,7 +25,7 @@ class Entry:
     """One drive of the corpus."""
 
     name: str
-    """A recipe's name, real/LOG, or real/LOG/PERTURBATION."""
+    """A recipe's name, real/LOG, real/LOG/PERTURBATION, or one of `HANDHELD`."""
     seed: int
     """Which one of its kind; 0 for a real log as it is."""
 
@@ -32,7 +33,7 @@ class Entry:
     def kinds(self) -> list[str]:
         """What it counts for in the summary: each of its parts, but good odometry and no disturbance only together."""
         words = self.name.split("/")
-        if words[0] == REAL_WORD:
+        if words[0] in (REAL_WORD, HANDHELD_WORD):
             return [self.name]
         wrong = [word for word in words[2:] if word not in ("good", "none")]
         return [f"world {words[0]}", f"sensors {words[1]}", *(f"with {word}" for word in wrong or ["nothing wrong"])]
@@ -105,6 +106,8 @@ SHORT_REAL = ("3dtk_corridor", "balm_hall", "loop5", "pcl_room", "tum_fr3_cabine
 
 #: Real logs made worse: only where they are asked for, they take minutes each.
 PERTURBED = [f"{REAL_WORD}/{log}/{kind}" for log in WHEELED for kind in PERTURBATIONS]
+#: All that is there where it is asked for only.
+_ON_REQUEST = [*PERTURBED, *HANDHELD]
 
 
 def corpus(seeds: Sequence[int], *, short: bool = False, kinds: Sequence[str] = ()) -> list[Entry]:
@@ -114,8 +117,8 @@ def corpus(seeds: Sequence[int], *, short: bool = False, kinds: Sequence[str] = 
         seeds: of the simulated drives, and of real logs made worse.
         short: fewer of them.
         kinds: only drives with one of these words as a part of their name, or whose name matches one as a pattern; a
-            whole name need not be in the catalogue. Real logs made worse are there by names, and by
-            patterns that nothing else matches.
+            whole name need not be in the catalogue. Real logs made worse and cameras carried by hand are there by
+            names, and by patterns that nothing else matches.
 
     Raises:
         ValueError: a kind that no drive is of.
@@ -150,7 +153,7 @@ def _is_real(name: str) -> bool:
 
 def _of_kind(kind: str, names: Sequence[str]) -> list[str]:
     found = [name for name in names if kind in name.split("/") or fnmatchcase(name, kind)]
-    found = found or [name for name in PERTURBED if fnmatchcase(name, kind)]
+    found = found or [name for name in _ON_REQUEST if fnmatchcase(name, kind)]
     if found:
         return found
     if "/" in kind and not _is_real(kind):

@@ -28,11 +28,13 @@ def run_entry(entry: Entry, changes: dict[str, Any]) -> Row:
 
         return real_row(entry.name.removeprefix(f"{REAL_WORD}/"), config, entry.seed)
     from benchmarks.corpus.drives import Recipe, make_drive
+    from benchmarks.corpus.handheld import HANDHELD, make_handheld
     from benchmarks.corpus.score import score
     from slam.planeslam import PlaneSlam
     from slam.runs.slam_run import run_slam
 
-    drive = make_drive(Recipe.parse(entry.name), entry.seed)
+    by_hand = entry.name in HANDHELD
+    drive = make_handheld(entry.name, entry.seed) if by_hand else make_drive(Recipe.parse(entry.name), entry.seed)
     slam = None if drive.prior is None else PlaneSlam(config, prior=drive.prior)
     return score(run_slam(drive.log, drive.rig, config, slam=slam), drive)
 

@@ -1,0 +1,175 @@
+"""Depth cameras carried by hand through a furnished room, without odometry: turning fast, or far between two images.
+
+A room of one's own size with furniture about its middle, and a camera that wanders there as the sums of a few waves:
+x, y, height, heading, pitch and roll. `sparse` rooms are larger with little in them, so that some images see a wall
+and the floor and nothing else; their camera reads depths that are false by smooth waves over the image, no farther
+than 4 m, and none where surfaces are grazed or jump, as real ones do.
+
+References:
+    Nguyen, Izadi, Lovell, "Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking", 3DIMPVT 2012,
+    for the noise; Teichman, Miller, Thrun, "Unsupervised intrinsic calibration of depth sensors via SLAM", RSS 2013,
+    for depths that are false by a pattern of the image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from shapely import LineString, box
+
+from benchmarks.corpus.drives.building import Roof, add_furniture, add_shell
+from benchmarks.corpus.drives.drive import Drive, Recipe
+from benchmarks.corpus.drives.sensing import depth_sigma
+from slam.io.default_rigs import depth_rig
+from slam.io.folders.depth_images import CAMERA_MOUNT, SENSOR
+from slam.sensors.log import CloudScan, Log
+from slam.simulation.record import START_NS
+from slam.simulation.truth import Truth
+from slam.simulation.world import NO_PLANE, World, WorldBuilder
+from spplanes._check import FloatArray
+
+#: Word that names of these drives begin with.
+HANDHELD_WORD = "handheld"
+#: Image: rows, columns, focal length in pixels (a Kinect's, every second pixel).
+_ROWS, _COLUMNS, _FOCAL = 240, 320, 267.7
+#: Depth of one step of the disparity, as a share of the squared depth, 1/m.
+_STEP_PER_M = 3.6e-4
+#: Depths of a sparse room's camera are false by the sum of six waves over the image, each of about this share.
+_FALSE_SHARE = 0.006
+#: Its depths end here, m; and are missing where they grow from pixel to pixel by more than this share, and length.
+_FARTHEST_M, _GRAZING, _GRAZING_M = 4.0, 0.02, 0.004
+
+
+@dataclass(frozen=True)
+class _Carried:
+    """How a camera is carried, and through what."""
+
+    rate_hz: float
+    images: int
+    speed_m_per_s: float
+    """The highest along x or y."""
+    turn_deg_per_s: float
+    """The highest."""
+    sparse: bool
+
+
+#: Kinds: turning by up to 90 deg/s at 10 images a second; some 0.1 to 0.2 m and 7 deg between two images.
+_KINDS = {
+    "turning": _Carried(10.0, 120, 0.5, 90.0, sparse=False),
+    "far": _Carried(3.0, 60, 0.5, 40.0, sparse=False),
+    "sparse_turning": _Carried(10.0, 120, 0.5, 90.0, sparse=True),
+    "sparse_far": _Carried(3.0, 60, 0.5, 40.0, sparse=True),
+}
+#: Names of these drives.
+HANDHELD = [f"{HANDHELD_WORD}/{kind}" for kind in _KINDS]
+
+
+def make_handheld(name: str, seed: int) -> Drive:
+    """Draw the room, the way and the noise from the seed.
+
+    Args:
+        name: out of `HANDHELD`.
+        seed: which one of its kind.
+
+    Raises:
+        ValueError: another name.
+    """
+    if name not in HANDHELD:
+        raise ValueError(f"name: expected one of {', '.join(HANDHELD)}, got {name!r}")
+    carried = _KINDS[name.removeprefix(f"{HANDHELD_WORD}/")]
+    rooms, ways, noise = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3))
+    world, poses = _room(carried, rooms), _poses(carried, ways)
+    stamps = START_NS + np.round(np.arange(carried.images) * 1e9 / carried.rate_hz).astype(np.int64)
+    camera, scans, labels = _Camera.drawn(carried, noise), [], []
+    for stamp, pose in zip(stamps.tolist(), poses, strict=True):
+        points, label = camera.image(world, pose @ CAMERA_MOUNT, noise)
+        scans.append(CloudScan(stamp, SENSOR, points))
+        labels.append(label)
+    truth = Truth(stamps, poses, world.planes, {SENSOR: np.array(labels)})
+    recipe = Recipe("hall" if carried.sparse else "cluttered", "depth", "absent")  # what comes nearest of them
+    return Drive(recipe, seed, level=False, log=Log(scans, Path(f"simulated {name}")), rig=depth_rig(), truth=truth)
+
+
+def _room(carried: _Carried, rng: np.random.Generator) -> World:
+    """A room with furniture all round its middle."""
+    half_x, half_y = rng.uniform(3.0, 4.0, 2) if carried.sparse else rng.uniform(2.2, 3.2, 2)
+    plan, builder = box(-half_x, -half_y, half_x, half_y), WorldBuilder()
+    add_shell(builder, plan, Roof.flat(rng.uniform(2.4, 3.0)))
+    middle, pieces = LineString([(-0.8, 0.0), (0.8, 0.0)]), 6 if carried.sparse else 14
+    add_furniture(builder, plan, middle, rng, pieces=pieces, oblique=True, poles=2)
+    return builder.build()
+
+
+def _poses(carried: _Carried, rng: np.random.Generator) -> FloatArray:
+    """world_T_body at every image, shape (N, 4, 4)."""
+    times_s = np.arange(carried.images) / carried.rate_hz
+    turn = np.deg2rad(carried.turn_deg_per_s)
+
+    def wave(peak_rate: float, period_s: float, most: float = np.inf) -> FloatArray:
+        """The sum of three waves of about that period, its rate at most so high, itself at most so far from nought."""
+        frequencies = 2.0 * np.pi / (period_s * rng.uniform(0.6, 1.8, 3))
+        heights, phases = rng.uniform(0.5, 1.0, 3), rng.uniform(0.0, 2.0 * np.pi, 3)
+        angles = np.outer(np.linspace(0.0, times_s[-1], 4000), frequencies) + phases
+        highest = np.abs((heights * np.cos(angles)).sum(axis=1)).max()
+        values = (heights / frequencies * np.sin(np.outer(times_s, frequencies) + phases)).sum(axis=1)
+        values = (values - values.mean()) * peak_rate / highest
+        return values * min(1.0, most / np.abs(values).max())
+
+    x, y = wave(carried.speed_m_per_s, 6.0, 1.0), wave(carried.speed_m_per_s, 6.0, 0.7)
+    yaw, pitch, roll = wave(turn, 7.0), np.deg2rad(15.0) + wave(turn / 4.0, 5.0, 0.45), wave(np.deg2rad(10.0), 3.0)
+    poses = np.tile(np.eye(4), (carried.images, 1, 1))
+    poses[:, :3, :3] = Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll])).as_matrix()
+    poses[:, :3, 3] = np.column_stack([x, y, 1.4 + wave(0.15, 4.0)])
+    return poses
+
+
+@dataclass(frozen=True, eq=False)
+class _Camera:
+    """A camera with the errors of its depths."""
+
+    rays: FloatArray
+    """Points of every pixel at depth 1, shape (H, W, 3)."""
+    false: FloatArray
+    """By what share depths are false, shape (H, W)."""
+    drops: bool
+    """Whether depths are missing as those of real cameras are."""
+
+    @classmethod
+    def drawn(cls, carried: _Carried, rng: np.random.Generator) -> _Camera:
+        """One camera out of many."""
+        v, u = np.mgrid[:_ROWS, :_COLUMNS]
+        x, y = (u - _COLUMNS / 2 + 0.5) / _FOCAL, (v - _ROWS / 2 + 0.5) / _FOCAL
+        waves = np.column_stack(
+            [rng.uniform(-1.5, 1.5, (6, 2)), rng.normal(0.0, _FALSE_SHARE, 6), rng.uniform(0, 7, 6)]
+        )
+        false = np.sum([c * np.cos(2.0 * np.pi * (a * x + b * y) + start) for a, b, c, start in waves], axis=0)
+        rays = np.stack([x, y, np.ones_like(x)], axis=-1)
+        return cls(rays, false if carried.sparse else np.zeros_like(x), carried.sparse)
+
+    def image(
+        self, world: World, world_T_camera: FloatArray, rng: np.random.Generator
+    ) -> tuple[FloatArray, np.ndarray]:
+        """Points (H, W, 3) in the camera's frame, NaN for no depth, and the plane of each, (H, W)."""
+        turn, lengths = world_T_camera[:3, :3], np.linalg.norm(self.rays, axis=-1)
+        normals = np.cross(self.rays[:, 0], self.rays[:, -1])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        origins = np.tile(world_T_camera[:3, 3], (_ROWS, 1))
+        ranges, labels = world.cast(origins, self.rays / lengths[..., None] @ turn.T, normals @ turn.T)
+        depth = np.where(np.isfinite(ranges), ranges / lengths, 1e3)
+        depth = (depth + depth_sigma(depth) * _smoothed(rng.standard_normal(depth.shape))) * (1.0 + self.false)
+        step = _STEP_PER_M * depth**2
+        depth = np.round(depth / step) * step
+        seen = (depth > 0.5) & (depth < (_FARTHEST_M if self.drops else 5.0))
+        if self.drops:
+            down, right = np.gradient(depth)
+            seen &= np.hypot(down, right) < _GRAZING * depth + _GRAZING_M
+        points = np.where(seen, depth, np.nan)[..., None] * self.rays
+        return points, np.where(seen, labels, NO_PLANE).astype(np.int32)
+
+
+def _smoothed(noise: FloatArray) -> FloatArray:
+    """Noise that neighbours share, as disparities are of windows; its variance stays."""
+    return (noise + np.roll(noise, 1, 0) + np.roll(noise, 1, 1) + np.roll(noise, (1, 1), (0, 1))) / 2.0

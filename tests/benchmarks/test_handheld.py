@@ -1,0 +1,67 @@
+"""Depth cameras carried by hand: as fast as they say, bit for bit the same, their images those of the true planes."""
+
+from __future__ import annotations
+
+import itertools
+
+import gtsam
+import numpy as np
+import pytest
+
+from benchmarks.corpus.catalogue import corpus
+from benchmarks.corpus.handheld import HANDHELD, make_handheld
+from slam.geometry.frames import inverse, lift
+from slam.io.folders.depth_images import CAMERA_MOUNT
+
+
+@pytest.fixture(scope="module", params=["handheld/far", "handheld/sparse_far"])
+def drive(request):
+    """One of each sort of room."""
+    return make_handheld(request.param, 3)
+
+
+def test_the_camera_moves_as_its_kind_says(drive) -> None:
+    """Up to 0.5 m/s along x and y and 40 deg/s about z, at 3 images a second; it gets near both in 20 s."""
+    poses = drive.truth.world_T_body
+    steps = [gtsam.Pose3.Logmap(gtsam.Pose3(inverse(a) @ b)) for a, b in itertools.pairwise(poses)]
+    turns, ways = (
+        np.linalg.norm(np.array(steps)[:, :3], axis=1),
+        np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1),
+    )
+    assert np.deg2rad(7.0) < turns.max() < np.deg2rad(18.0)
+    assert 0.08 < ways.max() < 0.3
+
+
+def test_points_lie_on_the_planes_they_are_labelled_with(drive) -> None:
+    """Within what a Kinect's noise and, in sparse rooms, false depths make of them; half of all pixels see a plane."""
+    sparse = drive.recipe.world == "hall"
+    off, ranges = [], []
+    truth = drive.truth
+    images = list(zip(drive.log.scans(), truth.world_T_body, truth.labels["camera"], strict=True))
+    for scan, pose, labels in images[::9]:
+        on = labels >= 0
+        points = lift(scan.points[on], pose @ CAMERA_MOUNT)
+        planes = [truth.planes[label] for label in labels[on]]
+        normals, d = np.array([plane.normal for plane in planes]), np.array([plane.d for plane in planes])
+        off.append(np.abs(np.einsum("ki,ki->k", points, normals) - d))
+        ranges.append(scan.points[on][:, 2])
+        assert on.mean() > 0.3
+    share = np.median(np.concatenate(off) / np.concatenate(ranges))
+    assert share < (0.02 if sparse else 0.005)
+
+
+def test_equal_seeds_are_equal_drives() -> None:
+    """To the bit; others differ."""
+    first, again, other = (make_handheld("handheld/far", seed) for seed in (1, 1, 2))
+    assert np.array_equal(first.log.scans()[5].points, again.log.scans()[5].points, equal_nan=True)
+    assert not np.array_equal(first.truth.world_T_body, other.truth.world_T_body)
+
+
+def test_they_are_there_where_they_are_asked_for() -> None:
+    """By a pattern, with every seed; not among all drives."""
+    assert {(entry.name, entry.seed) for entry in corpus([4, 5], kinds=["handheld/*"])} == {
+        (name, seed) for name in HANDHELD for seed in (4, 5)
+    }
+    assert not {entry.name for entry in corpus([0])} & set(HANDHELD)
+    with pytest.raises(ValueError, match="name: expected one of"):
+        make_handheld("handheld/slow", 0)
