@@ -74,9 +74,16 @@ MUTATIONS = (
     ),
     Mutation(
         "covariance: of a line's shift and turn, correlated the other way",
-        "slam/frontend/observations.py",
+        "factors/association/observations.py",
         "[[t, -1.0], [1.0, 0.0]]",
         "[[t, 1.0], [1.0, 0.0]]",
+        "tests/slam/frontend/test_observations.py",
+    ),
+    Mutation(
+        "covariance: of a wall that is not straight, about the wrong end",
+        "slam/frontend/observations.py",
+        "((1.0, 0.0), (middle, 1.0))",
+        "((1.0, 0.0), (-middle, 1.0))",
         "tests/slam/frontend/test_observations.py",
     ),
     Mutation(
