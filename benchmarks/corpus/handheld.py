@@ -22,11 +22,12 @@ from shapely import LineString, box
 
 from benchmarks.corpus.drives.building import Roof, add_furniture, add_shell
 from benchmarks.corpus.drives.drive import Drive, Recipe
-from benchmarks.corpus.drives.sensing import depth_sigma
+from benchmarks.corpus.drives.sensing import camera_beams, depth_sigma
 from slam.io.default_rigs import depth_rig
 from slam.io.folders.depth_images import CAMERA_MOUNT, SENSOR
 from slam.sensors.log import CloudScan, Log
 from slam.simulation.record import START_NS
+from slam.simulation.rigs import Beams
 from slam.simulation.truth import Truth
 from slam.simulation.world import NO_PLANE, World, WorldBuilder
 from spplanes._check import FloatArray
@@ -130,8 +131,8 @@ def _poses(carried: _Carried, rng: np.random.Generator) -> FloatArray:
 class _Camera:
     """A camera with the errors of its depths."""
 
-    rays: FloatArray
-    """Points of every pixel at depth 1, shape (H, W, 3)."""
+    beams: Beams
+    """Of its pixels, a fan for every row."""
     false: FloatArray
     """By what share depths are false, shape (H, W)."""
     drops: bool
@@ -140,25 +141,23 @@ class _Camera:
     @classmethod
     def drawn(cls, carried: _Carried, rng: np.random.Generator) -> _Camera:
         """One camera out of many."""
-        v, u = np.mgrid[:_ROWS, :_COLUMNS]
-        x, y = (u - _COLUMNS / 2 + 0.5) / _FOCAL, (v - _ROWS / 2 + 0.5) / _FOCAL
+        beams = camera_beams(_ROWS, _COLUMNS, _FOCAL)
+        x, y = np.moveaxis(beams.directions[..., :2] / beams.directions[..., 2:], -1, 0)
         waves = np.column_stack(
             [rng.uniform(-1.5, 1.5, (6, 2)), rng.normal(0.0, _FALSE_SHARE, 6), rng.uniform(0, 7, 6)]
         )
         false = np.sum([c * np.cos(2.0 * np.pi * (a * x + b * y) + start) for a, b, c, start in waves], axis=0)
-        rays = np.stack([x, y, np.ones_like(x)], axis=-1)
-        return cls(rays, false if carried.sparse else np.zeros_like(x), carried.sparse)
+        return cls(beams, false if carried.sparse else np.zeros_like(x), carried.sparse)
 
     def image(
         self, world: World, world_T_camera: FloatArray, rng: np.random.Generator
     ) -> tuple[FloatArray, np.ndarray]:
         """Points (H, W, 3) in the camera's frame, NaN for no depth, and the plane of each, (H, W)."""
-        turn, lengths = world_T_camera[:3, :3], np.linalg.norm(self.rays, axis=-1)
-        normals = np.cross(self.rays[:, 0], self.rays[:, -1])
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        turn, directions = world_T_camera[:3, :3], self.beams.directions
         origins = np.tile(world_T_camera[:3, 3], (_ROWS, 1))
-        ranges, labels = world.cast(origins, self.rays / lengths[..., None] @ turn.T, normals @ turn.T)
-        depth = np.where(np.isfinite(ranges), ranges / lengths, 1e3)
+        ranges, labels = world.cast(origins, directions @ turn.T, self.beams.normals @ turn.T)
+        ahead = directions[..., 2]
+        depth = np.where(np.isfinite(ranges), ranges * ahead, 1e3)
         depth = (depth + depth_sigma(depth) * _smoothed(rng.standard_normal(depth.shape))) * (1.0 + self.false)
         step = _STEP_PER_M * depth**2
         depth = np.round(depth / step) * step
@@ -166,7 +165,7 @@ class _Camera:
         if self.drops:
             down, right = np.gradient(depth)
             seen &= np.hypot(down, right) < _GRAZING * depth + _GRAZING_M
-        points = np.where(seen, depth, np.nan)[..., None] * self.rays
+        points = np.where(seen, depth / ahead, np.nan)[..., None] * directions
         return points, np.where(seen, labels, NO_PLANE).astype(np.int32)
 
 

@@ -84,17 +84,21 @@ def _lidar(rings: int, lowest_deg: float, highest_deg: float) -> Sensing:
     )
 
 
-def _camera() -> Sensing:
-    v, u = np.mgrid[:_ROWS, :_COLUMNS] + 0.5
-    directions = np.stack([(u - _COLUMNS / 2) / _FOCAL, (v - _ROWS / 2) / _FOCAL, np.ones_like(u)], axis=-1)
+def camera_beams(rows: int, columns: int, focal_pixels: float) -> Beams:
+    """Of a pinhole camera that looks along z, a fan of `columns` beams for every row of its image."""
+    v, u = np.mgrid[:rows, :columns] + 0.5
+    directions = np.stack([(u - columns / 2) / focal_pixels, (v - rows / 2) / focal_pixels, np.ones_like(u)], axis=-1)
     normals = np.cross(directions[:, 0], directions[:, -1])
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    return Beams(directions, normals / np.linalg.norm(normals, axis=1, keepdims=True), None)
+
+
+def _camera() -> Sensing:
     matrix = CAMERA_MOUNT.copy()
     matrix[:3, 3] = (0.1, 0.0, 1.0)
     (described,) = depth_rig().sensors.values()
     sensor = described.model_copy(update={"mount": Mount(matrix=tuple(tuple(row) for row in matrix.tolist()))})
-    beams = Beams(directions, normals / np.linalg.norm(normals, axis=1, keepdims=True), None)
-    return Sensing(CAMERA, sensor, beams, _IMAGES_M, by_depth=True)
+    return Sensing(CAMERA, sensor, camera_beams(_ROWS, _COLUMNS, _FOCAL), _IMAGES_M, by_depth=True)
 
 
 #: Sensor suites.
