@@ -78,7 +78,7 @@ def open_job(
             check_file_given(file)
     check_log_given(log)
     from slam.config import SlamConfig
-    from slam.frontend.range_noise import with_shown_noise
+    from slam.frontend.range_noise import with_shown_errors
     from slam.io.load import load
     from slam.io.rosbags.reader import Topics
     from slam.sensors.rig import Rig
@@ -88,7 +88,7 @@ def open_job(
         described = None if rig is None else Rig.from_yaml(rig)
         chosen = Topics(tuple(topics or ()), odometry_topic, odometry_frame, body_frame)
         read, sensors = load(log, described, keep_partial=keep_partial, topics=chosen, odometry=odometry)
-        sensors = with_shown_noise(read, sensors)
+        sensors = with_shown_errors(read, sensors)
     for note in read.notes:
         say(f"{log.name}: {note}")
     return Job(read, sensors, settings, clock)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from factors.archive import ArchiveError
 from slam.config import SlamConfig
-from slam.frontend.range_noise import with_shown_noise
+from slam.frontend.range_noise import with_shown_errors
 from slam.io.load import load
 from slam.joining.mission import FinishedMission, Mission
 from slam.joining.overlap import compare_missions
@@ -119,7 +119,7 @@ def _map(order: Order, folder: Path) -> None:
     rig = None if order.rig is None else Rig.model_validate_json(order.rig)
     path = Path(order.log)
     log, sensors = load(path, rig, keep_partial=order.keep_partial)
-    sensors = with_shown_noise(log, sensors)
+    sensors = with_shown_errors(log, sensors)
     folder.parent.mkdir(parents=True, exist_ok=True)
     work = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:

@@ -292,9 +292,11 @@ def usable_ranges(ranges: FloatArray, sensor: Sensor) -> FloatArray:
 
 
 def usable_points(points: FloatArray, sensor: Sensor) -> FloatArray:
-    """Points (..., 3) in the sensor frame with NaN for what lies outside the sensor's limits."""
-    flat = as_float_array("points", points).reshape(-1, 3)
-    return within(flat, sensor.range_min_m, sensor.range_max_m).reshape(points.shape)
+    """Points (..., 3) in the sensor frame without its warp, NaN for what lies outside the sensor's limits."""
+    points = as_float_array("points", points)
+    if sensor.warp is not None and points.ndim == 3:
+        points = sensor.warp.taken_off(points)
+    return within(points.reshape(-1, 3), sensor.range_min_m, sensor.range_max_m).reshape(points.shape)
 
 
 def _in_scan(plane: Plane, sensor: Sensor) -> Plane:

@@ -15,6 +15,7 @@ import numpy as np
 
 from slam.errors import LogError
 from slam.frontend.measurement import usable_points, usable_ranges
+from slam.frontend.warp_calibration import with_warp
 from slam.io.clouds.cloud import grid_of
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig, Sensor
@@ -41,12 +42,15 @@ _ROUNDS = 5
 _KNOWN: WeakKeyDictionary[Log, tuple[Rig, Rig]] = WeakKeyDictionary()
 
 
-def with_shown_noise(log: Log, rig: Rig) -> Rig:
-    """The rig with no less range noise than its scans show; where that is more than it states, a note in the log."""
+def with_shown_errors(log: Log, rig: Rig) -> Rig:
+    """The rig with no less range noise than its scans show, and the warp that images of its cameras show.
+
+    Where that is more than it states, with a note in the log.
+    """
     known = _KNOWN.get(log)
     if known is not None and any(rig is one for one in known):
         return known[1]
-    sensors = {name: _raised(name, sensor, log) for name, sensor in rig.sensors.items()}
+    sensors = {name: with_warp(name, _raised(name, sensor, log), log) for name, sensor in rig.sensors.items()}
     changed = any(sensors[name] is not rig.sensors[name] for name in sensors)
     result = rig.model_copy(update={"sensors": sensors}) if changed else rig
     _KNOWN[log] = (rig, result)

@@ -20,7 +20,7 @@ from slam.errors import LogError
 from slam.frontend.keyframes import Keyframe, keyframes_of
 from slam.frontend.observations import PlaneObservation, planes_of
 from slam.frontend.odometry import Motion
-from slam.frontend.range_noise import with_shown_noise
+from slam.frontend.range_noise import with_shown_errors
 from slam.geometry.frames import inverse, planar_transform
 from slam.io.load import load_cloud
 from slam.planeslam import PlaneSlam
@@ -129,7 +129,7 @@ class _Measured(NamedTuple):
 
 def _measured(path: Path) -> _Measured:
     log, rig = load_cloud(path)
-    rig = with_shown_noise(log, rig)
+    rig = with_shown_errors(log, rig)
     ((_, sensor),) = rig.sensors.items()
     return _Measured(next(keyframes_of(log, rig, SlamConfig())), sensor.body_T_sensor)
 

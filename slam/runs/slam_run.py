@@ -15,7 +15,7 @@ from slam.diagnostics.verdict import Verdict
 from slam.frontend.input_checks import KeyframeError
 from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
 from slam.frontend.odometry import OdometryTrack
-from slam.frontend.range_noise import with_shown_noise
+from slam.frontend.range_noise import with_shown_errors
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory
 from slam.planeslam import MapPlane, PlaneSlam
@@ -108,7 +108,7 @@ def run_slam(
     slam.clock = slam.backend.clock = clock
     done_before = len(slam.keyframes)
     with clock.stage("measure"):  # what shows the noise, and laser odometry, which says where keyframes are
-        rig = with_shown_noise(log, rig)
+        rig = with_shown_errors(log, rig)
         total = count_keyframes(log, rig, config)
     with closing(keyframes_of(log, rig, config, done_before, segment=slam.segment, jobs=jobs)) as frames:
         for done in range(done_before, total):

@@ -15,6 +15,7 @@ from slam._yaml import near_key, read_yaml
 from slam.errors import LogError
 from slam.sensors.log import LaserScan, Log
 from slam.sensors.mount import Finite, Frozen, Mount, NotNegative, Positive
+from slam.sensors.range_warp import RangeWarp
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS, OdometryNoise
 from spplanes._check import FloatArray
 
@@ -69,6 +70,8 @@ class Sensor(Frozen):
     """The same of its tilt, about each axis in the plane, rad: angles of a turned laser, motion within a scan."""
     range_min_m: NotNegative = 0.0
     """Ranges below this are the robot itself, or too near to be measured, m."""
+    warp: RangeWarp | None = None
+    """By what share ranges of a camera are too long, over its image: taken off. None: what its images show is."""
 
     @model_validator(mode="after")
     def _check_shape(self) -> Sensor:

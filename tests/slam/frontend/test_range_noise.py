@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.corpus.drives import Recipe, make_drive
 from slam.errors import LogError
-from slam.frontend.range_noise import noise_factor, with_shown_noise
+from slam.frontend.range_noise import noise_factor, with_shown_errors
 from slam.sensors.log import CloudScan, Event, LaserScan, Log, StoredCloud
 from slam.sensors.rig import Rig, Sensor
 from spplanes._check import FloatArray
@@ -61,19 +61,19 @@ def test_noise_that_grows_with_the_square_of_the_range_and_uneven_walls_are_no_l
 def test_less_than_is_shown_is_not_believed_once_and_for_all() -> None:
     rng = np.random.default_rng(5)
     log, rig = log_of([room(rng, 0.015) for _ in range(8)], 0.0045)
-    raised = with_shown_noise(log, rig)
+    raised = with_shown_errors(log, rig)
     assert raised.sensors["lidar"].range_sigma_m == pytest.approx(0.015, rel=0.06)
     assert len(log.notes) == 1 and "lidar: ranges scatter about surfaces by 1" in log.notes[0] and "4.5" in log.notes[0]
-    assert with_shown_noise(log, raised) is raised and with_shown_noise(log, rig) is raised
+    assert with_shown_errors(log, raised) is raised and with_shown_errors(log, rig) is raised
     assert len(log.notes) == 1
-    assert with_shown_noise(replace(log, notes=[]), raised) is raised  # another look at the same scans
+    assert with_shown_errors(replace(log, notes=[]), raised) is raised  # another look at the same scans
 
 
 @pytest.mark.parametrize("stated", [0.0135, 0.015, 0.045])
 def test_an_honest_rig_and_one_that_states_more_stay_as_they_are(stated: float) -> None:
     rng = np.random.default_rng(6)
     log, rig = log_of([room(rng, 0.015) for _ in range(4)], stated)
-    assert with_shown_noise(log, rig) is rig and not log.notes
+    assert with_shown_errors(log, rig) is rig and not log.notes
 
 
 def test_scans_that_cannot_be_read_or_show_too_little_tell_nothing() -> None:
@@ -83,12 +83,12 @@ def test_scans_that_cannot_be_read_or_show_too_little_tell_nothing() -> None:
     rng = np.random.default_rng(7)
     log, rig = log_of([room(rng, 0.015)], 0.001)
     broken = replace(log, events=[StoredCloud(0, "lidar", damaged), *log.events])
-    assert with_shown_noise(broken, rig).sensors["lidar"].range_sigma_m == pytest.approx(0.015, rel=0.1)
+    assert with_shown_errors(broken, rig).sensors["lidar"].range_sigma_m == pytest.approx(0.015, rel=0.1)
     empty = replace(
         log, events=[CloudScan(0, "lidar", np.full((4, 9, 3), np.nan)), CloudScan(1, "lidar", np.ones((1, 3)))]
     )
-    assert with_shown_noise(empty, rig) is rig
-    assert with_shown_noise(replace(log, events=[]), rig) is rig
+    assert with_shown_errors(empty, rig) is rig
+    assert with_shown_errors(replace(log, events=[]), rig) is rig
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_scans_that_cannot_be_read_or_show_too_little_tell_nothing() -> None:
 )
 def test_drives_whose_rigs_are_honest_keep_them(name: str) -> None:
     drive = make_drive(Recipe.parse(name), 91)
-    assert with_shown_noise(drive.log, drive.rig) is drive.rig
+    assert with_shown_errors(drive.log, drive.rig) is drive.rig
 
 
 def test_a_drive_whose_rig_states_a_third_of_the_noise_is_mapped_as_if_it_had_stated_all() -> None:
@@ -114,6 +114,6 @@ def test_ranges_of_a_2d_laser_tell_theirs() -> None:
     for _ in range(10):
         noise = 0.02 * rng.standard_normal((24, len(angles)))
         scans: list[Event] = [LaserScan(k, "front", walls + one, angles) for k, one in enumerate(noise)]
-        found.append(with_shown_noise(Log(scans, Path("room")), rig).sensors["front"].range_sigma_m)
+        found.append(with_shown_errors(Log(scans, Path("room")), rig).sensors["front"].range_sigma_m)
     assert np.mean(found) == pytest.approx(0.02, rel=0.04)  # 2,700 triples of beams tell it to 4 %
     assert np.std(found) < 0.06 * 0.02

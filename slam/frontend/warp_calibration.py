@@ -1,0 +1,249 @@
+"""Warp calibration: what a depth camera reads falsely at the same pixels of every image, learnt from planes it saw.
+
+Walls are flat, whatever their place. In an image of a warped camera a plane is bent, and the next one, at other
+pixels, as well: what the residuals of many planes agree on by the pixel is the camera's, and is taken off its ranges.
+What averages over a plane does not, and no covariance could say how: planes turn with the camera, ahead of it, and a
+map bends with every turn.
+
+The mean residual of a plane over a cell of the image is its offset and tilt, which are its own, the warp there, noise,
+and what its surface is uneven by (`spplanes.fitting.shared_error`). Waves of the warp are sought by generalised least
+squares with normal priors of equal variance an octave, whose two variances maximise the evidence (empirical Bayes).
+Uneven walls, and planes that are none, do not repeat by the pixel. Changes of inverse range that are linear in the
+image map planes to planes, so that no flatness tells them: of what grows with the range those waves stay nought.
+
+References:
+    Teichman, Miller, Thrun, "Unsupervised intrinsic calibration of depth sensors via SLAM", RSS 2013.
+    MacKay, "Bayesian interpolation", Neural Computation 1992, for the evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from slam.errors import LogError
+from slam.frontend.measurement import for_points, for_sensor, usable_points
+from slam.sensors.log import CloudScan, Log
+from slam.sensors.range_warp import RangeWarp, waves
+from slam.sensors.rig import Sensor
+from slam.sensors.scan_noise import model_of
+from spplanes import MapperConfig
+from spplanes._check import FloatArray
+from spplanes.fitting.shared_error import shared_error_of
+from spplanes.segmentation.scans import label_scans
+
+#: Images that are looked at, spread over the log; thinned evenly where they have more rows than so many.
+_IMAGES, _ROWS = 24, 240
+#: All that a camera sees lies within this of the middle of its image, rad; and its rays differ between images by less.
+_VIEW_RAD, _SAME_RAY = np.deg2rad(60.0), 1e-3
+#: An image is cut into so many cells down and across; and waves down and across it, half as many.
+_CELLS, _WAVES = (12, 16), (6, 8)
+#: A cell is of a plane by this share of its pixels, a plane of at least so many cells.
+_SHARE, _LEAST_CELLS = 0.1, 12
+#: Bent planes fall into pieces, which say less of long waves: they are looked for again without the warp seen first.
+_LOOKS = 2
+#: Rounds in which the unevenness of surfaces and the warp come to each other.
+_ROUNDS = 4
+#: Probability that a camera without a warp is given one.
+_SIGNIFICANCE = 1e-3
+#: Standard deviations of an octave that are tried, of one and 1/m; and how often both in turn at most.
+_OCTAVES, _TURNS = np.geomspace(1e-5, 0.1, 33).tolist(), 5
+#: Mean distance of two points of a square, over its side.
+_WITHIN = 0.447
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """A plane in an image, cell by cell."""
+
+    points: FloatArray
+    """Means of what is seen in each, shape (N, 3), m, in the camera's frame."""
+    variances: FloatArray
+    """Of these along the plane's normal, by the noise of the ranges, shape (N,), m^2."""
+    waves: FloatArray
+    """Of the warp there, shape (N, K)."""
+
+
+def with_warp(name: str, sensor: Sensor, log: Log) -> Sensor:
+    """A camera with the warp that planes of its images show; else the sensor, as one whose rig states a warp."""
+    if sensor.kind != "cloud" or sensor.warp is not None:
+        return sensor
+    images, warp = _images(log, name, sensor), None
+    for _ in range(_LOOKS):
+        warp = warp_of([plane for image in images for plane in _planes_in(image, sensor, warp)])
+        if warp is None:
+            return sensor
+    assert warp is not None
+    spread = 100.0 * float(np.std(warp.over(*_CELLS)[0] + warp.over(*_CELLS)[1]))
+    log.notes.append(f"{name}: its images bend planes, by {spread:.2g} % of a range of 1 m: taken off")
+    return sensor.model_copy(update={"warp": warp})
+
+
+def _images(log: Log, name: str, sensor: Sensor) -> list[FloatArray]:
+    """Points (H, W, 3) of images of a camera, none of another sensor; whoever measures them says what is unreadable."""
+    scans, found = [one for one in log.scans(name) if isinstance(one, CloudScan)], []
+    for index in np.unique(np.linspace(0, len(scans) - 1, _IMAGES).astype(int)).tolist() if scans else []:
+        try:
+            points = usable_points(np.asarray(scans[index].points, dtype=np.float64), sensor)
+        except (LogError, ValueError):
+            continue
+        if points.ndim != 3 or min(points.shape[:2]) < max(_CELLS):
+            return []
+        every = int(np.ceil(len(points) / _ROWS))
+        found.append(points[::every, ::every])
+        if not _are_of_one_camera(found[0], found[-1]):
+            return []
+    return found
+
+
+def _are_of_one_camera(image: FloatArray, other: FloatArray) -> bool:
+    """Whether two grids of points have the same rays, and those are of a narrow view."""
+    if image.shape != other.shape:
+        return False
+    with np.errstate(invalid="ignore"):
+        rays = [points / np.linalg.norm(points, axis=-1, keepdims=True) for points in (image, other)]
+    apart, seen = np.abs(rays[0] - rays[1]), other.reshape(-1, 3)[np.isfinite(other[..., 0]).ravel()]
+    if not len(seen):
+        return True
+    turns = seen @ seen.mean(axis=0)
+    narrow = np.all(turns > np.cos(_VIEW_RAD) * np.linalg.norm(seen, axis=1) * np.linalg.norm(seen.mean(axis=0)))
+    return bool(narrow and np.all(apart[np.isfinite(apart)] < _SAME_RAY))
+
+
+def _planes_in(points: FloatArray, sensor: Sensor, warp: RangeWarp | None) -> list[_Cells]:
+    """The planes of an image (H, W, 3), those of enough cells, found with a warp taken off and with it still on."""
+    straight = points if warp is None else warp.taken_off(points)
+    settings = for_points(for_sensor(MapperConfig(), sensor), straight)
+    found = label_scans(straight, model_of(sensor).covariances(straight), config=settings, viewpoints=np.zeros(3))
+    height, width = found.labels.shape
+    rows, columns = (np.arange(size) * cells // size for size, cells in zip((height, width), _CELLS, strict=True))
+    cell = (rows[:, None] * _CELLS[1] + columns).ravel()
+    down, across = (waves(size, count) for size, count in zip(_CELLS, _WAVES, strict=True))
+    every = np.einsum("ri,cj->rcij", down, across).reshape(len(down) * len(across), -1)
+    flat, labels, planes = points.reshape(-1, 3), found.labels.ravel(), []
+    for label in range(int(labels.max(initial=-1)) + 1):
+        members = np.flatnonzero(labels == label)
+        numbers, own, count = np.unique(cell[members], return_inverse=True, return_counts=True)
+        means = np.stack([np.bincount(own, flat[members, k]) for k in range(3)], axis=1) / count[:, None]
+        full = count >= _SHARE * height * width / (_CELLS[0] * _CELLS[1])
+        if np.count_nonzero(full) < _LEAST_CELLS:
+            continue
+        means, numbers = means[full], numbers[full]
+        ranges, normal = np.linalg.norm(means, axis=1), _frame(means)[:3, 2]
+        slant = np.square(means @ normal / ranges)
+        planes.append(_Cells(means, slant * sensor.range_variance_at(ranges) / count[full], every[numbers]))
+    return planes
+
+
+def _frame(points: FloatArray) -> FloatArray:
+    """World_T_plane of points (N, 3), shape (4, 4)."""
+    frame = np.eye(4)
+    frame[:3, 3] = points.mean(axis=0)
+    _, vectors = np.linalg.eigh(np.cov(points.T))
+    frame[:3, :3] = np.column_stack((vectors[:, 2], vectors[:, 1], np.cross(vectors[:, 2], vectors[:, 1])))
+    return frame
+
+
+def warp_of(planes: Sequence[_Cells]) -> RangeWarp | None:
+    """The warp that residuals of planes refuse to be without; None: there is none, or too little is seen."""
+    if not planes:
+        return None
+    prior = _priors()
+    weights, gain = np.zeros(len(prior)), 0.0
+    for _ in range(_ROUNDS):
+        weights, gain = _likeliest(*_told(planes, weights), prior)
+    if 2.0 * gain < chdtri(2, _SIGNIFICANCE):
+        return None
+    shares, per_m = (tuple(tuple(row) for row in part.tolist()) for part in weights.reshape(2, *_WAVES))
+    return RangeWarp(shares=shares, shares_per_m=per_m)
+
+
+def _priors() -> FloatArray:
+    """Variance of the weight of every wave where that of an octave is one, shape (2 K,); 0 where nothing tells it."""
+    i, j = np.meshgrid(*(np.arange(count) for count in _WAVES), indexing="ij")
+    square = i**2 + j**2
+    spectrum = 1.0 / np.maximum(square, 1)
+    return np.concatenate([np.where(square > least, spectrum, 0.0).ravel() for least in (0, 1)])
+
+
+def _told(planes: Sequence[_Cells], weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Information of the weights (2 K, 2 K) and that times them (2 K,), each plane as uneven as it is by now."""
+    lifted = [np.hstack((one.waves, one.waves * np.linalg.norm(one.points, axis=1)[:, None])) for one in planes]
+    taken = [one.points / (1.0 + by @ weights)[:, None] for one, by in zip(planes, lifted, strict=True)]
+    frames = np.array([_frame(points) for points in taken])
+    local = [(points - frame[:3, 3]) @ frame[:3, :3] for points, frame in zip(taken, frames, strict=True)]
+    spreads = [
+        np.diag(_design(xyz).T @ (_design(xyz) / one.variances[:, None]))
+        for xyz, one in zip(local, planes, strict=True)
+    ]
+    shared = shared_error_of(
+        np.concatenate(taken),
+        np.concatenate([one.variances for one in planes])[:, None],
+        np.repeat(np.arange(len(planes)), [len(one.points) for one in planes]),
+        frames,
+        np.array([np.diag(1.0 / spread) for spread in spreads]),
+        stated=True,
+    )
+    information, told = np.zeros((len(weights), len(weights))), np.zeros(len(weights))
+    for k, one in enumerate(planes):
+        off = (one.points - frames[k, :3, 3]) @ frames[k, :3, 2]
+        along = (one.points @ frames[k, :3, 2])[:, None] * lifted[k]
+        noise = np.diag(shared.noise_factors[k] * one.variances) + shared.octave_sigmas_m[k] ** 2 * _uneven(local[k])
+        root = np.linalg.cholesky(noise)
+        white = np.linalg.solve(root, np.column_stack((_design(local[k]), along, off)))
+        own, _ = np.linalg.qr(white[:, :3])
+        rest = white[:, 3:] - own @ (own.T @ white[:, 3:])
+        information += rest[:, :-1].T @ rest[:, :-1]
+        told += rest[:, :-1].T @ rest[:, -1]
+    return information, told
+
+
+def _design(local: FloatArray) -> FloatArray:
+    """What offset and tilts do to points (N, 3) in a plane's frame, shape (N, 3)."""
+    return np.column_stack((np.ones(len(local)), -local[:, 0], local[:, 1]))
+
+
+def _uneven(local: FloatArray) -> FloatArray:
+    """Covariance of a surface's unevenness at points (N, 3) of it, with an octave of variance one, shape (N, N).
+
+    Logarithms of distances are so but for a constant, which an offset takes up: so large as makes this a covariance.
+    """
+    apart = np.linalg.norm(local[:, None, :2] - local[:, :2], axis=-1)
+    diameter = float(apart.max())
+    side = np.sqrt(np.prod(np.ptp(local[:, :2], axis=0)) / len(local))
+    blur = np.hypot(apart, _WITHIN * side)
+    return 10.0 + np.log2(diameter / np.minimum(blur, diameter))
+
+
+def _likeliest(information: FloatArray, told: FloatArray, prior: FloatArray) -> tuple[FloatArray, float]:
+    """Weights by the likeliest deviations of an octave, (2 K,), and by how much likelier these are than none.
+
+    Those of the parts that grow with the range and do not are looked for in turn, until neither gets likelier.
+    """
+    chosen, best = [0.0, 0.0], (np.zeros(len(prior)), 0.0)
+    for _ in range(_TURNS):
+        before = best[1]
+        for part in (0, 1):
+            for octave in _OCTAVES:
+                tried = [octave if k == part else one for k, one in enumerate(chosen)]
+                found = _weighed(information, told, np.sqrt(prior) * np.repeat(tried, len(prior) // 2))
+                if found[1] > best[1]:
+                    best, chosen = found, tried
+        if best[1] == before:
+            break
+    return best
+
+
+def _weighed(information: FloatArray, told: FloatArray, deviations: FloatArray) -> tuple[FloatArray, float]:
+    """Weights with prior standard deviations (2 K,), and the evidence of these over that of none, a logarithm."""
+    weights, used = np.zeros(len(deviations)), deviations > 0.0
+    if not used.any():
+        return weights, 0.0
+    scale = deviations[used]
+    lower = np.linalg.cholesky(np.eye(len(scale)) + scale[:, None] * information[np.ix_(used, used)] * scale)
+    seen = np.linalg.solve(lower, scale * told[used])
+    weights[used] = scale * np.linalg.solve(lower.T, seen)
+    return weights, 0.5 * float(seen @ seen) - float(np.log(np.diag(lower)).sum())
