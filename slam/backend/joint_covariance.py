@@ -8,6 +8,7 @@ from copy import copy
 import gtsam
 import numpy as np
 
+from factors._conventions import POSE3_TO_SP
 from spplanes._check import FloatArray
 
 #: The turn of a pose's tangent: none.
@@ -52,10 +53,15 @@ class JointCovariance:
         return self._full[np.ix_(columns, columns)]
 
 
+def relative_covariance(a_T_b: FloatArray, joint: FloatArray) -> FloatArray:
+    """Covariance (6, 6) of a_T_b, SP order along b's axes, from that of both poses' tangents (12, 12)."""
+    jacobian = np.hstack((-gtsam.Pose3(a_T_b).inverse().AdjointMap(), np.eye(6)))
+    return (jacobian @ joint @ jacobian.T)[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+
+
 def motion_covariance(a_T_b: FloatArray, joint: FloatArray) -> FloatArray:
     """Covariance (3, 3) of (x, y, theta) of a_T_b, x and y along a's axes, from that of both tangents (12, 12)."""
-    jacobian = np.hstack((-gtsam.Pose3(a_T_b).inverse().AdjointMap(), np.eye(6)))
-    in_b = (jacobian @ joint @ jacobian.T)[np.ix_([3, 4, 2], [3, 4, 2])]
+    in_b = relative_covariance(a_T_b, joint)[np.ix_([0, 1, 3], [0, 1, 3])]
     turn = np.eye(3)
     turn[:2, :2] = a_T_b[:2, :2]
     return turn @ in_b @ turn.T

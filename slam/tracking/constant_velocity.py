@@ -10,13 +10,21 @@ from slam.frontend.odometry import Motion
 from spplanes._check import FloatArray
 
 
-def coast(a_T_b: FloatArray | None, before_s: float, ahead_s: float, rules: CoastingConfig) -> Motion:
+def coast(
+    a_T_b: FloatArray | None,
+    before_s: float,
+    ahead_s: float,
+    rules: CoastingConfig,
+    covariance: FloatArray | None = None,
+) -> Motion:
     """The motion of the next `ahead_s` seconds by constant velocity.
 
     Args:
         a_T_b: Motion of the `before_s` seconds before, shape (4, 4); None: none is known, the body stands.
         before_s, ahead_s: How long that one took and this one takes, s.
         rules: How far velocity may change.
+        covariance: Of that motion, SP order along the axes of its end, shape (6, 6): the next errs as it does. None: it
+            is known. Along what was seen of no motion for a while velocity is an assumption that grows old.
 
     Returns:
         A spatial motion, with covariance in SP order. Without a motion before, the speed itself is unknown; with one,
@@ -29,5 +37,7 @@ def coast(a_T_b: FloatArray | None, before_s: float, ahead_s: float, rules: Coas
         step = gtsam.Pose3.Expmap(gtsam.Pose3.Logmap(gtsam.Pose3(a_T_b)) * (ahead_s / before_s)).matrix()
         square = ahead_s**2
         sigmas = rules.acceleration_sigma_m_per_s2 * square, rules.turn_change_sigma_rad_per_s2 * square
-    variances = np.repeat([max(sigmas[0], rules.floor_m) ** 2, max(sigmas[1], rules.floor_rad) ** 2], 3)
-    return Motion(step, np.diag(variances), (rules.floor_m, rules.floor_rad, rules.floor_rad))
+    total = np.diag(np.repeat([max(sigmas[0], rules.floor_m) ** 2, max(sigmas[1], rules.floor_rad) ** 2], 3))
+    if covariance is not None and before_s > 0.0:
+        total = total + (ahead_s / before_s) ** 2 * covariance
+    return Motion(step, total, (rules.floor_m, rules.floor_rad, rules.floor_rad))

@@ -11,7 +11,7 @@ from scipy.special import chdtri
 
 from factors import pose_prior
 from slam.backend.estimator import pose_symbol
-from slam.backend.joint_covariance import motion_covariance
+from slam.backend.joint_covariance import motion_covariance, relative_covariance
 from slam.backend.places import anchored
 from slam.config import BOUND_SIGMAS
 from slam.frontend.information import beyond_lines, inverted
@@ -73,7 +73,7 @@ class Prediction:
     """Indices of the factors of that place, or of what the returns say beyond all lines, which leave it then: they are
     made of what was seen."""
     is_wide: bool = False
-    """Whether so little was known of the motion that the planes were asked."""
+    """Whether nobody measured the motion, or so badly that the planes were asked."""
     robust: str | None = None
     """Robust kernel on what is matched from here: of a place that the planes had to find some of it is wrong."""
     hints: tuple[int, ...] = ()
@@ -182,17 +182,19 @@ class MotionModel:
         motion, parts = self._motion_to(keyframe), (self._keyframes, self._landmarks, self._backend)
         beyond = beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
         wide = is_wide(motion.by_all or motion)
-        place = found_place(keyframe, motion, *parts) if wide else None
+        asked = wide or keyframe.motion is None  # what went on as before was not measured, however well it is known
+        place = found_place(keyframe, motion, *parts) if asked else None
         if wide and place is None and keyframe.surfaces is not None:
             self.unplaced.append(index)
         if place is None:
             factors, measured = motion.factors(before, key), self._measured(keyframe, motion)
-            return _Step(world_T_before @ motion.a_T_b, factors, motion, beyond=beyond, is_wide=wide, measured=measured)
+            there = world_T_before @ motion.a_T_b
+            return _Step(there, factors, motion, beyond=beyond, is_wide=asked, measured=measured)
         self.rivals[index] = place.rivals
         kernel, there = self._config.coasting.robust or self._config.backend.robust, place.motion
         pending = [*motion.factors(before, key), *place.factors(before, key, kernel)]
         factors = there.factors(before, key)
-        return _Step(world_T_before @ there.a_T_b, factors, motion, place, pending, is_wide=wide)
+        return _Step(world_T_before @ there.a_T_b, factors, motion, place, pending, is_wide=asked)
 
     def _motion_to(self, keyframe: Keyframe) -> Motion:
         """Odometry, less what is known to be wrong with it; without any the motion before goes on.
@@ -205,8 +207,11 @@ class MotionModel:
         if last == 0:
             unmeasured = coast(None, 0.0, ahead_s, self._config.coasting)
         else:
-            step = inverse(self._backend.pose(pose_symbol(last - 1))) @ self._backend.pose(pose_symbol(last))
-            unmeasured = coast(step, stamps[1] - stamps[0], ahead_s, self._config.coasting)
+            keys, known = [pose_symbol(last - 1), pose_symbol(last)], None
+            step = inverse(self._backend.pose(keys[0])) @ self._backend.pose(keys[1])
+            if keyframe.motion is None:
+                known = relative_covariance(step, self._backend.joint_covariance(keys).of(keys))
+            unmeasured = coast(step, stamps[1] - stamps[0], ahead_s, self._config.coasting, known)
         if keyframe.motion is None:
             return unmeasured
         stated, state = self.calibration.predict(keyframe.motion), (self._keyframes, self._landmarks, self._backend)

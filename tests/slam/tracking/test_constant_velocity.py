@@ -1,0 +1,69 @@
+"""Constant velocity: how far the next motion may be from the one before, and that it errs as that one does."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from factors._conventions import POSE3_TO_SP
+from slam.backend.joint_covariance import relative_covariance
+from slam.config import CoastingConfig
+from slam.geometry.frames import inverse
+from slam.tracking.constant_velocity import coast
+
+RULES = CoastingConfig()
+N = 3000
+
+
+def exp(tangent: np.ndarray) -> np.ndarray:
+    """Pose of a tangent in SP order, as all here."""
+    return gtsam.Pose3.Expmap(tangent[np.argsort(POSE3_TO_SP)]).matrix()
+
+
+def log(pose: np.ndarray) -> np.ndarray:
+    return gtsam.Pose3.Logmap(gtsam.Pose3(pose))[POSE3_TO_SP]
+
+
+@pytest.mark.parametrize(("before_s", "ahead_s"), [(0.5, 0.5), (0.25, 0.5)])
+def test_the_next_motion_errs_by_its_acceleration_and_as_the_motion_before(before_s: float, ahead_s: float) -> None:
+    """Mean chi2 of 3,000 motions, the one before known along two directions better than along the others."""
+    rng = np.random.default_rng(1)
+    root = 0.03 * np.tril(rng.standard_normal((6, 6)))
+    sigmas = np.repeat([RULES.acceleration_sigma_m_per_s2, RULES.turn_change_sigma_rad_per_s2], 3) * ahead_s**2 * 0.1
+    rules = RULES.model_copy(
+        update={"acceleration_sigma_m_per_s2": 0.2, "turn_change_sigma_rad_per_s2": 0.14, "floor_rad": 0.001}
+    )
+    found, without = [], []
+    for _ in range(N):
+        velocity = 0.05 * rng.standard_normal(6)
+        seen = exp(velocity) @ exp(root @ rng.standard_normal(6))
+        true = exp(velocity * ahead_s / before_s + sigmas * rng.standard_normal(6))
+        motion = coast(seen, before_s, ahead_s, rules, root @ root.T)
+        off = log(inverse(motion.a_T_b) @ true)
+        found.append(off @ np.linalg.solve(motion.covariance, off))
+        without.append(off @ np.linalg.solve(coast(seen, before_s, ahead_s, rules).covariance, off))
+    low, high = chi2.ppf((0.001, 0.999), 6 * N) / N
+    assert 0.97 * low < np.mean(found) < 1.03 * high  # to first order in the motion
+    assert np.mean(without) > 1.5 * high
+
+
+def test_without_a_motion_before_the_speed_is_unknown() -> None:
+    motion = coast(None, 0.0, 0.5, RULES)
+    assert np.array_equal(motion.a_T_b, np.eye(4))
+    stated = np.repeat([RULES.speed_sigma_m_per_s, RULES.turn_sigma_rad_per_s], 3) * 0.5
+    assert np.allclose(np.sqrt(np.diag(motion.covariance)), stated)
+
+
+def test_covariance_of_a_relative_pose() -> None:
+    """Against 20,000 draws of both poses, whose errors go together."""
+    rng = np.random.default_rng(2)
+    poses = [exp(0.4 * rng.standard_normal(6)) for _ in range(2)]
+    root = 0.01 * rng.standard_normal((12, 12))
+    relative, drawn = inverse(poses[0]) @ poses[1], []
+    for tangent in (rng.standard_normal((20_000, 12)) @ root.T).reshape(-1, 2, 6):
+        a, b = (pose @ gtsam.Pose3.Expmap(one).matrix() for pose, one in zip(poses, tangent, strict=True))
+        drawn.append(log(inverse(relative) @ inverse(a) @ b))
+    expected = relative_covariance(relative, root @ root.T)
+    assert np.abs(np.cov(np.array(drawn).T) - expected).max() < 0.04 * np.diag(expected).max()
