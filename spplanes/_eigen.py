@@ -90,8 +90,7 @@ def _store_sorted(a: float, b: float, c: float, v, values, vectors) -> None:
 def solve3(matrix, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Solution of a positive definite 3x3 system by the factors L D L^T; of `matrix` the upper triangle, six entries.
 
-    Raises:
-        ZeroDivisionError: the matrix is singular to the last digit.
+    NaN or infinity where the matrix is singular to the last digit.
     """
     xx, xy, xz, yy, yz, zz = matrix
     a, b = xy / xx, xz / xx

@@ -17,7 +17,7 @@ _ROOM, _SPREAD = 2, np.uint64(0x9E3779B97F4A7C15)
 _LEVELS = 1024
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def numbered(keys):
     """Numbers of equal keys (N,), in order of the first of each; that first one (M,), and how many there are (M,).
 
@@ -55,7 +55,7 @@ def numbered(keys):
     return number, first[:m], count[:m]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def cube_keys(points, labels, share):
     """Keys of the cubes that points (N, 3) lie in, (N,), of one width within each label and power of two of the range.
 
@@ -83,7 +83,7 @@ def cube_keys(points, labels, share):
     return keys
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def moments(points, number, count):
     """Mean (M, 3) and scatter (M, 3, 3) of the points (N, 3) of every number, of which there are `count` (M,)."""
     mean, scatter = np.zeros((count.size, 3)), np.zeros((count.size, 3, 3))
@@ -109,7 +109,7 @@ def moments(points, number, count):
     return mean, scatter
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def moments_about(seeds, points, reaches, least):
     """Mean (K, 3) and covariance (K, 3, 3) of the points within reach of each seed that has so many of them at least.
 
@@ -148,7 +148,7 @@ def moments_about(seeds, points, reaches, least):
     return mean[:kept], scatter[:kept]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def jumps(points, ranges, labels, steps, inset, rules):
     """Where ranges jump away along the lines of a grid: the next return is so much farther that nothing joins the two.
 

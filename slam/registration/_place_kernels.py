@@ -13,7 +13,7 @@ from spplanes._jit import inner, njit
 WALL = 7
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def innovation(pose, covariance, wall, other):
     """How far `wall` (in a), moved by the pose, is from `other` (in b).
 
@@ -37,7 +37,7 @@ def innovation(pose, covariance, wall, other):
     return turn, shift, v00 + other[2], v01 + other[3], v11 + other[4], overlap, along
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def evidence(pose, covariance, wall, other, density, gate, min_overlap):
     """Log ratio of the shift's density if they are one wall to that of chance; -inf beyond the gate or apart."""
     turn, shift, v00, v01, v11, overlap, along = innovation(pose, covariance, wall, other)
@@ -51,7 +51,7 @@ def evidence(pose, covariance, wall, other, density, gate, min_overlap):
     return -0.5 * error * error / rest - 0.5 * np.log(2.0 * np.pi * rest) - np.log(density)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def score_table(pose, covariance, walls, others, densities, gate, min_overlap):
     """Evidence of every pair, (A, B)."""
     table = np.empty((walls.shape[0], others.shape[0]))
@@ -61,7 +61,7 @@ def score_table(pose, covariance, walls, others, densities, gate, min_overlap):
     return table
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def fit_pose(pose, walls, others, prior):
     """Maximum-likelihood pose of matched walls, rows of `walls` to rows of `others`: (pose, covariance, chi2).
 
@@ -96,7 +96,7 @@ def fit_pose(pose, walls, others, prior):
     return pose, covariance, chi2
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def rank_hypotheses(walls, others, densities, pairs, max_hypotheses, prior, gate, angle_gate, min_sine, min_overlap):
     """Poses from two walls in different directions each, and the evidence all other walls give them.
 

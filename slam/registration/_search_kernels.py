@@ -7,7 +7,7 @@ import numpy as np
 from spplanes._jit import inner, njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def score_by_heading(
     headings, starts, shifts, cell, points, weight, table, origin, others, other_weight, other_table, other_origin
 ):
@@ -45,7 +45,7 @@ def score_by_heading(
     return result
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def peaks_of(keys, strides, order, scores, prominence):
     """The peak that each cell of a sparse grid belongs to, as the index of its highest cell, shape (N,).
 
@@ -80,7 +80,7 @@ def peaks_of(keys, strides, order, scores, prominence):
     return parent
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def _top(parent, index):
     """The highest cell of the peak that a cell has joined."""
     while parent[index] != index:

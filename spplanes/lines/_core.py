@@ -11,7 +11,7 @@ from spplanes.lines._kernels import N_SUMS, fit_sums
 END_GATES = np.array((7.88, 10.6, 12.84))
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def drop_borders(breaks, labels, members):
     """Members without those beside a return that is not on the line; all of them when fewer than three would be left.
 
@@ -27,7 +27,7 @@ def drop_borders(breaks, labels, members):
     return members[inner] if inner.sum() >= 3 else members
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def drop_doubtful_ends(moments, members):
     """Members without the few beams at each end that the others contradict: those of a surface just beyond."""
     low, high = 0, members.size
@@ -48,14 +48,14 @@ def drop_doubtful_ends(moments, members):
     return members[low:high]
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def start_line(moments, members):
     """The line of the inverse-range fit, as `fit_beams` returns it."""
     u, v, chi2 = fit_sums(sum_of(moments, members))
     return np.arctan2(v, u), 1.0 / np.hypot(u, v), 0.0, 0.0, 0.0, chi2
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def sum_of(moments, members):
     """The six sums of some beams."""
     total = np.zeros(N_SUMS)

@@ -22,7 +22,7 @@ from spplanes.lines._round import find_round
 N_RESULT = 12
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def label_beams(
     bearings, cosines, sines, ranges, sigmas, moments, breaks, max_missing, max_step, flatness, significance,
     max_turning,
@@ -36,7 +36,7 @@ def label_beams(
     return labels, undecided, n_labels
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def ring_start(labels, count):
     """Where a closed ring can be cut without cutting a line: the first beam of one that no other bridges; else 0."""
     first = np.full(count, labels.size)
@@ -54,7 +54,7 @@ def ring_start(labels, count):
     return 0
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def fit_label(
     bearings, cosines, sines, ranges, sigmas, moments, bearing_sigma, breaks, undecided, labels, members, gate
 ):  # fmt: skip
@@ -88,7 +88,7 @@ def fit_label(
     return line, members, core.size + n_borders, core.size
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def members_of(labels, count):
     """The beams of each label, one label after the other, and where those of each begin (count + 1,)."""
     begins = np.zeros(count + 1, dtype=np.int64)
@@ -105,7 +105,7 @@ def members_of(labels, count):
     return members, begins
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def is_line(
     bearings, cosines, sines, ranges, sigmas, members, n_decided, n_fitted, line, min_points, max_turning,
     max_curvature, max_misfit,
@@ -120,7 +120,7 @@ def is_line(
     return abs(arc) + 3.0 * arc_sigma < max_turning
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def label_scan(
     ranges, angles, cosines, sines, sigmas, bearing_sigma, flatness, range_min, range_max, max_missing, significance,
     max_turning,
@@ -145,7 +145,7 @@ def label_scan(
         n_cuts += 1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def extract(
     ranges,
     angles,
@@ -192,7 +192,7 @@ def extract(
     return rows[:n_lines], support[:n_support], counts[:n_lines]
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def write_row(row, line, dof, first, last, flatness):
     """Fill a result row; the end points are where the first and the last beam meet the line."""
     alpha, rho, v_alpha, cov, v_rho, chi2 = line

@@ -21,13 +21,13 @@ PARAMETER_COST = 4.0
 UNDECIDED = 6.0
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def full_turn(angle):
     """The same angle in [0, 2 pi); of most it is seen without a division."""
     return angle if 0.0 <= angle < 2.0 * np.pi else angle % (2.0 * np.pi)
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def order_beams(ranges, angles, range_min, range_max):
     """Indices of the returns in order of bearing, from the widest gap on (V,); that gap and the median step, rad."""
     n = angles.size
@@ -52,7 +52,7 @@ def order_beams(ranges, angles, range_min, range_max):
     return valid[:count], steps[widest], np.median(steps)
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def slope_sigmas(bearings, ranges, sigmas, bearing_sigma):
     """Range noise with the bearing noise in it, (V,): times the slope dr/da, at a jump that of the flatter side."""
     n = bearings.size
@@ -68,7 +68,7 @@ def slope_sigmas(bearings, ranges, sigmas, bearing_sigma):
     return result
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def beam_moments(cosines, sines, ranges, sigmas):
     """Share of every beam in the six sums (V, 6): w cc, w cs, w ss, w cq, w sq, w qq; q = 1/r, w = r^4 / sigma^2."""
     moments = np.empty((ranges.size, N_SUMS))
@@ -84,7 +84,7 @@ def beam_moments(cosines, sines, ranges, sigmas):
     return moments
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def fit_of(cc, cs, ss, cq, sq, qq):
     """(u, v, chi2) of the best line through beams with these six sums; one bearing only: the best perpendicular."""
     det = cc * ss - cs * cs
@@ -96,13 +96,13 @@ def fit_of(cc, cs, ss, cq, sq, qq):
     return u, v, max(0.0, qq - u * cq - v * sq)
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def fit_sums(m):
     """`fit_of` the six sums in an array."""
     return fit_of(m[0], m[1], m[2], m[3], m[4], m[5])
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def sum_range(moments, low, high):
     """The six sums of the beams low..high-1."""
     total = np.zeros(N_SUMS)
@@ -129,7 +129,7 @@ def triple_fails(bearings, ranges, sigmas, sines, i, j, k, gate):
     return error * error > gate * variance
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def find_breaks(bearings, ranges, sigmas, max_step, gate):
     """For each beam the kind of break before it (V,): 0 none, 1 the depth jumps, 2 beams are missing; closed ring."""
     n = bearings.size
@@ -148,7 +148,7 @@ def find_breaks(bearings, ranges, sigmas, max_step, gate):
     return breaks
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def best_split(moments, low, high, cost):
     """Where two lines explain low..high-1 best: (first beam of the second line, chi2 gained over one line).
 
@@ -172,13 +172,13 @@ def best_split(moments, low, high, cost):
     return at, before + 4.0 * PARAMETER_COST - best
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def split_gate(n, significance):
     """Quantile of chi2 with 2 dof for the best of n places to split (Bonferroni)."""
     return -2.0 * np.log(significance / n)
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def split(moments, breaks, significance):
     """Cut the sequence into pieces that no further cut improves significantly: the first beam of each, (M + 1,)."""
     n = moments.shape[0]
@@ -206,7 +206,7 @@ def split(moments, breaks, significance):
     return np.nonzero(is_start)[0]
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def refine(moments, breaks, starts, significance):
     """Move the boundary of neighbouring pieces to where it is best; drop it when it gains too little.
 

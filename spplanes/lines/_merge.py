@@ -8,7 +8,7 @@ from spplanes._jit import inlined, inner
 from spplanes.lines._kernels import N_SUMS, fit_sums, sum_range
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def add_flatness(alpha, rho, v_alpha, cov, v_rho, first, last, flatness):
     """Entries of the covariance of (alpha, rho) for a wall straight to `flatness` (rms) from bearing first to last.
 
@@ -20,7 +20,7 @@ def add_flatness(alpha, rho, v_alpha, cov, v_rho, first, last, flatness):
     return v_alpha + turn, cov + middle * turn, v_rho + flatness * flatness + middle * middle * turn
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def polar_of_sums(m, first, last, flatness):
     """(alpha, rho, var alpha, cov, var rho) of the beams whose sums are `m`, the flatness of the wall in it."""
     u, v, _ = fit_sums(m)
@@ -67,7 +67,7 @@ def may_bridge(bearings, ranges, sigmas, u, v, pieces, i, j, max_through, max_st
     return t[2] - t[1] <= t[1] - t[0] + t[3] - t[2] or step <= max_step
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def merge(bearings, ranges, sigmas, moments, starts, is_round, max_through, max_step, flatness, gate):
     """Join pieces that are one line (chi2 with 2 dof): the label of each beam (V,), -1 for pieces under 3 beams."""
     n_pieces = starts.size - 1

@@ -28,7 +28,7 @@ def one_part(filled):
     return _largest_part(filled)
 
 
-@inner(cache=True, nogil=True)
+@inner(cache=True)
 def fill_pinches(filled):
     """Fill a cell beside every two that touch at a corner only, in place, so that no ring meets itself."""
     n_i, n_j = filled.shape
@@ -77,7 +77,7 @@ def _complement(words):
             words[i, k] = ~words[i, k]
 
 
-@inner(cache=True, nogil=True)
+@inner(cache=True)
 def _any_in_window(words, width):
     """Set every bit where the square of so many cells to a side that begins there has one that is set; in place.
 
@@ -97,7 +97,7 @@ def _any_in_window(words, width):
         have += step
 
 
-@inner(cache=True, nogil=True)
+@inner(cache=True)
 def count_parts(filled):
     """Number of 4-connected parts: runs of cells along rows that meet runs of the row before."""
     n_i, n_j = filled.shape
@@ -130,7 +130,7 @@ def count_parts(filled):
     return n_parts
 
 
-@inner(cache=True, nogil=True)
+@inner(cache=True)
 def _root(parent, k):
     while parent[k] != k:
         parent[k] = parent[parent[k]]

@@ -74,7 +74,7 @@ def draw(points, labels, projections):
     return filled, first, corner, shape
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _project(points, labels, projections, begin_row, end_row, flat):
     """Raster coordinates of the labelled points, into (S, B, 2); least and largest of every region, (R, 2)."""
     n_cols, n_regions = labels.shape[1], projections.shape[0]
@@ -96,7 +96,7 @@ def _project(points, labels, projections, begin_row, end_row, flat):
     return low, high
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _fill(filled, first, shape, flat, labels, scale, corner, begin, end):
     """Fill the triangles between the rows from begin to end and those below them.
 
@@ -126,7 +126,7 @@ def _fill(filled, first, shape, flat, labels, scale, corner, begin, end):
                     _triangle(filled, first[b], shape[b, 1], place, inward, u, j + 1, v, j + 1, v, j)
 
 
-@inner(cache=True, nogil=True)
+@inner(cache=True)
 def _cells_of_row(flat, labels, scale, corner, i, place, inward):
     """Places of the labelled points of a row in their own rasters, whole numbers at the centres of cells, (B, 2).
 
@@ -171,7 +171,7 @@ def layout(low, high):
     return scale, first, corner, shape
 
 
-@inner(cache=True, nogil=True, error_model="numpy")
+@inner(cache=True)
 def _triangle(filled, first, width, place, inward, pu, p, qu, q, ru, r):
     """Fill the cells whose centres lie in the triangle of three points, given by row, 0 or 1, and column."""
     i0 = min(inward[pu, 0, p], inward[qu, 0, q], inward[ru, 0, r])

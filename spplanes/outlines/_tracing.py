@@ -11,7 +11,7 @@ from spplanes.outlines._closing import one_part
 TOLERANCE = 0.75
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def rings_around(filled):
     """Rings around the filled cells, vertices (V, 2) in cells and the end of every ring (R,); the first is the shell.
 
@@ -76,7 +76,7 @@ def _trace(filled):
     return vertices[:n_vertices], ends[:n_rings]
 
 
-@inner(cache=True, nogil=True)
+@inner(cache=True)
 def _corner(i, j, d):
     """End of the side of cell (i, j) that is walked in direction d, the cell on its left."""
     if d == 0:

@@ -62,7 +62,7 @@ def links(points, covariance, valid, views, tangent, limit, literal):
     return linked[0], linked[1]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _link_rows(points, covariance, valid, views, tangent, limit, literal, first, last, linked):
     """The links of the rows from first to last, into `linked`, shape (2, S, B)."""
     n_rows, n_cols = valid.shape

@@ -41,7 +41,7 @@ def _surface_at(x, y, nx, ny, points, normals, weights, start, origin, cell, col
     return True, -(mx * qx + my * qy) / weight, mx, my
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def align(
     pose, scan, scan_normals, variance, looks, turns, points, normals, weights, start, origin, cell, columns, rows,
     expected, information, rounds, first_m,
@@ -118,7 +118,7 @@ def align(
     return pose, told, erring, far, fits / max(total, 1e-12), misfit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def score_box(scan, looks, pose, table, origin, cell, turns, steps):
     """Mean nearness of the returns to the map for every turn (T,) and shift of -steps..steps cells: (T, S, S)."""
     rows, columns = table.shape

@@ -7,7 +7,7 @@ import numpy as np
 from spplanes._jit import njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def mark(beams, origin, cell, margin, hits, passes):
     """Count into `hits` and `passes` (H, W) the returns, and beams that pass more than `margin` before their return.
 
@@ -27,7 +27,7 @@ def mark(beams, origin, cell, margin, hits, passes):
                 last_row, last_column = row, column
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def squared_distances(hits, reach):
     """Squared distance, in cells, of every cell to the nearest with a hit; 2 reach^2 + 1 beyond `reach`, (H, W)."""
     rows, columns = hits.shape
@@ -42,7 +42,7 @@ def squared_distances(hits, reach):
     return result
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def widen(table, reach):
     """Largest value within `reach` cells in both directions, (H, W); outside the table lies the value 0, unknown."""
     rows, columns = table.shape
@@ -63,7 +63,7 @@ def widen(table, reach):
     return result
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def score_motions(motions, cell, points, weight, table, origin, others, other_weight, other_table, other_origin):
     """Mean over both ways of the weighted sum under b_T_a = (x, y, theta), (M,): points of a in b's table and back."""
     result = np.empty(motions.shape[0])

@@ -40,7 +40,7 @@ def _is_filled(count, ci, cj, shape, size):
     return count >= max(0.4 * area, 4.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _moments_of(rows, points, covariance, free, size, floor_variance, first, last):
     """The moments of the rows of cells from first to last."""
     counts = np.empty(rows.shape[1], dtype=np.int64)

@@ -30,7 +30,7 @@ def border_pairs(points, covariance, valid, views, labels, planes, sizes, bias, 
     return np.concatenate(found)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _pairs_of_rows(points, covariance, valid, views, labels, planes, sizes, bias, gap, hidden, first, last):
     """The pairs with one region in the rows from first to last, beside or above the other."""
     n_cols = labels.shape[1]

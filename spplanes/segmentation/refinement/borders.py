@@ -36,7 +36,7 @@ def choose_blocks(points, covariance, labels, start, planes, gate, floor_varianc
     return _move_blocks(points, covariance, labels, start, planes, gate, floor_variance, size, state)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _find_misfits(points, covariance, labels, start, planes, floor_variance, size, first, last, state):
     """Write to `state`, shape (blocks, blocks), what the blocks in the rows of blocks from first to last are."""
     found = np.empty(MANY, dtype=np.int64)
