@@ -18,13 +18,37 @@ def drop_borders(breaks, labels, members):
     Such a beam may already be on what joins the two surfaces. Of a door jamb hit by one beam within its noise of the
     wall no residual tells, yet at the end of the line it turns it.
     """
-    inner = np.empty(members.size, dtype=np.bool_)
-    for i, k in enumerate(members):
+    kept, count = np.empty(members.size, dtype=np.int64), 0
+    for k in members:
         after = (k + 1) % labels.size
         begins = breaks[k] < 2 and labels[k - 1] != labels[k]
         ends = breaks[after] < 2 and labels[after] != labels[k]
-        inner[i] = not (begins or ends)
-    return members[inner] if inner.sum() >= 3 else members
+        if not (begins or ends):
+            kept[count] = k
+            count += 1
+    return kept[:count] if count >= 3 else members
+
+
+@inner(cache=True)
+def decided(members, undecided):
+    """Members without the undecided ones."""
+    kept, count = np.empty(members.size, dtype=np.int64), 0
+    for k in members:
+        if not undecided[k]:
+            kept[count] = k
+            count += 1
+    return kept[:count]
+
+
+@inner(cache=True)
+def between(members, first, last):
+    """Members, which ascend, from the first beam to the last."""
+    low, high = 0, members.size
+    while low < high and members[low] < first:
+        low += 1
+    while high > low and members[high - 1] > last:
+        high -= 1
+    return members[low:high]
 
 
 @inner(cache=True)

@@ -51,10 +51,10 @@ def fit_beams(cosines, sines, ranges, sigmas, members, alpha, rho):
 
 
 @inner(cache=True)
-def line_sigmas(bearings, sigmas, members, alpha, rho, bearing_sigma):
-    """`sigmas` with the bearing noise of the members in them: the range of the line changes by rho sin / cos^2."""
-    result = sigmas.copy()
-    for k in members:
+def line_sigmas(bearings, sigmas, alpha, rho, bearing_sigma):
+    """`sigmas` with the bearing noise in them: the range of the line changes by rho sin / cos^2."""
+    result = np.empty(sigmas.size)
+    for k in range(sigmas.size):
         c, s = np.cos(bearings[k] - alpha), np.sin(bearings[k] - alpha)
         result[k] = np.hypot(sigmas[k], bearing_sigma * rho * s / (c * c))
     return result
@@ -101,7 +101,22 @@ def grow(bearings, ranges, sigmas, breaks, labels, members, line, gate):
         if not belongs(bearings[high], ranges[high], sigmas[high], line, gate):
             break
         high += 1
-    return np.concatenate((np.arange(low, members[0]), members, np.arange(members[-1] + 1, high)))
+    before, after = members[0] - low, high - members[-1] - 1
+    grown = np.empty(before + members.size + after, dtype=np.int64)
+    for k in range(before):
+        grown[k] = low + k
+    for k in range(members.size):
+        grown[before + k] = members[k]
+    for k in range(after):
+        grown[grown.size - after + k] = high - after + k
+    return grown
+
+
+@inner(cache=True)
+def relabel(labels, members, label):
+    """Give beams a label, in place."""
+    for k in members:
+        labels[k] = label
 
 
 @inlined

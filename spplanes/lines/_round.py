@@ -119,5 +119,6 @@ def find_round(bearings, cosines, sines, ranges, sigmas, moments, breaks, starts
             if arc == 0.0:
                 break
             if arc > min_arc:
-                result[low:high] = True
+                for k in range(low, high):
+                    result[k] = True
     return result
