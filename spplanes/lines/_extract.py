@@ -25,7 +25,7 @@ from spplanes.lines._round import find_round
 N_RESULT = 12
 
 
-#: Rows of an ordered scan: bearing, cosine, sine, range, its standard deviation without the noise of the bearing, with it.
+#: Rows of an ordered scan: bearing, cosine, sine, range, its standard deviation without that of the bearing, with it.
 BEARING, COSINE, SINE, RANGE, SIGMA, SLOPE_SIGMA, N_ROWS = range(7)
 
 
