@@ -27,7 +27,8 @@ def hesse(rows):
     planes = np.empty((rows.shape[0], 4))
     for r in range(rows.shape[0]):
         nx, ny, nz = normal_of(rows[r], eigenvalues(rows[r])[0])
-        planes[r] = nx, ny, nz, nx * rows[r, 2] + ny * rows[r, 3] + nz * rows[r, 4]
+        planes[r, 0], planes[r, 1], planes[r, 2] = nx, ny, nz
+        planes[r, 3] = nx * rows[r, 2] + ny * rows[r, 3] + nz * rows[r, 4]
     return planes
 
 
