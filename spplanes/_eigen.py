@@ -40,7 +40,9 @@ def jacobi3(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, va
         values: receives the eigenvalues, shape (3,).
         vectors: receives the eigenvectors in its columns, shape (3, 3).
     """
-    v = np.eye(3)
+    v = np.zeros((3, 3))
+    for k in range(3):
+        v[k, k] = 1.0
     for _ in range(_MAX_SWEEPS):
         done = True
         if not _is_negligible(xy, xx, yy):

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inlined, inner
+from spplanes._jit import inlined, inner, njit
 
 #: Angles below this, rad, take the series of what else would be nought by nought.
 _SMALL = 1e-5
 
 
-@inlined
+@njit(cache=True)
 def expmap(tangent):
     """The rigid motion (4, 4) of a tangent vector (6,), rad and m."""
     x, y, z = tangent[0], tangent[1], tangent[2]
@@ -35,7 +35,7 @@ def expmap(tangent):
     return motion
 
 
-@inlined
+@njit(cache=True)
 def logmap(motion):
     """The tangent vector (6,) of a rigid motion (4, 4), turns of up to pi."""
     tangent = np.empty(6)

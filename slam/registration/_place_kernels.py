@@ -144,9 +144,10 @@ def rank_hypotheses(walls, others, densities, pairs, max_hypotheses, prior, gate
             for n in range(WALL):
                 chosen[0, n], chosen[1, n], targets[0, n], targets[1, n] = a[n], c[n], b[n], d[n]
             pose, covariance, _ = fit_pose(start, chosen, targets, prior)
-            if evidence(pose, covariance, a, b, 1.0, gate, min_overlap) == -np.inf:
-                continue
-            if evidence(pose, covariance, c, d, 1.0, gate, min_overlap) == -np.inf:
+            told = 0.0
+            for n in range(2):
+                told += evidence(pose, covariance, chosen[n], targets[n], 1.0, gate, min_overlap)
+            if told == -np.inf:
                 continue
             table = score_table(pose, covariance, walls, others, densities, gate, min_overlap)
             members[count, 0], members[count, 1] = first, second

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inner, njit
+from spplanes._jit import inlined, inner, njit
 
 
 @njit(cache=True)
@@ -59,14 +59,16 @@ def peaks_of(keys, strides, order, scores, prominence):
         scores: of the cells, shape (N,).
         prominence: in the unit of the scores.
     """
-    parent = np.full(keys.size, -1)
+    parent = np.empty(keys.size, np.int64)
+    for index in range(keys.size):
+        parent[index] = -1
     for index in order:
         parent[index] = index
         for i in range(-1, 2):
             for j in range(-1, 2):
                 for k in range(-1, 2):
                     wanted = keys[index] + i * strides[0] + j * strides[1] + k * strides[2]
-                    place = np.searchsorted(keys, wanted)
+                    place = _place_of(keys, wanted)
                     if place == keys.size or keys[place] != wanted or parent[place] < 0:
                         continue
                     one, other = _top(parent, index), _top(parent, place)
@@ -78,6 +80,19 @@ def peaks_of(keys, strides, order, scores, prominence):
     for index in range(keys.size):
         parent[index] = _top(parent, index)
     return parent
+
+
+@inlined
+def _place_of(keys, wanted):
+    """Where the first key lies that is not below the one wanted."""
+    low, high = 0, keys.size
+    while low < high:
+        middle = (low + high) // 2
+        if keys[middle] < wanted:
+            low = middle + 1
+        else:
+            high = middle
+    return low
 
 
 @inner(cache=True)

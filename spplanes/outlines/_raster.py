@@ -78,7 +78,10 @@ def draw(points, labels, projections):
 def _project(points, labels, projections, begin_row, end_row, flat):
     """Raster coordinates of the labelled points, into (S, B, 2); least and largest of every region, (R, 2)."""
     n_cols, n_regions = labels.shape[1], projections.shape[0]
-    low, high = np.full((n_regions, 2), np.inf), np.full((n_regions, 2), -np.inf)
+    low, high = np.empty((n_regions, 2)), np.empty((n_regions, 2))
+    for r in range(n_regions):
+        for k in range(2):
+            low[r, k], high[r, k] = np.inf, -np.inf
     for i in range(begin_row, end_row):
         end = 0
         while end < n_cols:
@@ -156,9 +159,10 @@ def _mark_quads(above, below, hit):
 def layout(low, high):
     """Scale that keeps every raster below the largest, and where it lies; see `draw`."""
     n_regions = low.shape[0]
-    scale, first = np.ones(n_regions), np.zeros(n_regions + 1, dtype=np.int64)
+    scale, first = np.empty(n_regions), np.zeros(n_regions + 1, dtype=np.int64)
     corner, shape = np.zeros((n_regions, 2), dtype=np.int64), np.zeros((n_regions, 2), dtype=np.int64)
     for r in range(n_regions):
+        scale[r] = 1.0
         if low[r, 0] <= high[r, 0]:
             a, b = high[r, 0] - low[r, 0], high[r, 1] - low[r, 1]
             if (a + 3.0) * (b + 3.0) > LARGEST_RASTER:  # the frame of a sliver does not shrink with it
@@ -200,10 +204,16 @@ def _triangle(filled, first, width, place, inward, pu, p, qu, q, ru, r):
             filled[y] = True
 
 
-@njit(cache=True)
-def keys_of(filled, first, corner, shape):
+def keys_of(filled: np.ndarray, first: np.ndarray, corner: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """The filled cells of all rasters as keys, int64, ascending where no coordinate leaves its 21 bits."""
-    keys, count = np.empty(filled.sum(), dtype=np.int64), 0
+    keys = np.empty(np.count_nonzero(filled), dtype=np.int64)
+    return keys[: _write_keys(filled, first, corner, shape, keys)]
+
+
+@njit(cache=True)
+def _write_keys(filled, first, corner, shape, keys):
+    """The same into an array; how many."""
+    count = 0
     for r in range(shape.shape[0]):
         for k in range(first[r], first[r + 1]):
             if filled[k]:
@@ -211,7 +221,7 @@ def keys_of(filled, first, corner, shape):
                 if abs(i) < _OFFSET and abs(j) < _OFFSET:
                     keys[count] = ((r << _BITS | (i + _OFFSET)) << _BITS) | (j + _OFFSET)
                     count += 1
-    return keys[:count]
+    return count
 
 
 def cells_of(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

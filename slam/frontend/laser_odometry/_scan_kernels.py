@@ -20,9 +20,10 @@ def surface_of(points, away, angle_step, range_variance, surface_variance, corre
         turns (B,): the square of the sine by which a normal is expected to err.
     """
     count = points.shape[0]
-    normals = np.full((count, 2), np.nan)
+    normals = np.empty((count, 2))
     variance, looks, turns = np.zeros(count), np.zeros(count), np.zeros(count)
     for i in range(count):
+        normals[i, 0] = normals[i, 1] = np.nan
         reach = np.sqrt(away[i, 0] ** 2 + away[i, 1] ** 2)
         gap = max(least_gap_m, gap_steps * reach * angle_step)
         low, high = i, i

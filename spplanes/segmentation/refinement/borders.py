@@ -72,7 +72,8 @@ def _move_blocks(points, covariance, labels, start, planes, gate, floor_variance
                 mine, inside = found[k], 0
                 if _misfit(points, covariance, labels, i0, j0, i1, j1, mine, planes, floor_variance) < BLOCK_MISFIT:
                     continue
-                sums[:n_found] = 0.0
+                for m in range(n_found):
+                    sums[m] = 0.0
                 for i in range(i0, i1):
                     for j in range(j0, j1):
                         if labels[i, j] == mine:
@@ -82,7 +83,9 @@ def _move_blocks(points, covariance, labels, start, planes, gate, floor_variance
                                 sums[m] += min(cost, 2.0 * gate)
                 if inside == 0:
                     continue
-                best = sums[:n_found].argmin()
+                best = 0
+                for m in range(1, n_found):
+                    best = m if sums[m] < sums[best] else best
                 if sums[best] < sums[k] - BLOCK_GAIN:
                     moved += inside
                     for i in range(i0, i1):

@@ -133,7 +133,8 @@ def _is_superfluous(points, covariance, n_cols, mine, region, candidates, planes
             other += sums[_least(sums)]
             if other > limit:
                 return False
-            sums[:] = 0.0
+            for m in range(candidates.shape[0]):
+                sums[m] = 0.0
             in_block = 0
     return True
 
@@ -162,5 +163,6 @@ def _hand_over(points, covariance, labels, mine, candidates, planes, floor_varia
             best = candidates[_least(sums)]
             for q in range(block_start, k + 1):
                 labels[mine[q] // n_cols, mine[q] % n_cols] = best
-            sums[:] = 0.0
+            for m in range(candidates.shape[0]):
+                sums[m] = 0.0
             block_start = k + 1

@@ -92,7 +92,9 @@ def _step(a, b, tolerance):
 @njit(cache=True)
 def _fuse(nodes, edges, limit, tolerated):
     """Root of every node after fusing along edges, the pair first whose step is least; nodes become those of trees."""
-    parent = np.arange(nodes.shape[0])
+    parent = np.empty(nodes.shape[0], dtype=np.int64)
+    for k in range(nodes.shape[0]):
+        parent[k] = k
     version, stamp = np.zeros(nodes.shape[0], dtype=np.int64), np.zeros(edges.shape[0], dtype=np.int64)
     keys, items = np.empty(edges.shape[0]), np.empty(edges.shape[0], dtype=np.int64)
     size = 0

@@ -20,7 +20,7 @@ def patches_of(points, frame, side):
         frame: the plane's, shape (4, 4).
         side: of a patch, m.
     """
-    row, column = _squares_of(points, frame, side)
+    row, column = _squares_of(points, frame.copy(), side)  # of a plane, it is protected: another type
     if len(points) == 0:
         return row, column, 0, 0
     row -= row.min()
