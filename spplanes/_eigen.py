@@ -22,7 +22,7 @@ def _rotation(app: float, aqq: float, apq: float) -> tuple[float, float, float]:
     return t, c, t * c
 
 
-@inner(cache=True)
+@inlined
 def _is_negligible(off: float, a: float, b: float) -> bool:
     """Whether an off-diagonal entry is below the rounding of both its diagonal entries."""
     return abs(off) <= 1e-17 * math.sqrt(abs(a)) * math.sqrt(abs(b)) or abs(off) < 1e-300

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inlined, inner, njit
+from spplanes._jit import inlined, njit
 
 #: Angles below this, rad, take the series of what else would be nought by nought.
 _SMALL = 1e-5
@@ -78,7 +78,7 @@ def _log_of_rotation(R, tangent):
     tangent[0], tangent[1], tangent[2] = scale * x, scale * y, scale * z
 
 
-@inner(cache=True)
+@inlined
 def product(one, other):
     """The rigid motion (4, 4) of two, one after the other."""
     result = np.empty((4, 4))
@@ -90,7 +90,7 @@ def product(one, other):
     return result
 
 
-@inner(cache=True)
+@inlined
 def solve_positive(matrix, right, lower):
     """Solution of a positive definite system, in place of its right side, by Cholesky's factor, written to `lower`."""
     n = right.size

@@ -154,7 +154,7 @@ def patch_points(points, covs, step, order, lo, hi, frame, cutoff2, kept) -> int
     return size
 
 
-@inner(cache=True)
+@inlined
 def within_patch(x, y, xx, xy, yy) -> bool:
     """Whether (x, y) is within PATCH_SIGMAS of a spread, by its Mahalanobis distance."""
     return yy * x * x - 2.0 * xy * x * y + xx * y * y <= PATCH_SIGMAS * PATCH_SIGMAS * (xx * yy - xy * xy)

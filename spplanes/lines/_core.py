@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inner
+from spplanes._jit import inlined, inner
 from spplanes.lines._kernels import N_SUMS, fit_sums
 
 #: 99 % quantiles of chi2 with 1, 2, 3 dof: what that many end beams may add to the chi2 of the others.
 END_GATES = np.array((7.88, 10.6, 12.84))
 
 
-@inner(cache=True)
+@inlined
 def drop_borders(breaks, labels, members):
     """Members without those beside a return that is not on the line; all of them when fewer than three would be left.
 
@@ -29,7 +29,7 @@ def drop_borders(breaks, labels, members):
     return kept[:count] if count >= 3 else members
 
 
-@inner(cache=True)
+@inlined
 def decided(members, undecided):
     """Members without the undecided ones."""
     kept, count = np.empty(members.size, dtype=np.int64), 0
@@ -40,7 +40,7 @@ def decided(members, undecided):
     return kept[:count]
 
 
-@inner(cache=True)
+@inlined
 def between(members, first, last):
     """Members, which ascend, from the first beam to the last."""
     low, high = 0, members.size
@@ -72,7 +72,7 @@ def drop_doubtful_ends(moments, members):
     return members[low:high]
 
 
-@inner(cache=True)
+@inlined
 def start_line(moments, members):
     """The line of the inverse-range fit, as `fit_beams` returns it."""
     u, v, chi2 = fit_sums(sum_of(moments, members))

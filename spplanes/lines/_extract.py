@@ -86,7 +86,7 @@ def turned(beams, scan, moments, breaks, cut):
     return order, rows, sums, gaps
 
 
-@inner(cache=True)
+@inlined
 def ring_start(labels, count):
     """Where a closed ring can be cut without cutting a line: the first beam of one that no other bridges; else 0."""
     first, last = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
@@ -137,7 +137,7 @@ def fit_label(
     return line, members, core.size + n_borders, core.size
 
 
-@inner(cache=True)
+@inlined
 def members_of(labels, count):
     """The beams of each label, one label after the other, and where those of each begin (count + 1,)."""
     begins = np.zeros(count + 1, dtype=np.int64)
@@ -154,7 +154,7 @@ def members_of(labels, count):
     return members, begins
 
 
-@inner(cache=True)
+@inlined
 def is_line(
     bearings, cosines, sines, ranges, sigmas, members, n_decided, n_fitted, line, min_points, max_turning,
     max_curvature, max_misfit,
@@ -228,7 +228,7 @@ def fit_labels(
     return rows[:n_lines], support[:n_support], counts[:n_lines]
 
 
-@inner(cache=True)
+@inlined
 def write_row(row, line, dof, first, last, flatness):
     """Fill a result row; the end points are where the first and the last beam meet the line."""
     alpha, rho, v_alpha, cov, v_rho, chi2 = line

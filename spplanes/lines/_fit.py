@@ -50,7 +50,7 @@ def fit_beams(cosines, sines, ranges, sigmas, members, alpha, rho):
     return alpha, rho, 0.0, 0.0, 0.0, np.inf
 
 
-@inner(cache=True)
+@inlined
 def line_sigmas(bearings, sigmas, alpha, rho, bearing_sigma):
     """`sigmas` with the bearing noise in them: the range of the line changes by rho sin / cos^2."""
     result = np.empty(sigmas.size)
@@ -60,7 +60,7 @@ def line_sigmas(bearings, sigmas, alpha, rho, bearing_sigma):
     return result
 
 
-@inner(cache=True)
+@inlined
 def belongs(bearing, r, sigma, line, gate):
     """True when a beam next to the line is on it: chi2 under `gate`, where the line predicts its range well."""
     alpha, rho, v00, v01, v11, _ = line
@@ -83,7 +83,7 @@ def trim(bearings, ranges, sigmas, members, line, gate):
     return members[low:high]
 
 
-@inner(cache=True)
+@inlined
 def misses(bearings, ranges, sigmas, k, line, gate):
     """True when beam k, already on the line, is farther from it than its noise allows."""
     return (ranges[k] - line[1] / np.cos(bearings[k] - line[0])) ** 2 > gate * sigmas[k] ** 2
@@ -112,7 +112,7 @@ def grow(bearings, ranges, sigmas, breaks, labels, members, line, gate):
     return grown
 
 
-@inner(cache=True)
+@inlined
 def relabel(labels, members, label):
     """Give beams a label, in place."""
     for k in members:

@@ -21,7 +21,7 @@ PARAMETER_COST = 4.0
 UNDECIDED = 6.0
 
 
-@inner(cache=True)
+@inlined
 def full_turn(angle):
     """The same angle in [0, 2 pi); of most it is seen without a division."""
     return angle if 0.0 <= angle < 2.0 * np.pi else angle % (2.0 * np.pi)
@@ -51,7 +51,7 @@ def order_beams(ranges, angles, range_min, range_max):
     return valid[:count], gap, median(steps)
 
 
-@inner(cache=True)
+@inlined
 def sorted_order(keys):
     """Indices of keys in ascending order, stable: runs are merged to twice their length until one is left."""
     n = keys.size
@@ -77,7 +77,7 @@ def sorted_order(keys):
     return order
 
 
-@inner(cache=True)
+@inlined
 def median(values):
     """Median of values, which change places.
 
@@ -108,7 +108,7 @@ def median(values):
     return 0.5 * (below + values[middle])
 
 
-@inner(cache=True)
+@inlined
 def slope_sigmas(bearings, ranges, sigmas, bearing_sigma, result):
     """Range noise with the bearing noise in it, (V,): times the slope dr/da, at a jump that of the flatter side."""
     n = bearings.size
@@ -156,7 +156,7 @@ def fit_of(cc, cs, ss, cq, sq, qq):
     return u, v, max(0.0, qq - u * cq - v * sq)
 
 
-@inner(cache=True)
+@inlined
 def fit_sums(m):
     """`fit_of` the six sums in an array."""
     return fit_of(m[0], m[1], m[2], m[3], m[4], m[5])
@@ -189,7 +189,7 @@ def triple_fails(bearings, ranges, sigmas, sines, i, j, k, gate):
     return error * error > gate * variance
 
 
-@inner(cache=True)
+@inlined
 def find_breaks(bearings, ranges, sigmas, max_step, gate):
     """For each beam the kind of break before it (V,): 0 none, 1 the depth jumps, 2 beams are missing; closed ring."""
     n = bearings.size
@@ -232,7 +232,7 @@ def best_split(moments, low, high, cost):
     return at, before + 4.0 * PARAMETER_COST - best
 
 
-@inner(cache=True)
+@inlined
 def split_gate(n, significance):
     """Quantile of chi2 with 2 dof for the best of n places to split (Bonferroni)."""
     return -2.0 * np.log(significance / n)

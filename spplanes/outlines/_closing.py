@@ -129,7 +129,7 @@ def count_parts(filled):
     return n_parts
 
 
-@inner(cache=True)
+@inlined
 def _root(parent, k):
     while parent[k] != k:
         parent[k] = parent[parent[k]]

@@ -17,8 +17,7 @@ LARGEST_RASTER = 1 << 20
 _ROUNDING = 1e-9
 
 
-@njit(cache=True)
-def projection_axis(nx, ny, nz):
+def projection_axis(nx: float, ny: float, nz: float) -> int:
     """World axis (0, 1, 2) along which a plane with this normal is projected: that of its largest component."""
     if abs(nz) >= abs(nx) and abs(nz) >= abs(ny):
         return 2
@@ -155,24 +154,17 @@ def _mark_quads(above, below, hit):
             hit[j] &= least <= most
 
 
-@njit(cache=True)
-def layout(low, high):
+def layout(low: FloatArray, high: FloatArray) -> tuple[FloatArray, np.ndarray, np.ndarray, np.ndarray]:
     """Scale that keeps every raster below the largest, and where it lies; see `draw`."""
-    n_regions = low.shape[0]
-    scale, first = np.empty(n_regions), np.zeros(n_regions + 1, dtype=np.int64)
-    corner, shape = np.zeros((n_regions, 2), dtype=np.int64), np.zeros((n_regions, 2), dtype=np.int64)
-    for r in range(n_regions):
-        scale[r] = 1.0
-        if low[r, 0] <= high[r, 0]:
-            a, b = high[r, 0] - low[r, 0], high[r, 1] - low[r, 1]
-            if (a + 3.0) * (b + 3.0) > LARGEST_RASTER:  # the frame of a sliver does not shrink with it
-                room, edge = LARGEST_RASTER - 9.0, 3.0 * (a + b)
-                scale[r] = 2.0 * room / (edge + np.sqrt(edge * edge + 4.0 * a * b * room))
-            for k in range(2):
-                corner[r, k] = int(np.floor(low[r, k] * scale[r])) - 1
-                shape[r, k] = int(np.floor(high[r, k] * scale[r])) + 2 - corner[r, k]
-        first[r + 1] = first[r] + shape[r, 0] * shape[r, 1]
-    return scale, first, corner, shape
+    there = (low[:, 0] <= high[:, 0])[:, None]
+    low, high = np.where(there, low, 0.0), np.where(there, high, 0.0)
+    a, b = (high - low).T
+    large = (a + 3.0) * (b + 3.0) > LARGEST_RASTER  # the frame of a sliver does not shrink with it
+    room, edge = LARGEST_RASTER - 9.0, 3.0 * (a + b)
+    scale = np.where(large, 2.0 * room / (np.maximum(edge, 1.0) + np.sqrt(edge * edge + 4.0 * a * b * room)), 1.0)
+    corner = np.where(there, np.floor(low * scale[:, None]).astype(np.int64) - 1, 0)
+    shape = np.where(there, np.floor(high * scale[:, None]).astype(np.int64) + 2 - corner, 0)
+    return scale, np.concatenate(([0], np.cumsum(shape[:, 0] * shape[:, 1]))), corner, shape
 
 
 @inner(cache=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._check import FloatArray
-from spplanes._jit import inlined, inner, njit
+from spplanes._jit import inlined, njit
 from spplanes.outlines._closing import one_part
 
 #: How far a simplified ring may leave the steps of the raster, cells.
@@ -80,7 +80,7 @@ def _trace(filled, n_cells):
     return vertices[:n_vertices], ends[:n_rings]
 
 
-@inner(cache=True)
+@inlined
 def _corner(i, j, d):
     """End of the side of cell (i, j) that is walked in direction d, the cell on its left."""
     if d == 0:

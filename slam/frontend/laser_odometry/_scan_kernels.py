@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inner, njit
+from spplanes._jit import inlined, njit
 
 
 @njit(cache=True)
@@ -68,7 +68,7 @@ def surface_of(points, away, angle_step, range_variance, surface_variance, corre
 _MOST, _PATCH_M = 5, 0.25
 
 
-@inner(cache=True)
+@inlined
 def _apart(points, i, j):
     return np.sqrt((points[i, 0] - points[j, 0]) ** 2 + (points[i, 1] - points[j, 1]) ** 2)
 

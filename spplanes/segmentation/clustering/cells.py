@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inlined, inner, njit
+from spplanes._jit import inlined, njit
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import add_run, centre_sums, eigenvalues, normal_of, variance_along
 from spplanes.moments import ROW_SIZE
@@ -33,7 +33,7 @@ def cell_moments(points, covariance, free, size, floor_variance):
     return rows
 
 
-@inner(cache=True)
+@inlined
 def _is_filled(count, ci, cj, shape, size):
     """Whether a cell has enough points to be judged."""
     area = min(size, shape[0] - ci * size) * min(size, shape[1] - cj * size)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inlined, inner, njit
+from spplanes._jit import inlined, njit
 from spplanes.fitting._moment_patches import residual_chi2
 
 #: Points are explained block by block, this many on a side: a point alone always finds some plane that suits it.
@@ -139,7 +139,7 @@ def _is_superfluous(points, covariance, n_cols, mine, region, candidates, planes
     return True
 
 
-@inner(cache=True)
+@inlined
 def _least(values):
     """Place of the least of some numbers, of equal ones the first."""
     best = 0
