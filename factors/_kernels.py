@@ -1,4 +1,4 @@
-"""The arithmetic of the custom factors: errors with their analytic derivatives, compiled.
+"""The arithmetic of the custom factors: errors with their analytic derivatives, those of single planes compiled.
 
 Columns of every derivative: 0-5 the observing pose (rx, ry, rz, x, y, z; on the right), 6-11 the anchor pose, 12-14 the
 landmark in the tangent of ``OrientedPlane3.retract``, 15-17 a second landmark that lives in the observing pose's frame.
@@ -9,37 +9,41 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inner, njit
+from spplanes._jit import inlined, inner, njit
+
+_Error = tuple[np.ndarray, np.ndarray]
 
 
 @njit(cache=True)
 def unit_basis(n):
     """Tangent basis of a unit vector, shape (3, 2), the very one of ``gtsam.Unit3.basis()``, ties included."""
     mx, my, mz = abs(n[0]), abs(n[1]), abs(n[2])
-    axis = np.zeros(3)
+    axis, basis = np.zeros(3), np.empty((3, 2))
     if mx <= my and mx <= mz:
         axis[0] = 1.0
     elif my <= mx and my <= mz:
         axis[1] = 1.0
     else:
         axis[2] = 1.0
-    basis = np.empty((3, 2))
-    first = cross(n, axis)
-    first /= np.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
-    second = cross(n, first)
-    second /= np.sqrt(second[0] ** 2 + second[1] ** 2 + second[2] ** 2)
-    basis[:, 0] = first
-    basis[:, 1] = second
+    first = scaled_to_one(cross(n, axis))
+    second = scaled_to_one(cross(n, first))
+    for k in range(3):
+        basis[k, 0], basis[k, 1] = first[k], second[k]
     return basis
 
 
-@njit(cache=True)
-def unit_bases(normals):
+@inner(cache=True)
+def scaled_to_one(a):
+    """A (3,) vector, scaled in place to the length one."""
+    length = np.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2)
+    for k in range(3):
+        a[k] /= length
+    return a
+
+
+def unit_bases(normals: np.ndarray) -> np.ndarray:
     """`unit_basis` of many normals (N, 3), shape (N, 3, 2)."""
-    out = np.empty((len(normals), 3, 2))
-    for i in range(len(normals)):
-        out[i] = unit_basis(normals[i])
-    return out
+    return np.array([unit_basis(normal) for normal in normals]).reshape(-1, 3, 2)
 
 
 @inner(cache=True)
@@ -128,15 +132,16 @@ def two_point_information(points, sigma):
     whatever the landmark; its own normal plays no part. R is upper triangular with an empty last row.
     """
     normal = cross(points[0], points[1])
-    length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
-    first, second = np.abs(points[0]).max(), np.abs(points[1]).max()
-    if length < 1e-9 * max(first, second) ** 2:  # in line with the origin: any plane through that line will do
-        along = points[0] if first >= second else points[1]
+    first, second = largest(points[0]), largest(points[1])
+    if np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2) < 1e-9 * max(first, second) ** 2:
+        along = points[0] if first >= second else points[1]  # in line with the origin: any plane through that line
         axis = np.zeros(3)
-        axis[np.argmin(np.abs(along))] = 1.0
+        least = 0
+        for k in range(1, 3):
+            least = k if abs(along[k]) < abs(along[least]) else least
+        axis[least] = 1.0
         normal = cross(along, axis)
-        length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
-    normal /= length
+    scaled_to_one(normal)
     basis = unit_basis(normal)
     root = np.zeros((3, 3))
     for i in range(2):
@@ -154,6 +159,12 @@ def two_point_information(points, sigma):
     return normal, root
 
 
+@inlined
+def largest(a):
+    """Largest of the coordinates of a (3,) vector, regardless of their signs."""
+    return max(abs(a[0]), abs(a[1]), abs(a[2]))
+
+
 #: Sine of the angle between a plane and the scan plane below which `line_error` stops dividing by it.
 GRAZING = 0.02
 
@@ -169,11 +180,11 @@ def line_error(world_T_anchor, world_T_body, coefficients, body_T_sensor, points
     in_sensor = np.empty(3)
     derivative_in_sensor = np.empty((3, 15))
     for i in range(2):
-        axis = body_T_sensor[:3, i]
-        in_sensor[i] = axis[0] * seen[0] + axis[1] * seen[1] + axis[2] * seen[2]
+        ax, ay, az = body_T_sensor[0, i], body_T_sensor[1, i], body_T_sensor[2, i]
+        in_sensor[i] = ax * seen[0] + ay * seen[1] + az * seen[2]
         for j in range(15):
-            derivative_in_sensor[i, j] = axis[0] * jacobian[0, j] + axis[1] * jacobian[1, j] + axis[2] * jacobian[2, j]
-    origin = body_T_sensor[:3, 3]
+            derivative_in_sensor[i, j] = ax * jacobian[0, j] + ay * jacobian[1, j] + az * jacobian[2, j]
+    origin = body_T_sensor[0, 3], body_T_sensor[1, 3], body_T_sensor[2, 3]
     in_sensor[2] = seen[3] - (origin[0] * seen[0] + origin[1] * seen[1] + origin[2] * seen[2])
     for j in range(15):
         derivative_in_sensor[2, j] = jacobian[3, j] - (
@@ -198,76 +209,50 @@ def line_error(world_T_anchor, world_T_body, coefficients, body_T_sensor, points
     return error, derivative
 
 
-@njit(cache=True)
-def direction_error(world_T_anchor, world_T_body, coefficients, directions):
+def direction_error(world_T_anchor, world_T_body, coefficients, directions) -> _Error:
     """Components, shape (m,), of a landmark's normal along fixed ``directions`` (m, 3); derivative (m, 15)."""
     seen, jacobian = plane_seen_from(world_T_anchor, world_T_body, coefficients)
     return directions @ seen[:3], directions @ jacobian[:3]
 
 
-@inner(cache=True)
-def _reference_rows(coefficients):
-    """Hesse row (4,) of a landmark in its own frame and its derivative (4, 3)."""
-    own = coefficients.copy()
-    own[3] = -own[3]
-    jacobian = np.zeros((4, 3))
-    jacobian[:3, :2] = unit_basis(own[:3])
-    jacobian[3, 2] = -1.0
-    return own, jacobian
-
-
-@inner(cache=True)
-def _joined(by_seen, jacobian, by_own, own_jacobian):
-    """Chain rule of an error of two planes: derivative (m, 18)."""
-    derivative = np.empty((len(by_seen), 18))
-    derivative[:, :15] = by_seen @ jacobian
-    derivative[:, 15:] = by_own @ own_jacobian
-    return derivative
-
-
-@njit(cache=True)
-def parallel_error(world_T_anchor, world_T_body, coefficients, reference):
+def parallel_error(world_T_anchor, world_T_body, coefficients, reference) -> _Error:
     """Cross product of two normals, shape (3,), of rank 2, smooth everywhere; derivative (3, 18)."""
     seen, jacobian = plane_seen_from(world_T_anchor, world_T_body, coefficients)
-    own, own_jacobian = _reference_rows(reference)
-    a, b = own[:3], seen[:3]
-    by_seen = np.zeros((3, 4))
-    by_own = np.zeros((3, 4))
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        by_seen[i, k], by_seen[i, j] = a[j], -a[k]
-        by_own[i, j], by_own[i, k] = b[k], -b[j]
-    return cross(a, b), _joined(by_seen, jacobian, by_own, own_jacobian)
+    a, b = reference[:3], seen[:3]
+    by_seen, by_own = np.zeros((3, 4)), np.zeros((3, 4))
+    by_seen[:, :3], by_own[:, :3] = _times(a), -_times(b)
+    return _times(a) @ b, _joined(by_seen, jacobian, by_own, a)
 
 
-@njit(cache=True)
-def perpendicular_error(world_T_anchor, world_T_body, coefficients, reference):
+def perpendicular_error(world_T_anchor, world_T_body, coefficients, reference) -> _Error:
     """Cosine of the angle between two normals, shape (1,); derivative (1, 18)."""
     seen, jacobian = plane_seen_from(world_T_anchor, world_T_body, coefficients)
-    own, own_jacobian = _reference_rows(reference)
-    by_seen = np.zeros((1, 4))
-    by_own = np.zeros((1, 4))
-    by_seen[0, :3], by_own[0, :3] = own[:3], seen[:3]
-    error = np.array([own[0] * seen[0] + own[1] * seen[1] + own[2] * seen[2]])
-    return error, _joined(by_seen, jacobian, by_own, own_jacobian)
+    a, b = reference[:3], seen[:3]
+    by_seen, by_own = np.array([[*a, 0.0]]), np.array([[*b, 0.0]])
+    return np.array([a @ b]), _joined(by_seen, jacobian, by_own, a)
 
 
-@njit(cache=True)
-def distance_error(world_T_anchor, world_T_body, coefficients, reference, gap, place):
+def distance_error(world_T_anchor, world_T_body, coefficients, reference, gap, place) -> _Error:
     """Distance along the reference's normal from it to a parallel plane, less ``gap`` (1,); derivative (1, 18).
 
     Measured from x, which is ``place`` (3,) dropped onto the reference a: e = sign(a.b) (d_b - b.x) - gap.
     """
     seen, jacobian = plane_seen_from(world_T_anchor, world_T_body, coefficients)
-    own, own_jacobian = _reference_rows(reference)
-    a, b = own[:3], seen[:3]
-    cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    height = own[3] - (a[0] * place[0] + a[1] * place[1] + a[2] * place[2])
-    foot = place + height * a
-    sign = 1.0 if cosine >= 0.0 else -1.0
-    error = np.array([sign * (seen[3] - (b[0] * foot[0] + b[1] * foot[1] + b[2] * foot[2])) - gap[0]])
-    by_seen = np.zeros((1, 4))
-    by_own = np.zeros((1, 4))
-    by_seen[0, :3], by_seen[0, 3] = -sign * foot, sign
-    by_own[0, :3], by_own[0, 3] = -sign * (height * b - cosine * place), -sign * cosine
-    return error, _joined(by_seen, jacobian, by_own, own_jacobian)
+    a, b = reference[:3], seen[:3]
+    cosine, height = a @ b, -reference[3] - a @ place
+    foot, sign = place + height * a, 1.0 if cosine >= 0.0 else -1.0
+    by_seen = sign * np.array([[*-foot, 1.0]])
+    by_own = -sign * np.array([[*(height * b - cosine * place), cosine]])
+    return sign * (seen[3] - b @ foot) - gap, _joined(by_seen, jacobian, by_own, a)
+
+
+def _times(a) -> np.ndarray:
+    """The matrix (3, 3) that makes a x b of b."""
+    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+
+
+def _joined(by_seen, jacobian, by_own, normal) -> np.ndarray:
+    """Chain rule of an error of two planes, the second with that normal in its own frame: derivative (m, 18)."""
+    own_jacobian = np.zeros((4, 3))
+    own_jacobian[:3, :2], own_jacobian[3, 2] = unit_basis(normal), -1.0
+    return np.hstack((by_seen @ jacobian, by_own @ own_jacobian))

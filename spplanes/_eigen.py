@@ -22,7 +22,7 @@ def _rotation(app: float, aqq: float, apq: float) -> tuple[float, float, float]:
     return t, c, t * c
 
 
-@inner(cache=True)
+@inlined
 def _is_negligible(off: float, a: float, b: float) -> bool:
     """Whether an off-diagonal entry is below the rounding of both its diagonal entries."""
     return abs(off) <= 1e-17 * math.sqrt(abs(a)) * math.sqrt(abs(b)) or abs(off) < 1e-300
@@ -40,7 +40,9 @@ def jacobi3(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, va
         values: receives the eigenvalues, shape (3,).
         vectors: receives the eigenvectors in its columns, shape (3, 3).
     """
-    v = np.eye(3)
+    v = np.zeros((3, 3))
+    for k in range(3):
+        v[k, k] = 1.0
     for _ in range(_MAX_SWEEPS):
         done = True
         if not _is_negligible(xy, xx, yy):
@@ -90,8 +92,7 @@ def _store_sorted(a: float, b: float, c: float, v, values, vectors) -> None:
 def solve3(matrix, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Solution of a positive definite 3x3 system by the factors L D L^T; of `matrix` the upper triangle, six entries.
 
-    Raises:
-        ZeroDivisionError: the matrix is singular to the last digit.
+    NaN or infinity where the matrix is singular to the last digit.
     """
     xx, xy, xz, yy, yz, zz = matrix
     a, b = xy / xx, xz / xx

@@ -46,10 +46,14 @@ KERNELS: list[Any] = []
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """A decorator: `numba.njit` with these options, without an entry for C, and with what a wheel brings."""
+    """A decorator: `numba.njit` with these options and our own, and with what a wheel brings.
+
+    All kernels have no entry for C, release Python's lock, and divide as numpy does. Numba compiles its own functions
+    anew for every set of options that calls them.
+    """
 
     def kernel_of(function: Callable[..., Any]) -> Any:
-        settings: dict[str, Any] = {"no_cfunc_wrapper": True, **options}
+        settings: dict[str, Any] = {"no_cfunc_wrapper": True, "nogil": True, "error_model": "numpy", **options}
         kernel: Any = numba.njit(**settings)(function)
         if not config.DISABLE_JIT:  # type: ignore[attr-defined]
             if options.get("cache"):
@@ -82,7 +86,7 @@ def inner(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """A decorator for what one kernel calls in one place: compiled as a part of it, by its error model, not alone.
+    """A decorator for what one kernel calls in one place: compiled as a part of it, not alone.
 
     Not for what goes into a kernel that is long already: typing takes more than twice the time for twice the length.
     """

@@ -82,9 +82,9 @@ class SensorModel:
         points = as_float_array("points", points)
         if points.ndim < 1 or points.shape[-1] != 3:
             raise ValueError(f"points: expected shape (..., 3), got {points.shape}")
-        eyes = np.broadcast_to(as_float_array("viewpoints", viewpoints), points.shape).reshape(-1, 3)
-        spot = np.broadcast_to(self._spot_share(incidence_rad), points.shape[:-1]).reshape(-1)
-        result = np.empty((spot.size, 9))
+        eyes = _one_or_all(as_float_array("viewpoints", viewpoints), points.shape).reshape(-1, 3)
+        spot = _one_or_all(np.asarray(self._spot_share(incidence_rad))[..., None], (*points.shape[:-1], 1)).reshape(-1)
+        result = np.empty((points.size // 3, 9))
         known = self._least_variance, self.range_sigma_share, self.range_sigma_per_m2, self.bearing_sigma_rad
         if not _beam_covariances(points.reshape(-1, 3), eyes, spot, *known, result):
             raise ValueError("points: expected points away from their viewpoint, got a range of 0")
@@ -128,18 +128,28 @@ class DepthCameraModel:
         return rays[..., :, None] * rays[..., None, :]
 
 
+def _one_or_all(value: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """A copy of vectors that are broadcast to a shape; of one vector, that alone: all of one type for the kernel."""
+    whole = np.broadcast_to(value, shape)
+    return np.array(value if value.size == shape[-1] else whole)
+
+
 @njit(cache=True)
 def _beam_covariances(points, eyes, spot, least, share, per_m2, bearing_sigma, result):
-    """u u^T var(r) + (I - u u^T) (r sigma_bearing)^2 of every ray, into (N, 9); False where a ray has no length."""
+    """u u^T var(r) + (I - u u^T) (r sigma_bearing)^2 of every ray, into (N, 9); False where a ray has no length.
+
+    Of the viewpoints (N, 3) and what the range changes across the spot (N,) there may be one for all.
+    """
     for k in range(points.shape[0]):
-        ray = points[k, 0] - eyes[k, 0], points[k, 1] - eyes[k, 1], points[k, 2] - eyes[k, 2]
+        e, s = (k if eyes.shape[0] > 1 else 0), (k if spot.shape[0] > 1 else 0)
+        ray = points[k, 0] - eyes[e, 0], points[k, 1] - eyes[e, 1], points[k, 2] - eyes[e, 2]
         square = ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]
         if square == 0.0:
             return False
         ranges = np.sqrt(square)
         across = (ranges * bearing_sigma) ** 2
         growing = (share * ranges) ** 2 + (per_m2 * square) ** 2
-        along = (least + growing + (ranges * spot[k]) ** 2 / 16.0 - across) / square
+        along = (least + growing + (ranges * spot[s]) ** 2 / 16.0 - across) / square
         for a in range(3):
             for b in range(3):
                 result[k, 3 * a + b] = along * ray[a] * ray[b]

@@ -9,6 +9,7 @@ from math import frexp
 
 import numpy as np
 
+from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
 
 #: Cells that a hash table has for every one used, at least; and the multiplier that spreads keys over it (Knuth).
@@ -17,7 +18,7 @@ _ROOM, _SPREAD = 2, np.uint64(0x9E3779B97F4A7C15)
 _LEVELS = 1024
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def numbered(keys):
     """Numbers of equal keys (N,), in order of the first of each; that first one (M,), and how many there are (M,).
 
@@ -31,7 +32,9 @@ def numbered(keys):
     while bits > 1:
         bits //= 2
         shift -= np.uint64(1)
-    slots = np.full(size, -1, np.int64)
+    slots = np.empty(size, np.int64)
+    for k in range(size):
+        slots[k] = -1
     number, first, count = np.empty(keys.size, np.int64), np.empty(keys.size, np.int64), np.zeros(keys.size, np.int64)
     m = 0
     for k in range(keys.size):
@@ -55,7 +58,7 @@ def numbered(keys):
     return number, first[:m], count[:m]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def cube_keys(points, labels, share):
     """Keys of the cubes that points (N, 3) lie in, (N,), of one width within each label and power of two of the range.
 
@@ -66,12 +69,13 @@ def cube_keys(points, labels, share):
         labels: of the points.
         share: width of a cube as a share of the range, rounded down to a power of two metres.
     """
-    keys, most = np.full(labels.size, -1, np.int64), 0
+    keys, most = np.empty(labels.size, np.int64), 0
     side = 2 * (int(2.0 / share) + 2)  # cubes to either side, no more than a range divided by half a width
     for k in range(labels.size):
         most = max(most, labels[k])
     for k in range(labels.size):
         if labels[k] < 0:
+            keys[k] = -1
             continue
         x, y, z = points[k, 0], points[k, 1], points[k, 2]
         level = frexp(share * max(np.sqrt(x * x + y * y + z * z), 1e-3))[1] - 1
@@ -83,7 +87,7 @@ def cube_keys(points, labels, share):
     return keys
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def moments(points, number, count):
     """Mean (M, 3) and scatter (M, 3, 3) of the points (N, 3) of every number, of which there are `count` (M,)."""
     mean, scatter = np.zeros((count.size, 3)), np.zeros((count.size, 3, 3))
@@ -109,8 +113,9 @@ def moments(points, number, count):
     return mean, scatter
 
 
-@njit(cache=True, nogil=True)
-def moments_about(seeds, points, reaches, least):
+def moments_about(
+    seeds: FloatArray, points: FloatArray, reaches: FloatArray, least: int
+) -> tuple[FloatArray, FloatArray]:
     """Mean (K, 3) and covariance (K, 3, 3) of the points within reach of each seed that has so many of them at least.
 
     Args:
@@ -119,11 +124,16 @@ def moments_about(seeds, points, reaches, least):
         reaches: shape (N,).
         least: how many.
     """
+    return _moments_about(seeds, points, reaches, np.searchsorted(points[:, 0], seeds[:, 0] - reaches), least)
+
+
+@njit(cache=True)
+def _moments_about(seeds, points, reaches, starts, least):
+    """The same; `starts` (N,) are the first points that may lie within reach."""
     mean, scatter, kept = np.zeros((len(seeds), 3)), np.zeros((len(seeds), 3, 3)), 0
     members = np.empty(len(points), np.int64)
     for s in range(len(seeds)):
-        n, square = 0, reaches[s] * reaches[s]
-        k = np.searchsorted(points[:, 0], seeds[s, 0] - reaches[s])
+        n, square, k = 0, reaches[s] * reaches[s], starts[s]
         while k < len(points) and points[k, 0] <= seeds[s, 0] + reaches[s]:
             x, y, z = points[k, 0] - seeds[s, 0], points[k, 1] - seeds[s, 1], points[k, 2] - seeds[s, 2]
             if x * x + y * y + z * z <= square:
@@ -148,7 +158,7 @@ def moments_about(seeds, points, reaches, least):
     return mean[:kept], scatter[:kept]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def jumps(points, ranges, labels, steps, inset, rules):
     """Where ranges jump away along the lines of a grid: the next return is so much farther that nothing joins the two.
 
@@ -195,7 +205,8 @@ def jumps(points, ranges, labels, steps, inset, rules):
             if inset == 0 and beam == last + 1:
                 _between(points[here], points[there], r, far, found[count])
             else:
-                found[count] = points[start + (last - inset) * beam_step]
+                for a in range(3):
+                    found[count, a] = points[start + (last - inset) * beam_step, a]
             count += 1
     return found[:count]
 

@@ -10,7 +10,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from spplanes._check import FloatArray
-from spplanes._jit import inlined, inner
+from spplanes._jit import inlined, inner, njit
 
 
 class Rings(NamedTuple):
@@ -34,28 +34,30 @@ class Rings(NamedTuple):
         return cls(corners, ends, np.searchsorted(owner[part], np.arange(len(geometries) + 1)))
 
 
-@inlined
+@njit(cache=True)
 def come_near(corners, ends, others, other_ends, gap):
     """Whether two polygons, even-odd, have points no farther apart than a gap.
 
     Args:
-        corners, ends: rings of the one, as in `Rings`, shapes (C, 2) and (R + 1,).
+        corners, ends: rings of the one, as in `Rings`, shapes (C, 2) and (R + 1,); ends count from the first on.
         others, other_ends: of the other.
         gap: not below nought.
     """
+    first, other_first = ends[0], other_ends[0]
     if not _boxes_come_near(corners, others, gap):
         return False
     for r in range(ends.size - 1):
-        if _contains(others, other_ends, corners[ends[r], 0], corners[ends[r], 1]):
+        if _contains(others, other_ends, corners[ends[r] - first, 0], corners[ends[r] - first, 1]):
             return True
     for r in range(other_ends.size - 1):
-        if _contains(corners, ends, others[other_ends[r], 0], others[other_ends[r], 1]):
+        k = other_ends[r] - other_first
+        if _contains(corners, ends, others[k, 0], others[k, 1]):
             return True
     for r in range(ends.size - 1):
-        for k in range(ends[r], ends[r + 1] - 1):
+        for k in range(ends[r] - first, ends[r + 1] - first - 1):
             for s in range(other_ends.size - 1):
-                for m in range(other_ends[s], other_ends[s + 1] - 1):
-                    if _sides_come_near(corners[k], corners[k + 1], others[m], others[m + 1], gap):
+                for m in range(other_ends[s] - other_first, other_ends[s + 1] - other_first - 1):
+                    if _sides_come_near(corners, k, others, m, gap):
                         return True
     return False
 
@@ -78,7 +80,7 @@ def _contains(corners, ends, x, y):
     """Whether a point lies within rings, even-odd."""
     inside = False
     for r in range(ends.size - 1):
-        for k in range(ends[r], ends[r + 1] - 1):
+        for k in range(ends[r] - ends[0], ends[r + 1] - ends[0] - 1):
             y0, y1 = corners[k, 1], corners[k + 1, 1]
             if (y0 > y) != (y1 > y):
                 x0, x1 = corners[k, 0], corners[k + 1, 0]
@@ -88,29 +90,37 @@ def _contains(corners, ends, x, y):
 
 
 @inlined
-def _sides_come_near(a, b, c, d, gap):
-    """Whether two segments have points no farther apart than a gap."""
+def _sides_come_near(corners, k, others, m, gap):
+    """Whether two segments, from each corner to the next, have points no farther apart than a gap."""
     for axis in range(2):
-        if min(a[axis], b[axis]) > max(c[axis], d[axis]) + gap or min(c[axis], d[axis]) > max(a[axis], b[axis]) + gap:
+        a, b, c, d = corners[k, axis], corners[k + 1, axis], others[m, axis], others[m + 1, axis]
+        if min(a, b) > max(c, d) + gap or min(c, d) > max(a, b) + gap:
             return False
-    one, two = _side(a, b, c) * _side(a, b, d), _side(c, d, a) * _side(c, d, b)
+    one = _side(corners, k, others, m) * _side(corners, k, others, m + 1)
+    two = _side(others, m, corners, k) * _side(others, m, corners, k + 1)
     if one < 0.0 and two < 0.0:
         return True
-    square = min(_square(a, c, d), _square(b, c, d), _square(c, a, b), _square(d, a, b))
-    return square <= gap * gap
+    square = min(_square(others, m, corners, k), _square(others, m, corners, k + 1))
+    return min(square, _square(corners, k, others, m), _square(corners, k, others, m + 1)) <= gap * gap
 
 
 @inner(cache=True)
-def _side(a, b, p):
-    """On which side of the line from a to b a point lies: the sign."""
-    return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
+def _side(ends, a, points, p):
+    """On which side of the line from end a to the next a point lies: the sign."""
+    x, y = ends[a, 0], ends[a, 1]
+    return (ends[a + 1, 0] - x) * (points[p, 1] - y) - (ends[a + 1, 1] - y) * (points[p, 0] - x)
 
 
 @inner(cache=True)
-def _square(p, a, b):
-    """Square of the distance of a point from a segment."""
-    x, y, length = b[0] - a[0], b[1] - a[1], (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2
-    along = 0.0
+def _square(ends, a, points, p):
+    """Square of the distance of a point from the segment from end a to the next."""
+    x, y, px, py = (
+        ends[a + 1, 0] - ends[a, 0],
+        ends[a + 1, 1] - ends[a, 1],
+        points[p, 0] - ends[a, 0],
+        points[p, 1] - ends[a, 1],
+    )
+    along, length = 0.0, x**2 + y**2
     if length > 0.0:
-        along = min(max(((p[0] - a[0]) * x + (p[1] - a[1]) * y) / length, 0.0), 1.0)
-    return (p[0] - a[0] - along * x) ** 2 + (p[1] - a[1] - along * y) ** 2
+        along = min(max((px * x + py * y) / length, 0.0), 1.0)
+    return (px - along * x) ** 2 + (py - along * y) ** 2

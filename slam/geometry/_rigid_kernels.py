@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inlined
+from spplanes._jit import inlined, njit
 
 #: Angles below this, rad, take the series of what else would be nought by nought.
 _SMALL = 1e-5
 
 
-@inlined
+@njit(cache=True)
 def expmap(tangent):
     """The rigid motion (4, 4) of a tangent vector (6,), rad and m."""
     x, y, z = tangent[0], tangent[1], tangent[2]
@@ -24,19 +24,18 @@ def expmap(tangent):
         a, b, c = 1.0 - square / 6.0, 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
     else:
         a, b, c = np.sin(angle) / angle, (1.0 - np.cos(angle)) / square, (angle - np.sin(angle)) / (square * angle)
-    motion, left = np.eye(4), np.eye(3)
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    motion, across = np.zeros((4, 4)), ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
+    motion[3, 3] = 1.0
     for i in range(3):
+        row = across[i]
         for j in range(3):
-            twice = tangent[i] * tangent[j] - (square if i == j else 0.0)
-            motion[i, j] += a * across[i, j] + b * twice
-            left[i, j] += b * across[i, j] + c * twice
-    for i in range(3):
-        motion[i, 3] = left[i, 0] * tangent[3] + left[i, 1] * tangent[4] + left[i, 2] * tangent[5]
+            twice, one = tangent[i] * tangent[j] - (square if i == j else 0.0), 1.0 if i == j else 0.0
+            motion[i, j] = one + (a * row[j] + b * twice)
+            motion[i, 3] += (one + (b * row[j] + c * twice)) * tangent[3 + j]
     return motion
 
 
-@inlined
+@njit(cache=True)
 def logmap(motion):
     """The tangent vector (6,) of a rigid motion (4, 4), turns of up to pi."""
     tangent = np.empty(6)
@@ -47,12 +46,13 @@ def logmap(motion):
     c = 1.0 / 12.0
     if angle >= _SMALL:
         c = (1.0 - 0.5 * angle * np.sin(angle) / (1.0 - np.cos(angle))) / square
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    across = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
     for i in range(3):
+        row = across[i]
         tangent[3 + i] = motion[i, 3]
         for j in range(3):
             twice = tangent[i] * tangent[j] - (square if i == j else 0.0)
-            tangent[3 + i] += (c * twice - 0.5 * across[i, j]) * motion[j, 3]
+            tangent[3 + i] += (c * twice - 0.5 * row[j]) * motion[j, 3]
     return tangent
 
 
@@ -76,3 +76,35 @@ def _log_of_rotation(R, tangent):
     sine = np.sqrt(x * x + y * y + z * z)
     scale = 2.0 / w if sine < _SMALL * w else 2.0 * np.arctan2(sine, w) / sine
     tangent[0], tangent[1], tangent[2] = scale * x, scale * y, scale * z
+
+
+@inlined
+def product(one, other):
+    """The rigid motion (4, 4) of two, one after the other."""
+    result = np.empty((4, 4))
+    for i in range(4):
+        for j in range(4):
+            result[i, j] = 0.0
+            for k in range(4):
+                result[i, j] += one[i, k] * other[k, j]
+    return result
+
+
+@inlined
+def solve_positive(matrix, right, lower):
+    """Solution of a positive definite system, in place of its right side, by Cholesky's factor, written to `lower`."""
+    n = right.size
+    for i in range(n):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= lower[i, k] * lower[j, k]
+            lower[i, j] = np.sqrt(total) if i == j else total / lower[j, j]
+    for i in range(n):
+        for k in range(i):
+            right[i] -= lower[i, k] * right[k]
+        right[i] /= lower[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            right[i] -= lower[k, i] * right[k]
+        right[i] /= lower[i, i]

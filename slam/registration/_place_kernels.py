@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inner, njit
+from spplanes._jit import inlined, inner, njit
 
 WALL = 7
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def innovation(pose, covariance, wall, other):
     """How far `wall` (in a), moved by the pose, is from `other` (in b).
 
@@ -37,7 +37,7 @@ def innovation(pose, covariance, wall, other):
     return turn, shift, v00 + other[2], v01 + other[3], v11 + other[4], overlap, along
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def evidence(pose, covariance, wall, other, density, gate, min_overlap):
     """Log ratio of the shift's density if they are one wall to that of chance; -inf beyond the gate or apart."""
     turn, shift, v00, v01, v11, overlap, along = innovation(pose, covariance, wall, other)
@@ -51,7 +51,7 @@ def evidence(pose, covariance, wall, other, density, gate, min_overlap):
     return -0.5 * error * error / rest - 0.5 * np.log(2.0 * np.pi * rest) - np.log(density)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def score_table(pose, covariance, walls, others, densities, gate, min_overlap):
     """Evidence of every pair, (A, B)."""
     table = np.empty((walls.shape[0], others.shape[0]))
@@ -61,42 +61,62 @@ def score_table(pose, covariance, walls, others, densities, gate, min_overlap):
     return table
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def fit_pose(pose, walls, others, prior):
     """Maximum-likelihood pose of matched walls, rows of `walls` to rows of `others`: (pose, covariance, chi2).
 
     `prior` (3, 3) is information about `pose`; it makes a pose solvable that the walls do not fix.
     """
-    start = pose.copy()
-    zero = np.zeros((3, 3))
-    covariance = zero
-    chi2 = np.inf
-    jacobian = np.zeros((2, 3))
+    start, pose = pose, pose.copy()
+    zero, covariance, normal = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    right, row, chi2 = np.empty(3), np.empty(3), np.inf
     for _ in range(6):
-        normal = prior.copy()
-        right = prior @ (start - pose)
         chi2 = 0.0
+        for a in range(3):
+            right[a] = 0.0
+            for b in range(3):
+                normal[a, b] = prior[a, b]
+                right[a] += prior[a, b] * (start[b] - pose[b])
         for k in range(walls.shape[0]):
             turn, shift, v00, v01, v11, _, _ = innovation(pose, zero, walls[k], others[k])
             alpha = walls[k, 0] + pose[2]
-            jacobian[0, 2] = 1.0
-            jacobian[1, 0], jacobian[1, 1] = np.cos(alpha), np.sin(alpha)
-            jacobian[1, 2] = pose[1] * jacobian[1, 0] - pose[0] * jacobian[1, 1]
-            inverse = np.array(((v11, -v01), (-v01, v00))) / (v00 * v11 - v01 * v01)
-            error = np.array((turn, shift))
-            weighted = jacobian.T @ inverse
-            normal += weighted @ jacobian
-            right += weighted @ error
-            chi2 += error @ inverse @ error
-        covariance = np.ascontiguousarray(np.linalg.inv(normal))  # one layout: all that takes it is compiled once
-        step = covariance @ right
-        pose = pose + step
-        if step @ normal @ step < 1e-8:
+            row[0], row[1] = np.cos(alpha), np.sin(alpha)
+            row[2] = pose[1] * row[0] - pose[0] * row[1]  # of the shift; the turn is one for one
+            det = v00 * v11 - v01 * v01
+            w00, w01, w11 = v11 / det, -v01 / det, v00 / det
+            chi2 += w00 * turn * turn + 2.0 * w01 * turn * shift + w11 * shift * shift
+            for a in range(3):
+                by_turn, by_shift = (w00 if a == 2 else 0.0) + w01 * row[a], (w01 if a == 2 else 0.0) + w11 * row[a]
+                right[a] += by_turn * turn + by_shift * shift
+                normal[a, 2] += by_turn
+                for b in range(3):
+                    normal[a, b] += by_shift * row[b]
+        invert_symmetric(normal, covariance)
+        moved = 0.0
+        for a in range(3):
+            step = covariance[a, 0] * right[0] + covariance[a, 1] * right[1] + covariance[a, 2] * right[2]
+            pose[a] += step
+            moved += step * right[a]  # = step @ normal @ step
+        if moved < 1e-8:
             break
     return pose, covariance, chi2
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
+def invert_symmetric(matrix, inverse):
+    """Write the inverse of a symmetric 3x3 matrix, by cofactors."""
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        for d in range(3):
+            e, f = (d + 1) % 3, (d + 2) % 3
+            inverse[d, a] = matrix[b, e] * matrix[c, f] - matrix[b, f] * matrix[c, e]
+    det = matrix[0, 0] * inverse[0, 0] + matrix[0, 1] * inverse[1, 0] + matrix[0, 2] * inverse[2, 0]
+    for a in range(3):
+        for b in range(3):
+            inverse[a, b] /= det
+
+
+@njit(cache=True)
 def rank_hypotheses(walls, others, densities, pairs, max_hypotheses, prior, gate, angle_gate, min_sine, min_overlap):
     """Poses from two walls in different directions each, and the evidence all other walls give them.
 
@@ -105,40 +125,49 @@ def rank_hypotheses(walls, others, densities, pairs, max_hypotheses, prior, gate
     """
     members = np.empty((max_hypotheses, 2), dtype=np.int64)
     poses = np.empty((max_hypotheses, 3))
-    scores = np.empty(max_hypotheses)
-    count = 0
+    scores, start = np.empty(max_hypotheses), np.empty(3)
+    chosen, targets, count = np.empty((2, WALL)), np.empty((2, WALL)), 0
     for second in range(pairs.shape[0]):
         for first in range(second):
-            i, j = pairs[first]
-            k, m = pairs[second]
+            i, j, k, m = pairs[first, 0], pairs[first, 1], pairs[second, 0], pairs[second, 1]
             a, b, c, d = walls[i], others[j], walls[k], others[m]
             twist = (d[0] - c[0] - b[0] + a[0] + np.pi) % (2.0 * np.pi) - np.pi
             if i == k or j == m or abs(np.sin(a[0] - c[0])) < min_sine:
                 continue
             if twist * twist > angle_gate * (a[2] + b[2] + c[2] + d[2]):
                 continue
-            theta = b[0] - a[0]
-            start = np.array((0.0, 0.0, (theta + np.pi) % (2.0 * np.pi) - np.pi))
+            start[2] = (b[0] - a[0] + np.pi) % (2.0 * np.pi) - np.pi
             sine = np.sin(d[0] - b[0])
             p, q = b[1] - a[1], d[1] - c[1]
             start[0] = (p * np.sin(d[0]) - q * np.sin(b[0])) / sine
             start[1] = (q * np.cos(b[0]) - p * np.cos(d[0])) / sine
-            chosen, targets = np.stack((a, c)), np.stack((b, d))
+            for n in range(WALL):
+                chosen[0, n], chosen[1, n], targets[0, n], targets[1, n] = a[n], c[n], b[n], d[n]
             pose, covariance, _ = fit_pose(start, chosen, targets, prior)
-            if evidence(pose, covariance, a, b, 1.0, gate, min_overlap) == -np.inf:
-                continue
-            if evidence(pose, covariance, c, d, 1.0, gate, min_overlap) == -np.inf:
+            told = 0.0
+            for n in range(2):
+                told += evidence(pose, covariance, chosen[n], targets[n], 1.0, gate, min_overlap)
+            if told == -np.inf:
                 continue
             table = score_table(pose, covariance, walls, others, densities, gate, min_overlap)
-            table[i], table[k] = -np.inf, -np.inf
-            table[:, j] = -np.inf
-            table[:, m] = -np.inf
-            total = 0.0
-            for row in range(table.shape[0]):
-                total += max(0.0, table[row].max())
             members[count, 0], members[count, 1] = first, second
-            poses[count], scores[count] = pose, total
+            for n in range(3):
+                poses[count, n] = pose[n]
+            scores[count] = best_of_others(table, i, j, k, m)
             count += 1
             if count == max_hypotheses:
                 return members, poses, scores
     return members[:count], poses[:count], scores[:count]
+
+
+@inlined
+def best_of_others(table, i, j, k, m):
+    """Sum of the best evidence of every wall but i and k, with walls other than j and m, where it is for the pose."""
+    total = 0.0
+    for row in range(table.shape[0]):
+        best = 0.0
+        for column in range(table.shape[1]):
+            if row != i and row != k and column != j and column != m:
+                best = max(best, table[row, column])
+        total += best
+    return total

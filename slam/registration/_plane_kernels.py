@@ -18,7 +18,11 @@ def near_rotations(frames, angles, others, other_angles, tolerance, least_trace)
     Returns:
         rotations (K, 3, 3) and their traces (K,), one frame after the other.
     """
-    pairs, traces, count = np.empty((angles.size * other_angles.size, 2), np.int64), np.empty(16), 0
+    pairs, traces, count = (
+        np.empty((angles.size * other_angles.size, 2), np.int64),
+        np.empty(angles.size * other_angles.size),
+        0,
+    )
     for a in range(angles.size):
         for b in range(other_angles.size):
             if abs(angles[a] - other_angles[b]) < tolerance:
@@ -27,13 +31,11 @@ def near_rotations(frames, angles, others, other_angles, tolerance, least_trace)
                     for j in range(3):
                         trace += others[b, i, j] * frames[a, i, j]
                 if trace > least_trace:
-                    if count == traces.size:
-                        traces = np.concatenate((traces, np.empty(count)))
                     pairs[count, 0], pairs[count, 1], traces[count] = a, b, trace
                     count += 1
     rotations = np.empty((count, 3, 3))
     for k in range(count):
-        a, b = pairs[k]
+        a, b = pairs[k, 0], pairs[k, 1]
         for i in range(3):
             for j in range(3):
                 rotations[k, i, j] = (
@@ -76,7 +78,9 @@ def unlike(rotations, trace, most):
                     total += rotations[k, a, b] * chosen[c, a, b]
             alike |= total >= trace
         if not alike:
-            chosen[count] = rotations[k]
+            for a in range(3):
+                for b in range(3):
+                    chosen[count, a, b] = rotations[k, a, b]
             count += 1
     return chosen[:count]
 
@@ -101,7 +105,9 @@ def best_shifts(own, normals, offsets, weights, middles, reaches, strongest, dis
         translations (K, 3), best first, none within half of `distance` of a better one, and the weight each finds (K,),
         K <= BEST.
     """
-    shifts, found, scores, count = np.zeros((BEST, 3)), np.zeros(BEST), np.full(BEST, -np.inf), 0
+    shifts, found, scores, count = np.empty((BEST, 3)), np.empty(BEST), np.empty(BEST), 0
+    for k in range(BEST):
+        scores[k] = -np.inf
     shift, left = np.empty(3), _weight_left(own, weights)
     for a in range(strongest.size):
         for b in range(a + 1, strongest.size):
@@ -129,15 +135,24 @@ def _keep(shift, weight, score, shifts, found, scores, count, apart):
         if square < apart**2 and scores[k] >= score:
             return count
         if square >= apart**2:
-            shifts[kept], found[kept], scores[kept] = shifts[k], found[k], scores[k]
+            _put(shifts, found, scores, kept, shifts[k], found[k], scores[k])
             kept += 1
-    scores[kept:] = -np.inf
+    for k in range(kept, BEST):
+        scores[k] = -np.inf
     k = min(kept, BEST - 1)
     while k > 0 and score > scores[k - 1]:
-        shifts[k], found[k], scores[k] = shifts[k - 1], found[k - 1], scores[k - 1]
+        _put(shifts, found, scores, k, shifts[k - 1], found[k - 1], scores[k - 1])
         k -= 1
-    shifts[k], found[k], scores[k] = shift, weight, score
+    _put(shifts, found, scores, k, shift, weight, score)
     return min(kept + 1, BEST)
+
+
+@inlined
+def _put(shifts, found, scores, k, shift, weight, score):
+    """Write a translation to place k."""
+    for a in range(3):
+        shifts[k, a] = shift[a]
+    found[k], scores[k] = weight, score
 
 
 @inlined
@@ -209,29 +224,32 @@ def partners(motion, mine, theirs, least_cosine, distance, gap):
     frames, bare, corners, ends, of = mine
     others, other_bare, other_corners, other_ends, other_of = theirs
     pairs, count = np.empty((len(frames), 2), np.int64), 0
-    apart = np.empty(len(others))
+    apart, frame = np.empty(len(others)), np.empty((3, 4))
     for i in range(len(frames)):
-        frame = motion @ frames[i]
-        offset = frame[0, 2] * frame[0, 3] + frame[1, 2] * frame[1, 3] + frame[2, 2] * frame[2, 3]
+        offset = 0.0
+        for a in range(3):
+            for b in range(4):
+                frame[a, b] = motion[a, 3] if b == 3 else 0.0
+                for c in range(3):
+                    frame[a, b] += motion[a, c] * frames[i, c, b]
+            offset += frame[a, 2] * frame[a, 3]
         for j in range(len(others)):
-            other, cosine, known = others[j], 0.0, 0.0
+            cosine, known = 0.0, 0.0
             for a in range(3):
-                cosine += frame[a, 2] * other[a, 2]
-                known += other[a, 2] * other[a, 3]
+                cosine += frame[a, 2] * others[j, a, 2]
+                known += others[j, a, 2] * others[j, a, 3]
             apart[j] = abs(offset - known) if cosine > least_cosine else np.inf
         while len(others):
-            j = np.argmin(apart)
+            j = 0
+            for k in range(1, len(others)):
+                j = k if apart[k] < apart[j] else j
             if not apart[j] <= distance:
                 break
             met = bare[i] or other_bare[j]
             if not met:
-                first, last = of[i], of[i + 1]
-                flat = _flattened(corners[ends[first] : ends[last]], frame, others[j])
-                other_first, other_last = other_of[j], other_of[j + 1]
-                there = other_corners[other_ends[other_first] : other_ends[other_last]]
-                rings = ends[first : last + 1] - ends[first]
-                other_rings = other_ends[other_first : other_last + 1] - other_ends[other_first]
-                met = come_near(flat, rings, there, other_rings, gap)
+                rings, other_rings = ends[of[i] : of[i + 1] + 1], other_ends[other_of[j] : other_of[j + 1] + 1]
+                flat = _flattened(corners, rings[0], rings[-1], frame, others[j])
+                met = come_near(flat, rings, other_corners[other_rings[0] : other_rings[-1]], other_rings, gap)
             if met:
                 pairs[count, 0], pairs[count, 1] = i, j
                 count += 1
@@ -241,14 +259,14 @@ def partners(motion, mine, theirs, least_cosine, distance, gap):
 
 
 @inlined
-def _flattened(corners, frame, other):
-    """Corners (C, 2) in a frame, seen along the normal of another one (4, 4), in its (x, y)."""
-    flat = np.empty_like(corners)
-    for k in range(len(corners)):
+def _flattened(corners, first, last, frame, other):
+    """Corners in a frame from first to last, seen along the normal of another one (4, 4), in its (x, y)."""
+    flat = np.empty((last - first, 2))
+    for k in range(last - first):
+        x, y = corners[first + k, 0], corners[first + k, 1]
         for b in range(2):
             total = 0.0
             for a in range(3):
-                place = frame[a, 0] * corners[k, 0] + frame[a, 1] * corners[k, 1] + frame[a, 3]
-                total += other[a, b] * (place - other[a, 3])
+                total += other[a, b] * (frame[a, 0] * x + frame[a, 1] * y + frame[a, 3] - other[a, 3])
             flat[k, b] = total
     return flat

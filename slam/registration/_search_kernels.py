@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inner, njit
+from spplanes._jit import inlined, inner, njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def score_by_heading(
     headings, starts, shifts, cell, points, weight, table, origin, others, other_weight, other_table, other_origin
 ):
@@ -45,7 +45,7 @@ def score_by_heading(
     return result
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def peaks_of(keys, strides, order, scores, prominence):
     """The peak that each cell of a sparse grid belongs to, as the index of its highest cell, shape (N,).
 
@@ -59,14 +59,16 @@ def peaks_of(keys, strides, order, scores, prominence):
         scores: of the cells, shape (N,).
         prominence: in the unit of the scores.
     """
-    parent = np.full(keys.size, -1)
+    parent = np.empty(keys.size, np.int64)
+    for index in range(keys.size):
+        parent[index] = -1
     for index in order:
         parent[index] = index
         for i in range(-1, 2):
             for j in range(-1, 2):
                 for k in range(-1, 2):
                     wanted = keys[index] + i * strides[0] + j * strides[1] + k * strides[2]
-                    place = np.searchsorted(keys, wanted)
+                    place = _place_of(keys, wanted)
                     if place == keys.size or keys[place] != wanted or parent[place] < 0:
                         continue
                     one, other = _top(parent, index), _top(parent, place)
@@ -80,7 +82,20 @@ def peaks_of(keys, strides, order, scores, prominence):
     return parent
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
+def _place_of(keys, wanted):
+    """Where the first key lies that is not below the one wanted."""
+    low, high = 0, keys.size
+    while low < high:
+        middle = (low + high) // 2
+        if keys[middle] < wanted:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@inner(cache=True)
 def _top(parent, index):
     """The highest cell of the peak that a cell has joined."""
     while parent[index] != index:

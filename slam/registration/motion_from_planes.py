@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.geometry._rigid_kernels import expmap, logmap
+from slam.geometry._rigid_kernels import expmap, logmap, product, solve_positive
 from slam.registration._plane_arrays import PlaneArrays
 from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
@@ -51,9 +51,11 @@ def fit_pairs_on(
     apart = np.linalg.norm(seen.middles[i] @ motion[:3, :3].T + motion[:3, 3] - known.middles[j], axis=1)
     scatter = _scatter(seen.covariances[i], _widths(seen)[i], _widths(known)[j], apart, loose * _OFF_M)
     expected = np.diag(1.0 / np.repeat([sigmas[1], sigmas[0]], 3) ** 2)
-    return _solved(
-        np.ascontiguousarray(motion), seen.frames[i], known.normals[j], known.distances[j], scatter, expected
+    weights = np.linalg.inv(scatter)
+    fitted, information = _solved(
+        np.ascontiguousarray(motion), seen.frames[i], known.normals[j], known.distances[j], weights, expected
     )
+    return fitted, np.linalg.inv(information)
 
 
 def _widths(planes: PlaneArrays) -> FloatArray:
@@ -74,47 +76,57 @@ def _scatter(
 
 
 @njit(cache=True)
-def _solved(motion, frames, normals, distances, scatter, expected):
-    """The motion of least squares, shape (4, 4), and its covariance (6, 6)."""
-    weights, information = np.empty_like(scatter), expected.copy()
-    for k in range(len(scatter)):
-        weights[k] = np.linalg.inv(scatter[k])
+def _solved(motion, frames, normals, distances, weights, expected):
+    """The motion of least squares, shape (4, 4), and its information (6, 6) in the last step."""
+    information, lower, told = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
+    off, jacobian, moved = np.empty(3), np.zeros((3, 6)), motion
     for _ in range(_STEPS):
-        off, jacobian = _off(motion, frames, normals, distances)
-        information, told = expected.copy(), expected @ logmap(motion)
+        before = logmap(moved)
+        for a in range(6):
+            told[a] = 0.0
+            for b in range(6):
+                information[a, b] = expected[a, b]
+                told[a] -= expected[a, b] * before[b]
         for k in range(len(frames)):
+            _write_off(moved, frames[k], normals[k], distances[k], off, jacobian)
             chi2 = 0.0
-            for a in range(3):
-                for b in range(3):
-                    chi2 += off[k, a] * weights[k, a, b] * off[k, b]
-            weighted = np.ascontiguousarray(jacobian[k].T) @ (weights[k] / (1.0 + chi2 / _DOUBTFUL))
-            information += weighted @ jacobian[k]
-            told += weighted @ off[k]
-        motion = motion @ expmap(-np.linalg.solve(information, told))
-    return motion, np.linalg.inv(information)
+            for c in range(3):
+                for d in range(3):
+                    chi2 += off[c] * weights[k, c, d] * off[d]
+            for a in range(6):
+                for d in range(3):
+                    weighted = 0.0
+                    for c in range(3):
+                        weighted += jacobian[c, a] * weights[k, c, d]
+                    weighted /= 1.0 + chi2 / _DOUBTFUL
+                    told[a] -= weighted * off[d]
+                    for b in range(6):
+                        information[a, b] += weighted * jacobian[d, b]
+        solve_positive(information, told, lower)
+        moved = product(moved, expmap(told))
+    return moved, information
 
 
 @inlined
-def _off(motion, frames, normals, distances):
-    """How far known planes lie from seen ones, height and two tilts (K, 3), and the derivative (K, 3, 6).
+def _write_off(motion, frame, normal, distance, off, jacobian):
+    """How far a known plane lies from a seen one, height and two tilts (3,), and the derivative (3, 6).
 
     Args:
         motion: known_T_seen, shape (4, 4); the derivative is by its tangent on the right, GTSAM order.
-        frames: of the planes seen, shape (K, 4, 4).
-        normals, distances: of the planes known, shapes (K, 3) and (K,).
+        frame: of the plane seen, shape (4, 4).
+        normal, distance: of the plane known, shape (3,) and number.
+        off, jacobian: where to write.
     """
-    off, jacobian, turned = np.zeros((len(frames), 3)), np.zeros((len(frames), 3, 6)), np.empty(3)
-    for k in range(len(frames)):
-        off[k, 0] = distances[k]
-        for a in range(3):
-            turned[a] = normals[k, 0] * motion[0, a] + normals[k, 1] * motion[1, a] + normals[k, 2] * motion[2, a]
-            off[k, 0] -= normals[k, a] * motion[a, 3] + turned[a] * frames[k, a, 3]
-            off[k, 1] += frames[k, a, 0] * turned[a]
-            off[k, 2] += frames[k, a, 1] * turned[a]
-        for a in range(3):
-            b, c = (a + 1) % 3, (a + 2) % 3
-            jacobian[k, 0, a] = turned[b] * frames[k, c, 3] - turned[c] * frames[k, b, 3]
-            jacobian[k, 1, a] = frames[k, b, 0] * turned[c] - frames[k, c, 0] * turned[b]
-            jacobian[k, 2, a] = frames[k, b, 1] * turned[c] - frames[k, c, 1] * turned[b]
-            jacobian[k, 0, 3 + a] = -turned[a]
-    return off, jacobian
+    turned = np.empty(3)
+    off[0], off[1], off[2] = distance, 0.0, 0.0
+    for a in range(3):
+        turned[a] = normal[0] * motion[0, a] + normal[1] * motion[1, a] + normal[2] * motion[2, a]
+        off[0] -= normal[a] * motion[a, 3] + turned[a] * frame[a, 3]
+        off[1] += frame[a, 0] * turned[a]
+        off[2] += frame[a, 1] * turned[a]
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        jacobian[0, a] = turned[b] * frame[c, 3] - turned[c] * frame[b, 3]
+        jacobian[1, a] = frame[b, 0] * turned[c] - frame[c, 0] * turned[b]
+        jacobian[2, a] = frame[b, 1] * turned[c] - frame[c, 1] * turned[b]
+        jacobian[0, 3 + a] = -turned[a]

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from slam.sensors.mount import Frozen, NotNegative, Positive
 from spplanes._check import FloatArray, as_shape
-from spplanes._jit import njit
+from spplanes._jit import inlined, njit
 
 
 class OdometryNoise(Frozen):
@@ -129,17 +129,35 @@ def _random_covariances(deltas, variances):
 def _compose(deltas, covariances):
     """Whole motion (3,), its covariance (3, 3), and its derivative (3, 2) by scale and curvature."""
     total, covariance, response = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 2))
-    turn, carry, step = np.eye(3), np.eye(3), np.zeros((3, 2))
+    turned, carried = np.zeros((3, 3)), np.empty((3, 3))
     for k in range(len(deltas)):
         c, s = np.cos(total[2]), np.sin(total[2])
-        turn[0, 0], turn[0, 1], turn[1, 0], turn[1, 1] = c, -s, s, c
         dx, dy = deltas[k, 0], deltas[k, 1]
         way = np.sqrt(dx * dx + dy * dy)
-        moved = turn @ deltas[k]
-        carry[0, 2], carry[1, 2] = -moved[1], moved[0]
-        step[0, 0], step[1, 0] = dx, dy
-        step[0, 1], step[1, 1], step[2, 1] = -dy * way / 2.0, dx * way / 2.0, way
-        covariance = carry @ covariance @ carry.T + turn @ covariances[k] @ turn.T
-        response = carry @ response + turn @ step
-        total = total + moved
+        x, y = c * dx - s * dy, s * dx + c * dy
+        _conjugate(covariance, 1.0, 0.0, -y, x, carried)
+        _conjugate(covariances[k], c, s, 0.0, 0.0, turned)
+        for a in range(3):
+            for b in range(3):
+                covariance[a, b] = carried[a, b] + turned[a, b]
+        bend_x, bend_y = -dy * way / 2.0, dx * way / 2.0
+        response[0, 0] += -y * response[2, 0] + x
+        response[1, 0] += x * response[2, 0] + y
+        response[0, 1] += -y * response[2, 1] + c * bend_x - s * bend_y
+        response[1, 1] += x * response[2, 1] + s * bend_x + c * bend_y
+        response[2, 1] += way
+        total[0], total[1], total[2] = total[0] + x, total[1] + y, total[2] + deltas[k, 2]
     return total, covariance, response
+
+
+@inlined
+def _conjugate(covariance, c, s, x, y, result):
+    """Write T C T^T, shape (3, 3), of T = ((c, -s, x), (s, c, y), (0, 0, 1))."""
+    rows = ((c, -s, x), (s, c, y), (0.0, 0.0, 1.0))
+    for a in range(3):
+        u = rows[a]
+        for b in range(3):
+            v, total = rows[b], 0.0
+            for m in range(3):
+                total += u[m] * (covariance[m, 0] * v[0] + covariance[m, 1] * v[1] + covariance[m, 2] * v[2])
+            result[a, b] = total

@@ -95,9 +95,10 @@ def cast_scans(origins, rays, scan_normals, corners, edges_u, edges_v, feet, axe
     """
     n_scans, n_beams = rays.shape[0], rays.shape[1]
     n_rectangles, n_bars = corners.shape[0], feet.shape[0]
-    ranges = np.full((n_scans, n_beams), np.inf)
-    hits = np.full((n_scans, n_beams), NOTHING, dtype=np.int32)
+    ranges, hits = np.empty((n_scans, n_beams)), np.empty((n_scans, n_beams), dtype=np.int32)
     for s in range(n_scans):
+        for b in range(n_beams):
+            ranges[s, b], hits[s, b] = np.inf, NOTHING
         for r in range(n_rectangles):
             if not _crosses(corners[r], edges_u[r], edges_v[r], origins[s], scan_normals[s]):
                 continue

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from spplanes._check import FloatArray
 from spplanes._jit import njit
 
 #: Powers of so many points fit beside each other into the nearest memory.
@@ -22,77 +23,62 @@ def returns_of(points):
     return result[:count]
 
 
-@njit(cache=True)
-def turns_of(points):
+def turns_of(points: FloatArray) -> FloatArray:
     """Cosine of the angle from every point to the next as seen from the origin, shape (N - 1,)."""
-    cosines, before = np.empty(max(points.shape[0] - 1, 0)), 0.0
-    for k in range(points.shape[0]):
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
-        length = np.sqrt(x * x + y * y + z * z)
-        if k > 0:
-            along = x * points[k - 1, 0] + y * points[k - 1, 1] + z * points[k - 1, 2]
-            cosines[k - 1] = min(max(along / (before * length), -1.0), 1.0)
-        before = length
-    return cosines
+    x, y, z = points.T
+    length = np.sqrt(x * x + y * y + z * z)
+    along = x[1:] * x[:-1] + y[1:] * y[:-1] + z[1:] * z[:-1]
+    return np.clip(along / (length[:-1] * length[1:]), -1.0, 1.0)
 
 
-@njit(cache=True)
-def rows_of(elevation, highest, lowest, rows):
+def rows_of(elevation: FloatArray, highest: float, lowest: float, rows: int) -> np.ndarray:
     """Row of every elevation (N,), int32: highest and lowest lie in the middle of the first row and the last."""
-    scale = (rows - 1) / max(highest - lowest, 1e-9)
-    result = np.empty(elevation.shape[0], np.int32)
-    for k in range(result.shape[0]):
-        result[k] = np.int32(np.rint((highest - elevation[k]) * scale))
-    return result
+    return np.rint((highest - elevation) * ((rows - 1) / max(highest - lowest, 1e-9))).astype(np.int32)
+
+
+def phases_of(azimuth: FloatArray, columns: np.ndarray) -> FloatArray:
+    """Where in their column beams lie on average, for every number of columns (C,) in a whole turn, (C,), columns."""
+    return np.arctan2(*_power_sums(azimuth, columns).T[::-1]) / (2.0 * np.pi)
 
 
 @njit(cache=True)
-def phases_of(azimuth, columns):
-    """Where in their column beams lie on average, for every number of columns (C,) in a whole turn, (C,), columns.
+def _power_sums(azimuth, columns):
+    """Sums of e^(i n azimuth), (C, 2), for every number n of columns (C,): of that direction is the average phase.
 
-    With n columns that is the direction of the sum of e^(i n azimuth); the powers come from squares of the first, for a
-    block of points at a time.
+    The powers come from squares of the first, for a block of points at a time.
     """
-    sums = np.zeros((2, columns.shape[0]))
-    bits = int(np.ceil(np.log2(columns.max() + 1.0)))
+    sums, most = np.zeros((columns.shape[0], 2)), 0
+    for count in columns:
+        most = max(most, count)
+    bits = int(np.ceil(np.log2(most + 1.0)))
     square, power = np.empty((bits, 2, _BLOCK)), np.empty((2, _BLOCK))
     for start in range(0, azimuth.shape[0], _BLOCK):
         size = min(_BLOCK, azimuth.shape[0] - start)
         for k in range(size):
             square[0, 0, k], square[0, 1, k] = np.cos(azimuth[start + k]), np.sin(azimuth[start + k])
         for bit in range(1, bits):
-            square[bit] = square[bit - 1]
-            _multiply(square[bit], square[bit - 1], size)
+            for k in range(size):
+                real, imaginary = square[bit - 1, 0, k], square[bit - 1, 1, k]
+                square[bit, 0, k] = real * real - imaginary * imaginary
+                square[bit, 1, k] = real * imaginary + imaginary * real
         for c in range(columns.shape[0]):
-            power[0], power[1] = 1.0, 0.0
+            for k in range(size):
+                power[0, k], power[1, k] = 1.0, 0.0
             for bit in range(bits):
                 if columns[c] >> bit & 1:
-                    _multiply(power, square[bit], size)
+                    for k in range(size):
+                        real = power[0, k] * square[bit, 0, k] - power[1, k] * square[bit, 1, k]
+                        power[1, k] = power[0, k] * square[bit, 1, k] + power[1, k] * square[bit, 0, k]
+                        power[0, k] = real
             for k in range(size):
-                sums[0, c] += power[0, k]
-                sums[1, c] += power[1, k]
-    return np.arctan2(sums[1], sums[0]) / (2.0 * np.pi)
+                sums[c, 0] += power[0, k]
+                sums[c, 1] += power[1, k]
+    return sums
 
 
-@njit(cache=True)
-def _multiply(one, other, size):
-    """Multiply complex numbers (2, N), real and imaginary parts, by others, in place."""
-    for k in range(size):
-        real = one[0, k] * other[0, k] - one[1, k] * other[1, k]
-        one[1, k] = one[0, k] * other[1, k] + one[1, k] * other[0, k]
-        one[0, k] = real
-
-
-@njit(cache=True)
-def columns_of(azimuth, columns, phase):
+def columns_of(azimuth: FloatArray, columns: int, phase: float) -> np.ndarray:
     """Column of every azimuth (N,), rad, of so many in a whole turn, int32: those at the phase lie in the middle."""
-    per_rad, turn = columns / (2.0 * np.pi), np.int32(columns)
-    result = np.empty(azimuth.shape[0], np.int32)
-    for k in range(result.shape[0]):
-        column = np.int32(np.rint(azimuth[k] * per_rad - phase))
-        column += turn if column < 0 else np.int32(0)
-        result[k] = column - (turn if column >= turn else np.int32(0))
-    return result
+    return np.rint(azimuth * (columns / (2.0 * np.pi)) - phase).astype(np.int32) % np.int32(columns)
 
 
 @njit(cache=True)
@@ -107,14 +93,22 @@ def occupied_cells(row, column, rows, columns):
 
 
 @njit(cache=True)
-def nearest_points(points, row, column, rows, columns):
+def nearest(row, column, ranges, rows, cols):
+    """Number of the nearest point of every cell, -1 = none; of equal ranges the first."""
+    index = np.empty((rows, cols), dtype=np.int64)
+    for i in range(rows):
+        for j in range(cols):
+            index[i, j] = -1
+    for k in range(row.shape[0]):
+        best = index[row[k], column[k]]
+        if best < 0 or ranges[k] < ranges[best]:
+            index[row[k], column[k]] = k
+    return index
+
+
+def nearest_points(points: FloatArray, row: np.ndarray, column: np.ndarray, rows: int, columns: int) -> FloatArray:
     """Image (rows, columns, 3) of points (N, 3): of those in one cell the nearest, of equal ones the last."""
-    image, best = np.full((rows, columns, 3), np.nan), np.full((rows, columns), np.inf)
-    for k in range(points.shape[0]):
-        i, j = row[k], column[k]
-        squared = points[k, 0] ** 2 + points[k, 1] ** 2 + points[k, 2] ** 2
-        if squared <= best[i, j]:
-            best[i, j] = squared
-            for c in range(3):
-                image[i, j, c] = points[k, c]
-    return image
+    backwards = points[::-1]
+    x, y, z = backwards.T
+    index = nearest(row[::-1].astype(np.int64), column[::-1].astype(np.int64), x**2 + y**2 + z**2, rows, columns)
+    return np.where((index >= 0)[..., None], backwards[index], np.nan)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inner, njit
+from spplanes._jit import inlined, inner, njit
 from spplanes.fitting._moment_patches import add_run, centre_sums, eigenvalues, normal_of
 from spplanes.moments import ROW_SIZE
 
@@ -14,7 +14,7 @@ LEVELS = 20
 LOCAL = 48
 
 
-@inner(cache=True)
+@inlined
 def octaves(n):
     """Octaves of wavelengths between the extent of n points and of those in which noise is looked for."""
     return max(0.5 * np.log2(n / LOCAL), 0.0)
@@ -123,7 +123,7 @@ def planar_leaves(points, keys, variances, octave, fewest, limits):
     return cells[:count].copy(), rows[:count].copy()
 
 
-@inner(cache=True)
+@inlined
 def is_planar(points, keys, weights, octave, first, last, shift, row, limits):
     """Whether the points of a cell fit one plane and determine it; see `Cells.of`."""
     dof = row[0] - 3.0

@@ -30,13 +30,13 @@ def _misses(grid, lag, closed):
     n_rows, n_columns = grid.shape[:2]
     first = 0 if closed else lag
     width = max(n_columns - 2 * first, 0)
-    missed = np.full((n_rows, width), np.nan)
+    missed = np.empty((n_rows, width))
     ranges = np.empty(n_columns)
     for i in range(n_rows):
         for j in range(n_columns):
             ranges[j] = np.sqrt(grid[i, j, 0] ** 2 + grid[i, j, 1] ** 2 + grid[i, j, 2] ** 2)
         for j in range(width):
-            at = j + first
+            missed[i, j], at = np.nan, j + first
             left, right = (at - lag) % n_columns, (at + lag) % n_columns
             a, b, c = ranges[left], ranges[at], ranges[right]
             if not (max(abs(a - b), abs(c - b)) < _SAME_SURFACE * b):

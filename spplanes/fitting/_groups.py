@@ -75,7 +75,7 @@ def _code(job: FitJob) -> int:
     return _SP if job.method == "sp" else _ML
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _run(groups, code, points, covs, step, order, bounds, eyes, fractions, status, frames, covariances, counts, chi2):
     """Fit group after group."""
     sums = np.zeros(N_SUMS)

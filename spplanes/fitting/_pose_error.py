@@ -38,21 +38,34 @@ def accumulate(points, covariance, labels, planes, anchors, pose_roots, origins,
         running: u of every region, shape (R, 6, 4).
     """
     n_regions = planes.shape[0]
-    moments = np.zeros((n_regions, 4, 6))
+    moments, gain = np.zeros((n_regions, 4, 6)), np.empty((4, 6))
     seen = np.zeros(n_regions, dtype=np.bool_)
     for i in range(labels.shape[0]):
         for j in range(labels.shape[1]):
             r = labels[i, j]
             if r >= 0:
-                if not seen[r]:
-                    moments[r] = 0.0
-                    seen[r] = True
+                seen[r] = True
                 _add(moments, points, covariance, i, j, planes, r, anchors, origins)
         for r in range(n_regions):
             if seen[r]:
-                _close_scan(total[r], running[r], moments[r] @ pose_roots[i])
-            running[r] *= decay
+                _take_gain(moments, r, pose_roots, i, gain)
+                _close_scan(total[r], running[r], gain)
+            for k in range(6):
+                for a in range(4):
+                    running[r, k, a] *= decay
             seen[r] = False
+
+
+@inlined
+def _take_gain(moments, r, pose_roots, i, gain):
+    """Write the moments of a region times the root of a scan, (4, 6), and clear the moments."""
+    for a in range(4):
+        for k in range(6):
+            gain[a, k] = 0.0
+        for m in range(6):
+            for k in range(6):
+                gain[a, k] += moments[r, a, m] * pose_roots[i, m, k]
+            moments[r, a, m] = 0.0
 
 
 @inlined

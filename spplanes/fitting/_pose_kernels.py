@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inner, njit
+from spplanes._jit import inlined, inner, njit
 from spplanes.fitting._sums import FLOOR
 
 
@@ -17,7 +17,7 @@ def lever(v, q, out) -> None:
     out[5] = q[1] * v[2] - q[2] * v[1]
 
 
-@inner(cache=True)
+@inlined
 def add_cross(base, a, b, sign, out) -> None:
     """base + sign a x b, shape (3,); out may be none of them."""
     out[0] = base[0] + sign * (a[1] * b[2] - a[2] * b[1])

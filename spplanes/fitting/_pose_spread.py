@@ -19,7 +19,7 @@ def shared_by_scan(points, pose_covariances, origins):
     return result
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _share_poses(points, pose_covariances, origins, first, last, result):
     """J S J^T of the points in the rows from first to last, J = d p / d (x, y, z, phi, theta, psi), written out."""
     half = np.empty((3, 6))

@@ -82,7 +82,7 @@ def truncated_cost(points, covs, step, order, lo, hi, stride, frame, cutoff2) ->
     return cost
 
 
-@inlined
+@inner(cache=True)
 def consensus_frame(points, covs, step, order, lo, hi, fractions, cutoff2, frame) -> int:
     """Write the frame of the triple whose plane the group agrees with most."""
     n = hi - lo
@@ -118,7 +118,7 @@ def locate(points, covs, step, i, frame) -> tuple[float, float, float]:
     return x, y, z * z / max(variance, FLOOR * trace)
 
 
-@inlined
+@inner(cache=True)
 def patch_points(points, covs, step, order, lo, hi, frame, cutoff2, kept) -> int:
     """Write to ``kept`` the group's points over the patch its inliers fill, at whatever height; returns how many.
 
@@ -154,13 +154,13 @@ def patch_points(points, covs, step, order, lo, hi, frame, cutoff2, kept) -> int
     return size
 
 
-@inner(cache=True)
+@inlined
 def within_patch(x, y, xx, xy, yy) -> bool:
     """Whether (x, y) is within PATCH_SIGMAS of a spread, by its Mahalanobis distance."""
     return yy * x * x - 2.0 * xy * x * y + xx * y * y <= PATCH_SIGMAS * PATCH_SIGMAS * (xx * yy - xy * xy)
 
 
-@inlined
+@inner(cache=True)
 def ring_information(points, covs, step, order, lo, hi, frame, cutoff2, ring) -> None:
     """Add to ``ring`` (6,) the unweighted information, sum w h h^T, of the points between one and two cutoffs off.
 
@@ -183,7 +183,7 @@ def ring_information(points, covs, step, order, lo, hi, frame, cutoff2, ring) ->
         ring[5] += w * y * y
 
 
-@inlined
+@inner(cache=True)
 def discount_outliers(sums, ring, score) -> None:
     """Turn the weights' information in ``sums`` into the curvature of the cost, and write the variance of its score.
 

@@ -4,30 +4,54 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inner
+from spplanes._jit import inlined, inner
 from spplanes.lines._kernels import N_SUMS, fit_sums
 
 #: 99 % quantiles of chi2 with 1, 2, 3 dof: what that many end beams may add to the chi2 of the others.
 END_GATES = np.array((7.88, 10.6, 12.84))
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def drop_borders(breaks, labels, members):
     """Members without those beside a return that is not on the line; all of them when fewer than three would be left.
 
     Such a beam may already be on what joins the two surfaces. Of a door jamb hit by one beam within its noise of the
     wall no residual tells, yet at the end of the line it turns it.
     """
-    inner = np.empty(members.size, dtype=np.bool_)
-    for i, k in enumerate(members):
+    kept, count = np.empty(members.size, dtype=np.int64), 0
+    for k in members:
         after = (k + 1) % labels.size
         begins = breaks[k] < 2 and labels[k - 1] != labels[k]
         ends = breaks[after] < 2 and labels[after] != labels[k]
-        inner[i] = not (begins or ends)
-    return members[inner] if inner.sum() >= 3 else members
+        if not (begins or ends):
+            kept[count] = k
+            count += 1
+    return kept[:count] if count >= 3 else members
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
+def decided(members, undecided):
+    """Members without the undecided ones."""
+    kept, count = np.empty(members.size, dtype=np.int64), 0
+    for k in members:
+        if not undecided[k]:
+            kept[count] = k
+            count += 1
+    return kept[:count]
+
+
+@inlined
+def between(members, first, last):
+    """Members, which ascend, from the first beam to the last."""
+    low, high = 0, members.size
+    while low < high and members[low] < first:
+        low += 1
+    while high > low and members[high - 1] > last:
+        high -= 1
+    return members[low:high]
+
+
+@inner(cache=True)
 def drop_doubtful_ends(moments, members):
     """Members without the few beams at each end that the others contradict: those of a surface just beyond."""
     low, high = 0, members.size
@@ -48,14 +72,14 @@ def drop_doubtful_ends(moments, members):
     return members[low:high]
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def start_line(moments, members):
     """The line of the inverse-range fit, as `fit_beams` returns it."""
     u, v, chi2 = fit_sums(sum_of(moments, members))
     return np.arctan2(v, u), 1.0 / np.hypot(u, v), 0.0, 0.0, 0.0, chi2
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def sum_of(moments, members):
     """The six sums of some beams."""
     total = np.zeros(N_SUMS)

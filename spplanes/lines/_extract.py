@@ -1,13 +1,16 @@
-"""The kernel behind `spplanes.extract_lines`: from ordered returns to lines and the beams that support them."""
+"""The kernels behind `spplanes.extract_lines`: from ordered returns to lines and the beams that support them."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from spplanes._jit import inner, njit
-from spplanes.lines._core import drop_borders, drop_doubtful_ends, start_line
-from spplanes.lines._fit import fit_beams, grow, line_sigmas, trim, turning
+from spplanes._jit import inlined, inner, njit
+from spplanes.lines._core import between, decided, drop_borders, drop_doubtful_ends, start_line
+from spplanes.lines._fit import fit_beams, grow, line_sigmas, relabel, trim, turning
 from spplanes.lines._kernels import (
+    N_SUMS,
     beam_moments,
     find_breaks,
     order_beams,
@@ -22,28 +25,75 @@ from spplanes.lines._round import find_round
 N_RESULT = 12
 
 
-@inner(cache=True, error_model="numpy")
-def label_beams(
-    bearings, cosines, sines, ranges, sigmas, moments, breaks, max_missing, max_step, flatness, significance,
-    max_turning,
-):  # fmt: skip
-    """Split, take out what is round, merge: label of each return (V,), whether it is undecided (V,), label count."""
-    starts, undecided = refine(moments, breaks, split(moments, breaks, significance), significance)
-    arc = 0.5 * max_turning
-    is_round = find_round(bearings, cosines, sines, ranges, sigmas, moments, breaks, starts, significance, arc)
-    gate = -2.0 * np.log(significance)
-    labels, n_labels = merge(bearings, ranges, sigmas, moments, starts, is_round, max_missing, max_step, flatness, gate)
-    return labels, undecided, n_labels
+#: Rows of an ordered scan: bearing, cosine, sine, range, its standard deviation without that of the bearing, with it.
+BEARING, COSINE, SINE, RANGE, SIGMA, SLOPE_SIGMA, N_ROWS = range(7)
 
 
-@inner(cache=True, error_model="numpy")
+@njit(cache=True)
+def order_scan(ranges, angles, sigmas, bearing_sigma, range_min, range_max, max_missing, gate):
+    """Returns in order: beams (V,), their rows (N_ROWS, V), moments, breaks (V,); the widest gap, the largest step."""
+    beams, widest, step = order_beams(ranges, angles, range_min, range_max)
+    rows = np.empty((N_ROWS, beams.size))
+    for k in range(beams.size):
+        beam = beams[k]
+        rows[BEARING, k], rows[RANGE, k], rows[SIGMA, k] = angles[beam], ranges[beam], sigmas[beam]
+        rows[COSINE, k], rows[SINE, k] = np.cos(angles[beam]), np.sin(angles[beam])
+    slope_sigmas(rows[BEARING], rows[RANGE], rows[SIGMA], bearing_sigma, rows[SLOPE_SIGMA])
+    moments = beam_moments(rows[COSINE], rows[SINE], rows[RANGE], rows[SLOPE_SIGMA])
+    max_step = (max_missing + 1.5) * step
+    return (
+        beams,
+        rows,
+        moments,
+        find_breaks(rows[BEARING], rows[RANGE], rows[SLOPE_SIGMA], max_step, gate),
+        widest,
+        max_step,
+    )
+
+
+@njit(cache=True)
+def label_scan(beams, scan, moments, breaks, widest, max_missing, max_step, flatness, significance, max_turning):
+    """Label the returns: beams, scan, breaks in order, labels (V,), undecided (V,), number of labels."""
+    arc, gate, cut = 0.5 * max_turning, -2.0 * np.log(significance), 0
+    while True:
+        bearings, ranges, sigmas = scan[BEARING], scan[RANGE], scan[SLOPE_SIGMA]
+        starts, undecided = refine(moments, breaks, split(moments, breaks, significance), significance)
+        is_round = find_round(
+            bearings, scan[COSINE], scan[SINE], ranges, sigmas, moments, breaks, starts, significance, arc
+        )
+        labels, n_labels = merge(
+            bearings, ranges, sigmas, moments, starts, is_round, max_missing, max_step, flatness, gate
+        )
+        if cut == 0 and widest <= max_step:
+            cut = ring_start(labels, n_labels)
+            if cut > 0:
+                beams, scan, moments, breaks = turned(beams, scan, moments, breaks, cut)
+                continue
+        return beams, scan, breaks, labels, undecided, n_labels
+
+
+@inlined
+def turned(beams, scan, moments, breaks, cut):
+    """The same returns, the one at the cut first."""
+    order, rows, sums, gaps = np.empty_like(beams), np.empty_like(scan), np.empty_like(moments), np.empty_like(breaks)
+    for k in range(beams.size):
+        old = k + cut if k + cut < beams.size else k + cut - beams.size
+        order[k], gaps[k] = beams[old], breaks[old]
+        for i in range(N_ROWS):
+            rows[i, k] = scan[i, old]
+        for i in range(N_SUMS):
+            sums[k, i] = moments[old, i]
+    return order, rows, sums, gaps
+
+
+@inlined
 def ring_start(labels, count):
     """Where a closed ring can be cut without cutting a line: the first beam of one that no other bridges; else 0."""
-    first = np.full(count, labels.size)
-    last = np.full(count, -1)
+    first, last = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     for k in range(labels.size):
+        if labels[labels.size - 1 - k] >= 0:
+            first[labels[labels.size - 1 - k]] = labels.size - 1 - k
         if labels[k] >= 0:
-            first[labels[k]] = min(first[labels[k]], k)
             last[labels[k]] = k
     for i in range(1, count):
         bridged = False
@@ -54,7 +104,7 @@ def ring_start(labels, count):
     return 0
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def fit_label(
     bearings, cosines, sines, ranges, sigmas, moments, bearing_sigma, breaks, undecided, labels, members, gate
 ):  # fmt: skip
@@ -63,32 +113,31 @@ def fit_label(
     Decided beams beside another surface are on the line but not in the fit.
     """
     label = labels[members[0]]
-    core = members[~undecided[members]]
-    core = drop_doubtful_ends(moments, core)
+    core = drop_doubtful_ends(moments, decided(members, undecided))
     n_borders = core.size
     core = drop_borders(breaks, labels, core)
     n_borders -= core.size
     line = start_line(moments, core)
     if bearing_sigma > 0.0:
-        sigmas = line_sigmas(bearings, sigmas, np.arange(bearings.size), line[0], line[1], bearing_sigma)
+        sigmas = line_sigmas(bearings, sigmas, line[0], line[1], bearing_sigma)
     for _ in range(2):
         if core.size < 3:
             break
         line = fit_beams(cosines, sines, ranges, sigmas, core, line[0], line[1])
         if not np.isfinite(line[5]):
             break
-        labels[members] = -1
+        relabel(labels, members, -1)
         members = trim(bearings, ranges, sigmas, members, line, gate)
         n_before = core.size
-        core = core[(core >= members[0]) & (core <= members[-1])]
+        core = between(core, members[0], members[-1])
         members = grow(bearings, ranges, sigmas, breaks, labels, members, line, gate)
-        labels[members] = label
+        relabel(labels, members, label)
         if core.size == n_before:
             break
     return line, members, core.size + n_borders, core.size
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def members_of(labels, count):
     """The beams of each label, one label after the other, and where those of each begin (count + 1,)."""
     begins = np.zeros(count + 1, dtype=np.int64)
@@ -105,7 +154,7 @@ def members_of(labels, count):
     return members, begins
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def is_line(
     bearings, cosines, sines, ranges, sigmas, members, n_decided, n_fitted, line, min_points, max_turning,
     max_curvature, max_misfit,
@@ -120,32 +169,6 @@ def is_line(
     return abs(arc) + 3.0 * arc_sigma < max_turning
 
 
-@inner(cache=True, error_model="numpy")
-def label_scan(
-    ranges, angles, cosines, sines, sigmas, bearing_sigma, flatness, range_min, range_max, max_missing, significance,
-    max_turning,
-):  # fmt: skip
-    """Order and label the returns: beams (V,), breaks (V,), labels (V,), undecided (V,), number of labels."""
-    beams, widest, step = order_beams(ranges, angles, range_min, range_max)
-    max_step = (max_missing + 1.5) * step
-    s = slope_sigmas(angles[beams], ranges[beams], sigmas[beams], bearing_sigma)
-    moments = beam_moments(cosines[beams], sines[beams], ranges[beams], s)
-    breaks = find_breaks(angles[beams], ranges[beams], s, max_step, -2.0 * np.log(significance))
-    n_cuts = 0
-    while True:
-        labels, undecided, n_labels = label_beams(
-            angles[beams], cosines[beams], sines[beams], ranges[beams], s, moments, breaks, max_missing, max_step,
-            flatness, significance, max_turning,
-        )  # fmt: skip
-        cut = ring_start(labels, n_labels)
-        if n_cuts == 1 or widest > max_step or cut == 0:
-            return beams, breaks, labels, undecided, n_labels
-        turned = np.concatenate((np.arange(cut, beams.size), np.arange(cut)))
-        beams, s, moments, breaks = beams[turned], s[turned], moments[turned], breaks[turned]
-        n_cuts += 1
-
-
-@njit(cache=True, error_model="numpy")
 def extract(
     ranges,
     angles,
@@ -162,37 +185,50 @@ def extract(
     max_misfit,
 ):
     """Lines of one scan: rows (M, 12) as N_RESULT says, the beams on them one line after the other, their counts."""
-    cosines, sines = np.cos(angles), np.sin(angles)
-    beams, breaks, labels, undecided, n_labels = label_scan(
-        ranges, angles, cosines, sines, sigmas, bearing_sigma, flatness, range_min, range_max, max_missing,
-        significance, max_turning,
+    gate = -2.0 * math.log(significance)
+    beams, scan, moments, breaks, widest, max_step = order_scan(
+        ranges, angles, sigmas, bearing_sigma, range_min, range_max, max_missing, gate
+    )
+    beams, scan, breaks, labels, undecided, n_labels = label_scan(
+        beams, scan, moments, breaks, widest, max_missing, max_step, flatness, significance, max_turning
+    )
+    return fit_labels(
+        beams, scan, breaks, labels, undecided, n_labels, bearing_sigma, flatness, gate, min_points, max_turning,
+        max_curvature, max_misfit,
     )  # fmt: skip
-    a, r, s = angles[beams], ranges[beams], sigmas[beams]
-    cosines, sines = cosines[beams], sines[beams]
+
+
+@njit(cache=True)
+def fit_labels(
+    beams, scan, breaks, labels, undecided, n_labels, bearing_sigma, flatness, gate, min_points, max_turning,
+    max_curvature, max_misfit,
+):  # fmt: skip
+    """The line of every label that is one: see `extract`."""
+    a, cosines, sines, r, s = scan[BEARING], scan[COSINE], scan[SINE], scan[RANGE], scan[SIGMA]
     moments = beam_moments(cosines, sines, r, s)
     of_labels, begins = members_of(labels, n_labels)
-    rows = np.empty((n_labels, N_RESULT))
-    support = np.empty(beams.size, dtype=np.int64)
-    counts = np.zeros(n_labels, dtype=np.int64)
+    rows, support = np.empty((n_labels, N_RESULT)), np.empty(beams.size, dtype=np.int64)
+    counts = np.empty(n_labels, dtype=np.int64)
     n_lines = n_support = 0
     for label in range(n_labels):
         line, members, n_decided, n_fitted = fit_label(
             a, cosines, sines, r, s, moments, bearing_sigma, breaks, undecided, labels,
-            of_labels[begins[label] : begins[label + 1]], -2.0 * np.log(significance),
+            of_labels[begins[label] : begins[label + 1]], gate,
         )  # fmt: skip
         if is_line(
             a, cosines, sines, r, s, members, n_decided, n_fitted, line, min_points, max_turning, max_curvature,
             max_misfit,
         ):  # fmt: skip
             write_row(rows[n_lines], line, n_fitted - 2, a[members[0]], a[members[-1]], flatness)
-            support[n_support : n_support + members.size] = beams[members]
+            for k in members:
+                support[n_support] = beams[k]
+                n_support += 1
             counts[n_lines] = members.size
-            n_support += members.size
             n_lines += 1
     return rows[:n_lines], support[:n_support], counts[:n_lines]
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def write_row(row, line, dof, first, last, flatness):
     """Fill a result row; the end points are where the first and the last beam meet the line."""
     alpha, rho, v_alpha, cov, v_rho, chi2 = line

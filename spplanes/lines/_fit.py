@@ -33,7 +33,7 @@ def normal_equations(cosines, sines, ranges, sigmas, members, alpha, rho):
     return i00, i01, i11, g0, g1, chi2
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def fit_beams(cosines, sines, ranges, sigmas, members, alpha, rho):
     """Gauss-Newton from (alpha, rho): (alpha, rho, var alpha, cov, var rho, chi2); chi2 = inf: it did not converge."""
     for _ in range(MAX_STEPS):
@@ -50,17 +50,17 @@ def fit_beams(cosines, sines, ranges, sigmas, members, alpha, rho):
     return alpha, rho, 0.0, 0.0, 0.0, np.inf
 
 
-@inner(cache=True, error_model="numpy")
-def line_sigmas(bearings, sigmas, members, alpha, rho, bearing_sigma):
-    """`sigmas` with the bearing noise of the members in them: the range of the line changes by rho sin / cos^2."""
-    result = sigmas.copy()
-    for k in members:
+@inlined
+def line_sigmas(bearings, sigmas, alpha, rho, bearing_sigma):
+    """`sigmas` with the bearing noise in them: the range of the line changes by rho sin / cos^2."""
+    result = np.empty(sigmas.size)
+    for k in range(sigmas.size):
         c, s = np.cos(bearings[k] - alpha), np.sin(bearings[k] - alpha)
         result[k] = np.hypot(sigmas[k], bearing_sigma * rho * s / (c * c))
     return result
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def belongs(bearing, r, sigma, line, gate):
     """True when a beam next to the line is on it: chi2 under `gate`, where the line predicts its range well."""
     alpha, rho, v00, v01, v11, _ = line
@@ -72,7 +72,7 @@ def belongs(bearing, r, sigma, line, gate):
     return variance < MAX_PREDICTION * sigma * sigma and (r - rho / c) ** 2 < gate * variance
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def trim(bearings, ranges, sigmas, members, line, gate):
     """Members without the end beams that do not belong to the line."""
     low, high = 0, members.size
@@ -83,13 +83,13 @@ def trim(bearings, ranges, sigmas, members, line, gate):
     return members[low:high]
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def misses(bearings, ranges, sigmas, k, line, gate):
     """True when beam k, already on the line, is farther from it than its noise allows."""
     return (ranges[k] - line[1] / np.cos(bearings[k] - line[0])) ** 2 > gate * sigmas[k] ** 2
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def grow(bearings, ranges, sigmas, breaks, labels, members, line, gate):
     """Members with the free beams next to both ends that belong to the line."""
     low, high = members[0], members[-1] + 1
@@ -101,7 +101,22 @@ def grow(bearings, ranges, sigmas, breaks, labels, members, line, gate):
         if not belongs(bearings[high], ranges[high], sigmas[high], line, gate):
             break
         high += 1
-    return np.concatenate((np.arange(low, members[0]), members, np.arange(members[-1] + 1, high)))
+    before, after = members[0] - low, high - members[-1] - 1
+    grown = np.empty(before + members.size + after, dtype=np.int64)
+    for k in range(before):
+        grown[k] = low + k
+    for k in range(members.size):
+        grown[before + k] = members[k]
+    for k in range(after):
+        grown[grown.size - after + k] = high - after + k
+    return grown
+
+
+@inlined
+def relabel(labels, members, label):
+    """Give beams a label, in place."""
+    for k in members:
+        labels[k] = label
 
 
 @inlined

@@ -21,54 +21,114 @@ PARAMETER_COST = 4.0
 UNDECIDED = 6.0
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def full_turn(angle):
     """The same angle in [0, 2 pi); of most it is seen without a division."""
     return angle if 0.0 <= angle < 2.0 * np.pi else angle % (2.0 * np.pi)
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def order_beams(ranges, angles, range_min, range_max):
     """Indices of the returns in order of bearing, from the widest gap on (V,); that gap and the median step, rad."""
     n = angles.size
-    turn, order, ordered = np.empty(n), np.arange(n), True
+    turn = np.empty(n)
     for k in range(n):
         turn[k] = full_turn(angles[k] - angles[0])
-        ordered &= k == 0 or not turn[k] - turn[k - 1] < 0.0
-    if not ordered:
-        order = np.argsort(turn, kind="mergesort")
-    steps = np.empty(n)
-    for k in range(n - 1):
-        steps[k] = turn[order[k + 1]] - turn[order[k]]
-    steps[n - 1] = turn[order[0]] + 2.0 * np.pi - turn[order[n - 1]]
-    widest = np.argmax(steps)
-    valid = np.empty(n, dtype=np.int64)
-    count = 0
+    order = sorted_order(turn)
+    steps, widest = np.empty(n), 0
+    for k in range(n):
+        end = turn[order[k + 1]] if k + 1 < n else turn[order[0]] + 2.0 * np.pi
+        steps[k] = end - turn[order[k]]
+        if steps[k] > steps[widest]:
+            widest = k
+    gap = steps[widest]
+    valid, count = np.empty(n, dtype=np.int64), 0
     for k in range(widest + 1, widest + 1 + n):
         beam = order[k if k < n else k - n]
         if range_min < ranges[beam] < range_max:
             valid[count] = beam
             count += 1
-    return valid[:count], steps[widest], np.median(steps)
+    return valid[:count], gap, median(steps)
 
 
-@inner(cache=True, error_model="numpy")
-def slope_sigmas(bearings, ranges, sigmas, bearing_sigma):
+@inlined
+def sorted_order(keys):
+    """Indices of keys in ascending order, stable: runs are merged to twice their length until one is left."""
+    n = keys.size
+    order, other = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    ordered = True
+    for k in range(n):
+        order[k] = k
+        ordered &= k == 0 or not keys[k] < keys[k - 1]
+    width = n if ordered else 1
+    while width < n:
+        for low in range(0, n, 2 * width):
+            middle, high = min(low + width, n), min(low + 2 * width, n)
+            i, j = low, middle
+            for k in range(low, high):
+                if i < middle and (j == high or not keys[order[j]] < keys[order[i]]):
+                    other[k] = order[i]
+                    i += 1
+                else:
+                    other[k] = order[j]
+                    j += 1
+        order, other = other, order
+        width *= 2
+    return order
+
+
+@inlined
+def median(values):
+    """Median of values, which change places.
+
+    References:
+        Hoare, "Algorithm 65: find", Communications of the ACM 4, 1961.
+    """
+    middle, low, high = values.size // 2, 0, values.size - 1
+    while low < high:
+        pivot, i, j = values[middle], low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if j < middle:
+            low = i
+        if middle < i:
+            high = j
+    if values.size % 2 == 1:
+        return values[middle]
+    below = values[0]
+    for k in range(1, middle):
+        below = max(below, values[k])
+    return 0.5 * (below + values[middle])
+
+
+@inlined
+def slope_sigmas(bearings, ranges, sigmas, bearing_sigma, result):
     """Range noise with the bearing noise in it, (V,): times the slope dr/da, at a jump that of the flatter side."""
     n = bearings.size
-    if bearing_sigma == 0.0:
-        return sigmas
-    slopes = np.empty(n)
+    first = last = 0.0  # slopes before and after a beam
     for k in range(n):
-        step = full_turn(bearings[k] - bearings[k - 1])
-        slopes[k] = abs(ranges[k] - ranges[k - 1]) / max(step, 1e-9)
-    result = np.empty(n)
-    for k in range(n):
-        result[k] = np.hypot(sigmas[k], bearing_sigma * min(slopes[k], slopes[(k + 1) % n]))
-    return result
+        if bearing_sigma == 0.0:
+            result[k] = sigmas[k]
+            continue
+        first = slope_at(bearings, ranges, k) if k == 0 else last
+        last = slope_at(bearings, ranges, (k + 1) % n)
+        result[k] = np.hypot(sigmas[k], bearing_sigma * min(first, last))
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
+def slope_at(bearings, ranges, k):
+    """Slope dr/da from the beam before to beam k."""
+    return abs(ranges[k] - ranges[k - 1]) / max(full_turn(bearings[k] - bearings[k - 1]), 1e-9)
+
+
+@inner(cache=True)
 def beam_moments(cosines, sines, ranges, sigmas):
     """Share of every beam in the six sums (V, 6): w cc, w cs, w ss, w cq, w sq, w qq; q = 1/r, w = r^4 / sigma^2."""
     moments = np.empty((ranges.size, N_SUMS))
@@ -84,7 +144,7 @@ def beam_moments(cosines, sines, ranges, sigmas):
     return moments
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def fit_of(cc, cs, ss, cq, sq, qq):
     """(u, v, chi2) of the best line through beams with these six sums; one bearing only: the best perpendicular."""
     det = cc * ss - cs * cs
@@ -96,13 +156,13 @@ def fit_of(cc, cs, ss, cq, sq, qq):
     return u, v, max(0.0, qq - u * cq - v * sq)
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def fit_sums(m):
     """`fit_of` the six sums in an array."""
     return fit_of(m[0], m[1], m[2], m[3], m[4], m[5])
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def sum_range(moments, low, high):
     """The six sums of the beams low..high-1."""
     total = np.zeros(N_SUMS)
@@ -129,7 +189,7 @@ def triple_fails(bearings, ranges, sigmas, sines, i, j, k, gate):
     return error * error > gate * variance
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def find_breaks(bearings, ranges, sigmas, max_step, gate):
     """For each beam the kind of break before it (V,): 0 none, 1 the depth jumps, 2 beams are missing; closed ring."""
     n = bearings.size
@@ -148,7 +208,7 @@ def find_breaks(bearings, ranges, sigmas, max_step, gate):
     return breaks
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def best_split(moments, low, high, cost):
     """Where two lines explain low..high-1 best: (first beam of the second line, chi2 gained over one line).
 
@@ -172,13 +232,13 @@ def best_split(moments, low, high, cost):
     return at, before + 4.0 * PARAMETER_COST - best
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def split_gate(n, significance):
     """Quantile of chi2 with 2 dof for the best of n places to split (Bonferroni)."""
     return -2.0 * np.log(significance / n)
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def split(moments, breaks, significance):
     """Cut the sequence into pieces that no further cut improves significantly: the first beam of each, (M + 1,)."""
     n = moments.shape[0]
@@ -203,10 +263,15 @@ def split(moments, breaks, significance):
                     stack[depth + 1, 0], stack[depth + 1, 1] = at, b
                     depth += 2
             low = k
-    return np.nonzero(is_start)[0]
+    starts, count = np.empty(n + 1, dtype=np.int64), 0
+    for k in range(n + 1):
+        if is_start[k]:
+            starts[count] = k
+            count += 1
+    return starts[:count]
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def refine(moments, breaks, starts, significance):
     """Move the boundary of neighbouring pieces to where it is best; drop it when it gains too little.
 
@@ -238,4 +303,5 @@ def mark_undecided(cost, low, high, at, undecided):
         first -= 1
     while last + 1 <= high - 3 and cost[last + 1] < cost[at] + UNDECIDED:
         last += 1
-    undecided[first:last] = True
+    for k in range(first, last):
+        undecided[k] = True

@@ -8,7 +8,7 @@ from spplanes._jit import inlined, inner
 from spplanes.lines._kernels import N_SUMS, fit_sums, sum_range
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def add_flatness(alpha, rho, v_alpha, cov, v_rho, first, last, flatness):
     """Entries of the covariance of (alpha, rho) for a wall straight to `flatness` (rms) from bearing first to last.
 
@@ -20,7 +20,7 @@ def add_flatness(alpha, rho, v_alpha, cov, v_rho, first, last, flatness):
     return v_alpha + turn, cov + middle * turn, v_rho + flatness * flatness + middle * middle * turn
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def polar_of_sums(m, first, last, flatness):
     """(alpha, rho, var alpha, cov, var rho) of the beams whose sums are `m`, the flatness of the wall in it."""
     u, v, _ = fit_sums(m)
@@ -67,16 +67,24 @@ def may_bridge(bearings, ranges, sigmas, u, v, pieces, i, j, max_through, max_st
     return t[2] - t[1] <= t[1] - t[0] + t[3] - t[2] or step <= max_step
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
+def label_run(labels, low, high, label):
+    """Give the beams low..high-1 a label, in place."""
+    for k in range(low, high):
+        labels[k] = label
+
+
+@inner(cache=True)
 def merge(bearings, ranges, sigmas, moments, starts, is_round, max_through, max_step, flatness, gate):
     """Join pieces that are one line (chi2 with 2 dof): the label of each beam (V,), -1 for pieces under 3 beams."""
     n_pieces = starts.size - 1
     pieces = np.empty((n_pieces, 2), dtype=np.int64)
     sums, both = np.zeros((n_pieces, N_SUMS)), np.empty(N_SUMS)
-    labels = np.full(moments.shape[0], -1, dtype=np.int64)
+    labels = np.empty(moments.shape[0], dtype=np.int64)
     count = 0
     for i in range(n_pieces):
         if starts[i + 1] - starts[i] < 3 or is_round[starts[i]]:
+            label_run(labels, starts[i], starts[i + 1], -1)
             continue
         new = sum_range(moments, starts[i], starts[i + 1])
         pieces[count, 0], pieces[count, 1] = starts[i], starts[i + 1]
@@ -91,7 +99,7 @@ def merge(bearings, ranges, sigmas, moments, starts, is_round, max_through, max_
             if gain <= gate and may_bridge(bearings, ranges, sigmas, u, v, pieces, j, count, max_through, max_step):
                 target = j
                 break
-        labels[starts[i] : starts[i + 1]] = target
+        label_run(labels, starts[i], starts[i + 1], target)
         if target == count:
             count += 1
         else:

@@ -18,7 +18,7 @@ MIN_COSINE = 0.1
 DAMPING = 1e-9
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def solve_symmetric(a, b, c, d, e, f, x, y, z):
     """Solution of [[a, b, c], [b, d, e], [c, e, f]] p = (x, y, z), and the determinant."""
     m00, m01, m02 = d * f - e * e, c * e - b * f, b * e - c * d
@@ -99,7 +99,7 @@ def bulging_arc(cosines, sines, ranges, sigmas, low, high, chi2_lines):
     return abs((last - first + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-@inner(cache=True, error_model="numpy")
+@inner(cache=True)
 def find_round(bearings, cosines, sines, ranges, sigmas, moments, breaks, starts, significance, min_arc):
     """Whether each beam (V,) is on an arc of at least `min_arc` that explains neighbouring pieces as lines do."""
     result = np.zeros(bearings.size, dtype=np.bool_)
@@ -119,5 +119,6 @@ def find_round(bearings, cosines, sines, ranges, sigmas, moments, breaks, starts
             if arc == 0.0:
                 break
             if arc > min_arc:
-                result[low:high] = True
+                for k in range(low, high):
+                    result[k] = True
     return result

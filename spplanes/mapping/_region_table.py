@@ -157,7 +157,7 @@ class RegionTable:
         result = []
         for k in range(len(kept)):
             mine = order[bounds[0][k] : bounds[1][k]]
-            axis = int(projection_axis(*frames[k][:3, 2]))
+            axis = projection_axis(*frames[k][:3, 2])
             own = outline.in_projection(cells[mine], self.axis[drawn_for[mine]], axis, side, frames[k])
             polygon = outline.outline_from_cells(own, side, axis, frames[k])
             half = np.sqrt(3.0 * spreads[k, 1:] / rows[k, 1])

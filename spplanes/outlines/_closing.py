@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inlined, inner
+from spplanes._jit import inlined, inner, njit
 
 #: Parts of one region that lie apart are bridged by closing the raster with up to this many cells.
 BRIDGES = (1, 2, 4, 8, 16)
 
 
-@inlined
-def one_part(filled):
+def one_part(filled: np.ndarray) -> np.ndarray:
     """The raster without pinches and in one part: closed as far as it takes, or else its largest part.
 
     Args:
@@ -28,7 +27,7 @@ def one_part(filled):
     return _largest_part(filled)
 
 
-@inner(cache=True, nogil=True)
+@njit(cache=True)
 def fill_pinches(filled):
     """Fill a cell beside every two that touch at a corner only, in place, so that no ring meets itself."""
     n_i, n_j = filled.shape
@@ -50,7 +49,7 @@ def fill_pinches(filled):
                     changed = True
 
 
-@inlined
+@njit(cache=True)
 def closed(filled, reach):
     """Closing by a square that reaches up to 31 cells to each side; 64 cells at a time, as bits of words."""
     n_i, n_j = filled.shape
@@ -77,7 +76,7 @@ def _complement(words):
             words[i, k] = ~words[i, k]
 
 
-@inner(cache=True, nogil=True)
+@inner(cache=True)
 def _any_in_window(words, width):
     """Set every bit where the square of so many cells to a side that begins there has one that is set; in place.
 
@@ -97,7 +96,7 @@ def _any_in_window(words, width):
         have += step
 
 
-@inner(cache=True, nogil=True)
+@njit(cache=True)
 def count_parts(filled):
     """Number of 4-connected parts: runs of cells along rows that meet runs of the row before."""
     n_i, n_j = filled.shape
@@ -130,7 +129,7 @@ def count_parts(filled):
     return n_parts
 
 
-@inner(cache=True, nogil=True)
+@inlined
 def _root(parent, k):
     while parent[k] != k:
         parent[k] = parent[parent[k]]
@@ -138,27 +137,9 @@ def _root(parent, k):
     return k
 
 
-@inlined
-def _largest_part(filled):
+def _largest_part(filled: np.ndarray) -> np.ndarray:
     """The largest 4-connected part, of several the first."""
-    n_j = filled.shape[1]
-    done, best = np.zeros(filled.shape, dtype=np.bool_), np.zeros(filled.shape, dtype=np.bool_)
-    stack, most = np.empty(filled.sum(), dtype=np.int64), 0
-    for i0 in range(filled.shape[0]):
-        for j0 in range(n_j):
-            if not filled[i0, j0] or done[i0, j0]:
-                continue
-            stack[0], done[i0, j0], top, next_one = i0 * n_j + j0, True, 1, 0
-            while next_one < top:
-                i, j = stack[next_one] // n_j, stack[next_one] % n_j
-                next_one += 1
-                for d in range(4):
-                    a, b = i + (d == 3) - (d == 1), j + (d == 0) - (d == 2)
-                    if filled[a, b] and not done[a, b]:
-                        done[a, b], stack[top] = True, a * n_j + b
-                        top += 1
-            if top > most:
-                most, best[:] = top, False
-                for k in range(top):
-                    best[stack[k] // n_j, stack[k] % n_j] = True
-    return best
+    from scipy import ndimage
+
+    parts, _ = ndimage.label(filled)  # type: ignore[misc]
+    return parts == 1 + np.bincount(parts[filled])[1:].argmax()

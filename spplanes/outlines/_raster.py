@@ -17,8 +17,7 @@ LARGEST_RASTER = 1 << 20
 _ROUNDING = 1e-9
 
 
-@njit(cache=True)
-def projection_axis(nx, ny, nz):
+def projection_axis(nx: float, ny: float, nz: float) -> int:
     """World axis (0, 1, 2) along which a plane with this normal is projected: that of its largest component."""
     if abs(nz) >= abs(nx) and abs(nz) >= abs(ny):
         return 2
@@ -74,11 +73,14 @@ def draw(points, labels, projections):
     return filled, first, corner, shape
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _project(points, labels, projections, begin_row, end_row, flat):
     """Raster coordinates of the labelled points, into (S, B, 2); least and largest of every region, (R, 2)."""
     n_cols, n_regions = labels.shape[1], projections.shape[0]
-    low, high = np.full((n_regions, 2), np.inf), np.full((n_regions, 2), -np.inf)
+    low, high = np.empty((n_regions, 2)), np.empty((n_regions, 2))
+    for r in range(n_regions):
+        for k in range(2):
+            low[r, k], high[r, k] = np.inf, -np.inf
     for i in range(begin_row, end_row):
         end = 0
         while end < n_cols:
@@ -96,7 +98,7 @@ def _project(points, labels, projections, begin_row, end_row, flat):
     return low, high
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _fill(filled, first, shape, flat, labels, scale, corner, begin, end):
     """Fill the triangles between the rows from begin to end and those below them.
 
@@ -126,7 +128,7 @@ def _fill(filled, first, shape, flat, labels, scale, corner, begin, end):
                     _triangle(filled, first[b], shape[b, 1], place, inward, u, j + 1, v, j + 1, v, j)
 
 
-@inner(cache=True, nogil=True)
+@inner(cache=True)
 def _cells_of_row(flat, labels, scale, corner, i, place, inward):
     """Places of the labelled points of a row in their own rasters, whole numbers at the centres of cells, (B, 2).
 
@@ -152,26 +154,20 @@ def _mark_quads(above, below, hit):
             hit[j] &= least <= most
 
 
-@njit(cache=True)
-def layout(low, high):
+def layout(low: FloatArray, high: FloatArray) -> tuple[FloatArray, np.ndarray, np.ndarray, np.ndarray]:
     """Scale that keeps every raster below the largest, and where it lies; see `draw`."""
-    n_regions = low.shape[0]
-    scale, first = np.ones(n_regions), np.zeros(n_regions + 1, dtype=np.int64)
-    corner, shape = np.zeros((n_regions, 2), dtype=np.int64), np.zeros((n_regions, 2), dtype=np.int64)
-    for r in range(n_regions):
-        if low[r, 0] <= high[r, 0]:
-            a, b = high[r, 0] - low[r, 0], high[r, 1] - low[r, 1]
-            if (a + 3.0) * (b + 3.0) > LARGEST_RASTER:  # the frame of a sliver does not shrink with it
-                room, edge = LARGEST_RASTER - 9.0, 3.0 * (a + b)
-                scale[r] = 2.0 * room / (edge + np.sqrt(edge * edge + 4.0 * a * b * room))
-            for k in range(2):
-                corner[r, k] = int(np.floor(low[r, k] * scale[r])) - 1
-                shape[r, k] = int(np.floor(high[r, k] * scale[r])) + 2 - corner[r, k]
-        first[r + 1] = first[r] + shape[r, 0] * shape[r, 1]
-    return scale, first, corner, shape
+    there = (low[:, 0] <= high[:, 0])[:, None]
+    low, high = np.where(there, low, 0.0), np.where(there, high, 0.0)
+    a, b = (high - low).T
+    large = (a + 3.0) * (b + 3.0) > LARGEST_RASTER  # the frame of a sliver does not shrink with it
+    room, edge = LARGEST_RASTER - 9.0, 3.0 * (a + b)
+    scale = np.where(large, 2.0 * room / (np.maximum(edge, 1.0) + np.sqrt(edge * edge + 4.0 * a * b * room)), 1.0)
+    corner = np.where(there, np.floor(low * scale[:, None]).astype(np.int64) - 1, 0)
+    shape = np.where(there, np.floor(high * scale[:, None]).astype(np.int64) + 2 - corner, 0)
+    return scale, np.concatenate(([0], np.cumsum(shape[:, 0] * shape[:, 1]))), corner, shape
 
 
-@inner(cache=True, nogil=True, error_model="numpy")
+@inner(cache=True)
 def _triangle(filled, first, width, place, inward, pu, p, qu, q, ru, r):
     """Fill the cells whose centres lie in the triangle of three points, given by row, 0 or 1, and column."""
     i0 = min(inward[pu, 0, p], inward[qu, 0, q], inward[ru, 0, r])
@@ -200,10 +196,16 @@ def _triangle(filled, first, width, place, inward, pu, p, qu, q, ru, r):
             filled[y] = True
 
 
-@njit(cache=True)
-def keys_of(filled, first, corner, shape):
+def keys_of(filled: np.ndarray, first: np.ndarray, corner: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """The filled cells of all rasters as keys, int64, ascending where no coordinate leaves its 21 bits."""
-    keys, count = np.empty(filled.sum(), dtype=np.int64), 0
+    keys = np.empty(np.count_nonzero(filled), dtype=np.int64)
+    return keys[: _write_keys(filled, first, corner, shape, keys)]
+
+
+@njit(cache=True)
+def _write_keys(filled, first, corner, shape, keys):
+    """The same into an array; how many."""
+    count = 0
     for r in range(shape.shape[0]):
         for k in range(first[r], first[r + 1]):
             if filled[k]:
@@ -211,7 +213,7 @@ def keys_of(filled, first, corner, shape):
                 if abs(i) < _OFFSET and abs(j) < _OFFSET:
                     keys[count] = ((r << _BITS | (i + _OFFSET)) << _BITS) | (j + _OFFSET)
                     count += 1
-    return keys[:count]
+    return count
 
 
 def cells_of(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

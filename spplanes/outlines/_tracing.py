@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inlined, inner, njit
+from spplanes._check import FloatArray
+from spplanes._jit import inlined, njit
 from spplanes.outlines._closing import one_part
 
 #: How far a simplified ring may leave the steps of the raster, cells.
 TOLERANCE = 0.75
 
 
-@njit(cache=True, nogil=True)
-def rings_around(filled):
+def rings_around(filled: np.ndarray) -> tuple[FloatArray, np.ndarray]:
     """Rings around the filled cells, vertices (V, 2) in cells and the end of every ring (R,); the first is the shell.
 
     Parts that lie apart are bridged by closing the gaps between them; where that takes too much, the largest stays.
@@ -21,7 +21,12 @@ def rings_around(filled):
         filled: shape (I, J) bool with an empty frame around it; something is filled. Changed in place.
     """
     filled = one_part(filled)
-    vertices, ends = _trace(filled)
+    return _few(*_trace(filled, np.count_nonzero(filled)))
+
+
+@njit(cache=True)
+def _few(vertices, ends):
+    """Rings without the vertices that tell little; only a shell may be left with fewer than three."""
     kept, first, count, n_rings = np.empty(vertices.shape[0], dtype=np.bool_), 0, 0, 0
     for k in range(ends.shape[0]):
         last = ends[k]
@@ -37,8 +42,8 @@ def rings_around(filled):
     return vertices[:count], ends[:n_rings]
 
 
-@inlined
-def _trace(filled):
+@njit(cache=True)
+def _trace(filled, n_cells):
     """Rings around the filled cells, corners only: vertices (V, 2) and the end of every ring.
 
     Every side of a filled cell is walked once with the cell on its left; the direction of a walk is 0: +j, 1: -i,
@@ -46,11 +51,9 @@ def _trace(filled):
     """
     n_i, n_j = filled.shape
     seen = np.zeros((n_i, n_j), dtype=np.bool_)  # sides walked in direction 2, of which every ring has one
-    n_cells = filled.sum()
-    vertices = np.empty((4 * n_cells + 1, 2), dtype=np.float64)
+    vertices = np.empty((4 * n_cells + 1, 2))
     ends = np.empty(4 * n_cells + 1, dtype=np.int64)
     n_vertices, n_rings = 0, 0
-    di, dj = np.array([0, -1, 0, 1]), np.array([1, 0, -1, 0])
     for i0 in range(1, n_i - 1):
         for j0 in range(1, n_j - 1):
             if not filled[i0, j0] or filled[i0 - 1, j0] or seen[i0, j0]:
@@ -59,16 +62,17 @@ def _trace(filled):
             while d != 2 or not seen[i, j]:
                 if d == 2:
                     seen[i, j] = True
-                a, b = i + di[d], j + dj[d]
+                a, b = i + (d == 3) - (d == 1), j + (d == 0) - (d == 2)
                 right = (d + 3) % 4
+                c, e = a + (right == 3) - (right == 1), b + (right == 0) - (right == 2)
                 if not filled[a, b]:
                     vertices[n_vertices, 0], vertices[n_vertices, 1] = _corner(i, j, d)
                     n_vertices += 1
                     d = (d + 1) % 4
-                elif filled[a + di[right], b + dj[right]]:
+                elif filled[c, e]:
                     vertices[n_vertices, 0], vertices[n_vertices, 1] = _corner(i, j, d)
                     n_vertices += 1
-                    i, j, d = a + di[right], b + dj[right], right
+                    i, j, d = c, e, right
                 else:
                     i, j = a, b
             ends[n_rings] = n_vertices
@@ -76,7 +80,7 @@ def _trace(filled):
     return vertices[:n_vertices], ends[:n_rings]
 
 
-@inner(cache=True, nogil=True)
+@inlined
 def _corner(i, j, d):
     """End of the side of cell (i, j) that is walked in direction d, the cell on its left."""
     if d == 0:
@@ -92,9 +96,9 @@ def _corner(i, j, d):
 def _simplify(ring, kept):
     """Mark the vertices of a ring (V, 2) that Douglas and Peucker's algorithm keeps; returns their number."""
     n = ring.shape[0]
-    kept[:] = False
     far, best = 0, -1.0
     for k in range(n):
+        kept[k] = False
         distance = (ring[k, 0] - ring[0, 0]) ** 2 + (ring[k, 1] - ring[0, 1]) ** 2
         if distance > best:
             far, best = k, distance

@@ -30,7 +30,7 @@ def as_grid(points: ArrayLike) -> tuple[FloatArray, np.ndarray]:
     return grid, valid
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _take(points, grid, valid):
     """Fill in grid and valid; the largest coordinate."""
     largest = 0.0
@@ -112,7 +112,7 @@ def _refuse(name: str, infinite: bool, indefinite: bool) -> None:
         raise ValueError(f"{name}: expected symmetric positive semidefinite covariances, got one that is not")
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _judge(matrices, valid, tolerance):
     """Whether matrices (N, 9) of valid points are not finite, or not semidefinite; their least and largest trace.
 

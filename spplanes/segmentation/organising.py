@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spplanes._check import as_shape
-from spplanes._jit import njit
+from spplanes.clouds._arrange_kernels import nearest
 
 
 def organise(
@@ -43,7 +43,8 @@ def organise(
     row = _bands(np.arcsin(np.clip(rays[:, 2] / ranges, -1.0, 1.0)), int(rows))
     azimuth = np.arctan2(rays[:, 1], rays[:, 0])
     column = np.minimum(((azimuth + np.pi) / (2.0 * np.pi) * cols).astype(np.int64), int(cols) - 1)
-    index = _nearest(row, column, ranges, used, int(rows), int(cols))
+    index = nearest(row, column, ranges, int(rows), int(cols))
+    index[index >= 0] = used[index[index >= 0]]
     grid = np.where((index >= 0)[..., None], cloud[np.maximum(index, 0)] if len(cloud) else np.nan, np.nan)
     return grid, index
 
@@ -56,15 +57,3 @@ def _bands(elevation: np.ndarray, rows: int) -> np.ndarray:
     if rows == 1 or high == low:
         return np.zeros(len(elevation), dtype=np.int64)
     return np.rint((high - elevation) / (high - low) * (rows - 1)).astype(np.int64)
-
-
-@njit(cache=True)
-def _nearest(row, column, ranges, used, rows, cols):
-    """Number of the nearest point of every cell, -1 = none; of equal ranges the first."""
-    index, best = np.full((rows, cols), -1, dtype=np.int64), np.full((rows, cols), np.inf)
-    for k in range(row.shape[0]):
-        i, j = row[k], column[k]
-        if ranges[k] < best[i, j]:
-            best[i, j] = ranges[k]
-            index[i, j] = used[k]
-    return index

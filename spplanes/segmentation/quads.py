@@ -62,7 +62,7 @@ def links(points, covariance, valid, views, tangent, limit, literal):
     return linked[0], linked[1]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _link_rows(points, covariance, valid, views, tangent, limit, literal, first, last, linked):
     """The links of the rows from first to last, into `linked`, shape (2, S, B)."""
     n_rows, n_cols = valid.shape
@@ -79,16 +79,10 @@ def _link_rows(points, covariance, valid, views, tangent, limit, literal, first,
                 linked[step, i, j] = chi2 <= limit
 
 
-@njit(cache=True)
-def surviving_quads(right, down):
+def surviving_quads(right: np.ndarray, down: np.ndarray) -> np.ndarray:
     """Quads (i, j), (i, j+1), (i+1, j+1), (i+1, j) all four edges of which pass: shape (S - 1, B - 1) bool.
 
     References:
         Weingarten, Gruener, Siegwart, "Probabilistic Plane Fitting in 3D", ICRA 2004, section IV, filter.
     """
-    n_rows, n_cols = max(right.shape[0] - 1, 0), max(right.shape[1] - 1, 0)
-    quads = np.zeros((n_rows, n_cols), dtype=np.bool_)
-    for i in range(n_rows):
-        for j in range(n_cols):
-            quads[i, j] = right[i, j] and right[i + 1, j] and down[i, j] and down[i, j + 1]
-    return quads
+    return right[:-1, :-1] & right[1:, :-1] & down[:-1, :-1] & down[:-1, 1:]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from spplanes._eigen import solve3
 from spplanes._jit import inlined, njit
 
 #: Points of the map are of the surface at a return within this of it, m, with normals nearer than this cosine.
@@ -41,7 +42,7 @@ def _surface_at(x, y, nx, ny, points, normals, weights, start, origin, cell, col
     return True, -(mx * qx + my * qy) / weight, mx, my
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def align(
     pose, scan, scan_normals, variance, looks, turns, points, normals, weights, start, origin, cell, columns, rows,
     expected, information, rounds, first_m,
@@ -57,12 +58,14 @@ def align(
         they turn the scan, m; share of the looks that fit; misfit: half of the chi2 of the looks near a surface,
         bounded for each, beyond what it is expected to be.
     """
-    pose = pose.copy()
+    pose, pull = pose.copy(), np.zeros(3)
     told, erring = np.zeros((3, 3)), np.zeros((3, 3))
     for step in range(rounds):
         wide = max(first_m * 0.5**step, 0.0)
-        told[:] = 0.0
-        pull = np.zeros(3)
+        for a in range(3):
+            pull[a] = 0.0
+            for b in range(3):
+                told[a, b] = 0.0
         c, s = np.cos(pose[2]), np.sin(pose[2])
         for i in range(scan.shape[0]):
             lx, ly = c * scan[i, 0] - s * scan[i, 1], s * scan[i, 0] + c * scan[i, 1]
@@ -85,8 +88,16 @@ def align(
             pull[1] -= weight * my * off
             pull[2] -= weight * j2 * off
         told[1, 0], told[2, 0], told[2, 1] = told[0, 1], told[0, 2], told[1, 2]
-        change = np.linalg.solve(told + information, pull + information @ (expected - pose))
-        pose += change
+        for a in range(3):
+            for b in range(3):
+                pull[a] += information[a, b] * (expected[b] - pose[b])
+        whole = (
+            told[0, 0] + information[0, 0], told[0, 1] + information[0, 1], told[0, 2] + information[0, 2],
+            told[1, 1] + information[1, 1], told[1, 2] + information[1, 2], told[2, 2] + information[2, 2],
+        )  # fmt: skip
+        change = solve3(whole, pull[0], pull[1], pull[2])
+        for a in range(3):
+            pose[a] += change[a]
         if step > 3 and abs(change[0]) + abs(change[1]) < 2e-4 and abs(change[2]) < 2e-5:
             break
     fits = total = misfit = looked = moment = 0.0
@@ -118,13 +129,15 @@ def align(
     return pose, told, erring, far, fits / max(total, 1e-12), misfit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def score_box(scan, looks, pose, table, origin, cell, turns, steps):
     """Mean nearness of the returns to the map for every turn (T,) and shift of -steps..steps cells: (T, S, S)."""
     rows, columns = table.shape
     side = 2 * steps + 1
     scores = np.zeros((turns.shape[0], side, side))
-    total = max(looks.sum(), 1e-12)
+    total = 0.0
+    for i in range(looks.shape[0]):
+        total += looks[i]
     for t in range(turns.shape[0]):
         c, s = np.cos(pose[2] + turns[t]), np.sin(pose[2] + turns[t])
         for i in range(scan.shape[0]):
@@ -139,4 +152,7 @@ def score_box(scan, looks, pose, table, origin, cell, turns, steps):
                     k = column + a - steps
                     if 0 <= k < columns:
                         scores[t, b, a] += looks[i] * table[r, k]
-    return scores / total
+        for b in range(side):
+            for a in range(side):
+                scores[t, b, a] /= max(total, 1e-12)
+    return scores

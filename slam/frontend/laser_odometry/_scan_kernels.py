@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inner, njit
+from spplanes._jit import inlined, njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def surface_of(points, away, angle_step, range_variance, surface_variance, correlation_m, gap_steps, least_gap_m):
     """Normals and noise of the returns (B, 2) of one scan, seen from `away` (B, 2), the sensor's place less each.
 
@@ -20,9 +20,10 @@ def surface_of(points, away, angle_step, range_variance, surface_variance, corre
         turns (B,): the square of the sine by which a normal is expected to err.
     """
     count = points.shape[0]
-    normals = np.full((count, 2), np.nan)
+    normals = np.empty((count, 2))
     variance, looks, turns = np.zeros(count), np.zeros(count), np.zeros(count)
     for i in range(count):
+        normals[i, 0] = normals[i, 1] = np.nan
         reach = np.sqrt(away[i, 0] ** 2 + away[i, 1] ** 2)
         gap = max(least_gap_m, gap_steps * reach * angle_step)
         low, high = i, i
@@ -67,12 +68,12 @@ def surface_of(points, away, angle_step, range_variance, surface_variance, corre
 _MOST, _PATCH_M = 5, 0.25
 
 
-@inner(cache=True, error_model="numpy")
+@inlined
 def _apart(points, i, j):
     return np.sqrt((points[i, 0] - points[j, 0]) ** 2 + (points[i, 1] - points[j, 1]) ** 2)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def merge_patches(keys, order, points, normals, weights):
     """Means of the points, normals and weights whose keys are one, in the order of the keys; `order` sorts them."""
     count = 0
@@ -97,7 +98,7 @@ def merge_patches(keys, order, points, normals, weights):
     return places, directions, total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def sort_into_cells(points, origin, cell, columns, rows):
     """Start (rows * columns + 1,) of every cell's points in an order, and that order (N,), stable."""
     count = points.shape[0]
@@ -116,7 +117,7 @@ def sort_into_cells(points, origin, cell, columns, rows):
     return start, order
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def nearness(points, origin, cell, columns, rows, sigma):
     """How near each cell (rows, columns) is to a point: exp(-d^2 / 2 sigma^2), 0 beyond three cells."""
     table = np.zeros((rows, columns))

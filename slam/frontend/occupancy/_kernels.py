@@ -7,7 +7,7 @@ import numpy as np
 from spplanes._jit import njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def mark(beams, origin, cell, margin, hits, passes):
     """Count into `hits` and `passes` (H, W) the returns, and beams that pass more than `margin` before their return.
 
@@ -27,11 +27,14 @@ def mark(beams, origin, cell, margin, hits, passes):
                 last_row, last_column = row, column
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def squared_distances(hits, reach):
     """Squared distance, in cells, of every cell to the nearest with a hit; 2 reach^2 + 1 beyond `reach`, (H, W)."""
     rows, columns = hits.shape
-    result = np.full((rows, columns), 2 * reach * reach + 1, dtype=np.int64)
+    result = np.empty((rows, columns), dtype=np.int64)
+    for r in range(rows):
+        for c in range(columns):
+            result[r, c] = 2 * reach * reach + 1
     for r in range(rows):
         for c in range(columns):
             if hits[r, c] == 0:
@@ -42,35 +45,14 @@ def squared_distances(hits, reach):
     return result
 
 
-@njit(cache=True, error_model="numpy")
-def widen(table, reach):
-    """Largest value within `reach` cells in both directions, (H, W); outside the table lies the value 0, unknown."""
-    rows, columns = table.shape
-    along = np.empty_like(table)
-    for r in range(rows):
-        for c in range(columns):
-            best = 0.0 if c < reach or c + reach >= columns else -np.inf
-            for j in range(max(c - reach, 0), min(c + reach + 1, columns)):
-                best = max(best, table[r, j])
-            along[r, c] = best
-    result = np.empty_like(table)
-    for r in range(rows):
-        for c in range(columns):
-            best = 0.0 if r < reach or r + reach >= rows else -np.inf
-            for i in range(max(r - reach, 0), min(r + reach + 1, rows)):
-                best = max(best, along[i, c])
-            result[r, c] = best
-    return result
-
-
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def score_motions(motions, cell, points, weight, table, origin, others, other_weight, other_table, other_origin):
     """Mean over both ways of the weighted sum under b_T_a = (x, y, theta), (M,): points of a in b's table and back."""
     result = np.empty(motions.shape[0])
     rows, columns = table.shape
     other_rows, other_columns = other_table.shape
     for m in range(motions.shape[0]):
-        x, y, theta = motions[m]
+        x, y, theta = motions[m, 0], motions[m, 1], motions[m, 2]
         c, s = np.cos(theta), np.sin(theta)
         there = back = 0.0
         for k in range(points.shape[0]):

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
-from slam.frontend.occupancy._kernels import mark, squared_distances, widen
+from slam.frontend.occupancy._kernels import mark, squared_distances
 from slam.sensors.log import LaserScan
 from spplanes._check import FloatArray
 
@@ -66,6 +67,11 @@ class Raster:
         if reach not in self._widened:
             self._widened[reach] = self.table if reach == 0 else widen(self.table, reach)
         return self._widened[reach]
+
+
+def widen(table: FloatArray, reach: int) -> FloatArray:
+    """Largest value within `reach` cells in both directions, (H, W); outside the table lies the value 0, unknown."""
+    return maximum_filter(table, 2 * reach + 1, mode="constant", cval=0.0)
 
 
 def thin(points: FloatArray) -> tuple[FloatArray, float]:

@@ -39,7 +39,8 @@ def _decode(data, out):
             length = first + 1
             if i + length > len(data) or o + length > len(out):
                 return -1
-            out[o : o + length] = data[i : i + length]
+            for k in range(length):
+                out[o + k] = data[i + k]
             i += length
         else:
             length = first >> 5

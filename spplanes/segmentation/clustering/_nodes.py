@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inlined, inner
+from spplanes._check import FloatArray
+from spplanes._jit import inlined, inner, njit
 from spplanes.fitting._moment_patches import centre_sums, eigenvalues, merge_scaled, normal_of, variance_from
 from spplanes.moments import ROW_SIZE
 
@@ -13,7 +14,7 @@ from spplanes.moments import ROW_SIZE
 N, WEIGHT, OFFSET, ROW, REGION = range(5)
 
 
-@inlined
+@njit(cache=True)
 def nodes_of(points, covariance, labels, planes, size):
     """First node of every cell, shape (R, C + 1), the nodes (K, 5) in the order of their cells, and moments (K, 11)."""
     n_rows, n_cols = (labels.shape[0] + size - 1) // size, (labels.shape[1] + size - 1) // size
@@ -33,9 +34,7 @@ def nodes_of(points, covariance, labels, planes, size):
                     if k == count:
                         count += 1
                         if count == nodes.shape[0]:
-                            nodes = np.concatenate((nodes, np.zeros(nodes.shape)))
-                            rows = np.concatenate((rows, np.zeros(rows.shape)))
-                            about = np.concatenate((about, np.zeros(about.shape)))
+                            nodes, rows, about = _with_room(nodes), _with_room(rows), _with_room(about)
                         nodes[k, REGION] = r
                         about[k, 0], about[k, 1], about[k, 2] = points[i, j, 0], points[i, j, 1], points[i, j, 2]
                     w = 1.0 / variance_from(covariance, i, j, planes, r)
@@ -46,7 +45,17 @@ def nodes_of(points, covariance, labels, planes, size):
         centre_sums(rows[k], about[k])
         nodes[k, N], nodes[k, WEIGHT] = rows[k, 0], rows[k, 1]
         nodes[k, ROW] /= nodes[k, N]
-    return first, nodes[:count].copy(), rows[:count].copy()
+    return first, nodes[:count], rows[:count]
+
+
+@inner(cache=True)
+def _with_room(rows):
+    """Rows with as many zeros behind them."""
+    result = np.zeros((2 * rows.shape[0], rows.shape[1]))
+    for k in range(rows.shape[0]):
+        for m in range(rows.shape[1]):
+            result[k, m] = rows[k, m]
+    return result
 
 
 @inlined
@@ -75,7 +84,7 @@ def node_of(first, nodes, ci, cj, region):
     return -1
 
 
-@inlined
+@njit(cache=True)
 def edges_of(first, nodes, hides):
     """Pairs of nodes of one region in neighbouring cells, and those one cell further on either side or -1: (E, 2)."""
     pairs, edges = np.empty((2 * nodes.shape[0], 2), dtype=np.int64), np.empty((2 * nodes.shape[0], 2), dtype=np.int64)
@@ -100,30 +109,27 @@ def edges_of(first, nodes, hides):
     return pairs[:count], edges[:count]
 
 
-@inlined
-def hides_steps(nodes, n_regions, flatness):
+def regions_of(nodes: FloatArray) -> np.ndarray:
+    """Region of every node, shape (K,)."""
+    return nodes[:, REGION].astype(np.int64)
+
+
+def hides_steps(nodes: FloatArray, n_regions: int, flatness: float) -> np.ndarray:
     """Whether the points of a region have more noise than surfaces are granted, shape (R,) bool."""
-    total = np.zeros((n_regions, 2))
-    for k in range(nodes.shape[0]):
-        total[int(nodes[k, REGION]), 0] += nodes[k, N]
-        total[int(nodes[k, REGION]), 1] += nodes[k, WEIGHT]
-    return total[:, 0] > flatness * flatness * total[:, 1]
+    number, weight = (np.bincount(regions_of(nodes), nodes[:, of], n_regions) for of in (N, WEIGHT))
+    return number > flatness * flatness * weight
 
 
-@inner(cache=True)
-def measure(nodes, rows, normals):
+def measure(nodes: FloatArray, rows: FloatArray, normals: FloatArray) -> None:
     """Offsets of the nodes along the normals of their regions, in place, from the region's first node."""
-    origin = np.full(normals.shape[0], -1)
-    for k in range(nodes.shape[0]):
-        r = int(nodes[k, REGION])
-        if origin[r] < 0:
-            origin[r] = k
-        nodes[k, OFFSET] = 0.0
-        for m in range(3):
-            nodes[k, OFFSET] += normals[r, m] * (rows[k, 2 + m] - rows[origin[r], 2 + m])
+    region = regions_of(nodes)
+    origin = np.empty(len(normals), dtype=np.int64)
+    origin[region[::-1]] = np.arange(len(nodes))[::-1]  # of several the last that is written stays
+    along = normals[region] * (rows[:, 2:5] - rows[origin[region], 2:5])
+    nodes[:, OFFSET] = along[:, 0] + along[:, 1] + along[:, 2]
 
 
-@inlined
+@njit(cache=True)
 def common_normals(nodes, rows, parent, normals):
     """The normals of parallel planes, one through each tree of a region, in place."""
     trees, inside = rows.copy(), np.zeros((normals.shape[0], ROW_SIZE))

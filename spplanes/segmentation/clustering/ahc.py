@@ -124,7 +124,9 @@ def cluster(rows, bias, edges, limits, flatness, correlation):
         Root of every patch, shape (N,). The keys in the heap are brought up to date when they come to its top.
     """
     n_edges = edges.shape[0]
-    parent = np.arange(rows.shape[0])
+    parent = np.empty(rows.shape[0], dtype=np.int64)
+    for i in range(rows.shape[0]):
+        parent[i] = i
     version = np.zeros(rows.shape[0], dtype=np.int64)
     stamp = np.zeros(n_edges, dtype=np.int64)
     keys, items = np.empty(n_edges), np.empty(n_edges, dtype=np.int64)

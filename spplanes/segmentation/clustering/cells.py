@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inlined, inner, njit
+from spplanes._jit import inlined, njit
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import add_run, centre_sums, eigenvalues, normal_of, variance_along
 from spplanes.moments import ROW_SIZE
@@ -33,19 +33,20 @@ def cell_moments(points, covariance, free, size, floor_variance):
     return rows
 
 
-@inner(cache=True)
+@inlined
 def _is_filled(count, ci, cj, shape, size):
     """Whether a cell has enough points to be judged."""
     area = min(size, shape[0] - ci * size) * min(size, shape[1] - cj * size)
     return count >= max(0.4 * area, 4.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _moments_of(rows, points, covariance, free, size, floor_variance, first, last):
     """The moments of the rows of cells from first to last."""
     counts = np.empty(rows.shape[1], dtype=np.int64)
     for ci in range(first, last):
-        counts[:] = 0
+        for cj in range(rows.shape[1]):
+            counts[cj] = 0
         for i in range(ci * size, min((ci + 1) * size, free.shape[0])):
             for cj in range(rows.shape[1]):
                 for j in range(cj * size, min((cj + 1) * size, free.shape[1])):
@@ -58,11 +59,13 @@ def _moments_of(rows, points, covariance, free, size, floor_variance, first, las
 @inlined
 def _one_cell(row, points, covariance, free, i0, j0, size, floor_variance):
     i1, j1 = min(i0 + size, points.shape[0]), min(j0 + size, points.shape[1])
-    about, normal, isotropic = np.zeros(3), np.array([0.0, 0.0, 1.0]), covariance.shape[2] == 1
+    about, normal, isotropic = np.zeros(3), np.zeros(3), covariance.shape[2] == 1
+    normal[2] = 1.0
     for last in (False, True):
         if not last and isotropic:
             continue
-        row[:] = 0.0
+        for k in range(ROW_SIZE):
+            row[k] = 0.0
         for i in range(i0, i1):
             j = j0
             while j < j1:
@@ -116,8 +119,7 @@ def planar_cells(rows, failed, shape, size, quantile, slack):
 @njit(cache=True)
 def shared_variances(rows, shared, free, planar, size, start):
     """Of planar cells: mean variance along the normal that points share with their scans, and mean scan, (K, 2)."""
-    result = np.zeros((planar.sum(), 2))
-    count = 0
+    result, count = np.zeros((planar.size, 2)), 0
     for ci in range(rows.shape[0]):
         for cj in range(rows.shape[1]):
             if not planar[ci, cj]:
@@ -130,7 +132,7 @@ def shared_variances(rows, shared, free, planar, size, start):
                         if free[i, j]:
                             result[count, 0] += variance_along(shared, i, j, nx, ny, nz) / rows[ci, cj, 0]
             count += 1
-    return result
+    return result[:count]
 
 
 @njit(cache=True)

@@ -27,7 +27,8 @@ def hesse(rows):
     planes = np.empty((rows.shape[0], 4))
     for r in range(rows.shape[0]):
         nx, ny, nz = normal_of(rows[r], eigenvalues(rows[r])[0])
-        planes[r] = nx, ny, nz, nx * rows[r, 2] + ny * rows[r, 3] + nz * rows[r, 4]
+        planes[r, 0], planes[r, 1], planes[r, 2] = nx, ny, nz
+        planes[r, 3] = nx * rows[r, 2] + ny * rows[r, 3] + nz * rows[r, 4]
     return planes
 
 
@@ -58,7 +59,7 @@ def _share_out(rows, n_shares):
     return share
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _fit_share(points, covariance, labels, rows, planes, prior, floor_variance, shares, mine, fresh):
     """The moments of the regions of one share, added to those of `fresh`; each region's points in the grid's order."""
     sums, n_cols = np.zeros(rows.shape), labels.shape[1]
@@ -154,7 +155,7 @@ def release(points, covariance, labels, planes, bias, size, limit):
     in_parts(some, (len(labels) + size - 1) // size, labels.size)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _release_in(points, covariance, labels, planes, bias, size, limit, first, last):
     """The same in the rows of cells from first to last."""
     sums = np.zeros((planes.shape[0], 2))

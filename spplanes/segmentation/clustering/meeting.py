@@ -30,12 +30,14 @@ def border_pairs(points, covariance, valid, views, labels, planes, sizes, bias, 
     return np.concatenate(found)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _pairs_of_rows(points, covariance, valid, views, labels, planes, sizes, bias, gap, hidden, first, last):
     """The pairs with one region in the rows from first to last, beside or above the other."""
     n_cols = labels.shape[1]
     pairs, count = np.empty((1024, 2), dtype=np.int64), 0
-    recent = np.full((RECENT, 2), -1, dtype=np.int64)
+    recent = np.empty((RECENT, 2), dtype=np.int64)
+    for k in range(RECENT):
+        recent[k, 0] = -1
     for i in range(first, last):
         for j in range(n_cols):
             r = labels[i, j]
@@ -56,7 +58,7 @@ def _pairs_of_rows(points, covariance, valid, views, labels, planes, sizes, bias
                     near = back <= gap + 1 or back <= hidden * np.sqrt(sizes[max(q, 0)])
                     if q >= 0 and near and (back == 1 or in_front > 0):
                         if count == pairs.shape[0]:
-                            pairs = np.concatenate((pairs, np.empty_like(pairs)))
+                            pairs = _with_room(pairs)
                         count += _enter(pairs, count, recent, min(q, r), max(q, r))
                     if back == farthest:
                         break
@@ -74,6 +76,15 @@ def _pairs_of_rows(points, covariance, valid, views, labels, planes, sizes, bias
                     else:
                         break
     return pairs[:count]
+
+
+@inlined
+def _with_room(pairs):
+    """Pairs with room for as many behind them."""
+    result = np.empty((2 * pairs.shape[0], 2), dtype=np.int64)
+    for k in range(pairs.shape[0]):
+        result[k, 0], result[k, 1] = pairs[k, 0], pairs[k, 1]
+    return result
 
 
 @inlined

@@ -34,7 +34,7 @@ def reject_steps(planar, points, covariance, rows, free, size, floor_variance, l
     in_parts(some, len(planar), size * size * int(planar.sum()))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _reject_in(planar, points, covariance, rows, free, size, floor_variance, limit, first, last):
     """Take them from the rows of cells from first to last."""
     side, tolerance = size // STRIPS, STEP_SHARE * floor_variance

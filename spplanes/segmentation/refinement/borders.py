@@ -36,7 +36,7 @@ def choose_blocks(points, covariance, labels, start, planes, gate, floor_varianc
     return _move_blocks(points, covariance, labels, start, planes, gate, floor_variance, size, state)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _find_misfits(points, covariance, labels, start, planes, floor_variance, size, first, last, state):
     """Write to `state`, shape (blocks, blocks), what the blocks in the rows of blocks from first to last are."""
     found = np.empty(MANY, dtype=np.int64)
@@ -72,7 +72,8 @@ def _move_blocks(points, covariance, labels, start, planes, gate, floor_variance
                 mine, inside = found[k], 0
                 if _misfit(points, covariance, labels, i0, j0, i1, j1, mine, planes, floor_variance) < BLOCK_MISFIT:
                     continue
-                sums[:n_found] = 0.0
+                for m in range(n_found):
+                    sums[m] = 0.0
                 for i in range(i0, i1):
                     for j in range(j0, j1):
                         if labels[i, j] == mine:
@@ -82,7 +83,9 @@ def _move_blocks(points, covariance, labels, start, planes, gate, floor_variance
                                 sums[m] += min(cost, 2.0 * gate)
                 if inside == 0:
                     continue
-                best = sums[:n_found].argmin()
+                best = 0
+                for m in range(1, n_found):
+                    best = m if sums[m] < sums[best] else best
                 if sums[best] < sums[k] - BLOCK_GAIN:
                     moved += inside
                     for i in range(i0, i1):

@@ -34,7 +34,7 @@ def unlabel_creases(points, covariance, valid, labels, start, planes, max_angle,
     in_parts(some, max(len(labels) - 2 - top, 0), labels.size)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _unlabel_in(points, covariance, valid, labels, planes, max_angle, certainty, first, last):
     """The same in the rows from first to last."""
     n_cols = labels.shape[1]
@@ -111,7 +111,7 @@ def unlabel_seams(points, covariance, views, labels, start, planes, tolerance, f
     in_parts(down, labels.shape[1], labels.size)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _weigh_rows(points, covariance, labels, planes, reach, first, last, weight, moment):
     """Sums along the rows from first to last of weights, and of distances from planes times these."""
     own_weight, own_moment = np.zeros((last - first, labels.shape[1])), np.zeros((last - first, labels.shape[1]))
@@ -125,7 +125,7 @@ def _weigh_rows(points, covariance, labels, planes, reach, first, last, weight, 
     _sum_along(own_moment, labels[first:last], reach, moment[first:last])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _judge_columns(
     covariance, views, labels, start, planes, tolerance, flatness, reach, limit, first, last, own_labels,
     weight, moment,
@@ -149,7 +149,7 @@ def _judge_columns(
                     labels[i, j] = -1
 
 
-@inner(cache=True, nogil=True)
+@inner(cache=True)
 def _sum_along(values, labels, reach, result):
     """Write sums of the values within reach along every row that lie in the same run of equal labels; else nothing."""
     n_rows, n_cols = values.shape

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inlined, inner, njit
+from spplanes._jit import inlined, njit
 from spplanes.fitting._moment_patches import residual_chi2
 
 #: Points are explained block by block, this many on a side: a point alone always finds some plane that suits it.
@@ -133,12 +133,13 @@ def _is_superfluous(points, covariance, n_cols, mine, region, candidates, planes
             other += sums[_least(sums)]
             if other > limit:
                 return False
-            sums[:] = 0.0
+            for m in range(candidates.shape[0]):
+                sums[m] = 0.0
             in_block = 0
     return True
 
 
-@inner(cache=True)
+@inlined
 def _least(values):
     """Place of the least of some numbers, of equal ones the first."""
     best = 0
@@ -162,5 +163,6 @@ def _hand_over(points, covariance, labels, mine, candidates, planes, floor_varia
             best = candidates[_least(sums)]
             for q in range(block_start, k + 1):
                 labels[mine[q] // n_cols, mine[q] % n_cols] = best
-            sums[:] = 0.0
+            for m in range(candidates.shape[0]):
+                sums[m] = 0.0
             block_start = k + 1

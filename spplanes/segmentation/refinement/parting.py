@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inlined, inner, njit
+from spplanes._check import FloatArray
+from spplanes._jit import inlined, njit
 from spplanes.segmentation.clustering._nodes import (
     OFFSET,
-    REGION,
     ROW,
     WEIGHT,
     N,
@@ -23,6 +23,7 @@ from spplanes.segmentation.clustering._nodes import (
     measure,
     node_of,
     nodes_of,
+    regions_of,
 )
 from spplanes.segmentation.clustering.ahc import find, pop, push
 
@@ -34,7 +35,6 @@ TOLERATED = 3.0
 SHARE = 0.05
 
 
-@njit(cache=True)
 def part(points, covariance, labels, start, planes, bias, size, limit, flatness, correlation, min_points):
     """Give every part of a region that lies on a parallel plane of its own a new label, in place.
 
@@ -54,7 +54,7 @@ def part(points, covariance, labels, start, planes, bias, size, limit, flatness,
         The region every new label was part of, shape (K,); new labels begin at R.
     """
     first, nodes, rows = nodes_of(points, covariance, labels, planes, size)
-    hides = hides_steps(nodes, planes.shape[0], flatness)
+    hides = hides_steps(nodes, len(planes), flatness)
     pairs, edges = edges_of(first, nodes, hides)
     normals, tolerated = planes[:, :3].copy(), TOLERATED * flatness
     measure(nodes, rows, normals)
@@ -68,31 +68,33 @@ def part(points, covariance, labels, start, planes, bias, size, limit, flatness,
     while _rejoin(nodes, trees, parent, pairs, edges, bias, limit, tolerated, correlation):
         pass
     label_of, origin = _number(trees, parent, hides, start // size, first, min_points)
-    if origin.shape[0]:
-        for i in range(start, labels.shape[0]):
-            for j in range(labels.shape[1]):
-                if labels[i, j] >= 0:
-                    labels[i, j] = label_of[node_of(first, nodes, i // size, j // size, labels[i, j])]
+    if len(origin):
+        _relabel(labels, start, first, nodes, label_of, size)
     return origin
 
 
-@inner(cache=True)
+@njit(cache=True)
+def _relabel(labels, start, first, nodes, label_of, size):
+    """Give the points in the rows from `start` on the labels of their nodes, in place."""
+    for i in range(start, labels.shape[0]):
+        for j in range(labels.shape[1]):
+            if labels[i, j] >= 0:
+                labels[i, j] = label_of[node_of(first, nodes, i // size, j // size, labels[i, j])]
+
+
+@inlined
 def _step(a, b, tolerance):
     """Chi2 (1 dof) of the step between two nodes."""
     step = a[OFFSET] - b[OFFSET]
     return step * step / (1.0 / a[WEIGHT] + 1.0 / b[WEIGHT] + tolerance)
 
 
-@inlined
-def _drift(a, b, bias, correlation):
-    """Variance that errors shared with scans add to the step between two nodes, m^2."""
-    return 2.0 * bias[int(a[REGION])] * (1.0 - np.exp(-abs(a[ROW] - b[ROW]) / correlation))
-
-
-@inner(cache=True)
+@njit(cache=True)
 def _fuse(nodes, edges, limit, tolerated):
     """Root of every node after fusing along edges, the pair first whose step is least; nodes become those of trees."""
-    parent = np.arange(nodes.shape[0])
+    parent = np.empty(nodes.shape[0], dtype=np.int64)
+    for k in range(nodes.shape[0]):
+        parent[k] = k
     version, stamp = np.zeros(nodes.shape[0], dtype=np.int64), np.zeros(edges.shape[0], dtype=np.int64)
     keys, items = np.empty(edges.shape[0]), np.empty(edges.shape[0], dtype=np.int64)
     size = 0
@@ -119,7 +121,7 @@ def _fuse(nodes, edges, limit, tolerated):
     return parent
 
 
-@inner(cache=True)
+@njit(cache=True)
 def _unite(nodes, parent, a, b):
     """Let two trees be one, under the earlier root."""
     if b < a:
@@ -132,93 +134,76 @@ def _unite(nodes, parent, a, b):
     parent[b] = a
 
 
-@inlined
-def _rejoin(nodes, trees, parent, pairs, edges, bias, limit, tolerated, correlation):
+def _rejoin(nodes, trees, parent, pairs, edges, bias, limit, tolerated, correlation) -> bool:
     """Unite trees between which the surface has no step where they meet, each with the likest; whether there were any.
 
     The surface may wander over metres, but not at once: cells are compared across the border, a cell aside on either
     side where there is one, because that at the border itself may lie across the step.
     """
-    codes, across = np.empty(edges.shape[0], dtype=np.int64), np.zeros((edges.shape[0], 2, 3))
-    count = 0
-    for e in range(edges.shape[0]):
-        a, b = edges[e, 0], edges[e, 1]
-        ra, rb = parent[a], parent[b]
-        if ra == rb:
-            continue
-        a = pairs[e, 0] if pairs[e, 0] >= 0 and parent[pairs[e, 0]] == ra else a
-        b = pairs[e, 1] if pairs[e, 1] >= 0 and parent[pairs[e, 1]] == rb else b
-        w = 1.0 / (1.0 / nodes[a, WEIGHT] + 1.0 / nodes[b, WEIGHT])
-        step = nodes[a, OFFSET] - nodes[b, OFFSET]
-        codes[count] = min(ra, rb) * parent.shape[0] + max(ra, rb)
-        drift = w * _drift(nodes[a], nodes[b], bias, correlation)
-        across[count, int(abs(nodes[a, ROW] - nodes[b, ROW]) > 2.0)] = w, w * (step if ra < rb else -step), drift
-        count += 1
-    order = np.argsort(codes[:count], kind="mergesort")
-    least, likest = np.full(parent.shape[0], np.inf), np.full(parent.shape[0], -1)
-    begin = 0
-    while begin < count:
-        end, total = begin, np.zeros((2, 3))
-        while end < count and codes[order[end]] == codes[order[begin]]:
-            total += across[order[end]]
-            end += 1
-        code = codes[order[begin]]
-        step, variance = _combined(total)
-        beyond = max(abs(step) - tolerated, 0.0)
-        if beyond * beyond <= limit * variance:
-            chi2 = step * step / variance
-            for k in (code // parent.shape[0], code % parent.shape[0]):
+    border = np.flatnonzero(parent[edges[:, 0]] != parent[edges[:, 1]])
+    if not len(border):
+        return False
+    roots = parent[edges[border]]
+    aside = pairs[border]
+    a, b = np.where((aside >= 0) & (parent[aside] == roots), aside, edges[border]).T
+    weight = 1.0 / (1.0 / nodes[a, WEIGHT] + 1.0 / nodes[b, WEIGHT])
+    step, scans = nodes[a, OFFSET] - nodes[b, OFFSET], np.abs(nodes[a, ROW] - nodes[b, ROW])
+    step = np.where(roots[:, 0] < roots[:, 1], step, -step)
+    drift = 2.0 * bias[regions_of(nodes[a])] * (1.0 - np.exp(-scans / correlation))
+    codes, meeting = np.unique(roots.min(axis=1) * len(parent) + roots.max(axis=1), return_inverse=True)
+    place, size = 2 * meeting + (scans > 2.0), 2 * len(codes)
+    sums = [np.bincount(place, of, size).reshape(-1, 2) for of in (weight, weight * step, weight * drift)]
+    return _unite_likest(trees, parent, codes, *_combined(*sums), limit, tolerated)
+
+
+def _combined(weight: np.ndarray, moment: np.ndarray, drift: np.ndarray) -> tuple[FloatArray, FloatArray]:
+    """Mean step and its variance from those inside scans, where shared errors cancel, and from scan to scan.
+
+    Args:
+        weight, moment, drift: sums of w, w step and w drift of both, shape (P, 2).
+    """
+    both, moments = np.zeros(len(weight)), np.zeros(len(weight))
+    for way in range(2):
+        w = weight[:, way] / (1.0 + drift[:, way])
+        both += w
+        moments += w * moment[:, way] / np.where(w > 0.0, weight[:, way], 1.0)
+    return moments / both, 1.0 / both
+
+
+@njit(cache=True)
+def _unite_likest(trees, parent, codes, steps, variances, limit, tolerated):
+    """Unite those of the pairs of trees, ascending codes (P,), that are each other's likest; whether there were any."""
+    n = parent.shape[0]
+    least, likest = np.empty(n), np.empty(n, dtype=np.int64)
+    for k in range(n):
+        least[k], likest[k] = np.inf, -1
+    for p in range(codes.shape[0]):
+        beyond = max(abs(steps[p]) - tolerated, 0.0)
+        if beyond * beyond <= limit * variances[p]:
+            chi2 = steps[p] * steps[p] / variances[p]
+            for k in (codes[p] // n, codes[p] % n):
                 if chi2 < least[k]:
-                    least[k], likest[k] = chi2, code
-        begin = end
+                    least[k], likest[k] = chi2, codes[p]
     united = False
-    for k in range(parent.shape[0]):
-        other = likest[k] % parent.shape[0]
+    for k in range(n):
+        other = likest[k] % n
         if likest[k] >= 0 and k < other and likest[other] == likest[k]:
             _unite(trees, parent, k, other)
             united = True
-    for k in range(parent.shape[0]):
+    for k in range(n):
         parent[k] = find(parent, k)
     return united
 
 
-@inlined
-def _combined(total):
-    """Mean step and its variance from those inside scans, where shared errors cancel, and from scan to scan.
-
-    Args:
-        total: sums of w, w step and w drift of both, shape (2, 3).
-    """
-    weight, moment = 0.0, 0.0
-    for way in range(2):
-        if total[way, 0] > 0.0:
-            w = total[way, 0] / (1.0 + total[way, 2])
-            weight += w
-            moment += w * total[way, 1] / total[way, 0]
-    return moment / weight, 1.0 / weight
-
-
-@inlined
-def _number(nodes, parent, hides, settled_rows, first, min_points):
+def _number(nodes, parent, hides, settled_rows, first, min_points) -> tuple[np.ndarray, np.ndarray]:
     """Label of every node and the region every new label was part of: largest parts and those in settled rows stay."""
-    n_settled = first[settled_rows, 0] if settled_rows < first.shape[0] else nodes.shape[0]
-    n_regions = hides.shape[0]
-    stays, largest = np.zeros(nodes.shape[0], dtype=np.bool_), np.full(n_regions, -1)
-    for k in range(n_settled):
-        stays[parent[k]] = True
-    for k in range(nodes.shape[0]):
-        r = int(nodes[k, REGION])
-        if parent[k] == k and (largest[r] < 0 or nodes[k, N] > nodes[largest[r], N]):
-            largest[r] = k
-    label, origin, count = np.empty(nodes.shape[0], dtype=np.int64), np.empty(nodes.shape[0], dtype=np.int64), 0
-    for k in range(nodes.shape[0]):
-        r = int(nodes[k, REGION])
-        if parent[k] != k:
-            label[k] = label[parent[k]]  # roots come first
-        elif stays[k] or k == largest[r] or not hides[r] or nodes[k, N] < min_points:
-            label[k] = r
-        else:
-            label[k] = n_regions + count
-            origin[count] = r
-            count += 1
-    return label, origin[:count].copy()
+    n_settled = first[settled_rows, 0] if settled_rows < len(first) else len(nodes)
+    region, roots = regions_of(nodes), np.flatnonzero(parent == np.arange(len(parent)))
+    stays = np.zeros(len(nodes), dtype=bool)
+    stays[parent[:n_settled]] = True
+    by_size = roots[np.lexsort((-nodes[roots, N], region[roots]))]  # of equal ones the first
+    stays[by_size[np.flatnonzero(np.diff(region[by_size], prepend=-1))]] = True
+    new = roots[~stays[roots] & hides[region[roots]] & (nodes[roots, N] >= min_points)]
+    label = region.copy()
+    label[new] = len(hides) + np.arange(len(new))
+    return label[parent], region[new]

@@ -78,7 +78,7 @@ def part_steps(sheet: Sheet, config: MapperConfig) -> None:
         sheet.labels,
         sheet.start,
         planes,
-        np.ascontiguousarray(sheet.bias[:, 0]),  # else one region alone is another layout: 15 s of compiling
+        sheet.bias[:, 0],
         PART_CELL,
         chdtri(1, PART_SIGNIFICANCE),
         config.flatness_m,

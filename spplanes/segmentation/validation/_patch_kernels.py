@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from spplanes._check import FloatArray
 from spplanes._jit import njit
 
 #: Patches are numbered by place where a grid over the plane has no more than so many for every point, else by sorting.
@@ -20,7 +21,7 @@ def patches_of(points, frame, side):
         frame: the plane's, shape (4, 4).
         side: of a patch, m.
     """
-    row, column = _squares_of(points, frame, side)
+    row, column = _squares_of(points, frame.copy(), side)  # of a plane, it is protected: another type
     if len(points) == 0:
         return row, column, 0, 0
     row -= row.min()
@@ -77,8 +78,15 @@ def with_shared(covariances, group, n_groups, direction, variance):
     return result
 
 
-@njit(cache=True)
-def strays(residuals, variances, drift, group, n_groups, sigmas, least):
+def strays(
+    residuals: FloatArray,
+    variances: FloatArray,
+    drift: FloatArray,
+    group: np.ndarray,
+    n_groups: int,
+    sigmas: float,
+    least: float,
+) -> np.ndarray:
     """Whether the weighted mean residual of each group is more than noise, drift and unevenness, shape (n_groups,).
 
     Args:
@@ -88,19 +96,12 @@ def strays(residuals, variances, drift, group, n_groups, sigmas, least):
         n_groups: how many there are.
         sigmas, least: what a mean may be, in its standard deviations and in m.
     """
-    sums = np.zeros((n_groups, 3))
-    for k in range(group.shape[0]):
-        weight = 1.0 / variances[k]
-        sums[group[k], 0] += weight
-        sums[group[k], 1] += weight * residuals[k]
-        if drift.shape[0] > 0:
-            sums[group[k], 2] += weight * drift[k]
-    result = np.zeros(n_groups, np.bool_)
-    for g in range(n_groups):
-        weight, mean, slow = sums[g]
-        if weight > 0.0:
-            result[g] = abs(mean / weight) > max(sigmas * np.sqrt((1.0 + slow) / weight), least)
-    return result
+    weights, slow = 1.0 / variances, np.zeros(n_groups)
+    total, moments = np.bincount(group, weights, n_groups), np.bincount(group, weights * residuals, n_groups)
+    if len(drift):
+        slow = np.bincount(group, weights * drift, n_groups)
+    there, total = total > 0.0, np.where(total > 0.0, total, 1.0)
+    return there & (np.abs(moments / total) > np.maximum(sigmas * np.sqrt((1.0 + slow) / total), least))
 
 
 @njit(cache=True)

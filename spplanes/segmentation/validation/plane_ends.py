@@ -65,7 +65,7 @@ def _seams(labels: np.ndarray, alike: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.searchsorted(ours, np.arange(len(alike) + 1)), np.ascontiguousarray(others)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _leave_out(points, covariances, valid, labels, planes, alike, start, others, uneven, first, last, sure):
     """Clear `sure`, in the rows from first to last, where a point of a plane may be of another surface."""
     toward = np.empty(3)

@@ -9,7 +9,7 @@ from shapely import box
 
 from slam.geometry.frames import inverse
 from slam.registration._plane_arrays import PlaneArrays
-from slam.registration.motion_from_planes import _off, fit_pairs_on
+from slam.registration.motion_from_planes import _write_off, fit_pairs_on
 from slam.registration.plane_registration import _agreement, match_planes_widely, places_anywhere
 from slam.registration.visibility import LinesOfSight
 from spplanes import Plane
@@ -72,13 +72,19 @@ def test_derivatives_of_what_planes_are_off():
     known = hall()
     motion = gtsam.Pose3.Expmap(rng.normal(0.0, 0.3, 6)).matrix()
     seen = measured(known, body(1.0, 0.5, 0.3), rng)
-    given = np.array([one.frame for one in seen]), np.array([one.normal for one in known])
-    distances = np.array([one.d for one in known])
-    _, jacobian = _off(motion, *given, distances)
-    for k, step in enumerate(1e-5 * np.eye(6)):
-        ahead = _off(motion @ gtsam.Pose3.Expmap(step).matrix(), *given, distances)[0]
-        behind = _off(motion @ gtsam.Pose3.Expmap(-step).matrix(), *given, distances)[0]
-        np.testing.assert_allclose(jacobian[:, :, k], (ahead - behind) / 2e-5, atol=1e-6)
+    for one, other in zip(seen, known, strict=True):
+        _, jacobian = what_it_is_off(motion, one, other)
+        for k, step in enumerate(1e-5 * np.eye(6)):
+            ahead, behind = (
+                what_it_is_off(motion @ gtsam.Pose3.Expmap(by).matrix(), one, other) for by in (step, -step)
+            )
+            np.testing.assert_allclose(jacobian[:, k], (ahead[0] - behind[0]) / 2e-5, atol=1e-6)
+
+
+def what_it_is_off(motion: FloatArray, seen: Plane, known: Plane) -> tuple[FloatArray, FloatArray]:
+    off, jacobian = np.empty(3), np.zeros((3, 6))
+    _write_off(motion, seen.frame, known.normal, known.d, off, jacobian)
+    return off, jacobian
 
 
 def test_a_motion_is_worked_out_as_well_as_it_says():

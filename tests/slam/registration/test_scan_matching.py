@@ -8,7 +8,7 @@ import pytest
 from benchmarks.corpus.floorplan import FloorPlan, cast
 from slam.frontend.information import left_open
 from slam.frontend.occupancy import CELL_M, NOVEL_SHARE, Raster, beams_of, moved
-from slam.frontend.occupancy._kernels import widen
+from slam.frontend.occupancy.raster import widen
 from slam.geometry.frames import planar_transform
 from slam.registration.scan_matching import _fit, relocate, split
 from slam.sensors.log import LaserScan
