@@ -215,8 +215,8 @@ def _stand(wheels: FloatArray) -> bool:
 
 
 def is_level(sensor: Sensor) -> bool:
-    """Whether a sensor is a 2D laser that looks along the floor."""
-    return sensor.kind == "line" and bool(sensor.body_T_sensor[2, 2] >= LEVEL_COSINE)
+    """Whether a sensor is a 2D laser that looks along the floor, upside down or not."""
+    return sensor.kind == "line" and bool(abs(sensor.body_T_sensor[2, 2]) >= LEVEL_COSINE)
 
 
 def _surface(scan: LaserScan, sensor: Sensor) -> Surface:

@@ -382,6 +382,25 @@ def test_without_wheels_the_matched_motion_is_the_factor():
     assert motion.is_by_returns and not motion.is_measured
 
 
+def test_a_laser_upside_down_measures_as_the_right_way_up():
+    """Its beams run the other way round; the motions are the same."""
+    log = scans_alone(rooms(1).log)
+    log = replace(log, events=log.events[:40])
+    turned = [
+        replace(scan, ranges=scan.ranges[::-1].copy(), angles=-scan.angles[::-1].copy())
+        for scan in log.events
+        if isinstance(scan, LaserScan)
+    ]
+    rig = stated(log)
+    over = rig.sensors["FLASER"].body_T_sensor @ np.diag([1.0, -1.0, -1.0, 1.0])
+    mounted = rig.sensors["FLASER"].model_copy(update={"mount": Mount(matrix=tuple(map(tuple, over.tolist())))})
+    upside_down = rig.model_copy(update={"sensors": {"FLASER": mounted}})
+    up = laser_track(log, rig, CoastingConfig())
+    down = made_track(replace(log, events=turned), upside_down, SlamConfig())
+    stamps = [scan.stamp_ns for scan in turned]
+    assert np.allclose(up.poses_at(stamps), down.poses_at(stamps), atol=2e-3)
+
+
 def test_poses_compose_as_transforms():
     track = track_of(rooms(10).log)
     stamps = track._scan_stamps
