@@ -52,6 +52,27 @@ MUTATIONS = (
         "tests/slam/test_planeslam.py::test_final_poses_and_planes_are_consistent_over_many_runs",
     ),
     Mutation(
+        "warp: walls taken for as flat as the noise of their beams",
+        "slam/frontend/warp_calibration.py",
+        " + shared.octave_sigmas_m[k] ** 2 * _uneven(local[k])",
+        "",
+        "tests/slam/frontend/test_warp_calibration.py::test_uneven_walls_are_no_warp",
+    ),
+    Mutation(
+        "warp: planes without tilts of their own",
+        "slam/frontend/warp_calibration.py",
+        "own, _ = np.linalg.qr(white[:, :3])",
+        "own, _ = np.linalg.qr(white[:, :1])",
+        "tests/slam/frontend/test_warp_calibration.py",
+    ),
+    Mutation(
+        "tracking: the next motion as sure as if the one before were known",
+        "slam/tracking/constant_velocity.py",
+        "total = total + (ahead_s / before_s) ** 2 * covariance",
+        "total = total + 0.0 * covariance",
+        "tests/slam/tracking/test_constant_velocity.py",
+    ),
+    Mutation(
         "fitting: the distance of a plane without its lever arm",
         "spplanes/_hesse.py",
         "    inverse[0, :3] = -(x @ c) * x - (y @ c) * y\n",

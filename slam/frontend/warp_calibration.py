@@ -43,6 +43,8 @@ _VIEW_RAD, _SAME_RAY = np.deg2rad(60.0), 1e-3
 _CELLS, _WAVES = (12, 16), (6, 8)
 #: A cell is of a plane by this share of its pixels, a plane of at least so many cells.
 _SHARE, _LEAST_CELLS = 0.1, 12
+#: Least share of a beam's variance across a plane, however edge-on it is seen.
+_EDGE_ON = 1e-3
 #: Bent planes fall into pieces, which say less of long waves: they are looked for again without the warp seen first.
 _LOOKS = 2
 #: Rounds in which the unevenness of surfaces and the warp come to each other.
@@ -133,7 +135,7 @@ def _planes_in(points: FloatArray, sensor: Sensor, warp: RangeWarp | None) -> li
             continue
         means, numbers = means[full], numbers[full]
         ranges, normal = np.linalg.norm(means, axis=1), _frame(means)[:3, 2]
-        slant = np.square(means @ normal / ranges)
+        slant = np.maximum(np.square(means @ normal / ranges), _EDGE_ON)
         planes.append(_Cells(means, slant * sensor.range_variance_at(ranges) / count[full], every[numbers]))
     return planes
 
@@ -214,8 +216,7 @@ def _uneven(local: FloatArray) -> FloatArray:
     apart = np.linalg.norm(local[:, None, :2] - local[:, :2], axis=-1)
     diameter = float(apart.max())
     side = np.sqrt(np.prod(np.ptp(local[:, :2], axis=0)) / len(local))
-    blur = np.hypot(apart, _WITHIN * side)
-    return 10.0 + np.log2(diameter / np.minimum(blur, diameter))
+    return 10.0 + np.log2(diameter / np.hypot(apart, _WITHIN * side))
 
 
 def _likeliest(information: FloatArray, told: FloatArray, prior: FloatArray) -> tuple[FloatArray, float]:
