@@ -163,7 +163,8 @@ def pieces() -> None:
     """
     import numpy as np
 
-    from spplanes import extract_lines, fit_plane
+    from spplanes import MapperConfig, extract_lines, fit_plane
+    from spplanes.segmentation.planes import outlines_in
 
     angles = np.linspace(-1.0, 1.0, 181)
     extract_lines(2.0 / np.cos(angles), angles, sigma=0.01)
@@ -171,6 +172,10 @@ def pieces() -> None:
     covariances, scans = np.tile(np.eye(3) * 1e-4, (200, 1, 1)), np.arange(200) // 20
     joint = np.kron(np.minimum.outer(np.arange(1, 11), np.arange(1, 11)), np.eye(6) * 1e-8)
     fit_plane(flat, covariances, viewpoint=np.zeros(3), scan_index=scans, pose_covariances=joint)
+    grid, labels = np.zeros((40, 60, 3)), np.zeros((40, 60), dtype=np.int64)
+    grid[..., 0], grid[..., 1] = np.meshgrid(np.linspace(-3.0, 3.0, 60), np.linspace(-2.0, 2.0, 40))
+    labels[10:25, 20:40] = -1  # a window
+    outlines_in(np.eye(4)[None], grid, labels, np.array([[1.7, 1.1]]), MapperConfig())
 
 
 def points() -> None:
