@@ -4,6 +4,8 @@ What a rig states too little of leaves no plane to be found and no match to be m
 before anything is estimated: on a plane the inverse range of one follows from those of its neighbours, whatever the
 plane, so that what they miss it by is their noise. That is the least error a beam can have; what neighbours share is
 not in it. So a rig is never believed to have less, and one that states more is believed.
+
+What cameras read falsely by the pixel is looked for after it, with noise that holds (`slam.frontend.warp_calibration`).
 """
 
 from __future__ import annotations

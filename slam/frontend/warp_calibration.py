@@ -32,7 +32,7 @@ from slam.sensors.rig import Sensor
 from slam.sensors.scan_noise import model_of
 from spplanes import MapperConfig
 from spplanes._check import FloatArray
-from spplanes.fitting.shared_error import shared_error_of
+from spplanes.fitting.shared_error import MEAN_DISTANCE, SIGNIFICANCE, shared_error_of
 from spplanes.segmentation.scans import label_scans
 
 #: Images that are looked at, spread over the log; thinned evenly where they have more rows than so many.
@@ -49,12 +49,8 @@ _EDGE_ON = 1e-3
 _LOOKS = 2
 #: Rounds in which the unevenness of surfaces and the warp come to each other.
 _ROUNDS = 4
-#: Probability that a camera without a warp is given one.
-_SIGNIFICANCE = 1e-3
 #: Standard deviations of an octave that are tried, of one and 1/m; and how often both in turn at most.
 _OCTAVES, _TURNS = np.geomspace(1e-5, 0.1, 33).tolist(), 5
-#: Mean distance of two points of a square, over its side.
-_WITHIN = 0.447
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +62,7 @@ class _Cells:
     variances: FloatArray
     """Of these along the plane's normal, by the noise of the ranges, shape (N,), m^2."""
     waves: FloatArray
-    """Of the warp there, shape (N, K)."""
+    """Of the warp there, those of a share and, times the range, those that grow with it, shape (N, 2 K)."""
 
 
 def with_warp(name: str, sensor: Sensor, log: Log) -> Sensor:
@@ -79,7 +75,7 @@ def with_warp(name: str, sensor: Sensor, log: Log) -> Sensor:
         if warp is None:
             return sensor
     assert warp is not None
-    spread = 100.0 * float(np.std(warp.over(*_CELLS)[0] + warp.over(*_CELLS)[1]))
+    spread = 100.0 * float(np.std(warp.over(*_CELLS).sum(axis=0)))
     log.notes.append(f"{name}: its images bend planes, by {spread:.2g} % of a range of 1 m: taken off")
     return sensor.model_copy(update={"warp": warp})
 
@@ -136,7 +132,8 @@ def _planes_in(points: FloatArray, sensor: Sensor, warp: RangeWarp | None) -> li
         means, numbers = means[full], numbers[full]
         ranges, normal = np.linalg.norm(means, axis=1), _frame(means)[:3, 2]
         slant = np.maximum(np.square(means @ normal / ranges), _EDGE_ON)
-        planes.append(_Cells(means, slant * sensor.range_variance_at(ranges) / count[full], every[numbers]))
+        variances, own_waves = slant * sensor.range_variance_at(ranges) / count[full], every[numbers]
+        planes.append(_Cells(means, variances, np.hstack((own_waves, own_waves * ranges[:, None]))))
     return planes
 
 
@@ -157,7 +154,7 @@ def warp_of(planes: Sequence[_Cells]) -> RangeWarp | None:
     weights, gain = np.zeros(len(prior)), 0.0
     for _ in range(_ROUNDS):
         weights, gain = _likeliest(*_told(planes, weights), prior)
-    if 2.0 * gain < chdtri(2, _SIGNIFICANCE):
+    if 2.0 * gain < chdtri(2, SIGNIFICANCE):
         return None
     shares, per_m = (tuple(tuple(row) for row in part.tolist()) for part in weights.reshape(2, *_WAVES))
     return RangeWarp(shares=shares, shares_per_m=per_m)
@@ -173,14 +170,11 @@ def _priors() -> FloatArray:
 
 def _told(planes: Sequence[_Cells], weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Information of the weights (2 K, 2 K) and that times them (2 K,), each plane as uneven as it is by now."""
-    lifted = [np.hstack((one.waves, one.waves * np.linalg.norm(one.points, axis=1)[:, None])) for one in planes]
-    taken = [one.points / (1.0 + by @ weights)[:, None] for one, by in zip(planes, lifted, strict=True)]
+    taken = [one.points / (1.0 + one.waves @ weights)[:, None] for one in planes]
     frames = np.array([_frame(points) for points in taken])
     local = [(points - frame[:3, 3]) @ frame[:3, :3] for points, frame in zip(taken, frames, strict=True)]
-    spreads = [
-        np.diag(_design(xyz).T @ (_design(xyz) / one.variances[:, None]))
-        for xyz, one in zip(local, planes, strict=True)
-    ]
+    designs = [np.column_stack((np.ones(len(xyz)), -xyz[:, 0], xyz[:, 1])) for xyz in local]  # of offset and tilts
+    spreads = [np.diag(by.T @ (by / one.variances[:, None])) for by, one in zip(designs, planes, strict=True)]
     shared = shared_error_of(
         np.concatenate(taken),
         np.concatenate([one.variances for one in planes])[:, None],
@@ -192,20 +186,15 @@ def _told(planes: Sequence[_Cells], weights: FloatArray) -> tuple[FloatArray, Fl
     information, told = np.zeros((len(weights), len(weights))), np.zeros(len(weights))
     for k, one in enumerate(planes):
         off = (one.points - frames[k, :3, 3]) @ frames[k, :3, 2]
-        along = (one.points @ frames[k, :3, 2])[:, None] * lifted[k]
+        along = (one.points @ frames[k, :3, 2])[:, None] * one.waves
         noise = np.diag(shared.noise_factors[k] * one.variances) + shared.octave_sigmas_m[k] ** 2 * _uneven(local[k])
         root = np.linalg.cholesky(noise)
-        white = np.linalg.solve(root, np.column_stack((_design(local[k]), along, off)))
+        white = np.linalg.solve(root, np.column_stack((designs[k], along, off)))
         own, _ = np.linalg.qr(white[:, :3])
         rest = white[:, 3:] - own @ (own.T @ white[:, 3:])
         information += rest[:, :-1].T @ rest[:, :-1]
         told += rest[:, :-1].T @ rest[:, -1]
     return information, told
-
-
-def _design(local: FloatArray) -> FloatArray:
-    """What offset and tilts do to points (N, 3) in a plane's frame, shape (N, 3)."""
-    return np.column_stack((np.ones(len(local)), -local[:, 0], local[:, 1]))
 
 
 def _uneven(local: FloatArray) -> FloatArray:
@@ -216,7 +205,7 @@ def _uneven(local: FloatArray) -> FloatArray:
     apart = np.linalg.norm(local[:, None, :2] - local[:, :2], axis=-1)
     diameter = float(apart.max())
     side = np.sqrt(np.prod(np.ptp(local[:, :2], axis=0)) / len(local))
-    return 10.0 + np.log2(diameter / np.hypot(apart, _WITHIN * side))
+    return 10.0 + np.log2(diameter / np.hypot(apart, 2.0 * MEAN_DISTANCE * side))
 
 
 def _likeliest(information: FloatArray, told: FloatArray, prior: FloatArray) -> tuple[FloatArray, float]:

@@ -31,7 +31,7 @@ class RangeWarp(Frozen):
 
     @model_validator(mode="after")
     def _check_shape(self) -> RangeWarp:
-        if len({len(self.shares), len(self.shares_per_m)}) != 1:
+        if len(self.shares) != len(self.shares_per_m):
             raise ValueError("expected as many rows of shares_per_m as of shares")
         if len({len(row) for row in (*self.shares, *self.shares_per_m)}) != 1:
             raise ValueError("expected rows of one length")

@@ -29,7 +29,7 @@ from spplanes.fitting._patch_sums import RESIDUAL, SIDE, SQUARE, WEIGHT, N, X, Y
 #: Share of the sensors without such errors that are taken to have some.
 SIGNIFICANCE = 1e-3
 #: Mean distance of the points of a rectangle, as exp(mean log), in the sum of its sides (Maxwell's geometric mean).
-_MEAN_DISTANCE = 0.2235
+MEAN_DISTANCE = 0.2235
 #: A uniform rectangle's half side in standard deviations.
 _HALF = 3.0**0.5
 #: tau^2 is looked for on a grid of so many values a factor of ten, then between them.
@@ -134,7 +134,7 @@ class _Patches:
         dof = sums[..., N].sum(axis=1) - (weights > 0.0).sum(axis=1)
         diameter = 2.0 * np.hypot(half[:, 0], half[:, 1])
         square = (x[:, :, None] - x[:, None, :]) ** 2 + (y[:, :, None] - y[:, None, :]) ** 2
-        within = _MEAN_DISTANCE * 2.0 * half.sum(axis=1) / SIDE  # of the points of a patch, and a blur between patches
+        within = MEAN_DISTANCE * 2.0 * half.sum(axis=1) / SIDE  # of the points of a patch, and a blur between patches
         apart = np.minimum(np.sqrt(square + within[:, None, None] ** 2), diameter[:, None, None])
         kernel = 1.0 + np.log2(diameter[:, None, None] / apart)
         return cls(weights, means, np.stack((np.ones_like(x), -x, y), axis=-1), kernel, chi2, dof)

@@ -31,10 +31,10 @@ def test_the_next_motion_errs_by_its_acceleration_and_as_the_motion_before(befor
     """Mean chi2 of 3,000 motions, the one before known along two directions better than along the others."""
     rng = np.random.default_rng(1)
     root = 0.03 * np.tril(rng.standard_normal((6, 6)))
-    sigmas = np.repeat([RULES.acceleration_sigma_m_per_s2, RULES.turn_change_sigma_rad_per_s2], 3) * ahead_s**2 * 0.1
     rules = RULES.model_copy(
         update={"acceleration_sigma_m_per_s2": 0.2, "turn_change_sigma_rad_per_s2": 0.14, "floor_rad": 0.001}
     )
+    sigmas = np.repeat([rules.acceleration_sigma_m_per_s2, rules.turn_change_sigma_rad_per_s2], 3) * ahead_s**2
     found, without = [], []
     for _ in range(N):
         velocity = 0.05 * rng.standard_normal(6)
