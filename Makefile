@@ -29,8 +29,8 @@ lint: $(VENV)/.ready-dev  ## ruff, lint and format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(VENV)/.ready-dev  ## pyright
-	$(BIN)/pyright
+types: $(VENV)/.ready-dev  ## pyrefly
+	$(BIN)/pyrefly check
 
 docs: $(VENV)/.ready-dev  ## the documentation site in ./build/docs, warnings as errors, offline
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs

@@ -128,7 +128,7 @@ def _run_until(job: Job, out: Path, seconds: float) -> tuple[int, bool]:
     return int.from_bytes(said[len(said) // 4 * 4 - 4 :][:4], "little") if said else 0, os.WIFSIGNALED(status)
 
 
-def _child(job: Job, out: Path, acknowledge: int) -> NoReturn:
+def _child(job: Job, out: Path, acknowledge: int) -> NoReturn:  # type: ignore[bad-return]  # never: `os._exit`
     code = 1
     try:
         work(job.mission, out, acknowledge)

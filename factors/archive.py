@@ -87,10 +87,10 @@ def rekeyed(factor: Any, names: Mapping[int, int], homes: Mapping[int, tuple[int
         if recipe is None or recipe.reference_key in homes or (recipe.reference_key and recipe.plane_key in homes):
             raise ArchiveError("factor: expected one of a single plane, made here, got another CustomFactor")
         keys = {role: getattr(recipe, role) for role in ("plane_key", "pose_key", "anchor_key", "reference_key")}
-        named = {role: names.get(key, key) for role, key in keys.items()}
+        roles: dict[str, Any] = {role: names.get(key, key) for role, key in keys.items()}
         if recipe.plane_key in homes:
-            named["plane_key"], named["anchor_key"] = homes[recipe.plane_key]
-        return replace(recipe, **named).factor()
+            roles["plane_key"], roles["anchor_key"] = homes[recipe.plane_key]
+        return replace(recipe, **roles).factor()
     keys = list(factor.keys())
     named = [names.get(key, key) for key in keys]
     if isinstance(factor, gtsam_unstable.LocalOrientedPlane3Factor):

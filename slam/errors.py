@@ -17,7 +17,7 @@ class LogError(ValueError):
         self.path, self.line, self.problem = Path(path), line, problem
 
 
-class MissingPackageError(LogError, ImportError):
+class MissingPackageError(LogError, ImportError):  # type: ignore[misc]  # both have a path
     """A format whose reader or writer needs a package that is not installed; the sentence says what to install."""
 
     def __init__(self, path: Path | str, package: str, extra: str, *, doing: str = "reading") -> None:

@@ -1,6 +1,6 @@
 """A wheel brings its kernels compiled: where it is installed nothing is compiled.
 
-By default a wheel with the kernels of one fit alone, as quick as that may be; `make wheel` gives a whole one.
+By default a wheel with the kernels of one plane of moments alone, as quick as that may be; `make wheel` gives a whole one.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ print(json.dumps({
     "loaded": sum(bool(k._cache_hits) for k in _jit.KERNELS),
 }))
 """
-FIT = "import numpy as np; from spplanes import fit_plane\n" + (
-    "plane = fit_plane(np.random.default_rng(1).random((99, 3)) * (1, 1, 0.01), sigma=0.01)\n"
+FIT = "import numpy as np; from spplanes import Moments\n" + (
+    "plane = Moments.from_points(np.random.default_rng(1).random((99, 3)) * (1, 1, 0.01)).plane()\n"
     "print(plane.frame.tobytes().hex(), plane.covariance.tobytes().hex())\n"
 )
 

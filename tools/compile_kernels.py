@@ -148,12 +148,12 @@ def corridor() -> None:
 
 
 def plane() -> None:
-    """One plane through points: the smallest of all."""
+    """One plane of moments: the smallest of all."""
     import numpy as np
 
-    from spplanes import fit_plane
+    from spplanes import Moments
 
-    fit_plane(np.random.default_rng(0).random((99, 3)) * (1.0, 1.0, 0.01), sigma=0.01)
+    Moments.from_points(np.random.default_rng(0).random((99, 3))).plane()
 
 
 def pieces() -> None:

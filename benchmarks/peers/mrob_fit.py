@@ -4,7 +4,7 @@ import json
 import sys
 import time
 
-import mrob  # pyright: ignore[reportMissingImports] (a peer, in an environment of its own)
+import mrob  # type: ignore[import-not-found]  # a peer, in an environment of its own
 import numpy as np
 
 from benchmarks._memory import peak_mb

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import cast
 
 import gtsam
 import numpy as np
@@ -131,7 +132,7 @@ def as_observation(name: str, value: object) -> Observation:
     if not callable(getattr(value, "patch_in", None)):
         kind = type(value).__name__
         raise ValueError(f"{name}: expected a Plane, a PlaneObservation or a LineObservation, got {kind}")
-    return value  # pyright: ignore[reportReturnType]
+    return cast("Observation", value)
 
 
 def place_all(landmarks: list[LandmarkExtent], values: gtsam.Values) -> FloatArray:

@@ -81,8 +81,8 @@ class Verdict:
         word = verdict["verdict"]
         if word not in ("sound", "doubtful", "broken"):
             raise ValueError(f"verdict: expected sound, doubtful or broken, got {word!r:.40}")
-        found = (Evidence(**{**one, "keyframes": tuple(map(int, one["keyframes"]))}) for one in evidence)
-        return cls(word, tuple(found))
+        fields: list[dict[str, Any]] = [{**one, "keyframes": tuple(map(int, one["keyframes"]))} for one in evidence]
+        return cls(word, tuple(Evidence(**one) for one in fields))
 
 
 def weigh(evidence: Iterable[Evidence], kinds: int) -> Verdict:

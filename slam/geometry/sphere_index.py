@@ -66,7 +66,7 @@ class SphereIndex:
         if len(self._packed) <= _FEW:
             return sorted({*self._packed.tolist(), *self._beside.tolist()})
         (x, y), away = middle[:2].tolist(), reach + _ROUNDING_M
-        found = self._tree.query(shapely.box(x - away, y - away, x + away, y + away))
+        found = self._tree.query(shapely.box(x - away, y - away, x + away, y + away))  # type: ignore[call-overload]
         return sorted({*self._packed[found].tolist(), *self._beside.tolist()})
 
     def _pack(self, numbers: np.ndarray, boxes: FloatArray) -> None:

@@ -124,9 +124,11 @@ def _plain_mission(mission: Mission) -> dict[str, Any]:
 
 def _mission_of(plain: dict[str, Any]) -> Mission:
     try:
-        looks = tuple(Look(**{**one, "planes": tuple(one["planes"])}) for one in plain["looks"])
+        looks: list[dict[str, Any]] = [{**one, "planes": tuple(one["planes"])} for one in plain["looks"]]
         trajectory = Trajectory(plain["stamps_ns"], plain["poses"])
-        return Mission(plain["name"], tuple(plain["planes"]), plain["covariance"], trajectory, looks)
+        return Mission(
+            plain["name"], tuple(plain["planes"]), plain["covariance"], trajectory, tuple(Look(**one) for one in looks)
+        )
     except (KeyError, TypeError) as error:
         raise RecordError("expected the record of a mission, got another") from error
 

@@ -233,7 +233,7 @@ def _is_news(motion: Motion, estimate: RelativePose, config: LoopConfig) -> bool
     spread = estimate.covariance + motion.covariance
     if float(error @ np.linalg.solve(spread, error)) > chdtri(3, config.significance):
         return True
-    better = np.linalg.inv(np.linalg.inv(estimate.covariance) + np.linalg.inv(motion.covariance))
+    better = np.linalg.inv(np.linalg.inv(estimate.covariance) + np.linalg.inv(motion.covariance)).astype(np.float64)
     return replace(estimate, covariance=better).reach_m < 0.5 * estimate.reach_m > 0.5 * config.tied_m
 
 

@@ -230,7 +230,7 @@ def _beyond(motion: Motion, found: Alignment, elements: np.ndarray) -> Motion | 
         return None
     information = information / _SLACK**2 + SILENT
     step = gtsam.Pose3.Expmap(np.linalg.solve(information, told / _SLACK**2)).matrix()
-    covariance = np.linalg.inv(information)[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+    covariance = np.linalg.inv(information).astype(np.float64)[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
     return replace(motion, a_T_b=motion.a_T_b @ found.known_T_seen @ step, covariance=covariance, response=None)
 
 

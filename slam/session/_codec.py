@@ -168,7 +168,7 @@ class _Writer:
         if isinstance(value, tuple):
             return {"tuple": [self.plain(one) for one in value]}
         if isinstance(value, BaseGeometry):
-            return {"shape": self._put(shapely.to_wkb(value, byte_order=1))}
+            return {"shape": self._put(shapely.to_wkb(value, byte_order=1))}  # type: ignore[arg-type]
         if isinstance(value, dict):
             return {"dict": {_name(key): self.plain(one) for key, one in value.items()}}
         if isinstance(value, StoredCloud | StoredScan):

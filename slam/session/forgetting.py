@@ -58,7 +58,7 @@ class StoredKeyframe(Keyframe):
 
     def __init__(self, stamp_ns: int, count: int, notes: _Notes, read: Read, there: Sequence[int]) -> None:
         seen = _StoredObservations(read, count)
-        known = {"stamp_ns": stamp_ns, "observations": seen, "scans": ()}
+        known: dict[str, Any] = {"stamp_ns": stamp_ns, "observations": seen, "scans": ()}
         known["notes"], known["motion_notes"] = notes
         for name, value in {**known, "_read": read, "_there": there}.items():
             object.__setattr__(self, name, value)  # frozen: set once, here

@@ -66,7 +66,7 @@ class Truth:
         write_tum(folder / _TRAJECTORY, self.trajectory)
         write_planes(folder / _PLANES, self.planes)
         with (folder / _LABELS).open("wb") as stream:
-            np.savez_compressed(stream, allow_pickle=False, **self.labels)  # pyright: ignore[reportArgumentType]
+            np.savez_compressed(stream, allow_pickle=False, **self.labels)  # type: ignore[arg-type]
 
     @classmethod
     def read(cls, folder: Path | str) -> Truth:

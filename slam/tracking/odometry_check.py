@@ -168,7 +168,7 @@ def planes_confirm(
         return None
     place, covariance = inverse(motion.a_T_b) @ fit[0], fit[1]
     by_planes, at_best, apart = stated(covariance), _by_returns(most_information(elements)), spatial(motion)
-    widest = eigh(by_planes + apart, at_best + apart, eigvals_only=True)[-1]
+    widest = np.max(eigh(by_planes + apart, at_best + apart, eigvals_only=True))
     confirmed = widest < _AS_GOOD**2 and _agree(motion, place, by_planes, significance)
     return (
         Check(False, by_planes, displacement(np.eye(4), place), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)])

@@ -85,7 +85,7 @@ def _outlined(plane: Plane, job: FitJob) -> Plane:
         misfits = ((points - plane.centre) @ plane.normal) ** 2 / variances
         points = points[np.argsort(misfits, kind="stable")[: plane.n_points]]
     hull = shapely.convex_hull(shapely.multipoints((points - plane.centre) @ plane.frame[:3, :2]))
-    return replace(plane, outline=hull)
+    return replace(plane, outline=hull)  # type: ignore[arg-type]  # of three points and more: a polygon
 
 
 def fit_planes(

@@ -127,7 +127,7 @@ class Extent:
             return
         self._whole = None
         self._tiles.update(grown)
-        areas = shapely.area(list(grown.values()))
+        areas = np.asarray(shapely.area(list(grown.values())))
         self._full.update(key for key, area in zip(grown, areas.tolist(), strict=True) if area > _FULL_M2)
 
     def _tiles_in(self, bounds: FloatArray) -> Iterator[tuple[int, int]]:

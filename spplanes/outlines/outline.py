@@ -123,7 +123,7 @@ def _polygons(rings: list[tuple[FloatArray, np.ndarray]]) -> list[Polygon]:
     parts = np.concatenate(([0], np.cumsum([len(ends) for _, ends in rings])))
     vertices = np.concatenate([corner for corner, _ in rings])
     polygons = shapely.from_ragged_array(shapely.GeometryType.POLYGON, vertices, (corners, parts))
-    good = shapely.is_valid(polygons)
+    good = np.asarray(shapely.is_valid(polygons))
     return [one if ok else _mended(one) for one, ok in zip(polygons, good.tolist(), strict=True)]
 
 

@@ -87,7 +87,7 @@ class _Reader:
             self.fixed.update((self._id(word, line), line) for word in words[1:])
         elif kind in _VERTICES:
             (number,), numbers = self._split(words, line, 1, _VERTICES[kind])
-            kept = {"VERTEX_PLANE": self.planes, "PARAMS_SE3OFFSET": self.offsets}.get(kind, self.poses)
+            kept: dict[int, Any] = {"VERTEX_PLANE": self.planes, "PARAMS_SE3OFFSET": self.offsets}.get(kind, self.poses)
             taken = number in kept if kind == "PARAMS_SE3OFFSET" else number in self.poses or number in self.planes
             if taken:
                 raise LogError(self.path, f"expected each id once, got {number} again", line=line)
