@@ -1,6 +1,6 @@
 """A wheel brings its kernels compiled: where it is installed nothing is compiled.
 
-By default a wheel with the kernels of one plane of moments alone, as quick as that may be; `make wheel` gives a whole one.
+By default a wheel with the kernels of one plane of moments alone, as quick as may be; `make wheel` gives a whole one.
 """
 
 from __future__ import annotations

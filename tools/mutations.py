@@ -59,6 +59,20 @@ MUTATIONS = (
         "tests/slam/frontend/test_warp_calibration.py::test_uneven_walls_are_no_warp",
     ),
     Mutation(
+        "fitting: the slope that says where neighbours share an error, without what is expected",
+        "spplanes/fitting/shared_error.py",
+        "[..., 0]).sum(axis=1) - expected",
+        "[..., 0]).sum(axis=1)",
+        "tests/spplanes/fitting/test_shared_error.py",
+    ),
+    Mutation(
+        "fitting: what few contrasts tell of a variance, by its likeliest value",
+        "spplanes/fitting/shared_error.py",
+        "np.exp(2.0 / np.maximum(told, 1.0))",
+        "np.exp(0.0 / np.maximum(told, 1.0))",
+        "tests/spplanes/fitting/test_shared_error.py",
+    ),
+    Mutation(
         "warp: planes without tilts of their own",
         "slam/frontend/warp_calibration.py",
         "own, _ = np.linalg.qr(white[:, :3])",

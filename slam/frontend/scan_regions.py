@@ -236,8 +236,11 @@ def believed_plane(part: ScanPart, plane: Plane, viewpoint: FloatArray, rules: V
 
 
 def fit_if_any(points: FloatArray, covariances: FloatArray, **fit: np.ndarray) -> Plane | None:
-    """The plane of points, or None where they do not determine one: one bad patch must not end a run."""
+    """The plane of points, or None where they do not determine one: one bad patch must not end a run.
+
+    What errors share is found over all planes of a scan (`with_shared_error`).
+    """
     try:
-        return fit_plane(points, covariances, **fit)  # type: ignore[arg-type]
+        return fit_plane(points, covariances, shared_error=False, **fit)  # type: ignore[arg-type]
     except ValueError:
         return None

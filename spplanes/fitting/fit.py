@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spplanes._rows import OK
-from spplanes.fitting._groups import fit_groups
+from spplanes.fitting._groups import Fits, fit_groups
 from spplanes.fitting._job import FitJob, Method, Robust, group_by_label
 from spplanes.moments import describe_status
 from spplanes.plane import Plane
@@ -35,6 +35,7 @@ def fit_plane(
     scan_origins: ArrayLike | None = None,
     robust: Robust | None = None,
     outline: bool = False,
+    shared_error: bool = True,
 ) -> Plane:
     """Fit one plane to uncertain points.
 
@@ -51,6 +52,10 @@ def fit_plane(
         scan_origins: points about which these rotations act, q = p - o, shape (S, 3), m; the world's origin if None.
         robust: ``"tukey"`` for up to 30 % gross outliers, which n_points and chi2 then leave out; only with ``"ml"``.
         outline: give the plane the convex hull of its points as outline, which is what can be drawn of it.
+        shared_error: look in the residuals for noise beyond what is stated, and for what the errors of neighbouring
+            points have in common (`spplanes.fitting.shared_error`), and count them in the covariance; what is stated
+            is a lower bound. Only with ``"ml"``, and without pose errors and outliers, which residuals show as well.
+            False: the covariance is that of independent points as stated.
 
     Returns:
         The plane, its frame at the weighted centre, x and y along the principal axes.
@@ -69,9 +74,12 @@ def fit_plane(
         pose_covariances=pose_covariances,
         scan_origins=scan_origins,
     )
-    fits = fit_groups(job, np.arange(len(job.points)), np.array([0, len(job.points)]))
+    order, bounds = np.arange(len(job.points)), np.array([0, len(job.points)])
+    fits = fit_groups(job, order, bounds)
     if fits.status[0] != OK:
         raise ValueError("points: " + describe_status(int(fits.status[0]), int(fits.counts[0])))
+    if shared_error:
+        fits = _with_shared_error(fits, job, order, bounds)
     return _outlined(fits.planes()[0], job) if outline else fits.planes()[0]
 
 
@@ -100,6 +108,7 @@ def fit_planes(
     pose_covariances: ArrayLike | None = None,
     scan_origins: ArrayLike | None = None,
     robust: Robust | None = None,
+    shared_error: bool = True,
 ) -> list[Plane]:
     """Fit many planes at once, one to the points of each label.
 
@@ -108,6 +117,7 @@ def fit_planes(
         covariances: of the points, shape (N, 3, 3), m^2.
         labels: plane of each point, shape (N,), integers; negative ones are left out.
         sigma, method, viewpoint, scan_index, pose_covariances, scan_origins, robust: as in ``fit_plane``.
+        shared_error: as in ``fit_plane``; the planes are taken as seen by one sensor, whose error most of them share.
 
     Returns:
         The planes in ascending order of label, ``np.unique(labels[labels >= 0])``.
@@ -130,4 +140,18 @@ def fit_planes(
     fits = fit_groups(job, order, bounds)
     for g in np.flatnonzero(fits.status != OK)[:1]:
         raise ValueError(f"points of label {names[g]}: " + describe_status(int(fits.status[g]), int(fits.counts[g])))
-    return fits.planes()
+    return (_with_shared_error(fits, job, order, bounds) if shared_error else fits).planes()
+
+
+def _with_shared_error(fits: Fits, job: FitJob, order: np.ndarray, bounds: np.ndarray) -> Fits:
+    """The fits with what residuals show beyond the stated noise, where they can be asked; see `shared_error_of`."""
+    if job.method != "ml" or job.robust or job.shared is not None:
+        return fits
+    from spplanes.fitting.shared_error import shared_error_of  # late: quantiles of scipy, which nothing else here needs
+
+    groups = np.full(len(job.points), -1)
+    groups[order] = np.repeat(np.arange(len(bounds) - 1), np.diff(bounds))
+    found = shared_error_of(
+        job.points, job.covariances.reshape(-1, 9), groups, fits.frames, fits.covariances, stated=True
+    )
+    return replace(fits, covariances=found.covariances)

@@ -30,10 +30,16 @@ from spplanes.fitting._patch_sums import RESIDUAL, SIDE, SQUARE, WEIGHT, N, X, Y
 SIGNIFICANCE = 1e-3
 #: Mean distance of the points of a rectangle, as exp(mean log), in the sum of its sides (Maxwell's geometric mean).
 MEAN_DISTANCE = 0.2235
+#: Points of a plane, on average, by which its noise is judged where patches may be as narrow as that.
+_SAMPLE = 1000
+#: Planes that are asked at a time: what is worked on stays in the processor's cache.
+_FEW = 50
+#: Likelihoods are worked out where the slope at tau = 0 is above so many standard deviations.
+_HINT = 2.0
 #: A uniform rectangle's half side in standard deviations.
 _HALF = 3.0**0.5
-#: tau^2 is looked for on a grid of so many values a factor of ten, then between them.
-_PER_DECADE, _DECADES = 8, 12
+#: tau^2 is looked for at these powers of ten, as the largest contrast has it, then so often between neighbours.
+_DECADES, _ROUNDS, _SHARES = np.arange(-3.0, 9.0, 0.5), 6, np.linspace(0.0, 1.0, 9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +86,7 @@ def shared_error_of(
     if not estimate:
         return SharedError(least_m, least, ones, patches.covariances(covariances, ones, least**2))
     factors = patches.noise_factors(stated)
-    values, squares = patches.contrasts(factors)
-    common, own = _reml(values, squares, least_m**2)
+    common, own = patches.octaves(factors, least_m**2)
     return SharedError(float(np.sqrt(common)), np.sqrt(own), factors, patches.covariances(covariances, factors, own))
 
 
@@ -109,8 +114,10 @@ class _Patches:
     """Mean residuals, shape (P, M), m."""
     design: FloatArray
     """(1, -x, y) of their centres, the derivative of a residual by (z, theta, psi), shape (P, M, 3)."""
-    kernel: FloatArray
-    """K between patches, shape (P, M, M)."""
+    diameters: FloatArray
+    """Of the planes, shape (P,), m."""
+    within: FloatArray
+    """Distance of the points of a patch, and a blur between patches, shape (P,), m."""
     chi2: FloatArray
     """Of the points about the means of their patches, shape (P,)."""
     dof: FloatArray
@@ -133,11 +140,16 @@ class _Patches:
         chi2 = (sums[..., SQUARE] - weights * means**2).sum(axis=1)
         dof = sums[..., N].sum(axis=1) - (weights > 0.0).sum(axis=1)
         diameter = 2.0 * np.hypot(half[:, 0], half[:, 1])
+        within = MEAN_DISTANCE * 2.0 * half.sum(axis=1) / SIDE
+        return cls(weights, means, np.stack((np.ones_like(x), -x, y), axis=-1), diameter, within, chi2, dof)
+
+    def kernel(self, planes: np.ndarray) -> FloatArray:
+        """K between the patches of some planes, shape (N, M, M)."""
+        x, y = self.design[planes, :, 1], self.design[planes, :, 2]
         square = (x[:, :, None] - x[:, None, :]) ** 2 + (y[:, :, None] - y[:, None, :]) ** 2
-        within = MEAN_DISTANCE * 2.0 * half.sum(axis=1) / SIDE  # of the points of a patch, and a blur between patches
-        apart = np.minimum(np.sqrt(square + within[:, None, None] ** 2), diameter[:, None, None])
-        kernel = 1.0 + np.log2(diameter[:, None, None] / apart)
-        return cls(weights, means, np.stack((np.ones_like(x), -x, y), axis=-1), kernel, chi2, dof)
+        square += self.within[planes, None, None] ** 2
+        diameters = self.diameters[planes, None, None] ** 2
+        return 1.0 + 0.5 * np.log2(diameters / np.minimum(square, diameters))
 
     def noise_factors(self, stated: bool) -> FloatArray:
         """Variance of the points inside of patches over the stated one, shape (P,)."""
@@ -146,54 +158,120 @@ class _Patches:
         common = weighted_median(own, self.dof) if self.dof.sum() > 0.0 else 1.0
         refused = self.chi2.sum() > chdtri(max(self.dof.sum(), 1.0), SIGNIFICANCE)
         common = max(common if refused else 1.0, 1.0) if stated else max(common, 1e-12)
-        return np.where(self.chi2 > common * chdtri(dof, SIGNIFICANCE), np.maximum(own, common), common)
+        return np.where(self.chi2 > common * chdtri(dof, _of_one(len(dof), refused)), np.maximum(own, common), common)
 
-    def contrasts(self, factors: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Variances that tau^2 = 1 gives the contrasts of every plane beside noise of 1, and their squares, (P, M)."""
-        root = np.sqrt(self.weights / factors[:, None])
-        trend = root[..., None] * self.design
+    def octaves(self, factors: FloatArray, least: float) -> tuple[float, FloatArray]:
+        """tau^2 of most planes, and of each of them, (P,), m^2; of those alone that may have any, if most have none."""
+        common, own = least, np.full(len(factors), least)
+        few = [self._scores(one, factors) for one in np.array_split(np.arange(len(own)), len(own) // _FEW + 1)]
+        score, variance = np.concatenate(few, axis=1)
+        most = bool(score.sum() > _HINT * np.sqrt(variance.sum()))
+        asked = np.flatnonzero(most | (score > _HINT * np.sqrt(variance)))
+        if len(asked):
+            values, squares = self._contrasts(asked, factors)
+            common = _of_most(values, squares, least) if most else least
+            own[asked] = _of_each(values, squares, common, len(own))
+        return common, own
+
+    def _trend(self, planes: np.ndarray, factors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Roots of the weights, (P, M), columns of what offset and tilt explain, (P, M, 3), and (X^T X)^-1."""
+        root = np.sqrt(self.weights[planes] / factors[planes, None])
+        trend = root[..., None] * self.design[planes]
         size = np.sqrt((trend**2).sum(axis=1, keepdims=True))
         trend = trend / np.where(size > 0.0, size, 1.0)
         square = np.swapaxes(trend, 1, 2) @ trend + 1e-9 * np.eye(3)
-        project = np.eye(root.shape[1]) - trend @ np.linalg.solve(square, np.swapaxes(trend, 1, 2))
-        values, vectors = np.linalg.eigh(project @ (root[:, :, None] * self.kernel * root[:, None, :]) @ project)
-        seen = np.einsum("pmk,pm->pk", vectors, np.einsum("pmn,pn->pm", project, root * self.means))
+        return root, trend, np.linalg.inv(square).astype(np.float64)
+
+    def _scores(self, planes: np.ndarray, factors: FloatArray) -> FloatArray:
+        """Twice the slope of the log likelihood at tau^2 = 0, its expectation 0, and its variance there, (2, N).
+
+        With r what the trend T leaves of the means and A = K T: r^T K r - tr(P K), and 2 tr(P K P K).
+        """
+        root, trend, inverse = self._trend(planes, factors)
+        seen, back = root * self.means[planes], np.swapaxes(trend, 1, 2)
+        seen = seen - (trend @ (inverse @ (back @ seen[..., None])))[..., 0]
+        kernel = root[:, :, None] * self.kernel(planes) * root[:, None, :]
+        across = kernel @ trend
+        explained = inverse @ (back @ across)
+        squares = np.einsum("pmn,pmn->p", kernel, kernel) - 2.0 * np.einsum("pij,pmj,pmi->p", inverse, across, across)
+        squares += np.einsum("pij,pji->p", explained, explained)
+        expected = np.trace(kernel, axis1=1, axis2=2) - np.trace(explained, axis1=1, axis2=2)
+        score = (seen * (kernel @ seen[..., None])[..., 0]).sum(axis=1) - expected
+        return np.stack((score, np.maximum(2.0 * squares, 0.0)))
+
+    def _contrasts(self, planes: np.ndarray, factors: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Variances that tau^2 = 1 gives the contrasts of planes beside noise of 1, and their squares, (P, M)."""
+        root, trend, inverse = self._trend(planes, factors)
+        project = np.eye(root.shape[1]) - trend @ inverse @ np.swapaxes(trend, 1, 2)
+        kernel = root[:, :, None] * self.kernel(planes) * root[:, None, :]
+        values, vectors = np.linalg.eigh(project @ kernel @ project)
+        seen = np.einsum("pmk,pm->pk", vectors, np.einsum("pmn,pn->pm", project, root * self.means[planes]))
         return np.where(values > 1e-3 * values[:, -1:], values, 0.0), seen**2
 
     def covariances(self, covariances: FloatArray, factors: FloatArray, taus: FloatArray) -> FloatArray:
         """Of (z, theta, psi): of the weighted fit, whose points share an error it did not know of."""
-        gain = covariances @ (np.swapaxes(self.design, 1, 2) * self.weights[:, None, :])
-        shared = gain @ self.kernel @ np.swapaxes(gain, 1, 2)
-        total = factors[:, None, None] * covariances + taus[:, None, None] * shared
+        total, uneven = factors[:, None, None] * covariances, np.flatnonzero(taus)
+        gain = covariances[uneven] @ (np.swapaxes(self.design[uneven], 1, 2) * self.weights[uneven, None, :])
+        total[uneven] += taus[uneven, None, None] * (gain @ self.kernel(uneven) @ np.swapaxes(gain, 1, 2))
         return 0.5 * (total + np.swapaxes(total, 1, 2))
 
 
+def _of_one(n_planes: int, shared: bool) -> float:
+    """Significance at which one plane of many has an error of its own.
+
+    Where most of them have one that is common occurrence; where none has, one false alarm among all is bad enough.
+    """
+    return SIGNIFICANCE if shared else SIGNIFICANCE / n_planes
+
+
 def _noise_along(variances: FloatArray, groups: np.ndarray, n_planes: int) -> FloatArray:
-    """Standard deviation of the points of every plane in any direction, shape (P,), m.
+    """Standard deviation of the points of every plane in any direction, shape (P,), m; of many by a sample of them.
 
     Patches narrower than two of it would sort points by their noise, which goes together with that of the residuals.
     """
-    traces = variances[:, 0] if variances.shape[1] == 1 else variances[:, [0, 4, 8]].sum(axis=1)
-    held = groups >= 0
-    sums = np.bincount(groups[held], np.broadcast_to(traces, groups.shape)[held], minlength=n_planes)
-    return np.sqrt(sums / np.maximum(np.bincount(groups[held], minlength=n_planes), 1))
+    if len(variances) == 1 < len(groups):
+        return np.full(n_planes, np.sqrt(_traces(variances)[0]))
+    some = slice(None, None, max(len(groups) // (_SAMPLE * n_planes), 1))
+    place = groups[some] + 1  # one more for points of no plane
+    sums = np.bincount(place, _traces(variances[some]), minlength=n_planes + 1)[1:]
+    return np.sqrt(sums / np.maximum(np.bincount(place, minlength=n_planes + 1)[1:], 1))
 
 
-def _reml(values: FloatArray, squares: FloatArray, least: float) -> tuple[float, FloatArray]:
-    """tau^2 of most planes, and of each of them, (P,), m^2; see `_Patches.contrasts`.
+def _traces(variances: FloatArray) -> FloatArray:
+    return variances[:, 0] if variances.shape[1] == 1 else variances[:, 0] + variances[:, 4] + variances[:, 8]
 
-    That of most is the median, each plane as often as it has contrasts that tell: planes differ by more than their
-    estimates' errors, and one that is two surfaces must not speak for all. A plane that is worse, as the common value
-    would have it in one case of a thousand, has its own.
+
+def _of_most(values: FloatArray, squares: FloatArray, least: float) -> float:
+    """tau^2 of most planes by their contrasts, m^2; see `_Patches._contrasts`.
+
+    The median, each plane as often as it has contrasts that tell: planes differ by more than their estimates' errors,
+    and one that is two surfaces must not speak for all.
     """
-    own = np.array([_likeliest(values[p : p + 1], squares[p : p + 1]) for p in range(len(values))])
-    limit, pooled = chdtri(1, 2.0 * SIGNIFICANCE), _likeliest(values, squares)
-    common = least
-    if 2.0 * (_total(values, squares, pooled) - _total(values, squares, 0.0)) > limit:
-        signal = pooled * values / (1.0 + pooled * values)
-        common = max(weighted_median(own, (signal**2).sum(axis=1)), least)
+    pooled = _likeliest(values.reshape(1, -1), squares.reshape(1, -1))
+    gain = _log_likelihood(values, squares, pooled) - _log_likelihood(values, squares, 0.0)
+    if 2.0 * gain.sum() <= chdtri(1, 2.0 * SIGNIFICANCE):
+        return least
+    told = _told(values, pooled)
+    return max(float(weighted_median(_likeliest(values, squares), told) * _mean_over_mode(told.sum())), least)
+
+
+def _of_each(values: FloatArray, squares: FloatArray, common: float, n_planes: int) -> FloatArray:
+    """tau^2 of each of some planes of so many, (P,), m^2: one that the common value does not explain has its own."""
+    own = _likeliest(values, squares)
     gain = _log_likelihood(values, squares, np.maximum(own, common)) - _log_likelihood(values, squares, common)
-    return common, np.where(2.0 * gain > limit, np.maximum(own, common), common)
+    limit = chdtri(1, 2.0 * _of_one(n_planes, bool(common)))
+    return np.where(2.0 * gain > limit, np.maximum(own * _mean_over_mode(_told(values, own)), common), common)
+
+
+def _told(values: FloatArray, tau: FloatArray) -> FloatArray:
+    """Contrasts that tell tau^2 (P,) of every plane, noise counted as it hides them, shape (P,)."""
+    signal = tau[:, None] * values
+    return ((signal / (1.0 + signal)) ** 2).sum(axis=1)
+
+
+def _mean_over_mode(told: FloatArray) -> FloatArray:
+    """Mean of what n contrasts leave open of a variance, over its likeliest value: exp(2 / n), as of a log-normal."""
+    return np.exp(2.0 / np.maximum(told, 1.0))
 
 
 def weighted_median(values: FloatArray, weights: FloatArray) -> float:
@@ -204,32 +282,17 @@ def weighted_median(values: FloatArray, weights: FloatArray) -> float:
 
 
 def _log_likelihood(values: FloatArray, squares: FloatArray, tau: FloatArray | float) -> FloatArray:
-    """Of the contrasts of every plane, up to a constant, shape (P,)."""
-    variance = 1.0 + values * np.reshape(tau, (-1, 1))
-    seen = values > 0.0
-    return -0.5 * np.where(seen, np.log(variance) + squares / variance, 0.0).sum(axis=1)
+    """Of the contrasts of every plane, up to a constant, for tau^2 of any shape (..., P); the same shape."""
+    variance = 1.0 + values * np.asarray(tau)[..., None]
+    return -0.5 * np.where(values > 0.0, np.log(variance) + squares / variance, 0.0).sum(axis=-1)
 
 
-def _total(values: FloatArray, squares: FloatArray, tau: float) -> float:
-    return float(_log_likelihood(values, squares, tau).sum())
-
-
-def _likeliest(values: FloatArray, squares: FloatArray) -> float:
-    """tau^2 >= 0 at the maximum of the likelihood of planes that share it."""
-    largest = values.max(initial=0.0)
-    if largest <= 0.0:
-        return 0.0
-    grid = np.concatenate(([0.0], 10.0 ** np.arange(-3.0, _DECADES - 3.0, 1.0 / _PER_DECADE) / largest))
-    variance = 1.0 + values.ravel() * grid[:, None]
-    terms = np.where(values.ravel() > 0.0, np.log(variance) + squares.ravel() / variance, 0.0)
-    best = int((-terms.sum(axis=1)).argmax())
-    if best in (0, len(grid) - 1):
-        return float(grid[best])
-    low, high = grid[best - 1], grid[best + 1]
-    for _ in range(20):  # golden sections are not worth their lines: a third is cut off each time
-        a, b = low + (high - low) / 3.0, high - (high - low) / 3.0
-        if _total(values, squares, a) < _total(values, squares, b):
-            low = a
-        else:
-            high = b
-    return 0.5 * (low + high)
+def _likeliest(values: FloatArray, squares: FloatArray) -> FloatArray:
+    """tau^2 >= 0 at the maximum of the likelihood of the contrasts of every plane, shape (P,)."""
+    largest, planes = values.max(axis=1, initial=0.0), np.arange(len(values))
+    taus = np.append(0.0, 10.0**_DECADES)[:, None] / np.where(largest > 0.0, largest, 1.0)
+    for _ in range(_ROUNDS):
+        best = _log_likelihood(values, squares, taus).argmax(axis=0)
+        low, high = taus[np.maximum(best - 1, 0), planes], taus[np.minimum(best + 1, len(taus) - 1), planes]
+        taus = low + (high - low) * _SHARES[:, None]
+    return np.where(largest > 0.0, taus[_log_likelihood(values, squares, taus).argmax(axis=0), planes], 0.0)

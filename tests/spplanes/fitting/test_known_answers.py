@@ -55,7 +55,7 @@ def test_weighted_heights():
     """
     points = np.concatenate([1000 * CORNERS, 1000 * CORNERS + (0, 0, 0.005)])
     covariances = np.repeat([1e-6, 4e-6], 4)[:, None, None] * np.eye(3)
-    ml = fit_plane(points, covariances, viewpoint=(0, 0, 1))
+    ml = fit_plane(points, covariances, viewpoint=(0, 0, 1), shared_error=False)
     sp = fit_plane(points, covariances, viewpoint=(0, 0, 1), method="sp")
     assert ml.d == pytest.approx(0.001, rel=1e-9)
     assert ml.covariance[0, 0] == pytest.approx(1e-6 / 5, rel=1e-9)

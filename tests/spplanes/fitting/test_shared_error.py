@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from spplanes import fit_plane
-from spplanes.fitting.shared_error import shared_error_of
+from spplanes import fit_plane, fit_planes
+from spplanes.fitting.shared_error import _log_likelihood, _Patches, shared_error_of
 
 SIGMA_M, N_WALLS = 0.005, 6
 
@@ -34,7 +34,7 @@ def walls(octave_m: float, seed: int):
     """What `shared_error_of` says of six walls, and the errors (6, 3) of their (z, theta, psi)."""
     rng = np.random.default_rng(seed)
     points = [wall(octave_m, rng) for _ in range(N_WALLS)]
-    planes = [fit_plane(one, sigma=SIGMA_M, viewpoint=(0.0, 0.0, 9.0)) for one in points]
+    planes = [fit_plane(one, sigma=SIGMA_M, viewpoint=(0.0, 0.0, 9.0), shared_error=False) for one in points]
     found = shared_error_of(
         np.concatenate(points),
         np.array([[SIGMA_M**2]]),
@@ -78,7 +78,7 @@ def test_walls_that_wander_are_known_as_well_as_is_said(octave_m):
 def test_one_surface_that_is_worse_speaks_for_itself_only():
     rng = np.random.default_rng(0)
     points = [wall(0.01 if k == 0 else 0.0, rng) for k in range(N_WALLS)]
-    planes = [fit_plane(one, sigma=SIGMA_M, viewpoint=(0.0, 0.0, 9.0)) for one in points]
+    planes = [fit_plane(one, sigma=SIGMA_M, viewpoint=(0.0, 0.0, 9.0), shared_error=False) for one in points]
     frames, covariances = (np.array([getattr(one, name) for one in planes]) for name in ("frame", "covariance"))
     groups = np.repeat(np.arange(N_WALLS), 3000)
     found = shared_error_of(np.concatenate(points), np.array([[SIGMA_M**2]]), groups, frames, covariances, stated=True)
@@ -89,7 +89,7 @@ def test_one_surface_that_is_worse_speaks_for_itself_only():
 def test_noise_that_was_stated_too_small_is_seen_and_too_large_is_believed():
     rng = np.random.default_rng(1)
     points = wall(0.0, rng)
-    plane = fit_plane(points, sigma=SIGMA_M, viewpoint=(0.0, 0.0, 9.0))
+    plane = fit_plane(points, sigma=SIGMA_M, viewpoint=(0.0, 0.0, 9.0), shared_error=False)
     for stated, expected in ((0.5, 4.0), (1.0, 1.0), (2.0, 1.0)):
         covariance = plane.covariance * stated**2
         variance = np.array([[(stated * SIGMA_M) ** 2]])
@@ -97,3 +97,44 @@ def test_noise_that_was_stated_too_small_is_seen_and_too_large_is_believed():
         found = shared_error_of(points, variance, groups, plane.frame[None], covariance[None], stated=True)
         assert found.noise_factors[0] == pytest.approx(expected, rel=0.15)
         np.testing.assert_allclose(found.covariances[0], found.noise_factors[0] * covariance)
+
+
+@pytest.mark.parametrize("octave_m", [0.0, 0.002])
+def test_one_fit_is_as_sure_as_it_says_on_walls_that_wander_and_on_exact_ones(octave_m):
+    """Mean chi2 of a tilt; by the stated noise alone it is 90 where they wander."""
+    rng, tilts, stated = np.random.default_rng(3), [], []
+    for _ in range(90):
+        points = wall(octave_m, rng)
+        for chosen, shared_error in ((tilts, True), (stated, False)):
+            plane = fit_plane(points, sigma=SIGMA_M, viewpoint=(0.0, 0.0, 9.0), shared_error=shared_error)
+            slope = plane.frame[:3, :3].T @ (0.0, 0.0, 1.0)
+            chosen.append(np.square((slope[0], slope[1]) / slope[2]) / np.diagonal(plane.covariance)[1:])
+    assert 0.6 < np.mean(tilts) < 1.4  # 180 tilts: a standard deviation of 0.11
+    assert (np.mean(stated) > 30.0) == (octave_m > 0.0)
+
+
+def test_planes_of_one_call_share_what_most_of_them_show():
+    """A plane of few points is as uneven as the walls beside it, which alone it could not tell."""
+    rng = np.random.default_rng(4)
+    points = [wall(0.01, rng) for _ in range(N_WALLS)]
+    few = points[0][:60]
+    labels = np.repeat(np.arange(N_WALLS + 1), [60] + [3000] * N_WALLS)
+    [among, *_] = fit_planes(np.concatenate([few, *points]), labels=labels, sigma=SIGMA_M)
+    [stated, *_] = fit_planes(np.concatenate([few, *points]), labels=labels, sigma=SIGMA_M, shared_error=False)
+    assert among.covariance[1, 1] > 20.0 * stated.covariance[1, 1]
+
+
+def test_the_slope_that_says_where_to_look_is_that_of_the_likelihood():
+    rng = np.random.default_rng(5)
+    points = np.concatenate([wall(0.0, rng)[:400] for _ in range(200)])
+    groups, variances = np.repeat(np.arange(200), 400), np.array([[SIGMA_M**2]])
+    planes = fit_planes(points, labels=groups, sigma=SIGMA_M, shared_error=False)
+    frames, covariances = (np.array([getattr(one, name) for one in planes]) for name in ("frame", "covariance"))
+    patches, every, ones = _Patches.of(points, variances, groups, frames, covariances), np.arange(200), np.ones(200)
+    score, variance = patches._scores(every, ones)
+    values, squares = patches._contrasts(every, ones)
+    step = 1e-6 / values.max()
+    slope = 2.0 * (_log_likelihood(values, squares, step) - _log_likelihood(values, squares, 0.0)) / step
+    np.testing.assert_allclose(score, slope, rtol=1e-3, atol=1e-2 * np.sqrt(variance).max())
+    assert np.mean(score / np.sqrt(variance)) == pytest.approx(0.0, abs=3.3 / 200**0.5)
+    assert np.std(score / np.sqrt(variance)) == pytest.approx(1.0, abs=0.25)
