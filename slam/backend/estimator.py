@@ -105,13 +105,19 @@ class Backend:
         used = {key for factor in factors for key in list(factor.keys())}
         in_use, self._used = used | self._used, used
         self._n_updates += 1
-        if self._n_updates % _ALL_EVERY == 0:
-            return None
+        return None if self._n_updates % _ALL_EVERY == 0 else self._all_but(in_use)
+
+    def _all_but(self, in_use: set[int]) -> gtsam.KeyList:
         held = gtsam.KeyList()
         for key in list(self._isam.getLinearizationPoint().keys()):
             if key not in in_use:
                 held.push_back(key)
         return held
+
+    @timed("optimise")
+    def relinearize_in_use(self) -> None:
+        """Once more at the estimate what the last factors are of, and nothing else."""
+        self._step(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], None, self._all_but(self._used))
 
     @timed("optimise")
     def exchange(self, factors: Iterable[Any], remove: Sequence[int], leaving: Iterable[int]) -> list[int]:

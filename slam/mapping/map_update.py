@@ -261,7 +261,7 @@ class MapUpdater:
         indices = self._backend.update(factors, initial, remove=leaving, relinearize=prediction.is_wide)
         turn = inverse(expected)[:3, :3] @ self._backend.pose(pose_key)[:3, :3]
         if not prediction.is_wide and bends(turn, [insertion.observation for insertion in insertions]):
-            self._backend.settle(1)
+            self._backend.relinearize_in_use()
         for insertion, factor_index in zip(insertions, indices, strict=False):
             self._see(insertion, at, factor_index, prediction.robust)
         if beyond:
