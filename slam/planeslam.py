@@ -33,7 +33,6 @@ from slam.mapping.fusion import Merges
 from slam.mapping.map_update import LateMatch, MapUpdate, MapUpdater
 from slam.mapping.same_plane import SamePlaneFinder
 from slam.registration.relocalization import Rivals
-from slam.registration.submaps import step_by_view
 from slam.session.prior_map import PriorMap
 from slam.session.recorder import Places, Recorder, SecondPass
 from slam.session.replay import open_slam
@@ -167,21 +166,12 @@ class PlaneSlam:
     @timed("associate")
     def _match(self, keyframe: Keyframe, prediction: Prediction) -> list[Decision]:
         """Which landmark each observation is of, told apart by all returns where there are any."""
-        hint = self._hint(keyframe, prediction)
+        motion = None if prediction.motion is None else prediction.motion.by_all
+        hint = None if motion is None else Hint(pose_symbol(prediction.index - 1), motion)
         rules, trusted = self.config.association, prediction.trusted
         return self._associate(
             keyframe.observations, prediction.pose_key, self.landmarks, self.backend, rules, hint, trusted=trusted
         )
-
-    @timed("compare returns")
-    def _hint(self, keyframe: Keyframe, prediction: Prediction) -> Hint | None:
-        """The motion to the keyframe by all its returns, for telling walls apart."""
-        if prediction.motion is None:
-            return None
-        motion = prediction.motion.by_all or step_by_view(
-            keyframe, prediction.motion, self.keyframes, self.backend, self.config.loops
-        )
-        return None if motion is None else Hint(pose_symbol(prediction.index - 1), motion)
 
     @timed("update")
     def _update(self, keyframe: Keyframe, prediction: Prediction, decisions: list[Decision]) -> MapUpdate:

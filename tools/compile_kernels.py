@@ -246,7 +246,6 @@ def places() -> None:
     from slam.frontend.occupancy import Raster
     from slam.registration.correlative_search import PlaceView, search_place
     from slam.registration.place_recognition import Wall, match_constellations
-    from slam.registration.scan_matching import relocate
 
     corners = np.array([(0, 0), (6, 0), (6, 1.5), (7.2, 1.5), (7.2, 2.6), (6, 2.6), (6, 4), (2.2, 4), (2.2, 5), (0, 5)])
     ends = np.stack((corners, np.roll(corners, -1, axis=0)), axis=1) - (3.0, 2.0)
@@ -259,7 +258,6 @@ def places() -> None:
     hits = np.concatenate([np.linspace(first, last, 40) for first, last in ends])
     raster, nowhere = Raster.of(np.hstack((np.zeros_like(hits), hits)), 0.5), np.zeros(3)
     reach = np.array((0.3, 0.3, 0.1))
-    relocate(raster, raster, nowhere, np.eye(3) * 0.01, reach)
     search_place(PlaceView(raster), PlaceView(raster), nowhere, np.eye(3) * 0.01, reach, looks=9.0)
 
 

@@ -7,11 +7,10 @@ from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
-from scipy.special import expit
+from scipy.special import expit, gamma
 
 from slam.frontend.occupancy import CELL_M, Raster
 from slam.registration._search_kernels import peaks_of, score_by_heading
-from slam.registration.scan_matching import log_student, log_sum, prior_mass, split
 from spplanes._check import FloatArray
 
 #: Tables are kept as integers of this unit, nats.
@@ -246,6 +245,31 @@ def _fit(a: PlaceView, b: PlaceView, motions: FloatArray, level: int) -> FloatAr
         b.raster.points, b.raster.weight, a.bound(level, turned=True), a.raster.origin,
     )  # fmt: skip
     return _UNIT * result
+
+
+def split(blocks: np.ndarray, level: int) -> np.ndarray:
+    """The four blocks of the level below in each."""
+    step = 2 ** (level - 1)  # half the side of a child in half cells
+    corners = np.array([(i, j, 0) for i in (-step, step) for j in (-step, step)], dtype=np.float64)
+    return (blocks[:, None, :] + corners).reshape(-1, 3)
+
+
+def log_student(offsets: FloatArray, information: FloatArray) -> FloatArray:
+    """Log of the prior's density relative to that at the guess, shape (M,)."""
+    squared = np.einsum("ni,ij,nj->n", offsets, information, offsets)
+    return -0.5 * (_TAIL + 3.0) * np.log1p(squared / _TAIL)
+
+
+def prior_mass(covariance: FloatArray) -> float:
+    """Integral of that relative density over all motions, m^2 rad."""
+    constant = gamma(0.5 * _TAIL) * (_TAIL * np.pi) ** 1.5 / gamma(0.5 * (_TAIL + 3.0))
+    return float(constant * np.sqrt(np.linalg.det(covariance)))
+
+
+def log_sum(values: FloatArray) -> float:
+    """Log of the sum of exponentials."""
+    top = float(values.max())
+    return top + float(np.log(np.exp(values - top).sum()))
 
 
 def _largest(values: FloatArray, count: int) -> np.ndarray:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from slam.backend.estimator import Backend, pose_symbol
+from slam.backend.estimator import Backend
 from slam.backend.joint_covariance import motion_covariance
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.occupancy import CELL_M, Raster, view_from
-from slam.frontend.odometry import Motion, planar_delta
-from slam.geometry.frames import inverse, planar_transform
-from slam.registration.scan_matching import relocate
+from slam.frontend.occupancy import Raster, view_from
+from slam.frontend.odometry import planar_delta
+from slam.geometry.frames import inverse
 from spplanes._check import FloatArray
 
 
@@ -59,38 +58,3 @@ def view_of(
     if not seen:
         return None
     return Raster.of(view_from(base, [pose for pose, _ in seen], [returns for _, returns in seen]), config.look_m)
-
-
-def step_by_view(
-    keyframe: Keyframe, motion: Motion, keyframes: Sequence[Keyframe], backend: Backend, config: LoopConfig
-) -> Motion | None:
-    """The motion to a keyframe from the one before, by odometry and by all its returns in what was seen of late.
-
-    For telling walls apart only: the returns are those the lines are made of, so as a factor they would count twice.
-    None where there is no level laser, or the returns do not fit anything in one way alone.
-    """
-    if not motion.is_planar or keyframe.returns is None or not len(keyframe.returns):
-        return None
-    members, poses = _recent(len(keyframes) - 1, backend, config.window_m)
-    recent = view_of([keyframes[one] for one in members], poses, poses[-1], config)
-    if recent is None:
-        return None
-    delta = planar_delta(motion.a_T_b)
-    reach = BOUND_SIGMAS * np.sqrt(np.diag(motion.covariance)) + (CELL_M, CELL_M, CELL_M / config.window_m)
-    found = relocate(Raster.of(keyframe.returns, config.look_m), recent, delta, motion.covariance, reach)
-    if found.share < 1.0 - config.significance:
-        return None
-    return replace(motion, a_T_b=planar_transform(*found.pose), covariance=found.covariance)
-
-
-def _recent(last: int, backend: Backend, window_m: float) -> tuple[list[int], list[FloatArray]]:
-    """The keyframes within a window of travel before the last one and itself, in time order, and their poses."""
-    members, poses, way = [last], [backend.pose(pose_symbol(last))], 0.0
-    for index in range(last - 1, -1, -1):
-        pose = backend.pose(pose_symbol(index))
-        way += float(np.linalg.norm(pose[:3, 3] - poses[-1][:3, 3]))
-        if way > window_m:
-            break
-        members.append(index)
-        poses.append(pose)
-    return members[::-1], poses[::-1]

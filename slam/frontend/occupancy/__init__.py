@@ -4,7 +4,6 @@ from slam.frontend.occupancy.free_standing import LEAST_GAP_M, MOVABLE_M, free_s
 from slam.frontend.occupancy.raster import (
     CELL_M,
     LEVEL_COSINE,
-    LEVELS,
     NOVEL_SHARE,
     Raster,
     beams_of,
@@ -15,7 +14,6 @@ from slam.frontend.occupancy.raster import (
 __all__ = [
     "CELL_M",
     "LEAST_GAP_M",
-    "LEVELS",
     "LEVEL_COSINE",
     "MOVABLE_M",
     "NOVEL_SHARE",

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import maximum_filter
 
 from slam.frontend.occupancy._kernels import mark, squared_distances
 from slam.sensors.log import LaserScan
@@ -23,8 +22,6 @@ MOST_POINTS = 300
 SURFACE_GAP_M = 0.3
 #: Share of returns that come from what was not there, or not seen, when the other view was taken.
 NOVEL_SHARE = 0.1
-#: Blocks of motions have sides of 2^level cells.
-LEVELS = 5
 _REACH = 3
 #: Cosine of the largest lean of a laser whose scans are compared across poses: 3 deg.
 LEVEL_COSINE = float(np.cos(np.radians(3.0)))
@@ -43,7 +40,6 @@ class Raster:
     """Returns, one in every square of some side, shape (N, 2), m."""
     weight: float
     """Independent looks that a point is."""
-    _widened: dict[int, FloatArray] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, beams: FloatArray, look_m: float) -> Raster:
@@ -57,21 +53,6 @@ class Raster:
         mean_range = float(np.linalg.norm(beams[:, 2:] - beams[:, :2], axis=1).mean())
         points, spacing = thin(beams[:, 2:])
         return cls(low, _log_ratios(squared, passes, mean_range), points, spacing / look_m)
-
-    def bound(self, level: int, *, turned: bool = False) -> FloatArray:
-        """The table, widened so that it bounds what a block of motions of this level finds in a cell.
-
-        With `turned`, of a block whose axes are turned by any angle.
-        """
-        reach = 0 if level == 0 else int(np.ceil(0.71 * 2**level)) if turned else 2 ** (level - 1)
-        if reach not in self._widened:
-            self._widened[reach] = self.table if reach == 0 else widen(self.table, reach)
-        return self._widened[reach]
-
-
-def widen(table: FloatArray, reach: int) -> FloatArray:
-    """Largest value within `reach` cells in both directions, (H, W); outside the table lies the value 0, unknown."""
-    return maximum_filter(table, 2 * reach + 1, mode="constant", cval=0.0)
 
 
 def thin(points: FloatArray) -> tuple[FloatArray, float]:

@@ -54,7 +54,6 @@ def test_every_stage_has_its_time(intel):
     stages = {
         "measure",
         "predict",
-        "compare returns",
         "associate",
         "optimise",
         "marginals",

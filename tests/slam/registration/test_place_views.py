@@ -8,9 +8,8 @@ import pytest
 from benchmarks.corpus.floorplan import FloorPlan, cast
 from slam.frontend.information import left_open
 from slam.frontend.occupancy import CELL_M, NOVEL_SHARE, Raster, beams_of, moved
-from slam.frontend.occupancy.raster import widen
 from slam.geometry.frames import planar_transform
-from slam.registration.scan_matching import _fit, relocate, split
+from slam.registration.correlative_search import _UNIT, Mode, PlaceView, _fit, _widened, search_place, split
 from slam.sensors.log import LaserScan
 
 ANGLES = np.linspace(-np.pi, np.pi, 361)
@@ -46,19 +45,24 @@ def raster(plan: FloorPlan, pose: tuple[float, float, float], seed: int = 0) -> 
     return Raster.of(view(plan, pose, seed), 0.5)
 
 
+def relocate(a: Raster, b: Raster) -> Mode:
+    """The likeliest place of a in b, where every look is a witness."""
+    return search_place(PlaceView(a), PlaceView(b), np.zeros(3), WIDE, REACH, looks=1.0).modes[0]
+
+
 @pytest.mark.parametrize("pose", [(0.7, 0.4, 0.2), (-0.9, 0.3, -0.25), (-0.2, -0.9, 0.0)])
 def test_a_pose_in_a_room_is_found(pose):
-    found = relocate(raster(room(), pose, 1), raster(room(), (0.0, 0.0, 0.0), 2), np.zeros(3), WIDE, REACH)
+    found = relocate(raster(room(), pose, 1), raster(room(), (0.0, 0.0, 0.0), 2))
     error = found.pose - pose
     assert np.linalg.norm(error[:2]) < 0.03
     assert abs(error[2]) < 0.01
-    assert found.share > 0.999
+    assert found.probability > 0.999
     assert error @ np.linalg.solve(found.covariance, error) < 16.3
 
 
 def test_a_bare_corridor_leaves_open_how_far_along_it():
     here, there = raster(corridor(), (0.4, 0.2, 0.1), 1), raster(corridor(), (0.0, 0.0, 0.0), 2)
-    found = relocate(here, there, np.zeros(3), WIDE, REACH)
+    found = relocate(here, there)
     sigmas = np.sqrt(np.diag(found.covariance))
     assert abs(found.pose[1] - 0.2) < 0.03
     assert sigmas[0] > 0.2
@@ -66,8 +70,9 @@ def test_a_bare_corridor_leaves_open_how_far_along_it():
 
 
 def test_other_walls_are_not_taken_for_the_same():
-    found = relocate(raster(room(3.1, 2.3), (0.0, 0.0, 0.7)), raster(room(), (0.0, 0.0, 0.0)), np.zeros(3), WIDE, REACH)
-    assert found.share < 0.999
+    a, b = (PlaceView(raster(*view)) for view in ((room(3.1, 2.3), (0.0, 0.0, 0.7)), (room(), (0.0, 0.0, 0.0))))
+    modes = search_place(a, b, np.zeros(3), WIDE, REACH, looks=1.0).modes
+    assert all(mode.probability < 0.999 for mode in modes)
 
 
 def test_two_places_that_look_alike_are_ambiguous():
@@ -88,13 +93,13 @@ def test_two_places_that_look_alike_are_ambiguous():
         ][::-1]
     )
     one.add_chain([(1.2, 0.0), (0.5, 0.0), (0.5, -1.0), (-0.5, -1.0), (-0.5, 0.0), (-1.2, 0.0)][::-1])
-    found = relocate(raster(one, (0.0, 0.3, 0.0)), raster(plan, (0.0, 0.3, 0.0)), np.zeros(3), WIDE, REACH)
-    assert found.share < 0.9
+    found = relocate(raster(one, (0.0, 0.3, 0.0)), raster(plan, (0.0, 0.3, 0.0)))
+    assert found.probability < 0.9
     assert abs(abs(found.pose[0]) - 1.0) < 0.06
 
 
 def test_a_block_bounds_all_motions_in_it():
-    a, b = raster(room(), (0.3, 0.1, 0.2), 3), raster(room(), (0.0, 0.0, 0.0), 4)
+    a, b = (PlaceView(raster(room(), pose, seed)) for pose, seed in (((0.3, 0.1, 0.2), 3), ((0.0, 0.0, 0.0), 4)))
     rng = np.random.default_rng(0)
     unit = np.array((0.5 * CELL_M, 0.5 * CELL_M, 0.02))
     for level in (1, 2, 3):
@@ -103,7 +108,7 @@ def test_a_block_bounds_all_motions_in_it():
         for below in range(level, 0, -1):
             inside = split(inside, below)
         fits = _fit(a, b, inside * unit, 0).reshape(20, -1)
-        assert (fits <= bounds[:, None] + 1e-9).all()
+        assert (fits <= bounds[:, None] + _UNIT * 1e-6).all()
         assert fits.shape[1] == 4**level
 
 
@@ -124,7 +129,7 @@ def test_a_raster_knows_occupied_free_and_unknown():
 def test_widening_takes_the_largest_value_around_and_unknown_beyond_the_edge():
     table = np.full((5, 6), -1.0)
     table[2, 3] = 4.0
-    wide = widen(table, 1)
+    wide = _widened(table, 1)
     assert (wide[1:4, 2:5] == 4.0).all()
     assert wide[2, 1] == -1.0
     assert wide[0, 0] == 0.0
