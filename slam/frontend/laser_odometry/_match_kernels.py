@@ -143,15 +143,13 @@ def score_box(scan, looks, pose, table, origin, cell, turns, steps):
         for i in range(scan.shape[0]):
             x = (pose[0] + c * scan[i, 0] - s * scan[i, 1] - origin[0]) / cell
             y = (pose[1] + s * scan[i, 0] + c * scan[i, 1] - origin[1]) / cell
-            column, row = int(np.floor(x)), int(np.floor(y))
-            for b in range(side):
-                r = row + b - steps
-                if r < 0 or r >= rows:
-                    continue
-                for a in range(side):
-                    k = column + a - steps
-                    if 0 <= k < columns:
-                        scores[t, b, a] += looks[i] * table[r, k]
+            column, row = int(np.floor(x)) - steps, int(np.floor(y)) - steps
+            first, last = max(-column, 0), min(columns - column, side)
+            for b in range(max(-row, 0), min(rows - row, side)):
+                if first < last:  # by slices: a loop without a question in it is vectorised
+                    sums, near = scores[t, b, first:last], table[row + b, column + first : column + last]
+                    for a in range(sums.shape[0]):
+                        sums[a] += looks[i] * near[a]
         for b in range(side):
             for a in range(side):
                 scores[t, b, a] /= max(total, 1e-12)
