@@ -34,7 +34,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def in_order(
+def ordered_parallel_map(
     work: Callable[[int], Result], numbers: range, jobs: int, shared: Sequence[object] = ()
 ) -> Iterator[Result]:
     """``work(number)`` of every number, in order, by so many processes, or here where there is but one.

@@ -28,7 +28,7 @@ from slam.map.data_association import Associate, Decision, Hint, associate
 from slam.map.landmarks import LandmarkMap
 from slam.map.map_planes import MapPlane, map_planes
 from slam.map.sparsification import Sparsifier
-from slam.map.state import Parts
+from slam.map.state import EstimatorState
 from slam.mapping.fusion import Merges
 from slam.mapping.map_update import LateMatch, MapUpdate, MapUpdater
 from slam.mapping.same_plane import SamePlaneFinder
@@ -97,13 +97,13 @@ class PlaneSlam:
         self.keyframes: MutableSequence[Keyframe] = self.recorder.keyframes()
         self.decisions: MutableSequence[list[Decision]] = self.recorder.decisions()
         self._sparsifier = Sparsifier(self.config.thinning, self.backend, self.landmarks)
-        parts = Parts(self.keyframes, self.landmarks, self.backend, self._sparsifier, self.config)
-        self._motion_model = MotionModel(parts, start)
+        state = EstimatorState(self.keyframes, self.landmarks, self.backend, self._sparsifier, self.config)
+        self._motion_model = MotionModel(state, start)
         self._associate, self._loop_closer = associate, loop_closer
-        self._map_updater = MapUpdater(parts, associate)
-        self._same_plane = SamePlaneFinder(parts)
-        self.merges = Merges(parts)
-        self._closer = loop_closer(parts, self.merges)
+        self._map_updater = MapUpdater(state, associate)
+        self._same_plane = SamePlaneFinder(state)
+        self.merges = Merges(state)
+        self._closer = loop_closer(state, self.merges)
         self._bookkeeping = Bookkeeping(self.config, self.recorder, self.landmarks, self.backend)
 
     @classmethod
@@ -166,7 +166,7 @@ class PlaneSlam:
     @timed("associate")
     def _match(self, keyframe: Keyframe, prediction: Prediction) -> list[Decision]:
         """Which landmark each observation is of, told apart by all returns where there are any."""
-        motion = None if prediction.motion is None else prediction.motion.by_all
+        motion = None if prediction.motion is None else prediction.motion.scan_matched
         hint = None if motion is None else Hint(pose_symbol(prediction.index - 1), motion)
         rules, trusted = self.config.association, prediction.trusted
         return self._associate(

@@ -52,7 +52,7 @@ class Bookkeeping:
         seen = keyframe.observations
         if prediction.hints:  # what says where to look was made of what was seen here
             return
-        if not prediction.is_wide:
+        if not prediction.planes_asked:
             self.audit.add(prediction.index, [one.kind for one in seen], decisions)
             return
         for number, chi2, dof in innovations_without_prediction(

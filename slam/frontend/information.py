@@ -61,7 +61,7 @@ def planar_information(observations: Sequence[Observation]) -> FloatArray:
     return total[np.ix_((3, 4, 2), (3, 4, 2))]
 
 
-def beyond_lines(motion: Motion, lines: Sequence[Observation]) -> Motion | None:
+def information_beyond_lines(motion: Motion, lines: Sequence[Observation]) -> Motion | None:
     """What the returns say of a motion beyond lines of known walls seen at its end, as a motion; None: nothing.
 
     These lines are measurements of their own in the graph, of the same returns: what they say is taken off. A line of

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from slam.ahead import in_order
+from slam.ahead import ordered_parallel_map
 from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.frontend.deskewing import unswept
@@ -87,7 +87,7 @@ def keyframes_of(
         count, measure = len(clouds), _of_clouds(log, clouds, late, rig, config, segment)
     else:
         count, measure = _of_lasers(log, rig, config, segment)
-    yield from in_order(measure, range(start, count), jobs, shared=log.events)
+    yield from ordered_parallel_map(measure, range(start, count), jobs, shared=log.events)
 
 
 def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:

@@ -40,7 +40,7 @@ class Motion:
     """Standard deviations of these two that `covariance` holds."""
     returns_a_T_b: FloatArray | None = None
     """Planar only: pose b by wheels and all returns together, shape (4, 4); None: no returns were matched. The lines
-    are made of the same returns: only what these say beyond them is a measurement of its own (`beyond_lines`)."""
+    are made of the same returns: what these say beyond them alone is a measurement (`information_beyond_lines`)."""
     returns_covariance: FloatArray | None = None
     """Covariance of (x, y, theta) by the returns alone, shape (3, 3)."""
     refuted_a_T_b: FloatArray | None = None
@@ -57,7 +57,7 @@ class Motion:
         return self.refuted_a_T_b is not None or not self.is_by_returns
 
     @property
-    def by_all(self) -> Motion | None:
+    def scan_matched(self) -> Motion | None:
         """The motion by wheels and all returns together; None: no returns were matched."""
         if self.returns_a_T_b is None or self.returns_covariance is None:
             return None

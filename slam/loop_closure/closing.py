@@ -26,7 +26,7 @@ from slam.loop_closure.verification import (
     proposed,
     without_walls,
 )
-from slam.map.state import Parts
+from slam.map.state import EstimatorState
 from slam.mapping.fusion import Merges
 from slam.mapping.same_plane import disjoint
 
@@ -76,7 +76,7 @@ class ClosedLoop:
 class LoopClosing(Protocol):
     """Makes what `PlaneSlam` closes loops with, out of the shared state and the fusion of landmarks."""
 
-    def __call__(self, parts: Parts, merges: Merges, /) -> LoopCloser:
+    def __call__(self, state: EstimatorState, merges: Merges, /) -> LoopCloser:
         """A loop closer for one run."""
         ...
 
@@ -84,12 +84,12 @@ class LoopClosing(Protocol):
 class LoopCloser:
     """Looks for loops on the way, closes those that are beyond doubt, and takes back what turns out to be none."""
 
-    def __init__(self, parts: Parts, merges: Merges) -> None:
-        self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
-        self._merges, self._sparsifier, self._config = merges, parts.sparsifier, parts.config
+    def __init__(self, state: EstimatorState, merges: Merges) -> None:
+        self._keyframes, self._landmarks, self._backend = state.keyframes, state.landmarks, state.backend
+        self._merges, self._sparsifier, self._config = merges, state.sparsifier, state.config
         self.decisions: list[LoopDecision] = []
         self.closed: list[ClosedLoop] = []
-        self._proposals = Proposals(parts.config.loops)
+        self._proposals = Proposals(state.config.loops)
         self._ways = array("d")
         self._looked_at_m = 0.0
 

@@ -138,7 +138,7 @@ def _solved(
         estimate.insert(index, gtsam.Pose2(*planar_delta(pose)))
     reckoned.insert(0, start)
     for index, step in enumerate(steps):
-        motion = step.by_all or step
+        motion = step.scan_matched or step
         delta = planar_delta(motion.a_T_b)
         graph.push_back(odometry_factor_2d(index, index + 1, delta, motion.covariance, robust=_KERNEL))
         reckoned.insert(index + 1, reckoned.atPose2(index).compose(gtsam.Pose2(*delta)))

@@ -13,7 +13,7 @@ from slam.map.sparsification import Sparsifier
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class EstimatorState:
     """The parts that every step reads or changes."""
 
     keyframes: Sequence[Keyframe]

@@ -17,7 +17,7 @@ from slam.backend.estimator import BackendError, pose_symbol
 from slam.frontend.observations import Observation
 from slam.geometry.frames import inverse
 from slam.map.landmarks import Landmark, Sighting
-from slam.map.state import Parts
+from slam.map.state import EstimatorState
 from slam.mapping.same_plane import same_plane_chi2
 from spplanes.outlines.extents import Extent
 
@@ -55,10 +55,10 @@ _FRESH = 10
 class Merges:
     """Every merge of a run, and the landmarks that must never be merged again."""
 
-    def __init__(self, parts: Parts) -> None:
+    def __init__(self, state: EstimatorState) -> None:
         self.history: list[Merge] = []
-        self._keyframes, self._landmarks = parts.keyframes, parts.landmarks
-        self._backend, self._config = parts.backend, parts.config
+        self._keyframes, self._landmarks = state.keyframes, state.landmarks
+        self._backend, self._config = state.backend, state.config
         self._apart: set[frozenset[int]] = set()
 
     def may_be_one(self, first: int, second: int) -> bool:

@@ -14,13 +14,13 @@ from factors.association.estimate import observation_factor
 from factors.association.grouping import group_planes
 from slam.backend.estimator import Backend, pose_symbol
 from slam.config import AssociationConfig, LandmarkConfig, SlamConfig
-from slam.frontend.information import beyond_lines
+from slam.frontend.information import information_beyond_lines
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation, Observation, PlaneObservation
 from slam.geometry.frames import inverse
 from slam.map.data_association import Associate, Decision, gates_of
 from slam.map.landmarks import Landmark, LandmarkMap, Sighting
-from slam.map.state import Parts
+from slam.map.state import EstimatorState
 from slam.tracking.prediction import Prediction
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -228,10 +228,10 @@ class MapUpdate:
 class MapUpdater:
     """Puts observations into the graph and lets the map know."""
 
-    def __init__(self, parts: Parts, associate: Associate) -> None:
-        self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
-        self._sparsifier, self._config, self._associate = parts.sparsifier, parts.config, associate
-        self._unmatched = Waiting(parts.config.landmarks)
+    def __init__(self, state: EstimatorState, associate: Associate) -> None:
+        self._keyframes, self._landmarks, self._backend = state.keyframes, state.landmarks, state.backend
+        self._sparsifier, self._config, self._associate = state.sparsifier, state.config, associate
+        self._unmatched = Waiting(state.config.landmarks)
 
     def update(self, keyframe: Keyframe, prediction: Prediction, decisions: Sequence[Decision]) -> MapUpdate:
         """Add the factors of matches and of new landmarks, then count what was seen."""
@@ -258,9 +258,9 @@ class MapUpdater:
                 self._backend.update([], initial, remove=prediction.hints)
             return MapUpdate(at)
         leaving, expected = [*prediction.standing_in, *prediction.hints], self._backend.pose(pose_key)
-        indices = self._backend.update(factors, initial, remove=leaving, relinearize=prediction.is_wide)
+        indices = self._backend.update(factors, initial, remove=leaving, relinearize=prediction.planes_asked)
         turn = inverse(expected)[:3, :3] @ self._backend.pose(pose_key)[:3, :3]
-        if not prediction.is_wide and bends(turn, [insertion.observation for insertion in insertions]):
+        if not prediction.planes_asked and bends(turn, [insertion.observation for insertion in insertions]):
             self._backend.relinearize_in_use()
         for insertion, factor_index in zip(insertions, indices, strict=False):
             self._see(insertion, at, factor_index, prediction.robust)
@@ -273,7 +273,7 @@ class MapUpdater:
         motion = prediction.motion
         if motion is None or prediction.place is not None:
             return []
-        beyond = beyond_lines(motion, matched)
+        beyond = information_beyond_lines(motion, matched)
         return [] if beyond is None else beyond.factors(pose_symbol(prediction.index - 1), prediction.pose_key)[:1]
 
     def match_late(self, update: MapUpdate) -> list[LateMatch]:

@@ -14,7 +14,7 @@ from slam.config import AssociationConfig
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten
 from slam.map.landmarks import Landmark, LandmarkMap, PlacedPlane
-from slam.map.state import Parts
+from slam.map.state import EstimatorState
 from spplanes._check import FloatArray
 from spplanes.spmodel import skew
 
@@ -22,8 +22,8 @@ from spplanes.spmodel import skew
 class SamePlaneFinder:
     """Looks for landmarks that have become one plane, each pair again only when a quarter more was seen of it."""
 
-    def __init__(self, parts: Parts) -> None:
-        self._landmarks, self._backend, self._config = parts.landmarks, parts.backend, parts.config
+    def __init__(self, state: EstimatorState) -> None:
+        self._landmarks, self._backend, self._config = state.landmarks, state.backend, state.config
         self._told_apart: dict[tuple[int, int], int] = {}
 
     def pairs(self, touched: Iterable[int]) -> list[tuple[int, int]]:

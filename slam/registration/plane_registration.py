@@ -56,7 +56,7 @@ class PlaneMatching:
     """(seen, known) of the planes that are one under it."""
 
 
-def match_planes_widely(
+def register_planes_globally(
     seen: Sequence[Plane] | PlaneArrays, known: Sequence[Plane] | PlaneArrays, sigmas: tuple[float, float]
 ) -> PlaneMatching | None:
     """Find the motion that explains the largest planes, with no more of a guess than "about where it was".
@@ -87,7 +87,7 @@ def match_planes_widely(
         found = _worked_out(motion, mine, theirs, sigmas)
         if found is None or any(np.abs(found.known_T_seen - one.known_T_seen).max() < _SAME for *_, one in tried):
             continue
-        price = price_of(found.known_T_seen, sigmas)
+        price = negative_log_prior(found.known_T_seen, sigmas)
         score = _agreement(found.known_T_seen, mine, theirs, best - alike + price) - price
         if score > best - alike:
             score -= sight.blocked(found.known_T_seen)
@@ -102,7 +102,7 @@ def places_anywhere(seen: Sequence[Plane], known: Sequence[Plane]) -> list[tuple
     """Every place that pairs of planes propose, wherever in the map and however tipped, the best first.
 
     Each with the share of what is seen, by the root of area, that is known from there, less what would be seen through
-    walls. As `match_planes_widely`, without an expectation.
+    walls. As `register_planes_globally`, without an expectation.
 
     Args:
         seen: planes in the frame of the body.
@@ -153,7 +153,7 @@ def _worked_out(
     return PlaneMatching(motion, covariance, tuple((mine.order[i], theirs.order[j]) for i, j in pairs))
 
 
-def price_of(motion: FloatArray, sigmas: tuple[float, float], *, upright: bool = True) -> float:
+def negative_log_prior(motion: FloatArray, sigmas: tuple[float, float], *, upright: bool = True) -> float:
     """What a motion of this size costs: half its chi2 by the expectation while small, only the log of it far off.
 
     Expectations fail: wheels slip, guesses are guesses, and what carries a sensor turns on its heel. But nobody turns
@@ -237,7 +237,7 @@ def _translations(
     for shift, weight in zip(shifts, found.tolist(), strict=True):
         motion = np.eye(4)
         motion[:3, :3], motion[:3, 3] = rotation, shift
-        results.append((weight - price_of(motion, sigmas, upright=upright), motion))
+        results.append((weight - negative_log_prior(motion, sigmas, upright=upright), motion))
     return results
 
 

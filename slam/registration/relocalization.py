@@ -22,7 +22,7 @@ from slam.geometry.frames import inverse
 from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
-from slam.registration.plane_registration import PlaneMatching, match_planes_widely, pairs_under
+from slam.registration.plane_registration import PlaneMatching, pairs_under, register_planes_globally
 from slam.registration.surface_registration import Alignment, Expected, LocalMap, align
 from slam.registration.visibility import Scan
 from spplanes import Plane
@@ -39,11 +39,11 @@ _SIGNIFICANCE = 1e-3
 #: An element is on the plane that it was laid on, to rounding.
 _ITS_OWN = 1e-6
 #: Information about a motion that stands for none, GTSAM order: standard deviations of so many m and rad.
-SILENT_M, SILENT_RAD = 10.0, 3.0
-SILENT = np.diag(np.repeat([SILENT_RAD, SILENT_M], 3) ** -2.0)
+WEAK_M, WEAK_RAD = 10.0, 3.0
+WEAK_PRIOR = np.diag(np.repeat([WEAK_RAD, WEAK_M], 3) ** -2.0)
 
 
-def is_wide(motion: Motion) -> bool:
+def is_poorly_known(motion: Motion) -> bool:
     """Whether so little is known of a motion that single planes cannot be told apart by it."""
     place, turn = sigmas_of(motion)
     return place > _WIDE_M or turn > _WIDE_RAD
@@ -84,7 +84,7 @@ class FoundPlace:
         Where even the planes leave a place open, a plane that was not seen again there fits any landmark along the
         open direction: the next of a row of pillars as well as the first. Lines, which find no place, wait as well.
         """
-        return self.seen_again if is_wide(self.motion) else None
+        return self.seen_again if is_poorly_known(self.motion) else None
 
     def factors(self, key_a: int, key_b: int, robust: str | None) -> list[Any]:
         """What stays in the graph of it once the observations are matched."""
@@ -117,7 +117,7 @@ def found_place(
     expected_T_world = inverse(world_T_a @ motion.a_T_b)
     numbers = [k for k, one in enumerate(keyframe.observations) if isinstance(one, PlaneObservation)]
     seen, known = planes_about(keyframe, landmarks, expected_T_world, index)
-    by_planes = match_planes_widely(seen, known, sigmas_of(motion))
+    by_planes = register_planes_globally(seen, known, sigmas_of(motion))
     by_returns = _by_returns(keyframe, motion, by_planes, local_map(keyframes, backend, expected_T_world))
     if by_returns is None:
         if by_planes is None:
@@ -173,11 +173,11 @@ def _by_returns(
     if known is None or scan is None:
         return None
     expected = Expected(np.eye(4), information_of(motion))
-    found = laid_widely(scan, known, by_planes, expected, inverse(motion.a_T_b))
+    found = register_from_hypotheses(scan, known, by_planes, expected, inverse(motion.a_T_b))
     return found if found.score > 0.0 else None
 
 
-def laid_widely(
+def register_from_hypotheses(
     scan: Scan, known: LocalMap, by_planes: PlaneMatching | None, expected: Expected, still: FloatArray
 ) -> Alignment:
     """A scan laid on a local map from where planes propose, from what is expected, and as if nothing moved."""
@@ -228,7 +228,7 @@ def _beyond(motion: Motion, found: Alignment, elements: np.ndarray) -> Motion | 
     information, told = found.residuals.told_by(elements)
     if not information.any():
         return None
-    information = information / _SLACK**2 + SILENT
+    information = information / _SLACK**2 + WEAK_PRIOR
     step = gtsam.Pose3.Expmap(np.linalg.solve(information, told / _SLACK**2)).matrix()
     covariance = np.linalg.inv(information).astype(np.float64)[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
     return replace(motion, a_T_b=motion.a_T_b @ found.known_T_seen @ step, covariance=covariance, response=None)

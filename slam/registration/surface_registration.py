@@ -22,7 +22,7 @@ import numpy as np
 
 from slam.frontend.scan_surfaces import ON_EDGE, ON_PLANE, moved
 from slam.geometry.frames import inverse, lift
-from slam.registration.plane_registration import price_of
+from slam.registration.plane_registration import negative_log_prior
 from slam.registration.visibility import ALIKE, Scan, Sight, tree_of
 from spplanes._check import FloatArray
 
@@ -158,7 +158,7 @@ class Expected(NamedTuple):
     def log_likelihood(self, known_T_seen: FloatArray) -> float:
         """Of a motion, with the tails that expectations have, up to a constant."""
         turn, place = np.diag(self.information)[[0, 3]] ** -0.5
-        return -price_of(inverse(self.known_T_seen) @ known_T_seen, (place, turn))
+        return -negative_log_prior(inverse(self.known_T_seen) @ known_T_seen, (place, turn))
 
 
 def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expected: Expected | None = None) -> Alignment:

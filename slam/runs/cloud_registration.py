@@ -25,8 +25,8 @@ from slam.geometry.frames import inverse, planar_transform
 from slam.io.load import load_cloud
 from slam.planeslam import PlaneSlam
 from slam.registration._plane_arrays import PlaneArrays
-from slam.registration.plane_registration import match_planes_widely, pairs_under, places_anywhere
-from slam.registration.relocalization import SILENT, scan_of
+from slam.registration.plane_registration import pairs_under, places_anywhere, register_planes_globally
+from slam.registration.relocalization import WEAK_PRIOR, scan_of
 from slam.registration.surface_registration import Alignment, Expected, LocalMap, Tried, align
 from spplanes._check import FloatArray, as_transform
 from spplanes.spmodel import transform_from_rpy
@@ -233,8 +233,8 @@ _PROPOSED = 32
 _HEADINGS = 8
 #: What a guess may be off, m and rad, for planes to look around it: a third of a room, and of a right angle.
 _GUESS_M, _GUESS_RAD = 1.0, 0.5
-#: What a place by all returns may be off when planes refine it, m and rad: wide for a run (`is_wide`), which then asks
-#: planes and returns again. Two places nearer than that are one: both would be refined to the same.
+#: What a place by all returns may be off when planes refine it, m and rad: wide for a run (`is_poorly_known`), which
+#: then asks planes and returns again. Two places nearer than that are one: both would be refined to the same.
 ABOUT_M, ABOUT_RAD = 0.3, 0.15
 
 
@@ -273,7 +273,7 @@ def find_place(a: Keyframe, b: Keyframe, guess: FloatArray | None = None) -> Pla
     if scan is None or known is None:
         return None
     theirs, mine = PlaneArrays.of(planes_of(a.observations)), PlaneArrays.of(planes_of(b.observations))
-    anywhere = Expected(np.eye(4), SILENT)  # but upright: nobody carries a sensor upside down
+    anywhere = Expected(np.eye(4), WEAK_PRIOR)  # but upright: nobody carries a sensor upside down
     found = align(scan, LocalMap([(np.eye(4), known)]), _hypotheses(a, b, guess), anywhere)
     ranked = _distinct(found)
     chances = np.exp([one.log_likelihood - ranked[0].log_likelihood for one in ranked])
@@ -294,7 +294,9 @@ def _hypotheses(a: Keyframe, b: Keyframe, guess: FloatArray | None) -> list[Floa
     for start in (np.eye(4), guess):
         if start is None:
             continue
-        about = match_planes_widely(seen, [plane.transform(inverse(start)) for plane in known], (_GUESS_M, _GUESS_RAD))
+        about = register_planes_globally(
+            seen, [plane.transform(inverse(start)) for plane in known], (_GUESS_M, _GUESS_RAD)
+        )
         places += [] if about is None else [start @ about.known_T_seen]
     turns = [planar_transform(0.0, 0.0, turn) for turn in 2.0 * np.pi * np.arange(_HEADINGS) / _HEADINGS]
     return [*places, *turns, *([] if guess is None else [guess])]

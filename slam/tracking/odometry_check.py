@@ -23,18 +23,18 @@ from slam.geometry.frames import inverse
 from slam.map.landmarks import LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.motion_from_planes import fit_pairs_on
-from slam.registration.plane_registration import match_planes_widely, pairs_under
+from slam.registration.plane_registration import pairs_under, register_planes_globally
 from slam.registration.relocalization import (
-    SILENT,
-    SILENT_M,
-    SILENT_RAD,
+    WEAK_M,
+    WEAK_PRIOR,
+    WEAK_RAD,
     are_one,
     displacement,
     information_of,
-    is_wide,
-    laid_widely,
+    is_poorly_known,
     local_map,
     planes_about,
+    register_from_hypotheses,
     scan_of,
     sigmas_of,
     stated,
@@ -108,7 +108,7 @@ def check(
         doubted: the motion before was spoken against.
     """
     scan, (keyframes, landmarks, backend) = scan_of(keyframe), state
-    if is_wide(motion) or scan is None:
+    if is_poorly_known(motion) or scan is None:
         return Check(False)
     before, seen = (planes_of(one.observations) for one in (keyframes[-1], keyframe))
     if not doubted:
@@ -135,9 +135,9 @@ def check(
         return Check(False, *rests)
     b_T_a = inverse(motion.a_T_b)
     seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
-    matched = match_planes_widely(*seen_and_known, sigmas_of(otherwise))
+    matched = register_planes_globally(*seen_and_known, sigmas_of(otherwise))
     expected = Expected(b_T_a @ otherwise.a_T_b, information_of(otherwise))
-    rival = laid_widely(scan, known, matched, expected, b_T_a)
+    rival = register_from_hypotheses(scan, known, matched, expected, b_T_a)
     return Check(rival.score > found.score + enough and is_off(rival), *rests)
 
 
@@ -163,7 +163,7 @@ def planes_confirm(
     pairs = np.array(pairs_under(motion.a_T_b, mine, theirs), dtype=np.int64).reshape(-1, 2)
     if not len(pairs) or mine.weights[pairs[:, 0]].sum() < _MOST * mine.weights.sum():
         return None
-    fit = fit_pairs_on(motion.a_T_b, mine, theirs, pairs, (SILENT_M, SILENT_RAD))
+    fit = fit_pairs_on(motion.a_T_b, mine, theirs, pairs, (WEAK_M, WEAK_RAD))
     if fit is None:
         return None
     place, covariance = inverse(motion.a_T_b) @ fit[0], fit[1]
@@ -184,10 +184,10 @@ def _agree(motion: Motion, place: FloatArray, covariance: FloatArray, significan
 
 def _by_returns(information: FloatArray) -> FloatArray:
     """Covariance (6, 6) in SP order of where returns of that information lay a scan."""
-    return stated(np.linalg.inv(information + SILENT).astype(np.float64))
+    return stated(np.linalg.inv(information + WEAK_PRIOR).astype(np.float64))
 
 
 def _rests(found: Alignment) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Where returns lay a scan: covariance as believed, how far off that is, and covariance as the fit has it."""
-    covariance = np.linalg.inv(found.information + SILENT).astype(np.float64)
+    covariance = np.linalg.inv(found.information + WEAK_PRIOR).astype(np.float64)
     return stated(covariance), displacement(np.eye(4), found.known_T_seen), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]

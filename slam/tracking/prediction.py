@@ -14,14 +14,14 @@ from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance, relative_covariance
 from slam.backend.places import anchored
 from slam.config import BOUND_SIGMAS
-from slam.frontend.information import beyond_lines, inverted
+from slam.frontend.information import information_beyond_lines, inverted
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import NO_FLOOR, Motion, difference, planar_delta
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse, orthonormal, planar_transform
 from slam.map.sparsification import Link
-from slam.map.state import Parts
-from slam.registration.relocalization import FoundPlace, Rivals, found_place, is_wide
+from slam.map.state import EstimatorState
+from slam.registration.relocalization import FoundPlace, Rivals, found_place, is_poorly_known
 from slam.tracking.calibration_by_graph import CalibrationByGraph
 from slam.tracking.constant_velocity import coast
 from slam.tracking.odometry_check import check
@@ -41,7 +41,7 @@ class _Step:
     pending: list[Any] = field(default_factory=list)
     beyond: Motion | None = None
     """What the returns say beyond all lines seen, where no wheels measured it: it stands in until these are matched."""
-    is_wide: bool = False
+    planes_asked: bool = False
     measured: Motion | None = None
     """The motion that came with the keyframe, as its factor has it but for errors of calibration; None: none has."""
 
@@ -72,7 +72,7 @@ class Prediction:
     standing_in: tuple[int, ...] = ()
     """Indices of the factors of that place, or of what the returns say beyond all lines, which leave it then: they are
     made of what was seen."""
-    is_wide: bool = False
+    planes_asked: bool = False
     """Whether nobody measured the motion, or so badly that the planes were asked."""
     robust: str | None = None
     """Robust kernel on what is matched from here: of a place that the planes had to find some of it is wrong."""
@@ -92,15 +92,15 @@ class MotionModel:
     what they will say.
     """
 
-    def __init__(self, parts: Parts, start: StartPose | None) -> None:
-        self._keyframes, self._landmarks, self._backend = parts.keyframes, parts.landmarks, parts.backend
-        self._sparsifier, self._config, self._known_start = parts.sparsifier, parts.config, start
+    def __init__(self, state: EstimatorState, start: StartPose | None) -> None:
+        self._keyframes, self._landmarks, self._backend = state.keyframes, state.landmarks, state.backend
+        self._sparsifier, self._config, self._known_start = state.sparsifier, state.config, start
         self.calibration = WheelCalibration()
         #: Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them.
         self.unplaced: list[int] = []
         #: Of every keyframe placed by what it saw alone, the other places that this fits.
         self.rivals: dict[int, Rivals] = {}
-        self.odometry_record = OdometryRecord(parts.config.association.new_significance)
+        self.odometry_record = OdometryRecord(state.config.association.new_significance)
         self.odometry_scale = OdometryScale()
         self._by_graph = CalibrationByGraph(self._sparsifier, self._backend)
 
@@ -130,7 +130,7 @@ class MotionModel:
             step.place,
             pending=tuple(step.pending),
             standing_in=tuple(own[:n_step] if step.pending else standing_in),
-            is_wide=step.is_wide,
+            planes_asked=step.planes_asked,
             robust=(self._config.coasting.robust if step.pending else None) or self._config.backend.robust,
             hints=tuple(own[n_stay:]),
         )
@@ -180,8 +180,8 @@ class MotionModel:
         before, key = pose_symbol(index - 1), pose_symbol(index)
         world_T_before = self._backend.pose(before)
         motion, parts = self._motion_to(keyframe), (self._keyframes, self._landmarks, self._backend)
-        beyond = beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
-        wide = is_wide(motion.by_all or motion)
+        beyond = information_beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
+        wide = is_poorly_known(motion.scan_matched or motion)
         asked = wide or keyframe.motion is None  # what went on as before was not measured, however well it is known
         place = found_place(keyframe, motion, *parts) if asked else None
         if wide and place is None and keyframe.surfaces is not None:
@@ -189,12 +189,12 @@ class MotionModel:
         if place is None:
             factors, measured = motion.factors(before, key), self._measured(keyframe, motion)
             there = world_T_before @ motion.a_T_b
-            return _Step(there, factors, motion, beyond=beyond, is_wide=asked, measured=measured)
+            return _Step(there, factors, motion, beyond=beyond, planes_asked=asked, measured=measured)
         self.rivals[index] = place.rivals
         kernel, there = self._config.coasting.robust or self._config.backend.robust, place.motion
         pending = [*motion.factors(before, key), *place.factors(before, key, kernel)]
         factors = there.factors(before, key)
-        return _Step(world_T_before @ there.a_T_b, factors, motion, place, pending, is_wide=asked)
+        return _Step(world_T_before @ there.a_T_b, factors, motion, place, pending, planes_asked=asked)
 
     def _motion_to(self, keyframe: Keyframe) -> Motion:
         """Odometry, less what is known to be wrong with it; without any the motion before goes on.

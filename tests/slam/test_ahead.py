@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from slam.ahead import in_order
+from slam.ahead import ordered_parallel_map
 
 needs_fork = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux only")
 
@@ -19,12 +19,12 @@ needs_fork = pytest.mark.skipif(sys.platform != "linux", reason="processes are f
 @pytest.mark.parametrize("jobs", [1, 2, 3, 20])
 @pytest.mark.parametrize("numbers", [range(0), range(1), range(2, 4), range(3, 20)])
 def test_results_come_in_order(jobs: int, numbers: range):
-    assert list(in_order(lambda number: number**2, numbers, jobs)) == [number**2 for number in numbers]
+    assert list(ordered_parallel_map(lambda number: number**2, numbers, jobs)) == [number**2 for number in numbers]
 
 
 @needs_fork
 def test_others_do_the_work():
-    by = list(in_order(lambda _: os.getpid(), range(9), 2))
+    by = list(ordered_parallel_map(lambda _: os.getpid(), range(9), 2))
     assert by[0] == os.getpid()  # the first is done here, for all to begin with what it remembers
     assert len(set(by[1:])) == 2 and os.getpid() not in by[1:]
 
@@ -32,7 +32,7 @@ def test_others_do_the_work():
 @needs_fork
 def test_what_is_shared_comes_back_as_itself():
     shared = [object(), object()]
-    found = list(in_order(lambda number: {"of": shared[number % 2], "own": [number]}, range(6), 2, shared))
+    found = list(ordered_parallel_map(lambda number: {"of": shared[number % 2], "own": [number]}, range(6), 2, shared))
     assert all(one["of"] is shared[number % 2] for number, one in enumerate(found))
 
 
@@ -49,8 +49,8 @@ def test_an_error_is_raised_where_its_result_is_wanted():
 
     taken = []
     with pytest.raises(_Own, match="5 and 2"):
-        taken.extend(in_order(work, range(9), 3))
-    results = in_order(work, range(9), 3)
+        taken.extend(ordered_parallel_map(work, range(9), 3))
+    results = ordered_parallel_map(work, range(9), 3)
     assert [next(results) for _ in range(5)] == [0, 1, 2, 3, 4]
 
 
@@ -63,7 +63,7 @@ def test_what_a_killed_process_owes_is_done_here():
             os.kill(os.getpid(), signal.SIGKILL)
         return number
 
-    assert list(in_order(work, range(30), 2)) == list(range(30))
+    assert list(ordered_parallel_map(work, range(30), 2)) == list(range(30))
 
 
 @needs_fork
@@ -72,7 +72,7 @@ def test_processes_wait_when_nobody_takes_their_results(tmp_path: Path):
         (tmp_path / str(number)).touch()
         return bytes(1 << 19)  # two fit into a pipe
 
-    results = in_order(work, range(100), 2)
+    results = ordered_parallel_map(work, range(100), 2)
     next(results), next(results)
     time.sleep(0.5)
     assert len(list(tmp_path.iterdir())) < 12
@@ -81,7 +81,7 @@ def test_processes_wait_when_nobody_takes_their_results(tmp_path: Path):
 
 @needs_fork
 def test_closing_ends_the_processes():
-    results = in_order(lambda number: (time.sleep(0.01), os.getpid())[1], range(100), 2)
+    results = ordered_parallel_map(lambda number: (time.sleep(0.01), os.getpid())[1], range(100), 2)
     pids = {next(results) for _ in range(3)} - {os.getpid()}
     results.close()  # type: ignore[attr-defined]
     for pid in pids:
@@ -92,8 +92,8 @@ def test_closing_ends_the_processes():
 @needs_fork
 def test_processes_end_with_the_one_that_made_them():
     code = (
-        "import os, sys, time; from slam.ahead import in_order\n"
-        "for pid in in_order(lambda n: (time.sleep(0.05), os.getpid())[1], range(1000), 2):\n"
+        "import os, sys, time; from slam.ahead import ordered_parallel_map\n"
+        "for pid in ordered_parallel_map(lambda n: (time.sleep(0.05), os.getpid())[1], range(1000), 2):\n"
         "    print(pid, flush=True)\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}

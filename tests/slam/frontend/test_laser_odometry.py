@@ -13,7 +13,7 @@ from benchmarks.corpus.drives import Recipe, make_drive
 from benchmarks.corpus.floorplan import PATCH_M, Drive, FloorPlan, Wheels, drive
 from slam.config import CoastingConfig, SlamConfig
 from slam.errors import LogError
-from slam.frontend.information import beyond_lines, inverted
+from slam.frontend.information import information_beyond_lines, inverted
 from slam.frontend.keyframes import keyframes_of
 from slam.frontend.keyframes import track_of as made_track
 from slam.frontend.laser_odometry import LaserTrack, laser_track, motion_between, tracker
@@ -73,8 +73,8 @@ def errors_of(track: OdometryTrack, truth: Drive) -> tuple[np.ndarray, np.ndarra
         true = inverse(truth.poses[first]) @ truth.poses[first + GAP]
         error = planar_delta(inverse(true) @ motion.a_T_b)
         errors.append(error)
-        if motion.by_all is not None:
-            nees.append(error @ np.linalg.solve(motion.by_all.covariance, error))
+        if motion.scan_matched is not None:
+            nees.append(error @ np.linalg.solve(motion.scan_matched.covariance, error))
     return np.array(errors), np.array(nees)
 
 
@@ -328,13 +328,13 @@ def test_what_the_lines_say_is_not_said_twice():
     assert whole.returns_covariance is not None and len(lines) >= 3
     told, scale, left = inverted(whole.returns_covariance), np.sqrt(np.diag(whole.returns_covariance)), []
     for some in ([], lines[:1], lines):
-        beyond = beyond_lines(whole, some)
+        beyond = information_beyond_lines(whole, some)
         left.append(np.zeros((3, 3)) if beyond is None else inverted(beyond.covariance))
     for more, less in ((told, left[0]), (told, left[1]), (told, left[2]), (left[1], left[2])):
         assert np.linalg.eigvalsh((more - less) * np.outer(scale, scale)).min() > -1e-2
     shares = [np.trace((told - one) * np.outer(scale, scale)) for one in left]  # of 3, taken off
     assert shares[0] < 0.01 and shares[1] > 0.05 and shares[2] > 1.0
-    alone = beyond_lines(whole, [])
+    alone = information_beyond_lines(whole, [])
     assert alone is not None
     np.testing.assert_allclose(alone.covariance, whole.returns_covariance, rtol=1e-2, atol=1e-9)  # no lines: all of it
 

@@ -10,7 +10,7 @@ from shapely import box
 from slam.geometry.frames import inverse
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.motion_from_planes import _write_off, fit_pairs_on
-from slam.registration.plane_registration import _agreement, match_planes_widely, places_anywhere
+from slam.registration.plane_registration import _agreement, places_anywhere, register_planes_globally
 from slam.registration.visibility import LinesOfSight
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -146,7 +146,7 @@ def test_a_hall_is_told_from_itself_turned_round_by_what_would_be_seen_through_a
     seen = measured(in_sight, true, rng)
     expected = body(0.0, 0.0, 0.2 + np.pi / 2.0 + lean)
     known = [plane.transform(inverse(expected)) for plane in [*hall(), screen]]
-    found = match_planes_widely(seen, known, (2.0, 1.4))
+    found = register_planes_globally(seen, known, (2.0, 1.4))
     assert found is not None
     error = inverse(inverse(expected) @ true) @ found.known_T_seen
     assert np.linalg.norm(error[:3, 3]) < 0.02 and error[0, 0] > 0.9999
@@ -168,7 +168,7 @@ def test_a_body_is_not_turned_upside_down_by_a_room_that_fits_better_so():
     tipped = np.diag((1.0, -1.0, -1.0, 1.0)) @ true
     shares = [_agreement(one, PlaneArrays.of(seen), PlaneArrays.of(known)) for one in (true, tipped)]
     assert shares[1] > shares[0] + 1.0
-    found = match_planes_widely(seen, known, (10.0, 35.0))
+    found = register_planes_globally(seen, known, (10.0, 35.0))
     assert found is not None and np.abs(found.known_T_seen - true)[:3, :3].max() < 0.01
     _, anywhere = places_anywhere(seen, known)[0]  # of a map that may lie on its side nothing is known
     assert np.abs(anywhere.known_T_seen - tipped).max() < 0.05

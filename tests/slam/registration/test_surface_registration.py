@@ -13,7 +13,7 @@ from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe, keyframes_of
 from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE, moved
 from slam.geometry.frames import inverse
-from slam.registration.plane_registration import price_of
+from slam.registration.plane_registration import negative_log_prior
 from slam.registration.relocalization import NO_RIVALS, _on, _rivals, scan_of
 from slam.registration.surface_registration import Expected, LocalMap, Residuals, Tried, align
 from slam.registration.visibility import Scan, Sight
@@ -251,7 +251,9 @@ def test_of_places_that_fit_alike_the_expected_one_is_taken_and_the_other_is_nam
         found = align(seen, known, [other, start], expected)
         np.testing.assert_allclose(found.known_T_seen, start, atol=1e-6)
         first, second = found.tried
-        assert first.log_likelihood - second.log_likelihood == pytest.approx(price_of(heel, (1.0, 0.5)), abs=0.2)
+        assert first.log_likelihood - second.log_likelihood == pytest.approx(
+            negative_log_prior(heel, (1.0, 0.5)), abs=0.2
+        )
 
 
 def test_rivals_are_other_places_and_each_counts_once() -> None:

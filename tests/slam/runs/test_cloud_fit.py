@@ -13,6 +13,7 @@ from slam.io.clouds import Cloud, read_cloud
 from slam.io.planes_json import read_planes
 from slam.runs.cloud_fit import fit_cloud
 from spplanes.clouds.scatter import misses_of
+from spplanes.segmentation.validation.config import ValidationConfig
 from tests.slam.cli.test_commands import refused, run
 from tests.slam.io.test_cloud_folders import ROOM, beams, pose, seen_from
 from tests.slam.ply_tables import read_tables
@@ -137,8 +138,9 @@ def test_the_command_says_how_many_points_are_repeated(room: Path, tmp_path: Pat
 
 def test_planes_seen_edge_on_and_of_the_sensors_housing_are_flagged():
     found = fit_cloud(read_cloud(needs("pcl_room") / "room_scan1.pcd"), Path("x"))
+    least = np.cos(ValidationConfig().max_incidence_rad)
     edge_on = {
-        k for k, one in enumerate(found.planes) if abs(one.distance([0, 0, 0])) < 0.07 * np.linalg.norm(one.centre)
+        k for k, one in enumerate(found.planes) if abs(one.distance([0, 0, 0])) < least * np.linalg.norm(one.centre)
     }
     assert edge_on == {k for k, flag in enumerate(found.flags) if flag == "edge-on"}
     near = [one for one, flag in zip(found.planes, found.flags, strict=True) if flag == "too near"]
