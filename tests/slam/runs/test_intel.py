@@ -1,36 +1,47 @@
-"""A real log of four laps, mapped once: relations hold, nothing is lost, walls are single."""
+"""A real log of several laps, mapped once: relations hold, nothing is lost, walls are single.
+
+The first 600 of its 910 scans, which take a third of the time: the rest drives through what is mapped. All of it is a
+drive of `python -m benchmarks corpus`.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from slam import SlamConfig
 from slam.evaluation.map_summary import metres_of_wall
 from slam.evaluation.relations import read_relations, relation_errors
 from slam.evaluation.trajectories import absolute_error
+from slam.io.load import load
 from slam.io.trajectories import read_tum
-from slam.runs.slam_run import Run
+from slam.runs.slam_run import Run, run_slam
 from tests.slam.real_data import needs
-from tests.slam.runs.test_real_logs import assert_honest, mapped
+from tests.slam.runs.test_real_logs import assert_honest
 
 
 @pytest.fixture(scope="module")
 def intel() -> Run:
-    """Four laps of the Intel Research Lab, as mapped at first: that is doubtful, and its repair takes as long again."""
-    return mapped("intel/intel.clf.gz", repair=False)
+    """The Intel Research Lab, as mapped at first: all of it is doubtful then, and its repair takes as long again."""
+    log, rig = load(needs("intel/intel.clf.gz"))
+    end = log.scans()[599].stamp_ns
+    start = replace(log, events=[event for event in log.events if event.stamp_ns <= end])
+    return run_slam(start, rig, SlamConfig(), repair=False)
 
 
 def test_the_audit_finds_the_covariances_honest(intel):
-    assert_honest(intel.slam, 2000)
+    assert_honest(intel.slam, 1500)
 
 
 def test_the_intel_log_keeps_its_relations(intel):
-    """All 97 verified relations; a grid particle filter has 0.036 m and 0.56 deg, raw odometry 3.2 m and 17 deg."""
+    """Those of its 97 verified relations; a grid particle filter has 0.036 m and 0.56 deg over all of them."""
     errors = relation_errors(intel.trajectory, read_relations(needs("intel/intel.relations.gz")))
-    assert errors.translation_m.size == 97
-    assert errors.translation_m.mean() < 0.05
-    assert np.rad2deg(errors.rotation_rad).mean() < 0.9
-    assert np.sqrt(np.mean(errors.translation_m**2)) < 0.08
+    assert errors.translation_m.size == 64
+    assert errors.translation_m.mean() < 0.03
+    assert np.rad2deg(errors.rotation_rad).mean() < 0.6
+    assert np.sqrt(np.mean(errors.translation_m**2)) < 0.04
 
 
 def test_no_part_of_the_intel_log_is_lost(intel):
