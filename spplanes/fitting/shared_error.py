@@ -234,7 +234,8 @@ def _noise_along(variances: FloatArray, groups: np.ndarray, n_planes: int) -> Fl
     some = slice(None, None, max(len(groups) // (_SAMPLE * n_planes), 1))
     place = groups[some] + 1  # one more for points of no plane
     sums = np.bincount(place, _traces(variances[some]), minlength=n_planes + 1)[1:]
-    return np.sqrt(sums / np.maximum(np.bincount(place, minlength=n_planes + 1)[1:], 1))
+    counts = np.bincount(place, minlength=n_planes + 1)[1:]
+    return np.sqrt(np.where(counts > 0, sums, sums.sum()) / np.where(counts > 0, counts, max(counts.sum(), 1)))
 
 
 def _traces(variances: FloatArray) -> FloatArray:
