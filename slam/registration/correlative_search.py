@@ -136,11 +136,11 @@ def _search(
     first = _first_level(reach, grid[2])
     information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     steepest = float(np.sqrt(np.linalg.eigvalsh(information[:2, :2])[-1]))
-    constant = np.log1p(-_NOTHING) - np.log(max(prior_mass(covariance) / (CELL_M**2 * grid[2]), 1.0))
+    constant = np.log1p(-_NOTHING) - np.log(max(_prior_mass(covariance) / (CELL_M**2 * grid[2]), 1.0))
     blocks, scores = _first_blocks(reach, grid[2], first), np.empty(0)
     best = float(np.log(_NOTHING))
     for level in range(first, -1, -1):
-        prior = constant + log_student(blocks * grid, information)
+        prior = constant + _log_student(blocks * grid, information)
         scores = prior + _fit(a, b, guess + blocks * grid, level) / looks
         top = _largest(scores, _N_TRIED)
         tried = scores if not level else prior[top] + _fit(a, b, guess + blocks[top] * grid, 0) / looks
@@ -152,7 +152,7 @@ def _search(
         blocks = split(blocks, level) if level else blocks
     if not len(blocks):
         return SearchResult((), reach, False)
-    prior = constant + log_student(blocks * grid, information)
+    prior = constant + _log_student(blocks * grid, information)
     modes = _modes(guess, blocks, scores, (scores - prior) * looks, grid)
     edge = bool(np.any(np.abs(blocks[np.argmax(scores)] * grid) > reach - _edge(grid)))
     return SearchResult(modes, reach, edge and modes[0].probability > _NOTHING)
@@ -205,17 +205,17 @@ def _modes(
 
 
 def _peak(cells: np.ndarray, poses: FloatArray, scores: FloatArray, evidence: FloatArray, grid: FloatArray) -> _Peak:
-    weights = np.exp(evidence - log_sum(evidence))
+    weights = np.exp(evidence - _log_sum(evidence))
     mean = weights @ poses
     spread = np.einsum("n,ni,nj->ij", weights, poses - mean, poses - mean)
     within = np.diag([*(2.0 * grid[:2]).tolist(), grid[2]]) ** 2 / 12.0
-    return _Peak(cells, mean, spread + within, log_sum(scores), float(evidence[scores.argmax()]))
+    return _Peak(cells, mean, spread + within, _log_sum(scores), float(evidence[scores.argmax()]))
 
 
 def _mode(place: list[_Peak], scores: FloatArray) -> Mode:
     """Peaks of one place together: a mixture."""
     masses = np.array([one.log_mass for one in place])
-    shares = np.exp(masses - log_sum(masses))
+    shares = np.exp(masses - _log_sum(masses))
     mean = shares @ np.array([one.pose for one in place])
     covariance = sum(
         share * (one.covariance + np.outer(one.pose - mean, one.pose - mean))
@@ -223,7 +223,7 @@ def _mode(place: list[_Peak], scores: FloatArray) -> Mode:
     )
     inside = np.zeros(len(scores), dtype=bool)
     inside[np.concatenate([one.cells for one in place])] = True
-    log_odds = log_sum(masses) - log_sum(np.append(scores[~inside], np.log(_NOTHING)))
+    log_odds = _log_sum(masses) - _log_sum(np.append(scores[~inside], np.log(_NOTHING)))
     return Mode(mean, np.asarray(covariance), float(expit(log_odds)), log_odds, place[0].evidence)
 
 
@@ -254,19 +254,19 @@ def split(blocks: np.ndarray, level: int) -> np.ndarray:
     return (blocks[:, None, :] + corners).reshape(-1, 3)
 
 
-def log_student(offsets: FloatArray, information: FloatArray) -> FloatArray:
+def _log_student(offsets: FloatArray, information: FloatArray) -> FloatArray:
     """Log of the prior's density relative to that at the guess, shape (M,)."""
     squared = np.einsum("ni,ij,nj->n", offsets, information, offsets)
     return -0.5 * (_TAIL + 3.0) * np.log1p(squared / _TAIL)
 
 
-def prior_mass(covariance: FloatArray) -> float:
+def _prior_mass(covariance: FloatArray) -> float:
     """Integral of that relative density over all motions, m^2 rad."""
     constant = gamma(0.5 * _TAIL) * (_TAIL * np.pi) ** 1.5 / gamma(0.5 * (_TAIL + 3.0))
     return float(constant * np.sqrt(np.linalg.det(covariance)))
 
 
-def log_sum(values: FloatArray) -> float:
+def _log_sum(values: FloatArray) -> float:
     """Log of the sum of exponentials."""
     top = float(values.max())
     return top + float(np.log(np.exp(values - top).sum()))

@@ -169,28 +169,32 @@ class _Patches:
         asked = np.flatnonzero(most | (score > _HINT * np.sqrt(variance)))
         if len(asked):
             values, squares = self._contrasts(asked, factors)
-            common = _of_most(values, squares, least) if most else least
-            own[asked] = _of_each(values, squares, common, len(own))
+            likeliest = _likeliest(values, squares)
+            common = _of_most(values, squares, likeliest, least) if most else least
+            own[asked] = _of_each(values, squares, likeliest, common, len(own))
         return common, own
 
-    def _trend(self, planes: np.ndarray, factors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Roots of the weights, (P, M), columns of what offset and tilt explain, (P, M, 3), and (X^T X)^-1."""
+    def _whitened(
+        self, planes: np.ndarray, factors: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Of some planes, with noise of 1: means (N, M), K (N, M, M), what offset and tilt explain, columns of
+        X (N, M, 3), and (X^T X)^-1 (N, 3, 3)."""
         root = np.sqrt(self.weights[planes] / factors[planes, None])
+        kernel = root[:, :, None] * self.kernel(planes) * root[:, None, :]
         trend = root[..., None] * self.design[planes]
         size = np.sqrt((trend**2).sum(axis=1, keepdims=True))
         trend = trend / np.where(size > 0.0, size, 1.0)
         square = np.swapaxes(trend, 1, 2) @ trend + 1e-9 * np.eye(3)
-        return root, trend, np.linalg.inv(square).astype(np.float64)
+        return root * self.means[planes], kernel, trend, np.linalg.inv(square).astype(np.float64)
 
     def _scores(self, planes: np.ndarray, factors: FloatArray) -> FloatArray:
         """Twice the slope of the log likelihood at tau^2 = 0, its expectation 0, and its variance there, (2, N).
 
         With r what the trend T leaves of the means and A = K T: r^T K r - tr(P K), and 2 tr(P K P K).
         """
-        root, trend, inverse = self._trend(planes, factors)
-        seen, back = root * self.means[planes], np.swapaxes(trend, 1, 2)
+        seen, kernel, trend, inverse = self._whitened(planes, factors)
+        back = np.swapaxes(trend, 1, 2)
         seen = seen - (trend @ (inverse @ (back @ seen[..., None])))[..., 0]
-        kernel = root[:, :, None] * self.kernel(planes) * root[:, None, :]
         across = kernel @ trend
         explained = inverse @ (back @ across)
         squares = np.einsum("pmn,pmn->p", kernel, kernel) - 2.0 * np.einsum("pij,pmj,pmi->p", inverse, across, across)
@@ -201,11 +205,10 @@ class _Patches:
 
     def _contrasts(self, planes: np.ndarray, factors: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Variances that tau^2 = 1 gives the contrasts of planes beside noise of 1, and their squares, (P, M)."""
-        root, trend, inverse = self._trend(planes, factors)
-        project = np.eye(root.shape[1]) - trend @ inverse @ np.swapaxes(trend, 1, 2)
-        kernel = root[:, :, None] * self.kernel(planes) * root[:, None, :]
+        means, kernel, trend, inverse = self._whitened(planes, factors)
+        project = np.eye(means.shape[1]) - trend @ inverse @ np.swapaxes(trend, 1, 2)
         values, vectors = np.linalg.eigh(project @ kernel @ project)
-        seen = np.einsum("pmk,pm->pk", vectors, np.einsum("pmn,pn->pm", project, root * self.means[planes]))
+        seen = np.einsum("pmk,pm->pk", vectors, np.einsum("pmn,pn->pm", project, means))
         return np.where(values > 1e-3 * values[:, -1:], values, 0.0), seen**2
 
     def covariances(self, covariances: FloatArray, factors: FloatArray, taus: FloatArray) -> FloatArray:
@@ -242,8 +245,8 @@ def _traces(variances: FloatArray) -> FloatArray:
     return variances[:, 0] if variances.shape[1] == 1 else variances[:, 0] + variances[:, 4] + variances[:, 8]
 
 
-def _of_most(values: FloatArray, squares: FloatArray, least: float) -> float:
-    """tau^2 of most planes by their contrasts, m^2; see `_Patches._contrasts`.
+def _of_most(values: FloatArray, squares: FloatArray, likeliest: FloatArray, least: float) -> float:
+    """tau^2 of most planes by their contrasts and the likeliest of each of them (P,), m^2; see `_Patches._contrasts`.
 
     The median, each plane as often as it has contrasts that tell: planes differ by more than their estimates' errors,
     and one that is two surfaces must not speak for all.
@@ -253,15 +256,17 @@ def _of_most(values: FloatArray, squares: FloatArray, least: float) -> float:
     if 2.0 * gain.sum() <= chdtri(1, 2.0 * SIGNIFICANCE):
         return least
     told = _told(values, pooled)
-    return max(float(weighted_median(_likeliest(values, squares), told) * _mean_over_mode(told.sum())), least)
+    return max(float(weighted_median(likeliest, told) * _mean_over_mode(told.sum())), least)
 
 
-def _of_each(values: FloatArray, squares: FloatArray, common: float, n_planes: int) -> FloatArray:
+def _of_each(
+    values: FloatArray, squares: FloatArray, likeliest: FloatArray, common: float, n_planes: int
+) -> FloatArray:
     """tau^2 of each of some planes of so many, (P,), m^2: one that the common value does not explain has its own."""
-    own = _likeliest(values, squares)
-    gain = _log_likelihood(values, squares, np.maximum(own, common)) - _log_likelihood(values, squares, common)
+    gain = _log_likelihood(values, squares, np.maximum(likeliest, common)) - _log_likelihood(values, squares, common)
     limit = chdtri(1, 2.0 * _of_one(n_planes, bool(common)))
-    return np.where(2.0 * gain > limit, np.maximum(own * _mean_over_mode(_told(values, own)), common), common)
+    own = likeliest * _mean_over_mode(_told(values, likeliest))
+    return np.where(2.0 * gain > limit, np.maximum(own, common), common)
 
 
 def _told(values: FloatArray, tau: FloatArray) -> FloatArray:

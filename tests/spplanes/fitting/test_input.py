@@ -152,7 +152,7 @@ def test_input_is_left_alone():
     np.testing.assert_array_equal(covariances, COVARIANCES)
 
 
-@pytest.mark.parametrize("options", [{"shared_error": False}, {"method": "sp"}, {"robust": "tukey"}])
+@pytest.mark.parametrize("options", [{}, {"method": "sp"}, {"robust": "tukey"}])
 def test_peak_memory_is_below_one_copy_of_the_input(options):
     rng = np.random.default_rng(2)
     points = rng.normal(size=(50_000, 3)) * (2, 1, 0.01)
