@@ -13,14 +13,15 @@ def score_by_heading(
 ):
     """Sum of table values under b_T_a = (shift, heading), mean of both ways and weighted: points of a in b and back.
 
-    Motions (M, 2) come in runs of one heading: those of `headings[h]` are `starts[h]` to `starts[h + 1]`. Tables are
-    of small integers, so that they stay in the cache; the result (M,) is in their unit.
+    Motions (M, 2) come in runs of one heading: those of `headings[h]` are `starts[h]` to `starts[h + 1]`. Tables
+    are of small integers, so that they stay in the cache, and have a rim of zeros one cell wide, where all that lies
+    outside is looked up; the result (M,) is in their unit. Places are in cells, of single precision: where all is 32
+    bits wide the loop over points is vectorised.
     """
     result = np.empty(shifts.shape[0])
-    rows, columns = table.shape
-    other_rows, other_columns = other_table.shape
-    there_u, there_v = np.empty(points.shape[0]), np.empty(points.shape[0])
-    back_u, back_v = np.empty(others.shape[0]), np.empty(others.shape[0])
+    places = np.empty(max(points.shape[0], others.shape[0]), np.int32)
+    there_u, there_v = np.empty(points.shape[0], np.float32), np.empty(points.shape[0], np.float32)
+    back_u, back_v = np.empty(others.shape[0], np.float32), np.empty(others.shape[0], np.float32)
     for h in range(headings.shape[0]):
         c, s = np.cos(headings[h]), np.sin(headings[h])
         for k in range(points.shape[0]):
@@ -31,18 +32,25 @@ def score_by_heading(
             back_v[k] = (c * others[k, 1] - s * others[k, 0] - other_origin[1]) / cell
         for m in range(starts[h], starts[h + 1]):
             x, y = shifts[m, 0] / cell, shifts[m, 1] / cell
-            there = back = 0
-            for k in range(points.shape[0]):
-                column, row = int(np.floor(there_u[k] + x)), int(np.floor(there_v[k] + y))
-                if 0 <= column < columns and 0 <= row < rows:
-                    there += table[row, column]
-            u, v = c * x + s * y, c * y - s * x
-            for k in range(others.shape[0]):
-                column, row = int(np.floor(back_u[k] - u)), int(np.floor(back_v[k] - v))
-                if 0 <= column < other_columns and 0 <= row < other_rows:
-                    back += other_table[row, column]
+            there = _looked_up(there_u, there_v, x, y, table, places)
+            back = _looked_up(back_u, back_v, -c * x - s * y, s * x - c * y, other_table, places)
             result[m] = 0.5 * (weight * there + other_weight * back)
     return result
+
+
+@inner(cache=True)
+def _looked_up(columns, rows, right, up, table, places):
+    """Sum of the table's values at points (in cells) that are shifted; `places` takes their indices."""
+    shift_u, shift_v, first = np.float32(right), np.float32(up), np.float32(0.0)
+    last_u, last_v, width = np.float32(table.shape[1] - 1), np.float32(table.shape[0] - 1), np.int32(table.shape[1])
+    for k in range(columns.shape[0]):
+        column = min(max(columns[k] + shift_u, first), last_u)
+        row = min(max(rows[k] + shift_v, first), last_v)
+        places[k] = np.int32(row) * width + np.int32(column)
+    values, total = table.reshape(-1), 0
+    for k in range(columns.shape[0]):
+        total += values[places[k]]
+    return total
 
 
 @njit(cache=True)

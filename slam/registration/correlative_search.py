@@ -30,7 +30,7 @@ _ONE_PLACE_M = 0.3
 #: Blocks of motions have sides of 2^level cells; the highest level, and of boxes that would have too many blocks there.
 _TOP_LEVEL, _HIGHEST_LEVEL = 4, 7
 #: Most blocks kept from one level to the next, and blocks of each whose middle is tried: these bound the time.
-_MOST_BLOCKS, _N_TRIED = 40000, 200
+_MOST_BLOCKS, _N_TRIED = 10_000, 200
 #: A box whose best motion lies at its edge is made so much wider, at most so many times.
 _WIDER, _MOST_TIMES = 2.0, 2
 
@@ -71,14 +71,19 @@ class PlaceView:
         self._tables: dict[int, np.ndarray] = {}
 
     def bound(self, level: int, *, turned: bool = False) -> np.ndarray:
-        """The table, in `_UNIT`, widened to bound what a block of motions of this level finds in a cell, (H, W) int8.
+        """The table, in `_UNIT`, widened to bound what a block of motions of this level finds in a cell.
 
-        With `turned`, of a block whose axes are turned by any angle.
+        With `turned`, of a block whose axes are turned by any angle. With a rim of zeros, shape (H + 2, W + 2) int8.
         """
         reach = 0 if level == 0 else int(np.ceil(0.71 * 2**level)) if turned else 2 ** (level - 1)
         if reach not in self._tables:
-            self._tables[reach] = _widened(self._whole, reach) if reach else self._whole
+            self._tables[reach] = np.pad(_widened(self._whole, reach), 1)
         return self._tables[reach]
+
+    @property
+    def corner(self) -> FloatArray:
+        """Where the corner of the tables' rim lies, m, shape (2,)."""
+        return self.raster.origin - CELL_M
 
     @cached_property
     def _whole(self) -> np.ndarray:
@@ -241,8 +246,8 @@ def _fit(a: PlaceView, b: PlaceView, motions: FloatArray, level: int) -> FloatAr
     result = np.empty(len(motions))
     result[order] = score_by_heading(
         headings, np.append(starts, len(motions)), np.ascontiguousarray(motions[order, :2]), CELL_M,
-        a.raster.points, a.raster.weight, b.bound(level), b.raster.origin,
-        b.raster.points, b.raster.weight, a.bound(level, turned=True), a.raster.origin,
+        a.raster.points, a.raster.weight, b.bound(level), b.corner,
+        b.raster.points, b.raster.weight, a.bound(level, turned=True), a.corner,
     )  # fmt: skip
     return _UNIT * result
 
