@@ -8,6 +8,8 @@ FUZZ_SECONDS ?= 60
 SPREAD = -n auto --dist loadscope --no-loadscope-reorder
 
 export OMP_NUM_THREADS ?= 1
+# Bytecode is kept whatever the shell says: pip compiles none here, and each of many processes would, 1.3 s a time.
+export PYTHONDONTWRITEBYTECODE =
 
 .PHONY: help demo test soak lint types docs examples figures benchmarks fuzz release wheel clean
 .DEFAULT_GOAL := help
