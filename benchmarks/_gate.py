@@ -19,7 +19,7 @@ LEAST_MEMORY_MB = 4.0
 TOLERANCES = {"time": 1.6, "apart": 2.2, "memory": 1.5, "accuracy": 1.1}
 #: Columns that are ratios of times already, in tables without contenders, and their kind.
 GROWTH = "of the first tenth"  # of which only the last row's counts
-RATIOS = {"ratio": "time", "stage, x limit": "time", "x numba": "time", GROWTH: "apart", "CPU, x yardstick": "apart"}
+RATIOS = {"ratio": "time", GROWTH: "apart", "CPU, x yardstick": "apart"}
 Figures = dict[str, dict[str, float]]
 
 
@@ -45,12 +45,6 @@ ACCURACY = {
     "correct": Accuracy(),
     "represented, %": Accuracy(_missed, 0.1),
     "purity, %": Accuracy(_missed, 0.1),
-    "found, %": Accuracy(_missed),
-    "split, %": Accuracy(),
-    "height, mm": Accuracy(slack=0.05),
-    "width, mm": Accuracy(slack=0.05),
-    "ceiling, deg": Accuracy(slack=0.001),
-    "lockers, deg": Accuracy(slack=0.005),
     "walls found": Accuracy(slack=1.0),
     "false lines": Accuracy(slack=1.0),
     "position, mm": Accuracy(slack=0.2),

@@ -42,21 +42,6 @@ WORKLOADS: dict[str, Workload] = {
         short=_QUICK,
         gated=True,
     ),
-    "tables": Workload(
-        "The paper's tables",
-        "Tables II and III on the simulated corridor, each row beside the paper's: its printed time is that of a "
-        "Pentium 4 at 1.7 GHz, so no ratio is made of it. From registered scans to planes; purity, true planes found "
-        "(of those with more than 200 points) and those split are from truth, of which the paper had none. Table III: "
-        "medians of the errors of ceiling height, corridor width, the ceiling's normal and the lockers'; poses share "
-        "an error.",
-        short=_QUICK,
-        gated=True,
-    ),
-    "steady": Workload(
-        "Extraction, steady state",
-        "`PlaneMapper.add_scan` on a way of 10,000 scans, up and down a corridor. Memory is what the process grew by.",
-        gated=True,
-    ),
     "factors": Workload(
         "Factors",
         "Linearisation and batch solve beside the wheel's own factors. `us each` is the time of one factor; in a "
@@ -105,67 +90,11 @@ WORKLOADS: dict[str, Workload] = {
         short=_QUICK,
         gated=True,
     ),
-    "startup": Workload(
-        "Start-up",
-        "Fresh interpreters, files in the cache of the system, taken in turn; medians, the fastest in brackets.",
-        short=_QUICK,
-        gated=True,
-    ),
-    "wheel": Workload(
-        "The first call",
-        "A clean environment, nothing compiled in it, with a wheel that brings its kernels (`make wheel`) and with "
-        "one that does not, in turn.",
-        on_request=True,
-    ),
     "jobs": Workload(
         "Processes that measure",
         "The push-broom office with keyframes measured by one process, and by two ahead of the estimate, in turn; the "
         "fastest of each, since other work on the machine only adds.",
         short=_QUICK,
-    ),
-    "limits": Workload(
-        "What the hardware allows",
-        "The slowest stages beside bare loops of the same arithmetic, written by hand in one go over the data "
-        "(`benchmarks/_bare.py`), beside reading the data as often as these do at the bandwidth of a bare copy, and "
-        "beside GTSAM alone with the same factors. A bare loop is told what a stage has to find out. Fits: the check "
-        "that every covariance is one, the start by traces, and two steps, or the sums of the covariance. Segmenting "
-        "and measuring: the check of every point, two chi2 tests against neighbours, its share in the sums of a cell, "
-        "its distance to two planes, its cell in an outline, and a fit of all points; not in it are the search for "
-        "which cells are one plane, and that borders, refining and outlines visit a point several times each: that is "
-        "what remains. Lines: sums and chi2 of every split of a scan from both ends, twice, and four steps of a fit; "
-        "a real scan is cut level by level, tried for circles, and its lines are checked Python objects. Estimating: "
-        "iSAM2's own updates; what remains is association, which linearises factors too, and loops.",
-        short=_QUICK,
-        gated=True,
-    ),
-    "missions": Workload(
-        "Simulated missions",
-        "Poses unknown, many seeds: how good and how honest.",
-        full={"runs": 20},
-        short={"runs": 3, "scans": 200},
-        on_request=True,
-    ),
-    "floorplans": Workload(
-        "Floor plans",
-        "Simulated office suites, a spinning laser of 5 mm, poses unknown: floor plans against the truth. "
-        'NEES per degree of freedom, errors and sigmas in mm, of areas in dm^2; "drawn" with every plane measured '
-        "replaced by the true one with an error of its own covariance.",
-        short={"runs": 3},
-        on_request=True,
-    ),
-    "candidates": Workload(
-        "Candidates",
-        "Which landmarks a keyframe's dozen observations may be, over the size of the map.",
-        short=_QUICK,
-        on_request=True,
-    ),
-    "load": Workload("Long sessions", "Sessions on disk under load.", on_request=True),
-    "session": Workload("Sessions", "What keeping a session on disk costs.", on_request=True),
-    "kill": Workload(
-        "Runs that are killed",
-        "Runs killed at random moments, sessions damaged at random places: what is lost.",
-        short={"kills": 10, "damages": 10},
-        on_request=True,
     ),
     "corpus": Workload(
         "Corpus",

@@ -18,8 +18,12 @@ from benchmarks._boxes import polyhedra_scan
 from benchmarks._measure import PROJECT, Case, Row, Task, measured
 from benchmarks._scans import CORRIDOR_SENSOR, correct_detections, corridor_scan, icl_frame, synpeb_scan
 from benchmarks._table import plain
+from slam.sensors.rig import LocalisationNoise
+from slam.simulation import simulate_mission
 from spplanes import MapperConfig, Plane, segment_scans
 from spplanes._check import FloatArray
+from spplanes.noise import SensorModel
+from spplanes.registration import register_scans
 
 DATA = PROJECT.parent / "shared" / "data"
 #: The iterative RANSAC: points of the smallest plane, planes at most, tries each.
@@ -50,10 +54,16 @@ class Scene:
 @cache
 def mission(n_scans: int = 1083) -> Scene:
     """The push-broom corridor of the paper's length, registered at the given poses."""
-    from benchmarks.tables import corridor_scans, points_of
-
-    simulated = corridor_scans(n_scans)
-    scans = points_of(simulated)
+    simulated = simulate_mission("corridor", n_scans=n_scans)
+    vertical, sensor = simulated.arrays("vertical"), simulated.rig.sensors["vertical"]
+    scans = register_scans(
+        vertical.ranges,
+        vertical.angles,
+        vertical.world_T_body_given,
+        SensorModel(sensor.range_sigma_m, bearing_sigma_rad=sensor.bearing_sigma_rad),
+        body_T_sensor=sensor.body_T_sensor,
+        pose_covariances=(simulated.rig.localisation or LocalisationNoise()).location_covariance(),
+    )
     segment = partial(segment_scans, scans.points, scans.covariances, viewpoints=scans.viewpoints)
     return Scene(scans.points, segment, 0.03, simulated.arrays("vertical").labels + 1, LEAST_POINTS)
 

@@ -6,10 +6,10 @@ import gtsam
 import numpy as np
 import pytest
 
-from benchmarks.floorplans import Measured, mapped, nees_of, pairs_of, plan_of
 from slam.floorplan import joint_planes
 from slam.mapping.same_plane import hesse_in_world
 from slam.planeslam import PlaneSlam
+from tests.slam.floorplan.measured_suites import Measured, mapped, nees_of, pairs_of, plan_of
 from tests.statistics import assert_jacobian, mean_nees_band
 
 SEEDS = 3

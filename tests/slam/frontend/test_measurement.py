@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.floorplans import Measured
 from slam.config import SlamConfig
 from slam.frontend.measurement import for_points, planes_of_cloud, usable_points, usable_ranges
 from slam.frontend.observations import PlaneObservation
@@ -19,6 +18,7 @@ from slam.sensors.scan_noise import line_tilt_covariances, servo_covariances, su
 from spplanes import MapperConfig, Plane, fit_plane
 from spplanes.segmentation.validation.config import ValidationConfig
 from spplanes.segmentation.validation.one_plane import InPatches, could_be_seen, fits_its_noise, is_one_plane
+from tests.slam.floorplan.measured_suites import Measured
 from tests.spplanes.fitting.test_shared_error import wall
 from tests.statistics import assert_mean_in_band
 

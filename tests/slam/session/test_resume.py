@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 
 import slam.runs.slam_run as run_module
-from benchmarks import kill
 from slam import PlaneSlam
 from slam.cli import main
 from slam.geometry.frames import planar_transform
@@ -30,6 +29,7 @@ from slam.session.salvage import salvage_session
 from slam.session.state import SESSION_FILE
 from slam.session.store import Session, SessionError, StorageError
 from tests.slam.scenes import drive
+from tests.slam.session import kill
 
 #: Files of a run that must be the same however often it was interrupted; the others hold times.
 SAME = ("trajectory.tum", "planes.json", "map.ply", "config.yaml", "rig.yaml", "graph.g2o")

@@ -1,7 +1,4 @@
-"""Runs killed at seeded random moments, and sessions damaged at random places: is anything lost, or read that is wrong?
-
-`python -m benchmarks.kill [KILLS [DAMAGES]]`; 200 of each by default.
-"""
+"""Runs killed at random moments, sessions damaged at random places: is anything lost, or read that is wrong?"""
 
 from __future__ import annotations
 
@@ -9,8 +6,6 @@ import os
 import shutil
 import signal
 import sqlite3
-import sys
-import tempfile
 import time
 import traceback
 from dataclasses import dataclass
@@ -19,8 +14,6 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from slam import PlaneSlam, SlamConfig
 from slam.io.load import load
@@ -48,13 +41,6 @@ class Job:
     """Folder of the run."""
     seconds: float
     """How long that took."""
-
-
-def run(kills: int = 200, damages: int = 200, *, scans: int = 60) -> list[dict]:
-    """One row a harness: how many trials, and how often what must never happen did."""
-    with tempfile.TemporaryDirectory(prefix="spplanes-kill-") as scratch:
-        job = prepare(Path(scratch), scans)
-        return [kill_row(job, Path(scratch), kills), damage_row(job, Path(scratch), damages)]
 
 
 def prepare(folder: Path, scans: int) -> Job:
@@ -252,15 +238,3 @@ def _read(out: Path, truth: list[tuple], original: Path) -> str:
 def _finished(out: Path) -> bool:
     with Session.open(out, read_only=True) as session:
         return session.is_finished
-
-
-def main() -> None:
-    """Print one table a harness."""
-    for row in run(*(int(word) for word in sys.argv[1:3])):
-        table = Table(*(key for key in row))
-        table.add_row(*(str(value) for value in row.values()))
-        Console().print(table)
-
-
-if __name__ == "__main__":
-    main()

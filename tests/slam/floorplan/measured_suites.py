@@ -1,29 +1,14 @@
-"""Floor plans of simulated office suites with truth: are widths, areas, heights and openings as sure as they say?
-
-    python -m benchmarks.floorplans [RUNS [FIRST]] [--sigma M] [--spacing M] [--rooms N] [--rows FILE]
-
-Seeds from FIRST on; every seed draws another suite and other noise. Each is mapped twice: with the planes as they were
-segmented, and "drawn": every one of them replaced by the true plane with an error drawn from its own covariance, which
-leaves out what segmentation does wrong. Rows are printed as they come, the summary at the end; with `--rows` they are
-kept in a file, and seeds that are in it already are left out.
-"""
+"""Simulated office suites with truth, mapped: are widths, areas, heights and openings as sure as they say?"""
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
-from benchmarks._kept_rows import Row, append_row, read_rows, seeds_left
-from benchmarks._table import plain
 from benchmarks.corpus.suite import START_M, Suite
 from slam.config import SlamConfig
-from slam.diagnostics.evidence import assess_run
 from slam.floorplan import FloorPlan, JointPlanes, Quantity, floor_plan, joint_planes
 from slam.frontend.keyframes import Keyframe, keyframes_of
 from slam.frontend.observations import PlaneObservation
@@ -38,7 +23,6 @@ from spplanes._check import FloatArray
 
 #: What is measured of a suite.
 KINDS = ("width", "area", "height", "thickness", "opening")
-_SUMS = ("number", "NEES", "dof", "squares", "variances")
 #: An observation is of a true plane within this distance of its centre and cosine of the angle to it, m.
 _NEAR_M, _ALIKE = 0.05, np.cos(0.05)
 #: Eigenvalues of a joint covariance below this share of the largest are of differences that are zero by construction:
@@ -151,83 +135,3 @@ def nees_of(joint: JointPlanes, pairs: Pairs) -> tuple[float, int]:
     variances, vectors = np.linalg.eigh(joint.covariance_of([quantity for quantity, _ in pairs]))
     real = variances > _NOTHING * variances[-1]
     return float(((vectors.T @ errors)[real] ** 2 / variances[real]).sum()), int(real.sum())
-
-
-def rows_of(seeds: Iterable[int], **how: Any) -> Iterator[Row]:
-    """One row a seed; arguments as those of `Measured.of`."""
-    for seed in seeds:
-        measured = Measured.of(seed, **how)
-        row: Row = {"seed": seed}
-        for name, keyframes in (("", measured.keyframes), (", drawn", measured.drawn())):
-            slam = mapped(keyframes)
-            if not name:
-                row["verdict"] = assess_run(slam, measured.rig).verdict
-            row |= {f"{key}{name}": value for key, value in _scores(measured.suite, plan_of(slam)).items()}
-        yield row
-
-
-def _scores(suite: Suite, plan: FloorPlan) -> Row:
-    row: Row = {"rooms": sum(len(storey.rooms) for storey in plan.storeys)}
-    try:
-        pairs_by_kind = pairs_of(suite, plan)
-    except ValueError:
-        return row | {"wrong": True}
-    for kind, pairs in pairs_by_kind.items():
-        nees, dof = nees_of(plan.joint, pairs)
-        squares = [(quantity.value - true) ** 2 for quantity, true in pairs]
-        row |= {f"{kind} number": len(pairs), f"{kind} NEES": nees, f"{kind} dof": dof}
-        row |= {f"{kind} squares": sum(squares), f"{kind} variances": sum(quantity.sigma**2 for quantity, _ in pairs)}
-    return row
-
-
-def summary(rows: Sequence[Row]) -> list[Row]:
-    """Mean NEES per degree of freedom by kind, with the 99 % band of honest ones; rms errors and sigmas in mm, dm^2.
-
-    Maps with a room that is none of the suite's are counted and left out.
-    """
-    lines = []
-    for name in ("", ", drawn"):
-        right = [row for row in rows if f"wrong{name}" not in row]
-        for kind in KINDS:
-            total = {of: sum(row[f"{kind} {of}{name}"] for row in right) for of in _SUMS}
-            if not total["dof"]:
-                continue
-            low, high = chi2.ppf((0.005, 0.995), total["dof"]) / total["dof"]
-            unit = 1e2 if kind == "area" else 1e3
-            line: Row = {"measured": f"{kind}{name}", "maps": len(right), "wrong maps": len(rows) - len(right)}
-            line |= {"number": total["number"], "NEES / dof": total["NEES"] / total["dof"]}
-            line["99 % band"] = f"{low:.2f} .. {high:.2f}"
-            line["rms error"] = unit * float(np.sqrt(total["squares"] / total["number"]))
-            line["rms sigma"] = unit * float(np.sqrt(total["variances"] / total["number"]))
-            lines.append(line)
-    return lines
-
-
-def run(runs: int = 50, first: int = 0) -> list[Row]:
-    """The summary over some seeds."""
-    return summary(list(rows_of(range(first, first + runs))))
-
-
-def main() -> None:
-    """As the module says."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.floorplans")
-    parser.add_argument("runs", nargs="?", type=int, default=50)
-    parser.add_argument("first", nargs="?", type=int, default=0)
-    parser.add_argument("--sigma", type=float, default=0.005, help="of a range, m")
-    parser.add_argument("--spacing", type=float, default=0.6, help="way between two scans, m")
-    parser.add_argument("--rooms", type=int, default=1, help="rooms on each side of the corridor")
-    parser.add_argument("--rows", type=Path, help="file to keep rows in")
-    asked = parser.parse_args()
-    kept = [] if asked.rows is None else read_rows([asked.rows])
-    seeds = range(asked.first, asked.first + asked.runs)
-    how = {"range_sigma_m": asked.sigma, "spacing_m": asked.spacing, "rooms_a_side": asked.rooms}
-    for row in rows_of(seeds_left(seeds, kept), **how):
-        print(row, flush=True)
-        kept.append(row)
-        if asked.rows is not None:
-            append_row(asked.rows, row)
-    print(plain(summary(kept)))
-
-
-if __name__ == "__main__":
-    main()
