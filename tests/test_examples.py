@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 import runpy
+from itertools import islice
 from pathlib import Path
 
 import pytest
+
+from slam import SlamConfig
+from slam.evaluation.relations import read_relations, relation_errors
+from slam.io.load import load
+from slam.runs.scan_trajectory import scan_trajectory
+from slam.runs.slam_run import run_slam
+from tests.slam.real_data import needs
 
 EXAMPLES = sorted((Path(__file__).resolve().parent.parent / "examples").glob("*.py"))
 
@@ -50,6 +59,30 @@ def test_factors_in_your_graph(capsys):
         millimetres(pattern, text) for pattern in (r"to +(\S+) mm without", r"planes, +(\S+) mm with")
     )
     assert all(firm < loose for loose, firm in zip(without, with_planes, strict=True))
+
+
+def test_own_graph_slam(capsys, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["own_graph_slam.py"])
+    own, alone = millimetres(r"(?:graph|alone) +(\S+) mm", run("own_graph_slam", capsys))
+    assert own < 5.0 < 20.0 < alone
+
+
+def test_own_graph_slam_is_as_good_as_slam_on_a_real_log(tmp_path, capsys):
+    """Freiburg 079, its first 600 of 4934 scans: on them slam closes no loop."""
+    log_file, relations_file = needs("fr079/fr079.clf.gz"), needs("fr079/fr079.relations.gz")
+    with gzip.open(log_file, "rt") as lines:
+        until = [number for number, line in enumerate(lines) if line.startswith("FLASER")][600]
+    with gzip.open(log_file, "rt") as lines:
+        (tmp_path / "drive.clf").write_text("".join(islice(lines, until)))
+    example = runpy.run_path(str(EXAMPLES[0].parent / "own_graph_slam.py"))
+    example["main"]([str(tmp_path / "drive.clf"), str(relations_file)])
+    own, alone = millimetres(r"(?:graph|alone) +(\S+) mm", capsys.readouterr().out)
+    log, rig = load(tmp_path / "drive.clf")
+    drive = run_slam(log, rig, SlamConfig(), repair=False)
+    errors = relation_errors(
+        scan_trajectory(drive.trajectory, log, rig, SlamConfig()), read_relations(relations_file)
+    ).translation_m
+    assert own < 1.1e3 * errors.mean() < alone / 1.5
 
 
 def test_line_slam_2d(capsys):
