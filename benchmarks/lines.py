@@ -134,7 +134,7 @@ def contenders(scans: Callable[[], list[Scan]]) -> list[Task]:
     all_of_them = scans()
 
     def ours() -> list[list[ScanLine]]:
-        return [extract_lines(scan.ranges, scan.angles, sigma=scan.sigma) for scan in all_of_them]
+        return [extract_lines(scan.ranges, scan.angles, sigma=scan.sigma, shared_error=False) for scan in all_of_them]
 
     def theirs() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         return [textbook(scan.ranges, scan.angles, scan.sigma) for scan in all_of_them]

@@ -52,6 +52,27 @@ MUTATIONS = (
         "tests/slam/test_planeslam.py::test_final_poses_and_planes_are_consistent_over_many_runs",
     ),
     Mutation(
+        "lines: the point about which shift and direction are told apart lies on the other side",
+        "spplanes/lines/_shared_error.py",
+        "to_sp[:, 1, 0] = -middle, 1.0, 1.0",
+        "to_sp[:, 1, 0] = middle, 1.0, 1.0",
+        "tests/spplanes/lines/test_shared_error.py",
+    ),
+    Mutation(
+        "lines: what is stated of walls is forgotten where residuals show less",
+        "spplanes/lines/_shared_error.py",
+        "np.maximum(uneven - shared[:, (0, 1), (0, 1)], 0.0)",
+        "0.0 * uneven",
+        "tests/spplanes/lines/test_shared_error.py",
+    ),
+    Mutation(
+        "search: what lies beyond a submap's table is looked up at its rim's neighbour",
+        "slam/registration/correlative_search.py",
+        "return self.raster.origin - CELL_M",
+        "return self.raster.origin",
+        "tests/slam/registration/test_correlative_search.py",
+    ),
+    Mutation(
         "warp: walls taken for as flat as the noise of their beams",
         "slam/frontend/warp_calibration.py",
         " + shared.octave_sigmas_m[k] ** 2 * _uneven(local[k])",

@@ -1,7 +1,6 @@
 """How good is it: trajectories, relations and planes against what is known to be true."""
 
 from slam.evaluation.folders import Evaluation, compare_with_truth, evaluate_run, trajectory_metrics
-from slam.evaluation.labels import HooverCounts, LabelTable, hoover_counts, label_metrics
 from slam.evaluation.metrics import Metric
 from slam.evaluation.planes import PlaneMatch, match_planes, plane_metrics
 from slam.evaluation.relations import relation_errors, relation_metrics
@@ -19,8 +18,6 @@ from slam.evaluation.trajectories import (
 
 __all__ = [
     "Evaluation",
-    "HooverCounts",
-    "LabelTable",
     "Metric",
     "PlaneMatch",
     "PoseErrors",
@@ -33,8 +30,6 @@ __all__ = [
     "compare_sharpness",
     "compare_with_truth",
     "evaluate_run",
-    "hoover_counts",
-    "label_metrics",
     "match_planes",
     "nearest_stamps",
     "plane_metrics",

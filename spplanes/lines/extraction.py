@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from spplanes._check import FloatArray, as_float_array, as_number, as_positive, as_shape, check_instance
 from spplanes.line import ScanLine
 from spplanes.lines._extract import extract
+from spplanes.lines._shared_error import with_shared_error
 
 #: Two turns, rad: no convention writes a bearing beyond, and any scan in degrees does.
 _LARGEST_BEARING = 4.0 * np.pi
@@ -68,7 +69,12 @@ def _check(name: str, value: float, valid: bool, expected: str) -> None:
 
 
 def extract_lines(
-    ranges: ArrayLike, angles: ArrayLike, *, sigma: ArrayLike, config: LineConfig | None = None
+    ranges: ArrayLike,
+    angles: ArrayLike,
+    *,
+    sigma: ArrayLike,
+    config: LineConfig | None = None,
+    shared_error: bool = True,
 ) -> list[ScanLine]:
     """Extract the straight lines of one 2D scan.
 
@@ -78,9 +84,12 @@ def extract_lines(
             of view up to a full turn, which is treated as closed.
         sigma: standard deviation of the range, m, one number or shape (B,). The bearing's is in `config`.
         config: what counts as a line.
+        shared_error: look in the residuals of all lines for more noise than is stated, and for errors that beams side
+            by side on a wall share, and count both in the covariances (see `spplanes.fitting.shared_error`); what is
+            stated is a lower bound. Which beams are a line, and where it is, does not depend on it.
 
     Returns:
-        The lines in order of bearing, deterministic.
+        The lines in order of bearing, deterministic; chi2 is by the stated noise.
 
     Raises:
         ValueError: shapes that differ, angles in degrees, angles or sigma that are not finite, sigma not positive.
@@ -100,6 +109,9 @@ def extract_lines(
         config.max_missing, config.significance, config.min_points, config.max_turning, config.max_nonlinearity,
         config.max_misfit,
     )  # fmt: skip
+    if shared_error and len(rows):
+        found = with_shared_error(rows, support, counts, ranges, angles, sigmas, config.bearing_sigma, config.flatness)
+        rows[:, 4:8] = found.reshape(-1, 4)
     ends = np.cumsum(counts)
     blocks = rows[:, 4:].reshape(-1, 2, 2, 2)
     return [
