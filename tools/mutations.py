@@ -52,10 +52,10 @@ MUTATIONS = (
         "tests/slam/test_planeslam.py::test_final_poses_and_planes_are_consistent_over_many_runs",
     ),
     Mutation(
-        "lines: the point about which shift and direction are told apart lies on the other side",
+        "lines: what is stated of the noise is a guess",
         "spplanes/lines/_shared_error.py",
-        "to_sp[:, 1, 0] = -middle, 1.0, 1.0",
-        "to_sp[:, 1, 0] = middle, 1.0, 1.0",
+        "covariances, stated=True",
+        "covariances, stated=False",
         "tests/spplanes/lines/test_shared_error.py",
     ),
     Mutation(
