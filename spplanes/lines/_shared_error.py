@@ -12,6 +12,8 @@ from spplanes.fitting.shared_error import shared_error_of
 
 #: Variance of the tilt that beams of no height leave open, in that of the shift, 1 / m^2.
 _OPEN = 1e12
+#: Share of a variance below which what is left of it when a larger part is taken off is rounding.
+_ROUNDED = 1e-9
 
 
 def with_shared_error(
@@ -48,7 +50,8 @@ def with_shared_error(
     to_sp = np.zeros((len(rows), 2, 2))
     to_sp[:, 0, 0], to_sp[:, 0, 1], to_sp[:, 1, 0] = -middle, 1.0, 1.0
     noise = to_sp @ stated @ np.swapaxes(to_sp, 1, 2)
-    noise[:, (0, 1), (0, 1)] -= uneven
+    whole = noise[:, (0, 1), (0, 1)]
+    noise[:, (0, 1), (0, 1)] = np.maximum(whole - uneven, _ROUNDED * whole)
     covariances = np.zeros((len(rows), 3, 3))
     covariances[:, :2, :2] = noise
     covariances[:, 2, 2] = _OPEN * noise[:, 0, 0]
@@ -62,4 +65,5 @@ def with_shared_error(
     shared = total - found.noise_factors[:, None, None] * noise
     total[:, (0, 1), (0, 1)] += np.maximum(uneven - shared[:, (0, 1), (0, 1)], 0.0)
     from_sp = np.linalg.inv(to_sp)
-    return from_sp @ total @ np.swapaxes(from_sp, 1, 2)
+    result = from_sp @ total @ np.swapaxes(from_sp, 1, 2)
+    return 0.5 * (result + np.swapaxes(result, 1, 2))
