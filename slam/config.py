@@ -150,10 +150,10 @@ class ThinningConfig(_Frozen):
 class BackendConfig(_Frozen):
     """iSAM2 and its priors."""
 
-    relinearize_threshold: float = Field(default=1e-3, gt=0)
+    relinearize_threshold: float = Field(default=3e-3, gt=0)
     """Change of a variable that makes iSAM2 relinearise it, rad or m. At 0.01 the end of a run of three scans of a
-    corridor was 0.04 sigma from the optimum of its graph; 1e-4 takes a fifth more of the time of Intel."""
-    relinearize_tilt_rad: float = Field(default=1e-4, gt=0)
+    corridor was 0.04 sigma from the optimum of its graph; a third of this takes a sixth more of the time of Intel."""
+    relinearize_tilt_rad: float = Field(default=3e-4, gt=0)
     """The same of a plane's normal, rad: linearised at one that is off, parallel planes fix what they leave open."""
     robust: RobustKernel | None = None
     """Robust kernel on plane and line factors. None: "dcs" made maps of an office with misread boards honester, but is
