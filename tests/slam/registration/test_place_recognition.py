@@ -248,13 +248,19 @@ def test_bad_parameters_are_one_sentence(change, message):
 
 
 def test_real_scans_close_where_the_robot_was_before_and_nowhere_else():
-    """Single scans of intel, 180 deg and about five lines each: few places suffice alone, and none may be wrong."""
+    """Single scans of intel, 180 deg and about five lines each: few places suffice alone, and none may be wrong.
+
+    Lines as a run measures them, by the noise that is stated; one scan by itself is less sure, and closes four places.
+    """
     log = read_carmen(needs("intel/intel.clf.gz"))
     reference = np.loadtxt(needs("intel/reference.tum"))
     poses = np.column_stack((reference[:, 1:3], 2.0 * np.arctan2(reference[:, 6], reference[:, 7])))
     scans = [scan for scan in log.scans() if isinstance(scan, LaserScan)]
     config = LineConfig(flatness=0.003)
-    lines = {k: extract_lines(scans[k].ranges, scans[k].angles, sigma=0.01, config=config) for k in range(910)}
+    lines = {
+        k: extract_lines(scans[k].ranges, scans[k].angles, sigma=0.01, config=config, shared_error=False)
+        for k in range(910)
+    }
     errors, wrong = [], 0
     for i in range(0, 910, 18):
         apart = {j: np.hypot(*(poses[j] - poses[i])[:2]) for j in lines}
