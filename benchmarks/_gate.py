@@ -56,7 +56,6 @@ ACCURACY = {
     "registration, cm": Accuracy(slack=0.5),
     "chi2/dof": Accuracy(lambda value: abs(value - 1.0), 0.01),
     "NEES (2)": Accuracy(lambda value: abs(value - 2.0), 0.1),
-    "NEES (3), mean": Accuracy(lambda value: abs(value - 3.0), 0.2),
 }
 
 

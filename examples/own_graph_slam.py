@@ -27,7 +27,7 @@ from factors import (
     pose_prior,
 )
 from slam import SlamConfig
-from slam.evaluation.relations import read_relations, relation_metrics
+from slam.evaluation.relations import read_relations, relation_errors
 from slam.evaluation.trajectories import absolute_error
 from slam.frontend.keyframes import Keyframe, keyframes_of
 from slam.frontend.observations import Observation
@@ -39,7 +39,7 @@ from slam.simulation import simulate_mission
 
 
 class OwnSlam:
-    """Poses x0, x1, ... and planes p0, p1, ..., each plane in the frame of the pose before the one that started it."""
+    """Poses x0, x1, ... and planes p0, p1, ..., each plane in the frame of the pose before the one that saw it."""
 
     #: A line shorter than this starts no landmark, m; a plane whose tilt is known worse neither, rad.
     LEAST_M, MOST_RAD = 0.5, 0.02
@@ -90,8 +90,8 @@ class OwnSlam:
         self, seen: list[Observation], key: int, prediction: Prediction, values: gtsam.Values
     ) -> gtsam.NonlinearFactorGraph:
         """A new plane out of all that is seen of it; the first holds it in every direction, a lean as walls have it."""
-        plane_key, anchor = gtsam.symbol("p", len(self.landmarks)), key - min(len(self.stamps), 1)
-        graph = gtsam.NonlinearFactorGraph()
+        plane_key, graph = gtsam.symbol("p", len(self.landmarks)), gtsam.NonlinearFactorGraph()
+        anchor = key - 1 if self.stamps else key  # of its own pose a landmark's factor is custom, and slow
         start = self.landmarks.start(plane_key, seen[0], key, prediction.values, anchor_key=anchor)
         values.insert(plane_key, start)
         graph.push_back(plane_factor(seen[0].full_plane(self.WALL_TILT_RAD), key, plane_key, anchor_key=anchor))
@@ -108,24 +108,18 @@ class OwnSlam:
 
 def main(words: list[str]) -> None:
     """Drive, estimate, compare with odometry alone."""
-    config, slam, mission = (
-        SlamConfig(),
-        OwnSlam(),
-        None if words else simulate_mission("corridor", n_scans=400, seed=0),
-    )
+    config, slam = SlamConfig(), OwnSlam()
+    mission = None if words else simulate_mission("corridor", n_scans=400, seed=0)
     log, rig = load(Path(words[0])) if mission is None else (mission.log, mission.rig)
     for keyframe in keyframes_of(log, rig, config):
         slam.add(keyframe)
     print(f"{len(slam.stamps)} keyframes, {len(slam.landmarks)} planes")
     for name, path in (("own graph", slam.trajectory), ("odometry alone", odometry_of(log, rig, slam.trajectory))):
         if mission is None:
-            at_scans = scan_trajectory(path, log, rig, config)
-            metres, degrees = (
-                m.value for m in relation_metrics(at_scans, read_relations(words[1])) if "mean" in m.name
-            )
+            errors = relation_errors(scan_trajectory(path, log, rig, config), read_relations(words[1]))
         else:
             errors = absolute_error(path, mission.truth.trajectory, alignment="first")
-            metres, degrees = errors.translation_m.mean(), np.degrees(errors.rotation_rad.mean())
+        metres, degrees = errors.translation_m.mean(), np.degrees(errors.rotation_rad.mean())
         print(f"{name:15} {1e3 * metres:8.1f} mm {degrees:8.3f} deg in the mean")
 
 
