@@ -256,11 +256,7 @@ class PlaneSlam:
 
     def adopt_batch(self) -> None:
         """Solve the graph as a batch and go on from there: trajectory, planes and covariances are the batch's."""
-        moved = self.backend.rebuild(self.optimize_batch())
-        for landmark in self.landmarks:
-            landmark.sightings = [replace(one, factor_index=moved[one.factor_index]) for one in landmark.sightings]
-        self._sparsifier.renumber(moved)
-        self._closer.renumber(moved)
+        self.backend.rebuild(self.optimize_batch())
         self.landmarks.refresh(self.backend)
 
     @property

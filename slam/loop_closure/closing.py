@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -138,12 +138,6 @@ class LoopCloser:
         motion itself no longer fits, or when what is seen on the way on contradicts what was seen there before.
         """
         self._open_again([known for known in self.closed if known.undone is None and self._is_refuted(known, scale)])
-
-    def renumber(self, moved: Mapping[int, int]) -> None:
-        """The graph has been made anew: the new index of every factor by its old one."""
-        for known in self.closed:
-            if known.undone is None and known.factor_index is not None:
-                known.factor_index = moved[known.factor_index]
 
     def _try_again(self, around: Surroundings) -> None:
         """Hold the loops of late against what is seen on the way on."""

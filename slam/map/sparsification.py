@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -207,11 +207,6 @@ class Sparsifier:
         """The indices of the factors of the removal's motions."""
         for (_, one, motion), index in zip(removal.motions, factor_indices, strict=True):
             self._links[one] = Link(motion, [index], self._links[one].floor)
-
-    def renumber(self, moved: Mapping[int, int]) -> None:
-        """The graph has been made anew: the new index of every factor by its old one."""
-        for one, link in self._links.items():
-            self._links[one] = Link(link.motion, [moved[i] for i in link.step], [moved[i] for i in link.floor])
 
     def _before(self, keyframe: int) -> int:
         return self.held[bisect_left(self.held, keyframe) - 1]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import gtsam
 import numpy as np
 import pytest
 
+from factors import pose_prior, relative_pose_factor
 from slam.backend import estimator
-from slam.backend.estimator import pose_symbol
+from slam.backend.estimator import Backend, BackendError, pose_symbol
+from slam.config import SlamConfig
 from tests.slam.short_drives import mapped_beginning
 
 
@@ -39,3 +42,77 @@ def test_a_covariance_of_many_variables_is_the_same_by_the_graph_as_by_the_tree(
     sigmas = np.sqrt(np.diag(found[0]))
     assert len(keys) > 15
     np.testing.assert_allclose(found[0] / np.outer(sigmas, sigmas), found[1] / np.outer(sigmas, sigmas), atol=1e-6)
+
+
+STEP = np.eye(4)
+STEP[0, 3] = 1.0
+
+
+def walk(backend: Backend | gtsam.ISAM2, sigmas: np.ndarray) -> list[int]:
+    """Put five poses a step apart into a graph, each known so well, (x, y, z, phi, theta, psi); their keys."""
+    keys = [pose_symbol(index) for index in range(5)]
+    for index, key in enumerate(keys):
+        there, initial = np.linalg.matrix_power(STEP, index), gtsam.Values()
+        factors = [pose_prior(key, there, np.diag(sigmas**2))]
+        if index:
+            factors.append(relative_pose_factor(keys[index - 1], key, STEP, 1e-4 * np.eye(6)))
+        initial.insert(key, gtsam.Pose3(there))
+        if isinstance(backend, gtsam.ISAM2):
+            graph = gtsam.NonlinearFactorGraph()
+            for factor in factors:
+                graph.push_back(factor)
+            backend.update(graph, initial)
+        else:
+            n_before = backend.graph.size()
+            indices = backend.update(factors, initial)
+            assert indices == list(range(n_before, n_before + len(factors)))
+    return keys
+
+
+#: Across, it is known a hundred million times better than along and in height.
+UNEVEN = np.array((1e3, 1e-5, 1e3, 1.0, 1.0, 1.0))
+
+
+def test_what_cholesky_calls_indeterminate_is_solved_all_the_same() -> None:
+    parameters = gtsam.ISAM2Params()
+    parameters.setFactorization("CHOLESKY")
+    with pytest.raises(RuntimeError, match="Indeterminate"):
+        walk(gtsam.ISAM2(parameters), UNEVEN)
+
+    backend = Backend(SlamConfig().backend)
+    keys = walk(backend, UNEVEN)
+    backend.update([], gtsam.Values(), remove=[8])  # the last step
+    backend.update([relative_pose_factor(*keys[-2:], STEP, 1e-4 * np.eye(6))], gtsam.Values())
+    chain = np.diag(np.full(5, 1.0 / UNEVEN[0] ** 2)) + 1e4 * (
+        np.diag([1.0, 2, 2, 2, 1]) - np.eye(5, k=1) - np.eye(5, k=-1)
+    )
+    along = np.sqrt(np.diag(np.linalg.inv(chain)))
+    for key, sigma in zip(keys, along, strict=True):
+        found = np.sqrt(np.diag(backend.covariance(key)))
+        np.testing.assert_allclose(found[3:5], [sigma, UNEVEN[1]], rtol=1e-3)
+    assert backend.graph.size() == 9
+
+
+def test_a_graph_that_nothing_solves_is_refused() -> None:
+    backend, initial = Backend(SlamConfig().backend), gtsam.Values()
+    for index in range(2):
+        initial.insert(pose_symbol(index), gtsam.Pose3())
+    with pytest.raises(BackendError, match="Indeterminate"):
+        backend.update([relative_pose_factor(pose_symbol(0), pose_symbol(1), np.eye(4), np.eye(6))], initial)
+
+
+def test_a_covariance_that_the_tree_cannot_give_is_read_by_qr(monkeypatch: pytest.MonkeyPatch) -> None:
+    backend = Backend(SlamConfig().backend)
+    keys = walk(backend, np.full(6, 0.1))
+    ends = [keys[0], keys[-1]]
+    before = backend.read_joint_covariance(ends).full
+    tree, ask = backend._isam, gtsam.ISAM2.jointMarginalCovariance
+
+    def refuse(isam: gtsam.ISAM2, wanted: list[int]) -> object:
+        if isam is tree:
+            raise RuntimeError("Indeterminate linear system")
+        return ask(isam, wanted)
+
+    monkeypatch.setattr(gtsam.ISAM2, "jointMarginalCovariance", refuse)
+    np.testing.assert_allclose(backend.read_joint_covariance(ends).full, before, rtol=1e-9, atol=1e-15)
+    assert backend._isam is tree
