@@ -217,8 +217,11 @@ class Backend:
 
     def poses(self, keys: Sequence[int]) -> FloatArray:
         """world_T_body of many pose variables, shape (N, 4, 4)."""
-        values = self.values
-        self._poses |= {key: values.atPose3(key).matrix() for key in keys if key not in self._poses and self.holds(key)}
+        if len(keys) > len(self._poses):
+            here = [key for key in list(self.values.keys()) if _is_pose(key)]
+            rows, poses = gtsam.utilities.extractPose3(self.values), np.tile(np.eye(4), (len(here), 1, 1))
+            poses[:, :3, :3], poses[:, :3, 3] = rows[:, :9].reshape(-1, 3, 3), rows[:, 9:]
+            self._poses = dict(zip(here, poses, strict=True))
         return np.array([self.pose(key) for key in keys]).reshape(-1, 4, 4)
 
     def holds(self, key: int) -> bool:
