@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,56 +9,34 @@ from matplotlib.figure import Figure
 
 from slam.io.clouds.ply import write_ply_tables
 from slam.io.planes_json import write_planes
-from slam.io.trajectories import Trajectory
-from slam.map.map_planes import MapPlane
-from slam.output.run_files import write_ply
+from slam.output.run_files import ply_points, write_ply
 from slam.runs.cloud_fit import FittedCloud
 from slam.visualization.mesh import colour_of, mesh_of
-from slam.visualization.pictures import draw_view, save
+from slam.visualization.pictures import draw_planes, save
 
 #: Points without a plane that a picture shows at most.
 _DRAWN_POINTS = 20000
-
-
-@dataclass(frozen=True, eq=False)
-class _Picture:
-    """What a picture needs."""
-
-    planes: list[MapPlane]
-    trajectory: Trajectory
-    odometry: Trajectory
 
 
 def write_cloud_planes(found: FittedCloud, folder: Path) -> None:
     """planes.json, planes.ply (outlines as triangles), points.ply (the returns with their plane) and planes.png."""
     write_planes(folder / "planes.json", found.map_planes)
     write_ply(folder / "planes.ply", mesh_of(found.map_planes))
-    _write_points(found, folder / "points.ply")
-    _draw(found, folder / "planes.png")
-
-
-def _write_points(found: FittedCloud, path: Path) -> None:
     colours = np.array([*(colour_of(plane) for plane in found.map_planes), (40, 40, 40)], dtype=np.uint8)
-    fields = [("x", "f8"), ("y", "f8"), ("z", "f8"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("plane", "i4")]
-    table = np.empty(len(found.points), dtype=fields)
-    for name, column in zip("xyz", found.points.T, strict=True):
-        table[name] = column
-    for name, column in zip(("red", "green", "blue"), colours[found.labels].T, strict=True):
-        table[name] = column
-    table["plane"] = found.labels
-    write_ply_tables(path, {"vertex": table})
+    points = ply_points(found.points, colours[found.labels], found.labels)
+    write_ply_tables(folder / "points.ply", {"vertex": points})
+    _draw(found, folder / "planes.png")
 
 
 def _draw(found: FittedCloud, path: Path) -> None:
     """Plan and side view of the planes over the points that belong to none."""
     figure = Figure(figsize=(11.0, 9.0), layout="constrained")
     plan, side = figure.subplots(2, 1, height_ratios=[3, 1], sharex=True)
-    none = Trajectory.empty()
     rest = found.points[found.labels < 0]
     rest = rest[:: max(len(rest) // _DRAWN_POINTS, 1)]
     for axes, view, upright in ((plan, "plan", 1), (side, "side", 2)):
         axes.plot(rest[:, 0], rest[:, upright], ",", color="0.6")
-        draw_view(axes, _Picture(found.map_planes, none, none), view)
+        draw_planes(axes, found.map_planes, view)
         axes.plot(found.viewpoint[0], found.viewpoint[upright], "k+")
     plan.set_title(f"{len(found.planes)} planes")
     save(figure, path)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +16,17 @@ from factors.archive import ArchiveError, rekeyed
 from slam.evaluation.metrics import Metric
 from slam.io.g2o.writer import write_g2o
 from slam.io.planes_json import write_planes
-from slam.io.trajectories import Trajectory, write_tum
+from slam.io.trajectories import write_tum
 from slam.joining import JoinedComponent, JoinedMap
 from slam.joining.solution import FLOOR_M, FLOOR_RAD, Place, joint_key
 from slam.map.map_planes import MapPlane
 from slam.output.run_files import as_json, write_json, write_result
 from slam.runs.history import History
 from slam.runs.slam_run import path_length_m
-from slam.visualization.pictures import draw_view, save, view_height
+from slam.visualization.pictures import FRAME, WIDTH, draw_planes, save, view_height
 from slam.visualization.report import write_report
 from slam.visualization.scene import scene_of
 from spplanes._check import FloatArray
-
-#: The picture's width and what its frame takes, inches.
-_WIDTH, _FRAME = 11.0, 1.2
 
 
 def write_joined(joined: JoinedMap, folder: Path, *, title: str) -> list[Metric]:
@@ -140,8 +136,7 @@ def _speaks_of_its_frame(factor: gtsam.NonlinearFactor, level: bool) -> bool:
 
 def draw_missions(component: JoinedComponent, path: Path) -> None:
     """The map from above, every plane in the colour of the first mission that saw it, with all trajectories."""
-    height = view_height(component, "plan")
-    figure = Figure(figsize=(_WIDTH, height + _FRAME), layout="constrained")
+    figure = Figure(figsize=(WIDTH, view_height(component, "plan") + FRAME), layout="constrained")
     axes = figure.subplots()
     colours = mpl.colormaps["tab10"](np.arange(10))[:, :3]
     first = {number: places[0].mission for number, places in enumerate(component.classes)}
@@ -149,25 +144,10 @@ def draw_missions(component: JoinedComponent, path: Path) -> None:
     def of_mission(plane: MapPlane) -> FloatArray:
         return colours[first[plane.id] % len(colours)]
 
-    draw_view(axes, _without_way(component), "plan", of_mission)
+    draw_planes(axes, component.planes, "plan", of_mission)
     for number, (name, trajectory) in enumerate(component.trajectories.items()):
-        places = trajectory.poses[:, :3, 3]
-        axes.plot(
-            places[:, 0], places[:, 1], color=colours[number % len(colours)], lw=1.2, marker=".", ms=3, label=name
-        )
+        colour = colours[number % len(colours)]
+        axes.plot(*trajectory.poses[:, :2, 3].T, color=colour, lw=1.2, marker=".", ms=3, label=name)
     axes.set_title(f"{len(component.planes)} planes, {len(component.missions)} missions")
     axes.legend(loc="upper right", fontsize=8)
     save(figure, path)
-
-
-@dataclass(frozen=True)
-class _Planes:
-    """A map without a way through it."""
-
-    planes: Sequence[MapPlane]
-    trajectory: Trajectory
-    odometry: Trajectory
-
-
-def _without_way(component: JoinedComponent) -> _Planes:
-    return _Planes(component.planes, Trajectory.empty(), Trajectory.empty())

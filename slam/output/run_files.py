@@ -119,16 +119,15 @@ def as_json(rows: Sequence[Metric]) -> list[dict[str, Any]]:
 
 def write_ply(path: Path, mesh: Mesh) -> None:
     """Binary PLY with a colour per corner and the landmark id of its plane."""
-    fields = [("x", "f8"), ("y", "f8"), ("z", "f8"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("plane", "i4")]
-    corners = np.empty(len(mesh.vertices), dtype=fields)
-    for name, column in zip("xyz", mesh.vertices.T, strict=True):
-        corners[name] = column
-    for name, column in zip(("red", "green", "blue"), mesh.colours.T, strict=True):
-        corners[name] = column
-    corners["plane"] = mesh.plane_ids
     faces = np.empty(len(mesh.triangles), dtype=[("vertex_indices", "i4", (3,))])
     faces["vertex_indices"] = mesh.triangles
-    write_ply_tables(path, {"vertex": corners, "face": faces})
+    write_ply_tables(path, {"vertex": ply_points(mesh.vertices, mesh.colours, mesh.plane_ids), "face": faces})
+
+
+def ply_points(points: FloatArray, colours: np.ndarray, planes: np.ndarray) -> np.ndarray:
+    """The table of a PLY of points (N, 3), m, their RGB (N, 3) in 0..255, and the id of the plane (N,) of each."""
+    fields = [("x", "f8"), ("y", "f8"), ("z", "f8"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("plane", "i4")]
+    return np.rec.fromarrays([*points.T, *colours.T, planes], dtype=fields)
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import shapely
 
-from slam.geometry.polygons import polygons_of
+from slam.geometry.frames import lift
+from slam.geometry.polygons import polygons_of, segments_of
 from slam.map.map_planes import MapPlane
 from spplanes._check import FloatArray
 from spplanes._version import __version__
@@ -73,6 +74,13 @@ def _triangle_corners(plane: MapPlane) -> FloatArray:
         for triangle in shapely.get_parts(shapely.constrained_delaunay_triangles(polygon)):
             triangles.append(shapely.get_coordinates(shapely.orient_polygons(triangle))[:3])
     return np.concatenate(triangles) if triangles else np.empty((0, 2))
+
+
+def chains_of(plane: MapPlane) -> list[FloatArray]:
+    """Rings of the polygons of a plane, and the lines where only lines were seen, in the world, (N, 3) each, m."""
+    rings = [ring for part in polygons_of(plane.seen) for ring in (part.exterior, *part.interiors)]
+    chains = [shapely.get_coordinates(ring) for ring in rings] + segments_of(plane.seen)
+    return [lift(chain, plane.plane.frame) for chain in chains]
 
 
 # Constants of the format, Khronos glTF 2.0 specification, sections 3.6, 4.4 and 5.1.

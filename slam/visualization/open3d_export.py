@@ -15,13 +15,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
-from shapely import Polygon, box, get_coordinates
+from shapely import Polygon, box
 
-from slam.geometry.frames import lift
-from slam.geometry.polygons import polygons_of, segments_of
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
-from slam.visualization.mesh import Mesh, colour_of, mesh_of
+from slam.visualization.mesh import Mesh, chains_of, colour_of, mesh_of
 from spplanes import Plane
 from spplanes._check import FloatArray, as_covariance, as_float_array, as_positive, as_shape
 
@@ -72,16 +70,12 @@ def planes_to_mesh(
     normals = np.zeros((len(mesh.vertices), 3))
     for plane in shown:
         normals[mesh.plane_ids == plane.id] = plane.plane.normal
-    if not tensor:
-        legacy = o3d.geometry.TriangleMesh(_vectors(mesh.vertices), o3d.utility.Vector3iVector(mesh.triangles))
-        legacy.vertex_normals, legacy.vertex_colors = _vectors(normals), _vectors(colours)
-        return legacy
     result = o3d.t.geometry.TriangleMesh()
     result.vertex.positions, result.triangle.indices = _tensor(mesh.vertices), _tensor(mesh.triangles)
-    result.vertex.normals, result.vertex.colors = _tensor(normals), _tensor(colours, np.float32)
+    result.vertex.normals, result.vertex.colors = _tensor(normals), _colours(colours, tensor)
     result.vertex["plane"] = _tensor(mesh.plane_ids[:, None])
     result.vertex["sigma_m"] = _tensor(sigmas[:, None])
-    return result
+    return result if tensor else result.to_legacy()
 
 
 def outlines_to_lines(planes: Sequence[MapPlane | Plane], *, tensor: bool = False) -> Any:
@@ -96,8 +90,7 @@ def outlines_to_lines(planes: Sequence[MapPlane | Plane], *, tensor: bool = Fals
     """
     chains, ids, colours = [], [], []
     for plane in _as_map_planes(planes):
-        rings = [get_coordinates(ring) for part in polygons_of(plane.seen) for ring in (part.exterior, *part.interiors)]
-        mine = [lift(chain, plane.plane.frame) for chain in rings + segments_of(plane.seen)]
+        mine = chains_of(plane)
         chains += mine
         ids += [plane.id] * sum(len(chain) - 1 for chain in mine)
         colours += [colour_of(plane)] * sum(len(chain) - 1 for chain in mine)
@@ -189,14 +182,9 @@ def points_to_cloud(points: ArrayLike, labels: ArrayLike | None = None, *, tenso
         )
     seen = np.isfinite(array).all(axis=-1)
     kept, plane = array[seen], numbers[seen].astype(np.int32)
-    colours = label_colours(plane)
-    if not tensor:
-        cloud = o3d.geometry.PointCloud(_vectors(kept))
-        cloud.colors = _vectors(colours)
-        return cloud
     result = o3d.t.geometry.PointCloud(_tensor(kept))
-    result.point.colors, result.point["plane"] = _tensor(colours, np.float32), _tensor(plane[:, None])
-    return result
+    result.point.colors, result.point["plane"] = _colours(label_colours(plane), tensor), _tensor(plane[:, None])
+    return result if tensor else result.to_legacy()
 
 
 def vertex_sigmas(planes: Sequence[MapPlane], mesh: Mesh) -> FloatArray:
@@ -299,20 +287,17 @@ def _line_set(chains: Sequence[FloatArray], colours: FloatArray, ids: np.ndarray
     starts = np.cumsum([0, *(len(chain) for chain in chains)])
     pairs = [np.arange(a, b - 1)[:, None] + [0, 1] for a, b in pairwise(starts) if b - a > 1]
     lines = np.concatenate([np.empty((0, 2), dtype=np.int32), *pairs]).astype(np.int32)
-    if not tensor:
-        legacy = o3d.geometry.LineSet(_vectors(points), o3d.utility.Vector2iVector(lines))
-        legacy.colors = _vectors(colours)
-        return legacy
     result = o3d.t.geometry.LineSet()
     result.point.positions, result.line.indices = _tensor(points), _tensor(lines)
-    result.line.colors = _tensor(colours, np.float32)
+    result.line.colors = _colours(colours, tensor)
     if ids is not None:
         result.line["plane"] = _tensor(ids[:, None])
-    return result
+    return result if tensor else result.to_legacy()
 
 
-def _vectors(rows: FloatArray) -> Any:
-    return _open3d().utility.Vector3dVector(np.ascontiguousarray(rows, dtype=np.float64))
+def _colours(rows: FloatArray, tensor: bool) -> Any:
+    """RGB (N, 3) in 0..1: tensor geometry has single precision, legacy geometry double."""
+    return _tensor(rows, np.float32 if tensor else np.float64)
 
 
 def _tensor(array: np.ndarray, dtype: type[np.generic] | None = None) -> Any:

@@ -33,7 +33,9 @@ _THIN, _STRONG = 0.5, 2.2
 _SLIT_M = 0.05
 _VIEWS = {"plan": (0, 1), "side": (0, 2)}
 #: Width of a picture, and least and greatest height of one view in it, inches.
-_WIDTH, _LOW, _HIGH = 11.0, 1.8, 9.0
+WIDTH, _LOW, _HIGH = 11.0, 1.8, 9.0
+#: What its title and axes take beside one view, inches.
+FRAME = 1.2
 
 Colours = Callable[[MapPlane], FloatArray]
 
@@ -63,38 +65,45 @@ def draw_map(run: Drawn, path: Path, doubtful: Sequence[int] = ()) -> None:
     Keyframes that are `doubtful` are marked on the trajectory.
     """
     views = ["plan", "side"] if any(plane.plane.outline is not None for plane in run.planes) else ["plan"]
-    heights = [view_height(run, view) for view in views]
-    figure = Figure(figsize=(_WIDTH, sum(heights) + 0.7 * len(views) + 0.3), layout="constrained")
-    axes = figure.subplots(len(views), 1, height_ratios=heights, squeeze=False)[:, 0]
-    for axis, view in zip(axes, views, strict=True):
-        draw_view(axis, run, view)
-        mark(axis, run.trajectory, view, doubtful)
-    axes[0].set_title(title_of(run))
-    _legend(axes[0])
-    save(figure, path)
+    _draw_views(run, views, 0.7 * len(views) + 0.3, path, doubtful)
 
 
 def draw_one(run: Drawn, view: str, path: Path, doubtful: Sequence[int] = ()) -> None:
     """One view, "plan" or "side", into a PNG of its own, keyframes that are `doubtful` marked."""
-    figure = Figure(figsize=(_WIDTH, view_height(run, view) + 1.2), layout="constrained")
-    axes = figure.subplots()
-    draw_view(axes, run, view)
-    mark(axes, run.trajectory, view, doubtful)
-    axes.set_title(title_of(run))
-    _legend(axes)
+    _draw_views(run, [view], FRAME, path, doubtful)
+
+
+def _draw_views(run: Drawn, views: Sequence[str], frames: float, path: Path, doubtful: Sequence[int]) -> None:
+    heights = [view_height(run, view) for view in views]
+    figure = Figure(figsize=(WIDTH, sum(heights) + frames), layout="constrained")
+    axes = figure.subplots(len(views), 1, height_ratios=heights, squeeze=False)[:, 0]
+    for axis, view in zip(axes, views, strict=True):
+        draw_view(axis, run, view)
+        _mark(axis, run.trajectory, view, doubtful)
+    axes[0].set_title(title_of(run))
+    if axes[0].get_legend_handles_labels()[0]:
+        axes[0].legend(loc="upper right", fontsize=8)
     save(figure, path)
 
 
 def draw_view(axes: Any, run: Drawn, view: str, colours: Colours | None = None, *, with_odometry: bool = True) -> None:
-    """One view of a run into matplotlib axes: "plan" is (x, y), "side" is (x, z); planes by direction or as told."""
+    """One view of a run into matplotlib axes: planes as `draw_planes` has them, and the ways."""
+    draw_planes(axes, run.planes, view, colours)
+    ways = [(run.odometry, {"label": "odometry alone", "color": "tab:red", "ls": "--", "lw": 1})] * with_odometry
+    ways.append((run.trajectory, {"label": "trajectory", "color": "black", "lw": 1.5, "marker": "."}))
+    for way, style in ways:
+        if len(way):
+            axes.plot(*way.poses[:, :3, 3][:, _VIEWS[view]].T, markersize=3, **style)
+    axes.autoscale_view()
+
+
+def draw_planes(axes: Any, planes: Sequence[MapPlane], view: str, colours: Colours | None = None) -> None:
+    """Planes into matplotlib axes: "plan" is (x, y), "side" is (x, z); coloured by direction or as told."""
     sheet = _VIEWS[view]
     out_of_sheet = 3 - sum(sheet)
-    for plane in sorted(run.planes, key=lambda plane: abs(plane.plane.normal[out_of_sheet]), reverse=True):
+    for plane in sorted(planes, key=lambda plane: abs(plane.plane.normal[out_of_sheet]), reverse=True):
         colour = np.array(colour_of(plane)) / 255.0 if colours is None else colours(plane)
         _draw_plane(axes, plane, sheet, out_of_sheet, colour)
-    if with_odometry:
-        _draw_path(axes, run.odometry, sheet, "odometry alone", {"color": "tab:red", "ls": "--", "lw": 1})
-    _draw_path(axes, run.trajectory, sheet, "trajectory", {"color": "black", "lw": 1.5, "marker": "."})
     axes.set_xlabel(f"{'xyz'[sheet[0]]} [m]")
     axes.set_ylabel(f"{'xyz'[sheet[1]]} [m]")
     axes.set_aspect("equal")
@@ -102,7 +111,7 @@ def draw_view(axes: Any, run: Drawn, view: str, colours: Colours | None = None, 
     axes.autoscale_view()
 
 
-def mark(axes: Any, path: Trajectory, view: str, keyframes: Sequence[int]) -> None:
+def _mark(axes: Any, path: Trajectory, view: str, keyframes: Sequence[int]) -> None:
     """Colour keyframes of a trajectory on one of its views."""
     chosen = [keyframe for keyframe in keyframes if keyframe < len(path)]
     if not chosen:
@@ -117,7 +126,7 @@ def view_height(run: Drawn, view: str) -> float:
     parts = [lift(shapely.get_coordinates(plane.seen), plane.plane.frame) for plane in run.planes]
     points = np.concatenate([run.trajectory.poses[:, :3, 3], *parts, np.zeros((1, 3))])[:, sheet]
     wide, tall = np.ptp(points, axis=0)
-    return float(np.clip(_WIDTH * tall / max(wide, 1e-9), _LOW, _HIGH))
+    return float(np.clip(WIDTH * tall / max(wide, 1e-9), _LOW, _HIGH))
 
 
 def title_of(run: Drawn) -> str:
@@ -156,24 +165,6 @@ def _outline(polygon: shapely.Polygon, frame: FloatArray, sheet: tuple[int, int]
     return Outline.make_compound_path(*[Outline(ring, closed=True) for ring in rings])
 
 
-def _draw_path(
-    axes: Any,
-    path: Trajectory,
-    sheet: tuple[int, int],
-    label: str,
-    style: dict[str, Any],
-) -> None:
-    if not len(path):
-        return
-    places = path.poses[:, :3, 3][:, sheet]
-    axes.plot(places[:, 0], places[:, 1], label=label, markersize=3, **style)
-
-
-def _legend(axes: Any) -> None:
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="upper right", fontsize=8)
-
-
 mpl.rcParams["svg.hashsalt"] = "spplanes"
 
 
@@ -188,7 +179,7 @@ def draw_uncertainty(run: Drawn, history: History, path: Path) -> None:
 
     Ellipses too small to see are enlarged by a power of ten, which the title states.
     """
-    figure = Figure(figsize=(11.0, view_height(run, "plan") + 1.2), layout="constrained")
+    figure = Figure(figsize=(WIDTH, view_height(run, "plan") + FRAME), layout="constrained")
     axes = figure.subplots()
     scale = Normalize(0.0, _upper([_sigma_mm(plane) for plane in run.planes]))
     colours = colormaps["viridis"]

@@ -9,14 +9,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import gammaincinv
-from shapely import get_coordinates
 
-from slam.geometry.frames import lift
-from slam.geometry.polygons import polygons_of, segments_of
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
 from slam.runs.stored_run import StoredRun
-from slam.visualization.mesh import colour_of, mesh_of
+from slam.visualization.mesh import chains_of, colour_of, mesh_of
 from slam.visualization.pictures import CONFIDENCE, position_covariances
 
 #: Timelines: number of the keyframe, and its time in the log.
@@ -63,9 +60,7 @@ def _log_plane(rr: Any, recording: Any, plane: MapPlane) -> None:
             vertex_colors=mesh.colours,
         )
         recording.log(entity, shape, static=True)
-    rings = [get_coordinates(ring) for part in polygons_of(plane.seen) for ring in (part.exterior, *part.interiors)]
-    chains = [lift(chain, plane.plane.frame) for chain in rings + segments_of(plane.seen)]
-    if chains:
+    if chains := chains_of(plane):
         recording.log(f"{entity}/outline", rr.LineStrips3D(chains, colors=[colour] * len(chains)), static=True)
     sigmas = np.sqrt(np.diag(plane.plane.covariance))
     numbers = (
