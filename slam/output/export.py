@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +13,6 @@ from slam.errors import LogError, MissingPackageError
 from slam.files import whole_file
 
 if TYPE_CHECKING:
-    from slam.floorplan import FloorPlan
     from slam.runs.stored_run import StoredRun
 
     _Writer = Callable[[StoredRun, Path], list[str] | None]
@@ -45,7 +45,7 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False, leve
         from slam.output.levelling import levelled
 
         turned = levelled(stored)
-        stored = stored if write in (_dxf, _svg, _ifc) else turned  # these measure the run's own planes once more
+        stored = stored if to.suffix.lower() in _PLANS else turned  # these measure the run's own planes once more
     with whole_file(to, overwrite=overwrite) as scratch:
         return write(stored, scratch) or []
 
@@ -53,7 +53,7 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False, leve
 def check_target(to: Path, *, overwrite: bool) -> None:
     """Refuse a name that says no format or one whose package is missing, or a file that exists, before any work."""
     _writer_for(to)
-    package = _PACKAGES.get(to.suffix.lower())
+    package = _PLANS.get(to.suffix.lower())
     if package is not None and find_spec(package) is None:
         raise MissingPackageError(to, package, "bim", doing="writing")
     if not to.parent.is_dir():
@@ -114,35 +114,21 @@ def _poses(run: StoredRun, path: Path) -> None:
     write_kitti(path, run.trajectory.poses)
 
 
-def _dxf(run: StoredRun, path: Path) -> list[str]:
-    from slam.output.plan_dxf import write_dxf
-
-    return _drawn(write_dxf, run, path)
-
-
-def _svg(run: StoredRun, path: Path) -> list[str]:
-    from slam.output.plan_drawing import write_svg
-
-    return _drawn(write_svg, run, path)
-
-
-def _ifc(run: StoredRun, path: Path) -> list[str]:
-    from slam.output.plan_ifc import write_ifc
-
-    return _drawn(write_ifc, run, path)
-
-
-def _drawn(write: Callable[[Path, FloorPlan, str | None], None], run: StoredRun, path: Path) -> list[str]:
+def _floor_plan(ending: str, run: StoredRun, path: Path) -> list[str]:
     """Replay the run, measure its map and write the plan with the verdict on it; what to know of the plan."""
+    from slam.output.plan_drawing import write_svg
+    from slam.output.plan_dxf import write_dxf
+    from slam.output.plan_ifc import write_ifc
     from slam.runs.stored_plan import stored_floor_plan
 
     plan = stored_floor_plan(run)
+    write = {".dxf": write_dxf, ".svg": write_svg, ".ifc": write_ifc}[ending]
     write(path, plan, None if run.verdict is None else run.verdict.verdict)
     return plan.warnings
 
 
-#: Packages that a format needs, by its ending.
-_PACKAGES = {".dxf": "ezdxf", ".ifc": "ifcopenshell"}
+#: Endings of floor plans, and the package that each needs.
+_PLANS = {".dxf": "ezdxf", ".svg": None, ".ifc": "ifcopenshell"}
 _TARGETS: dict[str, _Writer] = {
     ".ply": _mesh,
     ".glb": _scene,
@@ -150,7 +136,5 @@ _TARGETS: dict[str, _Writer] = {
     ".tum": _trajectory,
     ".kitti": _poses,
     ".kitti.txt": _poses,
-    ".dxf": _dxf,
-    ".svg": _svg,
-    ".ifc": _ifc,
+    **{ending: partial(_floor_plan, ending) for ending in _PLANS},
 }

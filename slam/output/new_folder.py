@@ -26,7 +26,9 @@ def new_folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
     check_free(out, overwrite=overwrite)
     with scratch_folder(out) as work:
         yield work
-        _put_in_place(work, out)
+        replaced = put_in_place(work, out)
+    if replaced is not None:
+        shutil.rmtree(replaced.parent, ignore_errors=True)
 
 
 def check_free(out: Path, *, overwrite: bool) -> None:
@@ -38,16 +40,16 @@ def check_free(out: Path, *, overwrite: bool) -> None:
         raise ValueError(f"{out}: exists already; {hint}")
 
 
-def _put_in_place(work: Path, out: Path) -> None:
-    """Rename; an old folder is moved aside first and deleted only when the new one is in its place."""
+def put_in_place(work: Path, out: Path) -> Path | None:
+    """Rename `work` to `out`; an old folder of that name waits where this says, alone in a hidden one beside it."""
     if not out.exists():
         os.replace(work, out)
-        return
-    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent))
-    os.replace(out, aside / out.name)
+        return None
+    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent)) / out.name
+    os.replace(out, aside)
     try:
         os.replace(work, out)
     except OSError:
-        os.replace(aside / out.name, out)
+        os.replace(aside, out)
         raise
-    shutil.rmtree(aside, ignore_errors=True)
+    return aside

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ import shapely
 
 from slam.floorplan.openings import Opening
 from slam.floorplan.plan import FloorPlan, Room, StoreyPlan
-from slam.floorplan.quantities import Quantity
 from slam.geometry.polygons import polygons_of
 from spplanes._check import FloatArray
 
@@ -53,8 +53,8 @@ class Drawing:
     """Of its floor above the lowest one, m."""
     title: str
     """What is to be said of all of it."""
-    walls: list[shapely.Polygon] = field(default_factory=list)
-    """Solids, less the openings in them."""
+    walls: list[tuple[FloatArray, ...]] = field(default_factory=list)
+    """Rings of corners (N, 2) of each solid, less the openings in it."""
     faces: list[FloatArray] = field(default_factory=list)
     """Faces of walls whose other side was not seen, ends (2, 2)."""
     openings: list[FloatArray] = field(default_factory=list)
@@ -69,8 +69,7 @@ class Drawing:
     @property
     def bounds(self) -> tuple[float, float, float, float]:
         """(x low, y low, x high, y high) of all lines, m."""
-        lines = [shapely.get_coordinates(one) for one in self.walls] + self.faces
-        points = np.vstack([*lines, *self.openings, *(ring for rings in self.rooms for ring in rings)])
+        points = np.vstack([*self.faces, *self.openings, *chain.from_iterable(self.walls + self.rooms)])
         return (*points.min(axis=0).tolist(), *points.max(axis=0).tolist())
 
 
@@ -95,7 +94,9 @@ def _drawing(number: int, plan: StoreyPlan, verdict: str | None) -> Drawing:
     outlines = [in_plan(one.outline) for one in plan.openings]
     holes = shapely.union_all([shapely.Polygon(_stretched(one)) for one in outlines])
     for wall in plan.walls:
-        drawing.walls += polygons_of(shapely.Polygon(in_plan(wall.outline)).difference(holes))
+        for solid in polygons_of(shapely.Polygon(in_plan(wall.outline)).difference(holes)):
+            rings = (solid.exterior, *solid.interiors)
+            drawing.walls.append(tuple(shapely.get_coordinates(ring)[:-1] for ring in rings))
         middle = in_plan(wall.front.point(0.75 * wall.span[0] + 0.25 * wall.span[1]))
         back = middle - wall.thickness.value * in_plan(wall.front.normal)
         drawing.dimensions.append(Dimension("thickness", middle, back, str(wall.thickness)))
@@ -126,14 +127,11 @@ def room_lines(number: int, room: Room) -> tuple[str, ...]:
 
 
 def _title(number: int, plan: StoreyPlan, verdict: str | None) -> str:
-    floor = "no floor was seen" if plan.elevation is None else f"floor at {_elevation(plan.elevation)} m"
+    height = plan.elevation
+    floor = "no floor was seen" if height is None else f"floor at {height if height.sigma > 0.0 else 0} m"
     closed = "" if plan.rooms else "no room was seen all round; "
     warning = "" if verdict in (None, "sound") else f"; the run calls its map {verdict}"
     return f"storey {number}: {floor}; {closed}standard deviations from the joint covariance of all planes{warning}"
-
-
-def _elevation(height: Quantity) -> str:
-    return str(height) if height.sigma > 0.0 else "0"
 
 
 def _stretched(outline: FloatArray) -> FloatArray:
@@ -201,17 +199,19 @@ def _storey(storey: Drawing, corner: FloatArray) -> Iterator[str]:
     def on_page(xy: FloatArray) -> FloatArray:
         return corner + xy * np.array([_MM, -_MM])
 
+    def path(rings: Sequence[FloatArray]) -> str:
+        return "".join("M" + "L".join(f"{x:.3f} {y:.3f}" for x, y in on_page(ring)) + "Z" for ring in rings)
+
     for rings in storey.rooms:
-        yield f'<path class="room" fill-rule="evenodd" d="{"".join(_path(on_page(ring)) for ring in rings)}"/>'
-        yield f'<path class="side" d="{"".join(_path(on_page(ring)) for ring in rings)}"/>'
-    for wall in storey.walls:
-        rings = [shapely.get_coordinates(ring)[:-1] for ring in (wall.exterior, *wall.interiors)]
-        yield f'<path class="wall" fill-rule="evenodd" d="{"".join(_path(on_page(ring)) for ring in rings)}"/>'
+        yield f'<path class="room" fill-rule="evenodd" d="{path(rings)}"/>'
+        yield f'<path class="side" d="{path(rings)}"/>'
+    for rings in storey.walls:
+        yield f'<path class="wall" fill-rule="evenodd" d="{path(rings)}"/>'
     for ends in storey.faces:
         (x0, y0), (x1, y1) = on_page(ends)
         yield f'<line class="face" x1="{x0:.3f}" y1="{y0:.3f}" x2="{x1:.3f}" y2="{y1:.3f}"/>'
     for outline in storey.openings:
-        yield f'<path class="opening" d="{_path(on_page(outline))}"/>'
+        yield f'<path class="opening" d="{path([outline])}"/>'
     for one in storey.dimensions:
         yield _dimension(one, on_page(one.start), on_page(one.end))
     for label in storey.labels:
@@ -225,10 +225,6 @@ def _label(label: Label, place: FloatArray) -> Iterator[str]:
     for row, line in enumerate(label.lines):
         y = place[1] + (row - len(label.lines) - 0.2) * 1.25 * size
         yield f'<text x="{x:.2f}" y="{y:.2f}" font-size="{size}" style="text-anchor:{anchor}">{escape(line)}</text>'
-
-
-def _path(corners: FloatArray) -> str:
-    return "M" + "L".join(f"{x:.3f} {y:.3f}" for x, y in corners) + "Z"
 
 
 def _dimension(one: Dimension, start: FloatArray, end: FloatArray) -> str:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
 
 from slam.errors import MissingPackageError
 from slam.floorplan import FloorPlan
@@ -59,14 +59,9 @@ class _Storey:
     def draw(self) -> None:
         """All of it."""
         one = self._drawing
-        for rings in one.rooms:
-            for ring in rings:
-                self._closed("ROOM", ring)
-        for wall in one.walls:
-            for ring in (wall.exterior, *wall.interiors):
-                self._closed("WALL", shapely.get_coordinates(ring)[:-1])
-        for outline in one.openings:
-            self._closed("OPENING", outline)
+        for layer, shapes in (("ROOM", one.rooms), ("WALL", one.walls), ("OPENING", [one.openings])):
+            for ring in chain.from_iterable(shapes):
+                self._closed(layer, ring)
         for a, b in one.faces:
             self._space.add_line((*a, self._z), (*b, self._z), dxfattribs=self._on("FACE"))
         for dimension in one.dimensions:

@@ -89,14 +89,14 @@ class _Building:
         ]
         self._aggregate(storey, rooms)
         if walls + faces:
-            identity = self._id(f"in storey {number}")
-            self._new("IfcRelContainedInSpatialStructure", identity, None, None, None, walls + faces, storey)
+            self._relate("IfcRelContainedInSpatialStructure", f"in storey {number}", walls + faces, storey)
         return storey
 
     def _room(self, name: str, room: Room, plan: StoreyPlan, storey: Any) -> Any:
         height = room.height.value if room.height is not None else _height_over(plan, [room])
         rings = [plan.storey.in_plan(ring) for ring in room.outline]
-        space = self._element("IfcSpace", name, storey, self._body(rings, 0.0, height), ("ELEMENT", "INTERNAL", None))
+        body = self._body(rings, 0.0, height)
+        space = self._element("IfcSpace", name, storey, body, (None, "ELEMENT", "INTERNAL", None))
         measures = {"NetFloorArea": room.area, "Height": room.height}
         measures |= {f"Width{k + 1}": one.distance for k, one in enumerate(room.widths)}
         sides = [side for ring in room.rings for side in ring]
@@ -131,7 +131,7 @@ class _Building:
         through = outline + 0.05 * (outline - outline.mean(axis=0)) @ _across(outline)
         element = self._element("IfcOpeningElement", name, storey, self._body([through], low, high), (None, "OPENING"))
         self._properties(element, {"Width": opening.width, "LintelHeight": opening.height, "SillHeight": opening.sill})
-        self._new("IfcRelVoidsElement", self._id(f"{name} in wall"), None, None, None, wall, element)
+        self._relate("IfcRelVoidsElement", f"{name} in wall", wall, element)
 
     def _properties(self, owner: Any, measures: Mapping[str, Quantity | None], others: Mapping[str, Any] = {}) -> None:
         """What was measured, each value with its standard deviation; what was not is left out."""
@@ -141,13 +141,11 @@ class _Building:
                 continue
             kind = "IfcAreaMeasure" if name.endswith("Area") else "IfcLengthMeasure"
             for suffix, value in (("", one.value), ("StandardDeviation", one.sigma)):
-                made.append(
-                    self._new("IfcPropertySingleValue", name + suffix, None, self._new(kind, float(value)), None)
-                )
+                told = self._new(kind, float(value))
+                made.append(self._new("IfcPropertySingleValue", name + suffix, None, told, None))
         if made:
-            self._defines(
-                owner, self._new("IfcPropertySet", self._id(f"{owner.Name} measured"), None, MEASURED, None, made)
-            )
+            identity = self._id(f"{owner.Name} measured")
+            self._defines(owner, self._new("IfcPropertySet", identity, None, MEASURED, None, made))
 
     def _quantities(self, owner: Any, name: str, measures: Mapping[str, Quantity | None]) -> None:
         made = []
@@ -159,8 +157,7 @@ class _Building:
         self._defines(owner, self._new("IfcElementQuantity", identity, None, name, None, None, made))
 
     def _defines(self, owner: Any, definition: Any) -> None:
-        identity = self._id(f"{owner.Name} {definition.Name} defines")
-        self._new("IfcRelDefinesByProperties", identity, None, None, None, [owner], definition)
+        self._relate("IfcRelDefinesByProperties", f"{owner.Name} {definition.Name} defines", [owner], definition)
 
     def _spatial(
         self, kind: str, name: str, parent: Any, more: tuple[Any, ...], at: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -171,8 +168,6 @@ class _Building:
     def _element(self, kind: str, name: str, storey: Any, shape: Any, more: tuple[Any, ...]) -> Any:
         placement = self._new("IfcLocalPlacement", storey.ObjectPlacement, self._origin)
         product = self._new("IfcProductDefinitionShape", None, None, [shape])
-        if kind == "IfcSpace":
-            return self._new(kind, self._id(name), None, name, None, None, placement, product, None, *more)
         return self._new(kind, self._id(name), None, name, None, None, placement, product, *more)
 
     def _body(self, rings: list[FloatArray], low: float, high: float) -> Any:
@@ -188,7 +183,10 @@ class _Building:
 
     def _aggregate(self, whole: Any, parts: list[Any]) -> None:
         if parts:
-            self._new("IfcRelAggregates", self._id(f"{whole.Name} parts"), None, None, None, whole, parts)
+            self._relate("IfcRelAggregates", f"{whole.Name} parts", whole, parts)
+
+    def _relate(self, kind: str, name: str, *ends: Any) -> None:
+        self._new(kind, self._id(name), None, None, None, *ends)
 
     def _placed(self, at: Iterable[float]) -> Any:
         return self._new("IfcAxis2Placement3D", self._point(at), None, None)

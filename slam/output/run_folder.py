@@ -17,7 +17,7 @@ from slam.config import SlamConfig
 from slam.files import scratch_folder
 from slam.frontend.keyframes import keyframes_of
 from slam.io.load import load
-from slam.output.new_folder import check_free
+from slam.output.new_folder import check_free, put_in_place
 from slam.planeslam import PlaneSlam
 from slam.runs.slam_run import Run
 from slam.sensors.log import Log
@@ -105,9 +105,9 @@ def new_run(
     What fails before the first keyframe leaves nothing behind, and a folder that was to be replaced as it was; what
     fails later, or is killed, leaves a session to go on with.
     """
-    known, data = source.as_json(), None if prior is None else prior.to_bytes()
+    begun_with = {"rig": rig, "prior": None if prior is None else prior.to_bytes(), "log": source.as_json()}
     with (
-        _fresh(Path(out), lambda folder: _begin(folder, config, rig, data, known), overwrite=overwrite) as folder,
+        _fresh(Path(out), config, begun_with, overwrite=overwrite) as folder,
         Session.open(folder / SESSION_FILE) as session,
     ):
         sync_folder(folder.parent)  # after the session is open: its own sync of the journal has done most of this
@@ -202,21 +202,13 @@ def _print_of(file: dict[str, Any] | None) -> tuple[object, object] | None:
     return None if file is None else (file.get("bytes"), file.get("blake2b"))
 
 
-def _begin(folder: Path, config: SlamConfig, rig: Rig, prior: bytes | None, log: dict[str, Any]) -> None:
-    Session.make(folder / SESSION_FILE, config, rig=rig, prior=prior, log=log)
-
-
 @contextmanager
-def _fresh(out: Path, begin: Callable[[Path], None], *, overwrite: bool) -> Iterator[Path]:
+def _fresh(out: Path, config: SlamConfig, begun_with: dict[str, Any], *, overwrite: bool) -> Iterator[Path]:
     """A new folder that appears with its session in it; an old one of that name waits beside it until the end."""
     check_free(out, overwrite=overwrite)
-    replaced: Path | None = None
     with scratch_folder(out) as work:
-        begin(work)
-        if out.exists():
-            replaced = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent)) / out.name
-            os.replace(out, replaced)
-        os.replace(work, out)
+        Session.make(work / SESSION_FILE, config, **begun_with)
+        replaced = put_in_place(work, out)
     try:
         yield out
     except BaseException:

@@ -18,11 +18,12 @@ from slam.sensors.log import Log
 
 def metrics_of(run: Run) -> list[Metric]:
     """What can be said of a run without knowing the truth."""
+    whose = "" if run.log.odometry_source is None else f" ({run.log.odometry_source.name})"
     rows = [
         Metric("keyframes", len(run.trajectory), ""),
         Metric("path length", path_length_m(run.trajectory), "m"),
         Metric("scans", len(run.scan_trajectory), ""),
-        Metric(f"odometry readings{_whose(run.log)}", len(run.log.odometry), ""),
+        Metric(f"odometry readings{whose}", len(run.log.odometry), ""),
         Metric("planes in the map", len(run.planes), ""),
         Metric("landmarks tried", len(run.slam.landmarks), ""),
     ]
@@ -93,12 +94,9 @@ def warnings_of(run: Run) -> list[str]:
     known = run.slam.prior.warnings if run.slam.prior is not None else []
     moved = counted(note for frame in run.slam.keyframes for note in frame.motion_notes)
     health = [*skipped(notes), *moved, *silences(run.log, run.rig), *blind(run.slam.keyframes)]
-    whole = [one.sentence for one in run.slam.open_in_map] if _has_no_odometry(run) else []
+    has_no_odometry = any(frame.motion is None for frame in run.slam.keyframes[1:])  # of some keyframe
+    whole = [one.sentence for one in run.slam.open_in_map] if has_no_odometry else []
     return [*known, *empty_map(run.planes), *health, *run.slam.audit.warnings(), *directions, *whole]
-
-
-def _whose(log: Log) -> str:
-    return "" if log.odometry_source is None else f" ({log.odometry_source.name})"
 
 
 def assumptions_of(log: Log) -> list[str]:
@@ -114,11 +112,6 @@ def empty_map(planes: Sequence[MapPlane]) -> list[str]:
     if planes:
         return []
     return ["the map is empty: no plane was seen often and well enough"]
-
-
-def _has_no_odometry(run: Run) -> bool:
-    """Whether nothing but what was seen holds some keyframe."""
-    return any(frame.motion is None for frame in run.slam.keyframes[1:])
 
 
 def _calibration_rows(run: Run) -> list[Metric]:

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from spplanes._check import FloatArray, as_transform
+from spplanes.spmodel import transform_from_rpy
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -51,21 +52,7 @@ class Mount(Frozen):
         """body_T_sensor, shape (4, 4)."""
         if self.matrix is not None:
             return np.array(self.matrix, dtype=np.float64)
-        transform = np.eye(4)
-        transform[:3, :3] = _rotation(*np.deg2rad(self.rpy_deg))
-        transform[:3, 3] = self.xyz_m
+        transform = transform_from_rpy((*self.xyz_m, *np.deg2rad(self.rpy_deg)[::-1]))
+        rotation = transform[:3, :3]
+        rotation[np.abs(rotation) < 1e-15] = 0.0  # at quarter turns
         return transform
-
-
-def _rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
-    """Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3); exact zeros at quarter turns keep mounts clean."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
-    rotation = np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-    rotation[np.abs(rotation) < 1e-15] = 0.0
-    return rotation

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from slam.files import scratch_folder
 from slam.io.carmen.writer import write_carmen
 from slam.io.folders.clouds import write_cloud_folder
 from slam.preconditions import check_world_given
@@ -92,9 +91,7 @@ class Mission:
         folder = Path(folder)
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise ValueError(f"folder: expected a new or an empty folder, got {folder}")
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        stage = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-        try:
+        with scratch_folder(folder) as stage:
             (stage / "truth").mkdir()
             if self.rig.of_kind("cloud"):
                 write_cloud_folder(self.log, stage)
@@ -102,13 +99,9 @@ class Mission:
                 write_carmen(self.log, self.rig, stage / "log.clf.gz")
             self.rig.to_yaml(stage / "rig.yaml")
             self.truth.write(stage / "truth")
-            stage.chmod(0o755)
             if folder.exists():
                 folder.rmdir()
             os.replace(stage, folder)
-        except BaseException:
-            shutil.rmtree(stage, ignore_errors=True)
-            raise
 
 
 def simulate_mission(

@@ -89,12 +89,15 @@ def _draw_views(run: Drawn, views: Sequence[str], frames: float, path: Path, dou
 def draw_view(axes: Any, run: Drawn, view: str, colours: Colours | None = None, *, with_odometry: bool = True) -> None:
     """One view of a run into matplotlib axes: planes as `draw_planes` has them, and the ways."""
     draw_planes(axes, run.planes, view, colours)
-    ways = [(run.odometry, {"label": "odometry alone", "color": "tab:red", "ls": "--", "lw": 1})] * with_odometry
-    ways.append((run.trajectory, {"label": "trajectory", "color": "black", "lw": 1.5, "marker": "."}))
-    for way, style in ways:
-        if len(way):
-            axes.plot(*way.poses[:, :3, 3][:, _VIEWS[view]].T, markersize=3, **style)
+    if with_odometry:
+        _draw_way(axes, run.odometry, view, label="odometry alone", color="tab:red", ls="--", lw=1)
+    _draw_way(axes, run.trajectory, view, label="trajectory", color="black", lw=1.5, marker=".")
     axes.autoscale_view()
+
+
+def _draw_way(axes: Any, way: Trajectory, view: str, **style: Any) -> None:
+    if len(way):
+        axes.plot(*way.poses[:, :3, 3][:, _VIEWS[view]].T, markersize=3, **style)
 
 
 def draw_planes(axes: Any, planes: Sequence[MapPlane], view: str, colours: Colours | None = None) -> None:
