@@ -10,9 +10,8 @@ from typing import Annotated
 import typer
 
 from slam.cli._output import be_quiet, tell_of_compiling, visible
-from slam.cli.clouds import fit
+from slam.cli.clouds import fit, register
 from slam.cli.joining import fleet, join
-from slam.cli.registration import register
 from slam.cli.results import evaluate, explain, export, import_, view
 from slam.cli.runs import demo, map_, simulate, slam
 
@@ -97,10 +96,5 @@ def group(
         raise typer.BadParameter("expected a command, got none; -h lists them", param_hint="spplanes")
 
 
-for _command in (fit, slam, demo, simulate, evaluate, explain, export, view):
-    app.command()(_command)
-app.command(name="map")(map_)
-app.command(name="import")(import_)
-app.command()(register)
-app.command()(join)
-app.command()(fleet)
+for _command in (fit, slam, demo, simulate, evaluate, explain, export, view, map_, import_, register, join, fleet):
+    app.command(name=_command.__name__.rstrip("_"))(_command)

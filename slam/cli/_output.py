@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -38,24 +38,36 @@ def progress_bar(name: str) -> Iterator[Callable[[int, int], None]]:
 def show(title: str, rows: Sequence[Metric], as_json: bool) -> None:
     """Print a table of metric, value, unit; or the same as JSON."""
     if as_json:
-        import json
-
         from slam.output.run_files import as_json as rows_as_json
 
-        print(json.dumps(rows_as_json(rows), indent=1))
+        print_json(rows_as_json(rows))
         return
+    from slam.visualization.report import format_value
+
+    words = [(row.name, format_value(row.value), row.unit) for row in rows]
+    print_table(title, ("metric", "value", "unit"), words, left=("metric", "unit"))
+
+
+def print_json(data: object) -> None:
+    """Plain numbers, strings, lists and dictionaries on stdout."""
+    import json
+
+    print(json.dumps(data, indent=1))
+
+
+def print_table(
+    title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], *, left: Sequence[str] = (), wrap: bool = True
+) -> None:
+    """A table on stdout: words of the columns whose headings are `left` to the left, of others to the right."""
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
-    from slam.visualization.report import format_value
-
     table = Table(title=escape(visible(title)), title_justify="left")
-    table.add_column("metric")
-    table.add_column("value", justify="right")
-    table.add_column("unit")
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading in left else "right", no_wrap=not wrap)
     for row in rows:
-        table.add_row(escape(visible(row.name)), format_value(row.value), row.unit)
+        table.add_row(*(escape(visible(word)) for word in row))
     Console().print(table)
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from slam.cli._job import JsonOption, OutOption, OverwriteOption
-from slam.cli._output import say, show, visible, warn_of
+from slam.cli._output import print_json, say, show, visible, warn_of
 
 
 def evaluate(
@@ -59,9 +59,7 @@ def explain(
 
     found = explain_keyframe(run, keyframe)
     if as_json:
-        import json
-
-        print(json.dumps(found.to_dict(), indent=1))
+        print_json(found.to_dict())
         return
     typer.echo(f"keyframe {found.keyframe} at {found.stamp_ns * 1e-9:.3f} s: {len(found.decisions)} things seen")
     for sentence in found.sentences:

@@ -146,32 +146,26 @@ class _Ending(NamedTuple):
 def _resume(folder: Path, log: Path | None, *, salvage: bool, jobs: int | None, ending: _Ending) -> None:
     """Go on with a run; of one that is finished there is nothing to do, and that is no error."""
     from slam.session.state import check_run_folder
-
-    check_run_folder(folder)
-    from slam.output.run_folder import FinishedAlready
-
-    try:
-        _go_on(folder, log, salvage=salvage, jobs=jobs, ending=ending)
-    except FinishedAlready as sentence:
-        say(sentence)
-
-
-def _go_on(folder: Path, log: Path | None, *, salvage: bool, jobs: int | None, ending: _Ending) -> None:
     from slam.timing import StageClock
 
     clock = StageClock()  # before the imports below: whoever waits for the command waits for them too
+    check_run_folder(folder)
     from slam.ahead import cores
-    from slam.output.run_folder import resumed_run
+    from slam.output.run_folder import FinishedAlready, resumed_run
     from slam.runs.slam_run import run_slam
     from slam.session.salvage import salvage_session
 
     if salvage:
         say(salvage_session(folder).sentence)
-    with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
-        with progress_bar("keyframes") as progress:
-            run = run_slam(read, rig, slam.config, slam=slam, jobs=jobs or cores(), clock=clock, progress=progress)
-        _conclude(run, folder, ending)
-    say_verdict(run.verdict, strict=ending.strict_verdict)
+    try:
+        with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
+            with progress_bar("keyframes") as progress:
+                run = run_slam(read, rig, slam.config, slam=slam, jobs=jobs or cores(), clock=clock, progress=progress)
+            _conclude(run, folder, ending)
+    except FinishedAlready as sentence:
+        say(sentence)
+    else:
+        say_verdict(run.verdict, strict=ending.strict_verdict)
 
 
 def _conclude(run: Run, folder: Path, ending: _Ending) -> None:

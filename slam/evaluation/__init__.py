@@ -1,6 +1,6 @@
 """How good is it: trajectories, relations and planes against what is known to be true."""
 
-from slam.evaluation.folders import Evaluation, compare_with_truth, evaluate_run, trajectory_metrics
+from slam.evaluation.folders import Evaluation, compare_with_truth, trajectory_metrics
 from slam.evaluation.metrics import Metric
 from slam.evaluation.planes import PlaneMatch, match_planes, plane_metrics
 from slam.evaluation.relations import relation_errors, relation_metrics
@@ -29,7 +29,6 @@ __all__ = [
     "common_poses",
     "compare_sharpness",
     "compare_with_truth",
-    "evaluate_run",
     "match_planes",
     "nearest_stamps",
     "plane_metrics",

@@ -44,13 +44,6 @@ class Evaluation:
     """What was compared, and what the numbers cannot say; one sentence each."""
 
 
-def evaluate_run(
-    run: Path | str, truth: Path | str, *, truth_of: str | None = None, by_row: bool = False
-) -> list[Metric]:
-    """The table of `compare_with_truth` alone."""
-    return compare_with_truth(run, truth, truth_of=truth_of, by_row=by_row).rows
-
-
 def compare_with_truth(
     run: Path | str, truth: Path | str, *, truth_of: str | None = None, by_row: bool = False
 ) -> Evaluation:

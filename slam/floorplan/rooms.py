@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, pairwise
 
 import numpy as np
 import shapely
@@ -145,7 +145,7 @@ def room_rings(storey: Storey, walls: Sequence[Face]) -> list[list[list[int]]]:
     for room, border in sorted(_borders(edges, joined).items()):
         inside = shapely.union_all([cells[number] for number in np.flatnonzero(joined == room)])
         if _is_room(border, inside, storey, lines):
-            rings = [_sides(ring, storey, lines, walls) for ring in _rings(border)]
+            rings = [_sides(ring, storey, lines, walls) for ring in _rings(border, inside)]
             if all(len(ring) > 2 for ring in rings):
                 found.append(rings)
     return found
@@ -193,38 +193,17 @@ def _is_room(border: Sequence[Edge], inside: BaseGeometry, storey: Storey, lines
     return True
 
 
-def _rings(border: Sequence[Edge]) -> list[list[Edge]]:
-    """The border as rings, the longest first."""
-    leaving = defaultdict(list)
-    for edge in border:
-        leaving[edge.start].append(edge)
+def _rings(border: Sequence[Edge], inside: shapely.Polygon) -> list[list[Edge]]:
+    """The border of a room as rings, the longest first, each from that of its edges that comes first."""
+    numbers = {(edge.start, edge.end): number for number, edge in enumerate(border)}
+    room = orient(inside)
     rings = []
-    while leaving:
-        start = next(iter(leaving))
-        ring, edge = [], _take(leaving, start, None)
-        while edge is not None:
-            ring.append(edge)
-            edge = None if edge.end == ring[0].start else _take(leaving, edge.end, edge)
-        rings.append(ring)
-    return sorted(rings, key=lambda ring: -sum(np.hypot(*np.subtract(edge.end, edge.start)) for edge in ring))
-
-
-def _take(leaving: dict[Node, list[Edge]], node: Node, coming: Edge | None) -> Edge | None:
-    """The edge to go on with; where the border touches itself, the one most to the right keeps rings apart."""
-    choice = leaving.get(node)
-    if not choice:
-        return None
-    best = 0 if coming is None else int(np.argmin([_turn(coming, edge) for edge in choice]))
-    edge = choice.pop(best)
-    if not choice:
-        del leaving[node]
-    return edge
-
-
-def _turn(coming: Edge, going: Edge) -> float:
-    """Turn to the left from one edge to the next, rad."""
-    (ax, ay), (bx, by) = np.subtract(coming.end, coming.start), np.subtract(going.end, going.start)
-    return float(np.arctan2(ax * by - ay * bx, ax * bx + ay * by))
+    for corners in (shapely.get_coordinates(ring) for ring in (room.exterior, *room.interiors)):
+        ring = [numbers[start, end] for start, end in pairwise(map(tuple, corners.tolist()))]
+        first = ring.index(min(ring))
+        rings.append(ring[first:] + ring[:first])
+    edges = [[border[number] for number in ring] for ring in sorted(rings)]
+    return sorted(edges, key=lambda ring: -sum(np.hypot(*np.subtract(edge.end, edge.start)) for edge in ring))
 
 
 def _sides(ring: list[Edge], storey: Storey, lines: Sequence[Line], walls: Sequence[Face]) -> list[int]:

@@ -7,7 +7,7 @@ import pytest
 from shapely import box
 
 from slam.errors import LogError
-from slam.evaluation import compare_with_truth, evaluate_run
+from slam.evaluation import compare_with_truth
 from slam.geometry.frames import planar_transform
 from slam.io.default_rigs import depth_rig
 from slam.io.folders.depth_images import CAMERA_MOUNT
@@ -42,12 +42,14 @@ def test_a_perfect_run_scores_perfectly_wherever_its_world_lies(mission, tmp_pat
     mission.save(tmp_path / "mission")
     run = run_of(tmp_path / "run", mission, planar_transform(5.0, -3.0, 2.0))
     for truth in (tmp_path / "mission", tmp_path / "mission" / "truth"):
-        values = {row.name: row.value for row in evaluate_run(run, truth)}
+        values = {row.name: row.value for row in compare_with_truth(run, truth).rows}
         assert values["ATE translation max"] < 1e-9 and values["RPE over 1 m translation max"] < 1e-9
         assert values["planes missed"] == values["planes duplicate"] == values["planes invented"] == 0.0
         assert values["plane angle max"] < 1e-5 and values["plane distance max"] < 1e-9
         assert values["odometry alone: ATE from the first pose, translation rmse"] > 1e-3
-    values = {row.name: row.value for row in evaluate_run(run, tmp_path / "mission" / "truth" / "trajectory.tum")}
+    values = {
+        row.name: row.value for row in compare_with_truth(run, tmp_path / "mission" / "truth" / "trajectory.tum").rows
+    }
     assert values["ATE rotation max"] < 1e-5 and "planes missed" not in values
 
 
@@ -58,7 +60,7 @@ def test_relations_are_known_by_their_name(mission, tmp_path):
     yaw = np.arctan2(pose[1, 0], pose[0, 0])
     line = f"{stamps[0] / 1e9:.9f} {stamps[50] / 1e9:.9f} {pose[0, 3]} {pose[1, 3]} 0 0 0 {yaw}\n"
     (tmp_path / "my.relations").write_text(line)
-    values = {row.name: row.value for row in evaluate_run(run, tmp_path / "my.relations")}
+    values = {row.name: row.value for row in compare_with_truth(run, tmp_path / "my.relations").rows}
     assert values["relations found"] == values["relations in the file"] == 1
     assert values["relations translation mean"] < 1e-6
 
@@ -84,7 +86,7 @@ def test_poses_at_every_scan_are_scored_where_the_run_has_them(mission, tmp_path
     assert {row.name: row.value for row in after.rows}["relations translation max"] < 1e-6
     notes = compare_with_truth(run, tmp_path / "truth.tum").notes
     assert any(one.startswith("odometry alone errs by") and "more than the estimate" in one for one in notes)
-    rows = {row.name: row.value for row in evaluate_run(run, tmp_path / "truth.tum")}
+    rows = {row.name: row.value for row in compare_with_truth(run, tmp_path / "truth.tum").rows}
     assert rows["poses compared"] == rows["poses of the run"] == rows["poses of the truth"] == len(stamps)
     assert "odometry alone: poses compared" in rows
 
@@ -98,16 +100,16 @@ def test_a_truth_of_other_times_is_refused_and_taken_by_row_only_when_asked(miss
     with pytest.raises(
         ValueError, match=r"truth: expected times in common with the estimate \(12 poses from 1000\.\d+"
     ):
-        evaluate_run(run, off)
+        compare_with_truth(run, off)
     found = compare_with_truth(run, off, by_row=True)
     assert found.notes[0] == "off.tum was taken row by row, whatever its times"
     assert {row.name: row.value for row in found.rows}["ATE translation max"] < 1e-9
     write_tum(off, Trajectory(path.stamps_ns[:5], path.poses[:5]))
     with pytest.raises(ValueError, match=r"off\.tum: expected, by row, as many poses as the run's 12, got 5"):
-        evaluate_run(run, off, by_row=True)
+        compare_with_truth(run, off, by_row=True)
     (tmp_path / "my.relations").write_text("1 2 0 0 0 0 0 0\n")
     with pytest.raises(ValueError, match="expected a TUM trajectory where rows"):
-        evaluate_run(run, tmp_path / "my.relations", by_row=True)
+        compare_with_truth(run, tmp_path / "my.relations", by_row=True)
 
 
 def test_few_poses_are_said_and_turn_no_rotation(tmp_path):
@@ -163,7 +165,7 @@ def test_groundtruth_beside_depth_images_is_of_the_camera(tmp_path, place):
     assert found.notes[0] == (
         "groundtruth.txt is of the sensor 'camera': moved to the body by the mount in the run's rig"
     )
-    as_body = {row.name: row.value for row in evaluate_run(run, file, truth_of="body")}
+    as_body = {row.name: row.value for row in compare_with_truth(run, file, truth_of="body").rows}
     assert as_body["ATE from the first pose, rotation max"] > 20.0
 
 
@@ -171,24 +173,25 @@ def test_whose_poses_a_truth_has_can_be_said(tmp_path):
     run, truth = camera_run(tmp_path, CAMERA_MOUNT)
     write_tum(tmp_path / "mocap.tum", truth)
     for told in ("sensor", "camera"):
-        rows = {row.name: row.value for row in evaluate_run(run, tmp_path / "mocap.tum", truth_of=told)}
+        rows = {row.name: row.value for row in compare_with_truth(run, tmp_path / "mocap.tum", truth_of=told).rows}
         assert rows["ATE rotation max"] < 1e-4
-    assert {row.name: row.value for row in evaluate_run(run, tmp_path / "mocap.tum")}["ATE rotation max"] > 20.0
+    unmoved = {row.name: row.value for row in compare_with_truth(run, tmp_path / "mocap.tum").rows}
+    assert unmoved["ATE rotation max"] > 20.0
     with pytest.raises(ValueError, match=r"truth_of: expected 'body', 'sensor' or one of .* \(camera\), got 'lidar'"):
-        evaluate_run(run, tmp_path / "mocap.tum", truth_of="lidar")
+        compare_with_truth(run, tmp_path / "mocap.tum", truth_of="lidar")
     (run / "rig.yaml").unlink()
     with pytest.raises(LogError, match=r"rig\.yaml: expected the rig of the run, found none"):
-        evaluate_run(run, tmp_path / "mocap.tum", truth_of="sensor")
+        compare_with_truth(run, tmp_path / "mocap.tum", truth_of="sensor")
 
 
 def test_missing_truths_and_runs_are_named(mission, tmp_path):
     run = run_of(tmp_path / "run", mission, np.eye(4))
     with pytest.raises(LogError, match="nowhere: expected a mission's folder"):
-        evaluate_run(run, tmp_path / "nowhere")
+        compare_with_truth(run, tmp_path / "nowhere")
     with pytest.raises(LogError, match=r"run2/trajectory\.tum: cannot be read"):
-        evaluate_run(tmp_path / "run2", run / "trajectory.tum")
+        compare_with_truth(tmp_path / "run2", run / "trajectory.tum")
     with pytest.raises(LogError, match=r"trajectory\.tum: cannot be read|labels\.npz: cannot be read"):
-        evaluate_run(run, run)
+        compare_with_truth(run, run)
 
 
 def test_planes_survive_the_file_exactly(tmp_path):
