@@ -29,7 +29,7 @@ def progress_bar(name: str) -> Iterator[Callable[[int, int], None]]:
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    hidden = not console.is_terminal or is_quiet()
+    hidden = not console.is_terminal or _QUIET.get()
     with Progress(*columns, console=console, transient=True, disable=hidden) as bars:
         task = bars.add_task(name, total=None)
         yield lambda done, total: bars.update(task, completed=done, total=total)
@@ -76,11 +76,6 @@ def visible(text: object) -> str:
     return "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in str(text))
 
 
-def is_quiet() -> bool:
-    """Whether the group was told to print nothing but results, warnings and errors."""
-    return _QUIET.get()
-
-
 def be_quiet(quiet: bool) -> None:
     """Print nothing but results, warnings and errors from here on, or everything again."""
     _QUIET.set(quiet)
@@ -88,13 +83,13 @@ def be_quiet(quiet: bool) -> None:
 
 def say(text: object) -> None:
     """One line on stderr, unless it is to be quiet."""
-    if not is_quiet():
+    if not _QUIET.get():
         typer.echo(visible(text), err=True)
 
 
 def tell_of_compiling() -> None:
     """Where stderr is a terminal, let `spplanes._jit` say why the first command ever seems to do nothing."""
-    if sys.stderr.isatty() and not is_quiet():
+    if sys.stderr.isatty() and not _QUIET.get():
         logging.getLogger("spplanes._jit").setLevel(logging.INFO)
 
 

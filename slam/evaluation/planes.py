@@ -6,10 +6,11 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from shapely import Polygon
-from shapely.affinity import affine_transform
+from shapely.geometry.base import BaseGeometry
 
 from slam.evaluation.metrics import Metric
+from slam.geometry.frames import inverse
+from slam.geometry.polygons import flatten, valid
 from spplanes.plane import Plane
 
 #: An estimated plane may be a true one when it is within these of it, rad and m, on the same side ...
@@ -76,13 +77,10 @@ def _overlap(plane: Plane, truth: Plane) -> float:
     return mine.intersection(truth.outline).area / smaller if smaller > 0.0 else 0.0
 
 
-def outline_in(plane: Plane, other: Plane) -> Polygon:
+def outline_in(plane: Plane, other: Plane) -> BaseGeometry:
     """Outline of a plane projected into the plane coordinates of another."""
-    other_T_plane = np.linalg.inv(other.frame) @ plane.frame
-    (a, b), (d, e) = other_T_plane[:2, :2]
     assert plane.outline is not None
-    moved = affine_transform(plane.outline, [a, b, d, e, other_T_plane[0, 3], other_T_plane[1, 3]])
-    return moved if moved.is_valid else moved.buffer(0.0)
+    return valid(flatten(plane.outline, inverse(other.frame) @ plane.frame))
 
 
 def plane_metrics(

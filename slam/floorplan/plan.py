@@ -12,7 +12,7 @@ import shapely
 from slam.floorplan.faces import ALIKE_RAD, SHORT_M, Face, Interval, closed
 from slam.floorplan.joint_planes import JointPlanes
 from slam.floorplan.openings import Opening, find_openings
-from slam.floorplan.quantities import Corner, Quantity, area, corner, distance, length
+from slam.floorplan.quantities import Quantity, area, corner, distance, length
 from slam.floorplan.rooms import room_rings
 from slam.floorplan.storeys import Storey, storeys
 from slam.floorplan.walls import Wall, wall_solids, without
@@ -136,11 +136,12 @@ def _plan_of(joint: JointPlanes, storey: Storey, lowest: int | None) -> StoreyPl
 
 
 def _room(joint: JointPlanes, storey: Storey, faces: Sequence[Face], rings: list[list[int]]) -> Room:
-    corners = [_corners(joint, storey, [faces[k] for k in ring]) for ring in rings]
-    sides = tuple(
-        tuple(_side(joint, faces[k], a, b) for k, a, b in zip(ring, ends, [*ends[1:], ends[0]], strict=True))
-        for ring, ends in zip(rings, corners, strict=True)
-    )
+    corners, sides = [], []
+    for ring in ([faces[k] for k in ring] for ring in rings):
+        ends = [corner(joint.hesse, ring[k - 1].plane, face.plane, storey.section) for k, face in enumerate(ring)]
+        along = zip(ring, ends, [*ends[1:], ends[0]], strict=True)
+        sides.append(tuple(Side(face, a.point, b.point, joint.quantity(*length(a, b))) for face, a, b in along))
+        corners.append(ends)
     outline = [storey.in_plan(np.array([one.point for one in ends])) for ends in corners]
     shape = shapely.Polygon(outline[0], outline[1:])
     place = shape.centroid if shape.contains(shape.centroid) else shape.representative_point()
@@ -150,16 +151,7 @@ def _room(joint: JointPlanes, storey: Storey, faces: Sequence[Face], rings: list
     below, above = storey.over(shape.buffer(0.0), storey.floors), storey.over(shape.buffer(0.0), storey.ceilings)
     if below is not None and above is not None:
         height = joint.quantity(*distance(joint.hesse, below.plane, above.plane, middle, storey.section.normal))
-    return Room(sides, middle, joint.quantity(*area(corners, storey.section)), widths, height)
-
-
-def _corners(joint: JointPlanes, storey: Storey, ring: list[Face]) -> list[Corner]:
-    """Where each side of a ring begins."""
-    return [corner(joint.hesse, ring[k - 1].plane, face.plane, storey.section) for k, face in enumerate(ring)]
-
-
-def _side(joint: JointPlanes, face: Face, start: Corner, end: Corner) -> Side:
-    return Side(face, start.point, end.point, joint.quantity(*length(start, end)))
+    return Room(tuple(sides), middle, joint.quantity(*area(corners, storey.section)), widths, height)
 
 
 def _in_section(storey: Storey, xy: FloatArray) -> FloatArray:

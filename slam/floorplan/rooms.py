@@ -11,8 +11,7 @@ References:
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 
@@ -70,7 +69,7 @@ class Edge:
 
 def wall_lines(walls: Sequence[Face]) -> list[Line]:
     """The walls by line, those that were seen longest first."""
-    left = sorted(range(len(walls)), key=lambda k: (-_seen_length(walls[k]), k))
+    left = sorted(range(len(walls)), key=lambda k: (-sum(high - low for low, high in walls[k].covered), k))
     lines = []
     while left:
         base = walls[left[0]]
@@ -79,10 +78,6 @@ def wall_lines(walls: Sequence[Face]) -> list[Line]:
         spans = [base.beside(walls[k], span) for k in members for span in walls[k].extended]
         lines.append(Line(base, tuple(members), closed(spans, 0.0)))
     return lines
-
-
-def _seen_length(face: Face) -> float:
-    return sum(high - low for low, high in face.covered)
 
 
 def _is_in_line(face: Face, base: Face) -> bool:
@@ -140,24 +135,27 @@ def room_rings(storey: Storey, walls: Sequence[Face]) -> list[list[list[int]]]:
     lines = wall_lines(walls)
     cells = cells_of(storey, lines)
     edges = [edge for number, cell in enumerate(cells) for edge in edges_of(number, cell, storey, lines)]
-    joined = _joined(edges, len(cells), storey, lines)
+    numbers = {(edge.start, edge.end): number for number, edge in enumerate(edges)}
+    joined = _joined(edges, numbers, len(cells), storey, lines)
     found = []
-    for room, border in sorted(_borders(edges, joined).items()):
+    for room in np.unique(joined):
         inside = shapely.union_all([cells[number] for number in np.flatnonzero(joined == room)])
+        border = _rings(inside, edges, numbers)
         if _is_room(border, inside, storey, lines):
-            rings = [_sides(ring, storey, lines, walls) for ring in _rings(border, inside)]
+            rings = [_sides(ring, storey, lines, walls) for ring in border]
             if all(len(ring) > 2 for ring in rings):
                 found.append(rings)
     return found
 
 
-def _joined(edges: Sequence[Edge], n_cells: int, storey: Storey, lines: Sequence[Line]) -> np.ndarray:
-    """The room that each cell belongs to, shape (n_cells,)."""
-    beside = {(edge.start, edge.end): edge.cell for edge in edges}
+def _joined(
+    edges: Sequence[Edge], numbers: Mapping[tuple[Node, Node], int], n_cells: int, storey: Storey, lines: Sequence[Line]
+) -> np.ndarray:
+    """The room that each cell belongs to, shape (n_cells,), with the numbers of the edges by their ends."""
     pairs = [
-        (edge.cell, beside[edge.end, edge.start])
+        (edge.cell, edges[numbers[edge.end, edge.start]].cell)
         for edge in edges
-        if (edge.end, edge.start) in beside and not _is_wall(edge, storey, lines)
+        if (edge.end, edge.start) in numbers and not _is_wall(edge, storey, lines)
     ]
     rows, columns = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(n_cells, n_cells))
@@ -171,19 +169,9 @@ def _is_wall(edge: Edge, storey: Storey, lines: Sequence[Line]) -> bool:
     return covered_length(lines[edge.line].covered, low, high) > 0.5 * (high - low)
 
 
-def _borders(edges: Sequence[Edge], joined: np.ndarray) -> dict[int, list[Edge]]:
-    """Of each room the edges of its cells that are not inside it."""
-    rooms = {(edge.start, edge.end): int(joined[edge.cell]) for edge in edges}
-    borders = defaultdict(list)
-    for edge in edges:
-        room = int(joined[edge.cell])
-        if rooms.get((edge.end, edge.start), -1) != room:
-            borders[room].append(edge)
-    return borders
-
-
-def _is_room(border: Sequence[Edge], inside: BaseGeometry, storey: Storey, lines: Sequence[Line]) -> bool:
+def _is_room(rings: Sequence[list[Edge]], inside: BaseGeometry, storey: Storey, lines: Sequence[Line]) -> bool:
     """Closed, wide enough, and seen from inside: no side of any length is the back of a face."""
+    border = [edge for ring in rings for edge in ring]
     if any(edge.line < 0 for edge in border) or inside.buffer(-THICKEST_M / 2.0).is_empty:
         return False
     for edge in border:
@@ -193,17 +181,18 @@ def _is_room(border: Sequence[Edge], inside: BaseGeometry, storey: Storey, lines
     return True
 
 
-def _rings(border: Sequence[Edge], inside: shapely.Polygon) -> list[list[Edge]]:
+def _rings(
+    inside: shapely.Polygon, edges: Sequence[Edge], numbers: Mapping[tuple[Node, Node], int]
+) -> list[list[Edge]]:
     """The border of a room as rings, the longest first, each from that of its edges that comes first."""
-    numbers = {(edge.start, edge.end): number for number, edge in enumerate(border)}
     room = orient(inside)
     rings = []
     for corners in (shapely.get_coordinates(ring) for ring in (room.exterior, *room.interiors)):
         ring = [numbers[start, end] for start, end in pairwise(map(tuple, corners.tolist()))]
         first = ring.index(min(ring))
         rings.append(ring[first:] + ring[:first])
-    edges = [[border[number] for number in ring] for ring in sorted(rings)]
-    return sorted(edges, key=lambda ring: -sum(np.hypot(*np.subtract(edge.end, edge.start)) for edge in ring))
+    border = [[edges[number] for number in ring] for ring in sorted(rings)]
+    return sorted(border, key=lambda ring: -sum(np.hypot(*np.subtract(edge.end, edge.start)) for edge in ring))
 
 
 def _sides(ring: list[Edge], storey: Storey, lines: Sequence[Line], walls: Sequence[Face]) -> list[int]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from slam.backend.estimator import BackendError
 from slam.config import SlamConfig
@@ -85,17 +85,6 @@ class FinishedAlready(SessionError):
     """A run that came to its end: its results are in its folder."""
 
 
-class Resumed(NamedTuple):
-    """A run that goes on."""
-
-    slam: PlaneSlam
-    """The estimator as the run left it."""
-    log: Log
-    """The log it goes on with."""
-    rig: Rig
-    """The rig it began with."""
-
-
 @contextmanager
 def new_run(
     out: Path, log: Log, rig: Rig, config: SlamConfig, source: Source, *, prior: PriorMap | None, overwrite: bool
@@ -116,8 +105,8 @@ def new_run(
 
 
 @contextmanager
-def resumed_run(folder: Path, log_path: Path | None = None) -> Iterator[Resumed]:
-    """The run of a folder in the state in which it ended, however it ended.
+def resumed_run(folder: Path, log_path: Path | None = None) -> Iterator[tuple[PlaneSlam, Log, Rig]]:
+    """The run of a folder in the state in which it ended, however it ended: estimator, log to go on with, rig.
 
     Args:
         folder: the run's folder.
@@ -139,7 +128,7 @@ def resumed_run(folder: Path, log_path: Path | None = None) -> Iterator[Resumed]
         log.assumed.extend(source.assumed)
         _check_log(session, source, log, rig)
         recorder = SessionRecorder(session, log=log, raw=source.raw, forget=source.forget_raw)
-        yield Resumed(resumed(PlaneSlam, session, recorder), log, rig)
+        yield resumed(PlaneSlam, session, recorder), log, rig
 
 
 def _is_open_to_repair(folder: Path, session: Session) -> bool:

@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 
 import numpy as np
 import yaml
-from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from slam._yaml import near_key, read_yaml
@@ -125,11 +124,6 @@ class LocalisationNoise(Frozen):
         """The same in the order (x, y, z, phi, theta, psi), shape (6, 6), rotation about the body's own origin."""
         xy, tilt = self.xy_sigma_m**2, self.tilt_sigma_rad**2
         return np.diag([xy, xy, self.z_sigma_m**2, self.heading_sigma_rad**2, tilt, tilt])
-
-    def correlation(self, path_lengths: ArrayLike) -> FloatArray:
-        """Correlation of the errors at places along the path, shape (S, S), from path lengths (S,) in m."""
-        lengths = np.asarray(path_lengths, dtype=np.float64)
-        return np.exp(-np.abs(lengths[:, None] - lengths[None, :]) / self.correlation_length_m)
 
 
 class Rig(Frozen):

@@ -107,7 +107,8 @@ def record(plan: Plan, n_scans: int, seed: int) -> tuple[Log, Truth]:
     stamps = START_NS + ticks * round(plan.spacing_m / SPEED_M_PER_S * 1e9 / 2.0)
     way = ticks.astype(np.float64) * plan.spacing_m / 2.0
     poses = plan.path.at(way)
-    wheels, localiser, *lasers = _streams(seed, 2 + len(BEAMS))
+    children = np.random.SeedSequence(seed).spawn(2 + len(BEAMS))  # no sensor's draws move when another's number does
+    wheels, localiser, *lasers = (np.random.default_rng(child) for child in children)
     drifting = pose_matrices(drifting_odometry(poses, plan.rig.odometry, wheels))
     events: list[Event] = [OdometryReading(int(t), pose) for t, pose in zip(stamps, drifting, strict=True)]
     given: FloatArray | None = None
@@ -165,8 +166,3 @@ def _cast_block(plan: Plan, way: FloatArray, sensor: Sensor, beams: Beams, rng: 
     normals = np.einsum("fij,fj->fi", world_T_sensor[:, :3, :3], normals)
     ranges, labels = plan.world.cast(np.ascontiguousarray(world_T_sensor[:, :3, 3]), rays, normals)
     return ranges.reshape(-1, fans * n_beams), labels.reshape(-1, fans * n_beams)
-
-
-def _streams(seed: int, count: int) -> list[np.random.Generator]:
-    """Independent generators, so that no sensor's draws move when another's number changes."""
-    return [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(count)]

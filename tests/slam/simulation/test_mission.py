@@ -202,7 +202,6 @@ def test_localisation_errs_below_a_centimetre_and_is_correlated_along_the_way():
     lag = round(noise.correlation_length_m / 0.027)
     for column in errors.T:
         assert np.corrcoef(column[:-lag], column[lag:])[0, 1] == pytest.approx(np.exp(-1.0), abs=0.08)
-    np.testing.assert_allclose(noise.correlation([0.0, 2.0])[0], [1.0, np.exp(-1.0)])
 
 
 def test_given_poses_are_the_truth_with_that_error(mission):
