@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from slam.frontend.keyframes import Keyframe
-from slam.geometry.frames import planar_transform
 from slam.registration.initial_pose import find_start
 from slam.session.prior_map import PriorMap, floor_start, space_start
 from spplanes.spmodel import transform_from_rpy
@@ -28,11 +27,8 @@ def read_prior(path: Path, start: str, sigma: str, first: Callable[[], Keyframe]
     if min(sigma_m, sigma_deg) <= 0.0:
         raise ValueError(f"--start-sigma: expected two positive numbers, got {sigma!r}")
     sigmas = sigma_m, float(np.deg2rad(sigma_deg))
-    if len(numbers) == 6:
-        world_T_start = transform_from_rpy((*numbers[:3], *np.deg2rad(numbers[3:]).tolist()))
-    else:
-        x, y, yaw = numbers
-        world_T_start = planar_transform(x, y, float(np.deg2rad(yaw)))
+    x, y, z, *turns = numbers if len(numbers) == 6 else (*numbers[:2], 0.0, numbers[2], 0.0, 0.0)
+    world_T_start = transform_from_rpy((x, y, z, *np.deg2rad(turns).tolist()))
     prior = PriorMap.load(path, world_T_start=world_T_start, start_covariance=floor_start(*sigmas))
     if start == FIND:
         prior = replace(prior, world_T_start=find_start(prior.planes, first()))

@@ -111,16 +111,7 @@ def view(
     check_run_given(run)
     from slam.visualization.view import view_run
 
-    written = view_run(run, out)
-    if rerun is not None:
-        from slam.files import whole_file
-        from slam.runs.stored_run import StoredRun
-        from slam.visualization.rerun_export import write_rerun
-
-        with whole_file(rerun) as scratch:
-            write_rerun(StoredRun.read(run), scratch)
-        written.append(rerun)
-    for path in written:
+    for path in view_run(run, out, recording=rerun):
         typer.echo(path)
 
 

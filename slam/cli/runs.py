@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -80,8 +80,8 @@ def slam(
         begun_with = (*begun_with, odometry_frame, body_frame)
         if run_folder is None or any((*begun_with, overwrite, keep_partial, keep_raw, forget_raw)):
             raise typer.BadParameter("takes the folder of a run; all else is as the run began", param_hint="--resume")
-        ending = _Ending(as_json, timings, strict_verdict)
-        _resume(run_folder, moved_to, salvage=salvage, jobs=jobs, ending=ending)
+        ending = {"as_json": as_json, "timings": timings, "strict_verdict": strict_verdict}
+        _resume(run_folder, moved_to, salvage=salvage, jobs=jobs, **ending)
         return
     if log is None or out is None or salvage:
         raise typer.BadParameter("expected LOG --out DIR, or --resume RUN", param_hint="slam")
@@ -128,22 +128,20 @@ def slam(
             clock=job.clock,
             progress=progress,
         )
-        _conclude(run, out, _Ending(as_json, timings, strict_verdict))
+        _conclude(run, out, as_json=as_json, timings=timings)
     say_verdict(run.verdict, strict=strict_verdict)
 
 
-class _Ending(NamedTuple):
-    """How a run is shown when it has ended."""
-
-    as_json: bool
-    """The table as JSON."""
-    timings: bool
-    """The time of every stage."""
-    strict_verdict: bool
-    """A map found to be broken is exit code 1."""
-
-
-def _resume(folder: Path, log: Path | None, *, salvage: bool, jobs: int | None, ending: _Ending) -> None:
+def _resume(
+    folder: Path,
+    log: Path | None,
+    *,
+    salvage: bool,
+    jobs: int | None,
+    as_json: bool,
+    timings: bool,
+    strict_verdict: bool,
+) -> None:
     """Go on with a run; of one that is finished there is nothing to do, and that is no error."""
     from slam.session.state import check_run_folder
     from slam.timing import StageClock
@@ -161,14 +159,14 @@ def _resume(folder: Path, log: Path | None, *, salvage: bool, jobs: int | None, 
         with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
             with progress_bar("keyframes") as progress:
                 run = run_slam(read, rig, slam.config, slam=slam, jobs=jobs or cores(), clock=clock, progress=progress)
-            _conclude(run, folder, ending)
+            _conclude(run, folder, as_json=as_json, timings=timings)
     except FinishedAlready as sentence:
         say(sentence)
     else:
-        say_verdict(run.verdict, strict=ending.strict_verdict)
+        say_verdict(run.verdict, strict=strict_verdict)
 
 
-def _conclude(run: Run, folder: Path, ending: _Ending) -> None:
+def _conclude(run: Run, folder: Path, *, as_json: bool, timings: bool) -> None:
     """Write the results of a run into its folder; its table, what was assumed and what to know on the screen."""
     from slam.output.run_files import write_run
     from slam.output.run_folder import conclude
@@ -183,7 +181,7 @@ def _conclude(run: Run, folder: Path, ending: _Ending) -> None:
         say(f"assumed: {sentence}")
     for repair in run.repairs or ():
         say(repair.sentence)
-    show_result(name, rows, run.clock, folder, as_json=ending.as_json, timings=ending.timings)
+    show_result(name, rows, run.clock, folder, as_json=as_json, timings=timings)
 
 
 def map_(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import shapely
@@ -44,13 +45,9 @@ class FacingPair:
 
 def facing_pairs(planes: Sequence[MapPlane], *, min_overlap_m2: float = 0.5) -> list[FacingPair]:
     """Pairs of facing planes that overlap, seen along their normal, by at least so much; the largest overlap first."""
-    pairs = []
-    for index, first in enumerate(planes):
-        for second in planes[index + 1 :]:
-            pair = _pair(first, second)
-            if pair is not None and pair.overlap_m2 >= min_overlap_m2:
-                pairs.append(pair)
-    return sorted(pairs, key=lambda pair: (-pair.overlap_m2, pair.first, pair.second))
+    pairs = (pair for two in combinations(planes, 2) if (pair := _pair(*two)) is not None)
+    wide = [pair for pair in pairs if pair.overlap_m2 >= min_overlap_m2]
+    return sorted(wide, key=lambda pair: (-pair.overlap_m2, pair.first, pair.second))
 
 
 def _pair(first: MapPlane, second: MapPlane) -> FacingPair | None:

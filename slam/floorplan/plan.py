@@ -145,18 +145,14 @@ def _room(joint: JointPlanes, storey: Storey, faces: Sequence[Face], rings: list
     outline = [storey.in_plan(np.array([one.point for one in ends])) for ends in corners]
     shape = shapely.Polygon(outline[0], outline[1:])
     place = shape.centroid if shape.contains(shape.centroid) else shape.representative_point()
-    middle = _in_section(storey, np.array(place.coords[0]))
+    middle = storey.plan @ np.array(place.coords[0])
+    middle += (storey.section.d - storey.section.normal @ middle) * storey.section.normal
     widths = tuple(_widths(joint, storey, [side for ring in sides for side in ring], middle))
     height = None
     below, above = storey.over(shape.buffer(0.0), storey.floors), storey.over(shape.buffer(0.0), storey.ceilings)
     if below is not None and above is not None:
         height = joint.quantity(*distance(joint.hesse, below.plane, above.plane, middle, storey.section.normal))
     return Room(tuple(sides), middle, joint.quantity(*area(corners, storey.section)), widths, height)
-
-
-def _in_section(storey: Storey, xy: FloatArray) -> FloatArray:
-    point = storey.plan @ xy
-    return point + (storey.section.d - storey.section.normal @ point) * storey.section.normal
 
 
 def _widths(joint: JointPlanes, storey: Storey, sides: Sequence[Side], middle: FloatArray) -> list[Width]:
@@ -183,14 +179,11 @@ def _extent(face: Face, rooms: Sequence[Room]) -> list[Interval]:
     What was seen beyond the last corner by no more than outlines are rough is of the corner.
     """
     sides = [side for room in rooms for ring in room.rings for side in ring if side.face is face]
-    known: list[Interval] = [_sorted(face.s_of(np.array([side.start, side.end]))) for side in sides]
+    ways = [face.s_of(np.array([side.start, side.end])).tolist() for side in sides]
+    known: list[Interval] = [(min(way), max(way)) for way in ways]
     ends = {end for span in known for end in span}
     beyond = [s for s in without(face.covered, known) if s[1] - s[0] > SHORT_M or (s[0] in ends and s[1] in ends)]
     return closed([*known, *beyond], 0.0)
-
-
-def _sorted(ends: FloatArray) -> Interval:
-    return float(ends.min()), float(ends.max())
 
 
 def _unpaired(face: Face, spans: list[Interval], walls: Sequence[Wall]) -> list[Interval]:

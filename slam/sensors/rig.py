@@ -253,15 +253,11 @@ def _default_mount(name: str, log: Log) -> Mount:
     told = log.mounts.get(name)
     if told is None:
         return Mount(rpy_deg=(0.0, 0.0, 180.0 if name == "RLASER" else 0.0))
-    if not _is_level(told):
+    is_level = np.abs(told[2, :2]).max() < 1e-9 and told[2, 2] > 0.0  # it only turns about z
+    if not is_level:
         return Mount(matrix=tuple(tuple(row) for row in told.tolist()))
     yaw_deg = float(np.rad2deg(np.arctan2(told[1, 0], told[0, 0])))
     return Mount(xyz_m=(float(told[0, 3]), float(told[1, 3]), float(told[2, 3])), rpy_deg=(0.0, 0.0, yaw_deg))
-
-
-def _is_level(transform: FloatArray) -> bool:
-    """Whether a mount only turns about z."""
-    return bool(np.abs(transform[2, :2]).max() < 1e-9 and transform[2, 2] > 0.0)
 
 
 def _steps_of(ranges: FloatArray, steps: tuple[float, ...]) -> tuple[float, ...]:

@@ -142,7 +142,11 @@ class WorldBuilder:
             glass: beams end here and do not come back; it is no plane of the truth.
         """
         corners = [np.asarray(ring, dtype=np.float64) for ring in rings]
-        frame = _frame_of(corners[0]) if plane is None else self._frame_of_plane(plane)
+        if plane is None:
+            frame = _frame_of(corners[0])
+        else:
+            surface = self._surfaces[plane]
+            frame = _frame(surface.corner, surface.u, surface.v, np.cross(surface.u, surface.v))
         flat = [(ring - frame[:3, 3]) @ frame[:3, :2] for ring in corners]
         if glass:
             plane = GLASS
@@ -154,13 +158,6 @@ class WorldBuilder:
         edges = np.concatenate([np.column_stack([ring, np.roll(ring, -1, axis=0)]) for ring in flat])
         self._polygons.append((frame, edges, plane))
         return plane
-
-    def _frame_of_plane(self, plane: int) -> FloatArray:
-        surface = self._surfaces[plane]
-        frame = np.eye(4)
-        frame[:3, :3] = np.column_stack([surface.u, surface.v, np.cross(surface.u, surface.v)])
-        frame[:3, 3] = surface.corner
-        return frame
 
     def add_box(self, low: Sequence[float], high: Sequence[float], *, hidden: Sequence[str] = ()) -> list[int]:
         """Add the faces of an axis-aligned box, seen from outside, but the `hidden` ones of "x-", "x+", "y-" ..."""
@@ -204,10 +201,14 @@ class WorldBuilder:
 def _frame_of(ring: FloatArray) -> FloatArray:
     """A frame at the first corner of a planar ring (K, 3), x along its first edge, z its normal by Newell's sum."""
     normal = np.cross(ring - ring[0], np.roll(ring, -1, axis=0) - ring[0]).sum(axis=0)
+    normal /= np.linalg.norm(normal)
     x_axis = (ring[1] - ring[0]) / np.linalg.norm(ring[1] - ring[0])
+    return _frame(ring[0], x_axis, np.cross(normal, x_axis), normal)
+
+
+def _frame(origin: FloatArray, *axes: FloatArray) -> FloatArray:
     frame = np.eye(4)
-    frame[:3, 0], frame[:3, 2], frame[:3, 3] = x_axis, normal / np.linalg.norm(normal), ring[0]
-    frame[:3, 1] = np.cross(frame[:3, 2], x_axis)
+    frame[:3, :3], frame[:3, 3] = np.column_stack(axes), origin
     return frame
 
 
@@ -241,9 +242,7 @@ def _true_plane(surface: _Surface) -> tuple[Plane, Polygon | MultiPolygon]:
     normal *= 1.0 if normal @ (surface.toward - middle) > 0.0 else -1.0
     low_u, low_v, high_u, high_v = whole.bounds
     x_axis = u if high_u - low_u >= high_v - low_v else v
-    frame = np.eye(4)
-    frame[:3, :3] = np.column_stack([x_axis, np.cross(normal, x_axis), normal])
-    frame[:3, 3] = middle
+    frame = _frame(middle, x_axis, np.cross(normal, x_axis), normal)
     uv_to_xy, centroid = frame[:3, :2].T @ np.column_stack([u, v]), np.array([whole.centroid.x, whole.centroid.y])
     outline, seen = (transform(one, lambda uv: (uv - centroid) @ uv_to_xy.T) for one in (whole, patches))
     piece = max(outline.geoms, key=lambda g: g.area) if isinstance(outline, MultiPolygon) else outline

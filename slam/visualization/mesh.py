@@ -40,22 +40,13 @@ class Mesh:
 
 def mesh_of(planes: Sequence[MapPlane]) -> Mesh:
     """Triangulate the polygons of the planes, holes left open."""
-    vertices, triangles, ids, colours = [np.empty((0, 3))], [np.empty((0, 3), np.int32)], [], []
-    count = 0
-    for plane in planes:
-        corners = _triangle_corners(plane)
-        world = corners @ plane.plane.frame[:3, :2].T + plane.plane.frame[:3, 3]
-        vertices.append(world)
-        triangles.append(np.arange(count, count + len(world), dtype=np.int32).reshape(-1, 3))
-        ids += [plane.id] * len(world)
-        colours += [colour_of(plane)] * len(world)
-        count += len(world)
-    return Mesh(
-        np.concatenate(vertices),
-        np.concatenate(triangles),
-        np.array(ids, dtype=np.int32),
-        np.array(colours, dtype=np.uint8).reshape(-1, 3),
-    )
+    corners = [lift(_triangle_corners(plane), plane.plane.frame) for plane in planes]
+    vertices = np.concatenate([np.empty((0, 3)), *corners])
+    triangles = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+    ids = np.array([plane.id for plane in planes], dtype=np.int32)
+    colours = np.array([colour_of(plane) for plane in planes], dtype=np.uint8).reshape(-1, 3)
+    counts = np.array([len(one) for one in corners], dtype=np.int64)
+    return Mesh(vertices, triangles, np.repeat(ids, counts), np.repeat(colours, counts, axis=0))
 
 
 def colour_of(plane: MapPlane) -> tuple[int, int, int]:
@@ -69,11 +60,9 @@ def colour_of(plane: MapPlane) -> tuple[int, int, int]:
 
 def _triangle_corners(plane: MapPlane) -> FloatArray:
     """Corners (3 T, 2) of a constrained triangulation of the polygons of a plane."""
-    triangles = []
-    for polygon in polygons_of(plane.seen):
-        for triangle in shapely.get_parts(shapely.constrained_delaunay_triangles(polygon)):
-            triangles.append(shapely.get_coordinates(shapely.orient_polygons(triangle))[:3])
-    return np.concatenate(triangles) if triangles else np.empty((0, 2))
+    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(polygons_of(plane.seen)))
+    rings = shapely.get_coordinates(shapely.orient_polygons(triangles)).reshape(-1, 4, 2)
+    return rings[:, :3].reshape(-1, 2)
 
 
 def chains_of(plane: MapPlane) -> list[FloatArray]:

@@ -88,13 +88,12 @@ def outlines_to_lines(planes: Sequence[MapPlane | Plane], *, tensor: bool = Fals
     Raises:
         ImportError: Open3D is not there.
     """
-    chains, ids, colours = [], [], []
-    for plane in _as_map_planes(planes):
-        mine = chains_of(plane)
-        chains += mine
-        ids += [plane.id] * sum(len(chain) - 1 for chain in mine)
-        colours += [colour_of(plane)] * sum(len(chain) - 1 for chain in mine)
-    return _line_set(chains, np.array(colours).reshape(-1, 3) / 255.0, np.array(ids, dtype=np.int32), tensor)
+    drawn = [(plane, chain) for plane in _as_map_planes(planes) for chain in chains_of(plane)]
+    counts = np.array([len(chain) - 1 for _, chain in drawn], dtype=np.int64)
+    ids = np.array([plane.id for plane, _ in drawn], dtype=np.int32)
+    colours = np.array([colour_of(plane) for plane, _ in drawn]).reshape(-1, 3) / 255.0
+    rows = np.repeat(np.arange(len(drawn)), counts)
+    return _line_set([chain for _, chain in drawn], colours[rows], ids[rows], tensor)
 
 
 def trajectory_to_lines(

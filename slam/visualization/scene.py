@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -31,14 +32,14 @@ _MOST_BLOCKS, _LEAST_IN_BLOCK = 60, 20
 def scene_of(run: Drawn, history: History, doubtful: Sequence[int] = ()) -> dict[str, Any]:
     """Everything the page's script needs, as plain numbers, strings and lists; `doubtful` keyframes as stretches."""
     planes = [_plane(plane) for plane in run.planes if not plane.seen.is_empty]
-    estimate, odometry = _path(run.trajectory), _path(run.odometry)
+    estimate = _path(run.trajectory)
     return {
         "planes": planes,
         "estimate": estimate,
-        "odometry": odometry,
+        "odometry": _path(run.odometry),
         "doubtful": [_rounded(run.trajectory.poses[part, :3, 3]) for part in stretches(doubtful, len(run.trajectory))],
         "points_cm": in_cm(history.points),
-        "bounds": _bounds(planes, [estimate, odometry]),
+        "bounds": _bounds(planes, estimate),
         "keyframes": len(run.trajectory),
         "nis": [_series(kind, history.nis[kind]) for kind in sorted(history.nis) if history.nis[kind]],
     }
@@ -141,11 +142,10 @@ def _rounded(points: FloatArray) -> list[list[float]]:
     return np.round(points, _DECIMALS).tolist()
 
 
-def _bounds(planes: Sequence[dict[str, Any]], paths: Sequence[list[list[float]]]) -> list[list[float]]:
-    points = [point for path in paths[:1] for point in path]
+def _bounds(planes: Sequence[dict[str, Any]], path: list[list[float]]) -> list[list[float]]:
+    points = [*path]
     for plane in planes:
-        points += [point for face in plane["faces"] for ring in face for point in ring]
-        points += [point for segment in plane["segments"] for point in segment]
+        points += [point for ring in (*chain.from_iterable(plane["faces"]), *plane["segments"]) for point in ring]
     if not points:
         return [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
     array = np.array(points)

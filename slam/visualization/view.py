@@ -9,17 +9,20 @@ from slam.files import whole_file
 from slam.runs.stored_run import StoredRun
 from slam.visualization.pictures import draw_one, draw_uncertainty
 from slam.visualization.report import write_report
+from slam.visualization.rerun_export import write_rerun
 from slam.visualization.scene import scene_of
 
 
-def view_run(run: Path | str, out: Path | str | None = None) -> list[Path]:
+def view_run(run: Path | str, out: Path | str | None = None, *, recording: Path | None = None) -> list[Path]:
     """Draw plan.png, side.png, uncertainty.png and report.html of a run; returns what was written.
 
     Args:
         run: its folder.
         out: folder for the pictures; None: the run's own, whose older pictures are replaced.
+        recording: file for a recording for the Rerun viewer, .rrd; None: none is made.
 
     Raises:
+        ImportError: a recording without the Rerun SDK.
         LogError: no run, or a file of it that is missing or broken.
         ValueError: a place where nothing can be written.
     """
@@ -39,4 +42,7 @@ def view_run(run: Path | str, out: Path | str | None = None) -> list[Path]:
         scene = scene_of(stored, stored.history, doubtful)
         title = f"spplanes: {stored.folder.resolve().name}"
         write_report(scratch, title, stored.tables, drawn, scene, stored.verdict)
-    return [*drawn, folder / "report.html"]
+    if recording is not None:
+        with whole_file(recording) as scratch:
+            write_rerun(stored, scratch)
+    return [*drawn, folder / "report.html", *([] if recording is None else [recording])]
