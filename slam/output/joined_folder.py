@@ -43,7 +43,14 @@ def write_joined(joined: JoinedMap, folder: Path, *, title: str) -> list[Metric]
         rows = _write_component(component, inside, title, warnings_of(joined) if number == 0 else [])
         table = rows if number == 0 else table
     write_json(folder / "joins.json", joined.to_dict())
-    return [*table, *_counts(joined)]
+    verdicts = [one.verdict for one in joined.comparisons]
+    return [
+        *table,
+        Metric("pairs compared", len(verdicts), ""),
+        Metric("  of them joined", verdicts.count("joined"), ""),
+        Metric("components", len(joined.components), ""),
+        Metric("missions left out", len(joined.left_out), ""),
+    ]
 
 
 def warnings_of(joined: JoinedMap) -> list[str]:
@@ -82,16 +89,6 @@ def _write_component(component: JoinedComponent, folder: Path, title: str, warni
     pictures = [folder / "missions.png", folder / "map.png"]
     write_report(folder / "report.html", title, [("the map", rows)], pictures, scene_of(component, history))
     return rows
-
-
-def _counts(joined: JoinedMap) -> list[Metric]:
-    verdicts = [one.verdict for one in joined.comparisons]
-    return [
-        Metric("pairs compared", len(verdicts), ""),
-        Metric("  of them joined", verdicts.count("joined"), ""),
-        Metric("components", len(joined.components), ""),
-        Metric("missions left out", len(joined.left_out), ""),
-    ]
 
 
 def flat_graph(component: JoinedComponent) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:

@@ -13,7 +13,7 @@ from shapely.geometry.base import BaseGeometry
 
 from slam.diagnostics.consistency import BAND
 from slam.geometry.frames import lift
-from slam.geometry.polygons import polygons_of, segments_of
+from slam.geometry.polygons import largest_polygon, polygons_of, segments_of
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
 from slam.runs.history import History, in_cm
@@ -47,13 +47,9 @@ def scene_of(run: Drawn, history: History, doubtful: Sequence[int] = ()) -> dict
 
 def stretches(keyframes: Sequence[int], count: int) -> list[list[int]]:
     """Keyframes below `count` in runs of neighbours, ascending."""
-    runs: list[list[int]] = []
-    for keyframe in sorted(k for k in set(keyframes) if k < count):
-        if runs and runs[-1][-1] == keyframe - 1:
-            runs[-1].append(keyframe)
-        else:
-            runs.append([keyframe])
-    return runs
+    chosen = np.array(sorted({k for k in keyframes if k < count}), dtype=np.int64)
+    runs = np.split(chosen, np.flatnonzero(np.diff(chosen) > 1) + 1)
+    return [run.tolist() for run in runs if len(run)]
 
 
 def nis_blocks(rows: Sequence[tuple[int, float, int]]) -> list[dict[str, float]]:
@@ -121,10 +117,10 @@ def _plane(plane: MapPlane) -> dict[str, Any]:
 
 def _inside(seen: BaseGeometry) -> Point:
     """A point on what was seen: on the largest polygon, else in the middle of the longest line."""
-    polygons, lines = polygons_of(seen), [LineString(chain) for chain in segments_of(seen)]
-    if polygons:
-        return max(polygons, key=lambda polygon: polygon.area).representative_point()
-    if lines:
+    polygon = largest_polygon(seen)
+    if polygon is not None:
+        return polygon.representative_point()
+    if lines := [LineString(chain) for chain in segments_of(seen)]:
         return max(lines, key=lambda line: line.length).interpolate(0.5, normalized=True)
     return seen.representative_point()
 
