@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -57,21 +57,21 @@ def open_job(
     config: Path | None,
     overwrite: bool,
     keep_partial: bool,
-    topics: Sequence[str] | None = None,
-    odometry_topic: str | None = None,
-    odometry_frame: str | None = None,
-    body_frame: str | None = None,
     odometry: Path | None = None,
+    bag: Mapping[str, Any] = {},
 ) -> Job:
-    """Read all that a command is given; whatever is wrong is said before any work is done."""
+    """Read all that a command is given; whatever is wrong is said before any work is done.
+
+    `bag` has the fields of `slam.io.rosbags.reader.Topics`, which are not imported for it.
+    """
     from slam.output.new_folder import check_free
     from slam.preconditions import check_file_given, check_log_given
     from slam.timing import StageClock
 
     clock = StageClock()  # before the imports below: whoever waits for the command waits for them too
     check_free(out, overwrite=overwrite)
-    for name, given in (("--odometry-topic", odometry_topic), ("--odometry-frame", odometry_frame)):
-        if odometry is not None and given is not None:
+    for name, key in (("--odometry-topic", "odometry"), ("--odometry-frame", "odometry_frame")):
+        if odometry is not None and bag.get(key) is not None:
             raise ValueError(f"--odometry: expected one source of odometry, got {name} too")
     for file in (rig, config):
         if file is not None:
@@ -86,8 +86,7 @@ def open_job(
     settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
     with clock.stage("read"):
         described = None if rig is None else Rig.from_yaml(rig)
-        chosen = Topics(tuple(topics or ()), odometry_topic, odometry_frame, body_frame)
-        read, sensors = load(log, described, keep_partial=keep_partial, topics=chosen, odometry=odometry)
+        read, sensors = load(log, described, keep_partial=keep_partial, topics=Topics(**bag), odometry=odometry)
         sensors = with_shown_errors(read, sensors)
     for note in read.notes:
         say(f"{log.name}: {note}")

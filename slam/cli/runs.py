@@ -74,10 +74,12 @@ def slam(
     as_json: JsonOption = False,
 ) -> None:
     """Estimate trajectory and planes of LOG; what is measured is on disk before it is used."""
+    given = {"rig": rig, "config": config, "odometry": odometry}
+    frames = {"odometry_frame": odometry_frame, "body_frame": body_frame}
+    bag = {"scans": tuple(topic or ()), "odometry": odometry_topic, **frames}
     if resume:
         run_folder, moved_to = (out, log) if out is not None else (log, None)
-        begun_with = (rig, config, prior, odometry, start, start_sigma, topic, odometry_topic)
-        begun_with = (*begun_with, odometry_frame, body_frame)
+        begun_with = (*given.values(), *bag.values(), prior, start, start_sigma)
         if run_folder is None or any((*begun_with, overwrite, keep_partial, keep_raw, forget_raw)):
             raise typer.BadParameter("takes the folder of a run; all else is as the run began", param_hint="--resume")
         ending = {"as_json": as_json, "timings": timings, "strict_verdict": strict_verdict}
@@ -87,19 +89,7 @@ def slam(
         raise typer.BadParameter("expected LOG --out DIR, or --resume RUN", param_hint="slam")
     if prior is None and (start is not None or start_sigma is not None):
         raise typer.BadParameter("expected --prior, the map that it is a place in", param_hint="--start")
-    job = open_job(
-        log,
-        out,
-        rig=rig,
-        config=config,
-        overwrite=overwrite,
-        keep_partial=keep_partial,
-        topics=topic,
-        odometry_topic=odometry_topic,
-        odometry_frame=odometry_frame,
-        body_frame=body_frame,
-        odometry=odometry,
-    )
+    job = open_job(log, out, overwrite=overwrite, keep_partial=keep_partial, bag=bag, **given)
     from slam.ahead import cores
     from slam.cli._prior import read_prior
     from slam.frontend.keyframes import keyframes_of
