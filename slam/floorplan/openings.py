@@ -74,7 +74,8 @@ def _between(
 ) -> Opening:
     """The opening between two jambs."""
     low, high = (float(face.s_of(one.origin)) for one in jambs)
-    wall = next((one for one in solids if face in (one.front, one.back) and _contains_of(one, face, (low, high))), None)
+    beside = (one for one in solids if face in (one.front, one.back))
+    wall = next((one for one in beside if _contains(one, one.front.beside(face, (low, high)))), None)
     reach = max(-float(face.before(end)) for one in jambs for end in _ends(one))
     depth = wall.thickness.value if wall is not None else reach
     place = face.point(0.5 * (low + high)) - 0.5 * depth * face.normal
@@ -94,8 +95,11 @@ def _made(
     corners = _box(face, span, depth)
     outline = shapely.Polygon(storey.in_plan(corners))
     middle = corners.mean(axis=0)
-    lintel = storey.over(outline, tuple(one for one in storey.ceilings if _is_within(one.outline, outline)))
-    sill = storey.over(outline, tuple(one for one in storey.floors if _is_within(one.outline, outline)))
+    around = outline.buffer(SHORT_M)  # a ceiling or floor that passes over or through the opening goes beyond it
+    lintel, sill = (
+        storey.over(outline, tuple(one for one in levels if around.covers(one.outline)))
+        for levels in (storey.ceilings, storey.floors)
+    )
     below, above = face.gap_upright(0.5 * (span[0] + span[1]), CUT_M)
     return Opening(
         face,
@@ -116,11 +120,6 @@ def _height(joint: JointPlanes, storey: Storey, level: Level | None, middle: Flo
     if level is None or floor is None or level.plane == floor:
         return None
     return joint.quantity(*distance(joint.hesse, floor, level.plane, middle, storey.section.normal))
-
-
-def _is_within(level: shapely.Geometry, opening: shapely.Polygon) -> bool:
-    """Whether a level plane is of the opening alone: no ceiling or floor that passes over or through it."""
-    return opening.buffer(SHORT_M).covers(level)
 
 
 def _jambs(storey: Storey, face: Face, gap: Interval) -> tuple[Face, Face] | None:
@@ -149,11 +148,6 @@ def _ends(face: Face) -> tuple[FloatArray, FloatArray]:
 
 def _contains(wall: Wall, gap: Interval) -> bool:
     return wall.span[0] <= gap[0] and gap[1] <= wall.span[1]
-
-
-def _contains_of(wall: Wall, face: Face, span: Interval) -> bool:
-    """The same for a span along either of its faces."""
-    return _contains(wall, wall.front.beside(face, span))
 
 
 def _gap_behind(wall: Wall, gap: Interval) -> Interval | None:
