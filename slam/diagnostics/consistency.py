@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import gammaincinv
 
-from slam.growable import Rows
+from slam.lazy import Rows
 from slam.map.data_association import Decision
 
 #: Two-sided probability of the band that a mean NIS is held against.

@@ -14,7 +14,7 @@ from slam.frontend.information import floor_information, plane_information
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion
-from slam.growable import Growing, Rows
+from slam.lazy import Growing, Rows
 from spplanes._check import FloatArray
 
 Part = Literal["position", "orientation"]

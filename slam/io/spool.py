@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from typing import Any
 
 import numpy as np
 
 from slam.errors import LogError
+from slam.lazy import Stored
 from slam.sensors.log import LaserScan, OdometryReading
 from spplanes._check import FloatArray
 
@@ -51,62 +50,12 @@ class Spool:
         return np.frombuffer(data, dtype=np.float64).copy()
 
 
-class StoredScan(LaserScan):
+class StoredScan(Stored, LaserScan):
     """A 2D scan whose ranges, and pose if there is one, are read each time they are asked for."""
 
-    def __new__(cls, *given: Any, **fields: Any) -> Any:
-        """Of the fields of a scan, as `dataclasses.replace` gives them, one in memory."""
-        return LaserScan(**fields) if "ranges" in fields else super().__new__(cls)
 
-    def __init__(
-        self,
-        stamp_ns: int,
-        sensor: str,
-        angles: FloatArray,
-        place: int,
-        read: Callable[[int], FloatArray],
-        pose: Callable[[int], FloatArray | None] | None = None,
-    ) -> None:
-        known = {"stamp_ns": stamp_ns, "sensor": sensor, "angles": angles}
-        for name, value in {**known, "_place": place, "_read": read, "_pose": pose}.items():
-            object.__setattr__(self, name, value)  # frozen: set once, here
-
-    def loaded(self) -> LaserScan:
-        """The scan with its ranges in memory."""
-        return LaserScan(self.stamp_ns, self.sensor, self.ranges, self.angles, self.world_T_body)
-
-    def __repr__(self) -> str:
-        return f"StoredScan(stamp_ns={self.stamp_ns}, sensor={self.sensor!r})"  # without reading it
-
-    @property
-    def ranges(self) -> FloatArray:  # type: ignore[override]  # a field there, read each time here
-        """Range per beam, shape (B,), m; NaN = no return."""
-        return self._read(self._place)  # type: ignore[attr-defined]
-
-    @property
-    def world_T_body(self) -> FloatArray | None:  # type: ignore[override]
-        """Pose of the robot that the record itself gives, shape (4, 4); None: it gives none."""
-        return None if self._pose is None else self._pose(self._place)  # type: ignore[attr-defined]
-
-
-class StoredReading(OdometryReading):
+class StoredReading(Stored, OdometryReading):
     """An odometry reading whose transform is made each time it is asked for."""
-
-    def __new__(cls, *given: Any, **fields: Any) -> Any:
-        """Of the fields of a reading, as `dataclasses.replace` gives them, one in memory."""
-        return OdometryReading(**fields) if "odom_T_body" in fields else super().__new__(cls)
-
-    def __init__(self, stamp_ns: int, place: int, pose: Callable[[int], FloatArray]) -> None:
-        for name, value in {"stamp_ns": stamp_ns, "_place": place, "_pose": pose}.items():
-            object.__setattr__(self, name, value)  # frozen: set once, here
-
-    def __repr__(self) -> str:
-        return f"StoredReading(stamp_ns={self.stamp_ns})"
-
-    @property
-    def odom_T_body(self) -> FloatArray:  # type: ignore[override]
-        """Body in the odometry frame, shape (4, 4)."""
-        return self._pose(self._place)  # type: ignore[attr-defined]
 
 
 class SharedAngles:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from slam.lazy import Stored
 from spplanes._check import FloatArray
 
 
@@ -42,31 +42,17 @@ class CloudScan:
     """Pose of the robot that comes with the scan, shape (4, 4); None: none does."""
 
 
-class StoredCloud(CloudScan):
-    """A 3D scan that stays in its file until its points are asked for: long logs need not fit into memory."""
+class StoredCloud(Stored, CloudScan):
+    """A 3D scan that stays in its file until its points are asked for: long logs need not fit into memory.
 
-    def __new__(cls, *given: Any, **fields: Any) -> Any:
-        """Of the fields of a scan, as `dataclasses.replace` gives them, one in memory."""
-        return CloudScan(**fields) if "points" in fields else super().__new__(cls)
+    `read` gives the points; it raises `LogError` where the file is damaged.
+    """
 
     def __init__(
         self, stamp_ns: int, sensor: str, read: Callable[[], FloatArray], world_T_body: FloatArray | None = None
     ) -> None:
-        known = {"stamp_ns": stamp_ns, "sensor": sensor, "world_T_body": world_T_body, "_read": read}
-        for name, value in known.items():
-            object.__setattr__(self, name, value)  # frozen: set once, here
-
-    def loaded(self) -> CloudScan:
-        """The scan with its points in memory."""
-        return CloudScan(self.stamp_ns, self.sensor, self.points, self.world_T_body)
-
-    def __repr__(self) -> str:
-        return f"StoredCloud(stamp_ns={self.stamp_ns}, sensor={self.sensor!r})"  # without reading it
-
-    @property
-    def points(self) -> FloatArray:  # type: ignore[override]  # a field there, read each time here
-        """Organised, shape (S, B, 3), m; NaN = no return. Raises `LogError` where the file is damaged."""
-        return self._read()  # type: ignore[attr-defined]
+        known = {"stamp_ns": stamp_ns, "sensor": sensor, "world_T_body": world_T_body}
+        super().__init__(known, {"points": lambda _: read()})
 
 
 @dataclass(frozen=True, eq=False)

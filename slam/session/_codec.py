@@ -21,10 +21,10 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import Motion
 from slam.frontend.pose_measurements import KINDS, PlaceMatch
-from slam.io.spool import StoredScan
+from slam.lazy import Stored
 from slam.map.data_association import Candidate, Decision
 from slam.map.map_planes import MapPlane
-from slam.sensors.log import CloudScan, LaserScan, StoredCloud
+from slam.sensors.log import CloudScan, LaserScan
 from spplanes import Plane, ScanLine
 
 _CLASSES: dict[str, type] = {
@@ -171,7 +171,7 @@ class _Writer:
             return {"shape": self._put(shapely.to_wkb(value, byte_order=1))}  # type: ignore[arg-type]
         if isinstance(value, dict):
             return {"dict": {_name(key): self.plain(one) for key, one in value.items()}}
-        if isinstance(value, StoredCloud | StoredScan):
+        if isinstance(value, Stored):
             return self.plain(value.loaded())
         if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
             return [self.plain(one) for one in value]

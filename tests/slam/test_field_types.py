@@ -15,7 +15,7 @@ from shapely import Point, Polygon, box
 
 from slam._field_types import check_fields, holds
 from slam.frontend.observations import Observation
-from slam.growable import Growing
+from slam.lazy import Growing
 
 
 class Numbers(Growing[int]):

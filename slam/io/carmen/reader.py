@@ -80,16 +80,16 @@ def _events_of(
     """Scans and readings of a table, in time order."""
     own_odometry = bool(((rows["name"] == 0) | np.isnan(rows["start"])).any())
     tells_odometry = np.isfinite(rows["robot_pose"][:, 0]) & (np.isnan(rows["start"]) | (not own_odometry))
-    readers = {number: (laser.ranges, laser.pose) for number, laser in lasers.items()}
+    readers = {number: {"ranges": laser.ranges, "world_T_body": laser.pose} for number, laser in lasers.items()}
     told = [rows[name].tolist() for name in ("name", "beams", "start", "step")]
-    pose = partial(robot_pose, rows)
+    pose = {"odom_T_body": partial(robot_pose, rows)}
     events: list[Event] = []
     for row, (stamp, number, *bearings) in enumerate(zip(stamps.tolist(), *told, strict=True)):
         if number in lasers:
-            angles = lasers[number].angles(*bearings)
-            events.append(StoredScan(stamp, sensors[number], angles, row, *readers[number]))
+            known = {"stamp_ns": stamp, "sensor": sensors[number], "angles": lasers[number].angles(*bearings)}
+            events.append(StoredScan(known, readers[number], row))
         if (number == 0 or number in lasers) and tells_odometry[row]:
-            events.append(StoredReading(stamp, row, pose))
+            events.append(StoredReading({"stamp_ns": stamp}, pose, row))
     events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
     return events
 

@@ -119,9 +119,10 @@ def read_rosbag(
     mounted = {topic for topic in chosen.scans if sensor_name(topic) in (names or {})}
     names = {topic: (names or {}).get(sensor_name(topic), sensor_name(topic)) for topic in chosen.scans}
     events: list[Event] = [OdometryReading(stamp, pose) for stamp, pose in odometry]
-    ranges = [kept for *_, kept in found.scans]
+    kept = [place for *_, place in found.scans]
+    ranges = {"ranges": lambda row: found.spool.get(*kept[row])}
     for row, (stamp, topic, _, angles, _) in enumerate(found.scans):
-        events.append(StoredScan(stamp, names[topic], angles, row, lambda row: found.spool.get(*ranges[row])))
+        events.append(StoredScan({"stamp_ns": stamp, "sensor": names[topic], "angles": angles}, ranges, row))
     for stamp, topic, _, received in found.clouds:
         grid = (grids or {}).get(names[topic])
         events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received, grid, keep_partial)))

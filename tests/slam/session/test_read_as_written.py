@@ -60,7 +60,7 @@ _LINE = ScanLine(0.3, 2.0, 1e-4 * np.eye(2), np.eye(2), np.arange(3))
         Plane._trusted(np.eye(4), np.array([[1.0, 1e-9, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), 3),
         ScanLine._trusted(4.0, 2.0, _LINE.covariance, _LINE.endpoints, _LINE.indices, 0.0, 1),
         ScanLine._trusted(0.3, 2.0, _LINE.covariance, _LINE.endpoints, np.arange(3, dtype=np.int32), 0.0, 1),
-        StoredScan(0, "laser", np.zeros(3), 0, lambda _: np.ones(3)),
+        StoredScan({"stamp_ns": 0, "sensor": "laser", "angles": np.zeros(3)}, {"ranges": lambda _: np.ones(3)}),
     ],
     ids=str,
 )

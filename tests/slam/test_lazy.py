@@ -10,7 +10,7 @@ import pytest
 
 from slam import PlaneSlam
 from slam.backend.marginalized_poses import PastPose, PastPoses
-from slam.growable import Rows
+from slam.lazy import Rows
 from tests.slam.scenes import drive
 
 
