@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import fcntl
 import io
 import os
 import pickle
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, BinaryIO, NoReturn, TypeVar
+from multiprocessing.connection import Connection, Pipe
+from typing import Any, NoReturn, TypeVar
 
 from spplanes import _threads
 
@@ -26,7 +28,6 @@ Result = TypeVar("Result")
 _PIPE_BYTES = 1 << 20
 #: `prctl` of Linux: the signal that a process gets when the one that made it ends.
 _PR_SET_PDEATHSIG = 1
-_LENGTH_BYTES = 8
 
 
 def cores() -> int:
@@ -72,22 +73,22 @@ class _Helper:
     def __init__(
         self, work: Callable[[int], Any], numbers: range, shared: Sequence[object], others: Sequence[_Helper]
     ) -> None:
-        reading, writing = os.pipe()
+        self._results, sending = Pipe(duplex=False)
         parent, self._pid = os.getpid(), os.fork()
         if not self._pid:
-            for end in (reading, *(other._results.fileno() for other in others)):
-                os.close(end)
-            _help(work, numbers, shared, writing, parent)
-        os.close(writing)
-        self._results = os.fdopen(reading, "rb")
-        _widen(reading)
+            for end in (self._results, *(other._results for other in others)):
+                end.close()
+            _help(work, numbers, shared, sending, parent)
+        sending.close()
+        with contextlib.suppress(OSError, AttributeError):  # where the system lets more results wait
+            fcntl.fcntl(self._results.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
     def next(self) -> bytes | None:
         """The next result, pickled; None: it gives no more."""
-        head = self._results.read(_LENGTH_BYTES)
-        size = int.from_bytes(head, "little")
-        data = self._results.read(size) if len(head) == _LENGTH_BYTES else b""
-        return data if size and len(data) == size else None
+        try:
+            return self._results.recv_bytes()
+        except (EOFError, OSError):  # it ended between two results, or in the middle of one
+            return None
 
     def end(self) -> None:
         """No more of it."""
@@ -98,35 +99,22 @@ class _Helper:
         self._results.close()
 
 
-def _help(work: Callable[[int], Any], numbers: range, shared: Sequence[object], writing: int, parent: int) -> NoReturn:
+def _help(
+    work: Callable[[int], Any], numbers: range, shared: Sequence[object], results: Connection, parent: int
+) -> NoReturn:
     """All that a forked process does; it never returns to what it was forked from."""
     try:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; whoever waits for the results ends this
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         _threads.stay_alone()
         known = {id(one): place for place, one in enumerate(shared)}
-        with os.fdopen(writing, "wb", buffering=0) as results:
-            for number in numbers:
-                if os.getppid() != parent:
-                    break  # it ended before it could be told apart
-                _send(results, _dumps(work(number), known))
+        for number in numbers:
+            if os.getppid() != parent:
+                break  # it ended before it could be told apart
+            results.send_bytes(_dumps(work(number), known))
     except BaseException:  # whoever wants the result does the work, and has the error
         os._exit(1)
     os._exit(0)
-
-
-def _send(results: io.RawIOBase | BinaryIO, data: bytes) -> None:
-    left = memoryview(len(data).to_bytes(_LENGTH_BYTES, "little") + data)
-    while left:
-        left = left[results.write(left) :]
-
-
-def _widen(pipe: int) -> None:
-    """Let more results wait, where the system allows it."""
-    import fcntl
-
-    with contextlib.suppress(OSError, AttributeError):
-        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
 
 def _dumps(result: object, known: dict[int, int]) -> bytes:
