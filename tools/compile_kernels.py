@@ -268,7 +268,6 @@ def rest() -> None:
 
     import factors
     from slam.io.clouds.lzf import lzf_decompress
-    from slam.session._wal_kernel import checksum
     from spplanes import fit_plane
     from spplanes.clouds.arrange import arrange
     from spplanes.segmentation.organising import organise
@@ -278,7 +277,6 @@ def rest() -> None:
     arrange(heap)
     organise(heap)
     lzf_decompress(b"\x00a", 1)
-    checksum(bytes(8), "<", 0, 0)
     flat, scans = rng.random((200, 3)) * (4.0, 3.0, 0.01), np.arange(200) // 20
     poses = np.tile(np.eye(6) * 1e-6, (10, 1, 1))
     fit_plane(flat, sigma=0.01, method="sp", scan_index=scans, pose_covariances=poses)

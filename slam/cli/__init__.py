@@ -70,7 +70,7 @@ def _print_version(with_formats: bool) -> None:
         from slam.io.planes_json import FORMAT
         from slam.session._file import VERSION
 
-        typer.echo(f"session.db: version {VERSION}; reads 1 to {VERSION}")
+        typer.echo(f"session.db: version {VERSION}")
         typer.echo(f"planes.json: {FORMAT}")
 
 

@@ -14,22 +14,16 @@ from urllib.parse import quote
 APPLICATION_ID = 0x73706C6E
 VERSION = 2
 
-_TABLES_1 = """
+_TABLES = """
 CREATE TABLE session (key TEXT PRIMARY KEY, data BLOB NOT NULL, digest BLOB NOT NULL) WITHOUT ROWID;
 CREATE TABLE keyframes (id INTEGER PRIMARY KEY, stamp_ns INTEGER NOT NULL, data BLOB NOT NULL, digest BLOB NOT NULL);
 CREATE TABLE decisions (keyframe INTEGER PRIMARY KEY, data BLOB NOT NULL, digest BLOB NOT NULL);
-"""
-#: Version 2 knows the raw scans behind a keyframe, and keeps the finished map as the prior of another mission.
-_TABLES_2 = """
 CREATE TABLE scans (
     keyframe INTEGER NOT NULL, number INTEGER NOT NULL, sensor TEXT NOT NULL, stamp_ns INTEGER NOT NULL,
     position INTEGER, data BLOB, digest BLOB NOT NULL, PRIMARY KEY (keyframe, number)) WITHOUT ROWID;
 CREATE TABLE results (key TEXT PRIMARY KEY, data BLOB NOT NULL, digest BLOB NOT NULL) WITHOUT ROWID;
 """
-#: What brings a file from the version before to each version.
-_MIGRATIONS = {2: _TABLES_2}
 
-_DAMAGE = ("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_FORMAT", "SQLITE_SCHEMA", "SQLITE_MISMATCH")
 _STORAGE = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_NOMEM", "SQLITE_TOOBIG")
 
 
@@ -53,7 +47,7 @@ def create(path: Path) -> sqlite3.Connection:
         connection.execute("PRAGMA journal_mode = MEMORY")
         connection.execute("PRAGMA page_size = 4096")
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-        _run(connection, f"{_TABLES_1}{_TABLES_2}", VERSION)
+        connection.executescript(f"BEGIN; {_TABLES} PRAGMA user_version = {VERSION}; COMMIT;")
     return connection
 
 
@@ -74,21 +68,16 @@ def connect(path: Path, *, read_only: bool) -> sqlite3.Connection:
     return connection
 
 
-def check_version(path: Path, connection: sqlite3.Connection, *, read_only: bool) -> int:
-    """Make sure that it is a session, and, for a writer, one of today's version; returns the version it has now."""
+def check_version(path: Path, connection: sqlite3.Connection) -> None:
+    """Make sure that it is a session, and one of today's version."""
     with translated(path):
         application = connection.execute("PRAGMA application_id").fetchone()[0]
         version = connection.execute("PRAGMA user_version").fetchone()[0]
     if application != APPLICATION_ID:
         raise SessionError(f"{path}: expected a session, got another SQLite file")
-    if not 1 <= version <= VERSION:
-        raise SessionError(f"{path}: expected a session of version 1 to {VERSION}, got {version}; use a newer spplanes")
-    if read_only:
-        return version
-    with translated(path):
-        for step in range(version + 1, VERSION + 1):
-            _run(connection, _MIGRATIONS[step], step)
-    return VERSION
+    if version != VERSION:
+        other = "a newer" if version > VERSION else "an older"
+        raise SessionError(f"{path}: expected a session of version {VERSION}, got {version}; use {other} spplanes")
 
 
 def check_structure(path: Path, connection: sqlite3.Connection) -> None:
@@ -160,14 +149,6 @@ def sync_folder(path: Path) -> None:
         pass  # not every file system knows how
     finally:
         os.close(handle)
-
-
-def _run(connection: sqlite3.Connection, script: str, version: int) -> None:
-    connection.execute("BEGIN IMMEDIATE")
-    for statement in filter(None, (part.strip() for part in script.split(";"))):
-        connection.execute(statement)
-    connection.execute(f"PRAGMA user_version = {version}")
-    connection.execute("COMMIT")
 
 
 _SIZE = 16

@@ -6,8 +6,8 @@ import fcntl
 import os
 import sqlite3
 import struct
-from collections.abc import Mapping
-from contextlib import closing
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from weakref import WeakSet
@@ -98,10 +98,13 @@ def _promised(path: Path, salts: bytes | None) -> int | None:
     return struct.unpack_from("=I", data, 16)[0]
 
 
-def _checksum(words: bytes, order: str, first: int, second: int) -> tuple[int, int]:
-    from slam.session._wal_kernel import checksum  # compiled: a session without a journal is opened without numba
-
-    return checksum(words, order, first, second)
+def _checksum(data: bytes, order: str, first: int, second: int) -> tuple[int, int]:
+    """SQLite's checksum of words of 32 bits in an order ("<" or ">"), going on from that of what is before them."""
+    words = struct.unpack(f"{order}{len(data) // 4}I", data)
+    for even, odd in zip(words[::2], words[1::2], strict=True):
+        first = (first + even + second) & 0xFFFFFFFF
+        second = (second + odd + first) & 0xFFFFFFFF
+    return first, second
 
 
 #: Locks that this process holds.
@@ -182,67 +185,55 @@ class OpenFile:
 
     connection: sqlite3.Connection
     """To the database."""
-    lock: WriterLock | None
-    """The writer's; None: it is only read."""
-    version: int
-    """Of its schema."""
-
-    def close(self) -> None:
-        """Let go of it; twice is once."""
-        self.connection.close()
-        if self.lock is not None:
-            self.lock.release()
+    read_only: bool
+    """Whether it is only read; else the writer's lock is held."""
+    opened: ExitStack
+    """What lets go of both; twice is once."""
 
 
 def make_file(path: Path, values: Mapping[str, bytes]) -> None:
     """A new session with these parameters: there with all of them, or not there."""
-    lock, work = _locked(path), path.with_name(path.name + ".new")
-    try:
-        work.unlink(missing_ok=True)
-        with closing(create(work)) as made:
-            with transaction(work, made):
-                for key, value in values.items():
-                    put(made, "session", key, value)
-            with translated(work):
-                made.execute("PRAGMA journal_mode = WAL")
-        with work.open("rb") as file:
-            os.fsync(file.fileno())
-        os.replace(work, path)
-        sync_folder(path.parent)
-    except StorageError:
-        raise
-    except OSError as error:
-        raise StorageError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        for left in (work, *(work.with_name(work.name + end) for end in ("-wal", "-shm"))):
-            left.unlink(missing_ok=True)
-        lock.release()
+    work = path.with_name(path.name + ".new")
+    with writing(path):
+        try:
+            work.unlink(missing_ok=True)
+            with closing(create(work)) as made:
+                with transaction(work, made):
+                    for key, value in values.items():
+                        put(made, "session", key, value)
+                with translated(work):
+                    made.execute("PRAGMA journal_mode = WAL")
+            with work.open("rb") as file:
+                os.fsync(file.fileno())
+            os.replace(work, path)
+            sync_folder(path.parent)
+        except StorageError:
+            raise
+        except OSError as error:
+            raise StorageError(f"{path}: cannot be written ({error.strerror or error})") from error
+        finally:
+            for suffix in ("", "-wal", "-shm"):
+                work.with_name(work.name + suffix).unlink(missing_ok=True)
 
 
 def open_file(path: Path, *, read_only: bool, damaged: bool) -> OpenFile:
-    """Open a session; a writer brings it up to today's version. `damaged`: what is broken is known to be."""
-    lock = None if read_only else _locked(path)
-    connection: sqlite3.Connection | None = None
-    try:
+    """Open a session. `damaged`: what is broken is known to be."""
+    with ExitStack() as opened:
+        if not read_only:
+            opened.enter_context(writing(path))
         if not damaged:
             _check_journal(path, writer_may_live=read_only)
         if read_only:
             _roll_back(path)
-        connection = connect(path, read_only=read_only)
-        version = check_version(path, connection, read_only=read_only)
+        connection = opened.enter_context(closing(connect(path, read_only=read_only)))
+        check_version(path, connection)
         if not read_only:
             check_structure(path, connection)
             with translated(path):
                 connection.execute("PRAGMA journal_mode = WAL")
                 connection.execute("SELECT count(*) FROM session").fetchone()  # from here on there is a journal
             preallocate_journal(path)
-        return OpenFile(connection, lock, version)
-    except BaseException:
-        if connection is not None:
-            connection.close()
-        if lock is not None:
-            lock.release()
-        raise
+        return OpenFile(connection, read_only, opened.pop_all())
 
 
 def put(connection: sqlite3.Connection, table: str, key: str, data: bytes) -> None:
@@ -250,7 +241,9 @@ def put(connection: sqlite3.Connection, table: str, key: str, data: bytes) -> No
     connection.execute(f"INSERT OR REPLACE INTO {table} VALUES (?, ?, ?)", (key, data, digest(key, data)))
 
 
-def _locked(path: Path) -> WriterLock:
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Hold the writer's lock; a SessionError where somebody else does, or where it cannot be made."""
     lock = WriterLock(path)
     try:
         taken = lock.take()
@@ -258,7 +251,10 @@ def _locked(path: Path) -> WriterLock:
         raise SessionError(f"{path}: cannot be written ({error.strerror})") from error
     if not taken:
         raise SessionError(f"{path}: another process is writing it")
-    return lock
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def _roll_back(path: Path) -> None:
@@ -266,18 +262,9 @@ def _roll_back(path: Path) -> None:
 
     Where that cannot be done, on a read-only disk or beside a writer, SQLite says what it needs.
     """
-    if not path.with_name(f"{path.name}-journal").exists():
-        return
-    try:
-        lock = _locked(path)
-    except SessionError:
-        return
-    try:
-        connect(path, read_only=False).close()
-    except (SessionError, OSError):
-        return
-    finally:
-        lock.release()
+    if path.with_name(f"{path.name}-journal").exists():
+        with suppress(SessionError, OSError), writing(path):
+            connect(path, read_only=False).close()
 
 
 def _check_journal(path: Path, *, writer_may_live: bool) -> None:

@@ -51,8 +51,7 @@ class SessionRecords:
     """The records of an open session; all methods raise `SessionError`."""
 
     def __init__(self, path: Path, found: OpenFile, *, damaged: bool = False) -> None:
-        self.path, self._file = path, found
-        self._db, self._version = found.connection, found.version
+        self.path, self._file, self._db = path, found, found.connection
         with translated(path):
             self._db.execute("BEGIN")  # one state of the file, whatever its writer does meanwhile
         try:
@@ -88,7 +87,7 @@ class SessionRecords:
     @property
     def read_only(self) -> bool:
         """Whether it was opened to be read."""
-        return self._file.lock is None
+        return self._file.read_only
 
     @property
     def is_finished(self) -> bool:
@@ -146,8 +145,6 @@ class SessionRecords:
 
     def scans(self, index: int) -> list[RawScan]:
         """The raw scans behind a keyframe: what they are, where they lie in the log, and they themselves if kept."""
-        if self._version < 2:
-            return []
         with translated(self.path):
             rows = self._db.execute(
                 "SELECT number, sensor, stamp_ns, position, data, digest FROM scans WHERE keyframe = ? ORDER BY number",
@@ -164,7 +161,7 @@ class SessionRecords:
 
     def result(self, key: str) -> bytes | None:
         """Something that `finish` kept."""
-        return self._read("results", key) if self._version >= 2 else None
+        return self._read("results", key)
 
     @property
     def _state(self) -> dict[str, Any]:

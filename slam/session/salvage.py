@@ -8,9 +8,9 @@ from itertools import count
 from pathlib import Path
 
 from slam.session._codec import encode
-from slam.session._opening import WriterLock
+from slam.session._opening import writing
 from slam.session.state import check_session_given, session_path
-from slam.session.store import RawScan, Session, SessionDamaged, SessionError
+from slam.session.store import RawScan, Session, SessionDamaged
 
 _SUFFIXES = ("", "-wal", "-shm")
 
@@ -49,19 +49,16 @@ def salvage_session(path: Path | str) -> Salvage:
         with Session.open(path, read_only=True) as session:
             return Salvage(len(session), "", None)
     work, kept = path.with_name(path.name + ".salvaged"), path.with_name(path.name + ".damaged")
-    lock = WriterLock(path)
-    if not lock.take():
-        raise SessionError(f"{path}: another process is writing it")
-    try:
-        saved = _copy_beginning(path, work)
-        for suffix in _SUFFIXES:
-            if path.with_name(path.name + suffix).exists():
-                os.replace(path.with_name(path.name + suffix), kept.with_name(kept.name + suffix))
-        os.replace(work, path)
-    finally:
-        for suffix in (*_SUFFIXES, "-lock"):
-            work.with_name(work.name + suffix).unlink(missing_ok=True)
-        lock.release()
+    with writing(path):
+        try:
+            saved = _copy_beginning(path, work)
+            for suffix in _SUFFIXES:
+                if path.with_name(path.name + suffix).exists():
+                    os.replace(path.with_name(path.name + suffix), kept.with_name(kept.name + suffix))
+            os.replace(work, path)
+        finally:
+            for suffix in (*_SUFFIXES, "-lock"):
+                work.with_name(work.name + suffix).unlink(missing_ok=True)
     return Salvage(saved, damage, kept)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from contextlib import closing
 from pathlib import Path
 
 from slam.session._file import SessionDamaged, SessionError, digest, translated
@@ -46,10 +45,9 @@ def is_unfinished(folder: Path | str) -> bool:
     if not path.is_file():
         return False
     try:
-        with closing(open_file(path, read_only=True, damaged=False)) as opened, translated(path):
-            row = opened.connection.execute("SELECT data, digest FROM session WHERE key = 'state'").fetchone()
-        if row is None:  # a session of an early version
-            return True
+        file = open_file(path, read_only=True, damaged=False)
+        with file.opened, translated(path):
+            row = file.connection.execute("SELECT data, digest FROM session WHERE key = 'state'").fetchone()
         if digest("state", row[0]) != row[1]:
             raise SessionDamaged(f"{path}: damaged; the record of its state is not what was written")
         return json.loads(row[0])["state"] != "finished"

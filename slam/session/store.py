@@ -85,7 +85,7 @@ class Session(SessionRecords):
 
     @classmethod
     def open(cls, path: Path | str, *, read_only: bool = False, damaged: bool = False) -> Self:
-        """A session that exists; a writer brings an older version up to today's.
+        """A session that exists.
 
         Args:
             path: the file, or the folder of a run.
@@ -102,7 +102,7 @@ class Session(SessionRecords):
         try:
             return cls(path, found, damaged=damaged)
         except BaseException:
-            found.close()
+            found.opened.close()
             raise
 
     def add_keyframe(self, keyframe: Keyframe, scans: Sequence[tuple[int | None, bytes | None]] = ()) -> Keyframe:
@@ -183,8 +183,8 @@ class Session(SessionRecords):
 
     def close(self) -> None:
         """Let go of the file; what a writer leaves is one file without journal. Twice is once."""
-        if self._file.lock is None:
-            self._file.close()
+        if self.read_only:
+            self._file.opened.close()
             return
         try:
             if not self.is_finished:
@@ -195,7 +195,7 @@ class Session(SessionRecords):
         except (SessionError, StorageError):
             pass  # a reader holds it, the disk is full, or it is closed: the journal stays and is as good
         finally:
-            self._file.close()
+            self._file.opened.close()
 
     def __enter__(self) -> Self:
         return self
@@ -209,7 +209,7 @@ class Session(SessionRecords):
         put(self._db, "session", "state", json.dumps(seal).encode())
 
     def _check_writable(self) -> None:
-        if self._file.lock is None:
+        if self.read_only:
             raise SessionError(f"{self.path}: opened to be read only")
 
 
