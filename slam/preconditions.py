@@ -12,71 +12,43 @@ WORLDS = ("corridor", "office", "room", "hall")
 
 
 def check_world_given(world: str) -> None:
-    """Refuse a name that is none of `WORLDS`.
-
-    Raises:
-        ValueError: so it is.
-    """
+    """ValueError: a name that is none of `WORLDS`."""
     if world not in WORLDS:
         raise ValueError(f"world: expected one of {', '.join(WORLDS)}, got {world!r}")
 
 
 def check_log_given(path: Path) -> None:
-    """Refuse a log where nothing is.
-
-    Raises:
-        LogError: so it is.
-    """
+    """LogError: nothing is there."""
     if not path.exists():
         raise LogError(path, "expected a log file or a folder of scans, found nothing")
 
 
 def check_cloud_given(path: Path) -> None:
-    """Refuse a cloud where no file is.
-
-    Raises:
-        LogError: so it is.
-    """
+    """LogError: no file is there."""
     if not path.is_file():
         raise LogError(path, "expected a file with a cloud, found none")
 
 
 def check_run_given(folder: Path) -> None:
-    """Refuse a folder without the planes of a run.
-
-    Raises:
-        LogError: so it is.
-    """
+    """LogError: the folder has no planes of a run."""
     if not (folder / "planes.json").is_file():
         raise LogError(folder, "expected the folder of a run, found no planes.json in it")
 
 
 def check_folder_given(folder: Path) -> None:
-    """Refuse the folder of a run where no folder is.
-
-    Raises:
-        LogError: so it is.
-    """
+    """LogError: no folder is there."""
     if not folder.is_dir():
         raise LogError(folder, f"expected the folder of a run, found {'a file' if folder.exists() else 'nothing'}")
 
 
 def check_truth_given(path: Path) -> None:
-    """Refuse a truth where nothing is.
-
-    Raises:
-        LogError: so it is.
-    """
+    """LogError: nothing is there."""
     if not path.exists():
         raise LogError(path, "expected a mission's folder, a trajectory or a file of relations, got nothing")
 
 
 def check_file_given(path: Path) -> None:
-    """Refuse a file that cannot be opened to be read.
-
-    Raises:
-        LogError: so it is, and why.
-    """
+    """LogError: it cannot be opened to be read, and why."""
     try:
         os.close(os.open(path, os.O_RDONLY))
     except OSError as error:

@@ -133,11 +133,11 @@ def _resume(
     strict_verdict: bool,
 ) -> None:
     """Go on with a run; of one that is finished there is nothing to do, and that is no error."""
-    from slam.session.state import check_run_folder
+    from slam.preconditions import check_folder_given
     from slam.timing import StageClock
 
     clock = StageClock()  # before the imports below: whoever waits for the command waits for them too
-    check_run_folder(folder)
+    check_folder_given(folder)
     from slam.ahead import cores
     from slam.output.run_folder import FinishedAlready, resumed_run
     from slam.runs.slam_run import run_slam

@@ -19,13 +19,14 @@ from slam.frontend.keyframes import keyframes_of
 from slam.io.load import load
 from slam.output.new_folder import check_free, put_in_place
 from slam.planeslam import PlaneSlam
+from slam.preconditions import check_folder_given
 from slam.runs.slam_run import Run
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig
 from slam.session._file import fingerprint, sync_folder
 from slam.session.prior_map import PriorMap, finished_map
 from slam.session.replay import RawScans, SessionRecorder, is_measured_again, resumed
-from slam.session.state import SESSION_FILE, check_run_folder, session_path
+from slam.session.state import SESSION_FILE, session_path
 from slam.session.store import Session, SessionError
 
 _WORK = ".results-"
@@ -114,10 +115,11 @@ def resumed_run(folder: Path, log_path: Path | None = None) -> Iterator[tuple[Pl
 
     Raises:
         FinishedAlready: there is nothing to go on with.
+        LogError: no folder.
         SessionError: no session, a damaged one, or one in use; or another log.
     """
     folder = Path(folder)
-    check_run_folder(folder)
+    check_folder_given(folder)
     with Session.open(session_path(folder)) as session:
         if session.is_finished and not _is_open_to_repair(folder, session):
             raise FinishedAlready(f"{folder}: finished already; nothing is left to do")

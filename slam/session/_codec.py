@@ -54,9 +54,25 @@ _LENGTH = struct.Struct("<I")
 #: Written as they are.
 _PLAIN = {bool, int, float, str, type(None)}
 #: What is put together of others, and read as it was written.
-_READ_AS_THEY_ARE = {tuple, list, dict, shapely.Polygon, shapely.MultiPolygon, shapely.LineString, shapely.Point}
+_READ_AS_THEY_ARE = {
+    np.ndarray,
+    tuple,
+    list,
+    dict,
+    shapely.Polygon,
+    shapely.MultiPolygon,
+    shapely.LineString,
+    shapely.Point,
+}
 #: The fields of each class, in order.
 _FIELDS = {kind: tuple(one.name for one in fields(kind)) for kind in _CLASSES.values()}
+
+
+#: What bytes that are none of ours may raise on their way into values.
+_WRONG_BYTES = (
+    *(ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, struct.error),
+    *(RecursionError, MemoryError, NotImplementedError, shapely.errors.ShapelyError),
+)
 
 
 class CodecError(ValueError):
@@ -83,8 +99,12 @@ def encode_and_compare(value: Any) -> tuple[bytes, bool]:
     return b"".join((_LENGTH.pack(len(text)), text, *buffers)), writer.same
 
 
-def decode(data: bytes) -> Any:
+def decode(data: bytes, hint: Any = None) -> Any:
     """Inverse of `encode`; arrays are C-contiguous copies of their own.
+
+    Args:
+        data: the bytes.
+        hint: type of what they should be, as annotations state it; None: whatever `encode` takes.
 
     Raises:
         CodecError: the bytes are not of this form, name a class that is none of ours, or make no such object.
@@ -92,13 +112,15 @@ def decode(data: bytes) -> Any:
     try:
         (size,) = _LENGTH.unpack_from(data)
         text, buffers = data[_LENGTH.size : _LENGTH.size + size], memoryview(data)[_LENGTH.size + size :]
-        return _Reader(buffers).value(json.loads(text))
+        value = _Reader(buffers).value(json.loads(text))
     except CodecError:
         raise
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError) as error:
-        raise CodecError(f"expected a record of a session, got other bytes ({str(error)[:80]})") from error
-    except (struct.error, RecursionError, MemoryError, NotImplementedError, shapely.errors.ShapelyError) as error:
-        raise CodecError(f"expected a record of a session, got other bytes ({type(error).__name__})") from error
+    except _WRONG_BYTES as error:
+        why = " ".join(str(error).split())[:80] or type(error).__name__
+        raise CodecError(f"expected a record of a session, got other bytes ({why})") from error
+    if hint is not None and not holds(value, hint):
+        raise CodecError(f"expected a record of {hint}, got {type(value).__name__}")
+    return value
 
 
 def without_scans(keyframe: Keyframe) -> dict[str, Any]:
@@ -108,36 +130,14 @@ def without_scans(keyframe: Keyframe) -> dict[str, Any]:
 
 def keyframe_of(data: bytes) -> Keyframe:
     """A keyframe out of the bytes of `without_scans`."""
-    values = decode(data)
-    if not isinstance(values, dict):
-        raise CodecError(f"expected the fields of a keyframe, got {type(values).__name__}")
     try:
-        made = Keyframe(**values)
+        made = Keyframe(**decode(data))
         check_fields("keyframe", made)
+    except CodecError:
+        raise
     except (TypeError, ValueError) as error:
         raise CodecError(f"expected the fields of a keyframe, got others ({error})") from error
     return made
-
-
-def decisions_of(data: bytes) -> list[Decision]:
-    """The decisions about a keyframe."""
-    return _held(decode(data), list[Decision])
-
-
-def places_of(data: bytes) -> dict[int, tuple[PlaceMatch, ...]]:
-    """The places that keyframes stand near, by their indices."""
-    return dict(_held(decode(data), list[tuple[int, tuple[PlaceMatch, ...]]]))
-
-
-def scan_of(data: bytes) -> LaserScan | CloudScan:
-    """A raw scan."""
-    return _held(decode(data), LaserScan | CloudScan)
-
-
-def _held(value: Any, hint: Any) -> Any:
-    if not holds(value, hint):
-        raise CodecError(f"expected a record of {hint}, got {type(value).__name__}")
-    return value
 
 
 class _Writer:
@@ -151,8 +151,6 @@ class _Writer:
         kind = type(value)
         if kind in _PLAIN:
             return value
-        if kind is np.ndarray:
-            return {"array": self._array(value)}
         if kind in _FIELDS:
             check_fields(kind.__name__, value)  # as the reader will: what it would refuse must not be written
             self.same &= _stays(value)

@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from slam.frontend.pose_measurements import PlaceMatch
 from slam.map.data_association import Decision
 from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import Rig
-from slam.session._codec import CodecError, decisions_of, keyframe_of, places_of, scan_of
+from slam.session._codec import CodecError, decode, keyframe_of
 from slam.session._file import SessionDamaged, SessionError, digest, translated
 from slam.session._opening import OpenFile
 
@@ -128,7 +129,7 @@ class SessionRecords:
     def _read_places(self) -> dict[int, tuple[PlaceMatch, ...]]:
         data = self._read("session", "places")
         try:
-            return {} if data is None else places_of(data)
+            return {} if data is None else dict(decode(data, list[tuple[int, tuple[PlaceMatch, ...]]]))
         except CodecError as error:
             raise SessionError(f"{self.path}: expected places that were found, got something else ({error})") from error
 
@@ -141,7 +142,7 @@ class SessionRecords:
             return None
         if digest(chain or self._digest_of(index), row[0]) != row[1]:
             raise self._damaged(index)
-        return self._checked(decisions_of, row[0], index)
+        return self._checked(partial(decode, hint=list[Decision]), row[0], index)
 
     def scans(self, index: int) -> list[RawScan]:
         """The raw scans behind a keyframe: what they are, where they lie in the log, and they themselves if kept."""
@@ -155,7 +156,7 @@ class SessionRecords:
             if digest(self._digest_of(index), *row) != checksum:
                 raise self._damaged(index)
             _, sensor, stamp_ns, position, data = row
-            scan = None if data is None else self._checked(scan_of, data, index)
+            scan = None if data is None else self._checked(partial(decode, hint=LaserScan | CloudScan), data, index)
             found.append(RawScan(sensor, stamp_ns, position, scan))
         return found
 

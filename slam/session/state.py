@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from slam.session._file import SessionDamaged, SessionError, digest, translated
+from slam.session._file import SessionError, digest, translated
 from slam.session._opening import open_file
 
 #: Name of the session in the folder of a run.
@@ -19,24 +19,9 @@ def session_path(path: Path | str) -> Path:
 
 
 def check_session_given(path: Path) -> None:
-    """Refuse a session where no file is.
-
-    Raises:
-        SessionError: so it is.
-    """
+    """SessionError: no file is there."""
     if not path.is_file():
         raise SessionError(f"{path}: expected a session, found nothing")
-
-
-def check_run_folder(folder: Path) -> None:
-    """Refuse the folder of a run where no folder is.
-
-    Raises:
-        SessionError: so it is.
-    """
-    if not folder.is_dir():
-        found = "a file" if folder.exists() else "nothing"
-        raise SessionError(f"{folder}: expected the folder of a run, found {found}")
 
 
 def is_unfinished(folder: Path | str) -> bool:
@@ -48,18 +33,12 @@ def is_unfinished(folder: Path | str) -> bool:
         file = open_file(path, read_only=True, damaged=False)
         with file.opened, translated(path):
             row = file.connection.execute("SELECT data, digest FROM session WHERE key = 'state'").fetchone()
-        if digest("state", row[0]) != row[1]:
-            raise SessionDamaged(f"{path}: damaged; the record of its state is not what was written")
-        return json.loads(row[0])["state"] != "finished"
+        return digest("state", row[0]) == row[1] and json.loads(row[0])["state"] != "finished"
     except (ValueError, OSError, KeyError, TypeError):
         return False
 
 
 def check_finished(folder: Path | str) -> None:
-    """Raise where a folder holds a run that has no results yet.
-
-    Raises:
-        SessionError: one sentence that says how it gets them.
-    """
+    """SessionError: a folder holds a run that has no results yet; the sentence says how it gets them."""
     if not (Path(folder) / "planes.json").is_file() and is_unfinished(folder):
         raise SessionError(f"{folder}: the run is not finished; go on with: spplanes slam --resume {folder}")

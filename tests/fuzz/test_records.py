@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from slam.map.data_association import Candidate, Decision
-from slam.session._codec import decisions_of, decode, encode
+from slam.session._codec import decode, encode
 from slam.session.replay import _choice, _numbers
 from tests.fuzz.target import Target
 from tests.fuzz.targets import TARGETS
@@ -60,7 +60,7 @@ def _decisions() -> bytes:
 
 def _compare_decisions(path: Path) -> None:
     """What a replay does with them."""
-    found = decisions_of(path.read_bytes())
+    found = decode(path.read_bytes(), list[Decision])
     assert all(_choice(one) == _choice(one) for one in found)
     numbers = [number for one in found for number in _numbers(one)]
     np.allclose(numbers, numbers)
