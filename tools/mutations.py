@@ -281,7 +281,7 @@ MUTATIONS = (
     Mutation(
         "session: keyframes whose checksum is wrong are read",
         "slam/session/_records.py",
-        "if row is None or chain != row[2]:",
+        "if row is None or digest(self._digest_of(index - 1), index, row[0], row[1]) != row[2]:",
         "if row is None:",
         "tests/slam/session/test_store.py::test_nothing_changed_is_read_as_truth",
     ),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slam.config import SlamConfig
-from slam.fleet.tasks import Mapped, Order, compare_records, map_log, open_mapped
+from slam.fleet.tasks import Order, compare_records, map_log, open_mapped
 from slam.joining.join import SIGNIFICANCE, joined_by, names_of
 from slam.joining.joined_map import JoinedMap
 from slam.joining.records import comparison_from_bytes
@@ -168,19 +168,15 @@ def _on(
         )
         for a, b in pairs
     ]
-    results: list[Mapped] = _gathered(client, mapped, "missions", progress)
-    left_out = {order.name: one.reason for order, one in zip(orders, results, strict=True) if one.folder is None}
+    names, results = [order.name for order in orders], _gathered(client, mapped, "missions", progress)
+    left_out = {name: one.reason for name, one in zip(names, results, strict=True) if one.folder is None}
     if left_out and (strict or len(left_out) == len(orders)):
         name, reason = next(iter(left_out.items()))
         raise ValueError(f"logs: expected ones that can be mapped, got {len(left_out)} that cannot ({name}: {reason})")
     records = [one for one in _gathered(client, compared, "pairs", progress) if one is not None]
-    missions = {
-        order.name: open_mapped(one.folder, order.name)
-        for order, one in zip(orders, results, strict=True)
-        if one.folder is not None
-    }
+    folders = {name: one.folder for name, one in zip(names, results, strict=True) if one.folder is not None}
+    missions = {name: open_mapped(folder, name) for name, folder in folders.items()}
     joined = joined_by(missions, [comparison_from_bytes(one) for one in records], config, left_out)
-    folders = {order.name: one.folder for order, one in zip(orders, results, strict=True) if one.folder is not None}
     return replace(joined, folders=folders)
 
 

@@ -13,7 +13,7 @@ from factors.archive import ArchiveError
 from slam.config import SlamConfig
 from slam.frontend.range_noise import with_shown_errors
 from slam.io.load import load
-from slam.joining.mission import FinishedMission, Mission
+from slam.joining.mission import FinishedMission
 from slam.joining.overlap import compare_missions
 from slam.joining.records import (
     RecordError,
@@ -99,7 +99,8 @@ def map_log(order: Order) -> Mapped:
 
 def open_mapped(folder: str, name: str) -> FinishedMission:
     """A finished mission of the store, by the name it has in this fleet."""
-    return _named(finished_from_bytes((Path(folder) / RECORD_FILE).read_bytes()), name)
+    finished = finished_from_bytes((Path(folder) / RECORD_FILE).read_bytes())
+    return replace(finished, mission=replace(finished.mission, name=name))
 
 
 def compare_records(
@@ -108,8 +109,8 @@ def compare_records(
     """Two missions compared; None where one could not be used."""
     if first.record is None or second.record is None:
         return None
-    a, b = mission_from_bytes(first.record), mission_from_bytes(second.record)
-    a, b = _called(a, names[0]), _called(b, names[1])
+    a = replace(mission_from_bytes(first.record), name=names[0])
+    b = replace(mission_from_bytes(second.record), name=names[1])
     settings = SlamConfig.model_validate(json.loads(config))
     return comparison_to_bytes(compare_missions(a, b, settings, significance=significance))
 
@@ -145,11 +146,3 @@ def _record_in(folder: Path) -> FinishedMission | None:
         return finished_from_bytes((folder / RECORD_FILE).read_bytes())
     except (OSError, RecordError):
         return None
-
-
-def _named(finished: FinishedMission, name: str) -> FinishedMission:
-    return replace(finished, mission=_called(finished.mission, name))
-
-
-def _called(mission: Mission, name: str) -> Mission:
-    return replace(mission, name=name)

@@ -168,7 +168,9 @@ class _Writer:
         if isinstance(value, BaseGeometry):
             return {"shape": self._put(shapely.to_wkb(value, byte_order=1))}  # type: ignore[arg-type]
         if isinstance(value, dict):
-            return {"dict": {_name(key): self.plain(one) for key, one in value.items()}}
+            if not all(isinstance(key, str) for key in value):
+                raise CodecError(f"expected names as keys, got {list(value)!r:.60}")
+            return {"dict": {key: self.plain(one) for key, one in value.items()}}
         if isinstance(value, Stored):
             return self.plain(value.loaded())
         if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
@@ -243,9 +245,3 @@ class _Reader:
         if not 0 <= start <= start + size <= len(self._buffers):
             raise CodecError("expected a record of a session, got one that breaks off")
         return self._buffers[start : start + size]
-
-
-def _name(key: object) -> str:
-    if not isinstance(key, str):
-        raise CodecError(f"expected names as keys, got {key!r}")
-    return key

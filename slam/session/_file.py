@@ -6,7 +6,7 @@ import hashlib
 import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from urllib.parse import quote
 
@@ -139,16 +139,12 @@ def translated(path: Path) -> Iterator[None]:
 
 def sync_folder(path: Path) -> None:
     """Let the names in a folder outlive a power cut, where the file system can be told to."""
-    try:
+    with suppress(OSError):  # not every file system knows how
         handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError:
-        return
-    try:
-        os.fsync(handle)
-    except OSError:
-        pass  # not every file system knows how
-    finally:
-        os.close(handle)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 _SIZE = 16
@@ -179,9 +175,8 @@ def fingerprint(path: Path) -> dict[str, int | str]:
         total += size
         state.update(f"{file.name if path.is_dir() else ''}:{size};".encode())
         with file.open("rb") as stream:
-            for start in (0,) if size <= 2 * _WHOLE else (0, size - _WHOLE):
+            for start, left in ((0, size),) if size <= 2 * _WHOLE else ((0, _WHOLE), (size - _WHOLE, _WHOLE)):
                 stream.seek(start)
-                left = min(size, 2 * _WHOLE) if size <= 2 * _WHOLE else _WHOLE
                 while left > 0 and (block := stream.read(min(left, 1 << 20))):
                     state.update(block)
                     left -= len(block)

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from weakref import WeakSet
 
 from slam.session._file import (
     SessionDamaged,
@@ -39,19 +38,16 @@ def preallocate_journal(path: Path) -> None:
     zeros behind its last frame for the end of the journal, which they are.
     """
     journal = path.with_name(path.name + "-wal")
-    try:
-        with journal.open("r+b", buffering=0) as file:
-            size = file.seek(0, os.SEEK_END)
-            room = max(_ROOM - size, 0)
-            try:
-                enough = file.write(bytes(room)) == room
-            except OSError:
-                enough = False
-            if not enough:
-                file.truncate(size)
-            os.fsync(file.fileno())
-    except OSError:
-        return  # there is no journal to be made larger
+    with suppress(OSError), journal.open("r+b", buffering=0) as file:  # else there is none to be made larger
+        size = file.seek(0, os.SEEK_END)
+        room = max(_ROOM - size, 0)
+        try:
+            enough = file.write(bytes(room)) == room
+        except OSError:
+            enough = False
+        if not enough:
+            file.truncate(size)
+        os.fsync(file.fileno())
 
 
 def lost_frames(path: Path) -> int:
@@ -61,28 +57,25 @@ def lost_frames(path: Path) -> int:
     """
     journal = path.with_name(path.name + "-wal")
     data = journal.read_bytes() if journal.is_file() else b""
-    if len(data) < _HEADER:
+    if not any(data[:_HEADER]) or len(data) < _HEADER:  # nothing but room, as before the first commit
         return _promised(path, None) or 0
     magic, _, page = struct.unpack_from(">III", data)
     order, salts = (">" if magic & 1 else "<"), data[16:24]
     page = 65536 if page == 1 else page
-    sums = (0, 0)
-    if magic in _MAGIC and 512 <= page <= 65536:
-        sums = _checksum(data[:24], order, 0, 0)
-    if sums != struct.unpack_from(">II", data, 24):
+    sums = _checksum(data[:24], order, 0, 0)
+    if magic not in _MAGIC or not 512 <= page <= 65536 or sums != struct.unpack_from(">II", data, 24):
         return max((len(data) - _HEADER) // (_FRAME + 4096), 1)
     valid = committed = last = 0
-    for number in range(1, (len(data) - _HEADER) // (_FRAME + page) + 1):
-        start = _HEADER + (number - 1) * (_FRAME + page)
-        same = data[start + 8 : start + 16] == salts
-        if valid == number - 1 and same:
-            words = data[start : start + 8] + data[start + _FRAME : start + _FRAME + page]
-            sums = _checksum(words, order, *sums)
-            if sums == struct.unpack_from(">II", data, start + 16):
+    for number, start in enumerate(range(_HEADER, len(data) - _FRAME - page + 1, _FRAME + page), 1):
+        head, content = data[start : start + _FRAME], data[start + _FRAME : start + _FRAME + page]
+        if head[8:16] != salts:
+            continue  # of a journal before this one, or room that was made beforehand
+        last = number
+        if valid == number - 1:
+            sums = _checksum(head[:8] + content, order, *sums)
+            if sums == struct.unpack_from(">II", head, 16):
                 valid = number
-                committed = number if struct.unpack_from(">I", data, start + 4)[0] else committed
-        if same:
-            last = number
+                committed = number if any(head[4:8]) else committed
     promised = _promised(path, salts)
     if promised is not None:  # what is behind it was begun and never committed: a kill, or a disk that was full
         return max(promised - committed, 0)
@@ -107,73 +100,74 @@ def _checksum(data: bytes, order: str, first: int, second: int) -> tuple[int, in
     return first, second
 
 
-#: Locks that this process holds.
-_held: WeakSet[WriterLock] = WeakSet()
+#: Handles of the locks that this process holds.
+_held: set[int] = set()
 
 
-class WriterLock:
-    """An exclusive `flock` on a file beside the session; it goes away with the lock, and after a kill with the next.
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Be the writer: an exclusive `flock` on a file beside the session, which goes away at the end.
 
-    Not on the database itself: closing any handle of that would drop SQLite's own locks in this process.
+    After a kill the next writer finds it free. Not on the database itself: closing any handle of that would drop
+    SQLite's own locks in this process.
+
+    Raises:
+        SessionError: somebody else is, or the lock's file cannot be made.
     """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path.with_name(path.name + "-lock")
-        self._handle: int | None = None
-
-    def take(self) -> bool:
-        """Whether it is ours now.
-
-        Raises:
-            OSError: the lock's file cannot be made.
-        """
-        while True:
-            handle = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                here = os.stat(self._path) if self._path.exists() else None
-            except BlockingIOError:
-                os.close(handle)
-                return False
-            if here is not None and here.st_ino == os.fstat(handle).st_ino:
-                self._handle = handle
-                _held.add(self)
-                return True
-            os.close(handle)  # its last owner removed the file between our open and our lock
-
-    def is_taken(self) -> bool:
-        """Whether somebody holds it."""
-        try:
-            handle = os.open(self._path, os.O_RDONLY | os.O_CLOEXEC)
-        except FileNotFoundError:
-            return False
-        try:
-            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            return False
-        except BlockingIOError:
-            return True
-        finally:
+    lock, process = _lock_of(path), os.getpid()
+    try:
+        handle = _locked(lock)
+    except BlockingIOError as error:
+        raise SessionError(f"{path}: another process is writing it") from error
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be written ({error.strerror})") from error
+    _held.add(handle)
+    try:
+        yield
+    finally:
+        if os.getpid() == process:  # one that was forked off holds nothing
+            lock.unlink(missing_ok=True)
+            _held.discard(handle)
             os.close(handle)
 
-    def release(self) -> None:
-        """Give it back; without it nothing happens."""
-        if self._handle is None:
-            return
-        self._path.unlink(missing_ok=True)
-        self._let_go()
 
-    def _let_go(self) -> None:
-        """Close the handle; the lock goes with the last one there is."""
-        if self._handle is not None:
-            os.close(self._handle)
-            self._handle = None
-        _held.discard(self)
+def _lock_of(path: Path) -> Path:
+    return path.with_name(path.name + "-lock")
+
+
+def _locked(lock: Path) -> int:
+    """Handle of a lock that is ours now; a BlockingIOError where somebody holds it."""
+    while True:
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if lock.exists() and os.path.samestat(os.stat(lock), os.fstat(handle)):
+                return handle
+        except BaseException:
+            os.close(handle)
+            raise
+        os.close(handle)  # its last owner removed the file between our open and our lock
+
+
+def _is_written(path: Path) -> bool:
+    """Whether somebody holds the writer's lock."""
+    try:
+        handle = os.open(_lock_of(path), os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        return False
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(handle)
 
 
 def _leave_to_parent() -> None:
     """A process that forks off holds nothing: the lock must end with the one that took it."""
-    for lock in list(_held):
-        lock._let_go()
+    while _held:
+        os.close(_held.pop())
 
 
 os.register_at_fork(after_in_child=_leave_to_parent)
@@ -241,22 +235,6 @@ def put(connection: sqlite3.Connection, table: str, key: str, data: bytes) -> No
     connection.execute(f"INSERT OR REPLACE INTO {table} VALUES (?, ?, ?)", (key, data, digest(key, data)))
 
 
-@contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Hold the writer's lock; a SessionError where somebody else does, or where it cannot be made."""
-    lock = WriterLock(path)
-    try:
-        taken = lock.take()
-    except OSError as error:
-        raise SessionError(f"{path}: cannot be written ({error.strerror})") from error
-    if not taken:
-        raise SessionError(f"{path}: another process is writing it")
-    try:
-        yield
-    finally:
-        lock.release()
-
-
 def _roll_back(path: Path) -> None:
     """Undo the last write of a writer that was killed while it closed the session: no reader may, nor can it read.
 
@@ -270,7 +248,7 @@ def _roll_back(path: Path) -> None:
 def _check_journal(path: Path, *, writer_may_live: bool) -> None:
     """Refuse a journal that lost what was acknowledged; one that is just being written is its writer's affair."""
     try:
-        if writer_may_live and WriterLock(path).is_taken():
+        if writer_may_live and _is_written(path):
             return
         lost = lost_frames(path)
     except OSError as error:

@@ -106,24 +106,15 @@ class SessionRecords:
         Raises:
             SessionDamaged: at the first record that is not what was written; those before it have been given.
         """
-        chain = self._root
         for index in range(self._size):
-            row = self._one("SELECT stamp_ns, data, digest FROM keyframes WHERE id = ?", index)
-            chain = digest(chain, index, row[0], row[1]) if row is not None else b""
-            if row is None or chain != row[2]:
-                raise self._damaged(index)
-            yield Entry(self._keyframe(row[1], index), self.decisions(index, chain))
+            yield Entry(self.keyframe(index), self.decisions(index))
 
     def keyframe(self, index: int) -> Keyframe:
-        """The measurements of one keyframe."""
+        """The measurements of one keyframe, with the places that were found for it since."""
         row = self._one("SELECT stamp_ns, data, digest FROM keyframes WHERE id = ?", index)
         if row is None or digest(self._digest_of(index - 1), index, row[0], row[1]) != row[2]:
             raise self._damaged(index)
-        return self._keyframe(row[1], index)
-
-    def _keyframe(self, data: bytes, index: int) -> Keyframe:
-        """A keyframe out of its record, with the places that were found for it since."""
-        measured = self._checked(keyframe_of, data, index)
+        measured = self._checked(keyframe_of, row[1], index)
         return replace(measured, places=self.places[index]) if index in self.places else measured
 
     def _read_places(self) -> dict[int, tuple[PlaceMatch, ...]]:
@@ -133,14 +124,14 @@ class SessionRecords:
         except CodecError as error:
             raise SessionError(f"{self.path}: expected places that were found, got something else ({error})") from error
 
-    def decisions(self, index: int, chain: bytes | None = None) -> list[Decision] | None:
+    def decisions(self, index: int) -> list[Decision] | None:
         """What the measurements of a keyframe were taken for; None: not recorded."""
         row = self._one("SELECT data, digest FROM decisions WHERE keyframe = ?", index)
         if row is None:
             if index < self._size - 1 < sys.maxsize - 1:
                 raise self._damaged(index)
             return None
-        if digest(chain or self._digest_of(index), row[0]) != row[1]:
+        if digest(self._digest_of(index), row[0]) != row[1]:
             raise self._damaged(index)
         return self._checked(partial(decode, hint=list[Decision]), row[0], index)
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import MutableSequence, Sequence
+from collections.abc import Callable, MutableSequence, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -20,20 +20,8 @@ from slam.session.recorder import Places, Recorder
 from slam.session.state import session_path
 from slam.session.store import Session, SessionError
 
-
-class Estimator(Protocol):
-    """What a session can be replayed into: made of a configuration, a prior map and a recorder, and fed keyframes."""
-
-    def __init__(
-        self, config: SlamConfig | None = None, *, prior: PriorMap | None = None, recorder: Recorder | None = None
-    ) -> None: ...
-
-    def add_keyframe(self, keyframe: Keyframe) -> Any:
-        """Take in what a keyframe saw."""
-        ...
-
-
-Slam = TypeVar("Slam", bound=Estimator)
+#: What a session is replayed into: made of a configuration, a prior map and a recorder, and fed keyframes.
+Slam = TypeVar("Slam")
 RawScans = Literal["reference", "value"]
 #: Numbers of a decision made again may differ by this share from those recorded; choices may not differ at all.
 _SAME = 1e-9
@@ -92,7 +80,7 @@ class SessionRecorder(Recorder):
 
 
 def open_slam(
-    kind: type[Slam], path: Path | str, config: SlamConfig | None, *, read_only: bool, forget_raw: bool
+    kind: Callable[..., Slam], path: Path | str, config: SlamConfig | None, *, read_only: bool, forget_raw: bool
 ) -> Slam:
     """What `PlaneSlam.open` does."""
     path = session_path(path)
@@ -109,18 +97,13 @@ def open_slam(
         raise
 
 
-def resumed(kind: type[Slam], session: Session, recorder: SessionRecorder) -> Slam:
-    """An estimator in the state that a session ended in."""
+def resumed(kind: Callable[..., Slam], session: Session, recorder: SessionRecorder) -> Slam:
+    """An estimator in the state that a session ended in; decisions that come out otherwise are a SessionError."""
     prior = None if session.prior is None else PriorMap.from_bytes(session.prior)
-    slam = kind(session.config, prior=prior, recorder=recorder)
-    replay(session, slam)
-    return slam
-
-
-def replay(session: Session, slam: Estimator) -> None:
-    """Feed an estimator everything a session knows; decisions that come out otherwise are a SessionError."""
+    slam: Any = kind(session.config, prior=prior, recorder=recorder)
     for entry in session.entries():
         slam.add_keyframe(entry.keyframe)
+    return slam
 
 
 def is_measured_again(session: Session, index: int, keyframe: Keyframe) -> bool:

@@ -78,6 +78,18 @@ def test_a_writer_that_never_closed_has_lost_nothing(tmp_path: Path, uninterrupt
         assert_same_estimate(slam, uninterrupted)
 
 
+def test_a_writer_that_ended_before_its_first_commit_left_a_session(tmp_path: Path):
+    """Its journal is room for pages and nothing else."""
+    path, copy = tmp_path / "session.db", tmp_path / "copy.db"
+    with Session.create(path, SlamConfig()):
+        for suffix in ("", "-wal", "-shm"):
+            copy.with_name(copy.name + suffix).write_bytes(path.with_name(path.name + suffix).read_bytes())
+    assert not any(copy.with_name(copy.name + "-wal").read_bytes())
+    for read_only in (True, False):
+        with Session.open(copy, read_only=read_only) as session:
+            assert len(session) == 0
+
+
 def test_measurements_on_disk_alone_make_the_same_map(tmp_path: Path, uninterrupted: PlaneSlam):
     with PlaneSlam.open(tmp_path / "session.db", forget_raw=True) as slam:
         for keyframe in drive(0).keyframes:
