@@ -130,11 +130,10 @@ def without_scans(keyframe: Keyframe) -> dict[str, Any]:
 
 def keyframe_of(data: bytes) -> Keyframe:
     """A keyframe out of the bytes of `without_scans`."""
+    values = decode(data)
     try:
-        made = Keyframe(**decode(data))
+        made = Keyframe(**values)
         check_fields("keyframe", made)
-    except CodecError:
-        raise
     except (TypeError, ValueError) as error:
         raise CodecError(f"expected the fields of a keyframe, got others ({error})") from error
     return made

@@ -91,15 +91,9 @@ def check_structure(path: Path, connection: sqlite3.Connection) -> None:
 @contextmanager
 def transaction(path: Path, connection: sqlite3.Connection) -> Iterator[None]:
     """All or nothing, and on the disk when the block has ended."""
-    with translated(path):
+    with translated(path), connection:
         connection.execute("BEGIN IMMEDIATE")
-        try:
-            yield
-            connection.execute("COMMIT")
-        except BaseException:
-            if connection.in_transaction:
-                connection.execute("ROLLBACK")
-            raise
+        yield
 
 
 def fold_journal(connection: sqlite3.Connection) -> None:

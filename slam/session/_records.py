@@ -53,14 +53,9 @@ class SessionRecords:
 
     def __init__(self, path: Path, found: OpenFile, *, damaged: bool = False) -> None:
         self.path, self._file, self._db = path, found, found.connection
-        with translated(path):
+        with translated(path), self._db:
             self._db.execute("BEGIN")  # one state of the file, whatever its writer does meanwhile
-        try:
             self._load(damaged)
-        finally:
-            with translated(path):
-                if self._db.in_transaction:
-                    self._db.execute("COMMIT")
 
     def _load(self, damaged: bool) -> None:
         parameters = {key: self._read("session", key) for key in _PARAMETERS}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
@@ -112,11 +112,10 @@ class Session(SessionRecords):
             keyframe: with its raw scans.
             scans: place in the log and content of each of them, as far as they are to be kept.
         """
-        self._check_writable()
         index, (data, same) = self._size, encode_and_compare(without_scans(keyframe))
         read = replace(keyframe, scans=()) if same else keyframe_of(data)  # before it is written: it can be read
         checksum = digest(self._last, index, keyframe.stamp_ns, data)
-        with transaction(self.path, self._db):
+        with self._writing():
             self._db.execute(
                 "INSERT INTO keyframes VALUES (?, ?, ?, ?)", (index, int(keyframe.stamp_ns), data, checksum)
             )
@@ -130,7 +129,6 @@ class Session(SessionRecords):
 
     def add_decisions(self, index: int, decisions: Sequence[Decision]) -> None:
         """Record what the measurements of a keyframe were taken for."""
-        self._check_writable()
         with self._on_the_way():
             self._put_decisions(index, decisions)
 
@@ -140,10 +138,9 @@ class Session(SessionRecords):
         One transaction: a session is the one that it was, or the one that is replayed to the mended map; until `finish`
         it has no results.
         """
-        self._check_writable()
         known = {**self.places, **{index: tuple(found) for index, found in places.items()}}
         data = encode([(index, found) for index, found in sorted(known.items())])
-        with transaction(self.path, self._db):
+        with self._writing():
             put(self._db, "session", "places", data)
             self._db.execute("DELETE FROM decisions")
             for index, one in enumerate(decisions):
@@ -162,40 +159,34 @@ class Session(SessionRecords):
         with translated(self.path):
             self._db.execute("PRAGMA synchronous = NORMAL")
             try:
-                with transaction(self.path, self._db):
+                with self._writing():
                     yield
             finally:
                 self._db.execute("PRAGMA synchronous = FULL")
 
     def finish(self, **results: bytes) -> None:
         """The run came to its end; `results` are kept with it."""
-        self._check_writable()
-        with transaction(self.path, self._db):
+        with self._writing():
             for key, data in results.items():
                 put(self._db, "results", key, data)
             self._seal("finished")
 
     def set_log(self, log: dict[str, Any]) -> None:
         """Say anew where the data come from."""
-        self._check_writable()
-        with transaction(self.path, self._db):
+        with self._writing():
             put(self._db, "session", "log", json.dumps(log).encode())
 
     def close(self) -> None:
         """Let go of the file; what a writer leaves is one file without journal. Twice is once."""
-        if self.read_only:
-            self._file.opened.close()
-            return
-        try:
+        with self._file.opened, suppress(SessionError, StorageError):
+            # a reader holds it, the disk is full, or it is closed: the journal stays and is as good
+            if self.read_only:
+                return
             if not self.is_finished:
                 with self._on_the_way():  # to fold the journal back begins with a sync of it
                     self._seal("running")
             with translated(self.path):
                 fold_journal(self._db)
-        except (SessionError, StorageError):
-            pass  # a reader holds it, the disk is full, or it is closed: the journal stays and is as good
-        finally:
-            self._file.opened.close()
 
     def __enter__(self) -> Self:
         return self
@@ -208,9 +199,12 @@ class Session(SessionRecords):
         seal = {"state": state, "keyframes": self._size, "chain": self._last.hex()}
         put(self._db, "session", "state", json.dumps(seal).encode())
 
-    def _check_writable(self) -> None:
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
         if self.read_only:
             raise SessionError(f"{self.path}: opened to be read only")
+        with transaction(self.path, self._db):
+            yield
 
 
 def rig_json(rig: Rig) -> bytes:
