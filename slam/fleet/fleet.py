@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from importlib.util import find_spec
 from itertools import combinations
@@ -80,10 +81,8 @@ def run(
         Order(name, str(Path(log).resolve()), sensors, settings, where, keep_partial)
         for name, log in zip(names_of(logs), logs, strict=True)
     ]
-    if client is not None:
-        return _on(client, orders, config, settings, significance, strict, progress)
-    with local_client() as own:
-        return _on(own, orders, config, settings, significance, strict, progress)
+    with local_client() if client is None else nullcontext(client) as used:
+        return _on(used, orders, config, settings, significance, strict, progress)
 
 
 def local_client(workers: int | None = None, memory: str = "auto") -> Client:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from functools import lru_cache, partial
-from typing import Any
 
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import Observation
@@ -24,7 +23,7 @@ class ForgottenKeyframes(Growing[Keyframe]):
 
     def __init__(self, session: Session) -> None:
         read = lru_cache(maxsize=_KEPT)(session.keyframe)
-        self._readers = {field.name: partial(_part, read, field.name) for field in fields(Keyframe)}
+        self._readers = {one.name: lambda index, name=one.name: getattr(read(index), name) for one in fields(Keyframe)}
         #: Time, number of observations, and whether there is each of `_PARTS`.
         self._known = Rows("qi" + "b" * len(_PARTS))
         #: Of keyframes with any: their notes, and those on their motion.
@@ -52,10 +51,6 @@ class ForgottenKeyframes(Growing[Keyframe]):
 
 class StoredKeyframe(Stored, Keyframe):
     """A keyframe that was recorded: what it measured is read from the session when it is asked for."""
-
-
-def _part(read: Callable[[int], Keyframe], name: str, index: int) -> Any:
-    return getattr(read(index), name)
 
 
 class ForgottenDecisions(Growing[list[Decision]]):

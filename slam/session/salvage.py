@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -80,21 +81,15 @@ def _copy_beginning(path: Path, target: Path) -> int:
         Session.open(path, read_only=True, damaged=True) as old,
         Session.create(target, old.config, rig=old.rig, prior=old.prior, log=old.log) as new,
     ):
-        for index in count():
-            try:
-                keyframe = old.keyframe(index)
-            except SessionDamaged:
-                break
-            scans = _scans_of(old, index)
-            contents = [(one.position, None if one.scan is None else encode(one.scan)) for one in scans]
-            new.add_keyframe(replace(keyframe, scans=scans), contents)  # type: ignore[arg-type]  # they know as much
-            try:
+        with suppress(SessionDamaged):  # of a keyframe, or of its decisions, which will be made again
+            for index in count():
+                keyframe, scans = old.keyframe(index), _scans_of(old, index)
+                contents = [(one.position, None if one.scan is None else encode(one.scan)) for one in scans]
+                new.add_keyframe(replace(keyframe, scans=scans), contents)  # type: ignore[arg-type]  # they know as much
                 decisions = old.decisions(index)
-            except SessionDamaged:
-                break  # they will be made again
-            if decisions is None:
-                break
-            new.add_decisions(index, decisions)
+                if decisions is None:
+                    break
+                new.add_decisions(index, decisions)
         return len(new)
 
 
