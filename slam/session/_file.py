@@ -96,22 +96,22 @@ def transaction(path: Path, connection: sqlite3.Connection) -> Iterator[None]:
         yield
 
 
-def fold_journal(connection: sqlite3.Connection) -> None:
+def fold_journal(connection: sqlite3.Connection) -> bool:
     """Bring all that is in the journal into the file, synced, and make of it a file that needs none.
 
     The second changes two bytes of the first page and nothing else: no kill parts it, and which of the two a power cut
     leaves is all the same. It neither needs a sync nor a rollback journal, which a kill would leave to the next reader.
-    Without a word the journal stays where a reader still holds it.
+    Without a word the journal stays where a reader still holds it; returns whether it is gone.
     """
     connection.execute("PRAGMA busy_timeout = 500")  # the last thing asked of it: not worth a longer wait
     busy, _, _ = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
-    if busy:
-        return
-    connection.execute("PRAGMA synchronous = OFF")
-    try:
-        connection.execute("PRAGMA journal_mode = MEMORY")
-    finally:
-        connection.execute("PRAGMA synchronous = FULL")
+    if not busy:
+        connection.execute("PRAGMA synchronous = OFF")
+        try:
+            connection.execute("PRAGMA journal_mode = MEMORY")
+        finally:
+            connection.execute("PRAGMA synchronous = FULL")
+    return not busy
 
 
 @contextmanager

@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import sqlite3
-import struct
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
@@ -25,10 +24,8 @@ from slam.session._file import (
     translated,
 )
 
-_HEADER, _FRAME = 32, 24
-#: Room for the pages after which SQLite folds the journal back into the file, bytes.
-_ROOM = _HEADER + 1100 * (_FRAME + 4096)
-_MAGIC = (0x377F0682, 0x377F0683)
+#: Room for the pages after which SQLite folds the journal back into the file, bytes, with their heads.
+_ROOM = 32 + 1100 * (24 + 4096)
 
 
 def preallocate_journal(path: Path) -> None:
@@ -50,66 +47,16 @@ def preallocate_journal(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def lost_frames(path: Path) -> int:
-    """How many journal frames of a session that nobody has open were acknowledged and cannot be read; 0: all is well.
-
-    An OSError where the files cannot be read.
-    """
-    journal = path.with_name(path.name + "-wal")
-    data = journal.read_bytes() if journal.is_file() else b""
-    if not any(data[:_HEADER]) or len(data) < _HEADER:  # nothing but room, as before the first commit
-        return _promised(path, None) or 0
-    magic, _, page = struct.unpack_from(">III", data)
-    order, salts = (">" if magic & 1 else "<"), data[16:24]
-    page = 65536 if page == 1 else page
-    sums = _checksum(data[:24], order, 0, 0)
-    if magic not in _MAGIC or not 512 <= page <= 65536 or sums != struct.unpack_from(">II", data, 24):
-        return max((len(data) - _HEADER) // (_FRAME + 4096), 1)
-    valid = committed = last = 0
-    for number, start in enumerate(range(_HEADER, len(data) - _FRAME - page + 1, _FRAME + page), 1):
-        head, content = data[start : start + _FRAME], data[start + _FRAME : start + _FRAME + page]
-        if head[8:16] != salts:
-            continue  # of a journal before this one, or room that was made beforehand
-        last = number
-        if valid == number - 1:
-            sums = _checksum(head[:8] + content, order, *sums)
-            if sums == struct.unpack_from(">II", head, 16):
-                valid = number
-                committed = number if any(head[4:8]) else committed
-    promised = _promised(path, salts)
-    if promised is not None:  # what is behind it was begun and never committed: a kill, or a disk that was full
-        return max(promised - committed, 0)
-    return max(last - valid, 0)
-
-
-def _promised(path: Path, salts: bytes | None) -> int | None:
-    """Frames that the index beside the journal says were committed; None: there is none of the same generation."""
-    index = path.with_name(path.name + "-shm")
-    data = index.read_bytes()[:96] if index.is_file() else b""
-    if len(data) < 96 or data[:48] != data[48:] or not data[12] or (salts is not None and data[32:40] != salts):
-        return None
-    return struct.unpack_from("=I", data, 16)[0]
-
-
-def _checksum(data: bytes, order: str, first: int, second: int) -> tuple[int, int]:
-    """SQLite's checksum of words of 32 bits in an order ("<" or ">"), going on from that of what is before them."""
-    words = struct.unpack(f"{order}{len(data) // 4}I", data)
-    for even, odd in zip(words[::2], words[1::2], strict=True):
-        first = (first + even + second) & 0xFFFFFFFF
-        second = (second + odd + first) & 0xFFFFFFFF
-    return first, second
-
-
 #: Handles of the locks that this process holds.
 _held: set[int] = set()
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Be the writer: an exclusive `flock` on a file beside the session, which goes away at the end.
+def writing(path: Path) -> Iterator[int]:
+    """Be the writer: an exclusive `flock` on a file beside the session, which goes away at the end; gives its handle.
 
     After a kill the next writer finds it free. Not on the database itself: closing any handle of that would drop
-    SQLite's own locks in this process.
+    SQLite's own locks in this process. The file holds what was promised (`promise`), and stays while it does.
 
     Raises:
         SessionError: somebody else is, or the lock's file cannot be made.
@@ -123,12 +70,27 @@ def writing(path: Path) -> Iterator[None]:
         raise SessionError(f"{path}: cannot be written ({error.strerror})") from error
     _held.add(handle)
     try:
-        yield
+        yield handle
     finally:
         if os.getpid() == process:  # one that was forked off holds nothing
-            lock.unlink(missing_ok=True)
+            if not os.fstat(handle).st_size:
+                lock.unlink(missing_ok=True)
             _held.discard(handle)
             os.close(handle)
+
+
+def promise(lock: int, keyframes: int) -> None:
+    """Remember beside the session how many keyframes were committed; 0: what it says itself is all there is to know.
+
+    SQLite reads a journal that was cut off or damaged as far as it can, without a word.
+    """
+    if lock not in _held:
+        return  # this process was forked off: by now the handle may be of any file
+    with suppress(OSError):  # the disk is full: committed they are
+        if keyframes:
+            os.pwrite(lock, keyframes.to_bytes(8, "little"), 0)
+        else:
+            os.ftruncate(lock, 0)
 
 
 def _lock_of(path: Path) -> Path:
@@ -149,21 +111,6 @@ def _locked(lock: Path) -> int:
         os.close(handle)  # its last owner removed the file between our open and our lock
 
 
-def _is_written(path: Path) -> bool:
-    """Whether somebody holds the writer's lock."""
-    try:
-        handle = os.open(_lock_of(path), os.O_RDONLY | os.O_CLOEXEC)
-    except FileNotFoundError:
-        return False
-    try:
-        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        return False
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(handle)
-
-
 def _leave_to_parent() -> None:
     """A process that forks off holds nothing: the lock must end with the one that took it."""
     while _held:
@@ -179,8 +126,8 @@ class OpenFile:
 
     connection: sqlite3.Connection
     """To the database."""
-    read_only: bool
-    """Whether it is only read; else the writer's lock is held."""
+    lock: int | None
+    """Handle of the writer's; None: it is only read."""
     opened: ExitStack
     """What lets go of both; twice is once."""
 
@@ -188,7 +135,8 @@ class OpenFile:
 def make_file(path: Path, values: Mapping[str, bytes]) -> None:
     """A new session with these parameters: there with all of them, or not there."""
     work = path.with_name(path.name + ".new")
-    with writing(path):
+    with writing(path) as lock:
+        promise(lock, 0)
         try:
             work.unlink(missing_ok=True)
             with closing(create(work)) as made:
@@ -213,12 +161,11 @@ def make_file(path: Path, values: Mapping[str, bytes]) -> None:
 def open_file(path: Path, *, read_only: bool, damaged: bool) -> OpenFile:
     """Open a session. `damaged`: what is broken is known to be."""
     with ExitStack() as opened:
-        if not read_only:
-            opened.enter_context(writing(path))
-        if not damaged:
-            _check_journal(path, writer_may_live=read_only)
+        lock = None if read_only else opened.enter_context(writing(path))
         if read_only:
             _roll_back(path)
+        if not damaged:
+            _check_promise(path)
         connection = opened.enter_context(closing(connect(path, read_only=read_only)))
         check_version(path, connection)
         if not read_only:
@@ -227,7 +174,7 @@ def open_file(path: Path, *, read_only: bool, damaged: bool) -> OpenFile:
                 connection.execute("PRAGMA journal_mode = WAL")
                 connection.execute("SELECT count(*) FROM session").fetchone()  # from here on there is a journal
             preallocate_journal(path)
-        return OpenFile(connection, read_only, opened.pop_all())
+        return OpenFile(connection, lock, opened.pop_all())
 
 
 def put(connection: sqlite3.Connection, table: str, key: str, data: bytes) -> None:
@@ -245,13 +192,17 @@ def _roll_back(path: Path) -> None:
             connect(path, read_only=False).close()
 
 
-def _check_journal(path: Path, *, writer_may_live: bool) -> None:
-    """Refuse a journal that lost what was acknowledged; one that is just being written is its writer's affair."""
+def _check_promise(path: Path) -> None:
+    """Refuse a session without keyframes that were committed: a writer that comes to open it would forget them."""
     try:
-        if writer_may_live and _is_written(path):
-            return
-        lost = lost_frames(path)
+        promised = int.from_bytes(_lock_of(path).read_bytes()[:8], "little")
+    except FileNotFoundError:
+        return
     except OSError as error:
         raise SessionError(f"{path}: cannot be read ({error.strerror})") from error
-    if lost:
-        raise SessionDamaged(f"{path}: damaged; {lost} pages of its journal, the last keyframes, cannot be read")
+    if not promised:
+        return
+    with closing(connect(path, read_only=True)) as connection, translated(path):
+        lost = promised - connection.execute("SELECT count(*) FROM keyframes").fetchone()[0]
+    if lost > 0:
+        raise SessionDamaged(f"{path}: damaged; {lost} keyframes, the last of its journal, cannot be read")

@@ -83,7 +83,7 @@ class SessionRecords:
     @property
     def read_only(self) -> bool:
         """Whether it was opened to be read."""
-        return self._file.read_only
+        return self._file.lock is None
 
     @property
     def is_finished(self) -> bool:

@@ -9,7 +9,7 @@ from itertools import count
 from pathlib import Path
 
 from slam.session._codec import encode
-from slam.session._opening import writing
+from slam.session._opening import promise, writing
 from slam.session.state import check_session_given, session_path
 from slam.session.store import RawScan, Session, SessionDamaged
 
@@ -50,13 +50,14 @@ def salvage_session(path: Path | str) -> Salvage:
         with Session.open(path, read_only=True) as session:
             return Salvage(len(session), "", None)
     work, kept = path.with_name(path.name + ".salvaged"), path.with_name(path.name + ".damaged")
-    with writing(path):
+    with writing(path) as lock:
         try:
             saved = _copy_beginning(path, work)
             for suffix in _SUFFIXES:
                 if path.with_name(path.name + suffix).exists():
                     os.replace(path.with_name(path.name + suffix), kept.with_name(kept.name + suffix))
             os.replace(work, path)
+            promise(lock, 0)
         finally:
             for suffix in (*_SUFFIXES, "-lock"):
                 work.with_name(work.name + suffix).unlink(missing_ok=True)

@@ -23,7 +23,7 @@ from slam.session._file import (
     transaction,
     translated,
 )
-from slam.session._opening import make_file, open_file, put
+from slam.session._opening import make_file, open_file, promise, put
 from slam.session._records import Entry, RawScan, SessionRecords
 from slam.session.recorder import Places
 from slam.session.state import check_session_given, session_path
@@ -125,6 +125,8 @@ class Session(SessionRecords):
                     "INSERT INTO scans VALUES (?, ?, ?, ?, ?, ?, ?)", (index, *row, digest(checksum, *row))
                 )
         self._size, self._last = index + 1, checksum
+        if self._file.lock is not None:
+            promise(self._file.lock, self._size)
         return read
 
     def add_decisions(self, index: int, decisions: Sequence[Decision]) -> None:
@@ -180,13 +182,14 @@ class Session(SessionRecords):
         """Let go of the file; what a writer leaves is one file without journal. Twice is once."""
         with self._file.opened, suppress(SessionError, StorageError):
             # a reader holds it, the disk is full, or it is closed: the journal stays and is as good
-            if self.read_only:
+            if self._file.lock is None:
                 return
             if not self.is_finished:
                 with self._on_the_way():  # to fold the journal back begins with a sync of it
                     self._seal("running")
             with translated(self.path):
-                fold_journal(self._db)
+                if fold_journal(self._db):
+                    promise(self._file.lock, 0)
 
     def __enter__(self) -> Self:
         return self

@@ -19,6 +19,7 @@ from slam.planeslam import pose_symbol
 from slam.sensors.log import CloudScan, LaserScan
 from slam.session._codec import CodecError, decode, encode, keyframe_of, without_scans
 from slam.session._file import digest, fingerprint
+from slam.session.salvage import salvage_session
 from slam.session.store import Session, SessionDamaged, SessionError
 from spplanes import ScanLine
 from tests.slam.scenes import drive
@@ -72,7 +73,7 @@ def test_a_writer_that_never_closed_has_lost_nothing(tmp_path: Path, uninterrupt
     with PlaneSlam.open(path) as slam:
         for keyframe in drive(0).keyframes:
             slam.add_keyframe(keyframe)
-        for suffix in ("", "-wal", "-shm"):
+        for suffix in ("", "-wal", "-shm", "-lock"):
             copy.with_name(copy.name + suffix).write_bytes(path.with_name(path.name + suffix).read_bytes())
     with PlaneSlam.open(copy) as slam:
         assert_same_estimate(slam, uninterrupted)
@@ -82,7 +83,7 @@ def test_a_writer_that_ended_before_its_first_commit_left_a_session(tmp_path: Pa
     """Its journal is room for pages and nothing else."""
     path, copy = tmp_path / "session.db", tmp_path / "copy.db"
     with Session.create(path, SlamConfig()):
-        for suffix in ("", "-wal", "-shm"):
+        for suffix in ("", "-wal", "-shm", "-lock"):
             copy.with_name(copy.name + suffix).write_bytes(path.with_name(path.name + suffix).read_bytes())
     assert not any(copy.with_name(copy.name + "-wal").read_bytes())
     for read_only in (True, False):
@@ -226,19 +227,31 @@ def test_the_end_of_the_journal_is_missed(tmp_path: Path):
     with PlaneSlam.open(path) as slam:
         for keyframe in drive(0).keyframes[:5]:
             slam.add_keyframe(keyframe)
-        for suffix in ("", "-wal", "-shm"):
+        for suffix in ("", "-wal", "-shm", "-lock"):
             copy.with_name(copy.name + suffix).write_bytes(path.with_name(path.name + suffix).read_bytes())
-    journal = copy.with_name(copy.name + "-wal")
-    whole = journal.read_bytes()
+    files = [copy, *(copy.with_name(copy.name + suffix) for suffix in ("-wal", "-shm", "-lock"))]
+    contents = [one.read_bytes() for one in files]
+    whole = contents[1]
     assert len(whole) > 4_000_000 and whole.endswith(bytes(4_000_000)), "room is made before it is needed"
     whole = whole.rstrip(b"\0")
-    for broken in (whole[: len(whole) // 2], whole[:-1], bytes([*whole[:20_000], whole[20_000] ^ 1, *whole[20_001:]])):
-        journal.write_bytes(broken)
-        with pytest.raises(SessionDamaged, match="pages of its journal, the last keyframes, cannot be read"):
-            PlaneSlam.open(copy)
-    journal.unlink()
-    with pytest.raises(SessionDamaged, match="pages of its journal"):
-        PlaneSlam.open(copy)
+    for broken in (
+        whole[: len(whole) // 2],
+        whole[:-30_000],
+        bytes([*whole[:20_000], whole[20_000] ^ 1, *whole[20_001:]]),
+        bytes([whole[0] ^ 1, *whole[1:]]),
+        b"",
+        None,
+    ):
+        for file, content in zip(files, contents, strict=True):
+            file.write_bytes(content)
+        files[1].write_bytes(broken) if broken is not None else files[1].unlink()
+        for read_only in (True, False, False):  # who looks, or tries to go on, does not make it forgotten
+            with pytest.raises(SessionDamaged, match="keyframes, the last of its journal, cannot be read"):
+                Session.open(copy, read_only=read_only)
+    saved = salvage_session(copy)
+    assert saved.saved < 5 and saved.kept_as is not None and not files[3].exists()
+    with Session.open(copy) as session:
+        assert len(session) == saved.saved
 
 
 def test_numbers_come_back_bit_for_bit():
