@@ -37,12 +37,11 @@ def read_relations(path: Path | str) -> Relations:
     References:
         Kuemmerle et al., "On Measuring the Accuracy of SLAM Algorithms", Autonomous Robots 27(4), 2009.
     """
-    stamps, rows, _ = read_rows(Path(path), columns=8, stamp_columns=2)
-    values = np.array(rows)
-    a_T_b = np.tile(np.eye(4), (len(rows), 1, 1))
+    stamps, values, _ = read_rows(Path(path), columns=8, stamp_columns=2)
+    a_T_b = np.tile(np.eye(4), (len(values), 1, 1))
     a_T_b[:, :3, :3] = Rotation.from_euler("xyz", values[:, 3:]).as_matrix()
     a_T_b[:, :3, 3] = values[:, :3]
-    return Relations(np.array(stamps, dtype=np.int64), a_T_b)
+    return Relations(stamps, a_T_b)
 
 
 #: Names of the rows that say how many relations were scored, and how many there are.

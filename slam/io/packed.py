@@ -1,4 +1,4 @@
-"""Files that may be gzip: read line by line or whole, and refused before they grow out of all proportion."""
+"""Bytes of files, plain or gzip: whole or line by line, bounded, and what is wrong with them as one sentence."""
 
 from __future__ import annotations
 
@@ -25,6 +25,51 @@ def check_ratio(path: Path, size: int, packed: int) -> None:
     if size > HARMLESS_BYTES and size > MOST_GROWTH * packed:
         grown = size >> 20
         raise LogError(path, f"expected sensor data, got {packed} bytes that grow to {grown} MiB or more: refused")
+
+
+def check_room(path: Path, what: str, needed: int, room: int) -> None:
+    """Refuse what a file declares and cannot hold, before anything is allocated for it."""
+    if needed > room:
+        raise LogError(path, f"expected {needed} bytes for {what}, got {room}: cut off, or a wrong header")
+
+
+def in_short(error: BaseException) -> str:
+    """What an error says, on one line."""
+    return getattr(error, "strerror", None) or " ".join(str(error).split())[:100] or type(error).__name__
+
+
+@contextmanager
+def damage_told(path: Path, expected: str) -> Iterator[None]:
+    """Whatever other people's readers raise on a damaged file becomes one sentence: `expected`, and what they say."""
+    try:
+        yield
+    except LogError:
+        raise
+    except Exception as error:
+        raise LogError(path, f"{expected} ({in_short(error)})") from error
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except BROKEN:  # one of them is an OSError
+        raise
+    except OSError as error:
+        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
+
+
+def file_size(path: Path) -> int:
+    """Bytes of a file."""
+    with _readable(path):
+        return path.stat().st_size
+
+
+def read_bytes(path: Path, start: int = 0, size: int = -1) -> bytes:
+    """The bytes of a file from an offset, `size` at most, or all."""
+    with _readable(path), path.open("rb") as stream:
+        stream.seek(start)
+        return stream.read(size)
 
 
 def numbered_lines(path: Path, longest: int) -> Iterator[tuple[int, str]]:
@@ -68,12 +113,7 @@ def read_unpacked(path: Path) -> bytes:
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[BufferedIOBase, int]]:
     """The stream, and the size of the file if it is gzip, else 0."""
-    try:
-        with path.open("rb") as probe:
-            packed = probe.seek(0, 2) if probe.read(2) == b"\x1f\x8b" else 0
+    with _readable(path):
+        packed = file_size(path) if read_bytes(path, size=2) == b"\x1f\x8b" else 0
         with gzip.open(path, "rb") if packed else path.open("rb") as stream:
             yield stream, packed
-    except BROKEN:
-        raise
-    except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror or error}") from error

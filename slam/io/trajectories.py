@@ -63,12 +63,11 @@ def read_tum(path: Path | str) -> Trajectory:
             repeats or runs backwards, no poses at all.
     """
     path = Path(path)
-    stamps, rows, lines = read_rows(path, columns=8, stamp_columns=1)
-    values = np.array(rows)
+    stamps, values, lines = read_rows(path, columns=8, stamp_columns=1)
     norms, wrong = norms_of(values[:, 3:])
     for bad in np.flatnonzero(wrong)[:1]:
         raise LogError(path, f"expected a unit quaternion, got one of norm {norms[bad]:.6g}", line=lines[bad])
-    times = np.array(stamps, dtype=np.int64)[:, 0]
+    times = stamps[:, 0]
     for bad in np.flatnonzero(np.diff(times) <= 0)[:1] + 1:
         raise LogError(path, "expected times that ascend, got one that repeats or runs backwards", line=lines[bad])
     return Trajectory(times, poses_of(values))
@@ -93,7 +92,7 @@ def read_kitti(path: Path | str) -> FloatArray:
     path = Path(path)
     _, rows, lines = read_rows(path, columns=12)
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3] = np.array(rows).reshape(-1, 3, 4)
+    poses[:, :3] = rows.reshape(-1, 3, 4)
     rotations = poses[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):  # numbers whose squares are infinite: no rotation either
         errors = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))

@@ -1,10 +1,9 @@
-"""Reader of numpy's files: .npy, and .npz with an array `points` or only one."""
+"""Reader of arrays: numpy's .npy, and .npz with an array `points` or only one; KITTI's .bin, which has no header."""
 
 from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
@@ -12,12 +11,13 @@ import numpy as np
 from numpy.lib import format as npy
 
 from slam.errors import LogError
-from slam.io.clouds._files import check_byte_order, file_size
-from slam.io.clouds.cloud import Cloud, checked
-from slam.io.packed import check_ratio
-from spplanes._check import FloatArray
+from slam.io.clouds.cloud import Cloud, checked, points_of
+from slam.io.packed import check_ratio, damage_told, file_size, read_bytes
 
 _POINTS = ("points", "xyz")
+#: A point of KITTI: x, y, z and reflectance, bytes.
+_KITTI_BYTES = 16
+_UNREADABLE = "expected an array in numpy's format, got a file that cannot be read"
 
 
 def read_npy(path: Path) -> Cloud:
@@ -27,13 +27,10 @@ def read_npy(path: Path) -> Cloud:
         LogError: not such a file, an array of another shape or type (pickled objects are never loaded), more declared
             than the file holds, no point at all.
     """
-
-    def load() -> np.ndarray:
-        with path.open("rb") as stream:
-            _check_declared(path, stream, file_size(path))
-            return npy.read_array(stream, allow_pickle=False)
-
-    return _cloud(path, _guarded(path, load))
+    with damage_told(path, _UNREADABLE), path.open("rb") as stream:  # numpy's parser raises errors of Python's own too
+        _check_declared(path, stream, file_size(path))
+        array = npy.read_array(stream, allow_pickle=False)
+    return _cloud(path, array)
 
 
 def read_npz(path: Path) -> Cloud:
@@ -42,40 +39,36 @@ def read_npz(path: Path) -> Cloud:
     Raises:
         LogError: as `read_npy`; several arrays of other names; a member that grows out of all proportion.
     """
-
-    def load() -> np.ndarray:
-        with zipfile.ZipFile(path) as archive:
-            member = _member(path, archive)
-            check_ratio(path, member.file_size, member.compress_size)
-            with archive.open(member) as stream:
-                _check_declared(path, stream, member.file_size)
-            with archive.open(member) as stream:
-                return npy.read_array(stream, allow_pickle=False)
-
-    return _cloud(path, _guarded(path, load))
+    with damage_told(path, _UNREADABLE), zipfile.ZipFile(path) as archive:
+        member = _member(path, archive)
+        check_ratio(path, member.file_size, member.compress_size)
+        with archive.open(member) as stream:
+            _check_declared(path, stream, member.file_size)
+            array = npy.read_array(stream, allow_pickle=False)
+    return _cloud(path, array)
 
 
 def weigh_npy(path: Path) -> None:
     """Read the header alone."""
-
-    def weigh() -> np.ndarray:
-        with path.open("rb") as stream:
-            _check_declared(path, stream, file_size(path))
-        return np.empty(0)
-
-    _guarded(path, weigh)
+    with damage_told(path, _UNREADABLE), path.open("rb") as stream:
+        _check_declared(path, stream, file_size(path))
 
 
-def _guarded(path: Path, load: Callable[[], np.ndarray]) -> np.ndarray:
-    try:
-        return load()
-    except LogError:
-        raise
-    except Exception as error:  # damaged headers make numpy's parser raise errors of the Python tokenizer, among others
-        problem = getattr(error, "strerror", None) or " ".join(str(error).split())[:80]
-        raise LogError(
-            path, f"expected an array in numpy's format, got a file that cannot be read ({problem})"
-        ) from error
+def read_kitti_bin(path: Path) -> Cloud:
+    """Read a KITTI cloud.
+
+    Raises:
+        LogError: a size that is not a multiple of 16 bytes, numbers that are no coordinates, no point at all.
+    """
+    weigh_kitti_bin(path)
+    return checked(path, points_of(path, *np.frombuffer(read_bytes(path), dtype="<f4").reshape(-1, 4).T[:3]))
+
+
+def weigh_kitti_bin(path: Path) -> None:
+    """Refuse a size that no number of points has."""
+    size = file_size(path)
+    if size % _KITTI_BYTES:
+        raise LogError(path, f"expected {_KITTI_BYTES} bytes a point, got {size} bytes: cut off, or not of this format")
 
 
 def _member(path: Path, archive: zipfile.ZipFile) -> zipfile.ZipInfo:
@@ -90,7 +83,7 @@ def _member(path: Path, archive: zipfile.ZipFile) -> zipfile.ZipInfo:
 
 
 def _check_declared(path: Path, stream: IO[bytes], room: int) -> None:
-    """Read the header alone and compare it with the bytes there are; the stream is left after it, then set back."""
+    """Read the header alone and compare it with the bytes there are; the stream is set back to its start."""
     version = npy.read_magic(stream)
     read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, _, dtype = read_header(stream)
@@ -99,8 +92,7 @@ def _check_declared(path: Path, stream: IO[bytes], room: int) -> None:
     declared = math.prod(shape) * dtype.itemsize
     if declared > room - stream.tell():
         raise LogError(path, f"expected {declared} bytes for an array of shape {shape}, got {room - stream.tell()}")
-    if stream.seekable():
-        stream.seek(0)
+    stream.seek(0)
 
 
 def _cloud(path: Path, array: np.ndarray) -> Cloud:
@@ -112,6 +104,4 @@ def _cloud(path: Path, array: np.ndarray) -> Cloud:
         raise LogError(path, f"expected an array of real numbers, got one of {array.dtype}")
     if array.ndim not in (2, 3) or array.shape[-1] < 3:
         raise LogError(path, f"expected an array of shape (N, 3) or (S, B, 3), got {array.shape}")
-    points: FloatArray = array[..., :3].astype(np.float64)
-    check_byte_order(path, points)
-    return checked(path, points)
+    return checked(path, points_of(path, *(array[..., axis] for axis in range(3))))

@@ -1,4 +1,4 @@
-"""What every reader of clouds returns."""
+"""What every reader of clouds returns, and how it comes to it."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 #: What a file says lies farther away was never seen, m.
 FARTHEST_M = 1e9
+#: Coordinates of real points are no smaller, m.
+_LEAST_M = 1e-20
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,19 @@ def checked(path: Path, points: FloatArray, world_T_sensor: FloatArray | None = 
     if not finite.all():
         points = np.where(finite[..., None], points, np.nan)
     return Cloud(np.ascontiguousarray(points, dtype=np.float64), world_T_sensor)
+
+
+def points_of(path: Path, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> FloatArray:
+    """Coordinates (...) of a binary file as points, shape (..., 3), m.
+
+    Raises:
+        LogError: most of the numbers are such as no sensor gives: floats read in the wrong order of their bytes.
+    """
+    points = np.stack((x, y, z), axis=-1).astype(np.float64)
+    size = np.abs(points[np.isfinite(points) & (points != 0.0)])
+    if np.count_nonzero((size < _LEAST_M) | (size > FARTHEST_M)) > 0.25 * size.size:
+        raise LogError(path, "expected coordinates in metres, got numbers as of another byte order or type")
+    return points
 
 
 def grid_of(sensor: Sensor) -> Grid | None:

@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import LogError
-from slam.io.clouds._files import read_bytes, text_rows
+from slam.io._numbers import ascii_of, text_rows
 from slam.io.clouds.cloud import Cloud, checked
+from slam.io.packed import read_bytes
 from spplanes._check import FloatArray
 
 INTRINSICS = "intrinsics.txt"
@@ -46,11 +47,6 @@ class Camera:
         v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
         z = np.where(depth > 0.0, depth, np.nan)
         return np.stack(((u - self.cx) / self.fx * z, (v - self.cy) / self.fy * z, z), axis=-1)
-
-
-def is_depth_image(path: Path) -> bool:
-    """Whether a file is a PNG beside intrinsics."""
-    return path.suffix.lower() == ".png" and (path.parent / INTRINSICS).is_file()
 
 
 def read_depth_image(path: Path, camera: Camera | None = None) -> Cloud:
@@ -108,7 +104,8 @@ def read_intrinsics(path: Path) -> Camera:
     Raises:
         LogError: other numbers, or a matrix that is no camera's.
     """
-    numbers = text_rows(path, read_bytes(path).replace(b"\n", b" ").replace(b",", b" "), None, 1).ravel()
+    text = ascii_of(path, read_bytes(path)).replace("\n", " ").replace(",", " ")
+    numbers = text_rows(path, text, None).ravel()
     if numbers.size in (4, 5):
         fx, fy, cx, cy = numbers[:4].tolist()
     elif numbers.size in (9, 10):

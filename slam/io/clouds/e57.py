@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slam.errors import LogError, MissingPackageError
-from slam.io.clouds._files import file_size, read_head
 from slam.io.clouds.cloud import Cloud, checked
+from slam.io.packed import damage_told, file_size, read_bytes
 from spplanes._check import FloatArray
 
 #: Bits that a point of an E57 file takes at least; constant columns take none, so this is generous.
@@ -36,30 +38,28 @@ def read_e57(path: Path, index: int | None = None) -> Cloud:
     count = count_e57(path)
     if index is None and count != 1:
         raise LogError(path, f"expected one scan, got {count}; map or slam take them all")
-    return _guarded(path, lambda file: _scan(path, file, index or 0))
+    with _opened(path) as file:
+        return _scan(path, file, index or 0)
 
 
 def count_e57(path: Path) -> int:
     """Number of scans in a file."""
-    return _guarded(path, lambda file: int(file.scan_count))
+    with _opened(path) as file:
+        return int(file.scan_count)
 
 
-def _guarded(path: Path, work: Any) -> Any:
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
     try:
         import pye57
     except ImportError as error:
         raise MissingPackageError(path, "pye57", "e57") from error
-    if read_head(path, 8) != b"ASTM-E57":
+    if read_bytes(path, size=8) != b"ASTM-E57":
         raise LogError(path, "expected an E57 file, got one that does not begin like one")
-    try:
+    with damage_told(path, "expected a whole E57 file, got one that cannot be read"):
         pye57.libe57.ImageFile(str(path), "r").close()  # E57 itself would meddle with a file it cannot open
         with pye57.E57(str(path)) as file:
-            return work(file)
-    except LogError:
-        raise
-    except Exception as error:  # damage makes libe57 raise errors of its own kind
-        problem = " ".join(str(error).split())[:80] or type(error).__name__
-        raise LogError(path, f"expected a whole E57 file, got one that cannot be read ({problem})") from error
+            yield file
 
 
 def _scan(path: Path, file: Any, index: int) -> Cloud:

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import LogError, MissingPackageError
-from slam.io.clouds._files import check_room, file_size, read_head
 from slam.io.clouds.cloud import Cloud, checked
-from slam.io.packed import check_ratio
+from slam.io.packed import check_ratio, check_room, file_size, in_short, read_bytes
 
 #: Bytes of a record of variable length without its content: before the points, and after them.
 _RECORD_BYTES, _LATE_RECORD_BYTES = 54, 60
@@ -46,14 +45,13 @@ def read_las(path: Path) -> Cloud:
             points = np.column_stack([np.asarray(axis, dtype=np.float64) for axis in (found.x, found.y, found.z)])
     except LogError:
         raise
-    except laspy.errors.LaspyException as error:
-        if "backend" in str(error).lower():
-            raise MissingPackageError(path, "lazrs", "las") from error
-        raise LogError(path, f"expected a LAS or LAZ file, which this cannot be read as ({_short(error)})") from error
     except BaseException as error:  # damage makes laspy raise errors of struct and numpy, and lazrs panic
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
-        raise LogError(path, f"expected a LAS or LAZ file, which this cannot be read as ({_short(error)})") from error
+        if isinstance(error, laspy.errors.LaspyException) and "backend" in str(error).lower():
+            raise MissingPackageError(path, "lazrs", "las") from error
+        problem = f"expected a LAS or LAZ file, which this cannot be read as ({in_short(error)})"
+        raise LogError(path, problem) from error
     if len(points) != header.point_count:
         raise LogError(path, f"expected {header.point_count} points, got {len(points)}")
     return checked(path, points.reshape(-1, 3))
@@ -61,7 +59,7 @@ def read_las(path: Path) -> Cloud:
 
 def _check_header(path: Path) -> None:
     """Refuse records of variable length that the file cannot hold: to skip billions of them takes for ever."""
-    head, size = read_head(path, 375), file_size(path)
+    head, size = read_bytes(path, size=375), file_size(path)
     if len(head) < 227 or head[:4] != b"LASF":
         raise LogError(path, "expected a LAS or LAZ file, got one that does not begin like one, or ends in its header")
     header_size, offset, count = struct.unpack_from("<HII", head, 94)
@@ -75,17 +73,9 @@ def _check_header(path: Path) -> None:
 def _check_chunks(path: Path, start: int) -> None:
     """Refuse more chunks of compressed points than there is room for: lazrs takes memory for all of them at once."""
     size = file_size(path)
-    with path.open("rb") as stream:
-        stream.seek(start)
-        (table,) = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))
-        if table == -1:  # written to a stream: its place is at the end of the file
-            stream.seek(max(size - 8, 0))
-            (table,) = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))
-        check_room(path, "the table of chunks", table + 8 if table > 0 else size + 1, size)
-        stream.seek(table)
-        _, count = struct.unpack("<II", stream.read(8))
+    (table,) = struct.unpack("<q", read_bytes(path, start, 8).ljust(8, b"\0"))
+    if table == -1:  # written to a stream: its place is at the end of the file
+        (table,) = struct.unpack("<q", read_bytes(path, max(size - 8, 0), 8).ljust(8, b"\0"))
+    check_room(path, "the table of chunks", table + 8 if table > 0 else size + 1, size)
+    _, count = struct.unpack("<II", read_bytes(path, table, 8))
     check_room(path, f"{count} chunks of points", count * _CHUNK_BYTES, size - start)
-
-
-def _short(error: BaseException) -> str:
-    return " ".join(str(error).split())[:80] or type(error).__name__

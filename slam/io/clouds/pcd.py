@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from slam.errors import LogError
 from slam.geometry.quaternions import norms_of
-from slam.io._numbers import number_of
-from slam.io.clouds._files import check_byte_order, check_room, file_size, read_bytes, text_rows
-from slam.io.clouds.cloud import Cloud, checked
+from slam.io._numbers import ascii_of, number_of, text_rows
+from slam.io.clouds.cloud import Cloud, checked, points_of
 from slam.io.clouds.lzf import lzf_decompress
+from slam.io.packed import check_room, file_size, read_bytes
 from spplanes._check import FloatArray
 
 #: A header may be this long, bytes.
@@ -28,7 +28,11 @@ class Header:
     """What a PCD file says about itself."""
 
     dtype: np.dtype
-    """One point, packed: the fields in their order, each (count,)."""
+    """One packed point, of which x, y and z are read."""
+    columns: list[int]
+    """Which of the numbers of a point are x, y and z."""
+    numbers: int
+    """Numbers of a point."""
     width: int
     """Points in a row."""
     height: int
@@ -70,8 +74,6 @@ def read_pcd(path: Path) -> Cloud:
     """
     header = read_header(path)
     points = _points_of(path, header)
-    if header.data != "ascii":
-        check_byte_order(path, points)
     if header.height > 1:
         points = points.reshape(header.height, header.width, 3)
     pose = header.world_T_sensor
@@ -82,19 +84,17 @@ def read_pcd(path: Path) -> Cloud:
 
 def read_header(path: Path) -> Header:
     """Read and check the header; the data are only weighed."""
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(LONGEST_HEADER)
-    except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
-    entries, start, line = _entries(path, head)
+    entries, start, line = _entries(path, read_bytes(path, size=LONGEST_HEADER))
     fields = _required(path, entries, "FIELDS")
     counts = _whole(path, entries, "COUNT", len(fields)) if "COUNT" in entries else [1] * len(fields)
     sizes, types = _whole(path, entries, "SIZE", len(fields)), _required(path, entries, "TYPE")
     if len(types) != len(fields):
         raise LogError(path, f"expected {len(fields)} entries in TYPE, got {len(types)}")
+    dtype = _dtype(path, fields, sizes, types, counts)
     header = Header(
-        dtype=_dtype(path, fields, sizes, types, counts),
+        dtype=dtype,
+        columns=[sum(counts[: fields.index(axis)]) for axis in "xyz"],
+        numbers=sum(counts),
         width=_whole(path, entries, "WIDTH", 1)[0],
         height=_whole(path, entries, "HEIGHT", 1)[0],
         viewpoint=_viewpoint(path, entries.get("VIEWPOINT")),
@@ -142,21 +142,21 @@ def _whole(path: Path, entries: dict[str, list[str]], key: str, count: int) -> l
 
 
 def _dtype(path: Path, fields: list[str], sizes: list[int], types: list[str], counts: list[int]) -> np.dtype:
-    """One packed point; fields that only fill may have the same name."""
+    """One packed point; fields that are not read only take their room, whatever their names."""
     for axis in "xyz":
         if fields.count(axis) != 1 or counts[fields.index(axis)] != 1:
             raise LogError(path, f"expected one field {axis}, got the fields {' '.join(fields)[:60]}")
-    columns = []
-    for place, (name, size, kind, count) in enumerate(zip(fields, sizes, types, counts, strict=True)):
-        code = _TYPES.get(f"{kind}{size}")
-        if code is None or count > LONGEST_HEADER:
-            raise LogError(
-                path, f"expected a type F, I or U of 1 to 8 bytes for {name!r}, got {kind[:9]}{size} x {count}"
-            )
-        columns.append((name if name in ("x", "y", "z") else f"other {place}", code, (count,)))
+    for name, size, kind, count in zip(fields, sizes, types, counts, strict=True):
+        if f"{kind}{size}" not in _TYPES or count > LONGEST_HEADER:
+            problem = f"expected a type F, I or U of 1 to 8 bytes for {name!r}, got {kind[:9]}{size} x {count}"
+            raise LogError(path, problem)
     if sum(counts) > LONGEST_HEADER:
         raise LogError(path, f"expected at most {LONGEST_HEADER} numbers a point, got {sum(counts)}")
-    return np.dtype(columns)
+    ends = np.cumsum(np.multiply(sizes, counts)).tolist()
+    places = [fields.index(axis) for axis in "xyz"]
+    formats = [_TYPES[f"{types[place]}{sizes[place]}"] for place in places]
+    offsets = [ends[place] - sizes[place] for place in places]
+    return np.dtype({"names": list("xyz"), "formats": formats, "offsets": offsets, "itemsize": ends[-1]})
 
 
 def _viewpoint(path: Path, words: list[str] | None) -> FloatArray:
@@ -172,50 +172,35 @@ def _viewpoint(path: Path, words: list[str] | None) -> FloatArray:
 def _weigh(path: Path, header: Header) -> None:
     """Compare what the header declares with the size of the file."""
     room = file_size(path) - header.start
-    numbers = sum(header.dtype[name].shape[0] for name in header.dtype.names or ())
-    least = {"ascii": 2 * numbers, "binary": header.dtype.itemsize}.get(header.data)
+    least = {"ascii": 2 * header.numbers, "binary": header.dtype.itemsize}.get(header.data)
     if least is not None:  # the last line of a text needs no end
         check_room(path, f"{header.n_points} points", header.n_points * least - (header.data == "ascii"), room)
 
 
 def _points_of(path: Path, header: Header) -> FloatArray:
     """Points in the order of the file, shape (N, 3)."""
-    body = read_bytes(path, header.start)
+    body, count, kind = read_bytes(path, header.start), header.n_points, header.dtype
     if header.data == "ascii":
-        return _from_text(path, header, body)
+        rows = text_rows(path, ascii_of(path, body, header.line), header.numbers, header.line)
+        if len(rows) != count:
+            raise LogError(path, f"expected {count} points, got {len(rows)} lines")
+        return rows[:, header.columns]
     if header.data == "binary":
-        table = np.frombuffer(body, dtype=header.dtype, count=header.n_points)
-        return np.column_stack([table[axis][:, 0] for axis in "xyz"]).astype(np.float64)
-    return _from_columns(path, header, body)
+        table = np.frombuffer(body, dtype=kind, count=count)
+        return points_of(path, *(table[axis] for axis in "xyz"))
+    data = _unpacked(path, body, count * kind.itemsize)  # field after field: all x, then all y and so on
+    fields = [(kind[axis], kind.fields[axis][1]) for axis in "xyz"]  # type: ignore[index]  # it has them
+    return points_of(path, *(np.frombuffer(data, field, count, count * offset) for field, offset in fields))
 
 
-def _from_text(path: Path, header: Header, body: bytes) -> FloatArray:
-    places, total = {}, 0
-    for name in header.dtype.names or ():
-        places[name] = total
-        total += header.dtype[name].shape[0]
-    rows = text_rows(path, body, total, header.line)
-    if len(rows) != header.n_points:
-        raise LogError(path, f"expected {header.n_points} points, got {len(rows)} lines")
-    return rows[:, [places[axis] for axis in "xyz"]]
-
-
-def _from_columns(path: Path, header: Header, body: bytes) -> FloatArray:
-    """Compressed data are field after field: all x, then all y and so on."""
+def _unpacked(path: Path, body: bytes, expected: int) -> bytes:
     if len(body) < 8:
         raise LogError(path, "expected the sizes of the compressed data, got the end of the file")
     packed, size = struct.unpack_from("<II", body)
     check_room(path, "the compressed data", packed, len(body) - 8)
-    expected = header.n_points * header.dtype.itemsize
     if size != expected:
         raise LogError(path, f"expected {expected} bytes of points, got {size} in the compressed data")
     try:
-        data = lzf_decompress(body[8 : 8 + packed], size)
+        return lzf_decompress(body[8 : 8 + packed], size)
     except ValueError as error:
         raise LogError(path, str(error)) from error
-    columns, start = {}, 0
-    for name in header.dtype.names or ():
-        field = header.dtype[name]
-        columns[name] = np.frombuffer(data, dtype=field.base, count=header.n_points * field.shape[0], offset=start)
-        start += header.n_points * field.itemsize
-    return np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)

@@ -9,27 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import LogError
-from slam.io.clouds._files import check_byte_order, check_room, file_size, read_bytes, read_head, text_rows
-from slam.io.clouds.cloud import Cloud, checked
+from slam.io._numbers import ascii_of, text_rows
+from slam.io.clouds.cloud import Cloud, checked, points_of
+from slam.io.packed import check_room, file_size, read_bytes
 from spplanes._check import FloatArray
 
 _LONGEST_HEADER = 1 << 16
-_TYPES = {
-    **dict.fromkeys(("char", "int8"), "i1"),
-    **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("short", "int16"), "i2"),
-    **dict.fromkeys(("ushort", "uint16"), "u2"),
-    **dict.fromkeys(("int", "int32"), "i4"),
-    **dict.fromkeys(("uint", "uint32"), "u4"),
-    **dict.fromkeys(("float", "float32"), "f4"),
-    **dict.fromkeys(("double", "float64"), "f8"),
-}
+_WORDS = ("char", "uchar", "short", "ushort", "int", "uint", "float", "double")
+#: What each numpy type is called; files may use numpy's own names, too.
+_NAMES = dict(zip(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), _WORDS, strict=True))
+_TYPES = {name: kind for kind, short in _NAMES.items() for name in (short, np.dtype(kind).name)}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-#: What each numpy type is called when it is written.
-_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint"} | {
-    "f4": "float",
-    "f8": "double",
-}
 
 
 @dataclass
@@ -80,15 +70,14 @@ def read_ply(path: Path) -> Cloud:
 def _binary(path: Path, header: Header) -> FloatArray:
     vertex = header.vertex
     table = np.frombuffer(read_bytes(path, header.start), dtype=vertex.dtype(header.order), count=vertex.count)
-    points = np.column_stack([table[axis] for axis in "xyz"]).astype(np.float64)
-    check_byte_order(path, points)
-    return points
+    return points_of(path, *(table[axis] for axis in "xyz"))
 
 
 def _ascii(path: Path, header: Header) -> FloatArray:
     vertex, skipped = header.vertex, header.rows_before
     lines = read_bytes(path, header.start).split(b"\n")[skipped : skipped + vertex.count]
-    rows = text_rows(path, b"\n".join(lines), len(vertex.columns), header.line + skipped)
+    first = header.line + skipped
+    rows = text_rows(path, ascii_of(path, b"\n".join(lines), first), len(vertex.columns), first)
     if len(rows) != vertex.count:
         raise LogError(path, f"expected {vertex.count} vertices, got {len(rows)} lines")
     names = [name for name, _ in vertex.columns]
@@ -117,7 +106,7 @@ def _parse_header(path: Path) -> tuple[str, list[Element], int, int]:
     order: str | None = None
     elements: list[Element] = []
     start = 0
-    for number, raw in enumerate(read_head(path, _LONGEST_HEADER).split(b"\n"), start=1):
+    for number, raw in enumerate(read_bytes(path, size=_LONGEST_HEADER).split(b"\n"), start=1):
         start += len(raw) + 1
         words = raw.decode("ascii", errors="replace").split()
         if number == 1 and words != ["ply"]:

@@ -1,16 +1,14 @@
-"""Reader of text clouds (.xyz, .txt, .asc, .csv, .pts): a point a line, x y z first or named in a head; and KITTI."""
+"""Reader of text clouds (.xyz, .txt, .asc, .csv, .pts): a point a line, x y z first or named in a head."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from slam.errors import LogError
-from slam.io.clouds._files import check_byte_order, file_size, read_bytes, text_rows
+from slam.io._numbers import ascii_of, text_rows
 from slam.io.clouds.cloud import Cloud, checked
+from slam.io.packed import read_bytes
 
-_BLANKS = str.maketrans(",;", "  ")
 _COMMENTS = (b"#", b"//")
 
 
@@ -28,7 +26,8 @@ def read_text(path: Path) -> Cloud:
     lines = data.split(b"\n")
     first, names, count = _head(lines)
     separator = next((sign for sign in (",", ";") if first < len(lines) and sign.encode() in lines[first]), None)
-    rows = text_rows(path, b"\n".join(lines[first:]), None, first + 1, separator)
+    text = ascii_of(path, b"\n".join(lines[first:]), first + 1)
+    rows = text_rows(path, text, None, first + 1, separator)
     if not len(rows):
         raise LogError(path, "expected lines of numbers, got none")
     if count is not None and count != len(rows):
@@ -61,25 +60,3 @@ def _head(lines: list[bytes]) -> tuple[int, list[str], int | None]:
         else:
             return index, names, count
     return len(lines), names, count
-
-
-_BYTES = 16
-
-
-def read_kitti_bin(path: Path) -> Cloud:
-    """Read a KITTI cloud.
-
-    Raises:
-        LogError: a size that is not a multiple of 16 bytes, numbers that are no coordinates, no point at all.
-    """
-    weigh_kitti_bin(path)
-    points = np.frombuffer(read_bytes(path), dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float64)
-    check_byte_order(path, points)
-    return checked(path, points)
-
-
-def weigh_kitti_bin(path: Path) -> None:
-    """Refuse a size that no number of points has."""
-    size = file_size(path)
-    if size % _BYTES:
-        raise LogError(path, f"expected {_BYTES} bytes a point, got {size} bytes: cut off, or not of this format")

@@ -197,7 +197,7 @@ def _stamps(folder: Path, paths: list[Path], clocks: list[Trajectory]) -> list[i
         times, _, _ = read_rows(folder / _TIMES, columns=1, stamp_columns=1)
         if len(times) != len(paths):
             raise LogError(folder / _TIMES, f"expected {len(paths)} times, one for each cloud, got {len(times)}")
-        stamps = [row[0] for row in times]
+        stamps = times[:, 0].tolist()
     else:
         named = [_time_in(path.stem) for path in paths]
         stamps = [stamp for stamp in named if stamp is not None]

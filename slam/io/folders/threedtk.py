@@ -6,15 +6,13 @@ x forward, y left, z up. A point goes over as p = C q / 100 with C below, a tran
 
 from __future__ import annotations
 
-import io
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from slam.errors import LogError
-from slam.io._numbers import number_of
+from slam.io._numbers import floats_of, quick_rows
 from slam.io.clouds.cloud import FARTHEST_M
 from slam.io.packed import read_unpacked
 from slam.sensors.log import CloudScan, Event, Log, OdometryReading
@@ -75,7 +73,7 @@ def read_pose(path: Path) -> FloatArray:
         raise LogError(path, "expected six numbers in plain text, got a file that is not text") from error
     values = []
     for number, line in enumerate(text.splitlines(), start=1):
-        values += _floats(path, line, number)
+        values += floats_of(path, line.split(), number)
     if len(values) != 6:
         raise LogError(path, f"expected six numbers (x y z rx ry rz), got {len(values)}")
     return to_right_handed(_euler_transform(np.array(values[:3]), np.deg2rad(values[3:])))
@@ -83,7 +81,7 @@ def read_pose(path: Path) -> FloatArray:
 
 def read_points(path: Path) -> FloatArray:
     """Points of one scan, m, right-handed; shape (lines, beams, 3) if organised, else (1, N, 3)."""
-    raw = _parse_points(path, _read_text(path))
+    raw = _parse_points(path)
     raw = np.where(np.abs(raw) < FARTHEST_M, raw, FARTHEST_M)
     beams = beams_per_line(raw)
     points = raw @ AXES.T * METRES_PER_UNIT
@@ -129,7 +127,7 @@ def read_frames(path: Path) -> FloatArray:
     if not numbered:
         raise LogError(path, "expected at least one transform, got an empty file")
     number, last = numbered[-1]
-    values = _floats(path, last, number)
+    values = floats_of(path, last.split(), number)
     if len(values) < 16:
         raise LogError(path, f"expected 16 numbers of a 4x4 transform, got {len(values)}", line=number)
     return to_right_handed(np.array(values[:16]).reshape(4, 4, order="F"))
@@ -147,40 +145,22 @@ def _euler_transform(translation: FloatArray, angles: FloatArray) -> FloatArray:
     return transform
 
 
-def _read_text(path: Path) -> str:
-    data = read_unpacked(path)
+def _parse_points(path: Path) -> FloatArray:
+    """The numbers of a scan, shape (N, 3)."""
     try:
-        return data.decode("ascii")
+        text = read_unpacked(path).decode("ascii")
     except UnicodeDecodeError as error:
         raise LogError(path, "expected lines of text with three numbers each, got binary data") from error
-
-
-def _parse_points(path: Path, text: str) -> FloatArray:
-    """Parse quickly; only when that fails walk the lines to name the first bad one."""
     if not text.strip():
         raise LogError(path, "expected lines of three numbers, got an empty file")
-    try:
-        points = np.loadtxt(io.StringIO(text), dtype=np.float64, ndmin=2, comments=None)
-    except ValueError:
-        points = np.empty((0, 0))
-    if points.shape[1:] != (3,) or not np.isfinite(points).all():
-        rows = [(_floats(path, line, number), number, line) for number, line in _lines(text)]
-        for values, number, line in rows:
-            if len(values) != 3:
-                raise LogError(path, f"expected three numbers, got {line[:60]!r}", line=number)
-        return np.array([values for values, _, _ in rows])  # as Python breaks lines, where numpy does not
-    return points
-
-
-def _lines(text: str) -> Iterator[tuple[int, str]]:
-    return ((number, line.strip()) for number, line in enumerate(text.splitlines(), start=1) if line.strip())
-
-
-def _floats(path: Path, line: str, number: int) -> list[float]:
-    try:
-        values = [number_of(word) for word in line.split()]
-    except ValueError as error:
-        raise LogError(path, f"expected numbers, got {line.strip()[:60]!r}", line=number) from error
-    if not np.isfinite(values).all():
-        raise LogError(path, f"expected finite numbers, got {line.strip()[:60]!r}", line=number)
-    return values
+    lines = text.splitlines()
+    points = quick_rows(lines)
+    if points.shape[1:] == (3,) and np.isfinite(points).all():
+        return points
+    rows = []  # line by line, to name the first bad one
+    for number, line in enumerate(lines, start=1):
+        values = floats_of(path, line.split(), number)
+        if values and len(values) != 3:
+            raise LogError(path, f"expected three numbers, got {line.strip()[:60]!r}", line=number)
+        rows += [values] if values else []
+    return np.array(rows)

@@ -13,7 +13,7 @@ import numpy as np
 from factors.robust import gaussian
 from slam.errors import LogError
 from slam.geometry.quaternions import norms_of
-from slam.io._numbers import number_of, numbered_words
+from slam.io._numbers import floats_of, numbered_words
 from slam.io.g2o._tangents import plane_jacobian, pose_jacobian, root_information
 from spplanes._check import TOO_LARGE, FloatArray
 
@@ -168,12 +168,7 @@ class _Reader:
             raise LogError(
                 self.path, f"expected {ids + size} numbers after {words[0]}, got {len(words) - 1}", line=line
             )
-        try:
-            numbers = np.array([number_of(word) for word in words[1 + ids :]])
-        except ValueError as error:
-            raise LogError(self.path, f"expected numbers ({str(error)[:60]})", line=line) from error
-        if not np.isfinite(numbers).all():
-            raise LogError(self.path, "expected finite numbers, got NaN or infinity", line=line)
+        numbers = np.array(floats_of(self.path, words[1 + ids :], line))
         if np.abs(numbers).max() >= TOO_LARGE:
             raise LogError(self.path, f"expected numbers below {TOO_LARGE:g}, got larger ones", line=line)
         return [self._id(word, line) for word in words[1 : 1 + ids]], numbers

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from slam.errors import KEEPS_THE_REST, LogError, MissingPackageError
+from slam.io.packed import in_short
 from slam.io.rosbags._bounded_unpacking import bound_rosbags
 from slam.io.rosbags._messages import READ, with_todays_header
 from slam.io.rosbags._salvaged import SalvagedBag
@@ -93,11 +94,6 @@ def _ros1_reader(path: Path) -> Any:
 def _broken(path: Path, error: Exception, can_be_cut: bool = False) -> LogError:
     offer = f"; {KEEPS_THE_REST}" if can_be_cut else ""
     return LogError(path, f"expected a whole bag, got one that cannot be read ({in_short(error)}){offer}")
-
-
-def in_short(error: Exception) -> str:
-    """What an error says, on one line."""
-    return " ".join(str(error).split())[:100] or type(error).__name__
 
 
 def kept_open(path: Path, keep_partial: bool) -> Any:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from slam.errors import KEEPS_THE_REST, LogError
+from slam.io.packed import in_short
 from slam.io.rosbags._messages import (
     CLOUD,
     ODOMETRY,
@@ -23,7 +24,7 @@ from slam.io.rosbags._messages import (
     transform_of,
 )
 from slam.io.rosbags._odometry import Moves, odometry_of
-from slam.io.rosbags._opening import in_short, kept_open, opened
+from slam.io.rosbags._opening import kept_open, opened
 from slam.io.rosbags._salvaged import SalvagedBag
 from slam.io.spool import SharedAngles, Spool, StoredScan
 from slam.sensors.log import Event, Log, OdometryReading, StoredCloud
