@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,9 +18,17 @@ READ = (SCAN, CLOUD, ODOMETRY, *TF)
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
-def with_todays_header(definition: str) -> str:
-    """The definition of a message in which the header is called std_msgs/Header, as since 2010."""
-    return re.sub(r"\broslib/Header\b", "std_msgs/Header", definition)
+def definition_of(msgtype: str, text: str) -> Any:
+    """The definition of a type of messages as rosbags keeps it; empty for a type that is not read.
+
+    Bags of 2010 call the header roslib/Header; it is the same, and rosbags knows the later name alone. What else is in
+    a bag may be defined as badly as it likes.
+    """
+    from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+
+    if msgtype not in READ:
+        return MessageDefinition(MessageDefinitionFormat.NONE, "")
+    return MessageDefinition(MessageDefinitionFormat.MSG, re.sub(r"\broslib/Header\b", "std_msgs/Header", text))
 
 
 def stamp_of(message: Any, received_ns: int) -> int:
@@ -69,22 +76,8 @@ def points_of(message: Any) -> FloatArray:
     return points if height > 1 else points[0]
 
 
-@dataclass(frozen=True, eq=False)
-class RosScan:
-    """A LaserScan."""
-
-    ranges: FloatArray
-    """Shape (B,), m; NaN = no return."""
-    angles: FloatArray
-    """Ascending, shape (B,), rad."""
-    range_max_m: float
-    """As stated, m; inf: not stated."""
-    sweep_s: float
-    """From the first beam to the last, s; 0 for lasers that turn the other way."""
-
-
-def scan_of(message: Any) -> RosScan:
-    """Ranges and bearings of a LaserScan; of a laser that turns clockwise in the order of ascending bearings.
+def scan_of(message: Any) -> tuple[FloatArray, FloatArray]:
+    """Ranges (B,), m, NaN = no return, and ascending bearings (B,), rad, of a LaserScan, whichever way it turns.
 
     Raises:
         ValueError: no beams, or an angle that is none.
@@ -99,10 +92,7 @@ def scan_of(message: Any) -> RosScan:
         inside = (ranges >= max(least, 1e-6)) & (ranges < most) & np.isfinite(ranges)
     ranges = np.where(inside, ranges, np.nan)
     angles = first + step * np.arange(ranges.size, dtype=np.float64)
-    sweep = max(float(message.time_increment), 0.0) * (ranges.size - 1)
-    if step < 0.0:
-        return RosScan(ranges[::-1].copy(), angles[::-1].copy(), most, 0.0)
-    return RosScan(ranges, angles, most, sweep if np.isfinite(sweep) else 0.0)
+    return (ranges, angles) if step > 0.0 else (ranges[::-1].copy(), angles[::-1].copy())
 
 
 def transform_of(translation: Any, rotation: Any) -> FloatArray:

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from slam.errors import KEEPS_THE_REST, LogError, MissingPackageError
-from slam.io.packed import in_short
+from slam.io.packed import damage_told, in_short
 from slam.io.rosbags._bounded_unpacking import bound_rosbags
-from slam.io.rosbags._messages import READ, with_todays_header
+from slam.io.rosbags._messages import definition_of
 from slam.io.rosbags._salvaged import SalvagedBag
 
+_BROKEN = "expected a whole bag, got one that cannot be read"
 #: The bag that clouds were last taken from: to open one anew for each cloud would take most of the time.
 _kept: dict[tuple[Path, bool, int, int], tuple[ExitStack, Any]] = {}
 _inherited: dict[tuple[Path, bool, int, int], tuple[ExitStack, Any]] = {}
@@ -31,9 +32,9 @@ def opened(path: Path, keep_partial: bool = False) -> Iterator[Any]:
     bound_rosbags()
     if path.is_file() and path.stat().st_size == 0:
         raise LogError(path, "expected a bag, got an empty file")
+    types, stack = get_typestore(Stores.LATEST), ExitStack()
     try:
-        stack = ExitStack()
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
+        reader = AnyReader([path], default_typestore=types)
         if not reader.is2:
             reader.readers = [_ros1_reader(path)]
         stack.enter_context(reader)
@@ -42,23 +43,14 @@ def opened(path: Path, keep_partial: bool = False) -> Iterator[Any]:
         wrong_index = isinstance(error, AssertionError)  # rosbags asserts what an index says of its records
         if inside is None or not (keep_partial or wrong_index):
             raise _broken(path, error, inside is not None) from error
-        try:
-            reader = SalvagedBag(inside)
-        except LogError:
-            raise
-        except Exception as worse:  # topics or types that cannot be made out
-            raise _broken(path, worse) from worse
-        if not (keep_partial or reader.is_whole):
+        with damage_told(path, _BROKEN):  # topics or types that cannot be made out
+            bag, reader = SalvagedBag(inside), AnyReader([inside], default_typestore=types)
+            reader.readers, reader.is2 = [bag], not bag.is_ros1  # type: ignore[list-item]  # as one of its own
+            stack.enter_context(reader)
+        if not (keep_partial or bag.is_whole):
             raise _broken(path, error, True) from error
+    with damage_told(path, _BROKEN), stack:
         yield reader
-        return
-    try:
-        with stack:
-            yield reader
-    except LogError:
-        raise
-    except Exception as error:  # as above
-        raise _broken(path, error) from error
 
 
 def _file_of(path: Path) -> Path | None:
@@ -70,30 +62,21 @@ def _file_of(path: Path) -> Path | None:
 
 
 def _ros1_reader(path: Path) -> Any:
-    """A reader of a ROS 1 bag that looks at the definitions of what is read, and at no others.
-
-    Bags of 2010 call the header roslib/Header; it is the same, and rosbags knows the later name alone. What else is in
-    a bag may be defined as badly as it likes.
-    """
-    from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+    """A reader of a ROS 1 bag that looks at the definitions of what is read, and at no others."""
     from rosbags.rosbag1 import Reader
 
     class Forgiving(Reader):
         def open(self) -> None:
             super().open()
-            self.connections = [one._replace(msgdef=told_of(one)) for one in self.connections]
-
-    def told_of(connection: Any) -> Any:
-        if connection.msgtype not in READ:
-            return MessageDefinition(MessageDefinitionFormat.NONE, "")
-        return connection.msgdef._replace(data=with_todays_header(connection.msgdef.data))
+            told = [definition_of(one.msgtype, one.msgdef.data) for one in self.connections]
+            self.connections = [one._replace(msgdef=new) for one, new in zip(self.connections, told, strict=True)]
 
     return Forgiving(path)
 
 
-def _broken(path: Path, error: Exception, can_be_cut: bool = False) -> LogError:
+def _broken(path: Path, error: Exception, can_be_cut: bool) -> LogError:
     offer = f"; {KEEPS_THE_REST}" if can_be_cut else ""
-    return LogError(path, f"expected a whole bag, got one that cannot be read ({in_short(error)}){offer}")
+    return LogError(path, f"{_BROKEN} ({in_short(error)}){offer}")
 
 
 def kept_open(path: Path, keep_partial: bool) -> Any:

@@ -1,21 +1,21 @@
 """A ROS 1 bag or an MCAP file that was cut off, or whose index is wrong: its records one after another, without it.
 
 Both formats are rows of records, some of them chunks of further ones, with an index at the end that a recording which
-broke off does not have. `SalvagedBag` reads the records up to the break, all into memory, and offers what
-`slam.io.rosbags.reader` needs of a bag.
+broke off does not have. `SalvagedBag` reads the records up to the break, all into memory, and is a reader of one file
+as rosbags' `AnyReader` has them.
 """
 
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from slam.errors import LogError
 from slam.io.rosbags._bounded_unpacking import TooLarge, unpack
-from slam.io.rosbags._messages import READ, with_todays_header
+from slam.io.rosbags._messages import definition_of
 
 _ROS1_MAGIC, _MCAP_MAGIC = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"
 _MESSAGE, _BAG, _CHUNK, _CONNECTION = 0x02, 0x03, 0x05, 0x07
@@ -26,48 +26,32 @@ class _Cut(Exception):
     """The records end here."""
 
 
-@dataclass(frozen=True)
-class Connection:
-    """A topic and the type of its messages."""
-
-    topic: str
-    """Its name."""
-    msgtype: str
-    """Such as sensor_msgs/msg/LaserScan."""
-    msgdef: str
-    """The definition of the type."""
-
-
-@dataclass
-class TopicInfo:
-    """What a bag has of a topic."""
-
-    msgtype: str
-    """Such as sensor_msgs/msg/LaserScan."""
-    msgcount: int
-    """Whole messages of it."""
-
-
 class SalvagedBag:
     """The whole messages before the break."""
 
     def __init__(self, path: Path) -> None:
-        self._messages: list[tuple[Connection, int, bytes]] = []
-        self._connections: dict[int, Connection] = {}
+        self._messages: list[tuple[Any, int, bytes]] = []
+        self._connections: dict[int, Any] = {}
         self._schemas: dict[int, tuple[str, str]] = {}
         #: Whether the records go on to the end of the file.
         self.is_whole = True
         self._chunks, self._stated_chunks, self._strangers = 0, 0, 0
         data = path.read_bytes()
-        if data.startswith(_ROS1_MAGIC):
+        #: Whether it is a ROS 1 bag.
+        self.is_ros1 = data.startswith(_ROS1_MAGIC)
+        if self.is_ros1:
             self._take(self._ros1(path, data, len(_ROS1_MAGIC)))
         elif data.startswith(_MCAP_MAGIC):
             self._take(self._mcap(path, data, len(_MCAP_MAGIC)))
         else:
             raise LogError(path, "expected a ROS 1 bag or an MCAP file to salvage, got another")
-        self.is_ros1 = data.startswith(_ROS1_MAGIC)
         self._messages.sort(key=lambda one: one[1])
-        self._typestore = self._make_typestore()
+
+    def __enter__(self) -> SalvagedBag:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
 
     @property
     def missing(self) -> str:
@@ -80,21 +64,29 @@ class SalvagedBag:
         return " and ".join(told)
 
     @property
-    def connections(self) -> list[Connection]:
+    def note(self) -> str:
+        """What became of the bag, for the notes of a log."""
+        if not self.is_whole:
+            return "the bag breaks off and has no index; kept the messages that are whole"
+        missing = self.missing or "nothing"
+        return f"the bag's index contradicts its records; read to the end without it: {missing} is missing"
+
+    @property
+    def connections(self) -> list[Any]:
         """Topics that were announced before the break."""
         return list(self._connections.values())
 
     @property
-    def topics(self) -> dict[str, TopicInfo]:
+    def topics(self) -> dict[str, Any]:
         """Topics with the number of whole messages."""
-        found = {one.topic: TopicInfo(one.msgtype, 0) for one in self.connections}
-        for connection, _, _ in self._messages:
-            found[connection.topic].msgcount += 1
-        return found
+        from rosbags.interfaces import TopicInfo
+
+        counts = Counter(connection.topic for connection, _, _ in self._messages)
+        return {one.topic: TopicInfo(one.msgtype, one.msgdef, counts[one.topic], [one]) for one in self.connections}
 
     def messages(
-        self, connections: Collection[Connection] = (), start: int | None = None, stop: int | None = None
-    ) -> Iterator[tuple[Connection, int, bytes]]:
+        self, connections: Collection[Any] = (), start: int | None = None, stop: int | None = None
+    ) -> Iterator[tuple[Any, int, bytes]]:
         """Messages of some connections, in the order of their times, ns."""
         wanted = {one.topic for one in connections}
         for connection, stamp, raw in self._messages:
@@ -102,22 +94,11 @@ class SalvagedBag:
             if inside and connection.topic in wanted:
                 yield connection, stamp, raw
 
-    def deserialize(self, raw: bytes, msgtype: str) -> Any:
-        """A message."""
-        if self.is_ros1:
-            return self._typestore.deserialize_ros1(raw, msgtype)
-        return self._typestore.deserialize_cdr(raw, msgtype)
+    def _connect(self, number: int, topic: str, msgtype: str, definition: str) -> None:
+        from rosbags.interfaces import Connection, ConnectionExtRosbag1
 
-    def _make_typestore(self) -> Any:
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-        store = get_typestore(Stores.EMPTY)
-        types: dict[Any, Any] = {}
-        for one in self.connections:
-            if one.msgtype in READ:
-                types.update(get_types_from_msg(with_todays_header(one.msgdef), one.msgtype))
-        store.register(types)
-        return store
+        told = definition_of(msgtype, definition), "", 0, ConnectionExtRosbag1(None, None)
+        self._connections[number] = Connection(number, topic, msgtype, *told, self)
 
     def _take(self, messages: Iterator[tuple[int, int, bytes]]) -> None:
         try:
@@ -150,9 +131,8 @@ class SalvagedBag:
                 if "/msg/" not in msgtype:
                     msgtype = msgtype.replace("/", "/msg/")
                 (number,) = struct.unpack("<I", fields[b"conn"])
-                self._connections[number] = Connection(
-                    fields[b"topic"].decode(), msgtype, told[b"message_definition"].decode(errors="replace")
-                )
+                definition = told[b"message_definition"].decode(errors="replace")
+                self._connect(number, fields[b"topic"].decode(), msgtype, definition)
             elif kind == _MESSAGE:
                 seconds, rest = struct.unpack("<II", fields[b"time"])
                 yield struct.unpack("<I", fields[b"conn"])[0], seconds * 1_000_000_000 + rest, body
@@ -183,7 +163,7 @@ class SalvagedBag:
             elif kind == _MCAP_CHANNEL:
                 number, schema = struct.unpack_from("<HH", body)
                 if schema in self._schemas:
-                    self._connections[number] = Connection(_sized(body, 4)[0].decode(), *self._schemas[schema])
+                    self._connect(number, _sized(body, 4)[0].decode(), *self._schemas[schema])
             elif kind == _MCAP_MESSAGE:
                 number, _, stamp, _ = struct.unpack_from("<HIQQ", body)
                 yield number, stamp, body[22:]

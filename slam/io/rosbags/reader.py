@@ -110,8 +110,7 @@ def read_rosbag(
     """
     notes: list[str] = []
     with opened(path, keep_partial) as reader:
-        if isinstance(reader, SalvagedBag):
-            notes.append(_salvaged_note(reader))
+        notes += [bag.note for bag in reader.readers if isinstance(bag, SalvagedBag)]
         chosen = _choose(path, reader, topics or Topics(), notes)
         found = _read(path, reader, chosen, notes, keep_partial)
     if not found.scans and not found.clouds:
@@ -129,13 +128,6 @@ def read_rosbag(
         events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received, grid, keep_partial)))
     events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
     return Log(_without_doubles(events, notes), path, notes, _mounts(found, body, names, notes, mounted))
-
-
-def _salvaged_note(bag: SalvagedBag) -> str:
-    if not bag.is_whole:
-        return "the bag breaks off and has no index; kept the messages that are whole"
-    missing = bag.missing or "nothing"
-    return f"the bag's index contradicts its records; read to the end without it: {missing} is missing"
 
 
 def _choose(path: Path, reader: Any, wanted: Topics, notes: list[str]) -> Topics:
@@ -209,9 +201,9 @@ def _take(found: _Found, topic: str, received: int, message: Any) -> None:
         pose = transform_of(message.pose.pose.position, message.pose.pose.orientation)
         found.moves.odometry.append((stamp_of(message, received), str(message.child_frame_id).lstrip("/"), pose))
     elif kind == SCAN:
-        scan = scan_of(message)
-        kept = found.spool.put(scan.ranges), scan.ranges.size
-        angles = found.angles.of(topic, scan.angles)
+        ranges, angles = scan_of(message)
+        kept = found.spool.put(ranges), ranges.size
+        angles = found.angles.of(topic, angles)
         found.scans.append((stamp_of(message, received), topic, frame_of(message), angles, kept))
     else:
         points_of(message)  # a wrong layout is said before any work is done
