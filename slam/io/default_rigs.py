@@ -7,7 +7,6 @@ import numpy as np
 from slam.io.folders.clouds import SENSOR as CLOUD_SENSOR
 from slam.io.folders.depth_images import CAMERA_MOUNT
 from slam.io.folders.depth_images import SENSOR as CAMERA
-from slam.io.folders.threedtk import SENSOR as THREEDTK_SENSOR
 from slam.io.rosbags.reader import Topics
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import LocalisationNoise, Mount, Rig, Sensor, default_rig_for
@@ -53,7 +52,7 @@ def threedtk_rig() -> Rig:
         pitch_sigma_rad=0.02,
         roll_sigma_rad=0.01,
     )
-    return Rig(sensors={THREEDTK_SENSOR: scanner}, odometry=odometry)
+    return Rig(sensors={CLOUD_SENSOR: scanner}, odometry=odometry)
 
 
 def cloud_rig() -> Rig:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,7 +33,7 @@ def with_odometry(log: Log, path: Path, body_T_sensor: FloatArray | None = None)
     scans: list[Event] = [event for event in log.events if not isinstance(event, OdometryReading)]
     readings = readings_of(path, scans, body_T_sensor)
     note = taken_from(path, len(readings), len(log.events) - len(scans))
-    return replace(log, events=in_order(readings, scans), notes=[*log.notes, note], odometry_source=path)
+    return replace(log, events=in_order([*readings, *scans]), notes=[*log.notes, note], odometry_source=path)
 
 
 def readings_of(path: Path, scans: Iterable[Event], body_T_sensor: FloatArray | None = None) -> list[OdometryReading]:
@@ -41,12 +41,12 @@ def readings_of(path: Path, scans: Iterable[Event], body_T_sensor: FloatArray | 
     rows = read_tum(path)
     check_reach(path, rows, (scan.stamp_ns for scan in scans))
     poses = rows.poses if body_T_sensor is None else rows.poses @ inverse(body_T_sensor)
-    return [OdometryReading(t, pose) for t, pose in zip(rows.stamps_ns.tolist(), poses, strict=True)]
+    return list(map(OdometryReading, rows.stamps_ns.tolist(), poses))
 
 
-def in_order(readings: Sequence[OdometryReading], scans: Sequence[Event]) -> list[Event]:
+def in_order(events: Iterable[Event]) -> list[Event]:
     """Events in time order; of equal times odometry comes first."""
-    return sorted([*readings, *scans], key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
+    return sorted(events, key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
 
 
 def taken_from(path: Path, count: int, own: int = 0) -> str:

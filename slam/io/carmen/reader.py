@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from functools import partial
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -12,16 +13,13 @@ import numpy as np
 from slam.errors import LogError
 from slam.geometry.frames import planar_transform
 from slam.io.carmen._records import RawLog, read_records
-from slam.io.spool import StoredReading, StoredScan
-from slam.sensors.log import Event, Log, OdometryReading
+from slam.io.odometry_file import in_order
+from slam.io.spool import Spool, StoredReading, StoredScan
+from slam.sensors.log import Event, Log
 from spplanes._check import FloatArray
 
 if TYPE_CHECKING:
     from slam.sensors.rig import Rig
-from dataclasses import dataclass, field
-from functools import cached_property
-
-from slam.io.spool import Spool
 
 #: A SICK LMS reports errors as the largest of its 13-bit readings: what they look like, and what to take as none, m.
 _SICK_MODES = ((8.1, 8.2, 7.95), (81.0, 82.0, 40.0))
@@ -90,8 +88,7 @@ def _events_of(
             events.append(StoredScan(known, readers[number], row))
         if (number == 0 or number in lasers) and tells_odometry[row]:
             events.append(StoredReading({"stamp_ns": stamp}, pose, row))
-    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
-    return events
+    return in_order(events)
 
 
 def _stamps(raw: RawLog, rows: np.ndarray, clock: str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Reader of PCD (Point Cloud Library): ascii, binary and binary_compressed, organised or not, any order of fields."""
+"""PCD (Point Cloud Library): reader of ascii, binary and binary_compressed in any order of fields, writer of binary."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from slam.io._numbers import ascii_of, number_of, text_rows
 from slam.io.clouds.cloud import Cloud, checked, points_of
 from slam.io.clouds.lzf import lzf_decompress
 from slam.io.packed import check_room, file_size, read_bytes
-from spplanes._check import FloatArray
+from spplanes._check import FloatArray, as_shape
 
 #: A header may be this long, bytes.
 LONGEST_HEADER = 1 << 16
@@ -204,3 +204,18 @@ def _unpacked(path: Path, body: bytes, expected: int) -> bytes:
         return lzf_decompress(body[8 : 8 + packed], size)
     except ValueError as error:
         raise LogError(path, str(error)) from error
+
+
+def write_pcd(path: Path | str, points: FloatArray) -> None:
+    """Write points as binary PCD in double precision: organised (H, W, 3) or not (N, 3), m; NaN = no return.
+
+    Raises:
+        ValueError: another shape.
+    """
+    rows = as_shape("points", points if np.ndim(points) == 3 else [points], (None, None, 3), finite=False)
+    height, width, _ = rows.shape
+    head = (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nCOUNT 1 1 1\n"
+        f"WIDTH {width}\nHEIGHT {height}\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {width * height}\nDATA binary\n"
+    )
+    Path(path).write_bytes(head.encode("ascii") + rows.astype("<f8").tobytes())

@@ -17,29 +17,27 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from slam.errors import LogError
 from slam.geometry.frames import inverse
-from slam.io._numbers import nanoseconds, read_rows, seconds_from_ns
+from slam.io._numbers import nanoseconds, numbered_words, read_rows, seconds_from_ns
 from slam.io.clouds import is_cloud_file, read_cloud, weigh_cloud
 from slam.io.clouds.e57 import count_e57, read_e57
-from slam.io.clouds.pcd import read_header
-from slam.io.odometry_file import check_reach, taken_from
+from slam.io.clouds.pcd import read_header, write_pcd
+from slam.io.folders.scan_files import ScanFiles, first_file
+from slam.io.odometry_file import check_reach, in_order, taken_from
 from slam.io.trajectories import Trajectory, read_kitti, read_tum, write_tum
-from slam.sensors.log import CloudScan, Event, Log, OdometryReading, StoredCloud
-from spplanes._check import FloatArray, as_shape
+from slam.sensors.log import CloudScan, Event, Log, OdometryReading
+from spplanes._check import FloatArray
 from spplanes.clouds.arrange import Grid, arrange
 
 #: Name of the sensor where no rig gives one.
 SENSOR = "scanner"
 #: Time between scans that have no clock, ns.
 SCAN_PERIOD_NS = 1_000_000_000
-#: A pose belongs to a scan where it is at most this far in time, or where two poses this close lie around it, ns.
-POSE_GAP_NS = 500_000_000
 
 _INSIDE = ("velodyne", "velodyne_points/data", "clouds", "scans")
 _POSES, _ODOMETRY = ("poses.tum", "poses.txt", "trajectory.tum"), ("odometry.tum", "odometry.txt")
@@ -98,23 +96,21 @@ def read_cloud_folder(
         raise LogError(folder, "expected a folder of clouds, found none")
     for path in paths:
         weigh_cloud(path)
-    posed_by, moved_by = _file_of(folder, _POSES), odometry or _file_of(folder, _ODOMETRY)
+    posed_by, moved_by = first_file(folder, _POSES), odometry or first_file(folder, _ODOMETRY)
     poses, moves = _rows_of(posed_by), _rows_of(moved_by)
     if poses is None:
         poses = _told_by_files(paths, np.eye(4) if body_T_sensor is None else body_T_sensor)
-    stamps = _stamps(folder, paths, [rows for rows in (moves, poses) if isinstance(rows, Trajectory)])
-    world_T_body = None if poses is None else _poses_at(folder, poses, paths, stamps)
-    events: list[Event] = []
+    stamps, timed = _stamps(folder, paths, [rows for rows in (moves, poses) if isinstance(rows, Trajectory)])
+    scans = ScanFiles(folder, "cloud", paths, stamps, timed)
+    world_T_body = None if poses is None else scans.poses(posed_by or folder, poses)
+    events = scans.events(sensor, partial(grid_in, grid=grid), world_T_body)
     if moved_by is not None and moves is not None:
-        events += _odometry(moved_by, moves, folder, paths, stamps, must_reach=odometry is not None)
-    for index, (path, stamp) in enumerate(zip(paths, stamps, strict=True)):
-        pose = None if world_T_body is None else world_T_body[index]
-        events.append(StoredCloud(stamp, sensor, partial(grid_in, path, grid), pose))
-    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
+        events += _odometry(moved_by, moves, scans, must_reach=odometry is not None)
     if odometry is not None:
         notes.append(taken_from(odometry, len(events) - len(paths)))
-        return Log(events, folder, notes, odometry_source=odometry)
-    return Log(events, folder, [*notes, *_said_of(posed_by, world_T_body is not None and moved_by is None)])
+    elif world_T_body is not None and moved_by is None:
+        notes.append(_no_odometry(posed_by))
+    return Log(in_order(events), folder, notes, odometry_source=odometry)
 
 
 def read_e57_log(
@@ -133,7 +129,7 @@ def read_e57_log(
         stamp, told = index * SCAN_PERIOD_NS, cloud.world_T_sensor
         pose = None if not posed else (np.eye(4) if told is None else told) @ inverse(mount)
         events.append(CloudScan(stamp, sensor, arrange(cloud.points, grid), pose))
-    return Log(events, path, _said_of(None, posed))
+    return Log(events, path, [_no_odometry(None)] if posed else [])
 
 
 def grid_in(path: Path, grid: Grid | None = None) -> FloatArray:
@@ -151,24 +147,17 @@ def _order(path: Path) -> tuple[list[tuple[int, str]], str]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts], path.name
 
 
-def _said_of(posed_by: Path | None, posed: bool) -> list[str]:
-    """That poses are no odometry, where a log has them and nothing else."""
-    if not posed:
-        return []
-    told = "the scans' own poses" if posed_by is None else f"the poses of {posed_by.name}"
-    way = "" if posed_by is None else f" (for slam: --odometry {posed_by.name})"
-    return [f"no odometry: {told} are not taken for it{way}"]
-
-
-def _file_of(folder: Path, names: tuple[str, ...]) -> Path | None:
-    return next((folder / name for name in names if (folder / name).is_file()), None)
+def _no_odometry(posed_by: Path | None) -> str:
+    if posed_by is None:
+        return "no odometry: the scans' own poses are not taken for it"
+    return f"no odometry: the poses of {posed_by.name} are not taken for it (for slam: --odometry {posed_by.name})"
 
 
 def _rows_of(path: Path | None) -> Trajectory | FloatArray | None:
     """TUM as a trajectory, KITTI as poses (N, 4, 4), by the number of words in a row; None: no such file."""
     if path is None:
         return None
-    if path.suffix == ".txt" and _words_in_row(path) == 12:
+    if path.suffix == ".txt" and len(next(iter(numbered_words(path)), (0, []))[1]) == 12:
         return read_kitti(path)
     return read_tum(path)
 
@@ -181,32 +170,19 @@ def _told_by_files(paths: list[Path], body_T_sensor: FloatArray) -> FloatArray |
     return np.array([np.eye(4) if pose is None else pose for pose in told]) @ inverse(body_T_sensor)
 
 
-def _words_in_row(path: Path) -> int:
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(1 << 16).decode("ascii", errors="replace")
-    except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
-    rows = (line.split() for line in head.splitlines() if line.strip() and not line.strip().startswith("#"))
-    return len(next(rows, []))
-
-
-def _stamps(folder: Path, paths: list[Path], clocks: list[Trajectory]) -> list[int]:
-    """Time of every cloud, ns, ascending."""
+def _stamps(folder: Path, paths: list[Path], clocks: list[Trajectory]) -> tuple[list[int], bool]:
+    """Time of every cloud, ns, and whether clouds or a list of times tell them."""
     if (folder / _TIMES).is_file():
         times, _, _ = read_rows(folder / _TIMES, columns=1, stamp_columns=1)
         if len(times) != len(paths):
             raise LogError(folder / _TIMES, f"expected {len(paths)} times, one for each cloud, got {len(times)}")
-        stamps = times[:, 0].tolist()
-    else:
-        named = [_time_in(path.stem) for path in paths]
-        stamps = [stamp for stamp in named if stamp is not None]
-        if len(stamps) != len(paths):
-            clock = next((rows for rows in clocks if len(rows) == len(paths)), None)
-            stamps = [k * SCAN_PERIOD_NS for k in range(len(paths))] if clock is None else clock.stamps_ns.tolist()
-    if any(b <= a for a, b in pairwise(stamps)):
-        raise LogError(folder, "expected times of the clouds that ascend, got one that repeats or runs backwards")
-    return stamps
+        return times[:, 0].tolist(), True
+    named = [_time_in(path.stem) for path in paths]
+    stamps = [stamp for stamp in named if stamp is not None]
+    if len(stamps) == len(paths):
+        return stamps, True
+    clock = next((rows for rows in clocks if len(rows) == len(paths)), None)
+    return [k * SCAN_PERIOD_NS for k in range(len(paths))] if clock is None else clock.stamps_ns.tolist(), False
 
 
 def _time_in(stem: str) -> int | None:
@@ -223,43 +199,14 @@ def _time_in(stem: str) -> int | None:
     return int(word) * _DIGITS_NS[len(word)] if len(word) in _DIGITS_NS and word[0] != "0" else None
 
 
-def _has_clock(folder: Path, paths: list[Path]) -> bool:
-    return (folder / _TIMES).is_file() or all(_time_in(path.stem) is not None for path in paths)
-
-
-def _in_order(source: Path, poses: FloatArray, paths: list[Path]) -> FloatArray:
-    """The pose of every cloud from rows without times, shape (N, 4, 4)."""
-    if len(poses) == len(paths):
-        return poses
-    numbers = [int(words[-1]) if (words := re.findall(r"\d+", path.stem)) else len(poses) for path in paths]
-    if len(poses) > len(paths) and max(numbers) < len(poses):
-        return poses[numbers]
-    raise LogError(source, f"expected a pose for each of the {len(paths)} clouds, got {len(poses)}")
-
-
-def _poses_at(folder: Path, rows: Trajectory | FloatArray, paths: list[Path], stamps: list[int]) -> FloatArray:
-    """world_T_body at every cloud, shape (N, 4, 4)."""
-    if not isinstance(rows, Trajectory):
-        return _in_order(folder, rows, paths)
-    if not _has_clock(folder, paths):
-        return _in_order(folder, rows.poses, paths)
-    for path, stamp in zip(paths, stamps, strict=True):
-        after = int(np.searchsorted(rows.stamps_ns, stamp))
-        near = rows.stamps_ns[max(after - 1, 0) : after + 1]
-        if np.abs(near - stamp).min() > POSE_GAP_NS:
-            raise LogError(path, f"expected a pose within {POSE_GAP_NS / 1e9} s of the cloud's time, found none")
-    return rows.poses_at(stamps)
-
-
 def _odometry(
-    path: Path, rows: Trajectory | FloatArray, folder: Path, paths: list[Path], stamps: list[int], *, must_reach: bool
+    path: Path, rows: Trajectory | FloatArray, scans: ScanFiles, *, must_reach: bool
 ) -> list[OdometryReading]:
-    if isinstance(rows, Trajectory) and _has_clock(folder, paths):
-        if must_reach:
-            check_reach(path, rows, stamps)
-        return [OdometryReading(t, pose) for t, pose in zip(rows.stamps_ns.tolist(), rows.poses, strict=True)]
-    poses = _in_order(path, rows.poses if isinstance(rows, Trajectory) else rows, paths)
-    return [OdometryReading(t, pose) for t, pose in zip(stamps, poses, strict=True)]
+    if not (isinstance(rows, Trajectory) and scans.timed):
+        return list(map(OdometryReading, scans.stamps, scans.in_order(path, rows)))
+    if must_reach:
+        check_reach(path, rows, scans.stamps)
+    return list(map(OdometryReading, rows.stamps_ns.tolist(), rows.poses))
 
 
 def has_clouds(folder: Path, *, surely: bool = False) -> bool:
@@ -286,21 +233,6 @@ def write_cloud_folder(log: Log, folder: Path | str) -> None:
     odometry = [event for event in log.events if isinstance(event, OdometryReading)]
     _write_poses(folder / "odometry.tum", [one.stamp_ns for one in odometry], [one.odom_T_body for one in odometry])
     _write_poses(folder / "poses.tum", stamps, [one.world_T_body for one in scans if one.world_T_body is not None])
-
-
-def write_pcd(path: Path | str, points: FloatArray) -> None:
-    """Write points as binary PCD in double precision: organised (H, W, 3) or not (N, 3), m; NaN = no return.
-
-    Raises:
-        ValueError: another shape.
-    """
-    rows = as_shape("points", points if np.ndim(points) == 3 else [points], (None, None, 3), finite=False)
-    height, width, _ = rows.shape
-    head = (
-        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nCOUNT 1 1 1\n"
-        f"WIDTH {width}\nHEIGHT {height}\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {width * height}\nDATA binary\n"
-    )
-    Path(path).write_bytes(head.encode("ascii") + rows.astype("<f8").tobytes())
 
 
 def _scans(log: Log) -> list[CloudScan]:

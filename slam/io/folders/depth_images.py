@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +17,10 @@ from slam.errors import LogError
 from slam.geometry.frames import inverse
 from slam.io._numbers import nanoseconds, numbered_words
 from slam.io.clouds.depth import INTRINSICS, Camera, read_depth_image, read_intrinsics
+from slam.io.folders.scan_files import ScanFiles, first_file
 from slam.io.odometry_file import in_order, readings_of
 from slam.io.trajectories import read_tum
-from slam.sensors.log import Event, Log, StoredCloud
+from slam.sensors.log import Log
 from spplanes._check import FloatArray
 
 #: body_T_sensor of a camera that looks ahead: its z forward, its x to the right.
@@ -29,8 +29,6 @@ CAMERA_MOUNT = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0
 SENSOR = "camera"
 #: Time between images that have no clock, ns.
 PERIOD_NS = 33_333_333
-#: A pose belongs to an image where one lies this near in time, ns.
-_POSE_GAP_NS = 500_000_000
 _LISTS, _ODOMETRY = ("depth.txt", "associations.txt"), "odometry.tum"
 #: Names of a file of the camera's poses.
 CAMERA_POSES = ("groundtruth.txt", "poses.tum")
@@ -60,16 +58,12 @@ def read_depth_folder(folder: Path, *, sensor: str = SENSOR, body_T_sensor: Floa
                 path.parent / path.name[:60], "expected the depth image that the list names, found no such file"
             )
     stamps = [k * PERIOD_NS if stamp is None else stamp for k, (_, stamp) in enumerate(images)]
-    if any(later <= earlier for earlier, later in pairwise(stamps)):
-        raise LogError(folder, "expected times of the images that ascend, got one that repeats or runs backwards")
-    truth = next((folder / name for name in CAMERA_POSES if (folder / name).is_file()), None)
-    poses = [None] * len(stamps) if truth is None else _poses(truth, stamps, timed=images[0][1] is not None)
-    events: list[Event] = []
-    for (path, _), stamp, pose in zip(images, stamps, poses, strict=True):
-        world_T_body = None if pose is None else pose @ inverse(mount)
-        events.append(StoredCloud(stamp, sensor, partial(_points_of, path, camera), world_T_body))
+    scans = ScanFiles(folder, "image", [path for path, _ in images], stamps, images[0][1] is not None)
+    truth = first_file(folder, CAMERA_POSES)
+    poses = None if truth is None else scans.poses(truth, read_tum(truth)) @ inverse(mount)
+    events = scans.events(sensor, partial(_points_of, camera=camera), poses)
     if (folder / _ODOMETRY).is_file():
-        return Log(in_order(readings_of(folder / _ODOMETRY, events), events), folder)
+        return Log(in_order([*readings_of(folder / _ODOMETRY, events), *events]), folder)
     notes = [] if truth is None else [f"no odometry: the poses of {truth.name} are not taken for it"]
     return Log(events, folder, notes)
 
@@ -87,7 +81,7 @@ def _points_of(path: Path, camera: Camera) -> FloatArray:
 
 def _images(folder: Path) -> list[tuple[Path, int | None]]:
     """Images with their times, ns: those of a list, else all, by name."""
-    listed = next((folder / name for name in _LISTS if (folder / name).is_file()), None)
+    listed = first_file(folder, _LISTS)
     if listed is not None:
         return [_listed(listed, number, words) for number, words in numbered_words(listed)]
     for place in (folder, folder / "depth"):
@@ -111,16 +105,3 @@ def _listed(path: Path, number: int, words: list[str]) -> tuple[Path, int]:
 
 def _by_number(path: Path) -> tuple[list[int], str]:
     return [int(digits) for digits in re.findall(r"\d+", path.stem)], path.name
-
-
-def _poses(path: Path, stamps: list[int], *, timed: bool) -> list[FloatArray]:
-    """world_T_camera of every image."""
-    rows = read_tum(path)
-    if not timed:
-        if len(rows) != len(stamps):
-            raise LogError(path, f"expected a pose for each of the {len(stamps)} images, got {len(rows)}")
-        return list(rows.poses)
-    for stamp in stamps:
-        if np.abs(rows.stamps_ns - stamp).min() > _POSE_GAP_NS:
-            raise LogError(path, f"expected a pose within 0.5 s of every image, found none near {stamp / 1e9:.3f} s")
-    return list(rows.poses_at(stamps))

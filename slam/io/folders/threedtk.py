@@ -14,13 +14,11 @@ import numpy as np
 from slam.errors import LogError
 from slam.io._numbers import floats_of, quick_rows
 from slam.io.clouds.cloud import FARTHEST_M
+from slam.io.folders.clouds import SCAN_PERIOD_NS, SENSOR
 from slam.io.packed import read_unpacked
 from slam.sensors.log import CloudScan, Event, Log, OdometryReading
 from spplanes._check import FloatArray
 
-SENSOR = "scanner"
-#: Scans of a folder have no clock; they are given one second each.
-SCAN_PERIOD_NS = 1_000_000_000
 #: Ranges beyond this are the scanner's "no return", m.
 NO_RETURN_M = 32.0
 #: right-handed axes from left-handed ones.

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from slam.errors import KEEPS_THE_REST, LogError
+from slam.io.odometry_file import in_order
 from slam.io.packed import in_short
 from slam.io.rosbags._messages import (
     CLOUD,
@@ -126,8 +127,7 @@ def read_rosbag(
     for stamp, topic, _, received in found.clouds:
         grid = (grids or {}).get(names[topic])
         events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received, grid, keep_partial)))
-    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
-    return Log(_without_doubles(events, notes), path, notes, _mounts(found, body, names, notes, mounted))
+    return Log(_without_doubles(in_order(events), notes), path, notes, _mounts(found, body, names, notes, mounted))
 
 
 def _choose(path: Path, reader: Any, wanted: Topics, notes: list[str]) -> Topics:
