@@ -13,6 +13,7 @@ from slam.io.clouds.cloud import grid_of
 from slam.io.default_rigs import assumptions, bag_rig, cloud_rig, depth_rig, threedtk_rig, turned_laser_rig
 from slam.io.folders.clouds import clouds_in, has_clouds, read_cloud_folder, read_e57_log
 from slam.io.folders.depth_images import CAMERA_POSES, is_depth_folder, read_depth_folder
+from slam.io.folders.scan_files import first_file
 from slam.io.folders.threedtk import is_3dtk_folder, is_3dtk_scan, read_3dtk
 from slam.io.folders.threedtk import read_points as read_3dtk_points
 from slam.io.odometry_file import with_odometry
@@ -109,32 +110,24 @@ def _load(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path | None
 
 def _load_folder(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path | None) -> tuple[Log, Rig]:
     """A mission, the scans of 3DTK, depth images, clouds: the first that is there, and a note where others are too."""
-    log, rig = _load_first(path, rig, keep_partial, odometry)
-    kinds = {
-        "a mission's log": any((path / name).is_file() for name in _MISSION_LOGS),
-        "3DTK scans": is_3dtk_folder(path),
-        "depth images": is_depth_folder(path),
-        "clouds": has_clouds(path, surely=True),
-    }
-    found = [name for name, there in kinds.items() if there]
-    if len(found) > 1:
-        log.notes.append(f"read {found[0]}, left out {' and '.join(found[1:])} in the same folder")
-    return log, rig
-
-
-def _load_first(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path | None) -> tuple[Log, Rig]:
-    """The result of a run is no log."""
-    mission = next((path / name for name in _MISSION_LOGS if (path / name).is_file()), None)
-    if mission is not None:
-        return _load_carmen(mission, rig, keep_partial)
-    if (path / "planes.json").is_file():
+    mission = first_file(path, _MISSION_LOGS)
+    if mission is None and (path / "planes.json").is_file():
         raise LogError(path, "expected a log, got the folder of a run")
+    kinds: dict[str, Callable[[], tuple[Log, Rig]]] = {}
+    if mission is not None:
+        kinds["a mission's log"] = lambda: _load_carmen(mission, rig, keep_partial)
     if is_3dtk_folder(path):
-        return read_3dtk(path), rig or threedtk_rig()
+        kinds["3DTK scans"] = lambda: (read_3dtk(path), rig or threedtk_rig())
     if is_depth_folder(path):
-        return _load_depth(path, rig, odometry)
-    if has_clouds(path):
-        return _load_clouds(path, rig, partial(read_cloud_folder, odometry=odometry))
+        kinds["depth images"] = lambda: _load_depth(path, rig, odometry)
+    if has_clouds(path, surely=bool(kinds)):
+        kinds["clouds"] = lambda: _load_clouds(path, rig, partial(read_cloud_folder, odometry=odometry))
+    if kinds:
+        first, *others = kinds
+        log, rig_of_log = kinds[first]()
+        if others:
+            log.notes.append(f"read {first}, left out {' and '.join(others)} in the same folder")
+        return log, rig_of_log
     bags = sorted(entry.name for entry in path.iterdir() if is_rosbag(entry))
     if bags:
         raise LogError(path, f"expected one log, got a folder of {len(bags)} bags: give one of them, such as {bags[0]}")
