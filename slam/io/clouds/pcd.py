@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slam.errors import LogError
-from slam.geometry.quaternions import norms_of
+from slam.geometry.quaternions import poses_of
 from slam.io._numbers import ascii_of, number_of, text_rows
 from slam.io.clouds.cloud import Cloud, checked, points_of
 from slam.io.clouds.lzf import lzf_decompress
@@ -37,8 +36,8 @@ class Header:
     """Points in a row."""
     height: int
     """Rows; 1: not organised."""
-    viewpoint: FloatArray
-    """Position and quaternion (w, x, y, z) of the sensor in the frame of the points, shape (7,)."""
+    world_T_sensor: FloatArray | None
+    """VIEWPOINT, the sensor in the frame of the points, shape (4, 4); None for the identity."""
     data: str
     """ascii, binary or binary_compressed."""
     start: int
@@ -50,16 +49,6 @@ class Header:
     def n_points(self) -> int:
         """Points in the file."""
         return self.width * self.height
-
-    @property
-    def world_T_sensor(self) -> FloatArray | None:
-        """VIEWPOINT as a transform, shape (4, 4); None for the identity."""
-        if np.array_equal(np.abs(self.viewpoint), [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]):
-            return None
-        pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_quat(self.viewpoint[3:], scalar_first=True).as_matrix()
-        pose[:3, 3] = self.viewpoint[:3]
-        return pose
 
 
 def read_pcd(path: Path) -> Cloud:
@@ -97,7 +86,7 @@ def read_header(path: Path) -> Header:
         numbers=sum(counts),
         width=_whole(path, entries, "WIDTH", 1)[0],
         height=_whole(path, entries, "HEIGHT", 1)[0],
-        viewpoint=_viewpoint(path, entries.get("VIEWPOINT")),
+        world_T_sensor=_viewpoint(path, entries.get("VIEWPOINT", ["0", "0", "0", "1", "0", "0", "0"])),
         data=_required(path, entries, "DATA")[0].lower(),
         start=start,
         line=line,
@@ -107,7 +96,10 @@ def read_header(path: Path) -> Header:
         raise LogError(path, f"expected WIDTH x HEIGHT = {header.n_points} points, got POINTS {declared}")
     if header.data not in ("ascii", "binary", "binary_compressed"):
         raise LogError(path, f"expected DATA ascii, binary or binary_compressed, got {header.data[:20]!r}")
-    _weigh(path, header)
+    least = {"ascii": 2 * header.numbers, "binary": dtype.itemsize}.get(header.data)
+    if least is not None:  # the last line of a text needs no end
+        needed, room = header.n_points * least - (header.data == "ascii"), file_size(path) - start
+        check_room(path, f"{header.n_points} points", needed, room)
     return header
 
 
@@ -159,22 +151,15 @@ def _dtype(path: Path, fields: list[str], sizes: list[int], types: list[str], co
     return np.dtype({"names": list("xyz"), "formats": formats, "offsets": offsets, "itemsize": ends[-1]})
 
 
-def _viewpoint(path: Path, words: list[str] | None) -> FloatArray:
+def _viewpoint(path: Path, words: list[str]) -> FloatArray | None:
+    """A position and a quaternion (w, x, y, z) as a transform."""
     try:
-        values = np.array([number_of(word) for word in words or ["0", "0", "0", "1", "0", "0", "0"]])
-    except ValueError:
-        values = np.empty(0)
-    if values.shape != (7,) or not np.isfinite(values[:3]).all() or norms_of(values[None, 3:])[1].any():
-        raise LogError(path, "expected a position and a unit quaternion in VIEWPOINT")
-    return values
-
-
-def _weigh(path: Path, header: Header) -> None:
-    """Compare what the header declares with the size of the file."""
-    room = file_size(path) - header.start
-    least = {"ascii": 2 * header.numbers, "binary": header.dtype.itemsize}.get(header.data)
-    if least is not None:  # the last line of a text needs no end
-        check_room(path, f"{header.n_points} points", header.n_points * least - (header.data == "ascii"), room)
+        x, y, z, qw, qx, qy, qz = map(number_of, words)
+        (pose,) = poses_of(np.array([[x, y, z, qx, qy, qz, qw]]))
+    except ValueError as error:
+        raise LogError(path, "expected a position and a unit quaternion in VIEWPOINT") from error
+    is_identity = (x, y, z, qx, qy, qz) == (0.0,) * 6 and abs(qw) == 1.0
+    return None if is_identity else pose
 
 
 def _points_of(path: Path, header: Header) -> FloatArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import bz2
 import os
 from functools import cache
+from types import SimpleNamespace
 from typing import Any, BinaryIO
 
 from slam.io import packed
@@ -50,24 +51,14 @@ def bound_rosbags() -> None:
         rosbag1.decompressors[kind] = lambda data, kind=kind: unpack(data, kind)
     for kind in ("lz4", "zstd"):
         storage_mcap.DECOMPRESSORS[kind] = lambda data, _, kind=kind: unpack(data, kind)
-    rosbag2.zstd = _Zstd(rosbag2.zstd)  # type: ignore[assignment]
+    whole: Any = rosbag2.zstd
 
-
-class _Zstd:
-    """The module of zstd as rosbags uses it to read compressed messages and files."""
-
-    def __init__(self, module: Any) -> None:
-        self._module = module
-
-    def decompress(self, data: bytes) -> bytes:
-        return unpack(data, "zstd")
-
-    def open(self, file: BinaryIO, mode: str) -> _BoundedFile:
+    def bounded(file: BinaryIO, mode: str) -> _BoundedFile:
         size = os.fstat(file.fileno()).st_size
-        return _BoundedFile(self._module.open(file, mode), max(packed.HARMLESS_BYTES, packed.MOST_GROWTH * size))
+        return _BoundedFile(whole.open(file, mode), max(packed.HARMLESS_BYTES, packed.MOST_GROWTH * size))
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._module, name)
+    # all it has of the module: for compressed messages, and for compressed files
+    rosbag2.zstd = SimpleNamespace(decompress=lambda data: unpack(data, "zstd"), open=bounded)  # type: ignore[assignment]
 
 
 class _BoundedFile:
