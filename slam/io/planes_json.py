@@ -21,17 +21,14 @@ class Landmark(Protocol):
     @property
     def id(self) -> int:
         """The landmark's number."""
-        ...
 
     @property
     def plane(self) -> Plane:
         """The plane, in the world."""
-        ...
 
     @property
     def observations(self) -> int:
         """Number of keyframes that saw it."""
-        ...
 
 
 class StoredPlane(NamedTuple):

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gtsam
 import gtsam_unstable
@@ -41,9 +41,6 @@ class G2oContent:
     """Vertex id of every plane, by GTSAM key."""
     left_out: dict[str, int] = field(default_factory=dict)
     """Number of factors and variables that a g2o file cannot hold, by type."""
-
-
-_Linearised = Callable[[Any], tuple[FloatArray, FloatArray]]
 
 
 def write_g2o(path: Path | str, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> G2oContent:
@@ -121,7 +118,9 @@ class _Writer:
         self._factors: list[Any] = [graph.at(i) for i in range(graph.size()) if graph.exists(i)]
         for key in graph.keyVector():
             if not values.exists(key):
-                raise ValueError(f"values: expected one for every variable, got none for {_name(key)}")
+                raise ValueError(
+                    f"values: expected one for every variable, got none for {gtsam.DefaultKeyFormatter(key)}"
+                )
         self._anchors = {plane: anchor for plane, anchor in landmark_anchors(graph).items() if anchor is not None}
 
     def lines(self) -> list[str]:
@@ -148,9 +147,9 @@ class _Writer:
             self.left_out["robust kernels"] += 1
         if isinstance(factor, gtsam.BetweenFactorPose3):
             return [self._between(factor)]
-        sighting = single_plane_factor(factor)
+        sighting = _sighting_of(factor)
         if sighting is not None and sighting.plane_key in self.planes:
-            return [self._plane_edge(sighting)]
+            return [self._plane_edge(factor, sighting)]
         keys = list(factor.keys())
         if len(keys) == 1 and keys[0] in self.poses:
             return [self._prior(keys[0], factor)]
@@ -160,37 +159,31 @@ class _Writer:
     def _between(self, factor: gtsam.BetweenFactorPose3) -> str:
         a, b = (self.poses[key] for key in factor.keys())  # noqa: SIM118 - not a mapping
         to_g2o = np.linalg.inv(pose_jacobian())
-        root = gaussian_of(factor).R() @ to_g2o
+        root = _gaussian_of(factor).R() @ to_g2o
         return f"EDGE_SE3:QUAT {a} {b} {_pose(factor.measured())} {_upper(root.T @ root)}"
 
     def _prior(self, key: int, factor: Any) -> str:
-        def at(pose: gtsam.Pose3) -> tuple[FloatArray, FloatArray]:
-            values = gtsam.Values()
-            values.insert(key, pose)
-            return linearised(factor, values)
-
-        measured, matrix = _zero_of(self.values.atPose3(key), at)
-        root = matrix @ np.linalg.inv(pose_jacobian())
+        """What it measured is where its error vanishes, found by Newton steps of least norm."""
+        measured = self.values.atPose3(key)
+        for _ in range(_STEPS):
+            matrix, rest = _linearised(factor, {key: measured})
+            step = np.linalg.lstsq(matrix, rest, rcond=1e-12)[0]
+            measured = measured.retract(step)
+            if np.abs(step).max() < 1e-14:
+                break
+        root = _linearised(factor, {key: measured})[0] @ np.linalg.inv(pose_jacobian())
         return f"EDGE_SE3_PRIOR {self.poses[key]} 0 {_pose(measured)} {_upper(root.T @ root)}"
 
-    def _plane_edge(self, sighting: SinglePlaneFactor) -> str:
-        others = [key for key in sighting.factor.keys() if key != sighting.plane_key]  # noqa: SIM118
-
-        def at(plane: gtsam.OrientedPlane3) -> tuple[FloatArray, FloatArray]:
-            values = gtsam.Values()
-            values.insert(sighting.plane_key, plane)
-            for key in others:
-                values.insert(key, gtsam.Pose3())
-            matrix, rest = linearised(sighting.factor, values)
-            return matrix[:, -3:], rest
-
+    def _plane_edge(self, factor: Any, sighting: _Sighting) -> str:
         observer = sighting.pose_key
         if observer is None and not sighting.in_world:
             observer = self._anchors.get(sighting.plane_key)
         seen = self._in_world(sighting.plane_key)
         if observer is not None:
             seen = seen.transform(self.values.atPose3(observer))
-        matrix, rest = at(seen)
+        origins = {key: gtsam.Pose3() for key in factor.keys() if key != sighting.plane_key}  # noqa: SIM118
+        matrix, rest = _linearised(factor, {**origins, sighting.plane_key: seen})
+        matrix = matrix[:, -3:]
         step = np.asarray(np.linalg.lstsq(matrix, -rest, rcond=1e-12)[0], dtype=np.float64)
         measured, slope = measured_plane(seen, step)
         rotation = sensor_rotation(measured.normal().point3())
@@ -218,28 +211,12 @@ class _Writer:
         return poses, planes
 
 
-def _zero_of(start: gtsam.Pose3, at: _Linearised) -> tuple[gtsam.Pose3, FloatArray]:
-    """Where a factor's error vanishes, by Newton steps of least norm, and its whitened Jacobian there."""
-    pose = start
-    for _ in range(_STEPS):
-        matrix, rest = at(pose)
-        step = np.linalg.lstsq(matrix, rest, rcond=1e-12)[0]
-        pose = pose.retract(step)
-        if np.abs(step).max() < 1e-14:
-            break
-    return pose, at(pose)[0]
-
-
 def _holds(read: Callable[[int], object], key: int) -> bool:
     try:
         read(key)
     except RuntimeError:
         return False
     return True
-
-
-def _name(key: int) -> str:
-    return str(gtsam.DefaultKeyFormatter(key))
 
 
 def _pose(pose: gtsam.Pose3) -> str:
@@ -256,46 +233,44 @@ def _numbers(values: Iterable[float]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-@dataclass(frozen=True, eq=False)
-class SinglePlaneFactor:
-    """A factor that depends on one plane, seen from one pose."""
+class _Sighting(NamedTuple):
+    """Of a factor that depends on one plane, seen from one pose; of its other poses nothing matters."""
 
     plane_key: int
     pose_key: int | None
     """None: seen from the frame that the landmark lives in, or from the world."""
-    factor: Any
-    """Its poses do not matter: it is evaluated with all of them at the origin."""
     in_world: bool = False
     """Without a pose: it speaks of the landmark in the world, though that lives in the frame of an anchor."""
 
 
-def single_plane_factor(factor: Any) -> SinglePlaneFactor | None:
-    """The factor as a sighting of one plane; None where it is none."""
+def _sighting_of(factor: Any) -> _Sighting | None:
+    """What a factor sees; None where it is no sighting of one plane."""
     if isinstance(factor, gtsam.CustomFactor):
         recipe = describe(factor)
         if recipe is None or recipe.reference_key is not None or recipe.planar:
             return None
         in_world = recipe.pose_key is None and recipe.anchor_key is not None
-        return SinglePlaneFactor(recipe.plane_key, recipe.pose_key, factor, in_world)
+        return _Sighting(recipe.plane_key, recipe.pose_key, in_world)
     keys = list(factor.keys())
     if isinstance(factor, gtsam_unstable.LocalOrientedPlane3Factor | gtsam.OrientedPlane3Factor):
-        return SinglePlaneFactor(keys[-1], keys[0], factor)
-    if isinstance(factor, gtsam.OrientedPlane3DirectionPrior):
-        return SinglePlaneFactor(keys[0], None, factor)
-    return None
+        return _Sighting(keys[-1], keys[0])
+    return _Sighting(keys[0], None) if isinstance(factor, gtsam.OrientedPlane3DirectionPrior) else None
 
 
-def linearised(factor: Any, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:
+def _linearised(factor: Any, at: dict[int, gtsam.Pose3 | gtsam.OrientedPlane3]) -> tuple[FloatArray, FloatArray]:
     """Whitened Jacobian (m, n) and negative whitened error (m,) of a factor, without the weight of a robust kernel."""
+    values = gtsam.Values()
+    for key, value in at.items():
+        values.insert(key, value)
     matrix, rest = factor.linearize(values).jacobian()
     if not isinstance(factor.noiseModel(), gtsam.noiseModel.Robust):
         return matrix, rest
-    weighted, bare = np.linalg.norm(rest), np.linalg.norm(gaussian_of(factor).whiten(factor.unwhitenedError(values)))
+    weighted, bare = np.linalg.norm(rest), np.linalg.norm(_gaussian_of(factor).whiten(factor.unwhitenedError(values)))
     scale = bare / weighted if weighted > 0.0 else 1.0
     return scale * matrix, scale * rest
 
 
-def gaussian_of(factor: Any) -> Any:
+def _gaussian_of(factor: Any) -> Any:
     """The noise model of a factor, without a robust kernel."""
     noise = factor.noiseModel()
     return noise.noise() if isinstance(noise, gtsam.noiseModel.Robust) else noise
