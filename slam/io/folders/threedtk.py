@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import LogError
-from slam.io._numbers import floats_of, quick_rows
+from slam.io._numbers import ascii_of, floats_of, quick_rows
 from slam.io.clouds.cloud import FARTHEST_M
 from slam.io.folders.clouds import SCAN_PERIOD_NS, SENSOR
-from slam.io.packed import read_unpacked
+from slam.io.packed import read_bytes, read_unpacked
 from slam.sensors.log import CloudScan, Event, Log, OdometryReading
 from spplanes._check import FloatArray
 
@@ -63,14 +63,10 @@ def read_3dtk(folder: Path) -> Log:
 
 def read_pose(path: Path) -> FloatArray:
     """odom_T_body, shape (4, 4), from a `.pose` file: x y z in cm, then rotations about x, y, z in degrees."""
-    try:
-        text = path.read_text(encoding="ascii")
-    except FileNotFoundError as error:
-        raise LogError(path, "expected the pose of the scan beside it, found no such file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise LogError(path, "expected six numbers in plain text, got a file that is not text") from error
+    if not path.is_file():
+        raise LogError(path, "expected the pose of the scan beside it, found no such file")
     values = []
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(ascii_of(path, read_bytes(path)).splitlines(), start=1):
         values += floats_of(path, line.split(), number)
     if len(values) != 6:
         raise LogError(path, f"expected six numbers (x y z rx ry rz), got {len(values)}")
@@ -117,10 +113,7 @@ def to_right_handed(transform: FloatArray) -> FloatArray:
 
 def read_frames(path: Path) -> FloatArray:
     """Final transform of a `.frames` file, shape (4, 4), right-handed, m: the registration's answer for the scan."""
-    try:
-        lines = Path(path).read_text(encoding="ascii").split("\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise LogError(path, "expected a readable text file of transforms") from error
+    lines = ascii_of(path, read_bytes(path)).splitlines()
     numbered = [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
     if not numbered:
         raise LogError(path, "expected at least one transform, got an empty file")
