@@ -58,7 +58,7 @@ def read_depth_folder(folder: Path, *, sensor: str = SENSOR, body_T_sensor: Floa
                 path.parent / path.name[:60], "expected the depth image that the list names, found no such file"
             )
     stamps = [k * PERIOD_NS if stamp is None else stamp for k, (_, stamp) in enumerate(images)]
-    scans = ScanFiles(folder, "image", [path for path, _ in images], stamps, images[0][1] is not None)
+    scans = ScanFiles(folder, "image", [path for path, _ in images], stamps, images[0][1] is not None, numbered=False)
     truth = first_file(folder, CAMERA_POSES)
     poses = None if truth is None else scans.poses(truth, read_tum(truth)) @ inverse(mount)
     events = scans.events(sensor, partial(_points_of, camera=camera), poses)

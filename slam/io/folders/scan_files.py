@@ -34,6 +34,8 @@ class ScanFiles:
     """Their times, ns."""
     timed: bool
     """Whether somebody told the times."""
+    numbered: bool = True
+    """Whether the numbers in the names say which of more rows belong to them."""
 
     def __post_init__(self) -> None:
         if any(later <= earlier for earlier, later in pairwise(self.stamps)):
@@ -53,12 +55,12 @@ class ScanFiles:
         return rows.poses_at(self.stamps)
 
     def in_order(self, source: Path, rows: Trajectory | FloatArray) -> FloatArray:
-        """The pose of every scan from as many rows, or, of more, by the number in its name; shape (N, 4, 4)."""
+        """The pose of every scan from as many rows, or, of more, by the number in its name, shape (N, 4, 4)."""
         poses = rows.poses if isinstance(rows, Trajectory) else rows
         if len(poses) == len(self.paths):
             return poses
         numbers = [int(words[-1]) if (words := re.findall(r"\d+", path.stem)) else len(poses) for path in self.paths]
-        if len(poses) > len(self.paths) and max(numbers) < len(poses):
+        if self.numbered and len(poses) > len(self.paths) and max(numbers) < len(poses):
             return poses[numbers]
         raise LogError(source, f"expected a pose for each of the {len(self.paths)} {self.kind}s, got {len(poses)}")
 

@@ -118,6 +118,13 @@ def test_times_and_poses_as_tum_rgbd_has_them(associated: bool, folder: Path):
         load(folder)
 
 
+def test_poses_without_times_are_as_many_as_the_images(folder: Path):
+    """The numbers in the names of images say nothing of the rows of a file of poses."""
+    write_tum(folder / "groundtruth.txt", Trajectory(10**9 * np.arange(20), np.tile(np.eye(4), (20, 1, 1))))
+    with pytest.raises(LogError, match=r"groundtruth\.txt: expected a pose for each of the 3 images, got 20"):
+        load(folder)
+
+
 def png_of(width: int, height: int) -> bytes:
     """A PNG that declares a size and holds next to nothing."""
 
