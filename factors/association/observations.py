@@ -210,10 +210,10 @@ class LineObservation:
         frame = np.eye(4)
         frame[:3, :3] = np.column_stack((skew(y_axis) @ z_axis, y_axis, z_axis))
         frame[:3, 3] = middle
-        covariance = np.zeros((3, 3))
-        covariance[:2, :2] = _line_covariance_at_middle(self.line)
+        covariance, of_line = np.zeros((3, 3)), _line_covariance_at_middle(self.line)
+        covariance[:2, :2] = 0.5 * (of_line + of_line.T)
         covariance[2, 2] = as_number("tilt_sigma_rad", tilt_sigma_rad) ** 2
-        return Plane(frame=frame, covariance=covariance, n_points=self.n_points)
+        return Plane._trusted(frame, covariance, self.n_points)  # asked for several times a line and keyframe
 
     def patch_in(self, plane_T_body: FloatArray) -> BaseGeometry:
         """The segment."""
