@@ -161,7 +161,7 @@ def conclude(run: Run, folder: Path, write: Callable[[Path], None]) -> None:
             shutil.rmtree(left, ignore_errors=True)
     recorder = run.slam.recorder
     if isinstance(recorder, SessionRecorder):
-        results = _results(run.slam)
+        results = _results(run)
         if run.repairs is not None:
             results[_REPAIRS] = json.dumps([one.to_dict() for one in run.repairs]).encode()
         recorder.session.finish(**results)
@@ -169,9 +169,9 @@ def conclude(run: Run, folder: Path, write: Callable[[Path], None]) -> None:
         shutil.rmtree(replaced, ignore_errors=True)
 
 
-def _results(slam: PlaneSlam) -> dict[str, bytes]:
+def _results(run: Run) -> dict[str, bytes]:
     try:
-        return {"map": finished_map(slam.planes, slam.landmarks, slam.backend)}
+        return {"map": finished_map(run.planes, run.slam.landmarks, run.slam.backend)}
     except BackendError:  # a map that cannot be a prior is a map all the same
         return {}
 
