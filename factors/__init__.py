@@ -7,85 +7,51 @@ from typing import TYPE_CHECKING, Any
 import factors.archive  # noqa: F401  tells `copy` and `pickle` about plane factors, whoever made them
 
 if TYPE_CHECKING:
-    from factors._conventions import hesse as landmark_hesse
-    from factors.archive import copy_graph
-    from factors.association.associate import Association, Identity, associate
-    from factors.association.estimate import observation_factor
-    from factors.association.gates import AssociationGates
-    from factors.association.landmark_extents import LandmarkExtents
-    from factors.association.observations import LineObservation, PlaneObservation
-    from factors.association.prediction import Prediction
-    from factors.isam import isam2_parameters, isam_covariance, settle
-    from factors.landmarks import (
-        change_anchor,
-        facing,
-        joint_covariance,
-        landmark_anchors,
-        landmark_to_plane,
-        plane_landmark,
-        seen_plane,
-        world_plane,
-        world_plane_from_joint,
-    )
-    from factors.line import line_factor, line_factor_2d
-    from factors.maps import anchored_plane_jacobian, map_prior
-    from factors.odometry import odometry_factor, odometry_factor_2d, planar_motion_factor
-    from factors.plane import get_ready, plane_factor, plane_factors, plane_prior
-    from factors.pose import gravity_factor, pose_prior, relative_pose_factor
-    from factors.structure import (
-        direction_prior,
-        distance_factor,
-        parallel_factor,
-        perpendicular_factor,
-        upright_prior,
-    )
-
-__all__ = [
-    "Association",
-    "AssociationGates",
-    "Identity",
-    "LandmarkExtents",
-    "LineObservation",
-    "PlaneObservation",
-    "Prediction",
-    "anchored_plane_jacobian",
-    "associate",
-    "change_anchor",
-    "copy_graph",
-    "direction_prior",
-    "distance_factor",
-    "facing",
-    "get_ready",
-    "gravity_factor",
-    "isam2_parameters",
-    "isam_covariance",
-    "joint_covariance",
-    "landmark_anchors",
-    "landmark_hesse",
-    "landmark_to_plane",
-    "line_factor",
-    "line_factor_2d",
-    "map_prior",
-    "observation_factor",
-    "odometry_factor",
-    "odometry_factor_2d",
-    "parallel_factor",
-    "perpendicular_factor",
-    "planar_motion_factor",
-    "plane_factor",
-    "plane_factors",
-    "plane_landmark",
-    "plane_prior",
-    "pose_prior",
-    "relative_pose_factor",
-    "seen_plane",
-    "settle",
-    "upright_prior",
-    "world_plane",
-    "world_plane_from_joint",
-]
+    from factors._conventions import landmark_hesse as landmark_hesse
+    from factors.archive import copy_graph as copy_graph
+    from factors.association.associate import Association as Association
+    from factors.association.associate import Identity as Identity
+    from factors.association.associate import associate as associate
+    from factors.association.estimate import observation_factor as observation_factor
+    from factors.association.gates import AssociationGates as AssociationGates
+    from factors.association.landmark_extents import LandmarkExtents as LandmarkExtents
+    from factors.association.observations import LineObservation as LineObservation
+    from factors.association.observations import PlaneObservation as PlaneObservation
+    from factors.association.prediction import Prediction as Prediction
+    from factors.isam import isam2_parameters as isam2_parameters
+    from factors.isam import isam_covariance as isam_covariance
+    from factors.isam import settle as settle
+    from factors.landmarks import change_anchor as change_anchor
+    from factors.landmarks import facing as facing
+    from factors.landmarks import joint_covariance as joint_covariance
+    from factors.landmarks import landmark_anchors as landmark_anchors
+    from factors.landmarks import landmark_to_plane as landmark_to_plane
+    from factors.landmarks import plane_landmark as plane_landmark
+    from factors.landmarks import seen_plane as seen_plane
+    from factors.landmarks import world_plane as world_plane
+    from factors.landmarks import world_plane_from_joint as world_plane_from_joint
+    from factors.line import line_factor as line_factor
+    from factors.line import line_factor_2d as line_factor_2d
+    from factors.maps import anchored_plane_jacobian as anchored_plane_jacobian
+    from factors.maps import map_prior as map_prior
+    from factors.odometry import odometry_factor as odometry_factor
+    from factors.odometry import odometry_factor_2d as odometry_factor_2d
+    from factors.odometry import planar_motion_factor as planar_motion_factor
+    from factors.plane import get_ready as get_ready
+    from factors.plane import plane_factor as plane_factor
+    from factors.plane import plane_factors as plane_factors
+    from factors.plane import plane_prior as plane_prior
+    from factors.pose import gravity_factor as gravity_factor
+    from factors.pose import pose_prior as pose_prior
+    from factors.pose import relative_pose_factor as relative_pose_factor
+    from factors.structure import direction_prior as direction_prior
+    from factors.structure import distance_factor as distance_factor
+    from factors.structure import parallel_factor as parallel_factor
+    from factors.structure import perpendicular_factor as perpendicular_factor
+    from factors.structure import upright_prior as upright_prior
 
 _OF_MODULES = {
+    "_conventions": ("landmark_hesse",),
     "archive": ("copy_graph",),
     "association.associate": ("Association", "Identity", "associate"),
     "association.estimate": ("observation_factor",),
@@ -112,8 +78,8 @@ _OF_MODULES = {
     "pose": ("gravity_factor", "pose_prior", "relative_pose_factor"),
     "structure": ("direction_prior", "distance_factor", "parallel_factor", "perpendicular_factor", "upright_prior"),
 }
-_HOMES = {name: (module, name) for module, names in _OF_MODULES.items() for name in names}
-_HOMES["landmark_hesse"] = ("_conventions", "hesse")
+_HOMES = {name: module for module, names in _OF_MODULES.items() for name in names}
+__all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> Any:
@@ -122,8 +88,7 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'factors' has no attribute {name!r}")
     from importlib import import_module
 
-    module, inside = _HOMES[name]
-    globals()[name] = found = getattr(import_module(f"factors.{module}"), inside)
+    globals()[name] = found = getattr(import_module(f"factors.{_HOMES[name]}"), name)
     return found
 
 

@@ -28,6 +28,14 @@ def told_key(key: int) -> str:
     return str(gtsam.DefaultKeyFormatter(key))
 
 
+def pose_in(name: str, values: gtsam.Values, key: int) -> gtsam.Pose3:
+    """A pose of values; ValueError: there is none of that key."""
+    try:
+        return values.atPose3(as_key(name, key))
+    except RuntimeError as error:
+        raise ValueError(f"{name}: expected the key of a Pose3 in values, got {told_key(key)}") from error
+
+
 def check_distinct(**keys: int | None) -> None:
     """Refuse two keys of one factor that name the same variable, and what is no key; None names none."""
     seen: dict[int, str] = {}

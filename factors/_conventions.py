@@ -29,7 +29,7 @@ def oriented_plane(normal: FloatArray, d: float) -> gtsam.OrientedPlane3:
     return gtsam.OrientedPlane3(np.array([normal[0], normal[1], normal[2], -d]))
 
 
-def hesse(landmark: gtsam.OrientedPlane3) -> tuple[FloatArray, float]:
+def landmark_hesse(landmark: gtsam.OrientedPlane3) -> tuple[FloatArray, float]:
     """Normal, shape (3,), and distance d in n.x = d of a GTSAM plane."""
     check_instance("landmark", landmark, gtsam.OrientedPlane3)
     coefficients = landmark.planeCoefficients()

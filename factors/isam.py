@@ -67,25 +67,12 @@ def isam_covariance(isam: gtsam.ISAM2, values: gtsam.Values, keys: Sequence[int]
     linearised = isam.getLinearizationPoint()
     joint = isam.jointMarginalCovariance(names)
     full = np.block([[joint.at(row, column) for column in names] for row in names])
-    turn = _block_diagonal([_turn(linearised, values, key, len(joint.at(key, key))) for key in names])
+    turn, end = np.eye(len(full)), 0
+    for key in names:
+        first, end = end, end + len(joint.at(key, key))
+        try:
+            there, here = linearised.atOrientedPlane3(key), values.atOrientedPlane3(key)
+        except RuntimeError:  # no plane
+            continue
+        turn[first : first + 2, first : first + 2] = here.normal().basis().T @ there.normal().basis()
     return turn @ full @ turn.T
-
-
-def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
-    """Square matrices along a diagonal; `scipy.linalg`, which has it, takes as long to import as a third of GTSAM."""
-    ends = np.cumsum([0, *map(len, blocks)])
-    whole = np.zeros((ends[-1], ends[-1]))
-    for first, last, block in zip(ends, ends[1:], blocks, strict=False):
-        whole[first:last, first:last] = block
-    return whole
-
-
-def _turn(source: gtsam.Values, target: gtsam.Values, key: int, size: int) -> FloatArray:
-    """Matrix that takes a tangent at ``source`` to one at ``target``, shape (size, size)."""
-    matrix = np.eye(size)
-    try:
-        there, here = source.atOrientedPlane3(key), target.atOrientedPlane3(key)
-    except RuntimeError:  # no plane
-        return matrix
-    matrix[:2, :2] = here.normal().basis().T @ there.normal().basis()
-    return matrix

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from shapely.affinity import scale
 
-from factors._check import as_key, told_key
-from factors._conventions import hesse, hesse_to_sp, oriented_plane, plane_frame, tangent_to_sp
+from factors._check import as_key, pose_in, told_key
+from factors._conventions import hesse_to_sp, landmark_hesse, oriented_plane, plane_frame, tangent_to_sp
 from factors._custom import describe
 from factors._kernels import plane_seen_from
 from spplanes import Plane
@@ -113,7 +113,7 @@ def landmark_to_plane(
     The frame's origin is ``centre`` (3,) dropped onto the plane; without it the foot of the perpendicular from the
     origin. Its x axis is arbitrary.
     """
-    frame = plane_frame(*hesse(landmark), _centre(centre))
+    frame = plane_frame(*landmark_hesse(landmark), _centre(centre))
     to_sp = tangent_to_sp(frame)
     own = to_sp @ as_covariance("covariance", covariance, 3) @ to_sp.T
     return Plane(frame=frame, covariance=own, n_points=n_points)
@@ -142,7 +142,7 @@ def world_plane(
         found = landmark_to_plane(landmark, covariance, centre=_centre_of(shape_of, centre), n_points=n_points)
     else:
         joint = joint_covariance(marginals, [anchor_key, plane_key])
-        anchor = _anchor(values, "anchor_key", anchor_key)
+        anchor = pose_in("anchor_key", values, anchor_key)
         around = _centre_of(shape_of, centre)
         found = world_plane_from_joint(landmark, anchor, joint, centre=around, n_points=n_points)
     return found if shape_of is None else _shaped(found, shape_of)
@@ -178,7 +178,7 @@ def seen_plane(
     What that pose expects to see, for gating a measurement; or the landmark in a new anchor's frame. ``centre`` (3,) in
     that frame.
     """
-    landmark, pose = _landmark(values, plane_key), _anchor(values, "pose_key", pose_key).matrix()
+    landmark, pose = _landmark(values, plane_key), pose_in("pose_key", values, pose_key).matrix()
     if anchor_key == pose_key:
         own = joint_covariance(marginals, [plane_key])
         return landmark_to_plane(landmark, own, centre=centre, n_points=n_points)
@@ -187,7 +187,7 @@ def seen_plane(
         joint = joint_covariance(marginals, [pose_key, plane_key])
         return _with_joint(seen, np.delete(jacobian, np.s_[6:12], axis=1), joint, centre, n_points)
     seen, jacobian = plane_seen_from(
-        _anchor(values, "anchor_key", anchor_key).matrix(), pose, landmark.planeCoefficients()
+        pose_in("anchor_key", values, anchor_key).matrix(), pose, landmark.planeCoefficients()
     )
     joint = joint_covariance(marginals, [pose_key, anchor_key, plane_key])
     return _with_joint(seen, jacobian, joint, centre, n_points)
@@ -255,13 +255,6 @@ def _landmark(values: gtsam.Values, key: int) -> gtsam.OrientedPlane3:
         return values.atOrientedPlane3(as_key("plane_key", key))
     except RuntimeError as error:
         raise ValueError(f"plane_key: expected the key of an OrientedPlane3 in values, got {told_key(key)}") from error
-
-
-def _anchor(values: gtsam.Values, name: str, key: int) -> gtsam.Pose3:
-    try:
-        return values.atPose3(as_key(name, key))
-    except RuntimeError as error:
-        raise ValueError(f"{name}: expected the key of a Pose3 in values, got {told_key(key)}") from error
 
 
 def _centre(centre: ArrayLike | None) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from factors._check import as_definite_covariance, as_key, check_distinct
-from factors._conventions import hesse, oriented_plane
+from factors._conventions import landmark_hesse, oriented_plane
 from factors._custom import Recipe
 from factors._kernels import GRAZING, two_point_information
 from factors.robust import Robust, gaussian
@@ -53,7 +53,7 @@ def line_factor(
         )
     if recipe.anchor_key == recipe.pose_key:
         return recipe.factor()
-    return _native(recipe, hesse(expected)[0])
+    return _native(recipe, landmark_hesse(expected)[0])
 
 
 def line_factor_2d(

@@ -7,30 +7,18 @@ from typing import TYPE_CHECKING, Any
 from spplanes._version import __version__
 
 if TYPE_CHECKING:
-    from spplanes.fitting.fit import fit_plane, fit_planes
-    from spplanes.line import ScanLine
-    from spplanes.lines.extraction import LineConfig, extract_lines
-    from spplanes.mapping.mapper import PlaneMapper
-    from spplanes.moments import Moments
-    from spplanes.plane import Plane
-    from spplanes.segmentation import MapperConfig, segment_cloud, segment_scans
-    from spplanes.spmodel import Location
-
-__all__ = [
-    "LineConfig",
-    "Location",
-    "MapperConfig",
-    "Moments",
-    "Plane",
-    "PlaneMapper",
-    "ScanLine",
-    "__version__",
-    "extract_lines",
-    "fit_plane",
-    "fit_planes",
-    "segment_cloud",
-    "segment_scans",
-]
+    from spplanes.fitting.fit import fit_plane as fit_plane
+    from spplanes.fitting.fit import fit_planes as fit_planes
+    from spplanes.line import ScanLine as ScanLine
+    from spplanes.lines.extraction import LineConfig as LineConfig
+    from spplanes.lines.extraction import extract_lines as extract_lines
+    from spplanes.mapping.mapper import PlaneMapper as PlaneMapper
+    from spplanes.moments import Moments as Moments
+    from spplanes.plane import Plane as Plane
+    from spplanes.segmentation import MapperConfig as MapperConfig
+    from spplanes.segmentation import segment_cloud as segment_cloud
+    from spplanes.segmentation import segment_scans as segment_scans
+    from spplanes.spmodel import Location as Location
 
 _HOMES = {
     "LineConfig": "lines",
@@ -46,6 +34,7 @@ _HOMES = {
     "segment_cloud": "segmentation",
     "segment_scans": "segmentation",
 }
+__all__ = [*sorted(_HOMES), "__version__"]
 
 
 def __getattr__(name: str) -> Any:

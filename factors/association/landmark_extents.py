@@ -10,8 +10,8 @@ import gtsam
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from factors._check import as_key, told_key
-from factors._conventions import hesse
+from factors._check import as_key, pose_in, told_key
+from factors._conventions import landmark_hesse
 from factors.association.observations import Observation, PlaneObservation
 from factors.landmarks import plane_landmark
 from spplanes import Plane
@@ -140,7 +140,7 @@ def place_all(landmarks: list[LandmarkExtent], values: gtsam.Values) -> FloatArr
     if not landmarks:
         return np.empty((0, 4, 4))
     anchors = {key: _frame_of("landmarks", key, values) for key in {one.anchor_key for one in landmarks}}
-    planes = [hesse(_plane_of(one.key, values)) for one in landmarks]
+    planes = [landmark_hesse(_plane_of(one.key, values)) for one in landmarks]
     normals, distances = np.array([normal for normal, _ in planes]), np.array([d for _, d in planes])
     settled = settle_frames(np.array([one.anchor_T_plane for one in landmarks]), normals, distances)
     return np.array([anchors[one.anchor_key] for one in landmarks]) @ settled
@@ -158,10 +158,7 @@ def _frame_of(name: str, key: int | None, values: gtsam.Values) -> FloatArray:
     if key is None:
         return np.eye(4)
     check_instance("values", values, gtsam.Values)
-    try:
-        return values.atPose3(as_key(name, key)).matrix()
-    except RuntimeError as error:
-        raise ValueError(f"{name}: expected the key of a Pose3 in values, got {told_key(key)}") from error
+    return pose_in(name, values, key).matrix()
 
 
 def _told(key: object) -> str:

@@ -9,7 +9,7 @@ from factors import landmark_to_plane, plane_factor, plane_landmark
 from factors._conventions import (
     SP_TO_POSE3,
     error_to_sp,
-    hesse,
+    landmark_hesse,
     oriented_plane,
     square_root_informations,
     tangent_to_sp,
@@ -35,7 +35,7 @@ def test_oriented_plane_is_n_x_plus_d():
     plane = gtsam.OrientedPlane3(0.0, 0.0, 1.0, -5.0)
     moved = plane.transform(gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 2.0])))
     np.testing.assert_allclose(moved.planeCoefficients(), [0.0, 0.0, 1.0, -3.0])
-    normal, d = hesse(oriented_plane(np.array([0.0, 0.0, 1.0]), 5.0))
+    normal, d = landmark_hesse(oriented_plane(np.array([0.0, 0.0, 1.0]), 5.0))
     np.testing.assert_allclose([*normal, d], [0.0, 0.0, 1.0, 5.0])
 
 
