@@ -6,35 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spplanes._check import FloatArray, as_number, as_shape, as_transform
+from spplanes._check import as_number, as_shape, as_transform
 
 if TYPE_CHECKING:
     from shapely import Polygon
 
 #: normal and d are written for readers of the file; the frame is what counts, and they must agree with it to this.
 AGREEMENT = 1e-6
-
-
-def as_plain(
-    *,
-    normal: FloatArray,
-    d: float,
-    frame: FloatArray,
-    covariance: FloatArray,
-    n_points: int,
-    chi2: float,
-    outline: Polygon | None,
-) -> dict[str, Any]:
-    """The fields of a plane as numbers and lists, in the order of the file."""
-    return {
-        "normal": normal.tolist(),
-        "d": d,
-        "frame": frame.tolist(),
-        "covariance": covariance.tolist(),
-        "n_points": int(n_points),
-        "chi2": float(chi2),
-        "outline": None if outline is None or outline.is_empty else _rings(outline),
-    }
 
 
 def plane_arguments(data: dict[str, Any]) -> dict[str, Any]:
@@ -64,7 +42,8 @@ def _check_agreement(frame: np.ndarray, data: dict[str, Any]) -> None:
         raise ValueError(f"d: expected the frame's distance {distance}, got {d}")
 
 
-def _rings(outline: Polygon) -> list[list[list[float]]]:
+def rings_of(outline: Polygon) -> list[list[list[float]]]:
+    """The rings of an outline, the exterior first."""
     return [[[x, y] for x, y, *_ in ring.coords] for ring in (outline.exterior, *outline.interiors)]
 
 

@@ -213,15 +213,15 @@ class Plane:
 
         The outline is a list of rings of [x, y], the exterior first, then the holes, each closed.
         """
-        return _plane_io.as_plain(
-            normal=self.normal,
-            d=self.d,
-            frame=self.frame,
-            covariance=self.covariance,
-            n_points=self.n_points,
-            chi2=self.chi2,
-            outline=self.outline,
-        )
+        return {
+            "normal": self.normal.tolist(),
+            "d": self.d,
+            "frame": self.frame.tolist(),
+            "covariance": self.covariance.tolist(),
+            "n_points": int(self.n_points),
+            "chi2": float(self.chi2),
+            "outline": None if self.outline is None or self.outline.is_empty else _plane_io.rings_of(self.outline),
+        }
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Self:
