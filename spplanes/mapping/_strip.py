@@ -7,7 +7,7 @@ import copy
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spplanes._check import FloatArray, as_float_array, as_shape
+from spplanes._check import FloatArray, as_shape
 from spplanes.fitting import _pose_error
 from spplanes.fitting._own_noise import add_noise
 from spplanes.fitting._pose_spread import shared_by_scan
@@ -18,6 +18,7 @@ from spplanes.segmentation._inputs import as_noise, as_pose_covariances, check_n
 from spplanes.segmentation.clustering.growing import fit_regions, hesse
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.pipeline import segment_sheet
+from spplanes.segmentation.planes import shares_of
 from spplanes.segmentation.refinement.refining import BORDER_GAP
 from spplanes.segmentation.sheet import Sheet, number_by_first_point
 
@@ -139,7 +140,9 @@ def settle(strip: Strip, table: RegionTable, n_scans: int, config: MapperConfig)
     _enter(strip, sheet, number, part, table, config)
     labels = np.append(number, -1)[sheet.labels[part]]
     strip.labels[part] = labels
-    _draw(strip, table, part, config)
+    drawn = slice(max(part.start - 1, 0), part.stop)
+    projections = along_axes(table.axis[: table.n_regions], config.outline_cell_m)
+    table.draw(keys_of(*draw(strip.points[drawn], strip.labels[drawn], projections)))
     table.n_seen += int(strip.valid[part].sum())
     if config.keep_labels:
         table.kept_labels.append(labels.astype(np.int32))
@@ -172,7 +175,7 @@ def _enter(
     fit = fit_regions(points, own, labels, sheet.rows, none, 0.0)
     noise = np.zeros((len(sheet.rows), 6))
     add_noise(own, labels, hesse(sheet.rows), noise)
-    shares = _shares(labels, len(sheet.rows))
+    shares = shares_of(labels, len(sheet.rows)).astype(np.float64)
     for r in np.flatnonzero(number >= 0):
         g = number[r]
         table.estimate[g], table.bias[g] = sheet.rows[r], sheet.bias[r]
@@ -205,18 +208,3 @@ def _enter_pose_errors(strip, sheet, number, part, table, config) -> None:
         running,
     )
     table.pose[g], table.running[g] = total, running
-
-
-def _shares(labels: np.ndarray, n_regions: int) -> FloatArray:
-    """Number of points of every region in every scan, shape (S, R)."""
-    codes = (labels + np.arange(len(labels))[:, None] * n_regions)[labels >= 0]
-    return as_float_array("shares", np.bincount(codes, minlength=len(labels) * n_regions)).reshape(
-        len(labels), n_regions
-    )
-
-
-def _draw(strip: Strip, table: RegionTable, part: slice, config: MapperConfig) -> None:
-    """Draw what the settled scans cover on the outlines of their regions."""
-    rows = slice(max(part.start - 1, 0), part.stop)
-    projections = along_axes(table.axis[: table.n_regions], config.outline_cell_m)
-    table.draw(keys_of(*draw(strip.points[rows], strip.labels[rows], projections)))

@@ -159,9 +159,14 @@ def _eyes(labels: np.ndarray, n_regions: int, views: FloatArray | None) -> Float
     """Mean viewpoint of the points of every region, shape (R, 3); NaN without viewpoints."""
     if views is None:
         return np.full((n_regions, 3), np.nan)
-    codes = (labels + np.arange(len(labels))[:, None] * n_regions)[labels >= 0]
-    shares = np.bincount(codes, minlength=len(labels) * n_regions).reshape(len(labels), n_regions)
+    shares = shares_of(labels, n_regions)
     return (shares.T @ views) / shares.sum(axis=0)[:, None]
+
+
+def shares_of(labels: np.ndarray, n_regions: int) -> np.ndarray:
+    """Number of points of every region in every row of labels (S, B), shape (S, n_regions)."""
+    codes = (labels + np.arange(len(labels))[:, None] * n_regions)[labels >= 0]
+    return np.bincount(codes, minlength=len(labels) * n_regions).reshape(len(labels), n_regions)
 
 
 def frames_of(rows: FloatArray, eyes: FloatArray) -> tuple[FloatArray, FloatArray]:
