@@ -39,6 +39,11 @@ class Sheet:
     """The region every region has been fused into, or itself, shape (R,)."""
 
     @property
+    def grid(self) -> tuple[FloatArray, FloatArray, np.ndarray, np.ndarray, int]:
+        """Points, covariance, valid, labels and start."""
+        return self.points, self.covariance, self.valid, self.labels, self.start
+
+    @property
     def fresh(self) -> slice:
         """The rows to be labelled."""
         return slice(self.start, None)

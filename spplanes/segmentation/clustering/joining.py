@@ -67,27 +67,12 @@ def fuse_neighbours(sheet: Sheet, views: FloatArray, gap: int, config: MapperCon
     """Fuse regions that meet and are one plane (chi2)."""
     planes = growing.hesse(sheet.rows)
     sheet.bias = growing.shared_of_regions(sheet.shared, sheet.labels, planes)
-    edges = _neighbours(sheet, views, planes, gap, config)
+    points, covariance, valid, labels, _ = sheet.grid
+    sizes, tolerance = np.ascontiguousarray(sheet.rows[:, 0]), config.flatness_m**2 + sheet.bias[:, 0]
+    pairs = meeting.border_pairs(points, covariance, valid, views, labels, planes, sizes, tolerance, gap, HIDDEN)
+    edges = distinct_pairs(pairs, len(sheet.rows))
     if len(edges):
         fuse(sheet, cluster_patches(sheet.rows, sheet.bias, edges, config))
-
-
-def _neighbours(sheet: Sheet, views: FloatArray, planes: FloatArray, gap: int, config: MapperConfig) -> np.ndarray:
-    """Pairs of regions that meet, each once, shape (E, 2)."""
-    tolerance = config.flatness_m**2 + sheet.bias[:, 0]
-    pairs = meeting.border_pairs(
-        sheet.points,
-        sheet.covariance,
-        sheet.valid,
-        views,
-        sheet.labels,
-        planes,
-        np.ascontiguousarray(sheet.rows[:, 0]),
-        tolerance,
-        gap,
-        HIDDEN,
-    )
-    return distinct_pairs(pairs, len(sheet.rows))
 
 
 def distinct_pairs(pairs: np.ndarray, n_regions: int) -> np.ndarray:

@@ -72,19 +72,10 @@ def part_steps(sheet: Sheet, config: MapperConfig) -> None:
         return
     planes = growing.hesse(sheet.rows)
     sheet.bias = growing.shared_of_regions(sheet.shared, sheet.labels, planes)
-    origin = parting.part(
-        sheet.points,
-        sheet.covariance,
-        sheet.labels,
-        sheet.start,
-        planes,
-        sheet.bias[:, 0],
-        PART_CELL,
-        chdtri(1, PART_SIGNIFICANCE),
-        config.flatness_m,
-        max(config.pose_correlation_scans, 1.0),
-        max(config.min_points, PART_CELLS * PART_CELL**2),
-    )
+    points, covariance, _, labels, start = sheet.grid
+    limits = chdtri(1, PART_SIGNIFICANCE), config.flatness_m, max(config.pose_correlation_scans, 1.0)
+    fewest = max(config.min_points, PART_CELLS * PART_CELL**2)
+    origin = parting.part(points, covariance, labels, start, planes, sheet.bias[:, 0], PART_CELL, *limits, fewest)
     if len(origin):
         append(sheet, sheet.rows[origin], sheet.bias[origin])
         refit(sheet, config)
@@ -93,16 +84,7 @@ def part_steps(sheet: Sheet, config: MapperConfig) -> None:
 
 
 def _grow(sheet: Sheet, config: MapperConfig) -> None:
-    growing.grow(
-        sheet.points,
-        sheet.covariance,
-        sheet.valid,
-        sheet.labels,
-        sheet.start,
-        growing.hesse(sheet.rows),
-        config.gate_sigma**2,
-        config.flatness_m**2,
-    )
+    growing.grow(*sheet.grid, growing.hesse(sheet.rows), config.gate_sigma**2, config.flatness_m**2)
 
 
 def settle_borders(sheet: Sheet, config: MapperConfig) -> None:
@@ -116,44 +98,18 @@ def settle_borders(sheet: Sheet, config: MapperConfig) -> None:
             refit(sheet, config)
     planes = growing.hesse(sheet.rows)
     for _ in range(BORDER_SWEEPS):
-        borders.choose_points(
-            sheet.points,
-            sheet.covariance,
-            sheet.valid,
-            sheet.labels,
-            sheet.start,
-            planes,
-            gate,
-            floor,
-            config.border_smoothness,
-        )
+        borders.choose_points(*sheet.grid, planes, gate, floor, config.border_smoothness)
     refit(sheet, config)
 
 
 def part_at_creases(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
     """Cut regions where the surface bends, number their parts, rejoin those that only an occluder parts, heal."""
     planes = growing.hesse(sheet.rows)
-    creases.unlabel_creases(
-        sheet.points,
-        sheet.covariance,
-        sheet.valid,
-        sheet.labels,
-        sheet.start,
-        planes,
-        config.max_crease_rad,
-        CREASE_CERTAINTY,
-    )
+    creases.unlabel_creases(*sheet.grid, planes, config.max_crease_rad, CREASE_CERTAINTY)
+    points, covariance, _, labels, start = sheet.grid
+    tolerance, limit = STEP_SHARE * config.flatness_m**2 + sheet.bias[:, 0], chdtri(1, SEAM_SIGNIFICANCE)
     creases.unlabel_seams(
-        sheet.points,
-        sheet.covariance,
-        views,
-        sheet.labels,
-        sheet.start,
-        planes,
-        STEP_SHARE * config.flatness_m**2 + sheet.bias[:, 0],
-        config.flatness_m,
-        SEAM_REACH,
-        chdtri(1, SEAM_SIGNIFICANCE),
+        points, covariance, views, labels, start, planes, tolerance, config.flatness_m, SEAM_REACH, limit
     )
     origin = creases.split_regions(sheet.labels, sheet.start, len(sheet.rows))
     append(sheet, sheet.rows[origin], sheet.bias[origin])
