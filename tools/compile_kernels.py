@@ -270,12 +270,10 @@ def rest() -> None:
     from slam.io.clouds.lzf import lzf_decompress
     from spplanes import fit_plane
     from spplanes.clouds.arrange import arrange
-    from spplanes.segmentation.organising import organise
 
     rng = np.random.default_rng(0)
     heap = rng.standard_normal((2000, 3))
     arrange(heap)
-    organise(heap)
     lzf_decompress(b"\x00a", 1)
     flat, scans = rng.random((200, 3)) * (4.0, 3.0, 0.01), np.arange(200) // 20
     poses = np.tile(np.eye(6) * 1e-6, (10, 1, 1))

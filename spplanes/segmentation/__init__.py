@@ -2,7 +2,6 @@
 
 from spplanes.segmentation.cloud import segment_cloud
 from spplanes.segmentation.config import MapperConfig
-from spplanes.segmentation.organising import organise
 from spplanes.segmentation.scans import segment_scans
 
-__all__ = ["MapperConfig", "organise", "segment_cloud", "segment_scans"]
+__all__ = ["MapperConfig", "segment_cloud", "segment_scans"]
