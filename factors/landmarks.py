@@ -182,15 +182,13 @@ def seen_plane(
     if anchor_key == pose_key:
         own = joint_covariance(marginals, [plane_key])
         return landmark_to_plane(landmark, own, centre=centre, n_points=n_points)
+    keys, anchor = [pose_key, plane_key], _IDENTITY
+    if anchor_key is not None:
+        keys, anchor = [pose_key, anchor_key, plane_key], pose_in("anchor_key", values, anchor_key).matrix()
+    seen, jacobian = plane_seen_from(anchor, pose, landmark.planeCoefficients())
     if anchor_key is None:
-        seen, jacobian = plane_seen_from(_IDENTITY, pose, landmark.planeCoefficients())
-        joint = joint_covariance(marginals, [pose_key, plane_key])
-        return _with_joint(seen, np.delete(jacobian, np.s_[6:12], axis=1), joint, centre, n_points)
-    seen, jacobian = plane_seen_from(
-        pose_in("anchor_key", values, anchor_key).matrix(), pose, landmark.planeCoefficients()
-    )
-    joint = joint_covariance(marginals, [pose_key, anchor_key, plane_key])
-    return _with_joint(seen, jacobian, joint, centre, n_points)
+        jacobian = np.delete(jacobian, np.s_[6:12], axis=1)
+    return _with_joint(seen, jacobian, joint_covariance(marginals, keys), centre, n_points)
 
 
 def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:

@@ -12,14 +12,7 @@ from factors.association.gates import AssociationGates
 from factors.association.gating import Hypothesis, State, hypotheses_of
 from factors.association.joint_association import JointCompatibility
 from factors.association.observations import Observation, PlaneObservation
-from factors.association.shortlist import (
-    Bounds,
-    OutlineGap,
-    PoseUncertainty,
-    log_density,
-    log_parallel_density,
-    shortlist,
-)
+from factors.association.shortlist import bounds_of, log_density, log_parallel_density, outline_gap, shortlist
 from factors.plane import get_ready
 
 
@@ -49,8 +42,7 @@ def joint_compatibility(
     Only the landmarks `among` are looked at when it is given, and only for the observations `trusted`.
     """
     world_T_body = estimate.pose(pose_key)
-    uncertainty = PoseUncertainty.of(estimate.covariance(pose_key))
-    bounds = [Bounds.of(observation, uncertainty, gates) for observation in observations]
+    bounds = bounds_of(observations, estimate.covariance(pose_key), gates)
     shortlists = [shortlist(one, landmarks, world_T_body) for one in bounds]
     chances = [log_density(one, len(near), gates) for one, near in zip(bounds, shortlists, strict=True)]
     parallel = [log_parallel_density(one, len(near), gates) for one, near in zip(bounds, shortlists, strict=True)]
@@ -69,7 +61,7 @@ def joint_compatibility(
         ],
         chances,
         parallel,
-        OutlineGap(observations, landmarks, world_T_body, gates.gap_m),
+        outline_gap(observations, landmarks, world_T_body, gates.gap_m),
         [observation.n_points for observation in observations],
         state=lambda: _informed(joint, hint, values),
         honest=None if hint is None else lambda: State(joint),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -13,24 +14,6 @@ from factors.association.gates import AssociationGates
 from factors.association.observations import Observation
 from spplanes._check import FloatArray
 from spplanes.spmodel import inverse_transform
-
-
-@dataclass(frozen=True)
-class PoseUncertainty:
-    """How far a pose may be from its estimate."""
-
-    position_m: float
-    """Largest standard deviation of the position over all directions, m."""
-    angle_rad: float
-    """Largest standard deviation of the orientation over all axes, rad."""
-
-    @classmethod
-    def of(cls, covariance: FloatArray) -> PoseUncertainty:
-        """From the (6, 6) marginal covariance of a Pose3, tangent order (rotation, translation)."""
-        return cls(
-            position_m=float(np.sqrt(max(np.linalg.eigvalsh(covariance[3:, 3:])[-1], 0.0))),
-            angle_rad=float(np.sqrt(max(np.linalg.eigvalsh(covariance[:3, :3])[-1], 0.0))),
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +28,19 @@ class Bounds:
     angle: float
     """How much turned it may be, rad."""
 
-    @classmethod
-    def of(cls, observation: Observation, uncertainty: PoseUncertainty, gates: AssociationGates) -> Bounds:
-        """Those of the gates, wider by the pose's uncertainty."""
+
+def bounds_of(observations: Sequence[Observation], covariance: FloatArray, gates: AssociationGates) -> list[Bounds]:
+    """Those of the gates, wider by a pose's (6, 6) marginal covariance, tangent order (rotation, translation)."""
+    angle_rad, position_m = (
+        float(np.sqrt(max(np.linalg.eigvalsh(covariance[k : k + 3, k : k + 3])[-1], 0.0))) for k in (0, 3)
+    )
+    bounds = []
+    for observation in observations:
         vertices = observation.vertices
         reach = float(np.linalg.norm(vertices, axis=1).max())
-        margin = gates.gap_m + gates.bound_sigmas * (uncertainty.position_m + reach * uncertainty.angle_rad)
-        return cls(observation, vertices, margin, gates.max_angle_rad + gates.bound_sigmas * uncertainty.angle_rad)
+        margin = gates.gap_m + gates.bound_sigmas * (position_m + reach * angle_rad)
+        bounds.append(Bounds(observation, vertices, margin, gates.max_angle_rad + gates.bound_sigmas * angle_rad))
+    return bounds
 
 
 def log_density(bounds: Bounds, n_near: int, gates: AssociationGates) -> float:
@@ -93,25 +82,18 @@ def _is_plausible(bounds: Bounds, landmark: Landmark, placed: Placed, world_T_bo
     return landmark.extent.is_within(bounds.margin, bounds.observation.patch_in(plane_T_body))
 
 
-class OutlineGap:
-    """How much less likely, in nats, landmarks are for where observations lie: worked out once, for who has rivals."""
+def outline_gap(
+    observations: Sequence[Observation], landmarks: Landmarks[Landmark], world_T_body: FloatArray, gap_m: float
+) -> Callable[[int, int], float]:
+    """How much less likely, in nats, a landmark (its id) is for where an observation (its index) lies.
 
-    def __init__(
-        self,
-        observations: Sequence[Observation],
-        landmarks: Landmarks[Landmark],
-        world_T_body: FloatArray,
-        gap_m: float,
-    ) -> None:
-        self._observations, self._landmarks, self._gap_m = observations, landmarks, gap_m
-        self._world_T_body = world_T_body
-        self._known: dict[tuple[int, int], float] = {}
+    Worked out once, for those that have rivals.
+    """
 
-    def __call__(self, index: int, landmark: int) -> float:
-        """For a landmark (its id) and an observation (its index)."""
-        if (index, landmark) not in self._known:
-            plane_T_body = inverse_transform(self._landmarks.placed(landmark).world_T_plane) @ self._world_T_body
-            patch = self._observations[index].patch_in(plane_T_body)
-            gap = self._landmarks[landmark].extent.distance(patch, self._gap_m)
-            self._known[index, landmark] = gap / OUTLINE_GAP_SCALE_M
-        return self._known[index, landmark]
+    @cache
+    def away(index: int, landmark: int) -> float:
+        plane_T_body = inverse_transform(landmarks.placed(landmark).world_T_plane) @ world_T_body
+        patch = observations[index].patch_in(plane_T_body)
+        return landmarks[landmark].extent.distance(patch, gap_m) / OUTLINE_GAP_SCALE_M
+
+    return away
