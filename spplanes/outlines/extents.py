@@ -32,7 +32,7 @@ class Extent:
         self._waiting: list[BaseGeometry] = []
         self._full: set[tuple[int, int]] = set()
         self._bounds = np.array([np.inf, np.inf, -np.inf, -np.inf])
-        self._take(geometry)
+        self.grow(geometry)
         self._whole: BaseGeometry | None = geometry
 
     @property
@@ -59,7 +59,22 @@ class Extent:
 
     def grow(self, patch: BaseGeometry) -> None:
         """Take a patch in."""
-        self._take(patch)
+        low, high = np.split(np.asarray(patch.bounds), 2)
+        self._bounds = np.concatenate((np.minimum(self._bounds[:2], low), np.maximum(self._bounds[2:], high)))
+        lines_only = (
+            not self._tiles and not self._waiting and (self._line is None or self._line.geom_type == "LineString")
+        )
+        if lines_only and patch.geom_type in ("LineString", "Point"):
+            self._line, self._whole = patch if self._line is None else grow(self._line, patch), None
+            return
+        if self._line is not None:
+            line, self._line = self._line, None
+            self._cut(line)
+        self._waiting.append(patch)
+        self._whole = None
+        if len(self._waiting) == _AT_ONCE:
+            waiting, self._waiting = self._waiting, []
+            self._cut(shapely.union_all(all_valid(waiting)))
 
     def is_within(self, distance_m: float, patch: BaseGeometry) -> bool:
         """Whether the extent comes within a distance of a patch."""
@@ -77,24 +92,6 @@ class Extent:
         reach = np.asarray(patch.bounds) + np.array([-1.0, -1.0, 1.0, 1.0]) * distance_m
         yield from (self._tiles[key] for key in self._tiles_in(reach))
         yield from self._waiting
-
-    def _take(self, patch: BaseGeometry) -> None:
-        low, high = np.split(np.asarray(patch.bounds), 2)
-        self._bounds = np.concatenate((np.minimum(self._bounds[:2], low), np.maximum(self._bounds[2:], high)))
-        lines_only = (
-            not self._tiles and not self._waiting and (self._line is None or self._line.geom_type == "LineString")
-        )
-        if lines_only and patch.geom_type in ("LineString", "Point"):
-            self._line, self._whole = patch if self._line is None else grow(self._line, patch), None
-            return
-        if self._line is not None:
-            line, self._line = self._line, None
-            self._cut(line)
-        self._waiting.append(patch)
-        self._whole = None
-        if len(self._waiting) == _AT_ONCE:
-            waiting, self._waiting = self._waiting, []
-            self._cut(shapely.union_all(all_valid(waiting)))
 
     def _cut(self, patch: BaseGeometry) -> None:
         """Take a patch in, cut along the tiles: into columns first, and those all at once into rows."""

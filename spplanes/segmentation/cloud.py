@@ -190,9 +190,7 @@ class _Job:
             curve.points, curve.neighbourhoods(), labels, fitted.frames, cells_of(fitted.extents, self.config)
         )
         planes = fitted.with_outlines(or_rectangles(outlines, fitted.extents))
-        back = np.eye(4)
-        back[:3, 3] = origin
-        return self._result(labels[curve.number], [plane.transform(back) for plane in planes], fitted, variances)
+        return self._result(labels[curve.number], planes, origin, fitted, variances)
 
     def of_grid(self) -> CloudPlanes:
         """Planes of a grid."""
@@ -213,10 +211,8 @@ class _Job:
         eyes = np.zeros((int(labels.max(initial=-1)) + 1, 3))
         fitted = fit_labelled(grid, found.covariance, once, eyes, self.config, stated=self.sigma is not None)
         planes = fitted.with_outlines(outlines_in(fitted.frames, grid, labels, fitted.extents, self.config))
-        back = np.eye(4)
-        back[:3, 3] = eye
         own = _labels_of(self.points - eye, grid, once)[self.seen]
-        return self._result(own, [plane.transform(back) for plane in planes], fitted, variances)
+        return self._result(own, planes, eye, fitted, variances)
 
     def _variances(self, curve: Curve, ranges: FloatArray) -> FloatArray:
         """Of the distinct points, for tests: what is stated, and no less than they show, shape (N,), m^2."""
@@ -231,8 +227,11 @@ class _Job:
         return variances if self.sigma is None else np.full(len(variances), self.sigma**2)
 
     def _result(
-        self, labels: np.ndarray, planes: list[Plane], fitted: FittedPlanes, variances: FloatArray
+        self, labels: np.ndarray, planes: list[Plane], origin: FloatArray, fitted: FittedPlanes, variances: FloatArray
     ) -> CloudPlanes:
+        back = np.eye(4)
+        back[:3, 3] = origin
+        planes = [plane.transform(back) for plane in planes]
         every = np.full(self.seen.shape, -1, dtype=np.int32)
         every[self.seen] = labels
         n_used, n_distinct = int(self.seen.sum()), len(variances)

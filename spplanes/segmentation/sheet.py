@@ -82,6 +82,11 @@ def refit(sheet: Sheet, config: MapperConfig) -> None:
     )
 
 
+def is_plane(row: FloatArray, config: MapperConfig) -> bool:
+    """Whether a region is large enough for a plane, and determines one."""
+    return row[0] >= config.min_points and is_determined(row, config)
+
+
 def is_determined(row: FloatArray, config: MapperConfig) -> bool:
     """Whether the smaller of the two tilts is known to max_tilt_rad."""
     return eigenvalues(row)[1] * config.max_tilt_rad**2 >= 1.0
@@ -89,7 +94,7 @@ def is_determined(row: FloatArray, config: MapperConfig) -> bool:
 
 def drop_small(sheet: Sheet, config: MapperConfig) -> None:
     """Take the points from regions that are too small or do not determine a plane; those from earlier scans stay."""
-    keep = np.array([row[0] >= config.min_points and is_determined(row, config) for row in sheet.rows], dtype=bool)
+    keep = np.array([is_plane(row, config) for row in sheet.rows], dtype=bool)
     keep |= sheet.prior[:, 0] > 0.0
     if not keep.all():
         sheet.labels[~np.append(keep, True)[sheet.labels]] = -1

@@ -18,7 +18,7 @@ from spplanes.segmentation.clustering.growing import fit_regions, hesse
 from spplanes.segmentation.clustering.joining import cluster_patches
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.planes import frames_of
-from spplanes.segmentation.sheet import is_determined
+from spplanes.segmentation.sheet import is_determined, is_plane
 
 #: The search starts again, once, with the points that fit no plane, and with the shared error that planes have shown.
 _ROUNDS = 2
@@ -107,7 +107,7 @@ class _Labelling:
                 self._refit()
             elif changed <= _AT_REST * len(self.points):
                 break
-        self._keep([r for r, row in enumerate(self.rows) if self._is_plane(row)])
+        self._keep([r for r, row in enumerate(self.rows) if is_plane(row, self.config)])
 
     def shown_octave_m(self) -> float:
         """Standard deviation of an octave of the error that neighbours share, as the regions show it, m."""
@@ -115,9 +115,6 @@ class _Labelling:
             return 0.0
         frames, spreads = frames_of(self.rows, np.full((len(self.rows), 3), np.nan))
         return octave_sigma_of(self.points, self.variances[:, None], self.labels, frames, spreads)
-
-    def _is_plane(self, row: FloatArray) -> bool:
-        return row[0] >= self.config.min_points and is_determined(row, self.config)
 
     def _clustered(self, rows: FloatArray, edges: np.ndarray) -> np.ndarray:
         """Root of every patch; rows are those of the trees afterwards."""
