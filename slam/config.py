@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from slam._yaml import near_key, read_yaml
 from spplanes import LineConfig, MapperConfig
-from spplanes.segmentation.validation.config import ValidationConfig
+from spplanes.segmentation.config import ValidationConfig
 
 #: Bounds that are drawn from a standard deviation, within which a test then decides, are taken at this many of them.
 BOUND_SIGMAS: Final = 3.0

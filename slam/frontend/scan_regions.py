@@ -17,7 +17,7 @@ from spplanes._threads import in_parts
 from spplanes.fitting._groups import fit_groups
 from spplanes.fitting._job import FitJob, group_by_label
 from spplanes.fitting.shared_error import shared_error_of
-from spplanes.segmentation.validation.config import ValidationConfig
+from spplanes.segmentation.config import ValidationConfig
 from spplanes.segmentation.validation.one_plane import InPatches, could_be_seen, fits_its_noise
 from spplanes.segmentation.validation.plane_ends import sure_points
 from spplanes.segmentation.validation.splitting import tells_tilt

@@ -13,11 +13,10 @@ from spplanes.clouds.arrange import arrange
 from spplanes.clouds.octree import Curve
 from spplanes.outlines.outline import outlines_of_groups
 from spplanes.plane import Plane
-from spplanes.segmentation.config import MapperConfig
+from spplanes.segmentation.config import MapperConfig, ValidationConfig
 from spplanes.segmentation.planes import FittedPlanes, cells_of, fit_labelled, or_rectangles, outlines_in
 from spplanes.segmentation.scans import label_scans
 from spplanes.segmentation.unordered import label_curve
-from spplanes.segmentation.validation.config import ValidationConfig
 from spplanes.segmentation.validation.one_plane import could_be_seen
 
 _DEFAULT = MapperConfig()

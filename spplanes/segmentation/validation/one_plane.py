@@ -8,8 +8,8 @@ import numpy as np
 
 from spplanes._check import FloatArray
 from spplanes.plane import Plane
+from spplanes.segmentation.config import ValidationConfig
 from spplanes.segmentation.validation._patch_kernels import along_normal, numbered, patches_of, strays
-from spplanes.segmentation.validation.config import ValidationConfig
 
 
 def is_one_plane(

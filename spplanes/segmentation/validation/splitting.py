@@ -9,9 +9,9 @@ import numpy as np
 from spplanes import MapperConfig, Plane
 from spplanes._check import FloatArray
 from spplanes.registration import RegisteredScans
+from spplanes.segmentation.config import ValidationConfig
 from spplanes.segmentation.planes import planes_of
 from spplanes.segmentation.validation._cut_kernels import FEWEST, best_cut
-from spplanes.segmentation.validation.config import ValidationConfig
 from spplanes.segmentation.validation.spurious import Window, without_chimeras
 
 #: Largest chi2 (1 dof) of a step between two parts of one plane, the largest of some hundred cuts.

@@ -16,7 +16,7 @@ from slam.sensors.log import CloudScan
 from slam.sensors.rig import Sensor
 from slam.sensors.scan_noise import line_tilt_covariances, servo_covariances, surface_covariances, tilt_drift
 from spplanes import MapperConfig, Plane, fit_plane
-from spplanes.segmentation.validation.config import ValidationConfig
+from spplanes.segmentation.config import ValidationConfig
 from spplanes.segmentation.validation.one_plane import InPatches, could_be_seen, fits_its_noise, is_one_plane
 from tests.slam.floorplan.measured_suites import Measured
 from tests.spplanes.fitting.test_shared_error import wall
