@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from factors.association.associate import Association as Association
     from factors.association.associate import Identity as Identity
     from factors.association.associate import associate as associate
+    from factors.association.decisions import AssociationGates as AssociationGates
     from factors.association.estimate import observation_factor as observation_factor
-    from factors.association.gates import AssociationGates as AssociationGates
     from factors.association.landmark_extents import LandmarkExtents as LandmarkExtents
     from factors.association.observations import LineObservation as LineObservation
     from factors.association.observations import PlaneObservation as PlaneObservation
@@ -55,7 +55,7 @@ _OF_MODULES = {
     "archive": ("copy_graph",),
     "association.associate": ("Association", "Identity", "associate"),
     "association.estimate": ("observation_factor",),
-    "association.gates": ("AssociationGates",),
+    "association.decisions": ("AssociationGates",),
     "association.landmark_extents": ("LandmarkExtents",),
     "association.observations": ("LineObservation", "PlaneObservation"),
     "association.prediction": ("Prediction",),

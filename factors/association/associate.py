@@ -9,8 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from factors.association.decisions import Candidate, Decision
-from factors.association.gates import AssociationGates
+from factors.association.decisions import AssociationGates, Candidate, Decision
 from factors.association.grouping import group_planes
 from factors.association.landmark_extents import LandmarkExtent, LandmarkExtents, as_observation, place_all
 from factors.association.observations import Observation

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import chdtri
 from shapely.geometry.base import BaseGeometry
 
-from factors.association.gates import AssociationGates
+from factors.association.decisions import AssociationGates
 from factors.association.observations import Observation
 from spplanes import Plane
 from spplanes.outlines.growing import grow

@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from factors.association.decisions import Candidate, Decision, decide, is_open
-from factors.association.gates import AssociationGates
+from factors.association.decisions import AssociationGates, Candidate, Decision, decide, is_open
 from factors.association.gating import Hypothesis, Innovation, State, innovations_of
 
 #: So many other first matches are tried, each of another landmark.

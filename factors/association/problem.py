@@ -6,9 +6,8 @@ from collections.abc import Collection, Sequence
 
 import gtsam
 
-from factors.association.decisions import Candidate
+from factors.association.decisions import AssociationGates, Candidate
 from factors.association.estimate import Estimate, Joint, Landmark, Landmarks
-from factors.association.gates import AssociationGates
 from factors.association.gating import Hypothesis, State, hypotheses_of
 from factors.association.joint_association import JointCompatibility
 from factors.association.observations import Observation, PlaneObservation

@@ -8,9 +8,8 @@ from functools import cache
 
 import numpy as np
 
-from factors.association.decisions import OUTLINE_GAP_SCALE_M
+from factors.association.decisions import OUTLINE_GAP_SCALE_M, AssociationGates
 from factors.association.estimate import AnyLandmark, Landmark, Landmarks, Placed
-from factors.association.gates import AssociationGates
 from factors.association.observations import Observation
 from spplanes._check import FloatArray
 from spplanes.spmodel import inverse_transform

@@ -6,8 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from factors.association.decisions import Candidate, Decision
-from factors.association.gates import AssociationGates
+from factors.association.decisions import AssociationGates, Candidate, Decision
 from factors.association.problem import joint_compatibility
 from slam.backend.estimator import Backend
 from slam.config import BOUND_SIGMAS, AssociationConfig

@@ -21,7 +21,7 @@ from factors import (
     pose_prior,
     settle,
 )
-from factors.association.gates import AssociationGates as Gates
+from factors.association.decisions import AssociationGates as Gates
 from slam.config import AssociationConfig
 from slam.map.data_association import gates_of
 from spplanes import Plane

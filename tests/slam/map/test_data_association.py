@@ -9,8 +9,7 @@ import pytest
 from scipy.stats import chi2 as chi2_distribution
 from shapely import box
 
-from factors.association.decisions import Candidate, decide, is_open
-from factors.association.gates import AssociationGates
+from factors.association.decisions import AssociationGates, Candidate, decide, is_open
 from factors.association.gating import Hypothesis, State, chi2_and_log_det
 from factors.association.joint_association import JointCompatibility
 from slam import PlaneSlam
