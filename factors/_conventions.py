@@ -36,11 +36,6 @@ def landmark_hesse(landmark: gtsam.OrientedPlane3) -> tuple[FloatArray, float]:
     return coefficients[:3], -float(coefficients[3])
 
 
-def as_pose3(transform: FloatArray) -> gtsam.Pose3:
-    """GTSAM pose of a (4, 4) rigid transform."""
-    return gtsam.Pose3(transform)
-
-
 def error_to_sp(frames: FloatArray) -> FloatArray:
     """Matrices M with p = M e, shape (N, 3, 3), for frames (N, 4, 4).
 

@@ -137,13 +137,13 @@ def world_plane(
     n_points, and its frame moved onto the landmark by the shortest way. ValueError: it has no ``outline``.
     """
     landmark = _landmark(values, plane_key)
+    around = centre if shape_of is None else shape_of.centre
     if anchor_key is None:
         covariance = joint_covariance(marginals, [plane_key])
-        found = landmark_to_plane(landmark, covariance, centre=_centre_of(shape_of, centre), n_points=n_points)
+        found = landmark_to_plane(landmark, covariance, centre=around, n_points=n_points)
     else:
         joint = joint_covariance(marginals, [anchor_key, plane_key])
         anchor = pose_in("anchor_key", values, anchor_key)
-        around = _centre_of(shape_of, centre)
         found = world_plane_from_joint(landmark, anchor, joint, centre=around, n_points=n_points)
     return found if shape_of is None else _shaped(found, shape_of)
 
@@ -224,10 +224,6 @@ def _with_joint(
     frame = plane_frame(seen[:3], float(seen[3]), _centre(centre))
     to_sp = hesse_to_sp(frame) @ jacobian
     return Plane(frame=frame, covariance=to_sp @ joint @ to_sp.T, n_points=n_points)
-
-
-def _centre_of(shape: Plane | None, centre: ArrayLike | None) -> ArrayLike | None:
-    return centre if shape is None else shape.centre
 
 
 def _shaped(plane: Plane, shape: Plane) -> Plane:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from factors._check import as_definite_covariance, as_key, check_distinct
-from factors._conventions import SP_TO_POSE3, as_pose3
+from factors._conventions import SP_TO_POSE3
 from factors.robust import Robust, with_robust
 from spplanes._check import as_positive, as_shape, as_transform
 
@@ -21,7 +21,7 @@ def pose_prior(
 
     ValueError: not a rigid transform, a singular covariance, a key that is no integer.
     """
-    pose = as_pose3(as_transform("world_T_body", world_T_body))
+    pose = gtsam.Pose3(as_transform("world_T_body", world_T_body))
     return gtsam.PriorFactorPose3(as_key("pose_key", pose_key), pose, _noise(covariance, robust))
 
 
@@ -34,7 +34,7 @@ def relative_pose_factor(
     ValueError: not a rigid transform, a singular covariance, keys that are no integers.
     """
     check_distinct(key_a=key_a, key_b=key_b)
-    motion = as_pose3(as_transform("a_T_b", a_T_b))
+    motion = gtsam.Pose3(as_transform("a_T_b", a_T_b))
     return gtsam.BetweenFactorPose3(as_key("key_a", key_a), as_key("key_b", key_b), motion, _noise(covariance, robust))
 
 

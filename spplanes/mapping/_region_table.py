@@ -100,11 +100,7 @@ class RegionTable:
             self.keys = _enlarged(self.keys[: self.n_keys], 2 * (self.n_keys + len(keys)))
         self.keys[self.n_keys : self.n_keys + len(keys)] = keys
         self.n_keys += len(keys)
-        self._compact_outlines()
-
-    def _compact_outlines(self) -> None:
-        """Drop repeated cells when enough of them may have gathered."""
-        if self.n_keys > 2 * self._n_distinct:
+        if self.n_keys > 2 * self._n_distinct:  # cells that repeat go when enough of them may have gathered
             cells = distinct(self.keys[: self.n_keys])
             self.keys[: len(cells)] = cells
             self.n_keys = len(cells)
