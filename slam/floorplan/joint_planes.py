@@ -11,7 +11,7 @@ from slam.backend.estimator import Backend
 from slam.floorplan.quantities import Gradient, Quantity
 from slam.map.landmarks import LandmarkMap
 from slam.map.map_planes import MapPlane
-from slam.mapping.same_plane import hesse_in_world
+from slam.mapping.same_plane import hesse_of
 from spplanes._check import FloatArray
 
 
@@ -50,7 +50,7 @@ def joint_planes(planes: Sequence[MapPlane], landmarks: LandmarkMap, backend: Ba
         planes: of the map, as `PlaneSlam.planes` gives them.
         landmarks, backend: the state they were read from.
     """
-    known = [hesse_in_world(landmarks[one.id], backend) for one in planes]
+    known = [hesse_of(landmarks[one.id], backend) for one in planes]
     keys = list(dict.fromkeys(key for _, _, _, by in known for key in by))
     if not keys:
         return JointPlanes((), np.empty((0, 4)), np.empty((0, 0)))

@@ -9,17 +9,16 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri
 
-from slam.backend.estimator import Backend, JointCovariance, pose_symbol
+from slam.backend.estimator import Backend, pose_symbol
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.information import left_open
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.occupancy import Raster
 from slam.frontend.odometry import NO_FLOOR, Motion, planar_delta
 from slam.geometry.frames import inverse, lift, planar_transform
 from slam.loop_closure.candidates import DrivenPath, old_keyframes, radius_of
 from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
 from slam.map.landmarks import Landmark, LandmarkMap
-from slam.mapping.same_plane import hesse_from, landmark_keys
+from slam.mapping.same_plane import hesse_of, landmark_keys
 from slam.registration.correlative_search import PlaceView, SearchResult, search_place
 from slam.registration.place_recognition import ConstellationMatch, Wall, match_constellations, match_near
 from slam.registration.submaps import RelativePose, view_of
@@ -82,13 +81,40 @@ class Surroundings:
     """Keyframes that must have seen a landmark before it takes part."""
 
     def landmarks_about(self, frame: int) -> list[Landmark]:
-        """Landmarks seen within the window of travel around a keyframe."""
-        return surroundings(frame, self.path, self.landmarks, self.config, self.min_keyframes)
+        """Confirmed landmarks seen within the window of travel around a keyframe."""
+        first, last = self.path.window(frame, self.config.window_m)
+        return [
+            one for one in self.landmarks if one.n_keyframes >= self.min_keyframes and one.was_seen_between(first, last)
+        ]
+
+    def walls_about(self, frame: int) -> list[Wall]:
+        """These as walls in the keyframe's frame, with their covariance relative to it."""
+        pose_key, seen, walls = pose_symbol(frame), self.landmarks_about(frame), []
+        if not seen:
+            return []
+        joint = self.backend.joint_covariance(sorted({pose_key}.union(*(landmark_keys(one) for one in seen))))
+        body_T_world = inverse(self.backend.pose(pose_key))
+        for one in seen:
+            normal, d, jacobian, keys = hesse_of(one, self.backend, pose_key)
+            covariance = jacobian @ joint.of(keys) @ jacobian.T
+            body_T_plane = body_T_world @ self.landmarks.placed(one.id).world_T_plane
+            walls.append(Wall.from_plane(normal, d, covariance, lift(one.extent.corners, body_T_plane)))
+        return walls
 
     def view_about(self, frame: int) -> PlaceView | None:
         """What level lasers saw there, as a submap in its frame."""
-        view = view_about(frame, self.path, self.keyframes, self.backend, self.config)
+        first, last = self.path.window(frame, self.config.window_m)
+        members = range(first, last + 1)
+        poses = [self.backend.pose(pose_symbol(one)) for one in members]
+        view = view_of([self.keyframes[one] for one in members], poses, self.path.pose(frame), self.config)
         return None if view is None else PlaceView(view)
+
+    def are_tied_by(self, shared: Sequence[Landmark]) -> bool:
+        """Whether walls that two places see, in more than one direction, leave nothing open between them."""
+        if len(shared) < self.config.min_walls:
+            return False
+        normals = np.array([self.landmarks.placed(one.id).normal for one in shared])
+        return bool(np.abs(np.cross(normals[0], normals)).max() > _ACROSS)
 
 
 def compare_with_old(around: Surroundings) -> Iterator[LoopDecision]:
@@ -115,27 +141,14 @@ def compare_with_old(around: Surroundings) -> Iterator[LoopDecision]:
         shared = [one for one in here if one in there]
         if old in estimates:
             estimate = estimates[old]
-            if is_tied(shared, estimate, around.landmarks, config):
-                continue
+            if (estimate.reach_m <= config.tied_m and shared) or around.are_tied_by(shared):
+                continue  # nothing is left to find
             view, other = view or around.view_about(now), around.view_about(old)
             if view is not None and other is not None:
                 yield _decide_by_search(_searched(view, other, estimate, old, path, config), estimate, old, path)
         elif min(len(here), len(there)) >= config.min_walls > len(shared):
-            match = match_constellations(*(_walls(around, frame) for frame in (now, old)))
-            yield _decide(match, old, path, here, there, around.backend, config)
-
-
-def is_tied(shared: Sequence[Landmark], estimate: RelativePose, landmarks: LandmarkMap, config: LoopConfig) -> bool:
-    """Whether two places see so much in common that nothing is left to find: walls in more than one direction."""
-    return bool(estimate.reach_m <= config.tied_m and shared) or ties(shared, landmarks, config)
-
-
-def ties(shared: Sequence[Landmark], landmarks: LandmarkMap, config: LoopConfig) -> bool:
-    """Whether walls that two places see, in more than one direction, leave nothing open between them."""
-    if len(shared) < config.min_walls:
-        return False
-    normals = np.array([landmarks.placed(one.id).normal for one in shared])
-    return bool(np.abs(np.cross(normals[0], normals)).max() > _ACROSS)
+            match = match_constellations(around.walls_about(now), around.walls_about(old))
+            yield _decide(match, old, around, here, there)
 
 
 def _searched(
@@ -160,7 +173,7 @@ def _decide_by_search(found: SearchResult, estimate: RelativePose, old: int, pat
     if not found.modes:
         return LoopDecision(now, old, "not seen")
     best = found.modes[0]
-    far, turn = _offset(estimate.delta, best.pose)
+    far, turn = _offset(planar_transform(*estimate.delta), planar_transform(*best.pose))
     if best.log_odds <= 0.0 or found.is_at_edge:
         rivals = len(found.modes) > 1 or found.is_at_edge
         return LoopDecision(now, old, "ambiguous" if rivals else "not seen", (), far, turn, evidence=best.evidence)
@@ -173,17 +186,17 @@ def proposed(proposal: Proposal, around: Surroundings) -> LoopDecision:
     """A closure that somebody else proposes, before it is accepted: known, where walls that both see bear it out."""
     now, old, pose = proposal.keyframe, proposal.old_keyframe, proposal.pose
     estimate = planar_delta(inverse(around.path.pose(old)) @ around.path.pose(now))
-    far, turn = _offset(estimate, pose.delta)
+    far, turn = _offset(planar_transform(*estimate), planar_transform(*pose.delta))
     is_known = False
     if pose.misfit(estimate) <= chdtri(3, around.config.significance):
         here, there = (around.landmarks_about(frame) for frame in (now, old))
-        is_known = ties([one for one in here if one in there], around.landmarks, around.config)
+        is_known = around.are_tied_by([one for one in here if one in there])
     return LoopDecision(now, old, "known" if is_known else "waiting", (), far, turn, proposal=proposal)
 
 
 def _offset(estimate: FloatArray, found: FloatArray) -> tuple[float, float]:
-    """How far two motions (x, y, theta) lie from another, m, and how much they are turned, rad."""
-    offset = inverse(planar_transform(*estimate)) @ planar_transform(*found)
+    """How far two motions (4, 4) lie from another, m, and how much they are turned, rad."""
+    offset = inverse(estimate) @ found
     return float(np.linalg.norm(offset[:2, 3])), float(planar_delta(offset)[2])
 
 
@@ -195,15 +208,14 @@ def joined(decision: LoopDecision, proposal: Proposal, around: Surroundings) -> 
     """
     now, old, pose = proposal.keyframe, proposal.old_keyframe, proposal.pose
     here, there = around.landmarks_about(now), around.landmarks_about(old)
-    match = match_near(
-        _walls(around, now), _walls(around, old), pose.delta, pose.covariance, significance=around.config.significance
-    )
-    motion: Motion | None = Motion(planar_transform(*pose.delta), pose.covariance, NO_FLOOR)
+    walls, significance = (around.walls_about(now), around.walls_about(old)), around.config.significance
+    match = match_near(*walls, pose.delta, pose.covariance, significance=significance)
+    motion: Motion | None = _motion(pose.delta, pose.covariance)
     pairs: tuple[tuple[int, int], ...] = ()
     if match is not None:
-        motion = _motion_beyond(pose, match)
-        found = [(here[i].id, there[j].id) for i, j in match.pairs.tolist() if here[i] is not there[j]]
-        pairs = tuple((min(pair), max(pair)) for pair in found)
+        beyond = None if match.by_walls is None else left_open(pose.covariance, match.by_walls)
+        motion = None if beyond is None else _motion(pose.delta, beyond)
+        pairs = _paired(match, here, there)
         decision = replace(decision, chi2=match.chi2, dof=match.n_dof)
     if not pairs and motion is not None:
         estimate = RelativePose.of(pose_symbol(old), pose_symbol(now), around.backend)
@@ -217,14 +229,20 @@ def without_walls(decision: LoopDecision) -> LoopDecision | None:
     if decision.proposal is None:
         return None
     pose = decision.proposal.pose
-    motion = Motion(planar_transform(*pose.delta), pose.covariance, NO_FLOOR)
-    return replace(decision, verdict="closed", pairs=(), motion=motion)
+    return replace(decision, verdict="closed", pairs=(), motion=_motion(pose.delta, pose.covariance))
 
 
-def _walls(around: Surroundings, frame: int) -> list:
-    """The landmarks about a keyframe as walls in its frame; none where there are none."""
-    seen = around.landmarks_about(frame)
-    return walls_from(pose_symbol(frame), seen, around.landmarks, around.backend) if seen else []
+def _motion(delta: FloatArray, covariance: FloatArray) -> Motion:
+    """(x, y, theta) as a motion that says nothing of the floor."""
+    return Motion(planar_transform(*delta), covariance, NO_FLOOR)
+
+
+def _paired(
+    match: ConstellationMatch, here: Sequence[Landmark], there: Sequence[Landmark]
+) -> tuple[tuple[int, int], ...]:
+    """Landmarks (older, younger) whose walls a match has as one."""
+    found = [(here[i].id, there[j].id) for i, j in match.pairs.tolist() if here[i] is not there[j]]
+    return tuple((min(pair), max(pair)) for pair in found)
 
 
 def _is_news(motion: Motion, estimate: RelativePose, config: LoopConfig) -> bool:
@@ -237,79 +255,23 @@ def _is_news(motion: Motion, estimate: RelativePose, config: LoopConfig) -> bool
     return replace(estimate, covariance=better).reach_m < 0.5 * estimate.reach_m > 0.5 * config.tied_m
 
 
-def _motion_beyond(found: PlanarPose, match: ConstellationMatch) -> Motion | None:
-    """What the submaps say of the motion beyond the walls that are joined."""
-    covariance = None if match.by_walls is None else left_open(found.covariance, match.by_walls)
-    if covariance is None:
-        return None
-    return Motion(planar_transform(*found.delta), covariance, NO_FLOOR)
-
-
 def _decide(
     match: ConstellationMatch | None,
     old: int,
-    path: DrivenPath,
+    around: Surroundings,
     here: Sequence[Landmark],
     there: Sequence[Landmark],
-    backend: Backend,
-    config: LoopConfig,
 ) -> LoopDecision:
-    now = len(path.lengths) - 1
+    path, now = around.path, len(around.path.lengths) - 1
     if match is None:
         return LoopDecision(now, old, "not seen")
-    offset = inverse(inverse(path.pose(old)) @ path.poses[-1]) @ match.b_T_a
-    distance = float(np.linalg.norm(offset[:2, 3]))
-    turn = float(np.arctan2(offset[1, 0], offset[0, 0]))
-    found = [(here[i].id, there[j].id) for i, j in match.pairs.tolist() if here[i] is not there[j]]
-    pairs = tuple((min(pair), max(pair)) for pair in found)
-    radius = radius_of(pose_symbol(now), backend) + config.drift_share * float(path.lengths[now] - path.lengths[old])
+    distance, turn = _offset(inverse(path.pose(old)) @ path.poses[-1], match.b_T_a)
+    pairs = _paired(match, here, there)
+    drift = around.config.drift_share * float(path.lengths[now] - path.lengths[old])
+    radius = radius_of(pose_symbol(now), around.backend) + drift
     verdict: LoopVerdict = "closed" if match.verdict == "closure" else match.verdict
     if verdict == "closed" and distance > radius:
         verdict = "far"
     if verdict == "closed" and not pairs:
         verdict = "too few"
     return LoopDecision(now, old, verdict, pairs, distance, turn, match.chi2, match.n_dof, match.evidence)
-
-
-def surroundings(
-    index: int, path: DrivenPath, landmarks: LandmarkMap, config: LoopConfig, min_keyframes: int
-) -> list[Landmark]:
-    """Confirmed landmarks seen within the window of travel around a keyframe."""
-    first, last = path.window(index, config.window_m)
-    return [
-        landmark
-        for landmark in landmarks
-        if landmark.n_keyframes >= min_keyframes and landmark.was_seen_between(first, last)
-    ]
-
-
-def view_about(
-    frame: int, path: DrivenPath, keyframes: Sequence[Keyframe], backend: Backend, config: LoopConfig
-) -> Raster | None:
-    """What level lasers saw within the window of travel around a keyframe, in its frame."""
-    first, last = path.window(frame, config.window_m)
-    members = list(range(first, last + 1))
-    poses = [backend.pose(pose_symbol(one)) for one in members]
-    return view_of([keyframes[one] for one in members], poses, path.pose(frame), config)
-
-
-def walls_from(pose_key: int, seen: Sequence[Landmark], landmarks: LandmarkMap, backend: Backend) -> list[Wall]:
-    """The landmarks as walls in the frame of a pose, with their covariance relative to it."""
-    keys = {pose_key}.union(*(landmark_keys(landmark) for landmark in seen))
-    joint = backend.joint_covariance(sorted(keys))
-    body_T_world = inverse(backend.pose(pose_key))
-    return [_wall_from(pose_key, one, body_T_world, landmarks, backend, joint) for one in seen]
-
-
-def _wall_from(
-    pose_key: int,
-    landmark: Landmark,
-    body_T_world: FloatArray,
-    landmarks: LandmarkMap,
-    backend: Backend,
-    joint: JointCovariance,
-) -> Wall:
-    normal, d, jacobian, keys = hesse_from(landmark, pose_key, backend)
-    covariance = jacobian @ joint.of(keys) @ jacobian.T
-    body_T_plane = body_T_world @ landmarks.placed(landmark.id).world_T_plane
-    return Wall.from_plane(normal, d, covariance, lift(landmark.extent.corners, body_T_plane))

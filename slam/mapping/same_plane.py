@@ -13,7 +13,7 @@ from slam.backend.estimator import Backend, JointCovariance
 from slam.config import AssociationConfig
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten
-from slam.map.landmarks import Landmark, LandmarkMap, PlacedPlane
+from slam.map.landmarks import Landmark, PlacedPlane
 from slam.map.state import EstimatorState
 from spplanes._check import FloatArray
 from spplanes.spmodel import skew
@@ -23,106 +23,69 @@ class SamePlaneFinder:
     """Looks for landmarks that have become one plane, each pair again only when a quarter more was seen of it."""
 
     def __init__(self, state: EstimatorState) -> None:
-        self._landmarks, self._backend, self._config = state.landmarks, state.backend, state.config
+        self._landmarks, self._backend, self._rules = state.landmarks, state.backend, state.config.association
+        self._min_keyframes = state.config.landmarks.min_observations
+        #: Sightings of both landmarks of a pair when it was last found to be two.
         self._told_apart: dict[tuple[int, int], int] = {}
 
     def pairs(self, touched: Iterable[int]) -> list[tuple[int, int]]:
-        """Pairs (older, younger) that are one plane, of those with a landmark in `touched`: `find_same_planes`."""
-        return find_same_planes(
-            touched,
-            self._landmarks,
-            self._backend,
-            self._config.association,
-            min_keyframes=self._config.landmarks.min_observations,
-            told_apart=self._told_apart,
-        )
+        """Pairs (older, younger) of landmarks that are one plane by chi2 with the covariance of the whole state.
+
+        Landmarks seen from few keyframes are left alone: what one look says may be wrong, a merge would keep it.
+
+        Args:
+            touched: ids of landmarks whose estimate or outline has just changed; only pairs with one of them are looked
+                at, by the map as of its last refresh.
+
+        Returns:
+            Disjoint pairs, best first.
+        """
+        pairs = self._candidates(touched)
+        if not pairs:
+            return []
+        keys = {key for pair in pairs.values() for one in pair for key in landmark_keys(one)}
+        joint, limit = self._backend.joint_covariance(sorted(keys)), float(chdtri(3, self._rules.significance))
+        found = [(same_plane_chi2(*pair, self._backend, joint), *ids) for ids, pair in pairs.items()]
+        self._told_apart.update({(a, b): _sightings(pairs[a, b]) for chi2, a, b in found if chi2 > limit})
+        return disjoint([(a, b) for chi2, a, b in sorted(found) if chi2 <= limit])
+
+    def _candidates(self, touched: Iterable[int]) -> dict[tuple[int, int], tuple[Landmark, Landmark]]:
+        """Pairs that lie over each other, by their ids, but for those of which nothing new was seen."""
+        pairs: dict[tuple[int, int], tuple[Landmark, Landmark]] = {}
+        gap_m, angle_rad = self._rules.gap_m, self._rules.max_angle_rad
+        for first in (self._landmarks[key] for key in sorted(touched)):
+            if first.n_keyframes < self._min_keyframes:
+                continue
+            middle, radius = self._landmarks.sphere(first.id)
+            place = self._landmarks.placed(first.id)
+            for second, second_place in self._landmarks.near(place.normal, middle, radius + gap_m, angle_rad):
+                if second is first or second.n_keyframes < self._min_keyframes:
+                    continue
+                ids = min(first.id, second.id), max(first.id, second.id)
+                if _sightings((first, second)) < 1.25 * self._told_apart.get(ids, 0):
+                    continue
+                if _may_be_one(first, place, second, second_place, self._rules):
+                    pairs[ids] = (first, second)
+        return pairs
 
     def forget(self) -> None:
         """The map has been bent: every pair is looked at again."""
         self._told_apart.clear()
 
 
-def find_same_planes(
-    touched: Iterable[int],
-    landmarks: LandmarkMap,
-    backend: Backend,
-    config: AssociationConfig,
-    *,
-    min_keyframes: int,
-    told_apart: dict[tuple[int, int], int] | None = None,
-) -> list[tuple[int, int]]:
-    """Pairs (older, younger) of landmarks that are one plane by chi2 with the covariance of the whole state.
-
-    Args:
-        touched: ids of landmarks whose estimate or outline has just changed; only pairs with one of them are looked at.
-        landmarks, backend, config: the map, as of its last refresh.
-        min_keyframes: landmarks seen from fewer are left alone: what one look says may be wrong, a merge would keep it.
-        told_apart: sightings of both when a pair was last found to be two; it is looked at again when they are a
-            quarter more. Kept up to date. None: every pair is looked at.
-
-    Returns:
-        Disjoint pairs, best first.
-    """
-    pairs: dict[tuple[int, int], tuple[Landmark, Landmark]] = {}
-    for first in (landmarks[key] for key in sorted(touched)):
-        if first.n_keyframes < min_keyframes:
-            continue
-        middle, radius = landmarks.sphere(first.id)
-        place = landmarks.placed(first.id)
-        for second, second_place in landmarks.near(place.normal, middle, radius + config.gap_m, config.max_angle_rad):
-            if second is first or second.n_keyframes < min_keyframes:
-                continue
-            ids = min(first.id, second.id), max(first.id, second.id)
-            if told_apart is not None and _sightings((first, second)) < 1.25 * told_apart.get(ids, 0):
-                continue
-            if _may_be_one(first, place, second, second_place, config):
-                pairs[ids] = (first, second)
-    if not pairs:
-        return []
-    joint = backend.joint_covariance(
-        sorted({key for pair in pairs.values() for one in pair for key in landmark_keys(one)})
-    )
-    limit = float(chdtri(3, config.significance))
-    found = [(_same_plane_chi2(*pair, backend, joint), *ids) for ids, pair in pairs.items()]
-    if told_apart is not None:
-        told_apart.update({(a, b): _sightings(pairs[a, b]) for chi2, a, b in found if chi2 > limit})
-    return disjoint([(min(a, b), max(a, b)) for chi2, a, b in sorted(found) if chi2 <= limit])
-
-
 def _sightings(pair: tuple[Landmark, Landmark]) -> int:
     return sum(len(one.sightings) for one in pair)
 
 
-def same_plane_chi2(first: Landmark, second: Landmark, backend: Backend) -> float:
+def same_plane_chi2(first: Landmark, second: Landmark, backend: Backend, joint: JointCovariance | None = None) -> float:
     """Squared Mahalanobis distance of two landmarks of one state, chi2 with 3 degrees of freedom if they are one.
 
     Their difference is taken in the frame of the second's anchor, in a basis that stays fixed: that of
-    ``Unit3.basis()`` jumps where components of the normal tie.
+    ``Unit3.basis()`` jumps where components of the normal tie. `joint` has the covariance of the keys of both; None: it
+    is asked for.
     """
-    keys = sorted({*landmark_keys(first), *landmark_keys(second)})
-    return _same_plane_chi2(first, second, backend, backend.joint_covariance(keys))
-
-
-def landmark_keys(landmark: Landmark) -> tuple[int, int]:
-    """The keys its place depends on: its own and its anchor's."""
-    return landmark.key, landmark.anchor_key
-
-
-def _same_plane_chi2(first: Landmark, second: Landmark, backend: Backend, joint: JointCovariance) -> float:
-    difference, jacobian, keys = difference_of(first, second, backend)
-    covariance = jacobian @ joint.of(keys) @ jacobian.T
-    return float(difference @ np.linalg.solve(covariance, difference))
-
-
-def difference_of(first: Landmark, second: Landmark, backend: Backend) -> tuple[FloatArray, FloatArray, list[int]]:
-    """How two landmarks differ: (tangent of the normals, distance) of the first minus the second, shape (3,).
-
-    In the second's anchor frame b: n' = R n, d' = d + t.n' of the first, with b_T_a = (R, t), and n'.t does not depend
-    on b's orientation.
-
-    Returns:
-        The difference, its derivative (3, K) and the distinct keys whose stacked tangents, K in all, it is by.
-    """
+    if joint is None:
+        joint = backend.joint_covariance(sorted({*landmark_keys(first), *landmark_keys(second)}))
     difference, (by_first, by_pose_a, by_second, by_pose_b) = anchored_difference(
         backend.plane(first.key),
         backend.pose(first.anchor_key),
@@ -132,17 +95,26 @@ def difference_of(first: Landmark, second: Landmark, backend: Backend) -> tuple[
     blocks: dict[int, FloatArray] = {first.key: by_first, second.key: by_second}
     for key, block in ((first.anchor_key, by_pose_a), (second.anchor_key, by_pose_b)):
         blocks[key] = blocks.get(key, np.zeros((3, block.shape[1]))) + block
-    return difference, np.hstack(list(blocks.values())), list(blocks)
+    jacobian = np.hstack(list(blocks.values()))
+    covariance = jacobian @ joint.of(list(blocks)) @ jacobian.T
+    return float(difference @ np.linalg.solve(covariance, difference))
+
+
+def landmark_keys(landmark: Landmark) -> tuple[int, int]:
+    """The keys its place depends on: its own and its anchor's."""
+    return landmark.key, landmark.anchor_key
 
 
 def anchored_difference(
     first: gtsam.OrientedPlane3, world_T_a: FloatArray, second: gtsam.OrientedPlane3, world_T_b: FloatArray
 ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-    """How two planes, each in the frame of a pose (4, 4), differ: `difference_of` for values.
+    """How two planes, each in the frame of a pose (4, 4), differ in b.
+
+    There n' = R n, d' = d + t.n' of the first, with b_T_a = (R, t), and n'.t does not depend on b's orientation.
 
     Returns:
-        The difference (3,), and its derivatives by the tangents of the first plane (3, 3), of a (3, 6), of the second
-        plane (3, 3) and of b (3, 6).
+        (tangent of the normals, distance) of the first minus the second, shape (3,), and its derivatives by the
+        tangents of the first plane (3, 3), of a (3, 6), of the second plane (3, 3) and of b (3, 6).
     """
     anchor = inverse(world_T_b) @ world_T_a
     rotation, shift = anchor[:3, :3], anchor[:3, 3]
@@ -159,29 +131,15 @@ def anchored_difference(
     return difference, (by_first, by_pose_a, np.diag([-1.0, -1.0, 1.0]), by_pose_b)
 
 
-def hesse_from(landmark: Landmark, pose_key: int, backend: Backend) -> tuple[FloatArray, float, FloatArray, list[int]]:
-    """A landmark as a pose sees it.
+def hesse_of(
+    landmark: Landmark, backend: Backend, pose_key: int | None = None
+) -> tuple[FloatArray, float, FloatArray, list[int]]:
+    """A landmark in the world, or as a pose sees it.
 
     Returns:
-        Normal (3,) and Hesse distance in the pose's frame, the derivative (4, K) of both and the keys it is by.
+        Normal (3,) and Hesse distance there, the derivative (4, K) of both and the keys it is by.
     """
-    moved, d, blocks = _hesse_in(inverse(backend.pose(pose_key)), landmark, backend)
-    by_pose = np.zeros((4, 6))
-    by_pose[:3, :3], by_pose[3, 3:] = skew(moved), -moved
-    blocks[pose_key] = blocks.get(pose_key, np.zeros((4, 6))) + by_pose
-    return moved, d, np.hstack(list(blocks.values())), list(blocks)
-
-
-def hesse_in_world(landmark: Landmark, backend: Backend) -> tuple[FloatArray, float, FloatArray, list[int]]:
-    """The same in the world."""
-    normal, d, blocks = _hesse_in(np.eye(4), landmark, backend)
-    return normal, d, np.hstack(list(blocks.values())), list(blocks)
-
-
-def _hesse_in(
-    frame_T_world: FloatArray, landmark: Landmark, backend: Backend
-) -> tuple[FloatArray, float, dict[int, FloatArray]]:
-    """Normal (3,) and distance of a landmark in a fixed frame; derivatives by its own tangent and its anchor's."""
+    frame_T_world = np.eye(4) if pose_key is None else inverse(backend.pose(pose_key))
     anchor = frame_T_world @ backend.pose(landmark.anchor_key)
     rotation, shift = anchor[:3, :3], anchor[:3, 3]
     plane = backend.plane(landmark.key)
@@ -192,7 +150,12 @@ def _hesse_in(
     by_plane[:, :2], by_plane[3, 2] = turned @ rotation @ plane.normal().basis(), -1.0
     by_anchor = np.hstack((-turned @ rotation @ skew(normal), np.zeros((4, 3))))
     by_anchor[3, 3:] = normal
-    return moved, float(d + shift @ moved), {landmark.key: by_plane, landmark.anchor_key: by_anchor}
+    blocks = {landmark.key: by_plane, landmark.anchor_key: by_anchor}
+    if pose_key is not None:
+        by_pose = np.zeros((4, 6))
+        by_pose[:3, :3], by_pose[3, 3:] = skew(moved), -moved
+        blocks[pose_key] = blocks.get(pose_key, np.zeros((4, 6))) + by_pose
+    return moved, float(d + shift @ moved), np.hstack(list(blocks.values())), list(blocks)
 
 
 def _may_be_one(

@@ -12,7 +12,7 @@ from factors import PlaneObservation
 from slam import PlaneSlam
 from slam.frontend.keyframes import Keyframe
 from slam.geometry.frames import inverse
-from slam.mapping.same_plane import find_same_planes, same_plane_chi2
+from slam.mapping.same_plane import same_plane_chi2
 from slam.planeslam import pose_symbol
 from tests.slam.scenes import Drive, drive, room_planes
 from tests.statistics import assert_mean_in_band
@@ -135,9 +135,7 @@ def test_twins_are_found_by_chi2_and_joined_with_their_factors():
     old.sightings[8:] = []
     slam.landmarks.refresh(slam.backend)
     before = slam.trajectory.poses.copy()
-    assert find_same_planes({copy.id}, slam.landmarks, slam.backend, slam.config.association, min_keyframes=2) == [
-        (old.id, copy.id)
-    ]
+    assert slam._same_plane.pairs({copy.id}) == [(old.id, copy.id)]
     slam._merge_same_planes({copy.id})
     assert len(slam.landmarks) == 6
     assert old.n_keyframes == 15

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slam.floorplan import joint_planes
-from slam.mapping.same_plane import hesse_in_world
+from slam.mapping.same_plane import hesse_of
 from slam.planeslam import PlaneSlam
 from tests.slam.floorplan.measured_suites import Measured, mapped, nees_of, pairs_of, plan_of
 from tests.statistics import assert_jacobian, mean_nees_band
@@ -45,10 +45,10 @@ def test_planes_in_the_world_by_central_differences(maps: list[PlaneSlam]):
     for landmark in slam.landmarks:
 
         def hesse(step: np.ndarray, landmark=landmark) -> np.ndarray:
-            normal, d, _, _ = hesse_in_world(landmark, At(slam, landmark, step))  # type: ignore
+            normal, d, _, _ = hesse_of(landmark, At(slam, landmark, step))  # type: ignore
             return np.append(normal, d)
 
-        _, _, jacobian, keys = hesse_in_world(landmark, slam.backend)
+        _, _, jacobian, keys = hesse_of(landmark, slam.backend)
         assert keys == [landmark.key, landmark.anchor_key]
         assert_jacobian(hesse, np.zeros(9), jacobian, atol=1e-7)
 
