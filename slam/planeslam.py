@@ -15,7 +15,7 @@ from slam.config import SlamConfig
 from slam.diagnostics.bookkeeping import Bookkeeping
 from slam.diagnostics.consistency import NisAudit
 from slam.diagnostics.decision_explanations import change_sentences, decision_sentence
-from slam.diagnostics.map_observability import OpenMapDirection, open_in_map
+from slam.diagnostics.map_observability import open_in_map
 from slam.diagnostics.observability import Observability, OpenStretch, open_stretches
 from slam.frontend.input_checks import check_keyframe
 from slam.frontend.keyframes import Keyframe
@@ -325,7 +325,7 @@ class PlaneSlam:
         return open_stretches(self.observability, self.keyframes, self.backend)
 
     @property
-    def open_in_map(self) -> list[OpenMapDirection]:
+    def open_in_map(self) -> list[OpenStretch]:
         """Directions in which all planes together, odometry left out, do not fix the keyframes against the first."""
         rules = self.config.observability
         return open_in_map(self._sparsifier.held, self.keyframes, self.landmarks, self.backend, rules)

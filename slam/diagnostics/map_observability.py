@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -11,7 +10,7 @@ from scipy.sparse.linalg import splu
 
 from slam.backend.estimator import Backend, pose_symbol
 from slam.config import BOUND_SIGMAS, ObservabilityConfig
-from slam.diagnostics.observability import NOTHING, OpenDirection, Part, gathered, name_of, wide_directions
+from slam.diagnostics.observability import NOTHING, OpenDirection, OpenStretch, gathered, wide_directions
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation, Observation
 from slam.map.landmarks import Landmark, LandmarkMap
@@ -24,51 +23,13 @@ _MOST = 24
 _FIXED = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class OpenMapDirection:
-    """A direction in which the planes alone do not fix keyframes against the first one."""
-
-    part: Part
-    """position or orientation."""
-    direction: FloatArray
-    """Unit vector in the world, shape (3,)."""
-    keyframes: tuple[int, ...]
-    """Those of the keyframes looked at that are open there, ascending."""
-    looked_at: int
-    """How many were looked at."""
-    sigma: float
-    """Largest standard deviation there by the planes alone, m or rad; inf where they say nothing."""
-
-    @property
-    def sentence(self) -> str:
-        """One sentence for the screen."""
-        size, unit = (self.sigma, "m") if self.part == "position" else (np.rad2deg(self.sigma), "deg")
-        much = "without bound" if np.isinf(size) else f"by {size:.2g} {unit} (sigma)"
-        return (
-            f"the map as a whole, {name_of(self.part, self.direction)}: planes alone leave {len(self.keyframes)} of "
-            f"{self.looked_at} keyframes open against the first, {much}"
-        )
-
-    def to_dict(self) -> dict[str, object]:
-        """For metrics.json."""
-        return {
-            "part": self.part,
-            "direction": [float(x) for x in self.direction],
-            "keyframes": list(self.keyframes),
-            "looked_at": self.looked_at,
-            "sigma": float(self.sigma) if np.isfinite(self.sigma) else None,
-            "unit": "m" if self.part == "position" else "rad",
-            "sentence": self.sentence,
-        }
-
-
 def open_in_map(
     held: Sequence[int],
     keyframes: Sequence[Keyframe],
     landmarks: LandmarkMap,
     backend: Backend,
     rules: ObservabilityConfig,
-) -> list[OpenMapDirection]:
+) -> list[OpenStretch]:
     """Directions that all planes together leave open, odometry and assumptions on motion left out.
 
     The normal equations of every sighting of the keyframes in the graph (`held`, ascending), in all their poses and all
@@ -101,10 +62,10 @@ def open_in_map(
     return [_summed_up(group, len(looked_at)) for group in gathered(open_ones)]
 
 
-def _summed_up(group: Sequence[OpenDirection], looked_at: int) -> OpenMapDirection:
+def _summed_up(group: Sequence[OpenDirection], looked_at: int) -> OpenStretch:
     widest = max(group, key=lambda one: one.sigma_seen)
     keyframes = tuple(sorted({one.keyframe for one in group}))
-    return OpenMapDirection(widest.part, widest.direction, keyframes, looked_at, widest.sigma_seen)
+    return OpenStretch(widest.part, widest.direction, keyframes, looked_at, widest.sigma_seen)
 
 
 class _Information:

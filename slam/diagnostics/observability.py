@@ -48,7 +48,7 @@ class OpenDirection:
 
 @dataclass(frozen=True, eq=False)
 class OpenStretch:
-    """The same direction left open over a run."""
+    """The same direction left open over a run, or in the map as a whole against its first keyframe, by planes alone."""
 
     part: Part
     """position or orientation."""
@@ -57,32 +57,37 @@ class OpenStretch:
     keyframes: tuple[int, ...]
     """The keyframes that leave it open, ascending."""
     total: int
-    """Keyframes of the run that could have fixed it: all but the first."""
+    """Keyframes that could have fixed it: all of the run but the first, or those of the map that were looked at."""
     sigma: float
-    """Standard deviation there of the last of these keyframes in the whole graph, everything known: m or rad."""
-    source: str
-    """What alone moves the estimate there: odometry, laser odometry, or the assumption of constant velocity."""
+    """Standard deviation there of the last of these keyframes in the whole graph, everything known; in the map the
+    largest by the planes alone, inf where they say nothing: m or rad."""
+    source: str | None = None
+    """What alone moves the estimate there: odometry, laser odometry, or the assumption of constant velocity; None: of
+    the map as a whole."""
 
     @property
     def sentence(self) -> str:
         """One sentence for the screen."""
         size, unit = (self.sigma, "m") if self.part == "position" else (np.rad2deg(self.sigma), "deg")
+        name, count = name_of(self.part, self.direction), f"{len(self.keyframes)} of {self.total} keyframes"
+        if self.source is None:
+            much = "without bound" if np.isinf(size) else f"by {size:.2g} {unit} (sigma)"
+            return f"the map as a whole, {name}: planes alone leave {count} open against the first, {much}"
         number = f"{size:.2g}" if size < 100.0 else f"{size:.0f}"
-        return (
-            f"{name_of(self.part, self.direction)}: information only from {self.source} at {len(self.keyframes)} of "
-            f"{self.total} keyframes, sigma {number} {unit} at keyframe {self.keyframes[-1]}"
-        )
+        at_last = f"sigma {number} {unit} at keyframe {self.keyframes[-1]}"
+        return f"{name}: information only from {self.source} at {count}, {at_last}"
 
     def to_dict(self) -> dict[str, object]:
         """For metrics.json."""
+        of_map = self.source is None
         return {
             "part": self.part,
             "direction": [float(x) for x in self.direction],
             "keyframes": list(self.keyframes),
-            "of": self.total,
-            "sigma": self.sigma,
+            "looked_at" if of_map else "of": self.total,
+            "sigma": float(self.sigma) if np.isfinite(self.sigma) else None,
             "unit": "m" if self.part == "position" else "rad",
-            "source": self.source,
+            **({} if of_map else {"source": self.source}),
             "sentence": self.sentence,
         }
 

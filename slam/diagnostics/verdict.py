@@ -7,6 +7,12 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import betainc  # `scipy.stats` would take 0.7 s of every command
+
+from spplanes._check import FloatArray
+
 Grade = Literal["doubtful", "broken"]
 
 #: Probability that a sound run is called doubtful or broken, over all kinds of evidence together.
@@ -83,6 +89,14 @@ class Verdict:
             raise ValueError(f"verdict: expected sound, doubtful or broken, got {word!r:.40}")
         fields: list[dict[str, Any]] = [{**one, "keyframes": tuple(map(int, one["keyframes"]))} for one in evidence]
         return cls(word, tuple(Evidence(**one) for one in fields))
+
+
+def at_least(successes: ArrayLike, trials: ArrayLike, share: float = 0.5) -> FloatArray:
+    """Probability of so many successes or more of so many trials, each of probability ``share``; shapes broadcast."""
+    k, n = np.broadcast_arrays(np.asarray(successes, dtype=float), np.asarray(trials, dtype=float))
+    inside = (k > 0) & (k <= n)
+    tail = betainc(np.where(inside, k, 1.0), np.where(inside, n - k + 1.0, 1.0), share)
+    return np.where(inside, tail, np.where(k <= 0, 1.0, 0.0))
 
 
 def weigh(evidence: Iterable[Evidence], kinds: int) -> Verdict:

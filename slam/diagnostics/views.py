@@ -15,6 +15,7 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy import LEAST_GAP_M, MOVABLE_M, free_standing
 from slam.frontend.scan_surfaces import ON_EDGE, moved
 from slam.geometry.frames import inverse, way_to
+from slam.lazy import evenly
 from slam.loop_closure.candidates import nearest_of_each
 from slam.registration.visibility import Scan, Sight
 from spplanes._check import FloatArray
@@ -91,8 +92,7 @@ def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
         away = np.linalg.norm(places[near] - places[index], axis=1)
         stretch = np.floor(np.abs(way[near] - way[index])).astype(int)
         chosen = nearest_of_each(near, away, stretch)
-        spread = np.unique(np.linspace(0, len(chosen) - 1, min(_PARTNERS, len(chosen))).round().astype(int))
-        pairs += [(index, other) for other in chosen[spread].tolist()]
+        pairs += [(index, other) for other in chosen[evenly(len(chosen), _PARTNERS)].tolist()]
     return pairs[:: max(1, -(-len(pairs) // _MOST_PAIRS))]
 
 

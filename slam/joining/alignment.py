@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from factors._conventions import hesse_to_sp
 from slam.config import AssociationConfig
@@ -16,6 +16,7 @@ from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten
 from slam.joining.mission import Mission
 from slam.map.map_planes import MapPlane
+from slam.mapping.same_plane import disjoint
 from spplanes._check import FloatArray
 from spplanes._hesse import hesse_jacobian
 from spplanes.spmodel import skew
@@ -49,7 +50,7 @@ class Alignment:
 
     def fits(self, significance: float) -> bool:
         """Whether the pairs agree; of those that are true all a share of `significance` does not."""
-        return self.n_dof > 0 and self.chi2 <= float(chi2_distribution.isf(significance, self.n_dof))
+        return self.n_dof > 0 and self.chi2 <= float(chdtri(self.n_dof, significance))
 
 
 def common_planes(
@@ -60,7 +61,7 @@ def common_planes(
     They look the same way, what was seen of them comes within `config.gap_m`, and their chi2 (3 dof) with the motion's
     and both planes' covariances passes.
     """
-    limit = float(chi2_distribution.isf(config.significance, 3))
+    limit = float(chdtri(3, config.significance))
     found = []
     for i, j in facing_pairs(a, b, a_T_b, config):
         off, by_b, by_motion = _difference(a.planes[i], b.planes[j], a_T_b)
@@ -69,8 +70,8 @@ def common_planes(
         chi2 = float(off @ np.linalg.solve(spread, off))
         if chi2 <= limit:
             # the most surprising agreement first: a wide pair agrees with everything
-            found.append((chi2 + float(np.linalg.slogdet(spread)[1]), i, j))
-    return _disjoint(sorted(found))
+            found.append((chi2 + float(np.linalg.slogdet(spread)[1]), i, len(a.planes) + j))
+    return [(i, j - len(a.planes)) for i, j in disjoint([(i, j) for _, i, j in sorted(found)])]
 
 
 def facing_pairs(a: Mission, b: Mission, a_T_b: FloatArray, config: AssociationConfig) -> list[tuple[int, int]]:
@@ -173,15 +174,3 @@ def _near(first: MapPlane, second: MapPlane, a_T_b: FloatArray, gap_m: float) ->
     if abs(first_T_second[2, 3]) > gap_m:
         return False
     return flatten(second.seen, first_T_second).distance(first.seen) <= gap_m
-
-
-def _disjoint(ranked: Sequence[tuple[float, int, int]]) -> list[tuple[int, int]]:
-    firsts: set[int] = set()
-    seconds: set[int] = set()
-    chosen = []
-    for _, i, j in ranked:
-        if i not in firsts and j not in seconds:
-            chosen.append((i, j))
-            firsts.add(i)
-            seconds.add(j)
-    return chosen

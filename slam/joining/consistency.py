@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from slam.geometry.frames import inverse
 from slam.joining.overlap import Comparison
@@ -66,56 +66,57 @@ def consistent(comparisons: Sequence[Comparison], significance: float) -> list[C
     References:
         Mangelson et al., "Pairwise Consistent Measurement Set Maximization", ICRA 2018, for consistency round loops.
     """
-    limit = float(chi2_distribution.isf(significance, 6))
+    limit = float(chdtri(6, significance))
     known: dict[str, dict[str, Motion]] = {}
-    verdicts: dict[int, Comparison] = {}
-    joined = [k for k, one in enumerate(comparisons) if one.verdict == "joined" and one.alignment is not None]
-    for index in sorted(joined, key=lambda k: (-comparisons[k].strength, k)):
+    told = list(comparisons)
+    for index, motion in _joined(comparisons):
         one = comparisons[index]
-        assert one.alignment is not None
-        motion = Motion(one.alignment.a_T_b, one.alignment.covariance)
-        way = _way(known, one.first, one.second)
+        way = _reached(known, one.first).get(one.second)
         if way is None:
-            known.setdefault(one.first, {})[one.second] = motion
-            known.setdefault(one.second, {})[one.first] = motion.turned_round()
+            _link(known, one, motion)
         elif (chi2 := motion.chi2(way)) > limit:
             reason = f"it contradicts the way over other missions (chi2 {chi2:.0f} of 6 dof)"
-            verdicts[index] = replace(one, verdict="revoked", reason=reason)
-    return [verdicts.get(k, one) for k, one in enumerate(comparisons)]
+            told[index] = replace(one, verdict="revoked", reason=reason)
+    return told
 
 
 def components_of(names: Sequence[str], comparisons: Sequence[Comparison]) -> list[Component]:
     """Missions in components, the largest first, in the order of their names given; those alone are one each."""
-    joined = [one for one in comparisons if one.verdict == "joined" and one.alignment is not None]
-    motions: dict[str, list[tuple[str, FloatArray]]] = {name: [] for name in names}
-    for one in sorted(joined, key=lambda one: -one.strength):
-        assert one.alignment is not None
-        motions[one.first].append((one.second, one.alignment.a_T_b))
-        motions[one.second].append((one.first, inverse(one.alignment.a_T_b)))
+    joined = _joined(comparisons)
+    known: dict[str, dict[str, Motion]] = {}
+    for index, motion in joined:
+        _link(known, comparisons[index], motion)
+    overlaps = [comparisons[index] for index in sorted(index for index, _ in joined)]
     left, found = list(names), []
     while left:
-        placed, waiting = {left[0]: np.eye(4)}, [left[0]]
-        while waiting:
-            here = waiting.pop(0)
-            for there, here_T_there in motions[here]:
-                if there not in placed:
-                    placed[there] = placed[here] @ here_T_there
-                    waiting.append(there)
-        members = tuple(name for name in names if name in placed)
-        overlaps = tuple(one for one in joined if one.first in placed)
-        found.append(Component(members, {name: placed[name] for name in members}, overlaps))
+        placed = _reached(known, left[0])
+        members = {name: placed[name].a_T_b for name in names if name in placed}
+        found.append(Component(tuple(members), members, tuple(one for one in overlaps if one.first in placed)))
         left = [name for name in left if name not in placed]
     return sorted(found, key=lambda one: -len(one.missions))
 
 
-def _way(known: dict[str, dict[str, Motion]], start: str, end: str) -> Motion | None:
-    """The motion over the overlaps known, which are a forest; None where they do not lead there."""
-    reached: dict[str, Motion] = {start: Motion(np.eye(4), np.zeros((6, 6)))}
-    waiting = [start]
-    while waiting:
-        here = waiting.pop(0)
+def _joined(comparisons: Sequence[Comparison]) -> list[tuple[int, Motion]]:
+    """Places of the overlaps among comparisons, the strongest first, and the motion of each."""
+    found = [
+        (index, Motion(one.alignment.a_T_b, one.alignment.covariance))
+        for index, one in enumerate(comparisons)
+        if one.verdict == "joined" and one.alignment is not None
+    ]
+    return sorted(found, key=lambda pair: -comparisons[pair[0]].strength)
+
+
+def _link(known: dict[str, dict[str, Motion]], one: Comparison, motion: Motion) -> None:
+    known.setdefault(one.first, {})[one.second] = motion
+    known.setdefault(one.second, {})[one.first] = motion.turned_round()
+
+
+def _reached(known: dict[str, dict[str, Motion]], start: str) -> dict[str, Motion]:
+    """The motions from one mission to all that overlaps lead to, over the fewest of them."""
+    reached, waiting = {start: Motion(np.eye(4), np.zeros((6, 6)))}, [start]
+    for here in waiting:
         for there, motion in known.get(here, {}).items():
             if there not in reached:
                 reached[there] = reached[here] @ motion
                 waiting.append(there)
-    return reached.get(end)
+    return reached

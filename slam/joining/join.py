@@ -8,7 +8,7 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from slam.config import SlamConfig
 from slam.geometry.frames import inverse
@@ -215,7 +215,7 @@ def _contradicted(component: Component, solution: JointSolution, config: SlamCon
             return tie.missions == pair
 
         added = whole - solution.chi2(of_pair)
-        beyond = added - float(chi2_distribution.isf(config.association.new_significance, 3 * count))
+        beyond = added - float(chdtri(3 * count, config.association.new_significance))
         if beyond > worst[0]:
             reason = f"with it all missions together fit worse by chi2 {added:.0f} of {3 * count} dof"
             worst = (beyond, replace(one, verdict="revoked", reason=reason))
@@ -292,7 +292,7 @@ def found_to_be_one(solution: JointSolution, maybe: Sequence[Tie], config: SlamC
     for tie in solution.ties:
         classes.add(tie)
     asked = [tie for tie in maybe if not classes.are_one(tie)]
-    limit = float(chi2_distribution.isf(config.association.significance, 3))
+    limit = float(chdtri(3, config.association.significance))
     ranked = []
     for tie, (difference, covariance) in zip(asked, solution.differences(asked), strict=True):
         chi2 = float(difference @ np.linalg.solve(covariance, difference))

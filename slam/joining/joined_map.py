@@ -44,13 +44,9 @@ class JoinedComponent:
         """Frame of each mission in the common one, (4, 4)."""
         return {name: self.solution.bases[number].matrix() for number, name in enumerate(self.names)}
 
-    @property
+    @cached_property
     def planes(self) -> list[MapPlane]:
         """The map, numbered in the order of the missions, with the covariance by all that they saw."""
-        return self._planes
-
-    @cached_property
-    def _planes(self) -> list[MapPlane]:
         return [self._plane(number, places) for number, places in enumerate(self.classes)]
 
     @cached_property

@@ -13,6 +13,7 @@ from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
 from slam.io.trajectories import Trajectory
+from slam.lazy import evenly
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam, pose_symbol
 from slam.sensors.rig import Rig
@@ -135,11 +136,11 @@ class FinishedMission:
 
 
 def _looks(slam: PlaneSlam, trajectory: Trajectory, rig: Rig | None) -> tuple[Look, ...]:
-    count = len(trajectory)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_LOOKS)).round().astype(int)).tolist()
     sensors = [] if rig is None else list(rig.of_kind("cloud").values())
     eye = sensors[0].body_T_sensor if sensors else np.eye(4)
-    return tuple(_look(slam.keyframes[index], trajectory.poses[index], eye) for index in chosen)
+    return tuple(
+        _look(slam.keyframes[index], trajectory.poses[index], eye) for index in evenly(len(trajectory), _MOST_LOOKS)
+    )
 
 
 def _look(keyframe: Keyframe, pose: FloatArray, body_T_sensor: FloatArray) -> Look:

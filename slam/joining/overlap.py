@@ -8,10 +8,10 @@ from typing import Any, Literal
 
 import numpy as np
 import shapely
-from scipy.stats import binom
 
 from slam.config import SlamConfig
 from slam.diagnostics.evidence.surfaces import agreement
+from slam.diagnostics.verdict import at_least
 from slam.diagnostics.views import View, compare
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.geometry.frames import inverse, lift
@@ -118,7 +118,7 @@ def compare_missions(
         return replace(unknown, verdict="refused", reason=reason, evidence=evidence)
     looks, through = free_space(a, b, found.a_T_b)
     one = Comparison(a.name, b.name, "joined", "", found, evidence, looks, through, _apart(a, b, found, config))
-    if looks and float(binom.sf(through - 1, looks, NOVEL_SHARE)) < significance:
+    if looks and at_least(through, looks, NOVEL_SHARE) < significance:
         reason = f"{through} of {looks} looks of one mission go through surfaces that the other saw"
         return replace(one, verdict="refused", reason=reason)
     if looks and 2 * through >= looks:

@@ -170,7 +170,7 @@ class JointSolution:
     def chi2(self, without: Callable[[Tie], bool] = lambda _: False) -> float:
         """Least squared error of the linear joint graph, without some ties."""
         linear = self._linear([one for one in self.ties if not without(one)])
-        return 2.0 * float(linear.error(_solved(linear)))
+        return 2.0 * float(linear.error(linear.eliminateMultifrontal(function=gtsam.EliminateQR).optimize()))
 
     def pose(self, mission: int, key: int) -> gtsam.Pose3:
         """common_T_body of a pose of a mission."""
@@ -204,7 +204,8 @@ class JointSolution:
         """What all missions together say of one: for covariances in the common frame."""
         others = self._linear(self.ties, without=mission)
         own = {joint_key(mission, key): key for key in self._kept(mission)} | {base_key(mission): base_key(mission)}
-        told = marginal(others, [key for key in own if _holds(others, key)])
+        held = set(others.keys())
+        told = marginal(others, [key for key in own if key in held])
         graph = self.graphs[mission].factors.linearize(self.values[mission])
         values = gtsam.Values(self.values[mission])
         values.insert(base_key(mission), self.bases[mission])
@@ -315,11 +316,3 @@ def _floor_prior(key: int, start: FloatArray, sigma_m: float, sigma_rad: float) 
         sigma_m, sigma_rad = LEVEL_SIGMA_M, LEVEL_SIGMA_RAD
     level = (_UNKNOWN_M, _UNKNOWN_M, sigma_m, _UNKNOWN_RAD, sigma_rad, sigma_rad)
     return pose_prior(key, mean, np.diag(np.square(level)))
-
-
-def _solved(linear: gtsam.GaussianFactorGraph) -> gtsam.VectorValues:
-    return linear.eliminateMultifrontal(function=gtsam.EliminateQR).optimize()
-
-
-def _holds(graph: gtsam.GaussianFactorGraph, key: int) -> bool:
-    return key in set(graph.keys())

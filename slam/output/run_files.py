@@ -20,6 +20,7 @@ from slam.io.clouds.ply import write_ply_tables
 from slam.io.g2o.writer import write_g2o
 from slam.io.planes_json import write_planes
 from slam.io.trajectories import Trajectory, write_tum
+from slam.lazy import evenly
 from slam.output.run_metrics import details_of, map_metrics_of, metrics_of, timings_of
 from slam.runs.cloud_fit import FittedCloud
 from slam.runs.graph_import import ImportedRun
@@ -187,7 +188,7 @@ def points_of_map(log: Log, rig: Rig, scans: Trajectory) -> FloatArray:
         if row < len(scans) and scans.stamps_ns[row] == one.stamp_ns
     ]
     most = _MOST_CLOUDS if any(isinstance(one, CloudScan) for one, _ in posed) else _MOST_SCANS
-    chosen = [posed[k] for k in _evenly(len(posed), most)]
+    chosen = [posed[k] for k in evenly(len(posed), most)]
     parts = [np.empty((0, 3))]
     for scan, row in chosen:
         sensor = rig.sensors[scan.sensor]
@@ -195,7 +196,7 @@ def points_of_map(log: Log, rig: Rig, scans: Trajectory) -> FloatArray:
             seen = returns_of(scan, sensor)
         except LogError:
             continue
-        kept = seen[_evenly(len(seen), MOST_POINTS // len(chosen))]
+        kept = seen[evenly(len(seen), MOST_POINTS // len(chosen))]
         parts.append(lift(kept, scans.poses[row] @ sensor.body_T_sensor))
     return np.concatenate(parts)
 
@@ -208,7 +209,3 @@ def returns_of(scan: LaserScan | CloudScan, sensor: Sensor) -> FloatArray:
         bearings = np.stack((np.cos(scan.angles), np.sin(scan.angles), np.zeros(len(scan.angles))), axis=1)
         points = usable_ranges(scan.ranges, sensor)[:, None] * bearings
     return points[np.isfinite(points).all(axis=1)]
-
-
-def _evenly(count: int, most: int) -> np.ndarray:
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

@@ -15,6 +15,7 @@ from shapely.geometry.base import BaseGeometry
 
 from factors._conventions import POSE3_TO_SP
 from slam.errors import LogError
+from slam.lazy import evenly
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam, pose_symbol
 from spplanes._check import FloatArray, as_shape
@@ -47,11 +48,9 @@ class History:
         kinds = {plane.id: plane.kinds for plane in planes}
         if slam is None:
             return cls(seen, kinds, points=points)
-        count = len(slam.keyframes)
-        chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_POSES)).round().astype(int)).tolist()
         covariances = {
             keyframe: slam.marginal_covariance(pose_symbol(keyframe))[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
-            for keyframe in chosen
+            for keyframe in evenly(len(slam.keyframes), _MOST_POSES)
         }
         return cls(seen, kinds, {kind: list(rows) for kind, rows in slam.audit.history.items()}, covariances, points)
 

@@ -7,12 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from slam.backend.estimator import pose_symbol
-from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.innovations import PROMISED_M
-from slam.diagnostics.map_observability import OpenMapDirection
-from slam.diagnostics.observability import name_of, sigma_along
-from slam.diagnostics.verdict import Evidence, named
+from slam.diagnostics.observability import OpenStretch, name_of, sigma_along
+from slam.diagnostics.verdict import Evidence, at_least, named
 from slam.frontend.observations import LineObservation, Observation, PlaneObservation
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.loop_closure.verification import LoopDecision
@@ -83,7 +81,7 @@ def assumption_evidence(run: Finished) -> Iterator[Evidence]:
             yield Evidence("assumption", "doubtful", 0.0, sigmas[worst], "m", wide, _sentence(one, wide, sigmas[worst]))
 
 
-def _sentence(one: OpenMapDirection, wide: tuple[int, ...], sigma: float) -> str:
+def _sentence(one: OpenStretch, wide: tuple[int, ...], sigma: float) -> str:
     return (
         f"{name_of(one.part, one.direction)} nobody measured the motion and nothing that was seen tells it at "
         f"{named(wide)}: that the body went on as before is an assumption (sigma up to {sigma:.2g} m)"

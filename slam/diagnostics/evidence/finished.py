@@ -8,7 +8,7 @@ from typing import Protocol
 from slam.backend.estimator import Backend
 from slam.config import SlamConfig
 from slam.diagnostics.consistency import NisAudit
-from slam.diagnostics.map_observability import OpenMapDirection
+from slam.diagnostics.observability import OpenStretch
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.io.trajectories import Trajectory
@@ -70,7 +70,7 @@ class Finished(Protocol):
         ...
 
     @property
-    def open_in_map(self) -> list[OpenMapDirection]:
+    def open_in_map(self) -> list[OpenStretch]:
         """Directions in which all planes together do not fix the keyframes against the first."""
         ...
 

@@ -10,6 +10,7 @@ from scipy.special import chdtrc, ndtr
 from slam.backend.estimator import pose_symbol
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named
+from slam.lazy import evenly
 
 #: What a user is promised of a sound map: no error beyond this, m, or so many of the standard deviations it claims.
 PROMISED_M, PROMISED_SIGMAS = 0.1, 3.0
@@ -29,8 +30,7 @@ def at_risk(sigmas: Mapping[int, float], factor: float) -> tuple[int, ...]:
 
 def claimed_sigmas(run: Finished) -> dict[int, float]:
     """Largest standard deviation of the position of some keyframes, by their index, m."""
-    count = len(run.keyframes)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_POSES)).round().astype(int)).tolist()
+    chosen = evenly(len(run.keyframes), _MOST_POSES)
     blocks = {key: run.backend.read_covariance(pose_symbol(key))[3:, 3:] for key in chosen}
     return {key: float(np.sqrt(max(np.linalg.eigvalsh(block)[-1], 0.0))) for key, block in blocks.items()}
 
@@ -46,18 +46,24 @@ def nis_evidence(run: Finished) -> Iterator[Evidence]:
     if not dof:
         return
     total = float(sum(row[1] for row in rows))
-    factor = float(np.sqrt(max(total / dof, 1.0)))
-    sigmas = claimed_sigmas(run)
+    scattered = "what was matched scatters {0:.2g} times as much as stated: "
+    sentence = scattered + "claimed sigmas up to {1:.2g} m are too small by that"
+    yield from too_small(run, "innovations", (total, dof), sentence)
+
+
+def too_small(
+    run: Finished, kind: str, test: tuple[float, float], sentence: str, *, frames: tuple[int, ...] = (), tests: int = 1
+) -> Iterator[Evidence]:
+    """Covariances that are too small by chi2 over what is expected of it (`test`), where that breaks the promise.
+
+    The sentence names the factor on sigma and the largest sigma claimed; what it says comes from `frames`, of so many
+    `tests`.
+    """
+    chi2, dof = test
+    factor, sigmas = float(np.sqrt(max(chi2 / dof, 1.0))), claimed_sigmas(run)
     risky = at_risk(sigmas, factor)
-    if not risky:
-        return
-    yield Evidence(
-        "innovations",
-        "doubtful",
-        float(chdtrc(dof, total)),
-        factor,
-        "times the stated sigma",
-        risky,
-        f"what was matched scatters {factor:.2g} times as much as stated: claimed sigmas up to "
-        f"{max(sigmas.values()):.2g} m are too small by that at {named(risky)}",
-    )
+    if risky:
+        p_value = min(tests * float(chdtrc(dof, chi2)), 1.0)
+        told = f"{sentence.format(factor, max(sigmas.values()))} at {named(risky)}"
+        every = tuple(sorted({*frames, *risky}))
+        yield Evidence(kind, "doubtful", p_value, factor, "times the stated sigma", every, told)

@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.surfaces import agreement
-from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named
+from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, at_least, named
 from slam.diagnostics.views import View, compare
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of

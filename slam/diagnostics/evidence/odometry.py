@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc, chdtri
+from scipy.special import chdtri
 
 from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance
-from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.finished import Finished
-from slam.diagnostics.evidence.innovations import PROMISED_M, PROMISED_SIGMAS, at_risk, claimed_sigmas
-from slam.diagnostics.verdict import Evidence, named
+from slam.diagnostics.evidence.innovations import PROMISED_M, PROMISED_SIGMAS, claimed_sigmas, too_small
+from slam.diagnostics.verdict import Evidence, at_least, named
 from slam.frontend.odometry import planar_delta
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse
@@ -46,30 +45,13 @@ def odometry_evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     frames = tuple(keyframe for keyframe, (chi2, _) in tested.items() if chi2 > chdtri(3, 0.05))
     one_by_one = sum(chi2 for chi2, _ in tested.values()), sum(dof for _, dof in tested.values())
     added_up = _test(_Residual(*(np.sum(terms, axis=0) for terms in zip(*steps.values(), strict=True))))
-    yield from _weighed(run, one_by_one, frames, "the odometry errs {:.2g} times as much as stated, most at {}")
-    yield from _weighed(run, added_up, tuple(steps), "errors of the odometry add up to {:.2g} times what is stated, {}")
-
-
-def _weighed(run: Finished, test: tuple[float, float], frames: tuple[int, ...], sentence: str) -> Iterator[Evidence]:
-    """One of the two tests, where it matters: chi2, its expectation and the keyframes it comes from."""
-    chi2, dof = test
-    if dof < 1.0 or not frames:
-        return
-    factor = float(np.sqrt(max(chi2 / dof, 1.0)))
-    sigmas = claimed_sigmas(run)
-    risky = at_risk(sigmas, factor)
-    if not risky:
-        return
-    yield Evidence(
-        "odometry",
-        "doubtful",
-        min(2.0 * float(chdtrc(dof, chi2)), 1.0),  # of two tests
-        factor,
-        "times the stated sigma",
-        tuple(sorted({*frames, *risky})),
-        f"{sentence.format(factor, named(frames))}: claimed sigmas up to {max(sigmas.values()):.2g} m rest on it at "
-        f"{named(risky)}",
-    )
+    for test, of, sentence in (
+        (one_by_one, frames, "the odometry errs {0:.2g} times as much as stated, most at "),
+        (added_up, tuple(steps), "errors of the odometry add up to {0:.2g} times what is stated, "),
+    ):
+        if test[1] >= 1.0 and of:
+            sentence += named(of) + ": claimed sigmas up to {1:.2g} m rest on it"
+            yield from too_small(run, "odometry", test, sentence, frames=of, tests=2)
 
 
 def believed_evidence(run: Finished) -> Iterator[Evidence]:

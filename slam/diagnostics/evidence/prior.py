@@ -14,10 +14,9 @@ from shapely.geometry.base import BaseGeometry
 
 from factors._conventions import POSE3_TO_SP
 from slam.backend.estimator import BackendError, pose_symbol
-from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.surfaces import Surfaces, stopped_rays
-from slam.diagnostics.verdict import Evidence, named
+from slam.diagnostics.verdict import Evidence, at_least, named
 from slam.diagnostics.views import TOLERANCE_M, View
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.geometry.frames import inverse, lift

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.coverage import MOST_WRONG
 from slam.diagnostics.evidence.innovations import PROMISED_M
-from slam.diagnostics.verdict import Evidence, Verdict, weigh
+from slam.diagnostics.verdict import Evidence, Verdict, at_least, weigh
 from slam.frontend.occupancy import NOVEL_SHARE
 from spplanes._check import FloatArray
 

@@ -9,15 +9,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import shapely
 
-from slam.diagnostics.evidence._binomial import at_least
 from slam.diagnostics.evidence.finished import Finished
-from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named
+from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, at_least, named
 from slam.diagnostics.views import TOLERANCE_M, V, comparisons, pairs_of, way_along
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.geometry.frames import inverse, lift
 from slam.geometry.polygons import flatten, polygonal, valid
+from slam.lazy import evenly
 from slam.registration.visibility import LinesOfSight, points_on
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -57,10 +57,8 @@ def stopped_rays(
     keyframes: Sequence[Keyframe], poses: FloatArray, surfaces: Surfaces, body_T_sensor: FloatArray
 ) -> Counter[int]:
     """Rays of a 3D sensor to the planes that keyframes at poses (N, 4, 4) saw: how many each landmark would stop."""
-    count = len(keyframes)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_KEYFRAMES)).round().astype(int)).tolist()
     found: Counter[int] = Counter()
-    for index in chosen:
+    for index in evenly(len(keyframes), _MOST_KEYFRAMES):
         seen = [plane.transform(inverse(body_T_sensor)) for plane in planes_of(keyframes[index].observations)]
         sight = replace(LinesOfSight.between(seen, np.ones(len(seen)), ()), walls=surfaces.walls)
         stopped_by = sight.stopped_by(poses[index] @ body_T_sensor)

@@ -14,6 +14,7 @@ from slam.frontend.laser_odometry.local_map import LocalMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, match_scan
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.geometry.frames import inverse
+from slam.lazy import evenly
 from slam.sensors.log import LaserScan, OdometryReading
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray
@@ -129,9 +130,8 @@ def _turns(track: OdometryTrack, scans: Sequence[LaserScan], surface: Callable[[
     poses = track.poses_at([scan.stamp_ns for scan in scans])
     steps = np.array([planar_delta(inverse(a) @ b) for a, b in pairwise(poses)]).reshape(-1, 3)
     (wide,) = np.nonzero((np.abs(steps[:, 2]) > _LEAST_TURN_RAD) & (np.abs(steps[:, 2]) < _MOST_TURN_RAD))
-    chosen = np.unique(np.linspace(0, len(wide) - 1, min(len(wide), _MOST_STEPS)).round().astype(int))
     found = []
-    for k in wide[chosen].tolist():
+    for k in wide[evenly(len(wide), _MOST_STEPS)].tolist():
         angle = _turn(surface(scans[k]), surface(scans[k + 1]), steps[k])
         if angle is not None:
             found.append(_Turn(scans[k].stamp_ns, scans[k + 1].stamp_ns, angle))

@@ -176,7 +176,7 @@ def test_where_nothing_is_known_of_two_directions_they_are_called_by_the_axes():
 def test_a_corridor_seen_by_planes_alone_is_open_as_a_whole_along_itself():
     slam = corridor_run(with_odometry=False)
     (found,) = slam.open_in_map
-    assert found.keyframes == tuple(range(1, 8)) and found.looked_at == 7
+    assert found.keyframes == tuple(range(1, 8)) and found.total == 7
     assert found.sentence == (
         "the map as a whole, along x: planes alone leave 7 of 7 keyframes open against the first, without bound"
     )

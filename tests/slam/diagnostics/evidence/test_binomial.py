@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import binom, binomtest
 
-from slam.diagnostics.evidence._binomial import at_least
+from slam.diagnostics.verdict import at_least
 
 
 def test_it_is_the_survival_function_of_scipy():
