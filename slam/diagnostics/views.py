@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, Self, TypeVar
 
@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy import LEAST_GAP_M, MOVABLE_M, free_standing
 from slam.frontend.scan_surfaces import ON_EDGE, moved
-from slam.geometry.frames import inverse, way_to
+from slam.geometry.frames import way_to
 from slam.lazy import evenly
 from slam.loop_closure.candidates import nearest_of_each
 from slam.registration.visibility import Scan, Sight
@@ -39,32 +39,15 @@ class Looks(Protocol):
 
     def looks_of(self, other: Self, here_T_other: FloatArray) -> FloatArray:
         """Places, a row each, where another view has a surface to look for, as seen from here."""
-        ...
 
     def confirms(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
         """Which places have a surface within the tolerance, shape (N,)."""
-        ...
 
     def sees_through(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
         """Which places lie in front of all that was seen about their direction, shape (N,)."""
-        ...
 
 
 V = TypeVar("V", bound=Looks)
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """What one keyframe's view says of the surfaces that another one saw."""
-
-    keyframe: int
-    """That looks."""
-    other: int
-    """Whose surfaces are looked for."""
-    confirmed: int
-    """Looks at surfaces that are there."""
-    through: int
-    """Looks through surfaces: something is there for the one and nothing for the other."""
 
 
 def one_of_each_cell(places: FloatArray) -> np.ndarray:
@@ -101,15 +84,6 @@ def compare(view: V, other: V, here_T_other: FloatArray, tolerance_m: float = TO
     places = view.looks_of(other, here_T_other)
     confirmed = view.confirms(places, tolerance_m)
     return int(confirmed.sum()), int((view.sees_through(places, tolerance_m) & ~confirmed).sum())
-
-
-def comparisons(views: Mapping[int, V], poses: FloatArray, pairs: Sequence[tuple[int, int]]) -> list[Comparison]:
-    """Each pair of keyframes (one, other) at poses (N, 4, 4)."""
-    found = []
-    for one, other in pairs:
-        counts = compare(views[one], views[other], inverse(poses[one]) @ poses[other])
-        found.append(Comparison(one, other, *counts))
-    return found
 
 
 #: Between beams further apart than this nothing is known to be free, rad: a few steps of a laser of 0.5 or 1 deg.

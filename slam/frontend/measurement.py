@@ -114,7 +114,6 @@ class Segment(Protocol):
         pose_covariances: FloatArray | None = None,
     ) -> Labelled:
         """Regions of a grid of points (S, B, 3) with covariances (S, B, 3, 3)."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,6 @@ class PoseMeasurement(Protocol):
 
     def factor(self, pose_key: int) -> Any:
         """Its factor on the Pose3 under `pose_key`."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -78,7 +78,6 @@ class LoopClosing(Protocol):
 
     def __call__(self, state: EstimatorState, merges: Merges, /) -> LoopCloser:
         """A loop closer for one run."""
-        ...
 
 
 class LoopCloser:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import gtsam
@@ -12,14 +12,14 @@ import numpy as np
 from factors import plane_factor, plane_landmark
 from factors.association.estimate import observation_factor
 from factors.association.grouping import group_planes
-from slam.backend.estimator import Backend, pose_symbol
-from slam.config import AssociationConfig, LandmarkConfig, SlamConfig
+from slam.backend.estimator import pose_symbol
+from slam.config import LandmarkConfig
 from slam.frontend.information import information_beyond_lines
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation, Observation, PlaneObservation
 from slam.geometry.frames import inverse
 from slam.map.data_association import Associate, Decision, gates_of
-from slam.map.landmarks import Landmark, LandmarkMap, Sighting
+from slam.map.landmarks import Landmark, Sighting
 from slam.map.state import EstimatorState
 from slam.tracking.prediction import Prediction
 from spplanes import Plane
@@ -56,20 +56,6 @@ def is_large(plane: Plane, rules: LandmarkConfig) -> bool:
     return plane.n_points >= rules.min_points and (plane.outline is None or plane.outline.area >= rules.min_area_m2)
 
 
-def group_new(
-    observations: Sequence[Observation], rules: LandmarkConfig, association: AssociationConfig
-) -> list[list[int]]:
-    """Gather measurements of one keyframe that are one plane; the first of each group, the firmest, starts it.
-
-    Measurements that may not start a landmark join a group but do not make one.
-
-    Returns:
-        Groups of indices into `observations`, in order of their first member.
-    """
-    firm = [may_start(observation, rules) for observation in observations]
-    return group_planes(observations, gates_of(association), rules.wall_tilt_sigma_rad, firm)
-
-
 @dataclass(frozen=True, eq=False)
 class Insertion:
     """An observation on its way into the graph."""
@@ -86,67 +72,6 @@ class Insertion:
     """The keyframe's body in the landmark's plane frame, shape (4, 4)."""
 
 
-def insert_matches(
-    observations: Sequence[Observation],
-    pose_key: int,
-    decisions: Sequence[Decision],
-    landmarks: LandmarkMap,
-    backend: Backend,
-    robust: str | None,
-) -> list[Insertion]:
-    """Factors of the observations that were matched to a landmark, with a robust kernel or without."""
-    insertions = []
-    for decision in decisions:
-        if decision.match is None:
-            continue
-        observation = observations[decision.observation]
-        landmark = landmarks[decision.match.landmark]
-        factor = observation_factor(observation, pose_key, landmark, backend, robust)
-        plane_T_body = inverse(landmarks.placed(landmark.id).world_T_plane) @ backend.pose(pose_key)
-        insertions.append(Insertion(landmark, observation, decision.observation, factor, plane_T_body))
-    return insertions
-
-
-def initialize_landmarks(
-    seen: Sequence[Observation],
-    pose_keys: tuple[int, int],
-    decisions: Sequence[Decision],
-    landmarks: LandmarkMap,
-    backend: Backend,
-    config: SlamConfig,
-    initial: gtsam.Values,
-) -> list[Insertion]:
-    """Landmarks of what no landmark explains, each with every observation of this keyframe that is its plane.
-
-    Args:
-        seen: the keyframe's observations.
-        pose_keys: of the anchor and of the keyframe. The anchor is a pose before: of its own pose, a landmark's first
-            factor would be custom, thus slow.
-        decisions: one an observation.
-        landmarks: where they are born.
-        backend, config: the state, the rules.
-        initial: takes the estimates of the new variables.
-    """
-    numbers = [decision.observation for decision in decisions if decision.verdict == "new"]
-    observations = [seen[number] for number in numbers]
-    anchor_key, pose_key = pose_keys
-    anchor_T_body = inverse(backend.pose(anchor_key)) @ backend.pose(pose_key)
-    insertions = []
-    for group in group_new(observations, config.landmarks, config.association):
-        plane = observations[group[0]].full_plane(config.landmarks.wall_tilt_sigma_rad)
-        anchored = plane.transform(anchor_T_body)
-        plane_T_body = inverse(anchored.frame) @ anchor_T_body
-        landmark = landmarks.birth(observations[group[0]], anchor_key, anchored.frame, plane_T_body)
-        initial.insert(landmark.key, plane_landmark(anchored))
-        factor = plane_factor(plane, pose_key, landmark.key, anchor_key=anchor_key)
-        insertions.append(Insertion(landmark, observations[group[0]], numbers[group[0]], factor, plane_T_body))
-        for member in group[1:]:
-            observation, robust = observations[member], config.backend.robust
-            factor = observation.factor(pose_key, landmark.key, anchor_key, robust, plane_landmark(plane))
-            insertions.append(Insertion(landmark, observation, numbers[member], factor, plane_T_body))
-    return insertions
-
-
 @dataclass(frozen=True)
 class LateMatch:
     """An observation that was matched after its own keyframe."""
@@ -157,62 +82,6 @@ class LateMatch:
     """Keyframe that saw it."""
     decision: Decision
     """Its match, judged by the state at the time of the match."""
-
-
-@dataclass(eq=False)
-class Waiting:
-    """Planes of the last few keyframes that were no landmark's, large enough to start one but too uncertain in tilt.
-
-    Only planes wait: a 2D laser sees its walls again in the next scan, a 3D scan may be the only one from its place.
-    """
-
-    rules: LandmarkConfig
-    """How many keyframes an observation waits, and what is large enough."""
-    _numbers: dict[int, list[int]] = field(default_factory=dict)
-
-    def add(self, index: int, keyframe: Keyframe, numbers: Iterable[int]) -> None:
-        """Let observations (`numbers`) of keyframe `index` wait; forget those that have waited long enough."""
-        seen = keyframe.observations
-        planes = [
-            number
-            for number in numbers
-            if isinstance(seen[number], PlaneObservation) and is_large(seen[number].full_plane(0.0), self.rules)
-        ]
-        if planes:
-            self._numbers[index] = planes
-        for old in [old for old in self._numbers if old <= index - self.rules.waiting_keyframes]:
-            del self._numbers[old]
-
-    def match(
-        self,
-        born: set[int],
-        at: int,
-        keyframes: Sequence[Keyframe],
-        landmarks: LandmarkMap,
-        backend: Backend,
-        config: AssociationConfig,
-        associate: Associate,
-    ) -> list[LateMatch]:
-        """Matches of what waits in earlier keyframes with landmarks just born; what is matched waits no longer.
-
-        Args:
-            born: ids of the new landmarks.
-            at: the keyframe that they are of.
-            keyframes: all so far.
-            landmarks, backend, config, associate: the state, the gates of association, and association itself.
-        """
-        found = []
-        for index in sorted(old for old in self._numbers if old < at and born):
-            numbers = self._numbers[index]
-            seen = [keyframes[index].observations[number] for number in numbers]
-            decisions = associate(seen, pose_symbol(index), landmarks, backend, config, among=born)
-            for number, decision in zip(numbers, decisions, strict=True):
-                if decision.match is not None:
-                    own = Decision(number, "match", decision.match, decision.candidates)
-                    found.append(LateMatch(at, index, own))
-            taken = {late.decision.observation for late in found if late.keyframe == index}
-            self._numbers[index] = [number for number in numbers if number not in taken]
-        return found
 
 
 @dataclass(frozen=True)
@@ -231,16 +100,23 @@ class MapUpdater:
     def __init__(self, state: EstimatorState, associate: Associate) -> None:
         self._keyframes, self._landmarks, self._backend = state.keyframes, state.landmarks, state.backend
         self._sparsifier, self._config, self._associate = state.sparsifier, state.config, associate
-        self._unmatched = Waiting(state.config.landmarks)
+        #: By keyframe, of the last few, planes that were no landmark's, large enough to start one but too uncertain in
+        #: tilt. Only planes wait: a 2D laser sees its walls again in the next scan, a 3D scan may be the only one from
+        #: its place.
+        self._waiting: dict[int, list[int]] = {}
 
     def update(self, keyframe: Keyframe, prediction: Prediction, decisions: Sequence[Decision]) -> MapUpdate:
         """Add the factors of matches and of new landmarks, then count what was seen."""
         seen, initial = keyframe.observations, gtsam.Values()
         at, pose_key = prediction.index, prediction.pose_key
-        insertions = insert_matches(seen, pose_key, decisions, self._landmarks, self._backend, prediction.robust)
+        insertions = [
+            self._match(seen[one.observation], pose_key, one, prediction.robust)
+            for one in decisions
+            if one.match is not None
+        ]
         anchor = self._sparsifier.anchor(at, self._config.landmarks.anchor_every)
-        keys = pose_symbol(anchor), pose_key
-        births = initialize_landmarks(seen, keys, decisions, self._landmarks, self._backend, self._config, initial)
+        numbers = [one.observation for one in decisions if one.verdict == "new"]
+        births = self._births(seen, numbers, pose_symbol(anchor), pose_key, initial)
         if births:
             self._sparsifier.stays(anchor)
         matched = [insertion.observation for insertion in insertions]
@@ -251,7 +127,7 @@ class MapUpdater:
         insertions += births
         used = {insertion.number for insertion in insertions}
         unused = [] if leaves else [i for i in range(len(seen)) if i not in used]
-        self._unmatched.add(at, keyframe, unused)
+        self._let_wait(at, seen, unused)
         factors = [*(insertion.factor for insertion in insertions), *prediction.pending, *beyond]
         if not factors:
             if prediction.hints:
@@ -280,24 +156,81 @@ class MapUpdater:
         """Match what earlier keyframes saw of the landmarks that this one started."""
         at = update.keyframe
         born = {number for number in update.touched if self._landmarks[number].first_keyframe == at}
-        late = self._unmatched.match(
-            born, at, self._keyframes, self._landmarks, self._backend, self._config.association, self._associate
-        )
-        for match in late:
-            observations = self._keyframes[match.keyframe].observations
-            [insertion] = insert_matches(
-                observations,
-                pose_symbol(match.keyframe),
-                [match.decision],
-                self._landmarks,
-                self._backend,
-                self._config.backend.robust,
-            )
+        late, robust = self._matches_of_waiting(born, at), self._config.backend.robust
+        for one in late:
+            seen = self._keyframes[one.keyframe].observations[one.decision.observation]
+            insertion = self._match(seen, pose_symbol(one.keyframe), one.decision, robust)
             [factor_index] = self._backend.update([insertion.factor], gtsam.Values(), relinearize=True)
-            self._see(insertion, match.keyframe, factor_index, self._config.backend.robust)
+            self._see(insertion, one.keyframe, factor_index, robust)
         if late:
             self._landmarks.refresh(self._backend)
         return late
+
+    def _match(self, seen: Observation, pose_key: int, decision: Decision, robust: str | None) -> Insertion:
+        """An observation with its factor on the landmark it was matched to, with a robust kernel or without."""
+        assert decision.match is not None
+        landmark = self._landmarks[decision.match.landmark]
+        factor = observation_factor(seen, pose_key, landmark, self._backend, robust)
+        plane_T_body = inverse(self._landmarks.placed(landmark.id).world_T_plane) @ self._backend.pose(pose_key)
+        return Insertion(landmark, seen, decision.observation, factor, plane_T_body)
+
+    def _births(
+        self, seen: Sequence[Observation], numbers: Sequence[int], anchor_key: int, pose_key: int, initial: gtsam.Values
+    ) -> list[Insertion]:
+        """Landmarks of observations (`numbers`) that no landmark explains, each with all of these that are its plane.
+
+        The first of each group, the firmest, starts it; what may start none joins one or is left. The anchor is a pose
+        before: of its own pose, a landmark's first factor would be custom, thus slow. `initial` takes the estimates of
+        the new variables.
+        """
+        rules, robust, observations = self._config.landmarks, self._config.backend.robust, [seen[k] for k in numbers]
+        firm = [may_start(one, rules) for one in observations]
+        gates = gates_of(self._config.association)
+        anchor_T_body = inverse(self._backend.pose(anchor_key)) @ self._backend.pose(pose_key)
+        insertions = []
+        for group in group_planes(observations, gates, rules.wall_tilt_sigma_rad, firm):
+            first = observations[group[0]]
+            plane = first.full_plane(rules.wall_tilt_sigma_rad)
+            anchored = plane.transform(anchor_T_body)
+            plane_T_body = inverse(anchored.frame) @ anchor_T_body
+            landmark = self._landmarks.birth(first, anchor_key, anchored.frame, plane_T_body)
+            initial.insert(landmark.key, plane_landmark(anchored))
+            factors = [plane_factor(plane, pose_key, landmark.key, anchor_key=anchor_key)]
+            for member in group[1:]:
+                expected = plane_landmark(plane)
+                factors.append(observations[member].factor(pose_key, landmark.key, anchor_key, robust, expected))
+            for member, factor in zip(group, factors, strict=True):
+                insertions.append(Insertion(landmark, observations[member], numbers[member], factor, plane_T_body))
+        return insertions
+
+    def _let_wait(self, index: int, seen: Sequence[Observation], numbers: Iterable[int]) -> None:
+        """Let observations (`numbers`) of keyframe `index` wait; forget those that have waited long enough."""
+        rules = self._config.landmarks
+        planes = [
+            number
+            for number in numbers
+            if isinstance(seen[number], PlaneObservation) and is_large(seen[number].full_plane(0.0), rules)
+        ]
+        if planes:
+            self._waiting[index] = planes
+        for old in [old for old in self._waiting if old <= index - rules.waiting_keyframes]:
+            del self._waiting[old]
+
+    def _matches_of_waiting(self, born: set[int], at: int) -> list[LateMatch]:
+        """Matches of what waits in earlier keyframes with landmarks just born; what is matched waits no longer."""
+        found = []
+        for index in sorted(old for old in self._waiting if old < at and born):
+            numbers, rules = self._waiting[index], self._config.association
+            seen = [self._keyframes[index].observations[number] for number in numbers]
+            decisions = self._associate(seen, pose_symbol(index), self._landmarks, self._backend, rules, among=born)
+            self._waiting[index] = []
+            for number, decision in zip(numbers, decisions, strict=True):
+                if decision.match is None:
+                    self._waiting[index].append(number)
+                else:
+                    own = Decision(number, "match", decision.match, decision.candidates)
+                    found.append(LateMatch(at, index, own))
+        return found
 
     def _see(self, insertion: Insertion, keyframe: int, factor_index: int, robust: str | None) -> None:
         """Let a landmark know what a keyframe saw of it, now that it is in the graph."""

@@ -15,7 +15,7 @@ from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.innovations import nis_evidence
 from slam.diagnostics.evidence.mounts import heading_evidence, mount_evidence
 from slam.diagnostics.evidence.odometry import believed_evidence, odometry_evidence
-from slam.diagnostics.evidence.prior import prior_evidence, prior_planes, start_evidence
+from slam.diagnostics.evidence.prior import prior_evidence, start_evidence
 from slam.diagnostics.evidence.surfaces import Surfaces, doubled_evidence, free_space_evidence
 from slam.diagnostics.verdict import Evidence, Verdict, weigh
 from slam.diagnostics.views import scan_views_of, views_of
@@ -50,4 +50,4 @@ def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     yield from doubled_evidence(run, surfaces)
     yield from start_evidence(run)
     if run.prior is not None:
-        yield from prior_evidence(run, prior_planes(run, rig, views, surfaces))
+        yield from prior_evidence(run, rig, views, surfaces)

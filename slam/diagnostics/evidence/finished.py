@@ -27,74 +27,59 @@ class Finished(Protocol):
     @property
     def config(self) -> SlamConfig:
         """The settings."""
-        ...
 
     @property
     def backend(self) -> Backend:
         """The graph."""
-        ...
 
     @property
     def landmarks(self) -> LandmarkMap:
         """The map, confirmed or not."""
-        ...
 
     @property
     def audit(self) -> NisAudit:
         """Chi2 of what was accepted."""
-        ...
 
     @property
     def prior(self) -> PriorMap | None:
         """What was known beforehand."""
-        ...
 
     @property
     def keyframes(self) -> Sequence[Keyframe]:
         """What was measured."""
-        ...
 
     @property
     def decisions(self) -> Sequence[list[Decision]]:
         """What became of every observation, by keyframe."""
-        ...
 
     @property
     def late_matches(self) -> list[LateMatch]:
         """Observations matched after their own keyframe."""
-        ...
 
     @property
     def loops(self) -> list[LoopDecision]:
         """Comparisons with old places."""
-        ...
 
     @property
     def open_in_map(self) -> list[OpenStretch]:
         """Directions in which all planes together do not fix the keyframes against the first."""
-        ...
 
     @property
     def calibration(self) -> WheelCalibration:
         """What was learnt of the wheels."""
-        ...
 
     @property
     def odometry_record(self) -> OdometryRecord:
         """What 3D scans said of the odometry."""
-        ...
 
     @property
     def unplaced(self) -> list[int]:
         """Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them."""
-        ...
 
     @property
     def rivals(self) -> dict[int, Rivals]:
         """Of every keyframe placed by what it saw alone, the other places that this fits."""
-        ...
 
     @property
     def trajectory(self) -> Trajectory:
         """world_T_body of every keyframe."""
-        ...

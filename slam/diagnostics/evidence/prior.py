@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -30,31 +29,6 @@ _ACROSS = 0.26
 _STEP_M = 0.5
 
 
-@dataclass(frozen=True)
-class PriorPlanes:
-    """What became of the planes of a prior map."""
-
-    known: int
-    """How many there are."""
-    seen: tuple[int, ...]
-    """Those that observations were matched to."""
-    missed: tuple[int, ...]
-    """Those that were not, though they were in view: more was seen through them than at them."""
-    fix_a_place: bool
-    """Whether those seen are walls in more than one direction."""
-
-
-def prior_planes(run: Finished, rig: Rig, views: Mapping[int, View], surfaces: Surfaces) -> PriorPlanes:
-    """Count the planes of the prior map at the final poses."""
-    known = [landmark for landmark in run.landmarks if landmark.known]
-    seen = tuple(one.id for one in known if one.sightings or one.seen_by_past)
-    through = Counter(_through(known, run, views))
-    for sensor in rig.of_kind("cloud").values():
-        through.update(stopped_rays(run.keyframes, run.trajectory.poses, surfaces, sensor.body_T_sensor))
-    missed = tuple(one.id for one in known if one.id not in seen and through[one.id] > 0)
-    return PriorPlanes(len(known), seen, missed, _fix_a_place([run.landmarks.placed(key).normal for key in seen]))
-
-
 def _fix_a_place(normals: Sequence[FloatArray]) -> bool:
     """Whether planes of these normals fix a place on the floor between them."""
     walls = np.array([normal[:2] for normal in normals]).reshape(-1, 2)
@@ -62,33 +36,36 @@ def _fix_a_place(normals: Sequence[FloatArray]) -> bool:
     return bool(np.abs(across).max(initial=0.0) > _ACROSS)
 
 
-def prior_evidence(run: Finished, planes: PriorPlanes) -> Iterator[Evidence]:
+def prior_evidence(run: Finished, rig: Rig, views: Mapping[int, View], surfaces: Surfaces) -> Iterator[Evidence]:
     """A prior map none of whose planes was seen again, or too many of which are not there.
 
-    Of planes in view a share of `NOVEL_SHARE` may have gone since: doors, boards, furniture.
+    Planes that nothing was matched to are missed where, at the final poses, more was seen through them than at them. Of
+    planes in view a share of `NOVEL_SHARE` may have gone since: doors, boards, furniture.
     """
-    frames = tuple(range(len(run.keyframes)))
-    if not planes.seen:
-        sentence = f"none of the {planes.known} planes of the prior map was seen again at {named(frames)}"
+    frames, known = tuple(range(len(run.keyframes))), [landmark for landmark in run.landmarks if landmark.known]
+    seen = [one.id for one in known if one.sightings or one.seen_by_past]
+    if not seen:
+        sentence = f"none of the {len(known)} planes of the prior map was seen again at {named(frames)}"
         yield Evidence("prior map", "broken", 0.0, 0.0, "of planes", frames, sentence)
         return
-    if not planes.fix_a_place:
-        sentence = (
-            f"the planes of the prior map seen again, {len(planes.seen)} of {planes.known}, do not fix a place in it"
-        )
+    if not _fix_a_place([run.landmarks.placed(key).normal for key in seen]):
+        sentence = f"the planes of the prior map seen again, {len(seen)} of {len(known)}, do not fix a place in it"
         yield Evidence("prior map", "doubtful", 0.0, 0.0, "of planes", frames, f"{sentence} ({named(frames)})")
         return
-    in_view = len(planes.seen) + len(planes.missed)
-    p_value = float(at_least(len(planes.missed), in_view, NOVEL_SHARE))
+    through = Counter(_through(known, run, views))
+    for sensor in rig.of_kind("cloud").values():
+        through.update(stopped_rays(run.keyframes, run.trajectory.poses, surfaces, sensor.body_T_sensor))
+    missed = sum(one.id not in seen and through[one.id] > 0 for one in known)
+    in_view = len(seen) + missed
     yield Evidence(
         "prior map",
         "doubtful",
-        p_value,
-        len(planes.missed) / in_view,
+        float(at_least(missed, in_view, NOVEL_SHARE)),
+        missed / in_view,
         "of planes",
         frames,
-        f"{len(planes.missed)} of the {in_view} planes of the prior map that should have been seen at {named(frames)} "
-        f"were looked through instead, {len(planes.seen)} were seen again",
+        f"{missed} of the {in_view} planes of the prior map that should have been seen at {named(frames)} were looked "
+        f"through instead, {len(seen)} were seen again",
     )
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, at_least, named
-from slam.diagnostics.views import TOLERANCE_M, V, comparisons, pairs_of, way_along
+from slam.diagnostics.views import TOLERANCE_M, V, compare, pairs_of, way_along
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
 from slam.frontend.occupancy import NOVEL_SHARE
@@ -94,23 +94,6 @@ def agreement(
     return int(mostly[0].sum()), int((mostly[1] & ~mostly[0]).sum())
 
 
-@dataclass
-class Place:
-    """All that the keyframes about one place say of surfaces that others saw."""
-
-    looks: int = 0
-    """Looks at surfaces: confirmed, or gone through."""
-    through: int = 0
-    """Those that went through."""
-    keyframes: set[int] = field(default_factory=set)
-    """Who looked, and who had seen the surfaces."""
-
-    def add(self, looks: int, through: int, keyframes: Sequence[int]) -> None:
-        """Count more of them."""
-        self.looks, self.through = self.looks + looks, self.through + through
-        self.keyframes.update(keyframes)
-
-
 def free_space_evidence(views: Mapping[int, V], poses: FloatArray) -> Iterator[Evidence]:
     """Looks through surfaces that other keyframes saw, at the final poses (N, 4, 4).
 
@@ -118,22 +101,21 @@ def free_space_evidence(views: Mapping[int, V], poses: FloatArray) -> Iterator[E
     people, doors, glass and edges. Each place has a binomial test, and its share of the significance (Bonferroni): one
     that fails is of poses that do not fit together. Where the whole drive fails, all of it is broken.
     """
-    places: dict[Hashable, Place] = {}
-    stretch = np.floor(way_along(poses)).astype(int).tolist()
-    for one in comparisons(views, poses, pairs_of(sorted(views), poses)):
-        pair = one.keyframe, one.other
-        key = tuple(sorted(stretch[frame] for frame in pair))
-        places.setdefault(key, Place()).add(one.confirmed + one.through, one.through, pair)
-    if not places:
+    places: dict[Hashable, int] = {}
+    stretch, pairs = np.floor(way_along(poses)).astype(int).tolist(), pairs_of(sorted(views), poses)
+    if not pairs:
         return
-    looks, through = (np.array(column) for column in zip(*((p.looks, p.through) for p in places.values()), strict=True))
+    counts = np.array([compare(views[a], views[b], inverse(poses[a]) @ poses[b]) for a, b in pairs])
+    own = np.array([places.setdefault(tuple(sorted((stretch[a], stretch[b]))), len(places)) for a, b in pairs])
+    confirmed, through = (np.bincount(own, column).astype(int) for column in counts.T)
+    looks = confirmed + through
     p_values = np.minimum(len(places) * at_least(through, looks, NOVEL_SHARE), 1.0)
-    wrong = [place for place, p_value in zip(places.values(), p_values, strict=True) if p_value < SIGNIFICANCE]
-    if not wrong:
+    wrong = p_values < SIGNIFICANCE
+    if not wrong.any():
         return
-    frames = tuple(sorted(set().union(*(place.keyframes for place in wrong))))
+    frames = tuple(np.unique(np.array(pairs)[wrong[own]]).tolist())
     whole = float(at_least(through.sum(), looks.sum(), NOVEL_SHARE))
-    gone, seen = sum(place.through for place in wrong), sum(place.looks for place in wrong)
+    gone, seen = int(through[wrong].sum()), int(looks[wrong].sum())
     yield Evidence(
         "free space",
         "broken" if whole < SIGNIFICANCE else "doubtful",
