@@ -204,10 +204,12 @@ def open_stretches(seen: Observability, keyframes: Sequence[Keyframe], backend: 
     """Directions that what was seen left open, most frequent first, with what is known of them by all means."""
     stretches = []
     for group in seen.directions():
-        last = group[-1].keyframe
-        source = _source_of(keyframes[last].motion)
-        key = pose_symbol(last)
-        stretches.append(stretch_of(group, len(keyframes) - 1, backend.read_covariance(key), backend.pose(key), source))
+        part, last = group[0].part, group[-1].keyframe
+        signs = [1.0 if one.direction @ group[0].direction > 0.0 else -1.0 for one in group]
+        mean = _upright(np.sum([sign * one.direction for sign, one in zip(signs, group, strict=True)], axis=0))
+        sigma, source = sigma_along(part, mean, last, backend), _source_of(keyframes[last].motion)
+        opened = tuple(sorted({one.keyframe for one in group}))
+        stretches.append(OpenStretch(part, mean, opened, len(keyframes) - 1, sigma, source))
     return stretches
 
 
@@ -230,17 +232,6 @@ def gathered(directions: Iterable[OpenDirection]) -> list[list[OpenDirection]]:
     return sorted(groups, key=lambda group: -len({one.keyframe for one in group}))
 
 
-def stretch_of(
-    group: Sequence[OpenDirection], total: int, covariance: FloatArray, world_T_body: FloatArray, source: str
-) -> OpenStretch:
-    """Sum up one direction of a run; covariance (6, 6) and pose are those of its last keyframe in the whole graph."""
-    signs = [1.0 if one.direction @ group[0].direction > 0.0 else -1.0 for one in group]
-    mean = _upright(np.sum([sign * one.direction for sign, one in zip(signs, group, strict=True)], axis=0))
-    sigma = sigma_along(group[0].part, mean, covariance, world_T_body)
-    keyframes = tuple(sorted({one.keyframe for one in group}))
-    return OpenStretch(group[0].part, mean, keyframes, total, sigma, source)
-
-
 def name_of(part: Part, direction: FloatArray) -> str:
     """Name of a direction in the world: along or about an axis, or the vector itself."""
     word = "along" if part == "position" else "about"
@@ -250,10 +241,11 @@ def name_of(part: Part, direction: FloatArray) -> str:
     return f"{word} ({', '.join(f'{x:.2f}' for x in direction)})"
 
 
-def sigma_along(part: Part, direction: FloatArray, covariance: FloatArray, world_T_body: FloatArray) -> float:
-    """Standard deviation, m or rad, of a pose along or about a direction of the world; covariance (6, 6) as GTSAM's."""
-    block = slice(3, 6) if part == "position" else slice(0, 3)
-    in_body = world_T_body[:3, :3].T @ direction
+def sigma_along(part: Part, direction: FloatArray, keyframe: int, backend: Backend) -> float:
+    """Standard deviation, m or rad, of a keyframe's pose along or about a direction of the world (3,), by the graph."""
+    key, block = pose_symbol(keyframe), slice(3, 6) if part == "position" else slice(0, 3)
+    covariance = backend.read_covariance(key)
+    in_body = backend.pose(key)[:3, :3].T @ direction
     return float(np.sqrt(max(in_body @ covariance[block, block] @ in_body, 0.0)))
 
 

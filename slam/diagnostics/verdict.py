@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import groupby
 from typing import Any, Literal
 
@@ -42,15 +42,7 @@ class Evidence:
 
     def to_dict(self) -> dict[str, Any]:
         """For metrics.json."""
-        return {
-            "kind": self.kind,
-            "grade": self.grade,
-            "p_value": self.p_value,
-            "size": self.size,
-            "unit": self.unit,
-            "keyframes": list(self.keyframes),
-            "sentence": self.sentence,
-        }
+        return {**asdict(self), "keyframes": list(self.keyframes)}
 
 
 @dataclass(frozen=True)

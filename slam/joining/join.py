@@ -204,17 +204,14 @@ def _contradicted(component: Component, solution: JointSolution, config: SlamCon
     What the ties of a true overlap add is chi2 with 3 degrees of freedom a tie at most, as in a loop closure.
     """
     numbers = {name: number for number, name in enumerate(component.missions)}
-    whole, worst = solution.chi2(), (0.0, None)
+    whole, worst = solution.chi2(solution.ties), (0.0, None)
     for one in component.overlaps:
         pair = tuple(sorted((numbers[one.first], numbers[one.second])))
-        count = sum(tie.missions == pair for tie in solution.ties)
+        others = [tie for tie in solution.ties if tie.missions != pair]
+        count = len(solution.ties) - len(others)
         if not count:
             continue
-
-        def of_pair(tie: Tie, pair: tuple[int, ...] = pair) -> bool:
-            return tie.missions == pair
-
-        added = whole - solution.chi2(of_pair)
+        added = whole - solution.chi2(others)
         beyond = added - float(chdtri(3 * count, config.association.new_significance))
         if beyond > worst[0]:
             reason = f"with it all missions together fit worse by chi2 {added:.0f} of {3 * count} dof"

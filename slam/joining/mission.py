@@ -10,7 +10,6 @@ import numpy as np
 
 from slam.backend.estimator import BackendError
 from slam.config import SlamConfig
-from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
 from slam.io.trajectories import Trajectory
 from slam.lazy import evenly
@@ -138,11 +137,8 @@ class FinishedMission:
 def _looks(slam: PlaneSlam, trajectory: Trajectory, rig: Rig | None) -> tuple[Look, ...]:
     sensors = [] if rig is None else list(rig.of_kind("cloud").values())
     eye = sensors[0].body_T_sensor if sensors else np.eye(4)
-    return tuple(
-        _look(slam.keyframes[index], trajectory.poses[index], eye) for index in evenly(len(trajectory), _MOST_LOOKS)
-    )
-
-
-def _look(keyframe: Keyframe, pose: FloatArray, body_T_sensor: FloatArray) -> Look:
-    planes = tuple(planes_of(keyframe.observations))
-    return Look(pose, keyframe.returns, planes, body_T_sensor)
+    looks = []
+    for index in evenly(len(trajectory), _MOST_LOOKS):
+        frame = slam.keyframes[index]
+        looks.append(Look(trajectory.poses[index], frame.returns, tuple(planes_of(frame.observations)), eye))
+    return tuple(looks)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from slam.session.store import rig_json
 from spplanes import __version__
 
 #: What a record begins with: its form, and the version that wrote it.
-_HEAD = f"spplanes-mission/1 {__version__}\n".encode()
+_HEAD = f"spplanes-mission/2 {__version__}\n".encode()
 
 
 class RecordError(ValueError):
@@ -29,7 +30,7 @@ class RecordError(ValueError):
 
 def mission_to_bytes(mission: Mission) -> bytes:
     """A mission without its graph."""
-    return _sealed(_plain_mission(mission))
+    return _sealed({"mission": _plain_mission(mission)})
 
 
 def mission_from_bytes(data: bytes) -> Mission:
@@ -46,7 +47,7 @@ def finished_to_bytes(finished: FinishedMission) -> bytes:
     graph = finished.graph
     return _sealed(
         {
-            **_plain_mission(finished.mission),
+            "mission": _plain_mission(finished.mission),
             "factors": dumps(graph.factors, graph.values),
             "landmarks": np.array([(one, *keys) for one, keys in graph.planes.items()], dtype=np.int64).reshape(-1, 3),
             "carriers": np.array(graph.carriers, dtype=np.int64),
@@ -72,63 +73,37 @@ def finished_from_bytes(data: bytes) -> FinishedMission:
 
 def comparison_to_bytes(one: Comparison) -> bytes:
     """A comparison."""
-    known = one.alignment
-    alignment = None
-    if known is not None:
-        alignment = {
-            "a_T_b": known.a_T_b,
-            "covariance": known.covariance,
-            "pairs": np.array(known.pairs, dtype=np.int64).reshape(-1, 2),
-            "numbers": [known.chi2, known.n_dof, known.worst],
-        }
-    words = [one.first, one.second, one.verdict, one.reason]
-    numbers = [one.evidence, one.looks, one.through]
-    moved = np.array(one.moved, dtype=np.int64).reshape(-1, 2)
-    return _sealed({"words": words, "numbers": numbers, "moved": moved, "alignment": alignment})
+    alignment = None if one.alignment is None else _fields_of(one.alignment)
+    return _sealed({**_fields_of(one), "alignment": alignment})
 
 
 def comparison_from_bytes(data: bytes) -> Comparison:
     """Inverse of `comparison_to_bytes`."""
     plain = _opened(data)
     try:
-        alignment, known = None, plain["alignment"]
-        if known is not None:
-            pairs = tuple((i, j) for i, j in known["pairs"].tolist())
-            alignment = Alignment(known["a_T_b"], known["covariance"], pairs, *known["numbers"])
-        first, second, verdict, reason = plain["words"]
-        evidence, looks, through = plain["numbers"]
-        moved = tuple((i, j) for i, j in plain["moved"].tolist())
-        return Comparison(first, second, verdict, reason, alignment, evidence, looks, through, moved)
+        alignment = None if plain["alignment"] is None else Alignment(**plain["alignment"])
+        plain |= {"alignment": alignment}
+        return Comparison(**plain)
     except (KeyError, TypeError, ValueError) as error:
         raise RecordError("expected the record of a comparison, got another") from error
 
 
+def _fields_of(one: Any) -> dict[str, Any]:
+    """A dataclass as a dict of its fields, these as they are."""
+    return {field.name: getattr(one, field.name) for field in fields(one)}
+
+
 def _plain_mission(mission: Mission) -> dict[str, Any]:
-    return {
-        "name": mission.name,
-        "planes": list(mission.planes),
-        "covariance": mission.covariance,
-        "stamps_ns": mission.trajectory.stamps_ns,
-        "poses": mission.trajectory.poses,
-        "looks": [
-            {
-                "mission_T_body": one.mission_T_body,
-                "returns": one.returns,
-                "planes": list(one.planes),
-                "body_T_sensor": one.body_T_sensor,
-            }
-            for one in mission.looks
-        ],
-    }
+    trajectory, looks = _fields_of(mission.trajectory), [_fields_of(one) for one in mission.looks]
+    return {**_fields_of(mission), "trajectory": trajectory, "looks": looks}
 
 
 def _mission_of(plain: dict[str, Any]) -> Mission:
     try:
-        looks: list[dict[str, Any]] = [{**one, "planes": tuple(one["planes"])} for one in plain["looks"]]
-        trajectory = Trajectory(plain["stamps_ns"], plain["poses"])
-        return Mission(
-            plain["name"], tuple(plain["planes"]), plain["covariance"], trajectory, tuple(Look(**one) for one in looks)
-        )
+        known: dict[str, Any] = plain["mission"]
+        trajectory, looks = Trajectory(**known["trajectory"]), tuple(Look(**one) for one in known["looks"])
+        known |= {"trajectory": trajectory, "looks": looks}
+        return Mission(**known)
     except (KeyError, TypeError) as error:
         raise RecordError("expected the record of a mission, got another") from error
 

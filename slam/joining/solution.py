@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -167,9 +167,9 @@ class JointSolution:
             self.graphs, self.starts, shared, tuple(ties), dict(self.bases), dict(self.values), self.floor_sigmas
         )
 
-    def chi2(self, without: Callable[[Tie], bool] = lambda _: False) -> float:
-        """Least squared error of the linear joint graph, without some ties."""
-        linear = self._linear([one for one in self.ties if not without(one)])
+    def chi2(self, ties: Sequence[Tie]) -> float:
+        """Least squared error of the linear joint graph, with some ties."""
+        linear = self._linear(ties)
         return 2.0 * float(linear.error(linear.eliminateMultifrontal(function=gtsam.EliminateQR).optimize()))
 
     def pose(self, mission: int, key: int) -> gtsam.Pose3:

@@ -15,7 +15,7 @@ from slam.evaluation.metrics import Metric
 from slam.frontend.observations import Observation
 from slam.io.planes_json import read_map
 from slam.io.trajectories import Trajectory, read_tum
-from slam.map.data_association import Candidate, Decision
+from slam.map.data_association import Decision
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam
 from slam.preconditions import check_run_given
@@ -141,9 +141,8 @@ def _as_json(decision: Decision, seen: Observation) -> dict[str, Any]:
         "points": int(seen.n_points),
         "verdict": decision.verdict,
         "landmark": None if decision.match is None else decision.match.landmark,
-        "candidates": [_candidate(one) for one in decision.candidates],
+        "candidates": [
+            {"landmark": one.landmark, "chi2": one.chi2, "dof": one.dof, "p": one.p_value, "confirmed": one.confirmed}
+            for one in decision.candidates
+        ],
     }
-
-
-def _candidate(one: Candidate) -> dict[str, Any]:
-    return {"landmark": one.landmark, "chi2": one.chi2, "dof": one.dof, "p": one.p_value, "confirmed": one.confirmed}

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from slam.backend.estimator import pose_symbol
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.innovations import PROMISED_M
 from slam.diagnostics.observability import OpenStretch, name_of, sigma_along
@@ -74,7 +73,7 @@ def assumption_evidence(run: Finished) -> Iterator[Evidence]:
     for one in run.open_in_map:
         if one.part != "position":
             continue
-        sigmas = {frame: _sigma_along(run, frame, one.direction) for frame in one.keyframes}
+        sigmas = {frame: sigma_along("position", one.direction, frame, run.backend) for frame in one.keyframes}
         wide = tuple(frame for frame, sigma in sigmas.items() if sigma > PROMISED_M and frame >= min(assumed))
         if wide:
             worst = max(wide, key=lambda frame: sigmas[frame])
@@ -86,12 +85,6 @@ def _sentence(one: OpenStretch, wide: tuple[int, ...], sigma: float) -> str:
         f"{name_of(one.part, one.direction)} nobody measured the motion and nothing that was seen tells it at "
         f"{named(wide)}: that the body went on as before is an assumption (sigma up to {sigma:.2g} m)"
     )
-
-
-def _sigma_along(run: Finished, keyframe: int, direction: FloatArray) -> float:
-    """Standard deviation of a keyframe's position along a direction of the world, m."""
-    key = pose_symbol(keyframe)
-    return sigma_along("position", direction, run.backend.read_covariance(key), run.backend.pose(key))
 
 
 def ambiguity_evidence(run: Finished) -> Iterator[Evidence]:

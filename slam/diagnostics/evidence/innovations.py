@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.special import chdtrc, ndtr
@@ -16,16 +16,6 @@ from slam.lazy import evenly
 PROMISED_M, PROMISED_SIGMAS = 0.1, 3.0
 #: Poses whose standard deviation is looked at, evenly over the run.
 _MOST_POSES = 24
-
-
-def risk(sigma_m: float, claimed_m: float) -> float:
-    """Probability that an error of standard deviation `sigma_m` breaks the promise where `claimed_m` is claimed."""
-    return 2.0 * float(ndtr(-max(PROMISED_M, PROMISED_SIGMAS * claimed_m) / max(sigma_m, 1e-12)))
-
-
-def at_risk(sigmas: Mapping[int, float], factor: float) -> tuple[int, ...]:
-    """Keyframes whose claimed standard deviations, were they larger by a factor, would break the promise too often."""
-    return tuple(key for key, sigma in sigmas.items() if risk(factor * sigma, sigma) > SIGNIFICANCE)
 
 
 def claimed_sigmas(run: Finished) -> dict[int, float]:
@@ -61,9 +51,14 @@ def too_small(
     """
     chi2, dof = test
     factor, sigmas = float(np.sqrt(max(chi2 / dof, 1.0))), claimed_sigmas(run)
-    risky = at_risk(sigmas, factor)
+    risky = [key for key, sigma in sigmas.items() if _risk(factor * sigma, sigma) > SIGNIFICANCE]
     if risky:
         p_value = min(tests * float(chdtrc(dof, chi2)), 1.0)
         told = f"{sentence.format(factor, max(sigmas.values()))} at {named(risky)}"
         every = tuple(sorted({*frames, *risky}))
         yield Evidence(kind, "doubtful", p_value, factor, "times the stated sigma", every, told)
+
+
+def _risk(sigma_m: float, claimed_m: float) -> float:
+    """Probability that an error of standard deviation `sigma_m` breaks the promise where `claimed_m` is claimed."""
+    return 2.0 * float(ndtr(-max(PROMISED_M, PROMISED_SIGMAS * claimed_m) / max(sigma_m, 1e-12)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from slam.frontend.occupancy import NOVEL_SHARE
 from slam.geometry.frames import inverse
 from slam.sensors.mount import Mount
 from slam.sensors.rig import Rig
-from spplanes import Plane
 from spplanes._check import FloatArray
 
 #: Pairs of neighbouring keyframes that are compared under every mount, evenly over the run: of lasers, of 3D sensors.
@@ -28,20 +26,13 @@ _MOST_PAIRS, _MOST_CLOUD_PAIRS = 60, 15
 _ALL_ALONG, _SOME_WAY_M = 0.8, 3.0
 
 
-class _Turn(NamedTuple):
-    """A mount that is easily taken for another: the sensor turned about its own axes."""
-
-    roll_deg: float
-    yaw_deg: float
-    name: str
-
-
+#: Mounts that are easily taken for another: the sensor turned about its own axes, roll and yaw, deg.
 _TURNS = (
-    _Turn(0.0, 180.0, "mounted backwards (yaw 180 deg from what the rig says)"),
-    _Turn(0.0, 90.0, "turned to the left (yaw +90 deg from what the rig says)"),
-    _Turn(0.0, -90.0, "turned to the right (yaw -90 deg from what the rig says)"),
-    _Turn(180.0, 0.0, "mounted upside down (roll 180 deg from what the rig says)"),
-    _Turn(180.0, 180.0, "mounted upside down and backwards (pitch 180 deg from what the rig says)"),
+    (0.0, 180.0, "mounted backwards (yaw 180 deg from what the rig says)"),
+    (0.0, 90.0, "turned to the left (yaw +90 deg from what the rig says)"),
+    (0.0, -90.0, "turned to the right (yaw -90 deg from what the rig says)"),
+    (180.0, 0.0, "mounted upside down (roll 180 deg from what the rig says)"),
+    (180.0, 180.0, "mounted upside down and backwards (pitch 180 deg from what the rig says)"),
 )
 
 #: Looks confirmed and looks through, of the pairs of a run, shape (P, 2), under a turn (4, 4) of the sensor.
@@ -109,12 +100,12 @@ def _tests(counts: _Counts, frames: tuple[int, ...]) -> Iterator[Evidence]:
     if min(by_pair, at_least(whole[1], whole.sum(), NOVEL_SHARE)) > SIGNIFICANCE:
         return  # the stated mount fits
     tests = []
-    for turn in _TURNS:
-        under = counts(Mount(rpy_deg=(turn.roll_deg, 0.0, turn.yaw_deg)).as_matrix())
+    for roll_deg, yaw_deg, name in _TURNS:
+        under = counts(Mount(rpy_deg=(roll_deg, 0.0, yaw_deg)).as_matrix())
         gain = (under[:, 0] - under[:, 1]) - (stated[:, 0] - stated[:, 1])
         better, told = _better(gain)
         if 2 * better > told:
-            tests.append((gain, better, told, turn.name))
+            tests.append((gain, better, told, name))
     if not tests:
         return
     best = max((gain for gain, *_ in tests), key=lambda gain: float(gain.sum()))
@@ -177,10 +168,8 @@ def _cloud_counts(first: Keyframe, second: Keyframe, turn: FloatArray, mounts: S
     """The same of planes that a 3D sensor saw."""
     body_T_sensor = mounts[0]
     change, motion = body_T_sensor @ turn @ inverse(body_T_sensor), _motion(second)
-    here, there = ([_moved(plane, change) for plane in planes_of(one.observations)] for one in (first, second))
+    here, there = (
+        [replace(plane, frame=change @ plane.frame) for plane in planes_of(one.observations)] for one in (first, second)
+    )
     eye = body_T_sensor @ turn
     return np.add(agreement(here, there, motion, eye), agreement(there, here, inverse(motion), eye))
-
-
-def _moved(plane: Plane, change: FloatArray) -> Plane:
-    return replace(plane, frame=change @ plane.frame)

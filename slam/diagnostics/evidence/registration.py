@@ -42,14 +42,8 @@ class CloudMatch:
 
 def judge(match: CloudMatch, covariance: FloatArray) -> Verdict:
     """The verdict on a place, with the covariance (6, 6), SP order, that is claimed for it."""
-    return weigh(_evidence(match, covariance), KINDS)
-
-
-def _evidence(match: CloudMatch, covariance: FloatArray) -> Iterator[Evidence]:
-    yield from _free_space(match)
-    yield from _chance(match)
-    yield from _ambiguity(match)
-    yield from _open(covariance)
+    evidence = *_free_space(match), *_chance(match), *_ambiguity(match), *_open(covariance)
+    return weigh(evidence, KINDS)
 
 
 def _free_space(match: CloudMatch) -> Iterator[Evidence]:
