@@ -102,7 +102,7 @@ MUTATIONS = (
     ),
     Mutation(
         "tracking: the next motion as sure as if the one before were known",
-        "slam/tracking/constant_velocity.py",
+        "slam/tracking/prediction.py",
         "total = total + (ahead_s / before_s) ** 2 * covariance",
         "total = total + 0.0 * covariance",
         "tests/slam/tracking/test_constant_velocity.py",

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes import Plane
 from spplanes._check import FloatArray
-from spplanes._hesse import covariance_from_hesse
 from spplanes.outlines.growing import lift
 from spplanes.spmodel import inverse_transform as inverse
 
-__all__ = ["covariance_in", "inverse", "lift", "orthonormal", "settle_frame"]
+__all__ = ["inverse", "lift", "orthonormal", "settle_frame"]
 
 
 def orthonormal(transform: FloatArray) -> FloatArray:
@@ -40,11 +38,6 @@ def settle_frame(frame: FloatArray, normal: FloatArray, d: float) -> FloatArray:
     origin = frame[:3, 3]
     settled[:3, 3] = origin + normal * (d - normal @ origin)
     return settled
-
-
-def covariance_in(plane: Plane, frame: FloatArray) -> FloatArray:
-    """Covariance (3, 3) of (z, theta, psi) of a plane in another frame (4, 4) lying on it."""
-    return covariance_from_hesse(frame, plane.hesse_covariance)
 
 
 def planar_transform(x: float, y: float, theta: float) -> FloatArray:

@@ -119,8 +119,8 @@ class LoopCloser:
 
     def fix(self, closure: Closure) -> None:
         """Put in what the returns say of the loops just closed beyond their walls: how far along a corridor."""
-        for loop in closure.loops:
-            self._stay(loop)
+        for end in (end for loop in closure.loops for end in (loop.old_keyframe, loop.keyframe)):
+            self._sparsifier.stays(end)  # both ends are needed in the graph
         factors = [None if loop.motion is None else _factor(loop, loop.motion) for loop in closure.loops]
         told = [one for one in factors if one is not None]
         indices = iter(self._backend.update(told, gtsam.Values(), relinearize=True) if told else ())
@@ -193,11 +193,6 @@ class LoopCloser:
         """Index of the decision about two keyframes."""
         ends = keyframe, old_keyframe
         return next(i for i, one in enumerate(self.decisions) if (one.keyframe, one.old_keyframe) == ends)
-
-    def _stay(self, loop: LoopDecision) -> None:
-        """Both ends are needed in the graph."""
-        for end in (loop.old_keyframe, loop.keyframe):
-            self._sparsifier.stays(end)
 
     def _open_again(self, wrong: Sequence[ClosedLoop]) -> None:
         """Take closures out of the graph, and what was joined for them apart."""

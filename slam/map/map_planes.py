@@ -9,10 +9,10 @@ from shapely.geometry.base import BaseGeometry
 
 from factors import world_plane_from_joint
 from slam.backend.estimator import Backend
-from slam.geometry.frames import covariance_in
 from slam.geometry.polygons import largest_polygon
 from slam.map.landmarks import Landmark, LandmarkMap
 from spplanes import Plane
+from spplanes._hesse import covariance_from_hesse
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +47,6 @@ def map_plane(landmark: Landmark, landmarks: LandmarkMap, backend: Backend) -> M
         centre=frame[:3, 3],
     )
     polygon = largest_polygon(landmark.outline)
-    plane = Plane(frame, covariance_in(plane, frame), landmark.n_points, polygon)
+    plane = Plane(frame, covariance_from_hesse(frame, plane.hesse_covariance), landmark.n_points, polygon)
     kinds = tuple(sorted({sighting.kind for sighting in landmark.sightings}))
     return MapPlane(landmark.id, plane, landmark.outline, landmark.n_keyframes, kinds)

@@ -137,8 +137,7 @@ class Merges:
         The older may itself have been merged since: the sightings are taken from wherever they are now.
         """
         now, holder = len(self._keyframes) - 1, self._holder(merge)
-        mine = {(sighting.keyframe, sighting.observation) for sighting in merge.gone.sightings}
-        taken = [one for one in holder.sightings if (one.keyframe, one.observation) in mine]
+        taken = self._taken(merge, holder)
         back = replace(merge.gone, sightings=[], n_points=0)
         holder.seen_by_past = sorted({*holder.seen_by_past}.difference(back.seen_by_past))
         self._landmarks.plant(back)
@@ -205,14 +204,18 @@ class Merges:
             key = next(one.older for one in reversed(self.history) if one.younger == key and one.undone is None)
         return self._landmarks[key]
 
+    def _taken(self, merge: Merge, holder: Landmark) -> list[Sighting]:
+        """The sightings of the merged landmark that its holder has."""
+        mine = {(one.keyframe, one.observation) for one in merge.gone.sightings}
+        return [one for one in holder.sightings if (one.keyframe, one.observation) in mine]
+
     def _observation(self, sighting: Sighting) -> Observation:
         return self._keyframes[sighting.keyframe].observations[sighting.observation]
 
     def _residual(self, merge: Merge) -> tuple[float, int]:
         """Chi2 and degrees of freedom of the merged landmark's own measurements, as they are explained now."""
-        mine = {(sighting.keyframe, sighting.observation) for sighting in merge.gone.sightings}
         holder = self._holder(merge)
-        taken = [one for one in holder.sightings if (one.keyframe, one.observation) in mine][:_SAMPLE]
+        taken = self._taken(merge, holder)[:_SAMPLE]
         dof = sum(3 if one.kind == "plane" else 2 for one in taken)
         return sum(self._misfit(one, holder) for one in taken), dof
 

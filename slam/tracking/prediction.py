@@ -13,7 +13,7 @@ from factors import pose_prior
 from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance, relative_covariance
 from slam.backend.places import anchored
-from slam.config import BOUND_SIGMAS
+from slam.config import BOUND_SIGMAS, CoastingConfig
 from slam.frontend.information import information_beyond_lines, inverted
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import NO_FLOOR, Motion, difference, planar_delta
@@ -23,7 +23,6 @@ from slam.map.sparsification import Link
 from slam.map.state import EstimatorState
 from slam.registration.relocalization import FoundPlace, Rivals, found_place, is_poorly_known
 from slam.tracking.calibration_by_graph import CalibrationByGraph
-from slam.tracking.constant_velocity import coast
 from slam.tracking.odometry_check import check
 from slam.tracking.odometry_record import OdometryRecord
 from slam.tracking.odometry_scale import OdometryScale, scaled
@@ -237,6 +236,39 @@ class MotionModel:
     def _through(self, first: int, last: int, motion: Motion) -> Any:
         """The factor of a motion as measured through keyframes that have left."""
         return self.calibration.corrected(motion).factors(pose_symbol(first), pose_symbol(last))[0]
+
+
+def coast(
+    a_T_b: FloatArray | None,
+    before_s: float,
+    ahead_s: float,
+    rules: CoastingConfig,
+    covariance: FloatArray | None = None,
+) -> Motion:
+    """The motion of the next `ahead_s` seconds by constant velocity.
+
+    Args:
+        a_T_b: Motion of the `before_s` seconds before, shape (4, 4); None: none is known, the body stands.
+        before_s, ahead_s: How long that one took and this one takes, s.
+        rules: How far velocity may change.
+        covariance: Of that motion, SP order along the axes of its end, shape (6, 6): the next errs as it does. None: it
+            is known. Along what was seen of no motion for a while velocity is an assumption that grows old.
+
+    Returns:
+        A spatial motion, with covariance in SP order. Without a motion before, the speed itself is unknown; with one,
+        its change: an acceleration that lasts for the whole step moves the body by its sigma times ahead^2.
+    """
+    if a_T_b is None or before_s <= 0.0:
+        step = np.eye(4)
+        sigmas = rules.speed_sigma_m_per_s * ahead_s, rules.turn_sigma_rad_per_s * ahead_s
+    else:
+        step = gtsam.Pose3.Expmap(gtsam.Pose3.Logmap(gtsam.Pose3(a_T_b)) * (ahead_s / before_s)).matrix()
+        square = ahead_s**2
+        sigmas = rules.acceleration_sigma_m_per_s2 * square, rules.turn_change_sigma_rad_per_s2 * square
+    total = np.diag(np.repeat([max(sigmas[0], rules.floor_m) ** 2, max(sigmas[1], rules.floor_rad) ** 2], 3))
+    if covariance is not None and before_s > 0.0:
+        total = total + (ahead_s / before_s) ** 2 * covariance
+    return Motion(step, total, (rules.floor_m, rules.floor_rad, rules.floor_rad))
 
 
 def _with(motion: Motion, beyond: Motion | None) -> Motion:

@@ -11,7 +11,7 @@ from factors._conventions import POSE3_TO_SP
 from slam.backend.joint_covariance import relative_covariance
 from slam.config import CoastingConfig
 from slam.geometry.frames import inverse
-from slam.tracking.constant_velocity import coast
+from slam.tracking.prediction import coast
 
 RULES = CoastingConfig()
 N = 3000

@@ -11,9 +11,9 @@ from benchmarks.corpus.drives import Recipe, make_drive
 from slam.config import CoastingConfig
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import planar_transform
-from slam.tracking.constant_velocity import coast
 from slam.tracking.odometry_check import Check
 from slam.tracking.odometry_record import OdometryRecord
+from slam.tracking.prediction import coast
 
 STILL = Motion(np.eye(4), np.diag([1e-4, 1e-4, 1e-5]) ** 2, (1e-3, 1e-3, 1e-3))
 GUESS = coast(None, 0.0, 0.5, CoastingConfig())

@@ -8,8 +8,8 @@ import pytest
 from slam.config import CoastingConfig
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import planar_transform
-from slam.tracking.constant_velocity import coast
 from slam.tracking.odometry_scale import OdometryScale, scaled, spatial
+from slam.tracking.prediction import coast
 from tests.slam.short_drives import mapped_beginning
 
 STEP = Motion(
