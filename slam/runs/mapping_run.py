@@ -53,15 +53,22 @@ def run_map(
 ) -> MapResult:
     """Planes of the scans of a log, at the poses that the log gives, with the localisation's covariance.
 
-    A log with 3D scans is mapped by them (`slam.runs.mapping_run`), any other by its push-broom laser.
+    A log with 3D scans is mapped by them, any other by its push-broom laser.
 
     Raises:
         LogError: no push-broom scans, scans without a pose or out of time order, or beam counts that change.
     """
     clock = clock or StageClock()
-    if any(isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud") for scan in log.scans()):
-        planes, poses, n_seen, n_represented = map_clouds(log, rig, config, clock, progress)
-        return MapResult(planes, poses, given_at_scans(log, poses), Trajectory.empty(), n_seen, n_represented, clock)
+    has_clouds = any(isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud") for scan in log.scans())
+    of_scans = map_clouds if has_clouds else map_slices
+    planes, poses, n_seen, n_represented = of_scans(log, rig, config, clock, progress)
+    return MapResult(planes, poses, given_at_scans(log, poses), Trajectory.empty(), n_seen, n_represented, clock)
+
+
+def map_slices(
+    log: Log, rig: Rig, config: SlamConfig, clock: StageClock, progress: Progress | None
+) -> tuple[list[MapPlane], Trajectory, int, int]:
+    """Planes of the push-broom scans of a log; the rest as `map_clouds`."""
     name, sensor = _slice_sensor(log, rig)
     scans = [scan for scan in log.scans(name) if isinstance(scan, LaserScan)]
     _check_alike(scans, log)
@@ -91,15 +98,10 @@ def run_map(
         planes = mapper.planes
     stamps = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
     poses = Trajectory(stamps, np.array([_pose_of(scan, log) for scan in scans]))
-    return MapResult(
-        [MapPlane(index, plane, plane.outline or shapely.Polygon(), 1, ("map",)) for index, plane in enumerate(planes)],
-        poses,
-        given_at_scans(log, poses),
-        Trajectory.empty(),
-        mapper.n_points_seen,
-        mapper.n_points_represented,
-        clock,
-    )
+    found = [
+        MapPlane(index, plane, plane.outline or shapely.Polygon(), 1, ("map",)) for index, plane in enumerate(planes)
+    ]
+    return found, poses, mapper.n_points_seen, mapper.n_points_represented
 
 
 def correlated(config: MapperConfig, scans: list[LaserScan], rig: Rig, log: Log) -> MapperConfig:

@@ -8,8 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from slam.frontend.laser_odometry._scan_kernels import merge_patches, nearness, sort_into_cells, surface_of
-from slam.frontend.occupancy import Raster, free_standing
-from slam.frontend.occupancy.free_standing import GAP_STEPS, LEAST_GAP_M
+from slam.frontend.occupancy import GAP_STEPS, LEAST_GAP_M, Raster, free_standing
 from slam.sensors.log import LaserScan
 from slam.sensors.rig import Sensor
 from spplanes._check import FloatArray
