@@ -107,31 +107,22 @@ def register_clouds(a: Path | str, b: Path | str, *, guess: FloatArray | None = 
     """
     files = Path(a), Path(b)
     start = None if guess is None else as_transform("guess", guess)
-    seen = [_measured(path) for path in files]
-    mounts = [one.body_T_sensor for one in seen]
-    about = None if start is None else mounts[0] @ start @ inverse(mounts[1])
-    place = find_place(seen[0].keyframe, seen[1].keyframe, about)
-    slam = None if place is None else _run_of_two(seen[0].keyframe, seen[1].keyframe, place)
+    (seen_a, mount_a), (seen_b, mount_b) = (_measured(path) for path in files)
+    about = None if start is None else mount_a @ start @ inverse(mount_b)
+    place = find_place(seen_a, seen_b, about)
+    slam = None if place is None else _run_of_two(seen_a, seen_b, place)
     chi2 = [] if slam is None else _chi2_of_pairs(slam)
     if place is None or slam is None or not chi2:
         raise ValueError(f"{files[0].name}, {files[1].name}: expected planes that both clouds have, found none")
-    return _registration(slam, place, chi2, mounts)
+    return _registration(slam, place, chi2, (mount_a, mount_b))
 
 
-class _Measured(NamedTuple):
-    """What one cloud shows."""
-
-    keyframe: Keyframe
-    """Planes and surface elements, in the frame of a body that the sensor is on."""
-    body_T_sensor: FloatArray
-    """Shape (4, 4)."""
-
-
-def _measured(path: Path) -> _Measured:
+def _measured(path: Path) -> tuple[Keyframe, FloatArray]:
+    """What a cloud shows in the frame of a body that its sensor is on, and that sensor's body_T_sensor (4, 4)."""
     log, rig = load_cloud(path)
     rig = with_shown_errors(log, rig)
     ((_, sensor),) = rig.sensors.items()
-    return _Measured(next(keyframes_of(log, rig, SlamConfig())), sensor.body_T_sensor)
+    return next(keyframes_of(log, rig, SlamConfig())), sensor.body_T_sensor
 
 
 def _run_of_two(a: Keyframe, b: Keyframe, place: Place) -> PlaneSlam:
