@@ -228,6 +228,13 @@ MUTATIONS = (
         "tests/slam/tracking/test_calibration_by_graph.py::test_poses_far_from_what_was_seen_are_honest",
     ),
     Mutation(
+        "back end: what Cholesky cannot eliminate is tried by Cholesky again",
+        "slam/backend/estimator.py",
+        'self._isam.getFactorsUnsafe(), self._empty("QR")',
+        'self._isam.getFactorsUnsafe(), self._empty("CHOLESKY")',
+        "tests/slam/backend/test_estimator.py",
+    ),
+    Mutation(
         "prior map: its planes as if they were independent",
         "slam/session/prior_map.py",
         "    return jacobian @ joint.full @ jacobian.T\n",
