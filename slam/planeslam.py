@@ -262,9 +262,8 @@ class PlaneSlam:
     @property
     def trajectory(self) -> Trajectory:
         """world_T_body of every keyframe by the current estimate."""
-        poses = np.array([self.backend.pose(pose_symbol(index)) for index in range(len(self.keyframes))])
         stamps = np.array([frame.stamp_ns for frame in self.keyframes], dtype=np.int64)
-        return Trajectory(stamps, poses.reshape(-1, 4, 4))
+        return Trajectory(stamps, self.backend.poses([pose_symbol(index) for index in range(len(stamps))]))
 
     @property
     def planes(self) -> list[MapPlane]:

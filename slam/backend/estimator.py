@@ -23,6 +23,8 @@ _POSES = ("x", "m")  # letters of their symbols: of a keyframe, of a prior map
 _ALL_EVERY = 21
 #: Of more variables than this a joint covariance is read from the graph.
 _MANY = 64
+#: What GTSAM says, in Python by a RuntimeError as any other, when elimination fails.
+_INDETERMINATE = "Indeterminate linear system"
 
 
 class BackendError(RuntimeError):
@@ -162,21 +164,23 @@ class Backend:
         try:
             result = self._isam.update(*arguments)
             return list(result.getNewFactorsIndices()), result.getVariablesRelinearized()
-        except RuntimeError:
-            self._isam = self._by_qr()
+        except RuntimeError as error:
+            self._isam = self._by_qr(error)
             n_now = self._isam.getFactorsUnsafe().size()
             return list(range(n_before, n_now)), self._isam.getLinearizationPoint().size()
         finally:
             self._forget()
 
-    def _by_qr(self) -> gtsam.ISAM2:
-        """The same factors under the same indices, linearised where they are, eliminated by QR.
+    def _by_qr(self, failure: RuntimeError) -> gtsam.ISAM2:
+        """The same factors under the same indices, linearised where they are, eliminated by QR after a failure.
 
-        Of an update that failed iSAM2 has all but the tree.
+        Of an update whose elimination failed iSAM2 has all but the tree.
 
         Raises:
-            BackendError: the system is indeterminate.
+            BackendError: the system is indeterminate, or the failure is another one.
         """
+        if _INDETERMINATE not in str(failure):
+            raise BackendError(_first_line(failure)) from failure
         factors, twin = self._isam.getFactorsUnsafe(), self._empty("QR")
         values, used = gtsam.Values(self._isam.getLinearizationPoint()), set(factors.keyVector())
         for key in set(values.keys()) - used:  # of what leaves with its last factor
@@ -217,7 +221,7 @@ class Backend:
 
     def poses(self, keys: Sequence[int]) -> FloatArray:
         """world_T_body of many pose variables, shape (N, 4, 4)."""
-        if len(keys) > len(self._poses):
+        if not all(key in self._poses for key in keys):
             here = [key for key in list(self.values.keys()) if _is_pose(key)]
             rows, poses = gtsam.utilities.extractPose3(self.values), np.tile(np.eye(4), (len(here), 1, 1))
             poses[:, :3, :3], poses[:, :3, 3] = rows[:, :9].reshape(-1, 3, 3), rows[:, 9:]
@@ -321,8 +325,8 @@ class Backend:
                 return covariance
         try:
             return self._isam.jointMarginalCovariance(list(keys)).fullMatrix()
-        except RuntimeError:
-            twin = self._by_qr()
+        except RuntimeError as error:
+            twin = self._by_qr(error)
         try:
             return twin.jointMarginalCovariance(list(keys)).fullMatrix()
         except RuntimeError as error:

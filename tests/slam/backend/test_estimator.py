@@ -101,6 +101,15 @@ def test_a_graph_that_nothing_solves_is_refused() -> None:
         backend.update([relative_pose_factor(pose_symbol(0), pose_symbol(1), np.eye(4), np.eye(6))], initial)
 
 
+def test_a_variable_that_is_there_already_is_refused() -> None:
+    backend, initial = Backend(SlamConfig().backend), gtsam.Values()
+    initial.insert(pose_symbol(0), gtsam.Pose3())
+    prior = pose_prior(pose_symbol(0), np.eye(4), np.eye(6))
+    backend.update([prior], initial)
+    with pytest.raises(BackendError, match="already exists"):
+        backend.update([prior], initial)
+
+
 def test_a_covariance_that_the_tree_cannot_give_is_read_by_qr(monkeypatch: pytest.MonkeyPatch) -> None:
     backend = Backend(SlamConfig().backend)
     keys = walk(backend, np.full(6, 0.1))
