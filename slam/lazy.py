@@ -8,14 +8,7 @@ from collections.abc import Callable, Mapping, MutableSequence, Sequence
 from dataclasses import MISSING, fields, replace
 from typing import Any, NoReturn, Self, TypeVar, overload
 
-import numpy as np
-
 T = TypeVar("T")
-
-
-def evenly(count: int, most: int) -> list[int]:
-    """Indices of at most so many of `count` elements, evenly over all of them: the sample of a long run is as good."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
 
 
 class Growing(MutableSequence[T]):

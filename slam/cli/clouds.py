@@ -46,7 +46,7 @@ def fit(
 
     found = fit_cloud(read_cloud(cloud), cloud, sigma_m=sigma, viewpoint=viewpoint).at_least(min_points)
     if out is not None:
-        from slam.output.run_files import write_cloud_planes
+        from slam.output.cloud_files import write_cloud_planes
 
         with new_folder(out, overwrite=overwrite) as folder:
             write_cloud_planes(found, folder)

@@ -11,8 +11,8 @@ import numpy as np
 from slam.backend.estimator import BackendError
 from slam.config import SlamConfig
 from slam.frontend.observations import planes_of
+from slam.geometry.sampling import evenly
 from slam.io.trajectories import Trajectory
-from slam.lazy import evenly
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam, pose_symbol
 from slam.sensors.rig import Rig

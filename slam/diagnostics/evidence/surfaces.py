@@ -17,7 +17,7 @@ from slam.frontend.observations import planes_of
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.geometry.frames import inverse, lift
 from slam.geometry.polygons import flatten, polygonal, valid
-from slam.lazy import evenly
+from slam.geometry.sampling import evenly
 from slam.registration.visibility import LinesOfSight, points_on
 from spplanes import Plane
 from spplanes._check import FloatArray

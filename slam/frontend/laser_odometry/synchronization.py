@@ -14,7 +14,7 @@ from slam.frontend.laser_odometry.local_map import LocalMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, match_scan
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.geometry.frames import inverse
-from slam.lazy import evenly
+from slam.geometry.sampling import evenly
 from slam.sensors.log import LaserScan, OdometryReading
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray
