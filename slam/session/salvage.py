@@ -82,15 +82,19 @@ def _copy_beginning(path: Path, target: Path) -> int:
         Session.open(path, read_only=True, damaged=True) as old,
         Session.create(target, old.config, rig=old.rig, prior=old.prior, log=old.log) as new,
     ):
-        with suppress(SessionDamaged):  # of a keyframe, or of its decisions, which will be made again
-            for index in count():
-                keyframe, scans = old.keyframe(index), _scans_of(old, index)
-                contents = [(one.position, None if one.scan is None else encode(one.scan)) for one in scans]
-                new.add_keyframe(replace(keyframe, scans=scans), contents)  # type: ignore[arg-type]  # they know as much
+        for index in count():
+            try:
+                keyframe = old.keyframe(index)
+            except SessionDamaged:
+                break
+            scans, decisions = _scans_of(old, index), None
+            contents = [(one.position, None if one.scan is None else encode(one.scan)) for one in scans]
+            new.add_keyframe(replace(keyframe, scans=scans), contents)  # type: ignore[arg-type]  # they know as much
+            with suppress(SessionDamaged):  # they will be made again
                 decisions = old.decisions(index)
-                if decisions is None:
-                    break
-                new.add_decisions(index, decisions)
+            if decisions is None:
+                break
+            new.add_decisions(index, decisions)
         return len(new)
 
 
