@@ -92,6 +92,7 @@ def decide(
     candidates: Sequence[Candidate],
     chance: float,
     away: Callable[[int], float],
+    within: Callable[[int], bool],
     gates: AssociationGates,
 ) -> Decision:
     """The decision about an observation by its candidates.
@@ -101,12 +102,13 @@ def decide(
         candidates: most likely first.
         chance: log density of other planes about the observation.
         away: how much less likely, in nats, a landmark (its id) is for where the observation lies.
+        within: whether a landmark (its id) was seen so near that the observation may be of it.
         gates: when a match is one.
     """
     accepted = [
         candidate
         for candidate in candidates
-        if candidate.p_value >= gates.significance and candidate.log_likelihood >= chance
+        if candidate.p_value >= gates.significance and candidate.log_likelihood >= chance and within(candidate.landmark)
     ]
     if len(accepted) > 1:
         accepted.sort(key=lambda one: away(one.landmark) - one.log_likelihood)

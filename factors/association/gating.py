@@ -63,6 +63,11 @@ class State:
         candidate = Candidate(blank.landmark, chi2, blank.dof, log_likelihood, blank.confirmed)
         return Innovation(candidate, hypothesis, residual, covariance)
 
+    def along(self, columns: np.ndarray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean and covariance of what a Jacobian (K, C) makes of the tangents of some columns (C,): (K,) and (K, K)."""
+        covariance = jacobian @ self._covariance[columns[:, None], columns] @ jacobian.T
+        return jacobian @ self._mean[columns], covariance
+
     def condition(self, innovation: Innovation) -> None:
         """Take an innovation in: the Kalman update."""
         spread = self._covariance[:, innovation.hypothesis.columns] @ innovation.hypothesis.jacobian.T

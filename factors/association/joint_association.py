@@ -35,6 +35,9 @@ class JointCompatibility:
     """Of every observation: log of how many others lie parallel to each of its landmarks, per m."""
     away: Callable[[int, int], float]
     """How much less likely, in nats, a landmark (its id) is for where an observation (its index) lies."""
+    within: Callable[[int, int, State], bool]
+    """Whether a landmark (its id) was seen so near to where a state has an observation (its index) that it may be it.
+    """
     n_points: Sequence[int]
     """Of every observation: the more the firmer."""
     state: Callable[[], State]
@@ -69,10 +72,10 @@ class JointCompatibility:
                 compared = [one.candidate for one in found]
                 if stage == "start" and start is not None:
                     compared.sort(key=lambda one: one.landmark != start[1])
-                    decision = self._decide(index, compared[:1])
+                    decision = self._decide(index, compared[:1], state)
                     decision = replace(decision, candidates=tuple(compared))
                 else:
-                    decision = self._decide(index, compared)
+                    decision = self._decide(index, compared, state)
                 if stage == "clear" and is_open(decision, partial(self.away, index), self.gates):
                     continue
                 decision, likelihood = self._take_in(decision, found, state, honest)
@@ -105,13 +108,16 @@ class JointCompatibility:
             if found.decisions[index].match is not None or not self.hypotheses[index]:
                 continue
             candidates = [one.candidate for one in innovations_of(self.hypotheses[index], state)]
-            match = self._decide(index, candidates).match
+            match = self._decide(index, candidates, state).match
             if match is not None:
                 tried.setdefault(match.landmark, index)
         return [(index, landmark) for landmark, index in tried.items()][:_TRIED]
 
-    def _decide(self, index: int, candidates: Sequence[Candidate]) -> Decision:
-        return decide(index, candidates, self.chances[index], partial(self.away, index), self.gates)
+    def _decide(self, index: int, candidates: Sequence[Candidate], state: State) -> Decision:
+        def within(landmark: int) -> bool:
+            return self.within(index, landmark, state)
+
+        return decide(index, candidates, self.chances[index], partial(self.away, index), within, self.gates)
 
     def _firmest_first(self) -> list[int]:
         return sorted(range(len(self.n_points)), key=lambda i: (-self.n_points[i], i))

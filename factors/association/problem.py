@@ -8,10 +8,11 @@ import gtsam
 
 from factors.association.decisions import AssociationGates, Candidate
 from factors.association.estimate import Estimate, Joint, Landmark, Landmarks
+from factors.association.gaps import Gaps
 from factors.association.gating import Hypothesis, State, hypotheses_of
 from factors.association.joint_association import JointCompatibility
 from factors.association.observations import Observation, PlaneObservation
-from factors.association.shortlist import bounds_of, log_density, log_parallel_density, outline_gap, shortlist
+from factors.association.shortlist import bounds_of, log_density, log_parallel_density, shortlist
 from factors.plane import get_ready
 
 
@@ -53,6 +54,7 @@ def joint_compatibility(
     ordered = sorted({pose_key, *_keys_of(shortlists), *hinted})
     joint, values = estimate.joint_covariance(ordered), estimate.values_of(ordered)  # once: cheaper than for each pair
     get_ready([one.plane for one in observations if isinstance(one, PlaneObservation)])
+    gaps = Gaps(observations, landmarks, pose_key, estimate, gates)
     return JointCompatibility(
         [
             hypotheses_of(observation, near, pose_key, joint, values, estimate)
@@ -60,7 +62,8 @@ def joint_compatibility(
         ],
         chances,
         parallel,
-        outline_gap(observations, landmarks, world_T_body, gates.gap_m),
+        gaps.away,
+        lambda index, landmark, state: gaps.within(index, landmark, joint, state),
         [observation.n_points for observation in observations],
         state=lambda: _informed(joint, hint, values),
         honest=None if hint is None else lambda: State(joint),

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
-from factors.association.decisions import OUTLINE_GAP_SCALE_M, AssociationGates
+from factors.association.decisions import AssociationGates
 from factors.association.estimate import AnyLandmark, Landmark, Landmarks, Placed
 from factors.association.observations import Observation
 from spplanes._check import FloatArray
@@ -79,20 +78,3 @@ def _is_plausible(bounds: Bounds, landmark: Landmark, placed: Placed, world_T_bo
     if np.abs(heights).min() > bounds.margin:
         return False
     return landmark.extent.is_within(bounds.margin, bounds.observation.patch_in(plane_T_body))
-
-
-def outline_gap(
-    observations: Sequence[Observation], landmarks: Landmarks[Landmark], world_T_body: FloatArray, gap_m: float
-) -> Callable[[int, int], float]:
-    """How much less likely, in nats, a landmark (its id) is for where an observation (its index) lies.
-
-    Worked out once, for those that have rivals.
-    """
-
-    @cache
-    def away(index: int, landmark: int) -> float:
-        plane_T_body = inverse_transform(landmarks.placed(landmark).world_T_plane) @ world_T_body
-        patch = observations[index].patch_in(plane_T_body)
-        return landmarks[landmark].extent.distance(patch, gap_m) / OUTLINE_GAP_SCALE_M
-
-    return away

@@ -7,6 +7,7 @@ not asked: laying a scan on those before costs more than all else about a keyfra
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import log
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,6 @@ from factors._conventions import POSE3_TO_SP
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
-from slam.frontend.occupancy import NOVEL_SHARE
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
 from slam.map.landmarks import LandmarkMap
@@ -39,8 +39,8 @@ from slam.registration.relocalization import (
     sigmas_of,
     stated,
 )
-from slam.registration.surface_registration import AGAINST, Alignment, Expected, align, most_information
-from slam.tracking.odometry_scale import spatial
+from slam.registration.surface_registration import TELLING, Alignment, Expected, align, most_information
+from slam.tracking.odometry_scale import PLANAR, SLIPS, spatial
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -50,8 +50,6 @@ from spplanes._check import FloatArray
 _AS_GOOD = 2.0
 #: Least share of what is seen, by the root of area, that the last scan has under the motion: most of it.
 _MOST = 0.5
-#: A place fits clearly better than another when as much less speaks against it as may have changed between two looks.
-_CLEARLY = AGAINST * NOVEL_SHARE
 
 
 class Check(NamedTuple):
@@ -123,9 +121,9 @@ def check(
     def is_off(found: Alignment) -> bool:
         return not _agree(motion, found.known_T_seen, _by_returns(found.information), significance)
 
-    enough = 0.0 if doubted else _CLEARLY
     found = align(scan, known, [np.eye(4)])
     rests = _rests(found) if found.score > 0.0 else (None, None, None)
+    enough = _clearly(motion, otherwise, found, 0.5 if doubted else SLIPS)
     if is_off(found):
         held = align(scan, known, [np.eye(4)], Expected(np.eye(4), information_of(motion)))
         if is_off(held) or found.score > held.score + enough:
@@ -139,6 +137,21 @@ def check(
     expected = Expected(b_T_a @ otherwise.a_T_b, information_of(otherwise))
     rival = register_from_hypotheses(scan, known, matched, expected, b_T_a)
     return Check(rival.score > found.score + enough and is_off(rival), *rests)
+
+
+def _clearly(motion: Motion, otherwise: Motion, found: Alignment, share: float) -> float:
+    """By how much better a score a place has to fit than the one where a motion leads, to speak against that.
+
+    Wheels slip now and then, and where they do the body may be anywhere that it could have gone: of so many places
+    some fit what is seen by chance. Log odds of a slip are those of the scores, less what a slip is rarer, and less
+    by how much wider it is spread.
+    """
+    place = _by_returns(found.information)
+    axes = np.ix_(PLANAR, PLANAR) if motion.is_planar else np.ix_(range(6), range(6))
+    wide, tight = (np.linalg.slogdet((spatial(one) + place)[axes])[1] for one in (otherwise, motion))
+    off = displacement(inverse(motion.a_T_b) @ otherwise.a_T_b, found.known_T_seen)[list(axes[1][0])]
+    chi2 = off @ np.linalg.solve((spatial(otherwise) + place)[axes], off)
+    return (0.5 * (wide - tight + chi2) - log(share)) / TELLING
 
 
 def planes_confirm(

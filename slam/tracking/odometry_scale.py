@@ -18,7 +18,7 @@ LATE = 60
 _FACTORS = np.geomspace(1.0, 10.0, 25)
 _PRIOR = np.log(np.append(0.5, np.full(24, 0.5 / 24)))
 #: Share of steps that tell nothing of the others, before any is seen: a slip, or a scan that came to rest elsewhere.
-_SLIPS = 0.1
+SLIPS = 0.1
 #: Of (x, y, heading) in SP order.
 PLANAR = [0, 1, 3]
 
@@ -55,7 +55,7 @@ class OdometryScale:
         stated = np.array([spatial(scaled(motion, factor))[grid] for factor in _FACTORS])
         honest = _log_density(off[axes], stated + covariance[grid])
         slipped = _log_density(off[axes], (spatial(guess) + covariance)[grid][None])
-        both = np.stack((np.log1p(-_SLIPS) + honest, np.full_like(honest, np.log(_SLIPS) + slipped[0])))
+        both = np.stack((np.log1p(-SLIPS) + honest, np.full_like(honest, np.log(SLIPS) + slipped[0])))
         self._steps.append(np.logaddexp(*both))
 
 

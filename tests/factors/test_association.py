@@ -25,7 +25,7 @@ from factors.association.decisions import AssociationGates as Gates
 from slam.config import AssociationConfig
 from slam.map.data_association import gates_of
 from spplanes import Plane
-from tests.factors.association_scenes import MAPPED, ROOM, X, asked, drawn, key, plane_of, scene
+from tests.factors.association_scenes import MAPPED, ROOM, X, asked, drawn, frame_of, key, plane_of, scene
 
 #: A level robot whose position is known to 20 cm and whose heading to half a degree; rotation first.
 LOOSE = np.diag([1e-3, 1e-3, 9e-3, 0.2, 0.2, 1e-3]) ** 2
@@ -171,6 +171,38 @@ def as_seen(plane: Plane):
     from factors import PlaneObservation
 
     return PlaneObservation(plane)
+
+
+def drifted(sigma_m: float, there: gtsam.Pose3, landmarks: LandmarkExtents) -> Prediction:
+    """A pose that is known to 1 cm from the anchor of the cabinet's front, both to `sigma_m` in the world."""
+    anchor, values, origin = gtsam.symbol("a", 0), gtsam.Values(), gtsam.Values()
+    world_T_anchor = gtsam.Pose3(gtsam.Rot3.Yaw(0.8), np.array([1.0, -2.0, 0.3]))
+    origin.insert(anchor, world_T_anchor)
+    values.insert(anchor, world_T_anchor)
+    values.insert(X, there)
+    front = plane_of(5).transform(world_T_anchor.inverse().matrix())
+    values.insert(key(5), landmarks.start(key(5), front, anchor, origin, anchor_key=anchor))
+    landmarks[key(5)].pose_keys.add(-1)
+    together = np.vstack([pose.inverse().AdjointMap() for pose in (world_T_anchor, there)])
+    covariance = np.zeros((15, 15))
+    covariance[:12, :12] = together @ np.diag([1e-3, 1e-3, 1e-2, sigma_m, sigma_m, sigma_m]) ** 2 @ together.T
+    covariance[6:12, 6:12] += FIRM
+    covariance[12:, 12:] = MAPPED
+    return Prediction.of_matrix(covariance, [anchor, X, key(5)], values, X)
+
+
+@pytest.mark.parametrize("drift_m", [0.01, 2.0])
+def test_a_wall_goes_on_as_far_as_is_known_of_the_pose_from_it_not_of_both_in_the_world(drift_m: float):
+    there = gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.array([0.2, -0.4, 0.0]))
+    verdicts = []
+    for end_m in (0.0, -2.0):  # of the cabinet's front from 1 m to 2 m, what is seen ends so far along it
+        landmarks = LandmarkExtents()
+        prediction = drifted(drift_m, there, landmarks)
+        piece = replace(plane_of(5), frame=frame_of((-1.0, 0.0, 0.0), (3.4, end_m - 0.5, -0.6)))
+        (one,) = associate([piece.transform(there.inverse().matrix())], prediction, landmarks).identities
+        verdicts.append(one.verdict)
+    assert verdicts[0] == "match"
+    assert verdicts[1] == ("new" if drift_m < 0.1 else "unsure")
 
 
 def test_isam_marginals_and_a_matrix_give_the_same_answer():

@@ -133,6 +133,23 @@ def test_nothing_is_seen_through_from_the_true_place_wherever_the_sensor_sits() 
         assert known.contradicted(ahead(metres, turn), seen.elements, alone, Sight(seen)) < 0.005
 
 
+@pytest.mark.parametrize("metres", [0.0, 0.5])
+def test_somebody_close_by_speaks_against_a_place_no_more_than_one_thing_may(metres: float) -> None:
+    """A third of the image; of a board across the corridor, which is no one thing, most counts."""
+    behind, empty = corridor(ahead(metres), end_m=4.0), LocalMap([(np.eye(4), corridor(np.eye(4), end_m=4.0))])
+    body = np.stack(np.meshgrid(0.8, np.linspace(-0.2, 0.2, 12), np.linspace(0.8, 1.2, 22)), axis=-1).reshape(-1, 3)
+    board = np.stack(np.meshgrid(2.0, np.linspace(-0.9, 0.9, 12), np.linspace(0.3, 1.7, 22)), axis=-1).reshape(-1, 3)
+    told = []
+    for points in (body, board):
+        facing = np.tile((-1.0, 0.0, 0.0, 0.003, ON_NO_PLANE), (len(points), 1))
+        seen = np.vstack((behind.elements, np.hstack((points, facing))))
+        alone = np.arange(len(seen)) >= len(behind.elements)
+        told.append(empty.contradicted(ahead(metres), seen, alone, Sight(scan(seen, EYE))))
+    assert len(body) > 0.25 * len(behind.elements)
+    assert 0.02 < told[0] < 0.035
+    assert told[1] > 3.0 * told[0]
+
+
 def test_what_stands_before_a_surface_that_was_seen_is_seen_through() -> None:
     sight = Sight(corridor(np.eye(4), end_m=4.0))
     post = np.column_stack((np.full(20, 2.0), np.full(20, 0.1), np.linspace(0.6, 1.4, 20)))
