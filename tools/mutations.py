@@ -313,6 +313,41 @@ MUTATIONS = (
         "np.arctan2(cross[0, 1] - cross[1, 0],",
         "tests/slam/evaluation/test_trajectories_and_planes.py",
     ),
+    Mutation(
+        "association: the anchor's own drift counts for the pose",
+        "factors/association/gaps.py",
+        "np.hstack((skew(there[:3]), -np.eye(3)))",
+        "np.hstack((skew(there[:3]), np.eye(3)))",
+        "tests/factors/test_association.py -k goes_on",
+    ),
+    Mutation(
+        "odometry against 3D scans: what stands close speaks by its share of the view",
+        "slam/registration/surface_registration.py",
+        "share += min(np.count_nonzero(one) / total, _MOST_OF_A_THING)",
+        "share += np.count_nonzero(one) / total",
+        "tests/slam/registration/test_surface_registration.py -k close_by",
+    ),
+    Mutation(
+        "odometry against 3D scans: a slip leads nowhere in particular for nothing",
+        "slam/tracking/odometry_check.py",
+        "return (0.5 * (wide - tight + chi2) - log(share)) / TELLING",
+        "return -log(share) / TELLING",
+        "tests/slam/tracking/test_odometry_check.py -k fit_as_well",
+    ),
+    Mutation(
+        "measurement: planes on either side of a bend reach up to it",
+        "spplanes/segmentation/validation/bends.py",
+        "return along < self.between_m[0], along > self.between_m[1]",
+        "return along < np.mean(self.between_m), along > np.mean(self.between_m)",
+        "tests/slam/frontend/test_measurement.py -k blunt_corner",
+    ),
+    Mutation(
+        "measurement: steps are looked for as bends are",
+        "spplanes/segmentation/validation/bends.py",
+        "np.repeat((0.0, _OF_STEPS), self._places.size)",
+        "np.repeat((0.0, 0.0), self._places.size)",
+        "tests/slam/frontend/test_measurement.py -k no_bend",
+    ),
 )
 
 

@@ -17,6 +17,7 @@ from slam.frontend.scan_regions import (
     fit_if_any,
     members_of,
     on_planes,
+    relabelled,
     unambiguous_labels,
     well_conditioned_labels,
 )
@@ -179,31 +180,23 @@ def _flat_planes(
     sure = unambiguous_labels(points, covariances, found.labels, rough, settings, config.measurements)
     sure, covariances = on_planes(points, covariances, sure, rough, sensor)
     sure = well_conditioned_labels(points, covariances, sure, rough, settings)
-    believed = believed_planes(points, covariances, sure, rough, sensor, viewpoint, config.measurements)
-    kept = {k: one.plane for k, one in enumerate(believed) if one is not None}
-    labels = found.labels.copy()
-    for one in believed:
-        if one is not None:
-            labels.ravel()[one.strayed] = -1
-    drawn = _drawn(kept, points, labels, np.sqrt(spreads[:, 1:] / rows[:, 1:2]), settings)
-    number = np.full(len(rows) + 1, -2)
-    number[-1] = -1
-    number[list(kept)] = np.arange(len(kept))
-    return [_in_scan(plane, sensor) for plane in drawn], number[labels]
+    believed = believed_planes(points, covariances, sure, rough, sensor, viewpoint, settings, config.measurements)
+    labels, region = relabelled(points, found.labels, believed)
+    extents = np.sqrt(spreads[:, 1:] / rows[:, 1:2])
+    flat = [one.plane for planes in believed for one in planes]
+    drawn = _drawn(flat, points, labels, extents[region], settings)
+    return [_in_scan(plane, sensor) for plane in drawn], labels
 
 
 def _drawn(
-    planes: dict[int, Plane], points: FloatArray, labels: np.ndarray, extents: FloatArray, config: MapperConfig
+    planes: Sequence[Plane], points: FloatArray, labels: np.ndarray, extents: FloatArray, config: MapperConfig
 ) -> list[Plane]:
     """Planes, by their label, with outlines as rough as their size allows; see `outlines_in`."""
-    chosen = list(planes)
-    number = np.full(len(extents) + 1, -1)  # the last is that of points on no plane
-    number[chosen] = np.arange(len(chosen))
-    frames = np.array([plane.frame for plane in planes.values()]).reshape(-1, 4, 4)
-    outlines = outlines_in(frames, points, number[labels], extents[chosen], config)
+    frames = np.array([plane.frame for plane in planes]).reshape(-1, 4, 4)
+    outlines = outlines_in(frames, points, np.maximum(labels, -1), extents, config)
     return [
         Plane._trusted(plane.frame, plane.covariance, plane.n_points, outline, plane.chi2)
-        for plane, outline in zip(planes.values(), coarse(outlines), strict=True)
+        for plane, outline in zip(planes, coarse(outlines), strict=True)
     ]
 
 

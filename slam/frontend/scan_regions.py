@@ -18,9 +18,10 @@ from spplanes.fitting._groups import fit_groups
 from spplanes.fitting._job import FitJob, group_by_label
 from spplanes.fitting.shared_error import shared_error_of
 from spplanes.segmentation.config import ValidationConfig
+from spplanes.segmentation.validation.bends import surest_bend
 from spplanes.segmentation.validation.one_plane import InPatches, could_be_seen, fits_its_noise
 from spplanes.segmentation.validation.plane_ends import sure_points
-from spplanes.segmentation.validation.splitting import tells_tilt
+from spplanes.segmentation.validation.splitting import LIMIT, along_plane, are_spread, tells_tilt
 from spplanes.segmentation.validation.spurious import Window
 
 #: So often a plane is fitted anew without what strays from it, and so much of its points must be left.
@@ -60,6 +61,13 @@ class ScanPart:
         job, n = FitJob(self.points, self.blurred, 1, viewpoint, "ml", None, None), len(self.points)
         fits = fit_groups(job, np.arange(n), np.array([0, n]))
         return fits.planes()[0] if fits.status[0] == OK else None
+
+    def tells(self, frame: FloatArray, mapper: MapperConfig) -> bool:
+        """Whether there are enough points for a plane of about that frame (4, 4), spread enough to tell its tilt."""
+        if len(self.points) < mapper.min_points:
+            return False
+        place, _, weights = along_plane(self.points, self.blurred, frame)
+        return are_spread(place, weights, mapper.max_tilt_rad)
 
     def only(self, chosen: np.ndarray) -> ScanPart:
         """The points of a mask (N,)."""
@@ -168,30 +176,80 @@ def believed_planes(
     frames: FloatArray,
     sensor: Sensor,
     viewpoint: FloatArray,
+    mapper: MapperConfig,
     rules: ValidationConfig,
-) -> list[Believed | None]:
-    """`believed_plane` of every region of a grid, fitted with all errors counted, those that residuals show as well.
+) -> list[list[Believed]]:
+    """The planes of every region of a grid, fitted with all errors counted, those that residuals show as well.
 
     Args:
-        points, covariances, labels: shapes (S, B, 3), (S, B, 3, 3) and (S, B), -1 = none.
+        points, covariances, labels: shapes (S, B, 3), (S, B, 3, 3) and (S, B), -1 = none, in the sensor's frame.
         frames: of about the planes, shape (R, 4, 4).
-        sensor, viewpoint, rules: what errs, whence it was seen, and how much is allowed.
+        sensor, viewpoint: what errs, whence it was seen.
+        mapper, rules: what a plane is at least, and how much is allowed.
+
+    Returns:
+        Of every region none, where it is no plane, or one, or those on either side of its bends, largest first.
     """
     regions, order, bounds = group_by_label(labels.ravel(), labels.size)
     largest_first = np.argsort(-np.diff(bounds), kind="stable").tolist()
-    found: list[Believed | None] = [None] * len(frames)
+    found: list[list[Believed]] = [[] for _ in frames]
 
     def measure(first: int, last: int) -> None:
         for k in largest_first[first:last]:
             members = order[bounds[k] : bounds[k + 1]]
             own, noise = points.reshape(-1, 3).take(members, 0), covariances.reshape(-1, 3, 3).take(members, 0)
             part = ScanPart(own, noise, members, labels.shape[1], frames[regions[k]], sensor)
-            plane = part.fitted(viewpoint)
-            found[regions[k]] = None if plane is None else believed_plane(part, plane, viewpoint, rules)
+            one = believed_plane(part, viewpoint, rules)
+            found[regions[k]] = [] if one is None else _parted(one, viewpoint, mapper, rules)
 
     in_parts(measure, len(regions), len(order), singly=True)
-    shown = iter(with_shared_error([one for one in found if one is not None]))
-    return [None if one is None else next(shown) for one in found]
+    shown = iter(with_shared_error([one for planes in found for one in planes]))
+    return [[next(shown) for _ in planes] for planes in found]
+
+
+def _parted(one: Believed, viewpoint: FloatArray, mapper: MapperConfig, rules: ValidationConfig) -> list[Believed]:
+    """The planes on either side of a bend of what was taken for one, largest first; that one where it has none."""
+    places, residuals, weights = along_plane(one.part.points, one.part.blurred, one.plane.frame)
+    bend = surest_bend(places, residuals, weights)
+    if bend is None or not bend.is_sure(one.part.sensor.surface_sigma_m, rules.step_m, LIMIT):
+        return [one]
+    sides = [one.part.only(side) for side in bend.sides(places)]
+    enough = [side for side in sides if side.tells(one.plane.frame, mapper)]
+    believed = [found for side in enough if (found := believed_plane(side, viewpoint, rules)) is not None]
+    planes = [part for found in believed for part in _parted(found, viewpoint, mapper, rules)]
+    planes.sort(key=lambda found: (-found.plane.n_points, int(found.part.members[0])))
+    if planes:
+        kept = np.concatenate([found.part.members for found in planes])
+        rest = np.setdiff1d(one.part.members, kept, assume_unique=True)
+        planes[0] = replace(planes[0], strayed=np.concatenate((one.strayed, rest)))
+    return planes
+
+
+def relabelled(
+    points: FloatArray, labels: np.ndarray, believed: Sequence[Sequence[Believed]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Number of the plane of every point, -2 in regions that are none, -1 elsewhere, and each plane's region, (P,).
+
+    What nobody was sure of goes with its region; of several planes with the nearest.
+
+    Args:
+        points: shape (S, B, 3).
+        labels: region of every point, shape (S, B), -1 = none.
+        believed: the planes of every region.
+    """
+    counts = np.array([len(planes) for planes in believed], dtype=np.int64)
+    first = np.cumsum(counts) - counts
+    fresh = np.append(np.where(counts > 0, first, -2), -1)[labels]
+    for k in np.flatnonzero(counts).tolist():
+        for one in believed[k]:
+            fresh.ravel()[one.strayed] = -1
+    for k in np.flatnonzero(counts > 1).tolist():
+        members = np.flatnonzero((labels.ravel() == k) & (fresh.ravel() >= 0))
+        off = [np.abs(one.plane.distance(points.reshape(-1, 3)[members])) for one in believed[k]]
+        fresh.ravel()[members] = first[k] + np.argmin(off, axis=0)
+        for number, one in enumerate(believed[k]):
+            fresh.ravel()[one.part.members] = first[k] + number
+    return fresh, np.repeat(np.arange(len(believed)), counts)
 
 
 def with_shared_error(planes: Sequence[Believed]) -> list[Believed]:
@@ -213,13 +271,16 @@ def with_shared_error(planes: Sequence[Believed]) -> list[Believed]:
     ]
 
 
-def believed_plane(part: ScanPart, plane: Plane, viewpoint: FloatArray, rules: ValidationConfig) -> Believed | None:
+def believed_plane(part: ScanPart, viewpoint: FloatArray, rules: ValidationConfig) -> Believed | None:
     """The plane of a region, if it is one; None: it is none.
 
     A plane is fitted anew without the patches that stray, which moves it and its patches: so a few times over.
     """
     rest = part
     for _ in range(_ROUNDS):
+        plane = rest.fitted(viewpoint)
+        if plane is None:
+            return None
         patches = InPatches(plane, rest.points, rest.noise, rules, drift_m=rest.drift(plane))
         if could_be_seen(plane, viewpoint, rules) and fits_its_noise(plane, rules) and not patches.has_step:
             strayed = part.members[:0] if rest is part else np.setdiff1d(part.members, rest.members, assume_unique=True)
@@ -228,10 +289,6 @@ def believed_plane(part: ScanPart, plane: Plane, viewpoint: FloatArray, rules: V
         if chosen is None or np.count_nonzero(chosen) < _LEAST_SHARE * len(part.members):
             return None
         rest = rest.only(chosen)
-        again = rest.fitted(viewpoint)
-        if again is None:
-            return None
-        plane = again
     return None
 
 

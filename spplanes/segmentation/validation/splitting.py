@@ -90,8 +90,13 @@ def tells_tilt(window: Window, part: np.ndarray, frame: FloatArray, max_tilt_rad
     if len(part) < 3:
         return False
     points, covariances = window.points.reshape(-1, 3)[part], window.covariances.reshape(-1, 3, 3)[part]
-    place, _, weights = _along(points, covariances, frame)
-    aside = place - np.average(place, axis=0, weights=weights)
+    place, _, weights = along_plane(points, covariances, frame)
+    return are_spread(place, weights, max_tilt_rad)
+
+
+def are_spread(places: FloatArray, weights: FloatArray, max_tilt_rad: float) -> bool:
+    """Whether places (N, 2) on a plane, with weights (N,) of their residuals, tell its tilt to so much."""
+    aside = places - np.average(places, axis=0, weights=weights)
     return float(np.linalg.eigvalsh((aside * weights[:, None]).T @ aside)[0]) * max_tilt_rad**2 >= 1.0
 
 
@@ -128,7 +133,7 @@ def _cutter(window: Window, members: np.ndarray, frame: FloatArray, uneven_m: fl
     """What cuts a subset of the members best: which of the subset are beyond, and the chi2 of the step."""
     scan, beam = np.divmod(members, window.points.shape[1])
     points, covariances = window.points.reshape(-1, 3)[members], window.covariances.reshape(-1, 3, 3)[members]
-    place, residuals, weights = _along(points, covariances, frame)
+    place, residuals, weights = along_plane(points, covariances, frame)
     drift = drift_of_scans(points, frame[:3, 2], scan, window.pose_covariances)
 
     def cut(part: np.ndarray) -> tuple[np.ndarray, float]:
@@ -178,7 +183,9 @@ def drift_of_scans(
     return np.einsum("ia,iajb,jb->ij", jacobian, joint, jacobian) + _LEAST_DRIFT * np.eye(n_scans)
 
 
-def _along(points: FloatArray, covariances: FloatArray, frame: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def along_plane(
+    points: FloatArray, covariances: FloatArray, frame: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Places (N, 2) on the plane, distances (N,) from it and their weights.
 
     Places are where the points most likely are on the plane: their errors do not go with those of the distances.

@@ -1,0 +1,124 @@
+"""Bends and steps: a plane that is two, at so blunt an angle or so near each other that no single point tells it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from spplanes._check import FloatArray
+
+#: Cells along either side of a plane, by whose means bends are told, and fewest on either side of one.
+_CELLS, _FEWEST = 12, 2
+#: Directions that are looked at, with a place at every cell; about one that is worth it they are halved so often, with
+#: so many places.
+_DIRECTIONS, _WORTH, _REFINED, _PLACES = 8, 8.0, 4, 33
+#: A bend is where chi2 is by no more than so much below the largest: within three standard deviations.
+_AS_SURE = 9.0
+#: Chi2 by which a step must be surer than a bend: ten times as many tell apart, and 2 log 10 is 4.6.
+_OF_STEPS = 4.6
+
+
+class Bend(NamedTuple):
+    """Where residuals of a plane bend or step most surely."""
+
+    chi2: float
+    """What it explains beyond offset and tilt (1 dof), the largest of some hundred."""
+    height_m: float
+    """How far from the plane it leads at most, m."""
+    sigma_m: float
+    """Standard deviation of that by the noise of the points, m."""
+    direction: FloatArray
+    """Unit vector on the plane, square to it, shape (2,)."""
+    between_m: tuple[float, float]
+    """Between which places along that it is, m."""
+
+    def is_sure(self, uneven_m: float, least_m: float, limit: float) -> bool:
+        """Whether it is no plane's, uneven by such a standard deviation and by `least_m` in any case, m."""
+        noise = self.sigma_m**2 / (self.sigma_m**2 + uneven_m**2) if uneven_m else 1.0
+        return self.height_m > least_m and self.chi2 * noise > limit
+
+    def sides(self, places: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+        """Which places (N, 2) are on this side of it and which are beyond it, shape (N,) both."""
+        along = places @ self.direction
+        return along < self.between_m[0], along > self.between_m[1]
+
+
+def surest_bend(places: FloatArray, residuals: FloatArray, weights: FloatArray) -> Bend | None:
+    """The surest bend of a plane: residuals that go as |u - q|, or step at u = q, u along some direction on the plane.
+
+    A region that runs a little way round a blunt corner, or onto the next wall a few millimetres before it, tilts
+    between both, and what is left of its residuals hides in the noise of every point and of every patch; not in that
+    of all points beyond.
+
+    Args:
+        places: of the points on the plane, shape (N, 2), m; their noise must not go with that of the residuals.
+        residuals, weights: along the normal, shape (N,), m and 1 / m^2.
+
+    Returns:
+        None where there are too few cells with points to tell one.
+    """
+    cells = _cells_of(places, residuals, weights)
+    if len(cells) < 2 * _FEWEST:
+        return None
+    step, ends = np.pi / _DIRECTIONS, (_FEWEST / _CELLS, 1.0 - _FEWEST / _CELLS)
+    found = _Bends(cells, step * np.arange(0.0, _DIRECTIONS), np.linspace(*ends, _CELLS - 2 * _FEWEST + 1))
+    for _ in range(_REFINED if found.chi2.max() > _WORTH else 0):
+        step /= 2.0
+        found = _Bends(cells, found.angle + step * np.arange(-1.0, 2.0), np.linspace(*ends, _PLACES))
+    return found.surest()
+
+
+class _Bends:
+    """Bends and steps square to some angles (A,), after some shares (Q,) of the way along each."""
+
+    def __init__(self, cells: FloatArray, angles: FloatArray, shares: FloatArray) -> None:
+        weight, place, mean = cells[:, 0], cells[:, 1:3], cells[:, 3]
+        self._angles, self._directions = angles, np.stack((np.cos(angles), np.sin(angles)))
+        along = place @ self._directions
+        low, high = along.min(axis=0), along.max(axis=0)
+        self._places = low + shares[:, None] * (high - low)
+        off = along[:, None, :] - self._places
+        shape = np.stack((np.abs(off), np.where(off > 0.0, high - low, 0.0)), axis=1).reshape(len(cells), -1)
+        trend, root = np.column_stack((np.ones(len(cells)), place)), np.sqrt(weight)[:, None]
+        basis, _ = np.linalg.qr(root * trend)
+        shape, left = (root * one - basis @ (basis.T @ (root * one)) for one in (shape, mean[:, None]))
+        least = 1e-12 * weight.sum() * np.tile(high - low, 2 * len(shares)) ** 2
+        self._information = np.maximum((shape**2).sum(axis=0), least)
+        self._pull, self._shape = (shape * left).sum(axis=0), shape / root
+        chi2 = self._pull**2 / self._information - np.repeat((0.0, _OF_STEPS), self._places.size)
+        self.chi2 = chi2.reshape(2, *self._places.shape)
+        """Of bends and of steps, shape (2, Q, A)."""
+        self._best = int(np.argmax(chi2))
+        self._column = self._best % len(angles)
+
+    @property
+    def angle(self) -> float:
+        """Of the surest."""
+        return float(self._angles[self._column])
+
+    def surest(self) -> Bend:
+        """The surest; it is anywhere that is hardly less sure."""
+        k, information = self._best, float(self._information[self._best])
+        most = float(np.abs(self._shape[:, k]).max())
+        by_place = self.chi2[:, :, self._column].max(axis=0)
+        among = self._places[by_place >= self.chi2.max() - _AS_SURE, self._column]
+        return Bend(
+            float(self.chi2.max()),
+            most * abs(float(self._pull[k])) / information,
+            most / float(np.sqrt(information)),
+            self._directions[:, self._column],
+            (float(among.min()), float(among.max())),
+        )
+
+
+def _cells_of(places: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
+    """Of the cells with points: weight, mean place and mean residual, shape (C, 4)."""
+    low = places.min(axis=0)
+    side = np.maximum((places.max(axis=0) - low) / _CELLS, 1e-9)
+    column, row = np.minimum(((places - low) / side).astype(np.int64), _CELLS - 1).T
+    cell = row * _CELLS + column
+    total = np.bincount(cell, weights, _CELLS**2)
+    there = total > 0.0
+    sums = [np.bincount(cell, weights * one, _CELLS**2)[there] for one in (*places.T, residuals)]
+    return np.column_stack((total[there], *(one / total[there] for one in sums))).astype(np.float64)
