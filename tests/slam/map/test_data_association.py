@@ -69,23 +69,30 @@ def step(way_m: float) -> Motion:
     return Motion(planar_transform(*delta), NOISE.covariance(delta), (1e-3, 1e-3, 1e-3))
 
 
+def anywhere(_: int) -> bool:
+    """A landmark may be it wherever it was seen."""
+    return True
+
+
 def test_of_two_that_it_could_be_it_is_the_one_seen_there_and_it_waits_only_for_a_rival_that_is_near():
     board, wall = Candidate(7, 0.5, 2, 8.4, True), Candidate(2, 7.8, 2, 5.2, True)
     rules = AssociationGates()
 
     def decided(far_from_board: float) -> int:
-        decision = decide(0, [board, wall], 0.0, {7: far_from_board, 2: 0.0}.__getitem__, rules)
+        decision = decide(0, [board, wall], 0.0, {7: far_from_board, 2: 0.0}.__getitem__, anywhere, rules)
         assert decision.match is not None
         assert decision.candidates == (board, wall)
         return decision.match.landmark
 
     assert decided(0.0) == decided(3.0) == 7
     assert decided(3.5) == 2
-    decision = decide(0, [board, wall], 0.0, {7: 3.5, 2: 0.0}.__getitem__, rules)
+    decision = decide(0, [board, wall], 0.0, {7: 3.5, 2: 0.0}.__getitem__, anywhere, rules)
     assert is_open(decision, {7: 3.5, 2: 0.0}.__getitem__, rules)
     assert not is_open(decision, {7: 8.0, 2: 0.0}.__getitem__, rules)
-    alone = decide(0, [board], 0.0, {7: 8.0}.__getitem__, rules)
+    alone = decide(0, [board], 0.0, {7: 8.0}.__getitem__, anywhere, rules)
     assert alone.match is board  # a wall goes on where it was not seen yet
+    too_far = decide(0, [board], 0.0, {7: 8.0}.__getitem__, lambda _: False, rules)
+    assert too_far.verdict == "unsure"  # but not anywhere
 
 
 @pytest.mark.parametrize(
@@ -96,7 +103,7 @@ def test_of_two_that_it_could_be_it_is_the_one_seen_there_and_it_waits_only_for_
 def test_between_the_gates_and_where_another_plane_is_as_likely_neither_is_said(p, log_likelihood, verdict, dof):
     """What is unsure is left out: as a match it would pull the pose, as a new plane be in the map twice."""
     candidate = Candidate(7, float(chi2_distribution.isf(p, dof)), dof, log_likelihood, True)
-    decision = decide(0, [candidate], 0.0, lambda _: 0.0, AssociationGates())
+    decision = decide(0, [candidate], 0.0, lambda _: 0.0, anywhere, AssociationGates())
     assert decision.verdict == verdict
     assert decision.match is (candidate if verdict == "match" else None)
 
@@ -125,7 +132,15 @@ def test_a_match_that_only_a_hint_makes_fit_is_not_used(target: float, verdict: 
         return state
 
     problem = JointCompatibility(
-        [[hypothesis(1.0)]], [-9.0], [-9.0], lambda *_: 0.0, [1], hinted, lambda: State(Known()), AssociationGates()
+        [[hypothesis(1.0)]],
+        [-9.0],
+        [-9.0],
+        lambda *_: 0.0,
+        lambda *_: True,
+        [1],
+        hinted,
+        lambda: State(Known()),
+        AssociationGates(),
     )
     decision = problem.best().decisions[0]
     assert decision.verdict == verdict
