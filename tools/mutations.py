@@ -166,8 +166,8 @@ MUTATIONS = (
     Mutation(
         "association: whatever is near is a match, however unlikely",
         "factors/association/decisions.py",
-        "        if candidate.p_value >= gates.significance and candidate.log_likelihood >= chance\n",
-        "",
+        "if candidate.p_value >= gates.significance and candidate.log_likelihood >= chance and",
+        "if",
         "tests/slam/map/test_data_association.py",
     ),
     Mutation(
@@ -201,8 +201,8 @@ MUTATIONS = (
     Mutation(
         "odometry: next to no step is a slip",
         "slam/tracking/odometry_scale.py",
-        "_SLIPS = 0.1",
-        "_SLIPS = 1e-3",
+        "SLIPS = 0.1",
+        "SLIPS = 1e-3",
         "tests/slam/tracking/test_odometry_scale.py",
     ),
     Mutation(
