@@ -54,9 +54,9 @@ class State:
 
     def innovation(self, hypothesis: Hypothesis) -> Innovation:
         """Compare a hypothesis with the state: chi2 and likelihood."""
-        columns, jacobian = hypothesis.columns, hypothesis.jacobian
-        residual = hypothesis.target - jacobian @ self._mean[columns]
-        covariance = jacobian @ self._covariance[columns[:, None], columns] @ jacobian.T + np.eye(len(residual))
+        expected, spread = self.along(hypothesis.columns, hypothesis.jacobian)
+        residual = hypothesis.target - expected
+        covariance = spread + np.eye(len(residual))
         chi2, log_det = chi2_and_log_det(residual.tolist(), covariance.tolist())
         blank = hypothesis.candidate
         log_likelihood = blank.log_likelihood - 0.5 * (chi2 + log_det)

@@ -54,7 +54,7 @@ def joint_compatibility(
     ordered = sorted({pose_key, *_keys_of(shortlists), *hinted})
     joint, values = estimate.joint_covariance(ordered), estimate.values_of(ordered)  # once: cheaper than for each pair
     get_ready([one.plane for one in observations if isinstance(one, PlaneObservation)])
-    gaps = Gaps(observations, landmarks, pose_key, estimate, gates)
+    gaps = Gaps(observations, landmarks, pose_key, estimate, joint, gates)
     return JointCompatibility(
         [
             hypotheses_of(observation, near, pose_key, joint, values, estimate)
@@ -63,7 +63,7 @@ def joint_compatibility(
         chances,
         parallel,
         gaps.away,
-        lambda index, landmark, state: gaps.within(index, landmark, joint, state),
+        gaps.within,
         [observation.n_points for observation in observations],
         state=lambda: _informed(joint, hint, values),
         honest=None if hint is None else lambda: State(joint),

@@ -62,13 +62,6 @@ class ScanPart:
         fits = fit_groups(job, np.arange(n), np.array([0, n]))
         return fits.planes()[0] if fits.status[0] == OK else None
 
-    def tells(self, frame: FloatArray, mapper: MapperConfig) -> bool:
-        """Whether there are enough points for a plane of about that frame (4, 4), spread enough to tell its tilt."""
-        if len(self.points) < mapper.min_points:
-            return False
-        place, _, weights = along_plane(self.points, self.blurred, frame)
-        return are_spread(place, weights, mapper.max_tilt_rad)
-
     def only(self, chosen: np.ndarray) -> ScanPart:
         """The points of a mask (N,)."""
         covariances, n_columns, frame = self._source
@@ -213,8 +206,11 @@ def _parted(one: Believed, viewpoint: FloatArray, mapper: MapperConfig, rules: V
     bend = surest_bend(places, residuals, weights)
     if bend is None or not bend.is_sure(one.part.sensor.surface_sigma_m, rules.step_m, LIMIT):
         return [one]
-    sides = [one.part.only(side) for side in bend.sides(places)]
-    enough = [side for side in sides if side.tells(one.plane.frame, mapper)]
+    enough = [
+        one.part.only(side)
+        for side in bend.sides(places)
+        if np.count_nonzero(side) >= mapper.min_points and are_spread(places[side], weights[side], mapper.max_tilt_rad)
+    ]
     believed = [found for side in enough if (found := believed_plane(side, viewpoint, rules)) is not None]
     planes = [part for found in believed for part in _parted(found, viewpoint, mapper, rules)]
     planes.sort(key=lambda found: (-found.plane.n_points, int(found.part.members[0])))

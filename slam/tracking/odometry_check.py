@@ -40,7 +40,7 @@ from slam.registration.relocalization import (
     stated,
 )
 from slam.registration.surface_registration import TELLING, Alignment, Expected, align, most_information
-from slam.tracking.odometry_scale import PLANAR, SLIPS, spatial
+from slam.tracking.odometry_scale import SLIPS, free_axes, log_density, spatial
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -50,6 +50,8 @@ from spplanes._check import FloatArray
 _AS_GOOD = 2.0
 #: Least share of what is seen, by the root of area, that the last scan has under the motion: most of it.
 _MOST = 0.5
+#: Share of the steps after one that was spoken against that slip again: wheels do so for a while.
+_AGAIN = 0.5
 
 
 class Check(NamedTuple):
@@ -94,8 +96,8 @@ def check(
     corridor a scan slides to the next place that looks alike. Far from the true place it may rest anywhere: where more
     of what it sees contradicts than fits, it is looked for as if nobody had measured the motion, and speaks against it
     from a place that fits clearly better and is as far off; where nothing of it was seen before there is nothing to
-    say. What was wrong the step before is asked so in any case, and any better place will do: wheels that slip or stand
-    still do so for a while.
+    say. What was wrong the step before is asked so in any case, and is as likely wrong again as not: wheels that slip
+    or stand still do so for a while.
 
     Args:
         keyframe: what is seen.
@@ -123,7 +125,7 @@ def check(
 
     found = align(scan, known, [np.eye(4)])
     rests = _rests(found) if found.score > 0.0 else (None, None, None)
-    enough = _clearly(motion, otherwise, found, 0.5 if doubted else SLIPS)
+    enough = _clearly(motion, otherwise, found, _AGAIN if doubted else SLIPS)
     if is_off(found):
         held = align(scan, known, [np.eye(4)], Expected(np.eye(4), information_of(motion)))
         if is_off(held) or found.score > held.score + enough:
@@ -146,12 +148,11 @@ def _clearly(motion: Motion, otherwise: Motion, found: Alignment, share: float) 
     some fit what is seen by chance. Log odds of a slip are those of the scores, less what a slip is rarer, and less
     by how much wider it is spread.
     """
-    place = _by_returns(found.information)
-    axes = np.ix_(PLANAR, PLANAR) if motion.is_planar else np.ix_(range(6), range(6))
-    wide, tight = (np.linalg.slogdet((spatial(one) + place)[axes])[1] for one in (otherwise, motion))
-    off = displacement(inverse(motion.a_T_b) @ otherwise.a_T_b, found.known_T_seen)[list(axes[1][0])]
-    chi2 = off @ np.linalg.solve((spatial(otherwise) + place)[axes], off)
-    return (0.5 * (wide - tight + chi2) - log(share)) / TELLING
+    place, axes = _by_returns(found.information), free_axes(motion)
+    off = displacement(inverse(motion.a_T_b) @ otherwise.a_T_b, found.known_T_seen)[axes]
+    held, slipped = ((spatial(one) + place)[np.ix_(axes, axes)] for one in (motion, otherwise))
+    rarer = log_density(np.zeros(len(axes)), held[None])[0] - log_density(off, slipped[None])[0] - log(share)
+    return float(rarer) / TELLING
 
 
 def planes_confirm(

@@ -50,13 +50,18 @@ class OdometryScale:
             covariance: of that, shape (6, 6).
             guess: how far a body may move of which nothing is known.
         """
-        axes = PLANAR if motion.is_planar else list(range(6))
+        axes = free_axes(motion)
         grid = np.ix_(axes, axes)
         stated = np.array([spatial(scaled(motion, factor))[grid] for factor in _FACTORS])
-        honest = _log_density(off[axes], stated + covariance[grid])
-        slipped = _log_density(off[axes], (spatial(guess) + covariance)[grid][None])
+        honest = log_density(off[axes], stated + covariance[grid])
+        slipped = log_density(off[axes], (spatial(guess) + covariance)[grid][None])
         both = np.stack((np.log1p(-SLIPS) + honest, np.full_like(honest, np.log(SLIPS) + slipped[0])))
         self._steps.append(np.logaddexp(*both))
+
+
+def free_axes(motion: Motion) -> list[int]:
+    """Those along which a motion says anything, SP order: (x, y, heading) of one on a floor."""
+    return PLANAR if motion.is_planar else list(range(6))
 
 
 def scaled(motion: Motion, factor: float) -> Motion:
@@ -71,7 +76,7 @@ def spatial(motion: Motion) -> FloatArray:
     return spatial_covariance(motion.covariance, motion.a_T_b, motion.out_of_plane_sigmas)
 
 
-def _log_density(off: FloatArray, covariances: FloatArray) -> FloatArray:
+def log_density(off: FloatArray, covariances: FloatArray) -> FloatArray:
     """Logarithm of normal densities of one deviation (D,), covariances (K, D, D), up to one constant, shape (K,)."""
     chi2 = np.einsum("i,kij,j->k", off, np.linalg.inv(covariances), off)
     return -0.5 * (chi2 + np.linalg.slogdet(covariances)[1])

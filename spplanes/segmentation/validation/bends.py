@@ -35,8 +35,8 @@ class Bend(NamedTuple):
 
     def is_sure(self, uneven_m: float, least_m: float, limit: float) -> bool:
         """Whether it is no plane's, uneven by such a standard deviation and by `least_m` in any case, m."""
-        noise = self.sigma_m**2 / (self.sigma_m**2 + uneven_m**2) if uneven_m else 1.0
-        return self.height_m > least_m and self.chi2 * noise > limit
+        noise = self.sigma_m**2
+        return self.height_m > least_m and self.chi2 * noise > limit * (noise + uneven_m**2)
 
     def sides(self, places: FloatArray) -> tuple[np.ndarray, np.ndarray]:
         """Which places (N, 2) are on this side of it and which are beyond it, shape (N,) both."""
@@ -85,7 +85,7 @@ class _Bends:
         shape, left = (root * one - basis @ (basis.T @ (root * one)) for one in (shape, mean[:, None]))
         least = 1e-12 * weight.sum() * np.tile(high - low, 2 * len(shares)) ** 2
         self._information = np.maximum((shape**2).sum(axis=0), least)
-        self._pull, self._shape = (shape * left).sum(axis=0), shape / root
+        self._pull, self._shape, self._root = (shape * left).sum(axis=0), shape, root[:, 0]
         chi2 = self._pull**2 / self._information - np.repeat((0.0, _OF_STEPS), self._places.size)
         self.chi2 = chi2.reshape(2, *self._places.shape)
         """Of bends and of steps, shape (2, Q, A)."""
@@ -100,7 +100,7 @@ class _Bends:
     def surest(self) -> Bend:
         """The surest; it is anywhere that is hardly less sure."""
         k, information = self._best, float(self._information[self._best])
-        most = float(np.abs(self._shape[:, k]).max())
+        most = float(np.abs(self._shape[:, k] / self._root).max())
         by_place = self.chi2[:, :, self._column].max(axis=0)
         among = self._places[by_place >= self.chi2.max() - _AS_SURE, self._column]
         return Bend(
