@@ -14,7 +14,6 @@ from scipy.special import chdtri
 from factors import odometry_factor_2d
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.occupancy import CELL_M
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, way_to
 from slam.loop_closure.candidates import nearest_of_each
@@ -88,7 +87,6 @@ def _search(
         seen = view_of([keyframes[one] for one in range(first, last)], list(poses[first:last]), poses[frame], config)
         return None if seen is None else PlaceView(seen)
 
-    warp = np.diag(np.square(0.5 * CELL_M * np.array((1.0, 1.0, 1.0 / config.window_m))))  # a submap is not quite rigid
     for old, new in _pairs(keyframes, poses, way, config):
         here, there = view(new), view(old)
         if here is None or there is None:
@@ -99,7 +97,7 @@ def _search(
         found = search_place(here, there, guess, covariance, reach, looks=config.looks_per_place)
         if found.modes and found.modes[0].log_odds > 0.0 and not found.is_at_edge:
             best = found.modes[0]
-            yield Proposal(new, old, PlanarPose(best.pose, best.covariance + warp), best.log_odds, float(way[new]))
+            yield Proposal(new, old, PlanarPose(best.pose, best.covariance), best.log_odds, float(way[new]))
 
 
 def _pairs(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -29,10 +30,13 @@ _PROMINENCE = 1.0
 _ONE_PLACE_M = 0.3
 #: Blocks of motions have sides of 2^level cells; the highest level, and of boxes that would have too many blocks there.
 _TOP_LEVEL, _HIGHEST_LEVEL = 4, 7
-#: Most blocks kept from one level to the next, and blocks of each whose middle is tried: these bound the time.
-_MOST_BLOCKS, _N_TRIED = 10_000, 200
+#: Most blocks kept from one level to the next, and when a motion to measure the others by is looked for at first.
+_MOST_BLOCKS, _BEST_FIRST = 10_000, 100
 #: A box whose best motion lies at its edge is made so much wider, at most so many times.
 _WIDER, _MOST_TIMES = 2.0, 2
+
+
+_Scored = Callable[[FloatArray, int], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,22 +72,19 @@ class PlaceView:
 
     def __init__(self, raster: Raster) -> None:
         self.raster = raster
-        self._tables: dict[int, np.ndarray] = {}
+        self._tables: dict[int, tuple[np.ndarray, FloatArray]] = {}
 
-    def bound(self, level: int, *, turned: bool = False) -> np.ndarray:
+    def bound(self, level: int, *, turned: bool = False) -> tuple[np.ndarray, FloatArray]:
         """The table, in `_UNIT`, widened to bound what a block of motions of this level finds in a cell.
 
-        With `turned`, of a block whose axes are turned by any angle. With a rim of zeros, shape (H + 2, W + 2) int8.
+        With `turned`, of a block whose axes are turned by any angle. Shape (H, W) int8, with a rim of zeros as wide as
+        a block reaches back into the raster from beside it. And where its corner lies, m, shape (2,).
         """
         reach = 0 if level == 0 else int(np.ceil(0.71 * 2**level)) if turned else 2 ** (level - 1)
         if reach not in self._tables:
-            self._tables[reach] = np.pad(_widened(self._whole, reach), 1)
+            table = _widened(np.pad(self._whole, reach + 1), reach)
+            self._tables[reach] = table, self.raster.origin - (reach + 1) * CELL_M
         return self._tables[reach]
-
-    @property
-    def corner(self) -> FloatArray:
-        """Where the corner of the tables' rim lies, m, shape (2,)."""
-        return self.raster.origin - CELL_M
 
     @cached_property
     def _whole(self) -> np.ndarray:
@@ -128,11 +129,6 @@ def search_place(
     return result
 
 
-def evidence_at(a: PlaceView, b: PlaceView, motions: FloatArray) -> FloatArray:
-    """Log of how much better each motion (M, 3), b_T_a, explains the returns than having nothing in common, (M,)."""
-    return _fit(a, b, motions, 0)
-
-
 def _search(
     a: PlaceView, b: PlaceView, guess: FloatArray, covariance: FloatArray, reach: FloatArray, looks: float
 ) -> SearchResult:
@@ -142,25 +138,38 @@ def _search(
     information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     steepest = float(np.sqrt(np.linalg.eigvalsh(information[:2, :2])[-1]))
     constant = np.log1p(-_NOTHING) - np.log(max(_prior_mass(covariance) / (CELL_M**2 * grid[2]), 1.0))
-    blocks, scores = _first_blocks(reach, grid[2], first), np.empty(0)
-    best = float(np.log(_NOTHING))
-    for level in range(first, -1, -1):
+
+    def scored(blocks: FloatArray, level: int) -> tuple[FloatArray, FloatArray]:
+        """Log of the prior at the middles of blocks, and the bound of the posterior's log in each but for its slope."""
         prior = constant + _log_student(blocks * grid, information)
-        scores = prior + _fit(a, b, guess + blocks * grid, level) / looks
-        top = _largest(scores, _N_TRIED)
-        tried = scores if not level else prior[top] + _fit(a, b, guess + blocks[top] * grid, 0) / looks
-        best = max(best, float(tried.max(initial=best)))
+        return prior, prior + evidence_at(a, b, guess + blocks * grid, level) / looks
+
+    blocks = _first_blocks(reach, grid[2], first)
+    prior, scores = scored(blocks, first)
+    best = max(float(np.log(_NOTHING)), _descended(blocks, scores, first, scored))
+    for level in range(first, -1, -1):
+        if not level:
+            best = max(best, float(scores.max(initial=best)))
         slack = _STEEPEST * np.sqrt(2.0) * 0.5 * (2**level - 1) * CELL_M * steepest
         kept = np.flatnonzero(scores + slack >= best - _NEGLIGIBLE)
         kept = kept[_largest(scores[kept], _MOST_BLOCKS)]
-        blocks, scores = blocks[kept], scores[kept]
-        blocks = split(blocks, level) if level else blocks
+        blocks, prior, scores = blocks[kept], prior[kept], scores[kept]
+        if level:
+            blocks = split(blocks, level)
+            prior, scores = scored(blocks, level - 1)
     if not len(blocks):
         return SearchResult((), reach, False)
-    prior = constant + _log_student(blocks * grid, information)
-    modes = _modes(guess, blocks, scores, (scores - prior) * looks, grid)
+    modes = _modes(guess, blocks, scores, scores - prior, grid, looks)
     edge = bool(np.any(np.abs(blocks[np.argmax(scores)] * grid) > reach - _edge(grid)))
     return SearchResult(modes, reach, edge and modes[0].probability > _NOTHING)
+
+
+def _descended(blocks: FloatArray, scores: FloatArray, level: int, scored: _Scored) -> float:
+    """The best motion that is found where at each level only the most promising blocks are split."""
+    while level:
+        blocks, level = split(blocks[_largest(scores, _BEST_FIRST)], level), level - 1
+        scores = scored(blocks, level)[1]
+    return float(scores.max())
 
 
 def _first_level(reach: FloatArray, turn: float) -> int:
@@ -189,9 +198,9 @@ class _Peak:
 
 
 def _modes(
-    guess: FloatArray, blocks: FloatArray, scores: FloatArray, evidence: FloatArray, grid: FloatArray
+    guess: FloatArray, blocks: FloatArray, scores: FloatArray, evidence: FloatArray, grid: FloatArray, looks: float
 ) -> tuple[Mode, ...]:
-    """The places of a posterior, by the scores of its cells (witnesses) and their evidence (looks)."""
+    """The places of a posterior, by the scores of its cells and their evidence, which are scores without the prior."""
     cells = np.round((blocks - blocks.min(axis=0)) * (0.5, 0.5, 1.0)).astype(np.int64)
     sizes = cells.max(axis=0) + 3
     strides = np.array((sizes[1] * sizes[2], sizes[2], 1))
@@ -199,7 +208,7 @@ def _modes(
     blocks, scores, evidence, keys = blocks[rank], scores[rank], evidence[rank], (cells @ strides)[rank]
     labels = peaks_of(keys, strides, np.argsort(-scores, kind="stable"), scores, _PROMINENCE)
     members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
-    peaks = [_peak(one, guess + blocks[one] * grid, scores[one], evidence[one], grid) for one in members]
+    peaks = [_peak(one, guess + blocks[one] * grid, scores[one], evidence[one], grid, looks) for one in members]
     peaks.sort(key=lambda peak: -peak.log_mass)
     modes = []
     while peaks:
@@ -209,12 +218,19 @@ def _modes(
     return tuple(sorted(modes, key=lambda mode: -mode.log_odds))
 
 
-def _peak(cells: np.ndarray, poses: FloatArray, scores: FloatArray, evidence: FloatArray, grid: FloatArray) -> _Peak:
+def _peak(
+    cells: np.ndarray, poses: FloatArray, scores: FloatArray, evidence: FloatArray, grid: FloatArray, looks: float
+) -> _Peak:
+    """Neighbouring cells as one Gaussian: what witnesses spread over, less by what looks know more.
+
+    Where the evidence is a parabola that is what all looks leave. Along what they leave open it is level but for
+    chance, and the chance of so many looks together would pick a cell.
+    """
     weights = np.exp(evidence - _log_sum(evidence))
     mean = weights @ poses
-    spread = np.einsum("n,ni,nj->ij", weights, poses - mean, poses - mean)
+    spread = np.einsum("n,ni,nj->ij", weights, poses - mean, poses - mean) / looks
     within = np.diag([*(2.0 * grid[:2]).tolist(), grid[2]]) ** 2 / 12.0
-    return _Peak(cells, mean, spread + within, _log_sum(scores), float(evidence[scores.argmax()]))
+    return _Peak(cells, mean, spread + within, _log_sum(scores), float(looks * evidence[scores.argmax()]))
 
 
 def _mode(place: list[_Peak], scores: FloatArray) -> Mode:
@@ -239,15 +255,18 @@ def _widened(table: np.ndarray, reach: int) -> np.ndarray:
     return table
 
 
-def _fit(a: PlaceView, b: PlaceView, motions: FloatArray, level: int) -> FloatArray:
-    """Log likelihood ratio of each motion (M, 3), or its bound in the block of this level about it, shape (M,)."""
+def evidence_at(a: PlaceView, b: PlaceView, motions: FloatArray, level: int = 0) -> FloatArray:
+    """Log of how much better each motion (M, 3), b_T_a, explains the returns than having nothing in common, (M,).
+
+    Of a level above 0 a bound of it in the block of motions about each.
+    """
     order = np.argsort(motions[:, 2], kind="stable")
     headings, starts = np.unique(motions[order, 2], return_index=True)
     result = np.empty(len(motions))
     result[order] = score_by_heading(
         headings, np.append(starts, len(motions)), np.ascontiguousarray(motions[order, :2]), CELL_M,
-        a.raster.points, a.raster.weight, b.bound(level), b.corner,
-        b.raster.points, b.raster.weight, a.bound(level, turned=True), a.corner,
+        a.raster.points, a.raster.weight, *b.bound(level),
+        b.raster.points, b.raster.weight, *a.bound(level, turned=True),
     )  # fmt: skip
     return _UNIT * result
 

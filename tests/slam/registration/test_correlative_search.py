@@ -71,8 +71,8 @@ def test_a_place_is_found_and_its_covariance_holds_its_error():
         assert all(one.log_odds < -3.0 for one in rivals)
         error = best.pose - true
         errors.append(float(error @ np.linalg.solve(best.covariance, error)))
-        assert np.linalg.norm(error[:2]) < 0.05
-    assert np.mean(errors) < 7.0  # 3 with every look a look of its own; grids of 5 cm share theirs
+        assert np.linalg.norm(error[:2]) < 0.01  # a fifth of a cell
+    assert np.mean(errors) < 3.0  # what one cell cannot tell is stated; submaps of real drives are warped by as much
 
 
 def test_bounds_lose_nothing():
@@ -106,7 +106,7 @@ def test_along_a_bare_corridor_the_mode_is_as_long_as_the_box():
     here, there = (submap(corridor([]), ALONG, np.zeros(3), rng) for _ in range(2))
     box = np.array((2.0, 1.0, 0.1))
     found = search_place(here, there, np.zeros(3), np.diag((box / 3.0) ** 2), box, looks=LOOKS)
-    assert not found.modes or found.modes[0].log_odds < 6.9 or np.sqrt(found.modes[0].covariance[0, 0]) > 0.3
+    assert np.sqrt(found.modes[0].covariance[0, 0]) > 0.3
 
 
 @pytest.mark.parametrize("shift", [0.0, 1.7])
@@ -120,7 +120,7 @@ def test_doors_at_equal_distances_leave_several_places(shift: float):
     assert len(found.modes) >= 3
     assert found.modes[0].log_odds < 6.9
     places = sorted(float(mode.pose[0]) for mode in found.modes[:3])
-    np.testing.assert_allclose(np.diff(places), 2.4, atol=0.15)
+    np.testing.assert_allclose(np.diff(places), 2.4, atol=0.2)  # the unlikely ones are cut where they do not count
 
 
 def drives() -> list[Drive]:

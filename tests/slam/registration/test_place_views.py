@@ -9,7 +9,7 @@ from benchmarks.corpus.floorplan import FloorPlan, cast
 from slam.frontend.information import left_open
 from slam.frontend.occupancy import CELL_M, NOVEL_SHARE, Raster, beams_of, moved
 from slam.geometry.frames import planar_transform
-from slam.registration.correlative_search import _UNIT, Mode, PlaceView, _fit, _widened, search_place, split
+from slam.registration.correlative_search import _UNIT, Mode, PlaceView, _widened, evidence_at, search_place, split
 from slam.sensors.log import LaserScan
 
 ANGLES = np.linspace(-np.pi, np.pi, 361)
@@ -99,15 +99,16 @@ def test_two_places_that_look_alike_are_ambiguous():
 
 
 def test_a_block_bounds_all_motions_in_it():
-    a, b = (PlaceView(raster(room(), pose, seed)) for pose, seed in (((0.3, 0.1, 0.2), 3), ((0.0, 0.0, 0.0), 4)))
+    """Also where a point lies beside the raster in the middle of a block, and in the raster at its edge."""
+    a, b = (PlaceView(raster(corridor(), pose, seed)) for pose, seed in (((0.3, 0.1, 0.2), 3), ((0.0, 0.0, 0.0), 4)))
     rng = np.random.default_rng(0)
     unit = np.array((0.5 * CELL_M, 0.5 * CELL_M, 0.02))
-    for level in (1, 2, 3):
-        blocks = np.column_stack((rng.integers(-30, 30, (20, 2)), rng.integers(-8, 8, 20))).astype(float)
-        bounds, inside = _fit(a, b, blocks * unit, level), blocks
+    for level in (1, 2, 3, 4):
+        blocks = np.column_stack((rng.integers(-160, 160, (400, 2)), rng.integers(-8, 8, 400))).astype(float)
+        bounds, inside = evidence_at(a, b, blocks * unit, level), blocks
         for below in range(level, 0, -1):
             inside = split(inside, below)
-        fits = _fit(a, b, inside * unit, 0).reshape(20, -1)
+        fits = evidence_at(a, b, inside * unit, 0).reshape(400, -1)
         assert (fits <= bounds[:, None] + _UNIT * 1e-6).all()
         assert fits.shape[1] == 4**level
 
