@@ -32,6 +32,8 @@ PLANE = (2, 4, 5)
 LINE_2D = (1, 3)
 ROBOT_2D = (0, 1, 3)
 POSE = (0, 1, 2, 3, 4, 5)
+#: `inverse_transform` is asked so often that making one anew counts.
+_IDENTITY = np.eye(4)
 
 
 def transform_from_rpy(d: ArrayLike) -> FloatArray:
@@ -63,9 +65,10 @@ def rpy_from_transform(transform: ArrayLike) -> FloatArray:
 
 def inverse_transform(transform: FloatArray) -> FloatArray:
     """Inverse of a rigid (4, 4) transform."""
-    inverse = np.eye(4)
-    inverse[:3, :3] = transform[:3, :3].T
-    inverse[:3, 3] = -transform[:3, :3].T @ transform[:3, 3]
+    inverse = _IDENTITY.copy()
+    turn = transform[:3, :3].T
+    inverse[:3, :3] = turn
+    inverse[:3, 3] = -(turn @ transform[:3, 3])
     return inverse
 
 

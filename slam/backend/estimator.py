@@ -18,6 +18,7 @@ from slam.timing import StageClock, timed
 from spplanes._check import FloatArray
 
 _POSES = ("x", "m")  # letters of their symbols: of a keyframe, of a prior map
+_POSE_CODES = {ord(letter) for letter in _POSES}
 #: All variables that have moved are relinearised at one of so many updates, two of which a keyframe takes; those in use
 #: at every one. An odd number: it falls on predictions and on what is seen in turn.
 _ALL_EVERY = 21
@@ -46,6 +47,8 @@ class Backend:
         self._past = PastPoses()
         self._n_updates = 0
         self._used: set[int] = set()
+        self._keys: set[int] = set()
+        self._held = gtsam.KeyList()
         self._ask_shared: Callable[[], SharedUnknown | None] = lambda: None
         self._forget()
 
@@ -110,11 +113,14 @@ class Backend:
         return None if self._n_updates % _ALL_EVERY == 0 else self._all_but(in_use)
 
     def _all_but(self, in_use: set[int]) -> gtsam.KeyList:
-        held = gtsam.KeyList()
-        for key in list(self._isam.getLinearizationPoint().keys()):
-            if key not in in_use:
-                held.push_back(key)
-        return held
+        """The keys of all other variables: the list of the last time, for a new one takes as long as a marginal."""
+        wanted = set(self._isam.getLinearizationPoint().keys()) - in_use
+        for key in self._keys - wanted:
+            self._held.remove(key)
+        for key in wanted - self._keys:
+            self._held.push_back(key)
+        self._keys = wanted
+        return self._held
 
     @timed("optimise")
     def relinearize_in_use(self) -> None:
@@ -416,7 +422,7 @@ def _thresholds(config: BackendConfig) -> gtsam.ISAM2ThresholdMap:
 
 
 def _is_pose(key: int) -> bool:
-    return chr(key >> 56) in _POSES
+    return key >> 56 in _POSE_CODES
 
 
 def _first_line(error: Exception) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -83,9 +84,11 @@ class Surroundings:
     def landmarks_about(self, frame: int) -> list[Landmark]:
         """Confirmed landmarks seen within the window of travel around a keyframe."""
         first, last = self.path.window(frame, self.config.window_m)
-        return [
-            one for one in self.landmarks if one.n_keyframes >= self.min_keyframes and one.was_seen_between(first, last)
-        ]
+        return [one for one in self._confirmed if one.was_seen_between(first, last)]
+
+    @cached_property
+    def _confirmed(self) -> list[Landmark]:
+        return [one for one in self.landmarks if one.n_keyframes >= self.min_keyframes]
 
     def walls_about(self, frame: int) -> list[Wall]:
         """These as walls in the keyframe's frame, with their covariance relative to it."""
