@@ -45,8 +45,9 @@ _CELLS, _WAVES = (12, 16), (6, 8)
 _SHARE, _LEAST_CELLS = 0.1, 12
 #: Least share of a beam's variance across a plane, however edge-on it is seen.
 _EDGE_ON = 1e-3
-#: Bent planes fall into pieces, which say less of long waves: they are looked for again without the warp seen first.
-_LOOKS = 2
+#: Bent planes fall into pieces, which say less of long waves: they are looked for again without the warp seen so far
+#: while that puts pieces together, so often at most.
+_LOOKS = 6
 #: Rounds in which the unevenness of surfaces and the warp come to each other.
 _ROUNDS = 4
 #: Standard deviations of an octave that are tried, of one and 1/m; and how often both in turn at most.
@@ -69,9 +70,12 @@ def with_warp(name: str, sensor: Sensor, log: Log) -> Sensor:
     """A camera with the warp that planes of its images show; else the sensor, as one whose rig states a warp."""
     if sensor.kind != "cloud" or sensor.warp is not None:
         return sensor
-    images, warp = _images(log, name, sensor), None
+    images, warp, pieces = _images(log, name, sensor), None, np.inf
     for _ in range(_LOOKS):
-        warp = warp_of([plane for image in images for plane in _planes_in(image, sensor, warp)])
+        planes = [plane for image in images for plane in _planes_in(image, sensor, warp)]
+        if warp is not None and len(planes) >= pieces:
+            break
+        warp, pieces = warp_of(planes), len(planes)
         if warp is None:
             return sensor
     assert warp is not None

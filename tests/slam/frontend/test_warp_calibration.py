@@ -90,6 +90,17 @@ def test_a_warp_is_found_from_planes_seen_anyhow(grows: bool) -> None:
     )
 
 
+@pytest.mark.parametrize("seed", [20, 21])
+def test_what_bends_walls_into_pieces_is_found_as_these_go_together(seed: int) -> None:
+    """Two looks leave a fifth and more of a warp of 5 %."""
+    rng = np.random.default_rng(seed)
+    warp = drawn(rng, 0.03, grows=False)
+    found = with_warp("camera", CAMERA, log_of([noisy(put_on(image(rng), warp), rng) for _ in range(8)]))
+    assert found.warp is not None
+    true, rest = rest_at(warp, found.warp, 1.5)
+    assert true > 0.04 and rest < 0.12 * true
+
+
 def test_a_camera_without_a_warp_is_left_as_it_is() -> None:
     rng = np.random.default_rng(7)
     log = log_of([noisy(image(rng), rng) for _ in range(24)])
