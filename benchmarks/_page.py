@@ -32,7 +32,8 @@ made by `--baseline`; it is no part of the tests that every change has to pass, 
 
 def circumstances() -> dict[str, Any]:
     """Machine, versions and date."""
-    versions = {name: _version(name) for name in _PACKAGES} | {"mrob": environment.version("mrob")}
+    versions = {name: _version(name) for name in _PACKAGES}
+    versions |= {name: environment.version(name) for name in environment.PEERS}
     return {
         "date": datetime.now().strftime("%Y-%m-%d %H:%M"),
         "machine": f"{processor()}, {platform.system()} {platform.machine()}",

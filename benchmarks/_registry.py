@@ -72,6 +72,13 @@ WORKLOADS: dict[str, Workload] = {
         "truth.",
         short=_QUICK,
     ),
+    "lidar": Workload(
+        "A lidar without odometry",
+        "Simulated drives of 32 rings of 900 beams: ours from clouds to map and verdict, beside KISS-ICP from the same "
+        "clouds to poses, which is told that all of a cloud is of one moment. Root-mean-square error of the positions "
+        "from the first one.",
+        short=_QUICK,
+    ),
     "lines": Workload(
         "Line extraction",
         "Scans of random rooms and corridors with truth, and of real logs, ours by the stated noise alone, beside a "

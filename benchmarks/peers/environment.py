@@ -1,6 +1,6 @@
 """The peers' own environment (mrob needs numpy < 2), made when asked for by `python -m benchmarks --peers`.
 
-It is `.peers/mrob` in the project, which git ignores, or the interpreter that `$MROB_PYTHON` names. A peer's script
+It is `.peers` in the project, which git ignores, or the interpreter that `$PEERS_PYTHON` names. A peer's script
 gets its input as an npz and prints JSON.
 """
 
@@ -18,16 +18,18 @@ from typing import Any
 import numpy as np
 
 PROJECT = Path(__file__).resolve().parents[2]
-ENVIRONMENT = PROJECT / ".peers" / "mrob"
-PACKAGES = ("mrob==0.0.17", "numpy<2")
+ENVIRONMENT = PROJECT / ".peers"
+#: Whose versions the page of results tells.
+PEERS = ("mrob", "kiss-icp")
+PACKAGES = ("mrob==0.0.17", "kiss-icp==1.3.0", "numpy<2")
 #: What a row says of a peer that is not there.
 ABSENT = "not there (python -m benchmarks --peers)"
 
 
 def peer_python() -> Path | None:
-    """The interpreter that has mrob; None where there is none."""
+    """The interpreter that has the peers; None where there is none."""
     default = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-    python = Path(os.environ.get("MROB_PYTHON", default))
+    python = Path(os.environ.get("PEERS_PYTHON", default))
     return python if python.exists() else None
 
 
@@ -38,7 +40,7 @@ def make() -> Path:
         RuntimeError: it could not be made, in pip's words.
     """
     python = peer_python()
-    if python is None or subprocess.run([python, "-c", "import mrob"], capture_output=True, check=False).returncode:
+    if python is None or any(version(name) is None for name in PEERS):
         venv.create(ENVIRONMENT, with_pip=True, clear=True)
         python = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
         done = subprocess.run(
@@ -57,7 +59,7 @@ def call(script: str, arrays: dict[str, Any], *words: str) -> Any:
     """
     python = peer_python()
     if python is None:
-        raise RuntimeError(f"mrob: {ABSENT}")
+        raise RuntimeError(ABSENT)
     with tempfile.TemporaryDirectory() as folder:
         np.savez(Path(folder) / "input.npz", **arrays)
         done = subprocess.run(
@@ -70,7 +72,7 @@ def call(script: str, arrays: dict[str, Any], *words: str) -> Any:
             env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
         )
     if done.returncode:
-        raise RuntimeError(f"mrob, {script}: {(done.stderr.strip().splitlines() or ['no words'])[-1]}")
+        raise RuntimeError(f"{script}: {(done.stderr.strip().splitlines() or ['no words'])[-1]}")
     return json.loads(done.stdout.splitlines()[-1])
 
 

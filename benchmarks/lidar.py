@@ -1,0 +1,89 @@
+"""A spinning lidar without odometry: ours from clouds to map, KISS-ICP from the same clouds to poses.
+
+Run as ``python -m benchmarks.lidar``. Simulated drives of the corpus, 32 rings of 900 beams: offices of open doors and
+a cluttered hall. KISS-ICP knows all of a cloud to be of one moment, and no more of the sensor.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks._measure import Case, Peer, Row, Task, measured
+from benchmarks._table import plain
+from benchmarks.corpus.drives import Recipe, make_drive
+from benchmarks.peers import environment
+from slam.config import SlamConfig
+from slam.io.trajectories import Trajectory
+from slam.runs.slam_run import run_slam
+from slam.sensors.log import CloudScan, Log
+from slam.sensors.rig import Rig
+from spplanes._check import FloatArray
+
+#: Edges of the voxels of KISS-ICP's map, m: as fine as the clouds are nearby, and as coarse as it takes by itself.
+VOXELS_M = (0.2, 0.4, 1.0)
+
+
+@cache
+def _drive(name: str, seed: int) -> tuple[Log, Rig, FloatArray]:
+    """Log, rig, and true positions (K, 3) of the clouds, from the first one's body."""
+    drive = make_drive(Recipe.parse(name), seed)
+    stamps = np.array([one.stamp_ns for one in drive.log.scans() if isinstance(one, CloudScan)])
+    poses = drive.truth.poses_at(stamps)
+    return drive.log, drive.rig, (np.linalg.inv(poses[0]) @ poses)[:, :3, 3]
+
+
+def ours(name: str, seed: int) -> Trajectory:
+    """The whole run, its verdict with it."""
+    log, rig, _ = _drive(name, seed)
+    run = run_slam(Log(log.events, Path(name)), rig, SlamConfig())
+    assert run.verdict
+    return run.scan_trajectory
+
+
+def by_kiss_icp(name: str, seed: int, voxel_m: float, repeats: int) -> Row:
+    """The row of KISS-ICP, by its own interpreter."""
+    log, _, _ = _drive(name, seed)
+    clouds = np.array([one.points.reshape(-1, 3) for one in log.scans() if isinstance(one, CloudScan)])
+    row = environment.call("kiss_icp_poses", {"clouds": clouds.astype(np.float32)}, str(voxel_m), str(repeats))
+    return score(name, seed, np.array(row.pop("positions"))) | row
+
+
+def score(name: str, seed: int, positions: FloatArray) -> Row:
+    """Root-mean-square error of positions (K, 3) from the first body."""
+    return {"clouds": len(positions), "position, mm rms": 1e3 * _rms(positions - _drive(name, seed)[2])}
+
+
+def _rms(off: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
+
+def _from_first(found: Trajectory) -> FloatArray:
+    return (np.linalg.inv(found.poses[0]) @ found.poses)[:, :3, 3].astype(np.float64)
+
+
+def _case(name: str, seed: int) -> list[Task | Peer]:
+    work: Callable[[], Trajectory] = partial(ours, name, seed)
+    task = Task("spplanes", work, lambda found: score(name, seed, _from_first(found)), repeats=2)
+    peers = [Peer(f"KISS-ICP, voxels of {size:g} m", partial(by_kiss_icp, name, seed, size), 2) for size in VOXELS_M]
+    return [task, *peers]
+
+
+CASES: dict[str, Case] = {
+    f"{name.split('/')[0]} {seed}": partial(_case, name, seed)
+    for name, seed in (("office/lidar32/absent", 5), ("cluttered/lidar32/absent", 6), ("hall/lidar32/absent", 7))
+}
+
+
+def run(*, short: bool = False) -> list[Row]:
+    """Rows of all drives; of the first one where it is to be short."""
+    cases = dict(list(CASES.items())[:1]) if short else CASES
+    return measured("benchmarks.lidar", cases, short=short)
+
+
+if __name__ == "__main__":
+    print(json.dumps(plain(run())))

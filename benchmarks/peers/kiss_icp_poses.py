@@ -1,0 +1,43 @@
+"""Peer of `benchmarks.lidar`, run by the peers' interpreter: reads clouds, prints time and positions of KISS-ICP."""
+
+import json
+import sys
+import time
+
+import numpy as np
+from kiss_icp.config import load_config  # type: ignore[import-not-found]  # a peer, in an environment of its own
+from kiss_icp.kiss_icp import KissICP  # type: ignore[import-not-found]
+
+from benchmarks._memory import peak_mb
+
+
+def poses_of(clouds, voxel_m):
+    """Poses (K, 4, 4) of clouds (K, N, 3), NaN for no return, each seen at once, by one thread."""
+    config = load_config(None)
+    config.data.deskew, config.data.min_range, config.data.max_range = False, 0.3, 40.0
+    config.mapping.voxel_size, config.registration.max_num_threads = voxel_m, 1
+    odometry, poses = KissICP(config), []
+    for cloud in clouds:
+        seen = cloud[np.isfinite(cloud[:, 0])].astype(np.float64)
+        odometry.register_frame(seen, np.zeros(len(seen)))
+        poses.append(odometry.last_pose)
+    return np.array(poses)
+
+
+def main(path, voxel_m, repeats):
+    """Print the row."""
+    with np.load(path) as archive:
+        clouds = archive["clouds"]
+    taken, poses = [], np.empty(0)
+    for _ in range(int(repeats)):
+        cpu, wall = time.process_time(), time.perf_counter()
+        poses = poses_of(clouds, float(voxel_m))
+        taken.append((time.process_time() - cpu, time.perf_counter() - wall))
+    cpu_ms, wall_ms = 1e3 * np.median(taken, axis=0)
+    memory = peak_mb(lambda: poses_of(clouds, float(voxel_m)))
+    row = {"CPU ms": cpu_ms, "wall ms": wall_ms, "peak memory MB": memory}
+    print(json.dumps({**row, "positions": poses[:, :3, 3].tolist()}))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
