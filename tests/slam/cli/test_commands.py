@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from time import perf_counter
 
 import pytest
 
@@ -194,19 +193,17 @@ def test_a_run_ends_with_its_results_and_what_was_assumed(
 ):
     """A log without a rig: what its laser is taken for; times in one line unless all are asked for."""
     shutil.copy(mission / "log.clf.gz", tmp_path / "bare.clf.gz")
-    began = perf_counter()
     code, out, err = run(capsys, "slam", tmp_path / "bare.clf.gz", "--out", tmp_path / "run")
-    seconds = perf_counter() - began
     lines = err.strip().splitlines()
     assert code == 0 and lines[-2] == f"results: {tmp_path / 'run'}, the page: {tmp_path / 'run' / 'report.html'}"
     assert lines[-3].startswith("took ") and "--timings" in lines[-3] and "time, measure" not in out
-    assert float(lines[-3].split()[1]) > 0.9 * seconds - 0.1  # imports and writing the results are most of it
     assumed = [line for line in lines if line.startswith("assumed: ")]
     assert any("no rig: " in line and "is taken for a level 2D laser with 15 mm of noise" in line for line in assumed)
     told = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert float(lines[-3].split()[1]) > sum(told["stages_s"].values()) - 0.1  # writing the results comes after these
     assert [f"assumed: {one}" for one in told["assumptions"]] == assumed
     code, out, err = run(capsys, "-q", "slam", mission, "--out", tmp_path / "quiet", "--timings")
-    assert code == 0 and "time, measure" in out
+    assert code == 0 and "time, measure" in out and "time, write" in out and "time, imports and the rest" in out
     *warnings, verdict = err.strip().splitlines()
     assert all(line.startswith("warning: ") for line in warnings) and verdict.startswith("the map is ")
     assert json.loads((tmp_path / "quiet" / "metrics.json").read_text())["assumptions"] == []
