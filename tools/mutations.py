@@ -68,9 +68,30 @@ MUTATIONS = (
     Mutation(
         "search: what lies beyond a submap's table is looked up at its rim's neighbour",
         "slam/registration/correlative_search.py",
-        "return self.raster.origin - CELL_M",
-        "return self.raster.origin",
+        "self.raster.origin - (reach + 1) * CELL_M",
+        "self.raster.origin - reach * CELL_M",
         "tests/slam/registration/test_correlative_search.py",
+    ),
+    Mutation(
+        "search: blocks of motions do not reach back into a raster from beside it",
+        "slam/registration/correlative_search.py",
+        "_widened(np.pad(self._whole, reach + 1), reach)",
+        "np.pad(_widened(self._whole, reach), reach + 1)",
+        "tests/slam/registration/test_place_views.py",
+    ),
+    Mutation(
+        "search: a place as wide as its witnesses alone leave it",
+        "slam/registration/correlative_search.py",
+        "poses - mean, poses - mean) / looks",
+        "poses - mean, poses - mean)",
+        "tests/slam/registration/test_correlative_search.py",
+    ),
+    Mutation(
+        "warp: walls in pieces are looked at twice",
+        "slam/frontend/warp_calibration.py",
+        "_LOOKS = 6",
+        "_LOOKS = 2",
+        "tests/slam/frontend/test_warp_calibration.py",
     ),
     Mutation(
         "warp: walls taken for as flat as the noise of their beams",

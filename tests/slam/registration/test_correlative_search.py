@@ -106,7 +106,7 @@ def test_along_a_bare_corridor_the_mode_is_as_long_as_the_box():
     here, there = (submap(corridor([]), ALONG, np.zeros(3), rng) for _ in range(2))
     box = np.array((2.0, 1.0, 0.1))
     found = search_place(here, there, np.zeros(3), np.diag((box / 3.0) ** 2), box, looks=LOOKS)
-    assert np.sqrt(found.modes[0].covariance[0, 0]) > 0.3
+    assert 0.3 < np.sqrt(found.modes[0].covariance[0, 0]) < 0.5  # of the box 1.15 m, by nine looks for a witness
 
 
 @pytest.mark.parametrize("shift", [0.0, 1.7])
