@@ -40,7 +40,8 @@ def make() -> Path:
         RuntimeError: it could not be made, in pip's words.
     """
     python = peer_python()
-    if python is None or any(version(name) is None for name in PEERS):
+    check = "import kiss_icp, mrob"
+    if python is None or subprocess.run([python, "-c", check], capture_output=True, check=False).returncode:
         venv.create(ENVIRONMENT, with_pip=True, clear=True)
         python = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
         done = subprocess.run(

@@ -47,8 +47,8 @@ class Backend:
         self._past = PastPoses()
         self._n_updates = 0
         self._used: set[int] = set()
-        self._keys: set[int] = set()
-        self._held = gtsam.KeyList()
+        self._not_in_use = gtsam.KeyList()
+        self._listed: set[int] = set()  # in that list, which cannot be read
         self._ask_shared: Callable[[], SharedUnknown | None] = lambda: None
         self._forget()
 
@@ -113,14 +113,14 @@ class Backend:
         return None if self._n_updates % _ALL_EVERY == 0 else self._all_but(in_use)
 
     def _all_but(self, in_use: set[int]) -> gtsam.KeyList:
-        """The keys of all other variables: the list of the last time, for a new one takes as long as a marginal."""
+        """The keys of all other variables: a list kept up to date, for a new one takes as long as a marginal."""
         wanted = set(self._isam.getLinearizationPoint().keys()) - in_use
-        for key in self._keys - wanted:
-            self._held.remove(key)
-        for key in wanted - self._keys:
-            self._held.push_back(key)
-        self._keys = wanted
-        return self._held
+        for key in self._listed - wanted:
+            self._not_in_use.remove(key)
+        for key in wanted - self._listed:
+            self._not_in_use.push_back(key)
+        self._listed = wanted
+        return self._not_in_use
 
     @timed("optimise")
     def relinearize_in_use(self) -> None:

@@ -73,7 +73,7 @@ def with_warp(name: str, sensor: Sensor, log: Log) -> Sensor:
     images, warp, pieces = _images(log, name, sensor), None, np.inf
     for _ in range(_LOOKS):
         planes = [plane for image in images for plane in _planes_in(image, sensor, warp)]
-        if warp is not None and len(planes) >= pieces:
+        if len(planes) >= pieces:
             break
         warp, pieces = warp_of(planes), len(planes)
         if warp is None:

@@ -110,7 +110,7 @@ class LoopCloser:
             return self._close(closed, scale) if closed else None
         self._looked_at_m = self._ways[-1]
         self._try_again(around)
-        if self._keyframes[-1].places:
+        if len(given) < len(self._keyframes[-1].places):
             return None  # where it is from earlier ones is known by all of the drive
         for decision in compare_with_old(around):
             self.decisions.append(decision)

@@ -31,12 +31,9 @@ _ONE_PLACE_M = 0.3
 #: Blocks of motions have sides of 2^level cells; the highest level, and of boxes that would have too many blocks there.
 _TOP_LEVEL, _HIGHEST_LEVEL = 4, 7
 #: Most blocks kept from one level to the next, and when a motion to measure the others by is looked for at first.
-_MOST_BLOCKS, _BEST_FIRST = 10_000, 100
+_MOST_BLOCKS, _BEAM_WIDTH = 10_000, 100
 #: A box whose best motion lies at its edge is made so much wider, at most so many times.
 _WIDER, _MOST_TIMES = 2.0, 2
-
-
-_Scored = Callable[[FloatArray, int], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,36 +136,41 @@ def _search(
     steepest = float(np.sqrt(np.linalg.eigvalsh(information[:2, :2])[-1]))
     constant = np.log1p(-_NOTHING) - np.log(max(_prior_mass(covariance) / (CELL_M**2 * grid[2]), 1.0))
 
-    def scored(blocks: FloatArray, level: int) -> tuple[FloatArray, FloatArray]:
-        """Log of the prior at the middles of blocks, and the bound of the posterior's log in each but for its slope."""
-        prior = constant + _log_student(blocks * grid, information)
-        return prior, prior + evidence_at(a, b, guess + blocks * grid, level) / looks
+    def prior(blocks: FloatArray) -> FloatArray:
+        """Log of the prior at the middles of blocks, (M,)."""
+        return constant + _log_student(blocks * grid, information)
+
+    def scored(blocks: FloatArray, level: int) -> FloatArray:
+        """Bound of the log of the posterior in blocks of a level, but for the prior's slope in them, (M,)."""
+        return prior(blocks) + evidence_at(a, b, guess + blocks * grid, level) / looks
 
     blocks = _first_blocks(reach, grid[2], first)
-    prior, scores = scored(blocks, first)
-    best = max(float(np.log(_NOTHING)), _descended(blocks, scores, first, scored))
+    scores = scored(blocks, first)
+    best = max(float(np.log(_NOTHING)), _beam_search(blocks, scores, first, scored))
     for level in range(first, -1, -1):
         if not level:
             best = max(best, float(scores.max(initial=best)))
         slack = _STEEPEST * np.sqrt(2.0) * 0.5 * (2**level - 1) * CELL_M * steepest
         kept = np.flatnonzero(scores + slack >= best - _NEGLIGIBLE)
         kept = kept[_largest(scores[kept], _MOST_BLOCKS)]
-        blocks, prior, scores = blocks[kept], prior[kept], scores[kept]
+        blocks, scores = blocks[kept], scores[kept]
         if level:
             blocks = split(blocks, level)
-            prior, scores = scored(blocks, level - 1)
+            scores = scored(blocks, level - 1)
     if not len(blocks):
         return SearchResult((), reach, False)
-    modes = _modes(guess, blocks, scores, scores - prior, grid, looks)
+    modes = _modes(guess, blocks, scores, scores - prior(blocks), grid, looks)
     edge = bool(np.any(np.abs(blocks[np.argmax(scores)] * grid) > reach - _edge(grid)))
     return SearchResult(modes, reach, edge and modes[0].probability > _NOTHING)
 
 
-def _descended(blocks: FloatArray, scores: FloatArray, level: int, scored: _Scored) -> float:
-    """The best motion that is found where at each level only the most promising blocks are split."""
+def _beam_search(
+    blocks: FloatArray, scores: FloatArray, level: int, scored: Callable[[FloatArray, int], FloatArray]
+) -> float:
+    """Score of the best motion found where of each level only the most promising blocks are split."""
     while level:
-        blocks, level = split(blocks[_largest(scores, _BEST_FIRST)], level), level - 1
-        scores = scored(blocks, level)[1]
+        blocks, level = split(blocks[_largest(scores, _BEAM_WIDTH)], level), level - 1
+        scores = scored(blocks, level)
     return float(scores.max())
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -98,9 +100,10 @@ def test_two_places_that_look_alike_are_ambiguous():
     assert abs(abs(found.pose[0]) - 1.0) < 0.06
 
 
-def test_a_block_bounds_all_motions_in_it():
+@pytest.mark.parametrize("plan", [room, corridor])
+def test_a_block_bounds_all_motions_in_it(plan: Callable[[], FloorPlan]):
     """Also where a point lies beside the raster in the middle of a block, and in the raster at its edge."""
-    a, b = (PlaceView(raster(corridor(), pose, seed)) for pose, seed in (((0.3, 0.1, 0.2), 3), ((0.0, 0.0, 0.0), 4)))
+    a, b = (PlaceView(raster(plan(), pose, seed)) for pose, seed in (((0.3, 0.1, 0.2), 3), ((0.0, 0.0, 0.0), 4)))
     rng = np.random.default_rng(0)
     unit = np.array((0.5 * CELL_M, 0.5 * CELL_M, 0.02))
     for level in (1, 2, 3, 4):
