@@ -64,14 +64,6 @@ WORKLOADS: dict[str, Workload] = {
         short={"keyframes": 1000},
         gated=True,
     ),
-    "keyframe": Workload(
-        "A keyframe of 75,000 points",
-        "From the scan to the graph, processor time of every stage, medians over the keyframes once the map has its "
-        "planes. Arranging and segmenting are parts of measuring, measured by themselves; associating, updating and "
-        "iSAM2 are parts of estimating. In the simulated hall the last position and the planes are held against the "
-        "truth.",
-        short=_QUICK,
-    ),
     "lidar": Workload(
         "A lidar without odometry",
         "Simulated drives of 32 rings of 900 beams: ours from clouds to map and verdict, beside KISS-ICP from the same "
@@ -97,12 +89,6 @@ WORKLOADS: dict[str, Workload] = {
         "is what they take). The yardstick is a fixed piece of numpy and Python in the same process.",
         short=_QUICK,
         gated=True,
-    ),
-    "jobs": Workload(
-        "Processes that measure",
-        "The push-broom office with keyframes measured by one process, and by two ahead of the estimate, in turn; the "
-        "fastest of each, since other work on the machine only adds.",
-        short=_QUICK,
     ),
     "corpus": Workload(
         "Corpus",

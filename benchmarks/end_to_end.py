@@ -1,6 +1,6 @@
 """From log to map: how good, how long in which stage, how much memory; each mission in a process of its own.
 
-Run as ``python -m benchmarks.end_to_end``. One thread. Kernels come from the cache: a mission before has loaded nothing
+Run as ``python -m benchmarks end_to_end``. One thread. Kernels come from the cache: a mission before has loaded nothing
 else. Nothing surveyed is known of `loop5`; the figure is how far its long walls are from one another's right angles.
 """
 
@@ -15,7 +15,6 @@ import numpy as np
 
 from benchmarks._measure import PROJECT, Row
 from benchmarks._own_process import in_own_process
-from benchmarks._table import plain
 
 DATA = PROJECT.parent / "shared" / "data"
 #: Walls of at least this length, m, seen from at least so many keyframes, show whether the corridors are straight.
@@ -203,12 +202,3 @@ def run(*, short: bool = False) -> list[Row]:
     names = [name for name, (folder, _) in _MISSIONS.items() if (DATA / folder).is_dir()]
     wanted = [name for name in names if not (short and name == "intel")]
     return [{"mission": name, **in_own_process(partial(measured_mission, name))} for name in wanted]
-
-
-def main() -> None:
-    """Print the table."""
-    print(plain(run()))
-
-
-if __name__ == "__main__":
-    main()

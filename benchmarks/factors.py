@@ -1,6 +1,6 @@
 """Cost of the factors beside GTSAM's own, in one run; those of mrob are in ``benchmarks.views``.
 
-Run as ``python -m benchmarks.factors``. One thread; contenders in turn, medians of repeats, kernels warmed up.
+Run as ``python -m benchmarks factors``. One thread; contenders in turn, medians of repeats, kernels warmed up.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import numpy as np
 
 from benchmarks._factor_scenes import plane_key, pose_key, random_frames, random_poses, walk
 from benchmarks._measure import CPU, EACH, Case, Row, Task, measured
-from benchmarks._table import plain
 from factors import line_factor, plane_factor, plane_factors, plane_landmark
 from factors._conventions import square_root_informations
 from spplanes import Plane, ScanLine
@@ -201,12 +200,3 @@ def run(*, short: bool = False) -> list[Row]:
         if row["case"] in bare and row["by"] != WITHOUT:
             row[EACH] = 1e3 * (row[CPU] - bare[row["case"]]) / LINES
     return rows
-
-
-def main() -> None:
-    """Print the table."""
-    print(plain(run()))
-
-
-if __name__ == "__main__":
-    main()

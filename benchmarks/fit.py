@@ -1,6 +1,6 @@
 """Plane fits with covariance beside plain numpy, and beside the uncertainty-free fits of Open3D and mrob.
 
-Run as ``python -m benchmarks.fit``. One thread. Accuracy is the angle between the normal and the true one and the
+Run as ``python -m benchmarks fit``. One thread. Accuracy is the angle between the normal and the true one and the
 distance of the true plane's middle from the plane; of many planes their medians, and the mean NEES of those fits that
 have a covariance (3 is right).
 """
@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks._measure import Case, Peer, Row, Task, measured
-from benchmarks._table import plain
 from benchmarks.peers import environment
 from spplanes import Plane, fit_plane, fit_planes
 from spplanes.fitting.fit import Method
@@ -219,12 +218,3 @@ CASES: dict[str, Case] = {
 def run(*, short: bool = False) -> list[Row]:
     """One row for each contender of each case."""
     return measured("benchmarks.fit", CASES, short=short)
-
-
-def main() -> None:
-    """Print the table."""
-    print(plain(run()))
-
-
-if __name__ == "__main__":
-    main()

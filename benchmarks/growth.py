@@ -1,7 +1,6 @@
 """How time and memory grow with the mission: lap after lap of an office, keyframes drawn from its true planes.
 
-`python -m benchmarks.growth [KEYFRAMES] [PASSES]`; 10,000 keyframes, 64 laps, take ten minutes or more of processor
-time, so 2000 by default. PASSES: of `ThinningConfig`, 0 keeps every keyframe in the graph.
+Run as `python -m benchmarks growth`; 10,000 keyframes, 64 laps, take ten minutes or more of processor time.
 
 Every keyframe sees a dozen planes near the robot, drawn from their own covariance, and drives half a metre on by an
 odometry that drifts; nothing is measured from points, so the time is that of the estimator alone.
@@ -9,7 +8,6 @@ odometry that drifts; nothing is measured from points, so the time is that of th
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +16,6 @@ import numpy as np
 from shapely import Polygon, box
 
 from slam import PlaneSlam, SlamConfig
-from slam.config import ThinningConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion, planar_delta
@@ -33,15 +30,9 @@ STEP_M, REACH_M, PATCH_M, MOST = 0.5, 5.0, 2.5, 12
 SIGMAS = np.array([0.003, 0.004, 0.004])
 
 
-def run(keyframes: int = 2000, passes: int | None = None, seed: int = 0) -> list[dict]:
+def run(keyframes: int = 2000, seed: int = 0) -> list[dict]:
     """One row for every tenth of a mission."""
-    return list(tenths(keyframes, passes, seed))
-
-
-def tenths(keyframes: int, passes: int | None = None, seed: int = 0) -> Iterator[dict]:
-    """The rows, each as soon as it is known."""
-    rules = ThinningConfig() if passes is None else ThinningConfig(passes=passes)
-    slam, spent = PlaneSlam(SlamConfig(thinning=rules)), _Spent()
+    slam, spent, rows = PlaneSlam(SlamConfig()), _Spent(), []
     ends = {int(part[-1]) for part in np.array_split(np.arange(keyframes), 10)}
     truth: list[np.ndarray] = []
     first: float | None = None
@@ -53,13 +44,16 @@ def tenths(keyframes: int, passes: int | None = None, seed: int = 0) -> Iterator
             away = slam.trajectory.poses[index + 1 - count :, :2, 3] - np.array(truth)[:, :2, 3]
             row = spent.row(slam)
             first = first or row["median, ms"]
-            yield {
-                "keyframes": f"{index + 1 - count} to {index} of {keyframes}",
-                **row,
-                "of the first tenth": row["median, ms"] / first,
-                "position, cm rms": 100.0 * float(np.sqrt((away**2).sum(axis=1).mean())),
-            }
+            rows.append(
+                {
+                    "keyframes": f"{index + 1 - count} to {index} of {keyframes}",
+                    **row,
+                    "of the first tenth": row["median, ms"] / first,
+                    "position, cm rms": 100.0 * float(np.sqrt((away**2).sum(axis=1).mean())),
+                }
+            )
             truth.clear()
+    return rows
 
 
 class _Spent:
@@ -156,16 +150,3 @@ def _measured(plane: Plane, patch: Polygon, body_T_world: np.ndarray, rng: np.ra
 
 def _resident_mb() -> float:
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * 4096 / 1e6
-
-
-def main() -> None:
-    """Print the tenths of a mission as they end."""
-    for number, row in enumerate(tenths(*[int(word) for word in sys.argv[1:3]] or [2000])):
-        if number == 0:
-            print("  ".join(row))
-        words = (value if isinstance(value, str) else f"{value:.4g}" for value in row.values())
-        print("  ".join(word.rjust(len(name)) for name, word in zip(row, words, strict=True)), flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -75,7 +75,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     told = false_joins(missions, given.significance)
     print(f"{sum(told.values())} pairs of {given.buildings} different buildings: {dict(told)}", flush=True)
     return 0
-
-
-if __name__ == "__main__":
-    main()

@@ -1,18 +1,16 @@
 """A spinning lidar without odometry: ours from clouds to map, KISS-ICP from the same clouds to poses.
 
-Run as ``python -m benchmarks.lidar``. Simulated drives of the corpus, 32 rings of 900 beams: an office, a cluttered
+Run as ``python -m benchmarks lidar``. Simulated drives of the corpus, 32 rings of 900 beams: an office, a cluttered
 room and a hall. KISS-ICP knows all of a cloud to be of one moment, and no more of the sensor.
 """
 
 from __future__ import annotations
 
-import json
 from functools import cache, partial
 
 import numpy as np
 
 from benchmarks._measure import Case, Peer, Row, Task, measured
-from benchmarks._table import plain
 from benchmarks.corpus.drives import Recipe, make_drive
 from benchmarks.peers import environment
 from slam.config import SlamConfig
@@ -79,7 +77,3 @@ def run(*, short: bool = False) -> list[Row]:
     """Rows of all drives; of the first one where it is to be short."""
     cases = dict(list(CASES.items())[:1]) if short else CASES
     return measured("benchmarks.lidar", cases, short=short)
-
-
-if __name__ == "__main__":
-    print(json.dumps(plain(run())))

@@ -1,6 +1,6 @@
 """Lines of laser scans beside a textbook split on the same scans: speed, what is found and what is false.
 
-Run as ``python -m benchmarks.lines``. One thread. Random rooms and corridors of `benchmarks._line_world` with truth, 10
+Run as ``python -m benchmarks lines``. One thread. Random rooms and corridors of `benchmarks._line_world` with truth, 10
 and 30 mm of noise, and, where they are, the real logs. The textbook's split (iterative end points, three sigma) has no
 covariance and no statistics; its pieces are judged as lines by their beams alone, and that judging is not timed.
 """
@@ -17,7 +17,6 @@ from numba import njit
 from benchmarks._line_score import Score
 from benchmarks._line_world import Truth, World, cast, random_corridor, random_room
 from benchmarks._measure import PROJECT, Case, Row, Task, measured
-from benchmarks._table import plain
 from spplanes import LineConfig, ScanLine, extract_lines
 
 DATA = PROJECT.parent / "shared" / "data"
@@ -165,12 +164,3 @@ for _log in ("intel", "loop5"):
 def run(*, short: bool = False) -> list[Row]:
     """One row for each contender of each kind of scan."""
     return measured("benchmarks.lines", CASES, short=short)
-
-
-def main() -> None:
-    """Print the table."""
-    print(plain(run()))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """Planes of whole scenes beside Open3D's two ways, on the same points: accuracy, time and memory.
 
-Run as ``python -m benchmarks.scenes``. Open3D gets the points that are returns, as a cloud; normals, which its patches
+Run as ``python -m benchmarks scenes``. Open3D gets the points that are returns, as a cloud; normals, which its patches
 need, are part of its time.
 """
 
@@ -17,7 +17,6 @@ import numpy as np
 from benchmarks._boxes import polyhedra_scan
 from benchmarks._measure import PROJECT, Case, Row, Task, measured
 from benchmarks._scans import CORRIDOR_SENSOR, correct_detections, corridor_scan, icl_frame, synpeb_scan
-from benchmarks._table import plain
 from slam.sensors.rig import LocalisationNoise
 from slam.simulation import simulate_mission
 from spplanes import MapperConfig, Plane, segment_scans
@@ -233,12 +232,3 @@ CASES: dict[str, Case] = {name: case for name, (folder, case) in _ALL.items() if
 def run(*, short: bool = False) -> list[Row]:
     """One row for each contender of each scene that is there."""
     return measured("benchmarks.scenes", CASES, short=short)
-
-
-def main() -> None:
-    """Print the table."""
-    print(plain(run()))
-
-
-if __name__ == "__main__":
-    main()

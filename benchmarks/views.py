@@ -1,6 +1,6 @@
 """Poses and planes from points, many views at once: ours beside mrob's pi-factor and Eigen-Factors on the same points.
 
-Run as ``python -m benchmarks.views``. Where mrob is not there, its accuracy on ef_bench is the one recorded with the
+Run as ``python -m benchmarks views``. Where mrob is not there, its accuracy on ef_bench is the one recorded with the
 data. One repeat of a setting is all of its samples; times are per sample.
 """
 
@@ -15,7 +15,6 @@ import numpy as np
 
 from benchmarks._factor_scenes import many_views, plane_key, pose_key
 from benchmarks._measure import CPU, MEMORY, PROJECT, WALL, Case, Peer, Row, Task, measured
-from benchmarks._table import plain
 from benchmarks.peers import environment
 from factors import facing, plane_factors, plane_landmark
 from spplanes import Plane, fit_planes
@@ -150,12 +149,3 @@ CASES: dict[str, Case] = _settings() | {"100 poses, 30 planes, 50 points each": 
 def run(*, short: bool = False) -> list[Row]:
     """One row for each contender of each setting."""
     return measured("benchmarks.views", CASES, short=short)
-
-
-def main() -> None:
-    """Print the table."""
-    print(plain(run()))
-
-
-if __name__ == "__main__":
-    main()

@@ -155,7 +155,3 @@ def read_rows(path: Path) -> list[Row]:
     except (json.JSONDecodeError, KeyError, TypeError) as error:
         raise ValueError(f"{path}: expected rows that --json wrote, got something else") from error
     return rows
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -111,7 +111,3 @@ def _moved(ratios: Mapping[tuple[str, int], float]) -> tuple[list[str], list[str
         if abs(mean) > _STANDARD_ERRORS * error:
             (worse if mean > 0.0 else better).append(f"{kind} ({np.exp(mean):.2f} x)")
     return worse, better
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import tempfile
 import venv
 from pathlib import Path
@@ -85,7 +84,3 @@ def version(package: str) -> str | None:
     words = [python, "-c", f"from importlib.metadata import version; print(version({package!r}))"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     return done.stdout.strip() or None
-
-
-if __name__ == "__main__":
-    print(make(), file=sys.stderr)
