@@ -39,8 +39,3 @@ def test_two_frames_for_one_landmark_are_refused(anchor, told):
         landmark_anchors(graph)
     with pytest.raises(ValueError, match=f"anchor_keys: expected one anchor .* got two for l12: a0 and {told}"):
         plane_factors([PLANE, PLANE], [X, gtsam.symbol("x", 7)], [OTHER, OTHER], [A, anchor])
-
-
-def test_no_graph():
-    with pytest.raises(ValueError, match="graph: expected a NonlinearFactorGraph, got Values"):
-        landmark_anchors(gtsam.Values())

@@ -10,8 +10,6 @@ from factors import (
     plane_factor,
     pose_prior,
     relative_pose_factor,
-    world_plane,
-    world_plane_from_joint,
 )
 from spplanes import Plane
 from tests.factors.factor_scenes import TIED_NORMALS, A, L, X, frame_of
@@ -47,14 +45,6 @@ def test_isam_covariance_is_that_of_a_batch_at_the_estimate(keys):
         np.testing.assert_allclose(isam_covariance(isam, estimate, keys) / scale, batch / scale, atol=0.05)
         turned += np.abs(isam.jointMarginalCovariance(list(keys)).fullMatrix() / scale - batch / scale).max() > 0.5
     assert turned >= 4  # or the bases never jumped, and the test says nothing
-
-
-def test_a_world_plane_out_of_isam():
-    isam, graph, estimate = run(np.array([0.0, 0.0, 1.0]))
-    joint = isam_covariance(isam, estimate, (A, L))
-    ours = world_plane_from_joint(estimate.atOrientedPlane3(L), estimate.atPose3(A), joint)
-    batch = world_plane(estimate, gtsam.Marginals(graph, estimate), L, anchor_key=A)
-    np.testing.assert_allclose(np.diag(ours.covariance), np.diag(batch.covariance), rtol=0.05)
 
 
 def test_bad_keys():

@@ -7,10 +7,8 @@ difference does not scatter as chi2 does, and few draws tell a covariance that i
 import gtsam
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from factors import line_factor, plane_factors
-from factors._conventions import square_root_informations
 from spplanes import Plane
 from tests.factors.factor_scenes import (
     TIED_NORMALS,
@@ -25,15 +23,10 @@ from tests.factors.factor_scenes import (
     random_pose,
     values_of,
 )
+from tests.statistics import mean_nees_band
 
 SAMPLES = 20
 N_RANDOM = 200  # with the tied ones: 218 normals
-
-
-def band(dof: int, runs: int, level: float) -> tuple[float, float]:
-    """Band of the mean of ``runs`` chi2 variables of ``dof`` degrees of freedom."""
-    tail = (1.0 - level) / 2.0
-    return chi2.ppf(tail, dof * runs) / runs, chi2.ppf(1.0 - tail, dof * runs) / runs
 
 
 def normals() -> np.ndarray:
@@ -66,20 +59,8 @@ def mean_nis_at(form: str, index: int, normal: np.ndarray) -> float:
     in_world = seen.transform(pose.inverse())
     at = {"anchored": in_world.transform(anchor), "own anchor": seen}.get(form, in_world)
     values = values_of(x0=pose, a0=anchor, l0=at)
-    if form == "stock":
-        return nis(stock_graph(planes), values) / drawn
     anchor_keys = {"anchored": [A] * SAMPLES, "own anchor": [X] * SAMPLES}.get(form)
     return nis(plane_factors(planes, [X] * SAMPLES, [L] * SAMPLES, anchor_keys), values) / drawn
-
-
-def stock_graph(planes: list[Plane]) -> gtsam.NonlinearFactorGraph:
-    """Stock factors given our covariance in GTSAM's own basis and sign: all that can be done for them."""
-    frames, covariances = np.stack([p.frame for p in planes]), np.stack([p.covariance for p in planes])
-    graph = gtsam.NonlinearFactorGraph()
-    for plane, root in zip(planes, square_root_informations(frames, covariances), strict=True):
-        noise = gtsam.noiseModel.Gaussian.SqrtInformation(root)
-        graph.push_back(gtsam.OrientedPlane3Factor(np.array([*plane.normal, -plane.d]), noise, X, L))
-    return graph
 
 
 @pytest.mark.parametrize(
@@ -90,15 +71,6 @@ def test_plane_factor_at_every_normal(form: str, each: float, mean: float):
     ratios = np.array([mean_nis_at(form, i, normal) for i, normal in enumerate(normals())])
     np.testing.assert_allclose(ratios, 1.0, atol=each)
     assert ratios.mean() == pytest.approx(1.0, abs=mean)
-
-
-def test_the_stock_factor_fails_where_components_tie():
-    """Why this package exists: with the same covariance the stock factor is right only away from ties."""
-    stock = np.array([mean_nis_at("stock", i, normal) for i, normal in enumerate(normals()[:30])])
-    ours = np.array([mean_nis_at("world", i, normal) for i, normal in enumerate(normals()[:30])])
-    np.testing.assert_allclose(ours, 1.0, atol=0.01)
-    assert (stock > 1.2).sum() >= 10
-    assert stock.max() > 100.0
 
 
 def true_line(plane: gtsam.OrientedPlane3, world_T_sensor: gtsam.Pose3) -> tuple[float, float]:
@@ -182,12 +154,6 @@ def test_native_line_factor_seen_along_a_line_through_the_origin():
     assert factor.error(values) > 1e-3
 
 
-def test_native_line_factor_needs_a_plane_that_cuts():
-    with pytest.raises(ValueError, match=r"expected: expected a plane that cuts the scan plane, got one at 0 rad"):
-        floor = gtsam.OrientedPlane3(0.0, 0.0, 1.0, 1.0)
-        line_factor(make_line(0.3, 1.0, np.eye(2)), np.eye(4), X, L, anchor_key=A, expected=floor)
-
-
 @pytest.mark.parametrize("tilt_deg", [0.3, 1.0, 1.6, 3.0])
 def test_second_order_of_far_patches_is_corrected(tilt_deg):
     """A patch 8 m away whose tilt is uncertain: honest NIS, and no bias left in the mean of many observations.
@@ -202,7 +168,7 @@ def test_second_order_of_far_patches_is_corrected(tilt_deg):
     n = len(planes)
     graph = plane_factors(planes, [X] * n, [L] * n, [A] * n)
     values = values_of(x0=gtsam.Pose3(), a0=gtsam.Pose3(), l0=gtsam.OrientedPlane3(0.0, 0.0, 1.0, -8.0))
-    low, high = band(3, n, 0.999)
+    low, high = mean_nees_band(n, 3, 0.999)
     assert low < nis(graph, values) < high
     for key in (X, A):
         graph.addPriorPose3(key, gtsam.Pose3(), gtsam.noiseModel.Isotropic.Sigma(6, 1e-9))

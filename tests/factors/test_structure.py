@@ -95,13 +95,3 @@ def test_size_of_the_angle_errors():
         assert direction_prior(LB, normal, 0.02).error(values) == pytest.approx(expected, rel=1e-6)
         assert upright_prior(LB, 0.02, up=frame[:3, 0]).error(values) == pytest.approx(expected, rel=1e-6)
         assert upright_prior(LB, 0.02, up=frame[:3, 1]).error(values) < 1e-12
-
-
-def test_the_same_plane_twice_is_refused():
-    with pytest.raises(ValueError, match=r"plane_b: expected another landmark than plane_a"):
-        parallel_factor(LA, LA, 0.1)
-
-
-def test_no_direction_is_refused():
-    with pytest.raises(ValueError, match=r"direction: expected a direction, got the zero vector"):
-        direction_prior(LA, (0.0, 0.0, 0.0), 0.1)

@@ -1,9 +1,10 @@
-"""Every other public function that takes arrays, each fed with any floats: the first number chooses which."""
+"""Every public function that takes arrays, each fed with any floats: the first number chooses which."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,22 @@ import gtsam
 import numpy as np
 
 import factors
-from spplanes import Location, Moments, Plane, ScanLine
+from slam import Keyframe, PlaneSlam
+from slam.frontend.odometry import Motion
+from spplanes import (
+    Location,
+    Moments,
+    Plane,
+    PlaneMapper,
+    ScanLine,
+    extract_lines,
+    fit_plane,
+    fit_planes,
+    segment_cloud,
+    segment_scans,
+)
 from tests.fuzz.target import Target, check_plane, check_pose
-from tests.slam.scenes import room_planes
+from tests.slam.scenes import drive, room_planes
 
 
 class Numbers:
@@ -40,6 +54,10 @@ class Numbers:
     def line(self) -> ScanLine:
         """A line of any numbers."""
         return ScanLine(self.number(), self.number(), self.array(2, 2), self.array(2, 2), np.arange(3), 1.0)
+
+    def covariances(self, count: int, size: int) -> np.ndarray:
+        """So many of this size."""
+        return np.stack([self.array(size, size) for _ in range(count)])
 
     def location(self) -> Location:
         """A location of all six rows."""
@@ -69,9 +87,44 @@ class Numbers:
         return extents
 
 
+@cache
+def _drive() -> list[Keyframe]:
+    return drive(0, count=4).keyframes
+
+
+def _mapped(n: Numbers) -> list[Plane]:
+    """Planes of four scans of twelve beams, each with its covariance."""
+    scans, covariance, mapper = n.array(4, 12, 3), n.array(3, 3), PlaneMapper()
+    for points in scans:
+        mapper.add_scan(points, np.repeat(covariance[None], 12, axis=0))
+    return mapper.planes
+
+
+def _driven(n: Numbers) -> list[np.ndarray]:
+    """Poses of a drive of two keyframes, then one of any numbers, then one that is right again."""
+    frame, covariance, step, moved, later_s = n.array(4, 4), n.array(3, 3), n.array(4, 4), n.array(3, 3), n.number()
+    known, slam, problem = _drive(), PlaneSlam(), None
+    for keyframe in known[:2]:
+        slam.add_keyframe(keyframe)
+    try:
+        line = ScanLine(*step[0, :2].tolist(), covariance[:2, :2], frame[:2, :2], np.arange(3), 1.0)
+        seen = [factors.PlaneObservation(Plane(frame, covariance, 10)), factors.LineObservation(line, frame)]
+        stamp_ns = known[1].stamp_ns + int(1e9 * np.clip(np.nan_to_num(later_s), -1.0, 0.5))
+        slam.add_keyframe(Keyframe(stamp_ns, seen, Motion(step, moved, (1e-3, 1e-3, 1e-3))))
+    except ValueError as error:
+        problem = error
+        assert len(slam.keyframes) == 2, "a keyframe that was refused left a trace"
+    slam.add_keyframe(known[2])
+    for pose in slam.trajectory.poses:
+        check_pose(pose)
+    if problem is not None:
+        raise problem
+    return []
+
+
 Call = Callable[[Numbers], Any]
 
-#: What is called of each public name, and what must hold of the answer is checked by its kind (`_check`).
+#: What is called of each public name, of some in two ways; `_check` knows what must hold of answers of each kind.
 CALLS: dict[str, Call] = {
     "spplanes.Location": Numbers.location,
     "spplanes.Location.point": lambda n: Location.point(n.array(3), n.array(3, 3)),
@@ -89,6 +142,25 @@ CALLS: dict[str, Call] = {
         Moments.from_points(n.array(3, 3), n.array(3)).merge(Moments.from_points(n.array(3, 3), n.array(3))).scatter
     ),
     "spplanes.Moments.plane": lambda n: Moments.from_points(n.array(5, 3), n.array(5)).plane(),
+    "spplanes.fit_plane": lambda n: fit_plane(n.array(9, 3), sigma=n.number()),
+    "spplanes.fit_plane, scans": lambda n: fit_plane(
+        n.array(6, 3), n.covariances(6, 3), scan_index=np.arange(6) % 2, pose_covariances=n.covariances(2, 6)
+    ),
+    "spplanes.fit_planes": lambda n: fit_planes(
+        n.array(6, 3), n.covariances(6, 3), np.zeros(6, dtype=np.int64), method="sp"
+    ),
+    "spplanes.extract_lines": lambda n: extract_lines(
+        sigma=n.number(), ranges=n.array(90), angles=np.linspace(-np.pi, np.pi, 90, endpoint=False)
+    ),
+    "spplanes.segment_scans": lambda n: segment_scans(sigma=n.number(), points=n.array(12, 16, 3))[1],
+    "spplanes.segment_cloud": lambda n: (
+        segment_cloud(sigma=n.number(), cloud=n.array(192, 3), viewpoint=n.array(3)).planes
+    ),
+    "spplanes.PlaneMapper.add_scan": _mapped,
+    "spplanes.Plane": Numbers.plane,
+    "spplanes.Plane.transform": lambda n: n.plane().transform(n.array(4, 4), n.array(6, 6)),
+    "spplanes.Plane.merge": lambda n: n.plane().merge(n.plane()),
+    "spplanes.Plane.mahalanobis": lambda n: n.plane().mahalanobis(n.plane()),
     "spplanes.Plane.from_hesse": lambda n: Plane.from_hesse(n.array(3), n.number(), n.array(3, 3), centre=n.array(3)),
     "spplanes.Plane.distance": lambda n: n.plane().distance(n.array(4, 3)),
     "spplanes.Plane.project": lambda n: n.plane().project(n.array(4, 3)),
@@ -114,6 +186,9 @@ CALLS: dict[str, Call] = {
     "factors.planar_motion_factor": lambda n: factors.planar_motion_factor(
         0, height=n.number(), sigmas=n.array(3).tolist()
     ),
+    "factors.plane_factor": lambda n: factors.plane_factor(n.plane(), 0, 2),
+    "factors.line_factor": lambda n: factors.line_factor(n.line(), n.array(4, 4), 0, 2),
+    "factors.odometry_factor": lambda n: factors.odometry_factor(0, 1, n.array(3), n.array(3, 3)),
     "factors.plane_factors": lambda n: factors.plane_factors([n.plane()], [0], [2], [1]),
     "factors.plane_landmark": lambda n: factors.plane_landmark(n.plane(), n.array(4, 4)),
     "factors.plane_prior": lambda n: factors.plane_prior(n.plane(), 2),
@@ -140,18 +215,11 @@ CALLS: dict[str, Call] = {
     "factors.associate": lambda n: factors.associate(
         [n.plane(), n.line_observation()], n.prediction(), n.extents(), least_probability=n.number()
     ),
+    "slam.PlaneSlam.add_keyframe": _driven,
 }
-#: Those that a target of their own feeds (`tests.fuzz.functions`).
-ELSEWHERE = {
-    *("spplanes.Plane", "spplanes.Plane.transform", "spplanes.Plane.merge", "spplanes.Plane.mahalanobis"),
-    *("spplanes.Plane.to_dict", "spplanes.Plane.from_dict", "spplanes.PlaneMapper", "spplanes.PlaneMapper.add_scan"),
-    *("spplanes.extract_lines", "spplanes.fit_plane", "spplanes.fit_planes", "spplanes.segment_scans"),
-    "spplanes.segment_cloud",
-    *("factors.line_factor", "factors.odometry_factor", "factors.plane_factor"),
-    *("slam.PlaneSlam", "slam.PlaneSlam.add_keyframe", "slam.Keyframe"),
-}
-#: Those that take no array: settings, paths, what GTSAM made itself, or nothing.
+#: Those that take no array (settings, paths, what GTSAM made itself, or nothing), or are part of a call above.
 WITHOUT_ARRAYS = {
+    *("spplanes.Plane.to_dict", "spplanes.Plane.from_dict", "spplanes.PlaneMapper", "slam.PlaneSlam", "slam.Keyframe"),
     *("spplanes.__version__", "spplanes.LineConfig", "spplanes.MapperConfig", "spplanes.MapperConfig.for_rows"),
     *("spplanes.Moments", "spplanes.Moments.from_row", "spplanes.Moments.as_row", "spplanes.PlaneMapper.labels"),
     *("factors.copy_graph", "factors.isam2_parameters", "factors.landmark_anchors", "factors.settle"),
@@ -187,6 +255,9 @@ def _check(answer: Any) -> None:
     elif isinstance(answer, factors.Association):
         told = np.array([sum(one.probabilities.values()) for one in answer.identities])
         np.testing.assert_allclose(told, 1.0)
+    elif isinstance(answer, list | tuple):
+        for one in answer:
+            _check(one)
     elif isinstance(answer, np.ndarray | float):
         assert not np.isnan(answer).any()
     elif isinstance(answer, gtsam.NonlinearFactor | gtsam.NonlinearFactorGraph):
@@ -206,9 +277,11 @@ def _seeds() -> list[bytes]:
     return [seed_of(number) for number in range(len(CALLS))]
 
 
-def seed_of(number: int) -> bytes:
-    """Numbers that one of them takes."""
-    return np.concatenate(([float(number)], _numbers_for(list(CALLS)[number]))).tobytes()
+def seed_of(number: int, changed: dict[int, float] | None = None) -> bytes:
+    """Numbers that one of them takes, but for some at these places."""
+    numbers = _numbers_for(list(CALLS)[number])
+    numbers[list(changed or {})] = list((changed or {}).values())
+    return np.concatenate(([float(number)], numbers)).tobytes()
 
 
 def _numbers_for(name: str) -> np.ndarray:
@@ -221,9 +294,13 @@ def _numbers_for(name: str) -> np.ndarray:
 
         def array(self, *shape: int) -> np.ndarray:
             if shape == (4, 4):
-                found = np.eye(4) if "ScanLine" in name or "2d" in name else room_planes()[len(self.given) % 4].frame
+                flat = any(word in name for word in ("ScanLine", "2d", "keyframe", "merge"))
+                found = np.eye(4) if flat else room_planes()[len(self.given) % 4].frame
             elif len(shape) == 2 and shape[0] == shape[1]:
                 found = 1e-3 * np.eye(shape[0])
+            elif len(shape) == 3:
+                y, z = np.meshgrid(np.linspace(-1.0, 1.0, shape[1]), np.linspace(0.0, 2.0, shape[0]))
+                found = np.stack((np.full(y.shape, 2.0), y, z), axis=2)
             elif shape == (3,):
                 found = np.array([0.48, 0.6, 0.64])
             else:

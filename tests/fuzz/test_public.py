@@ -7,10 +7,9 @@ import inspect
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from tests.fuzz.public import CALLS, ELSEWHERE, PUBLIC, WITHOUT_ARRAYS, seed_of
+from tests.fuzz.public import CALLS, PUBLIC, WITHOUT_ARRAYS, seed_of
 
 
 def _public_names() -> Iterator[str]:
@@ -28,7 +27,7 @@ def _public_names() -> Iterator[str]:
 
 def test_every_public_function_is_fuzzed_or_takes_no_array():
     names = set(_public_names())
-    listed = [set(CALLS), ELSEWHERE, WITHOUT_ARRAYS]
+    listed = [{name.split(",")[0] for name in CALLS}, WITHOUT_ARRAYS]
     assert names - set.union(*listed) == set(), "say in tests/fuzz/public.py how to call them"
     assert set.union(*listed) - names == set(), "no longer public"
     assert sum(map(len, listed)) == len(set.union(*listed))
@@ -38,16 +37,3 @@ def test_every_public_function_is_fuzzed_or_takes_no_array():
 def test_what_it_takes_is_an_answer(number: int, tmp_path: Path):
     (target,) = PUBLIC
     assert target.run(seed_of(number), tmp_path)
-
-
-def _said(name: str, *numbers: float) -> bytes:
-    return np.array([list(CALLS).index(name), *numbers]).tobytes()
-
-
-def test_noise_whose_inverse_is_infinite_is_refused(tmp_path: Path):
-    assert not PUBLIC[0].run(_said("factors.parallel_factor", 1e-310), tmp_path)
-
-
-def test_lines_that_differ_where_both_are_certain_are_infinitely_far_apart(tmp_path: Path):
-    certain = [0.1, 1.0, 1e-310, 0.0, 0.0, 1e-310, 0.0, 0.0, 0.0, 0.0]
-    assert PUBLIC[0].run(_said("spplanes.ScanLine.mahalanobis", *certain, 0.2, 9.0, *certain[2:]), tmp_path)
