@@ -294,10 +294,10 @@ MUTATIONS = (
     ),
     Mutation(
         "io: quaternions that are none are taken",
-        "slam/geometry/quaternions.py",
+        "slam/geometry/frames.py",
         "NORM_TOLERANCE = 1e-3",
         "NORM_TOLERANCE = 1e3",
-        "tests/slam/geometry/test_quaternions.py tests/slam/io/test_trajectories.py",
+        "tests/slam/geometry/test_frames.py tests/slam/io/test_trajectories.py",
     ),
     Mutation(
         "io: rotations that are none are taken",

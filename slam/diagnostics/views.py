@@ -14,8 +14,7 @@ from scipy.spatial import KDTree
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy import LEAST_GAP_M, MOVABLE_M, free_standing
 from slam.frontend.scan_surfaces import ON_EDGE, moved
-from slam.geometry.frames import way_to
-from slam.geometry.sampling import evenly
+from slam.geometry.frames import evenly, way_to
 from slam.loop_closure.candidates import nearest_of_each
 from slam.registration.visibility import Scan, Sight
 from spplanes._check import FloatArray

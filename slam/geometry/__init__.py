@@ -1,1 +1,1 @@
-"""Geometry: rigid transforms, polygons, extents of planes, a spatial index."""
+"""Geometry: rigid transforms, polygons."""

@@ -1,14 +1,29 @@
-"""Small rigid-frame helpers of the run: inverse, moving points, plane frames that follow an estimate."""
+"""Rigid transforms of a run: inverse, nearest rotation, frames of planes, poses on the floor and of quaternions."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from spplanes._check import FloatArray
 from spplanes.outlines.growing import lift
 from spplanes.spmodel import inverse_transform as inverse
 
-__all__ = ["inverse", "lift", "orthonormal", "settle_frame"]
+__all__ = [
+    "NORM_TOLERANCE",
+    "evenly",
+    "inverse",
+    "lift",
+    "norms_of",
+    "orthonormal",
+    "planar_transform",
+    "poses_of",
+    "settle_frame",
+    "way_to",
+]
+
+#: A quaternion, a normal or a rotation that somebody wrote down may miss unit norm by this much: four digits.
+NORM_TOLERANCE = 1e-3
 
 
 def orthonormal(transform: FloatArray) -> FloatArray:
@@ -50,3 +65,32 @@ def way_to(poses: FloatArray) -> FloatArray:
     """Length of the way on the floor from the first of some poses (N, 4, 4) to each, m, shape (N,)."""
     steps = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1)
     return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def evenly(count: int, most: int) -> list[int]:
+    """Indices of at most so many of `count` elements, evenly over all of them: the sample of a long run is as good."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+
+
+def norms_of(quaternions: FloatArray) -> tuple[FloatArray, np.ndarray]:
+    """Norms (N,) of quaternions (N, 4), and which of them (N,) are no unit: infinite and NaN are none either."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        norms = np.linalg.norm(quaternions, axis=1)
+    return norms, ~(np.abs(norms - 1.0) <= NORM_TOLERANCE)
+
+
+def poses_of(numbers: FloatArray) -> FloatArray:
+    """Rows x y z qx qy qz qw (N, 7) as transforms (N, 4, 4); the quaternions are normalised.
+
+    Raises:
+        ValueError: a position that is not finite, or a quaternion that is none; the sentence has the first one's norm.
+    """
+    norms, wrong = norms_of(numbers[:, 3:])
+    for bad in np.flatnonzero(wrong)[:1]:
+        raise ValueError(f"expected a unit quaternion, got one of norm {norms[bad]:.6g}")
+    if not np.isfinite(numbers[:, :3]).all():
+        raise ValueError("expected finite positions, got NaN or infinity")
+    poses = np.tile(np.eye(4), (len(numbers), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(numbers[:, 3:]).as_matrix()
+    poses[:, :3, 3] = numbers[:, :3]
+    return poses

@@ -11,7 +11,7 @@ import numpy as np
 from slam.backend.estimator import BackendError
 from slam.config import SlamConfig
 from slam.frontend.observations import planes_of
-from slam.geometry.sampling import evenly
+from slam.geometry.frames import evenly
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam, pose_symbol

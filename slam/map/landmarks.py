@@ -13,7 +13,6 @@ from shapely.geometry.base import BaseGeometry
 from factors import landmark_hesse
 from slam.backend.estimator import Backend
 from slam.frontend.observations import Observation
-from slam.geometry.sphere_index import SphereIndex
 from spplanes._check import FloatArray
 from spplanes.outlines.extents import Extent
 from spplanes.outlines.growing import settle_frames
@@ -116,11 +115,11 @@ class LandmarkMap:
     def __init__(self) -> None:
         self._landmarks: dict[int, Landmark] = {}
         self._next_id = 0
+        self._ids: list[int] = []
         self._rows: dict[int, int] = {}
         self._world_T_plane = np.empty((0, 4, 4))
         self._middles = np.empty((0, 3))
         self._radii = np.empty(0)
-        self._index = SphereIndex()
 
     def __len__(self) -> int:
         return len(self._landmarks)
@@ -171,7 +170,8 @@ class LandmarkMap:
 
     def refresh(self, backend: Backend) -> None:
         """Place every landmark anew by the current estimate."""
-        self._rows = {landmark_id: row for row, landmark_id in enumerate(self._landmarks)}
+        self._ids = list(self._landmarks)
+        self._rows = {landmark_id: row for row, landmark_id in enumerate(self._ids)}
         if not self._rows:
             return
         anchors = {landmark.anchor_key for landmark in self}
@@ -185,7 +185,6 @@ class LandmarkMap:
         rotations, origins = self._world_T_plane[:, :3, :3], self._world_T_plane[:, :3, 3]
         self._middles = np.einsum("nij,nj->ni", rotations[:, :, :2], middles) + origins
         self._radii = 0.5 * np.linalg.norm(high - low, axis=1)
-        self._index.place(np.array(list(self._rows)), self._middles, self._radii)
 
     def placed(self, landmark_id: int) -> PlacedPlane:
         """Where a landmark is, as of the last refresh."""
@@ -202,11 +201,10 @@ class LandmarkMap:
             reach: distance from there to the sphere around what was seen of the landmark, m.
             max_angle: largest angle between the normals, rad.
         """
-        ids = np.array([key for key in self._index.about(middle, reach) if key in self._rows], dtype=np.intp)
-        rows = np.array([self._rows[key] for key in ids.tolist()], dtype=np.intp)
-        facing = self._world_T_plane[rows, :3, 2] @ normal >= np.cos(min(max_angle, np.pi))
-        close = np.linalg.norm(self._middles[rows] - middle, axis=1) <= self._radii[rows] + reach
-        return [(self._landmarks[key], self.placed(key)) for key in ids[facing & close].tolist()]
+        close = np.flatnonzero(np.linalg.norm(self._middles - middle, axis=1) <= self._radii + reach)
+        facing = close[self._world_T_plane[close, :3, 2] @ normal >= np.cos(min(max_angle, np.pi))]
+        ids = (self._ids[row] for row in facing.tolist())
+        return [(self._landmarks[key], self.placed(key)) for key in ids if key in self._rows]
 
     def sphere(self, landmark_id: int) -> tuple[FloatArray, float]:
         """Middle (3,) in the world and radius of what was seen of a landmark, as of the last refresh."""

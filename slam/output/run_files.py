@@ -14,8 +14,7 @@ from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.evaluation.metrics import Metric
 from slam.frontend.measurement import usable_points, usable_ranges
-from slam.geometry.frames import lift
-from slam.geometry.sampling import evenly
+from slam.geometry.frames import evenly, lift
 from slam.io.clouds.ply import write_ply_tables
 from slam.io.g2o.writer import write_g2o
 from slam.io.planes_json import write_planes

@@ -15,7 +15,7 @@ from shapely.geometry.base import BaseGeometry
 
 from factors._conventions import POSE3_TO_SP
 from slam.errors import LogError
-from slam.geometry.sampling import evenly
+from slam.geometry.frames import evenly
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam, pose_symbol
 from spplanes._check import FloatArray, as_shape

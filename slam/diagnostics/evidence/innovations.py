@@ -10,7 +10,7 @@ from scipy.special import chdtrc, ndtr
 from slam.backend.estimator import pose_symbol
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, named
-from slam.geometry.sampling import evenly
+from slam.geometry.frames import evenly
 
 #: What a user is promised of a sound map: no error beyond this, m, or so many of the standard deviations it claims.
 PROMISED_M, PROMISED_SIGMAS = 0.1, 3.0

@@ -15,9 +15,8 @@ from slam.diagnostics.views import TOLERANCE_M, V, compare, pairs_of, way_along
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
 from slam.frontend.occupancy import NOVEL_SHARE
-from slam.geometry.frames import inverse, lift
+from slam.geometry.frames import evenly, inverse, lift
 from slam.geometry.polygons import flatten, polygonal, valid
-from slam.geometry.sampling import evenly
 from slam.registration.visibility import LinesOfSight, points_on
 from spplanes import Plane
 from spplanes._check import FloatArray

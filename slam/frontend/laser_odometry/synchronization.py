@@ -13,8 +13,7 @@ from slam.frontend.information import inverted
 from slam.frontend.laser_odometry.local_map import LocalMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, match_scan
 from slam.frontend.odometry import OdometryTrack, planar_delta
-from slam.geometry.frames import inverse
-from slam.geometry.sampling import evenly
+from slam.geometry.frames import evenly, inverse
 from slam.sensors.log import LaserScan, OdometryReading
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray

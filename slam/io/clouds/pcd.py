@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import LogError
-from slam.geometry.quaternions import poses_of
+from slam.geometry.frames import poses_of
 from slam.io._numbers import ascii_of, number_of, text_rows
 from slam.io.clouds.cloud import Cloud, checked, points_of
 from slam.io.clouds.lzf import lzf_decompress

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from slam.geometry.quaternions import poses_of
+from slam.geometry.frames import poses_of
 from spplanes._check import FloatArray
 
 #: The messages that are read.

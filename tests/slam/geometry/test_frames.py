@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.geometry.quaternions import norms_of, poses_of
+from slam.geometry.frames import norms_of, poses_of
 
 QUARTER = [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]
 
