@@ -93,7 +93,7 @@ def loop5() -> Row:
 
 def intel() -> Row:
     """Hand-verified relations; odometry's beside them."""
-    from slam.evaluation.relations import read_relations, relation_errors
+    from slam.evaluation.trajectories import read_relations, relation_errors
 
     done, times = timed_run(*loaded("intel/intel.clf.gz"))
     relations = read_relations(DATA / "intel" / "intel.relations.gz")

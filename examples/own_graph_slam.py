@@ -27,8 +27,7 @@ from factors import (
     pose_prior,
 )
 from slam import SlamConfig
-from slam.evaluation.relations import read_relations, relation_errors
-from slam.evaluation.trajectories import absolute_error
+from slam.evaluation.trajectories import absolute_error, read_relations, relation_errors
 from slam.frontend.keyframes import Keyframe, keyframes_of
 from slam.frontend.observations import Observation
 from slam.io.load import load

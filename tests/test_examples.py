@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from slam import SlamConfig
-from slam.evaluation.relations import read_relations, relation_errors
+from slam.evaluation.trajectories import read_relations, relation_errors
 from slam.io.load import load
 from slam.runs.scan_trajectory import scan_trajectory
 from slam.runs.slam_run import run_slam

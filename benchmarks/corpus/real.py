@@ -13,7 +13,7 @@ from benchmarks.corpus.perturbed import PERTURBATIONS
 from benchmarks.corpus.score import Row, error_row, said_row, scans_of
 from slam.config import SlamConfig
 from slam.evaluation import absolute_error
-from slam.evaluation.relations import read_relations, relation_errors
+from slam.evaluation.trajectories import read_relations, relation_errors
 from slam.geometry.frames import inverse, planar_transform
 from slam.io.folders.depth_images import CAMERA_MOUNT
 from slam.io.folders.threedtk import read_frames

@@ -14,7 +14,7 @@ import typer
 
 if TYPE_CHECKING:
     from slam.diagnostics.verdict import Verdict
-    from slam.evaluation.metrics import Metric
+    from slam.evaluation import Metric
     from slam.timing import StageClock
 
 #: Whether nothing is printed but results, warnings and errors.
@@ -103,7 +103,7 @@ def show_result(
     title: str, rows: Sequence[Metric], clock: StageClock, folder: Path, *, as_json: bool, timings: bool
 ) -> None:
     """The table of a run, how long it took and with what (in one line, or as rows), and where its results are."""
-    from slam.evaluation.metrics import Metric
+    from slam.evaluation import Metric
     from slam.output.run_metrics import timings_of
 
     took_s = clock.elapsed_s

@@ -1,11 +1,10 @@
 """How good is it: trajectories, relations and planes against what is known to be true."""
 
 from slam.evaluation.folders import Evaluation, compare_with_truth, trajectory_metrics
-from slam.evaluation.metrics import Metric
 from slam.evaluation.planes import PlaneMatch, match_planes, plane_metrics
-from slam.evaluation.relations import relation_errors, relation_metrics
 from slam.evaluation.sharpness import Sharpness, compare_sharpness
 from slam.evaluation.trajectories import (
+    Metric,
     PoseErrors,
     absolute_error,
     align,
@@ -13,6 +12,8 @@ from slam.evaluation.trajectories import (
     alignment_of,
     common_poses,
     nearest_stamps,
+    relation_errors,
+    relation_metrics,
     relative_error,
 )
 

@@ -9,10 +9,19 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import LogError
-from slam.evaluation.metrics import Metric
 from slam.evaluation.planes import plane_metrics
-from slam.evaluation.relations import FOUND, STATED, read_relations, relation_metrics
-from slam.evaluation.trajectories import PoseErrors, absolute_error, alignment_of, common_poses, relative_error
+from slam.evaluation.trajectories import (
+    FOUND,
+    STATED,
+    Metric,
+    PoseErrors,
+    absolute_error,
+    alignment_of,
+    common_poses,
+    read_relations,
+    relation_metrics,
+    relative_error,
+)
 from slam.geometry.frames import inverse
 from slam.io.folders.depth_images import CAMERA_POSES, is_depth_folder
 from slam.io.planes_json import read_planes

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from slam.evaluation.metrics import Metric
+from slam.evaluation.trajectories import Metric
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten, valid
 from spplanes.plane import Plane

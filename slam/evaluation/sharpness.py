@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import LogError
-from slam.evaluation.metrics import Metric
-from slam.evaluation.trajectories import common_poses
+from slam.evaluation.trajectories import Metric, common_poses
 from slam.frontend.measurement import usable_points
 from slam.geometry.frames import lift
 from slam.io.load import load

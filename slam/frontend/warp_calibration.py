@@ -27,8 +27,7 @@ from scipy.special import chdtri
 from slam.errors import LogError
 from slam.frontend.measurement import for_points, for_sensor, usable_points
 from slam.sensors.log import CloudScan, Log
-from slam.sensors.range_warp import RangeWarp, waves
-from slam.sensors.rig import Sensor
+from slam.sensors.rig import RangeWarp, Sensor, waves
 from slam.sensors.scan_noise import model_of
 from spplanes import MapperConfig
 from spplanes._check import FloatArray

@@ -10,7 +10,15 @@ from slam.errors import LogError
 from slam.io.carmen.reader import read_carmen
 from slam.io.clouds import is_cloud_file, read_cloud
 from slam.io.clouds.cloud import grid_of
-from slam.io.default_rigs import assumptions, bag_rig, cloud_rig, depth_rig, threedtk_rig, turned_laser_rig
+from slam.io.default_rigs import (
+    assumptions,
+    bag_rig,
+    cloud_rig,
+    default_rig_for,
+    depth_rig,
+    threedtk_rig,
+    turned_laser_rig,
+)
 from slam.io.folders.clouds import clouds_in, has_clouds, read_cloud_folder, read_e57_log
 from slam.io.folders.depth_images import CAMERA_POSES, is_depth_folder, read_depth_folder
 from slam.io.folders.scan_files import first_file
@@ -20,7 +28,7 @@ from slam.io.odometry_file import with_odometry
 from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag, sensor_name
 from slam.preconditions import check_cloud_given, check_log_given
 from slam.sensors.log import CloudScan, Log
-from slam.sensors.rig import Rig, Sensor, default_rig_for
+from slam.sensors.rig import Rig, Sensor
 from spplanes.clouds.arrange import arrange, shows_lines
 
 #: Name of the rig file that a folder of a mission carries.

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from factors.archive import ArchiveError, rekeyed
-from slam.evaluation.metrics import Metric
+from slam.evaluation import Metric
 from slam.io.g2o.writer import write_g2o
 from slam.io.planes_json import write_planes
 from slam.io.trajectories import write_tum

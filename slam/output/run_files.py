@@ -12,7 +12,7 @@ import numpy as np
 
 from slam.config import SlamConfig
 from slam.errors import LogError
-from slam.evaluation.metrics import Metric
+from slam.evaluation import Metric
 from slam.frontend.measurement import usable_points, usable_ranges
 from slam.geometry.frames import evenly, lift
 from slam.io.clouds.ply import write_ply_tables

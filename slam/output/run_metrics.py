@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from slam.evaluation import Metric
 from slam.evaluation.map_summary import FacingPair, facing_pairs, metres_of_wall
-from slam.evaluation.metrics import Metric
 from slam.frontend.input_checks import blind, counted, silences, skipped
 from slam.planeslam import MapPlane
 from slam.runs.mapping_run import MapResult

@@ -12,7 +12,7 @@ import numpy as np
 
 from factors import anchored_plane_jacobian, joint_covariance, landmark_hesse
 from slam.errors import LogError
-from slam.evaluation.metrics import Metric
+from slam.evaluation import Metric
 from slam.geometry.frames import settle_frame
 from slam.io.g2o.reader import G2oGraph, read_g2o
 from slam.io.g2o.writer import with_vertices

@@ -11,7 +11,7 @@ import shapely
 
 from slam.diagnostics.verdict import Verdict
 from slam.errors import LogError
-from slam.evaluation.metrics import Metric
+from slam.evaluation import Metric
 from slam.frontend.observations import Observation
 from slam.io.planes_json import read_map
 from slam.io.trajectories import Trajectory, read_tum

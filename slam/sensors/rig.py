@@ -12,11 +12,54 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from slam._yaml import near_key, read_yaml
 from slam.errors import LogError
-from slam.sensors.log import LaserScan, Log
 from slam.sensors.mount import Finite, Frozen, Mount, NotNegative, Positive
-from slam.sensors.range_warp import RangeWarp
-from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS, OdometryNoise
+from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray
+
+#: Rows of weights, one for each wave down the image, of as many waves across it.
+Waves = tuple[tuple[Finite, ...], ...]
+
+
+class RangeWarp(Frozen):
+    """By what share ranges are too long, as sums of cosines over the image.
+
+    At row v and column u of an image of H by W pixels the share is a(v, u) + b(v, u) r for the range r, with
+    a = sum_ij shares[i][j] cos(pi i (v + 1/2) / H) cos(pi j (u + 1/2) / W), and b alike.
+
+    References:
+        Herrera, Kannala, Heikkila, "Joint depth and color camera calibration with distortion correction", TPAMI 2012.
+        Teichman, Miller, Thrun, "Unsupervised intrinsic calibration of depth sensors via SLAM", RSS 2013.
+    """
+
+    shares: Waves
+    """Weights of the waves of a, of one."""
+    shares_per_m: Waves
+    """Of those of b, which grow with the range, 1/m; as many."""
+
+    @model_validator(mode="after")
+    def _check_shape(self) -> RangeWarp:
+        if len(self.shares) != len(self.shares_per_m):
+            raise ValueError("expected as many rows of shares_per_m as of shares")
+        if len({len(row) for row in (*self.shares, *self.shares_per_m)}) != 1:
+            raise ValueError("expected rows of one length")
+        return self
+
+    def over(self, height: int, width: int) -> FloatArray:
+        """a and b over an image, shape (2, H, W)."""
+        weights = np.array((self.shares, self.shares_per_m), dtype=np.float64)
+        down, across = waves(height, weights.shape[1]), waves(width, weights.shape[2])
+        return np.asarray(down @ weights @ across.T, dtype=np.float64)
+
+    def taken_off(self, points: FloatArray) -> FloatArray:
+        """Points (H, W, 3) of an image, in the camera's frame, with true ranges."""
+        share, per_m = self.over(*points.shape[:2])
+        ranges = np.sqrt(np.einsum("hwi,hwi->hw", points, points))
+        return points / (1.0 + share + per_m * ranges)[..., None]
+
+
+def waves(size: int, count: int) -> FloatArray:
+    """The first cosines over so many pixels, shape (size, count)."""
+    return np.cos(np.pi / size * np.outer(np.arange(size) + 0.5, np.arange(count)))
 
 
 class Sensor(Frozen):
@@ -199,68 +242,3 @@ def _first_problem(error: ValidationError) -> str:
         return f"{key}: missing"
     message = first["msg"].removeprefix("Value error, ")
     return f"{key}: {message[0].lower()}{message[1:]}, got {reprlib.repr(first['input']):.60}"
-
-
-#: Standard deviation taken for a 2D laser nobody describes: the data sheet of a SICK LMS 200 (15 mm) at 1 cm steps.
-DEFAULT_RANGE_SIGMA_M = 0.015
-
-#: Steps of ranges that lasers use, m.
-_STEPS_M = (0.1, 0.05, 0.01, 0.005, 0.001)
-
-#: A 2D laser whose axis is nearer to upright than this (cosine) sees lines; any other is taken for a push-broom one.
-_LEVEL = 0.97
-
-#: Flatness taken for walls nobody describes, and the length of a patch that shares one deviation: skirting, door frames
-#: and what leans on walls. With these, mean NIS per degree of freedom of lines was 0.89 in the cluttered rooms of the
-#: Intel Research Lab, 0.52 in an office corridor, and 0.2 to 0.4 on simulated walls that are straight to 5 mm.
-DEFAULT_SURFACE_SIGMA_M = 0.014
-DEFAULT_SURFACE_CORRELATION_M = 0.5
-
-
-def default_rig_for(log: Log) -> Rig:
-    """A rig for a log that comes with none: every 2D laser in it sees lines, unless the log says that it is not level.
-
-    Lasers sit where the log says, else at the robot's centre; the step of the ranges is found in the ranges.
-    """
-    names = list(dict.fromkeys(scan.sensor for scan in log.scans() if isinstance(scan, LaserScan)))
-    if not names:
-        raise LogError(log.source, "expected laser scans, got none")
-    return Rig(sensors={name: _default_laser(name, log) for name in names}, odometry=UNCALIBRATED_WHEELS)
-
-
-def _default_laser(name: str, log: Log) -> Sensor:
-    steps, largest = _STEPS_M, 0.0
-    for scan in log.scans(name):
-        if isinstance(scan, LaserScan):
-            seen = scan.ranges[np.isfinite(scan.ranges)]
-            steps = _steps_of(seen, steps)
-            largest = max(largest, float(seen.max(initial=0.0)))
-    told = log.mounts.get(name)
-    return Sensor(
-        kind="line" if told is None or abs(told[2, 2]) > _LEVEL else "slice",
-        record=name,
-        body_T_sensor=_default_mount(name, log),
-        range_sigma_m=DEFAULT_RANGE_SIGMA_M,
-        quantisation_m=max(steps, default=0.0) if largest else 0.0,
-        range_max_m=largest + 0.01 if largest else 80.0,
-        surface_sigma_m=DEFAULT_SURFACE_SIGMA_M,
-        surface_correlation_m=DEFAULT_SURFACE_CORRELATION_M,
-    )
-
-
-def _default_mount(name: str, log: Log) -> Mount:
-    """The mount the log tells; else the robot's centre, a rear laser looking back."""
-    told = log.mounts.get(name)
-    if told is None:
-        return Mount(rpy_deg=(0.0, 0.0, 180.0 if name == "RLASER" else 0.0))
-    is_level = np.abs(told[2, :2]).max() < 1e-9 and told[2, 2] > 0.0  # it only turns about z
-    if not is_level:
-        return Mount(matrix=tuple(tuple(row) for row in told.tolist()))
-    yaw_deg = float(np.rad2deg(np.arctan2(told[1, 0], told[0, 0])))
-    return Mount(xyz_m=(float(told[0, 3]), float(told[1, 3]), float(told[2, 3])), rpy_deg=(0.0, 0.0, yaw_deg))
-
-
-def _steps_of(ranges: FloatArray, steps: tuple[float, ...]) -> tuple[float, ...]:
-    """Those of some steps that all ranges are multiples of, m."""
-    whole = (ranges / step for step in steps)
-    return tuple(step for step, n in zip(steps, whole, strict=True) if (np.abs(n - np.rint(n)) <= 1e-3).all())

@@ -12,7 +12,7 @@ from string import Template
 from typing import Any
 
 from slam.diagnostics.verdict import Verdict
-from slam.evaluation.metrics import Metric
+from slam.evaluation import Metric
 
 
 def write_report(

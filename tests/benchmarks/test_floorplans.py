@@ -9,8 +9,8 @@ from benchmarks.corpus.floorplan import Drive, LaserSettings, Wheels, drive, off
 from slam import PlaneSlam, SlamConfig
 from slam.frontend.keyframes import keyframes_of
 from slam.geometry.frames import inverse
+from slam.io.default_rigs import default_rig_for
 from slam.runs.slam_run import odometry_of
-from slam.sensors.rig import default_rig_for
 
 
 def estimate(truth: Drive) -> tuple[PlaneSlam, np.ndarray, np.ndarray]:

@@ -9,8 +9,8 @@ from benchmarks.corpus.catalogue import PERTURBED, Entry, corpus
 from benchmarks.corpus.perturbed import PERTURBATIONS
 from slam.frontend.odometry import planar_delta
 from slam.geometry.frames import inverse, planar_transform
+from slam.io.default_rigs import default_rig_for
 from slam.sensors.log import LaserScan, Log, OdometryReading
-from slam.sensors.rig import default_rig_for
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS as NOISE
 
 

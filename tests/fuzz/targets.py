@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from slam.config import SlamConfig
-from slam.evaluation.relations import read_relations
+from slam.evaluation.trajectories import read_relations
 from slam.io.carmen.reader import read_carmen
 from slam.io.carmen.writer import write_carmen
 from slam.io.clouds.read import read_cloud

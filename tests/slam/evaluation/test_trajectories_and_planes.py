@@ -15,7 +15,7 @@ from slam.evaluation import (
     relation_metrics,
     relative_error,
 )
-from slam.evaluation.relations import Relations, read_relations
+from slam.evaluation.trajectories import Relations, read_relations
 from slam.geometry.frames import planar_transform
 from slam.io.carmen.reader import read_carmen
 from slam.io.trajectories import Trajectory, read_tum

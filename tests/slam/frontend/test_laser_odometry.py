@@ -25,9 +25,10 @@ from slam.frontend.laser_odometry.tracker import LaserOdometry, NoiseScale
 from slam.frontend.occupancy import free_standing
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.geometry.frames import inverse, planar_transform
+from slam.io.default_rigs import default_rig_for
 from slam.runs.slam_run import run_slam
 from slam.sensors.log import LaserScan, Log, OdometryReading
-from slam.sensors.rig import Mount, Rig, default_rig_for
+from slam.sensors.rig import Mount, Rig
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS as NOISE
 
 GAP = 5

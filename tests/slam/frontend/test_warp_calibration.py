@@ -16,8 +16,7 @@ from slam.frontend.range_noise import with_shown_errors
 from slam.frontend.warp_calibration import _likeliest, _priors, with_warp
 from slam.io.default_rigs import depth_rig
 from slam.sensors.log import CloudScan, Log, StoredCloud
-from slam.sensors.range_warp import RangeWarp
-from slam.sensors.rig import Rig, Sensor
+from slam.sensors.rig import RangeWarp, Rig, Sensor
 from spplanes._check import FloatArray
 
 CAMERA = depth_rig().sensors["camera"]

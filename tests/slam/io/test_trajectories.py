@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from slam.errors import LogError
-from slam.evaluation.relations import read_relations
+from slam.evaluation.trajectories import read_relations
 from slam.io._numbers import nanoseconds, seconds_from_ns
 from slam.io.trajectories import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 from tests.slam.real_data import needs

@@ -13,10 +13,10 @@ from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe, keyframes_of
 from slam.frontend.odometry import Motion, difference, planar_delta
 from slam.geometry.frames import inverse, planar_transform
+from slam.io.default_rigs import default_rig_for
 from slam.loop_closure import whole_drive
 from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
 from slam.loop_closure.whole_drive import agreement
-from slam.sensors.rig import default_rig_for
 from spplanes._check import FloatArray
 
 RULES = SlamConfig().loops

@@ -12,7 +12,7 @@ import shapely
 
 from slam.cli import main
 from slam.errors import LogError
-from slam.evaluation.metrics import Metric
+from slam.evaluation import Metric
 from slam.io.planes_json import read_map, write_planes
 from slam.io.trajectories import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 from slam.output.export import export_run

@@ -13,8 +13,7 @@ import pytest
 
 from slam import SlamConfig
 from slam.evaluation.map_summary import metres_of_wall
-from slam.evaluation.relations import read_relations, relation_errors
-from slam.evaluation.trajectories import absolute_error
+from slam.evaluation.trajectories import absolute_error, read_relations, relation_errors
 from slam.io.load import load
 from slam.io.trajectories import read_tum
 from slam.runs.slam_run import Run, run_slam

@@ -19,10 +19,10 @@ from slam.frontend.keyframes import Keyframe, keyframes_of
 from slam.frontend.odometry import planar_delta
 from slam.frontend.pose_measurements import PlaceMatch
 from slam.geometry.frames import inverse, planar_transform
+from slam.io.default_rigs import default_rig_for
 from slam.output.run_metrics import details_of, metrics_of
 from slam.runs.repair import is_open_to_repair, repaired
 from slam.runs.slam_run import Run, odometry_of
-from slam.sensors.rig import default_rig_for
 from slam.session._codec import encode
 from slam.session.recorder import Places
 from slam.session.salvage import salvage_session

@@ -5,8 +5,9 @@ import pytest
 from pydantic import ValidationError
 
 from slam.errors import LogError
+from slam.io.default_rigs import default_rig_for
 from slam.sensors.log import LaserScan, Log, OdometryReading
-from slam.sensors.rig import LocalisationNoise, Mount, Rig, Sensor, default_rig_for
+from slam.sensors.rig import LocalisationNoise, Mount, Rig, Sensor
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS
 from slam.simulation import HORIZONTAL, VERTICAL, paper_rig, spinning_rig
 

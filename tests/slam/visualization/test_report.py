@@ -14,7 +14,7 @@ import pytest
 from scipy.stats import chi2
 from shapely import LineString, box
 
-from slam.evaluation.metrics import Metric
+from slam.evaluation import Metric
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
 from slam.runs.history import History
