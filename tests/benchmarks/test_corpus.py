@@ -52,12 +52,6 @@ def test_drawn_drives_are_those_of_their_seeds():
     assert any("level/absent" in name for name in names)  # a level laser measures the motion itself
 
 
-def test_a_drive_counts_for_its_parts():
-    assert Entry("bare/paper/good/none", 0).kinds == ["world bare", "sensors paper", "with nothing wrong"]
-    assert Entry("bare/paper/worse3/half", 0).kinds == ["world bare", "sensors paper", "with worse3", "with half"]
-    assert Entry("real/intel", 0).kinds == ["real/intel"]
-
-
 @pytest.mark.parametrize(
     ("worst", "sigma", "expected"),
     [

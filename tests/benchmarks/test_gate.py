@@ -57,22 +57,10 @@ def test_accuracy_is_that_of_ours_alone_and_grows_as_it_gets_worse():
     assert _gate.figures_of("end", [mission])["accuracy"] == {"end: loop: position, cm": 2.0}
 
 
-def test_within_the_tolerance_nothing_is_said():
-    verdict = _gate.judge(figures({"a": 0.74, "b": 1.2}), figures({"a": 0.5, "b": 2.0}), {"time": 1.5})
-    assert (verdict.regressions, verdict.missing, verdict.compared, verdict.exit_code) == ([], [], 2, 0)
-
-
 def test_a_worse_ratio_is_one_line_and_exit_code_1():
     verdict = _gate.judge(figures({"a": 0.76, "b": 2.0}), figures({"a": 0.5, "b": 2.0}), {"time": 1.5})
     assert verdict.regressions == ["a (time): 0.76, baseline 0.5"]
     assert verdict.exit_code == 1
-
-
-def test_a_plane_more_that_is_missed_is_a_regression_and_so_is_a_larger_error():
-    before = figures(accuracy={"scenes: frame: correct": 2.0, "views: c0: error, mm": 10.0})
-    worse = figures(accuracy={"scenes: frame: correct": 3.0, "views: c0: error, mm": 11.5})
-    assert len(_gate.judge(worse, before).regressions) == 2
-    assert _gate.judge(before, before).exit_code == 0
 
 
 def test_accuracy_has_its_slack_and_no_more():

@@ -50,13 +50,6 @@ def test_points_lie_on_the_planes_they_are_labelled_with(drive) -> None:
     assert share < (0.02 if sparse else 0.005)
 
 
-def test_equal_seeds_are_equal_drives() -> None:
-    """To the bit; others differ."""
-    first, again, other = (make_handheld("handheld/far", seed) for seed in (1, 1, 2))
-    assert np.array_equal(first.log.scans()[5].points, again.log.scans()[5].points, equal_nan=True)
-    assert not np.array_equal(first.truth.world_T_body, other.truth.world_T_body)
-
-
 def test_they_are_there_where_they_are_asked_for() -> None:
     """By a pattern, with every seed; not among all drives."""
     assert {(entry.name, entry.seed) for entry in corpus([4, 5], kinds=["handheld/*"])} == {

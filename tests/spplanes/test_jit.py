@@ -46,12 +46,6 @@ def test_they_are_not_used_where_another_processor_is_asked_for(brought: pytest.
     assert not _jit._are_brought()
 
 
-def test_they_are_not_looked_for_where_there_are_none(brought: pytest.MonkeyPatch, tmp_path: Path):
-    has(brought, avx2=True, fma=True)
-    brought.setattr(_jit, "BROUGHT", tmp_path / "nothing")
-    assert not _jit._are_brought()
-
-
 def test_every_kernel_comes_through_here():
     """A kernel made by `numba.njit` itself is compiled wherever it is installed."""
     root = Path(_jit.__file__).parents[1]

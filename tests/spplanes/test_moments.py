@@ -90,36 +90,6 @@ def test_eigen_solver_on_degenerate_scatters(spectrum):
         np.testing.assert_allclose(vectors.T @ vectors, np.eye(3), atol=3e-15)
 
 
-def test_plane_of_a_grid_by_hand():
-    """Corners (+-2, +-1, 0) with weight 100: covariance diag(1/400, 1/(400 * 4), 1/400) of (z, theta, psi)."""
-    corners = [[2, 1, 0], [2, -1, 0], [-2, 1, 0], [-2, -1, 0]]
-    plane = Moments.from_points(corners, np.full(4, 100.0)).plane(viewpoint=(0.0, 0.0, -5.0))
-    np.testing.assert_allclose(plane.normal, [0, 0, -1])
-    np.testing.assert_allclose(plane.covariance, np.diag([1 / 400, 1 / 1600, 1 / 400]), atol=1e-18)
-    assert plane.n_points == 4
-    assert plane.chi2 == 0.0
-
-
-def test_bad_input():
-    points, weights = cloud(5)
-    with pytest.raises(ValueError, match="weights: expected at least one positive weight, got only zeros"):
-        Moments.from_points(points, 0.0 * weights)
-    with pytest.raises(ValueError, match="weights: expected no negative weight, got -1"):
-        Moments.from_points(points, np.where(np.arange(60) == 3, -1.0, 1.0))
-    with pytest.raises(ValueError, match=r"weights: expected shape \(60,\), got \(59,\)"):
-        Moments.from_points(points, weights[:-1])
-    with pytest.raises(ValueError, match="points: expected at least 1 point, got 0"):
-        Moments.from_points(np.empty((0, 3)))
-    with pytest.raises(ValueError, match="points: expected finite numbers"):
-        Moments.from_points([[np.nan, 0, 0]])
-    with pytest.raises(ValueError, match="points: expected at least 3 points, got 2"):
-        Moments.from_points(points[:2]).plane()
-    with pytest.raises(ValueError, match="points: expected points that span a plane, got 3 coincident ones"):
-        Moments.from_points(np.ones((3, 3))).plane()
-    with pytest.raises(ValueError, match="points: expected points that span a plane, got 3 collinear ones"):
-        Moments.from_points([[0.1, 0.1, 0.3], [0.2, 0.2, 0.6], [0.4, 0.4, 1.2]]).plane()
-
-
 def test_a_positive_definite_system_is_solved():
     rng = np.random.default_rng(5)
     for _ in range(50):

@@ -7,11 +7,16 @@ import pytest
 import shapely
 
 from spplanes import LineConfig, Location, Moments, Plane, ScanLine, extract_lines, fit_plane, fit_planes
+from spplanes.noise import SensorModel
+from spplanes.registration import register_scans
+from spplanes.spmodel import rows_of
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-1, 1, (40, 3)) * (2, 1, 0) + (0, 0, 1) + RNG.normal(0, 0.01, (40, 3))
 COVARIANCES = np.tile(1e-4 * np.eye(3), (40, 1, 1))
 PLANE = Plane(np.eye(4), 1e-4 * np.eye(3), 5)
+POSE = Location.pose(np.eye(4), np.eye(6))
+LIFTED = np.eye(4) + 0.5 * np.outer(np.eye(4)[2], np.eye(4)[3])
 LINE = ScanLine(0.1, 1.0, 1e-4 * np.eye(2), np.zeros((2, 2)), np.arange(3))
 
 
@@ -75,6 +80,14 @@ def test_no_labels_for_no_points():
         (lambda: Plane(np.eye(4), np.eye(3), 3, shapely.MultiPolygon()), "outline: expected a shapely Polygon or None"),
         (lambda: Plane(np.eye(4), np.eye(3), chi2="a"), "chi2: expected a number, got 'a'"),
         (lambda: Plane.from_hesse((0, 0, 1), None, np.eye(3)), "d: expected a number, got None"),
+        (lambda: Plane.from_hesse((0, 0, 2), 1.0, np.eye(3)), "normal: expected a unit vector, got one of length 2"),
+        (lambda: Plane.from_hesse((0, 0, 1), np.nan, np.eye(3)), "d: expected a finite number, got nan"),
+        (lambda: Plane.from_hesse((0, 0, 1), 1.0, np.eye(2)), r"covariance: expected shape \(3, 3\), got \(2, 2\)"),
+        (lambda: Plane.from_hesse((0, 0, 1), 1.0, -np.eye(4)), "covariance: expected a positive semidefinite"),
+        (lambda: Plane.from_dict({"frame": np.eye(4).tolist()}), "data: expected the key 'normal', got"),
+        (lambda: Plane.from_dict([]), "data: expected a dict, got list"),
+        (lambda: PLANE.merge(Plane(np.eye(4), np.zeros((3, 3)))), "other: expected a plane with a regular covariance"),
+        (lambda: PLANE.merge(Plane(np.diag([1.0, -1.0, -1.0, 1.0]), np.eye(3))), "other: expected a plane seen from"),
         (lambda: PLANE.distance([0, 0]), r"points: expected shape \(N, 3\) or \(3,\), got \(2,\)"),
         (lambda: PLANE.project(None), r"points: expected shape \(N, 3\) or \(3,\), got \(\)"),
         (lambda: PLANE.merge(3), "other: expected a Plane, got int"),
@@ -82,14 +95,39 @@ def test_no_labels_for_no_points():
         (lambda: LINE.mahalanobis(PLANE), "other: expected a ScanLine, got Plane"),
         (lambda: Location.robot_2d([1], 2, 0, np.eye(3)), r"x: expected a number, got \[1\]"),
         (lambda: Location.pose([[1, 2], [1]], np.eye(6)), "transform: expected an array of numbers, got list"),
+        (lambda: Location(np.eye(4), np.eye(6), (0, 1, 2)), r"covariance: expected shape \(3, 3\), got \(6, 6\)"),
+        (lambda: Location(np.eye(4), -np.eye(6)), "covariance: expected a positive semidefinite covariance"),
+        (lambda: Location(np.diag([1.0, 1.0, -1.0, 1.0]), np.eye(6)), "transform: expected a right-handed rotation"),
+        (lambda: POSE.compose(POSE, np.zeros((2, 6))), r"cross: expected shape \(6, 6\), got \(2, 6\)"),
+        (lambda: POSE.compose(POSE, 2.0 * np.eye(6)), "cross: expected a positive semidefinite covariance"),
+        (lambda: rows_of(("roll",)), "names: expected some of x, y, z, phi, theta, psi, got 'roll'"),
+        (lambda: Location(np.eye(4), np.eye(2), (1, 0)), r"rows: expected ascending, distinct rows .* got \(1, 0\)"),
         (lambda: Location(np.eye(4), np.eye(2), (1.5, 3)), "rows: expected ascending, distinct rows out of 0..5"),
         (lambda: Location(np.eye(4), np.eye(2), None), "rows: expected ascending, distinct rows out of 0..5"),
-        (lambda: Location.pose(np.eye(4), np.eye(6)).compose(3), "other: expected a Location, got int"),
-        (lambda: Location.pose(np.eye(4), np.eye(6)).relative(PLANE), "other: expected a Location, got Plane"),
+        (lambda: POSE.compose(3), "other: expected a Location, got int"),
+        (lambda: POSE.relative(PLANE), "other: expected a Location, got Plane"),
+        (lambda: Moments.from_points(np.eye(3), np.zeros(3)), "weights: expected at least one positive weight"),
+        (lambda: Moments.from_points(np.eye(3), [1, -1, 1]), "weights: expected no negative weight, got -1"),
+        (lambda: Moments.from_points(np.eye(3), [1, 1]), r"weights: expected shape \(3,\), got \(2,\)"),
+        (lambda: Moments.from_points(np.empty((0, 3))), "points: expected at least 1 point, got 0"),
+        (lambda: Moments.from_points([[np.nan, 0, 0]]), "points: expected finite numbers"),
+        (lambda: Moments.from_points(np.eye(3)[:2]).plane(), "points: expected at least 3 points, got 2"),
+        (lambda: Moments.from_points(np.ones((3, 3))).plane(), "points: .* span a plane, got 3 coincident ones"),
+        (lambda: Moments.from_points(np.outer((1, 2, 4), (0.1, 0.1, 0.3))).plane(), "span a plane, got 3 collinear"),
         (lambda: Moments.from_points(np.eye(3)).merge(3), "other: expected a Moments, got int"),
         (lambda: ScanLine("x", 1, np.eye(2), np.eye(2), [1]), "alpha: expected a number, got 'x'"),
         (lambda: ScanLine(0, [1], np.eye(2), np.eye(2), [1]), r"rho: expected a number, got \[1\]"),
         (lambda: ScanLine(0, 1, np.eye(2), np.eye(2), None), "indices: expected integers of shape"),
+        (lambda: LINE.transform(LIFTED), "T: expected a motion in the scan plane"),
+        (lambda: SensorModel(0.01).covariances(np.zeros((2, 3))), "got a range of 0"),
+        (lambda: SensorModel(0.01).covariances(np.zeros((2, 2))), r"expected shape \(\.\.\., 3\)"),
+        (lambda: SensorModel(-0.1), "range_sigma_m: expected a finite number, 0 or more"),
+        (lambda: SensorModel(0.0), "range_sigma_m: expected some error"),
+        (lambda: SensorModel(0.1, bearing_sigma_rad=np.nan), "bearing_sigma_rad"),
+        (
+            lambda: register_scans([[1.0, 2.0]], [0, 1, 2], np.eye(4)[None], SensorModel(0.01)),
+            "ranges: expected 3 beams a scan, one per angle, got 2",
+        ),
         (lambda: LineConfig(significance="a"), "significance: expected a number, got 'a'"),
         (
             lambda: extract_lines(np.ones(181), np.arange(-90.0, 91.0), sigma=0.1),

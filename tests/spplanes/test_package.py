@@ -31,7 +31,3 @@ def test_a_fit_needs_no_segmentation():
     loaded = loaded_by("from spplanes import fit_plane")
     assert "spplanes.fitting.fit" in loaded
     assert not loaded & {"spplanes.segmentation", "shapely", "scipy.special"}
-
-
-def test_the_command_line_waits_for_nothing_heavy():
-    assert not loaded_by("import slam.cli") & {"numpy", "numba", "gtsam", "shapely", "scipy", "matplotlib", "pydantic"}

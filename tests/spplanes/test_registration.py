@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from spplanes.noise import SensorModel
-from spplanes.registration import beam_directions, interpolate_poses, pose_covariance, register_scans
+from spplanes.registration import interpolate_poses, pose_covariance, register_scans
 
 
 def pose(x=0.0, y=0.0, yaw=0.0):
@@ -73,9 +73,3 @@ def test_errors_of_the_mount_move_to_the_body():
 def _jacobian(q):
     axes = np.eye(3)
     return np.column_stack((axes, *(np.cross(axes[k], q) for k in (2, 1, 0))))
-
-
-def test_wrong_number_of_beams():
-    with pytest.raises(ValueError, match="ranges: expected 3 beams a scan, one per angle, got 2"):
-        register_scans([[1.0, 2.0]], [0, 1, 2], np.eye(4)[None], SensorModel(0.01))
-    np.testing.assert_allclose(beam_directions([0.0, np.pi / 2]), [[1, 0, 0], [0, 1, 0]], atol=1e-15)

@@ -88,70 +88,11 @@ def numerical(function, n):
     return np.column_stack([(function(step * e) - function(-step * e)) / (2 * step) for e in np.eye(n)])
 
 
-def test_covariances_against_monte_carlo():
-    """10^5 samples: entries of the whitened sample covariance scatter by sqrt(2/N); 5 sigma of that is the band."""
-    rng, n = np.random.default_rng(4), 100_000
-    a, b = random_location(rng, scale=2e-4), random_location(rng, scale=2e-4)
-    cross = 0.4 * np.linalg.cholesky(a.covariance) @ np.linalg.cholesky(b.covariance).T
-    samples = rng.normal(size=(n, 12)) @ np.linalg.cholesky(joint_covariance(a, b, cross)).T
-    moved_a, moved_b = a.transform @ batch(samples[:, :6]), b.transform @ batch(samples[:, 6:])
-    cases = [
-        (a.compose(b, cross), moved_a @ moved_b),
-        (a.relative(b, cross), np.linalg.inv(moved_a) @ moved_b),
-        (a.inverse(), np.linalg.inv(moved_a)),
-    ]
-    for location, transforms in cases:
-        d = differentials(inverse_transform(location.transform) @ transforms)
-        white = np.linalg.solve(np.linalg.cholesky(location.covariance), d.T)
-        assert np.abs(white @ white.T / n - np.eye(6)).max() < 5.0 * np.sqrt(2.0 / n)
-
-
-def batch(d):
-    """Transforms of small differentials, exact to second order, which is all that matters here."""
-    t = np.tile(np.eye(4), (len(d), 1, 1))
-    phi, theta, psi = d[:, 3], d[:, 4], d[:, 5]
-    cz, sz, cy, sy, cx, sx = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta), np.cos(psi), np.sin(psi)
-    t[:, 0, :3] = np.column_stack([cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx])
-    t[:, 1, :3] = np.column_stack([sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx])
-    t[:, 2, :3] = np.column_stack([-sy, cy * sx, cy * cx])
-    t[:, :3, 3] = d[:, :3]
-    return t
-
-
-def differentials(t):
-    phi, psi = np.arctan2(t[:, 1, 0], t[:, 0, 0]), np.arctan2(t[:, 2, 1], t[:, 2, 2])
-    return np.column_stack([t[:, :3, 3], phi, -np.arcsin(t[:, 2, 0]), psi])
-
-
-@given(POSES, POSES, POSES)
-def test_group_axioms(x, y, z):
-    rng = np.random.default_rng(5)
-    a, b, c = (Location.pose(t, random_location(rng).covariance) for t in (x, y, z))
-    left, right = a.compose(b).compose(c), a.compose(b.compose(c))
-    np.testing.assert_allclose(left.transform, right.transform, atol=1e-9)
-    np.testing.assert_allclose(left.covariance, right.covariance, rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(a.compose(a.inverse()).transform, np.eye(4), atol=1e-9)
-    np.testing.assert_allclose(a.inverse().inverse().covariance, a.covariance, atol=1e-7)
-    np.testing.assert_allclose(a.inverse().compose(b).covariance, a.relative(b).covariance, rtol=1e-7, atol=1e-7)
-    exact = Location.pose(np.eye(4), np.zeros((6, 6)))
-    np.testing.assert_allclose(exact.compose(a).covariance, a.covariance, atol=1e-15)
-
-
 def test_relative_to_itself_is_certain_when_fully_correlated():
     a = random_location(np.random.default_rng(6))
     same = a.relative(a, cross=a.covariance)
     np.testing.assert_allclose(same.transform, np.eye(4), atol=1e-14)
     np.testing.assert_allclose(same.covariance, 0.0, atol=1e-17)
-
-
-def test_push_broom_point_of_the_paper():
-    """A robot facing y sees a point 2 m to its left and 1 m up: at (-2, 0, 1), and phi moves it along -y."""
-    sigma_phi = 0.01
-    robot = Location.robot_2d(0.0, 0.0, np.pi / 2, np.diag([0.0, 0.0, sigma_phi**2]))
-    point = robot.compose(Location.point((0.0, 2.0, 1.0), np.zeros((3, 3))))
-    np.testing.assert_allclose(point.transform[:3, 3], [-2.0, 0.0, 1.0], atol=1e-15)
-    # In the point's own axes, those of the robot, turning left moves it backwards: x only, by 2 m sigma_phi.
-    np.testing.assert_allclose(point.covariance, np.diag([(2.0 * sigma_phi) ** 2, 0.0, 0.0]), atol=1e-18)
 
 
 def test_line_seen_from_a_robot():
@@ -172,21 +113,3 @@ def test_binding_selects_rows():
     np.testing.assert_array_equal(plane.binding, np.eye(6)[[2, 4, 5]])
     np.testing.assert_array_equal(plane.differential_covariance, np.diag([0, 0, 1.0, 0, 2.0, 3.0]))
     assert rows_of(("z", "theta", "psi")) == (2, 4, 5)
-
-
-def test_bad_input():
-    good = np.eye(6)
-    with pytest.raises(ValueError, match=r"rows: expected ascending, distinct rows out of 0\.\.5, got \(1, 0\)"):
-        Location(np.eye(4), np.eye(2), (1, 0))
-    with pytest.raises(ValueError, match=r"covariance: expected shape \(3, 3\), got \(6, 6\)"):
-        Location(np.eye(4), good, (0, 1, 2))
-    with pytest.raises(ValueError, match="covariance: expected a positive semidefinite covariance"):
-        Location(np.eye(4), -good)
-    with pytest.raises(ValueError, match="transform: expected a right-handed rotation"):
-        Location(np.diag([1.0, 1.0, -1.0, 1.0]), good)
-    with pytest.raises(ValueError, match=r"cross: expected shape \(6, 6\), got \(2, 6\)"):
-        Location.pose(np.eye(4), good).compose(Location.pose(np.eye(4), good), np.zeros((2, 6)))
-    with pytest.raises(ValueError, match="cross: expected a positive semidefinite covariance"):
-        Location.pose(np.eye(4), good).compose(Location.pose(np.eye(4), good), 2.0 * good)
-    with pytest.raises(ValueError, match="names: expected some of x, y, z, phi, theta, psi, got 'roll'"):
-        rows_of(("roll",))

@@ -253,18 +253,6 @@ def test_odometry_that_stands_still_is_named_and_ignored():
     assert len(frames) > 15
 
 
-def test_a_log_of_scans_alone_has_keyframes_with_motions():
-    log = scans_alone(rooms(7).log)
-    frames = list(keyframes_of(log, default_rig_for(log), SlamConfig()))
-    motions = [frame.motion for frame in frames[1:]]
-    assert len(motions) > 15 and all(motion is not None and motion.is_planar for motion in motions)
-
-
-def test_the_same_log_gives_the_same_bits():
-    log = rooms(8).log
-    np.testing.assert_array_equal(track_of(log)._poses, track_of(replace(log))._poses)
-
-
 def scan_in(pose: tuple[float, float, float], seed: int = 0) -> Surface:
     """A scan in a room of 4 x 3 m with a niche, noise 1 mm."""
     from benchmarks.corpus.floorplan import cast
@@ -375,13 +363,6 @@ def test_wheels_that_slip_are_not_the_factor():
         assert motion.is_by_returns and motion.is_measured
 
 
-def test_without_wheels_the_matched_motion_is_the_factor():
-    track, _, ends = between_keyframes(rooms(12), wheels=False)
-    motion = motion_between(track, None, ends[3], 1e-6)
-    np.testing.assert_array_equal(motion.a_T_b, track.motion(*ends[3]).a_T_b)
-    assert motion.is_by_returns and not motion.is_measured
-
-
 def test_a_laser_upside_down_measures_as_the_right_way_up():
     """Its beams run the other way round; the motions are the same."""
     log = scans_alone(rooms(1).log)
@@ -399,15 +380,6 @@ def test_a_laser_upside_down_measures_as_the_right_way_up():
     down = made_track(replace(log, events=turned), upside_down, SlamConfig())
     stamps = [scan.stamp_ns for scan in turned]
     assert np.allclose(up.poses_at(stamps), down.poses_at(stamps), atol=2e-3)
-
-
-def test_poses_compose_as_transforms():
-    track = track_of(rooms(10).log)
-    stamps = track._scan_stamps
-    whole, parts = track.motion(stamps[0], stamps[20]), [track.motion(stamps[k], stamps[k + 10]) for k in (0, 10)]
-    np.testing.assert_allclose(whole.a_T_b, parts[0].a_T_b @ parts[1].a_T_b, atol=1e-12)
-    delta = planar_delta(whole.a_T_b)
-    np.testing.assert_allclose(planar_transform(*delta), whole.a_T_b, atol=1e-12)
 
 
 def test_between_scans_before_the_first_and_after_the_last_the_wheels_say_how_it_went():
@@ -487,13 +459,6 @@ def test_odometry_that_never_moves_is_as_good_as_none():
         np.testing.assert_array_equal(one.motion.a_T_b, other.motion.a_T_b)
         np.testing.assert_array_equal(one.motion.covariance, other.motion.covariance)
         assert not one.motion.is_measured
-
-
-def test_clouds_whose_odometry_never_moves_have_no_measured_motion():
-    drive = make_drive(Recipe.parse("office/lidar16/still"), 3)
-    events = [event for event in drive.log.events if event.stamp_ns <= drive.log.scans()[2].stamp_ns]
-    frames = list(keyframes_of(replace(drive.log, events=events), drive.rig, SlamConfig()))
-    assert len(frames) == 3 and all(frame.motion is None for frame in frames)
 
 
 @pytest.mark.parametrize("wheels, sentence", [("still", "got one pose all along"), ("good", "found none")])

@@ -15,7 +15,7 @@ from slam.frontend.scan_regions import ScanPart, believed_plane, believed_planes
 from slam.geometry.frames import inverse
 from slam.sensors.log import CloudScan
 from slam.sensors.rig import Sensor
-from slam.sensors.scan_noise import line_tilt_covariances, servo_covariances, surface_covariances, tilt_drift
+from slam.sensors.scan_noise import servo_covariances, surface_covariances, tilt_drift
 from spplanes import MapperConfig, Plane, fit_plane
 from spplanes.segmentation.config import ValidationConfig
 from spplanes.segmentation.validation.bends import surest_bend
@@ -65,12 +65,6 @@ def test_a_fit_with_errors_shared_by_patches_is_consistent_and_without_them_is_n
     assert_mean_in_band(np.array(told), 3)
     assert np.mean(untold) > 30.0
     assert 0.5 < np.mean(found) < 3.6  # waves longer than a patch are granted, and not there
-
-
-def test_without_a_surface_error_covariances_stay_as_they_are():
-    points = patch(np.random.default_rng(1))
-    noise = isotropic(points)
-    assert surface_covariances(points, noise, TRUTH.frame, sensor()) is noise
 
 
 def test_a_notice_board_of_two_centimetres_is_a_step_and_a_wall_is_none():
@@ -176,16 +170,6 @@ def test_lines_of_a_tilting_scanner_share_the_servos_error_block_by_block():
     assert 1.0 < np.mean(nees) < 3.0
 
 
-def test_without_a_servo_nothing_is_added():
-    points = patch(np.random.default_rng(3))
-    noise = isotropic(points)
-    assert servo_covariances(points, noise, np.zeros(len(points), dtype=int), sensor()) is noise
-    assert line_tilt_covariances(sensor(), 5) is None
-    tilting = line_tilt_covariances(sensor(tilt_sigma_rad=0.02), 5)
-    assert tilting is not None
-    np.testing.assert_allclose(tilting[:, 4, 4], 4e-4)
-
-
 def test_rough_fronts_are_found_where_the_rig_knows_of_them():
     """A wall and, beside it, a hedge whose leaves are 25 mm deep."""
     rng = np.random.default_rng(4)
@@ -244,12 +228,6 @@ def test_ranges_outside_the_limits_are_no_returns():
     points = usable_points(np.array([[0.3, 0.0, 0.0], [3.0, 0.0, 0.0]]), limited)
     assert np.isnan(points[0]).all()
     assert np.isfinite(points[1]).all()
-
-
-@pytest.mark.parametrize("value", [-0.01, float("nan")])
-def test_a_rig_refuses_negative_sigmas(value: float):
-    with pytest.raises(ValueError, match="tilt_sigma_rad"):
-        sensor(tilt_sigma_rad=value)
 
 
 @pytest.mark.parametrize(("apart_m", "cell_m"), [(0.02, 0.05), (0.16, 0.08), (3.0, 0.1)])

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from slam import Keyframe, PlaneSlam
-from slam.frontend.odometry import Motion
 from slam.frontend.pose_measurements import GravityMeasurement
 from slam.planeslam import pose_symbol
 from slam.session.store import Session
@@ -63,20 +62,6 @@ def test_it_reaches_the_graph_and_an_estimator_that_resumes(tmp_path):
     np.testing.assert_array_equal(known.up_in_body, up)
     with PlaneSlam.open(tmp_path / "session.db", read_only=True) as again:
         np.testing.assert_array_equal(again.trajectory.poses[0], estimate)
-
-
-def test_gravity_pulls_a_pose_that_odometry_left_leaning():
-    tilted = gtsam.Pose3(gtsam.Rot3.Rx(0.1), np.array([1.0, 0.0, 0.0])).matrix()
-    motion = Motion(tilted, np.diag([0.01**2] * 3 + [0.2**2] * 3), (1e-3,) * 3)
-    up = (GravityMeasurement(np.array([0.0, 0.0, 1.0]), 0.001),)
-    poses = []
-    for known in ((), up):
-        slam = PlaneSlam()
-        slam.add_keyframe(Keyframe(0, []))
-        slam.add_keyframe(Keyframe(10**9, [], motion, pose_measurements=known))
-        poses.append(slam.trajectory.poses[1])
-    np.testing.assert_allclose(tilts(poses[0]), tilts(tilted), atol=1e-6)
-    np.testing.assert_allclose(tilts(poses[1]), (0.0, 0.0, 1.0), atol=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -66,18 +66,6 @@ def test_joint_covariance_of_a_window_is_that_of_sampled_odometry():
     assert_mean_in_band(np.array(values), len(planar))
 
 
-def test_motion_between_readings_accumulates_and_interpolates():
-    track = track_of(arc())
-    whole = track.motion(0, 12 * PERIOD_NS)
-    np.testing.assert_allclose(
-        whole.a_T_b, inverse(planar_transform(*arc()[0])) @ planar_transform(*arc()[-1]), atol=1e-12
-    )
-    half = track.poses_at([PERIOD_NS // 2])[0]
-    np.testing.assert_allclose(half[:2, 3], arc()[:2, :2].mean(axis=0), atol=1e-12)
-    assert whole.is_planar
-    assert np.linalg.eigvalsh(whole.covariance)[0] > 0.0
-
-
 def test_spatial_covariance_turns_into_the_axes_of_the_second_pose():
     """Drawn additively in a's axes, seen as a perturbation composed on the right of a_T_b."""
     rng = np.random.default_rng(2)

@@ -217,13 +217,6 @@ def test_the_room_comes_out(command: str, folder: Path, capsys: pytest.CaptureFi
             assert found[0] == pytest.approx(-ROOM[axis], abs=0.01)
 
 
-def test_clouds_are_kept_in_the_session_on_request(folder: Path, capsys: pytest.CaptureFixture[str]):
-    write_kitti(folder / "odometry.txt", POSES)
-    code, _, err = run(capsys, "slam", folder, "--out", folder.parent / "run", "--keep-raw")
-    assert code == 0, err
-    assert (folder.parent / "run" / "session.db").stat().st_size > 4 * 32 * 360 * 3 * 8
-
-
 @pytest.mark.parametrize("order", ["by row", "by column", "shuffled"])
 @pytest.mark.parametrize("columns", [360, 1024])
 def test_rings_are_found_in_any_order(order: str, columns: int):
@@ -292,11 +285,6 @@ def test_lines_of_a_turning_laser_keep_their_order_and_lose_their_doubles():
     np.testing.assert_array_equal(arranged, np.where(lost[..., None], np.nan, grid))
 
 
-def test_organised_points_stay_as_they_are():
-    grid = beams()[:, 20:120]
-    assert arrange(grid) is grid
-
-
 def test_whole_turns_begin_at_a_corner():
     here = pose(0.3, -0.2, 0.4)
     grid = seen_from(here, 1)
@@ -307,22 +295,7 @@ def test_whole_turns_begin_at_a_corner():
     np.testing.assert_array_equal(np.roll(turned, offset, axis=1), grid)
 
 
-def test_one_point_alone():
-    image = arrange(np.array([[1.0, 2.0, 3.0]]))
-    assert np.isfinite(image[..., 0]).sum() == 1
-
-
 def test_the_room_of_pcl_in_lines():
     log, rig = load(needs("pcl_room"))
     (name,) = rig.of_kind("cloud")
     assert [scan.points.shape for scan in log.scans(name) if isinstance(scan, CloudScan)] == [(318, 181, 3)] * 2
-
-
-def test_the_hall_in_rings():
-    log, _ = load(needs("balm_hall"))
-    scans = log.scans()
-    assert len(scans) == 20 and log.odometry == []
-    for scan in (scans[0], scans[-1]):
-        assert isinstance(scan, CloudScan)
-        points = scan.points
-        assert points.shape == (64, 2048, 3) and np.isfinite(points[..., 0]).sum() > 70_000

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +16,9 @@ from slam.io.folders.depth_images import CAMERA_MOUNT
 from slam.io.load import load
 from slam.io.trajectories import Trajectory, write_tum
 from slam.sensors.log import CloudScan
-from tests.slam.cli.test_commands import refused, run
+from tests.fuzz.wrapping import png
+from tests.slam.cli.test_commands import refused
 from tests.slam.io.test_cloud_folders import pose
-from tests.slam.real_data import needs
 
 CAMERA = Camera(100.0, 90.0, 39.5, 29.5)
 
@@ -127,12 +125,7 @@ def test_poses_without_times_are_as_many_as_the_images(folder: Path):
 
 def png_of(width: int, height: int) -> bytes:
     """A PNG that declares a size and holds next to nothing."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    head = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(bytes(99))) + chunk(b"IEND", b"")
+    return png(struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0) + bytes(99))
 
 
 def test_bad_images(folder: Path, capsys: pytest.CaptureFixture[str]):
@@ -158,15 +151,6 @@ def test_bad_images(folder: Path, capsys: pytest.CaptureFixture[str]):
     assert "expected intrinsics.txt (fx fy cx cy) beside the depth image" in refused(capsys, "fit", path)
 
 
-def test_fit_on_a_labelled_image(capsys: pytest.CaptureFixture[str]):
-    path = needs("icl_labelled/depth.png")
-    code, out, err = run(capsys, "fit", path, "--json", "--min-points", 2000)
-    assert code == 0, err
-    answer = json.loads(out)
-    assert 8 <= len(answer["planes"]) <= 20
-    assert answer["planes"][0]["n_points"] > 80_000
-
-
 @pytest.mark.parametrize(("width", "interlaced", "missing"), [(40, 0, 0), (40, 0, 1), (40, 1, 2000), (4, 1, 148)])
 def test_an_image_with_fewer_pixels_than_it_has_room_for_is_refused(
     width: int, interlaced: int, missing: int, folder: Path
@@ -175,11 +159,7 @@ def test_an_image_with_fewer_pixels_than_it_has_room_for_is_refused(
     rows = b"".join(b"\0" + bytes([9]) * width for _ in range(30))
     (folder / "intrinsics.txt").write_text("100 100 20 15\n")
     head = struct.pack(">IIBBBBB", width, 30, 8, 0, 0, 0, interlaced)
-    pieces = (b"IHDR", head), (b"IDAT", zlib.compress(rows[: len(rows) - missing])), (b"IEND", b"")
-    framed = [
-        struct.pack(">I", len(part)) + kind + part + struct.pack(">I", zlib.crc32(kind + part)) for kind, part in pieces
-    ]
-    (folder / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(framed))
+    (folder / "a.png").write_bytes(png(head + rows[: len(rows) - missing]))
     if not missing:
         assert read_cloud(folder / "a.png").points.shape == (30, width, 3)
     else:

@@ -52,15 +52,6 @@ def test_las(name: str, tmp_path: Path):
 
 
 @pytest.mark.parametrize("name", ["a.las", "a.laz"])
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 0.9, 0.999])
-def test_cut_las_is_one_sentence(name: str, share: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    path = write_las(tmp_path / name)
-    data = path.read_bytes()
-    path.write_bytes(data[: int(share * len(data))])
-    assert str(path) in refused(capsys, "fit", path)
-
-
-@pytest.mark.parametrize("name", ["a.las", "a.laz"])
 def test_las_that_declares_too_much(name: str, tmp_path: Path):
     path = write_las(tmp_path / name)
     data = bytearray(path.read_bytes())
@@ -123,30 +114,10 @@ def test_e57_of_several_scans_is_a_log(tmp_path: Path, capsys: pytest.CaptureFix
         assert len([d for n, d in walls if abs(n[axis]) > 0.9999 and abs(d + ROOM[axis]) < 0.01]) == 2
 
 
-@pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.9, 0.999])
-def test_cut_e57_is_one_sentence_and_stays_where_it_is(
-    share: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    path = write_e57(tmp_path / "a.e57", [(POINTS, None)])
-    data = path.read_bytes()
-    path.write_bytes(data[: int(share * len(data))])
-    assert str(path) in refused(capsys, "fit", path)
-    assert path.is_file()
-
-
-def test_damaged_e57(tmp_path: Path):
-    path = write_e57(tmp_path / "a.e57", [(POINTS, None)])
-    data, rng = path.read_bytes(), np.random.default_rng(0)
-    for _ in range(30):
-        damaged = bytearray(data)
-        for place in rng.integers(0, len(data), 5):
-            damaged[place] = rng.integers(0, 256)
-        path.write_bytes(bytes(damaged))
-        with pytest.raises(LogError):  # every page has a checksum
-            read_cloud(path)
-    path.write_bytes(b"PK\x03\x04" + bytes(99))
+def test_what_is_no_e57(tmp_path: Path):
+    (tmp_path / "a.e57").write_bytes(b"PK\x03\x04" + bytes(99))
     with pytest.raises(LogError, match="expected an E57 file, got one that does not begin like one"):
-        read_cloud(path)
+        read_cloud(tmp_path / "a.e57")
 
 
 @pytest.mark.parametrize(

@@ -79,11 +79,6 @@ def test_what_is_no_log(case: str, tmp_path: Path):
         load(tmp_path / name)
 
 
-def test_an_empty_folder(tmp_path: Path):
-    with pytest.raises(LogError, match="expected a folder with clouds"):
-        load(tmp_path)
-
-
 def test_the_folder_of_a_run_is_no_log(tmp_path: Path):
     (tmp_path / "planes.json").write_text("{}")
     (tmp_path / "map.ply").write_text("ply\n")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from slam.io.load import load
 from slam.io.rosbags._bounded_unpacking import TooLarge, unpack
 from slam.io.rosbags._salvaged import SalvagedBag
 from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag
-from slam.sensors.log import CloudScan, LaserScan, Log
+from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import Rig, Sensor
 from tests.slam.cli.test_commands import refused, run
 from tests.slam.io.bags import SECOND, Messages, write
@@ -344,17 +343,6 @@ def test_a_wrong_quaternion(tmp_path: Path):
         read_rosbag(write(tmp_path, "ros1", make))
 
 
-@pytest.mark.parametrize("kind", ["ros1", "db3 alone", "mcap alone"])
-@pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.9, 0.999])
-def test_a_cut_bag_is_one_sentence(kind: str, share: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    path = write(tmp_path, kind, mission)
-    data = path.read_bytes()
-    path.write_bytes(data[: int(share * len(data))])
-    sentence = refused(capsys, "slam", path, "--out", tmp_path / "out")
-    assert str(path) in sentence
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize("kind", ["ros1", "ros1 bz2", "ros1 lz4", "mcap alone"])
 @pytest.mark.parametrize("share", [0.6, 0.95])
 def test_what_comes_before_the_break_is_kept(kind: str, share: float, tmp_path: Path):
@@ -380,13 +368,6 @@ def test_whole_chunks_of_a_compressed_mcap_are_kept(tmp_path: Path):
     np.testing.assert_allclose([reading.odom_T_body for reading in log.odometry][:3], PATH[:3], atol=1e-9)
 
 
-def test_nothing_is_left_of_a_bag_cut_at_its_head(tmp_path: Path):
-    path = write(tmp_path, "ros1", mission)
-    path.write_bytes(path.read_bytes()[:3000])
-    with pytest.raises(LogError):
-        load(path, keep_partial=True)
-
-
 def test_other_files_with_the_name_of_a_bag(tmp_path: Path):
     for name in ("a.bag", "a.mcap", "a.db3"):
         (tmp_path / name).write_bytes(b"not a bag at all\n" * 20)
@@ -395,20 +376,6 @@ def test_other_files_with_the_name_of_a_bag(tmp_path: Path):
     (tmp_path / "metadata.yaml").write_text("{{{")
     with pytest.raises(LogError, match="expected a whole bag"):
         load(tmp_path)
-
-
-@pytest.mark.parametrize("kind", ["ros1", "ros1 lz4", "db3 alone", "mcap alone"])
-def test_damaged_bytes_are_a_sentence_or_a_log(kind: str, tmp_path: Path, times):
-    path = write(tmp_path, kind, lambda messages: islice(mission(messages), 5))
-    whole, rng = path.read_bytes(), np.random.default_rng(1)
-    for trial in range(times(8, 500)):
-        data = bytearray(whole)
-        for place in rng.integers(0, 600 if trial % 2 else len(data), 4):
-            data[place] = rng.integers(0, 256)
-        path.write_bytes(bytes(data))
-        with suppress(LogError):
-            log, _ = load(path, keep_partial=trial % 4 > 1)
-            assert isinstance(log, Log) and log.scans()
 
 
 @pytest.mark.parametrize("kind", ["ros1 bz2", "ros1 lz4", "mcap zstd alone"])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam.errors import LogError
-from slam.io.folders.threedtk import beams_per_line, read_3dtk, read_frames, read_points, read_pose, to_right_handed
+from slam.io.folders.threedtk import read_3dtk, read_frames, read_points, read_pose, to_right_handed
 from slam.io.load import load
 from slam.sensors.log import CloudScan
 from tests.slam.real_data import needs
@@ -69,10 +69,6 @@ def test_a_point_moved_before_or_after_the_change_of_axes_is_the_same(tmp_path: 
     swap = np.array([[0, 0, 1], [-1, 0, 0], [0, 1, 0]]) / 100.0
     pose = read_pose(tmp_path / "a.pose")
     np.testing.assert_allclose(pose[:3, :3] @ (swap @ q) + pose[:3, 3], swap @ left_handed, atol=1e-12)
-
-
-def test_points_without_scanner_lines_stay_one_row():
-    assert beams_per_line(np.random.default_rng(1).normal(size=(500, 3))) == 500
 
 
 @pytest.mark.parametrize(

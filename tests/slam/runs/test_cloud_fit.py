@@ -88,15 +88,6 @@ def test_planes_are_in_the_frame_of_the_file():
     np.testing.assert_allclose(found.viewpoint, HERE[:3, 3])
 
 
-def test_a_registered_cloud_seen_from_a_place():
-    world = seen_from(HERE, 5).reshape(-1, 3) @ HERE[:3, :3].T + HERE[:3, 3] + [100.0, 200.0, 0.0]
-    found = fit_cloud(Cloud(world), Path("x"), viewpoint=(100.3, 199.6, 0.0)).at_least(500)
-    assert len(found.planes) == 6
-    for plane in found.planes:
-        assert plane.distance(found.viewpoint) > 0.0
-        assert plane.distance([100.0, 200.0, 0.0]) == pytest.approx(ROOM[np.abs(plane.normal).argmax()], abs=0.02)
-
-
 def test_nothing_to_fit(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (tmp_path / "two.xyz").write_text("1 2 3\n4 5 6\n")
     assert "two.xyz: expected at least three points, got fewer" in refused(capsys, "fit", tmp_path / "two.xyz")
@@ -124,16 +115,6 @@ def test_every_point_is_counted_once(room: Path, capsys: pytest.CaptureFixture[s
     code, out, _ = run(capsys, "fit", room, "--json")
     told = json.loads(out)["points"]
     assert code == 0 and told["total"] == sum(value for name, value in told.items() if name != "total")
-
-
-def test_the_command_says_how_many_points_are_repeated(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    grid = np.load(room)
-    np.save(tmp_path / "twice.npy", np.concatenate((grid, grid)))
-    size = grid[..., 0].size
-    told = json.loads(run(capsys, "fit", tmp_path / "twice.npy", "--json")[1])["points"]
-    assert told["repeated"] == size and told["on_planes"] <= size and told["on_no_plane"] >= 0
-    assert told["total"] == sum(value for name, value in told.items() if name != "total")
-    assert f"{size} repeated." in " ".join(run(capsys, "fit", tmp_path / "twice.npy")[1].split())
 
 
 def test_planes_seen_edge_on_and_of_the_sensors_housing_are_flagged():

@@ -58,17 +58,3 @@ def test_few_walls_of_the_intel_log_are_double(intel):
 
 def test_the_wheels_curvature_is_learnt(intel):
     assert intel.slam.calibration.mean[1] > 0.03  # they turn it to one side, 4 deg per metre
-
-
-def test_every_stage_has_its_time(intel):
-    stages = {
-        "measure",
-        "predict",
-        "associate",
-        "optimise",
-        "marginals",
-        "same plane",
-        "loops",
-        "map",
-    }
-    assert stages <= set(intel.clock.seconds)

@@ -9,7 +9,6 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from slam.config import SlamConfig
@@ -32,23 +31,6 @@ def told(run: Run) -> list[bytes]:
     """Everything that a run came to, as bytes."""
     planes = [repr(one.plane.to_dict()).encode() for one in run.planes]
     return [run.trajectory.poses.tobytes(), *planes, *(encode(list(one)) for one in run.slam.decisions)]
-
-
-def test_keyframes_are_the_same_however_many_measure(mission: Mission):
-    alone = list(keyframes_of(mission.log, mission.rig, SlamConfig()))
-    assert len(alone) > 3
-    for jobs in (2, 3):
-        shared = list(keyframes_of(mission.log, mission.rig, SlamConfig(), jobs=jobs))
-        assert len(shared) == len(alone)
-        for one, other in zip(shared, alone, strict=True):
-            assert encode(one.observations) == encode(other.observations)
-            assert all(a is b for a, b in zip(one.scans, other.scans, strict=True))
-            assert (one.motion is None) == (other.motion is None)
-            if one.motion is not None and other.motion is not None:
-                assert encode(one.motion) == encode(other.motion)
-            assert (one.returns is None) == (other.returns is None)
-            assert one.returns is None or np.array_equal(one.returns, other.returns)
-            assert one.notes == other.notes
 
 
 def test_a_run_is_the_same_however_many_measure(mission: Mission):

@@ -70,11 +70,6 @@ def test_a_random_walk_of_poses_is_consistent_with_its_joint_covariance(method: 
     assert nees == pytest.approx(exact.chi2.mean(), rel=0.03)
 
 
-def test_the_blocks_alone_claim_too_much():
-    # why the joint form exists: as if independent, the errors of a walk average away that do not
-    assert nees_of("ml", joint=False, runs=60)[0] > 8.0
-
-
 def test_independent_scans_are_the_joint_case_without_cross_terms():
     rng = np.random.default_rng(3)
     points = wall().reshape(-1, 3) + SIGMA_M * rng.standard_normal((SCANS * BEAMS, 3))
@@ -86,16 +81,6 @@ def test_independent_scans_are_the_joint_case_without_cross_terms():
     jointly = fit_plane(points, sigma=SIGMA_M, scan_index=index, pose_covariances=joint.reshape(6 * SCANS, -1))
     np.testing.assert_allclose(jointly.frame, by_scan.frame, atol=1e-9)
     np.testing.assert_allclose(jointly.covariance, by_scan.covariance, rtol=1e-7, atol=1e-14)
-
-
-def test_a_joint_covariance_of_no_whole_number_of_poses_is_refused():
-    with pytest.raises(ValueError, match=r"pose_covariances: expected shape \(S, 6, 6\) or \(6 S, 6 S\), got \(7, 7\)"):
-        fit_plane(
-            wall().reshape(-1, 3),
-            sigma=SIGMA_M,
-            scan_index=np.zeros(SCANS * BEAMS, dtype=int),
-            pose_covariances=np.eye(7),
-        )
 
 
 def tilting_scan(rng: np.random.Generator, root: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -163,5 +148,4 @@ def test_the_plane_is_the_likeliest_whatever_the_tilts_were():
             values.append(log_likelihood(plane.frame @ error, points, line, noise, sigma))
         gradient[k] = (values[0] - values[1]) / (2.0 * sigma_k)
     left = plane.covariance @ gradient / np.sqrt(np.diag(plane.covariance))
-    print(left)
     assert np.abs(left).max() < 0.1

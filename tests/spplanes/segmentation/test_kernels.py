@@ -33,11 +33,6 @@ def test_eigenvalues_and_normal_agree_with_numpy():
         assert abs(np.array(normal_of(row, eigenvalues(row)[0])) @ vectors[:, 0]) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_eigenvalues_of_nothing_and_of_a_ball():
-    assert eigenvalues(np.zeros(11)) == (0.0, 0.0, 0.0)
-    assert normal_of(np.zeros(11), 0.0) == (0.0, 0.0, 1.0)
-
-
 def test_merge_scaled_is_the_union():
     rng = np.random.default_rng(1)
     a, b = rng.normal(size=(2, 30, 3))
@@ -123,12 +118,6 @@ def test_filter_keeps_a_surface_seen_obliquely_up_to_the_chosen_incidence():
 def test_literal_filter_takes_sampling_distance_for_error():
     assert not surviving_quads(*run_links(wall(), limit=7.81, literal=True)).any()
     assert surviving_quads(*run_links(wall(), limit=1e5, literal=True)).all()
-
-
-def test_zero_range_is_no_surface():
-    points = wall()
-    points[0, 0] = 0.0
-    assert not surviving_quads(*run_links(points))[0, 0]
 
 
 def test_split_regions_numbers_parts_and_keeps_the_settled_one():

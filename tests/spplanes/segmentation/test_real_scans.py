@@ -16,6 +16,17 @@ def needs(folder):
     return pytest.mark.skipif(not (DATA / folder).is_dir(), reason=f"real data not here: {folder}")
 
 
+def segmented(points, model):
+    """Labels and planes with the noise of a sensor, what its scans share included."""
+    return segment_scans(
+        points,
+        model.covariances(points),
+        viewpoints=(0.0, 0.0, 0.0),
+        pose_covariances=np.tile(model.scan_covariance(), (len(points), 1, 1)),
+        config=MapperConfig(flatness_m=0.5 * model.surface_sigma_m),
+    )
+
+
 @needs("icl_labelled")
 @pytest.mark.parametrize(("noise_seed", "at_least"), [(None, 14), (0, 9), (1, 9), (2, 9)])
 def test_labelled_depth_image(noise_seed, at_least):
@@ -37,13 +48,7 @@ def test_organised_terrestrial_scan():
 def test_corridor_has_whole_floor_ceiling_and_left_wall(index):
     points = _scans.corridor_scan(DATA, index)
     model = _scans.CORRIDOR_SENSOR
-    labels, planes = segment_scans(
-        points,
-        model.covariances(points),
-        viewpoints=(0.0, 0.0, 0.0),
-        pose_covariances=np.tile(model.scan_covariance(), (len(points), 1, 1)),
-        config=MapperConfig(flatness_m=0.5 * model.surface_sigma_m),
-    )
+    labels, planes = segmented(points, model)
     returns = np.isfinite(points).all(axis=-1)
     assert (labels >= 0).sum() > 0.85 * returns.sum()
     floor = max((p for p in planes if p.normal[2] > 0.98), key=lambda p: p.n_points)
@@ -63,9 +68,7 @@ def test_corridor_has_whole_floor_ceiling_and_left_wall(index):
 
 @needs("3dtk_corridor")
 def test_corridor_frames_at_other_depths_are_planes_of_their_own():
-    points, model = _scans.corridor_scan(DATA, 0), _scans.CORRIDOR_SENSOR
-    config = MapperConfig(flatness_m=0.5 * model.surface_sigma_m)
-    _, planes = segment_scans(points, model.covariances(points), viewpoints=(0.0, 0.0, 0.0), config=config)
+    _, planes = segmented(_scans.corridor_scan(DATA, 0), _scans.CORRIDOR_SENSOR)
     across = np.sort([p.d for p in planes if p.normal[1] < -0.99 and p.n_points > 500 and p.d < -3.0])
     assert len(across) >= 3
     assert (np.diff(across) > 0.05).all()
@@ -82,13 +85,7 @@ def pieces(planes, normal_z):
 def test_room_from_vertical_slices(index):
     points = _scans.room_slices(DATA, index)
     model = _scans.ROOM_SENSOR
-    labels, planes = segment_scans(
-        points,
-        model.covariances(points),
-        viewpoints=(0.0, 0.0, 0.0),
-        pose_covariances=np.tile(model.scan_covariance(), (len(points), 1, 1)),
-        config=MapperConfig(flatness_m=0.5 * model.surface_sigma_m),
-    )
+    labels, planes = segmented(points, model)
     floor, others = pieces(planes, 1.0)
     assert floor.d == pytest.approx(-1.26, abs=0.03)
     assert floor.n_points > 5000

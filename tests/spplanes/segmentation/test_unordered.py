@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from benchmarks import _scans
 from spplanes import MapperConfig, Plane, segment_cloud
 from tests.spplanes.fitting.test_shared_error import wall as wandering_wall
+from tests.statistics import assert_mean_in_band
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data"
 HALF = np.array([2.0, 1.5, 1.2])
@@ -56,20 +57,14 @@ def test_an_even_room_has_six_walls_whatever_the_order():
 
 @pytest.mark.parametrize("sigma", [None, 0.005])
 def test_walls_of_an_even_room_are_as_well_known_as_is_said(sigma):
-    total, count = 0.0, 0
+    values = []
     for seed in range(12):
         for plane in segment_cloud(box(seed, 12_000), sigma=sigma)[1]:
             axis = int(np.abs(plane.normal).argmax())
-            truth = np.zeros(3)
-            truth[axis] = -np.sign(plane.normal[axis]) * HALF[axis]
             true_normal = np.sign(plane.normal[axis]) * np.eye(3)[axis]
-            x, y, n = plane.frame[:3, :3].T
-            slope = true_normal / (true_normal @ n)
-            error = np.array([(truth - plane.centre) @ slope, slope @ x, -(slope @ y)])
-            total, count = total + error @ np.linalg.solve(plane.covariance, error), count + 1
-    low, high = chi2.ppf([0.0005, 0.9995], 3 * count) / count
-    assert count == 72
-    assert low < total / count < high  # half or twice the covariance: beyond by nine standard deviations
+            values.append(plane.mahalanobis(Plane.from_hesse(true_normal, -HALF[axis], np.zeros((3, 3)))))
+    assert len(values) == 72
+    assert_mean_in_band(values, 3, 0.999)  # half or twice the covariance: beyond by nine standard deviations
 
 
 def test_a_floor_alone_and_noise_that_is_not_shown():
