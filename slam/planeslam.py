@@ -12,9 +12,8 @@ import numpy as np
 
 from slam.backend.estimator import Backend, pose_symbol
 from slam.config import SlamConfig
-from slam.diagnostics.bookkeeping import Bookkeeping
+from slam.diagnostics.bookkeeping import Bookkeeping, change_sentences, decision_sentence
 from slam.diagnostics.consistency import NisAudit
-from slam.diagnostics.decision_explanations import change_sentences, decision_sentence
 from slam.diagnostics.map_observability import open_in_map
 from slam.diagnostics.observability import Observability, OpenStretch, open_stretches
 from slam.frontend.input_checks import check_keyframe

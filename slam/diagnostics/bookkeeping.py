@@ -1,24 +1,23 @@
-"""Bookkeeping of a run: recording, consistency and open directions, in the one place that listens to the steps."""
+"""Bookkeeping of a run: what every step made of a keyframe is recorded, counted, and explained in words."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
-import numpy as np
-
-from factors.association.gating import hypotheses_of
 from slam.backend.estimator import Backend
 from slam.config import SlamConfig
-from slam.diagnostics.consistency import NisAudit
+from slam.diagnostics.consistency import NisAudit, innovations_without_prediction
 from slam.diagnostics.observability import Observability
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import Observation
-from slam.map.data_association import Decision
+from slam.loop_closure.closing import ClosedLoop
+from slam.loop_closure.verification import LoopDecision
+from slam.map.data_association import Candidate, Decision
 from slam.map.landmarks import LandmarkMap
+from slam.mapping.fusion import Merge
 from slam.mapping.map_update import LateMatch
 from slam.session.recorder import Recorder
 from slam.tracking.prediction import Prediction
-from spplanes._check import FloatArray
 
 
 class Bookkeeping:
@@ -61,60 +60,40 @@ class Bookkeeping:
             self.audit.count(prediction.index, seen[number].kind, chi2, dof)
 
 
-#: A motion of the pose that moves no measurement by more than this many of its sigmas a metre or radian is not found.
-_SILENT = 1e-2
+#: Candidates named in a sentence.
+_NAMED = 3
 
 
-def innovations_without_prediction(
-    observations: Sequence[Observation],
-    decisions: Sequence[Decision],
-    pose_key: int,
-    landmarks: LandmarkMap,
-    backend: Backend,
-) -> list[tuple[int, float, int]]:
-    """(index of the observation, chi2, degrees of freedom) of every match, without what was known of the pose before.
-
-    Where no odometry is, the pose of a keyframe is found by its planes: a prediction made of them agrees with them, and
-    a wide one with anything. So the pose is taken as unknown. What the matches say beyond finding it has to agree
-    within the covariance of measurements and map, which is chi2 with six degrees of freedom less where they fix
-    everything. An observation has the share that it adds to those firmer than it. To be asked before the keyframe's
-    factors are in the graph.
-    """
-    found = [(one.observation, one.match.landmark) for one in decisions if one.match is not None]
-    found.sort(key=lambda pair: (-observations[pair[0]].n_points, pair[0]))
-    if not found:
-        return []
-    keys = sorted({pose_key, *(key for _, i in found for key in (landmarks[i].key, landmarks[i].anchor_key))})
-    joint, values = backend.joint_covariance(keys), backend.values_of(keys)
-    rows, residuals = [], []
-    for index, landmark in found:
-        [hypothesis] = hypotheses_of(observations[index], [landmarks[landmark]], pose_key, joint, values, backend)
-        rows.append(np.zeros((len(hypothesis.target), len(joint.full))))
-        rows[-1][:, hypothesis.columns] = hypothesis.jacobian
-        residuals.append(hypothesis.target)
-    residual, by_pose = _whitened(np.vstack(rows), np.concatenate(residuals), joint.full, joint.columns([pose_key]))
-    ends = np.cumsum([0, *map(len, residuals)]).tolist()
-    left = [_left_over(residual[:end], by_pose[:end]) for end in ends]
-    shares = zip(found, left[1:], left[:-1], strict=True)
-    return [(index, max(chi2 - before, 0.0), dof - used) for (index, _), (chi2, dof), (before, used) in shares]
+def decision_sentence(decision: Decision, observation: Observation) -> str:
+    """What became of an observation, and what it was compared with, likeliest first."""
+    what = f"{observation.kind} {decision.observation} ({observation.n_points} points)"
+    compared = ", ".join(_candidate(one) for one in decision.candidates[:_NAMED]) or "no landmark near"
+    if decision.match is not None:
+        return f"{what} is landmark {decision.match.landmark}: {compared}"
+    if decision.verdict == "new":
+        return f"{what} is none of the landmarks: {compared}"
+    return f"{what} is not used, it may be one and may be none: {compared}"
 
 
-def _whitened(
-    jacobian: FloatArray, residual: FloatArray, covariance: FloatArray, of_pose: np.ndarray
-) -> tuple[FloatArray, FloatArray]:
-    """Residuals (n,) and their derivative by the pose (n, 6), in units of what measurements and map let them be.
+def change_sentences(
+    keyframe: int, merges: Iterable[Merge], loops: Sequence[LoopDecision], closed: Iterable[ClosedLoop]
+) -> list[str]:
+    """What a keyframe changed in the map: merges, merges taken back, loops looked for, loops taken back."""
+    sentences = []
+    for merge in merges:
+        if merge.keyframe == keyframe:
+            sentences.append(f"landmark {merge.younger} became part of landmark {merge.older} ({merge.cause})")
+        if merge.undone == keyframe:
+            sentences.append(f"landmark {merge.younger} was found not to be landmark {merge.older} after all")
+    for loop in loops:
+        if loop.keyframe == keyframe:
+            sentences.append(f"compared with the surroundings of keyframe {loop.old_keyframe}: {loop.verdict}")
+    for known in closed:
+        if known.undone == keyframe:
+            ends = known.loop.keyframe, known.loop.old_keyframe
+            sentences.append("keyframe {} was found not to have come back to the place of keyframe {}".format(*ends))
+    return sentences
 
-    A row depends on no residual after its own.
-    """
-    by_map = jacobian.copy()
-    by_map[:, of_pose] = 0.0
-    root = np.linalg.cholesky(by_map @ covariance @ by_map.T + np.eye(len(residual)))
-    both: FloatArray = np.asarray(np.linalg.solve(root, np.column_stack((residual, jacobian[:, of_pose]))), float)
-    return both[:, 0], both[:, 1:]
 
-
-def _left_over(residual: FloatArray, by_pose: FloatArray) -> tuple[float, int]:
-    """What no pose explains of whitened residuals (n,) that depend on it by (n, 6): chi2 and degrees of freedom."""
-    axes, sizes, _ = np.linalg.svd(by_pose, full_matrices=False)
-    explained = axes[:, sizes > _SILENT].T @ residual
-    return float(residual @ residual - explained @ explained), len(residual) - len(explained)
+def _candidate(one: Candidate) -> str:
+    return f"landmark {one.landmark} chi2 {one.chi2:.1f} of {one.dof} dof (p {one.p_value:.2g})"

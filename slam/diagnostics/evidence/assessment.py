@@ -12,9 +12,8 @@ from slam.diagnostics.evidence.coverage import (
     unmatched_evidence,
 )
 from slam.diagnostics.evidence.finished import Finished
-from slam.diagnostics.evidence.innovations import nis_evidence
+from slam.diagnostics.evidence.innovations import believed_evidence, nis_evidence, odometry_evidence
 from slam.diagnostics.evidence.mounts import heading_evidence, mount_evidence
-from slam.diagnostics.evidence.odometry import believed_evidence, odometry_evidence
 from slam.diagnostics.evidence.prior import prior_evidence, start_evidence
 from slam.diagnostics.evidence.surfaces import Surfaces, doubled_evidence, free_space_evidence
 from slam.diagnostics.verdict import Evidence, Verdict, weigh

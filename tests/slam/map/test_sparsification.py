@@ -11,7 +11,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from slam import PlaneSlam, SlamConfig
 from slam.config import ThinningConfig
-from slam.diagnostics.evidence.odometry import odometry_evidence
+from slam.diagnostics.evidence.innovations import odometry_evidence
 from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion, spatial_covariance
 from slam.geometry.frames import inverse, planar_transform

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.diagnostics.evidence.innovations import claimed_sigmas
-from slam.diagnostics.evidence.odometry import _Residual, _test
+from slam.diagnostics.evidence.innovations import _Residual, _test, claimed_sigmas
 from tests.slam.short_drives import mapped_beginning
 
 #: Covariances of a step (x, y, theta) as the odometry states it, and of the estimate: the third axis is told.
