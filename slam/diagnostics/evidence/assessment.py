@@ -14,14 +14,14 @@ from slam.diagnostics.evidence.coverage import (
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.innovations import believed_evidence, nis_evidence, odometry_evidence
 from slam.diagnostics.evidence.mounts import heading_evidence, mount_evidence
-from slam.diagnostics.evidence.prior import prior_evidence, start_evidence
+from slam.diagnostics.evidence.prior import prior_evidence
 from slam.diagnostics.evidence.surfaces import Surfaces, doubled_evidence, free_space_evidence
 from slam.diagnostics.verdict import Evidence, Verdict, weigh
 from slam.diagnostics.views import scan_views_of, views_of
 from slam.sensors.rig import Rig
 
 #: Kinds of statistics there are, which share the significance.
-KINDS = 13
+KINDS = 12
 
 
 def assess_run(run: Finished, rig: Rig) -> Verdict:
@@ -47,6 +47,5 @@ def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     yield from heading_evidence(run.keyframes, poses, rig)
     surfaces = Surfaces.of(run)
     yield from doubled_evidence(run, surfaces)
-    yield from start_evidence(run)
     if run.prior is not None:
         yield from prior_evidence(run, rig, views, surfaces)
