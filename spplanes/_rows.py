@@ -1,10 +1,14 @@
-"""Numba kernels on moment rows: the weighted moments of a point set in eleven numbers. See ``spplanes.moments``."""
+"""Numba kernels on moment rows, the weighted moments of a point set in eleven numbers, and on 3x3 symmetric matrices.
+
+For the rows see ``spplanes.moments``. Eigenvalues are found by Jacobi rotations, accurate when near-degenerate.
+"""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from spplanes._eigen import jacobi3
 from spplanes._jit import inlined, inner, njit
 
 #: Length of a moment row: n, W, cx, cy, cz, Sxx, Sxy, Sxz, Syy, Syz, Szz.
@@ -19,6 +23,102 @@ OK, TOO_FEW, COINCIDENT, COLLINEAR, OPEN_POSES = 0, 1, 2, 3, 4
 COLLINEAR_RATIO = 1e-6
 #: Coordinates carry a rounding error of this share of their size; a smaller extent is none.
 ROUNDING = 1e-15
+#: Jacobi rotations converge in a few sweeps.
+_MAX_SWEEPS = 30
+
+
+@inner(cache=True)
+def _rotation(app: float, aqq: float, apq: float) -> tuple[float, float, float]:
+    """Tangent, cosine and sine of the Jacobi rotation that zeroes ``apq``, the smaller of the two angles."""
+    tau = (aqq - app) / (2.0 * apq)
+    t = 1.0 / (abs(tau) + math.sqrt(1.0 + tau * tau))
+    if tau < 0.0:
+        t = -t
+    c = 1.0 / math.sqrt(1.0 + t * t)
+    return t, c, t * c
+
+
+@inlined
+def _is_negligible(off: float, a: float, b: float) -> bool:
+    """Whether an off-diagonal entry is below the rounding of both its diagonal entries."""
+    return abs(off) <= 1e-17 * math.sqrt(abs(a)) * math.sqrt(abs(b)) or abs(off) < 1e-300
+
+
+@njit(cache=True)
+def jacobi3(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, values, vectors) -> None:
+    """Eigenvalues, ascending, and eigenvectors of a symmetric 3x3 matrix given by its upper triangle.
+
+    Cyclic Jacobi rotations, written out for the three pairs. A small eigenvalue of a positive semidefinite matrix is
+    found to rounding of the matrix' entries, and eigenvectors stay orthogonal to rounding, also when eigenvalues tie.
+
+    Args:
+        xx, xy, xz, yy, yz, zz: the entries.
+        values: receives the eigenvalues, shape (3,).
+        vectors: receives the eigenvectors in its columns, shape (3, 3).
+    """
+    v = np.zeros((3, 3))
+    for k in range(3):
+        v[k, k] = 1.0
+    for _ in range(_MAX_SWEEPS):
+        done = True
+        if not _is_negligible(xy, xx, yy):
+            done = False
+            t, c, s = _rotation(xx, yy, xy)
+            xx, yy, xy = xx - t * xy, yy + t * xy, 0.0
+            xz, yz = c * xz - s * yz, s * xz + c * yz
+            for k in range(3):
+                v[k, 0], v[k, 1] = c * v[k, 0] - s * v[k, 1], s * v[k, 0] + c * v[k, 1]
+        if not _is_negligible(xz, xx, zz):
+            done = False
+            t, c, s = _rotation(xx, zz, xz)
+            xx, zz, xz = xx - t * xz, zz + t * xz, 0.0
+            xy, yz = c * xy - s * yz, s * xy + c * yz
+            for k in range(3):
+                v[k, 0], v[k, 2] = c * v[k, 0] - s * v[k, 2], s * v[k, 0] + c * v[k, 2]
+        if not _is_negligible(yz, yy, zz):
+            done = False
+            t, c, s = _rotation(yy, zz, yz)
+            yy, zz, yz = yy - t * yz, zz + t * yz, 0.0
+            xy, xz = c * xy - s * xz, s * xy + c * xz
+            for k in range(3):
+                v[k, 1], v[k, 2] = c * v[k, 1] - s * v[k, 2], s * v[k, 1] + c * v[k, 2]
+        if done:
+            break
+    _store_sorted(xx, yy, zz, v, values, vectors)
+
+
+@inlined
+def _store_sorted(a: float, b: float, c: float, v, values, vectors) -> None:
+    """Write eigenpairs in ascending order of eigenvalue."""
+    i, j, k = 0, 1, 2
+    values[0], values[1], values[2] = a, b, c
+    if values[i] > values[j]:
+        i, j = j, i
+    if values[j] > values[k]:
+        j, k = k, j
+    if values[i] > values[j]:
+        i, j = j, i
+    low, mid, high = values[i], values[j], values[k]
+    values[0], values[1], values[2] = low, mid, high
+    for r in range(3):
+        vectors[r, 0], vectors[r, 1], vectors[r, 2] = v[r, i], v[r, j], v[r, k]
+
+
+@inner(cache=True)
+def solve3(matrix, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Solution of a positive definite 3x3 system by the factors L D L^T; of `matrix` the upper triangle, six entries.
+
+    NaN or infinity where the matrix is singular to the last digit.
+    """
+    xx, xy, xz, yy, yz, zz = matrix
+    a, b = xy / xx, xz / xx
+    d = yy - a * xy
+    c = (yz - a * xz) / d
+    y -= a * x
+    z -= b * x + c * y
+    z /= zz - b * xz - c * c * d
+    y = y / d - c * z
+    return x / xx - a * y - b * z, y, z
 
 
 @inner(cache=True)
@@ -46,7 +146,13 @@ def add_point(row, p, w: float) -> None:
 @njit(cache=True)
 def merge_rows(a, b, out) -> None:
     """Write the moments of the union of two disjoint point sets to ``out``, which may be ``a`` or ``b``."""
-    wa, wb = a[1], b[1]
+    merge_scaled(out, a, 1.0, b, 1.0)
+
+
+@njit(cache=True)
+def merge_scaled(out, a, scale_a: float, b, scale_b: float) -> None:
+    """`merge_rows` of two rows the weights of which are multiplied by a scale each."""
+    wa, wb = a[1] * scale_a, b[1] * scale_b
     total = wa + wb
     share = wb / total if total > 0.0 else 0.0
     dx, dy, dz = b[2] - a[2], b[3] - a[3], b[4] - a[4]
@@ -56,12 +162,12 @@ def merge_rows(a, b, out) -> None:
     out[2] = a[2] + share * dx
     out[3] = a[3] + share * dy
     out[4] = a[4] + share * dz
-    out[5] = a[5] + b[5] + keep * dx * dx
-    out[6] = a[6] + b[6] + keep * dx * dy
-    out[7] = a[7] + b[7] + keep * dx * dz
-    out[8] = a[8] + b[8] + keep * dy * dy
-    out[9] = a[9] + b[9] + keep * dy * dz
-    out[10] = a[10] + b[10] + keep * dz * dz
+    out[5] = a[5] * scale_a + b[5] * scale_b + keep * dx * dx
+    out[6] = a[6] * scale_a + b[6] * scale_b + keep * dx * dy
+    out[7] = a[7] * scale_a + b[7] * scale_b + keep * dx * dz
+    out[8] = a[8] * scale_a + b[8] * scale_b + keep * dy * dy
+    out[9] = a[9] * scale_a + b[9] * scale_b + keep * dy * dz
+    out[10] = a[10] * scale_a + b[10] * scale_b + keep * dz * dz
 
 
 @njit(cache=True)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spplanes import _plane_io
 from spplanes._check import (
     FloatArray,
     as_count,
@@ -25,6 +24,9 @@ from spplanes.spmodel import Location, chi2_of
 
 if TYPE_CHECKING:
     from shapely import Polygon
+
+#: normal and d are written for readers of the file; the frame is what counts, and they must agree with it to this.
+_AGREEMENT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +222,7 @@ class Plane:
             "covariance": self.covariance.tolist(),
             "n_points": int(self.n_points),
             "chi2": float(self.chi2),
-            "outline": None if self.outline is None or self.outline.is_empty else _plane_io.rings_of(self.outline),
+            "outline": None if self.outline is None or self.outline.is_empty else _rings_of(self.outline),
         }
 
     @classmethod
@@ -230,7 +232,7 @@ class Plane:
         Raises:
             ValueError: a key is missing or holds something else, or normal and d contradict the frame.
         """
-        return cls(**_plane_io.plane_arguments(data))
+        return cls(**_arguments_from(data))
 
     def _moment_row(self, name: str) -> FloatArray:
         """Moment row of in-plane points with this plane's information, and its chi2 along the normal."""
@@ -267,3 +269,51 @@ def _points(value: ArrayLike) -> FloatArray:
     if points.ndim not in (1, 2) or points.shape[-1] != 3:
         raise ValueError(f"points: expected shape (N, 3) or (3,), got {points.shape}")
     return points
+
+
+def _arguments_from(data: dict[str, Any]) -> dict[str, Any]:
+    """Checked constructor arguments from such a dict; chi2 and outline may be missing."""
+    if not isinstance(data, dict):
+        raise ValueError(f"data: expected a dict, got {type(data).__name__}")
+    missing = [key for key in ("normal", "d", "frame", "covariance", "n_points") if key not in data]
+    if missing:
+        raise ValueError(f"data: expected the key {missing[0]!r}, got {sorted(map(str, data))}")
+    frame = as_transform("frame", data["frame"])
+    _check_agreement(frame, data)
+    return {
+        "frame": frame,
+        "covariance": as_shape("covariance", data["covariance"], (3, 3)),
+        "n_points": data["n_points"],
+        "chi2": data.get("chi2", 0.0),
+        "outline": _polygon(data.get("outline")),
+    }
+
+
+def _check_agreement(frame: np.ndarray, data: dict[str, Any]) -> None:
+    normal, d = as_shape("normal", data["normal"], (3,)), as_number("d", data["d"])
+    distance = float(frame[:3, 2] @ frame[:3, 3])
+    if np.abs(normal - frame[:3, 2]).max() > _AGREEMENT:
+        raise ValueError(f"normal: expected the frame's z axis {frame[:3, 2].tolist()}, got {normal.tolist()}")
+    if abs(d - distance) > _AGREEMENT * max(1.0, float(np.abs(frame[:3, 3]).max())):
+        raise ValueError(f"d: expected the frame's distance {distance}, got {d}")
+
+
+def _rings_of(outline: Polygon) -> list[list[list[float]]]:
+    """The rings of an outline, the exterior first."""
+    return [[[x, y] for x, y, *_ in ring.coords] for ring in (outline.exterior, *outline.interiors)]
+
+
+def _polygon(rings: Any) -> Polygon | None:
+    if rings is None:
+        return None
+    from shapely import Polygon  # a slow import that most fits never need
+
+    if not isinstance(rings, (list, tuple)) or not rings:
+        raise ValueError(f"outline: expected a list of rings, got {type(rings).__name__}")
+    arrays = [as_shape("outline", ring, (None, 2)) for ring in rings]
+    if min(len(ring) for ring in arrays) < 4:
+        raise ValueError("outline: expected closed rings of at least 4 points, got a shorter one")
+    polygon = Polygon(arrays[0], arrays[1:])
+    if not polygon.is_valid:
+        raise ValueError("outline: expected a valid polygon, got one that crosses itself")
+    return polygon

@@ -123,7 +123,7 @@ def register_scans(
     covariances = model.covariances(points, viewpoints[:, None])
     shared = _shared(model, pose_covariances, len(distances), viewpoints - origins)
     if shared is not None and fold_pose:
-        from spplanes.fitting._pose_spread import shared_by_scan
+        from spplanes.fitting._pose_error import shared_by_scan
 
         covariances = covariances + shared_by_scan(points, shared, origins).reshape(covariances.shape)
         shared = None

@@ -48,8 +48,7 @@ ROOMS = {
     ),
     "spplanes": (
         ("_version", "_check", "_jit", "_threads"),
-        ("_eigen",),
-        ("_hesse", "_plane_io", "_rows", "noise", "spmodel"),
+        ("_hesse", "_rows", "noise", "spmodel"),
         ("plane", "line"),
         ("moments",),
         ("fitting", "outlines"),

@@ -53,14 +53,14 @@ MUTATIONS = (
     ),
     Mutation(
         "lines: what is stated of the noise is a guess",
-        "spplanes/lines/_shared_error.py",
+        "spplanes/lines/extraction.py",
         "covariances, stated=True",
         "covariances, stated=False",
         "tests/spplanes/lines/test_shared_error.py",
     ),
     Mutation(
         "lines: what is stated of walls is forgotten where residuals show less",
-        "spplanes/lines/_shared_error.py",
+        "spplanes/lines/extraction.py",
         "np.maximum(uneven - shared[:, (0, 1), (0, 1)], 0.0)",
         "0.0 * uneven",
         "tests/spplanes/lines/test_shared_error.py",

@@ -11,7 +11,7 @@ from shapely.geometry.base import BaseGeometry
 from factors.association.decisions import AssociationGates
 from factors.association.observations import Observation
 from spplanes import Plane
-from spplanes.outlines.growing import grow
+from spplanes.outlines.extents import grow
 from spplanes.spmodel import inverse_transform
 
 

@@ -16,8 +16,7 @@ from factors.association.observations import Observation, PlaneObservation
 from factors.landmarks import plane_landmark
 from spplanes import Plane
 from spplanes._check import FloatArray, check_instance
-from spplanes.outlines.extents import Extent
-from spplanes.outlines.growing import settle_frames
+from spplanes.outlines.extents import Extent, settle_frames
 from spplanes.spmodel import inverse_transform
 
 

@@ -15,7 +15,7 @@ from factors.line import line_factor
 from factors.plane import plane_factor
 from spplanes import Plane, ScanLine
 from spplanes._check import FloatArray, as_number, as_transform, check_instance
-from spplanes.outlines.growing import flatten, lift
+from spplanes.outlines.extents import flatten, lift
 from spplanes.spmodel import skew
 
 #: Sine of the angle between a landmark and the scan plane from which on a line's factor is native.

@@ -14,8 +14,7 @@ from spplanes import MapperConfig, Plane, fit_plane
 from spplanes._check import FloatArray
 from spplanes._rows import OK
 from spplanes._threads import in_parts
-from spplanes.fitting._groups import fit_groups
-from spplanes.fitting._job import FitJob, group_by_label
+from spplanes.fitting._groups import FitJob, fit_groups, group_by_label
 from spplanes.fitting.shared_error import shared_error_of
 from spplanes.segmentation.config import ValidationConfig
 from spplanes.segmentation.validation.bends import surest_bend

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from spplanes._check import FloatArray
-from spplanes.outlines.growing import lift
+from spplanes.outlines.extents import lift
 from spplanes.spmodel import inverse_transform as inverse
 
 __all__ = [

@@ -9,7 +9,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from spplanes._check import FloatArray
-from spplanes.outlines.growing import all_valid, flatten, grow, grow_all, valid
+from spplanes.outlines.extents import all_valid, flatten, grow, grow_all, valid
 
 __all__ = [
     "all_valid",

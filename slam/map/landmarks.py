@@ -14,8 +14,7 @@ from factors import landmark_hesse
 from slam.backend.estimator import Backend
 from slam.frontend.observations import Observation
 from spplanes._check import FloatArray
-from spplanes.outlines.extents import Extent
-from spplanes.outlines.growing import settle_frames
+from spplanes.outlines.extents import Extent, settle_frames
 
 
 @dataclass(eq=False)

@@ -11,27 +11,6 @@ from spplanes._jit import inner, njit
 
 
 @njit(cache=True)
-def merge_scaled(out, a, scale_a, b, scale_b):
-    """Write the moments of both rows together into out, the weights of each multiplied by its scale."""
-    wa, wb = a[1] * scale_a, b[1] * scale_b
-    total = wa + wb
-    out[0] = a[0] + b[0]
-    out[1] = total
-    dx, dy, dz = b[2] - a[2], b[3] - a[3], b[4] - a[4]
-    share = wb / total
-    k = wa * share
-    out[2] = a[2] + share * dx
-    out[3] = a[3] + share * dy
-    out[4] = a[4] + share * dz
-    out[5] = a[5] * scale_a + b[5] * scale_b + k * dx * dx
-    out[6] = a[6] * scale_a + b[6] * scale_b + k * dx * dy
-    out[7] = a[7] * scale_a + b[7] * scale_b + k * dx * dz
-    out[8] = a[8] * scale_a + b[8] * scale_b + k * dy * dy
-    out[9] = a[9] * scale_a + b[9] * scale_b + k * dy * dz
-    out[10] = a[10] * scale_a + b[10] * scale_b + k * dz * dz
-
-
-@njit(cache=True)
 def eigenvalues(row):
     """Eigenvalues of the scatter, ascending (trigonometric solution of the characteristic polynomial)."""
     a, b, c, d, e, f = row[5], row[6], row[7], row[8], row[9], row[10]

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spplanes._rows import OK
-from spplanes.fitting._groups import Fits, fit_groups
-from spplanes.fitting._job import FitJob, Method, Robust, group_by_label
+from spplanes.fitting._groups import FitJob, Fits, Method, Robust, fit_groups, group_by_label
 from spplanes.moments import describe_status
 from spplanes.plane import Plane
 

@@ -1,10 +1,11 @@
-"""Kernels of line extraction: the maximum-likelihood line of a set of beams, its ends, and how straight it is."""
+"""Kernels of line extraction: the beams a line rests on, their likeliest line, its ends, how straight it is."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from spplanes._jit import inlined, inner
+from spplanes.lines._kernels import N_SUMS, fit_sums
 from spplanes.lines._round import solve_symmetric
 
 #: Gauss-Newton ends with a step that lowers chi2 by less than this: a thousandth of a standard deviation.
@@ -12,15 +13,96 @@ STEP_TOLERANCE = 1e-6
 MAX_STEPS = 20
 #: A line grows only where it predicts the range with at most this many times the variance of a beam.
 MAX_PREDICTION = 5.0
+#: 99 % quantiles of chi2 with 1, 2, 3 dof: what that many end beams may add to the chi2 of the others.
+END_GATES = np.array((7.88, 10.6, 12.84))
 
 
 @inlined
-def normal_equations(cosines, sines, ranges, sigmas, members, alpha, rho):
+def drop_borders(breaks, labels, members):
+    """Members without those beside a return that is not on the line; all of them when fewer than three would be left.
+
+    Such a beam may already be on what joins the two surfaces. Of a door jamb hit by one beam within its noise of the
+    wall no residual tells, yet at the end of the line it turns it.
+    """
+    kept, count = np.empty(members.size, dtype=np.int64), 0
+    for k in members:
+        after = (k + 1) % labels.size
+        begins = breaks[k] < 2 and labels[k - 1] != labels[k]
+        ends = breaks[after] < 2 and labels[after] != labels[k]
+        if not (begins or ends):
+            kept[count] = k
+            count += 1
+    return kept[:count] if count >= 3 else members
+
+
+@inlined
+def decided(members, undecided):
+    """Members without the undecided ones."""
+    kept, count = np.empty(members.size, dtype=np.int64), 0
+    for k in members:
+        if not undecided[k]:
+            kept[count] = k
+            count += 1
+    return kept[:count]
+
+
+@inlined
+def between(members, first, last):
+    """Members, which ascend, from the first beam to the last."""
+    low, high = 0, members.size
+    while low < high and members[low] < first:
+        low += 1
+    while high > low and members[high - 1] > last:
+        high -= 1
+    return members[low:high]
+
+
+@inner(cache=True)
+def drop_doubtful_ends(moments, members):
+    """Members without the few beams at each end that the others contradict: those of a surface just beyond."""
+    low, high = 0, members.size
+    total = sum_of(moments, members)
+    whole = fit_sums(total)[2]
+    for side in range(2):
+        m = 0
+        rest = total.copy()
+        while m < END_GATES.size and high - low - m > 4:
+            beam = members[low + m] if side == 0 else members[high - 1 - m]
+            for i in range(N_SUMS):
+                rest[i] -= moments[beam, i]
+            m += 1
+            chi2 = fit_sums(rest)[2]
+            if whole - chi2 > END_GATES[m - 1]:
+                low, high = (low + m, high) if side == 0 else (low, high - m)
+                total, whole, m = rest.copy(), chi2, 0
+    return members[low:high]
+
+
+@inlined
+def start_line(moments, members):
+    """The line of the inverse-range fit, as `fit_beams` returns it."""
+    u, v, chi2 = fit_sums(sum_of(moments, members))
+    return np.arctan2(v, u), 1.0 / np.hypot(u, v), 0.0, 0.0, 0.0, chi2
+
+
+@inner(cache=True)
+def sum_of(moments, members):
+    """The six sums of some beams."""
+    total = np.zeros(N_SUMS)
+    for k in members:
+        for i in range(N_SUMS):
+            total[i] += moments[k, i]
+    return total
+
+
+@inlined
+def normal_equations(beams, members, alpha, rho):
     """Of the range residuals e: information sum J J^T / sigma^2 (3 entries), gradient sum J e / sigma^2 (2), chi2.
 
     J is the derivative of the range rho / cos(a - alpha) by (alpha, rho): (-rho sin / cos^2, 1 / cos). Cosines and
     sines are those of the bearings; those of a - alpha follow without another call for every beam.
     """
+    cosines, sines, ranges, sigmas = beams.cosines, beams.sines, beams.ranges, beams.sigmas
     i00 = i01 = i11 = g0 = g1 = chi2 = 0.0
     nx, ny = np.cos(alpha), np.sin(alpha)
     for k in members:
@@ -34,10 +116,10 @@ def normal_equations(cosines, sines, ranges, sigmas, members, alpha, rho):
 
 
 @inner(cache=True)
-def fit_beams(cosines, sines, ranges, sigmas, members, alpha, rho):
+def fit_beams(beams, members, alpha, rho):
     """Gauss-Newton from (alpha, rho): (alpha, rho, var alpha, cov, var rho, chi2); chi2 = inf: it did not converge."""
     for _ in range(MAX_STEPS):
-        i00, i01, i11, g0, g1, chi2 = normal_equations(cosines, sines, ranges, sigmas, members, alpha, rho)
+        i00, i01, i11, g0, g1, chi2 = normal_equations(beams, members, alpha, rho)
         det = i00 * i11 - i01 * i01
         if not det > 1e-13 * i00 * i11:
             break
@@ -61,9 +143,10 @@ def line_sigmas(bearings, sigmas, alpha, rho, bearing_sigma):
 
 
 @inlined
-def belongs(bearing, r, sigma, line, gate):
-    """True when a beam next to the line is on it: chi2 under `gate`, where the line predicts its range well."""
+def belongs(beams, k, line, gate):
+    """True when beam k, next to the line, is on it: chi2 under `gate`, where the line predicts its range well."""
     alpha, rho, v00, v01, v11, _ = line
+    bearing, r, sigma = beams.bearings[k], beams.ranges[k], beams.sigmas[k]
     c, s = np.cos(bearing - alpha), np.sin(bearing - alpha)
     if c <= 0.0:
         return False
@@ -73,32 +156,32 @@ def belongs(bearing, r, sigma, line, gate):
 
 
 @inner(cache=True)
-def trim(bearings, ranges, sigmas, members, line, gate):
+def trim(beams, members, line, gate):
     """Members without the end beams that do not belong to the line."""
     low, high = 0, members.size
-    while high - low > 2 and misses(bearings, ranges, sigmas, members[low], line, gate):
+    while high - low > 2 and misses(beams, members[low], line, gate):
         low += 1
-    while high - low > 2 and misses(bearings, ranges, sigmas, members[high - 1], line, gate):
+    while high - low > 2 and misses(beams, members[high - 1], line, gate):
         high -= 1
     return members[low:high]
 
 
 @inlined
-def misses(bearings, ranges, sigmas, k, line, gate):
+def misses(beams, k, line, gate):
     """True when beam k, already on the line, is farther from it than its noise allows."""
-    return (ranges[k] - line[1] / np.cos(bearings[k] - line[0])) ** 2 > gate * sigmas[k] ** 2
+    return (beams.ranges[k] - line[1] / np.cos(beams.bearings[k] - line[0])) ** 2 > gate * beams.sigmas[k] ** 2
 
 
 @inner(cache=True)
-def grow(bearings, ranges, sigmas, breaks, labels, members, line, gate):
+def grow(beams, breaks, labels, members, line, gate):
     """Members with the free beams next to both ends that belong to the line."""
     low, high = members[0], members[-1] + 1
     while low > 0 and breaks[low] < 2 and labels[low - 1] < 0:
-        if not belongs(bearings[low - 1], ranges[low - 1], sigmas[low - 1], line, gate):
+        if not belongs(beams, low - 1, line, gate):
             break
         low -= 1
-    while high < bearings.size and breaks[high] < 2 and labels[high] < 0:
-        if not belongs(bearings[high], ranges[high], sigmas[high], line, gate):
+    while high < labels.size and breaks[high] < 2 and labels[high] < 0:
+        if not belongs(beams, high, line, gate):
             break
         high += 1
     before, after = members[0] - low, high - members[-1] - 1
@@ -120,12 +203,13 @@ def relabel(labels, members, label):
 
 
 @inlined
-def turning(bearings, cosines, sines, ranges, sigmas, members, line):
+def turning(beams, members, line):
     """Angle, rad, by which the beams turn from end to end if they are an arc, and its standard deviation.
 
     The second-order coefficient of the normal residual over 1, t, t^2 with t in [-1, 1] is the sagitta.
     """
     alpha, rho = line[0], line[1]
+    bearings, cosines, sines = beams.bearings, beams.cosines, beams.sines
     first, last = rho * np.tan(bearings[members[0]] - alpha), rho * np.tan(bearings[members[-1]] - alpha)
     half, middle = 0.5 * (last - first), 0.5 * (last + first)
     w0 = w1 = w2 = w3 = w4 = g0 = g1 = g2 = 0.0
@@ -133,11 +217,11 @@ def turning(bearings, cosines, sines, ranges, sigmas, members, line):
     for k in members:
         c = cosines[k] * nx + sines[k] * ny
         t = (rho * (sines[k] * nx - cosines[k] * ny) / c - middle) / half
-        error = ranges[k] * c - rho
-        weight = 1.0 / (c * sigmas[k]) ** 2
+        error = beams.ranges[k] * c - rho
+        weight = 1.0 / (c * beams.sigmas[k]) ** 2
         w0, g0 = w0 + weight, g0 + weight * error
         w1, g1 = w1 + weight * t, g1 + weight * t * error
         w2, g2 = w2 + weight * t * t, g2 + weight * t * t * error
         w3, w4 = w3 + weight * t**3, w4 + weight * t**4
-    _, _, sagitta, det = solve_symmetric(w0, w1, w2, w2, w3, w4, g0, g1, g2)
+    _, _, sagitta, det = solve_symmetric((w0, w1, w2, w2, w3, w4), g0, g1, g2)
     return 4.0 * sagitta / half, 4.0 * np.sqrt((w0 * w2 - w1 * w1) / det) / half

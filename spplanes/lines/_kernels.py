@@ -8,9 +8,27 @@ chi2 and the chi2 of a merge are O(1). The fit is first order in sigma / r; `spp
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from spplanes._jit import inlined, inner
+
+
+class Beams(NamedTuple):
+    """Returns in order of bearing, (V,) each."""
+
+    bearings: np.ndarray
+    """Rad."""
+    cosines: np.ndarray
+    """Of the bearings."""
+    sines: np.ndarray
+    """Of the bearings."""
+    ranges: np.ndarray
+    """M."""
+    sigmas: np.ndarray
+    """Standard deviations of the ranges, m."""
+
 
 N_SUMS = 6
 #: Below this share of m[0] m[2] the bearings of a set are one bearing and do not define a line.
@@ -109,8 +127,9 @@ def median(values):
 
 
 @inlined
-def slope_sigmas(bearings, ranges, sigmas, bearing_sigma, result):
+def slope_sigmas(beams, bearing_sigma, result):
     """Range noise with the bearing noise in it, (V,): times the slope dr/da, at a jump that of the flatter side."""
+    bearings, ranges, sigmas = beams.bearings, beams.ranges, beams.sigmas
     n = bearings.size
     first = last = 0.0  # slopes before and after a beam
     for k in range(n):
@@ -129,12 +148,12 @@ def slope_at(bearings, ranges, k):
 
 
 @inner(cache=True)
-def beam_moments(cosines, sines, ranges, sigmas):
+def beam_moments(beams):
     """Share of every beam in the six sums (V, 6): w cc, w cs, w ss, w cq, w sq, w qq; q = 1/r, w = r^4 / sigma^2."""
-    moments = np.empty((ranges.size, N_SUMS))
-    for k in range(ranges.size):
-        c, s, r = cosines[k], sines[k], ranges[k]
-        scale = (r / sigmas[k]) ** 2
+    moments = np.empty((beams.ranges.size, N_SUMS))
+    for k in range(beams.ranges.size):
+        c, s, r = beams.cosines[k], beams.sines[k], beams.ranges[k]
+        scale = (r / beams.sigmas[k]) ** 2
         moments[k, 0] = scale * r * r * c * c
         moments[k, 1] = scale * r * r * c * s
         moments[k, 2] = scale * r * r * s * s
@@ -173,11 +192,13 @@ def sum_range(moments, low, high):
 
 
 @inlined
-def triple_fails(bearings, ranges, sigmas, sines, i, j, k, gate):
-    """True when three neighbouring beams are not on one line: chi2 with 1 dof of their collinearity above `gate`.
+def triple_fails(beams, sines, j, gate):
+    """True when a beam and those beside it are not on one line: chi2 with 1 dof of their collinearity above `gate`.
 
     `sines` are those of the steps to each beam from the one before.
     """
+    bearings, ranges, sigmas = beams.bearings, beams.ranges, beams.sigmas
+    i, k = j - 1, j + 1 if j + 1 < bearings.size else 0
     left, right = sines[k], sines[j]
     middle = -np.sin(bearings[k] - bearings[i])
     error = left / ranges[i] + middle / ranges[j] + right / ranges[k]
@@ -190,15 +211,15 @@ def triple_fails(bearings, ranges, sigmas, sines, i, j, k, gate):
 
 
 @inlined
-def find_breaks(bearings, ranges, sigmas, max_step, gate):
+def find_breaks(beams, max_step, gate):
     """For each beam the kind of break before it (V,): 0 none, 1 the depth jumps, 2 beams are missing; closed ring."""
-    n = bearings.size
+    bearings, n = beams.bearings, beams.bearings.size
     sines = np.empty(n)
     for k in range(n):
         sines[k] = np.sin(bearings[k] - bearings[k - 1])
     fails = np.empty(n, dtype=np.bool_)
     for k in range(n):
-        fails[k] = triple_fails(bearings, ranges, sigmas, sines, k - 1, k, k + 1 if k + 1 < n else 0, gate)
+        fails[k] = triple_fails(beams, sines, k, gate)
     breaks = np.zeros(n, dtype=np.int8)
     for k in range(n):
         if full_turn(bearings[k] - bearings[k - 1]) > max_step:

@@ -9,15 +9,16 @@ from spplanes.lines._kernels import N_SUMS, fit_sums, sum_range
 
 
 @inner(cache=True)
-def add_flatness(alpha, rho, v_alpha, cov, v_rho, first, last, flatness):
-    """Entries of the covariance of (alpha, rho) for a wall straight to `flatness` (rms) from bearing first to last.
+def add_flatness(line, first, last, flatness):
+    """A line (alpha, rho, var alpha, cov, var rho) of a wall straight to `flatness` (rms) from bearing first to last.
 
     The shift at its middle varies by flatness, its direction by sqrt(12) flatness / length: what a deviation of that
     size, as large at one end as at the other, does to the fitted line.
     """
+    alpha, rho, v_alpha, cov, v_rho = line
     a, b = rho * np.tan(first - alpha), rho * np.tan(last - alpha)
     middle, turn = 0.5 * (a + b), 12.0 * (flatness / (b - a)) ** 2
-    return v_alpha + turn, cov + middle * turn, v_rho + flatness * flatness + middle * middle * turn
+    return alpha, rho, v_alpha + turn, cov + middle * turn, v_rho + flatness * flatness + middle * middle * turn
 
 
 @inner(cache=True)
@@ -31,7 +32,7 @@ def polar_of_sums(m, first, last, flatness):
     v_alpha = (au * au * m[2] - 2.0 * au * av * m[1] + av * av * m[0]) / det
     cov = (au * ru * m[2] - (au * rv + av * ru) * m[1] + av * rv * m[0]) / det
     v_rho = (ru * ru * m[2] - 2.0 * ru * rv * m[1] + rv * rv * m[0]) / det
-    return alpha, rho, *add_flatness(alpha, rho, v_alpha, cov, v_rho, first, last, flatness)
+    return add_flatness((alpha, rho, v_alpha, cov, v_rho), first, last, flatness)
 
 
 @inlined
@@ -46,8 +47,10 @@ def flat_chi2(bearings, m, piece, other_m, other_piece, flatness):
 
 
 @inlined
-def may_bridge(bearings, ranges, sigmas, u, v, pieces, i, j, max_through, max_step):
-    """True when line (u, v) may join pieces i and j: what lies between neither contradicts nor exceeds them."""
+def may_bridge(beams, u, v, pieces, both, bounds):
+    """True when line (u, v) may join both pieces: what lies between neither contradicts nor exceeds them."""
+    bearings, ranges, sigmas = beams.bearings, beams.ranges, beams.sigmas
+    (i, j), (max_through, max_step) = both, bounds
     through = 0
     for k in range(pieces[i, 1], pieces[j, 0]):
         inverse = u * np.cos(bearings[k]) + v * np.sin(bearings[k])
@@ -75,8 +78,11 @@ def label_run(labels, low, high, label):
 
 
 @inner(cache=True)
-def merge(bearings, ranges, sigmas, moments, starts, is_round, max_through, max_step, flatness, gate):
-    """Join pieces that are one line (chi2 with 2 dof): the label of each beam (V,), -1 for pieces under 3 beams."""
+def merge(beams, moments, starts, is_round, bounds, flatness, gate):
+    """Join pieces that are one line (chi2 with 2 dof): the label of each beam (V,), -1 for pieces under 3 beams.
+
+    `bounds` are the most beams that may pass through between two pieces, and the widest step in bearing, rad.
+    """
     n_pieces = starts.size - 1
     pieces = np.empty((n_pieces, 2), dtype=np.int64)
     sums, both = np.zeros((n_pieces, N_SUMS)), np.empty(N_SUMS)
@@ -95,8 +101,8 @@ def merge(bearings, ranges, sigmas, moments, starts, is_round, max_through, max_
             u, v, chi2 = fit_sums(both)
             gain = chi2 - fit_sums(sums[j])[2] - fit_sums(new)[2]
             if gain > gate and flatness > 0.0:
-                gain = flat_chi2(bearings, sums[j], pieces[j], new, pieces[count], flatness)
-            if gain <= gate and may_bridge(bearings, ranges, sigmas, u, v, pieces, j, count, max_through, max_step):
+                gain = flat_chi2(beams.bearings, sums[j], pieces[j], new, pieces[count], flatness)
+            if gain <= gate and may_bridge(beams, u, v, pieces, (j, count), bounds):
                 target = j
                 break
         label_run(labels, starts[i], starts[i + 1], target)

@@ -19,8 +19,9 @@ DAMPING = 1e-9
 
 
 @inner(cache=True)
-def solve_symmetric(a, b, c, d, e, f, x, y, z):
-    """Solution of [[a, b, c], [b, d, e], [c, e, f]] p = (x, y, z), and the determinant."""
+def solve_symmetric(matrix, x, y, z):
+    """Solution p of [[a, b, c], [b, d, e], [c, e, f]] p = (x, y, z), `matrix` those six, and the determinant."""
+    a, b, c, d, e, f = matrix
     m00, m01, m02 = d * f - e * e, c * e - b * f, b * e - c * d
     m11, m12, m22 = a * f - c * c, b * c - a * e, a * d - b * b
     det = a * m00 + b * m01 + c * m02
@@ -33,8 +34,9 @@ def solve_symmetric(a, b, c, d, e, f, x, y, z):
 
 
 @inlined
-def circle_step(cosines, sines, ranges, sigmas, low, high, x, y, radius):
+def circle_step(beams, low, high, x, y, radius):
     """One Gauss-Newton step for the circle nearest to beams low..high-1: (x, y, radius, chi2 before the step)."""
+    cosines, sines, ranges, sigmas = beams.cosines, beams.sines, beams.ranges, beams.sigmas
     a = b = c = d = e = f = gx = gy = gr = chi2 = 0.0
     for k in range(low, high):
         cosine, sine = cosines[k], sines[k]
@@ -47,13 +49,14 @@ def circle_step(cosines, sines, ranges, sigmas, low, high, x, y, radius):
         a, b, c = a + weight * dx * dx, b + weight * dx * dy, c + weight * dx
         d, e, f = d + weight * dy * dy, e + weight * dy, f + weight
         gx, gy, gr = gx + weight * error * dx, gy + weight * error * dy, gr + weight * error
-    sx, sy, sr, _ = solve_symmetric(a + DAMPING * f, b, c, d + DAMPING * f, e, f, gx, gy, gr)
+    sx, sy, sr, _ = solve_symmetric((a + DAMPING * f, b, c, d + DAMPING * f, e, f), gx, gy, gr)
     return x + sx, y + sy, radius + sr, chi2
 
 
 @inlined
-def algebraic_circle(cosines, sines, ranges, low, high):
+def algebraic_circle(beams, low, high):
     """Circle from the linear least squares of x^2 + y^2 = 2 a x + 2 b y + c about the middle beam: (x, y, radius)."""
+    cosines, sines, ranges = beams.cosines, beams.sines, beams.ranges
     middle = (low + high) // 2
     ox, oy = ranges[middle] * cosines[middle], ranges[middle] * sines[middle]
     a = b = c = d = e = gx = gy = 0.0
@@ -64,13 +67,14 @@ def algebraic_circle(cosines, sines, ranges, low, high):
         gx, gy = gx + square * x, gy + square * y
     scatter = a + d
     damping = DAMPING * scatter
-    px, py, pr, _ = solve_symmetric(a + damping, b, c, d + damping, e, float(high - low), gx, gy, scatter)
+    px, py, pr, _ = solve_symmetric((a + damping, b, c, d + damping, e, float(high - low)), gx, gy, scatter)
     return ox + 0.5 * px, oy + 0.5 * py, np.sqrt(max(pr + 0.25 * (px * px + py * py), 1e-12))
 
 
 @inlined
-def bulges(bearings, ranges, low, at, high):
+def bulges(beams, low, at, high):
     """True when beam `at` lies nearer to the sensor than the chord from beam low to beam high - 1."""
+    bearings, ranges = beams.bearings, beams.ranges
     span = bearings[high - 1] - bearings[low]
     inverse = (
         np.sin(bearings[high - 1] - bearings[at]) / ranges[low]
@@ -80,13 +84,14 @@ def bulges(bearings, ranges, low, at, high):
 
 
 @inlined
-def bulging_arc(cosines, sines, ranges, sigmas, low, high, chi2_lines):
+def bulging_arc(beams, low, high, chi2_lines):
     """Angle by which beams low..high-1 turn as an arc bulging to the sensor; 0 when lines of that chi2 fit better."""
-    x, y, radius = algebraic_circle(cosines, sines, ranges, low, high)
+    cosines, sines, ranges = beams.cosines, beams.sines, beams.ranges
+    x, y, radius = algebraic_circle(beams, low, high)
     chi2, previous = np.inf, np.inf
     for _ in range(MAX_STEPS):
         previous = chi2
-        x, y, radius, chi2 = circle_step(cosines, sines, ranges, sigmas, low, high, x, y, radius)
+        x, y, radius, chi2 = circle_step(beams, low, high, x, y, radius)
         if not 0.0 < radius < 1e3 or chi2 > HOPELESS * chi2_lines:
             return 0.0
         if abs(chi2 - previous) < CHI2_TOLERANCE:
@@ -100,9 +105,9 @@ def bulging_arc(cosines, sines, ranges, sigmas, low, high, chi2_lines):
 
 
 @inner(cache=True)
-def find_round(bearings, cosines, sines, ranges, sigmas, moments, breaks, starts, significance, min_arc):
+def find_round(beams, moments, breaks, starts, significance, min_arc):
     """Whether each beam (V,) is on an arc of at least `min_arc` that explains neighbouring pieces as lines do."""
-    result = np.zeros(bearings.size, dtype=np.bool_)
+    result = np.zeros(beams.ranges.size, dtype=np.bool_)
     n_pieces = starts.size - 1
     chi2 = np.empty(n_pieces)
     for i in range(n_pieces):
@@ -111,11 +116,11 @@ def find_round(bearings, cosines, sines, ranges, sigmas, moments, breaks, starts
         lines = chi2[i]
         for j in range(i + 1, n_pieces):
             low, high = starts[i], starts[j + 1]
-            if breaks[starts[j]] == 2 or high - low < 5 or not bulges(bearings, ranges, low, starts[j], high):
+            if breaks[starts[j]] == 2 or high - low < 5 or not bulges(beams, low, starts[j], high):
                 break
             lines += chi2[j]
             gate = lines + split_gate(high - low, significance)
-            arc = bulging_arc(cosines, sines, ranges, sigmas, low, high, gate)
+            arc = bulging_arc(beams, low, high, gate)
             if arc == 0.0:
                 break
             if arc > min_arc:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from math import log
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from spplanes._check import FloatArray, as_float_array, as_number, as_positive, as_shape, check_instance
+from spplanes.fitting.shared_error import shared_error_of
 from spplanes.line import ScanLine
-from spplanes.lines._extract import extract
-from spplanes.lines._shared_error import with_shared_error
+from spplanes.lines._extract import Rules, extract
 
 #: Two turns, rad: no convention writes a bearing beyond, and any scan in degrees does.
 _LARGEST_BEARING = 4.0 * np.pi
+#: Variance of the tilt that beams of no height leave open, in that of the shift, 1 / m^2.
+_OPEN = 1e12
 
 
 @dataclass(frozen=True)
@@ -103,14 +106,10 @@ def extract_lines(
     sigmas = _as_sigmas(sigma, ranges.size)
     if ranges.size < 3:
         return []
-    rows, support, counts = extract(
-        _writable(ranges), _writable(angles), _writable(sigmas),
-        config.bearing_sigma, config.flatness, config.range_min, config.range_max,
-        config.max_missing, config.significance, config.min_points, config.max_turning, config.max_nonlinearity,
-        config.max_misfit,
-    )  # fmt: skip
+    flatness = 0.0 if shared_error else config.flatness  # else it is counted with what residuals show
+    rows, support, counts = extract(_writable(ranges), _writable(angles), _writable(sigmas), _rules(config, flatness))
     if shared_error and len(rows):
-        found = with_shared_error(rows, support, counts, ranges, angles, sigmas, config.bearing_sigma, config.flatness)
+        found = _with_shared_error(rows, support, counts, np.stack((ranges, angles, sigmas)), config)
         rows[:, 4:8] = found.reshape(-1, 4)
     ends = np.cumsum(counts)
     blocks = rows[:, 4:].reshape(-1, 2, 2, 2)
@@ -118,6 +117,24 @@ def extract_lines(
         ScanLine._trusted(alpha, rho, block[0], block[1], support[end - count : end], chi2, int(dof))
         for (alpha, rho, chi2, dof), block, count, end in zip(rows[:, :4].tolist(), blocks, counts, ends, strict=True)
     ]
+
+
+def _rules(config: LineConfig, stated: float) -> Rules:
+    """The configuration as kernels take it, always of the same types: for others they would be compiled anew."""
+    return Rules(
+        float(config.significance),
+        -2.0 * log(config.significance),
+        int(config.min_points),
+        int(config.max_missing),
+        float(config.max_turning),
+        float(config.max_nonlinearity),
+        float(config.max_misfit),
+        float(config.bearing_sigma),
+        float(config.flatness),
+        float(config.range_min),
+        float(config.range_max),
+        float(stated),
+    )
 
 
 def _as_sigmas(sigma: ArrayLike, n: int) -> FloatArray:
@@ -133,3 +150,46 @@ def _as_sigmas(sigma: ArrayLike, n: int) -> FloatArray:
 def _writable(array: FloatArray) -> FloatArray:
     """The array itself, or a copy of a read-only one, for which numba would compile everything anew."""
     return array if array.flags.writeable else array.copy()
+
+
+def _with_shared_error(
+    rows: FloatArray, support: np.ndarray, counts: np.ndarray, beams: FloatArray, config: LineConfig
+) -> FloatArray:
+    """Covariances of (alpha, rho) of lines with the noise and the shared error that residuals show, shape (M, 2, 2).
+
+    The mechanism is that of planes: a line is a plane whose points have no height. What is stated is a lower bound: the
+    noise by the covariances of the lines, the shared error by `LineConfig.flatness`.
+
+    Args:
+        rows: the lines with the covariances of their noise, shape (M, 12), see `extract`.
+        support: the beams on them, one line after the other, shape (N,).
+        counts: of each line, shape (M,).
+        beams: ranges, angles and standard deviations of the scan, shape (3, B).
+        config: the noise of bearings and the flatness, as stated.
+    """
+    alpha, rho, stated = rows[:, 0], rows[:, 1], rows[:, 4:8].reshape(-1, 2, 2)
+    line, (ranges, angles, sigmas) = np.repeat(np.arange(len(rows)), counts), beams[:, support]
+    turn = angles - alpha[line]
+    cosine, along = np.cos(turn), rho[line] * np.tan(turn)
+    ends = np.cumsum(counts)
+    length = np.abs(along[ends - 1] - along[ends - counts])
+    uneven = np.stack((np.full(len(rows), config.flatness**2), 12.0 * (config.flatness / length) ** 2), axis=-1)
+    # about the point where shift and direction are uncorrelated: z = d rho - middle d alpha, theta = d alpha
+    middle, to_sp = stated[:, 0, 1] / stated[:, 0, 0], np.zeros((len(rows), 2, 2))
+    to_sp[:, 0, 0], to_sp[:, 0, 1], to_sp[:, 1, 0] = -middle, 1.0, 1.0
+    noise = to_sp @ stated @ np.swapaxes(to_sp, 1, 2)
+    covariances = np.zeros((len(rows), 3, 3))
+    covariances[:, :2, :2], covariances[:, 2, 2] = noise, _OPEN * noise[:, 0, 0]
+    points = np.zeros((len(support), 3))
+    points[:, 0], points[:, 2] = along - middle[line], ranges * cosine - rho[line]
+    variances = (sigmas * cosine) ** 2 + (config.bearing_sigma * along) ** 2
+    frames = np.tile(np.eye(4), (len(rows), 1, 1))
+    found = shared_error_of(points, variances[:, None], line, frames, covariances, stated=True)
+    total = found.covariances[:, :2, :2]
+    shared = total - found.noise_factors[:, None, None] * noise
+    from_sp, left = np.linalg.inv(to_sp), np.maximum(uneven - shared[:, (0, 1), (0, 1)], 0.0)
+    result = from_sp @ total @ np.swapaxes(from_sp, 1, 2)
+    by_turn = np.stack((np.ones(len(rows)), 0.5 * (along[ends - 1] + along[ends - counts])), axis=-1)
+    result += left[:, 1, None, None] * by_turn[:, :, None] * by_turn[:, None, :]
+    result[:, 1, 1] += left[:, 0]
+    return 0.5 * (result + np.swapaxes(result, 1, 2))

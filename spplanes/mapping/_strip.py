@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from spplanes._check import FloatArray, as_shape
 from spplanes.fitting import _pose_error
 from spplanes.fitting._own_noise import add_noise
-from spplanes.fitting._pose_spread import shared_by_scan
+from spplanes.fitting._pose_error import shared_by_scan
 from spplanes.mapping._region_table import RegionTable
 from spplanes.moments import ROW_SIZE, merge_rows
 from spplanes.outlines._raster import along_axes, draw, keys_of, projection_axis

@@ -8,9 +8,12 @@ import numpy as np
 from scipy.special import chdtri
 
 from spplanes._check import FloatArray
+from spplanes._jit import inlined, njit
+from spplanes._rows import solve3
+from spplanes._threads import in_parts
+from spplanes.fitting._moment_patches import variance_along
 from spplanes.segmentation.clustering.joining import join_cells
 from spplanes.segmentation.config import FEW_ROWS, MapperConfig
-from spplanes.segmentation.quads import links, surviving_quads
 from spplanes.segmentation.refinement.refining import part_at_creases, part_steps, release_misfits, spread
 from spplanes.segmentation.sheet import Sheet, drop_small, refit
 
@@ -88,3 +91,81 @@ def _filter(sheet: Sheet, views: FloatArray, config: MapperConfig) -> np.ndarray
     tangent, limit = float(np.tan(config.max_incidence_rad)), chdtri(3 if literal else 1, config.edge_significance)
     linked = links(sheet.points[part], sheet.covariance[part], sheet.valid[part], views[part], tangent, limit, literal)
     return surviving_quads(*linked)
+
+
+@inlined
+def _jump_chi2(points, covariance, i, j, k, m, views, tangent):
+    """Chi2 (1 dof) of the step in depth that no surface seen at less than the steepest incidence explains."""
+    ax, ay, az = points[i, j, 0] - views[i, 0], points[i, j, 1] - views[i, 1], points[i, j, 2] - views[i, 2]
+    ex, ey, ez = points[k, m, 0] - points[i, j, 0], points[k, m, 1] - points[i, j, 1], points[k, m, 2] - points[i, j, 2]
+    range_sq, step_sq = ax * ax + ay * ay + az * az, ex * ex + ey * ey + ez * ez
+    if range_sq == 0.0:
+        return np.inf
+    along = ex * ax + ey * ay + ez * az
+    if (1.0 + tangent * tangent) * along * along <= tangent * tangent * step_sq * range_sq:
+        return 0.0
+    s = 1.0 / np.sqrt(range_sq)
+    rest = abs(along) * s - tangent * np.sqrt(max(step_sq - along * along / range_sq, 0.0))
+    ux, uy, uz = ax * s, ay * s, az * s
+    variance = variance_along(covariance, i, j, ux, uy, uz) + variance_along(covariance, k, m, ux, uy, uz)
+    return rest * rest / variance if variance > 0.0 else np.inf
+
+
+@inlined
+def _literal_chi2(points, covariance, i, j, k, m):
+    """Chi2 (3 dof) of the whole displacement, the paper's test: (e_a - e_b)^T (C_a + C_b)^-1 (e_a - e_b)."""
+    x, y, z = points[k, m, 0] - points[i, j, 0], points[k, m, 1] - points[i, j, 1], points[k, m, 2] - points[i, j, 2]
+    c, d = covariance[i, j], covariance[k, m]
+    if covariance.shape[2] == 1:
+        return (x * x + y * y + z * z) / ((c[0] + d[0]) * (1.0 + 1e-9) + 1e-18)
+    more = 1.0 + 1e-9
+    xx, yy, zz = (c[0] + d[0]) * more + 1e-18, (c[4] + d[4]) * more + 1e-18, (c[8] + d[8]) * more + 1e-18
+    solved = solve3((xx, c[1] + d[1], c[2] + d[2], yy, c[5] + d[5], zz), x, y, z)
+    return x * solved[0] + y * solved[1] + z * solved[2]
+
+
+def links(points, covariance, valid, views, tangent, limit, literal):
+    """Whether every point and its neighbour lie on one surface, to the right and below, shape (S, B) bool each.
+
+    Args:
+        points: shape (S, B, 3), m.
+        covariance: shape (S, B, 1) or (S, B, 9), m^2.
+        valid: which points are returns, shape (S, B).
+        views: viewpoint of every row, shape (S, 3), m.
+        tangent: of the steepest incidence at which a surface is still expected.
+        limit: largest chi2: 1 degree of freedom, or 3 for the literal test.
+        literal: test the whole displacement, as the paper prints it, in place of the jump in depth.
+    """
+    linked = np.zeros((2, *valid.shape), dtype=np.bool_)
+
+    def some(first: int, last: int) -> None:
+        _link_rows(points, covariance, valid, views, tangent, limit, literal, first, last, linked)
+
+    in_parts(some, len(valid), valid.size)
+    return linked[0], linked[1]
+
+
+@njit(cache=True)
+def _link_rows(points, covariance, valid, views, tangent, limit, literal, first, last, linked):
+    """The links of the rows from first to last, into `linked`, shape (2, S, B)."""
+    n_rows, n_cols = valid.shape
+    for i in range(first, last):
+        for step in range(2 if i + 1 < n_rows else 1):
+            for j in range(n_cols - 1 + step):
+                k, m = i + step, j + 1 - step
+                if not (valid[i, j] and valid[k, m]):
+                    continue
+                if literal:
+                    chi2 = _literal_chi2(points, covariance, i, j, k, m)
+                else:
+                    chi2 = _jump_chi2(points, covariance, i, j, k, m, views, tangent)
+                linked[step, i, j] = chi2 <= limit
+
+
+def surviving_quads(right: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """Quads (i, j), (i, j+1), (i+1, j+1), (i+1, j) all four edges of which pass: shape (S - 1, B - 1) bool.
+
+    References:
+        Weingarten, Gruener, Siegwart, "Probabilistic Plane Fitting in 3D", ICRA 2004, section IV, filter.
+    """
+    return right[:-1, :-1] & right[1:, :-1] & down[:-1, :-1] & down[:-1, 1:]

@@ -11,8 +11,7 @@ import numpy as np
 from spplanes._check import FloatArray
 from spplanes._rows import NO_VIEWPOINT, OK
 from spplanes.fitting import _pose_error
-from spplanes.fitting._groups import fit_groups
-from spplanes.fitting._job import FitJob, group_by_label
+from spplanes.fitting._groups import FitJob, fit_groups, group_by_label
 from spplanes.fitting._moment_patches import eigenvalues
 from spplanes.fitting.shared_error import shared_error_of
 from spplanes.moments import row_frame

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spplanes._check import FloatArray, as_float_array, as_shape
-from spplanes.fitting._pose_spread import shared_by_scan
+from spplanes.fitting._pose_error import shared_by_scan
 from spplanes.plane import Plane
 from spplanes.segmentation._inputs import as_grid, as_pose_covariances, as_variances
 from spplanes.segmentation.config import MapperConfig

@@ -9,11 +9,11 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from spplanes._check import FloatArray
+from spplanes._jit import njit
 from spplanes.clouds._octree_kernels import LOCAL
 from spplanes.clouds.octree import Cells, Curve
 from spplanes.fitting.shared_error import octave_sigma_of
 from spplanes.moments import ROW_SIZE
-from spplanes.segmentation._assign_kernels import assign
 from spplanes.segmentation.clustering.growing import fit_regions, hesse
 from spplanes.segmentation.clustering.joining import cluster_patches
 from spplanes.segmentation.config import MapperConfig
@@ -138,7 +138,7 @@ class _Labelling:
         near.sort_indices()
         gate, planes = self.config.gate_sigma**2, hesse(self.rows)
         grown = self.points, self.variances, self.cells.bounds, near.indptr, near.indices
-        return assign(*grown, planes, self._wander(), gate, self.labels)
+        return _assign_points(*grown, planes, self._wander(), gate, self.labels)
 
     def _refit(self) -> None:
         """Moments of the regions from all of their points; those without any go."""
@@ -183,3 +183,37 @@ class _Labelling:
                 gone[r] = near.any(axis=1).mean() > _SUPERFLUOUS
         self.labels[np.append(gone, False)[self.labels]] = -1
         return bool(gone.any())
+
+
+@njit(cache=True)
+def _assign_points(points, variances, bounds, first, candidates, planes, tolerance, gate, labels):
+    """Give every point the plane of its cell's candidates that it fits best, within the gate, in place.
+
+    Args:
+        points, variances: shape (N, 3), m, and (N,), m^2.
+        bounds: of the runs of points that are cells, shape (C + 1,).
+        first, candidates: planes of cell c are candidates[first[c]:first[c + 1]].
+        planes: (normal, d), shape (R, 4).
+        tolerance: variance that a surface is granted beside the noise of its points, shape (R,), m^2.
+        gate: largest chi2.
+        labels: plane of every point, shape (N,), -1 = none.
+
+    Returns:
+        Number of points that changed.
+    """
+    changed = 0
+    for c in range(bounds.shape[0] - 1):
+        if first[c] == first[c + 1]:
+            continue
+        for k in range(bounds[c], bounds[c + 1]):
+            best, label = gate, -1
+            for m in range(first[c], first[c + 1]):
+                r = candidates[m]
+                off = points[k, 0] * planes[r, 0] + points[k, 1] * planes[r, 1] + points[k, 2] * planes[r, 2]
+                off -= planes[r, 3]
+                chi2 = off * off / (variances[k] + tolerance[r])
+                if chi2 <= best:
+                    best, label = chi2, r
+            changed += label != labels[k]
+            labels[k] = label
+    return changed

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from numba import njit
 
 from spplanes import Moments
-from spplanes._eigen import jacobi3, solve3
+from spplanes._rows import jacobi3, solve3
 from spplanes.moments import ROW_SIZE, add_point, merge_rows, smallest_eigen
 
 

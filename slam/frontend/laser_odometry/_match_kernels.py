@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._eigen import solve3
 from spplanes._jit import inlined, njit
+from spplanes._rows import solve3
 
 #: Points of the map are of the surface at a return within this of it, m, with normals nearer than this cosine.
 _RADIUS_M, _ALIKE = 0.2, 0.7

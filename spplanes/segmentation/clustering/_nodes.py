@@ -6,7 +6,8 @@ import numpy as np
 
 from spplanes._check import FloatArray
 from spplanes._jit import inlined, inner, njit
-from spplanes.fitting._moment_patches import centre_sums, eigenvalues, merge_scaled, normal_of, variance_from
+from spplanes._rows import merge_scaled
+from spplanes.fitting._moment_patches import centre_sums, eigenvalues, normal_of, variance_from
 from spplanes.moments import ROW_SIZE
 
 #: What is known of a node, the points of one region in one cell: number, weight, mean distance from the plane, mean row

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._jit import inlined, inner, njit
-from spplanes.fitting._moment_patches import eigenvalues, merge_scaled, normal_of
+from spplanes._rows import merge_scaled
+from spplanes.fitting._moment_patches import eigenvalues, normal_of
 
 
 @inlined

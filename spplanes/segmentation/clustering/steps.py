@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._eigen import solve3
 from spplanes._jit import inner, njit
+from spplanes._rows import solve3
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import eigenvalues, normal_of, variance_along
 

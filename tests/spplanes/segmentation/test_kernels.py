@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from spplanes.fitting._moment_patches import eigenvalues, merge_scaled, normal_of, variance_along
+from spplanes._rows import merge_scaled
+from spplanes.fitting._moment_patches import eigenvalues, normal_of, variance_along
 from spplanes.segmentation.clustering import cells, growing, steps
 from spplanes.segmentation.clustering.ahc import cluster, one_plane_chi2, step_chi2
-from spplanes.segmentation.quads import links, surviving_quads
+from spplanes.segmentation.pipeline import links, surviving_quads
 from spplanes.segmentation.refinement import borders, creases, dissolving, parting
 
 
