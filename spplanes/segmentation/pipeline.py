@@ -14,7 +14,7 @@ from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import variance_along
 from spplanes.segmentation.clustering.joining import join_cells
 from spplanes.segmentation.config import FEW_ROWS, MapperConfig
-from spplanes.segmentation.refinement.refining import part_at_creases, part_steps, release_misfits, spread
+from spplanes.segmentation.refinement.refining import part_at_creases, release_misfits, spread
 from spplanes.segmentation.sheet import Sheet, drop_small, refit
 
 ROUNDS = 2
@@ -72,7 +72,6 @@ def _segment(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
     quads = _filter(sheet, views, config)
     for repeat in range(ROUNDS):
         if repeat:
-            part_steps(sheet, config)
             release_misfits(sheet, config)
         size = config.largest_cell
         while size >= config.smallest_cell:

@@ -1,1 +1,1 @@
-"""Refinement of labelled regions: borders, creases, steps, parallel planes."""
+"""Refinement of labelled regions: borders, creases, misfits."""

@@ -10,7 +10,7 @@ from spplanes.segmentation.clustering import growing
 from spplanes.segmentation.clustering.joining import distinct_pairs, fuse_neighbours
 from spplanes.segmentation.clustering.steps import STEP_SHARE
 from spplanes.segmentation.config import MapperConfig
-from spplanes.segmentation.refinement import borders, creases, dissolving, parting
+from spplanes.segmentation.refinement import borders, creases, dissolving
 from spplanes.segmentation.sheet import Sheet, append, drop_small, refit
 
 BORDER_GAP = 12
@@ -19,14 +19,8 @@ MISFIT_CELL = 8
 """Side of the cells in which the points of a region are searched for a common offset from its plane."""
 MISFIT_SIGNIFICANCE = 1e-4
 """Share of such cells that may be found by chance; there are many of them."""
-PART_CELL = 8
-"""Side of the cells whose offsets from their region's plane show that it is two."""
-PART_REACH = 3
-"""Cells between those compared across a step: errors shared with scans must hang together that far."""
-PART_SIGNIFICANCE = 1e-4
-"""Share of the true parts that the test for a step between them may part; the largest of many steps is tested."""
-PART_CELLS = 4
-"""Fewest of them that are a part: strips along a round bar are less."""
+STEADY_SCANS = 24
+"""Scans over which the errors that they share must hang together for them to move a cell as they move its region."""
 CREASE_CERTAINTY = 3.0
 """Standard deviations of a local normal by which a crease must exceed the angle allowed."""
 SEAM_REACH = 3
@@ -59,28 +53,6 @@ def dissolve_superfluous(sheet: Sheet, config: MapperConfig) -> int:
     return dissolving.dissolve(
         sheet.points, sheet.covariance, sheet.labels, sheet.start, sizes, edges, planes, config.flatness_m**2
     )
-
-
-def part_steps(sheet: Sheet, config: MapperConfig) -> None:
-    """Part regions that lie on two parallel planes, where errors shared with scans are known; borders settle then.
-
-    Shared errors widen all tests by which regions fuse, but they cancel in the step between surfaces seen in the same
-    scans. Where they are not stated, a scanner's own steps from line to line would part its planes; where every scan
-    errs on its own, as on a mount that jerks, the means of cells tell of the scans, and nothing parts either.
-    """
-    if len(sheet.shared) == 1 or config.pose_correlation_scans < PART_REACH * PART_CELL:
-        return
-    planes = growing.hesse(sheet.rows)
-    sheet.bias = growing.shared_of_regions(sheet.shared, sheet.labels, planes)
-    points, covariance, _, labels, start = sheet.grid
-    limits = chdtri(1, PART_SIGNIFICANCE), config.flatness_m, max(config.pose_correlation_scans, 1.0)
-    fewest = max(config.min_points, PART_CELLS * PART_CELL**2)
-    origin = parting.part(points, covariance, labels, start, planes, sheet.bias[:, 0], PART_CELL, *limits, fewest)
-    if len(origin):
-        append(sheet, sheet.rows[origin], sheet.bias[origin])
-        refit(sheet, config)
-        dissolve_superfluous(sheet, config)
-        settle_borders(sheet, config)
 
 
 def _grow(sheet: Sheet, config: MapperConfig) -> None:
@@ -121,14 +93,18 @@ def part_at_creases(sheet: Sheet, views: FloatArray, config: MapperConfig) -> No
 
 
 def release_misfits(sheet: Sheet, config: MapperConfig) -> None:
-    """Take the points from their region where a whole cell of them lies off its plane: a board on a wall."""
-    part = sheet.fresh
+    """Take the points from their region where a whole cell of them lies off its plane: a board on a wall.
+
+    What the points of a region share with their scans may move a cell of it too, unless it moves the others alike: such
+    errors widen all tests by which regions fuse, but they cancel in the step between surfaces seen in the same scans.
+    """
+    part, steady = sheet.fresh, config.pose_correlation_scans >= STEADY_SCANS
     growing.release(
         sheet.points[part],
         sheet.covariance[part],
         sheet.labels[part],
         growing.hesse(sheet.rows),
-        config.flatness_m**2 + sheet.bias[:, 0],
+        config.flatness_m**2 + (0.0 if steady else 1.0) * sheet.bias[:, 0],
         MISFIT_CELL,
         chdtri(1, MISFIT_SIGNIFICANCE),
     )

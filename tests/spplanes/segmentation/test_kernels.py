@@ -7,7 +7,7 @@ from spplanes.fitting._moment_patches import eigenvalues, normal_of, variance_al
 from spplanes.segmentation.clustering import cells, growing, steps
 from spplanes.segmentation.clustering.ahc import cluster, one_plane_chi2, step_chi2
 from spplanes.segmentation.pipeline import links, surviving_quads
-from spplanes.segmentation.refinement import borders, creases, dissolving, parting
+from spplanes.segmentation.refinement import borders, creases, dissolving
 
 
 def moments(points, weights):
@@ -221,39 +221,3 @@ def test_cells_with_a_step_of_the_noise_are_no_planes_and_slanted_beams_do_not_l
     assert not _cell(0.03, 0.02, rng).any()
     assert _cell(0.0, 0.02, rng).all()
     assert _cell(0.0, 0.04, rng).all()
-
-
-def board_on_a_wall(step, seed=0, sigma=0.015):
-    """One region on a wall of 2 cm squares, part of which stands out by a step; labels, points, covariance."""
-    rng = np.random.default_rng(seed)
-    u, v = np.meshgrid(0.02 * np.arange(64), 0.02 * np.arange(64), indexing="ij")
-    on_board = np.zeros(u.shape, dtype=bool)
-    on_board[24:56, 32:64] = True
-    z = np.where(on_board, step, 0.0) + sigma * rng.standard_normal(u.shape)
-    return np.stack((u, v, z), axis=2), np.full((*u.shape, 1), sigma**2), np.zeros(u.shape, dtype=np.int64), on_board
-
-
-@pytest.mark.parametrize("shared", [0.0, 0.004])
-def test_a_region_parts_at_a_board_but_not_where_the_wall_is_bowed(shared):
-    limits = (8, 15.0, 0.0025, 10.0, 256)
-    points, covariance, labels, on_board = board_on_a_wall(0.02)
-    points[..., 2] += shared * np.sin(np.arange(64) / 15.0)[:, None]  # rows are scans
-    tilted = np.array([[0.0, -0.012, 1.0, 0.0]])  # the plane that meets both
-    origin = parting.part(points, covariance, labels, 0, tilted, np.full(1, shared**2), *limits)
-    assert origin.tolist() == [0]
-    assert (labels[on_board] == 1).mean() > 0.8
-    assert (labels[~on_board] == 0).mean() > 0.9
-    points, covariance, labels, _ = board_on_a_wall(0.0)
-    points[..., 2] += 0.01 * np.sin(np.pi * points[..., 0] / 1.28)
-    assert len(parting.part(points, covariance, labels, 0, tilted, np.full(1, shared**2), *limits)) == 0
-    assert (labels == 0).all()
-
-
-def test_the_part_that_settled_rows_hold_keeps_its_label_and_sharp_sensors_are_left_alone():
-    limits = (8, 15.0, 0.0025, 1.0, 256)
-    plane, none = np.array([[0.0, 0.0, 1.0, 0.0]]), np.zeros(1)
-    points, covariance, labels, on_board = board_on_a_wall(0.02)
-    points, covariance, labels, on_board = points[24:], covariance[24:], labels[24:], on_board[24:]
-    assert parting.part(points, covariance, labels, 8, plane, none, *limits).tolist() == []  # both reach in
-    points, covariance, labels, _ = board_on_a_wall(0.02, sigma=0.001)
-    assert len(parting.part(points, covariance, labels, 0, plane, none, *limits)) == 0

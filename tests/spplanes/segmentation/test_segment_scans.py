@@ -269,6 +269,18 @@ def test_a_board_nearer_to_its_wall_than_points_scatter_is_no_part_of_it():
         assert (labels[26:38, 42:54] != labels[5, 5]).all()
 
 
+@pytest.mark.parametrize(("scans", "expected"), [(100.0, 2), (0.0, 1)])
+def test_an_error_that_scans_share_hides_a_board_unless_it_moves_board_and_wall_alike(scans, expected):
+    """Each scan may be 1 cm off, half of what the board stands out; scans side by side err alike, or they do not."""
+    pose = np.tile(np.diag([1e-4, 1e-4, 1e-4, 0.0, 0.0, 0.0]), (64, 1, 1))
+    config = MapperConfig(pose_correlation_scans=scans)
+    for seed in range(3):
+        points = wall_with_a_board(0.02, 32, seed)
+        labels, planes = segment_scans(points, sigma=0.01, viewpoints=np.zeros(3), pose_covariances=pose, config=config)
+        assert len(planes) == expected
+        assert (labels[30:50, 46:66] != labels[5, 5]).all() == (expected == 2)
+
+
 @pytest.mark.parametrize(("size", "expected"), [(7, 1), (16, 2)])
 def test_a_patch_of_fewer_points_than_asked_is_no_plane(size, expected):
     labels, planes = segment_scans(wall_with_a_board(0.5, size, 0), sigma=0.01, viewpoints=np.zeros(3))
