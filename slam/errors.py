@@ -1,9 +1,12 @@
-"""Errors that name a file: what cannot be read, and readers whose package is missing."""
+"""Errors that name a file, and what a caller gives refused where nothing is of that name, before long imports."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
+#: Simulated worlds (`slam.simulation`).
+WORLDS = ("corridor", "office", "room", "hall")
 #: What the sentence on a log that breaks off ends with, where the part before can be used.
 KEEPS_THE_REST = "--keep-partial uses what comes before"
 
@@ -22,3 +25,47 @@ class MissingPackageError(LogError, ImportError):  # type: ignore[misc]  # both 
 
     def __init__(self, path: Path | str, package: str, extra: str, *, doing: str = "reading") -> None:
         super().__init__(path, f"{doing} this needs {package}: pip install 'spplanes[{extra}]'")
+
+
+def check_world_given(world: str) -> None:
+    """ValueError: a name that is none of `WORLDS`."""
+    if world not in WORLDS:
+        raise ValueError(f"world: expected one of {', '.join(WORLDS)}, got {world!r}")
+
+
+def check_log_given(path: Path) -> None:
+    """LogError: nothing is there."""
+    if not path.exists():
+        raise LogError(path, "expected a log file or a folder of scans, found nothing")
+
+
+def check_cloud_given(path: Path) -> None:
+    """LogError: no file is there."""
+    if not path.is_file():
+        raise LogError(path, "expected a file with a cloud, found none")
+
+
+def check_run_given(folder: Path) -> None:
+    """LogError: the folder has no planes of a run."""
+    if not (folder / "planes.json").is_file():
+        raise LogError(folder, "expected the folder of a run, found no planes.json in it")
+
+
+def check_folder_given(folder: Path) -> None:
+    """LogError: no folder is there."""
+    if not folder.is_dir():
+        raise LogError(folder, f"expected the folder of a run, found {'a file' if folder.exists() else 'nothing'}")
+
+
+def check_truth_given(path: Path) -> None:
+    """LogError: nothing is there."""
+    if not path.exists():
+        raise LogError(path, "expected a mission's folder, a trajectory or a file of relations, got nothing")
+
+
+def check_file_given(path: Path) -> None:
+    """LogError: it cannot be opened to be read, and why."""
+    try:
+        os.close(os.open(path, os.O_RDONLY))
+    except OSError as error:
+        raise LogError(path, f"cannot be read: {error.strerror or error}") from error

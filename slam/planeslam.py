@@ -33,8 +33,7 @@ from slam.mapping.map_update import LateMatch, MapUpdate, MapUpdater
 from slam.mapping.same_plane import SamePlaneFinder
 from slam.registration.relocalization import Rivals
 from slam.session.prior_map import PriorMap
-from slam.session.recorder import Places, Recorder, SecondPass
-from slam.session.replay import open_slam
+from slam.session.replay import Places, Recorder, SecondPass, open_slam
 from slam.timing import StageClock, timed
 from slam.tracking.odometry_record import OdometryRecord
 from slam.tracking.prediction import MotionModel, Prediction, StartPose

@@ -21,7 +21,7 @@ NEVER = {"tests", "examples", "benchmarks"}
 ROOMS = {
     "slam": (
         ("errors", "timing", "files", "lazy", "ahead", "_field_types"),
-        ("_yaml", "preconditions"),
+        ("_yaml",),
         ("config",),
         ("geometry",),
         ("sensors",),

@@ -64,8 +64,8 @@ def open_job(
 
     `bag` has the fields of `slam.io.rosbags.reader.Topics`, which are not imported for it.
     """
+    from slam.errors import check_file_given, check_log_given
     from slam.output.new_folder import check_free
-    from slam.preconditions import check_file_given, check_log_given
     from slam.timing import StageClock
 
     clock = StageClock()  # before the imports below: whoever waits for the command waits for them too

@@ -33,8 +33,8 @@ def fit(
     as_json: Annotated[bool, typer.Option("--json", help="Print the planes as JSON.")] = False,
 ) -> None:
     """Find the planes of one CLOUD."""
+    from slam.errors import check_cloud_given
     from slam.output.new_folder import check_free, new_folder
-    from slam.preconditions import check_cloud_given
 
     if sigma is not None and not 0.0 < sigma < 1e3:
         raise ValueError(f"--sigma: expected a standard deviation above 0 in metres, got {sigma}")
@@ -46,7 +46,7 @@ def fit(
 
     found = fit_cloud(read_cloud(cloud), cloud, sigma_m=sigma, viewpoint=viewpoint).at_least(min_points)
     if out is not None:
-        from slam.output.cloud_files import write_cloud_planes
+        from slam.output.run_files import write_cloud_planes
 
         with new_folder(out, overwrite=overwrite) as folder:
             write_cloud_planes(found, folder)
@@ -99,7 +99,7 @@ def register(
     as_json: Annotated[bool, typer.Option("--json", help="Print pose and covariance as JSON.")] = False,
 ) -> None:
     """Find the pose of cloud B in cloud A, with its covariance, its rivals, and whether it can be believed."""
-    from slam.preconditions import check_cloud_given
+    from slam.errors import check_cloud_given
 
     check_cloud_given(a)
     check_cloud_given(b)

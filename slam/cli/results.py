@@ -27,7 +27,7 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Score RUN against the truth; the numbers also go into its metrics.json."""
-    from slam.preconditions import check_folder_given, check_truth_given
+    from slam.errors import check_folder_given, check_truth_given
 
     check_folder_given(run)
     check_truth_given(truth)
@@ -52,7 +52,7 @@ def explain(
     as_json: Annotated[bool, typer.Option("--json", help="Print decisions and their numbers as JSON.")] = False,
 ) -> None:
     """Say why each plane and line of a KEYFRAME of RUN was matched, or not, and what the keyframe changed."""
-    from slam.session.state import check_session_given, session_path
+    from slam.session.opening import check_session_given, session_path
 
     check_session_given(session_path(run))
     from slam.runs.stored_run import explain_keyframe
@@ -82,9 +82,9 @@ def export(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
 ) -> None:
     """Write planes, graph, trajectory or floor plan of RUN as files of other tools; --to may be repeated."""
+    from slam.errors import check_run_given
     from slam.output.export import check_target, export_run
-    from slam.preconditions import check_run_given
-    from slam.session.state import check_finished
+    from slam.session.opening import check_finished
 
     for target in to:
         check_target(target, overwrite=overwrite)
@@ -104,8 +104,8 @@ def view(
     rerun: Annotated[Path | None, typer.Option("--rerun", help="Also write a recording for Rerun, FILE.rrd.")] = None,
 ) -> None:
     """Draw RUN: plan, side view, uncertainty as PNG, and a page to turn and ask the map in a browser."""
-    from slam.preconditions import check_run_given
-    from slam.session.state import check_finished
+    from slam.errors import check_run_given
+    from slam.session.opening import check_finished
 
     check_finished(run)
     check_run_given(run)
@@ -124,8 +124,8 @@ def import_(
     as_json: JsonOption = False,
 ) -> None:
     """Take an edited GRAPH back: planes.json, mesh and trajectory of the run as the graph has them."""
+    from slam.errors import check_file_given, check_run_given
     from slam.output.new_folder import check_free, new_folder
-    from slam.preconditions import check_file_given, check_run_given
 
     check_free(out, overwrite=overwrite)
     check_run_given(run)

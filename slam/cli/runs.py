@@ -91,10 +91,10 @@ def slam(
         raise typer.BadParameter("expected --prior, the map that it is a place in", param_hint="--start")
     job = open_job(log, out, overwrite=overwrite, keep_partial=keep_partial, bag=bag, **given)
     from slam.ahead import cores
-    from slam.cli._prior import read_prior
     from slam.frontend.keyframes import keyframes_of
     from slam.output.run_folder import Source, new_run
     from slam.runs.slam_run import run_slam
+    from slam.session.prior_map import read_prior
 
     if strict:
         keyframes = job.config.keyframes.model_copy(update={"strict": True})
@@ -133,7 +133,7 @@ def _resume(
     strict_verdict: bool,
 ) -> None:
     """Go on with a run; of one that is finished there is nothing to do, and that is no error."""
-    from slam.preconditions import check_folder_given
+    from slam.errors import check_folder_given
     from slam.timing import StageClock
 
     clock = StageClock()  # before the imports below: whoever waits for the command waits for them too
@@ -215,7 +215,7 @@ def demo(
     from slam.ahead import cores
     from slam.config import SlamConfig
     from slam.output.run_files import write_run
-    from slam.runs.demo import compare
+    from slam.output.run_metrics import metrics_against
     from slam.runs.slam_run import StageClock, run_slam
     from slam.simulation import simulate_mission
 
@@ -224,7 +224,7 @@ def demo(
         mission = simulate_mission("corridor", n_scans=scans, seed=seed)
     with progress_bar("keyframes") as progress:
         run = run_slam(mission.log, mission.rig, SlamConfig(), jobs=cores(), clock=clock, progress=progress)
-    rows = compare(run, mission.truth)
+    rows = metrics_against(run, mission.truth)
     with new_folder(out, overwrite=overwrite) as folder:
         write_run(run, folder, title="spplanes demo", extra=[("estimate against truth", rows)])
     show("estimate against truth", rows, as_json)
@@ -244,8 +244,8 @@ def simulate(
     overwrite: OverwriteOption = False,
 ) -> None:
     """Write a simulated mission: log, rig.yaml and the truth."""
+    from slam.errors import check_world_given
     from slam.output.new_folder import check_free, new_folder
-    from slam.preconditions import check_world_given
 
     check_world_given(world)
     check_free(out, overwrite=overwrite)

@@ -16,7 +16,7 @@ from slam.map.data_association import Candidate, Decision
 from slam.map.landmarks import LandmarkMap
 from slam.mapping.fusion import Merge
 from slam.mapping.map_update import LateMatch
-from slam.session.recorder import Recorder
+from slam.session.replay import Recorder
 from slam.tracking.prediction import Prediction
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.errors import LogError
+from slam.errors import LogError, check_truth_given
 from slam.evaluation.planes import plane_metrics
 from slam.evaluation.trajectories import (
     FOUND,
@@ -26,9 +26,8 @@ from slam.geometry.frames import inverse
 from slam.io.folders.depth_images import CAMERA_POSES, is_depth_folder
 from slam.io.planes_json import read_planes
 from slam.io.trajectories import Trajectory, read_tum
-from slam.preconditions import check_truth_given
 from slam.sensors.rig import Rig
-from slam.session.state import check_finished, session_path
+from slam.session.opening import check_finished, session_path
 from slam.session.store import Session
 from slam.simulation.truth import Truth
 from spplanes._check import FloatArray

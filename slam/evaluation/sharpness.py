@@ -16,7 +16,7 @@ from slam.io.load import load
 from slam.io.trajectories import Trajectory, read_tum
 from slam.sensors.log import CloudScan
 from slam.sensors.rig import Rig
-from slam.session.state import session_path
+from slam.session.opening import session_path
 from slam.session.store import Session
 from spplanes._check import FloatArray
 

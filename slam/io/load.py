@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from slam.errors import LogError
+from slam.errors import LogError, check_cloud_given, check_log_given
 from slam.io.carmen.reader import read_carmen
 from slam.io.clouds import is_cloud_file, read_cloud
 from slam.io.clouds.cloud import grid_of
@@ -26,7 +26,6 @@ from slam.io.folders.threedtk import is_3dtk_folder, is_3dtk_scan, read_3dtk
 from slam.io.folders.threedtk import read_points as read_3dtk_points
 from slam.io.odometry_file import with_odometry
 from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag, sensor_name
-from slam.preconditions import check_cloud_given, check_log_given
 from slam.sensors.log import CloudScan, Log
 from slam.sensors.rig import Rig, Sensor
 from spplanes.clouds.arrange import arrange, shows_lines

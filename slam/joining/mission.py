@@ -16,8 +16,8 @@ from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam, pose_symbol
 from slam.sensors.rig import Rig
+from slam.session.opening import session_path
 from slam.session.prior_map import map_covariance
-from slam.session.state import session_path
 from slam.session.store import Session, SessionError
 from spplanes import Plane
 from spplanes._check import FloatArray

@@ -24,7 +24,7 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False, leve
     ``.ply`` and ``.glb``: the polygons of the planes as a coloured mesh. ``.g2o``: the graph with its planes. ``.tum``,
     and ``.kitti`` or ``.kitti.txt``: the trajectory, every number exactly. ``.dxf``, ``.svg`` and ``.ifc``: the floor
     plan with standard deviations, for which the run's session is replayed. With ``level`` the world is turned so that
-    its largest floor is level (`slam.output.levelling.levelled`); floor plans always are.
+    its largest floor is level (`slam.runs.stored_run.levelled`); floor plans always are.
 
     Returns:
         What whoever reads the file must know, a sentence each: a floor plan without rooms.
@@ -42,7 +42,7 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False, leve
     write = _writer_for(to)
     stored = StoredRun.read(run)
     if level:
-        from slam.output.levelling import levelled
+        from slam.runs.stored_run import levelled
 
         turned = levelled(stored)
         stored = stored if to.suffix.lower() in _PLANS else turned  # these measure the run's own planes once more
@@ -119,7 +119,7 @@ def _floor_plan(ending: str, run: StoredRun, path: Path) -> list[str]:
     from slam.output.plan_drawing import write_svg
     from slam.output.plan_dxf import write_dxf
     from slam.output.plan_ifc import write_ifc
-    from slam.runs.stored_plan import stored_floor_plan
+    from slam.runs.stored_run import stored_floor_plan
 
     plan = stored_floor_plan(run)
     write = {".dxf": write_dxf, ".svg": write_svg, ".ifc": write_ifc}[ending]

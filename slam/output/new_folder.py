@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from slam.files import scratch_folder
-from slam.session.state import is_unfinished
+from slam.session.opening import is_unfinished
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""The files of a run: configuration, trajectory, planes, mesh, numbers and pictures."""
+"""The files of a run, and of one cloud: configuration, trajectory, planes, mesh, numbers and pictures."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from slam.config import SlamConfig
 from slam.errors import LogError
@@ -20,14 +21,15 @@ from slam.io.g2o.writer import write_g2o
 from slam.io.planes_json import write_planes
 from slam.io.trajectories import Trajectory, write_tum
 from slam.output.run_metrics import details_of, map_metrics_of, metrics_of, timings_of
+from slam.runs.cloud_fit import FittedCloud
 from slam.runs.graph_import import ImportedRun
 from slam.runs.history import History
 from slam.runs.mapping_run import MapResult
 from slam.runs.slam_run import Run
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig, Sensor
-from slam.visualization.mesh import Mesh, mesh_of
-from slam.visualization.pictures import Drawn, draw_map, draw_uncertainty
+from slam.visualization.mesh import Mesh, colour_of, mesh_of
+from slam.visualization.pictures import Drawn, draw_map, draw_planes, draw_uncertainty, save
 from slam.visualization.report import write_report
 from slam.visualization.scene import scene_of
 from spplanes._check import FloatArray
@@ -178,3 +180,31 @@ def returns_of(scan: LaserScan | CloudScan, sensor: Sensor) -> FloatArray:
         bearings = np.stack((np.cos(scan.angles), np.sin(scan.angles), np.zeros(len(scan.angles))), axis=1)
         points = usable_ranges(scan.ranges, sensor)[:, None] * bearings
     return points[np.isfinite(points).all(axis=1)]
+
+
+#: Points without a plane that a picture shows at most.
+_DRAWN_POINTS = 20000
+
+
+def write_cloud_planes(found: FittedCloud, folder: Path) -> None:
+    """planes.json, planes.ply (outlines as triangles), points.ply (the returns with their plane) and planes.png."""
+    write_planes(folder / "planes.json", found.map_planes)
+    write_ply(folder / "planes.ply", mesh_of(found.map_planes))
+    colours = np.array([*(colour_of(plane) for plane in found.map_planes), (40, 40, 40)], dtype=np.uint8)
+    points = ply_points(found.points, colours[found.labels], found.labels)
+    write_ply_tables(folder / "points.ply", {"vertex": points})
+    _draw_cloud(found, folder / "planes.png")
+
+
+def _draw_cloud(found: FittedCloud, path: Path) -> None:
+    """Plan and side view of the planes over the points that belong to none."""
+    figure = Figure(figsize=(11.0, 9.0), layout="constrained")
+    plan, side = figure.subplots(2, 1, height_ratios=[3, 1], sharex=True)
+    rest = found.points[found.labels < 0]
+    rest = rest[:: max(len(rest) // _DRAWN_POINTS, 1)]
+    for axes, view, upright in ((plan, "plan", 1), (side, "side", 2)):
+        axes.plot(rest[:, 0], rest[:, upright], ",", color="0.6")
+        draw_planes(axes, found.map_planes, view)
+        axes.plot(found.viewpoint[0], found.viewpoint[upright], "k+")
+    plan.set_title(f"{len(found.planes)} planes")
+    save(figure, path)

@@ -14,19 +14,19 @@ from typing import Any
 
 from slam.backend.estimator import BackendError
 from slam.config import SlamConfig
+from slam.errors import check_folder_given
 from slam.files import scratch_folder
 from slam.frontend.keyframes import keyframes_of
 from slam.io.load import load
 from slam.output.new_folder import check_free, put_in_place
 from slam.planeslam import PlaneSlam
-from slam.preconditions import check_folder_given
 from slam.runs.slam_run import Run
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig
 from slam.session._file import fingerprint, sync_folder
+from slam.session.opening import SESSION_FILE, session_path
 from slam.session.prior_map import PriorMap, finished_map
 from slam.session.replay import RawScans, SessionRecorder, is_measured_again, resumed
-from slam.session.state import SESSION_FILE, session_path
 from slam.session.store import Session, SessionError
 
 _WORK = ".results-"

@@ -1,16 +1,18 @@
-"""A finished run, read back from its folder alone."""
+"""A finished run, read back from its folder alone; its map levelled, its floor plan, its keyframes explained."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import shapely
 
 from slam.diagnostics.verdict import Verdict
-from slam.errors import LogError
+from slam.errors import LogError, check_run_given
 from slam.evaluation import Metric
 from slam.frontend.observations import Observation
 from slam.io.planes_json import read_map
@@ -18,11 +20,16 @@ from slam.io.trajectories import Trajectory, read_tum
 from slam.map.data_association import Decision
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam
-from slam.preconditions import check_run_given
 from slam.runs.history import History
-from slam.session.state import check_finished, session_path
+from slam.session.opening import SESSION_FILE, check_finished, session_path
 from slam.session.store import Session
 from spplanes._check import FloatArray
+
+if TYPE_CHECKING:
+    from slam.floorplan import FloorPlan
+
+#: Planes replayed and planes of the file are the same when (normal, d) differ by less: rounding, of a batch too.
+_SAME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,3 +153,76 @@ def _as_json(decision: Decision, seen: Observation) -> dict[str, Any]:
             for one in decision.candidates
         ],
     }
+
+
+def levelled(run: StoredRun) -> StoredRun:
+    """The run in a world whose z is the normal of its largest floor: on that plane z is constant.
+
+    Of all turns about the world's origin it is the one that leaves the heading, by which x keeps its direction in plan:
+    (x, y) are those of the floor plan. It is a change of coordinates, exact: covariances of planes and of poses are in
+    their own frames and stay what they are. How well the floor's tilt is known is in the floor's own covariance.
+
+    Returns:
+        The run with planes, trajectory, odometry and points turned, and the turn (4, 4) as ``moved_by``.
+
+    Raises:
+        LogError: no plane of the map is a floor: seen from above, within 30 deg of the world's z.
+    """
+    from slam.floorplan.storeys import plan_axes, upward  # with what no run needs of scipy
+
+    up = upward(np.array([one.plane.normal for one in run.planes]).reshape(-1, 3), run.planes)
+    if up is None:
+        wanted = "expected a floor to level the map by, within 30 deg of the world's z and seen from above"
+        raise LogError(run.folder, f"{wanted}, found none of its {len(run.planes)} planes to be one")
+    turn = np.eye(4)
+    turn[:3, :3] = np.vstack((plan_axes(up).T, up))
+    return replace(
+        run,
+        planes=[replace(one, plane=one.plane.transform(turn)) for one in run.planes],
+        trajectory=_turned(run.trajectory, turn),
+        odometry=_turned(run.odometry, turn),
+        history=replace(run.history, points=run.history.points @ turn[:3, :3].T),
+        moved_by=turn if run.moved_by is None else turn @ run.moved_by,
+    )
+
+
+def _turned(trajectory: Trajectory, turn: FloatArray) -> Trajectory:
+    return Trajectory(trajectory.stamps_ns, turn @ trajectory.poses)
+
+
+def stored_floor_plan(run: StoredRun) -> FloorPlan:
+    """Replay the session of a run, reading only, and measure its map.
+
+    Raises:
+        LogError: no session (runs of `demo`, `map` and `import` keep none), one that does not lead to the run's
+            planes, or a map without a vertical plane.
+        SessionError: a damaged session.
+    """
+    from slam.floorplan import floor_plan, joint_planes
+
+    if not (run.folder / SESSION_FILE).is_file():
+        raise LogError(
+            run.folder,
+            f"expected a run with its {SESSION_FILE}, from which the joint covariance of its planes comes, found none; "
+            "runs of `slam` keep one, those of `demo`, `map` and `import` do not",
+        )
+    with PlaneSlam.open(run.folder, read_only=True) as slam:
+        planes = slam.planes
+        if not _are_same(planes, run.planes):  # its graph was solved once more at the end
+            slam.adopt_batch()
+            planes = slam.planes
+        if not _are_same(planes, run.planes):
+            raise LogError(run.folder, "expected a session that leads to the run's planes.json, got other planes")
+        slam.adopt_batch()  # what iSAM2 did not linearise anew, up to its threshold, is worth 0.1 mm
+        joint = joint_planes(slam.planes, slam.landmarks, slam.backend)
+    try:
+        return floor_plan(joint)
+    except ValueError as error:
+        raise LogError(run.folder, str(error)) from error
+
+
+def _are_same(first: Sequence[MapPlane], second: Sequence[MapPlane]) -> bool:
+    if [one.id for one in first] != [one.id for one in second]:
+        return False
+    rows = [np.array([[*one.plane.normal, one.plane.d] for one in planes]) for planes in (first, second)]
+    return not first or bool(np.abs(rows[0] - rows[1]).max() < _SAME)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,8 +18,10 @@ from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import Rig
 from slam.session._codec import CodecError, decode, keyframe_of
 from slam.session._file import SessionDamaged, SessionError, digest, translated
-from slam.session._opening import OpenFile
+from slam.session.opening import OpenFile
 
+#: Places by the keyframe that stands near them.
+Places = Mapping[int, Sequence[PlaceMatch]]
 #: Parameters in the order in which the chain of checksums begins with them.
 _PARAMETERS = ("config", "rig", "prior", "program")
 

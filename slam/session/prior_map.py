@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import gtsam
@@ -15,13 +15,16 @@ from slam._field_types import check_fields
 from slam.backend.estimator import Backend
 from slam.errors import LogError
 from slam.frontend.input_checks import check_extent
+from slam.frontend.keyframes import Keyframe
 from slam.io.planes_json import read_planes
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.map.map_planes import MapPlane
+from slam.registration.initial_pose import find_start
 from slam.session._codec import CodecError, decode, encode
-from slam.session.state import session_path
+from slam.session.opening import session_path
 from slam.session.store import Session, SessionError
 from spplanes._check import FloatArray, as_covariance, as_transform, check_instance
+from spplanes.spmodel import transform_from_rpy
 
 #: GTSAM key of the pose in whose frame the planes of a prior map live: that of the map itself.
 MAP_KEY = gtsam.symbol("m", 0)
@@ -33,6 +36,8 @@ _LEAST_SIGMA, _LARGEST_SIGMA = 1e-9, 1e3
 _MOST_NUMBERS = 1 << 48
 #: Where a mission begins when nobody says: sigmas of x and y, m, and of the heading, rad.
 START_SIGMA_M, START_SIGMA_RAD = 0.3, 0.1
+#: Instead of numbers: look for the start in the map.
+FIND = "find"
 #: What a robot on a floor may be off it at the start: sigma of z, m, and of pitch and roll, rad.
 _FLOOR_SIGMA_M, _FLOOR_SIGMA_RAD = 1e-3, 1e-3
 
@@ -203,3 +208,35 @@ def _independent(path: Path) -> tuple[list[MapPlane], FloatArray]:
         if plane.outline is not None
     ]
     return entries, np.asarray(block_diag(*(entry.plane.covariance for entry in entries)))
+
+
+def read_prior(path: Path, start: str, sigma: str, first: Callable[[], Keyframe]) -> PriorMap:
+    """The prior map, and the start as words, m and deg: X,Y,HEADING on the floor, or X,Y,Z,YAW,PITCH,ROLL; its sigmas.
+
+    `first` gives the first keyframe of the mission, where its start is to be found by what it sees.
+    """
+    numbers = _numbers("--start", "0,0,0" if start == FIND else start, 3, 6)
+    sigma_m, sigma_deg = _numbers("--start-sigma", sigma, 2)
+    if min(sigma_m, sigma_deg) <= 0.0:
+        raise ValueError(f"--start-sigma: expected two positive numbers, got {sigma!r}")
+    sigmas = sigma_m, float(np.deg2rad(sigma_deg))
+    x, y, z, *turns = numbers if len(numbers) == 6 else (*numbers[:2], 0.0, numbers[2], 0.0, 0.0)
+    world_T_start = transform_from_rpy((x, y, z, *np.deg2rad(turns).tolist()))
+    prior = PriorMap.load(path, world_T_start=world_T_start, start_covariance=floor_start(*sigmas))
+    if start == FIND:
+        prior = replace(prior, world_T_start=find_start(prior.planes, first()))
+    pose = prior.world_T_start
+    if pose[2, 3] == 0.0 and pose[2, 2] == 1.0:
+        return prior
+    return replace(prior, start_covariance=space_start(*sigmas))
+
+
+def _numbers(name: str, text: str, *counts: int) -> list[float]:
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in counts or not np.isfinite(numbers).all():
+        wanted = " or ".join(map(str, counts))
+        raise ValueError(f"{name}: expected {wanted} numbers with commas between them, got {text!r}")
+    return numbers

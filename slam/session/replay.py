@@ -1,4 +1,4 @@
-"""A `PlaneSlam` with its session: recording while it runs, and replaying what was recorded."""
+"""What a `PlaneSlam` tells about itself while it runs: to nobody, or to a session; and replaying what was recorded."""
 
 from __future__ import annotations
 
@@ -15,16 +15,64 @@ from slam.map.data_association import Decision
 from slam.sensors.log import Log
 from slam.session._codec import encode
 from slam.session.forgetting import ForgottenDecisions, ForgottenKeyframes
+from slam.session.opening import session_path
 from slam.session.prior_map import PriorMap
-from slam.session.recorder import Places, Recorder
-from slam.session.state import session_path
-from slam.session.store import Session, SessionError
+from slam.session.store import Places, Session, SessionError
 
 #: What a session is replayed into: made of a configuration, a prior map and a recorder, and fed keyframes.
 Slam = TypeVar("Slam")
 RawScans = Literal["reference", "value"]
 #: Numbers of a decision made again may differ by this share from those recorded; choices may not differ at all.
 _SAME = 1e-9
+
+
+class Recorder:
+    """Listens to a `PlaneSlam`: here to nothing; a session on disk is a `SessionRecorder`.
+
+    Whatever these methods raise ends `add_keyframe` before the graph has used what they were told.
+    """
+
+    def keyframes(self) -> MutableSequence[Keyframe]:
+        """Where the estimator keeps its keyframes: in memory."""
+        return []
+
+    def decisions(self) -> MutableSequence[list[Decision]]:
+        """Where the estimator keeps its decisions: in memory."""
+        return []
+
+    def measured(self, index: int, keyframe: Keyframe) -> Keyframe:
+        """The measurements of a keyframe, before anything is done with them; returns those to work with."""
+        return keyframe
+
+    def decided(self, index: int, decisions: Sequence[Decision]) -> None:
+        """What each of them was taken for, before its factor is added."""
+
+    def mended(self, places: Places, decisions: Sequence[Sequence[Decision]]) -> None:
+        """All keyframes were matched anew with more places known: these decisions take the place of those before."""
+
+    def close(self) -> None:
+        """Nothing more will come."""
+
+
+class SecondPass(Recorder):
+    """Listens to keyframes that another recorder has, as they are matched anew; of those that follow it tells that one.
+
+    Args:
+        first: the recorder.
+        count: keyframes that it has.
+    """
+
+    def __init__(self, first: Recorder, count: int) -> None:
+        self._first, self._count = first, count
+
+    def measured(self, index: int, keyframe: Keyframe) -> Keyframe:
+        """Those that are known stay as they are."""
+        return keyframe if index < self._count else self._first.measured(index, keyframe)
+
+    def decided(self, index: int, decisions: Sequence[Decision]) -> None:
+        """Nothing is kept before the first recorder is told that all of it counts."""
+        if index >= self._count:
+            self._first.decided(index, decisions)
 
 
 class SessionRecorder(Recorder):

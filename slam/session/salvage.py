@@ -9,8 +9,7 @@ from itertools import count
 from pathlib import Path
 
 from slam.session._codec import encode
-from slam.session._opening import promise, writing
-from slam.session.state import check_session_given, session_path
+from slam.session.opening import check_session_given, promise, session_path, writing
 from slam.session.store import RawScan, Session, SessionDamaged
 
 _SUFFIXES = ("", "-wal", "-shm")

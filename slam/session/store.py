@@ -23,10 +23,8 @@ from slam.session._file import (
     transaction,
     translated,
 )
-from slam.session._opening import make_file, open_file, promise, put
-from slam.session._records import Entry, RawScan, SessionRecords
-from slam.session.recorder import Places
-from slam.session.state import check_session_given, session_path
+from slam.session._records import Entry, Places, RawScan, SessionRecords
+from slam.session.opening import check_session_given, make_file, open_file, promise, put, session_path
 from spplanes import __version__
 
 __all__ = ["Entry", "RawScan", "Session", "SessionDamaged", "SessionError", "StorageError"]

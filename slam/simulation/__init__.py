@@ -1,6 +1,6 @@
 """Worlds, robots and sensors with ground truth."""
 
-from slam.preconditions import WORLDS
+from slam.errors import WORLDS
 from slam.simulation.mission import Mission, ScanArrays, simulate_mission
 from slam.simulation.path import Path
 from slam.simulation.rigs import HORIZONTAL, SPINNING, VERTICAL, paper_rig, spinning_rig

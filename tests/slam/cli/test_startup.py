@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from slam.session.state import SESSION_FILE
+from slam.session.opening import SESSION_FILE
 
 #: Each takes a tenth of a second and more to import; pydantic, which typer needs, is not among them.
 HEAVY = ("numpy", "numba", "gtsam", "scipy", "shapely", "matplotlib", "open3d", "rich")

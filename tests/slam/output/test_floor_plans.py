@@ -20,13 +20,11 @@ from slam.floorplan import FloorPlan, floor_plan
 from slam.io.g2o.reader import read_g2o
 from slam.io.trajectories import read_kitti, read_tum
 from slam.output.export import check_target, export_run
-from slam.output.levelling import levelled
 from slam.output.plan_drawing import write_svg
 from slam.output.plan_dxf import write_dxf
 from slam.output.plan_ifc import MEASURED, write_ifc
 from slam.output.run_files import write_ply
-from slam.runs.stored_plan import stored_floor_plan
-from slam.runs.stored_run import StoredRun
+from slam.runs.stored_run import StoredRun, levelled, stored_floor_plan
 from slam.simulation import Mission
 from slam.simulation.record import Plan, record
 from slam.simulation.rigs import spinning_rig

@@ -13,9 +13,8 @@ from slam.errors import LogError
 from slam.floorplan import floor_plan
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory
-from slam.output.levelling import levelled
 from slam.runs.history import History
-from slam.runs.stored_run import StoredRun
+from slam.runs.stored_run import StoredRun, levelled
 from spplanes import Plane
 from tests.slam.floorplan.buildings import joint_of, planes_of
 

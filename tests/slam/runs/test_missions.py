@@ -14,8 +14,8 @@ from slam.evaluation import absolute_error, match_planes
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory, read_tum
 from slam.output.run_files import write_run
+from slam.output.run_metrics import in_frame_of_truth, metrics_against
 from slam.planeslam import pose_symbol
-from slam.runs.demo import compare, in_frame_of_truth
 from slam.runs.slam_run import Run, run_slam
 from slam.simulation import Mission, simulate_mission
 from tests.statistics import mean_nees_band
@@ -82,7 +82,7 @@ def test_the_audit_finds_the_measurements_about_as_far_off_as_they_say(missions:
 
 def test_the_demos_table_compares_room_and_planes_with_the_truth(missions: list[tuple[Mission, Run]]):
     mission, run = missions[0]
-    rows = {row.name: row.value for row in compare(run, mission.truth)}
+    rows = {row.name: row.value for row in metrics_against(run, mission.truth)}
     assert rows["corridor height, truth"] == pytest.approx(2.7, abs=1e-9)
     assert rows["corridor width, truth"] == pytest.approx(2.268, abs=1e-9)
     assert rows["corridor height, estimate"] == pytest.approx(2.7, abs=0.004)

@@ -24,7 +24,7 @@ from slam.output.run_metrics import details_of, metrics_of
 from slam.runs.repair import is_open_to_repair, repaired
 from slam.runs.slam_run import Run, odometry_of
 from slam.session._codec import encode
-from slam.session.recorder import Places
+from slam.session.replay import Places
 from slam.session.salvage import salvage_session
 from slam.session.store import Session, SessionDamaged
 from slam.simulation import simulate_mission

@@ -20,8 +20,8 @@ from slam.io.load import load
 from slam.output.run_folder import Source, conclude, new_run, resumed_run
 from slam.runs.slam_run import run_slam
 from slam.sensors.rig import Rig
+from slam.session.opening import SESSION_FILE
 from slam.session.salvage import salvage_session
-from slam.session.state import SESSION_FILE
 from slam.session.store import Session, SessionDamaged, SessionError
 from slam.simulation import simulate_mission
 from slam.simulation.rigs import VERTICAL

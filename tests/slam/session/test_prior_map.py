@@ -16,7 +16,6 @@ from shapely import box
 from factors import map_prior, plane_landmark
 from slam import PlaneSlam, SlamConfig
 from slam.cli import main
-from slam.cli._prior import read_prior
 from slam.errors import LogError
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
@@ -25,7 +24,7 @@ from slam.io.planes_json import write_planes
 from slam.map.map_planes import MapPlane
 from slam.planeslam import pose_symbol
 from slam.registration.initial_pose import find_start
-from slam.session.prior_map import PriorMap, finished_map, floor_start, map_covariance
+from slam.session.prior_map import PriorMap, finished_map, floor_start, map_covariance, read_prior
 from slam.session.store import Session, SessionError
 from spplanes import Plane
 from spplanes.spmodel import transform_from_rpy

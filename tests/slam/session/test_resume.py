@@ -25,8 +25,8 @@ from slam.io.load import load
 from slam.io.trajectories import Trajectory, read_tum, write_tum
 from slam.planeslam import pose_symbol
 from slam.sensors.log import LaserScan
+from slam.session.opening import SESSION_FILE
 from slam.session.salvage import salvage_session
-from slam.session.state import SESSION_FILE
 from slam.session.store import Session, SessionError, StorageError
 from tests.slam.scenes import drive
 from tests.slam.session import kill

@@ -1,8 +1,9 @@
-"""How a session's file comes to be there, and how it is opened: one writer, checked before anything is believed."""
+"""How a session's file comes to be there, is opened (one writer, checked first), and whether its run ended."""
 
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import sqlite3
 from collections.abc import Iterator, Mapping
@@ -24,6 +25,8 @@ from slam.session._file import (
     translated,
 )
 
+#: Name of the session in the folder of a run.
+SESSION_FILE = "session.db"
 #: Room for the pages after which SQLite folds the journal back into the file, bytes, with their heads.
 _ROOM = 32 + 1100 * (24 + 4096)
 
@@ -206,3 +209,35 @@ def _check_promise(path: Path) -> None:
         lost = promised - connection.execute("SELECT count(*) FROM keyframes").fetchone()[0]
     if lost > 0:
         raise SessionDamaged(f"{path}: damaged; {lost} keyframes, the last of its journal, cannot be read")
+
+
+def session_path(path: Path | str) -> Path:
+    """The session file: the path itself, or session.db in the folder of a run."""
+    path = Path(path)
+    return path / SESSION_FILE if path.is_dir() else path
+
+
+def check_session_given(path: Path) -> None:
+    """SessionError: no file is there."""
+    if not path.is_file():
+        raise SessionError(f"{path}: expected a session, found nothing")
+
+
+def is_unfinished(folder: Path | str) -> bool:
+    """Whether a folder holds a run that was interrupted, or that goes on now; in doubt it does not."""
+    path = Path(folder) / SESSION_FILE
+    if not path.is_file():
+        return False
+    try:
+        file = open_file(path, read_only=True, damaged=False)
+        with file.opened, translated(path):
+            row = file.connection.execute("SELECT data, digest FROM session WHERE key = 'state'").fetchone()
+        return digest("state", row[0]) == row[1] and json.loads(row[0])["state"] != "finished"
+    except (ValueError, OSError, KeyError, TypeError):
+        return False
+
+
+def check_finished(folder: Path | str) -> None:
+    """SessionError: a folder holds a run that has no results yet; the sentence says how it gets them."""
+    if not (Path(folder) / "planes.json").is_file() and is_unfinished(folder):
+        raise SessionError(f"{folder}: the run is not finished; go on with: spplanes slam --resume {folder}")
