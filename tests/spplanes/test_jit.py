@@ -9,6 +9,7 @@ from pathlib import Path
 import llvmlite.binding
 import pytest
 from numba import config
+from numba.core.caching import FunctionCache
 
 from spplanes import _jit
 
@@ -119,3 +120,22 @@ def test_python_calls_nothing_that_only_kernels_can():
             if isinstance(node, ast.ImportFrom):
                 known |= {one.asname or one.name: one.name for one in node.names if (node.module, one.name) in inner}
         assert not known.keys() & set(names_outside_kernels(tree)), module
+
+
+def test_what_an_earlier_version_compiled_is_compiled_anew_where_a_module_has_moved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Numba's cache of a kernel names the modules of kernels that it calls, and is not told when these move."""
+
+    def load(*_: object) -> None:
+        raise ModuleNotFoundError("No module named 'spplanes._eigen'")
+
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(FunctionCache, "_load_overload", load)
+
+    @_jit.njit(cache=True)
+    def twice(x):
+        return 2 * x
+
+    assert twice(2) == 4
+    _jit.KERNELS.remove(twice)
