@@ -48,8 +48,10 @@ from spplanes._check import FloatArray
 #: many times as wide, as a standard deviation. Between planes that hold a motion (1.1 to 1.4 in simulated buildings)
 #: and those that leave a direction open to returns that do not (3 and more) there is little.
 _AS_GOOD = 2.0
-#: Least share of what is seen, by the root of area, that the last scan has under the motion: most of it.
+#: Least share of what is seen in any direction, by the root of area, that the last scan has under the motion: most.
 _MOST = 0.5
+#: Of the sum of the weights: less than nothing, where nothing looks in a direction.
+_ROUNDING = 1e-9
 #: Share of the steps after one that was spoken against that slip again: wheels do so for a while.
 _AGAIN = 0.5
 
@@ -175,7 +177,7 @@ def planes_confirm(
     """
     mine, theirs = (PlaneArrays.as_given(planes) for planes in (seen, before))
     pairs = np.array(pairs_under(motion.a_T_b, mine, theirs), dtype=np.int64).reshape(-1, 2)
-    if not len(pairs) or mine.weights[pairs[:, 0]].sum() < _MOST * mine.weights.sum():
+    if not len(pairs) or not _most_paired(mine, pairs[:, 0]):
         return None
     fit = fit_pairs_on(motion.a_T_b, mine, theirs, pairs, (WEAK_M, WEAK_RAD))
     if fit is None:
@@ -189,6 +191,19 @@ def planes_confirm(
         if confirmed
         else None
     )
+
+
+def _most_paired(seen: PlaneArrays, paired: np.ndarray) -> bool:
+    """Whether of the planes seen those of some indices are most, by the root of area, in every direction they look.
+
+    Were it most of all of them, floor and one row of walls would speak for a motion along these, under which the walls
+    across find no partner, but for one that has another before it.
+    """
+    all_of, these = (
+        np.einsum("k,ki,kj->ij", seen.weights[which], seen.normals[which], seen.normals[which])
+        for which in (slice(None), paired)
+    )
+    return bool(np.linalg.eigvalsh(these - _MOST * all_of)[0] >= -_ROUNDING * np.trace(all_of))
 
 
 def _agree(motion: Motion, place: FloatArray, covariance: FloatArray, significance: float) -> bool:

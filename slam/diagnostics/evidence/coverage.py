@@ -17,6 +17,8 @@ from spplanes._check import FloatArray
 
 #: Keyframes with fewer than this many are no drive: nothing in them was seen twice and held against a third.
 _LEAST_KEYFRAMES = 3
+#: What is nearer to level than this is a floor or a ceiling, or a ramp: cosine of 15 deg.
+_LEVEL = 0.966
 #: A sound run is wrong by a place taken for another more seldom than with this probability: that a run is wrong and
 #: does not say so counts three times as much as that one is right and doubted.
 MOST_WRONG = 0.25
@@ -38,20 +40,26 @@ def coverage_evidence(run: Finished) -> Iterator[Evidence]:
     if run.unplaced:
         lost = f"what was seen at {named(run.unplaced)} fits nowhere, and nobody measured the motion to there"
         yield _certain(len(run.unplaced), run.unplaced, f"{lost}: an assumption alone placed them")
-    blind = unmatched_keyframes(run)
+    blind = keyframes_without_wall(run)
     if 2 * len(blind) > len(frames) - 1:
-        much = f"{len(blind)} of {len(frames) - 1} keyframes saw no plane that was known"
+        much = f"{len(blind)} of {len(frames) - 1} keyframes saw no wall that was known"
         yield _certain(len(blind), blind, f"{much} ({named(blind)}): odometry or an assumption alone placed them")
 
 
-def unmatched_keyframes(run: Finished) -> list[int]:
-    """Keyframes after the first none of whose observations was matched, then or later."""
-    late = {one.keyframe for one in run.late_matches}
-    return [
-        index
-        for index, decisions in enumerate(run.decisions)
-        if index and index not in late and all(one.match is None for one in decisions)
-    ]
+def keyframes_without_wall(run: Finished) -> list[int]:
+    """Keyframes after the first of whose observations none but those of floors and ceilings was matched, then or later.
+
+    Floors and ceilings tell the height and the tilt, and nothing of where on the floor a body is.
+    """
+    matched = {(one.keyframe, one.decision.observation) for one in run.late_matches}
+    blind = []
+    for index, pose in enumerate(run.trajectory.poses[1:], 1):
+        again = {one.observation for one in run.decisions[index] if one.match is not None}
+        seen = enumerate(run.keyframes[index].observations)
+        normals = [one.normal for k, one in seen if k in again or (index, k) in matched]
+        if not any(abs(pose[2, :3] @ normal) < _LEVEL for normal in normals):
+            blind.append(index)
+    return blind
 
 
 def _certain(count: int, keyframes: range | list[int], sentence: str) -> Evidence:

@@ -17,7 +17,7 @@ from slam.tracking import odometry_check
 from slam.tracking.odometry_check import planes_confirm
 from spplanes import Plane
 from spplanes._check import FloatArray
-from tests.slam.registration.test_plane_registration import body, hall, measured
+from tests.slam.registration.test_plane_registration import LONG, body, hall, measured, wall
 from tests.slam.short_drives import mapped_beginning
 
 #: Standard deviations of odometry over half a metre: (x, y, heading), and (z, roll, pitch).
@@ -79,6 +79,16 @@ def test_planes_of_which_the_last_scan_had_less_than_half_confirm_nothing() -> N
     assert planes_confirm(motion, before[:5], seen, elements, SIGNIFICANCE) is not None
     assert planes_confirm(motion, before[4:], seen, elements, SIGNIFICANCE) is None
     assert planes_confirm(motion, [], seen, elements, SIGNIFICANCE) is None
+
+
+def test_walls_across_the_way_that_find_no_partner_are_not_outvoted_by_those_along_it() -> None:
+    """Off by as much as a board stands before a wall, the board is taken for the wall, and the wall for nothing."""
+    off = 0.13
+    before, seen = seen_twice([*hall(), wall((LONG - off, 0.0, 1.5), (-1.0, 0.0, 0.0), 2.0, 2.0)], 5)
+    elements, turn = elements_of(seen), SECOND[:2, :2]
+    ahead = np.array([*(turn.T @ (off, 0.0)), 0.0])
+    assert planes_confirm(odometry(ahead), before, seen, elements, SIGNIFICANCE) is None
+    assert planes_confirm(odometry(0.0 * ahead), before, seen, elements, SIGNIFICANCE) is not None
 
 
 def test_returns_are_laid_on_what_was_seen_only_where_planes_do_not_confirm(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from slam.diagnostics.evidence.coverage import ambiguity_evidence, assumption_evidence
+from slam.diagnostics.evidence.coverage import ambiguity_evidence, assumption_evidence, coverage_evidence
 from slam.diagnostics.verdict import Evidence
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
@@ -43,6 +43,14 @@ def test_a_bare_corridor_without_odometry_is_doubted() -> None:
 @pytest.mark.parametrize("planes, odometry", [(hall(), False), (CORRIDOR, True)], ids=["hall", "odometry"])
 def test_what_is_seen_or_measured_is_no_assumption(planes: list[Plane], odometry: bool) -> None:
     assert not list(assumption_evidence(driven(planes, odometry=odometry)))
+
+
+@pytest.mark.parametrize("walls, blind", [([], 9), ([2], 0)], ids=["floor and ceiling", "one wall"])
+def test_floors_and_ceilings_tell_nothing_of_where_on_the_floor_a_body_is(walls: list[int], blind: int) -> None:
+    level = [plane for plane in hall() if abs(plane.normal[2]) > 0.99]
+    assert len(level) == 2
+    found = list(coverage_evidence(driven([*level, *(hall()[k] for k in walls)], odometry=True)))
+    assert [one.size for one in found] == [blind] * bool(blind)
 
 
 def test_places_that_fit_as_well_are_counted_together() -> None:

@@ -138,7 +138,7 @@ def test_observations_that_match_nothing_leave_keyframes_to_odometry():
     for index, keyframe in enumerate(drive(0, count=12).keyframes):
         slam.add_keyframe(keyframe if index < 4 else replace(keyframe, observations=[]))
     (reason,) = assess_run(slam, rig).reasons
-    assert "8 of 11 keyframes saw no plane that was known (keyframes 4 to 11)" in reason
+    assert "8 of 11 keyframes saw no wall that was known (keyframes 4 to 11)" in reason
 
 
 def test_odometry_worse_than_stated_counts_where_the_poses_rest_on_it():
