@@ -46,13 +46,6 @@ def test_the_first_screen_of_the_readme():
     assert len(first.splitlines()) <= 45
 
 
-def test_what_is_measured_is_said_in_eight_short_rows():
-    text = (ROOT / "README.md").read_text(encoding="utf-8").split("## Measured\n", 1)[1].split("\n## ", 1)[0]
-    rows = [line for line in text.splitlines() if line.startswith("|")][2:]
-    assert 3 <= len(rows) <= 8 and max(map(len, rows)) <= 160
-    assert any("unseen" in row for row in rows) and "Known shortfalls" in text
-
-
 def test_every_picture_of_the_gallery_is_made_by_the_tool():
     tool = (ROOT / "tools" / "figures.py").read_text(encoding="utf-8")
     pictures = LINK.findall((ROOT / "docs" / "gallery.md").read_text(encoding="utf-8"))

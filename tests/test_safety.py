@@ -76,7 +76,3 @@ def test_nothing_runs_what_a_file_says(path: Path):
 )
 def test_the_scan_sees_what_it_looks_for(source: str):
     assert len(problems(source)) == 1
-
-
-def test_there_are_sources():
-    assert len(SOURCES) > 100

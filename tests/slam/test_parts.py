@@ -6,23 +6,11 @@ import numpy as np
 
 from slam import PlaneSlam, SlamConfig
 from slam.loop_closure.closing import LoopCloser
-from slam.map.data_association import Decision, associate
+from slam.map.data_association import associate
 from slam.runs.slam_run import run_slam
 from slam.simulation import simulate_mission
 from spplanes.segmentation.scans import Labelled, label_scans
 from tests.slam.scenes import drive
-
-
-def test_an_association_that_matches_nothing_makes_every_observation_a_landmark():
-    scene = drive(0)
-
-    def nothing(observations, pose_key, *state, **how):
-        return [Decision(number, "new", None, ()) for number in range(len(observations))]
-
-    slam = PlaneSlam(associate=nothing)
-    for keyframe in scene.keyframes[:3]:
-        slam.add_keyframe(keyframe)
-    assert len(slam.landmarks) == sum(len(frame.observations) for frame in scene.keyframes[:3])
 
 
 def test_an_association_that_hands_on_to_ours_changes_nothing():

@@ -11,27 +11,8 @@ import pytest
 from slam.cli import main
 from slam.config import SlamConfig
 from spplanes import __version__
+from tests.slam.commands import refused, run
 from tests.slam.io.test_threedtk import scanner_points, write_scan
-
-
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of a command."""
-    code = 0
-    try:
-        main([str(argument) for argument in arguments])
-    except SystemExit as stop:
-        code = stop.code if isinstance(stop.code, int) else 0
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The one sentence of a command that must end with exit code 2."""
-    code, _, err = run(capsys, *arguments)
-    assert code == 2, err
-    assert "Traceback" not in err
-    assert len(err.strip().splitlines()) == 1, err
-    return err.strip()
 
 
 def test_version_and_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
@@ -60,15 +41,6 @@ def test_a_missing_log_is_one_sentence_and_leaves_nothing(tmp_path: Path, capsys
     sentence = refused(capsys, "slam", tmp_path / "no where", "--out", tmp_path / "run")
     assert "no where: expected a log file or a folder of scans, found nothing" in sentence
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_broken_scan_leaves_nothing_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    folder = tmp_path / "scans"
-    write_scan(folder, 0, scanner_points(), packed=False)
-    (folder / "scan000.3d").write_text("1 2 3\n4 five 6\n")
-    sentence = refused(capsys, "slam", folder, "--out", tmp_path / "run")
-    assert "scan000.3d:2: expected numbers, got '4 five 6'" in sentence
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["scans"]
 
 
 def test_an_output_that_exists_is_refused_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -130,23 +102,6 @@ def finished(mission: Path) -> Path:
         main(["slam", str(mission), "--out", str(folder)])
     assert stop.value.code in (0, None)
     return folder
-
-
-def test_a_mission_of_3d_scans_from_simulation_to_score(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    for words in (
-        ["simulate", "hall", "--scans", "6", "--out", str(tmp_path / "hall")],
-        ["slam", str(tmp_path / "hall"), "--out", str(tmp_path / "run")],
-        ["evaluate", str(tmp_path / "run"), "--truth", str(tmp_path / "hall")],
-    ):
-        with pytest.raises(SystemExit) as stop:
-            main(words)
-        assert stop.value.code in (0, None), capsys.readouterr().err
-    scores = {
-        row["metric"]: row["value"]
-        for row in json.loads((tmp_path / "run" / "metrics.json").read_text(encoding="utf-8"))["evaluation"]
-    }
-    assert scores["ATE translation max"] < 0.01 < scores["odometry alone: ATE translation max"]
-    assert scores["planes estimated"] >= 8 and scores["planes duplicate"] == 0.0
 
 
 def test_a_mission_from_simulation_to_score(finished: Path, mission: Path, capsys: pytest.CaptureFixture[str]):
@@ -237,10 +192,6 @@ def test_overwrite_replaces_the_folder_whole(mission: Path, capsys: pytest.Captu
     assert not (out / "old.txt").exists()
     assert (out / "planes.json").exists()
     assert not [path for path in mission.parent.iterdir() if path.name.startswith(".")]
-
-
-def test_scoring_what_is_no_run_is_refused(tmp_path: Path, mission: Path, capsys: pytest.CaptureFixture[str]):
-    assert "trajectory.tum" in refused(capsys, "evaluate", tmp_path, "--truth", mission / "truth")
 
 
 def test_demo_beats_odometry_and_leaves_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -13,7 +13,7 @@ from slam.io.g2o.reader import read_g2o
 from slam.io.planes_json import read_map
 from slam.io.trajectories import read_tum
 from slam.runs.stored_run import StoredRun
-from tests.slam.cli.test_commands import refused, run
+from tests.slam.commands import refused, run
 from tests.slam.joining.offices import write_office
 
 
@@ -70,11 +70,6 @@ def test_what_cannot_be_used_is_named_and_left_out(
     assert joins["components"][0]["missions"] == ["visit0", "visit2", "visit1"]
     for name in ("damaged", "newer", "nothing"):
         assert f"warning: {name}: left out: " in told
-
-
-def test_strict_ends_where_a_run_cannot_be_used(runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    sentence = refused(capsys, "join", runs[0], tmp_path / "nothing", "--strict", "--out", tmp_path / "map")
-    assert "nothing" in sentence and not (tmp_path / "map").exists()
 
 
 def test_bad_input_is_one_sentence(runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]):

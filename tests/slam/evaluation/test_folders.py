@@ -1,10 +1,7 @@
 """Whole runs against whole truths, on disk; planes.json."""
 
-import json
-
 import numpy as np
 import pytest
-from shapely import box
 
 from slam.errors import LogError
 from slam.evaluation import compare_with_truth
@@ -192,19 +189,6 @@ def test_missing_truths_and_runs_are_named(mission, tmp_path):
         compare_with_truth(tmp_path / "run2", run / "trajectory.tum")
     with pytest.raises(LogError, match=r"trajectory\.tum: cannot be read|labels\.npz: cannot be read"):
         compare_with_truth(run, run)
-
-
-def test_planes_survive_the_file_exactly(tmp_path):
-    frame = planar_transform(1.0 / 3.0, 2.0, 0.7)
-    outline = box(0.0, 0.0, 3.0, 2.0).difference(box(1.0, 1.0, 2.0, 1.5))
-    plane = Plane(frame, np.diag([1e-6, 2e-7, 1.0 / 3e7]), 17, outline)
-    write_planes(tmp_path / "planes.json", [plane, Plane(np.eye(4), np.eye(3))])
-    back = read_planes(tmp_path / "planes.json")
-    np.testing.assert_array_equal(back[0].frame, frame)
-    np.testing.assert_array_equal(back[0].covariance, plane.covariance)
-    assert back[0].n_points == 17 and back[0].outline.equals(outline) and back[1].outline is None
-    entry = json.loads((tmp_path / "planes.json").read_text())["planes"][0]
-    assert list(entry) == ["id", "normal", "d", "frame", "covariance", "n_points", "outline", "observations"]
 
 
 @pytest.mark.parametrize(

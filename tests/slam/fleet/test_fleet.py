@@ -25,7 +25,7 @@ from slam.joining.records import (
     mission_to_bytes,
 )
 from slam.session.store import rig_json
-from tests.slam.cli.test_commands import refused, run
+from tests.slam.commands import refused, run
 from tests.slam.joining.offices import office, visit
 from tests.slam.joining.rooms import first, room_T_second, second
 

@@ -13,7 +13,7 @@ from slam.floorplan import JointPlanes, floor_plan
 from slam.floorplan.plan import StoreyPlan
 from slam.simulation.world import WorldBuilder
 from spplanes import Plane
-from tests.slam.floorplan.buildings import SUITE, joint_of, moved, planes_of
+from tests.slam.floorplan.buildings import joint_of, moved, planes_of
 from tests.statistics import assert_mean_in_band
 
 #: Variances below this share of the largest are of what is zero to first order: differences of opposite sides.
@@ -204,7 +204,3 @@ def test_no_wall_at_all_is_refused():
     levels = [one for one in planes_of() if abs(one.normal[2]) > 0.9]
     with pytest.raises(ValueError, match="expected at least one vertical plane for a floor plan, got none"):
         floor_plan(joint_of(levels))
-
-
-def test_the_suite_of_the_tests_is_what_it_says():
-    assert (SUITE.corridor.area_m2, [room.area_m2 for room in SUITE.rooms]) == (12.0, pytest.approx([12.0, 17.5]))

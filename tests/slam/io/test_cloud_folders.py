@@ -15,7 +15,7 @@ from slam.io.trajectories import Trajectory, write_kitti, write_tum
 from slam.sensors.log import CloudScan
 from spplanes._check import FloatArray
 from spplanes.clouds.arrange import Grid, arrange, range_image
-from tests.slam.cli.test_commands import refused, run
+from tests.slam.commands import refused, run
 from tests.slam.real_data import needs
 
 #: Half sizes of the room round the world's origin, m.

@@ -17,7 +17,7 @@ from slam.io.load import load
 from slam.io.trajectories import Trajectory, write_tum
 from slam.sensors.log import CloudScan
 from tests.fuzz.wrapping import png
-from tests.slam.cli.test_commands import refused
+from tests.slam.commands import refused
 from tests.slam.io.test_cloud_folders import pose
 
 CAMERA = Camera(100.0, 90.0, 39.5, 29.5)

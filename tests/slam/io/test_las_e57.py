@@ -12,7 +12,7 @@ from slam.errors import LogError, MissingPackageError
 from slam.io.clouds import read_cloud
 from slam.io.clouds.e57 import count_e57, read_e57
 from slam.io.load import load
-from tests.slam.cli.test_commands import refused, run
+from tests.slam.commands import refused, run
 from tests.slam.io.test_cloud_folders import POSES, ROOM, seen_from, walls_of
 
 POINTS = np.random.default_rng(0).normal((1000.0, 2000.0, 50.0), 5.0, (300, 3))

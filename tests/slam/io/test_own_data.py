@@ -15,7 +15,7 @@ import pytest
 from slam.io.load import load
 from slam.sensors.log import CloudScan, LaserScan, Log, OdometryReading
 from spplanes._check import FloatArray
-from tests.slam.cli.test_commands import run
+from tests.slam.commands import run
 from tests.slam.io.bags import SECOND, Messages, write
 from tests.slam.real_data import needs
 

@@ -13,7 +13,7 @@ from slam.io.carmen.reader import read_carmen
 from slam.io.load import load
 from slam.io.packed import check_ratio, read_unpacked
 from slam.io.trajectories import read_tum
-from tests.slam.cli.test_commands import refused
+from tests.slam.commands import refused
 from tests.slam.io.test_threedtk import scanner_points, write_scan
 
 

@@ -22,7 +22,7 @@ from slam.io.rosbags._salvaged import SalvagedBag
 from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag
 from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import Rig, Sensor
-from tests.slam.cli.test_commands import refused, run
+from tests.slam.commands import refused, run
 from tests.slam.io.bags import SECOND, Messages, write
 from tests.slam.io.test_cloud_folders import ROOM, pose, seen_from, walls_of
 

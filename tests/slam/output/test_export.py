@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 import shapely
 
-from slam.cli import main
 from slam.errors import LogError
 from slam.evaluation import Metric
 from slam.io.planes_json import read_map, write_planes
-from slam.io.trajectories import Trajectory, read_kitti, read_tum, write_kitti, write_tum
+from slam.io.trajectories import read_kitti, read_tum, write_tum
 from slam.output.export import export_run
 from slam.output.run_files import as_json, write_json, write_ply
 from slam.runs.history import History
 from slam.runs.stored_run import StoredRun
 from slam.visualization.mesh import mesh_of, write_glb
+from tests.slam.commands import command
 from tests.slam.ply_tables import read_tables
 from tests.slam.visualization.test_open3d_export import WINDOW, needs_open3d, o3d, path, two_planes, wall
 
@@ -44,17 +44,11 @@ def run(tmp_path: Path) -> Path:
     return folder
 
 
-def export(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main(["export", *map(str, arguments)])
-    return int(stop.value.code or 0)
-
-
 def test_every_target_from_the_command_line(run: Path, tmp_path: Path):
     names = ("planes.ply", "planes.glb", "graph.g2o", "traj.tum", "traj.kitti", "TRAJ.KITTI.TXT")
     targets = [tmp_path / "out" / name for name in names]
     (tmp_path / "out").mkdir()
-    assert export(run, *[word for target in targets for word in ("--to", target)]) == 0
+    assert command("export", run, *[word for target in targets for word in ("--to", target)]) == 0
     assert (tmp_path / "out" / "planes.ply").read_bytes() == (run / "map.ply").read_bytes()
     assert (tmp_path / "out" / "graph.g2o").read_text() == GRAPH
     assert (tmp_path / "out" / "traj.tum").read_bytes() == (run / "trajectory.tum").read_bytes()
@@ -66,15 +60,15 @@ def test_every_target_from_the_command_line(run: Path, tmp_path: Path):
 def test_a_file_that_exists_is_kept_unless_told_otherwise(run: Path, tmp_path: Path, capsys):
     target = tmp_path / "planes.glb"
     target.write_text("mine")
-    assert export(run, "--to", target) == 2
+    assert command("export", run, "--to", target) == 2
     assert "planes.glb: exists already; give --overwrite to replace it" in capsys.readouterr().err
     assert target.read_text() == "mine"
-    assert export(run, "--to", target, "--overwrite") == 0
+    assert command("export", run, "--to", target, "--overwrite") == 0
     assert target.read_bytes()[:4] == b"glTF"
 
 
 def test_of_several_targets_a_wrong_one_is_found_before_any_is_written(run: Path, tmp_path: Path, capsys):
-    assert export(run, "--to", tmp_path / "a.glb", "--to", tmp_path / "b.obj") == 2
+    assert command("export", run, "--to", tmp_path / "a.glb", "--to", tmp_path / "b.obj") == 2
     assert "b.obj: expected a name that ends in one of" in capsys.readouterr().err
     assert not (tmp_path / "a.glb").exists()
 
@@ -137,38 +131,12 @@ def test_planes_json_comes_back_byte_for_byte(run: Path):
         assert (entry.plane.outline is None) == (given.plane.outline is None)
 
 
-def test_awkward_floats_survive_in_every_trajectory_format(tmp_path: Path):
-    rng = np.random.default_rng(0)
-    poses = np.tile(np.eye(4), (4, 1, 1))
-    poses[:, :3, 3] = rng.standard_normal((4, 3)) * [[1e-17, 0.1, 1e9]]
-    turns = [np.linalg.qr(rng.standard_normal((3, 3)))[0] for _ in range(4)]
-    poses[:, :3, :3] = [turn * np.sign(np.linalg.det(turn)) for turn in turns]
-    write_kitti(tmp_path / "a.kitti", poses)
-    np.testing.assert_array_equal(read_kitti(tmp_path / "a.kitti"), poses)
-    trajectory = Trajectory(np.array([-1, 0, 1, 9_000_000_000_000_000_000 - 1]), poses)
-    write_tum(tmp_path / "a.tum", trajectory)
-    again = read_tum(tmp_path / "a.tum")
-    np.testing.assert_array_equal(again.stamps_ns, trajectory.stamps_ns)
-    np.testing.assert_array_equal(again.poses[:, :3, 3], poses[:, :3, 3])
-    np.testing.assert_allclose(again.poses, poses, rtol=0, atol=1e-14 * 1e9)
-    np.testing.assert_allclose(again.poses[:, :3, :3], poses[:, :3, :3], atol=5e-16 * 4)
-
-
 def test_ply_is_a_mesh_without_open3d(run: Path):
     mesh = read_tables(run / "map.ply")
     given = mesh_of(two_planes())
     np.testing.assert_array_equal(np.column_stack([mesh["vertex"][axis] for axis in "xyz"]), given.vertices)
     np.testing.assert_array_equal(mesh["face"]["vertex_indices"], given.triangles)
     np.testing.assert_array_equal(mesh["vertex"]["plane"], given.plane_ids)
-
-
-def test_ply_is_read_by_open3d(run: Path):
-    o3d = pytest.importorskip("open3d")
-    read = o3d.io.read_triangle_mesh(str(run / "map.ply"))
-    given = mesh_of(two_planes())
-    np.testing.assert_array_equal(np.asarray(read.vertices), given.vertices)
-    np.testing.assert_array_equal(np.asarray(read.triangles), given.triangles)
-    np.testing.assert_allclose(255.0 * np.asarray(read.vertex_colors), given.colours, atol=0.51)
 
 
 def glb_parts(file: Path) -> tuple[dict, bytes]:

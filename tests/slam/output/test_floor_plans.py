@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from benchmarks.corpus.suite import Suite
-from slam.cli import main
 from slam.errors import LogError, MissingPackageError
 from slam.floorplan import FloorPlan, floor_plan
 from slam.io.g2o.reader import read_g2o
@@ -29,6 +28,7 @@ from slam.simulation import Mission
 from slam.simulation.record import Plan, record
 from slam.simulation.rigs import spinning_rig
 from slam.visualization.mesh import mesh_of
+from tests.slam.commands import command
 from tests.slam.floorplan.buildings import joint_of, planes_of
 
 SPACING_M = 0.8
@@ -49,12 +49,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Mission(log, spinning_rig(), truth).save(folder / "log")
     assert command("slam", folder / "log", "--out", folder / "run") == 0
     return folder / "run"
-
-
-def command(*words: object) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(word) for word in words])
-    return int(stop.value.code or 0)
 
 
 def texts(plan: FloorPlan) -> list[str]:
@@ -215,15 +209,6 @@ def test_a_package_that_is_missing_is_named(
     monkeypatch.setattr("slam.output.export.find_spec", lambda _: None)
     with pytest.raises(MissingPackageError, match=f"{name}: writing this needs"):
         check_target(tmp_path / name, overwrite=False)
-
-
-def test_a_run_is_exported(run: Path, tmp_path: Path):
-    pytest.importorskip("ezdxf")
-    pytest.importorskip("ifcopenshell")
-    targets = [tmp_path / name for name in ("plan.dxf", "plan.svg", "building.IFC")]
-    assert command("export", run, *[word for one in targets for word in ("--to", one)]) == 0
-    assert all(one.stat().st_size > 3000 for one in targets)
-    assert "room 3" in targets[1].read_text()
 
 
 def test_a_plan_without_rooms_says_so_once(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

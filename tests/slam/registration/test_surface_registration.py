@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi2
 
 from slam.config import SlamConfig
-from slam.frontend.keyframes import Keyframe, keyframes_of
+from slam.frontend.keyframes import keyframes_of
 from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE, moved
 from slam.geometry.frames import inverse
 from slam.registration.plane_registration import negative_log_prior
@@ -221,29 +221,6 @@ def test_beams_that_move_with_the_sensor_do_not_say_that_nothing_moved() -> None
     assert still.share > right.share + 0.1  # more of what is seen comes to lie on what was seen before
     assert right.score > still.score + 0.05
     np.testing.assert_allclose(align(seen, known, [np.eye(4), true]).known_T_seen, true, atol=0.01)
-
-
-def test_descents_that_became_one_are_gone_down_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    looked: list[int] = []
-    of = Residuals.of
-    monkeypatch.setattr(Residuals, "of", lambda *given: looked.append(1) or of(*given))
-    seen, known = pillared(0.5), LocalMap([(np.eye(4), pillared(0.0))])
-    one = align(seen, known, [ahead(0.4)])
-    by_one = len(looked)
-    three = align(seen, known, [ahead(0.4), ahead(0.45), ahead(0.6)])
-    assert len(looked) - by_one < 2.0 * by_one
-    assert np.abs(off(three.known_T_seen, one.known_T_seen)).max() < 1e-3
-    assert three.score == pytest.approx(one.score, abs=1e-2)
-    assert len(three.tried) == 3
-
-
-def test_what_a_keyframe_saw_is_made_ready_once() -> None:
-    keyframe = Keyframe(0, [], surfaces=measured(FIRST, np.random.default_rng(2)).surfaces)
-    first, again = scan_of(keyframe), scan_of(keyframe)
-    assert first is not None and again is not None
-    assert again.sight is first.sight
-    other = scan_of(replace(keyframe))
-    assert other is not None and other.sight is not first.sight
 
 
 def test_a_surface_goes_on_between_the_beams_but_not_across_an_edge() -> None:

@@ -20,7 +20,7 @@ from slam.output.run_metrics import warnings_of
 from slam.runs.slam_run import run_slam
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Mission, simulate_mission
-from tests.slam.cli.test_commands import refused
+from tests.slam.commands import refused
 from tests.slam.scenes import drive
 
 STRICT = SlamConfig(keyframes=KeyframeConfig(strict=True))

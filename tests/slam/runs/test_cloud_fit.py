@@ -14,7 +14,7 @@ from slam.io.planes_json import read_planes
 from slam.runs.cloud_fit import fit_cloud
 from spplanes.clouds.scatter import misses_of
 from spplanes.segmentation.config import ValidationConfig
-from tests.slam.cli.test_commands import refused, run
+from tests.slam.commands import refused, run
 from tests.slam.io.test_cloud_folders import ROOM, beams, pose, seen_from
 from tests.slam.ply_tables import read_tables
 from tests.slam.real_data import needs

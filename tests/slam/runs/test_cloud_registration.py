@@ -14,7 +14,7 @@ from slam.io.folders.threedtk import read_frames
 from slam.io.trajectories import read_tum
 from slam.runs.cloud_registration import read_guess, register_clouds
 from slam.simulation import simulate_mission
-from tests.slam.cli.test_commands import refused, run
+from tests.slam.commands import refused, run
 from tests.slam.real_data import needs
 
 

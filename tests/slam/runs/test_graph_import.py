@@ -6,19 +6,13 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.cli import main
 from slam.errors import LogError
 from slam.io.g2o.reader import read_g2o
 from slam.runs.graph_import import import_graph
 from slam.runs.stored_run import StoredRun
+from tests.slam.commands import command
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
-
-
-def command(*words: object) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(word) for word in words])
-    return stop.value.code or 0
 
 
 @pytest.fixture(scope="module")

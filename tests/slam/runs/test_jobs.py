@@ -17,7 +17,7 @@ from slam.io.load import load
 from slam.runs.slam_run import Run, run_slam
 from slam.session._codec import encode
 from slam.simulation import Mission, simulate_mission
-from tests.slam.cli.test_commands import run
+from tests.slam.commands import run
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux only")
 

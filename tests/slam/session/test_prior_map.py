@@ -24,7 +24,7 @@ from slam.io.planes_json import write_planes
 from slam.map.map_planes import MapPlane
 from slam.planeslam import pose_symbol
 from slam.registration.initial_pose import find_start
-from slam.session.prior_map import PriorMap, finished_map, floor_start, map_covariance, read_prior
+from slam.session.prior_map import PriorMap, floor_start, map_covariance, read_prior
 from slam.session.store import Session, SessionError
 from spplanes import Plane
 from spplanes.spmodel import transform_from_rpy
@@ -212,15 +212,6 @@ def test_a_session_keeps_its_prior(tmp_path: Path):
         assert [one.plane.to_dict() for one in again.planes] == [one.plane.to_dict() for one in slam.planes]
 
 
-def test_a_map_is_known_again_without_any_odometry_prior_at_its_start():
-    """The prior's planes alone fix the first pose: from 0.1 m to millimetres in one look."""
-    scene = drive(11)
-    slam = PlaneSlam(prior=prior_of(mapped(10), scene.world_T_body[0] @ planar_transform(0.1, -0.08, 0.05)))
-    report = slam.add_keyframe(scene.keyframes[0])
-    assert [decision.verdict for decision in report.decisions] == ["match", "new", "match", "new", "match", "match"]
-    assert np.linalg.norm((inverse(scene.world_T_body[0]) @ report.world_T_body)[:3, 3]) < 0.02
-
-
 def corner_map() -> list[MapPlane]:
     """The room with half of one wall a metre further out: no turn of it is the same."""
     planes = room_planes()
@@ -313,17 +304,6 @@ def test_a_session_without_a_map_is_no_prior(tmp_path: Path):
         PriorMap.load(tmp_path / "session.db")
     with pytest.raises(LogError, match="cannot be read"):
         PriorMap.load(tmp_path / "planes.json")
-
-
-def test_a_map_goes_through_a_session_and_back(tmp_path: Path):
-    slam = mapped(2)
-    session = Session.create(tmp_path / "session.db", SlamConfig())
-    session.finish(map=finished_map(slam.planes, slam.landmarks, slam.backend))
-    session.close()
-    prior = PriorMap.load(tmp_path / "session.db")
-    assert [one.plane.to_dict() for one in prior.planes] == [one.plane.to_dict() for one in slam.planes]
-    joint = map_covariance(slam.planes, slam.landmarks, slam.backend)
-    np.testing.assert_allclose(prior.covariance, joint, rtol=1e-9, atol=1e-18)
 
 
 def test_a_second_mission_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import resource
 import shutil
-import signal
 import sqlite3
 import subprocess
 import sys
@@ -27,7 +25,7 @@ from slam.planeslam import pose_symbol
 from slam.sensors.log import LaserScan
 from slam.session.opening import SESSION_FILE
 from slam.session.salvage import salvage_session
-from slam.session.store import Session, SessionError, StorageError
+from slam.session.store import Session, StorageError
 from tests.slam.scenes import drive
 from tests.slam.session import kill
 
@@ -282,13 +280,6 @@ def test_a_reference_leads_to_the_scan_that_was_kept(mission: Path, tmp_path: Pa
         np.testing.assert_array_equal(event.angles, one.scan.angles)
 
 
-def test_measurements_on_disk_alone_make_the_same_run(whole: Path, mission: Path, tmp_path: Path, capsys):
-    out = tmp_path / "run"
-    config = mission.parent / "config.yaml"
-    assert run(capsys, "slam", mission, "--out", out, "--config", config, "--forget-raw")[0] == 0
-    assert (out / "planes.json").read_bytes() == (whole / "planes.json").read_bytes()
-
-
 def test_two_writers_of_one_run(unfinished: Path, capsys):
     with Session.open(unfinished):
         code, err = run(capsys, "slam", "--resume", unfinished)
@@ -392,24 +383,3 @@ def test_killed_runs_lose_nothing_and_damage_is_never_read_as_truth(job: kill.Jo
     damaged = kill.damage_row(job, tmp_path, damages=times(8, 200), seed=5)
     assert damaged["wrong"] == damaged["different"] == 0 < damaged["noticed"]
     assert damaged["saved"] > damaged["beyond saving"]
-
-
-def test_terminating_is_no_worse_than_killing(mission: Path, tmp_path: Path):
-    """SIGTERM in the middle of a run: what was acknowledged is there."""
-    out = tmp_path / "run"
-    reader, writer = os.pipe()
-    child = os.fork()
-    if child == 0:
-        kill._child(kill.Job(mission, out, 0.0), out, writer)
-    os.close(writer)
-    for _ in range(3):
-        os.read(reader, 4)
-    os.kill(child, signal.SIGTERM)
-    os.waitpid(child, 0)
-    os.close(reader)
-    with Session.open(out, read_only=True) as session:
-        assert len(session) >= 3
-    with pytest.raises(SessionError, match="expected a finished run"):
-        from slam.session.prior_map import PriorMap
-
-        PriorMap.load(out)

@@ -14,7 +14,6 @@ from slam.io.trajectories import Trajectory
 from slam.planeslam import MapPlane
 from slam.visualization.open3d_export import (
     ellipsoids_to_lines,
-    label_colours,
     outlines_to_lines,
     planes_to_mesh,
     points_to_cloud,
@@ -72,15 +71,6 @@ def test_mesh_lies_on_the_plane_and_faces_its_side():
     )
 
 
-def test_deviation_of_a_corner_is_that_of_the_height_there():
-    # by hand: var z(x, y) = 1e-6 + 4e-6 x^2 + 9e-6 y^2
-    from slam.visualization.mesh import mesh_of
-
-    mesh = mesh_of([wall()])
-    x, y = ((mesh.vertices - FRAME[:3, 3]) @ FRAME[:3, :2]).T
-    np.testing.assert_allclose(vertex_sigmas([wall()], mesh), np.sqrt(1e-6 + 4e-6 * x**2 + 9e-6 * y**2), rtol=1e-12)
-
-
 def test_deviation_knows_the_signs_of_the_cross_terms():
     # z = p_z - theta x + psi y: with z and theta fully correlated the plane pivots about the point x = 1, not x = -1
     from slam.visualization.mesh import Mesh
@@ -115,14 +105,6 @@ def test_outlines_are_closed_rings_and_lone_segments():
 
 
 @needs_open3d
-def test_trajectory_joins_neighbouring_positions():
-    lines = trajectory_to_lines(path(), rgb=(1.0, 0.0, 0.0))
-    np.testing.assert_array_equal(np.asarray(lines.lines), [[0, 1], [1, 2]])
-    np.testing.assert_array_equal(np.asarray(lines.points)[:, 0], [0.0, 1.0, 3.0])
-    np.testing.assert_array_equal(np.asarray(lines.colors), [[1.0, 0.0, 0.0]] * 2)
-
-
-@needs_open3d
 def test_tensor_geometry_is_the_legacy_one_with_ids_and_deviations():
     planes = two_planes()
     legacy, tensor = planes_to_mesh(planes), planes_to_mesh(planes, tensor=True)
@@ -150,15 +132,6 @@ def test_points_are_coloured_by_plane_and_gaps_are_left_out():
     tensor = points_to_cloud(points, labels, tensor=True)
     np.testing.assert_array_equal(tensor.point["plane"].numpy().ravel(), [0, 1, -1, 0, 1, 1, 2])
     assert len(points_to_cloud(points).points) == 7
-
-
-@needs_open3d
-def test_fitted_planes_serve_as_well():
-    plane = Plane(FRAME, COVARIANCE, 10, WINDOW)
-    with pytest.warns(UserWarning, match="planes: 1 of 2 have neither an outline nor points, and are not drawn"):
-        mesh = planes_to_mesh([Plane(FRAME, COVARIANCE), plane], tensor=True)
-    assert set(mesh.vertex["plane"].numpy().ravel()) == {1}
-    np.testing.assert_array_equal(mesh.vertex.positions.numpy(), np.asarray(planes_to_mesh([wall()]).vertices))
 
 
 @needs_open3d
@@ -252,19 +225,6 @@ def test_an_empty_map_is_empty_geometry():
         points_to_cloud(np.empty((0, 3)), tensor=tensor)
     only_lines = planes_to_mesh([wall(seen=LineString([(0, 0), (1, 0)]))], colour_by="sigma")
     assert only_lines.is_empty()
-
-
-@needs_open3d
-def test_files_that_open3d_writes_hold_the_mesh(tmp_path):
-    mesh = planes_to_mesh(two_planes())
-    file = str(tmp_path / "map.ply")
-    assert o3d.io.write_triangle_mesh(file, mesh)
-    again = o3d.io.read_triangle_mesh(file)
-    np.testing.assert_allclose(np.asarray(again.vertices), np.asarray(mesh.vertices), atol=1e-9)
-
-
-def test_label_colours_do_not_depend_on_who_else_is_there():
-    np.testing.assert_array_equal(label_colours(np.array([5, -1]))[0], label_colours(np.array([2, 3, 5]))[2])
 
 
 @needs_open3d

@@ -155,13 +155,6 @@ def test_blocks_of_nis_and_their_bands_by_hand():
     assert len(nis_blocks([(k, 1.0, 2) for k in range(10_000)])) <= 60
 
 
-def test_an_empty_map_is_a_page(tmp_path: Path):
-    none = Trajectory.empty()
-    run = StoredRun(tmp_path, [], none, none, History(), [])
-    write_report(tmp_path / "report.html", "nothing", [], [], scene_of(run, run.history))
-    assert "nothing" in (tmp_path / "report.html").read_text()
-
-
 # --- in a browser ----------------------------------------------------------------------------------------------------
 
 

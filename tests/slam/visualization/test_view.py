@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from shapely import Polygon, box
 
-from slam.cli import main
 from slam.config import SlamConfig
 from slam.io.planes_json import write_planes
 from slam.io.trajectories import Trajectory, write_tum
@@ -29,6 +28,7 @@ from slam.visualization.pictures import draw_view, position_covariances
 from slam.visualization.view import view_run
 from spplanes import Plane
 from spplanes.spmodel import transform_from_rpy
+from tests.slam.commands import command
 from tests.slam.visualization.test_open3d_export import WINDOW, two_planes
 from tests.slam.visualization.test_report import moving, stored
 
@@ -51,12 +51,6 @@ def run(tmp_path: Path) -> Path:
     covariances = {k: np.diag([1e-4, 4e-4, 1e-6, 1e-6, 1e-6, 1e-6]) for k in (0, 15, 29)}
     History(about.seen, about.kinds, given.history.nis, covariances).write(folder / "view.json")
     return folder
-
-
-def command(*words: object) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(word) for word in words])
-    return int(stop.value.code or 0)
 
 
 def test_pictures_and_page_from_the_folder_alone(run: Path, tmp_path: Path, capsys):
