@@ -31,11 +31,16 @@ def peak_mb(work: Callable[[], object], *, warm: bool = True) -> float:
         before = _largest_mb()
         work()
         return _largest_mb() - before
-    before = _status_mb("VmRSS")
+    before = resident_mb()
     kept = work()
     peak = _status_mb("VmHWM") - before
     del kept
     return peak
+
+
+def resident_mb() -> float:
+    """Resident size of this process now, MB."""
+    return _status_mb("VmRSS")
 
 
 def process_peak_mb() -> float:

@@ -6,15 +6,16 @@ else. Nothing surveyed is known of `loop5`; the figure is how far its long walls
 
 from __future__ import annotations
 
+import multiprocessing
 import time
 from collections.abc import Callable
-from functools import partial
+from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
 
-from benchmarks._measure import PROJECT, Row
-from benchmarks._own_process import in_own_process
+from benchmarks._measure import MEMORY, PROJECT, Row
+from benchmarks._memory import process_peak_mb
 
 DATA = PROJECT.parent / "shared" / "data"
 #: Walls of at least this length, m, seen from at least so many keyframes, show whether the corridors are straight.
@@ -174,7 +175,7 @@ _MISSIONS: dict[str, tuple[str, Callable[[], Row]]] = {
 
 
 def measured_mission(name: str) -> Row:
-    """The row of a mission, or what its log lacks; its time also by the yardstick's."""
+    """The row of a mission, or what its log lacks; its time also by the yardstick's, and the memory of this process."""
     ruler = yardstick()
     try:
         row: Row = _MISSIONS[name][1]()
@@ -182,7 +183,7 @@ def measured_mission(name: str) -> Row:
         row = {"accuracy": f"did not run: {error}".replace(str(DATA), "data")}
     if row.get("CPU s"):
         row["CPU, x yardstick"] = row["CPU s"] / (0.5 * (ruler + yardstick()))
-    return row
+    return row | {MEMORY: process_peak_mb()}
 
 
 def yardstick() -> float:
@@ -201,4 +202,6 @@ def run(*, short: bool = False) -> list[Row]:
     """A row for each mission whose log is there; short: without the longest."""
     names = [name for name, (folder, _) in _MISSIONS.items() if (DATA / folder).is_dir()]
     wanted = [name for name in names if not (short and name == "intel")]
-    return [{"mission": name, **in_own_process(partial(measured_mission, name))} for name in wanted]
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn, max_tasks_per_child=1) as pool:
+        return [{"mission": name, **row} for name, row in zip(wanted, pool.map(measured_mission, wanted), strict=True)]

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 from shapely import Polygon, box
 
+from benchmarks._memory import resident_mb
 from slam import PlaneSlam, SlamConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
@@ -62,7 +62,7 @@ class _Spent:
     def __init__(self) -> None:
         self._seconds: list[float] = []
         self._closings: list[float] = []
-        self._memory = _resident_mb()
+        self._memory = resident_mb()
 
     def add(self, slam: PlaneSlam, frame: Keyframe) -> None:
         """Add a keyframe and take its time."""
@@ -75,7 +75,7 @@ class _Spent:
 
     def row(self, slam: PlaneSlam) -> dict[str, float]:
         """What was spent, and starts anew."""
-        memory, count = _resident_mb(), len(self._seconds) + len(self._closings)
+        memory, count = resident_mb(), len(self._seconds) + len(self._closings)
         stages = {name: slam.backend.clock.seconds.get(name, 0.0) for name in ("optimise", "marginals")}
         outer = sum(slam.clock.seconds.values())
         row: dict[str, float] = {
@@ -146,7 +146,3 @@ def _measured(plane: Plane, patch: Polygon, body_T_world: np.ndarray, rng: np.ra
     error[2, 3] = z
     frame = body_T_world @ plane.frame @ middle @ error
     return Plane(frame, np.diag(SIGMAS**2), 1000, translate(patch, -x, -y))
-
-
-def _resident_mb() -> float:
-    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * 4096 / 1e6

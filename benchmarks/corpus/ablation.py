@@ -7,6 +7,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +17,16 @@ from benchmarks.corpus.catalogue import Entry
 from benchmarks.corpus.process import Job, rows_of
 from benchmarks.corpus.score import Row
 from benchmarks.corpus.summary import plane_nees, pose_nees
-from benchmarks.corpus.switches import SWITCHES
 
+#: Mechanisms that the configuration can switch off: sections of `SlamConfig`, and what their fields are without each.
+SWITCHES: dict[str, dict[str, dict[str, Any]]] = {
+    "loop closure": {"loops": {"max_candidates": 0}},
+    "sparsification": {"thinning": {"passes": 0}},
+    "late association": {"landmarks": {"waiting_keyframes": 0}},
+    "robust loops": {"backend": {"robust_loops": None}},
+    "robust coasting": {"coasting": {"robust": None}},
+    "rivals": {"association": {"rival_log_ratio": 0.0}},
+}
 #: A kind is better or worse when the mean of its drives' ratios is beyond so many standard errors ...
 _STANDARD_ERRORS = 2.0
 #: ... of so many drives that the mechanism touches, or more.
@@ -48,7 +57,7 @@ def main(words: Sequence[str]) -> int:
     runs: dict[str, list[Row]] = {}
     for name in ("", *names):
         print(f"== {f'without {name}' if name else 'as it is'}", flush=True)
-        jobs: list[Job] = [(entry, SWITCHES[name].without if name else {}) for entry in entries]
+        jobs: list[Job] = [(entry, SWITCHES[name] if name else {}) for entry in entries]
         runs[name] = list(printed(rows_of(jobs, asked.limit)))
         if asked.json:
             write_json(asked.json, {"runs": runs})

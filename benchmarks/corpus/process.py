@@ -11,6 +11,7 @@ from typing import Any
 
 from benchmarks.corpus.catalogue import REAL_WORD, Entry
 from benchmarks.corpus.score import Row
+from slam.config import SlamConfig
 
 #: What a worker is asked for: a drive and the changes to the configuration that it is run with.
 Job = tuple[Entry, dict[str, Any]]
@@ -20,8 +21,6 @@ _SPAWN = multiprocessing.get_context("spawn")
 
 def run_entry(entry: Entry, changes: dict[str, Any]) -> Row:
     """Make the drive, run it, score it; in this process."""
-    from benchmarks.corpus.switches import changed
-
     config = changed(changes)
     if entry.name.startswith(f"{REAL_WORD}/"):
         from benchmarks.corpus.real import real_row
@@ -37,6 +36,22 @@ def run_entry(entry: Entry, changes: dict[str, Any]) -> Row:
     drive = make_handheld(entry.name, entry.seed) if by_hand else make_drive(Recipe.parse(entry.name), entry.seed)
     slam = None if drive.prior is None else PlaneSlam(config, prior=drive.prior)
     return score(run_slam(drive.log, drive.rig, config, slam=slam), drive)
+
+
+def changed(changes: dict[str, dict[str, Any]]) -> SlamConfig:
+    """The default configuration but for some fields of some sections.
+
+    Raises:
+        ValueError: a section or a field that there is not, or a value that it cannot have.
+    """
+    whole = SlamConfig()
+    sections = {}
+    for name, fields in changes.items():
+        section = getattr(whole, name, None)
+        if section is None:
+            raise ValueError(f"changes: expected sections of the configuration, got {name!r}")
+        sections[name] = type(section).model_validate(section.model_dump() | fields)
+    return whole.model_copy(update=sections)
 
 
 def rows_of(jobs: Sequence[Job], limit_s: float) -> Iterator[Row]:

@@ -198,9 +198,3 @@ def test_a_level_laser_alone_gives_rooms_without_height():
     assert plan.elevation is None
     assert sorted(room.area.value for room in plan.rooms) == pytest.approx([12.0, 12.0, 17.5])
     assert [room.height for room in plan.rooms] == [None] * 3
-
-
-def test_no_wall_at_all_is_refused():
-    levels = [one for one in planes_of() if abs(one.normal[2]) > 0.9]
-    with pytest.raises(ValueError, match="expected at least one vertical plane for a floor plan, got none"):
-        floor_plan(joint_of(levels))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from slam import PlaneSlam
-from slam.frontend.keyframes import Keyframe
 from slam.geometry.frames import inverse
 from slam.mapping.same_plane import same_plane_chi2
 from slam.planeslam import pose_symbol
@@ -137,14 +136,6 @@ def test_a_true_closure_stands():
     error = inverse(drive(6).world_T_body[-1]) @ slam.trajectory.poses[-1]
     assert np.linalg.norm(error[:3, 3]) < 0.02
     assert np.isfinite(slam.marginal_covariance(pose_symbol(14))).all()
-
-
-def test_merges_found_in_a_run_are_recorded_with_their_cause():
-    slam = run(drive(7))
-    assert slam.merges.history == []
-    merge = slam.merges.merge(2, 4, "loop")
-    assert (merge.older, merge.younger, merge.cause, merge.keyframe) == (2, 4, "loop", 14)
-    assert isinstance(slam.keyframes[0], Keyframe)
 
 
 def test_every_decision_can_be_explained_with_its_numbers():

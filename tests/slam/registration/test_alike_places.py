@@ -52,12 +52,6 @@ def test_a_pillar_is_not_taken_for_the_next_where_the_way_along_them_is_open(see
     assert np.count_nonzero(sigmas > 0.01) <= 1
 
 
-def test_where_only_walls_along_the_way_are_known_again_it_is_open():
-    run, positions, _ = without_odometry(33, 70, 82)
-    ((opened,),) = [stretch.keyframes for stretch in run.slam.open_directions]
-    assert positions[opened] > 10.0 * np.delete(positions, opened).max()  # where it was along the walls nobody knows
-
-
 def test_a_scan_that_fits_one_pillar_on_as_well_makes_a_run_doubtful():
     """Three seconds without a scan, and nothing but scans: at the fifth the next pillar is taken for the first."""
     run, positions, _ = without_odometry(55, 62, 83, 3)

@@ -73,12 +73,6 @@ class Scene:
         h, total = self.linear()
         return np.linalg.inv(h.T @ np.linalg.solve(total, h))
 
-    def folded_covariances(self) -> np.ndarray:
-        """Covariances of single points, (N, 3, 3), with the pose errors of their scans inside."""
-        p = self.true_points
-        jacobian = np.stack([moved(p, np.tile(e, (len(p), 1))) - p for e in np.eye(6)], axis=2)
-        return self.covariances + jacobian @ self.pose_covariances[self.scan_index] @ jacobian.transpose(0, 2, 1)
-
     def error(self, frame: np.ndarray) -> np.ndarray:
         """(z, theta, psi) that leads from an estimated frame to the true plane, in the estimated frame."""
         n = frame[:3, :3].T @ self.frame[:3, 2]
