@@ -1,1 +1,1 @@
-"""Measurements of speed and accuracy: each module runs as ``python -m benchmarks.<topic>``."""
+"""Measurements of speed and accuracy: each workload runs as ``python -m benchmarks NAME``."""

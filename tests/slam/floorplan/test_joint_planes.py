@@ -64,7 +64,7 @@ def test_blocks_are_the_covariances_of_the_map(maps: list[PlaneSlam]):
 
 
 def test_measures_of_offices_are_as_sure_as_they_say(suites: list[Measured], maps: list[PlaneSlam]):
-    """Of observations whose covariance is right; over 50 seeds `python -m benchmarks.floorplans` does the same."""
+    """Of observations whose covariance is right."""
     total: dict[str, list[tuple[float, int]]] = {}
     for measured, slam in zip(suites, maps, strict=True):
         plan = plan_of(slam)

@@ -37,6 +37,12 @@ def assert_same_estimate(first: PlaneSlam, second: PlaneSlam) -> None:
     assert first.decisions == second.decisions
 
 
+def copy_as_killed(path: Path, copy: Path) -> None:
+    """A copy of the files of a session while its writer has them open: what a kill leaves."""
+    for suffix in ("", "-wal", "-shm", "-lock"):
+        copy.with_name(copy.name + suffix).write_bytes(path.with_name(path.name + suffix).read_bytes())
+
+
 @pytest.fixture(scope="module")
 def uninterrupted() -> PlaneSlam:
     slam = PlaneSlam()
@@ -68,13 +74,11 @@ def test_a_run_in_pieces_is_the_run_in_one(tmp_path: Path, uninterrupted: PlaneS
 
 
 def test_a_writer_that_never_closed_has_lost_nothing(tmp_path: Path, uninterrupted: PlaneSlam):
-    """A copy of the files while the writer has them open is what a kill leaves."""
     path, copy = tmp_path / "session.db", tmp_path / "copy.db"
     with PlaneSlam.open(path) as slam:
         for keyframe in drive(0).keyframes:
             slam.add_keyframe(keyframe)
-        for suffix in ("", "-wal", "-shm", "-lock"):
-            copy.with_name(copy.name + suffix).write_bytes(path.with_name(path.name + suffix).read_bytes())
+        copy_as_killed(path, copy)
     with PlaneSlam.open(copy) as slam:
         assert_same_estimate(slam, uninterrupted)
 
@@ -83,8 +87,7 @@ def test_a_writer_that_ended_before_its_first_commit_left_a_session(tmp_path: Pa
     """Its journal is room for pages and nothing else."""
     path, copy = tmp_path / "session.db", tmp_path / "copy.db"
     with Session.create(path, SlamConfig()):
-        for suffix in ("", "-wal", "-shm", "-lock"):
-            copy.with_name(copy.name + suffix).write_bytes(path.with_name(path.name + suffix).read_bytes())
+        copy_as_killed(path, copy)
     assert not any(copy.with_name(copy.name + "-wal").read_bytes())
     for read_only in (True, False):
         with Session.open(copy, read_only=read_only) as session:
@@ -227,8 +230,7 @@ def test_the_end_of_the_journal_is_missed(tmp_path: Path):
     with PlaneSlam.open(path) as slam:
         for keyframe in drive(0).keyframes[:5]:
             slam.add_keyframe(keyframe)
-        for suffix in ("", "-wal", "-shm", "-lock"):
-            copy.with_name(copy.name + suffix).write_bytes(path.with_name(path.name + suffix).read_bytes())
+        copy_as_killed(path, copy)
     files = [copy, *(copy.with_name(copy.name + suffix) for suffix in ("-wal", "-shm", "-lock"))]
     contents = [one.read_bytes() for one in files]
     whole = contents[1]
