@@ -110,7 +110,7 @@ def intel() -> Row:
 def corridor() -> Row:
     """Height and width of the corridor, and the distance to its better registration beside that of the two."""
     from slam.evaluation.map_summary import facing_pairs
-    from slam.io.folders.threedtk import read_frames
+    from slam.io.threedtk import read_frames
 
     done, times = timed_run(*loaded("3dtk_corridor"))
     pairs = facing_pairs(done.planes)

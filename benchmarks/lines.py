@@ -105,7 +105,7 @@ def simulated(world: str, laser: str, sigma: float) -> list[Scan]:
 @cache
 def logged(log: str) -> list[Scan]:
     """Scans spread over a real log."""
-    from slam.io.carmen.reader import read_carmen
+    from slam.io.carmen import read_carmen
     from slam.sensors.log import LaserScan
 
     scans = [scan for scan in read_carmen(DATA / log / f"{log}.clf.gz").scans() if isinstance(scan, LaserScan)]

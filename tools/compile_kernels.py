@@ -267,7 +267,7 @@ def rest() -> None:
     import numpy as np
 
     import factors
-    from slam.io.clouds.lzf import lzf_decompress
+    from slam.io.clouds.pcd import lzf_decompress
     from spplanes import fit_plane
     from spplanes.clouds.arrange import arrange
 

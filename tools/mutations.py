@@ -287,7 +287,7 @@ MUTATIONS = (
     ),
     Mutation(
         "io: a laser's place in the frame of the robot, turned the wrong way",
-        "slam/io/carmen/reader.py",
+        "slam/io/carmen.py",
         "c * dx + s * dy, -s * dx + c * dy, turn",
         "c * dx - s * dy, s * dx + c * dy, turn",
         "tests/slam/io/test_carmen.py",

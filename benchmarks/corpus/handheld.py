@@ -23,13 +23,14 @@ from shapely import LineString, box
 from benchmarks.corpus.drives.building import Roof, add_furniture, add_shell
 from benchmarks.corpus.drives.drive import Drive, Recipe
 from benchmarks.corpus.drives.sensing import camera_beams, depth_sigma
+from benchmarks.corpus.polygon_world import PolygonBuilder, PolygonWorld
+from slam.io.clouds.depth import CAMERA_MOUNT, SENSOR
 from slam.io.default_rigs import depth_rig
-from slam.io.folders.depth_images import CAMERA_MOUNT, SENSOR
 from slam.sensors.log import CloudScan, Log
 from slam.simulation.record import START_NS
 from slam.simulation.rigs import Beams
 from slam.simulation.truth import Truth
-from slam.simulation.world import NO_PLANE, World, WorldBuilder
+from slam.simulation.world import NO_PLANE
 from spplanes._check import FloatArray
 
 #: Word that names of these drives begin with.
@@ -94,10 +95,10 @@ def make_handheld(name: str, seed: int) -> Drive:
     return Drive(recipe, seed, level=False, log=Log(scans, Path(f"simulated {name}")), rig=depth_rig(), truth=truth)
 
 
-def _room(carried: _Carried, rng: np.random.Generator) -> World:
+def _room(carried: _Carried, rng: np.random.Generator) -> PolygonWorld:
     """A room with furniture all round its middle."""
     half_x, half_y = rng.uniform(3.0, 4.0, 2) if carried.sparse else rng.uniform(2.2, 3.2, 2)
-    plan, builder = box(-half_x, -half_y, half_x, half_y), WorldBuilder()
+    plan, builder = box(-half_x, -half_y, half_x, half_y), PolygonBuilder()
     add_shell(builder, plan, Roof.flat(rng.uniform(2.4, 3.0)))
     middle, pieces = LineString([(-0.8, 0.0), (0.8, 0.0)]), 6 if carried.sparse else 14
     add_furniture(builder, plan, middle, rng, pieces=pieces, oblique=True, poles=2)
@@ -150,7 +151,7 @@ class _Camera:
         return cls(beams, false if carried.sparse else np.zeros_like(x), carried.sparse)
 
     def image(
-        self, world: World, world_T_camera: FloatArray, rng: np.random.Generator
+        self, world: PolygonWorld, world_T_camera: FloatArray, rng: np.random.Generator
     ) -> tuple[FloatArray, np.ndarray]:
         """Points (H, W, 3) in the camera's frame, NaN for no depth, and the plane of each, (H, W)."""
         turn, directions = world_T_camera[:3, :3], self.beams.directions

@@ -15,9 +15,9 @@ from slam.config import SlamConfig
 from slam.evaluation import absolute_error
 from slam.evaluation.trajectories import read_relations, relation_errors
 from slam.geometry.frames import inverse, planar_transform
-from slam.io.folders.depth_images import CAMERA_MOUNT
-from slam.io.folders.threedtk import read_frames
+from slam.io.clouds.depth import CAMERA_MOUNT
 from slam.io.load import load
+from slam.io.threedtk import read_frames
 from slam.io.trajectories import Trajectory, read_tum
 from slam.runs.slam_run import Run, run_slam
 

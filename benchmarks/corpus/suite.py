@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.corpus.polygon_world import PolygonBuilder, PolygonWorld
 from slam.simulation.path import Path
-from slam.simulation.world import World, WorldBuilder
 from spplanes._check import FloatArray
 
 #: Radius the robot takes its corners with, and the way it keeps from where it turns to the doors' wall, m.
@@ -137,13 +137,13 @@ class Suite:
         doors = [room.door for room in self.rooms if room.door is not None and room.y0 * y > 0.0]
         return min(doors, key=lambda door: abs(door.start_m + door.end_m - 2.0 * x))
 
-    def world(self, floor_m: float = 0.0) -> World:
+    def world(self, floor_m: float = 0.0) -> PolygonWorld:
         """Its surfaces, with the floor at a height."""
-        builder = WorldBuilder()
+        builder = PolygonBuilder()
         self.add_to(builder, floor_m)
         return builder.build()
 
-    def add_to(self, builder: WorldBuilder, floor_m: float = 0.0) -> None:
+    def add_to(self, builder: PolygonBuilder, floor_m: float = 0.0) -> None:
         """Add its surfaces to a world: floor and ceiling one plane each, every face of a wall one."""
         spaces = [self.corridor, *self.rooms]
         levels: list[int | None] = [None, None]
@@ -158,7 +158,7 @@ class Suite:
             for side in range(4):
                 self._add_face(builder, room, side, floor_m)
 
-    def _add_face(self, builder: WorldBuilder, room: SuiteRoom, side: int, floor_m: float) -> None:
+    def _add_face(self, builder: PolygonBuilder, room: SuiteRoom, side: int, floor_m: float) -> None:
         """One of the four walls of a room, with a notch for every doorway in it."""
         along_x, at = side < 2, (room.y0, room.y1, room.x0, room.x1)[side]
         start, end = (room.x0, room.x1) if along_x else (room.y0, room.y1)
@@ -182,7 +182,7 @@ class Suite:
         return found
 
     def _add_doorway(
-        self, builder: WorldBuilder, room: SuiteRoom, door: Door, floor_m: float, floor: int | None
+        self, builder: PolygonBuilder, room: SuiteRoom, door: Door, floor_m: float, floor: int | None
     ) -> None:
         low, high = (self.corridor.y1, room.y0) if room.y0 > 0.0 else (room.y1, self.corridor.y0)
         middle: Any = ((door.start_m + door.end_m) / 2.0, (low + high) / 2.0, floor_m + 1.0)

@@ -109,7 +109,7 @@ def view(
 
     check_finished(run)
     check_run_given(run)
-    from slam.visualization.view import view_run
+    from slam.visualization.report import view_run
 
     for path in view_run(run, out, recording=rerun):
         typer.echo(path)

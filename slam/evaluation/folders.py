@@ -23,7 +23,7 @@ from slam.evaluation.trajectories import (
     relative_error,
 )
 from slam.geometry.frames import inverse
-from slam.io.folders.depth_images import CAMERA_POSES, is_depth_folder
+from slam.io.clouds.depth import CAMERA_POSES, is_depth_folder
 from slam.io.planes_json import read_planes
 from slam.io.trajectories import Trajectory, read_tum
 from slam.sensors.rig import Rig
@@ -72,9 +72,9 @@ def compare_with_truth(
     run, truth = Path(run), Path(truth)
     check_finished(run)
     if truth.is_file() and "relations" not in truth.name:
-        reference = read_reference(run, truth, truth_of=truth_of, by_row=by_row)
-        rows = _for_each_path(run, lambda path: trajectory_metrics(path, reference.trajectory))
-        return Evaluation(rows, [*reference.notes, *_what_was_compared(run, rows)])
+        reference, notes = read_reference(run, truth, truth_of=truth_of, by_row=by_row)
+        rows = _for_each_path(run, lambda path: trajectory_metrics(path, reference))
+        return Evaluation(rows, [*notes, *_what_was_compared(run, rows)])
     if by_row or truth_of not in (None, BODY):
         raise ValueError(f"{truth}: expected a TUM trajectory where rows or a sensor's poses are asked for")
     if truth.is_file():
@@ -93,7 +93,7 @@ def compare_with_truth(
 def reference_for(run: Path, truth: Path, *, truth_of: str | None = None, by_row: bool = False) -> Trajectory:
     """The trajectory of a TUM file, or of a mission, to compare a run with, of the run's body."""
     if truth.is_file():
-        return read_reference(run, truth, truth_of=truth_of, by_row=by_row).trajectory
+        return read_reference(run, truth, truth_of=truth_of, by_row=by_row)[0]
     return Truth.read(_truth_folder(truth)).trajectory
 
 
@@ -165,24 +165,16 @@ def _in_frame_of(truth: Trajectory, estimate: Trajectory, planes: list[Plane]) -
 BODY, SENSOR = "body", "sensor"
 
 
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """A trajectory to compare a run with."""
-
-    trajectory: Trajectory
-    """world_T_body, in a world of its own."""
-    notes: tuple[str, ...] = ()
-    """What was done to it, one sentence each."""
-
-
 def best_path(run: Path) -> Path:
     """The run's poses at every scan, else at its keyframes: runs of earlier versions have no scans.tum."""
     scans = run / "scans.tum"
     return scans if scans.is_file() else run / "trajectory.tum"
 
 
-def read_reference(run: Path, truth: Path, *, truth_of: str | None = None, by_row: bool = False) -> Reference:
-    """A TUM file as a trajectory of the run's body.
+def read_reference(
+    run: Path, truth: Path, *, truth_of: str | None = None, by_row: bool = False
+) -> tuple[Trajectory, list[str]]:
+    """A TUM file as a trajectory of the run's body, in a world of its own, and what was done to it, one sentence each.
 
     Args:
         run: the folder of the run.
@@ -209,7 +201,7 @@ def read_reference(run: Path, truth: Path, *, truth_of: str | None = None, by_ro
             raise ValueError(f"{truth}: expected, by row, as many poses as the run's {len(stamps)}, got {len(poses)}")
         poses = Trajectory(stamps, poses.poses)
         notes.append(f"{truth.name} was taken row by row, whatever its times")
-    return Reference(poses, tuple(notes))
+    return poses, notes
 
 
 def _is_of_camera(run: Path, truth: Path) -> bool:

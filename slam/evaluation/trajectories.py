@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slam.io._numbers import read_rows
+from slam.io.raw import read_rows
 from slam.io.trajectories import Trajectory
 from spplanes._check import FloatArray, as_shape
 

@@ -10,8 +10,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from slam.floorplan.joint_planes import JointPlanes
-from slam.floorplan.quantities import Section
+from slam.floorplan.quantities import JointPlanes, Section
 from slam.geometry.frames import lift
 from slam.geometry.polygons import polygons_of, segments_of, valid
 from spplanes._check import FloatArray

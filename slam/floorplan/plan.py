@@ -10,12 +10,10 @@ import numpy as np
 import shapely
 
 from slam.floorplan.faces import ALIKE_RAD, SHORT_M, Face, Interval, closed
-from slam.floorplan.joint_planes import JointPlanes
-from slam.floorplan.openings import Opening, find_openings
-from slam.floorplan.quantities import Quantity, area, corner, distance, length
+from slam.floorplan.quantities import JointPlanes, Quantity, area, corner, distance, length
 from slam.floorplan.rooms import room_rings
 from slam.floorplan.storeys import Storey, storeys
-from slam.floorplan.walls import Wall, wall_solids, without
+from slam.floorplan.walls import Opening, Wall, find_openings, wall_solids, without
 from spplanes._check import FloatArray
 
 

@@ -10,8 +10,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from slam.floorplan.faces import ALIKE_RAD, SHORT_M, Face, face_of
-from slam.floorplan.joint_planes import JointPlanes
-from slam.floorplan.quantities import Section
+from slam.floorplan.quantities import JointPlanes, Section
 from slam.geometry.frames import lift
 from slam.geometry.polygons import valid
 from slam.map.map_planes import MapPlane
@@ -88,8 +87,8 @@ def storeys(joint: JointPlanes) -> list[Storey]:
     for number, ground in enumerate(grounds):
         low = ground.height if number else -np.inf
         high = grounds[number + 1].height if number + 1 < len(grounds) else np.inf
-        found.append(_storey(joint, up, plan, ground, low, high, floors, ceilings))
-    return found or [_storey(joint, up, plan, None, -np.inf, np.inf, floors, ceilings)]
+        found.append(_storey(joint, up, plan, ground, (low, high), floors, ceilings))
+    return found or [_storey(joint, up, plan, None, (-np.inf, np.inf), floors, ceilings)]
 
 
 def upward(normals: FloatArray, planes: Sequence[MapPlane]) -> FloatArray | None:
@@ -135,11 +134,12 @@ def _storey(
     up: FloatArray,
     plan: FloatArray,
     ground: Level | None,
-    low: float,
-    high: float,
+    between: tuple[float, float],
     floors: list[Level],
     ceilings: list[Level],
 ) -> Storey:
+    """The storey on a ground, or of no floor, with what is between two heights, m."""
+    low, high = between
     floor = 0.0 if ground is None else ground.height
     upright = [k for k in range(len(joint.planes)) if abs(joint.hesse[k, :3] @ up) < np.sin(ALIKE_RAD)]
     loose = Section(up, floor, None)

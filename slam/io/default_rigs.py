@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from slam.errors import LogError
-from slam.io.folders.clouds import SENSOR as CLOUD_SENSOR
-from slam.io.folders.depth_images import CAMERA_MOUNT
-from slam.io.folders.depth_images import SENSOR as CAMERA
+from slam.io.cloud_folders import SENSOR as CLOUD_SENSOR
+from slam.io.clouds.depth import CAMERA_MOUNT
+from slam.io.clouds.depth import SENSOR as CAMERA
 from slam.io.rosbags.reader import Topics
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.mount import Mount

@@ -7,9 +7,11 @@ from functools import partial
 from pathlib import Path
 
 from slam.errors import LogError, check_cloud_given, check_log_given
-from slam.io.carmen.reader import read_carmen
+from slam.io.carmen import read_carmen
+from slam.io.cloud_folders import clouds_in, has_clouds, read_cloud_folder, read_e57_log
 from slam.io.clouds import is_cloud_file, read_cloud
 from slam.io.clouds.cloud import grid_of
+from slam.io.clouds.depth import CAMERA_POSES, is_depth_folder, read_depth_folder
 from slam.io.default_rigs import (
     assumptions,
     bag_rig,
@@ -19,13 +21,10 @@ from slam.io.default_rigs import (
     threedtk_rig,
     turned_laser_rig,
 )
-from slam.io.folders.clouds import clouds_in, has_clouds, read_cloud_folder, read_e57_log
-from slam.io.folders.depth_images import CAMERA_POSES, is_depth_folder, read_depth_folder
-from slam.io.folders.scan_files import first_file
-from slam.io.folders.threedtk import is_3dtk_folder, is_3dtk_scan, read_3dtk
-from slam.io.folders.threedtk import read_points as read_3dtk_points
-from slam.io.odometry_file import with_odometry
 from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag, sensor_name
+from slam.io.scan_files import first_file, with_odometry
+from slam.io.threedtk import is_3dtk_folder, is_3dtk_scan, read_3dtk
+from slam.io.threedtk import read_points as read_3dtk_points
 from slam.sensors.log import CloudScan, Log
 from slam.sensors.rig import Rig, Sensor
 from spplanes.clouds.arrange import arrange, shows_lines
@@ -45,8 +44,8 @@ def load(
 ) -> tuple[Log, Rig]:
     """Read a log of any known kind.
 
-    Known are ROS bags, folders of 3DTK scans, folders of clouds (`slam.io.folders.clouds`) and of depth images
-    (`slam.io.folders.depth_images`), E57 files, folders made by `spplanes simulate` (log.clf.gz beside rig.yaml), and
+    Known are ROS bags, folders of 3DTK scans, folders of clouds (`slam.io.cloud_folders`) and of depth images
+    (`slam.io.clouds.depth`), E57 files, folders made by `spplanes simulate` (log.clf.gz beside rig.yaml), and
     CARMEN logs, plain or gzip.
 
     Args:
@@ -66,7 +65,7 @@ def load(
     path = Path(path)
     check_log_given(path)
     bag = is_rosbag(path)
-    if topics is not None and not bag and topics.any_given:
+    if topics not in (None, Topics()) and not bag:
         raise LogError(path, "expected a bag where topics or frames are given, got a log without them")
     if rig is None and path.is_dir() and (path / RIG_FILE).is_file():
         rig = Rig.from_yaml(path / RIG_FILE)
@@ -82,7 +81,7 @@ def load(
 
 
 def load_cloud(path: Path) -> tuple[Log, Rig]:
-    """One cloud, of any format that `slam.io.clouds` or `slam.io.folders.threedtk` reads, as a log of one scan.
+    """One cloud, of any format that `slam.io.clouds` or `slam.io.threedtk` reads, as a log of one scan.
 
     Returns:
         The log, and the rig that is assumed for such clouds, as `load` would for a folder of them.

@@ -56,17 +56,3 @@ class StoredScan(Stored, LaserScan):
 
 class StoredReading(Stored, OdometryReading):
     """An odometry reading whose transform is made each time it is asked for."""
-
-
-class SharedAngles:
-    """Bearings that are the same scan after scan are kept once."""
-
-    def __init__(self) -> None:
-        self._known: dict[str, FloatArray] = {}
-
-    def of(self, sensor: str, angles: FloatArray) -> FloatArray:
-        """The angles, or those of the sensor's scan before if they are the same."""
-        known = self._known.get(sensor)
-        if known is None or known.shape != angles.shape or not np.array_equal(known, angles):
-            known = self._known[sensor] = angles
-        return known

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from slam.errors import LogError
 from slam.geometry.frames import NORM_TOLERANCE, norms_of, poses_of
-from slam.io._numbers import read_rows, seconds_from_ns
+from slam.io.raw import read_rows, seconds_from_ns
 from spplanes._check import FloatArray, as_shape
 
 

@@ -24,8 +24,7 @@ from slam.output.run_files import as_json, write_json, write_result
 from slam.runs.history import History
 from slam.runs.slam_run import path_length_m
 from slam.visualization.pictures import FRAME, WIDTH, draw_planes, save, view_height
-from slam.visualization.report import write_report
-from slam.visualization.scene import scene_of
+from slam.visualization.report import scene_of, write_report
 from spplanes._check import FloatArray
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from slam.floorplan.openings import Opening
 from slam.floorplan.plan import FloorPlan, Room, StoreyPlan
+from slam.floorplan.walls import Opening
 from slam.geometry.polygons import polygons_of
 from spplanes._check import FloatArray
 

@@ -13,9 +13,8 @@ import numpy as np
 from slam.errors import MissingPackageError
 from slam.floorplan import FloorPlan, Quantity
 from slam.floorplan.faces import Face
-from slam.floorplan.openings import Opening
 from slam.floorplan.plan import Room, StoreyPlan
-from slam.floorplan.walls import Wall
+from slam.floorplan.walls import Opening, Wall
 from slam.output.plan_drawing import room_name
 from spplanes._check import FloatArray
 

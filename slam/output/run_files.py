@@ -30,8 +30,7 @@ from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig, Sensor
 from slam.visualization.mesh import Mesh, colour_of, mesh_of
 from slam.visualization.pictures import Drawn, draw_map, draw_planes, draw_uncertainty, save
-from slam.visualization.report import write_report
-from slam.visualization.scene import scene_of
+from slam.visualization.report import scene_of, write_report
 from spplanes._check import FloatArray
 
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from slam.errors import check_world_given
 from slam.files import scratch_folder
-from slam.io.carmen.writer import write_carmen
-from slam.io.folders.clouds import write_cloud_folder
+from slam.io.carmen import write_carmen
+from slam.io.cloud_folders import write_cloud_folder
 from slam.sensors.log import LaserScan, Log
 from slam.sensors.rig import Rig
 from slam.simulation.buildings import corridor, hall, hall_path, office, office_path, room, room_path

@@ -33,15 +33,6 @@ class Path:
         """Poses (N, 3) after the ways (N,), m."""
         return np.column_stack([np.interp(way_m, self.way_m, column) for column in self.poses.T])
 
-    def part(self, start_m: float, end_m: float, *, backwards: bool = False) -> Path:
-        """The stretch between two ways driven, or the same driven the other way."""
-        inside = self.way_m[(self.way_m > start_m) & (self.way_m < end_m)]
-        way = np.concatenate([[start_m], inside, [end_m]])
-        poses = self.at(way)
-        if backwards:
-            return Path(end_m - way[::-1], poses[::-1] + np.array([0.0, 0.0, np.pi]))
-        return Path(way - start_m, poses)
-
     @classmethod
     def through(cls, points: ArrayLike) -> Path:
         """The path along a dense curve of points (K, 2); the heading is its tangent."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.io.scan_files import in_order
 from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading
 from slam.sensors.rig import LocalisationNoise, Rig, Sensor
 from slam.sensors.wheel_noise import OdometryNoise
@@ -129,9 +130,8 @@ def record(plan: Plan, n_scans: int, seed: int) -> tuple[Log, Truth]:
         poses_of_scans = [None] * len(at) if given is None else list(given[at])
         for k, (tick, pose) in enumerate(zip(at.tolist(), poses_of_scans, strict=True)):
             events.append(_scan(int(stamps[tick]), sensor, beams, read[k], pose))
-    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
     truth = Truth(stamps, world_T_body, plan.world.planes, labels)
-    return Log(events, Path(f"simulated {plan.name}")), truth
+    return Log(in_order(events), Path(f"simulated {plan.name}")), truth
 
 
 def _scan(

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import LogError
-from slam.io.packed import check_ratio
 from slam.io.planes_json import read_planes, write_planes
+from slam.io.raw import check_ratio
 from slam.io.trajectories import Trajectory, read_tum, write_tum
 from slam.simulation.rigs import HORIZONTAL
 from spplanes._check import FloatArray

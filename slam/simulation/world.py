@@ -1,4 +1,4 @@
-"""Worlds made of planar patches, polygons and round bars, with the truth about every plane in them."""
+"""Worlds made of planar patches and round bars: exact ranges of rays, and the truth about every plane in them."""
 
 from __future__ import annotations
 
@@ -10,49 +10,28 @@ import numpy as np
 from numpy.typing import ArrayLike
 from shapely import MultiPolygon, Polygon, box, transform, unary_union
 
-from slam.simulation.raycast import cast_polygons, cast_scans
 from spplanes._check import FloatArray
+from spplanes._jit import inlined, njit
 from spplanes.plane import Plane
 
 #: Label of a beam that hit no plane: no return, or a round bar.
 NO_PLANE = -1
-#: Plane of a polygon of glass: beams end in it and nothing comes back.
-GLASS = -2
 #: A hole in a patch: (u0, v0, u1, v1) along its two edges, m.
 Hole = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Rectangles and polygons that belong to planes, and round bars that belong to none."""
+    """Rectangles that belong to planes, and round bars that belong to none."""
 
     planes: list[Plane]
-    """The true planes; labels are indices into this list. Covariances are zero, outlines are what can be hit, or of a
-    wall with gaps their convex hull."""
-    surfaces: list[Polygon | MultiPolygon]
-    """All of each plane that can be hit and no more, in (x, y) of its frame."""
-    corners: FloatArray
-    """A corner of each rectangle, shape (R, 3), m."""
-    edges_u: FloatArray
-    """First edge of each rectangle, shape (R, 3), m."""
-    edges_v: FloatArray
-    """Second edge of each rectangle, orthogonal to the first, shape (R, 3), m."""
+    """The true planes; labels are indices into this list. Covariances are zero, outlines are what can be hit."""
+    rectangles: FloatArray
+    """A corner of each rectangle, its first edge, and its second, orthogonal to the first, shape (R, 3, 3), m."""
     plane_of_rectangle: np.ndarray
     """Index of the plane a rectangle belongs to, shape (R,), int32."""
-    feet: FloatArray
-    """One end of the axis of each bar, shape (C, 3), m."""
-    axes: FloatArray
-    """From that end to the other, shape (C, 3), m."""
-    radii: FloatArray
-    """Radius of each bar, shape (C,), m."""
-    frames: FloatArray
-    """Frame of each polygon, which lies in its x and y, shape (G, 4, 4), m."""
-    edges: FloatArray
-    """Edges of the rings of all polygons, rows (x0, y0, x1, y1) in their frames, shape (E, 4), m."""
-    first_edges: np.ndarray
-    """Where the edges of each polygon begin, and the end of the last one's, shape (G + 1,), int64."""
-    plane_of_polygon: np.ndarray
-    """Index of the plane a polygon belongs to, or `GLASS`, shape (G,), int32."""
+    bars: FloatArray
+    """One end of the axis of each bar, from that end to the other, and its radius, shape (C, 7), m."""
 
     def cast(self, origins: FloatArray, rays: FloatArray, scan_normals: FloatArray) -> tuple[FloatArray, np.ndarray]:
         """Exact ranges (S, B), infinity for nothing, and plane labels (S, B) int32, -1 for no plane.
@@ -62,19 +41,13 @@ class World:
             rays: unit directions in the world, shape (S, B, 3).
             scan_normals: normal of each scan's plane, shape (S, 3); zero where the rays do not lie in one.
         """
-        shapes = (self.corners, self.edges_u, self.edges_v, self.feet, self.axes, self.radii)
-        rays = np.ascontiguousarray(rays)
-        ranges, hits = cast_scans(origins, rays, scan_normals, *shapes)
-        first = self.plane_of_rectangle.size + self.radii.size
-        cast_polygons(origins, rays, scan_normals, self.frames, self.edges, self.first_edges, first, ranges, hits)
-        bars, nothing = np.full(self.radii.size, NO_PLANE), [NO_PLANE]  # hit -1, nothing, is the last entry
-        labels = np.concatenate([self.plane_of_rectangle, bars, self.plane_of_polygon, nothing])[hits]
-        gone = labels == GLASS
-        return np.where(gone, np.inf, ranges), np.where(gone, NO_PLANE, labels).astype(np.int32)
+        ranges, hits = cast_scans(origins, np.ascontiguousarray(rays), scan_normals, self.rectangles, self.bars)
+        bars, nothing = np.full(len(self.bars), NO_PLANE), [NO_PLANE]  # hit -1, nothing, is the last entry
+        return ranges, np.concatenate([self.plane_of_rectangle, bars, nothing])[hits].astype(np.int32)
 
 
 @dataclass(frozen=True, eq=False)
-class _Surface:
+class Surface:
     """A plane under construction: its patches as polygons in the coordinates (u, v) of its first patch."""
 
     corner: FloatArray
@@ -82,18 +55,36 @@ class _Surface:
     v: FloatArray
     toward: FloatArray
     patches: list[Polygon]
-    whole: bool = False
-    """Whether patches that lie apart count as one outline, their convex hull: a wall with gaps for doors."""
+
+    @property
+    def seen(self) -> Polygon | MultiPolygon:
+        """All of it that can be hit."""
+        patches = unary_union(self.patches)
+        assert isinstance(patches, (Polygon, MultiPolygon))
+        return patches
+
+    def plane_of(self, outline: Polygon | MultiPolygon) -> Plane:
+        """The plane with the largest piece of an outline: frame at its centroid, x along the longer side."""
+        u, v = self.u, self.v
+        middle = self.corner + outline.centroid.x * u + outline.centroid.y * v
+        normal = np.cross(u, v)
+        normal *= 1.0 if normal @ (self.toward - middle) > 0.0 else -1.0
+        low_u, low_v, high_u, high_v = outline.bounds
+        x_axis = u if high_u - low_u >= high_v - low_v else v
+        frame = frame_at(middle, x_axis, np.cross(normal, x_axis), normal)
+        turn, centroid = frame[:3, :2].T @ np.column_stack([u, v]), np.array([outline.centroid.x, outline.centroid.y])
+        moved = transform(outline, lambda uv: (uv - centroid) @ turn.T)
+        piece = max(moved.geoms, key=lambda g: g.area) if isinstance(moved, MultiPolygon) else moved
+        return Plane(frame=frame, covariance=np.zeros((3, 3)), outline=piece)
 
 
 @dataclass
 class WorldBuilder:
     """Collects patches, boxes and bars; `build` gives the world."""
 
-    _rectangles: list[tuple[FloatArray, FloatArray, FloatArray, int]] = field(default_factory=list)
-    _bars: list[tuple[FloatArray, FloatArray, float]] = field(default_factory=list)
-    _surfaces: list[_Surface] = field(default_factory=list)
-    _polygons: list[tuple[FloatArray, FloatArray, int]] = field(default_factory=list)
+    _rectangles: list[tuple[FloatArray, int]] = field(default_factory=list)
+    _bars: list[FloatArray] = field(default_factory=list)
+    surfaces: list[Surface] = field(default_factory=list)
 
     def add_patch(
         self,
@@ -114,49 +105,15 @@ class WorldBuilder:
         length_u, length_v = float(np.linalg.norm(u)), float(np.linalg.norm(v))
         unit_u, unit_v = u / length_u, v / length_v
         if plane is None:
-            plane = len(self._surfaces)
-            self._surfaces.append(_Surface(corner, unit_u, unit_v, np.asarray(toward, dtype=np.float64), []))
-        surface = self._surfaces[plane]
+            plane = len(self.surfaces)
+            self.surfaces.append(Surface(corner, unit_u, unit_v, np.asarray(toward, dtype=np.float64), []))
+        surface = self.surfaces[plane]
         to_uv = np.column_stack([surface.u, surface.v])
         for u0, v0, u1, v1 in _cells_without_holes(length_u, length_v, holes):
             start, edge_u, edge_v = corner + u0 * unit_u + v0 * unit_v, (u1 - u0) * unit_u, (v1 - v0) * unit_v
-            self._rectangles.append((start, edge_u, edge_v, plane))
+            self._rectangles.append((np.array((start, edge_u, edge_v)), plane))
             low, high = ((x - surface.corner) @ to_uv for x in (start, start + edge_u + edge_v))
             surface.patches.append(box(*np.minimum(low, high), *np.maximum(low, high)))
-        return plane
-
-    def add_polygon(
-        self,
-        rings: Sequence[ArrayLike],
-        *,
-        toward: ArrayLike,
-        plane: int | None = None,
-        glass: bool = False,
-    ) -> int:
-        """Add a planar polygon of any tilt, seen from the point `toward`; the index of its plane, or `GLASS`.
-
-        Args:
-            rings: corners (K, 3) of the outer ring, then of its holes, m; all in the plane of the outer ring.
-            toward: a point on the side it is seen from, m.
-            plane: enlarge this plane, made of polygons and in the same place, in place of a new one.
-            glass: beams end here and do not come back; it is no plane of the truth.
-        """
-        corners = [np.asarray(ring, dtype=np.float64) for ring in rings]
-        if plane is None:
-            frame = _frame_of(corners[0])
-        else:
-            surface = self._surfaces[plane]
-            frame = _frame(surface.corner, surface.u, surface.v, np.cross(surface.u, surface.v))
-        flat = [(ring - frame[:3, 3]) @ frame[:3, :2] for ring in corners]
-        if glass:
-            plane = GLASS
-        elif plane is None:
-            plane, viewer = len(self._surfaces), np.asarray(toward, dtype=np.float64)
-            self._surfaces.append(_Surface(frame[:3, 3], frame[:3, 0], frame[:3, 1], viewer, [], whole=True))
-        if plane != GLASS:
-            self._surfaces[plane].patches.append(Polygon(flat[0], flat[1:]))
-        edges = np.concatenate([np.column_stack([ring, np.roll(ring, -1, axis=0)]) for ring in flat])
-        self._polygons.append((frame, edges, plane))
         return plane
 
     def add_box(self, low: Sequence[float], high: Sequence[float], *, hidden: Sequence[str] = ()) -> list[int]:
@@ -175,45 +132,23 @@ class WorldBuilder:
     def add_bar(self, foot: ArrayLike, end: ArrayLike, radius: float) -> None:
         """Add a round bar or pillar between two points, m. It belongs to no plane."""
         start = np.asarray(foot, dtype=np.float64)
-        self._bars.append((start, np.asarray(end, dtype=np.float64) - start, radius))
+        self._bars.append(np.array((*start, *(np.asarray(end, dtype=np.float64) - start), radius)))
 
     def build(self) -> World:
         """The world so far."""
-        corners, edges_u, edges_v, planes = zip(*self._rectangles, strict=True) if self._rectangles else ((),) * 4
-        true = [_true_plane(surface) for surface in self._surfaces]
         return World(
-            planes=[plane for plane, _ in true],
-            surfaces=[surface for _, surface in true],
-            corners=_stack(corners),
-            edges_u=_stack(edges_u),
-            edges_v=_stack(edges_v),
-            plane_of_rectangle=np.array(planes, dtype=np.int32),
-            feet=_stack([bar[0] for bar in self._bars]),
-            axes=_stack([bar[1] for bar in self._bars]),
-            radii=np.array([bar[2] for bar in self._bars], dtype=np.float64),
-            frames=np.array([frame for frame, _, _ in self._polygons]).reshape(-1, 4, 4),
-            edges=np.concatenate([np.empty((0, 4)), *(edges for _, edges, _ in self._polygons)]),
-            first_edges=np.cumsum([0, *(len(edges) for _, edges, _ in self._polygons)]),
-            plane_of_polygon=np.array([plane for _, _, plane in self._polygons], dtype=np.int32),
+            planes=[surface.plane_of(surface.seen) for surface in self.surfaces],
+            rectangles=np.array([rectangle for rectangle, _ in self._rectangles]).reshape(-1, 3, 3),
+            plane_of_rectangle=np.array([plane for _, plane in self._rectangles], dtype=np.int32),
+            bars=np.array(self._bars, dtype=np.float64).reshape(-1, 7),
         )
 
 
-def _frame_of(ring: FloatArray) -> FloatArray:
-    """A frame at the first corner of a planar ring (K, 3), x along its first edge, z its normal by Newell's sum."""
-    normal = np.cross(ring - ring[0], np.roll(ring, -1, axis=0) - ring[0]).sum(axis=0)
-    normal /= np.linalg.norm(normal)
-    x_axis = (ring[1] - ring[0]) / np.linalg.norm(ring[1] - ring[0])
-    return _frame(ring[0], x_axis, np.cross(normal, x_axis), normal)
-
-
-def _frame(origin: FloatArray, *axes: FloatArray) -> FloatArray:
+def frame_at(origin: FloatArray, *axes: FloatArray) -> FloatArray:
+    """A frame (4, 4) at a place, with three axes."""
     frame = np.eye(4)
     frame[:3, :3], frame[:3, 3] = np.column_stack(axes), origin
     return frame
-
-
-def _stack(rows: Sequence[FloatArray]) -> FloatArray:
-    return np.array(rows, dtype=np.float64).reshape(len(rows), 3)
 
 
 def _cells_without_holes(length_u: float, length_v: float, holes: Sequence[Hole]) -> list[Hole]:
@@ -230,20 +165,101 @@ def _cells_without_holes(length_u: float, length_v: float, holes: Sequence[Hole]
     return cells
 
 
-def _true_plane(surface: _Surface) -> tuple[Plane, Polygon | MultiPolygon]:
-    """The plane with its patch, and all of its patches: frame at the patch's centroid, x along the longer side."""
-    patches = unary_union(surface.patches)
-    assert isinstance(patches, (Polygon, MultiPolygon))
-    whole = patches.convex_hull if surface.whole and isinstance(patches, MultiPolygon) else patches
-    assert isinstance(whole, (Polygon, MultiPolygon))
-    u, v = surface.u, surface.v
-    middle = surface.corner + whole.centroid.x * u + whole.centroid.y * v
-    normal = np.cross(u, v)
-    normal *= 1.0 if normal @ (surface.toward - middle) > 0.0 else -1.0
-    low_u, low_v, high_u, high_v = whole.bounds
-    x_axis = u if high_u - low_u >= high_v - low_v else v
-    frame = _frame(middle, x_axis, np.cross(normal, x_axis), normal)
-    uv_to_xy, centroid = frame[:3, :2].T @ np.column_stack([u, v]), np.array([whole.centroid.x, whole.centroid.y])
-    outline, seen = (transform(one, lambda uv: (uv - centroid) @ uv_to_xy.T) for one in (whole, patches))
-    piece = max(outline.geoms, key=lambda g: g.area) if isinstance(outline, MultiPolygon) else outline
-    return Plane(frame=frame, covariance=np.zeros((3, 3)), outline=piece), seen
+#: Hits closer than this do not count: the ray starts on the surface.
+NEAREST_M = 1e-6
+#: Index of a ray that hits nothing.
+NOTHING = -1
+
+
+@inlined
+def _crosses(rectangle, origin, normal):
+    """Whether a rectangle has corners on both sides of the plane through `origin`, or on it."""
+    first, span_u, span_v = 0.0, 0.0, 0.0
+    for k in range(3):
+        first += normal[k] * (rectangle[0, k] - origin[k])
+        span_u += normal[k] * rectangle[1, k]
+        span_v += normal[k] * rectangle[2, k]
+    low = first + min(span_u, 0.0) + min(span_v, 0.0)
+    high = first + max(span_u, 0.0) + max(span_v, 0.0)
+    return low <= 0.0 <= high
+
+
+@inlined
+def _nearer_rectangle(rectangle, origin, rays, index, ranges, hits):
+    """Enter the rectangle corner + a u + b v, 0 <= a, b <= 1, where a ray of the scan hits it first."""
+    corner, edge_u, edge_v = rectangle[0], rectangle[1], rectangle[2]
+    nx = edge_u[1] * edge_v[2] - edge_u[2] * edge_v[1]
+    ny = edge_u[2] * edge_v[0] - edge_u[0] * edge_v[2]
+    nz = edge_u[0] * edge_v[1] - edge_u[1] * edge_v[0]
+    dx, dy, dz = corner[0] - origin[0], corner[1] - origin[1], corner[2] - origin[2]
+    offset = nx * dx + ny * dy + nz * dz
+    length_u = edge_u[0] ** 2 + edge_u[1] ** 2 + edge_u[2] ** 2
+    length_v = edge_v[0] ** 2 + edge_v[1] ** 2 + edge_v[2] ** 2
+    for b in range(len(rays)):
+        slope = nx * rays[b, 0] + ny * rays[b, 1] + nz * rays[b, 2]
+        if slope * offset <= 0.0:
+            continue
+        t = offset / slope
+        if not NEAREST_M < t < ranges[b]:
+            continue
+        px, py, pz = t * rays[b, 0] - dx, t * rays[b, 1] - dy, t * rays[b, 2] - dz
+        along_u = px * edge_u[0] + py * edge_u[1] + pz * edge_u[2]
+        along_v = px * edge_v[0] + py * edge_v[1] + pz * edge_v[2]
+        if 0.0 <= along_u <= length_u and 0.0 <= along_v <= length_v:
+            ranges[b], hits[b] = t, index
+
+
+@inlined
+def _hit_bar(bar, origin, ray):
+    """Distance along the unit `ray` to the mantle of the bar foot + a axis, 0 <= a <= 1; infinity for a miss."""
+    foot, axis, radius = bar[:3], bar[3:6], bar[6]
+    length2 = axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2
+    dx, dy, dz = origin[0] - foot[0], origin[1] - foot[1], origin[2] - foot[2]
+    ray_a = (ray[0] * axis[0] + ray[1] * axis[1] + ray[2] * axis[2]) / length2
+    off_a = (dx * axis[0] + dy * axis[1] + dz * axis[2]) / length2
+    rx, ry, rz = ray[0] - ray_a * axis[0], ray[1] - ray_a * axis[1], ray[2] - ray_a * axis[2]
+    ox, oy, oz = dx - off_a * axis[0], dy - off_a * axis[1], dz - off_a * axis[2]
+    a = rx * rx + ry * ry + rz * rz
+    b = rx * ox + ry * oy + rz * oz
+    c = ox * ox + oy * oy + oz * oz - radius * radius
+    root = b * b - a * c
+    if a == 0.0 or root < 0.0:
+        return np.inf
+    root = np.sqrt(root)
+    for t in ((-b - root) / a, (-b + root) / a):
+        if t > NEAREST_M and 0.0 <= off_a + t * ray_a <= 1.0:
+            return t
+    return np.inf
+
+
+@njit(cache=True)
+def cast_scans(origins, rays, scan_normals, rectangles, bars):
+    """Nearest hit of every ray of every scan.
+
+    Args:
+        origins: where each scan starts, shape (S, 3), m.
+        rays: unit directions in the world, shape (S, B, 3).
+        scan_normals: normal of the plane that all rays of a scan lie in, shape (S, 3); zero for scans in 3D. Objects
+            that do not cross that plane are left out at once.
+        rectangles: corner, first edge and second edge of each, orthogonal, shape (R, 3, 3), m.
+        bars: one end of the axis of each, from there to the other end, radius, shape (C, 7), m.
+
+    Returns:
+        ranges (S, B), infinity where nothing was hit; hits (S, B) int32: index of the rectangle, R + index of the
+        bar, or `NOTHING`.
+    """
+    n_scans, n_beams = rays.shape[0], rays.shape[1]
+    ranges, hits = np.empty((n_scans, n_beams)), np.empty((n_scans, n_beams), dtype=np.int32)
+    for s in range(n_scans):
+        for b in range(n_beams):
+            ranges[s, b], hits[s, b] = np.inf, NOTHING
+        for r in range(len(rectangles)):
+            if not _crosses(rectangles[r], origins[s], scan_normals[s]):
+                continue
+            _nearer_rectangle(rectangles[r], origins[s], rays[s], r, ranges[s], hits[s])
+        for c in range(len(bars)):
+            for b in range(n_beams):
+                t = _hit_bar(bars[c], origins[s], rays[s, b])
+                if t < ranges[s, b]:
+                    ranges[s, b], hits[s, b] = t, len(rectangles) + c
+    return ranges, hits

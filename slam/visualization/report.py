@@ -1,18 +1,36 @@
-"""report.html: the map in 3D, charts, tables and pictures of a run in one file that needs no network."""
+"""report.html, a run in one file that needs no network: scene, tables, pictures; and the pictures beside it."""
 
 from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from importlib.resources import files
+from itertools import chain
 from pathlib import Path
 from string import Template
 from typing import Any
 
+import numpy as np
+from scipy.special import gammaincinv
+from shapely import LineString, Point, get_coordinates
+from shapely.geometry.base import BaseGeometry
+
+from slam.diagnostics.consistency import BAND
 from slam.diagnostics.verdict import Verdict
 from slam.evaluation import Metric
+from slam.files import whole_file
+from slam.geometry.frames import lift
+from slam.geometry.polygons import largest_polygon, polygons_of, segments_of
+from slam.io.trajectories import Trajectory
+from slam.map.map_planes import MapPlane
+from slam.runs.history import History, in_cm
+from slam.runs.stored_run import StoredRun
+from slam.visualization.mesh import colour_of
+from slam.visualization.pictures import Drawn, draw_one, draw_uncertainty, without_slits
+from slam.visualization.rerun_export import write_rerun
+from spplanes._check import FloatArray
 
 
 def write_report(
@@ -32,7 +50,7 @@ def write_report(
         title: its heading.
         tables: (caption, rows) each.
         pictures: PNG files.
-        scene: what `slam.visualization.scene.scene_of` makes.
+        scene: what `slam.visualization.report.scene_of` makes.
         verdict: what the run says of itself, on top; None: nothing.
     """
     parts = [_picture(picture) for picture in pictures]
@@ -84,3 +102,165 @@ def _in_script(scene: dict[str, Any]) -> str:
 
 def _asset(name: str) -> str:
     return (files("slam.visualization") / "viewer" / name).read_text(encoding="utf-8")
+
+
+#: Coordinates are rounded to this many decimals, m: far below what one sees.
+_DECIMALS = 4
+#: Poses and single measurements that are drawn at most.
+_MOST_POSES, _MOST_DOTS = 5000, 1500
+#: Blocks that a chart of NIS has at most, and measurements that a block has at least.
+_MOST_BLOCKS, _LEAST_IN_BLOCK = 60, 20
+
+
+def scene_of(run: Drawn, history: History, doubtful: Sequence[int] = ()) -> dict[str, Any]:
+    """Everything the page's script needs, as plain numbers, strings and lists; `doubtful` keyframes as stretches."""
+    planes = [_plane(plane) for plane in run.planes if not plane.seen.is_empty]
+    estimate = _path(run.trajectory)
+    return {
+        "planes": planes,
+        "estimate": estimate,
+        "odometry": _path(run.odometry),
+        "doubtful": [_rounded(run.trajectory.poses[part, :3, 3]) for part in stretches(doubtful, len(run.trajectory))],
+        "points_cm": in_cm(history.points),
+        "bounds": _bounds(planes, estimate),
+        "keyframes": len(run.trajectory),
+        "nis": [_series(kind, history.nis[kind]) for kind in sorted(history.nis) if history.nis[kind]],
+    }
+
+
+def stretches(keyframes: Sequence[int], count: int) -> list[list[int]]:
+    """Keyframes below `count` in runs of neighbours, ascending."""
+    chosen = np.array(sorted({k for k in keyframes if k < count}), dtype=np.int64)
+    runs = np.split(chosen, np.flatnonzero(np.diff(chosen) > 1) + 1)
+    return [run.tolist() for run in runs if len(run)]
+
+
+def nis_blocks(rows: Sequence[tuple[int, float, int]]) -> list[dict[str, float]]:
+    """Mean NIS per degree of freedom of consecutive measurements, with the 95 % band of each block's own size."""
+    size = max(_LEAST_IN_BLOCK, -(-len(rows) // _MOST_BLOCKS))
+    count = max(len(rows) // size, 1)
+    blocks = []
+    for chosen in np.array_split(np.arange(len(rows)), count):
+        part = [rows[i] for i in chosen]
+        dof = sum(row[2] for row in part)
+        low, high = 2.0 * gammaincinv(0.5 * dof, [(1 - BAND) / 2, (1 + BAND) / 2]) / dof
+        mean = sum(row[1] for row in part) / dof
+        blocks.append({"from": part[0][0], "to": part[-1][0], "mean": mean, "low": float(low), "high": float(high)})
+    return blocks
+
+
+def _series(kind: str, rows: Sequence[tuple[int, float, int]]) -> dict[str, Any]:
+    rows = sorted(rows, key=lambda row: row[0])
+    blocks = nis_blocks(rows)
+    inside = sum(block["low"] <= block["mean"] <= block["high"] for block in blocks)
+    every = -(-len(rows) // _MOST_DOTS)
+    # few measurements make one block: over keyframes it would be one dot, so they are spread one by one
+    one_by_one = len(blocks) == 1
+    if one_by_one:
+        blocks[0].update({"from": 0, "to": max(len(rows) - 1, 1)})
+    return {
+        "kind": kind,
+        "over": "measurement" if one_by_one else "keyframe",
+        "last": blocks[-1]["to"] if one_by_one else None,
+        "blocks": blocks,
+        "dots": [
+            [k * every if one_by_one else row[0], round(row[1] / row[2], 3)] for k, row in enumerate(rows[::every])
+        ],
+        "caption": (
+            f"Blue: means of {len(rows) // len(blocks)} measurements each; green: where such a mean lies in 95 % of "
+            f"cases when the covariances are honest. {inside} of {len(blocks)} are inside. Dots: single measurements"
+            f"{', in the order of their keyframes. ' if one_by_one else '. '}"
+            "Above the band the run claims to know more than it does, below it less."
+        ),
+    }
+
+
+def _plane(plane: MapPlane) -> dict[str, Any]:
+    frame = plane.plane.frame
+    seen = without_slits(plane.seen)
+    segments = [_rounded(lift(chain, frame)) for chain in segments_of(seen)]
+    inside = _inside(plane.seen)
+    sigmas = np.sqrt(np.diag(plane.plane.covariance))
+    return {
+        "id": plane.id,
+        "normal": plane.plane.normal.tolist(),
+        "d": plane.plane.d,
+        "sigma_mm": 1e3 * float(sigmas[0]),
+        "tilts_deg": np.rad2deg(sigmas[1:]).tolist(),
+        "points": int(plane.plane.n_points),
+        "observations": plane.observations,
+        "kinds": list(plane.kinds),
+        "area_m2": float(plane.seen.area),
+        "colour": list(colour_of(plane)),
+        "faces": [[_ring(ring, frame) for ring in (part.exterior, *part.interiors)] for part in polygons_of(seen)],
+        "segments": segments,
+        "inside": _rounded(lift(np.array([[inside.x, inside.y]]), frame))[0],
+    }
+
+
+def _inside(seen: BaseGeometry) -> Point:
+    """A point on what was seen: on the largest polygon, else in the middle of the longest line."""
+    polygon = largest_polygon(seen)
+    if polygon is not None:
+        return polygon.representative_point()
+    if lines := [LineString(chain) for chain in segments_of(seen)]:
+        return max(lines, key=lambda line: line.length).interpolate(0.5, normalized=True)
+    return seen.representative_point()
+
+
+def _ring(ring: Any, frame: FloatArray) -> list[list[float]]:
+    return _rounded(lift(get_coordinates(ring)[:-1], frame))
+
+
+def _path(trajectory: Trajectory) -> list[list[float]]:
+    every = -(-len(trajectory) // _MOST_POSES) or 1
+    return _rounded(trajectory.poses[::every, :3, 3])
+
+
+def _rounded(points: FloatArray) -> list[list[float]]:
+    return np.round(points, _DECIMALS).tolist()
+
+
+def _bounds(planes: Sequence[dict[str, Any]], path: list[list[float]]) -> list[list[float]]:
+    points = [*path]
+    for plane in planes:
+        points += [point for ring in (*chain.from_iterable(plane["faces"]), *plane["segments"]) for point in ring]
+    if not points:
+        return [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
+    array = np.array(points)
+    return [array.min(axis=0).tolist(), array.max(axis=0).tolist()]
+
+
+def view_run(run: Path | str, out: Path | str | None = None, *, recording: Path | None = None) -> list[Path]:
+    """Draw plan.png, side.png, uncertainty.png and report.html of a run; returns what was written.
+
+    Args:
+        run: its folder.
+        out: folder for the pictures; None: the run's own, whose older pictures are replaced.
+        recording: file for a recording for the Rerun viewer, .rrd; None: none is made.
+
+    Raises:
+        ImportError: a recording without the Rerun SDK.
+        LogError: no run, or a file of it that is missing or broken.
+        ValueError: a place where nothing can be written.
+    """
+    stored = StoredRun.read(run)
+    doubtful = () if stored.verdict is None else stored.verdict.keyframes
+    folder = stored.folder if out is None else Path(out)
+    pictures: dict[str, Callable[[Path], None]] = {
+        "plan.png": lambda path: draw_one(stored, "plan", path, doubtful),
+        "side.png": lambda path: draw_one(stored, "side", path, doubtful),
+        "uncertainty.png": lambda path: draw_uncertainty(stored, stored.history, path),
+    }
+    for name, draw in pictures.items():
+        with whole_file(folder / name) as scratch:
+            draw(scratch)
+    drawn = [folder / name for name in pictures]
+    with whole_file(folder / "report.html") as scratch:
+        scene = scene_of(stored, stored.history, doubtful)
+        title = f"spplanes: {stored.folder.resolve().name}"
+        write_report(scratch, title, stored.tables, drawn, scene, stored.verdict)
+    if recording is not None:
+        with whole_file(recording) as scratch:
+            write_rerun(stored, scratch)
+    return [*drawn, folder / "report.html", *([] if recording is None else [recording])]

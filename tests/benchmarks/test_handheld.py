@@ -11,7 +11,7 @@ import pytest
 from benchmarks.corpus.catalogue import corpus
 from benchmarks.corpus.handheld import HANDHELD, make_handheld
 from slam.geometry.frames import inverse, lift
-from slam.io.folders.depth_images import CAMERA_MOUNT
+from slam.io.clouds.depth import CAMERA_MOUNT
 
 
 @pytest.fixture(scope="module", params=["handheld/far", "handheld/sparse_far"])

@@ -17,12 +17,11 @@ import numpy as np
 
 from slam.config import SlamConfig
 from slam.evaluation.trajectories import read_relations
-from slam.io.carmen.reader import read_carmen
-from slam.io.carmen.writer import write_carmen
+from slam.io.carmen import read_carmen, write_carmen
 from slam.io.clouds.read import read_cloud
-from slam.io.folders.threedtk import read_3dtk
 from slam.io.g2o.reader import read_g2o
 from slam.io.planes_json import read_planes, write_planes
+from slam.io.threedtk import read_3dtk
 from slam.io.trajectories import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 from slam.sensors.rig import Rig
 from slam.session._codec import decode, encode, without_scans

@@ -10,7 +10,7 @@ from shapely import LineString, Point, Polygon, box
 from shapely.affinity import rotate, translate
 from shapely.geometry.polygon import orient
 
-from slam.simulation.world import GLASS, WorldBuilder
+from benchmarks.corpus.polygon_world import GLASS, PolygonBuilder
 from spplanes._check import FloatArray
 
 #: Edges shorter than this are left over from set operations, m.
@@ -66,7 +66,11 @@ def _half_plane(gap: FloatArray, plan: Polygon) -> Polygon:
 
 
 def add_shell(
-    builder: WorldBuilder, plan: Polygon, roof: Roof, *, glass: dict[tuple[int, int], tuple[float, float]] | None = None
+    builder: PolygonBuilder,
+    plan: Polygon,
+    roof: Roof,
+    *,
+    glass: dict[tuple[int, int], tuple[float, float]] | None = None,
 ) -> None:
     """Floor, ceiling and walls of the free space `plan`; walls in one line with each other are one plane.
 
@@ -102,7 +106,7 @@ def _at(points: FloatArray, heights: FloatArray) -> FloatArray:
 
 
 def _add_wall(
-    builder: WorldBuilder,
+    builder: PolygonBuilder,
     a: FloatArray,
     b: FloatArray,
     roof: Roof,
@@ -125,7 +129,7 @@ def _add_wall(
 
 
 def add_furniture(
-    builder: WorldBuilder,
+    builder: PolygonBuilder,
     plan: Polygon,
     way: LineString,
     rng: np.random.Generator,
@@ -173,7 +177,7 @@ def _placed(free, rng: np.random.Generator, *, oblique: bool) -> Polygon | None:
     return None
 
 
-def _add_box(builder: WorldBuilder, footprint: Polygon, front: float, back: float) -> None:
+def _add_box(builder: PolygonBuilder, footprint: Polygon, front: float, back: float) -> None:
     """Four sides and a top that rises from the first edge of the footprint to the opposite one."""
     corners = np.array(orient(footprint).exterior.coords)[:4]
     heights = np.array([front, front, back, back])

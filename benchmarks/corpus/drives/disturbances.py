@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.corpus.polygon_world import PolygonWorld
 from slam.geometry.frames import planar_transform
 from slam.map.map_planes import MapPlane
 from slam.sensors.log import Event, Log, OdometryReading
 from slam.sensors.rig import Mount, Rig
 from slam.session.prior_map import PriorMap, floor_start
 from slam.simulation.truth import Truth
-from slam.simulation.world import World
 from spplanes._check import FloatArray
 from spplanes.plane import Plane
 
@@ -38,9 +38,9 @@ class Given:
     """What was where."""
     prior: PriorMap | None = None
     """A map from before."""
-    world: World | None = None
+    world: PolygonWorld | None = None
     """The building; None: nobody needs it."""
-    elsewhere: World | None = None
+    elsewhere: PolygonWorld | None = None
     """Another building."""
 
 
@@ -149,11 +149,11 @@ def _first_pose(given: Given) -> FloatArray:
     return given.truth.poses_at(np.array([given.log.scans()[0].stamp_ns]))[0]
 
 
-def _map_of(world: World | None, start: FloatArray, rng: np.random.Generator) -> PriorMap:
+def _map_of(world: PolygonWorld | None, start: FloatArray, rng: np.random.Generator) -> PriorMap:
     """The larger planes of a building as a map that errs as it says, each by itself, with all that is of them."""
     assert world is not None  # whoever makes the drive gives it
     sigmas = np.array([_KNOWN_M, _KNOWN_RAD, _KNOWN_RAD])
-    both = zip(world.planes, world.surfaces, strict=True)
+    both = zip(world.planes, world.seen, strict=True)
     large = [(plane, seen) for plane, seen in both if plane.outline is not None and plane.outline.area >= _LARGE_M2]
     known = [
         MapPlane(number, _moved(plane, sigmas * rng.standard_normal(3), sigmas), seen, 3, ("plane",))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.corpus.drives.scene import Course, Scene
+from benchmarks.corpus.polygon_world import PolygonBuilder
 from slam.simulation.path import Path
-from slam.simulation.world import WorldBuilder
 
 #: Clear height of every corridor, and length of the landings, m.
 _HIGH_M, _LANDING_M = 2.5, 2.4
@@ -16,7 +16,7 @@ def ramp(rng: np.random.Generator) -> Scene:
     """A corridor, a landing, a ramp back beside it, a landing, and a corridor over the first one."""
     half, apart = rng.uniform(0.9, 1.1), rng.uniform(3.0, 3.6)
     length, climb = rng.uniform(12.0, 14.0), rng.uniform(2.9, 3.2)
-    builder = WorldBuilder()
+    builder = PolygonBuilder()
     _add_tube(builder, 0.0, half, (0.0, length), (0.0, 0.0))
     _add_tube(builder, apart, half, (0.0, length), (climb, 0.0))
     _add_tube(builder, 0.0, half, (0.0, length), (climb, climb))
@@ -34,7 +34,7 @@ def ramp(rng: np.random.Generator) -> Scene:
     return Scene(builder.build(), Course(path, heights))
 
 
-def _add_tube(builder: WorldBuilder, y: float, half: float, x: tuple[float, float], z: tuple[float, float]) -> None:
+def _add_tube(builder: PolygonBuilder, y: float, half: float, x: tuple[float, float], z: tuple[float, float]) -> None:
     """A straight corridor between two places, its floor from one height to another."""
     mid = (sum(x) / 2.0, y, sum(z) / 2.0 + 1.2)
     for lift in (0.0, _HIGH_M):
@@ -53,13 +53,13 @@ def _xz(end: tuple[float, float], y: float) -> tuple[float, float, float]:
     return end[0], y, end[1]
 
 
-def _add_end(builder: WorldBuilder, x: float, half: float, z: float, way: float) -> None:
+def _add_end(builder: PolygonBuilder, x: float, half: float, z: float, way: float) -> None:
     """The closed end of a corridor, which runs toward it along `way`."""
     ring = [(x, -half, z), (x, half, z), (x, half, z + _HIGH_M), (x, -half, z + _HIGH_M)]
     builder.add_polygon([ring], toward=(x - way, 0.0, z + 1.0))
 
 
-def _add_landing(builder: WorldBuilder, half: float, apart: float, x: tuple[float, float], z: float) -> None:
+def _add_landing(builder: PolygonBuilder, half: float, apart: float, x: tuple[float, float], z: float) -> None:
     """A room into which two corridors lead at `x[0]`: three walls, and the pier between the corridors."""
     low, high, top = -half, apart + half, z + _HIGH_M
     mid = (sum(x) / 2.0, apart / 2.0, z + 1.2)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from benchmarks.corpus.polygon_world import PolygonWorld
 from slam.simulation.path import Path
 from slam.simulation.path import pose_matrices as level_poses
-from slam.simulation.raycast import cast_scans
-from slam.simulation.world import NO_PLANE, World
+from slam.simulation.world import NO_PLANE, cast_scans
 from spplanes._check import FloatArray
 
 #: A robot is so long that it takes the foot of a ramp over this way, m.
@@ -48,7 +48,7 @@ class Course:
             raise ValueError(f"part: expected shares of the way with 0 <= start < end <= 1, got {start} and {end}")
         if self.heights_m is not None:
             raise ValueError("part: expected a level course, got one with ramps")
-        return Course(self.path.part(start * self.length_m, end * self.length_m, backwards=backwards))
+        return Course(stretch_of(self.path, start * self.length_m, end * self.length_m, backwards=backwards))
 
     def poses_at(self, way_m: FloatArray) -> FloatArray:
         """world_T_body after ways (N,) seen from above, m; shape (N, 4, 4)."""
@@ -61,6 +61,16 @@ class Course:
         pitch = -np.arctan(np.interp(way_m, self.path.way_m, np.gradient(smooth, self.path.way_m)))
         poses[:, :3, :3] = poses[:, :3, :3] @ _about_y(pitch)
         return poses
+
+
+def stretch_of(path: Path, start_m: float, end_m: float, *, backwards: bool = False) -> Path:
+    """The stretch of a path between two ways driven, or the same driven the other way."""
+    inside = path.way_m[(path.way_m > start_m) & (path.way_m < end_m)]
+    way = np.concatenate([[start_m], inside, [end_m]])
+    poses = path.at(way)
+    if backwards:
+        return Path(end_m - way[::-1], poses[::-1] + np.array([0.0, 0.0, np.pi]))
+    return Path(way - start_m, poses)
 
 
 def _about_y(angles: FloatArray) -> FloatArray:
@@ -94,7 +104,7 @@ class Walker:
 class Scene:
     """A world to drive through."""
 
-    world: World
+    world: PolygonWorld
     """What stands still."""
     course: Course
     """The way through it."""
@@ -117,10 +127,8 @@ class Scene:
     def _add_people(places, scans, origins, rays, fan_normals, ranges, labels) -> None:
         """Enter people who stand at places (W, 2) into the ranges of some scans."""
         places = places[np.linalg.norm(places - origins[scans[0], :2], axis=1) > _POLITE_M]
-        feet = np.column_stack([places, np.zeros(len(places))])
-        axes = np.tile((0.0, 0.0, _TALL_M), (len(places), 1))
-        radii, none = np.full(len(places), _GIRTH_M), np.empty((0, 3))
-        seen, _ = cast_scans(origins[scans], rays[scans], fan_normals[scans], none, none, none, feet, axes, radii)
+        people = np.column_stack([places, np.tile((0.0, 0.0, 0.0, _TALL_M, _GIRTH_M), (len(places), 1))])
+        seen, _ = cast_scans(origins[scans], rays[scans], fan_normals[scans], np.empty((0, 3, 3)), people)
         nearer = seen < ranges[scans]
         ranges[scans] = np.where(nearer, seen, ranges[scans])
         labels[scans] = np.where(nearer, NO_PLANE, labels[scans])

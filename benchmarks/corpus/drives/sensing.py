@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slam.io.clouds.depth import CAMERA_MOUNT
 from slam.io.default_rigs import depth_rig
-from slam.io.folders.depth_images import CAMERA_MOUNT
 from slam.sensors.rig import Mount, Sensor
 from slam.simulation.record import noisy_ranges
 from slam.simulation.rigs import BEAMS, HORIZONTAL, VERTICAL, Beams, paper_rig

@@ -11,8 +11,8 @@ from shapely import LineString, Polygon, box, unary_union
 from benchmarks.corpus.drives.building import Roof, add_furniture, add_shell, tidy
 from benchmarks.corpus.drives.ramp import ramp
 from benchmarks.corpus.drives.scene import Course, Scene, Walker
+from benchmarks.corpus.polygon_world import PolygonBuilder
 from slam.simulation.path import Path
-from slam.simulation.world import WorldBuilder
 from spplanes._check import FloatArray
 
 Corners = list[tuple[float, float]]
@@ -89,7 +89,7 @@ def glass(rng: np.random.Generator) -> Scene:
 def bare(rng: np.random.Generator) -> Scene:
     """A straight corridor of 160 m without a door; nothing along it tells where one is."""
     half = rng.uniform(0.9, 1.4)
-    builder = WorldBuilder()
+    builder = PolygonBuilder()
     add_shell(builder, box(-80.0, -half, 80.0, half), Roof.flat(rng.uniform(2.4, 3.0)))
     return Scene(builder.build(), Course(Path.weaving(20.0)))
 
@@ -227,7 +227,7 @@ def _furnished(
     glass: dict[tuple[int, int], tuple[float, float]] | None = None,
 ) -> Scene:
     """The building with furniture, and the way through it."""
-    builder = WorldBuilder()
+    builder = PolygonBuilder()
     add_shell(builder, plan, roof, glass=glass)
     points = [(float(x), float(y)) for x, y in corners]
     add_furniture(builder, plan, LineString(points), rng, pieces=pieces, oblique=oblique, poles=poles)

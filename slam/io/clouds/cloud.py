@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slam.errors import LogError
+from slam.io.raw import ascii_of, read_bytes, text_rows
 from spplanes._check import FloatArray
 from spplanes.clouds.arrange import Grid
 
@@ -39,6 +40,36 @@ class Cloud:
         """The returns, shape (N, 3), m: NaN left out."""
         points = self.points.reshape(-1, 3)
         return points[np.isfinite(points).all(axis=1)]
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Where a file has its points: rows of numbers, of which x, y and z are read."""
+
+    dtype: np.dtype
+    """One packed row, with x, y and z."""
+    columns: list[int]
+    """Which words of a line are x, y and z."""
+    words: int
+    """Words of a line."""
+    count: int
+    """Rows."""
+    start: int
+    """Where they begin, bytes."""
+    line: int
+    """Number of the line there."""
+
+    def unpacked(self, path: Path) -> FloatArray:
+        """Points (N, 3) of a binary file, m."""
+        rows = np.frombuffer(read_bytes(path, self.start), dtype=self.dtype, count=self.count)
+        return points_of(path, *(rows[axis] for axis in "xyz"))
+
+    def parsed(self, path: Path, text: bytes, what: str) -> FloatArray:
+        """Points (N, 3) of the lines of a text, m; a `LogError` says of what there are more or fewer than declared."""
+        rows = text_rows(path, ascii_of(path, text, self.line), self.words, self.line)
+        if len(rows) != self.count:
+            raise LogError(path, f"expected {self.count} {what}, got {len(rows)} lines")
+        return rows[:, self.columns]
 
 
 def checked(path: Path, points: FloatArray, world_T_sensor: FloatArray | None = None) -> Cloud:

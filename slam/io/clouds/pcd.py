@@ -10,11 +10,10 @@ import numpy as np
 
 from slam.errors import LogError
 from slam.geometry.frames import poses_of
-from slam.io._numbers import ascii_of, number_of, text_rows
-from slam.io.clouds.cloud import Cloud, checked, points_of
-from slam.io.clouds.lzf import lzf_decompress
-from slam.io.packed import check_room, file_size, read_bytes
+from slam.io.clouds.cloud import Cloud, Table, checked, points_of
+from slam.io.raw import check_room, file_size, number_of, read_bytes
 from spplanes._check import FloatArray, as_shape
+from spplanes._jit import njit
 
 #: A header may be this long, bytes.
 LONGEST_HEADER = 1 << 16
@@ -26,29 +25,14 @@ _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWP
 class Header:
     """What a PCD file says about itself."""
 
-    dtype: np.dtype
-    """One packed point, of which x, y and z are read."""
-    columns: list[int]
-    """Which of the numbers of a point are x, y and z."""
-    numbers: int
-    """Numbers of a point."""
-    width: int
-    """Points in a row."""
+    table: Table
+    """Its points."""
     height: int
-    """Rows; 1: not organised."""
+    """Rows of the image that they are; 1: not organised."""
     world_T_sensor: FloatArray | None
     """VIEWPOINT, the sensor in the frame of the points, shape (4, 4); None for the identity."""
     data: str
     """ascii, binary or binary_compressed."""
-    start: int
-    """Where the data begin, bytes."""
-    line: int
-    """Number of the line after the header."""
-
-    @property
-    def n_points(self) -> int:
-        """Points in the file."""
-        return self.width * self.height
 
 
 def read_pcd(path: Path) -> Cloud:
@@ -64,7 +48,7 @@ def read_pcd(path: Path) -> Cloud:
     header = read_header(path)
     points = _points_of(path, header)
     if header.height > 1:
-        points = points.reshape(header.height, header.width, 3)
+        points = points.reshape(header.height, -1, 3)
     pose = header.world_T_sensor
     if pose is None:
         return checked(path, points)
@@ -80,27 +64,19 @@ def read_header(path: Path) -> Header:
     if len(types) != len(fields):
         raise LogError(path, f"expected {len(fields)} entries in TYPE, got {len(types)}")
     dtype = _dtype(path, fields, sizes, types, counts)
-    header = Header(
-        dtype=dtype,
-        columns=[sum(counts[: fields.index(axis)]) for axis in "xyz"],
-        numbers=sum(counts),
-        width=_whole(path, entries, "WIDTH", 1)[0],
-        height=_whole(path, entries, "HEIGHT", 1)[0],
-        world_T_sensor=_viewpoint(path, entries.get("VIEWPOINT", ["0", "0", "0", "1", "0", "0", "0"])),
-        data=_required(path, entries, "DATA")[0].lower(),
-        start=start,
-        line=line,
-    )
-    declared = _whole(path, entries, "POINTS", 1)[0] if "POINTS" in entries else header.n_points
-    if declared != header.n_points:
-        raise LogError(path, f"expected WIDTH x HEIGHT = {header.n_points} points, got POINTS {declared}")
-    if header.data not in ("ascii", "binary", "binary_compressed"):
-        raise LogError(path, f"expected DATA ascii, binary or binary_compressed, got {header.data[:20]!r}")
-    least = {"ascii": 2 * header.numbers, "binary": dtype.itemsize}.get(header.data)
+    columns = [sum(counts[: fields.index(axis)]) for axis in "xyz"]
+    (width,), (height,) = _whole(path, entries, "WIDTH", 1), _whole(path, entries, "HEIGHT", 1)
+    pose = _viewpoint(path, entries.get("VIEWPOINT", ["0", "0", "0", "1", "0", "0", "0"]))
+    data, count = _required(path, entries, "DATA")[0].lower(), width * height
+    declared = _whole(path, entries, "POINTS", 1)[0] if "POINTS" in entries else count
+    if declared != count:
+        raise LogError(path, f"expected WIDTH x HEIGHT = {count} points, got POINTS {declared}")
+    if data not in ("ascii", "binary", "binary_compressed"):
+        raise LogError(path, f"expected DATA ascii, binary or binary_compressed, got {data[:20]!r}")
+    least = {"ascii": 2 * sum(counts), "binary": dtype.itemsize}.get(data)
     if least is not None:  # the last line of a text needs no end
-        needed, room = header.n_points * least - (header.data == "ascii"), file_size(path) - start
-        check_room(path, f"{header.n_points} points", needed, room)
-    return header
+        check_room(path, f"{count} points", count * least - (data == "ascii"), file_size(path) - start)
+    return Header(Table(dtype, columns, sum(counts), count, start, line), height, pose, data)
 
 
 def _entries(path: Path, head: bytes) -> tuple[dict[str, list[str]], int, int]:
@@ -164,15 +140,13 @@ def _viewpoint(path: Path, words: list[str]) -> FloatArray | None:
 
 def _points_of(path: Path, header: Header) -> FloatArray:
     """Points in the order of the file, shape (N, 3)."""
-    body, count, kind = read_bytes(path, header.start), header.n_points, header.dtype
-    if header.data == "ascii":
-        rows = text_rows(path, ascii_of(path, body, header.line), header.numbers, header.line)
-        if len(rows) != count:
-            raise LogError(path, f"expected {count} points, got {len(rows)} lines")
-        return rows[:, header.columns]
+    table = header.table
     if header.data == "binary":
-        table = np.frombuffer(body, dtype=kind, count=count)
-        return points_of(path, *(table[axis] for axis in "xyz"))
+        return table.unpacked(path)
+    body = read_bytes(path, table.start)
+    if header.data == "ascii":
+        return table.parsed(path, body, "points")
+    count, kind = table.count, table.dtype
     data = _unpacked(path, body, count * kind.itemsize)  # field after field: all x, then all y and so on
     fields = [(kind[axis], kind.fields[axis][1]) for axis in "xyz"]  # type: ignore[index]  # it has them
     return points_of(path, *(np.frombuffer(data, field, count, count * offset) for field, offset in fields))
@@ -204,3 +178,59 @@ def write_pcd(path: Path | str, points: FloatArray) -> None:
         f"WIDTH {width}\nHEIGHT {height}\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {width * height}\nDATA binary\n"
     )
     Path(path).write_bytes(head.encode("ascii") + rows.astype("<f8").tobytes())
+
+
+#: Most bytes that one byte of LZF can stand for: three bytes say "repeat 264 bytes".
+MOST_PER_BYTE = 88
+
+
+def lzf_decompress(data: bytes, size: int) -> bytes:
+    """Decompress a block of which the decompressed size is known.
+
+    The stream is a row of pieces. A first byte below 32 says how many bytes, less one, follow as they are. Any other
+    holds in its upper three bits the length, less two, of a repetition (7: the next byte is added to it) and in its
+    lower five the upper bits of how far back, less one, it starts; the last byte of the piece holds the lower eight.
+
+    Raises:
+        ValueError: the sizes cannot belong together (nothing is allocated then), or the stream is damaged.
+    """
+    if size > MOST_PER_BYTE * len(data):
+        raise ValueError(f"{len(data)} compressed bytes cannot hold the {size} that are declared")
+    out = np.empty(size, dtype=np.uint8)
+    if _decode(np.frombuffer(data, dtype=np.uint8), out) != size:
+        raise ValueError("the compressed data are cut off or damaged")
+    return out.tobytes()
+
+
+@njit(cache=True)
+def _decode(data, out):
+    """Bytes written; -1 where the stream reaches beyond its ends."""
+    i, o = 0, 0
+    while i < len(data):
+        first = np.int64(data[i])
+        i += 1
+        if first < 32:
+            length = first + 1
+            if i + length > len(data) or o + length > len(out):
+                return -1
+            for k in range(length):
+                out[o + k] = data[i + k]
+            i += length
+        else:
+            length = first >> 5
+            if length == 7:
+                if i >= len(data):
+                    return -1
+                length += np.int64(data[i])
+                i += 1
+            length += 2
+            if i >= len(data):
+                return -1
+            start = o - ((first & 31) << 8) - np.int64(data[i]) - 1
+            i += 1
+            if start < 0 or o + length > len(out):
+                return -1
+            for k in range(length):  # byte by byte: a repetition may overlap itself
+                out[o + k] = out[start + k]
+        o += length
+    return o

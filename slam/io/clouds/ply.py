@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import LogError
-from slam.io._numbers import ascii_of, text_rows
-from slam.io.clouds.cloud import Cloud, checked, points_of
-from slam.io.packed import check_room, file_size, read_bytes
-from spplanes._check import FloatArray
+from slam.io.clouds.cloud import Cloud, Table, checked
+from slam.io.raw import check_room, file_size, read_bytes
 
 _LONGEST_HEADER = 1 << 16
 _WORDS = ("char", "uchar", "short", "ushort", "int", "uint", "float", "double")
@@ -40,22 +38,6 @@ class Element:
         return np.dtype([(name, order + kind) for name, kind in self.columns])
 
 
-@dataclass(frozen=True)
-class Header:
-    """What a PLY file says about its vertices."""
-
-    order: str
-    """Byte order: < or >; empty for ascii."""
-    vertex: Element
-    """The table of vertices."""
-    start: int
-    """Where binary vertices, or any ascii data, begin, bytes."""
-    line: int
-    """Number of the line after the header."""
-    rows_before: int
-    """Lines of ascii data before the vertices."""
-
-
 def read_ply(path: Path) -> Cloud:
     """Read the vertices of a PLY file; other elements and properties are left out.
 
@@ -63,42 +45,31 @@ def read_ply(path: Path) -> Cloud:
         LogError: one sentence with file, and line where there is one: a header that is none, no x y z, data that are
             cut off (seen before memory is taken for them), no point at all.
     """
-    header = read_header(path)
-    return checked(path, _binary(path, header) if header.order else _ascii(path, header))
+    vertices, skipped = read_header(path)
+    if skipped is None:
+        return checked(path, vertices.unpacked(path))
+    lines = read_bytes(path, vertices.start).split(b"\n")[skipped : skipped + vertices.count]
+    return checked(path, vertices.parsed(path, b"\n".join(lines), "vertices"))
 
 
-def _binary(path: Path, header: Header) -> FloatArray:
-    vertex = header.vertex
-    table = np.frombuffer(read_bytes(path, header.start), dtype=vertex.dtype(header.order), count=vertex.count)
-    return points_of(path, *(table[axis] for axis in "xyz"))
-
-
-def _ascii(path: Path, header: Header) -> FloatArray:
-    vertex, skipped = header.vertex, header.rows_before
-    lines = read_bytes(path, header.start).split(b"\n")[skipped : skipped + vertex.count]
-    first = header.line + skipped
-    rows = text_rows(path, ascii_of(path, b"\n".join(lines), first), len(vertex.columns), first)
-    if len(rows) != vertex.count:
-        raise LogError(path, f"expected {vertex.count} vertices, got {len(rows)} lines")
-    names = [name for name, _ in vertex.columns]
-    return rows[:, [names.index(axis) for axis in "xyz"]]
-
-
-def read_header(path: Path) -> Header:
-    """Read and check the header; the data are only weighed."""
+def read_header(path: Path) -> tuple[Table, int | None]:
+    """The vertices, and of a text how many lines are before them, None of binary data, which are only weighed."""
     order, elements, start, line = _parse_header(path)
     before = elements[: [element.name for element in elements].index("vertex")]
     vertex = elements[len(before)]
     if any(element.has_lists for element in [*before, vertex]):
         raise LogError(path, "expected vertices before any list, got a list first")
-    rows_before = sum(element.count for element in before)
+    dtype, names = vertex.dtype(order), [name for name, _ in vertex.columns]
+    skipped = sum(element.count for element in before)
     if order:
         start += sum(element.count * element.dtype(order).itemsize for element in before)
-        needed = vertex.count * vertex.dtype(order).itemsize
+        needed = vertex.count * dtype.itemsize
     else:  # the last line needs no end
-        needed = 2 * rows_before + 2 * len(vertex.columns) * vertex.count - 1
+        needed = 2 * skipped + 2 * len(names) * vertex.count - 1
     check_room(path, f"{vertex.count} vertices", needed, file_size(path) - start)
-    return Header(order, vertex, start, line, rows_before)
+    columns = [names.index(axis) for axis in "xyz"]
+    vertices = Table(dtype, columns, len(names), vertex.count, start, line if order else line + skipped)
+    return vertices, None if order else skipped
 
 
 def _parse_header(path: Path) -> tuple[str, list[Element], int, int]:

@@ -7,12 +7,10 @@ from pathlib import Path
 
 from slam.errors import LogError, check_cloud_given
 from slam.io.clouds import pcd, ply
-from slam.io.clouds.arrays import read_kitti_bin, read_npy, read_npz, weigh_kitti_bin, weigh_npy
 from slam.io.clouds.cloud import Cloud
 from slam.io.clouds.depth import read_depth_image
-from slam.io.clouds.e57 import read_e57
-from slam.io.clouds.las import read_las
-from slam.io.clouds.text import read_text
+from slam.io.clouds.plain import read_kitti_bin, read_npy, read_npz, read_text, weigh_kitti_bin, weigh_npy
+from slam.io.clouds.survey import read_e57, read_las
 
 _READERS: dict[str, Callable[[Path], Cloud]] = {
     ".pcd": pcd.read_pcd,

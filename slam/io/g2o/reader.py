@@ -13,8 +13,8 @@ import numpy as np
 from factors.robust import gaussian
 from slam.errors import LogError
 from slam.geometry.frames import norms_of
-from slam.io._numbers import floats_of, numbered_words
 from slam.io.g2o._tangents import plane_jacobian, pose_jacobian, root_information
+from slam.io.raw import floats_of, numbered_words
 from spplanes._check import TOO_LARGE, FloatArray
 
 #: Vertices that a file may have: more cannot be numbered by a GTSAM symbol, and none has.

@@ -14,7 +14,6 @@ import numpy as np
 
 from factors import landmark_anchors
 from factors._custom import describe
-from slam.io._numbers import numbered_words
 from slam.io.g2o._tangents import (
     LEVEL,
     UPRIGHT,
@@ -24,6 +23,7 @@ from slam.io.g2o._tangents import (
     sensor_rotation,
 )
 from slam.io.g2o.reader import G2oGraph
+from slam.io.raw import numbered_words
 from spplanes._check import FloatArray
 
 #: Newton steps to where the error of a prior is zero.

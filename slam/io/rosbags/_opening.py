@@ -6,19 +6,20 @@ import atexit
 import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, BinaryIO
 
 from slam.errors import KEEPS_THE_REST, LogError, MissingPackageError
-from slam.io.packed import damage_told, in_short
-from slam.io.rosbags._bounded_unpacking import bound_rosbags
+from slam.io import raw
+from slam.io.raw import TooLarge, damage_told, in_short, unpack
 from slam.io.rosbags._messages import definition_of
 from slam.io.rosbags._salvaged import SalvagedBag
 
 _BROKEN = "expected a whole bag, got one that cannot be read"
 #: The bag that clouds were last taken from: to open one anew for each cloud would take most of the time.
-_kept: dict[tuple[Path, bool, int, int], tuple[ExitStack, Any]] = {}
-_inherited: dict[tuple[Path, bool, int, int], tuple[ExitStack, Any]] = {}
+_kept: dict[tuple[Path, bool, int, int, int], tuple[ExitStack, Any]] = {}
 
 
 @contextmanager
@@ -29,7 +30,7 @@ def opened(path: Path, keep_partial: bool = False) -> Iterator[Any]:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise MissingPackageError(path, "rosbags", "ros") from error
-    bound_rosbags()
+    _bound_rosbags()
     if path.is_file() and path.stat().st_size == 0:
         raise LogError(path, "expected a bag, got an empty file")
     types, stack = get_typestore(Stores.LATEST), ExitStack()
@@ -51,6 +52,50 @@ def opened(path: Path, keep_partial: bool = False) -> Iterator[Any]:
             raise _broken(path, error, True) from error
     with damage_told(path, _BROKEN), stack:
         yield reader
+
+
+@cache
+def _bound_rosbags() -> None:
+    """Let rosbags unpack with `unpack`, from now on.
+
+    It unpacks whatever a chunk becomes before it looks at the size that the chunk states, which may be a lie as well.
+    """
+    from rosbags.rosbag1 import reader as rosbag1
+    from rosbags.rosbag2 import reader as rosbag2
+    from rosbags.rosbag2 import storage_mcap
+
+    for kind in ("bz2", "lz4"):
+        rosbag1.decompressors[kind] = lambda data, kind=kind: unpack(data, kind)
+    for kind in ("lz4", "zstd"):
+        storage_mcap.DECOMPRESSORS[kind] = lambda data, _, kind=kind: unpack(data, kind)
+    whole: Any = rosbag2.zstd
+
+    def bounded(file: BinaryIO, mode: str) -> _BoundedFile:
+        size = os.fstat(file.fileno()).st_size
+        return _BoundedFile(whole.open(file, mode), max(raw.HARMLESS_BYTES, raw.MOST_GROWTH * size))
+
+    # all it has of the module: for compressed messages, and for compressed files
+    rosbag2.zstd = SimpleNamespace(decompress=lambda data: unpack(data, "zstd"), open=bounded)  # type: ignore[assignment]
+
+
+class _BoundedFile:
+    """A packed file that can be read so far."""
+
+    def __init__(self, file: Any, most: int) -> None:
+        self._file, self._most = file, most
+
+    def read(self, size: int = -1) -> bytes:
+        data = self._file.read(size if size >= 0 else self._most + 1)
+        self._most -= len(data)
+        if self._most < 0:
+            raise TooLarge("expected sensor data, got a packed file that grows out of all proportion")
+        return data
+
+    def __enter__(self) -> _BoundedFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
 
 
 def _file_of(path: Path) -> Path | None:
@@ -80,9 +125,9 @@ def _broken(path: Path, error: Exception, can_be_cut: bool) -> LogError:
 
 
 def kept_open(path: Path, keep_partial: bool) -> Any:
-    """The bag, opened unless it is the one that was opened last."""
+    """The bag, opened unless it is the one that this process opened last: where reading goes on is shared by a fork."""
     status = path.stat()
-    key = (path, keep_partial, status.st_mtime_ns, status.st_size)
+    key = (path, keep_partial, status.st_mtime_ns, status.st_size, os.getpid())
     if key not in _kept:
         _close_kept()
         stack = ExitStack()
@@ -90,18 +135,8 @@ def kept_open(path: Path, keep_partial: bool) -> Any:
     return _kept[key][1]
 
 
-def _leave_to_parent() -> None:
-    """A process that forks off opens the bag anew: where reading goes on would be shared. It closes nothing."""
-    _inherited.update(_kept)
-    _kept.clear()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_leave_to_parent)
-
-
 @atexit.register
 def _close_kept() -> None:
-    for stack, _ in _kept.values():
-        stack.close()
-    _kept.clear()
+    """Close the bag that this process opened; what it has by a fork is its parent's to close."""
+    for key in [key for key in _kept if key[-1] == os.getpid()]:
+        _kept.pop(key)[0].close()

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from slam.errors import LogError
-from slam.io.rosbags._bounded_unpacking import TooLarge, unpack
+from slam.io.raw import TooLarge, unpack
 from slam.io.rosbags._messages import definition_of
 
 _ROS1_MAGIC, _MCAP_MAGIC = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from slam.errors import KEEPS_THE_REST, LogError
-from slam.io.odometry_file import in_order
-from slam.io.packed import in_short
+from slam.io.raw import in_short
 from slam.io.rosbags._messages import (
     CLOUD,
     ODOMETRY,
@@ -27,7 +26,8 @@ from slam.io.rosbags._messages import (
 from slam.io.rosbags._odometry import Moves, odometry_of
 from slam.io.rosbags._opening import kept_open, opened
 from slam.io.rosbags._salvaged import SalvagedBag
-from slam.io.spool import SharedAngles, Spool, StoredScan
+from slam.io.scan_files import in_order
+from slam.io.spool import Spool, StoredScan
 from slam.sensors.log import Event, Log, OdometryReading, StoredCloud
 from spplanes._check import FloatArray
 from spplanes.clouds.arrange import Grid, arrange
@@ -52,11 +52,6 @@ class Topics:
         if self.odometry is not None and self.odometry_frame is not None:
             raise ValueError("--odometry-frame: expected one source of odometry, got --odometry-topic too")
 
-    @property
-    def any_given(self) -> bool:
-        """Whether anything is said of a bag."""
-        return self != Topics()
-
 
 @dataclass(eq=False)
 class _Found:
@@ -66,8 +61,8 @@ class _Found:
     """Ranges of 2D scans."""
     moves: Moves
     """Frames and odometry."""
-    angles: SharedAngles = field(default_factory=SharedAngles)
-    """Their bearings."""
+    angles: dict[str, FloatArray] = field(default_factory=dict)
+    """Bearings of the last scan of each topic: the same scan after scan are kept once."""
     scans: list[tuple[int, str, str, FloatArray, tuple[int, int]]] = field(default_factory=list)
     """Time, topic, frame, angles, and the ranges' place and number in the spool."""
     clouds: list[tuple[int, str, str, int]] = field(default_factory=list)
@@ -203,8 +198,9 @@ def _take(found: _Found, topic: str, received: int, message: Any) -> None:
     elif kind == SCAN:
         ranges, angles = scan_of(message)
         kept = found.spool.put(ranges), ranges.size
-        angles = found.angles.of(topic, angles)
-        found.scans.append((stamp_of(message, received), topic, frame_of(message), angles, kept))
+        if not np.array_equal(found.angles.get(topic, ()), angles):
+            found.angles[topic] = angles
+        found.scans.append((stamp_of(message, received), topic, frame_of(message), found.angles[topic], kept))
     else:
         points_of(message)  # a wrong layout is said before any work is done
         found.clouds.append((stamp_of(message, received), topic, frame_of(message), received))

@@ -6,8 +6,8 @@ import pytest
 from slam.errors import LogError
 from slam.evaluation import compare_with_truth
 from slam.geometry.frames import planar_transform
+from slam.io.clouds.depth import CAMERA_MOUNT
 from slam.io.default_rigs import depth_rig
-from slam.io.folders.depth_images import CAMERA_MOUNT
 from slam.io.planes_json import read_planes, write_planes
 from slam.io.trajectories import Trajectory, read_tum, write_tum
 from slam.sensors.mount import Mount

@@ -17,7 +17,7 @@ from slam.evaluation import (
 )
 from slam.evaluation.trajectories import Relations, read_relations
 from slam.geometry.frames import planar_transform
-from slam.io.carmen.reader import read_carmen
+from slam.io.carmen import read_carmen
 from slam.io.trajectories import Trajectory, read_tum
 from spplanes import Plane
 from tests.slam.real_data import needs

@@ -13,7 +13,7 @@ import pytest
 
 from slam.config import SlamConfig
 from slam.fleet.tasks import RECORD_FILE, Order, map_log, open_mapped
-from slam.io.carmen.writer import write_carmen
+from slam.io.carmen import write_carmen
 from slam.joining.overlap import compare_missions
 from slam.joining.records import (
     RecordError,

@@ -10,8 +10,7 @@ import pytest
 from slam.errors import LogError
 from slam.geometry.frames import planar_transform
 from slam.io import spool
-from slam.io.carmen.reader import read_carmen
-from slam.io.carmen.writer import write_carmen
+from slam.io.carmen import read_carmen, write_carmen
 from slam.io.default_rigs import default_rig_for
 from slam.sensors.log import CloudScan, LaserScan, Log, OdometryReading
 from slam.sensors.rig import Mount, Rig, Sensor

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam.errors import LogError
-from slam.io.folders.clouds import SCAN_PERIOD_NS, clouds_in, read_cloud_folder
+from slam.io.cloud_folders import SCAN_PERIOD_NS, clouds_in, read_cloud_folder
 from slam.io.load import load
 from slam.io.trajectories import Trajectory, write_kitti, write_tum
 from slam.sensors.log import CloudScan

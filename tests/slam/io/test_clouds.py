@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from slam.errors import LogError
 from slam.io.clouds import is_cloud_file, read_cloud
-from slam.io.clouds.lzf import lzf_decompress
+from slam.io.clouds.pcd import lzf_decompress
 from tests.slam.real_data import needs
 
 #: Multiples of 1/64: the same in every format.

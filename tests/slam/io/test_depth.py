@@ -11,8 +11,7 @@ from PIL import Image
 
 from slam.errors import LogError
 from slam.io.clouds import read_cloud
-from slam.io.clouds.depth import Camera, read_intrinsics
-from slam.io.folders.depth_images import CAMERA_MOUNT
+from slam.io.clouds.depth import CAMERA_MOUNT, Camera, read_intrinsics
 from slam.io.load import load
 from slam.io.trajectories import Trajectory, write_tum
 from slam.sensors.log import CloudScan

@@ -10,7 +10,7 @@ import pytest
 
 from slam.errors import LogError, MissingPackageError
 from slam.io.clouds import read_cloud
-from slam.io.clouds.e57 import count_e57, read_e57
+from slam.io.clouds.survey import read_e57_scans
 from slam.io.load import load
 from tests.slam.commands import refused, run
 from tests.slam.io.test_cloud_folders import POSES, ROOM, seen_from, walls_of
@@ -102,8 +102,9 @@ def test_e57_organised(tmp_path: Path):
 def test_e57_of_several_scans_is_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     scans = [(seen_from(pose, k), pose) for k, pose in enumerate(POSES)]
     path = write_e57(tmp_path / "house.e57", scans, organised=True)
-    assert count_e57(path) == 4
-    np.testing.assert_allclose(read_e57(path, 2).points, scans[2][0], atol=1e-9)
+    read = read_e57_scans(path)
+    assert len(read) == 4
+    np.testing.assert_allclose(read[2].points, scans[2][0], atol=1e-9)
     assert "expected one scan, got 4" in refused(capsys, "fit", path)
     log, _ = load(path)
     np.testing.assert_allclose([scan.world_T_body for scan in log.scans()], POSES, atol=1e-9)

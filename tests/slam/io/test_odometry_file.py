@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from slam.errors import LogError
-from slam.io.folders.clouds import write_cloud_folder
-from slam.io.folders.depth_images import CAMERA_MOUNT
+from slam.io.cloud_folders import write_cloud_folder
+from slam.io.clouds.depth import CAMERA_MOUNT
 from slam.io.load import load
-from slam.io.odometry_file import with_odometry
+from slam.io.scan_files import with_odometry
 from slam.io.trajectories import Trajectory, write_kitti, write_tum
 from slam.sensors.log import LaserScan, Log, OdometryReading
 from slam.simulation import simulate_mission

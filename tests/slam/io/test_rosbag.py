@@ -15,9 +15,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 
 from slam.errors import LogError
-from slam.io import packed
+from slam.io import raw
 from slam.io.load import load
-from slam.io.rosbags._bounded_unpacking import TooLarge, unpack
+from slam.io.raw import TooLarge, unpack
 from slam.io.rosbags._salvaged import SalvagedBag
 from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag
 from slam.sensors.log import CloudScan, LaserScan
@@ -380,10 +380,10 @@ def test_other_files_with_the_name_of_a_bag(tmp_path: Path):
 
 @pytest.mark.parametrize("kind", ["ros1 bz2", "ros1 lz4", "mcap zstd alone"])
 def test_chunks_that_grow_out_of_proportion_are_refused(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(packed, "HARMLESS_BYTES", 1000)
+    monkeypatch.setattr(raw, "HARMLESS_BYTES", 1000)
     path = write(tmp_path, kind, mission)
     assert read_rosbag(path).scans()
-    monkeypatch.setattr(packed, "MOST_GROWTH", 0)
+    monkeypatch.setattr(raw, "MOST_GROWTH", 0)
     with pytest.raises(LogError, match="expected sensor data"):
         read_rosbag(path)
 
@@ -396,8 +396,8 @@ def test_unpacking_stops_before_memory_is_taken(kind: str, monkeypatch: pytest.M
     from rosbags.rosbag2.storage_mcap import zstd
 
     pack = {"bz2": bz2.compress, "lz4": lz4.frame.compress, "zstd": zstd.compress}[kind]
-    monkeypatch.setattr(packed, "HARMLESS_BYTES", 1 << 18)
-    monkeypatch.setattr(packed, "MOST_GROWTH", 2)
+    monkeypatch.setattr(raw, "HARMLESS_BYTES", 1 << 18)
+    monkeypatch.setattr(raw, "MOST_GROWTH", 2)
     assert unpack(pack(b"abc") + pack(b"def"), kind) == b"abcdef"
     with pytest.raises(TooLarge, match="grow out of all proportion"):
         unpack(pack(bytes(1 << 20)), kind)
@@ -419,8 +419,8 @@ def test_compressed_messages_and_files_of_a_folder_are_bounded(tmp_path: Path, m
                 connection = connection or writer.add_connection(topic, message.__msgtype__, typestore=messages.store)
                 writer.write(connection, stamp_ns, messages.store.serialize_cdr(message, message.__msgtype__))
         assert read_rosbag(folder).scans()
-        monkeypatch.setattr(packed, "HARMLESS_BYTES", 100)
-        monkeypatch.setattr(packed, "MOST_GROWTH", 0)
+        monkeypatch.setattr(raw, "HARMLESS_BYTES", 100)
+        monkeypatch.setattr(raw, "MOST_GROWTH", 0)
         with pytest.raises(LogError, match="expected sensor data"):
             read_rosbag(folder)
         monkeypatch.undo()

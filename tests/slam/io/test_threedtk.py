@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from slam.errors import LogError
-from slam.io.folders.threedtk import read_3dtk, read_frames, read_points, read_pose, to_right_handed
 from slam.io.load import load
+from slam.io.threedtk import read_3dtk, read_frames, read_points, read_pose, to_right_handed
 from slam.sensors.log import CloudScan
 from tests.slam.real_data import needs
 

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks._line_world import World, box, cast, polygon, random_corridor, random_room
 from slam.geometry.frames import planar_transform
-from slam.io.carmen.reader import read_carmen
+from slam.io.carmen import read_carmen
 from slam.registration.place_recognition import Wall, match_constellations
 from slam.sensors.log import LaserScan
 from spplanes import LineConfig, ScanLine, extract_lines

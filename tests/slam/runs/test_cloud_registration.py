@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from factors._conventions import SP_TO_POSE3
 from slam.errors import LogError
 from slam.geometry.frames import inverse
-from slam.io.folders.threedtk import read_frames
+from slam.io.threedtk import read_frames
 from slam.io.trajectories import read_tum
 from slam.runs.cloud_registration import read_guess, register_clouds
 from slam.simulation import simulate_mission

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from slam.config import SlamConfig
-from slam.io.folders.threedtk import read_frames
 from slam.io.load import load
+from slam.io.threedtk import read_frames
 from slam.planeslam import MapPlane
 from slam.runs.slam_run import Run, run_slam
 from tests.slam.real_data import needs

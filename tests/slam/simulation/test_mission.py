@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2, kstest
 
 from slam.errors import LogError
-from slam.io.carmen.reader import read_carmen
+from slam.io.carmen import read_carmen
 from slam.io.load import load
 from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import LocalisationNoise, Rig, Sensor

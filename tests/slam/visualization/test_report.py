@@ -19,8 +19,7 @@ from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
 from slam.runs.history import History
 from slam.runs.stored_run import StoredRun
-from slam.visualization.report import write_report
-from slam.visualization.scene import nis_blocks, scene_of, stretches
+from slam.visualization.report import nis_blocks, scene_of, stretches, write_report
 from spplanes import Plane
 from spplanes.spmodel import transform_from_rpy
 from tests.slam.visualization.browser import Browser, needs_browser

@@ -25,7 +25,7 @@ from slam.runs.stored_run import StoredRun
 from slam.sensors.log import CloudScan, Log
 from slam.simulation import simulate_mission
 from slam.visualization.pictures import draw_view, position_covariances
-from slam.visualization.view import view_run
+from slam.visualization.report import view_run
 from spplanes import Plane
 from spplanes.spmodel import transform_from_rpy
 from tests.slam.commands import command

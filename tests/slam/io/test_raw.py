@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from slam.errors import LogError
-from slam.io import packed
-from slam.io.carmen.reader import read_carmen
+from slam.io import raw
+from slam.io.carmen import read_carmen
 from slam.io.load import load
-from slam.io.packed import check_ratio, read_unpacked
+from slam.io.raw import check_ratio, read_unpacked
 from slam.io.trajectories import read_tum
 from tests.slam.commands import refused
 from tests.slam.io.test_threedtk import scanner_points, write_scan
@@ -20,12 +20,12 @@ from tests.slam.io.test_threedtk import scanner_points, write_scan
 @pytest.fixture
 def small_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     """64 MiB take seconds to make."""
-    monkeypatch.setattr(packed, "HARMLESS_BYTES", 1 << 18)
+    monkeypatch.setattr(raw, "HARMLESS_BYTES", 1 << 18)
 
 
 def bomb(path: Path, line: bytes) -> Path:
     path.write_bytes(gzip.compress(line * ((1 << 20) // len(line)), compresslevel=9))
-    assert path.stat().st_size * packed.MOST_GROWTH < 1 << 20
+    assert path.stat().st_size * raw.MOST_GROWTH < 1 << 20
     return path
 
 
@@ -57,10 +57,10 @@ def test_a_bomb_on_the_command_line(tmp_path: Path, small_limit: None, capsys: p
 
 
 def test_what_grows_as_logs_do_passes():
-    check_ratio(Path("x"), packed.HARMLESS_BYTES, 1)
-    check_ratio(Path("x"), 10 * packed.HARMLESS_BYTES, packed.HARMLESS_BYTES)
+    check_ratio(Path("x"), raw.HARMLESS_BYTES, 1)
+    check_ratio(Path("x"), 10 * raw.HARMLESS_BYTES, raw.HARMLESS_BYTES)
     with pytest.raises(LogError, match=r"got 1000 bytes that grow to 640 MiB"):
-        check_ratio(Path("x"), 10 * packed.HARMLESS_BYTES, 1000)
+        check_ratio(Path("x"), 10 * raw.HARMLESS_BYTES, 1000)
 
 
 NO_LOGS = {

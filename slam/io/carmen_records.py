@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import KEEPS_THE_REST, LogError
-from slam.io._numbers import nanoseconds
-from slam.io.packed import BROKEN, numbered_lines
+from slam.io.raw import BROKEN, nanoseconds, numbered_lines
 from slam.io.spool import Spool
 from spplanes._check import FloatArray
 

@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import LogError
-from slam.io._numbers import ascii_of, floats_of, quick_rows
+from slam.io.cloud_folders import SCAN_PERIOD_NS, SENSOR
 from slam.io.clouds.cloud import FARTHEST_M
-from slam.io.folders.clouds import SCAN_PERIOD_NS, SENSOR
-from slam.io.packed import read_bytes, read_unpacked
+from slam.io.raw import ascii_of, floats_of, quick_rows, read_bytes, read_unpacked
 from slam.sensors.log import CloudScan, Event, Log, OdometryReading
 from spplanes._check import FloatArray
 

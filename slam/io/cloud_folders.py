@@ -23,12 +23,11 @@ import numpy as np
 
 from slam.errors import LogError
 from slam.geometry.frames import inverse
-from slam.io._numbers import nanoseconds, numbered_words, read_rows, seconds_from_ns
 from slam.io.clouds import is_cloud_file, read_cloud, weigh_cloud
-from slam.io.clouds.e57 import count_e57, read_e57
 from slam.io.clouds.pcd import read_header, write_pcd
-from slam.io.folders.scan_files import ScanFiles, first_file
-from slam.io.odometry_file import check_reach, in_order, taken_from
+from slam.io.clouds.survey import read_e57_scans
+from slam.io.raw import nanoseconds, numbered_words, read_rows, seconds_from_ns
+from slam.io.scan_files import ScanFiles, check_reach, first_file, in_order, taken_from
 from slam.io.trajectories import Trajectory, read_kitti, read_tum, write_tum
 from slam.sensors.log import CloudScan, Event, Log, OdometryReading
 from spplanes._check import FloatArray
@@ -119,9 +118,9 @@ def read_e57_log(
     """Read the scans of an E57 file, one second each, with their poses where all have one.
 
     Raises:
-        LogError: what `slam.io.clouds.e57` says.
+        LogError: what `slam.io.clouds.survey` says.
     """
-    clouds = [read_e57(path, index) for index in range(count_e57(path))]
+    clouds = read_e57_scans(path)
     mount = np.eye(4) if body_T_sensor is None else body_T_sensor
     posed = any(cloud.world_T_sensor is not None for cloud in clouds)
     events: list[Event] = []

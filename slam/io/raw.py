@@ -1,17 +1,167 @@
-"""Numbers and times as text: words of lines, tables of numbers, and which line is wrong."""
+"""Raw files, plain or gzip: bounded bytes and lines, numbers and times in them, what is wrong as one sentence."""
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import warnings
-from collections.abc import Sequence
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from decimal import Decimal, DecimalException
+from io import BufferedIOBase
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from slam.errors import LogError
-from slam.io.packed import BROKEN, numbered_lines
 from spplanes._check import FloatArray
+
+#: What a gzip stream raises that is cut off or damaged.
+BROKEN = (EOFError, zlib.error, gzip.BadGzipFile)
+#: Up to here anything may grow, bytes.
+HARMLESS_BYTES = 1 << 26
+#: Beyond, more bytes from one byte than this are no sensor data: those of real logs grow 2 to 20 times.
+MOST_GROWTH = 200
+_CHUNK = 1 << 20
+
+
+def check_ratio(path: Path, size: int, packed: int) -> None:
+    """Refuse `packed` bytes that become `size`."""
+    if size > HARMLESS_BYTES and size > MOST_GROWTH * packed:
+        grown = size >> 20
+        raise LogError(path, f"expected sensor data, got {packed} bytes that grow to {grown} MiB or more: refused")
+
+
+def check_room(path: Path, what: str, needed: int, room: int) -> None:
+    """Refuse what a file declares and cannot hold, before anything is allocated for it."""
+    if needed > room:
+        raise LogError(path, f"expected {needed} bytes for {what}, got {room}: cut off, or a wrong header")
+
+
+def in_short(error: BaseException) -> str:
+    """What an error says, on one line."""
+    return getattr(error, "strerror", None) or " ".join(str(error).split())[:100] or type(error).__name__
+
+
+@contextmanager
+def damage_told(path: Path, expected: str) -> Iterator[None]:
+    """Whatever other people's readers raise on a damaged file becomes one sentence: `expected`, and what they say."""
+    try:
+        yield
+    except LogError:
+        raise
+    except Exception as error:
+        raise LogError(path, f"{expected} ({in_short(error)})") from error
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except BROKEN:  # one of them is an OSError
+        raise
+    except OSError as error:
+        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
+
+
+def file_size(path: Path) -> int:
+    """Bytes of a file."""
+    with _readable(path):
+        return path.stat().st_size
+
+
+def read_bytes(path: Path, start: int = 0, size: int = -1) -> bytes:
+    """The bytes of a file from an offset, `size` at most, or all."""
+    with _readable(path), path.open("rb") as stream:
+        stream.seek(start)
+        return stream.read(size)
+
+
+def numbered_lines(path: Path, longest: int) -> Iterator[tuple[int, str]]:
+    """Lines with their numbers, neither empty nor `#` comments, of a plain or gzip file.
+
+    Raises:
+        LogError: the file cannot be read, a line has `longest` bytes or more, or the stream grows out of proportion.
+        EOFError, zlib.error, gzip.BadGzipFile: the gzip stream breaks off.
+    """
+    with _opened(path) as (stream, packed):
+        number = 0
+        while line := stream.readline(longest):
+            number += 1
+            if len(line) == longest:
+                raise LogError(path, f"expected lines shorter than {longest} bytes", line=number)
+            if packed:
+                check_ratio(path, stream.tell(), packed)
+            text = line.decode("ascii", errors="replace").strip()
+            if text and not text.startswith("#"):
+                yield number, text
+
+
+def read_unpacked(path: Path) -> bytes:
+    """All bytes of a plain or gzip file.
+
+    Raises:
+        LogError: the file cannot be read, the gzip stream breaks off or grows out of proportion.
+    """
+    chunks: list[bytes] = []
+    try:
+        with _opened(path) as (stream, packed):
+            while chunk := stream.read(_CHUNK):
+                chunks.append(chunk)
+                if packed:
+                    check_ratio(path, stream.tell(), packed)
+    except BROKEN as error:
+        raise LogError(path, "the gzip data is cut off or damaged") from error
+    return b"".join(chunks)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[BufferedIOBase, int]]:
+    """The stream, and the size of the file if it is gzip, else 0."""
+    with _readable(path):
+        packed = file_size(path) if read_bytes(path, size=2) == b"\x1f\x8b" else 0
+        with gzip.open(path, "rb") if packed else path.open("rb") as stream:
+            yield stream, packed
+
+
+class TooLarge(ValueError):
+    """Packed bytes that grow out of all proportion."""
+
+
+def unpack(data: bytes, compression: str) -> bytes:
+    """Unpack bz2, lz4 or zstd bytes, one stream after another.
+
+    Raises:
+        TooLarge: more comes out than this module allows.
+        EOFError: the bytes end before the stream does; other errors of the packages where they are damaged.
+    """
+    most = max(HARMLESS_BYTES, MOST_GROWTH * len(data))
+    pieces: list[bytes] = []
+    while data:
+        stream = _stream(compression)
+        pieces.append(stream.decompress(data, max_length=most + 1))
+        most -= len(pieces[-1])
+        if most < 0:
+            raise TooLarge(f"expected sensor data, got {len(data)} packed bytes that grow out of all proportion")
+        if not stream.eof:
+            raise EOFError("packed data that break off")
+        data = stream.unused_data or b""
+    return b"".join(pieces)
+
+
+def _stream(compression: str) -> Any:
+    if compression == "bz2":
+        return bz2.BZ2Decompressor()
+    if compression == "lz4":
+        import lz4.frame
+
+        return lz4.frame.LZ4FrameDecompressor()
+    from rosbags.rosbag2.storage_mcap import zstd  # the standard library's, or its backport
+
+    return zstd.ZstdDecompressor()
+
 
 #: The largest time, s, that integer nanoseconds in 64 bits hold.
 LATEST_S = 9_000_000_000

@@ -1,1 +1,0 @@
-"""CARMEN logs: reading and writing."""

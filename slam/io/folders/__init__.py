@@ -1,1 +1,0 @@
-"""Folders of scans: clouds, depth images, 3DTK; reading and writing."""
