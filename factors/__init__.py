@@ -32,16 +32,16 @@ if TYPE_CHECKING:
     from factors.landmarks import world_plane_from_joint as world_plane_from_joint
     from factors.line import line_factor as line_factor
     from factors.line import line_factor_2d as line_factor_2d
-    from factors.maps import anchored_plane_jacobian as anchored_plane_jacobian
-    from factors.maps import map_prior as map_prior
-    from factors.odometry import odometry_factor as odometry_factor
-    from factors.odometry import odometry_factor_2d as odometry_factor_2d
-    from factors.odometry import planar_motion_factor as planar_motion_factor
+    from factors.plane import anchored_plane_jacobian as anchored_plane_jacobian
     from factors.plane import get_ready as get_ready
+    from factors.plane import map_prior as map_prior
     from factors.plane import plane_factor as plane_factor
     from factors.plane import plane_factors as plane_factors
     from factors.plane import plane_prior as plane_prior
     from factors.pose import gravity_factor as gravity_factor
+    from factors.pose import odometry_factor as odometry_factor
+    from factors.pose import odometry_factor_2d as odometry_factor_2d
+    from factors.pose import planar_motion_factor as planar_motion_factor
     from factors.pose import pose_prior as pose_prior
     from factors.pose import relative_pose_factor as relative_pose_factor
     from factors.structure import direction_prior as direction_prior
@@ -72,10 +72,22 @@ _OF_MODULES = {
         "world_plane_from_joint",
     ),
     "line": ("line_factor", "line_factor_2d"),
-    "maps": ("anchored_plane_jacobian", "map_prior"),
-    "odometry": ("odometry_factor", "odometry_factor_2d", "planar_motion_factor"),
-    "plane": ("get_ready", "plane_factor", "plane_factors", "plane_prior"),
-    "pose": ("gravity_factor", "pose_prior", "relative_pose_factor"),
+    "plane": (
+        "anchored_plane_jacobian",
+        "get_ready",
+        "map_prior",
+        "plane_factor",
+        "plane_factors",
+        "plane_prior",
+    ),
+    "pose": (
+        "gravity_factor",
+        "odometry_factor",
+        "odometry_factor_2d",
+        "planar_motion_factor",
+        "pose_prior",
+        "relative_pose_factor",
+    ),
     "structure": ("direction_prior", "distance_factor", "parallel_factor", "perpendicular_factor", "upright_prior"),
 }
 _HOMES = {name: module for module, names in _OF_MODULES.items() for name in names}

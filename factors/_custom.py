@@ -19,7 +19,8 @@ from spplanes._check import FloatArray
 
 _Kernel = Callable[..., tuple[FloatArray, FloatArray]]
 
-_IDENTITY = np.asfortranarray(np.eye(4))
+#: Of the frame of the world, as the kernels take it.
+IDENTITY = np.asfortranarray(np.eye(4))
 
 _Frame = Callable[[gtsam.Values], FloatArray]
 _probed: list[Recipe] | None = None
@@ -153,7 +154,7 @@ _planar_columns = np.array([3, 4, 2]), np.array([9, 10, 8])
 
 
 def _identity(_: gtsam.Values) -> FloatArray:
-    return _IDENTITY
+    return IDENTITY
 
 
 def _reader(key: int | None, planar: bool) -> _Frame:

@@ -13,12 +13,10 @@ from shapely.affinity import scale
 
 from factors._check import as_key, pose_in, told_key
 from factors._conventions import hesse_to_sp, landmark_hesse, oriented_plane, plane_frame, tangent_to_sp
-from factors._custom import describe
+from factors._custom import IDENTITY, describe
 from factors._kernels import plane_seen_from
 from spplanes import Plane
 from spplanes._check import FloatArray, as_covariance, as_shape, as_transform, check_instance
-
-_IDENTITY = np.asfortranarray(np.eye(4))
 
 
 def plane_landmark(plane: Plane, world_T_body: gtsam.Pose3 | ArrayLike | None = None) -> gtsam.OrientedPlane3:
@@ -159,7 +157,7 @@ def world_plane_from_joint(
     """As `world_plane`, from the joint covariance (9, 9) of (anchor pose, landmark), both in GTSAM's tangents."""
     check_instance("landmark", landmark, gtsam.OrientedPlane3)
     pose = _pose("world_T_anchor", world_T_anchor).matrix()
-    seen, jacobian = plane_seen_from(pose, _IDENTITY, landmark.planeCoefficients())
+    seen, jacobian = plane_seen_from(pose, IDENTITY, landmark.planeCoefficients())
     return _with_joint(seen, jacobian[:, 6:], as_covariance("joint", joint, 9), centre, n_points)
 
 
@@ -182,7 +180,7 @@ def seen_plane(
     if anchor_key == pose_key:
         own = joint_covariance(marginals, [plane_key])
         return landmark_to_plane(landmark, own, centre=centre, n_points=n_points)
-    keys, anchor = [pose_key, plane_key], _IDENTITY
+    keys, anchor = [pose_key, plane_key], IDENTITY
     if anchor_key is not None:
         keys, anchor = [pose_key, anchor_key, plane_key], pose_in("anchor_key", values, anchor_key).matrix()
     seen, jacobian = plane_seen_from(anchor, pose, landmark.planeCoefficients())

@@ -87,9 +87,9 @@ def as_covariance(name: str, value: ArrayLike, size: int) -> FloatArray:
     return as_covariance_stack(name, as_shape(name, value, (size, size))[None], size)[0]
 
 
-def as_covariance_stack(name: str, value: ArrayLike, size: int) -> FloatArray:
-    """Return symmetric positive semidefinite matrices, shape (S, size, size); singular is allowed."""
-    matrices = as_shape(name, value, (None, size, size))
+def as_covariance_stack(name: str, value: ArrayLike, size: int, count: int | None = None) -> FloatArray:
+    """Return symmetric positive semidefinite matrices (S, size, size), singular ones too; S is ``count``, if given."""
+    matrices = as_shape(name, value, (count, size, size))
     slack = COVARIANCE_TOLERANCE * np.abs(matrices).max(axis=(1, 2), initial=0.0)
     transposed = matrices.transpose(0, 2, 1)
     if (np.abs(matrices - transposed).max(axis=(1, 2), initial=0.0) > slack).any():

@@ -111,7 +111,14 @@ class ScanLine:
     @property
     def sp_covariance(self) -> FloatArray:
         """Covariance of the SP perturbation (y, phi), shape (2, 2), m^2, m rad, rad^2."""
-        along = float(self.sp_frame[:2, 3] @ self.direction)
+        return self.covariance_at(float(self.sp_frame[:2, 3] @ self.direction))
+
+    def covariance_at(self, along: float) -> FloatArray:
+        """Covariance of (shift toward the sensor, turn) of the line at a place on it, shape (2, 2), m^2, m rad, rad^2.
+
+        A change (d_alpha, d_rho) turns the line by d_alpha, and moves it by d_rho - along d_alpha away from the sensor
+        at the place that is ``along`` m in its direction from the foot of its normal.
+        """
         jacobian = np.array(((along, -1.0), (1.0, 0.0)))
         return jacobian @ self.covariance @ jacobian.T
 

@@ -151,9 +151,9 @@ MUTATIONS = (
     ),
     Mutation(
         "covariance: of a line's shift and turn, correlated the other way",
-        "factors/association/observations.py",
-        "[[t, -1.0], [1.0, 0.0]]",
-        "[[t, 1.0], [1.0, 0.0]]",
+        "spplanes/line.py",
+        "((along, -1.0), (1.0, 0.0))",
+        "((along, 1.0), (1.0, 0.0))",
         "tests/slam/frontend/test_observations.py",
     ),
     Mutation(
@@ -336,7 +336,7 @@ MUTATIONS = (
     ),
     Mutation(
         "association: the anchor's own drift counts for the pose",
-        "factors/association/gaps.py",
+        "factors/association/shortlist.py",
         "np.hstack((skew(there[:3]), -np.eye(3)))",
         "np.hstack((skew(there[:3]), np.eye(3)))",
         "tests/factors/test_association.py -k goes_on",

@@ -163,7 +163,7 @@ class LineObservation:
     @property
     def sigma_m(self) -> float:
         """Standard deviation of its middle along the normal, m."""
-        return float(np.sqrt(_line_covariance_at_middle(self.line)[0, 0]))
+        return float(np.sqrt(self._covariance_at_middle[0, 0]))
 
     @property
     def normal(self) -> FloatArray:
@@ -210,25 +210,17 @@ class LineObservation:
         frame = np.eye(4)
         frame[:3, :3] = np.column_stack((skew(y_axis) @ z_axis, y_axis, z_axis))
         frame[:3, 3] = middle
-        covariance, of_line = np.zeros((3, 3)), _line_covariance_at_middle(self.line)
+        covariance, of_line = np.zeros((3, 3)), self._covariance_at_middle
         covariance[:2, :2] = 0.5 * (of_line + of_line.T)
         covariance[2, 2] = as_number("tilt_sigma_rad", tilt_sigma_rad) ** 2
         return Plane._trusted(frame, covariance, self.n_points)  # asked for several times a line and keyframe
+
+    @property
+    def _covariance_at_middle(self) -> FloatArray:
+        """Of (z, theta): shift along the plane's normal at the segment's middle, rotation about the frame's y."""
+        return self.line.covariance_at(float(self.line.endpoints.mean(axis=0) @ self.line.direction))
 
     def patch_in(self, plane_T_body: FloatArray) -> BaseGeometry:
         """The segment."""
         ends = lift(self.vertices, as_transform("plane_T_body", plane_T_body))[:, :2]
         return shapely.LineString(ends) if np.ptp(ends, axis=0).max() > 0.0 else shapely.Point(ends[0])
-
-
-def _line_covariance_at_middle(line: ScanLine) -> FloatArray:
-    """Covariance of (z, theta): shift along the plane's normal at the segment's middle, rotation about y.
-
-    With m the middle, u the direction along the line (alpha + 90 deg) and t = m.u: a change (d_alpha, d_rho) moves
-    the line at m by d_rho - t d_alpha along the outward normal, so the plane's z, whose normal is the inward one,
-    changes by z = -(d_rho - t d_alpha). The outward normal turns by d_alpha about the scan plane's z = the frame's y.
-    """
-    along = np.array([-np.sin(line.alpha), np.cos(line.alpha)])
-    t = float(line.endpoints.mean(axis=0) @ along)
-    jacobian = np.array([[t, -1.0], [1.0, 0.0]])
-    return jacobian @ line.covariance @ jacobian.T

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from factors.association.decisions import AssociationGates, Candidate, Decision
-from factors.association.problem import joint_compatibility
+from factors.association.joint_association import joint_compatibility
 from slam.backend.estimator import Backend
 from slam.config import BOUND_SIGMAS, AssociationConfig
 from slam.frontend.observations import Observation
@@ -49,7 +49,7 @@ def associate(
 ) -> list[Decision]:
     """Decide for every observation of a keyframe whose pose is already predicted in the graph.
 
-    See `factors.association.problem.joint_compatibility` for how. With a `hint`, such as all returns give, the
+    See `factors.association.joint_association` for how. With a `hint`, such as all returns give, the
     decisions are made by a state that knows it, and gated by one that does not.
 
     Only the landmarks `among` are looked at when it is given, and only for the observations `trusted`.

@@ -14,9 +14,8 @@ from spplanes._rows import NO_VIEWPOINT, OK, ROW_SIZE, row_frame
 from spplanes._threads import in_parts
 from spplanes.fitting import _kernels as kernels
 from spplanes.fitting._point_checks import LARGEST_VARIANCE, SMALLEST_VARIANCE, as_covariances, as_points
-from spplanes.fitting._pose_kernels import inflate
 from spplanes.fitting._robust import CUTOFF, FRACTIONS, robust_group
-from spplanes.fitting._shared_pose import SharedPose, fit_shared_pose, sp_pose_term
+from spplanes.fitting._shared_pose import SharedPose, fit_shared_pose, sp_pose_term, with_pose_errors
 from spplanes.fitting._sums import CHI2, N_SUMS, USED, start_row
 from spplanes.plane import Plane
 
@@ -216,7 +215,7 @@ def _fit_with_poses(job: FitJob, fits: Fits, g: int) -> None:
         return
     if job.method == "sp":
         spread = _sp_spread(job)
-        term = sp_pose_term(job.points, job.covariances, job.step, job.shared, plain.frames[0], spread)
+        term = sp_pose_term(job.points, job.covariances, job.shared, plain.frames[0], spread)
         fits.frames[g], fits.covariances[g], fits.chi2[g] = plain.frames[0], plain.covariances[0] + term, plain.chi2[0]
         return
     fits.status[g], fits.frames[g], fits.covariances[g], fits.chi2[g] = fit_shared_pose(
@@ -237,8 +236,7 @@ def _inliers(job: FitJob) -> np.ndarray:
     n, shared = len(job.points), job.shared
     if shared is None:
         return np.arange(n)
-    noise = np.empty((n, 3, 3))
-    inflate(job.points, job.covariances, job.step, shared.scan, shared.origins, shared.marginal_roots, noise)
+    noise = with_pose_errors(job.points, job.covariances, shared)
     fits = fit_groups(replace(job, covariances=noise, step=1, shared=None), np.arange(n), np.array([0, n]))
     if fits.status[0] != OK:
         return np.arange(0)

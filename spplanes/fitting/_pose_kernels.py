@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from spplanes._check import FloatArray
 from spplanes._jit import inlined, inner, njit
 from spplanes.fitting._sums import FLOOR
 
@@ -80,49 +81,7 @@ def scan_sums(points, covs, step, scan, origins, frame, xi, info, cross, pose, p
     return cost
 
 
-@njit(cache=True)
-def sp_pose_derivative(points, covs, step, scan, origins, frame, spread, out) -> None:
-    """Derivative of the paper's (z, theta, psi) by each scan's xi, shape (S, 3, 6), through all its points.
-
-    ``spread``: W, lambda_x - lambda_z and lambda_y - lambda_z, shape (3,).
-    """
-    q, d, v, g = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(6)
-    for i in range(points.shape[0]):
-        s, c = scan[i], covs[i * step]
-        trace = c[0, 0] + c[1, 1] + c[2, 2]
-        x = y = z = 0.0
-        for k in range(3):
-            q[k] = points[i, k] - origins[s, k]
-            d[k] = points[i, k] - frame[k, 3]
-            x += frame[k, 0] * d[k]
-            y += frame[k, 1] * d[k]
-            z += frame[k, 2] * d[k]
-        for k in range(3):
-            v[0, k] = frame[k, 2] / spread[0]
-            v[1, k] = -(x * frame[k, 2] + z * frame[k, 0]) / spread[1]
-            v[2, k] = (y * frame[k, 2] + z * frame[k, 1]) / spread[2]
-        for j in range(3):
-            lever(v[j], q, g)
-            for k in range(6):
-                out[s, j, k] += g[k] / (trace * trace)
-
-
-@njit(cache=True)
-def inflate(points, covs, step, scan, origins, roots, out) -> None:
-    """Write each point's covariance with its scan's pose error folded in, (N, 3, 3): to judge single points by."""
-    axes, q, g, half = np.eye(3), np.empty(3), np.empty(6), np.zeros((3, 6))
-    for i in range(points.shape[0]):
-        s = scan[i]
-        for k in range(3):
-            q[k] = points[i, k] - origins[s, k]
-        for j in range(3):
-            lever(axes[j], q, g)
-            for k in range(6):
-                half[j, k] = 0.0
-                for m in range(6):
-                    half[j, k] += g[m] * roots[s, m, k]
-        for j in range(3):
-            for k in range(3):
-                out[i, j, k] = covs[i * step, j, k]
-                for m in range(6):
-                    out[i, j, k] += half[j, m] * half[k, m]
+def levers(directions: FloatArray, arms: FloatArray) -> FloatArray:
+    """`lever` of directions and of places, (..., 3) both, relative to what they turn about, shape (..., 6)."""
+    turned = np.cross(arms, directions)[..., ::-1]
+    return np.concatenate((np.broadcast_to(directions, turned.shape), turned), axis=-1)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from spplanes._check import FloatArray, as_covariance, as_covariance_stack, as_shape
 from spplanes._rows import COLLINEAR, OK, OPEN_POSES
 from spplanes.fitting import _kernels as kernels
-from spplanes.fitting._pose_kernels import scan_sums, sp_pose_derivative
+from spplanes.fitting._pose_kernels import levers, scan_sums
 from spplanes.fitting._sums import INFORMATION, N_SUMS, RAW, accumulate
 
 
@@ -246,12 +246,23 @@ def _finish(
 
 
 def sp_pose_term(
-    points: FloatArray, covs: FloatArray, step: int, shared: SharedPose, frame: FloatArray, spread: FloatArray
+    points: FloatArray, covs: FloatArray, shared: SharedPose, frame: FloatArray, spread: FloatArray
 ) -> FloatArray:
     """sum_s G_s S_s G_s^T, shape (3, 3): what the shared pose errors add to the covariance of the paper's fit."""
-    derivative = np.zeros((len(shared.origins), 3, 6))
-    sp_pose_derivative(points, covs, step, shared.scan, shared.origins, frame, spread, derivative)
+    local, (x_axis, y_axis, normal) = (points - frame[:3, 3]) @ frame[:3, :3], frame[:3, :3].T
+    x, y, z = (local[:, k, None] for k in range(3))
+    moves = np.stack((0.0 * z + normal, -(x * normal + z * x_axis), y * normal + z * y_axis), axis=1) / spread[:, None]
+    arms = (points - shared.origins[shared.scan])[:, None]
+    derivative, traces = np.zeros((len(shared.origins), 3, 6)), np.trace(covs, axis1=1, axis2=2)
+    np.add.at(derivative, shared.scan, levers(moves, arms) / (traces**2)[:, None, None])
     if shared.is_joint:
         derivative = derivative.transpose(1, 0, 2).reshape(1, 3, -1)
     half = derivative @ shared.roots
     return np.einsum("sij,skj->ik", half, half)
+
+
+def with_pose_errors(points: FloatArray, covs: FloatArray, shared: SharedPose) -> FloatArray:
+    """Covariances of points with their scan's pose error folded in, shape (N, 3, 3): to judge single points by."""
+    arms = (points - shared.origins[shared.scan])[:, None]
+    half = levers(np.eye(3), arms) @ shared.marginal_roots[shared.scan]
+    return covs + half @ half.transpose(0, 2, 1)

@@ -7,14 +7,14 @@ import copy
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spplanes._check import FloatArray, as_shape
+from spplanes._check import FloatArray, as_covariance, as_shape
 from spplanes.fitting import _pose_error
 from spplanes.fitting._own_noise import add_noise
 from spplanes.fitting._pose_error import shared_by_scan
 from spplanes.mapping._region_table import RegionTable
 from spplanes.moments import ROW_SIZE, merge_rows
 from spplanes.outlines._raster import along_axes, draw, keys_of, projection_axis
-from spplanes.segmentation._inputs import as_noise, as_pose_covariances, check_near
+from spplanes.segmentation._inputs import as_grid, as_noise
 from spplanes.segmentation.clustering.growing import fit_regions, hesse
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.pipeline import segment_sheet
@@ -74,9 +74,7 @@ class Strip:
     ) -> None:
         """Check a scan, points of shape (B, 3), and put it behind the others."""
         k = self.n_context + self.n_open_rows
-        valid = np.asarray(np.isfinite(scan).all(axis=1))
-        scan = np.where(valid[:, None], scan, 0.0)
-        check_near(scan)
+        (scan,), (valid,) = as_grid(scan[None])
         matrices = as_noise("covariances", covariances, valid)
         if k and (viewpoint is None) != np.isnan(self.views[k - 1, 0]):
             raise ValueError(
@@ -84,7 +82,7 @@ class Strip:
                 " unlike the scan before"
             )
         if pose_covariance is not None:
-            self.pose_covariances[k] = as_pose_covariances("pose_covariance", pose_covariance, (6, 6))
+            self.pose_covariances[k] = as_covariance("pose_covariance", pose_covariance, 6)
         else:
             self.pose_covariances[k] = 0.0
         self.views[k] = np.nan if viewpoint is None else as_shape("viewpoint", viewpoint, (3,))

@@ -45,13 +45,6 @@ def _take(points, grid, valid):
     return largest
 
 
-def check_near(points: FloatArray) -> None:
-    """Raise where a coordinate is too large to be squared."""
-    largest = max(points.max(initial=0.0), -points.min(initial=0.0))
-    if largest > FARTHEST_M:
-        raise ValueError(f"points: expected coordinates up to {FARTHEST_M:g} m, got {largest:g} m")
-
-
 def as_variances(valid: np.ndarray, covariances: ArrayLike | None, sigma: ArrayLike | None) -> FloatArray:
     """Variances of the points: (S, B, 1) isotropic or (S, B, 9); checked where there is a return."""
     if (covariances is None) == (sigma is None):
@@ -77,39 +70,19 @@ def as_noise(name: str, value: ArrayLike, valid: np.ndarray) -> FloatArray:
 
     What comes for points that are no returns is neither judged nor ever read.
     """
-    array = _with_shape(name, value, (*valid.shape, 3, 3))
+    array, shape = as_float_array(name, value), (*valid.shape, 3, 3)
+    if array.shape != shape:
+        raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
+    array = writable(array)
     faults, low, high = _judge(array.reshape(-1, 9), valid.ravel(), COVARIANCE_TOLERANCE)
-    _refuse(name, *faults)
+    if faults[0]:
+        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+    if faults[1]:
+        raise ValueError(f"{name}: expected symmetric positive semidefinite covariances, got one that is not")
     if low < LEAST_SIGMA_M**2 or high > FARTHEST_M**2:
         wanted = f"traces from {LEAST_SIGMA_M**2:g} to {FARTHEST_M**2:g} m^2"
         raise ValueError(f"{name}: expected {wanted}, got {low if low < LEAST_SIGMA_M**2 else high:g} m^2")
     return array
-
-
-def as_pose_covariances(name: str, value: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    """Symmetric positive semidefinite matrices of the given shape, (6, 6) or (S, 6, 6)."""
-    array = _with_shape(name, value, shape)
-    if not np.isfinite(array).all():
-        _refuse(name, True, False)
-    matrices = array.reshape(-1, 6, 6)
-    slack = COVARIANCE_TOLERANCE * np.abs(matrices).max(axis=(1, 2))
-    skewed = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2)) > slack
-    _refuse(name, False, bool(skewed.any() or (np.linalg.eigvalsh(matrices)[:, 0] < -slack).any()))
-    return array
-
-
-def _with_shape(name: str, value: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    array = as_float_array(name, value)
-    if array.shape != shape:
-        raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
-    return writable(array)
-
-
-def _refuse(name: str, infinite: bool, indefinite: bool) -> None:
-    if infinite:
-        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
-    if indefinite:
-        raise ValueError(f"{name}: expected symmetric positive semidefinite covariances, got one that is not")
 
 
 @njit(cache=True)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spplanes._check import FloatArray, as_float_array, as_shape
+from spplanes._check import FloatArray, as_covariance_stack, as_float_array, as_shape
 from spplanes.fitting._pose_error import shared_by_scan
 from spplanes.plane import Plane
-from spplanes.segmentation._inputs import as_grid, as_pose_covariances, as_variances
+from spplanes.segmentation._inputs import as_grid, as_variances
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.pipeline import segment_sheet
 from spplanes.segmentation.planes import planes_of
@@ -104,7 +104,7 @@ def label_scans(
         origins = (
             np.zeros((len(grid), 3)) if scan_origins is None else _per_scan("scan_origins", scan_origins, len(grid))
         )
-        poses = as_pose_covariances("pose_covariances", pose_covariances, (len(grid), 6, 6)), origins
+        poses = as_covariance_stack("pose_covariances", pose_covariances, 6, len(grid)), origins
         shared = shared_by_scan(grid, *poses)
         total = shared + (variance if variance.shape[2] == 9 else variance * np.eye(3).reshape(9))
     eyes = np.zeros((len(grid), 3)) if views is None else views

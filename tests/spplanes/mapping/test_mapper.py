@@ -119,7 +119,7 @@ GOOD = np.ones((5, 3)), np.tile(np.eye(3), (5, 1, 1))
         (GOOD[0], np.nan * GOOD[1], {}, "covariances: expected finite numbers"),
         (GOOD[0], -GOOD[1], {}, "covariances: expected symmetric positive semidefinite"),
         (*GOOD, {"pose_covariance": np.eye(3)}, r"pose_covariance: expected shape \(6, 6\)"),
-        (*GOOD, {"pose_covariance": -np.eye(6)}, "pose_covariance: expected symmetric positive semidefinite"),
+        (*GOOD, {"pose_covariance": -np.eye(6)}, "pose_covariance: expected a positive semidefinite covariance"),
         (*GOOD, {"viewpoint": [np.nan, 0.0, 0.0]}, "viewpoint: expected finite numbers"),
         (*GOOD, {"scan_origin": [np.inf, 0.0, 0.0]}, "scan_origin: expected finite numbers"),
     ],

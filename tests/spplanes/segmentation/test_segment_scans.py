@@ -147,7 +147,7 @@ def test_infinite_and_missing_points_are_no_returns():
         (
             np.ones((4, 4, 3)),
             {"sigma": 0.1, "pose_covariances": -np.tile(np.eye(6), (4, 1, 1))},
-            "pose_covariances: expected symmetric positive semidefinite",
+            "pose_covariances: expected a positive semidefinite covariance",
         ),
         (np.ones((4, 4, 3)), {"sigma": 0.1, "viewpoints": np.zeros((3, 3))}, r"viewpoints: expected shape \(4, 3\)"),
         (np.ones((4, 4, 3)), {"sigma": 0.1, "pose_covariances": np.eye(6)}, r"pose_covariances: expected shape \(4, 6"),
