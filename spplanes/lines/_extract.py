@@ -9,7 +9,6 @@ import numpy as np
 from spplanes._jit import inlined, inner, njit
 from spplanes.lines._fit import (
     between,
-    decided,
     drop_borders,
     drop_doubtful_ends,
     fit_beams,
@@ -83,11 +82,11 @@ def order_scan(ranges, angles, sigmas, rules):
 
 @njit(cache=True)
 def label_scan(order, scan, moments, breaks, widest, max_step, rules):
-    """Label the returns: order, scan, breaks in order, labels (V,), undecided (V,), number of labels."""
+    """Label the returns: order, scan, breaks in order, labels (V,), number of labels."""
     cut = 0
     while True:
         beams = beams_of(scan, SLOPE_SIGMA)
-        starts, undecided = refine(moments, breaks, split(moments, breaks, rules.significance), rules.significance)
+        starts = refine(moments, breaks, split(moments, breaks, rules.significance), rules.significance)
         is_round = find_round(beams, moments, breaks, starts, rules.significance, 0.5 * rules.max_turning)
         bounds = rules.max_missing, max_step
         labels, n_labels = merge(beams, moments, starts, is_round, bounds, rules.flatness, rules.gate)
@@ -96,7 +95,7 @@ def label_scan(order, scan, moments, breaks, widest, max_step, rules):
             if cut > 0:
                 order, scan, moments, breaks = turned(order, scan, moments, breaks, cut)
                 continue
-        return order, scan, breaks, labels, undecided, n_labels
+        return order, scan, breaks, labels, n_labels
 
 
 @inlined
@@ -132,15 +131,13 @@ def ring_start(labels, count):
 
 
 @inner(cache=True)
-def fit_label(beams, moments, marks, members, rules):
-    """Line of a label's beams; the beams on it, ends trimmed and grown; how many were decided, how many of them fitted.
+def fit_label(beams, moments, breaks, labels, members, rules):
+    """Line of a label's beams; the beams on it, ends trimmed and grown; how many are surely, how many of them fitted.
 
-    Decided beams beside another surface are on the line but not in the fit. `marks` of all beams are their breaks,
-    whether they are undecided, and their labels.
+    Beams beside another surface are on the line but not in the fit.
     """
-    breaks, undecided, labels = marks
     label = labels[members[0]]
-    core = drop_doubtful_ends(moments, decided(members, undecided))
+    core = drop_doubtful_ends(moments, members)
     n_borders = core.size
     core = drop_borders(breaks, labels, core)
     n_borders -= core.size
@@ -185,8 +182,8 @@ def members_of(labels, count):
 @inlined
 def is_line(beams, members, counts, line, rules):
     """True when the beams suffice, fit, are no arc that turns by `max_turning`, and (alpha, rho) is Gaussian."""
-    n_decided, n_fitted = counts
-    if n_decided < max(rules.min_points, 3) or not np.isfinite(line[5]) or line[5] > rules.max_misfit * (n_fitted - 2):
+    n_sure, n_fitted = counts
+    if n_sure < max(rules.min_points, 3) or not np.isfinite(line[5]) or line[5] > rules.max_misfit * (n_fitted - 2):
         return False
     _, rho, v_alpha, cov, v_rho, _ = line
     if 0.5 * rho * v_alpha > rules.max_nonlinearity * np.sqrt(v_rho - cov * cov / v_alpha):
@@ -197,14 +194,13 @@ def is_line(beams, members, counts, line, rules):
 
 def extract(ranges, angles, sigmas, rules):
     """Lines of one scan: rows (M, 12) as N_RESULT says, the beams on them one line after the other, their counts."""
-    order, scan, breaks, labels, undecided, n_labels = label_scan(*order_scan(ranges, angles, sigmas, rules), rules)
-    return fit_labels(order, scan, breaks, labels, undecided, n_labels, rules)
+    return fit_labels(*label_scan(*order_scan(ranges, angles, sigmas, rules), rules), rules)
 
 
 @njit(cache=True)
-def fit_labels(order, scan, breaks, labels, undecided, n_labels, rules):
+def fit_labels(order, scan, breaks, labels, n_labels, rules):
     """The line of every label that is one: see `extract`."""
-    beams, marks = beams_of(scan, SIGMA), (breaks, undecided, labels)
+    beams = beams_of(scan, SIGMA)
     moments = beam_moments(beams)
     of_labels, begins = members_of(labels, n_labels)
     rows, support = np.empty((n_labels, N_RESULT)), np.empty(order.size, dtype=np.int64)
@@ -212,8 +208,8 @@ def fit_labels(order, scan, breaks, labels, undecided, n_labels, rules):
     n_lines = n_support = 0
     for label in range(n_labels):
         own = of_labels[begins[label] : begins[label + 1]]
-        line, members, n_decided, n_fitted = fit_label(beams, moments, marks, own, rules)
-        if is_line(beams, members, (n_decided, n_fitted), line, rules):
+        line, members, n_sure, n_fitted = fit_label(beams, moments, breaks, labels, own, rules)
+        if is_line(beams, members, (n_sure, n_fitted), line, rules):
             first, last = beams.bearings[members[0]], beams.bearings[members[-1]]
             write_row(rows[n_lines], line, n_fitted - 2, first, last, rules.stated)
             for k in members:

@@ -36,17 +36,6 @@ def drop_borders(breaks, labels, members):
 
 
 @inlined
-def decided(members, undecided):
-    """Members without the undecided ones."""
-    kept, count = np.empty(members.size, dtype=np.int64), 0
-    for k in members:
-        if not undecided[k]:
-            kept[count] = k
-            count += 1
-    return kept[:count]
-
-
-@inlined
 def between(members, first, last):
     """Members, which ascend, from the first beam to the last."""
     low, high = 0, members.size

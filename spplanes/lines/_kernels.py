@@ -35,8 +35,6 @@ N_SUMS = 6
 SINGULAR = 1e-13
 #: Chi2 a parameter must earn when the place of a split is chosen: the 95 % quantile of chi2 with 1 dof, rounded up.
 PARAMETER_COST = 4.0
-#: A beam's side of a corner is undecided when a split beyond it costs less than this chi2 more than the best one.
-UNDECIDED = 6.0
 
 
 @inlined
@@ -294,12 +292,8 @@ def split(moments, breaks, significance):
 
 @inner(cache=True)
 def refine(moments, breaks, starts, significance):
-    """Move the boundary of neighbouring pieces to where it is best; drop it when it gains too little.
-
-    Returns the boundaries, and for each beam whether the piece it belongs to is undecided (V,).
-    """
+    """Move the boundary of neighbouring pieces to where it is best; drop it when it gains too little."""
     cost = np.empty(moments.shape[0])
-    undecided = np.zeros(moments.shape[0], dtype=np.bool_)
     kept = starts.copy()
     count = 1
     for i in range(1, starts.size - 1):
@@ -307,22 +301,8 @@ def refine(moments, breaks, starts, significance):
         at, gain = starts[i], np.inf
         if breaks[starts[i]] < 2 and high - low >= 3:
             at, gain = best_split(moments, low, high, cost)
-            if gain > split_gate(high - low, significance):
-                mark_undecided(cost, low, high, at, undecided)
         if gain > split_gate(high - low, significance):
             kept[count] = at
             count += 1
     kept[count] = starts[-1]
-    return kept[: count + 1], undecided
-
-
-@inlined
-def mark_undecided(cost, low, high, at, undecided):
-    """Mark the beams between the first and the last split that are about as good as the best one, `at`."""
-    first = last = at
-    while first - 1 >= low + 3 and cost[first - 1] < cost[at] + UNDECIDED:
-        first -= 1
-    while last + 1 <= high - 3 and cost[last + 1] < cost[at] + UNDECIDED:
-        last += 1
-    for k in range(first, last):
-        undecided[k] = True
+    return kept[: count + 1]
