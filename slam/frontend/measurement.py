@@ -36,9 +36,8 @@ from spplanes.segmentation.planes import frames_of, moments_of, outlines_in, pla
 from spplanes.segmentation.scans import Labelled, label_scans
 from spplanes.segmentation.validation._patch_kernels import within
 from spplanes.segmentation.validation.one_plane import is_one_plane
-from spplanes.segmentation.validation.plane_ends import sure_points
+from spplanes.segmentation.validation.plane_ends import Window, sure_points
 from spplanes.segmentation.validation.splitting import purified, tells_tilt
-from spplanes.segmentation.validation.spurious import Window
 
 
 def window_poses(stamps_ns: Sequence[int], keyframe_ns: int, track: OdometryTrack) -> tuple[FloatArray, FloatArray]:

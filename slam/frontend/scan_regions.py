@@ -19,9 +19,8 @@ from spplanes.fitting.shared_error import shared_error_of
 from spplanes.segmentation.config import ValidationConfig
 from spplanes.segmentation.validation.bends import surest_bend
 from spplanes.segmentation.validation.one_plane import InPatches, could_be_seen, fits_its_noise
-from spplanes.segmentation.validation.plane_ends import sure_points
+from spplanes.segmentation.validation.plane_ends import Window, sure_points
 from spplanes.segmentation.validation.splitting import LIMIT, along_plane, are_spread, tells_tilt
-from spplanes.segmentation.validation.spurious import Window
 
 #: So often a plane is fitted anew without what strays from it, and so much of its points must be left.
 _ROUNDS, _LEAST_SHARE = 4, 0.9

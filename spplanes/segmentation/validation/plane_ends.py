@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,7 +11,6 @@ from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
 from spplanes._threads import in_parts
 from spplanes.segmentation.refinement.dissolving import near_pairs
-from spplanes.segmentation.validation.spurious import Window
 
 #: Standard deviations within which the place where a beam meets one plane may lie on another: of returns of two planes
 #: that are further apart, one in forty goes to the wrong one.
@@ -19,6 +19,18 @@ APART = 4.0
 _SAME_WAY = 0.866
 #: A plane may be met so many scans and beams beyond its points.
 _REACH = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """The points of a push-broom window."""
+
+    points: FloatArray
+    """Shape (S, B, 3), m."""
+    covariances: FloatArray
+    """Shape (S, B, 3, 3), m^2."""
+    pose_covariances: FloatArray
+    """Joint covariance of the poses of the scans, shape (6 S, 6 S), in the order of the SPmodel."""
 
 
 def sure_points(window: Window, labels: np.ndarray, frames: Sequence[FloatArray], uneven_m: float) -> np.ndarray:

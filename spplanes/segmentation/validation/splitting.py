@@ -12,7 +12,7 @@ from spplanes._jit import inlined, njit
 from spplanes.registration import RegisteredScans
 from spplanes.segmentation.config import ValidationConfig
 from spplanes.segmentation.planes import planes_of
-from spplanes.segmentation.validation.spurious import Window, without_chimeras
+from spplanes.segmentation.validation.plane_ends import Window
 
 #: Largest chi2 (1 dof) of a step between two parts of one plane, the largest of some hundred cuts.
 LIMIT = 18.0
@@ -75,11 +75,9 @@ def pure_labels(
         step_m: smaller steps are none, m.
         mapper: what a plane is at least, in a window of so many scans; what is parted and is less is none.
     """
-    grid = without_chimeras(window, labels, frames)
-    fresh, count = np.full_like(grid, -1), 0
-    parted = grid is not labels
+    fresh, count, parted = np.full_like(labels, -1), 0, False
     for r, frame in enumerate(frames):
-        members = np.flatnonzero(grid == r)
+        members = np.flatnonzero(labels == r)
         parts = parts_of(window, members, frame, uneven_m, step_m) if len(members) else []
         parted |= len(parts) > 1
         for part in parts:

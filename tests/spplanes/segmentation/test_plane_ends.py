@@ -7,9 +7,8 @@ import pytest
 from scipy.stats import chi2
 
 from spplanes import Plane, fit_plane
-from spplanes.segmentation.validation.plane_ends import sure_points
+from spplanes.segmentation.validation.plane_ends import Window, sure_points
 from spplanes.segmentation.validation.splitting import tells_tilt
-from spplanes.segmentation.validation.spurious import Window
 
 SCANS, NOISE_M, RUNS = 18, 0.015, 60
 WALL_M = 1.1

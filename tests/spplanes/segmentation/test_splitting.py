@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from spplanes import MapperConfig, fit_plane
+from spplanes.segmentation.validation.plane_ends import Window
 from spplanes.segmentation.validation.splitting import drift_of_scans, parts_of, pure_labels
-from spplanes.segmentation.validation.spurious import Window, without_chimeras
 
 SCANS, STEP_M, NOISE_M = 18, 0.006, 0.015
 #: A laser 0.4 m above the floor sees a wall 1.1 m beside it from 0.2 m below itself to 1.5 m above.
@@ -120,34 +120,6 @@ def test_the_shift_of_a_scan_is_that_of_its_pose_along_the_normal():
     moved = np.concatenate((x, y, z), axis=2) + phi * axes[2] + theta * axes[1] + psi * axes[0]
     shifts = moved @ normal
     np.testing.assert_allclose(drift_of_scans(points, normal, scan, root @ root.T), shifts @ shifts.T, atol=2e-8)
-
-
-def chimera(seed: int) -> tuple[Window, np.ndarray, np.ndarray]:
-    """A wall below and a board above, labelled 0 and 1, and 2 for a dozen beams between, half of either."""
-    before = board(28, 57)
-    view = window(seed, before)
-    labels = np.repeat(np.where(np.arange(len(BEAMS)) < 28, 0, 1)[None], SCANS, axis=0).astype(np.int32)
-    labels[:, 18:38] = 2
-    return view, labels, before
-
-
-def test_what_lies_between_a_wall_and_its_board_is_given_to_them():
-    right = []
-    for seed in range(8):
-        view, labels, before = chimera(seed)
-        frames = [frame_of(view, np.flatnonzero(labels == r)) for r in range(3)]
-        fresh = without_chimeras(view, labels, frames)
-        right.append(np.mean(fresh == (before > 0)))
-        assert labels[0, 20] == 2  # what was given is not written to
-    assert np.mean(right) > 0.9
-
-
-def test_planes_that_are_planes_are_no_chimeras():
-    for seed in range(20):
-        view, labels, _ = chimera(seed)
-        labels[:, 18:28], labels[:, 28:38] = 0, 1
-        frames = [frame_of(view, np.flatnonzero(labels == r)) for r in range(2)]
-        assert without_chimeras(view, labels, frames) is labels
 
 
 def test_nothing_changes_where_nothing_is_mixed():
