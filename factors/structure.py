@@ -52,7 +52,7 @@ def parallel_factor(
     ``anchor_a`` and ``anchor_b`` are the poses in whose frames they live, None for the world.
     """
     root = np.eye(3) / as_positive("sigma_rad", sigma_rad)
-    return _pair("parallel", (), root, 2, plane_a, plane_b, anchor_a, anchor_b, robust)
+    return _pair("parallel", (), root, 2, (plane_a, plane_b), (anchor_a, anchor_b), robust)
 
 
 def perpendicular_factor(
@@ -66,7 +66,7 @@ def perpendicular_factor(
 ) -> gtsam.CustomFactor:
     """Two plane landmarks are at right angles, up to ``sigma_rad``; arguments as in `parallel_factor`."""
     root = np.eye(1) / as_positive("sigma_rad", sigma_rad)
-    return _pair("perpendicular", (), root, 1, plane_a, plane_b, anchor_a, anchor_b, robust)
+    return _pair("perpendicular", (), root, 1, (plane_a, plane_b), (anchor_a, anchor_b), robust)
 
 
 def distance_factor(
@@ -88,7 +88,7 @@ def distance_factor(
     """
     data = (np.array([as_number("distance_m", distance_m)]), as_shape("at", at, (3,)))
     root = np.eye(1) / as_positive("sigma_m", sigma_m)
-    return _pair("distance", data, root, 1, plane_a, plane_b, anchor_a, anchor_b, robust)
+    return _pair("distance", data, root, 1, (plane_a, plane_b), (anchor_a, anchor_b), robust)
 
 
 def _along(
@@ -111,12 +111,11 @@ def _pair(
     data: tuple[FloatArray, ...],
     root: FloatArray,
     dof: int,
-    plane_a: int,
-    plane_b: int,
-    anchor_a: int | None,
-    anchor_b: int | None,
+    planes: tuple[int, int],
+    anchors: tuple[int | None, int | None],
     robust: Robust,
 ) -> gtsam.CustomFactor:
+    (plane_a, plane_b), (anchor_a, anchor_b) = planes, anchors
     if as_key("plane_a", plane_a) == as_key("plane_b", plane_b):
         raise ValueError(f"plane_b: expected another landmark than plane_a, got the same key {told_key(plane_b)}")
     for name, anchor in (("anchor_a", anchor_a), ("anchor_b", anchor_b)):

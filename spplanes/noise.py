@@ -85,8 +85,9 @@ class SensorModel:
         eyes = _one_or_all(as_float_array("viewpoints", viewpoints), points.shape).reshape(-1, 3)
         spot = _one_or_all(np.asarray(self._spot_share(incidence_rad))[..., None], (*points.shape[:-1], 1)).reshape(-1)
         result = np.empty((points.size // 3, 9))
-        known = self._least_variance, self.range_sigma_share, self.range_sigma_per_m2, self.bearing_sigma_rad
-        if not _beam_covariances(points.reshape(-1, 3), eyes, spot, *known, result):
+        growing = self.range_sigma_share, self.range_sigma_per_m2, self.bearing_sigma_rad
+        known = float(self._least_variance), *(float(one) for one in growing)
+        if not _beam_covariances(points.reshape(-1, 3), eyes, spot, known, result):
             raise ValueError("points: expected points away from their viewpoint, got a range of 0")
         return result.reshape(*points.shape, 3)
 
@@ -135,11 +136,13 @@ def _one_or_all(value: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 
 
 @njit(cache=True)
-def _beam_covariances(points, eyes, spot, least, share, per_m2, bearing_sigma, result):
+def _beam_covariances(points, eyes, spot, known, result):
     """u u^T var(r) + (I - u u^T) (r sigma_bearing)^2 of every ray, into (N, 9); False where a ray has no length.
 
-    Of the viewpoints (N, 3) and what the range changes across the spot (N,) there may be one for all.
+    Of the viewpoints (N, 3) and what the range changes across the spot (N,) there may be one for all. `known` are the
+    least variance of a range, its growth with the range and with the square of that, and the sigma of bearings.
     """
+    least, share, per_m2, bearing_sigma = known
     for k in range(points.shape[0]):
         e, s = (k if eyes.shape[0] > 1 else 0), (k if spot.shape[0] > 1 else 0)
         ray = points[k, 0] - eyes[e, 0], points[k, 1] - eyes[e, 1], points[k, 2] - eyes[e, 2]

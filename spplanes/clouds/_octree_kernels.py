@@ -109,7 +109,7 @@ def planar_leaves(points, keys, variances, octave, fewest, limits):
         run_moments(grid, noise, first, last, True, rows[count])
         shift = 3 * (LEVELS - level - 1)
         planar = last - first >= fewest and is_planar(
-            points, keys, weights, octave, first, last, shift, rows[count], limits
+            points, keys, weights, octave, (first, last, shift), rows[count], limits
         )
         if planar or last - first < fewest or level == LEVELS:
             cells[count, 0], cells[count, 1], cells[count, 2] = first, level, planar
@@ -124,8 +124,9 @@ def planar_leaves(points, keys, variances, octave, fewest, limits):
 
 
 @inlined
-def is_planar(points, keys, weights, octave, first, last, shift, row, limits):
+def is_planar(points, keys, weights, octave, run, row, limits):
     """Whether the points of a cell fit one plane and determine it; see `Cells.of`."""
+    first, last, shift = run
     dof = row[0] - 3.0
     spread = 2.0 / (9.0 * dof)
     least, middle, _ = eigenvalues(row)

@@ -159,10 +159,10 @@ def fit_groups(job: FitJob, order: np.ndarray, bounds: np.ndarray, viewpoints: F
     if job.shared is None:
         eyes = job.viewpoint[None] if viewpoints is None else viewpoints
         arrays = (fits.status, fits.frames, fits.covariances, fits.counts, fits.chi2)
-        inputs = (_code(job), job.points, job.covariances, job.step, order, bounds, eyes, FRACTIONS)
+        inputs = (job.points, job.covariances, job.step, order, bounds, eyes)
         largest_first = np.argsort(-np.diff(bounds), kind="stable")
         in_parts(
-            lambda first, last: _run(largest_first[first:last], *inputs, *arrays),
+            lambda first, last: _run(largest_first[first:last], _code(job), inputs, FRACTIONS, arrays),
             len(fits.status),
             len(order),
             singly=True,
@@ -184,20 +184,21 @@ def _code(job: FitJob) -> int:
 
 
 @njit(cache=True)
-def _run(groups, code, points, covs, step, order, bounds, eyes, fractions, status, frames, covariances, counts, chi2):
+def _run(groups, code, inputs, fractions, fits):
     """Fit group after group."""
+    (points, covs, step, order, bounds, eyes), (status, frames, covariances, counts, chi2) = inputs, fits
     sums = np.zeros(N_SUMS)
     for g in groups:
         lo, hi, frame, covariance = bounds[g], bounds[g + 1], frames[g], covariances[g]
-        viewpoint = eyes[g if eyes.shape[0] > 1 else 0]
+        viewpoint, group = eyes[g if eyes.shape[0] > 1 else 0], (points, covs, step, order, lo, hi)
         counts[g] = hi - lo
         if code == _SP:
-            status[g], chi2[g] = kernels.sp_group(points, covs, step, order, lo, hi, viewpoint, frame, covariance)
+            status[g], chi2[g] = kernels.sp_group(group, viewpoint, frame, covariance)
             continue
         if code == _ML:
-            status[g] = kernels.ml_group(points, covs, step, order, lo, hi, viewpoint, frame, covariance, sums)
+            status[g] = kernels.ml_group(group, viewpoint, frame, covariance, sums)
         else:
-            status[g] = robust_group(points, covs, step, order, lo, hi, viewpoint, fractions, frame, covariance, sums)
+            status[g] = robust_group(group, viewpoint, fractions, frame, covariance, sums)
             if status[g] == OK:
                 counts[g] = int(sums[USED])
         chi2[g] = sums[CHI2]
@@ -226,7 +227,7 @@ def _fit_with_poses(job: FitJob, fits: Fits, g: int) -> None:
 def _sp_spread(job: FitJob) -> FloatArray:
     """W, lambda_x - lambda_z, lambda_y - lambda_z of the paper's fit, shape (3,)."""
     row, values, frame = np.empty(ROW_SIZE), np.empty(3), np.empty((4, 4))
-    start_row(job.points, job.covariances, job.step, np.arange(len(job.points)), 0, len(job.points), 2, row)
+    start_row((job.points, job.covariances, job.step, np.arange(len(job.points)), 0, len(job.points)), 2, row)
     row_frame(row, job.viewpoint, frame, values)
     return np.array([row[1], values[2] - values[0], values[1] - values[0]])
 

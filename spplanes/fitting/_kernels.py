@@ -1,7 +1,7 @@
 """Numba kernels of the plane fit of one group of points: descent, final frame, covariance.
 
 Slopes are b = (b0, ax, ay): the plane z = b0 + ax x + ay y of the current frame. (z, theta, psi) is (b0, -ax, ay).
-For the meaning of a group's arguments and the layout of the sums see ``_fit_sums``.
+For the meaning of a group's arguments and the layout of the sums see ``_sums``.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ MAX_ITERATIONS = 50
 
 
 @inner(cache=True)
-def sp_group(points, covs, step, order, lo, hi, viewpoint, frame, covariance) -> tuple[int, float]:
+def sp_group(group, viewpoint, frame, covariance) -> tuple[int, float]:
     """The paper's fit of one group, weights 1 / trace^2: writes frame and covariance; returns outcome and chi2."""
-    if hi - lo < 3:
+    if group[5] - group[4] < 3:
         return TOO_FEW, 0.0
     row, values = np.empty(ROW_SIZE), np.empty(3)
-    start_row(points, covs, step, order, lo, hi, 2, row)
+    start_row(group, 2, row)
     status = row_frame(row, viewpoint, frame, values)
     if status != OK:
         return status, 0.0
-    return OK, sp_covariance(points, covs, step, order, lo, hi, frame, row, values, covariance)
+    return OK, sp_covariance(group, frame, row, values, covariance)
 
 
 @njit(cache=True)
@@ -78,7 +78,7 @@ def move_frame(source, b0, ax, ay, target) -> None:
 
 
 @inner(cache=True)
-def descend(points, covs, step, order, lo, hi, cutoff2, gain, frame, sums) -> int:
+def descend(group, cutoff2, gain, frame, sums) -> int:
     """Gauss-Newton from ``frame`` to the minimum; leaves ``frame`` there and ``sums`` as good as taken there.
 
     ``gain`` stretches the step for a robust cost, whose expected curvature is below its weights' sum. A step that does
@@ -88,7 +88,7 @@ def descend(points, covs, step, order, lo, hi, cutoff2, gain, frame, sums) -> in
     b0 = ax = ay = 0.0
     best = np.inf
     for _ in range(MAX_ITERATIONS):
-        accumulate(points, covs, step, order, lo, hi, frame, cutoff2, sums)
+        accumulate(group, frame, cutoff2, sums)
         if sums[0] > best * (1.0 + 1e-12) + 1e-12:
             b0, ax, ay = 0.5 * b0, 0.5 * ax, 0.5 * ay
             move_frame(base, b0, ax, ay, frame)
@@ -200,16 +200,16 @@ def write_to_p(base, frame, cx, cy, to_p) -> None:
 
 
 @inner(cache=True)
-def ml_group(points, covs, step, order, lo, hi, viewpoint, frame, covariance, sums) -> int:
+def ml_group(group, viewpoint, frame, covariance, sums) -> int:
     """Maximum-likelihood fit of one group from a PCA start; writes frame, covariance and the sums at the minimum."""
-    if hi - lo < 3:
+    if group[5] - group[4] < 3:
         return TOO_FEW
     row, values, base = np.empty(ROW_SIZE), np.empty(3), np.empty((4, 4))
-    start_row(points, covs, step, order, lo, hi, 1, row)
+    start_row(group, 1, row)
     status = row_frame(row, viewpoint, base, values)
     if status != OK:
         return status
-    status = descend(points, covs, step, order, lo, hi, np.inf, 1.0, base, sums)
+    status = descend(group, np.inf, 1.0, base, sums)
     if status != OK:
         return status
     return finish(base, sums, viewpoint, frame, covariance)

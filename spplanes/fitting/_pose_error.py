@@ -25,20 +25,19 @@ def roots(pose_covariances: FloatArray) -> FloatArray:
 
 
 @njit(cache=True)
-def accumulate(points, covariance, labels, planes, anchors, pose_roots, origins, decay, total, running):
+def accumulate(grid, regions, errors, total, running):
     """Add the scans of a grid to the sums of their regions, in place.
 
     Args:
-        points, covariance, labels: the grid, shapes (S, B, 3), (S, B, K), (S, B); labels index the regions.
-        planes: (normal, d) of the regions, shape (R, 4).
-        anchors: the points r, shape (R, 3).
-        pose_roots: square root of every scan's pose covariance, shape (S, 6, 6).
-        origins: points about which the errors turn, shape (S, 3).
-        decay: correlation rho of the errors of successive scans, 0 for independent ones.
+        grid: points (S, B, 3), covariances (S, B, K), and labels (S, B), which index the regions.
+        regions: planes (normal, d), shape (R, 4), and the points r, shape (R, 3).
+        errors: square root of every scan's pose covariance, shape (S, 6, 6), points about which the errors turn, shape
+            (S, 3), and the correlation rho of the errors of successive scans, 0 for independent ones.
         total: D of every region, shape (R, 4, 4).
         running: u of every region, shape (R, 6, 4).
     """
-    n_regions = planes.shape[0]
+    (_, _, labels), (pose_roots, origins, decay) = grid, errors
+    n_regions = total.shape[0]
     moments, gain = np.zeros((n_regions, 4, 6)), np.empty((4, 6))
     seen = np.zeros(n_regions, dtype=np.bool_)
     for i in range(labels.shape[0]):
@@ -46,7 +45,7 @@ def accumulate(points, covariance, labels, planes, anchors, pose_roots, origins,
             r = labels[i, j]
             if r >= 0:
                 seen[r] = True
-                _add(moments, points, covariance, i, j, planes, r, anchors, origins)
+                _add(moments[r], grid, i, j, regions, r, origins)
         for r in range(n_regions):
             if seen[r]:
                 _take_gain(moments, r, pose_roots, i, gain)
@@ -82,20 +81,21 @@ def _close_scan(total, running, gain):
 
 
 @inlined
-def _add(moments, points, covariance, i, j, planes, r, anchors, origins):
+def _add(moments, grid, i, j, regions, r, origins):
     """Add w (1, p - r) (n^T dp/dxi) of point (i, j) to m (4, 6) of region r."""
+    (points, covariance, _), (planes, anchors) = grid, regions
     nx, ny, nz = planes[r, 0], planes[r, 1], planes[r, 2]
     w = 1.0 / variance_along(covariance, i, j, nx, ny, nz)
     px, py, pz = points[i, j, 0] - origins[i, 0], points[i, j, 1] - origins[i, 1], points[i, j, 2] - origins[i, 2]
     turn_x, turn_y, turn_z = py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx
     for k in range(4):
         h = w if k == 0 else w * (points[i, j, k - 1] - anchors[r, k - 1])
-        moments[r, k, 0] += h * nx
-        moments[r, k, 1] += h * ny
-        moments[r, k, 2] += h * nz
-        moments[r, k, 3] += h * turn_z
-        moments[r, k, 4] += h * turn_y
-        moments[r, k, 5] += h * turn_x
+        moments[k, 0] += h * nx
+        moments[k, 1] += h * ny
+        moments[k, 2] += h * nz
+        moments[k, 3] += h * turn_z
+        moments[k, 4] += h * turn_y
+        moments[k, 5] += h * turn_x
 
 
 def merge_sums(

@@ -68,8 +68,9 @@ def triple_frame(points, i, j, k, frame) -> bool:
 
 
 @inlined
-def truncated_cost(points, covs, step, order, lo, hi, stride, frame, cutoff2) -> float:
+def truncated_cost(group, stride, frame, cutoff2) -> float:
     """Sum of min(z^2 / s^2, cutoff2) over every ``stride``-th point of a group."""
+    points, covs, step, order, lo, hi = group
     nx, ny, nz = frame[0, 2], frame[1, 2], frame[2, 2]
     cost = 0.0
     for k in range(lo, hi, stride):
@@ -83,8 +84,9 @@ def truncated_cost(points, covs, step, order, lo, hi, stride, frame, cutoff2) ->
 
 
 @inner(cache=True)
-def consensus_frame(points, covs, step, order, lo, hi, fractions, cutoff2, frame) -> int:
+def consensus_frame(group, fractions, cutoff2, frame) -> int:
     """Write the frame of the triple whose plane the group agrees with most."""
+    points, _, _, order, lo, hi = group
     n = hi - lo
     stride = max(1, n // JUDGES)
     trial, best = np.empty((4, 4)), np.inf
@@ -94,7 +96,7 @@ def consensus_frame(points, covs, step, order, lo, hi, fractions, cutoff2, frame
         k = order[lo + int(fractions[t, 2] * n)]
         if not triple_frame(points, i, j, k, trial):
             continue
-        cost = truncated_cost(points, covs, step, order, lo, hi, stride, trial, cutoff2)
+        cost = truncated_cost(group, stride, trial, cutoff2)
         if cost < best:
             best = cost
             for j in range(4):
@@ -119,12 +121,13 @@ def locate(points, covs, step, i, frame) -> tuple[float, float, float]:
 
 
 @inner(cache=True)
-def patch_points(points, covs, step, order, lo, hi, frame, cutoff2, kept) -> int:
+def patch_points(group, frame, cutoff2, kept) -> int:
     """Write to ``kept`` the group's points over the patch its inliers fill, at whatever height; returns how many.
 
     A gross outlier that happens to lie near the plane but far out along it would have all the leverage on the slope.
     Mean and spread are of the points within ``cutoff2`` and the patch, until the patch no longer changes.
     """
+    points, covs, step, order, lo, hi = group
     mx = my = xx = xy = yy = 0.0
     before = -1.0
     for turn in range(PATCH_TURNS):
@@ -161,11 +164,12 @@ def within_patch(x, y, xx, xy, yy) -> bool:
 
 
 @inner(cache=True)
-def ring_information(points, covs, step, order, lo, hi, frame, cutoff2, ring) -> None:
+def ring_information(group, frame, cutoff2, ring) -> None:
     """Add to ``ring`` (6,) the unweighted information, sum w h h^T, of the points between one and two cutoffs off.
 
     These are outliers, and as many as hide within the cutoff where outliers are spread evenly.
     """
+    points, covs, step, order, lo, hi = group
     nx, ny, nz = frame[0, 2], frame[1, 2], frame[2, 2]
     for k in range(lo, hi):
         x, y, square = locate(points, covs, step, order[k], frame)
@@ -206,24 +210,25 @@ def discount_outliers(sums, ring, score) -> None:
 
 
 @inner(cache=True)
-def robust_group(points, covs, step, order, lo, hi, viewpoint, fractions, frame, covariance, sums) -> int:
+def robust_group(group, viewpoint, fractions, frame, covariance, sums) -> int:
     """Tukey fit of one group; writes frame, covariance and the sums of the kept points at the minimum."""
+    points, covs, step, _, lo, hi = group
     if hi - lo < 3:
         return TOO_FEW
     base, wide, narrow = np.empty((4, 4)), 4.0 * CUTOFF * CUTOFF, CUTOFF * CUTOFF
-    status = consensus_frame(points, covs, step, order, lo, hi, fractions, wide, base)
+    status = consensus_frame(group, fractions, wide, base)
     if status != OK:
         return status
     kept = np.empty(hi - lo, np.int64)
-    n = patch_points(points, covs, step, order, lo, hi, base, wide, kept)
+    n = patch_points(group, base, wide, kept)
     for cutoff2 in (wide, narrow):
         if status == OK:
-            status = descend(points, covs, step, kept, 0, n, cutoff2, GAIN, base, sums)
+            status = descend((points, covs, step, kept, 0, n), cutoff2, GAIN, base, sums)
     to_p, ring, score = np.empty((3, 3)), np.zeros(6), np.empty(6)
     if status == OK:
         status = settle(base, sums, viewpoint, frame, to_p)
     if status != OK:
         return status
-    ring_information(points, covs, step, kept, 0, n, base, narrow, ring)
+    ring_information((points, covs, step, kept, 0, n), base, narrow, ring)
     discount_outliers(sums, ring, score)
     return OK if write_covariance(sums, score, to_p, covariance) else COLLINEAR

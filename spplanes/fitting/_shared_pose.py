@@ -234,7 +234,7 @@ def _finish(
     that, and what the noise along the plane adds without pose errors.
     """
     sums, frame, to_p, covariance = np.zeros(N_SUMS), np.empty((4, 4)), np.empty((3, 3)), np.empty((3, 3))
-    accumulate(points, covs, step, np.arange(len(points)), 0, len(points), base, np.inf, sums)
+    accumulate((points, covs, step, np.arange(len(points)), 0, len(points)), base, np.inf, sums)
     status = kernels.settle(base, sums, viewpoint, frame, to_p)
     score, plain = sums[INFORMATION:RAW], np.empty((3, 3))
     if status == OK and not (_invert(score, plain) and kernels.write_covariance(sums, score, to_p, covariance)):

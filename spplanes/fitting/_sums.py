@@ -1,8 +1,8 @@
 """Numba kernels that walk over the points of one group and sum up what a plane fit needs; nothing is allocated.
 
-A group is ``order[lo:hi]``, indices into ``points`` (N, 3) and ``covs`` (N, 3, 3), or (1, 3, 3) with ``step`` 0 where
-all points share one covariance. Coordinates are taken relative to the group before they are squared. They are written
-out in scalars: that is several times as fast as small arrays.
+A group is (points, covs, step, order, lo, hi): ``order[lo:hi]``, indices into ``points`` (N, 3) and ``covs`` (N, 3, 3),
+or (1, 3, 3) with ``step`` 0 where all points share one covariance. Coordinates are taken relative to the group before
+they are squared. They are written out in scalars: that is several times as fast as small arrays.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ COST, GRADIENT, INFORMATION, RAW, NOISE, USED, CHI2, N_SUMS = 0, 1, 4, 10, 15, 1
 
 
 @njit(cache=True)
-def start_row(points, covs, step, order, lo, hi, power, row) -> None:
+def start_row(group, power, row) -> None:
     """Moment row of a group with the weights trace^-power, centred at its plain mean before anything is squared."""
+    points, covs, step, order, lo, hi = group
     ox, oy, oz = points[order[lo], 0], points[order[lo], 1], points[order[lo], 2]
     mx = my = mz = 0.0
     for k in range(lo, hi):
@@ -56,12 +57,13 @@ def start_row(points, covs, step, order, lo, hi, power, row) -> None:
 
 
 @inlined
-def sp_covariance(points, covs, step, order, lo, hi, frame, row, values, covariance) -> float:
+def sp_covariance(group, frame, row, values, covariance) -> float:
     """SP covariance of the weighted PCA plane, C = F diag(C_i) F^T with the exact derivative F; returns chi2.
 
     The fit moves by dz = sum w dz_i / W and, as the normal is an eigenvector, by the slope
     dax = sum w (x dz + z dx) / (lambda_x - lambda_z), day alike.
     """
+    points, covs, step, order, lo, hi = group
     x0, x1, x2 = frame[0, 0], frame[1, 0], frame[2, 0]
     y0, y1, y2 = frame[0, 1], frame[1, 1], frame[2, 1]
     n0, n1, n2 = frame[0, 2], frame[1, 2], frame[2, 2]
@@ -105,13 +107,14 @@ def sp_covariance(points, covs, step, order, lo, hi, frame, row, values, covaria
 
 
 @njit(cache=True)
-def accumulate(points, covs, step, order, lo, hi, frame, cutoff2, sums) -> None:
+def accumulate(group, frame, cutoff2, sums) -> None:
     """Sums of one Gauss-Newton step of min sum rho(z_i^2 / s_i^2), s_i^2 = n^T C_i n, at the plane of ``frame``.
 
     The slope by which a point acts is taken at its maximum-likelihood foot point p_i - C_i n z_i / s_i^2: the gradient
     is then exact (the weights turn with the normal), so oblique noise leaves no bias. ``cutoff2`` is the square of
     Tukey's constant, infinite for plain least squares. Layout of ``sums``: see N_SUMS.
     """
+    points, covs, step, order, lo, hi = group
     x0, x1, x2 = frame[0, 0], frame[1, 0], frame[2, 0]
     y0, y1, y2 = frame[0, 1], frame[1, 1], frame[2, 1]
     n0, n1, n2 = frame[0, 2], frame[1, 2], frame[2, 2]

@@ -193,16 +193,7 @@ def _enter_pose_errors(strip, sheet, number, part, table, config) -> None:
     local = np.full(len(number) + 1, -1, dtype=np.int64)
     local[here] = np.arange(len(here))
     total, running = table.pose[g], table.running[g]
-    _pose_error.accumulate(
-        sheet.points[part],
-        strip.covariance[part],
-        local[sheet.labels[part]],
-        hesse(sheet.rows)[here],
-        table.anchor[g],
-        _pose_error.roots(strip.pose_covariances[part]),
-        strip.origins[part],
-        config.pose_decay,
-        total,
-        running,
-    )
+    grid = sheet.points[part], strip.covariance[part], local[sheet.labels[part]]
+    errors = _pose_error.roots(strip.pose_covariances[part]), strip.origins[part], config.pose_decay
+    _pose_error.accumulate(grid, (hesse(sheet.rows)[here], table.anchor[g]), errors, total, running)
     table.pose[g], table.running[g] = total, running

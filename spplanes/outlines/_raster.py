@@ -66,7 +66,7 @@ def draw(points, labels, projections):
     projections *= scale[:, None, None]
     filled = np.zeros(first[-1], dtype=np.bool_)
     in_parts(
-        lambda begin, end: _fill(filled, first, shape, flat, labels, scale, corner, begin, end),
+        lambda begin, end: _fill((filled, first, shape), flat, labels, (scale, corner), begin, end),
         max(len(labels) - 1, 0),
         labels.size,
     )
@@ -99,11 +99,12 @@ def _project(points, labels, projections, begin_row, end_row, flat):
 
 
 @njit(cache=True)
-def _fill(filled, first, shape, flat, labels, scale, corner, begin, end):
+def _fill(rasters, flat, labels, layout, begin, end):
     """Fill the triangles between the rows from begin to end and those below them.
 
     Threads may fill the same cell; as they write the same, it does not matter which is first.
     """
+    (filled, first, shape), (scale, corner) = rasters, layout
     n_cols = labels.shape[1]
     place, inward = np.empty((2, n_cols, 2)), np.zeros((2, 4, n_cols), dtype=np.int32)
     hit = np.empty(n_cols, dtype=np.bool_)
@@ -118,14 +119,14 @@ def _fill(filled, first, shape, flat, labels, scale, corner, begin, end):
             a, b, c, d = labels[i, j], labels[i, j + 1], labels[i + 1, j + 1], labels[i + 1, j]
             if a >= 0 and a == c:
                 if a == b:
-                    _triangle(filled, first[a], shape[a, 1], place, inward, u, j, u, j + 1, v, j + 1)
+                    _triangle(filled, first[a], shape[a, 1], (place, inward), (u, j), (u, j + 1), (v, j + 1))
                 if a == d:
-                    _triangle(filled, first[a], shape[a, 1], place, inward, u, j, v, j + 1, v, j)
+                    _triangle(filled, first[a], shape[a, 1], (place, inward), (u, j), (v, j + 1), (v, j))
             elif b >= 0 and b == d:
                 if a == b:
-                    _triangle(filled, first[b], shape[b, 1], place, inward, u, j, u, j + 1, v, j)
+                    _triangle(filled, first[b], shape[b, 1], (place, inward), (u, j), (u, j + 1), (v, j))
                 if c == b:
-                    _triangle(filled, first[b], shape[b, 1], place, inward, u, j + 1, v, j + 1, v, j)
+                    _triangle(filled, first[b], shape[b, 1], (place, inward), (u, j + 1), (v, j + 1), (v, j))
 
 
 @inner(cache=True)
@@ -168,8 +169,9 @@ def layout(low: FloatArray, high: FloatArray) -> tuple[FloatArray, np.ndarray, n
 
 
 @inner(cache=True)
-def _triangle(filled, first, width, place, inward, pu, p, qu, q, ru, r):
+def _triangle(filled, first, width, rows, a, b, c):
     """Fill the cells whose centres lie in the triangle of three points, given by row, 0 or 1, and column."""
+    (place, inward), (pu, p), (qu, q), (ru, r) = rows, a, b, c
     i0 = min(inward[pu, 0, p], inward[qu, 0, q], inward[ru, 0, r])
     i1 = max(inward[pu, 2, p], inward[qu, 2, q], inward[ru, 2, r])
     j0 = min(inward[pu, 1, p], inward[qu, 1, q], inward[ru, 1, r])

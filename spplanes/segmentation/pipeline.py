@@ -93,8 +93,9 @@ def _filter(sheet: Sheet, views: FloatArray, config: MapperConfig) -> np.ndarray
 
 
 @inlined
-def _jump_chi2(points, covariance, i, j, k, m, views, tangent):
+def _jump_chi2(points, covariance, here, there, views, tangent):
     """Chi2 (1 dof) of the step in depth that no surface seen at less than the steepest incidence explains."""
+    (i, j), (k, m) = here, there
     ax, ay, az = points[i, j, 0] - views[i, 0], points[i, j, 1] - views[i, 1], points[i, j, 2] - views[i, 2]
     ex, ey, ez = points[k, m, 0] - points[i, j, 0], points[k, m, 1] - points[i, j, 1], points[k, m, 2] - points[i, j, 2]
     range_sq, step_sq = ax * ax + ay * ay + az * az, ex * ex + ey * ey + ez * ez
@@ -138,15 +139,16 @@ def links(points, covariance, valid, views, tangent, limit, literal):
     linked = np.zeros((2, *valid.shape), dtype=np.bool_)
 
     def some(first: int, last: int) -> None:
-        _link_rows(points, covariance, valid, views, tangent, limit, literal, first, last, linked)
+        _link_rows((points, covariance, valid), views, (tangent, limit, literal), first, last, linked)
 
     in_parts(some, len(valid), valid.size)
     return linked[0], linked[1]
 
 
 @njit(cache=True)
-def _link_rows(points, covariance, valid, views, tangent, limit, literal, first, last, linked):
+def _link_rows(grid, views, rule, first, last, linked):
     """The links of the rows from first to last, into `linked`, shape (2, S, B)."""
+    (points, covariance, valid), (tangent, limit, literal) = grid, rule
     n_rows, n_cols = valid.shape
     for i in range(first, last):
         for step in range(2 if i + 1 < n_rows else 1):
@@ -157,7 +159,7 @@ def _link_rows(points, covariance, valid, views, tangent, limit, literal, first,
                 if literal:
                     chi2 = _literal_chi2(points, covariance, i, j, k, m)
                 else:
-                    chi2 = _jump_chi2(points, covariance, i, j, k, m, views, tangent)
+                    chi2 = _jump_chi2(points, covariance, (i, j), (k, m), views, tangent)
                 linked[step, i, j] = chi2 <= limit
 
 

@@ -117,9 +117,8 @@ def fit_labelled(
     )
     covariances = shared.covariances
     if poses is not None:
-        covariances = covariances + _shared_parts(
-            points, covariance, labels, frames, spreads, *poses, config.pose_decay
-        )
+        grid = points, covariance, labels
+        covariances = covariances + _shared_parts(grid, frames, spreads, poses, config.pose_decay)
     extents = np.sqrt(spreads[:, 1:] / rows[:, 1:2])
     chi2 = np.array([eigenvalues(row)[0] for row in rows])
     factor = float(np.median(shared.noise_factors))
@@ -177,13 +176,14 @@ def frames_of(rows: FloatArray, eyes: FloatArray) -> tuple[FloatArray, FloatArra
     return frames, spreads
 
 
-def _shared_parts(points, covariance, labels, frames, spreads, pose_covariances, origins, decay) -> FloatArray:
+def _shared_parts(grid, frames, spreads, poses, decay) -> FloatArray:
     """What the pose errors of the scans add to the covariances of the planes, shape (R, 3, 3)."""
+    pose_covariances, origins = poses
     planes = np.concatenate((frames[:, :3, 2], np.zeros((len(frames), 1))), axis=1)
     anchors = np.ascontiguousarray(frames[:, :3, 3])
     total, running = np.zeros((len(frames), 4, 4)), np.zeros((len(frames), 6, 4))
-    roots = _pose_error.roots(pose_covariances)
-    _pose_error.accumulate(points, covariance, labels, planes, anchors, roots, origins, decay, total, running)
+    errors = _pose_error.roots(pose_covariances), origins, decay
+    _pose_error.accumulate(grid, (planes, anchors), errors, total, running)
     parts = [_pose_error.covariance_of(*region) for region in zip(frames, spreads, anchors, total, strict=True)]
     return np.array(parts).reshape(-1, 3, 3)
 

@@ -137,8 +137,8 @@ class _Labelling:
         near = self._touch @ self._in_cells()
         near.sort_indices()
         gate, planes = self.config.gate_sigma**2, hesse(self.rows)
-        grown = self.points, self.variances, self.cells.bounds, near.indptr, near.indices
-        return _assign_points(*grown, planes, self._wander(), gate, self.labels)
+        cells = self.cells.bounds, near.indptr, near.indices
+        return _assign_points((self.points, self.variances), cells, planes, self._wander(), gate, self.labels)
 
     def _refit(self) -> None:
         """Moments of the regions from all of their points; those without any go."""
@@ -186,13 +186,13 @@ class _Labelling:
 
 
 @njit(cache=True)
-def _assign_points(points, variances, bounds, first, candidates, planes, tolerance, gate, labels):
+def _assign_points(cloud, cells, planes, tolerance, gate, labels):
     """Give every point the plane of its cell's candidates that it fits best, within the gate, in place.
 
     Args:
-        points, variances: shape (N, 3), m, and (N,), m^2.
-        bounds: of the runs of points that are cells, shape (C + 1,).
-        first, candidates: planes of cell c are candidates[first[c]:first[c + 1]].
+        cloud: points (N, 3), m, and their variances (N,), m^2.
+        cells: bounds (C + 1,) of the runs of points that are cells; first and candidates: the planes of cell c are
+            candidates[first[c]:first[c + 1]].
         planes: (normal, d), shape (R, 4).
         tolerance: variance that a surface is granted beside the noise of its points, shape (R,), m^2.
         gate: largest chi2.
@@ -201,6 +201,7 @@ def _assign_points(points, variances, bounds, first, candidates, planes, toleran
     Returns:
         Number of points that changed.
     """
+    (points, variances), (bounds, first, candidates) = cloud, cells
     changed = 0
     for c in range(bounds.shape[0] - 1):
         if first[c] == first[c + 1]:

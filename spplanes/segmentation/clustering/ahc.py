@@ -100,8 +100,9 @@ def merged_distance(a, b, work):
 
 
 @inlined
-def _are_one(rows, bias, a, b, flatness, correlation, limits, work):
+def _are_one(rows, bias, pair, flatness, correlation, limits, work):
     """Whether two patches are one plane: what they share with scans counts as far as their scans differ."""
+    a, b = pair
     apart = 1.0 - np.exp(-abs(bias[a, 1] - bias[b, 1]) / correlation)
     total = 2.0 * flatness * flatness + apart * (bias[a, 0] + bias[b, 0])
     if step_chi2(rows[a], rows[b], total, work) > limits[0]:
@@ -147,7 +148,7 @@ def cluster(rows, bias, edges, limits, flatness, correlation):
             if fresh > key:
                 size = push(keys, items, size, fresh, e)
                 continue
-        if not _are_one(rows, bias, a, b, flatness, correlation, limits, work):
+        if not _are_one(rows, bias, (a, b), flatness, correlation, limits, work):
             continue
         if b < a:
             a, b = b, a

@@ -27,7 +27,7 @@ def cell_moments(points, covariance, free, size, floor_variance):
     rows = np.zeros((n_rows, n_cols, ROW_SIZE))
 
     def some(first: int, last: int) -> None:
-        _moments_of(rows, points, covariance, free, size, floor_variance, first, last)
+        _moments_of(rows, (points, covariance, free, size, floor_variance), first, last)
 
     in_parts(some, n_rows, free.size)
     return rows
@@ -41,8 +41,9 @@ def _is_filled(count, ci, cj, shape, size):
 
 
 @njit(cache=True)
-def _moments_of(rows, points, covariance, free, size, floor_variance, first, last):
-    """The moments of the rows of cells from first to last."""
+def _moments_of(rows, cells, first, last):
+    """The moments of the rows of cells from first to last; `cells` are the arguments of `cell_moments`."""
+    _, _, free, size, _ = cells
     counts = np.empty(rows.shape[1], dtype=np.int64)
     for ci in range(first, last):
         for cj in range(rows.shape[1]):
@@ -53,11 +54,12 @@ def _moments_of(rows, points, covariance, free, size, floor_variance, first, las
                     counts[cj] += free[i, j]
         for cj in range(rows.shape[1]):
             if _is_filled(counts[cj], ci, cj, free.shape, size):
-                _one_cell(rows[ci, cj], points, covariance, free, ci * size, cj * size, size, floor_variance)
+                _one_cell(rows[ci, cj], cells, ci * size, cj * size)
 
 
 @inlined
-def _one_cell(row, points, covariance, free, i0, j0, size, floor_variance):
+def _one_cell(row, cells, i0, j0):
+    points, covariance, free, size, floor_variance = cells
     i1, j1 = min(i0 + size, points.shape[0]), min(j0 + size, points.shape[1])
     about, normal, isotropic = np.zeros(3), np.zeros(3), covariance.shape[2] == 1
     normal[2] = 1.0

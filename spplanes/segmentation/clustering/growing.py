@@ -43,7 +43,7 @@ def fit_regions(points, covariance, labels, rows, prior, floor_variance):
 
     def some(first: int, last: int) -> None:
         for mine in range(first, last):
-            _fit_share(points, covariance, labels, rows, planes, prior, floor_variance, shares, mine, fresh)
+            _fit_share((points, covariance, labels), (rows, planes, prior), floor_variance, shares, mine, fresh)
 
     in_parts(some, n_shares, labels.size, singly=True)
     return fresh
@@ -60,8 +60,9 @@ def _share_out(rows, n_shares):
 
 
 @njit(cache=True)
-def _fit_share(points, covariance, labels, rows, planes, prior, floor_variance, shares, mine, fresh):
+def _fit_share(grid, regions, floor_variance, shares, mine, fresh):
     """The moments of the regions of one share, added to those of `fresh`; each region's points in the grid's order."""
+    (points, covariance, labels), (rows, planes, prior) = grid, regions
     sums, n_cols = np.zeros(rows.shape), labels.shape[1]
     for i in range(labels.shape[0]):
         j = 0
@@ -99,11 +100,12 @@ def _shared_sums(shared, labels, planes):
 
 
 @njit(cache=True)
-def grow(points, covariance, valid, labels, start, planes, gate, floor_variance):
+def grow(grid, planes, gate, floor_variance):
     """Spread regions over unlabelled points beside them that lie within the gate (chi2), ring by ring, in place.
 
-    Rows before `start` stay as they are; regions grow out of the last of them.
+    Of the grid (see `Sheet.grid`), rows before the start stay as they are; regions grow out of the last of them.
     """
+    points, covariance, valid, labels, start = grid
     n_rows, n_cols = labels.shape
     queue = np.empty(labels.size, dtype=np.int64)
     head, tail = 0, 0
@@ -150,14 +152,15 @@ def release(points, covariance, labels, planes, bias, size, limit):
     """Unlabel, in place, the points that one region has in one cell where their mean distance is no chance (chi2)."""
 
     def some(first: int, last: int) -> None:
-        _release_in(points, covariance, labels, planes, bias, size, limit, first, last)
+        _release_in((points, covariance, labels), planes, bias, size, limit, first, last)
 
     in_parts(some, (len(labels) + size - 1) // size, labels.size)
 
 
 @njit(cache=True)
-def _release_in(points, covariance, labels, planes, bias, size, limit, first, last):
+def _release_in(grid, planes, bias, size, limit, first, last):
     """The same in the rows of cells from first to last."""
+    points, covariance, labels = grid
     sums = np.zeros((planes.shape[0], 2))
     for i0 in range(first * size, min(last * size, labels.shape[0]), size):
         for j0 in range(0, labels.shape[1], size):

@@ -27,14 +27,14 @@ HIDDEN = 3.0
 def join_cells(sheet: Sheet, quads: np.ndarray, size: int, config: MapperConfig) -> None:
     """Find planar cells among the free points, fuse them with each other and with the regions."""
     floor, free = config.flatness_m**2, sheet.free
-    points, covariance = sheet.points[sheet.fresh], sheet.covariance[sheet.fresh]
-    moments = cells.cell_moments(points, covariance, free, size, floor)
+    given = sheet.points[sheet.fresh], sheet.covariance[sheet.fresh], free, size, floor
+    moments = cells.cell_moments(*given)
     failed = cells.failed_quads(free, quads, size)
     planar = cells.planar_cells(moments, failed, free.shape, size, -ndtri(config.significance), CELL_SLACK)
     shared = sheet.shared[sheet.fresh] if len(sheet.shared) > 1 else sheet.shared
     if size > steps.STRIPS and len(shared) == 1:
         limit = CELL_SLACK * chdtri(1, config.significance / (2 * steps.STRIPS))
-        steps.reject_steps(planar, points, covariance, moments, free, size, floor, limit)
+        steps.reject_steps(planar, given, moments, limit)
     if not planar.any():
         return
     bias = cells.shared_variances(moments, shared, free, planar, size, sheet.start)
@@ -67,9 +67,8 @@ def fuse_neighbours(sheet: Sheet, views: FloatArray, gap: int, config: MapperCon
     """Fuse regions that meet and are one plane (chi2)."""
     planes = growing.hesse(sheet.rows)
     sheet.bias = growing.shared_of_regions(sheet.shared, sheet.labels, planes)
-    points, covariance, valid, labels, _ = sheet.grid
-    sizes, tolerance = np.ascontiguousarray(sheet.rows[:, 0]), config.flatness_m**2 + sheet.bias[:, 0]
-    pairs = meeting.border_pairs(points, covariance, valid, views, labels, planes, sizes, tolerance, gap, HIDDEN)
+    regions = planes, np.ascontiguousarray(sheet.rows[:, 0]), config.flatness_m**2 + sheet.bias[:, 0]
+    pairs = meeting.border_pairs(sheet.grid, views, regions, gap, HIDDEN)
     edges = distinct_pairs(pairs, len(sheet.rows))
     if len(edges):
         fuse(sheet, cluster_patches(sheet.rows, sheet.bias, edges, config))

@@ -12,27 +12,29 @@ from spplanes.fitting._moment_patches import distance_of, variance_from
 RECENT = 256
 
 
-def border_pairs(points, covariance, valid, views, labels, planes, sizes, bias, gap, hidden):
+def border_pairs(grid, views, regions, gap, hidden):
     """Pairs of unlike regions, (E, 2), that touch, or that an occluder parts along a row or column.
 
     With an occluder, the points between lie clearly before the plane; at most `gap` of them are missing, up to four of
     its edges lie on the plane. It is at most `gap` points wide, or `hidden` times as wide as the smaller region, which
     else would not tell what is behind it. A gap of 0 asks for regions that touch. Points on the plane or behind it, a
     seam or a doorway, show that the surface ends. Some pairs come several times, and in no particular order.
+
+    For the grid see `Sheet.grid`; of the regions, planes (normal, d), numbers of points and tolerances, m^2.
     """
-    grid, regions = (points, covariance, valid, views, labels), (planes, sizes, bias)
     found: list[np.ndarray] = []
     in_parts(
-        lambda first, last: found.append(_pairs_of_rows(*grid, *regions, gap, hidden, first, last)),
-        len(labels),
-        labels.size,
+        lambda first, last: found.append(_pairs_of_rows(grid, views, regions, gap, hidden, first, last)),
+        len(grid[3]),
+        grid[3].size,
     )
     return np.concatenate(found)
 
 
 @njit(cache=True)
-def _pairs_of_rows(points, covariance, valid, views, labels, planes, sizes, bias, gap, hidden, first, last):
+def _pairs_of_rows(grid, views, regions, gap, hidden, first, last):
     """The pairs with one region in the rows from first to last, beside or above the other."""
+    (points, covariance, valid, labels, _), (planes, sizes, bias) = grid, regions
     n_cols = labels.shape[1]
     pairs, count = np.empty((1024, 2), dtype=np.int64), 0
     recent = np.empty((RECENT, 2), dtype=np.int64)
@@ -64,7 +66,7 @@ def _pairs_of_rows(points, covariance, valid, views, labels, planes, sizes, bias
                         break
                     side = 1
                     if valid[a, b]:
-                        side = _side(points, covariance, a, b, views, planes, r, bias[r])
+                        side = _side(points, covariance, (a, b), views, planes, r, bias[r])
                     else:
                         missing += 1
                     if missing > gap:
@@ -99,8 +101,9 @@ def _enter(pairs, count, recent, q, r):
 
 
 @inlined
-def _side(points, covariance, i, j, views, planes, r, bias):
+def _side(points, covariance, place, views, planes, r, bias):
     """1: the point lies before the plane, on the viewpoint's side; -1: behind it; 0: within its noise and tolerance."""
+    i, j = place
     distance = distance_of(points, i, j, planes, r)
     eye = views[i, 0] * planes[r, 0] + views[i, 1] * planes[r, 1] + views[i, 2] * planes[r, 2] - planes[r, 3]
     if distance * distance <= 9.0 * variance_from(covariance, i, j, planes, r) + 25.0 * bias:

@@ -15,7 +15,7 @@ STRIPS = 8
 STEP_SHARE = 0.1
 
 
-def reject_steps(planar, points, covariance, rows, free, size, floor_variance, limit):
+def reject_steps(planar, cells, rows, limit):
     """Take from the planar cells, in place, those with a step along some row or column of the grid (chi2).
 
     A step of little more than the noise hides in the residuals of a cell's points, most of all when the plane tilts to
@@ -24,19 +24,21 @@ def reject_steps(planar, points, covariance, rows, free, size, floor_variance, l
 
     Args:
         planar: planar cells, shape (R, C) bool.
-        points, covariance, rows, free, size, floor_variance: see `cells.cell_moments`.
+        cells: the arguments of `cells.cell_moments`.
+        rows: what it returned.
         limit: largest chi2 (1 dof) of a step, the largest of all.
     """
 
     def some(first: int, last: int) -> None:
-        _reject_in(planar, points, covariance, rows, free, size, floor_variance, limit, first, last)
+        _reject_in(planar, cells, rows, limit, first, last)
 
-    in_parts(some, len(planar), size * size * int(planar.sum()))
+    in_parts(some, len(planar), cells[3] ** 2 * int(planar.sum()))
 
 
 @njit(cache=True)
-def _reject_in(planar, points, covariance, rows, free, size, floor_variance, limit, first, last):
+def _reject_in(planar, cells, rows, limit, first, last):
     """Take them from the rows of cells from first to last."""
+    points, covariance, free, size, floor_variance = cells
     side, tolerance = size // STRIPS, STEP_SHARE * floor_variance
     strips, total = np.empty((2, STRIPS, 4)), np.empty(5)
     for ci in range(first, last):

@@ -18,27 +18,30 @@ MANY = 8
 UNIFORM, FITTING, MISFIT = 0, 1, 2
 
 
-def choose_blocks(points, covariance, labels, start, planes, gate, floor_variance, size):
+def choose_blocks(grid, planes, gate, floor_variance, size):
     """Move the points that a region has in a square block to the neighbouring region that explains them better.
 
     One point's noise may be wider than the step between two planes; that of a block is not. One sweep, in place.
     Which points may move at all is found first, block by block: it does not depend on what others do.
+    For the grid see `Sheet.grid`.
 
     Returns:
         Number of points moved.
     """
+    _, _, _, labels, start = grid
     state = np.zeros(((len(labels) - start + size - 1) // size, (labels.shape[1] + size - 1) // size), dtype=np.uint8)
 
     def some(first: int, last: int) -> None:
-        _find_misfits(points, covariance, labels, start, planes, floor_variance, size, first, last, state)
+        _find_misfits(grid, planes, floor_variance, size, first, last, state)
 
     in_parts(some, len(state), labels.size)
-    return _move_blocks(points, covariance, labels, start, planes, gate, floor_variance, size, state)
+    return _move_blocks(grid, planes, gate, floor_variance, size, state)
 
 
 @njit(cache=True)
-def _find_misfits(points, covariance, labels, start, planes, floor_variance, size, first, last, state):
+def _find_misfits(grid, planes, floor_variance, size, first, last, state):
     """Write to `state`, shape (blocks, blocks), what the blocks in the rows of blocks from first to last are."""
+    _, _, _, labels, start = grid
     found = np.empty(MANY, dtype=np.int64)
     for u in range(first, last):
         i0 = start + u * size
@@ -51,15 +54,16 @@ def _find_misfits(points, covariance, labels, start, planes, floor_variance, siz
             n_found = _regions_around(labels, i0, j0, i1, j1, found)
             state[u, v] = MISFIT if n_found == MANY else FITTING  # of so many, others may be looked at later
             for k in range(n_found):
-                chi2 = _misfit(points, covariance, labels, i0, j0, i1, j1, found[k], planes, floor_variance)
+                chi2 = _misfit(grid, (i0, j0, i1, j1), found[k], planes, floor_variance)
                 if not chi2 < BLOCK_MISFIT:
                     state[u, v] = MISFIT
                     break
 
 
 @njit(cache=True)
-def _move_blocks(points, covariance, labels, start, planes, gate, floor_variance, size, state):
+def _move_blocks(grid, planes, gate, floor_variance, size, state):
     """The moves, block after block; see `choose_blocks`."""
+    points, covariance, _, labels, start = grid
     found, sums, moved = np.empty(MANY, dtype=np.int64), np.empty(MANY), 0
     for u in range(state.shape[0]):
         for v in range(state.shape[1]):
@@ -70,7 +74,7 @@ def _move_blocks(points, covariance, labels, start, planes, gate, floor_variance
             n_found, before = _regions_around(labels, i0, j0, i1, j1, found), moved
             for k in range(n_found if n_found > 1 else 0):
                 mine, inside = found[k], 0
-                if _misfit(points, covariance, labels, i0, j0, i1, j1, mine, planes, floor_variance) < BLOCK_MISFIT:
+                if _misfit(grid, (i0, j0, i1, j1), mine, planes, floor_variance) < BLOCK_MISFIT:
                     continue
                 for m in range(n_found):
                     sums[m] = 0.0
@@ -106,8 +110,9 @@ def _wake_neighbours(state, u, v):
 
 
 @inner(cache=True)
-def _misfit(points, covariance, labels, i0, j0, i1, j1, region, planes, floor_variance):
+def _misfit(grid, block, region, planes, floor_variance):
     """Chi2 (1 dof) of the mean distance from its plane of the points that a region has in a block."""
+    (points, covariance, _, labels, _), (i0, j0, i1, j1) = grid, block
     weight, mean = 0.0, 0.0
     for i in range(i0, i1):
         for j in range(j0, j1):
@@ -155,8 +160,9 @@ def _regions_around(labels, i0, j0, i1, j1, found):
 
 
 @njit(cache=True)
-def choose_points(points, covariance, valid, labels, start, planes, gate, floor_variance, smoothness):
+def choose_points(grid, planes, gate, floor_variance, smoothness):
     """Let points at borders choose: smallest chi2 plus a price per unlike neighbour (one sweep of ICM, in place)."""
+    points, covariance, valid, labels, start = grid
     n_rows, n_cols = labels.shape
     changed = 0
     found, votes = np.empty(9, dtype=np.int64), np.empty(9, dtype=np.int64)

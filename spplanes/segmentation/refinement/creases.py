@@ -6,37 +6,41 @@ common plane, but the surface there is turned. Where noise drowns the local norm
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from spplanes._check import FloatArray
 from spplanes._jit import inlined, inner, njit
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import distance_of, variance_from
 
 
-def unlabel_creases(points, covariance, valid, labels, start, planes, max_angle, certainty):
+def unlabel_creases(grid, planes, max_angle, certainty):
     """Unlabel, in place, the points whose local normal is turned from that of their region.
 
     The local normal is that of the differences between means of six points, right minus left and below minus above, in
     a window of five by five; it is only judged where all of them are returns.
 
     Args:
-        points, covariance, valid, labels: the grid; see `Sheet`.
-        start: first row to work on.
+        grid: see `Sheet.grid`.
         planes: (normal, d) of the regions, shape (R, 4).
         max_angle: turn a plane's surface may have anyway, rad.
         certainty: standard deviations of the local normal by which the turn must exceed that.
     """
+    _, _, _, labels, start = grid
     top = max(start, 2)
 
     def some(first: int, last: int) -> None:
-        _unlabel_in(points, covariance, valid, labels, planes, max_angle, certainty, top + first, top + last)
+        _unlabel_in(grid, planes, max_angle, certainty, top + first, top + last)
 
     in_parts(some, max(len(labels) - 2 - top, 0), labels.size)
 
 
 @njit(cache=True)
-def _unlabel_in(points, covariance, valid, labels, planes, max_angle, certainty, first, last):
+def _unlabel_in(grid, planes, max_angle, certainty, first, last):
     """The same in the rows from first to last."""
+    points, covariance, valid, labels, _ = grid
     n_cols = labels.shape[1]
     across, down, full = _differences(points[first - 2 : last + 2], valid[first - 2 : last + 2])
     u, v = np.empty(3), np.empty(3)
@@ -81,7 +85,20 @@ def _differences(points, valid):
     return across, down, full
 
 
-def unlabel_seams(points, covariance, views, labels, start, planes, tolerance, flatness, reach, limit):
+class SeamRule(NamedTuple):
+    """When the points of a window lie behind their plane on average."""
+
+    tolerance: FloatArray
+    """Variance that the mean of a window may have beside its noise, of every region, shape (R,), m^2."""
+    flatness: float
+    """Deviation from a plane that surfaces are granted, m."""
+    reach: int
+    """Points that the window reaches to each side."""
+    limit: float
+    """Largest chi2 (1 dof) of the mean."""
+
+
+def unlabel_seams(grid, views, planes, rule):
     """Unlabel, in place, the points around which a region's points lie behind its plane on average (chi2).
 
     A seam between two cushions is a groove of millimetres, less than the noise of a point but not than that of the
@@ -89,31 +106,28 @@ def unlabel_seams(points, covariance, views, labels, start, planes, tolerance, f
     surfaces are granted more than the noise, nothing hides in it, and what shows are the surfaces' own waves.
 
     Args:
-        points, covariance, labels, start, planes: see `unlabel_creases`.
+        grid, planes: see `unlabel_creases`.
         views: viewpoint of every row, shape (S, 3), m.
-        tolerance: variance that the mean of a window may have beside its noise, of every region, shape (R,), m^2.
-        flatness: deviation from a plane that surfaces are granted, m.
-        reach: points that the window reaches to each side.
-        limit: largest chi2 (1 dof) of the mean.
+        rule: how windows are judged.
     """
+    _, _, _, labels, start = grid
     weight, moment = np.zeros(labels.shape), np.zeros(labels.shape)
 
     def across(first: int, last: int) -> None:
-        _weigh_rows(points, covariance, labels, planes, reach, start + first, start + last, weight, moment)
+        _weigh_rows(grid, planes, rule.reach, start + first, start + last, (weight, moment))
 
     def down(first: int, last: int) -> None:
-        columns = [np.ascontiguousarray(of_all[:, first:last].T) for of_all in (labels, weight, moment)]
-        _judge_columns(
-            covariance, views, labels, start, planes, tolerance, flatness, reach, limit, first, last, *columns
-        )
+        columns = (labels[:, first:last].T.copy(), weight[:, first:last].T.copy(), moment[:, first:last].T.copy())
+        _judge_columns(grid, views, planes, rule, first, last, columns)
 
     in_parts(across, len(labels) - start, labels.size)
     in_parts(down, labels.shape[1], labels.size)
 
 
 @njit(cache=True)
-def _weigh_rows(points, covariance, labels, planes, reach, first, last, weight, moment):
+def _weigh_rows(grid, planes, reach, first, last, sums):
     """Sums along the rows from first to last of weights, and of distances from planes times these."""
+    (points, covariance, _, labels, _), (weight, moment) = grid, sums
     own_weight, own_moment = np.zeros((last - first, labels.shape[1])), np.zeros((last - first, labels.shape[1]))
     for i in range(first, last):
         for j in range(labels.shape[1]):
@@ -126,14 +140,13 @@ def _weigh_rows(points, covariance, labels, planes, reach, first, last, weight, 
 
 
 @njit(cache=True)
-def _judge_columns(
-    covariance, views, labels, start, planes, tolerance, flatness, reach, limit, first, last, own_labels,
-    weight, moment,
-):  # fmt: skip
+def _judge_columns(grid, views, planes, rule, first, last, columns):
     """Unlabel the points of the columns from first to last where the mean of their window lies behind the plane.
 
-    Of these columns, one after the other: `own_labels`, `weight` and `moment`, the sums along the rows.
+    `columns` are their labels and the sums along the rows, one column after the other.
     """
+    (_, covariance, _, labels, start), (own_labels, weight, moment) = grid, columns
+    tolerance, flatness, reach, limit = rule
     own_weight, own_moment = np.zeros(weight.shape), np.zeros(moment.shape)
     _sum_along(weight, own_labels, reach, own_weight)
     _sum_along(moment, own_labels, reach, own_moment)

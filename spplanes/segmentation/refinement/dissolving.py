@@ -15,12 +15,11 @@ MEAN_GAIN = 0.15
 SUM_GAIN = 16.3
 
 
-def dissolve(points, covariance, labels, start, sizes, pairs, planes, floor_variance):
+def dissolve(grid, sizes, pairs, planes, floor_variance):
     """Give the points of superfluous regions to their neighbours, in place; smallest regions first.
 
     Args:
-        points, covariance, labels: the grid; see `Sheet`. Regions with points before row `start` stay.
-        start: first row to work on.
+        grid: see `Sheet.grid`. Regions with points before its first row to work on stay.
         sizes: number of points of every region, shape (R,).
         pairs: regions near each other, shape (E, 2), each pair once.
         planes: (normal, d) of the regions, shape (R, 4).
@@ -30,12 +29,13 @@ def dissolve(points, covariance, labels, start, sizes, pairs, planes, floor_vari
         Number of regions dissolved.
     """
     order = np.argsort(sizes, kind="stable")
-    return _dissolve(points, covariance, labels, start, sizes, order, pairs, planes, floor_variance)
+    return _dissolve(grid, sizes, order, pairs, planes, floor_variance)
 
 
 @njit(cache=True)
-def _dissolve(points, covariance, labels, start, sizes, order, pairs, planes, floor_variance):
+def _dissolve(grid, sizes, order, pairs, planes, floor_variance):
     """The same; `order` of the regions, (R,), is that of their sizes."""
+    _, _, _, labels, start = grid
     members, first = _members(labels, start, sizes.shape[0])
     candidates = np.empty(sizes.shape[0], dtype=np.int64)
     fixed = np.zeros(sizes.shape[0], dtype=np.bool_)
@@ -55,10 +55,8 @@ def _dissolve(points, covariance, labels, start, sizes, order, pairs, planes, fl
                 candidates[n_candidates] = other
                 n_candidates += 1
         mine = members[first[r] : first[r + 1]]
-        if n_candidates and _is_superfluous(
-            points, covariance, labels.shape[1], mine, r, candidates[:n_candidates], planes, floor_variance
-        ):
-            _hand_over(points, covariance, labels, mine, candidates[:n_candidates], planes, floor_variance)
+        if n_candidates and _is_superfluous(grid, mine, r, candidates[:n_candidates], planes, floor_variance):
+            _hand_over(grid, mine, candidates[:n_candidates], planes, floor_variance)
             sizes[r] = 0
             count += 1
     return count
@@ -116,8 +114,9 @@ def _members(labels, start, n_regions):
 
 
 @inlined
-def _is_superfluous(points, covariance, n_cols, mine, region, candidates, planes, floor_variance):
+def _is_superfluous(grid, mine, region, candidates, planes, floor_variance):
     """Whether the best neighbour of every block explains the points nearly as well as the region itself."""
+    points, covariance, n_cols = grid[0], grid[1], grid[3].shape[1]
     limit = MEAN_GAIN * mine.shape[0] + SUM_GAIN
     for k in range(mine.shape[0]):
         i, j = mine[k] // n_cols, mine[k] % n_cols
@@ -150,8 +149,9 @@ def _least(values):
 
 
 @inlined
-def _hand_over(points, covariance, labels, mine, candidates, planes, floor_variance):
+def _hand_over(grid, mine, candidates, planes, floor_variance):
     """Label every block of points with the neighbour that explains it best."""
+    points, covariance, _, labels, _ = grid
     n_cols = labels.shape[1]
     sums = np.zeros(candidates.shape[0])
     block_start = 0

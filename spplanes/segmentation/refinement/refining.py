@@ -50,39 +50,33 @@ def dissolve_superfluous(sheet: Sheet, config: MapperConfig) -> int:
     planes = growing.hesse(sheet.rows)
     edges = distinct_pairs(dissolving.near_pairs(sheet.labels, NEAR), len(sheet.rows))
     sizes = np.bincount(sheet.labels[sheet.labels >= 0], minlength=len(sheet.rows))
-    return dissolving.dissolve(
-        sheet.points, sheet.covariance, sheet.labels, sheet.start, sizes, edges, planes, config.flatness_m**2
-    )
+    return dissolving.dissolve(sheet.grid, sizes, edges, planes, config.flatness_m**2)
 
 
 def _grow(sheet: Sheet, config: MapperConfig) -> None:
-    growing.grow(*sheet.grid, growing.hesse(sheet.rows), config.gate_sigma**2, config.flatness_m**2)
+    growing.grow(sheet.grid, growing.hesse(sheet.rows), config.gate_sigma**2, config.flatness_m**2)
 
 
 def settle_borders(sheet: Sheet, config: MapperConfig) -> None:
     """Points at the borders of regions go where they fit best: block by block, then one by one."""
     floor, gate = config.flatness_m**2, config.gate_sigma**2
     for size in BORDER_BLOCKS:
-        moved = borders.choose_blocks(
-            sheet.points, sheet.covariance, sheet.labels, sheet.start, growing.hesse(sheet.rows), gate, floor, size
-        )
+        moved = borders.choose_blocks(sheet.grid, growing.hesse(sheet.rows), gate, floor, size)
         if moved:
             refit(sheet, config)
     planes = growing.hesse(sheet.rows)
     for _ in range(BORDER_SWEEPS):
-        borders.choose_points(*sheet.grid, planes, gate, floor, config.border_smoothness)
+        borders.choose_points(sheet.grid, planes, gate, floor, config.border_smoothness)
     refit(sheet, config)
 
 
 def part_at_creases(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
     """Cut regions where the surface bends, number their parts, rejoin those that only an occluder parts, heal."""
     planes = growing.hesse(sheet.rows)
-    creases.unlabel_creases(*sheet.grid, planes, config.max_crease_rad, CREASE_CERTAINTY)
-    points, covariance, _, labels, start = sheet.grid
-    tolerance, limit = STEP_SHARE * config.flatness_m**2 + sheet.bias[:, 0], chdtri(1, SEAM_SIGNIFICANCE)
-    creases.unlabel_seams(
-        points, covariance, views, labels, start, planes, tolerance, config.flatness_m, SEAM_REACH, limit
-    )
+    creases.unlabel_creases(sheet.grid, planes, config.max_crease_rad, CREASE_CERTAINTY)
+    tolerance, limit = STEP_SHARE * config.flatness_m**2 + sheet.bias[:, 0], float(chdtri(1, SEAM_SIGNIFICANCE))
+    rule = creases.SeamRule(tolerance, float(config.flatness_m), SEAM_REACH, limit)
+    creases.unlabel_seams(sheet.grid, views, planes, rule)
     origin = creases.split_regions(sheet.labels, sheet.start, len(sheet.rows))
     append(sheet, sheet.rows[origin], sheet.bias[origin])
     refit(sheet, config)

@@ -62,7 +62,7 @@ def sure_points(window: Window, labels: np.ndarray, frames: Sequence[FloatArray]
     near = _seams(labels, alike)
 
     def some(first: int, last: int) -> None:
-        _leave_out(*grid, planes, alike, *near, uneven_m**2, first, last, sure)
+        _leave_out(grid, (planes, alike, *near), uneven_m**2, first, last, sure)
 
     in_parts(some, len(labels), labels.size)
     return sure
@@ -78,8 +78,9 @@ def _seams(labels: np.ndarray, alike: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 @njit(cache=True)
-def _leave_out(points, covariances, valid, labels, planes, alike, start, others, uneven, first, last, sure):
+def _leave_out(grid, regions, uneven, first, last, sure):
     """Clear `sure`, in the rows from first to last, where a point of a plane may be of another surface."""
+    (points, covariances, valid, labels), (planes, alike, start, others) = grid, regions
     toward = np.empty(3)
     for i in range(first, last):
         for j in range(labels.shape[1]):

@@ -138,7 +138,10 @@ def _cutter(window: Window, members: np.ndarray, frame: FloatArray, uneven_m: fl
     scan, beam = np.divmod(members, window.points.shape[1])
     points, covariances = window.points.reshape(-1, 3)[members], window.covariances.reshape(-1, 3, 3)[members]
     place, residuals, weights = along_plane(points, covariances, frame)
-    drift = drift_of_scans(points, frame[:3, 2], scan, window.pose_covariances)
+    drift, rule = (
+        drift_of_scans(points, frame[:3, 2], scan, window.pose_covariances),
+        (float(uneven_m**2), float(step_m)),
+    )
 
     def cut(part: np.ndarray) -> tuple[np.ndarray, float]:
         if len(part) < 2 * FEWEST:
@@ -146,7 +149,7 @@ def _cutter(window: Window, members: np.ndarray, frame: FloatArray, uneven_m: fl
         scans, row = np.unique(scan[part], return_inverse=True)
         information = np.linalg.inv(drift[np.ix_(scans, scans)])
         column = beam[part] - beam[part].min()
-        return best_cut(row, column, place[part], residuals[part], weights[part], information, uneven_m**2, step_m)
+        return best_cut(row, column, place[part], residuals[part], weights[part], information, rule)
 
     return cut
 
@@ -167,7 +170,7 @@ def _rejoined(parts: list[np.ndarray], cut: Cut) -> list[np.ndarray]:
     return whole
 
 
-def best_cut(row, column, place, residuals, weights, drift, uneven, least):
+def best_cut(row, column, place, residuals, weights, drift, rule):
     """The set of points that is stepped most surely from the others, and the chi2 (1 dof) of its step.
 
     Residuals are explained by a plane, by an offset of every scan, and by a step between the two sets. Sets are parted
@@ -178,22 +181,20 @@ def best_cut(row, column, place, residuals, weights, drift, uneven, least):
         place: places on the plane, (N, 2), m; their noise must not go with that of the residuals.
         residuals, weights: along the normal, shape (N,), m and 1 / m^2.
         drift: information (S, S) of the offsets of the scans along the normal, 1 / m^2.
-        uneven: variance of a step on one plane, for surfaces are not flat, m^2.
-        least: smaller steps are none, m.
+        rule: variance of a step on one plane, for surfaces are not flat, m^2; smaller steps are none, m.
 
     Returns:
         Which points are beyond the best cut, shape (N,) bool, and its chi2; 0 where there is none to be judged.
     """
     inverse, left = _explained(row, place, residuals, weights, drift)
-    n_columns = int(column.max()) + 1
-    (i0, i1, j0, j1), chi2 = _surest(row, column, place, left, weights, inverse, n_columns, uneven, least)
+    (i0, i1, j0, j1), chi2 = _surest(row, column, place, left, weights, inverse, rule)
     return (row >= i0) & (row < i1) & (column >= j0) & (column < j1), chi2
 
 
 @njit(cache=True)
-def _surest(row, column, place, left, weights, inverse, n_columns, uneven, least):
+def _surest(row, column, place, left, weights, inverse, rule):
     """Scans and beams, from and to, of the surest step that is left, and its chi2; see `best_cut`."""
-    n_rows = inverse.shape[0] - 3
+    n_rows, n_columns = inverse.shape[0] - 3, column.max() + 1
     sums = np.zeros((n_rows, n_columns + 1, 5))
     for k in range(row.shape[0]):
         cell, w = sums[row[k], column[k] + 1], weights[k]
@@ -217,7 +218,7 @@ def _surest(row, column, place, left, weights, inverse, n_columns, uneven, least
             for corner in range(1 if straight else 4):
                 i0, i1 = (a, n_rows) if corner % 2 == 0 else (0, a)
                 j0, j1 = (0, b) if corner < 2 else (b, n_columns)
-                chi2 = _step(sums, i0, i1, j0, j1, inverse, uneven, least, z) - (0.0 if straight else CORNER)
+                chi2 = _step(sums, (i0, i1, j0, j1), inverse, rule, z) - (0.0 if straight else CORNER)
                 if chi2 > best:
                     best, cut = chi2, (i0, i1, j0, j1)
     return cut, best
@@ -237,8 +238,9 @@ def _explained(row, place, residuals, weights, drift):
 
 
 @inlined
-def _step(sums, i0, i1, j0, j1, inverse, uneven, least, z):
+def _step(sums, box, inverse, rule, z):
     """Chi2 of the step of the points in scans i0 to i1 and beams j0 to j1, from sums over beams before."""
+    (i0, i1, j0, j1), (uneven, least) = box, rule
     z[:] = 0.0
     moment, count, total = 0.0, 0.0, 0.0
     for i in range(sums.shape[0]):

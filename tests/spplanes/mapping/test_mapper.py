@@ -196,9 +196,8 @@ def test_pose_errors_are_summed_with_their_correlation(decay):
     plane = np.array([[1.0, 0.0, 0.0, 1.0]])
     halves = slice(None, 5), slice(5, None)
     for part in halves:
-        _pose_error.accumulate(
-            points[part], variance[part], labels[part], plane, anchor, roots[part], origins[part], decay, total, running
-        )
+        grid, errors = (points[part], variance[part], labels[part]), (roots[part], origins[part], decay)
+        _pose_error.accumulate(grid, (plane, anchor), errors, total, running)
     got = _pose_error.covariance_of(frame, spread, anchor[0], total[0])
     h = np.column_stack((np.ones(len(local)), -local[:, 0], local[:, 1]))
     scan, gains = np.repeat(np.arange(n_scans), n_beams)[labels.ravel() >= 0], []

@@ -10,6 +10,11 @@ from spplanes.segmentation.pipeline import links, surviving_quads
 from spplanes.segmentation.refinement import borders, creases, dissolving
 
 
+def grid_of(points, covariance, labels):
+    """A grid of returns as kernels take it, all of it to be labelled."""
+    return points, covariance, np.ones(labels.shape, bool), labels, 0
+
+
 def moments(points, weights):
     """A moment row from points, written out."""
     w = np.broadcast_to(weights, len(points))
@@ -148,7 +153,7 @@ def test_blocks_that_misfit_change_sides():
     points[:, :8, 0] += 0.03
     labels[:, :4] = 1
     planes, covariance = np.array([[1.0, 0, 0, 3.0], [1.0, 0, 0, 3.03]]), np.full((16, 16, 1), 1e-4)
-    moved = borders.choose_blocks(points, covariance, labels, 0, planes, 9.0, 0.0, 4)
+    moved = borders.choose_blocks(grid_of(points, covariance, labels), planes, 9.0, 0.0, 4)
     assert moved == 64
     np.testing.assert_array_equal(labels, np.repeat([[1] * 8 + [0] * 8], 16, axis=0))
 
@@ -158,7 +163,7 @@ def test_border_points_choose_the_plane_they_lie_on():
     points[:, :4, 0] += 0.05
     labels[:, :5] = 1
     planes, covariance = np.array([[1.0, 0, 0, 3.0], [1.0, 0, 0, 3.05]]), np.full((6, 8, 1), 1e-4)
-    borders.choose_points(points, covariance, np.ones((6, 8), bool), labels, 0, planes, 9.0, 0.0, 0.5)
+    borders.choose_points(grid_of(points, covariance, labels), planes, 9.0, 0.0, 0.5)
     assert (labels[:, :4] == 1).all()
     assert (labels[:, 4:] == 0).all()
 
@@ -172,11 +177,11 @@ def test_superfluous_strip_dissolves_and_a_real_one_stays():
     planes = np.array([[1.0, 0, 0, 3.0], [1.0, 0, 0, 3.002]])
     pairs = np.array([[0, 1]])
     kept = labels.copy()
-    assert dissolving.dissolve(points, covariance, labels, 0, np.array([768, 256]), pairs, planes, 0.0) == 1
+    assert dissolving.dissolve(grid_of(points, covariance, labels), np.array([768, 256]), pairs, planes, 0.0) == 1
     assert (labels == 0).all()
     points[:, 12:20, 0] += 0.02
     planes[1, 3] = 3.02
-    assert dissolving.dissolve(points, covariance, kept, 0, np.array([768, 256]), pairs, planes, 0.0) == 0
+    assert dissolving.dissolve(grid_of(points, covariance, kept), np.array([768, 256]), pairs, planes, 0.0) == 0
 
 
 def test_near_pairs_reach_across_other_regions():
@@ -212,7 +217,7 @@ def _cell(step, sigma, rng, size=32):
     free, variance = np.ones(i.shape, dtype=bool), np.full((*i.shape, 1), sigma**2 / 2.0)
     rows = cells.cell_moments(points, variance, free, size, 0.0)
     planar = np.ones(rows.shape[:2], dtype=bool)
-    steps.reject_steps(planar, points, variance, rows, free, size, 0.0, chi2.isf(0.001 / 16, 1))
+    steps.reject_steps(planar, (points, variance, free, size, 0.0), rows, chi2.isf(0.001 / 16, 1))
     return planar
 
 
