@@ -172,6 +172,7 @@ class LandmarkMap:
         self._ids = list(self._landmarks)
         self._rows = {landmark_id: row for row, landmark_id in enumerate(self._ids)}
         if not self._rows:
+            self._middles, self._radii = np.empty((0, 3)), np.empty(0)
             return
         anchors = {landmark.anchor_key for landmark in self}
         poses = {key: backend.pose(key) for key in anchors}
