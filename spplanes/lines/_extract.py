@@ -66,9 +66,16 @@ def beams_of(scan, sigma):
     return Beams(scan[BEARING], scan[COSINE], scan[SINE], scan[RANGE], scan[sigma])
 
 
+@inlined
+def rules_of(n):
+    """The rules of their numbers: named, they would cost each call from Python as much as half a scan."""
+    return Rules(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9], n[10], n[11])
+
+
 @njit(cache=True)
-def order_scan(ranges, angles, sigmas, rules):
+def order_scan(ranges, angles, sigmas, numbers):
     """Returns in order: beams (V,), their rows (N_ROWS, V), moments, breaks (V,); the widest gap, the largest step."""
+    rules = rules_of(numbers)
     order, widest, step = order_beams(ranges, angles, rules.range_min, rules.range_max)
     rows = np.empty((N_ROWS, order.size))
     for k in range(order.size):
@@ -81,9 +88,9 @@ def order_scan(ranges, angles, sigmas, rules):
 
 
 @njit(cache=True)
-def label_scan(order, scan, moments, breaks, widest, max_step, rules):
+def label_scan(order, scan, moments, breaks, widest, max_step, numbers):
     """Label the returns: order, scan, breaks in order, labels (V,), number of labels."""
-    cut = 0
+    rules, cut = rules_of(numbers), 0
     while True:
         beams = beams_of(scan, SLOPE_SIGMA)
         starts = refine(moments, breaks, split(moments, breaks, rules.significance), rules.significance)
@@ -192,15 +199,15 @@ def is_line(beams, members, counts, line, rules):
     return abs(arc) + 3.0 * arc_sigma < rules.max_turning
 
 
-def extract(ranges, angles, sigmas, rules):
+def extract(ranges, angles, sigmas, numbers):
     """Lines of one scan: rows (M, 12) as N_RESULT says, the beams on them one line after the other, their counts."""
-    return fit_labels(*label_scan(*order_scan(ranges, angles, sigmas, rules), rules), rules)
+    return fit_labels(*label_scan(*order_scan(ranges, angles, sigmas, numbers), numbers), numbers)
 
 
 @njit(cache=True)
-def fit_labels(order, scan, breaks, labels, n_labels, rules):
+def fit_labels(order, scan, breaks, labels, n_labels, numbers):
     """The line of every label that is one: see `extract`."""
-    beams = beams_of(scan, SIGMA)
+    beams, rules = beams_of(scan, SIGMA), rules_of(numbers)
     moments = beam_moments(beams)
     of_labels, begins = members_of(labels, n_labels)
     rows, support = np.empty((n_labels, N_RESULT)), np.empty(order.size, dtype=np.int64)

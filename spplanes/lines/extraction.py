@@ -107,7 +107,9 @@ def extract_lines(
     if ranges.size < 3:
         return []
     flatness = 0.0 if shared_error else config.flatness  # else it is counted with what residuals show
-    rows, support, counts = extract(_writable(ranges), _writable(angles), _writable(sigmas), _rules(config, flatness))
+    rows, support, counts = extract(
+        _writable(ranges), _writable(angles), _writable(sigmas), tuple(_rules(config, flatness))
+    )
     if shared_error and len(rows):
         found = _with_shared_error(rows, support, counts, np.stack((ranges, angles, sigmas)), config)
         rows[:, 4:8] = found.reshape(-1, 4)

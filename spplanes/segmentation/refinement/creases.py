@@ -118,7 +118,7 @@ def unlabel_seams(grid, views, planes, rule):
 
     def down(first: int, last: int) -> None:
         columns = (labels[:, first:last].T.copy(), weight[:, first:last].T.copy(), moment[:, first:last].T.copy())
-        _judge_columns(grid, views, planes, rule, first, last, columns)
+        _judge_columns(grid, views, planes, tuple(rule), first, last, columns)
 
     in_parts(across, len(labels) - start, labels.size)
     in_parts(down, labels.shape[1], labels.size)
