@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from factors.association.decisions import AssociationGates, Candidate, Decision
 from factors.association.joint_association import joint_compatibility
@@ -16,24 +15,8 @@ from slam.map.landmarks import LandmarkMap
 
 __all__ = ["Associate", "Candidate", "Decision", "Hint", "associate", "gates_of"]
 
-
-class Associate(Protocol):
-    """Data association as `PlaneSlam` calls it; `associate` is the one it uses unless it is given another."""
-
-    def __call__(
-        self,
-        observations: Sequence[Observation],
-        pose_key: int,
-        landmarks: LandmarkMap,
-        backend: Backend,
-        config: AssociationConfig,
-        hint: Hint | None = None,
-        *,
-        among: Collection[int] | None = None,
-        trusted: Collection[int] | None = None,
-    ) -> list[Decision]:
-        """One decision for each observation, in their order."""
-        ...
+#: Data association as `PlaneSlam` calls it: with the arguments of `associate`, which it uses where no other is given.
+Associate = Callable[..., list[Decision]]
 
 
 def associate(
