@@ -8,7 +8,6 @@ from slam.diagnostics.evidence.coverage import (
     ambiguity_evidence,
     assumption_evidence,
     coverage_evidence,
-    loop_evidence,
     unmatched_evidence,
 )
 from slam.diagnostics.evidence.finished import Finished
@@ -21,7 +20,7 @@ from slam.diagnostics.views import scan_views_of, views_of
 from slam.sensors.rig import Rig
 
 #: Kinds of statistics there are, which share the significance.
-KINDS = 12
+KINDS = 11
 
 
 def assess_run(run: Finished, rig: Rig) -> Verdict:
@@ -42,7 +41,6 @@ def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     yield from unmatched_evidence(run)
     yield from free_space_evidence(views, poses)
     yield from free_space_evidence(scan_views_of(run.keyframes, poses), poses)
-    yield from loop_evidence(run.loops, run.config.loops.significance)
     yield from mount_evidence(run.keyframes, rig)
     yield from heading_evidence(run.keyframes, poses, rig)
     surfaces = Surfaces.of(run)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from slam.diagnostics.observability import OpenStretch, name_of, sigma_along
 from slam.diagnostics.verdict import Evidence, at_least, named
 from slam.frontend.observations import LineObservation, Observation, PlaneObservation
 from slam.frontend.occupancy import NOVEL_SHARE
-from slam.loop_closure.verification import LoopDecision
 from spplanes._check import FloatArray
 
 #: Keyframes with fewer than this many are no drive: nothing in them was seen twice and held against a third.
@@ -112,31 +111,6 @@ def ambiguity_evidence(run: Finished) -> Iterator[Evidence]:
         f"with probability {1.0 - right:.2f} one of those chosen is wrong"
     )
     yield Evidence("ambiguity", "doubtful", 0.0, 1.0 - right, "probability", tuple(likely), sentence)
-
-
-def loop_evidence(loops: Sequence[LoopDecision], significance: float) -> Iterator[Evidence]:
-    """Loops that verification was sure of, to `significance`, and that contradict the estimate.
-
-    They were refused because the graph as a whole was against them, or because they lie beyond all that it may have
-    drifted. One such comparison may be of places that only look alike, as often as the significance says; more are an
-    estimate that is wrong.
-    """
-    against = [one for one in loops if one.verdict in ("refused", "far")]
-    if not against:
-        return
-    frames = tuple(sorted({frame for one in against for frame in (one.old_keyframe, one.keyframe)}))
-    offsets = [one.offset_m for one in against if np.isfinite(one.offset_m)]
-    much = f", up to {max(offsets):.2g} m from where the map has them" if offsets else ""
-    yield Evidence(
-        "loops",
-        "doubtful",
-        float(at_least(len(against), len(loops), significance)),
-        float(len(against)),
-        "loops",
-        frames,
-        f"{len(against)} of {len(loops)} comparisons with old places found the same place and were refused by the map "
-        f"({named(frames)}{much})",
-    )
 
 
 def unmatched_evidence(run: Finished) -> Iterator[Evidence]:

@@ -12,7 +12,6 @@ from slam.diagnostics.observability import OpenStretch
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.io.trajectories import Trajectory
-from slam.loop_closure.verification import LoopDecision
 from slam.map.data_association import Decision
 from slam.map.landmarks import LandmarkMap
 from slam.mapping.map_update import LateMatch
@@ -55,10 +54,6 @@ class Finished(Protocol):
     @property
     def late_matches(self) -> list[LateMatch]:
         """Observations matched after their own keyframe."""
-
-    @property
-    def loops(self) -> list[LoopDecision]:
-        """Comparisons with old places."""
 
     @property
     def open_in_map(self) -> list[OpenStretch]:

@@ -6,8 +6,9 @@ import json
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
-from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, Verdict, named, weigh
+from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, Verdict, at_least, named, weigh
 
 
 def found(p_value: float, grade: str = "doubtful", kind: str = "free space") -> Evidence:
@@ -57,3 +58,11 @@ def test_a_verdict_comes_back_from_its_json():
     assert Verdict.from_dicts(json.loads(json.dumps(verdict.to_dict())), json.loads(json.dumps(evidence))) == verdict
     with pytest.raises(ValueError, match="expected sound, doubtful or broken, got 'fine'"):
         Verdict.from_dicts({"verdict": "fine"}, [])
+
+
+def test_the_binomial_tail_is_the_survival_function_of_scipy_to_the_bit():
+    rng = np.random.default_rng(0)
+    trials = rng.integers(0, 3000, 5000)
+    successes = (rng.random(5000) * (trials + 2)).astype(int)
+    for share in (0.001, 0.05, 0.5):
+        assert np.array_equal(at_least(successes, trials, share), binom.sf(successes - 1, trials, share))

@@ -11,11 +11,9 @@ import pytest
 from slam import PlaneSlam
 from slam.config import SlamConfig
 from slam.diagnostics.evidence import assess_run
-from slam.diagnostics.evidence.coverage import loop_evidence
 from slam.diagnostics.evidence.surfaces import free_space_evidence
 from slam.diagnostics.views import scan_views_of
 from slam.geometry.frames import planar_transform
-from slam.loop_closure.verification import LoopDecision
 from slam.map.data_association import Decision
 from slam.runs.slam_run import Run, run_slam
 from slam.sensors.log import Log, OdometryReading
@@ -111,16 +109,6 @@ def test_a_prior_map_is_confirmed_from_its_start_and_not_from_another(right: Run
         again = run_slam(log, rig, SlamConfig(), slam=PlaneSlam(SlamConfig(), prior=prior))
         verdict = assess_run(again.slam, rig)
         assert verdict.verdict == word or (word is None and verdict.verdict != "sound")
-
-
-def test_a_loop_refused_may_be_chance_and_several_are_not():
-    closed = [LoopDecision(20 + k, k, "closed") for k in range(20)]
-    once, often = (
-        loop_evidence([*closed, *[LoopDecision(90 + k, 4, "refused", offset_m=1.5)] * k], 1e-3) for k in (1, 3)
-    )
-    (chance,), (found,) = once, often
-    assert chance.p_value > 0.01 and found.p_value < 1e-4
-    assert "3 of 23 comparisons" in found.sentence and "keyframes 4, 93, up to 1.5 m" in found.sentence
 
 
 def test_too_few_keyframes_and_an_empty_map_are_doubtful():
