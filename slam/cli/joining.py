@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slam.cli._job import ConfigOption, JsonOption, KeepPartialOption, OutOption, OverwriteOption, RigOption
+from slam.cli._job import ConfigOption, JsonOption, KeepPartialOption, OutOption, OverwriteOption, RigOption, of_options
 from slam.cli._output import progress_bar, say, show, warn_of
 
 if TYPE_CHECKING:
@@ -42,78 +43,92 @@ def join(
     _write(joined, out, f"{len(runs)} missions", overwrite=overwrite, as_json=as_json)
 
 
-def fleet(
-    logs: Annotated[list[Path], typer.Argument(help="Logs of missions, two or more.")],
-    out: OutOption,
-    rig: RigOption = None,
-    config: ConfigOption = None,
-    scheduler: Annotated[str | None, typer.Option("--scheduler", help="Of a Dask cluster: tcp://HOST:PORT.")] = None,
+@dataclass(frozen=True)
+class FleetOptions:
+    """Of `spplanes fleet`."""
+
+    logs: Annotated[list[Path], typer.Argument(help="Logs of missions, two or more.")]
+    out: OutOption
+    rig: RigOption = None
+    config: ConfigOption = None
+    scheduler: Annotated[str | None, typer.Option("--scheduler", help="Of a Dask cluster: tcp://HOST:PORT.")] = None
     scheduler_file: Annotated[
         Path | None, typer.Option("--scheduler-file", help="File that a Dask scheduler wrote its address into.")
-    ] = None,
+    ] = None
     workers: Annotated[
         int | None, typer.Option("--workers", min=1, help="Processes on this machine; default: one for each core.")
-    ] = None,
-    memory: Annotated[str, typer.Option("--memory", help="Of each process on this machine, such as 4GB.")] = "auto",
+    ] = None
+    memory: Annotated[str, typer.Option("--memory", help="Of each process on this machine, such as 4GB.")] = "auto"
     store: Annotated[
         Path | None, typer.Option("--store", help="Folder of finished missions, shared; default: OUT.missions.")
-    ] = None,
-    significance: SignificanceOption = 1e-3,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="End where a log cannot be used; else it is left out.")
-    ] = False,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on; of a fleet that has finished nothing is left.")
-    ] = False,
-    keep_partial: KeepPartialOption = False,
-    overwrite: OverwriteOption = False,
-    as_json: JsonOption = False,
-) -> None:
+    ] = None
+    significance: SignificanceOption = 1e-3
+    strict: Annotated[bool, typer.Option("--strict", help="End where a log cannot be used; else it is left out.")] = (
+        False
+    )
+    resume: Annotated[bool, typer.Option("--resume", help="Go on; of a fleet that has finished nothing is left.")] = (
+        False
+    )
+    keep_partial: KeepPartialOption = False
+    overwrite: OverwriteOption = False
+    as_json: JsonOption = False
+
+
+@of_options
+def fleet(options: FleetOptions) -> None:
     """Map many LOGs at once, on this machine or on a Dask cluster, and join the missions into one map."""
     from slam.output.new_folder import check_free
 
-    if scheduler is not None and scheduler_file is not None:
+    logs, out = options.logs, options.out
+    is_remote = options.scheduler is not None or options.scheduler_file is not None
+    if options.scheduler is not None and options.scheduler_file is not None:
         raise ValueError("--scheduler: expected one cluster, got --scheduler-file too")
-    remote = scheduler is not None or scheduler_file is not None
-    if remote and workers is not None:
+    if is_remote and options.workers is not None:
         raise ValueError("--workers: expected without a scheduler, whose cluster has workers of its own")
-    if resume and (out / "joins.json").is_file():
+    if options.resume and (out / "joins.json").is_file():
         say(f"{out}: finished already; nothing is left to do")
         return
-    check_free(out, overwrite=overwrite)
+    check_free(out, overwrite=options.overwrite)
     if len(logs) < 2:  # before a cluster is started for it
         raise ValueError(f"LOG: expected at least two, got {len(logs)}")
+    store = out.with_name(f"{out.name}.missions") if options.store is None else options.store
+    joined = _run_fleet(options, store, is_remote)
+    _write(joined, out, f"{len(logs)} missions", overwrite=options.overwrite, as_json=options.as_json)
+    say(f"missions: {store}")
+
+
+def _run_fleet(options: FleetOptions, store: Path, is_remote: bool) -> JoinedMap:
+    """The missions mapped and joined, on a cluster that is there or on processes of this machine."""
     from slam.config import SlamConfig
-    from slam.fleet.fleet import has_dashboard, local_client, remote_client, run
+    from slam.fleet import has_dashboard, local_client, remote_client, run
     from slam.sensors.rig import Rig
 
-    settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
-    sensors = None if rig is None else Rig.from_yaml(rig)
-    kept = out.with_name(f"{out.name}.missions") if store is None else store
-    client = remote_client(scheduler, scheduler_file) if remote else local_client(workers, memory)
+    settings = SlamConfig() if options.config is None else SlamConfig.from_yaml(options.config)
+    sensors = None if options.rig is None else Rig.from_yaml(options.rig)
+    if is_remote:
+        client = remote_client(options.scheduler, options.scheduler_file)
+    else:
+        client = local_client(options.workers, options.memory)
     with client, progress_bar("missions and pairs") as progress:
         if has_dashboard():
             say(f"dashboard: {client.dashboard_link}")
-        done: dict[str, tuple[int, int]] = {}
+        done, count = {"missions": 0, "pairs": 0}, len(options.logs)
 
-        def tell(what: str, count: int, total: int) -> None:
-            done[what] = count, total
-            pairs = len(logs) * (len(logs) - 1) // 2
-            progress(sum(count for count, _ in done.values()), len(logs) + pairs)
+        def tell(what: str, so_many: int, _: int) -> None:
+            done[what] = so_many
+            progress(sum(done.values()), count + count * (count - 1) // 2)
 
-        joined = run(
-            logs,
-            kept,
+        return run(
+            options.logs,
+            store,
             client=client,
             rig=sensors,
             config=settings,
-            significance=significance,
-            strict=strict,
-            keep_partial=keep_partial,
+            significance=options.significance,
+            strict=options.strict,
+            keep_partial=options.keep_partial,
             progress=tell,
         )
-    _write(joined, out, f"{len(logs)} missions", overwrite=overwrite, as_json=as_json)
-    say(f"missions: {kept}")
 
 
 def _write(joined: JoinedMap, out: Path, title: str, *, overwrite: bool, as_json: bool) -> None:

@@ -2,137 +2,81 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slam.cli._job import (
-    BodyFrameOption,
-    ConfigOption,
-    JobsOption,
-    JsonOption,
-    KeepPartialOption,
-    OdometryFrameOption,
-    OdometryOption,
-    OdometryTopicOption,
-    OutOption,
-    OverwriteOption,
-    RigOption,
-    TimingsOption,
-    TopicOption,
-    open_job,
-)
+from slam.cli._job import JsonOption, MapOptions, OutOption, OverwriteOption, SlamOptions, of_options, open_job
 from slam.cli._output import hint_of, progress_bar, say, say_verdict, show, show_result, warn_of
 
 if TYPE_CHECKING:
     from slam.runs.slam_run import Run
 
 
-def slam(
-    log: Annotated[
-        Path | None,
-        typer.Argument(help="CARMEN log, ROS bag, folder of clouds or 3DTK scans, or simulated mission."),
-    ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results; must not exist.")] = None,
-    rig: RigOption = None,
-    odometry: OdometryOption = None,
-    config: ConfigOption = None,
-    overwrite: OverwriteOption = False,
-    keep_partial: KeepPartialOption = False,
-    resume: Annotated[
-        bool,
-        typer.Option("--resume", help="Go on with a run that ended: --resume RUN, or LOG --out RUN --resume."),
-    ] = False,
-    salvage: Annotated[
-        bool, typer.Option("--salvage", help="With --resume: of a damaged session keep what is whole.")
-    ] = False,
-    prior: Annotated[Path | None, typer.Option("--prior", help="Finished run (or planes.json) to localise in.")] = None,
-    start: Annotated[
-        str | None,
-        typer.Option("--start", help="With --prior: X,Y,HEADING or X,Y,Z,YAW,PITCH,ROLL (m, deg); or find (0,0,0)"),
-    ] = None,
-    start_sigma: Annotated[
-        str | None, typer.Option("--start-sigma", help="With --prior: standard deviations of that (default 0.3,6)")
-    ] = None,
-    keep_raw: Annotated[bool, typer.Option("--keep-raw", help="Keep the raw scans in the session.")] = False,
-    forget_raw: Annotated[bool, typer.Option("--forget-raw", help="Keep measurements on disk, not in memory.")] = False,
-    strict: Annotated[bool, typer.Option("--strict", help="End the run at a scan that cannot be used.")] = False,
-    batch: Annotated[bool, typer.Option("--batch", help="Solve the graph once more as a whole at the end.")] = False,
-    no_repair: Annotated[
-        bool, typer.Option("--no-repair", help="Leave a map that is found to be wrong as it is.")
-    ] = False,
-    topic: TopicOption = None,
-    odometry_topic: OdometryTopicOption = None,
-    odometry_frame: OdometryFrameOption = None,
-    body_frame: BodyFrameOption = None,
-    jobs: JobsOption = None,
-    timings: TimingsOption = False,
-    strict_verdict: Annotated[
-        bool, typer.Option("--strict-verdict", help="Exit code 1 where the map is found to be broken.")
-    ] = False,
-    as_json: JsonOption = False,
-) -> None:
+@of_options
+def slam(options: SlamOptions) -> None:
     """Estimate trajectory and planes of LOG; what is measured is on disk before it is used."""
-    given = {"rig": rig, "config": config, "odometry": odometry}
-    frames = {"odometry_frame": odometry_frame, "body_frame": body_frame}
-    bag = {"scans": tuple(topic or ()), "odometry": odometry_topic, **frames}
-    if resume:
-        run_folder, moved_to = (out, log) if out is not None else (log, None)
-        begun_with = (*given.values(), *bag.values(), prior, start, start_sigma)
-        if run_folder is None or any((*begun_with, overwrite, keep_partial, keep_raw, forget_raw)):
-            raise typer.BadParameter("takes the folder of a run; all else is as the run began", param_hint="--resume")
-        ending = {"as_json": as_json, "timings": timings, "strict_verdict": strict_verdict}
-        _resume(run_folder, moved_to, salvage=salvage, jobs=jobs, **ending)
-        return
-    if log is None or out is None or salvage:
+    if options.resume:
+        _resume(options)
+    else:
+        _begin(options)
+
+
+def _begin(options: SlamOptions) -> None:
+    """A new run."""
+    if options.log is None or options.out is None or options.salvage:
         raise typer.BadParameter("expected LOG --out DIR, or --resume RUN", param_hint="slam")
-    if prior is None and (start is not None or start_sigma is not None):
+    if options.prior is None and (options.start is not None or options.start_sigma is not None):
         raise typer.BadParameter("expected --prior, the map that it is a place in", param_hint="--start")
-    job = open_job(log, out, overwrite=overwrite, keep_partial=keep_partial, bag=bag, **given)
+    log, out = options.log, options.out
+    job = open_job(log, out, options)
     from slam.ahead import cores
     from slam.frontend.keyframes import keyframes_of
     from slam.output.run_folder import Source, new_run
     from slam.runs.slam_run import run_slam
     from slam.session.prior_map import read_prior
 
-    if strict:
+    if options.strict:
         keyframes = job.config.keyframes.model_copy(update={"strict": True})
         job = job._replace(config=job.config.model_copy(update={"keyframes": keyframes}))
     known = None
-    if prior is not None:
-        known = read_prior(prior, start or "0,0,0", start_sigma or "0.3,6", lambda: next(keyframes_of(*job[:3])))
-    raw = "value" if keep_raw else "reference"
-    source = Source(log, keep_partial, raw, forget_raw, odometry, tuple(job.log.assumed))
+    if options.prior is not None:
+        start, sigma = options.start or "0,0,0", options.start_sigma or "0.3,6"
+        known = read_prior(options.prior, start, sigma, lambda: next(keyframes_of(*job[:3])))
+    raw = "value" if options.keep_raw else "reference"
+    source = Source(log, options.keep_partial, raw, options.forget_raw, options.odometry, tuple(job.log.assumed))
     with (
         hint_of(out),
-        new_run(out, job.log, job.rig, job.config, source, prior=known, overwrite=overwrite) as slam,
+        new_run(out, job.log, job.rig, job.config, source, prior=known, overwrite=options.overwrite) as slam,
         progress_bar("keyframes") as progress,
     ):
         run = run_slam(
             *job[:3],
             slam=slam,
-            batch=batch,
-            repair=not no_repair,
-            jobs=jobs or cores(),
+            batch=options.batch,
+            repair=not options.no_repair,
+            jobs=options.jobs or cores(),
             clock=job.clock,
             progress=progress,
         )
-        _conclude(run, out, as_json=as_json, timings=timings)
-    say_verdict(run.verdict, strict=strict_verdict)
+        _conclude(run, out, options)
+    say_verdict(run.verdict, strict=options.strict_verdict)
 
 
-def _resume(
-    folder: Path,
-    log: Path | None,
-    *,
-    salvage: bool,
-    jobs: int | None,
-    as_json: bool,
-    timings: bool,
-    strict_verdict: bool,
-) -> None:
+#: Options that go with --resume: all others are as the run began.
+_OF_RESUMED = frozenset(
+    ("log", "out", "resume", "salvage", "strict", "batch", "no_repair", "jobs", "timings", "strict_verdict", "as_json")
+)
+
+
+def _resume(options: SlamOptions) -> None:
     """Go on with a run; of one that is finished there is nothing to do, and that is no error."""
+    folder, log = (options.log, None) if options.out is None else (options.out, options.log)
+    given = {one.name for one in fields(options) if getattr(options, one.name)}
+    if folder is None or given - _OF_RESUMED:
+        raise typer.BadParameter("takes the folder of a run; all else is as the run began", param_hint="--resume")
     from slam.errors import check_folder_given
     from slam.timing import StageClock
 
@@ -143,20 +87,22 @@ def _resume(
     from slam.runs.slam_run import run_slam
     from slam.session.salvage import salvage_session
 
-    if salvage:
+    if options.salvage:
         say(salvage_session(folder).sentence)
     try:
         with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
             with progress_bar("keyframes") as progress:
-                run = run_slam(read, rig, slam.config, slam=slam, jobs=jobs or cores(), clock=clock, progress=progress)
-            _conclude(run, folder, as_json=as_json, timings=timings)
+                run = run_slam(
+                    read, rig, slam.config, slam=slam, jobs=options.jobs or cores(), clock=clock, progress=progress
+                )
+            _conclude(run, folder, options)
     except FinishedAlready as sentence:
         say(sentence)
     else:
-        say_verdict(run.verdict, strict=strict_verdict)
+        say_verdict(run.verdict, strict=options.strict_verdict)
 
 
-def _conclude(run: Run, folder: Path, *, as_json: bool, timings: bool) -> None:
+def _conclude(run: Run, folder: Path, options: SlamOptions) -> None:
     """Write the results of a run into its folder; its table, what was assumed and what to know on the screen."""
     from slam.output.run_files import write_run
     from slam.output.run_folder import conclude
@@ -171,21 +117,14 @@ def _conclude(run: Run, folder: Path, *, as_json: bool, timings: bool) -> None:
         say(f"assumed: {sentence}")
     for repair in run.repairs or ():
         say(repair.sentence)
-    show_result(name, rows, run.clock, folder, as_json=as_json, timings=timings)
+    show_result(name, rows, run.clock, folder, as_json=options.as_json, timings=options.timings)
 
 
-def map_(
-    log: Annotated[Path, typer.Argument(help="Log, folder or mission whose scans come with poses.")],
-    out: OutOption,
-    rig: RigOption = None,
-    config: ConfigOption = None,
-    overwrite: OverwriteOption = False,
-    keep_partial: KeepPartialOption = False,
-    timings: TimingsOption = False,
-    as_json: JsonOption = False,
-) -> None:
+@of_options
+def map_(options: MapOptions) -> None:
     """The paper's mapping: planes of LOG at the poses it gives."""
-    job = open_job(log, out, rig=rig, config=config, overwrite=overwrite, keep_partial=keep_partial)
+    log, out = options.log, options.out
+    job = open_job(log, out, options)
     from slam.output.new_folder import new_folder
     from slam.output.run_files import write_map
     from slam.output.run_metrics import empty_map
@@ -193,12 +132,12 @@ def map_(
 
     with progress_bar("scans") as progress:
         result = run_map(job.log, job.rig, job.config, clock=job.clock, progress=progress)
-    with result.clock.stage("write"), new_folder(out, overwrite=overwrite) as folder:
+    with result.clock.stage("write"), new_folder(out, overwrite=options.overwrite) as folder:
         rows = write_map(result, folder, job.config, job.rig, title=f"spplanes map {log.name}", log=job.log)
     warn_of(empty_map(result.planes))
     for sentence in job.log.assumed:
         say(f"assumed: {sentence}")
-    show_result(log.name, rows, result.clock, out, as_json=as_json, timings=timings)
+    show_result(log.name, rows, result.clock, out, as_json=options.as_json, timings=options.timings)
 
 
 def demo(

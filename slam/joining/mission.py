@@ -1,13 +1,16 @@
-"""A finished mission as joining needs it: planes with their joint covariance, poses, what some keyframes saw."""
+"""A finished mission as joining needs it: planes with their joint covariance, poses, what keyframes saw; as bytes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import gtsam
 import numpy as np
 
+from factors.archive import ArchiveError, dumps, loads
 from slam.backend.estimator import BackendError
 from slam.config import SlamConfig
 from slam.frontend.observations import planes_of
@@ -16,14 +19,22 @@ from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam, pose_symbol
 from slam.sensors.rig import Rig
+from slam.session._codec import CodecError, decode, encode
+from slam.session._file import digest
 from slam.session.opening import session_path
 from slam.session.prior_map import map_covariance
-from slam.session.store import Session, SessionError
-from spplanes import Plane
+from slam.session.store import Session, SessionError, rig_json
+from spplanes import Plane, __version__
 from spplanes._check import FloatArray
 
 #: Keyframes that are held against another mission, evenly over the run: the sample of a long one is as good.
 _MOST_LOOKS = 60
+#: What the record of a mission begins with: its form, and the version that wrote it.
+_HEAD = f"spplanes-mission/2 {__version__}\n".encode()
+
+
+class RecordError(ValueError):
+    """Bytes that are no record of this version, or not those that were written."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +143,63 @@ class FinishedMission:
             rig = session.rig
         with PlaneSlam.open(path, read_only=True) as slam:
             return cls.of(name or path.name, slam, rig)
+
+    def to_bytes(self) -> bytes:
+        """A record of numbers, text and outlines alone, so that nothing in it is ever run.
+
+        Raises:
+            ArchiveError: a factor that is not ours.
+        """
+        mission, graph = self.mission, self.graph
+        trajectory, looks = _fields_of(mission.trajectory), [_fields_of(one) for one in mission.looks]
+        landmarks = [(one, *keys) for one, keys in graph.planes.items()]
+        content = encode(
+            {
+                "mission": {**_fields_of(mission), "trajectory": trajectory, "looks": looks},
+                "factors": dumps(graph.factors, graph.values),
+                "landmarks": np.array(landmarks, dtype=np.int64).reshape(-1, 3),
+                "carriers": np.array(graph.carriers, dtype=np.int64),
+                "carrier_T_body": graph.carrier_T_body,
+                "config": json.dumps(self.config.model_dump(mode="json")),
+                "rig": None if self.rig is None else rig_json(self.rig).decode(),
+            }
+        )
+        return _HEAD + digest(content) + content
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> FinishedMission:
+        """Inverse of `to_bytes`; a RecordError where it is not that."""
+        plain = _opened(data)
+        try:
+            factors, values = loads(plain["factors"])
+            planes = {one: (anchor, key) for one, anchor, key in plain["landmarks"].tolist()}
+            graph = MissionGraph(factors, values, planes, tuple(plain["carriers"].tolist()), plain["carrier_T_body"])
+            known: dict[str, Any] = plain["mission"]
+            known |= {"trajectory": Trajectory(**known["trajectory"])}
+            known |= {"looks": tuple(Look(**one) for one in known["looks"])}
+            rig = None if plain["rig"] is None else Rig.model_validate_json(plain["rig"])
+            return cls(Mission(**known), graph, SlamConfig.model_validate(json.loads(plain["config"])), rig)
+        except (ArchiveError, KeyError, TypeError) as error:
+            raise RecordError("expected the record of a mission with its graph, got another") from error
+
+
+def _fields_of(one: Any) -> dict[str, Any]:
+    """A dataclass as a dict of its fields, these as they are."""
+    return {field.name: getattr(one, field.name) for field in fields(one)}
+
+
+def _opened(data: bytes) -> dict[str, Any]:
+    """What stands in a record that is as it was written."""
+    if not data.startswith(_HEAD):
+        told = json.dumps(data[:40].split(b"\n")[0].decode("ascii", "replace"))
+        raise RecordError(f"expected a record of this version, got one that begins with {told}")
+    start = len(_HEAD) + len(digest(b""))
+    if digest(data[start:]) != data[len(_HEAD) : start]:
+        raise RecordError("expected a record as it was written, got one that is damaged")
+    try:
+        return decode(data[start:])
+    except CodecError as error:
+        raise RecordError(str(error)) from error
 
 
 def _looks(slam: PlaneSlam, trajectory: Trajectory, rig: Rig | None) -> tuple[Look, ...]:

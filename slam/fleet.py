@@ -1,23 +1,37 @@
-"""A fleet of missions on Dask: every log a task, every pair of missions a task, one map at the end."""
+"""Fleet: many missions on Dask (extra `fleet`): every log a task, every pair of missions a task, one map at the end.
+
+Tasks are functions of what they are given, done again anywhere with the same result.
+"""
 
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from hashlib import blake2b
 from importlib.util import find_spec
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from factors.archive import ArchiveError
 from slam.config import SlamConfig
-from slam.fleet.tasks import Order, compare_records, map_log, open_mapped
+from slam.files import scratch_folder
+from slam.frontend.range_noise import with_shown_errors
+from slam.io.load import load
 from slam.joining.join import SIGNIFICANCE, joined_by, names_of
 from slam.joining.joined_map import JoinedMap
-from slam.joining.records import comparison_from_bytes
+from slam.joining.mission import FinishedMission, Mission, RecordError
+from slam.joining.overlap import Comparison, compare_missions
+from slam.output.run_files import write_run
+from slam.output.run_folder import Source, conclude, new_run
+from slam.runs.slam_run import run_slam
 from slam.sensors.rig import Rig
+from slam.session._file import fingerprint
 from slam.session.store import rig_json
+from spplanes import __version__
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -26,7 +40,8 @@ Progress = Callable[[str, int, int], None]
 
 #: A task is tried again so often when its worker is killed or the store fails it.
 RETRIES = 10
-
+#: The record of a mission in its run's folder.
+RECORD_FILE = "mission.record"
 #: So long is waited for a scheduler to answer.
 _PATIENCE_S = "10s"
 
@@ -49,9 +64,9 @@ def run(
 ) -> JoinedMap:
     """Map many logs on a cluster, and join the missions.
 
-    Every log is one task, every pair of missions another; the joint solution is made here. What travels are records of
-    numbers. Finished missions are kept in the store by their content (log, rig, configuration, version) and never
-    mapped again: a fleet that was killed goes on by being run again.
+    Every log is one task, every pair of missions another; the joint solution is made here. What travels are missions
+    without their graphs. Finished missions are kept in the store by their content (log, rig, configuration, version)
+    and never mapped again: a fleet that was killed goes on by being run again.
 
     Args:
         logs: one for each mission; their paths hold on every worker.
@@ -73,16 +88,13 @@ def run(
         raise ValueError(f"logs: expected at least two, got {len(logs)}")
     if not 0.0 < significance < 0.5:
         raise ValueError(f"significance: expected a probability in (0, 0.5), got {significance}")
-    config = config or SlamConfig()
-    settings = json.dumps(config.model_dump(mode="json"))
-    sensors = None if rig is None else rig_json(rig).decode()
-    where = str(Path(store).resolve())
+    config, where = config or SlamConfig(), Path(store).resolve()
     orders = [
-        Order(name, str(Path(log).resolve()), sensors, settings, where, keep_partial)
+        Order(name, Path(log).resolve(), rig, config, where, keep_partial)
         for name, log in zip(names_of(logs), logs, strict=True)
     ]
     with local_client() if client is None else nullcontext(client) as used:
-        return _on(used, orders, config, settings, significance, strict, progress)
+        return _on(used, orders, significance, strict, progress)
 
 
 def local_client(workers: int | None = None, memory: str = "auto") -> Client:
@@ -144,26 +156,13 @@ def has_dashboard() -> bool:
 
 
 def _on(
-    client: Client,
-    orders: Sequence[Order],
-    config: SlamConfig,
-    settings: str,
-    significance: float,
-    strict: bool,
-    progress: Progress | None,
+    client: Client, orders: Sequence[Order], significance: float, strict: bool, progress: Progress | None
 ) -> JoinedMap:
-    pairs = list(combinations(range(len(orders)), 2))
+    config, pairs = orders[0].config, list(combinations(range(len(orders)), 2))
     mapped = [client.submit(map_log, one, pure=True, retries=RETRIES) for one in orders]
     compared = [
         client.submit(
-            compare_records,
-            mapped[a],
-            mapped[b],
-            (orders[a].name, orders[b].name),
-            settings,
-            significance / len(pairs),
-            pure=True,
-            retries=RETRIES,
+            compare_mapped, mapped[a], mapped[b], config, significance / len(pairs), pure=True, retries=RETRIES
         )
         for a, b in pairs
     ]
@@ -172,10 +171,10 @@ def _on(
     if left_out and (strict or len(left_out) == len(orders)):
         name, reason = next(iter(left_out.items()))
         raise ValueError(f"logs: expected ones that can be mapped, got {len(left_out)} that cannot ({name}: {reason})")
-    records = [one for one in _gathered(client, compared, "pairs", progress) if one is not None]
+    comparisons = [one for one in _gathered(client, compared, "pairs", progress) if one is not None]
     folders = {name: one.folder for name, one in zip(names, results, strict=True) if one.folder is not None}
     missions = {name: open_mapped(folder, name) for name, folder in folders.items()}
-    joined = joined_by(missions, [comparison_from_bytes(one) for one in records], config, left_out)
+    joined = joined_by(missions, comparisons, config, left_out)
     return replace(joined, folders=folders)
 
 
@@ -202,3 +201,108 @@ def _gathered(client: Client, futures: Sequence[Any], what: str, progress: Progr
         raise FleetError(
             f"a task ended {RETRIES} workers, which may need more memory; what is finished is kept"
         ) from error
+
+
+@dataclass(frozen=True)
+class Order:
+    """A mission to be mapped: all that its result depends on."""
+
+    name: str
+    """What it is called in the joined map."""
+    log: Path
+    """The log, by a path that is the same on every worker."""
+    rig: Rig | None
+    """With which sensors; None: the log's own, or a default."""
+    config: SlamConfig
+    """Of mapping."""
+    store: Path
+    """Folder that keeps finished missions, the same on every worker."""
+    keep_partial: bool = False
+    """Use what precedes a cut in the log."""
+
+    def key(self) -> str:
+        """Content address: by log, rig, configuration and version.
+
+        Raises:
+            OSError: the log cannot be read.
+        """
+        rig = None if self.rig is None else rig_json(self.rig).decode()
+        what = [fingerprint(self.log), rig, self.config.model_dump(mode="json"), self.keep_partial, __version__]
+        return blake2b(json.dumps(what, sort_keys=True).encode(), digest_size=12).hexdigest()
+
+
+@dataclass(frozen=True, eq=False)
+class Mapped:
+    """What became of an order."""
+
+    name: str
+    """Of the mission."""
+    folder: str | None
+    """The run's folder; None: the log could not be used."""
+    reason: str = ""
+    """Why not, one sentence."""
+    mission: Mission | None = None
+    """The mission without its graph, by the name that it has in this fleet."""
+
+
+def map_log(order: Order) -> Mapped:
+    """Map a log into the store, unless it is there already.
+
+    The work is done in a folder of its own and put into its place when it is finished: a worker may be killed at any
+    moment, or two may do the same, and nothing is lost or done twice. A log that cannot be used is no error: the
+    mission is named and left out.
+    """
+    try:
+        key = order.key()
+    except OSError as error:
+        return Mapped(order.name, None, f"{order.log}: cannot be read ({error.strerror or error})")
+    folder = order.store / key
+    known = _record_in(folder)
+    if known is None:
+        try:
+            _map(order, folder)
+        except (ValueError, ImportError, ArchiveError) as error:
+            return Mapped(order.name, None, " ".join(str(error).split()))
+        known = _record_in(folder)
+    if known is None:
+        raise OSError(f"{folder}: cannot be read back")  # the store is not shared, or full: done again elsewhere
+    return Mapped(order.name, str(folder), "", replace(known.mission, name=order.name))
+
+
+def open_mapped(folder: str, name: str) -> FinishedMission:
+    """A finished mission of the store, by the name it has in this fleet."""
+    finished = FinishedMission.from_bytes((Path(folder) / RECORD_FILE).read_bytes())
+    return replace(finished, mission=replace(finished.mission, name=name))
+
+
+def compare_mapped(first: Mapped, second: Mapped, config: SlamConfig, significance: float) -> Comparison | None:
+    """Two missions compared; None where one could not be used."""
+    if first.mission is None or second.mission is None:
+        return None
+    return compare_missions(first.mission, second.mission, config, significance=significance)
+
+
+def _map(order: Order, folder: Path) -> None:
+    log, sensors = load(order.log, order.rig, keep_partial=order.keep_partial)
+    sensors = with_shown_errors(log, sensors)
+    with scratch_folder(folder) as work:
+        made = work / "run"
+        source = Source(order.log, order.keep_partial, assumed=tuple(log.assumed))
+        with new_run(made, log, sensors, order.config, source, prior=None, overwrite=False) as slam:
+            run = run_slam(log, sensors, order.config, slam=slam)
+            finished = FinishedMission.of(order.name, run.slam, sensors)
+            conclude(run, made, lambda into: write_run(run, into, title=f"spplanes fleet {order.name}"))
+        (made / RECORD_FILE).write_bytes(finished.to_bytes())
+        try:
+            made.rename(folder)
+        except OSError:  # another worker was first, and made the same; or what lies there is of no use
+            if _record_in(folder) is None:
+                shutil.rmtree(folder, ignore_errors=True)
+                made.rename(folder)
+
+
+def _record_in(folder: Path) -> FinishedMission | None:
+    try:
+        return FinishedMission.from_bytes((folder / RECORD_FILE).read_bytes())
+    except (OSError, RecordError):
+        return None
