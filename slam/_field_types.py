@@ -39,7 +39,7 @@ def holds(value: Any, hint: Any) -> bool:
 def _tests_of(kind: type) -> tuple[tuple[str, Test, str], ...]:
     """For every field its name, what it must pass, and the type it states in words."""
     hints = get_type_hints(kind, localns={"Polygon": shapely.Polygon})
-    return tuple((one.name, _test(hints[one.name]), str(one.type)) for one in fields(kind))
+    return tuple((field.name, _test(hints[field.name]), str(field.type)) for field in fields(kind))
 
 
 @cache

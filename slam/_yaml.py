@@ -57,7 +57,7 @@ def near_key(model: Any, place: Sequence[int | str]) -> str:
 def _keys_of(model: Any) -> dict[str, Any]:
     """Keys of a pydantic model or a dataclass with the types of their values; none of anything else."""
     if is_dataclass(model):
-        return {one.name: one.type for one in fields(model)}
+        return {field.name: field.type for field in fields(model)}
     return {name: one.annotation for name, one in getattr(model, "model_fields", {}).items()}
 
 

@@ -167,12 +167,12 @@ def _on(
         for a, b in pairs
     ]
     names, results = [order.name for order in orders], _gathered(client, mapped, "missions", progress)
-    left_out = {name: one.reason for name, one in zip(names, results, strict=True) if one.folder is None}
+    left_out = {name: result.reason for name, result in zip(names, results, strict=True) if result.folder is None}
     if left_out and (strict or len(left_out) == len(orders)):
         name, reason = next(iter(left_out.items()))
         raise ValueError(f"logs: expected ones that can be mapped, got {len(left_out)} that cannot ({name}: {reason})")
     comparisons = [one for one in _gathered(client, compared, "pairs", progress) if one is not None]
-    folders = {name: one.folder for name, one in zip(names, results, strict=True) if one.folder is not None}
+    folders = {name: result.folder for name, result in zip(names, results, strict=True) if result.folder is not None}
     missions = {name: open_mapped(folder, name) for name, folder in folders.items()}
     joined = joined_by(missions, comparisons, config, left_out)
     return replace(joined, folders=folders)

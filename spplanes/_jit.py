@@ -120,7 +120,7 @@ def _are_brought() -> bool:
         features = get_host_cpu_features()
     except RuntimeError:  # LLVM does not know this machine
         return not PORTABLE.needs
-    return all(features.get(one) for one in PORTABLE.needs)
+    return all(features.get(need) for need in PORTABLE.needs)
 
 
 class _Cache(FunctionCache):

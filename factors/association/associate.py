@@ -50,17 +50,17 @@ class Association:
     @cached_property
     def matches(self) -> tuple[Identity, ...]:
         """Those that are a landmark."""
-        return tuple(one for one in self.identities if one.verdict == "match")
+        return tuple(identity for identity in self.identities if identity.verdict == "match")
 
     @cached_property
     def new(self) -> tuple[Identity, ...]:
         """Those that are none of the landmarks."""
-        return tuple(one for one in self.identities if one.verdict == "new")
+        return tuple(identity for identity in self.identities if identity.verdict == "new")
 
     @cached_property
     def unsure(self) -> tuple[Identity, ...]:
         """Those of which neither can be said."""
-        return tuple(one for one in self.identities if one.verdict == "unsure")
+        return tuple(identity for identity in self.identities if identity.verdict == "unsure")
 
 
 def associate(
@@ -103,7 +103,7 @@ def associate(
         raise ValueError(f"least_probability: expected a number from 0 to 1, got {least}")
     gates = AssociationGates() if gates is None else gates
     check_instance("gates", gates, AssociationGates)
-    seen = [as_observation(f"observations[{i}]", one) for i, one in enumerate(observations)]
+    seen = [as_observation(f"observations[{i}]", observation) for i, observation in enumerate(observations)]
     order = sorted(range(len(seen)), key=lambda index: _rank(seen[index]))  # ties must not go by the order given
     sorted_seen = [seen[index] for index in order]
     placed = _Placed(landmarks, prediction)

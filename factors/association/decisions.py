@@ -125,8 +125,12 @@ def is_open(decision: Decision, away: Callable[[int], float], gates: Association
     match = decision.match
     if match is None:
         return decision.verdict == "unsure"
-    rivals = [one for one in decision.candidates if one is not match and one.p_value >= gates.significance]
+    rivals = [
+        candidate
+        for candidate in decision.candidates
+        if candidate is not match and candidate.p_value >= gates.significance
+    ]
     if not rivals:
         return False
     least = match.log_likelihood - away(match.landmark) - gates.rival_log_ratio
-    return any(one.log_likelihood - away(one.landmark) >= least for one in rivals)
+    return any(rival.log_likelihood - away(rival.landmark) >= least for rival in rivals)

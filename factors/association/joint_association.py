@@ -113,7 +113,7 @@ class JointCompatibility:
         for index in self._firmest_first():
             if found.decisions[index].match is not None or not self.hypotheses[index]:
                 continue
-            candidates = [one.candidate for one in innovations_of(self.hypotheses[index], state)]
+            candidates = [innovation.candidate for innovation in innovations_of(self.hypotheses[index], state)]
             match = self._decide(index, candidates, state).match
             if match is not None:
                 tried.setdefault(match.landmark, index)

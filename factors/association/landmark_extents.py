@@ -138,11 +138,11 @@ def place_all(landmarks: list[LandmarkExtent], values: gtsam.Values) -> FloatArr
     """Plane frames of landmarks in the world by an estimate, shape (N, 4, 4)."""
     if not landmarks:
         return np.empty((0, 4, 4))
-    anchors = {key: _frame_of("landmarks", key, values) for key in {one.anchor_key for one in landmarks}}
-    planes = [landmark_hesse(_plane_of(one.key, values)) for one in landmarks]
+    anchors = {key: _frame_of("landmarks", key, values) for key in {landmark.anchor_key for landmark in landmarks}}
+    planes = [landmark_hesse(_plane_of(landmark.key, values)) for landmark in landmarks]
     normals, distances = np.array([normal for normal, _ in planes]), np.array([d for _, d in planes])
-    settled = settle_frames(np.array([one.anchor_T_plane for one in landmarks]), normals, distances)
-    return np.array([anchors[one.anchor_key] for one in landmarks]) @ settled
+    settled = settle_frames(np.array([landmark.anchor_T_plane for landmark in landmarks]), normals, distances)
+    return np.array([anchors[landmark.anchor_key] for landmark in landmarks]) @ settled
 
 
 def _plane_of(key: int, values: gtsam.Values) -> gtsam.OrientedPlane3:

@@ -51,11 +51,14 @@ def _gaps(problem: JointCompatibility) -> list[dict[int, float]]:
     """How much less likely each landmark is for where an observation lies than the nearest that passes, in nats."""
     state, gaps = problem.state(), []
     for index, hypotheses in enumerate(problem.hypotheses):
-        away = {one.candidate.landmark: problem.away(index, one.candidate.landmark) for one in hypotheses}
+        away = {
+            hypothesis.candidate.landmark: problem.away(index, hypothesis.candidate.landmark)
+            for hypothesis in hypotheses
+        }
         passing = [
-            away[one.candidate.landmark]
-            for one in innovations_of(hypotheses, state)
-            if one.candidate.p_value >= problem.gates.significance
+            away[innovation.candidate.landmark]
+            for innovation in innovations_of(hypotheses, state)
+            if innovation.candidate.p_value >= problem.gates.significance
         ]
         least = min(passing, default=0.0)
         gaps.append({landmark: max(one - least, 0.0) for landmark, one in away.items()})
@@ -71,9 +74,13 @@ def _rivals(
         match, chance = best.decisions[index].match, problem.chances[index]
         taken = None if match is None else match.landmark
         passing = [
-            (one.candidate.log_likelihood - gaps[index][one.candidate.landmark], one.candidate.landmark)
-            for one in innovations_of(hypotheses, state)
-            if one.candidate.p_value >= problem.gates.significance and one.candidate.log_likelihood >= chance
+            (
+                innovation.candidate.log_likelihood - gaps[index][innovation.candidate.landmark],
+                innovation.candidate.landmark,
+            )
+            for innovation in innovations_of(hypotheses, state)
+            if innovation.candidate.p_value >= problem.gates.significance
+            and innovation.candidate.log_likelihood >= chance
         ]
         most = max((log for log, _ in passing), default=0.0)
         rivals += [(most - log, index, landmark) for log, landmark in passing if landmark != taken]
@@ -146,7 +153,7 @@ def _conditional(problem: JointCompatibility, index: int, state: State, gaps: di
     """Posterior of one observation by a state."""
     innovations = innovations_of(problem.hypotheses[index], state)
     logs: Posterior = {None: _log_none(problem, index, innovations)}
-    for candidate in (one.candidate for one in innovations):
+    for candidate in (innovation.candidate for innovation in innovations):
         if candidate.p_value >= problem.gates.new_significance:
             logs[candidate.landmark] = candidate.log_likelihood - gaps[candidate.landmark]
     most = max(logs.values())
@@ -157,5 +164,5 @@ def _conditional(problem: JointCompatibility, index: int, state: State, gaps: di
 
 def _log_none(problem: JointCompatibility, index: int, innovations: Sequence[Innovation]) -> float:
     """Log density of what is no landmark: half of such planes are turned anyhow, half are parallel to one."""
-    beside = (problem.parallel_chances[index] + log_parallel(one) for one in innovations)
+    beside = (problem.parallel_chances[index] + log_parallel(innovation) for innovation in innovations)
     return float(np.logaddexp.reduce([problem.chances[index], *beside])) - log(2.0)

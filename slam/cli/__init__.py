@@ -52,8 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _group_first(arguments: Sequence[str]) -> list[str]:
     """The arguments with -v and -q before the command, wherever they were given: no command has such options."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
-    own = [one for one in arguments[:end] if one in _OF_GROUP]
-    return [*own, *(one for one in arguments[:end] if one not in _OF_GROUP), *arguments[end:]]
+    own = [argument for argument in arguments[:end] if argument in _OF_GROUP]
+    return [*own, *(argument for argument in arguments[:end] if argument not in _OF_GROUP), *arguments[end:]]
 
 
 def _fail(error: object, code: int) -> None:

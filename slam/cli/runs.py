@@ -74,7 +74,7 @@ _OF_RESUMED = frozenset(
 def _resume(options: SlamOptions) -> None:
     """Go on with a run; of one that is finished there is nothing to do, and that is no error."""
     folder, log = (options.log, None) if options.out is None else (options.out, options.log)
-    given = {one.name for one in fields(options) if getattr(options, one.name)}
+    given = {field.name for field in fields(options) if getattr(options, field.name)}
     if folder is None or given - _OF_RESUMED:
         raise typer.BadParameter("takes the folder of a run; all else is as the run began", param_hint="--resume")
     from slam.errors import check_folder_given

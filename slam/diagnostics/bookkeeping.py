@@ -37,7 +37,11 @@ class Bookkeeping:
         """Its observations have been told apart; the graph does not know yet."""
         self._count_innovations(keyframe, prediction, decisions)
         self._recorder.decided(prediction.index, decisions)
-        pairs = [(keyframe.observations[one.observation], one.match) for one in decisions if one.match is not None]
+        pairs = [
+            (keyframe.observations[decision.observation], decision.match)
+            for decision in decisions
+            if decision.match is not None
+        ]
         normals = [self._landmarks.placed(match.landmark).normal for _, match in pairs]
         pose = self._backend.pose(prediction.pose_key)
         self.observability.add(prediction.index, [seen for seen, _ in pairs], pose, prediction.motion, normals)
@@ -67,7 +71,7 @@ _NAMED = 3
 def decision_sentence(decision: Decision, observation: Observation) -> str:
     """What became of an observation, and what it was compared with, likeliest first."""
     what = f"{observation.kind} {decision.observation} ({observation.n_points} points)"
-    compared = ", ".join(_candidate(one) for one in decision.candidates[:_NAMED]) or "no landmark near"
+    compared = ", ".join(_candidate(candidate) for candidate in decision.candidates[:_NAMED]) or "no landmark near"
     if decision.match is not None:
         return f"{what} is landmark {decision.match.landmark}: {compared}"
     if decision.verdict == "new":

@@ -116,7 +116,7 @@ def innovations_without_prediction(
     everything. An observation has the share that it adds to those firmer than it. To be asked before the keyframe's
     factors are in the graph.
     """
-    found = [(one.observation, one.match.landmark) for one in decisions if one.match is not None]
+    found = [(decision.observation, decision.match.landmark) for decision in decisions if decision.match is not None]
     found.sort(key=lambda pair: (-observations[pair[0]].n_points, pair[0]))
     if not found:
         return []

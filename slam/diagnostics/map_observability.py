@@ -48,10 +48,13 @@ def open_in_map(
         known = np.eye(3) / _FIXED**2 if landmark.known else np.diag([1e-6, 1e-3, 1e-3])
         information.add(information.landmark(number), known)
         origin = landmarks.placed(landmark.id).world_T_plane[:3, 3]
-        for one in landmark.sightings:
-            seen, pose = keyframes[one.keyframe].observations[one.observation], backend.pose(pose_symbol(one.keyframe))
+        for sighting in landmark.sightings:
+            seen, pose = (
+                keyframes[sighting.keyframe].observations[sighting.observation],
+                backend.pose(pose_symbol(sighting.keyframe)),
+            )
             by_pose, by_plane = _derivatives(seen, pose, normal, origin)
-            information.see(rows[one.keyframe], information.landmark(number), by_pose, by_plane)
+            information.see(rows[sighting.keyframe], information.landmark(number), by_pose, by_plane)
     looked_at = sorted({*np.linspace(1, len(held) - 1, min(_MOST, len(held) - 1)).round().astype(int).tolist()})
     found = information.covariances([6 * row for row in looked_at])
     open_ones = [
@@ -150,6 +153,8 @@ def _settled_normals(landmarks: LandmarkMap, keyframes: Sequence[Keyframe]) -> l
 
 def _tilt_sigma(landmark: Landmark, keyframes: Sequence[Keyframe]) -> float:
     """How well the firmest sighting of a landmark knows its normal, rad."""
-    seen: Iterable[Observation] = (keyframes[one.keyframe].observations[one.observation] for one in landmark.sightings)
+    seen: Iterable[Observation] = (
+        keyframes[sighting.keyframe].observations[sighting.observation] for sighting in landmark.sightings
+    )
     tilts = (one.full_plane(1.0).covariance[1:, 1:] for one in seen)
     return min((float(np.sqrt(np.linalg.eigvalsh(tilt)[0])) for tilt in tilts), default=0.0)

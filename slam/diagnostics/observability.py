@@ -110,7 +110,7 @@ def open_directions(
     """
     planes, world_R = list(matched), world_T_body[:3, :3]
     in_body = [None] * len(planes) if normals is None else [world_R.T @ normal for normal in normals]
-    seen = (plane_information(one, normal) for one, normal in zip(planes, in_body, strict=True))
+    seen = (plane_information(plane, normal) for plane, normal in zip(planes, in_body, strict=True))
     information = sum(seen, start=NOTHING + floor_information(motion))
     return wide_directions(keyframe, np.asarray(np.linalg.inv(information), float), world_T_body[:3, :3], rules)
 
@@ -223,12 +223,14 @@ def _source_of(motion: Motion | None) -> str:
 def gathered(directions: Iterable[OpenDirection]) -> list[list[OpenDirection]]:
     """Directions that are the same in groups, those of most keyframes first."""
     groups: list[list[OpenDirection]] = []
-    for one in directions:
-        home = next((g for g in groups if g[0].part == one.part and _is_same(g[0].direction, one.direction)), None)
+    for direction in directions:
+        home = next(
+            (g for g in groups if g[0].part == direction.part and _is_same(g[0].direction, direction.direction)), None
+        )
         if home is None:
-            groups.append([one])
+            groups.append([direction])
         else:
-            home.append(one)
+            home.append(direction)
     return sorted(groups, key=lambda group: -len({one.keyframe for one in group}))
 
 

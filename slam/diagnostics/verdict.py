@@ -80,7 +80,7 @@ class Verdict:
         if word not in ("sound", "doubtful", "broken"):
             raise ValueError(f"verdict: expected sound, doubtful or broken, got {word!r:.40}")
         fields: list[dict[str, Any]] = [{**one, "keyframes": tuple(map(int, one["keyframes"]))} for one in evidence]
-        return cls(word, tuple(Evidence(**one) for one in fields))
+        return cls(word, tuple(Evidence(**field) for field in fields))
 
 
 def at_least(successes: ArrayLike, trials: ArrayLike, share: float = 0.5) -> FloatArray:

@@ -91,8 +91,10 @@ class Face:
 
 def _widths(geometry: BaseGeometry) -> list[Interval]:
     """From where to where each polygon and each segment of a geometry goes along x."""
-    bounds = [one.bounds for one in polygons_of(geometry)]
-    ends = [(float(one[:, 0].min()), float(one[:, 0].max())) for one in segments_of(geometry) if len(one)]
+    bounds = [polygon.bounds for polygon in polygons_of(geometry)]
+    ends = [
+        (float(segment[:, 0].min()), float(segment[:, 0].max())) for segment in segments_of(geometry) if len(segment)
+    ]
     return [(low, high) for low, _, high, _ in bounds] + ends
 
 

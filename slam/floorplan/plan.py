@@ -111,7 +111,7 @@ def floor_plan(joint: JointPlanes) -> FloorPlan:
     levels = [storey for storey in levels if storey.faces]
     lowest = levels[0].section.floor
     plans = tuple(_plan_of(joint, storey, lowest) for storey in levels)
-    drawn = tuple(one for one in plans if one.rooms or one.walls or one.single or one.openings)
+    drawn = tuple(plan for plan in plans if plan.rooms or plan.walls or plan.single or plan.openings)
     if not drawn:
         raise ValueError("planes: expected a wall that reaches the ceiling for a floor plan, got none")
     return FloorPlan(joint, drawn)
@@ -140,7 +140,7 @@ def _room(joint: JointPlanes, storey: Storey, faces: Sequence[Face], rings: list
         along = zip(ring, ends, [*ends[1:], ends[0]], strict=True)
         sides.append(tuple(Side(face, a.point, b.point, joint.quantity(*length(a, b))) for face, a, b in along))
         corners.append(ends)
-    outline = [storey.in_plan(np.array([one.point for one in ends])) for ends in corners]
+    outline = [storey.in_plan(np.array([end.point for end in ends])) for ends in corners]
     shape = shapely.Polygon(outline[0], outline[1:])
     place = shape.centroid if shape.contains(shape.centroid) else shape.representative_point()
     middle = storey.plan @ np.array(place.coords[0])

@@ -173,7 +173,7 @@ def joint_planes(planes: Sequence[MapPlane], landmarks: LandmarkMap, backend: Ba
         planes: of the map, as `PlaneSlam.planes` gives them.
         landmarks, backend: the state they were read from.
     """
-    known = [hesse_of(landmarks[one.id], backend) for one in planes]
+    known = [hesse_of(landmarks[plane.id], backend) for plane in planes]
     keys = list(dict.fromkeys(key for _, _, _, by in known for key in by))
     if not keys:
         return JointPlanes((), np.empty((0, 4)), np.empty((0, 0)))

@@ -208,7 +208,7 @@ def _sides(ring: list[Edge], storey: Storey, lines: Sequence[Line], walls: Seque
 
 def _most_seen(line: Line, span: Interval, walls: Sequence[Face]) -> int:
     parts = [[line.base.beside(walls[k], one) for one in walls[k].extended] for k in line.faces]
-    return line.faces[int(np.argmax([covered_length(one, *span) for one in parts]))]
+    return line.faces[int(np.argmax([covered_length(part, *span) for part in parts]))]
 
 
 def _with_corners(sides: list[tuple[int, float]], walls: Sequence[Face]) -> list[int]:

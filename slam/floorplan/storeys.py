@@ -57,7 +57,7 @@ class Storey:
 
     def over(self, outline: BaseGeometry, levels: tuple[Level, ...]) -> Level | None:
         """The level plane that covers most of a piece of the plan; None where none covers any of it."""
-        areas = [shapely.intersection(outline, one.outline).area for one in levels]
+        areas = [shapely.intersection(outline, level.outline).area for level in levels]
         best = int(np.argmax(areas)) if areas else -1
         return levels[best] if areas and areas[best] > 0.0 else None
 
@@ -156,6 +156,6 @@ def _storey(
         plan,
         floor,
         tuple(_largest_first([one for one in floors if low <= one.height < high - STOREY_M / 2.0])),
-        tuple(_largest_first([one for one in ceilings if low < one.height <= high])),
+        tuple(_largest_first([ceiling for ceiling in ceilings if low < ceiling.height <= high])),
         tuple(face for face in faces if face is not None),
     )

@@ -149,12 +149,12 @@ def find_openings(joint: JointPlanes, storey: Storey, faces: Sequence[Face], sol
         for gap in face.gaps_at(CUT_M):
             jambs = _jambs(storey, face, gap)
             if jambs is not None:
-                key = (min(one.plane for one in jambs), max(one.plane for one in jambs))
+                key = (min(jamb.plane for jamb in jambs), max(jamb.plane for jamb in jambs))
                 if key not in known:
                     known.add(key)
                     found.append(_between(joint, storey, face, jambs, solids))
                 continue
-            wall = next((one for one in solids if one.front is face and _contains(one, gap)), None)
+            wall = next((solid for solid in solids if solid.front is face and _contains(solid, gap)), None)
             both = None if wall is None else _gap_behind(wall, gap)
             if wall is not None and both is not None:
                 found.append(_made(joint, storey, face, wall, both, None, wall.thickness.value))
@@ -165,10 +165,10 @@ def _between(
     joint: JointPlanes, storey: Storey, face: Face, jambs: tuple[Face, Face], solids: Sequence[Wall]
 ) -> Opening:
     """The opening between two jambs."""
-    low, high = (float(face.s_of(one.origin)) for one in jambs)
-    beside = (one for one in solids if face in (one.front, one.back))
+    low, high = (float(face.s_of(jamb.origin)) for jamb in jambs)
+    beside = (solid for solid in solids if face in (solid.front, solid.back))
     wall = next((one for one in beside if _contains(one, one.front.beside(face, (low, high)))), None)
-    reach = max(-float(face.before(end)) for one in jambs for end in _ends(one))
+    reach = max(-float(face.before(end)) for jamb in jambs for end in _ends(jamb))
     depth = wall.thickness.value if wall is not None else reach
     place = face.point(0.5 * (low + high)) - 0.5 * depth * face.normal
     width = joint.quantity(*distance(joint.hesse, jambs[0].plane, jambs[1].plane, place, face.along))
@@ -189,7 +189,7 @@ def _made(
     middle = corners.mean(axis=0)
     around = outline.buffer(SHORT_M)  # a ceiling or floor that passes over or through the opening goes beyond it
     lintel, sill = (
-        storey.over(outline, tuple(one for one in levels if around.covers(one.outline)))
+        storey.over(outline, tuple(level for level in levels if around.covers(level.outline)))
         for levels in (storey.ceilings, storey.floors)
     )
     below, above = face.gap_upright(0.5 * (span[0] + span[1]), CUT_M)

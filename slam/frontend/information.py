@@ -57,7 +57,7 @@ def floor_information(motion: Motion | None) -> FloatArray:
 
 def planar_information(observations: Sequence[Observation]) -> FloatArray:
     """Information (3, 3) that known planes seen give on (x, y, theta) of the pose, in the body's axes."""
-    total = sum((plane_information(one) for one in observations), np.zeros((6, 6)))
+    total = sum((plane_information(observation) for observation in observations), np.zeros((6, 6)))
     return total[np.ix_((3, 4, 2), (3, 4, 2))]
 
 

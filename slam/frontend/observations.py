@@ -32,4 +32,4 @@ def on_real_wall(seen: LineObservation, sigma_m: float, correlation_m: float) ->
 
 def planes_of(observations: Sequence[Observation]) -> list[Plane]:
     """Those that are planes, in the body frame, in their order."""
-    return [one.plane for one in observations if isinstance(one, PlaneObservation)]
+    return [observation.plane for observation in observations if isinstance(observation, PlaneObservation)]

@@ -194,7 +194,7 @@ def believed_planes(
             found[regions[k]] = [] if one is None else _parted(one, viewpoint, mapper, rules)
 
     in_parts(measure, len(regions), len(order), singly=True)
-    shown = iter(with_shared_error([one for planes in found for one in planes]))
+    shown = iter(with_shared_error([plane for planes in found for plane in planes]))
     return [[next(shown) for _ in planes] for planes in found]
 
 
@@ -250,18 +250,18 @@ def with_shared_error(planes: Sequence[Believed]) -> list[Believed]:
     """The planes of a scan with the errors that their residuals have in common beyond what the sensor states."""
     if not planes:
         return []
-    sizes = [len(one.part.points) for one in planes]
+    sizes = [len(plane.part.points) for plane in planes]
     shared = shared_error_of(
-        np.concatenate([one.part.points for one in planes]),
-        np.concatenate([one.part.blurred for one in planes]).reshape(-1, 9),
+        np.concatenate([plane.part.points for plane in planes]),
+        np.concatenate([plane.part.blurred for plane in planes]).reshape(-1, 9),
         np.repeat(np.arange(len(planes)), sizes),
-        np.array([one.plane.frame for one in planes]),
-        np.array([one.plane.covariance for one in planes]),
+        np.array([plane.plane.frame for plane in planes]),
+        np.array([plane.plane.covariance for plane in planes]),
         stated=True,
     )
     return [
-        replace(one, plane=replace(one.plane, covariance=covariance))
-        for one, covariance in zip(planes, shared.covariances, strict=True)
+        replace(plane, plane=replace(plane.plane, covariance=covariance))
+        for plane, covariance in zip(planes, shared.covariances, strict=True)
     ]
 
 

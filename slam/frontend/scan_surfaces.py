@@ -158,7 +158,7 @@ def _beam_width(points: FloatArray) -> float:
         apart = np.diff(rays, axis=1)
         square = np.einsum("lbi,lbi->lb", apart, apart)
         widths.append(square[np.isfinite(square)])
-    return max((float(np.sqrt(np.median(one))) for one in widths if len(one)), default=0.0)
+    return max((float(np.sqrt(np.median(width))) for width in widths if len(width)), default=0.0)
 
 
 def _edge_points(points: FloatArray, labels: np.ndarray, inset: int) -> FloatArray:

@@ -85,7 +85,7 @@ def with_warp(name: str, sensor: Sensor, log: Log) -> Sensor:
 
 def _images(log: Log, name: str, sensor: Sensor) -> list[FloatArray]:
     """Points (H, W, 3) of images of a camera, none of another sensor; whoever measures them says what is unreadable."""
-    scans, found = [one for one in log.scans(name) if isinstance(one, CloudScan)], []
+    scans, found = [scan for scan in log.scans(name) if isinstance(scan, CloudScan)], []
     for index in np.unique(np.linspace(0, len(scans) - 1, _IMAGES).astype(int)).tolist() if scans else []:
         try:
             points = usable_points(np.asarray(scans[index].points, dtype=np.float64), sensor)
@@ -173,24 +173,24 @@ def _priors() -> FloatArray:
 
 def _told(planes: Sequence[_Cells], weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Information of the weights (2 K, 2 K) and that times them (2 K,), each plane as uneven as it is by now."""
-    taken = [one.points / (1.0 + one.waves @ weights)[:, None] for one in planes]
+    taken = [plane.points / (1.0 + plane.waves @ weights)[:, None] for plane in planes]
     frames = np.array([_frame(points) for points in taken])
     local = [(points - frame[:3, 3]) @ frame[:3, :3] for points, frame in zip(taken, frames, strict=True)]
     designs = [np.column_stack((np.ones(len(xyz)), -xyz[:, 0], xyz[:, 1])) for xyz in local]  # of offset and tilts
-    spreads = [np.diag(by.T @ (by / one.variances[:, None])) for by, one in zip(designs, planes, strict=True)]
+    spreads = [np.diag(by.T @ (by / plane.variances[:, None])) for by, plane in zip(designs, planes, strict=True)]
     shared = shared_error_of(
         np.concatenate(taken),
-        np.concatenate([one.variances for one in planes])[:, None],
-        np.repeat(np.arange(len(planes)), [len(one.points) for one in planes]),
+        np.concatenate([plane.variances for plane in planes])[:, None],
+        np.repeat(np.arange(len(planes)), [len(plane.points) for plane in planes]),
         frames,
         np.array([np.diag(1.0 / spread) for spread in spreads]),
         stated=True,
     )
     information, told = np.zeros((len(weights), len(weights))), np.zeros(len(weights))
-    for k, one in enumerate(planes):
-        off = (one.points - frames[k, :3, 3]) @ frames[k, :3, 2]
-        along = (one.points @ frames[k, :3, 2])[:, None] * one.waves
-        noise = np.diag(shared.noise_factors[k] * one.variances) + shared.octave_sigmas_m[k] ** 2 * _uneven(local[k])
+    for k, plane in enumerate(planes):
+        off = (plane.points - frames[k, :3, 3]) @ frames[k, :3, 2]
+        along = (plane.points @ frames[k, :3, 2])[:, None] * plane.waves
+        noise = np.diag(shared.noise_factors[k] * plane.variances) + shared.octave_sigmas_m[k] ** 2 * _uneven(local[k])
         root = np.linalg.cholesky(noise)
         white = np.linalg.solve(root, np.column_stack((designs[k], along, off)))
         own, _ = np.linalg.qr(white[:, :3])

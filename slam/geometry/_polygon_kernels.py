@@ -26,7 +26,7 @@ class Rings(NamedTuple):
     @classmethod
     def of_all(cls, outlines: Sequence[BaseGeometry | None]) -> Rings:
         """Of polygons, multipolygons, or nothing."""
-        geometries = np.array([shapely.Polygon() if one is None else one for one in outlines], dtype=object)
+        geometries = np.array([shapely.Polygon() if outline is None else outline for outline in outlines], dtype=object)
         parts, owner = shapely.get_parts(geometries, return_index=True)
         rings, part = shapely.get_rings(parts, return_index=True)
         corners, ring = shapely.get_coordinates(rings, return_index=True)

@@ -78,8 +78,8 @@ def facing_pairs(a: Mission, b: Mission, a_T_b: FloatArray, config: AssociationC
     """Planes of two maps that look the same way under a motion, with what was seen of them near each other."""
     if not a.planes or not b.planes:
         return []
-    normals = np.array([one.plane.normal for one in b.planes]) @ a_T_b[:3, :3].T
-    alike = np.array([one.plane.normal for one in a.planes]) @ normals.T > np.cos(config.max_angle_rad)
+    normals = np.array([plane.plane.normal for plane in b.planes]) @ a_T_b[:3, :3].T
+    alike = np.array([plane.plane.normal for plane in a.planes]) @ normals.T > np.cos(config.max_angle_rad)
     return [(i, j) for i, j in np.argwhere(alike).tolist() if _near(a.planes[i], b.planes[j], a_T_b, config.gap_m)]
 
 

@@ -91,7 +91,9 @@ def components_of(names: Sequence[str], comparisons: Sequence[Comparison]) -> li
     while left:
         placed = _reached(known, left[0])
         members = {name: placed[name].a_T_b for name in names if name in placed}
-        found.append(Component(tuple(members), members, tuple(one for one in overlaps if one.first in placed)))
+        found.append(
+            Component(tuple(members), members, tuple(overlap for overlap in overlaps if overlap.first in placed))
+        )
         left = [name for name in left if name not in placed]
     return sorted(found, key=lambda one: -len(one.missions))
 
@@ -99,9 +101,9 @@ def components_of(names: Sequence[str], comparisons: Sequence[Comparison]) -> li
 def _joined(comparisons: Sequence[Comparison]) -> list[tuple[int, Motion]]:
     """Places of the overlaps among comparisons, the strongest first, and the motion of each."""
     found = [
-        (index, Motion(one.alignment.a_T_b, one.alignment.covariance))
-        for index, one in enumerate(comparisons)
-        if one.verdict == "joined" and one.alignment is not None
+        (index, Motion(comparison.alignment.a_T_b, comparison.alignment.covariance))
+        for index, comparison in enumerate(comparisons)
+        if comparison.verdict == "joined" and comparison.alignment is not None
     ]
     return sorted(found, key=lambda pair: -comparisons[pair[0]].strength)
 

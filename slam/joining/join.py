@@ -90,13 +90,13 @@ def joined_by(
     """
     comparisons = consistent(comparisons, config.association.new_significance)
     while True:
-        solved = [_solved(one, missions, config) for one in components_of(list(missions), comparisons)]
+        solved = [_solved(component, missions, config) for component in components_of(list(missions), comparisons)]
         taken_back = [one for one in solved if isinstance(one, Comparison)]
         if not taken_back:
             made = tuple(one for one in solved if isinstance(one, JoinedComponent))
             return JoinedMap(made, tuple(comparisons), left_out)
         revoked = {(one.first, one.second): one for one in taken_back}
-        comparisons = [revoked.get((one.first, one.second), one) for one in comparisons]
+        comparisons = [revoked.get((comparison.first, comparison.second), comparison) for comparison in comparisons]
 
 
 def names_of(runs: Sequence[Path | str]) -> list[str]:
@@ -113,8 +113,8 @@ def names_of(runs: Sequence[Path | str]) -> list[str]:
         raise ValueError(f"runs: expected different ones, got {twice[0]} twice")
     bare = [path.with_name(path.name.removesuffix(".gz")) if path.is_file() else path for path in paths]
     parts = [(short.with_suffix("") if path.is_file() else path).parts for path, short in zip(paths, bare, strict=True)]
-    for depth in range(1, max(len(one) for one in parts) + 1):
-        names = ["-".join(one[-depth:]) for one in parts]
+    for depth in range(1, max(len(part) for part in parts) + 1):
+        names = ["-".join(part[-depth:]) for part in parts]
         if len(set(names)) == len(names):
             return names
     return [str(number) for number in range(len(paths))]
@@ -173,12 +173,14 @@ def _solved(
 ) -> JoinedComponent | Comparison:
     """A component solved, or the overlap that the whole speaks against most, taken back."""
     members = [missions[name] for name in component.missions]
-    maps = [one.mission for one in members]
+    maps = [member.mission for member in members]
     ties = ties_of(component.overlaps, maps)
     starts = {number: component.common_T_mission[name] for number, name in enumerate(component.missions)}
     maybe = candidates(maps, starts, ties, config)
     shared = shared_by(len(members), [*ties, *maybe])
-    solution = JointSolution({number: one.graph for number, one in enumerate(members)}, starts, shared, tuple(ties))
+    solution = JointSolution(
+        {number: member.graph for number, member in enumerate(members)}, starts, shared, tuple(ties)
+    )
     try:
         solution.solve()
     except JoinError as error:
@@ -205,8 +207,8 @@ def _contradicted(component: Component, solution: JointSolution, config: SlamCon
     """
     numbers = {name: number for number, name in enumerate(component.missions)}
     whole, worst = solution.chi2(solution.ties), (0.0, None)
-    for one in component.overlaps:
-        pair = tuple(sorted((numbers[one.first], numbers[one.second])))
+    for overlap in component.overlaps:
+        pair = tuple(sorted((numbers[overlap.first], numbers[overlap.second])))
         others = [tie for tie in solution.ties if tie.missions != pair]
         count = len(solution.ties) - len(others)
         if not count:
@@ -215,7 +217,7 @@ def _contradicted(component: Component, solution: JointSolution, config: SlamCon
         beyond = added - float(chdtri(3 * count, config.association.new_significance))
         if beyond > worst[0]:
             reason = f"with it all missions together fit worse by chi2 {added:.0f} of {3 * count} dof"
-            worst = (beyond, replace(one, verdict="revoked", reason=reason))
+            worst = (beyond, replace(overlap, verdict="revoked", reason=reason))
     return worst[1]
 
 
@@ -250,16 +252,16 @@ def classes_of(ties: Iterable[Tie], missions: Sequence[Mission]) -> tuple[tuple[
     classes = Classes()
     for tie in ties:
         classes.add(tie)
-    return classes.all(Place(number, one.id) for number, mission in enumerate(missions) for one in mission.planes)
+    return classes.all(Place(number, plane.id) for number, mission in enumerate(missions) for plane in mission.planes)
 
 
 def ties_of(overlaps: Iterable[Comparison], missions: Sequence[Mission]) -> list[Tie]:
     """The ties of overlaps, the strongest overlaps first; what would make two landmarks of one mission one is not."""
-    numbers = {one.name: number for number, one in enumerate(missions)}
+    numbers = {mission.name: number for number, mission in enumerate(missions)}
     classes, ties = Classes(), []
-    for one in sorted(overlaps, key=lambda one: -one.strength):
-        a, b = numbers[one.first], numbers[one.second]
-        for i, j in one.alignment.pairs if one.alignment is not None else ():
+    for overlap in sorted(overlaps, key=lambda one: -one.strength):
+        a, b = numbers[overlap.first], numbers[overlap.second]
+        for i, j in overlap.alignment.pairs if overlap.alignment is not None else ():
             tie = Tie(Place(a, missions[a].planes[i].id), Place(b, missions[b].planes[j].id))
             if classes.add(tie):
                 ties.append(tie)

@@ -37,7 +37,7 @@ class JoinedComponent:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the missions."""
-        return tuple(one.mission.name for one in self.missions)
+        return tuple(mission.mission.name for mission in self.missions)
 
     @property
     def common_T_mission(self) -> dict[str, FloatArray]:
@@ -53,10 +53,10 @@ class JoinedComponent:
     def trajectories(self) -> dict[str, Trajectory]:
         """common_T_body of every keyframe of every mission."""
         found = {}
-        for number, one in enumerate(self.missions):
-            carriers = [self.solution.pose(number, key).matrix() for key in one.graph.carriers]
-            poses = np.array(carriers).reshape(-1, 4, 4) @ one.graph.carrier_T_body
-            found[one.mission.name] = Trajectory(one.mission.trajectory.stamps_ns, poses)
+        for number, mission in enumerate(self.missions):
+            carriers = [self.solution.pose(number, key).matrix() for key in mission.graph.carriers]
+            poses = np.array(carriers).reshape(-1, 4, 4) @ mission.graph.carrier_T_body
+            found[mission.mission.name] = Trajectory(mission.mission.trajectory.stamps_ns, poses)
         return found
 
     @property
@@ -114,7 +114,7 @@ class JoinedComponent:
         return MapPlane(number, plane, extent.geometry, sum(one.observations for one in known), kinds)
 
     def _known(self, place: Place) -> MapPlane:
-        return next(one for one in self.missions[place.mission].mission.planes if one.id == place.landmark)
+        return next(plane for plane in self.missions[place.mission].mission.planes if plane.id == place.landmark)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +143,7 @@ class JoinedMap:
     @property
     def alone(self) -> list[str]:
         """Missions that overlap with nothing."""
-        return [one.names[0] for one in self.components if len(one.missions) == 1]
+        return [component.names[0] for component in self.components if len(component.missions) == 1]
 
     def to_dict(self) -> dict[str, Any]:
         """For joins.json."""
@@ -151,13 +151,13 @@ class JoinedMap:
             "format": "spplanes-joins/1",
             "components": [
                 {
-                    "missions": list(one.names),
-                    "common_T_mission": {name: pose.tolist() for name, pose in one.common_T_mission.items()},
-                    "planes": {str(number): seen for number, seen in one.seen_by.items()},
+                    "missions": list(component.names),
+                    "common_T_mission": {name: pose.tolist() for name, pose in component.common_T_mission.items()},
+                    "planes": {str(number): seen for number, seen in component.seen_by.items()},
                 }
-                for one in self.components
+                for component in self.components
             ],
-            "pairs": [one.to_dict() for one in self.comparisons],
+            "pairs": [comparison.to_dict() for comparison in self.comparisons],
             "left_out": dict(self.left_out),
             "runs": dict(self.folders),
         }

@@ -122,7 +122,7 @@ class FinishedMission:
         graph = MissionGraph(
             slam.backend.graph,
             gtsam.Values(slam.backend.values),
-            {one.id: (slam.landmarks[one.id].anchor_key, slam.landmarks[one.id].key) for one in planes},
+            {plane.id: (slam.landmarks[plane.id].anchor_key, slam.landmarks[plane.id].key) for plane in planes},
             tuple(key for key, _ in carried),
             np.array([pose for _, pose in carried]).reshape(-1, 4, 4),
         )
@@ -151,7 +151,7 @@ class FinishedMission:
             ArchiveError: a factor that is not ours.
         """
         mission, graph = self.mission, self.graph
-        trajectory, looks = _fields_of(mission.trajectory), [_fields_of(one) for one in mission.looks]
+        trajectory, looks = _fields_of(mission.trajectory), [_fields_of(look) for look in mission.looks]
         landmarks = [(one, *keys) for one, keys in graph.planes.items()]
         content = encode(
             {

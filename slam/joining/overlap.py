@@ -131,13 +131,13 @@ def walls_of(mission: Mission) -> list[Wall]:
     """The upright planes of a mission as walls in its frame."""
     return [
         Wall.from_plane(
-            one.plane.normal,
-            one.plane.d,
-            one.plane.hesse_covariance,
-            lift(shapely.get_coordinates(one.seen), one.plane.frame),
+            plane.plane.normal,
+            plane.plane.d,
+            plane.plane.hesse_covariance,
+            lift(shapely.get_coordinates(plane.seen), plane.plane.frame),
         )
-        for one in mission.planes
-        if abs(one.plane.normal[2]) < MAX_LEAN
+        for plane in mission.planes
+        if abs(plane.plane.normal[2]) < MAX_LEAN
     ]
 
 
@@ -211,7 +211,7 @@ def _settled(
 
 def _heights(a: Mission, b: Mission, hypothesis: FloatArray, config: SlamConfig) -> list[float]:
     """Heights of b over a to try: none, and those that lay a level plane of b on one of a."""
-    flat = [[one for one in m.planes if abs(one.plane.normal[2]) > 1.0 - MAX_LEAN] for m in (a, b)]
+    flat = [[plane for plane in m.planes if abs(plane.plane.normal[2]) > 1.0 - MAX_LEAN] for m in (a, b)]
     heights = [0.0]
     for mine in flat[0]:
         for other in flat[1]:

@@ -27,7 +27,7 @@ class DrivenPath:
     def of(cls, frames: Sequence[int], driven: FloatArray, backend: Backend) -> DrivenPath:
         """By the backend's estimate; where keyframes have left the graph, by the way as it was driven, (N,) m."""
         held = np.array(frames)
-        poses = backend.poses([pose_symbol(one) for one in frames])
+        poses = backend.poses([pose_symbol(frame) for frame in frames])
         steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
         steps = np.where(np.diff(held) == 1, steps, np.diff(driven[held]))
         lengths = np.concatenate(([0.0], np.cumsum(steps)))

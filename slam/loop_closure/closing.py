@@ -99,7 +99,7 @@ class LoopCloser:
         """
         rules, needed = self._config.loops, self._config.landmarks.min_observations
         self._ways.append(self._way())
-        given = [one for one in self._keyframes[-1].places if not one.inferred]
+        given = [place for place in self._keyframes[-1].places if not place.inferred]
         is_time = rules.max_candidates > 0 and self._ways[-1] - self._looked_at_m >= rules.every_m
         if not is_time and not given:
             return None
@@ -194,7 +194,9 @@ class LoopCloser:
     def _number_of(self, keyframe: int, old_keyframe: int) -> int:
         """Index of the decision about two keyframes."""
         ends = keyframe, old_keyframe
-        return next(i for i, one in enumerate(self.decisions) if (one.keyframe, one.old_keyframe) == ends)
+        return next(
+            i for i, decision in enumerate(self.decisions) if (decision.keyframe, decision.old_keyframe) == ends
+        )
 
     def _open_again(self, wrong: Sequence[ClosedLoop]) -> None:
         """Take closures out of the graph, and what was joined for them apart."""

@@ -88,7 +88,7 @@ class Surroundings:
 
     @cached_property
     def _confirmed(self) -> list[Landmark]:
-        return [one for one in self.landmarks if one.n_keyframes >= self.min_keyframes]
+        return [landmark for landmark in self.landmarks if landmark.n_keyframes >= self.min_keyframes]
 
     def walls_about(self, frame: int) -> list[Wall]:
         """These as walls in the keyframe's frame, with their covariance relative to it."""
@@ -108,8 +108,8 @@ class Surroundings:
         """What level lasers saw there, as a submap in its frame."""
         first, last = self.path.window(frame, self.config.window_m)
         members = range(first, last + 1)
-        poses = [self.backend.pose(pose_symbol(one)) for one in members]
-        view = view_of([self.keyframes[one] for one in members], poses, self.path.pose(frame), self.config)
+        poses = [self.backend.pose(pose_symbol(member)) for member in members]
+        view = view_of([self.keyframes[member] for member in members], poses, self.path.pose(frame), self.config)
         return None if view is None else PlaceView(view)
 
     def are_tied_by(self, shared: Sequence[Landmark]) -> bool:

@@ -60,12 +60,12 @@ def agreement(keyframes: Sequence[Keyframe], poses: FloatArray, config: LoopConf
         poses: the estimate, world_T_body of each, shape (N, 4, 4).
         config: the rules of loop closure; `significance` is the probability that a right finding is left out.
     """
-    steps = [one.motion for one in keyframes[1:]]
-    if not steps or not all(one is not None and one.is_planar for one in steps):
+    steps = [keyframe.motion for keyframe in keyframes[1:]]
+    if not steps or not all(step is not None and step.is_planar for step in steps):
         return None
     way = way_to(poses)
     found = list(_search(keyframes, poses, way, config))
-    graph, values = _solved([one for one in steps if one is not None], found, poses)
+    graph, values = _solved([step for step in steps if step is not None], found, poses)
     solved = np.array([_delta(values.atPose2(index)) for index in range(len(poses))])
     limit = float(chdtri(3, config.significance))
     fitting = [one for one in found if _misfit(one, solved) <= limit]

@@ -66,11 +66,11 @@ class Landmark:
 
     def let_go(self, keyframe: int) -> list[int]:
         """Forget what a keyframe saw of it, except that it did; indices of the factors of that."""
-        gone = [one.factor_index for one in self.sightings if one.keyframe == keyframe]
+        gone = [sighting.factor_index for sighting in self.sightings if sighting.keyframe == keyframe]
         if gone:
             frames = self._frames()
             frames.remove(keyframe)
-            self.sightings = [one for one in self.sightings if one.keyframe != keyframe]
+            self.sightings = [sighting for sighting in self.sightings if sighting.keyframe != keyframe]
             self._counted = (self.sightings, len(self.sightings))
             insort(self.seen_by_past, keyframe)
         return gone

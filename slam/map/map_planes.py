@@ -33,7 +33,9 @@ class MapPlane:
 
 def map_planes(landmarks: LandmarkMap, backend: Backend, min_observations: int) -> list[MapPlane]:
     """The map: landmarks that so many keyframes saw, in order of birth."""
-    return [map_plane(one, landmarks, backend) for one in landmarks if one.n_keyframes >= min_observations]
+    return [
+        map_plane(landmark, landmarks, backend) for landmark in landmarks if landmark.n_keyframes >= min_observations
+    ]
 
 
 def map_plane(landmark: Landmark, landmarks: LandmarkMap, backend: Backend) -> MapPlane:

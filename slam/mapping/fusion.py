@@ -105,11 +105,15 @@ class Merges:
         otherwise = self._config.backend.robust_loops if cause == "loop" else None
         factors = [
             observation_factor(
-                self._observation(one), pose_symbol(one.keyframe), home, self._backend, one.robust or otherwise
+                self._observation(sighting),
+                pose_symbol(sighting.keyframe),
+                home,
+                self._backend,
+                sighting.robust or otherwise,
             )
-            for one in gone.sightings
+            for sighting in gone.sightings
         ]
-        return factors, [one.factor_index for one in gone.sightings]
+        return factors, [sighting.factor_index for sighting in gone.sightings]
 
     def _joined(
         self, pairs: Sequence[tuple[int, int]], factor_indices: Sequence[Sequence[int]], cause: Cause
@@ -120,9 +124,11 @@ class Merges:
         for (older, _), gone, indices in zip(pairs, made, factor_indices, strict=True):
             home, home_T_world = self._landmarks[older], inverse(self._landmarks.placed(older).world_T_plane)
             home.seen_by_past = sorted({*home.seen_by_past, *gone.seen_by_past})
-            for one, index in zip(gone.sightings, indices, strict=True):
-                plane_T_body = home_T_world @ self._backend.pose(pose_symbol(one.keyframe))
-                self._landmarks.see(home, self._observation(one), replace(one, factor_index=index), plane_T_body)
+            for sighting, index in zip(gone.sightings, indices, strict=True):
+                plane_T_body = home_T_world @ self._backend.pose(pose_symbol(sighting.keyframe))
+                self._landmarks.see(
+                    home, self._observation(sighting), replace(sighting, factor_index=index), plane_T_body
+                )
         self._landmarks.refresh(self._backend)
         merges = [
             Merge(now, older, gone.id, cause, gone, next_look=now + 1)
@@ -142,7 +148,7 @@ class Merges:
         holder.seen_by_past = sorted({*holder.seen_by_past}.difference(back.seen_by_past))
         self._landmarks.plant(back)
         self._move(taken, holder, back, initial=True)
-        later = [one for one in holder.sightings if one.keyframe > merge.keyframe]
+        later = [sighting for sighting in holder.sightings if sighting.keyframe > merge.keyframe]
         self._move([one for one in later if self._misfit(one, back) < self._misfit(one, holder)], holder, back)
         self._backend.settle(_ROUNDS)
         self._landmarks.refresh(self._backend)
@@ -206,8 +212,8 @@ class Merges:
 
     def _taken(self, merge: Merge, holder: Landmark) -> list[Sighting]:
         """The sightings of the merged landmark that its holder has."""
-        mine = {(one.keyframe, one.observation) for one in merge.gone.sightings}
-        return [one for one in holder.sightings if (one.keyframe, one.observation) in mine]
+        mine = {(sighting.keyframe, sighting.observation) for sighting in merge.gone.sightings}
+        return [sighting for sighting in holder.sightings if (sighting.keyframe, sighting.observation) in mine]
 
     def _observation(self, sighting: Sighting) -> Observation:
         return self._keyframes[sighting.keyframe].observations[sighting.observation]
@@ -275,6 +281,6 @@ class Merges:
         plane_T_world = inverse(self._landmarks.placed(landmark.id).world_T_plane)
         landmark.sightings.sort(key=lambda one: (one.keyframe, one.observation))
         landmark.extent = Extent(landmark.first_outline)
-        for one in landmark.sightings:
-            plane_T_body = plane_T_world @ self._backend.pose(pose_symbol(one.keyframe))
-            landmark.extent.grow(self._observation(one).patch_in(plane_T_body))
+        for sighting in landmark.sightings:
+            plane_T_body = plane_T_world @ self._backend.pose(pose_symbol(sighting.keyframe))
+            landmark.extent.grow(self._observation(sighting).patch_in(plane_T_body))

@@ -110,12 +110,12 @@ class MapUpdater:
         seen, initial = keyframe.observations, gtsam.Values()
         at, pose_key = prediction.index, prediction.pose_key
         insertions = [
-            self._match(seen[one.observation], pose_key, one, prediction.robust)
-            for one in decisions
-            if one.match is not None
+            self._match(seen[decision.observation], pose_key, decision, prediction.robust)
+            for decision in decisions
+            if decision.match is not None
         ]
         anchor = self._sparsifier.anchor(at, self._config.landmarks.anchor_every)
-        numbers = [one.observation for one in decisions if one.verdict == "new"]
+        numbers = [decision.observation for decision in decisions if decision.verdict == "new"]
         births = self._births(seen, numbers, pose_symbol(anchor), pose_key, initial)
         if births:
             self._sparsifier.stays(anchor)
@@ -184,7 +184,7 @@ class MapUpdater:
         the new variables.
         """
         rules, robust, observations = self._config.landmarks, self._config.backend.robust, [seen[k] for k in numbers]
-        firm = [may_start(one, rules) for one in observations]
+        firm = [may_start(observation, rules) for observation in observations]
         gates = gates_of(self._config.association)
         anchor_T_body = inverse(self._backend.pose(anchor_key)) @ self._backend.pose(pose_key)
         insertions = []

@@ -42,7 +42,7 @@ def write_joined(joined: JoinedMap, folder: Path, *, title: str) -> list[Metric]
         rows = _write_component(component, inside, title, warnings_of(joined) if number == 0 else [])
         table = rows if number == 0 else table
     write_json(folder / "joins.json", joined.to_dict())
-    verdicts = [one.verdict for one in joined.comparisons]
+    verdicts = [comparison.verdict for comparison in joined.comparisons]
     return [
         *table,
         Metric("pairs compared", len(verdicts), ""),
@@ -57,9 +57,9 @@ def warnings_of(joined: JoinedMap) -> list[str]:
     sentences = [f"{name}: left out: {reason}" for name, reason in joined.left_out.items()]
     sentences += [f"{name}: overlaps with no other mission" for name in joined.alone]
     return sentences + [
-        f"{one.first} and {one.second}: not joined by it: {one.reason}"
-        for one in joined.comparisons
-        if one.verdict in ("refused", "revoked", "ambiguous")
+        f"{comparison.first} and {comparison.second}: not joined by it: {comparison.reason}"
+        for comparison in joined.comparisons
+        if comparison.verdict in ("refused", "revoked", "ambiguous")
     ]
 
 
@@ -99,11 +99,11 @@ def flat_graph(component: JoinedComponent) -> tuple[gtsam.NonlinearFactorGraph, 
     """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     home = {place: places[0] for places in component.classes for place in places}
-    for number, one in enumerate(component.missions):
+    for number, mission in enumerate(component.missions):
         own, homes = component.solution.values[number], {}
         base = component.solution.bases[number].matrix()
         level = abs(base[2, 3]) < FLOOR_M and np.abs(base[2, :2]).max() < FLOOR_RAD
-        for landmark, (_, key) in one.graph.planes.items():
+        for landmark, (_, key) in mission.graph.planes.items():
             place = home[Place(number, landmark)]
             if place.mission != number:
                 keys = component.solution.keys(place)
@@ -114,8 +114,8 @@ def flat_graph(component: JoinedComponent) -> tuple[gtsam.NonlinearFactorGraph, 
                 values.insert(name, component.solution.pose(number, key))
             elif key not in homes:
                 values.insert(name, own.atOrientedPlane3(key))
-        for index in range(one.graph.factors.size()):
-            factor = one.graph.factors.at(index)
+        for index in range(mission.graph.factors.size()):
+            factor = mission.graph.factors.at(index)
             if number and _speaks_of_its_frame(factor, level):
                 continue
             with suppress(ArchiveError):

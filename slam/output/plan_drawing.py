@@ -84,7 +84,7 @@ def drawings(plan: FloorPlan, verdict: str | None = None) -> list[Drawing]:
         plan: what was measured.
         verdict: what the run says of its map; said in the title unless the map is sound.
     """
-    return [_drawing(number, one, verdict) for number, one in enumerate(plan.storeys)]
+    return [_drawing(number, storey, verdict) for number, storey in enumerate(plan.storeys)]
 
 
 def _drawing(number: int, plan: StoreyPlan, verdict: str | None) -> Drawing:
@@ -212,8 +212,8 @@ def _storey(storey: Drawing, corner: FloatArray) -> Iterator[str]:
         yield f'<line class="face" x1="{x0:.3f}" y1="{y0:.3f}" x2="{x1:.3f}" y2="{y1:.3f}"/>'
     for outline in storey.openings:
         yield f'<path class="opening" d="{path([outline])}"/>'
-    for one in storey.dimensions:
-        yield _dimension(one, on_page(one.start), on_page(one.end))
+    for dimension in storey.dimensions:
+        yield _dimension(dimension, on_page(dimension.start), on_page(dimension.end))
     for label in storey.labels:
         yield from _label(label, on_page(label.place))
 

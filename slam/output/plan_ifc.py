@@ -67,7 +67,7 @@ class _Building:
         self._properties(building, {}, {"Verdict": self._new("IfcLabel", self._verdict)})
         self._aggregate(project, [site])
         self._aggregate(site, [building])
-        self._aggregate(building, [self._storey(k, one, building) for k, one in enumerate(self._plan.storeys)])
+        self._aggregate(building, [self._storey(k, storey, building) for k, storey in enumerate(self._plan.storeys)])
         name = self._file.header.file_name
         name.name, name.time_stamp = "building.ifc", "1970-01-01T00:00:00"
         return self._file.to_string()
@@ -76,7 +76,7 @@ class _Building:
         height = 0.0 if plan.elevation is None else plan.elevation.value
         storey = self._spatial("IfcBuildingStorey", f"storey {number}", building, (height,), (0.0, 0.0, height))
         self._properties(storey, {"Elevation": plan.elevation})
-        rooms = [self._room(f"storey {number}/{room_name(k)}", one, plan, storey) for k, one in enumerate(plan.rooms)]
+        rooms = [self._room(f"storey {number}/{room_name(k)}", room, plan, storey) for k, room in enumerate(plan.rooms)]
         walls = [self._wall(f"storey {number}/wall {k + 1}", one, plan, storey) for k, one in enumerate(plan.walls)]
         hosts = {id(wall): element for wall, element in zip(plan.walls, walls, strict=True)}
         for k, opening in enumerate(plan.openings):
@@ -97,7 +97,7 @@ class _Building:
         body = self._body(rings, 0.0, height)
         space = self._element("IfcSpace", name, storey, body, (None, "ELEMENT", "INTERNAL", None))
         measures = {"NetFloorArea": room.area, "Height": room.height}
-        measures |= {f"Width{k + 1}": one.distance for k, one in enumerate(room.widths)}
+        measures |= {f"Width{k + 1}": width.distance for k, width in enumerate(room.widths)}
         sides = [side for ring in room.rings for side in ring]
         self._properties(space, measures | {f"Side{k + 1}Length": one.length for k, one in enumerate(sides)})
         self._quantities(space, "Qto_SpaceBaseQuantities", {"NetFloorArea": room.area, "Height": room.height})
@@ -135,11 +135,11 @@ class _Building:
     def _properties(self, owner: Any, measures: Mapping[str, Quantity | None], others: Mapping[str, Any] = {}) -> None:
         """What was measured, each value with its standard deviation; what was not is left out."""
         made = [self._new("IfcPropertySingleValue", name, None, value, None) for name, value in others.items()]
-        for name, one in measures.items():
-            if one is None:
+        for name, measure in measures.items():
+            if measure is None:
                 continue
             kind = "IfcAreaMeasure" if name.endswith("Area") else "IfcLengthMeasure"
-            for suffix, value in (("", one.value), ("StandardDeviation", one.sigma)):
+            for suffix, value in (("", measure.value), ("StandardDeviation", measure.sigma)):
                 told = self._new(kind, float(value))
                 made.append(self._new("IfcPropertySingleValue", name + suffix, None, told, None))
         if made:
@@ -148,10 +148,10 @@ class _Building:
 
     def _quantities(self, owner: Any, name: str, measures: Mapping[str, Quantity | None]) -> None:
         made = []
-        for key, one in measures.items():
-            if one is not None:
+        for key, measure in measures.items():
+            if measure is not None:
                 kind = "IfcQuantityArea" if key.endswith("Area") else "IfcQuantityLength"
-                made.append(self._new(kind, key, f"{one}", None, float(one.value), None))
+                made.append(self._new(kind, key, f"{measure}", None, float(measure.value), None))
         identity = self._id(f"{owner.Name} quantities")
         self._defines(owner, self._new("IfcElementQuantity", identity, None, name, None, None, made))
 

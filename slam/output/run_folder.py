@@ -163,7 +163,7 @@ def conclude(run: Run, folder: Path, write: Callable[[Path], None]) -> None:
     if isinstance(recorder, SessionRecorder):
         results = _results(run)
         if run.repairs is not None:
-            results[_REPAIRS] = json.dumps([one.to_dict() for one in run.repairs]).encode()
+            results[_REPAIRS] = json.dumps([repair.to_dict() for repair in run.repairs]).encode()
         recorder.session.finish(**results)
     for replaced in folder.parent.glob(f".{folder.name}-old-*"):
         shutil.rmtree(replaced, ignore_errors=True)

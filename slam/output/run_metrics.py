@@ -31,8 +31,8 @@ def metrics_of(run: Run) -> list[Metric]:
         Metric("landmarks tried", len(run.slam.landmarks), ""),
     ]
     if run.repairs:
-        rows.append(Metric("places laid anew", sum(one.moved for one in run.repairs), ""))
-        rows.append(Metric("  the farthest by", max(one.offset_m for one in run.repairs), "m"))
+        rows.append(Metric("places laid anew", sum(repair.moved for repair in run.repairs), ""))
+        rows.append(Metric("  the farthest by", max(repair.offset_m for repair in run.repairs), "m"))
     known = [landmark for landmark in run.slam.landmarks if landmark.known]
     if known:
         again = sum(bool(landmark.sightings or landmark.seen_by_past) for landmark in known)
@@ -42,7 +42,7 @@ def metrics_of(run: Run) -> list[Metric]:
         rows.append(Metric("metres of wall", length, "m"))
         rows.append(Metric("wall landmarks per metre of wall", n_walls / length, "1/m"))
     rows += _pair_rows(facing_pairs(run.planes)[:6])
-    if steps := [one for one in run.slam.odometry_record.steps if one.check.off is not None]:
+    if steps := [step for step in run.slam.odometry_record.steps if step.check.off is not None]:
         rows.append(Metric("odometry errs, times what is stated, by 3D scans", steps[-1].scale, ""))
     rows += _calibration_rows(run)
     for summary in run.slam.audit.summary():
@@ -93,7 +93,9 @@ def warnings_of(run: Run) -> list[str]:
     rules = run.slam.config.observability
     # what a flat floor or the motion model holds to less than a tenth of that is no news to whoever drives
     limits = {"position": 0.1 * rules.max_sigma_m, "orientation": 0.1 * rules.max_sigma_rad}
-    directions = [one.sentence for one in run.slam.open_directions if one.sigma >= limits[one.part]]
+    directions = [
+        direction.sentence for direction in run.slam.open_directions if direction.sigma >= limits[direction.part]
+    ]
     known = run.slam.prior.warnings if run.slam.prior is not None else []
     moved = counted(note for frame in run.slam.keyframes for note in frame.motion_notes)
     health = [*skipped(notes), *moved, *silences(run.log, run.rig), *blind(run.slam.keyframes)]

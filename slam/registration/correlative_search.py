@@ -210,7 +210,10 @@ def _modes(
     blocks, scores, evidence, keys = blocks[rank], scores[rank], evidence[rank], (cells @ strides)[rank]
     labels = peaks_of(keys, strides, np.argsort(-scores, kind="stable"), scores, _PROMINENCE)
     members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
-    peaks = [_peak(one, guess + blocks[one] * grid, scores[one], evidence[one], grid, looks) for one in members]
+    peaks = [
+        _peak(member, guess + blocks[member] * grid, scores[member], evidence[member], grid, looks)
+        for member in members
+    ]
     peaks.sort(key=lambda peak: -peak.log_mass)
     modes = []
     while peaks:

@@ -74,8 +74,8 @@ class _SeveralPlacesError(ValueError):
 def _in_space(planes: Sequence[MapPlane], seen: Sequence[Plane]) -> FloatArray:
     """The place in all six directions by planes seen in three."""
     known = [
-        one.plane if one.plane.outline is not None else replace(one.plane, outline=polygonal(one.seen))
-        for one in planes
+        plane.plane if plane.plane.outline is not None else replace(plane.plane, outline=polygonal(plane.seen))
+        for plane in planes
     ]
     # what carries a scanner is tipped, not upside down: a scanner that hangs has a mount that says so
     places = [one for one in places_anywhere(seen, known) if one[1].known_T_seen[2, 2] > 0.0]
@@ -118,8 +118,8 @@ def _levels_fit(known: Sequence[Plane], seen: Sequence[Plane], start: FloatArray
 
 def _on_the_floor(planes: Sequence[MapPlane], keyframe: Keyframe) -> FloatArray:
     """The place on the floor by walls."""
-    known = _walls([_ends_of(one) for one in planes])
-    seen = _walls([(one.normal, one.vertices) for one in keyframe.observations])
+    known = _walls([_ends_of(plane) for plane in planes])
+    seen = _walls([(observation.normal, observation.vertices) for observation in keyframe.observations])
     seen = seen[np.argsort(seen[:, 2] - seen[:, 3], kind="stable")][:_MOST_WALLS]
     poses = _hypotheses(known, seen)
     if not len(poses):

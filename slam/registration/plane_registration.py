@@ -95,7 +95,9 @@ def register_planes_globally(
         best = max(best, score)
     equals = [one for one in tried if one[0] >= best - alike]
     least = min((price for _, price, _ in equals), default=0.0)
-    return max((one for one in equals if one[1] <= least + _CHEAP), key=lambda one: one[0], default=(0.0, 0.0, None))[2]
+    return max(
+        (equal for equal in equals if equal[1] <= least + _CHEAP), key=lambda one: one[0], default=(0.0, 0.0, None)
+    )[2]
 
 
 def places_anywhere(seen: Sequence[Plane], known: Sequence[Plane]) -> list[tuple[float, PlaneMatching]]:
@@ -183,7 +185,7 @@ def _motions(
 ) -> list[tuple[float, FloatArray]]:
     """Motions that pairs of planes propose, with their scores."""
     rotations = _rotations(mine, theirs, sigmas[1], upright=upright)
-    return [one for R in rotations for one in _translations(R, mine, theirs, sigmas, upright=upright)]
+    return [translation for R in rotations for translation in _translations(R, mine, theirs, sigmas, upright=upright)]
 
 
 def _rotations(mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float, *, upright: bool) -> list[FloatArray]:

@@ -115,7 +115,7 @@ def found_place(
     """
     index, world_T_a = len(keyframes), backend.pose(pose_symbol(len(keyframes) - 1))
     expected_T_world = inverse(world_T_a @ motion.a_T_b)
-    numbers = [k for k, one in enumerate(keyframe.observations) if isinstance(one, PlaneObservation)]
+    numbers = [k for k, observation in enumerate(keyframe.observations) if isinstance(observation, PlaneObservation)]
     seen, known = planes_about(keyframe, landmarks, expected_T_world, index)
     by_planes = register_planes_globally(seen, known, sigmas_of(motion))
     by_returns = _by_returns(keyframe, motion, by_planes, local_map(keyframes, backend, expected_T_world))
@@ -128,7 +128,9 @@ def found_place(
     there = _stated(motion, by_returns.known_T_seen, np.linalg.inv(information).astype(np.float64))
     seen_again = frozenset(numbers[i] for i, _ in pairs_under(by_returns.known_T_seen, seen, known))
     assert keyframe.surfaces is not None  # `_by_returns`
-    again = _on(keyframe.surfaces, [one for k, one in enumerate(keyframe.observations) if k in seen_again])
+    again = _on(
+        keyframe.surfaces, [observation for k, observation in enumerate(keyframe.observations) if k in seen_again]
+    )
     beyond = _beyond(motion, by_returns, ~again)
     return FoundPlace(there, seen_again, beyond, _rivals(by_returns, there.covariance))
 
@@ -138,7 +140,7 @@ def planes_about(
 ) -> tuple[PlaneArrays, PlaneArrays]:
     """Planes that the keyframe of an index sees, and those seen of late in the frame where the body is expected."""
     seen = planes_of(keyframe.observations)
-    recent = [one for one in landmarks if one.was_seen_between(index - _RECENT, index)]
+    recent = [landmark for landmark in landmarks if landmark.was_seen_between(index - _RECENT, index)]
     known = [_placed(one, landmarks).transform(expected_T_world) for one in recent]
     return PlaneArrays.of(seen), PlaneArrays.of(known)
 
@@ -217,7 +219,7 @@ def _on(elements: FloatArray, observations: Sequence[Observation]) -> np.ndarray
     planes = planes_of(observations)
     if not planes:
         return np.zeros(len(elements), dtype=bool)
-    normals, d = np.array([one.normal for one in planes]), np.array([one.d for one in planes])
+    normals, d = np.array([plane.normal for plane in planes]), np.array([plane.d for plane in planes])
     near = np.abs(elements[:, :3] @ normals.T - d) < _ITS_OWN
     alike = elements[:, 3:6] @ normals.T > 1.0 - _ITS_OWN
     return (elements[:, 7] == ON_PLANE) & (near & alike).any(axis=1)

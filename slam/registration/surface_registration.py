@@ -194,7 +194,11 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expecte
     """
     elements, sight = scan.elements, scan.sight
     some = elements[:: int(np.ceil(len(elements) / _SOME))]
-    starts = [one for k, one in enumerate(candidates) if not any(_are_same(one, other) for other in candidates[:k])]
+    starts = [
+        candidate
+        for k, candidate in enumerate(candidates)
+        if not any(_are_same(candidate, other) for other in candidates[:k])
+    ]
     rests = _rests(some, known, starts, expected)
     judged = {id(end): _judged(some, sight, known, end, expected) for ends in rests for end in ends}
     rough = [max((judged[id(end)] for end in ends), key=lambda one: one[0].log_likelihood) for ends in rests]

@@ -71,7 +71,8 @@ class Registration:
             "verdict": self.verdict.verdict,
             "reasons": self.verdict.reasons,
             "rivals": [
-                {"a_T_b": one.a_T_b.tolist(), **_told(one.a_T_b), "probability": one.probability} for one in self.rivals
+                {"a_T_b": rival.a_T_b.tolist(), **_told(rival.a_T_b), "probability": rival.probability}
+                for rival in self.rivals
             ],
             "overlap": self.overlap,
             "nis_per_dof": self.nis_per_dof if np.isfinite(self.nis_per_dof) else None,
@@ -143,7 +144,7 @@ def _chi2_of_pairs(slam: PlaneSlam) -> list[float]:
     first, second = slam.trajectory.poses
     found = []
     for landmark in slam.landmarks:
-        numbers = {one.keyframe: one.observation for one in landmark.sightings}
+        numbers = {sighting.keyframe: sighting.observation for sighting in landmark.sightings}
         if len(numbers) == 2:
             pair = [slam.keyframes[keyframe].observations[numbers[keyframe]] for keyframe in (0, 1)]
             planes = [one.plane for one in pair if isinstance(one, PlaneObservation)]
@@ -172,7 +173,7 @@ def _registration(slam: PlaneSlam, place: Place, chi2: Sequence[float], mounts: 
         len(chi2),
         tuple(stretch.sentence for stretch in slam.open_directions),
         judge(place.match, covariance),
-        tuple(one._replace(a_T_b=a_T_body @ one.a_T_b @ b_T_sensor) for one in place.rivals),
+        tuple(rival._replace(a_T_b=a_T_body @ rival.a_T_b @ b_T_sensor) for rival in place.rivals),
         place.overlap,
         nis,
     )
@@ -274,7 +275,7 @@ def find_place(a: Keyframe, b: Keyframe, guess: FloatArray | None = None) -> Pla
     a_T_b = found.known_T_seen
     from_a, from_b = ScanView(known, up), ScanView(scan, a_T_b[2, :3])
     looks = (compare(from_a, from_b, a_T_b), compare(from_b, from_a, inverse(a_T_b)))
-    wrong = sum(one.probability for one in rivals)
+    wrong = sum(rival.probability for rival in rivals)
     match = CloudMatch(len(mine.normals), matched[0], tuple(matched[1:]), looks, wrong)
     return Place(a_T_b, found.share, tuple(rivals), match)
 

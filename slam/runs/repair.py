@@ -105,9 +105,9 @@ def _places_of(found: Agreement, keyframes: Sequence[Keyframe]) -> dict[int, tup
     """What the drive agrees on, by the later keyframe; nothing, where something else was said before."""
     places: dict[int, list[PlaceMatch]] = {index: [] for index, frame in enumerate(keyframes) if frame.places}
     for inferred, proposals in ((False, found.proposals), (True, found.inferred)):
-        for one in proposals:
-            match = PlaceMatch(one.old_keyframe, one.pose.delta, one.pose.covariance, inferred)
-            places.setdefault(one.keyframe, []).append(match)
+        for proposal in proposals:
+            match = PlaceMatch(proposal.old_keyframe, proposal.pose.delta, proposal.pose.covariance, inferred)
+            places.setdefault(proposal.keyframe, []).append(match)
     return {keyframe: tuple(matches) for keyframe, matches in places.items()}
 
 

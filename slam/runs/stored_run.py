@@ -149,8 +149,14 @@ def _as_json(decision: Decision, seen: Observation) -> dict[str, Any]:
         "verdict": decision.verdict,
         "landmark": None if decision.match is None else decision.match.landmark,
         "candidates": [
-            {"landmark": one.landmark, "chi2": one.chi2, "dof": one.dof, "p": one.p_value, "confirmed": one.confirmed}
-            for one in decision.candidates
+            {
+                "landmark": candidate.landmark,
+                "chi2": candidate.chi2,
+                "dof": candidate.dof,
+                "p": candidate.p_value,
+                "confirmed": candidate.confirmed,
+            }
+            for candidate in decision.candidates
         ],
     }
 
@@ -170,7 +176,7 @@ def levelled(run: StoredRun) -> StoredRun:
     """
     from slam.floorplan.storeys import plan_axes, upward  # with what no run needs of scipy
 
-    up = upward(np.array([one.plane.normal for one in run.planes]).reshape(-1, 3), run.planes)
+    up = upward(np.array([plane.plane.normal for plane in run.planes]).reshape(-1, 3), run.planes)
     if up is None:
         wanted = "expected a floor to level the map by, within 30 deg of the world's z and seen from above"
         raise LogError(run.folder, f"{wanted}, found none of its {len(run.planes)} planes to be one")
@@ -178,7 +184,7 @@ def levelled(run: StoredRun) -> StoredRun:
     turn[:3, :3] = np.vstack((plan_axes(up).T, up))
     return replace(
         run,
-        planes=[replace(one, plane=one.plane.transform(turn)) for one in run.planes],
+        planes=[replace(plane, plane=plane.plane.transform(turn)) for plane in run.planes],
         trajectory=_turned(run.trajectory, turn),
         odometry=_turned(run.odometry, turn),
         history=replace(run.history, points=run.history.points @ turn[:3, :3].T),
@@ -224,5 +230,5 @@ def stored_floor_plan(run: StoredRun) -> FloorPlan:
 def _are_same(first: Sequence[MapPlane], second: Sequence[MapPlane]) -> bool:
     if [one.id for one in first] != [one.id for one in second]:
         return False
-    rows = [np.array([[*one.plane.normal, one.plane.d] for one in planes]) for planes in (first, second)]
+    rows = [np.array([[*plane.plane.normal, plane.plane.d] for plane in planes]) for planes in (first, second)]
     return not first or bool(np.abs(rows[0] - rows[1]).max() < _SAME)

@@ -94,7 +94,7 @@ class Log:
     def measured_motion(self) -> list[OdometryReading]:
         """The odometry readings; none where all are of one pose: odometry that never moves says nothing of a motion."""
         readings = self.odometry
-        moves = any(not np.array_equal(one.odom_T_body, readings[0].odom_T_body) for one in readings[1:])
+        moves = any(not np.array_equal(reading.odom_T_body, readings[0].odom_T_body) for reading in readings[1:])
         return readings if moves else []
 
     def scans(self, sensor: str | None = None) -> list[LaserScan | CloudScan]:

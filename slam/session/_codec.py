@@ -65,7 +65,7 @@ _READ_AS_THEY_ARE = {
     shapely.Point,
 }
 #: The fields of each class, in order.
-_FIELDS = {kind: tuple(one.name for one in fields(kind)) for kind in _CLASSES.values()}
+_FIELDS = {kind: tuple(field.name for field in fields(kind)) for kind in _CLASSES.values()}
 
 
 #: What bytes that are none of ours may raise on their way into values.
@@ -125,7 +125,7 @@ def decode(data: bytes, hint: Any = None) -> Any:
 
 def without_scans(keyframe: Keyframe) -> dict[str, Any]:
     """The fields of a keyframe that the estimator needs: all but its raw scans."""
-    return {one.name: getattr(keyframe, one.name) for one in fields(keyframe) if one.name != "scans"}
+    return {field.name: getattr(keyframe, field.name) for field in fields(keyframe) if field.name != "scans"}
 
 
 def keyframe_of(data: bytes) -> Keyframe:

@@ -23,7 +23,9 @@ class ForgottenKeyframes(Growing[Keyframe]):
 
     def __init__(self, session: Session) -> None:
         read = lru_cache(maxsize=_KEPT)(session.keyframe)
-        self._readers = {one.name: lambda index, name=one.name: getattr(read(index), name) for one in fields(Keyframe)}
+        self._readers = {
+            field.name: lambda index, name=field.name: getattr(read(index), name) for field in fields(Keyframe)
+        }
         #: Time, number of observations, and whether there is each of `_PARTS`.
         self._known = Rows("qi" + "b" * len(_PARTS))
         #: Of keyframes with any: their notes, and those on their motion.

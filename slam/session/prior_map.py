@@ -180,7 +180,7 @@ def map_covariance(planes: Sequence[MapPlane], landmarks: LandmarkMap, backend: 
     owners = [landmarks[known.id] for known in planes]
     if not owners:
         return np.empty((0, 0))
-    keys = sorted({key for one in owners for key in (one.anchor_key, one.key)})
+    keys = sorted({key for owner in owners for key in (owner.anchor_key, owner.key)})
     joint = backend.read_joint_covariance(keys)
     jacobian = np.zeros((3 * len(owners), len(joint.full)))
     for row, (known, one) in enumerate(zip(planes, owners, strict=True)):

@@ -106,7 +106,7 @@ class SessionRecorder(Recorder):
             return keyframe
         if self.session.read_only:
             raise SessionError(f"{self.session.path}: opened to be read only")
-        scans = [(self._places.get(id(one)), encode(one) if self._by_value else None) for one in keyframe.scans]
+        scans = [(self._places.get(id(scan)), encode(scan) if self._by_value else None) for scan in keyframe.scans]
         stored = self.session.add_keyframe(keyframe, scans)
         return stored if self._forget else replace(stored, scans=keyframe.scans)
 
@@ -174,12 +174,12 @@ def _check_same(session: Session, index: int, recorded: Sequence[Decision], deci
 
 
 def _choice(decision: Decision) -> tuple[Any, ...]:
-    found = tuple((one.landmark, one.dof, one.confirmed) for one in decision.candidates)
+    found = tuple((candidate.landmark, candidate.dof, candidate.confirmed) for candidate in decision.candidates)
     return decision.observation, decision.verdict, decision.match and decision.match.landmark, found
 
 
 def _numbers(decision: Decision) -> list[float]:
-    return [number for one in decision.candidates for number in (one.chi2, one.log_likelihood)]
+    return [number for candidate in decision.candidates for number in (candidate.chi2, candidate.log_likelihood)]
 
 
 def _say(decision: Decision) -> str:

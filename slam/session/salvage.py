@@ -87,7 +87,7 @@ def _copy_beginning(path: Path, target: Path) -> int:
             except SessionDamaged:
                 break
             scans, decisions = _scans_of(old, index), None
-            contents = [(one.position, None if one.scan is None else encode(one.scan)) for one in scans]
+            contents = [(scan.position, None if scan.scan is None else encode(scan.scan)) for scan in scans]
             new.add_keyframe(replace(keyframe, scans=scans), contents)  # type: ignore[arg-type]  # they know as much
             with suppress(SessionDamaged):  # they will be made again
                 decisions = old.decisions(index)

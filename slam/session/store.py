@@ -143,8 +143,8 @@ class Session(SessionRecords):
         with self._writing():
             put(self._db, "session", "places", data)
             self._db.execute("DELETE FROM decisions")
-            for index, one in enumerate(decisions):
-                self._put_decisions(index, one)
+            for index, decision in enumerate(decisions):
+                self._put_decisions(index, decision)
             self._seal("running")
         self.places = known
 

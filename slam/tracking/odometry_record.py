@@ -97,7 +97,9 @@ class OdometryRecord:
 
     def believed(self) -> list[tuple[int, FloatArray]]:
         """Steps used as stated, by their keyframes, with the errors found since that their scans left untold."""
-        stated = [(one.keyframe, self.untold(one.motion, one.check)) for one in self.steps if one.used == "as stated"]
+        stated = [
+            (step.keyframe, self.untold(step.motion, step.check)) for step in self.steps if step.used == "as stated"
+        ]
         return [(keyframe, errors) for keyframe, errors in stated if len(errors)]
 
     def _fine(self) -> int:
@@ -112,7 +114,7 @@ class OdometryRecord:
 
         Squares of m and of rad at a metre.
         """
-        measured, expected = (np.sum(np.square([one[k] for one in self._errors])) for k in (0, 1))
+        measured, expected = (np.sum(np.square([error[k] for error in self._errors])) for k in (0, 1))
         return bool(expected < measured)
 
 

@@ -111,7 +111,12 @@ class MotionModel:
         initial.insert(key, gtsam.Pose3(orthonormal(step.world_T_body)))
         beyond = [] if step.beyond is None else step.beyond.factors(pose_symbol(index - 1), key)[:1]
         hints = self._hints(keyframe, step.world_T_body, key)
-        own_factors = [*step.factors, *beyond, *(one.factor(key) for one in keyframe.pose_measurements), *hints]
+        own_factors = [
+            *step.factors,
+            *beyond,
+            *(measurement.factor(key) for measurement in keyframe.pose_measurements),
+            *hints,
+        ]
         removal = self._sparsifier.plan_removal(index)
         through = [self._through(*motion) for motion in removal.motions]
         indices = self._backend.update([*own_factors, *through], initial, remove=removal.stale)
@@ -141,7 +146,7 @@ class MotionModel:
         """
         rules, factors = self._config.loops, []
         tied = rules.tied_m / BOUND_SIGMAS * np.array((1.0, 1.0, 1.0 / rules.window_m))
-        for match in (one for one in keyframe.places if one.inferred):
+        for match in (place for place in keyframe.places if place.inferred):
             base, delta, covariance = anchored(match, self._backend)
             error = difference(planar_delta(inverse(self._backend.pose(base)) @ world_T_body), delta)
             is_off = error @ np.linalg.solve(covariance, error) > chdtri(3, rules.significance)

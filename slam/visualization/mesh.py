@@ -45,7 +45,7 @@ def mesh_of(planes: Sequence[MapPlane]) -> Mesh:
     triangles = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
     ids = np.array([plane.id for plane in planes], dtype=np.int32)
     colours = np.array([colour_of(plane) for plane in planes], dtype=np.uint8).reshape(-1, 3)
-    counts = np.array([len(one) for one in corners], dtype=np.int64)
+    counts = np.array([len(corner) for corner in corners], dtype=np.int64)
     return Mesh(vertices, triangles, np.repeat(ids, counts), np.repeat(colours, counts, axis=0))
 
 

@@ -191,7 +191,7 @@ def _polygons(rings: list[tuple[FloatArray, np.ndarray]]) -> list[Polygon]:
     vertices = np.concatenate([corner for corner, _ in rings])
     polygons = shapely.from_ragged_array(shapely.GeometryType.POLYGON, vertices, (corners, parts))
     good = np.asarray(shapely.is_valid(polygons))
-    return [one if ok else _mended(one) for one, ok in zip(polygons, good.tolist(), strict=True)]
+    return [polygon if ok else _mended(polygon) for polygon, ok in zip(polygons, good.tolist(), strict=True)]
 
 
 def _mended(polygon: Polygon) -> Polygon:

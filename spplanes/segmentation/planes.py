@@ -212,4 +212,6 @@ def cells_of(extents: FloatArray, config: MapperConfig) -> FloatArray:
 
 def or_rectangles(outlines: Sequence[Polygon | None], extents: FloatArray) -> list[Polygon]:
     """Outlines, or rectangles of their extents (R, 2), m, where there are none."""
-    return [one or outline_from_extent(*(3.0**0.5 * extent)) for one, extent in zip(outlines, extents, strict=True)]
+    return [
+        outline or outline_from_extent(*(3.0**0.5 * extent)) for outline, extent in zip(outlines, extents, strict=True)
+    ]

@@ -50,7 +50,7 @@ def keyframes_without_wall(run: Finished) -> list[int]:
 
     Floors and ceilings tell the height and the tilt, and nothing of where on the floor a body is.
     """
-    matched = {(one.keyframe, one.decision.observation) for one in run.late_matches}
+    matched = {(match.keyframe, match.decision.observation) for match in run.late_matches}
     blind = []
     for index, pose in enumerate(run.trajectory.poses[1:], 1):
         again = {one.observation for one in run.decisions[index] if one.match is not None}
@@ -74,7 +74,7 @@ def assumption_evidence(run: Finished) -> Iterator[Evidence]:
     """
     measured = {index for index, frame in enumerate(run.keyframes) if frame.motion is not None}
     assumed = set(range(1, len(run.keyframes))) - measured
-    assumed |= {one.keyframe for one in run.odometry_record.steps if one.used == "not"}
+    assumed |= {step.keyframe for step in run.odometry_record.steps if step.used == "not"}
     if not assumed:
         return
     for one in run.open_in_map:
@@ -99,10 +99,12 @@ def ambiguity_evidence(run: Finished) -> Iterator[Evidence]:
 
     A row of pillars looks the same from one pillar on, a hall from both of its ends.
     """
-    right = float(np.prod([1.0 - one.probability for one in run.rivals.values()]))
+    right = float(np.prod([1.0 - rival.probability for rival in run.rivals.values()]))
     if right >= 1.0 - MOST_WRONG:
         return
-    likely = [frame for frame, one in run.rivals.items() if one.probability > (1.0 - right) / (2.0 * len(run.rivals))]
+    likely = [
+        frame for frame, rival in run.rivals.items() if rival.probability > (1.0 - right) / (2.0 * len(run.rivals))
+    ]
     worst = max(likely, key=lambda frame: run.rivals[frame].probability)
     _, distance_m, angle_rad = run.rivals[worst]
     other = f"{distance_m:.1f} m and {np.rad2deg(angle_rad):.0f} deg off at {named((worst,))}"
@@ -142,7 +144,7 @@ def unmatched_shares(run: Finished) -> FloatArray:
 
     The first keyframe, which has nothing to match, and the last, after which nothing is seen again, are left out.
     """
-    late = {(one.keyframe, one.decision.observation) for one in run.late_matches}
+    late = {(match.keyframe, match.decision.observation) for match in run.late_matches}
     again = {
         (sighting.keyframe, sighting.observation)
         for landmark in run.landmarks
@@ -151,7 +153,7 @@ def unmatched_shares(run: Finished) -> FloatArray:
     }
     shares = np.full(len(run.keyframes), np.nan)
     for index in range(1, len(run.keyframes) - 1):
-        sizes = np.array([_extent(one) for one in run.keyframes[index].observations])
+        sizes = np.array([_extent(observation) for observation in run.keyframes[index].observations])
         if not sizes.sum():
             continue
         lost = [

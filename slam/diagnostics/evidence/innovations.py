@@ -85,7 +85,7 @@ def odometry_evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     those of a random walk do not. What was found of these is taken out; but where nobody stated them, windows of a
     push-broom laser alone were measured with them.
     """
-    scales = {one.keyframe: one.scale for one in run.odometry_record.steps}
+    scales = {step.keyframe: step.scale for step in run.odometry_record.steps}
     alone = {sensor.kind for sensor in rig.sensors.values()} == {"slice"}
     in_windows = alone and not any(rig.odometry.calibration_sigmas)
     calibration = WheelCalibration() if in_windows else run.calibration
@@ -112,7 +112,7 @@ def believed_evidence(run: Finished) -> Iterator[Evidence]:
     more than a sound map promises.
     """
     record = run.odometry_record
-    wrong = [one.keyframe for one in record.steps if one.check.against]
+    wrong = [step.keyframe for step in record.steps if step.check.against]
     believed = record.believed()
     if not wrong or not believed:
         return
@@ -137,7 +137,11 @@ def _steps(run: Finished) -> list[int]:
     """Keyframes to which planar odometry leads between two that the graph still holds, evenly over the run."""
     held = [run.backend.holds(pose_symbol(k)) for k in range(len(run.keyframes))]
     motions = (frame.motion for frame in run.keyframes)
-    known = [k for k, one in enumerate(motions) if k and one is not None and one.is_planar and all(held[k - 1 : k + 1])]
+    known = [
+        k
+        for k, motion in enumerate(motions)
+        if k and motion is not None and motion.is_planar and all(held[k - 1 : k + 1])
+    ]
     return known[:: max(1, -(-len(known) // _MOST_STEPS))]
 
 

@@ -70,8 +70,12 @@ def heading_evidence(keyframes: Sequence[Keyframe], poses: FloatArray, rig: Rig)
     is one whose mount is turned, or whose log is played in reverse. Which of these it is nothing tells.
     """
     sensors = rig.of_kind("line") or rig.of_kind("cloud")
-    unmeasured = all(one.motion is None or not one.motion.is_measured for one in keyframes[1:])
-    if len(keyframes) < 2 or not unmeasured or not any(one.body_T_sensor[:3, 3].any() for one in sensors.values()):
+    unmeasured = all(keyframe.motion is None or not keyframe.motion.is_measured for keyframe in keyframes[1:])
+    if (
+        len(keyframes) < 2
+        or not unmeasured
+        or not any(sensor.body_T_sensor[:3, 3].any() for sensor in sensors.values())
+    ):
         return
     steps = (np.linalg.inv(poses[:-1]) @ poses[1:])[:, :3, 3]
     ways = np.linalg.norm(steps, axis=1)
@@ -109,7 +113,7 @@ def _tests(counts: _Counts, frames: tuple[int, ...]) -> Iterator[Evidence]:
     if not tests:
         return
     best = max((gain for gain, *_ in tests), key=lambda gain: float(gain.sum()))
-    (_, better, told, name), *others = [one for one in tests if at_least(*_better(best - one[0])) > SIGNIFICANCE]
+    (_, better, told, name), *others = [test for test in tests if at_least(*_better(best - test[0])) > SIGNIFICANCE]
     sentence = (
         f"a sensor {name} would explain what the stated mount does not: under it {better} of {told} pairs of "
         f"neighbouring scans fit the odometry better ({named(frames)})"

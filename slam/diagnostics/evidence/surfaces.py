@@ -146,7 +146,7 @@ def doubled_evidence(run: Finished, surfaces: Surfaces) -> Iterator[Evidence]:
     if not pairs:
         return
     twice = sorted({younger for _, younger, _ in pairs})
-    frames = tuple(sorted({one.keyframe for key in twice for one in run.landmarks[key].sightings}))
+    frames = tuple(sorted({sighting.keyframe for key in twice for sighting in run.landmarks[key].sightings}))
     gap = float(np.median([abs(gap) for _, _, gap in pairs]))
     yield Evidence(
         "doubled surfaces",

@@ -28,7 +28,7 @@ def between_scans(steps: Sequence[Step], wheels: Sequence[OdometryReading]) -> l
         return []
     if not wheels:
         return _going_on(steps)
-    stamps = np.array([one.stamp_ns for one in steps], dtype=np.int64)
+    stamps = np.array([step.stamp_ns for step in steps], dtype=np.int64)
     at_scans = OdometryTrack(wheels, OdometryNoise()).poses_at(stamps.tolist())
     times = np.array([one.stamp_ns for one in wheels], dtype=np.int64)
     others = np.flatnonzero(~np.isin(times, stamps))
@@ -61,7 +61,7 @@ def _going_on(steps: Sequence[Step]) -> list[OdometryReading]:
 def _unevenness(steps: Sequence[Step]) -> FloatArray:
     """How much further each step (x, y, theta) would be with the velocity after it than with that before, (N, 3)."""
     moved = np.array([np.zeros(3), *(between(a.pose, b.pose) for a, b in pairwise(steps))])
-    seconds = 1e-9 * np.diff([one.stamp_ns for one in steps], prepend=steps[0].stamp_ns - 1)
+    seconds = 1e-9 * np.diff([step.stamp_ns for step in steps], prepend=steps[0].stamp_ns - 1)
     velocities = moved / seconds[:, None]
     last = len(steps) - 1
     near = [(min(max(k - 1, 1), last), min(k + 1, last)) for k in range(len(steps))]

@@ -64,12 +64,12 @@ class _Heading(NamedTuple):
     @classmethod
     def of(cls, readings: Sequence[OdometryReading]) -> _Heading:
         """Of readings in time order."""
-        angles = [planar_delta(one.odom_T_body)[2] for one in readings]
-        return cls(np.array([one.stamp_ns for one in readings], dtype=np.float64), np.unwrap(angles))
+        angles = [planar_delta(reading.odom_T_body)[2] for reading in readings]
+        return cls(np.array([reading.stamp_ns for reading in readings], dtype=np.float64), np.unwrap(angles))
 
     def turned(self, turns: Sequence[_Turn], early_s: float) -> FloatArray:
         """What was turned over each of N turns, read so much earlier, shape (N,), rad."""
-        times = np.array([(one.start_ns, one.end_ns) for one in turns], dtype=np.float64).T - early_s * 1e9
+        times = np.array([(turn.start_ns, turn.end_ns) for turn in turns], dtype=np.float64).T - early_s * 1e9
         start, end = np.interp(times, self.stamps_ns, self.angles)
         return end - start
 
@@ -107,7 +107,7 @@ def clock_offset(
         "Unified temporal and spatial calibration for multi-sensor systems", IROS 2013.
     """
     at_scans = {scan.stamp_ns for scan in scans}
-    between = [one for one in readings if one.stamp_ns not in at_scans]
+    between = [reading for reading in readings if reading.stamp_ns not in at_scans]
     if len(between) < _LEAST_STEPS:  # stamped with the scans: of any other time it tells nothing
         return None
     turns = _turns(OdometryTrack(readings, noise), scans, surface)
@@ -156,7 +156,7 @@ def _likeliest(heading: _Heading, turns: Sequence[_Turn]) -> float:
 
 def _log_likelihood(heading: _Heading, turns: Sequence[_Turn], offset_s: float) -> float:
     """Of the turns, of odometry read so much earlier, with the likeliest scale of its turns and width of Laplace's."""
-    wheels, seen = heading.turned(turns, offset_s), np.array([one.angle for one in turns])
+    wheels, seen = heading.turned(turns, offset_s), np.array([turn.angle for turn in turns])
     errors = np.abs(seen - _scale(wheels, seen) * wheels)
     return -len(turns) * float(np.log(np.mean(errors) + _RESOLUTION_RAD))
 

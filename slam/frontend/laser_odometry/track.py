@@ -49,10 +49,10 @@ class LaserTrack(OdometryTrack):
         between: Sequence[OdometryReading] = (),
     ) -> None:
         """Readings between the scans, before the first and after the last, are of the same frame."""
-        readings = [OdometryReading(one.stamp_ns, planar_transform(*one.pose)) for one in steps]
+        readings = [OdometryReading(step.stamp_ns, planar_transform(*step.pose)) for step in steps]
         super().__init__(sorted((*readings, *between), key=lambda one: one.stamp_ns), noise)
         self._steps = list(steps)
-        self._scan_stamps = np.array([one.stamp_ns for one in steps], dtype=np.int64)
+        self._scan_stamps = np.array([step.stamp_ns for step in steps], dtype=np.int64)
         self._about_wheels = about_wheels
 
     def motion(self, start_ns: int, end_ns: int) -> Motion:
@@ -74,7 +74,7 @@ class LaserTrack(OdometryTrack):
 
     def slipped(self, start_ns: int, end_ns: int) -> bool:
         """Whether wheels slipped on a step after one time and up to another."""
-        return any(one.slipped for one in self._steps[self._index(start_ns) + 1 : self._index(end_ns) + 1])
+        return any(step.slipped for step in self._steps[self._index(start_ns) + 1 : self._index(end_ns) + 1])
 
     def _index(self, stamp_ns: int) -> int:
         """The last scan not later than a time."""

@@ -113,8 +113,10 @@ def _ros1_reader(path: Path) -> Any:
     class Forgiving(Reader):
         def open(self) -> None:
             super().open()
-            told = [definition_of(one.msgtype, one.msgdef.data) for one in self.connections]
-            self.connections = [one._replace(msgdef=new) for one, new in zip(self.connections, told, strict=True)]
+            told = [definition_of(connection.msgtype, connection.msgdef.data) for connection in self.connections]
+            self.connections = [
+                connection._replace(msgdef=new) for connection, new in zip(self.connections, told, strict=True)
+            ]
 
     return Forgiving(path)
 
