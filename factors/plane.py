@@ -45,7 +45,9 @@ def plane_factor(
 
     The native error is not quite linear in the tilts: at the distance d of the plane a tilt e takes d |e|^2 / 2 off.
     Its mean and variance under the plane's own covariance are corrected for. Of a small patch far away, whose tilt is
-    hardly known, that is not enough: a tilt of three sigmas would be six off. Its factor is custom as well, and exact.
+    hardly known, that is not enough: a tilt of three sigmas would be six off. Its factor is custom as well, and exact
+    of errors about the patch, as noise of its points makes; whoever measures with a sensor whose scans are turned as a
+    whole counts `factors._conventions.second_order` in the offset.
 
     Sides are the caller's: the error is blind to a plane seen from behind (see `factors.facing`). All factors of one
     landmark take it in one frame: `factors.landmark_anchors` refuses a graph where they do not.
@@ -99,6 +101,8 @@ def plane_factors(
     return graph
 
 
+#: A native factor neglects at most this variance beyond the first order, as a share of that of the plane's offset: at
+#: three standard deviations of the tilt it is then off by less than two of the offset.
 _LINEAR = 0.1
 
 

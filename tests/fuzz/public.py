@@ -166,6 +166,7 @@ CALLS: dict[str, Call] = {
     "spplanes.Plane.project": lambda n: n.plane().project(n.array(4, 3)),
     "spplanes.ScanLine": Numbers.line,
     "spplanes.ScanLine.transform": lambda n: n.line().transform(n.array(4, 4), n.array(3, 3)),
+    "spplanes.ScanLine.covariance_at": lambda n: n.line().covariance_at(n.number()),
     "spplanes.ScanLine.mahalanobis": lambda n: n.line().mahalanobis(n.line()),
     "factors.anchored_plane_jacobian": lambda n: factors.anchored_plane_jacobian(
         n.landmark(), n.array(4, 4), n.array(4, 4)
