@@ -220,7 +220,7 @@ def test_scans_without_a_return_have_no_planes():
 
 
 def test_a_scan_that_is_turned_as_a_whole_lifts_the_middle_of_a_far_patch():
-    """Straight ahead at a distance d, turned about the sensor by e, a plane lies d (1 - cos e) off where it was seen."""
+    """Straight ahead at a distance d, turned about the sensor by e, a plane is d (1 - cos e) off where it was seen."""
     sigma, d, rng = np.radians(2.0), 8.0, np.random.default_rng(3)
     frame = np.eye(4)
     frame[2, 3] = d
