@@ -44,10 +44,7 @@ def plane_factor(
     before it, or every thirtieth keyframe.
 
     The native error is not quite linear in the tilts: at the distance d of the plane a tilt e takes d |e|^2 / 2 off.
-    Its mean and variance under the plane's own covariance are corrected for. Of a small patch far away, whose tilt is
-    hardly known, that is not enough: a tilt of three sigmas would be six off. Its factor is custom as well, and exact
-    of errors about the patch, as noise of its points makes; whoever measures with a sensor whose scans are turned as a
-    whole counts `factors._conventions.second_order` in the offset.
+    Its mean and variance under the plane's own covariance are corrected for, which matters to small patches far away.
 
     Sides are the caller's: the error is blind to a plane seen from behind (see `factors.facing`). All factors of one
     landmark take it in one frame: `factors.landmark_anchors` refuses a graph where they do not.
@@ -101,11 +98,6 @@ def plane_factors(
     return graph
 
 
-#: A native factor neglects at most this variance beyond the first order, as a share of that of the plane's offset: at
-#: three standard deviations of the tilt it is then off by less than two of the offset.
-_LINEAR = 0.1
-
-
 @dataclass(frozen=True, eq=False)
 class _Measured:
     """What a plane's factors have in common, whatever they are between."""
@@ -114,7 +106,6 @@ class _Measured:
     distance: float
     root: FloatArray
     centre_root: FloatArray
-    is_linear: bool
 
     def factor(self, pose: int, key: int, anchor: int | None, robust: Robust) -> gtsam.NonlinearFactor:
         """The factor between these keys."""
@@ -123,7 +114,7 @@ class _Measured:
         if plane_key in (pose_key, anchor_key):
             check_distinct(pose_key=pose_key, plane_key=plane_key)
             check_distinct(anchor_key=anchor_key, plane_key=plane_key)
-        if anchor_key is not None and anchor_key != pose_key and self.is_linear:
+        if anchor_key is not None and anchor_key != pose_key:
             measured, noise = oriented_plane(self.frame[:3, 2], self.distance), gaussian(self.root, robust, 3)
             return gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, pose_key, anchor_key, plane_key)
         recipe = Recipe("plane", (self.frame,), self.centre_root, 3, plane_key, pose_key, anchor_key, robust=robust)
@@ -141,8 +132,7 @@ def _measured(planes: Sequence[Plane]) -> list[_Measured]:
     inflated = covariances.copy()
     inflated[:, 0, 0] += variance
     roots, centre_roots = square_root_informations(frames, inflated), centre_root_informations(covariances)
-    linear = (variance <= _LINEAR * covariances[:, 0, 0]).tolist()
-    return [_Measured(*one) for one in zip(frames, distances.tolist(), roots, centre_roots, linear, strict=True)]
+    return [_Measured(*one) for one in zip(frames, distances.tolist(), roots, centre_roots, strict=True)]
 
 
 def plane_prior(plane: Plane, plane_key: int, *, robust: Robust = None) -> gtsam.CustomFactor:

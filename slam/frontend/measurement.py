@@ -8,7 +8,6 @@ from typing import Protocol
 
 import numpy as np
 
-from factors._conventions import second_order
 from slam.config import SlamConfig
 from slam.frontend.deskewing import middle_ns, place_beams
 from slam.frontend.observations import LineObservation, PlaneObservation
@@ -294,16 +293,9 @@ def usable_points(points: FloatArray, sensor: Sensor) -> FloatArray:
 
 
 def _in_scan(plane: Plane, sensor: Sensor) -> Plane:
-    """The plane, in the sensor's frame, with the error that all points of a scan's plane share, whatever their number.
-
-    Noise turns a patch about its middle, what a scan as a whole is turned by about the sensor. How much of its tilt is
-    of either nobody knows, and to second order that is an offset of its middle, of a small patch far away a large one.
-    """
-    covariance = plane.covariance.copy()
-    covariance += np.diag([sensor.plane_sigma_m**2, sensor.plane_sigma_rad**2, sensor.plane_sigma_rad**2])
-    (mean,), (variance,) = second_order(plane.frame[None], covariance[None])
-    covariance[0, 0] += variance + mean**2
-    return replace(plane, covariance=covariance)
+    """The plane with the error that all points of a scan's plane share, whatever their number."""
+    shared = np.diag([sensor.plane_sigma_m**2, sensor.plane_sigma_rad**2, sensor.plane_sigma_rad**2])
+    return replace(plane, covariance=plane.covariance + shared) if shared.any() else plane
 
 
 def _outlined(fitted: Plane, plane: Plane) -> Plane:

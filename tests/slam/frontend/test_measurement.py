@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam.config import SlamConfig
-from slam.frontend.measurement import _in_scan, for_points, planes_of_cloud, usable_points, usable_ranges
+from slam.frontend.measurement import for_points, planes_of_cloud, usable_points, usable_ranges
 from slam.frontend.observations import PlaneObservation
 from slam.frontend.scan_regions import ScanPart, believed_plane, believed_planes
 from slam.geometry.frames import inverse
@@ -217,18 +217,6 @@ def test_scans_without_a_return_have_no_planes():
     for points in (np.empty((0, 3)), np.full((40, 3), np.nan), np.full((4, 9, 3), np.nan), np.full((5, 3), 1e3)):
         assert planes_of_cloud(CloudScan(0, "lidar", points), sensor(), SlamConfig()) == []
     assert planes_of_cloud(CloudScan(0, "lidar", np.ones((1, 3))), sensor(), SlamConfig()) == []
-
-
-def test_a_scan_that_is_turned_as_a_whole_lifts_the_middle_of_a_far_patch():
-    """Straight ahead at a distance d, turned about the sensor by e, a plane is d (1 - cos e) off where it was seen."""
-    sigma, d, rng = np.radians(2.0), 8.0, np.random.default_rng(3)
-    frame = np.eye(4)
-    frame[2, 3] = d
-    seen = _in_scan(Plane(frame, np.diag([1e-9, sigma**2, sigma**2])), sensor())
-    turns = sigma * rng.standard_normal((100_000, 2))
-    off = d * (1.0 - np.cos(np.linalg.norm(turns, axis=1)))
-    assert seen.covariance[0, 0] == pytest.approx(np.mean(off**2), rel=0.03)
-    np.testing.assert_array_equal(seen.covariance[1:], np.diag([0.0, sigma**2, sigma**2])[1:])
 
 
 def test_ranges_outside_the_limits_are_no_returns():
