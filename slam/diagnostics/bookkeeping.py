@@ -19,6 +19,9 @@ from slam.mapping.map_update import LateMatch
 from slam.session.replay import Recorder
 from slam.tracking.prediction import Prediction
 
+#: Candidates named in a sentence.
+_NAMED = 3
+
 
 class Bookkeeping:
     """Is told what every step made of a keyframe; the steps know nothing of it."""
@@ -62,10 +65,6 @@ class Bookkeeping:
             seen, decisions, prediction.pose_key, self._landmarks, self._backend
         ):
             self.audit.count(prediction.index, seen[number].kind, chi2, dof)
-
-
-#: Candidates named in a sentence.
-_NAMED = 3
 
 
 def decision_sentence(decision: Decision, observation: Observation) -> str:

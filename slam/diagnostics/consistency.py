@@ -16,6 +16,9 @@ from slam.map.data_association import Decision
 from slam.map.landmarks import LandmarkMap
 from spplanes._check import FloatArray
 
+#: A motion of the pose that moves no measurement by more than this many of its sigmas a metre or radian is not found.
+_SILENT = 1e-2
+
 #: Two-sided probability of the band that a mean NIS is held against.
 BAND = 0.95
 
@@ -95,10 +98,6 @@ class NisSummary:
         dof = int(np.sum([dof for _, _, dof in history]))
         low, high = 2.0 * gammaincinv(0.5 * dof, [(1 - BAND) / 2, (1 + BAND) / 2]) / dof
         return cls(kind, len(history), total / dof, float(low), float(high))
-
-
-#: A motion of the pose that moves no measurement by more than this many of its sigmas a metre or radian is not found.
-_SILENT = 1e-2
 
 
 def innovations_without_prediction(

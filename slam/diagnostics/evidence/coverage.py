@@ -50,15 +50,21 @@ def keyframes_without_wall(run: Finished) -> list[int]:
 
     Floors and ceilings tell the height and the tilt, and nothing of where on the floor a body is.
     """
-    matched = {(match.keyframe, match.decision.observation) for match in run.late_matches}
-    blind = []
+    matched, blind = _matched(run), []
     for index, pose in enumerate(run.trajectory.poses[1:], 1):
-        again = {one.observation for one in run.decisions[index] if one.match is not None}
         seen = enumerate(run.keyframes[index].observations)
-        normals = [one.normal for k, one in seen if k in again or (index, k) in matched]
+        normals = [observation.normal for k, observation in seen if (index, k) in matched]
         if not any(abs(pose[2, :3] @ normal) < _LEVEL for normal in normals):
             blind.append(index)
     return blind
+
+
+def _matched(run: Finished) -> set[tuple[int, int]]:
+    """(keyframe, observation) of all that was matched, then or later."""
+    matched = {(match.keyframe, match.decision.observation) for match in run.late_matches}
+    for index, decisions in enumerate(run.decisions):
+        matched |= {(index, decision.observation) for decision in decisions if decision.match is not None}
+    return matched
 
 
 def _certain(count: int, keyframes: range | list[int], sentence: str) -> Evidence:
@@ -144,8 +150,7 @@ def unmatched_shares(run: Finished) -> FloatArray:
 
     The first keyframe, which has nothing to match, and the last, after which nothing is seen again, are left out.
     """
-    late = {(match.keyframe, match.decision.observation) for match in run.late_matches}
-    again = {
+    known = _matched(run) | {
         (sighting.keyframe, sighting.observation)
         for landmark in run.landmarks
         if landmark.n_keyframes > 1
@@ -156,10 +161,7 @@ def unmatched_shares(run: Finished) -> FloatArray:
         sizes = np.array([_extent(observation) for observation in run.keyframes[index].observations])
         if not sizes.sum():
             continue
-        lost = [
-            one.match is None and (index, one.observation) not in late and (index, one.observation) not in again
-            for one in run.decisions[index]
-        ]
+        lost = [(index, decision.observation) not in known for decision in run.decisions[index]]
         shares[index] = sizes[lost].sum() / sizes.sum()
     return shares
 

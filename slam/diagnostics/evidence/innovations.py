@@ -19,6 +19,9 @@ from slam.sensors.rig import Rig
 from slam.tracking.odometry_scale import scaled
 from spplanes._check import FloatArray
 
+#: Steps whose residuals are looked at, evenly over the run.
+_MOST_STEPS = 60
+
 #: What a user is promised of a sound map: no error beyond this, m, or so many of the standard deviations it claims.
 PROMISED_M, PROMISED_SIGMAS = 0.1, 3.0
 #: Poses whose standard deviation is looked at, evenly over the run.
@@ -69,10 +72,6 @@ def too_small(
 def _risk(sigma_m: float, claimed_m: float) -> float:
     """Probability that an error of standard deviation `sigma_m` breaks the promise where `claimed_m` is claimed."""
     return 2.0 * float(ndtr(-max(PROMISED_M, PROMISED_SIGMAS * claimed_m) / max(sigma_m, 1e-12)))
-
-
-#: Steps whose residuals are looked at, evenly over the run.
-_MOST_STEPS = 60
 
 
 def odometry_evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
