@@ -71,25 +71,6 @@ WORKLOADS: dict[str, Workload] = {
         "from the first one.",
         short=_QUICK,
     ),
-    "lines": Workload(
-        "Line extraction",
-        "Scans of random rooms and corridors with truth, and of real logs, ours by the stated noise alone, beside a "
-        "textbook split (iterative end points, three sigma), which has no covariance and no statistics. A wall is "
-        "found when one true line holds 70 % of its beams; a line is false when under 80 % of its beams are on one "
-        "wall, when its chi2 to that wall exceeds 27.6, or when a better line is on the same wall; the textbook's "
-        "pieces are judged by their beams alone. `us each` is the time of one scan; memory is that for all scans and "
-        "their lines.",
-        short=_QUICK,
-        gated=True,
-    ),
-    "end_to_end": Workload(
-        "End to end",
-        "From log to map, wall time by stage. The real-time factor is the log's own time over that of processing it. "
-        "Memory is the largest resident size of a process that does this alone, its libraries included (the first row "
-        "is what they take). The yardstick is a fixed piece of numpy and Python in the same process.",
-        short=_QUICK,
-        gated=True,
-    ),
     "corpus": Workload(
         "Corpus",
         "Drives of many kinds with truth, run as they are. A run counts for its world, its sensors and what is wrong "

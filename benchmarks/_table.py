@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-#: What is in rows for the gate alone: accuracy in numbers; that a time was not taken in turn with the others.
-HIDDEN = ("gate", "apart")
+#: What is in rows for the gate alone: that a time was not taken in turn with the others.
+HIDDEN = ("apart",)
 
 
 def columns_of(rows: list[dict[str, Any]]) -> list[str]:

@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 
 from benchmarks._factor_scenes import many_views, plane_key, pose_key
-from benchmarks._measure import CPU, MEMORY, PROJECT, WALL, Case, Peer, Row, Task, measured
+from benchmarks._measure import PROJECT, Case, Peer, Row, Task, measured
 from benchmarks.peers import environment
 from factors import facing, plane_factors, plane_landmark
 from spplanes import Plane, fit_planes
@@ -120,8 +120,7 @@ def by_mrob(peer: str, scenes: Callable[[], list[Scene]], setting: str | None, r
     many = scenes()
     arrays = {f"{k}/{name}": value for k, scene in enumerate(many) for name, value in scene.items()}
     found = environment.call("mrob_planes", arrays, peer, str(repeats))
-    times = {CPU: len(many) * found[CPU], WALL: len(many) * found[WALL], MEMORY: found[MEMORY]}
-    return errors_row(found["errors_m"]) | times
+    return errors_row(found.pop("errors_m")) | found
 
 
 def contenders(scenes: Callable[[], list[Scene]], setting: str | None) -> list[Task | Peer]:

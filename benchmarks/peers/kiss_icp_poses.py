@@ -2,13 +2,12 @@
 
 import json
 import sys
-import time
 
 import numpy as np
 from kiss_icp.config import load_config  # type: ignore[import-not-found]  # a peer, in an environment of its own
 from kiss_icp.kiss_icp import KissICP  # type: ignore[import-not-found]
 
-from benchmarks._memory import peak_mb
+from benchmarks.peers.timing import measured
 
 
 def poses_of(clouds, voxel_m):
@@ -28,14 +27,7 @@ def main(path, voxel_m, repeats):
     """Print the row."""
     with np.load(path) as archive:
         clouds = archive["clouds"]
-    taken, poses = [], np.empty(0)
-    for _ in range(int(repeats)):
-        cpu, wall = time.process_time(), time.perf_counter()
-        poses = poses_of(clouds, float(voxel_m))
-        taken.append((time.process_time() - cpu, time.perf_counter() - wall))
-    cpu_ms, wall_ms = 1e3 * np.median(taken, axis=0)
-    memory = peak_mb(lambda: poses_of(clouds, float(voxel_m)))
-    row = {"CPU ms": cpu_ms, "wall ms": wall_ms, "peak memory MB": memory}
+    poses, row = measured(lambda: poses_of(clouds, float(voxel_m)), repeats)
     print(json.dumps({**row, "positions": poses[:, :3, 3].tolist()}))
 
 

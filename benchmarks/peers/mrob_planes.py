@@ -2,12 +2,11 @@
 
 import json
 import sys
-import time
 
 import mrob  # type: ignore[import-not-found]  # a peer, in an environment of its own
 import numpy as np
 
-from benchmarks._memory import peak_mb
+from benchmarks.peers.timing import measured
 
 
 def solve(data, peer):
@@ -40,11 +39,6 @@ def solve(data, peer):
     return np.stack([states[node][:3, 3] for node in nodes])
 
 
-def solve_all(scenes, peer):
-    """Positions of all samples."""
-    return [solve(scene, peer) for scene in scenes]
-
-
 def main(path, peer, repeats):
     """Print the row."""
     scenes = {}
@@ -53,18 +47,11 @@ def main(path, peer, repeats):
             k, field = name.split("/")
             scenes.setdefault(int(k), {})[field] = archive[name]
     scenes = [scenes[k] for k in sorted(scenes)]
-    found = solve_all(scenes, peer)
+    found, row = measured(lambda: [solve(scene, peer) for scene in scenes], repeats)
     errors = [
         np.sqrt(np.mean(np.sum((positions - scene["truth"][:, :3, 3]) ** 2, axis=1)))
         for positions, scene in zip(found, scenes, strict=True)
     ]
-    taken = []
-    for _ in range(int(repeats)):
-        cpu, wall = time.process_time(), time.perf_counter()
-        solve_all(scenes, peer)
-        taken.append((time.process_time() - cpu, time.perf_counter() - wall))
-    cpu_ms, wall_ms = 1e3 * np.median(taken, axis=0) / len(scenes)
-    row = {"CPU ms": cpu_ms, "wall ms": wall_ms, "peak memory MB": peak_mb(lambda: solve_all(scenes, peer))}
     print(json.dumps({**row, "errors_m": errors}))
 
 

@@ -40,9 +40,7 @@ def test_a_peer_that_times_itself_is_told_from_one_taken_in_turn():
     assert _gate.figures_of("fit", rows) == figures(apart={"fit: walls, ours to mrob": 0.5})
 
 
-def test_other_tables_give_their_own_ratio():
-    rows = [{"scan": "room", "ms": 2.0, "ratio": 4.0}, {"scan": "log", "ms": 1.0}, {"scan": "none", "ratio": None}]
-    assert _gate.figures_of("lines", rows) == figures({"lines: room": 4.0})
+def test_a_growing_mission_gives_its_own_ratio():
     tenths = [{"scans": name, "of the first tenth": value} for name, value in (("first", 1.0), ("last", 1.3))]
     assert _gate.figures_of("growth", tenths) == figures(apart={"growth: last": 1.3})
 
@@ -53,8 +51,6 @@ def test_accuracy_is_that_of_ours_alone_and_grows_as_it_gets_worse():
     found = _gate.figures_of("scenes", [ours, theirs])["accuracy"]
     names = [f"scenes: frame: {column}" for column in ("correct", "purity, %", "chi2/dof")]
     assert found == pytest.approx(dict(zip(names, (7.0, 1.0, 0.03), strict=True)))
-    mission = {"mission": "loop", "accuracy": "2 cm", "gate": {"position, cm": 2.0}}
-    assert _gate.figures_of("end", [mission])["accuracy"] == {"end: loop: position, cm": 2.0}
 
 
 def test_a_worse_ratio_is_one_line_and_exit_code_1():
@@ -64,8 +60,8 @@ def test_a_worse_ratio_is_one_line_and_exit_code_1():
 
 
 def test_accuracy_has_its_slack_and_no_more():
-    name = "end: loop: position, mm"
-    slack = _gate.ACCURACY["position, mm"].slack
+    name = "scenes: frame: purity, %"
+    slack = _gate.ACCURACY["purity, %"].slack
     for more, expected in ((0.9 * slack, 0), (1.1 * slack, 1)):
         measured = figures(accuracy={name: 1.1 + more})
         assert _gate.judge(measured, figures(accuracy={name: 1.0}), {"accuracy": 1.1}).exit_code == expected
@@ -120,25 +116,25 @@ def stored(rows: list[dict], *, short: bool, date: str = "2026-01-02") -> dict:
 
 def test_a_partial_run_updates_only_its_own_rows(tmp_path):
     path = tmp_path / "results.json"
-    _page.store({"fit": stored(ROWS, short=True), "lines": stored([{"scan": "room", "ratio": 4.0}], short=True)}, path)
-    kept = _page.store({"lines": stored([{"scan": "room", "ratio": 3.0}], short=True)}, path)
+    _page.store({"fit": stored(ROWS, short=True), "growth": stored([{"scan": "room", "ms": 4.0}], short=True)}, path)
+    kept = _page.store({"growth": stored([{"scan": "room", "ms": 3.0}], short=True)}, path)
     assert kept["fit"]["rows"] == ROWS == json.loads(path.read_text())["fit"]["rows"]
-    assert kept["lines"]["rows"] == [{"scan": "room", "ratio": 3.0}]
+    assert kept["growth"]["rows"] == [{"scan": "room", "ms": 3.0}]
     page = _page.page(kept)
-    assert page.index("## Plane fit") < page.index("## Line extraction")
+    assert page.index("## Plane fit") < page.index("## Growth of the map")
     assert "| walls | numpy | 40 | 40 | 100 |" in page and "| room | 3 |" in page
 
 
 def test_a_short_run_leaves_the_rows_it_does_not_measure_with_their_date(tmp_path):
     path = tmp_path / "results.json"
-    short, long = {"mission": "demo", "s": 1.0}, {"mission": "intel", "s": 90.0}
-    _page.store({"end_to_end": stored([short, long], short=False, date="2026-01-01")}, path)
+    short, long = {"keyframes": "demo", "s": 1.0}, {"keyframes": "intel", "s": 90.0}
+    _page.store({"growth": stored([short, long], short=False, date="2026-01-01")}, path)
     for seconds in (2.0, 3.0):  # the second time the old row is among the older ones already
-        kept = _page.store({"end_to_end": stored([{**short, "s": seconds}], short=True)}, path)
+        kept = _page.store({"growth": stored([{**short, "s": seconds}], short=True)}, path)
         page = _page.page(kept)
         assert f"| demo | {seconds:.0f} |" in page and "| demo | 1 |" not in page and "| intel | 90 |" in page
         assert "the full run of 2026-01-01" in page and "intel." in page
-    kept = _page.store({"end_to_end": stored([short], short=False)}, path)
+    kept = _page.store({"growth": stored([short], short=False)}, path)
     assert "intel" not in _page.page(kept)
 
 

@@ -5,13 +5,13 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks._line_world import World, box, cast, polygon, random_corridor, random_room
 from slam.geometry.frames import planar_transform
 from slam.io.carmen import read_carmen
 from slam.registration.place_recognition import Wall, match_constellations
 from slam.sensors.log import LaserScan
 from spplanes import LineConfig, ScanLine, extract_lines
 from tests.slam.real_data import needs
+from tests.spplanes.lines.line_world import World, box, cast, polygon, random_corridor, random_room
 from tests.statistics import assert_mean_in_band
 
 FULL = np.radians(np.arange(-180, 180, 0.5))

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from benchmarks._line_score import nees, true_line
-from benchmarks._line_world import World, cast, polygon
 from spplanes import LineConfig, extract_lines
+from tests.spplanes.lines.line_score import nees, true_line
+from tests.spplanes.lines.line_world import World, cast, polygon
 
 SIGMA = 0.01
 HALF = np.radians(np.arange(-90, 90.01, 0.5))

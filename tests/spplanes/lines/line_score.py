@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks._line_world import Truth, World
 from spplanes import LineConfig, ScanLine
+from tests.spplanes.lines.line_world import Truth, World
 
 
 def true_line(segment: np.ndarray, pose: tuple[float, float, float]) -> tuple[float, float]:
@@ -80,7 +80,6 @@ class Score:
     lines: int = 0
     false: int = 0
     nees: list[float] = field(default_factory=list)
-    nees_pure: list[float] = field(default_factory=list)
     lost_beams: list[float] = field(default_factory=list)
     excess_beams: list[float] = field(default_factory=list)
 
@@ -104,7 +103,6 @@ class Score:
                 self.false += 1
                 continue
             self.nees.append(error)
-            self.nees_pure += [error] if counts.size == 1 else []
             owners.setdefault(wall, []).append(line)
         for run in runs:
             shares = [np.isin(run, line.indices).mean() for line in owners.get(int(walls[run[0]]), [])]
