@@ -96,6 +96,19 @@ def associate(
         ValueError: what is no observation, a singular covariance, landmarks or anchors that are not in the prediction's
             values, covariances that are not finite, a probability outside [0, 1].
     """
+    gates, least = _checked(prediction, landmarks, gates, least_probability)
+    seen = [as_observation(f"observations[{i}]", observation) for i, observation in enumerate(observations)]
+    identities = _identities(seen, prediction, landmarks, gates, least)
+    new = [index for index, identity in identities.items() if identity.verdict == "new"]
+    groups = group_planes([seen[index] for index in new], gates, wall_tilt_sigma_rad, [True] * len(new))
+    new_planes = tuple(tuple(new[member] for member in group) for group in groups)
+    return Association(tuple(identities[index] for index in range(len(seen))), new_planes)
+
+
+def _checked(
+    prediction: Prediction, landmarks: LandmarkExtents, gates: AssociationGates | None, least_probability: float
+) -> tuple[AssociationGates, float]:
+    """The gates and the least probability, where all four are what `associate` takes."""
     check_instance("prediction", prediction, Prediction)
     check_instance("landmarks", landmarks, LandmarkExtents)
     least = as_number("least_probability", least_probability)
@@ -103,22 +116,25 @@ def associate(
         raise ValueError(f"least_probability: expected a number from 0 to 1, got {least}")
     gates = AssociationGates() if gates is None else gates
     check_instance("gates", gates, AssociationGates)
-    seen = [as_observation(f"observations[{i}]", observation) for i, observation in enumerate(observations)]
+    return gates, least
+
+
+def _identities(
+    seen: Sequence[Observation],
+    prediction: Prediction,
+    landmarks: LandmarkExtents,
+    gates: AssociationGates,
+    least: float,
+) -> dict[int, Identity]:
+    """What each observation is, by its index, the firmest first."""
     order = sorted(range(len(seen)), key=lambda index: _rank(seen[index]))  # ties must not go by the order given
-    sorted_seen = [seen[index] for index in order]
     placed = _Placed(landmarks, prediction)
-    problem = joint_compatibility(sorted_seen, prediction.pose_key, placed, prediction, gates)
+    problem = joint_compatibility([seen[index] for index in order], prediction.pose_key, placed, prediction, gates)
     best = problem.best()
-    identities = {
+    return {
         index: _identity(index, best.decisions[rank], posterior, least)
         for rank, (index, posterior) in enumerate(zip(order, posteriors(problem, best), strict=True))
     }
-    new = [index for index in order if identities[index].verdict == "new"]
-    groups = group_planes([seen[index] for index in new], gates, wall_tilt_sigma_rad, [True] * len(new))
-    return Association(
-        tuple(identities[index] for index in range(len(seen))),
-        tuple(tuple(new[member] for member in group) for group in groups),
-    )
 
 
 def _rank(observation: Observation) -> tuple[float, ...]:

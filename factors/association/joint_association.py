@@ -151,44 +151,45 @@ def joint_compatibility(
 
     With a `hint`, a factor of the pose that is not in the graph, the decisions are made by a state that knows it; the
     chi2 they are gated by and report is that of the state without it, for the hint is made of the same returns.
-
     Only the landmarks `among` are looked at when it is given, and only for the observations `trusted`.
     """
     world_T_body = estimate.pose(pose_key)
     bounds = bounds_of(observations, estimate.covariance(pose_key), gates)
-    shortlists = [shortlist(one, landmarks, world_T_body) for one in bounds]
-    chances = [log_density(one, len(near), gates) for one, near in zip(bounds, shortlists, strict=True)]
-    parallel = [log_parallel_density(one, len(near), gates) for one, near in zip(bounds, shortlists, strict=True)]
-    if trusted is not None:
-        shortlists = [near if index in trusted else [] for index, near in enumerate(shortlists)]
-    if among is not None:
-        shortlists = [[landmark for landmark in near if landmark.id in among] for near in shortlists]
-    hinted: list[int] = [] if hint is None else list(hint.keys())
-    ordered = sorted({pose_key, *_keys_of(shortlists), *hinted})
+    near = [shortlist(one, landmarks, world_T_body) for one in bounds]
+    chances = [log_density(one, len(found), gates) for one, found in zip(bounds, near, strict=True)]
+    parallel = [log_parallel_density(one, len(found), gates) for one, found in zip(bounds, near, strict=True)]
+    shortlists = _asked_for(near, among, trusted)
+    ordered = sorted({pose_key, *_keys_of(shortlists, hint)})
     joint, values = estimate.joint_covariance(ordered), estimate.values_of(ordered)  # once: cheaper than for each pair
     get_ready([one.plane for one in observations if isinstance(one, PlaneObservation)])
     gaps = Gaps(observations, landmarks, pose_key, estimate, joint, gates)
-    return JointCompatibility(
+    pairs = zip(observations, shortlists, strict=True)
+    hypotheses = [hypotheses_of(one, found, pose_key, joint, values, estimate) for one, found in pairs]
+    n_points = [observation.n_points for observation in observations]
+    honest = None if hint is None else partial(State, joint)
+    informed = partial(_informed, joint, hint, values)
+    return JointCompatibility(hypotheses, chances, parallel, gaps.away, gaps.within, n_points, informed, honest, gates)
+
+
+def _asked_for(
+    near: Sequence[Sequence[Landmark]], among: Collection[int] | None, trusted: Collection[int] | None
+) -> list[list[Landmark]]:
+    """Of the landmarks near each observation those `among`, and of observations that are not `trusted` none."""
+    return [
         [
-            hypotheses_of(observation, near, pose_key, joint, values, estimate)
-            for observation, near in zip(observations, shortlists, strict=True)
-        ],
-        chances,
-        parallel,
-        gaps.away,
-        gaps.within,
-        [observation.n_points for observation in observations],
-        state=lambda: _informed(joint, hint, values),
-        honest=None if hint is None else lambda: State(joint),
-        gates=gates,
-    )
+            landmark
+            for landmark in found
+            if (trusted is None or index in trusted) and (among is None or landmark.id in among)
+        ]
+        for index, found in enumerate(near)
+    ]
 
 
-def _keys_of(shortlists: Sequence[Sequence[Landmark]]) -> set[int]:
-    """Keys of all landmarks that anything is compared with, and of their anchors."""
+def _keys_of(shortlists: Sequence[Sequence[Landmark]], hint: gtsam.NonlinearFactor | None) -> set[int]:
+    """Keys of all landmarks that anything is compared with, of their anchors, and of the hint."""
     landmarks = [landmark for near in shortlists for landmark in near]
     anchors = {landmark.anchor_key for landmark in landmarks if landmark.anchor_key is not None}
-    return {landmark.key for landmark in landmarks} | anchors
+    return {landmark.key for landmark in landmarks} | anchors | set([] if hint is None else hint.keys())
 
 
 def _informed(joint: Joint, hint: gtsam.NonlinearFactor | None, values: gtsam.Values) -> State:

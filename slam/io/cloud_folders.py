@@ -96,9 +96,8 @@ def read_cloud_folder(
     for path in paths:
         weigh_cloud(path)
     posed_by, moved_by = first_file(folder, _POSES), odometry or first_file(folder, _ODOMETRY)
-    poses, moves = _rows_of(posed_by), _rows_of(moved_by)
-    if poses is None:
-        poses = _told_by_files(paths, np.eye(4) if body_T_sensor is None else body_T_sensor)
+    poses = _told_by_files(paths, body_T_sensor) if posed_by is None else _rows_of(posed_by)
+    moves = _rows_of(moved_by)
     stamps, timed = _stamps(folder, paths, [rows for rows in (moves, poses) if isinstance(rows, Trajectory)])
     scans = ScanFiles(folder, "cloud", paths, stamps, timed)
     world_T_body = None if poses is None else scans.poses(posed_by or folder, poses)
@@ -161,12 +160,13 @@ def _rows_of(path: Path | None) -> Trajectory | FloatArray | None:
     return read_tum(path)
 
 
-def _told_by_files(paths: list[Path], body_T_sensor: FloatArray) -> FloatArray | None:
+def _told_by_files(paths: list[Path], body_T_sensor: FloatArray | None) -> FloatArray | None:
     """world_T_body (N, 4, 4) by the VIEWPOINT of PCD files; None where all are the identity, or of other formats."""
     told = [read_header(path).world_T_sensor if path.suffix.lower() == ".pcd" else None for path in paths]
     if all(pose is None for pose in told):
         return None
-    return np.array([np.eye(4) if pose is None else pose for pose in told]) @ inverse(body_T_sensor)
+    mount = np.eye(4) if body_T_sensor is None else body_T_sensor
+    return np.array([np.eye(4) if pose is None else pose for pose in told]) @ inverse(mount)
 
 
 def _stamps(folder: Path, paths: list[Path], clocks: list[Trajectory]) -> tuple[list[int], bool]:

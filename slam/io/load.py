@@ -64,15 +64,9 @@ def load(
     """
     path = Path(path)
     check_log_given(path)
-    bag = is_rosbag(path)
-    if topics not in (None, Topics()) and not bag:
-        raise LogError(path, "expected a bag where topics or frames are given, got a log without them")
     if rig is None and path.is_dir() and (path / RIG_FILE).is_file():
         rig = Rig.from_yaml(path / RIG_FILE)
-    if bag:
-        log, sensors = _load_bag(path, rig, topics or Topics(), keep_partial)
-    else:
-        log, sensors = _load(path, rig, keep_partial, odometry)
+    log, sensors = _load(path, rig, keep_partial, topics or Topics(), odometry)
     if odometry is not None and log.odometry_source is None:
         log = with_odometry(log, odometry)
     if rig is None:
@@ -103,8 +97,12 @@ def load_cloud(path: Path) -> tuple[Log, Rig]:
     return log, rig
 
 
-def _load(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path | None) -> tuple[Log, Rig]:
-    """Anything but a bag; of clouds and depth images with the odometry given, which belongs to them in its own ways."""
+def _load(path: Path, rig: Rig | None, keep_partial: bool, topics: Topics, odometry: Path | None) -> tuple[Log, Rig]:
+    """By the reader of its kind; clouds and depth images with the odometry given, which is theirs in its own ways."""
+    if is_rosbag(path):
+        return _load_bag(path, rig, topics, keep_partial)
+    if topics != Topics():
+        raise LogError(path, "expected a bag where topics or frames are given, got a log without them")
     if path.is_dir():
         return _load_folder(path, rig, keep_partial, odometry)
     if path.suffix.lower() == ".e57":

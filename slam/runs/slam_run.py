@@ -106,7 +106,20 @@ def run_slam(
     clock = clock or StageClock()
     slam = slam or PlaneSlam(config)
     slam.clock = slam.backend.clock = clock
-    done_before = len(slam.keyframes)
+    rig = _add_keyframes(slam, log, rig, config, jobs, progress)
+    slam, repairs, judged = _ended(slam, rig, repair, batch, progress)
+    with clock.stage("map"):
+        planes = slam.planes
+    trajectory = slam.trajectory
+    odometry = odometry_of(log, rig, trajectory)
+    return Run(slam, planes, trajectory, odometry, log, rig, clock, repairs, judged)
+
+
+def _add_keyframes(
+    slam: PlaneSlam, log: Log, rig: Rig, config: SlamConfig, jobs: int, progress: Progress | None
+) -> Rig:
+    """Add the keyframes of a log that the estimator does not have; returns the rig with the noise that ranges show."""
+    clock, done_before = slam.clock, len(slam.keyframes)
     with clock.stage("measure"):  # what shows the noise, and laser odometry, which says where keyframes are
         rig = with_shown_errors(log, rig)
         total = count_keyframes(log, rig, config)
@@ -118,19 +131,22 @@ def run_slam(
                 _add(slam, keyframe, strict=config.keyframes.strict)
             if progress is not None:
                 progress(done + 1, total)
-    judged, repairs = None, None
+    return rig
+
+
+def _ended(
+    slam: PlaneSlam, rig: Rig, repair: bool, batch: bool, progress: Progress | None
+) -> tuple[PlaneSlam, tuple[Repair, ...] | None, Verdict | None]:
+    """The estimator with all that is done at the end, what was mended, and the verdict on its map where it is known."""
+    repairs, judged = None, None
     if repair:
-        with clock.stage("repair"):
+        with slam.clock.stage("repair"):
             slam, judged, repairs = repaired(slam, rig, progress)
     if batch:
-        judged = None
-        with clock.stage("batch"):
+        judged = None  # it was on another map
+        with slam.clock.stage("batch"):
             slam.adopt_batch()
-    with clock.stage("map"):
-        planes = slam.planes
-    trajectory = slam.trajectory
-    odometry = odometry_of(log, rig, trajectory)
-    return Run(slam, planes, trajectory, odometry, log, rig, clock, repairs, judged)
+    return slam, repairs, judged
 
 
 def _add(slam: PlaneSlam, keyframe: Keyframe, *, strict: bool) -> None:

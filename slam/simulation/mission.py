@@ -137,15 +137,19 @@ def simulate_mission(
     step = SPINNING_SPACING_M if world == "hall" else PAPER_SPACING_M
     step = step if spacing_m is None else as_positive("spacing_m", spacing_m)
     robot = checked_rig(rig) if rig is not None else spinning_rig() if world == "hall" else paper_rig()
-    if world == "corridor":
-        n_scans = round((PAPER_SCANS - 1) * PAPER_SPACING_M / step) + 1 if n_scans is None else n_scans
-        way_m = (n_scans - 1) * step
-        plan = Plan(world, corridor(way_m), DrivenPath.weaving(way_m), robot, step)
-    else:
-        build, drive = _LOOPS[world]
-        plan = Plan(world, build(), drive(laps), robot, step)
+    plan = _plan(world, robot, step, laps, n_scans)
     possible = int(plan.path.length_m / step + 1e-9) + 1
     if n_scans is not None and n_scans > possible:
         raise ValueError(f"n_scans: expected at most {possible} for {laps} laps, got {n_scans}")
     log, truth = record(plan, possible if n_scans is None else n_scans, seed)
     return Mission(log, plan.rig, truth)
+
+
+def _plan(world: str, robot: Rig, step_m: float, laps: int, n_scans: int | None) -> Plan:
+    """A world and the way through it: a corridor is as long as its scans, else as the paper's; others have laps."""
+    if world != "corridor":
+        build, drive = _LOOPS[world]
+        return Plan(world, build(), drive(laps), robot, step_m)
+    n_scans = round((PAPER_SCANS - 1) * PAPER_SPACING_M / step_m) + 1 if n_scans is None else n_scans
+    way_m = (n_scans - 1) * step_m
+    return Plan(world, corridor(way_m), DrivenPath.weaving(way_m), robot, step_m)

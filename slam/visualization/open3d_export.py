@@ -45,11 +45,10 @@ def planes_to_mesh(
     """Triangle mesh of the outlines, holes left open, counter-clockwise seen from the side a plane was seen from.
 
     Args:
-        planes: of a map, or fitted ones, or one of them, or what has `planes` such as a `Run`.
-            Of fitted ones the id is their place in the sequence. One without an outline is
-            drawn as the rectangle with the rms extents of its points, which its covariance tells; of one without
-            points either nothing can be drawn, and a warning says so (``fit_plane(..., outline=True)`` and
-            ``world_plane(..., shape_of=...)`` give outlines).
+        planes: of a map, or fitted ones, or one of them, or what has `planes` such as a `Run`. Of fitted ones the id is
+            their place in the sequence. One without an outline is drawn as the rectangle with the rms extents of its
+            points, which its covariance tells; of one without points either nothing can be drawn, and a warning says so
+            (``fit_plane(..., outline=True)`` and ``world_plane(..., shape_of=...)`` give outlines).
         colour_by: "plane": floor and ceiling grey, walls by direction. "sigma": the standard deviation of the plane's
             height over its own patch, at each corner, from dark blue (0) to yellow. Between corners the renderer
             interpolates; the deviation is convex in (x, y), so what it shows is never too small.
@@ -144,17 +143,22 @@ def ellipsoids_to_lines(
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence: expected a probability between 0 and 1, got {confidence}")
     reach = as_positive("scale", scale) * np.sqrt(2.0 * gammaincinv(0.5 * 3, confidence))
-    turns = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_CORNERS + 1)
-    circles = np.zeros((3, len(turns), 3))
-    for axis in range(3):
-        circles[axis, :, axis - 2], circles[axis, :, axis - 1] = np.cos(turns), np.sin(turns)
     chains = []
     for centre, matrix in zip(points, matrices, strict=True):
         values, vectors = np.linalg.eigh(as_covariance("covariances", matrix, 3))
         axes = reach * np.sqrt(np.maximum(values, 0.0)) * vectors
-        chains += list(circles @ axes.T + centre)
+        chains += list(_unit_circles() @ axes.T + centre)
     ids = np.repeat(np.arange(len(points), dtype=np.int32), 3 * _ELLIPSE_CORNERS)
     return _line_set(chains, np.tile(np.asarray(rgb, dtype=np.float64), (len(ids), 1)), ids, tensor)
+
+
+def _unit_circles() -> FloatArray:
+    """The circles round the three axes, closed, shape (3, C, 3)."""
+    turns = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_CORNERS + 1)
+    circles = np.zeros((3, len(turns), 3))
+    for axis in range(3):
+        circles[axis, :, axis - 2], circles[axis, :, axis - 1] = np.cos(turns), np.sin(turns)
+    return circles
 
 
 def points_to_cloud(points: ArrayLike, labels: ArrayLike | None = None, *, tensor: bool = False) -> Any:

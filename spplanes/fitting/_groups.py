@@ -49,16 +49,13 @@ class FitJob:
         cls,
         points: ArrayLike,
         covariances: ArrayLike | None,
-        *,
         sigma: float | None,
         method: Method,
         viewpoint: ArrayLike | None,
         robust: Robust | None,
-        scan_index: ArrayLike | None,
-        pose_covariances: ArrayLike | None,
-        scan_origins: ArrayLike | None,
+        poses: tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None],
     ) -> FitJob:
-        """Check what the caller gave."""
+        """Check what the caller gave; `poses`: scan of every point, covariances of the scans' poses, their origins."""
         if method not in METHODS:
             raise ValueError(f"method: expected one of {METHODS}, got {method!r}")
         if robust not in ROBUST:
@@ -68,7 +65,7 @@ class FitJob:
         array = as_points("points", points)
         noise, step = _covariances(covariances, sigma, len(array))
         eye = NO_VIEWPOINT if viewpoint is None else as_shape("viewpoint", viewpoint, (3,))
-        shared = SharedPose.checked(array, scan_index, pose_covariances, scan_origins)
+        shared = SharedPose.checked(array, *poses)
         return cls(array, noise, step, eye, method, robust, shared)
 
     def select(self, chosen: np.ndarray) -> FitJob:

@@ -62,17 +62,8 @@ def fit_plane(
     Raises:
         ValueError: fewer than 3 points, coincident or collinear ones, NaN, or what is no covariance.
     """
-    job = FitJob.checked(
-        points,
-        covariances,
-        sigma=sigma,
-        method=method,
-        viewpoint=viewpoint,
-        robust=robust,
-        scan_index=scan_index,
-        pose_covariances=pose_covariances,
-        scan_origins=scan_origins,
-    )
+    poses = scan_index, pose_covariances, scan_origins
+    job = FitJob.checked(points, covariances, sigma, method, viewpoint, robust, poses)
     order, bounds = np.arange(len(job.points)), np.array([0, len(job.points)])
     fits = fit_groups(job, order, bounds)
     if fits.status[0] != OK:
@@ -124,17 +115,8 @@ def fit_planes(
     Raises:
         ValueError: as ``fit_plane``; the sentence names the label.
     """
-    job = FitJob.checked(
-        points,
-        covariances,
-        sigma=sigma,
-        method=method,
-        viewpoint=viewpoint,
-        robust=robust,
-        scan_index=scan_index,
-        pose_covariances=pose_covariances,
-        scan_origins=scan_origins,
-    )
+    poses = scan_index, pose_covariances, scan_origins
+    job = FitJob.checked(points, covariances, sigma, method, viewpoint, robust, poses)
     names, order, bounds = group_by_label(labels, len(job.points))
     fits = fit_groups(job, order, bounds)
     for g in np.flatnonzero(fits.status != OK)[:1]:

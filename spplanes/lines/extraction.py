@@ -99,22 +99,19 @@ def extract_lines(
     """
     config = LineConfig() if config is None else config
     check_instance("config", config, LineConfig)
-    ranges = as_shape("ranges", ranges, (None,), finite=False)
-    angles = as_shape("angles", angles, ranges.shape)
-    if angles.size and (largest := float(np.abs(angles).max())) > _LARGEST_BEARING:
-        raise ValueError(f"angles: expected bearings in radians, got {largest:.6g}, as if in degrees")
-    sigmas = _as_sigmas(sigma, ranges.size)
-    if ranges.size < 3:
+    beams = _checked_beams(ranges, angles, sigma)
+    if beams.shape[1] < 3:
         return []
     flatness = 0.0 if shared_error else config.flatness  # else it is counted with what residuals show
-    rows, support, counts = extract(
-        _writable(ranges), _writable(angles), _writable(sigmas), tuple(_rules(config, flatness))
-    )
+    rows, support, counts = extract(beams[0], beams[1], beams[2], tuple(_rules(config, flatness)))
     if shared_error and len(rows):
-        found = _with_shared_error(rows, support, counts, np.stack((ranges, angles, sigmas)), config)
-        rows[:, 4:8] = found.reshape(-1, 4)
-    ends = np.cumsum(counts)
-    blocks = rows[:, 4:].reshape(-1, 2, 2, 2)
+        rows[:, 4:8] = _with_shared_error(rows, support, counts, beams, config).reshape(-1, 4)
+    return _as_lines(rows, support, counts)
+
+
+def _as_lines(rows: FloatArray, support: np.ndarray, counts: np.ndarray) -> list[ScanLine]:
+    """What `extract` found as lines."""
+    ends, blocks = np.cumsum(counts), rows[:, 4:].reshape(-1, 2, 2, 2)
     return [
         ScanLine._trusted(alpha, rho, block[0], block[1], support[end - count : end], chi2, int(dof))
         for (alpha, rho, chi2, dof), block, count, end in zip(rows[:, :4].tolist(), blocks, counts, ends, strict=True)
@@ -139,6 +136,15 @@ def _rules(config: LineConfig, stated: float) -> Rules:
     )
 
 
+def _checked_beams(ranges: ArrayLike, angles: ArrayLike, sigma: ArrayLike) -> FloatArray:
+    """Ranges, bearings and standard deviations of ranges in one array of its own, shape (3, B)."""
+    distances = as_shape("ranges", ranges, (None,), finite=False)
+    bearings = as_shape("angles", angles, distances.shape)
+    if bearings.size and (largest := float(np.abs(bearings).max())) > _LARGEST_BEARING:
+        raise ValueError(f"angles: expected bearings in radians, got {largest:.6g}, as if in degrees")
+    return np.stack((distances, bearings, _as_sigmas(sigma, distances.size)))
+
+
 def _as_sigmas(sigma: ArrayLike, n: int) -> FloatArray:
     """Standard deviation per beam, shape (n,)."""
     if np.ndim(sigma) == 0:
@@ -147,11 +153,6 @@ def _as_sigmas(sigma: ArrayLike, n: int) -> FloatArray:
     if n and sigmas.min() <= 0.0:
         raise ValueError(f"sigma: expected positive standard deviations, got {sigmas.min()}")
     return sigmas
-
-
-def _writable(array: FloatArray) -> FloatArray:
-    """The array itself, or a copy of a read-only one, for which numba would compile everything anew."""
-    return array if array.flags.writeable else array.copy()
 
 
 def _with_shared_error(
@@ -173,9 +174,6 @@ def _with_shared_error(
     line, (ranges, angles, sigmas) = np.repeat(np.arange(len(rows)), counts), beams[:, support]
     turn = angles - alpha[line]
     cosine, along = np.cos(turn), rho[line] * np.tan(turn)
-    ends = np.cumsum(counts)
-    length = np.abs(along[ends - 1] - along[ends - counts])
-    uneven = np.stack((np.full(len(rows), config.flatness**2), 12.0 * (config.flatness / length) ** 2), axis=-1)
     # about the point where shift and direction are uncorrelated: z = d rho - middle d alpha, theta = d alpha
     middle, to_sp = stated[:, 0, 1] / stated[:, 0, 0], np.zeros((len(rows), 2, 2))
     to_sp[:, 0, 0], to_sp[:, 0, 1], to_sp[:, 1, 0] = -middle, 1.0, 1.0
@@ -187,11 +185,27 @@ def _with_shared_error(
     variances = (sigmas * cosine) ** 2 + (config.bearing_sigma * along) ** 2
     frames = np.tile(np.eye(4), (len(rows), 1, 1))
     found = shared_error_of(points, variances[:, None], line, frames, covariances, stated=True)
-    total = found.covariances[:, :2, :2]
-    shared = total - found.noise_factors[:, None, None] * noise
-    from_sp, left = np.linalg.inv(to_sp), np.maximum(uneven - shared[:, (0, 1), (0, 1)], 0.0)
+    total, from_sp = found.covariances[:, :2, :2], np.linalg.inv(to_sp)
     result = from_sp @ total @ np.swapaxes(from_sp, 1, 2)
-    by_turn = np.stack((np.ones(len(rows)), 0.5 * (along[ends - 1] + along[ends - counts])), axis=-1)
-    result += left[:, 1, None, None] * by_turn[:, :, None] * by_turn[:, None, :]
-    result[:, 1, 1] += left[:, 0]
+    last = np.cumsum(counts) - 1
+    shown = (total - found.noise_factors[:, None, None] * noise)[:, (0, 1), (0, 1)]
+    _add_unevenness(result, config.flatness, along[last - counts + 1], along[last], shown)
     return 0.5 * (result + np.swapaxes(result, 1, 2))
+
+
+def _add_unevenness(
+    covariances: FloatArray, flatness: float, first: FloatArray, last: FloatArray, shown: FloatArray
+) -> None:
+    """Add what residuals do not show of the unevenness that walls are stated to have, in place.
+
+    Args:
+        covariances: of (alpha, rho), shape (M, 2, 2).
+        flatness: rms, m: a wall shifts by it, and turns by sqrt(12) / length of it about the middle of its ends.
+        first, last: where along the lines their first and last beams meet them, shape (M,), m.
+        shown: variances of shift and direction by the shared error that residuals show, shape (M, 2).
+    """
+    stated = np.stack((np.full(len(first), flatness**2), 12.0 * (flatness / np.abs(last - first)) ** 2), axis=-1)
+    left = np.maximum(stated - shown, 0.0)
+    by_turn = np.stack((np.ones(len(first)), 0.5 * (last + first)), axis=-1)
+    covariances += left[:, 1, None, None] * by_turn[:, :, None] * by_turn[:, None, :]
+    covariances[:, 1, 1] += left[:, 0]

@@ -93,12 +93,12 @@ class CloudPlanes(tuple[np.ndarray, "list[Plane]"]):
 
     @property
     def labels(self) -> np.ndarray:
-        """Plane of every point, int32, -1 = none."""
+        """Plane of every point, index into planes, shape (N,) or (S, B), int32; -1 = none."""
         return self[0]
 
     @property
     def planes(self) -> list[Plane]:
-        """The planes, largest first."""
+        """The planes with outlines, those with most points first."""
         return self[1]
 
 
@@ -129,24 +129,14 @@ def segment_cloud(
         config: settings of the segmentation.
 
     Returns:
-        labels: plane of every point, shape (N,) or (S, B), int32, index into planes; -1 = none.
-        planes: with outlines, those with most points first.
-        And as attributes ``noise``, ``coverage``, ``flags`` and ``warnings``.
+        ``labels, planes``, with more as attributes, see `CloudPlanes`.
 
     Raises:
         ValueError: what is no cloud, fewer than three points, a sigma that is not positive, or none given where the
             cloud has too few neighbours to measure it.
     """
     points = points_of(cloud)
-    eyes = _eyes_of(viewpoint, points)
-    seen = np.asarray(np.isfinite(points).all(axis=-1))
-    largest = float(np.abs(points[seen]).max(initial=0.0))
-    if largest >= TOO_LARGE:
-        raise ValueError(f"cloud: expected numbers below {TOO_LARGE:g}, got {largest:.3g}")
-    seen &= (np.abs(points - eyes) > 1.0 / TOO_LARGE).any(axis=-1)  # at the viewpoint itself there is no direction
-    if np.count_nonzero(seen) < 3:
-        raise ValueError(f"cloud: expected at least three points, got {np.count_nonzero(seen)}")
-    job = _Job(points, seen, np.broadcast_to(eyes, points.shape), sigma, config)
+    job = _Job.checked(points, _eyes_of(viewpoint, points), sigma, config)
     turned = (
         _normals_in(cloud, points) if normals is None else as_shape("normals", normals, (len(points), 3), finite=False)
     )
@@ -167,6 +157,18 @@ class _Job:
     """As given."""
     config: MapperConfig
     """As given."""
+
+    @classmethod
+    def checked(cls, points: FloatArray, eyes: FloatArray, sigma: float | None, config: MapperConfig) -> _Job:
+        """Points, seen from one eye (3,) or each from its own (N, 3), with the returns among them told."""
+        seen = np.asarray(np.isfinite(points).all(axis=-1))
+        largest = float(np.abs(points[seen]).max(initial=0.0))
+        if largest >= TOO_LARGE:
+            raise ValueError(f"cloud: expected numbers below {TOO_LARGE:g}, got {largest:.3g}")
+        seen &= (np.abs(points - eyes) > 1.0 / TOO_LARGE).any(axis=-1)  # at the viewpoint itself there is no direction
+        if np.count_nonzero(seen) < 3:
+            raise ValueError(f"cloud: expected at least three points, got {np.count_nonzero(seen)}")
+        return cls(points, seen, np.broadcast_to(eyes, points.shape), sigma, config)
 
     def of_points(self, normals: FloatArray | None) -> CloudPlanes:
         """Planes of points without order."""

@@ -95,26 +95,19 @@ def fit_labelled(
         eyes: where each plane was seen from, shape (R, 3), m; NaN for d >= 0.
         stated: whether the covariance is a lower bound, or a guess that residuals may lower.
     """
-    n_regions = len(eyes)
-    if n_regions == 0:
+    if not len(eyes):
         none = np.empty(0)
         return FittedPlanes(np.empty((0, 4, 4)), np.empty((0, 2)), np.empty((0, 3, 3)), none, none, 0.0, 1.0)
     rows = moments_of(points, covariance, labels, config)
     frames, spreads = frames_of(rows, eyes)
     if 1 < len(points) < FEW_ROWS or covariance.shape[2] == 9:
         _maximise_likelihood(points, covariance, labels, eyes, frames, rows, spreads)
-    covariances = np.zeros((n_regions, 3, 3))
+    covariances = np.zeros((len(eyes), 3, 3))
     covariances[:, (0, 1, 2), (0, 1, 2)] = 1.0 / spreads
-    shared = shared_error_of(
-        points.reshape(-1, 3),
-        covariance.reshape(-1, covariance.shape[2]),
-        labels.ravel(),
-        frames,
-        covariances,
-        stated=stated,
-        least_m=config.surface_sigma_m,
-        estimate=poses is None,  # what scans share by their poses shows in the residuals as well, and is known
-    )
+    flat = points.reshape(-1, 3), covariance.reshape(-1, covariance.shape[2]), labels.ravel()
+    estimate = poses is None  # what scans share by their poses shows in the residuals as well, and is known
+    least_m = config.surface_sigma_m
+    shared = shared_error_of(*flat, frames, covariances, stated=stated, least_m=least_m, estimate=estimate)
     covariances = shared.covariances
     if poses is not None:
         grid = points, covariance, labels

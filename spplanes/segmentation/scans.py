@@ -54,15 +54,7 @@ def segment_scans(
     References:
         Weingarten, Gruener, Siegwart, "Probabilistic Plane Fitting in 3D", ICRA 2004, section IV.
     """
-    found = label_scans(
-        points,
-        covariances,
-        sigma=sigma,
-        config=config,
-        viewpoints=viewpoints,
-        pose_covariances=pose_covariances,
-        scan_origins=scan_origins,
-    )
+    found = label_scans(points, covariances, sigma, config, viewpoints, pose_covariances, scan_origins)
     planes = planes_of(found.points, found.covariance, found.labels, found.views, found.poses, config)
     return found.labels.astype(np.int32), planes
 
@@ -86,7 +78,6 @@ class Labelled:
 def label_scans(
     points: ArrayLike,
     covariances: ArrayLike | None = None,
-    *,
     sigma: ArrayLike | None = None,
     config: MapperConfig = _DEFAULT,
     viewpoints: ArrayLike | None = None,

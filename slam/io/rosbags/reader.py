@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -114,15 +115,21 @@ def read_rosbag(
     body, odometry = odometry_of(path, found.moves, chosen.body_frame, notes)
     mounted = {topic for topic in chosen.scans if sensor_name(topic) in (names or {})}
     names = {topic: (names or {}).get(sensor_name(topic), sensor_name(topic)) for topic in chosen.scans}
-    events: list[Event] = [OdometryReading(stamp, pose) for stamp, pose in odometry]
-    kept = [place for *_, place in found.scans]
-    ranges = {"ranges": lambda row: found.spool.get(*kept[row])}
-    for row, (stamp, topic, _, angles, _) in enumerate(found.scans):
-        events.append(StoredScan({"stamp_ns": stamp, "sensor": names[topic], "angles": angles}, ranges, row))
+    events: list[Event] = [*starmap(OdometryReading, odometry), *_scans_of(found, names)]
     for stamp, topic, _, received in found.clouds:
         grid = (grids or {}).get(names[topic])
         events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received, grid, keep_partial)))
     return Log(_without_doubles(in_order(events), notes), path, notes, _mounts(found, body, names, notes, mounted))
+
+
+def _scans_of(found: _Found, names: dict[str, str]) -> list[StoredScan]:
+    """The 2D scans, whose ranges wait in the spool; `names` are of the sensors, by topic."""
+    kept = [place for *_, place in found.scans]
+    ranges = {"ranges": lambda row: found.spool.get(*kept[row])}
+    return [
+        StoredScan({"stamp_ns": stamp, "sensor": names[topic], "angles": angles}, ranges, row)
+        for row, (stamp, topic, _, angles, _) in enumerate(found.scans)
+    ]
 
 
 def _choose(path: Path, reader: Any, wanted: Topics, notes: list[str]) -> Topics:

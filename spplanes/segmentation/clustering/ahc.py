@@ -110,6 +110,16 @@ def _are_one(rows, bias, pair, flatness, correlation, limits, work):
     return one_plane_chi2(rows[a], rows[b], total, work) <= limits[1]
 
 
+@inlined
+def _fuse(rows, bias, a, b, work):
+    """Let patch a, in place, be both: moments are summed, what is shared with scans is the mean by weights."""
+    merge_scaled(work, rows[a], 1.0, rows[b], 1.0)
+    for k in range(bias.shape[1]):
+        bias[a, k] = (bias[a, k] * rows[a, 1] + bias[b, k] * rows[b, 1]) / work[1]
+    for k in range(work.shape[0]):
+        rows[a, k] = work[k]
+
+
 @njit(cache=True)
 def cluster(rows, bias, edges, limits, flatness, correlation):
     """Fuse patches along edges, the pair with the smallest mean distance to its common plane first.
@@ -125,16 +135,11 @@ def cluster(rows, bias, edges, limits, flatness, correlation):
     Returns:
         Root of every patch, shape (N,). The keys in the heap are brought up to date when they come to its top.
     """
-    n_edges = edges.shape[0]
-    parent = np.empty(rows.shape[0], dtype=np.int64)
-    for i in range(rows.shape[0]):
-        parent[i] = i
-    version = np.zeros(rows.shape[0], dtype=np.int64)
-    stamp = np.zeros(n_edges, dtype=np.int64)
-    keys, items = np.empty(n_edges), np.empty(n_edges, dtype=np.int64)
+    parent = np.arange(rows.shape[0])
+    version, stamp = np.zeros(rows.shape[0], dtype=np.int64), np.zeros(edges.shape[0], dtype=np.int64)
+    keys, items, size = np.empty(edges.shape[0]), np.empty(edges.shape[0], dtype=np.int64), 0
     work = np.empty(rows.shape[1])
-    size = 0
-    for e in range(n_edges):
+    for e in range(edges.shape[0]):
         size = push(keys, items, size, merged_distance(rows[edges[e, 0]], rows[edges[e, 1]], work), e)
     while size > 0:
         key, e = keys[0], items[0]
@@ -148,17 +153,11 @@ def cluster(rows, bias, edges, limits, flatness, correlation):
             if fresh > key:
                 size = push(keys, items, size, fresh, e)
                 continue
-        if not _are_one(rows, bias, (a, b), flatness, correlation, limits, work):
-            continue
-        if b < a:
-            a, b = b, a
-        merge_scaled(work, rows[a], 1.0, rows[b], 1.0)
-        for k in range(bias.shape[1]):
-            bias[a, k] = (bias[a, k] * rows[a, 1] + bias[b, k] * rows[b, 1]) / work[1]
-        for k in range(work.shape[0]):
-            rows[a, k] = work[k]
-        parent[b] = a
-        version[a] += version[b] + 1
+        if _are_one(rows, bias, (a, b), flatness, correlation, limits, work):
+            a, b = min(a, b), max(a, b)
+            _fuse(rows, bias, a, b, work)
+            parent[b] = a
+            version[a] += version[b] + 1
     for i in range(parent.shape[0]):
         parent[i] = find(parent, i)
     return parent

@@ -194,7 +194,7 @@ def split_regions(labels, start, n_regions):
     Returns:
         The region every new number was part of, shape (K,).
     """
-    n_rows, n_cols = labels.shape
+    n_cols = labels.shape[1]
     done = np.zeros(labels.shape, dtype=np.bool_)
     taken = np.zeros(n_regions, dtype=np.bool_)
     stack = np.empty(labels.size, dtype=np.int64)
@@ -212,19 +212,24 @@ def split_regions(labels, start, n_regions):
             origin[count] = old
             count += 1
         taken[old] = True
-        top = 1
-        stack[0] = i * n_cols + j
-        done[i, j] = True
-        labels[i, j] = new
-        while top > 0:
-            top -= 1
-            a, b = stack[top] // n_cols, stack[top] % n_cols
-            for step in range(4):
-                c = a + (step == 1) - (step == 0)
-                d = b + (step == 3) - (step == 2)
-                if 0 <= c < n_rows and 0 <= d < n_cols and not done[c, d] and labels[c, d] == old:
-                    done[c, d] = True
-                    labels[c, d] = new
-                    stack[top] = c * n_cols + d
-                    top += 1
+        _number_part(labels, done, stack, i, j, new)
     return origin[:count].copy()
+
+
+@inlined
+def _number_part(labels, done, stack, i, j, new):
+    """Give the connected part of a region that a point lies in a number; `stack` has room for all points."""
+    n_rows, n_cols = labels.shape
+    old, top = labels[i, j], 1
+    stack[0], done[i, j], labels[i, j] = i * n_cols + j, True, new
+    while top > 0:
+        top -= 1
+        a, b = stack[top] // n_cols, stack[top] % n_cols
+        for step in range(4):
+            c = a + (step == 1) - (step == 0)
+            d = b + (step == 3) - (step == 2)
+            if 0 <= c < n_rows and 0 <= d < n_cols and not done[c, d] and labels[c, d] == old:
+                done[c, d] = True
+                labels[c, d] = new
+                stack[top] = c * n_cols + d
+                top += 1
