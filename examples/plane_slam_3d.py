@@ -12,8 +12,8 @@ import numpy as np
 
 from slam import SlamConfig
 from slam.evaluation import absolute_error, match_planes
+from slam.files import new_folder
 from slam.output.export import export_run
-from slam.output.new_folder import new_folder
 from slam.output.run_files import write_run
 from slam.runs.slam_run import run_slam
 from slam.simulation import simulate_mission

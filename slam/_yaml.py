@@ -1,4 +1,4 @@
-"""YAML that people write by hand: rigs and configurations."""
+"""YAML that people write by hand, rigs and configurations, and what the models of it have in common."""
 
 from __future__ import annotations
 
@@ -6,15 +6,26 @@ from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
 import yaml
+from pydantic import BaseModel, ConfigDict, Field
 
 from slam.errors import LogError
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 #: Values that one file may come to when every alias is written out: arrays are made of them, so that a few lines of
 #: aliases of aliases would be more than there is memory.
 _MOST_VALUES = 100_000
+
+
+class Frozen(BaseModel):
+    """What all parts of a file are: unchangeable, and strict about the keys they know."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_by_name=True, validate_by_alias=True)
 
 
 def read_yaml(path: Path) -> Any:

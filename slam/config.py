@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Final, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError
 
-from slam._yaml import near_key, read_yaml
+from slam._yaml import Frozen, near_key, read_yaml
 from spplanes import LineConfig, MapperConfig
 from spplanes.segmentation.config import ValidationConfig
 
@@ -18,8 +18,8 @@ BOUND_SIGMAS: Final = 3.0
 RobustKernel = Literal["huber", "cauchy", "geman-mcclure", "dcs"]
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+class _Frozen(Frozen):
+    model_config = ConfigDict(allow_inf_nan=False)
 
 
 class KeyframeConfig(_Frozen):

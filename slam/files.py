@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Files and folders for results: refused where one is, and there only when everything in them is written."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from slam.session.opening import is_unfinished
 
 
 @contextmanager
@@ -55,3 +57,45 @@ def scratch_folder(out: Path) -> Iterator[Path]:
         yield work
     finally:
         shutil.rmtree(work, ignore_errors=True)
+
+
+@contextmanager
+def new_folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """A folder that appears under its name only when everything in it is written.
+
+    The work happens in a hidden folder beside it; when anything fails, that one goes and `out` is as it was.
+
+    Raises:
+        ValueError: `out` exists and may not be overwritten, or the folder it should lie in cannot be written.
+    """
+    out = Path(out)
+    check_free(out, overwrite=overwrite)
+    with scratch_folder(out) as work:
+        yield work
+        replaced = put_in_place(work, out)
+    if replaced is not None:
+        shutil.rmtree(replaced.parent, ignore_errors=True)
+
+
+def check_free(out: Path, *, overwrite: bool) -> None:
+    """Refuse an output that exists, before any work is done for it."""
+    if out.exists() and not (overwrite and out.is_dir()):
+        hint = "it is not a folder" if not out.is_dir() else "give --overwrite to replace it"
+        if is_unfinished(out):
+            hint = f"its run is not finished: go on with --resume {out}, or give --overwrite to begin anew"
+        raise ValueError(f"{out}: exists already; {hint}")
+
+
+def put_in_place(work: Path, out: Path) -> Path | None:
+    """Rename `work` to `out`; an old folder of that name waits where this says, alone in a hidden one beside it."""
+    if not out.exists():
+        os.replace(work, out)
+        return None
+    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent)) / out.name
+    os.replace(out, aside)
+    try:
+        os.replace(work, out)
+    except OSError:
+        os.replace(aside, out)
+        raise
+    return aside

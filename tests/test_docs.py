@@ -11,8 +11,7 @@ import factors
 import slam
 import spplanes
 from slam.cli import app
-from slam.sensors.mount import Mount
-from slam.sensors.rig import LocalisationNoise, Rig, Sensor
+from slam.sensors.rig import LocalisationNoise, Mount, Rig, Sensor
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes import __version__
 

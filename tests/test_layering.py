@@ -20,8 +20,8 @@ NEVER = {"tests", "examples", "benchmarks"}
 #: Rooms from the ground up: each imports from rooms in lines above its own only; those of one line stand apart.
 ROOMS = {
     "slam": (
-        ("errors", "timing", "files", "lazy", "ahead", "_field_types"),
-        ("_yaml",),
+        ("errors", "timing", "ahead", "_field_types"),
+        ("_yaml", "lazy"),
         ("config",),
         ("geometry",),
         ("sensors",),
@@ -34,6 +34,7 @@ ROOMS = {
         ("mapping",),
         ("loop_closure",),
         ("session",),
+        ("files",),
         ("diagnostics",),
         ("planeslam",),
         ("floorplan",),

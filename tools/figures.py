@@ -18,17 +18,17 @@ from matplotlib.figure import Figure
 from benchmarks.corpus.drives import Recipe, make_drive
 from benchmarks.corpus.suite import Suite
 from slam.config import SlamConfig
+from slam.files import new_folder
 from slam.floorplan import floor_plan, joint_planes
 from slam.io.load import load
 from slam.joining import FinishedMission, join
 from slam.output.joined_folder import draw_missions
-from slam.output.new_folder import new_folder
 from slam.output.plan_drawing import write_svg
 from slam.output.run_files import write_run
 from slam.runs.slam_run import Run, run_slam
 from slam.simulation import simulate_mission
 from slam.simulation.record import Plan, record
-from slam.simulation.rigs import spinning_rig
+from slam.simulation.robots import spinning_rig
 from slam.visualization.pictures import draw_view, title_of, view_height
 
 ROOT = Path(__file__).resolve().parent.parent

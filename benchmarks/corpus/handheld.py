@@ -27,9 +27,8 @@ from benchmarks.corpus.polygon_world import PolygonBuilder, PolygonWorld
 from slam.io.clouds.depth import CAMERA_MOUNT, SENSOR
 from slam.io.default_rigs import depth_rig
 from slam.sensors.log import CloudScan, Log
-from slam.simulation.record import START_NS
-from slam.simulation.rigs import Beams
-from slam.simulation.truth import Truth
+from slam.simulation.record import START_NS, Truth
+from slam.simulation.robots import Beams
 from slam.simulation.world import NO_PLANE
 from spplanes._check import FloatArray
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.corpus.polygon_world import PolygonBuilder, PolygonWorld
-from slam.simulation.path import Path
+from slam.simulation.robots import Path
 from spplanes._check import FloatArray
 
 #: Radius the robot takes its corners with, and the way it keeps from where it turns to the doors' wall, m.

@@ -129,7 +129,7 @@ class Job(NamedTuple):
 def open_job(log: Path, out: Path, options: MapOptions | SlamOptions) -> Job:
     """Read all that a command is given; whatever is wrong is said before any work is done."""
     from slam.errors import check_file_given, check_log_given
-    from slam.output.new_folder import check_free
+    from slam.files import check_free
     from slam.timing import StageClock
 
     clock = StageClock()  # before the imports below: whoever waits for the command waits for them too

@@ -34,7 +34,7 @@ def fit(
 ) -> None:
     """Find the planes of one CLOUD."""
     from slam.errors import check_cloud_given
-    from slam.output.new_folder import check_free, new_folder
+    from slam.files import check_free, new_folder
 
     if sigma is not None and not 0.0 < sigma < 1e3:
         raise ValueError(f"--sigma: expected a standard deviation above 0 in metres, got {sigma}")

@@ -31,7 +31,7 @@ def join(
     as_json: JsonOption = False,
 ) -> None:
     """One map of several finished RUNs, wherever each began: planes seen by several once, a trajectory for each."""
-    from slam.output.new_folder import check_free
+    from slam.files import check_free
 
     check_free(out, overwrite=overwrite)
     from slam.config import SlamConfig
@@ -77,7 +77,7 @@ class FleetOptions:
 @of_options
 def fleet(options: FleetOptions) -> None:
     """Map many LOGs at once, on this machine or on a Dask cluster, and join the missions into one map."""
-    from slam.output.new_folder import check_free
+    from slam.files import check_free
 
     logs, out = options.logs, options.out
     is_remote = options.scheduler is not None or options.scheduler_file is not None
@@ -133,8 +133,8 @@ def _run_fleet(options: FleetOptions, store: Path, is_remote: bool) -> JoinedMap
 
 def _write(joined: JoinedMap, out: Path, title: str, *, overwrite: bool, as_json: bool) -> None:
     """The folder of a joined map; its table and what to know on the screen."""
+    from slam.files import new_folder
     from slam.output.joined_folder import warnings_of, write_joined
-    from slam.output.new_folder import new_folder
 
     with new_folder(out, overwrite=overwrite) as folder:
         rows = write_joined(joined, folder, title=f"spplanes {out.name}")

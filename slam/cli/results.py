@@ -125,7 +125,7 @@ def import_(
 ) -> None:
     """Take an edited GRAPH back: planes.json, mesh and trajectory of the run as the graph has them."""
     from slam.errors import check_file_given, check_run_given
-    from slam.output.new_folder import check_free, new_folder
+    from slam.files import check_free, new_folder
 
     check_free(out, overwrite=overwrite)
     check_run_given(run)

@@ -125,7 +125,7 @@ def map_(options: MapOptions) -> None:
     """The paper's mapping: planes of LOG at the poses it gives."""
     log, out = options.log, options.out
     job = open_job(log, out, options)
-    from slam.output.new_folder import new_folder
+    from slam.files import new_folder
     from slam.output.run_files import write_map
     from slam.output.run_metrics import empty_map
     from slam.runs.mapping_run import run_map
@@ -148,7 +148,7 @@ def demo(
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a corridor mission, map it with the poses unknown, and compare with the truth."""
-    from slam.output.new_folder import check_free, new_folder
+    from slam.files import check_free, new_folder
 
     check_free(out, overwrite=overwrite)
     from slam.ahead import cores
@@ -184,7 +184,7 @@ def simulate(
 ) -> None:
     """Write a simulated mission: log, rig.yaml and the truth."""
     from slam.errors import check_world_given
-    from slam.output.new_folder import check_free, new_folder
+    from slam.files import check_free, new_folder
 
     check_world_given(world)
     check_free(out, overwrite=overwrite)

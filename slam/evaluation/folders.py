@@ -29,7 +29,7 @@ from slam.io.trajectories import Trajectory, read_tum
 from slam.sensors.rig import Rig
 from slam.session.opening import check_finished, session_path
 from slam.session.store import Session
-from slam.simulation.truth import Truth
+from slam.simulation.record import Truth
 from spplanes._check import FloatArray
 from spplanes.plane import Plane
 

@@ -14,8 +14,8 @@ from slam.errors import LogError
 from slam.geometry.frames import planar_transform
 from slam.io.carmen_records import RawLog, read_records
 from slam.io.scan_files import in_order
-from slam.io.spool import Spool, StoredReading, StoredScan
-from slam.sensors.log import Event, Log
+from slam.lazy import Spool
+from slam.sensors.log import Event, Log, StoredReading, StoredScan
 from spplanes._check import FloatArray
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def read_carmen(
         LogError: one sentence with file and line: no lasers, a wrong count, text for a number, time running backwards
             within the records of one sensor, beam counts that change, a stream cut in the middle, no room for scans.
 
-    The ranges of a long log wait on the disk (`slam.io.spool`); every scan reads its own when it is asked for them.
+    The ranges of a long log wait on the disk (`slam.lazy.Spool`); every scan reads its own when it is asked for them.
     """
     path = Path(path)
     raw = read_records(path, keep_partial)

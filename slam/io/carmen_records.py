@@ -14,7 +14,7 @@ import numpy as np
 
 from slam.errors import KEEPS_THE_REST, LogError
 from slam.io.raw import BROKEN, nanoseconds, numbered_lines
-from slam.io.spool import Spool
+from slam.lazy import Spool
 from spplanes._check import FloatArray
 
 #: Longer lines are refused before they fill the memory, bytes.

@@ -10,8 +10,7 @@ from slam.io.clouds.depth import CAMERA_MOUNT
 from slam.io.clouds.depth import SENSOR as CAMERA
 from slam.io.rosbags.reader import Topics
 from slam.sensors.log import CloudScan, LaserScan, Log
-from slam.sensors.mount import Mount
-from slam.sensors.rig import LocalisationNoise, Rig, Sensor
+from slam.sensors.rig import LocalisationNoise, Mount, Rig, Sensor
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS, OdometryNoise
 from spplanes._check import FloatArray
 

@@ -15,10 +15,9 @@ from typing import Any
 from slam.backend.estimator import BackendError
 from slam.config import SlamConfig
 from slam.errors import check_folder_given
-from slam.files import scratch_folder
+from slam.files import check_free, put_in_place, scratch_folder
 from slam.frontend.keyframes import keyframes_of
 from slam.io.load import load
-from slam.output.new_folder import check_free, put_in_place
 from slam.planeslam import PlaneSlam
 from slam.runs.slam_run import Run
 from slam.sensors.log import Log

@@ -15,7 +15,7 @@ from slam.planeslam import MapPlane
 from slam.runs.mapping_run import MapResult
 from slam.runs.slam_run import Run, path_length_m
 from slam.sensors.log import Log
-from slam.simulation.truth import Truth
+from slam.simulation.record import Truth
 from spplanes import Plane
 
 

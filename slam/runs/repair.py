@@ -16,7 +16,7 @@ from slam.frontend.pose_measurements import PlaceMatch
 from slam.loop_closure.whole_drive import Agreement, agreement
 from slam.planeslam import PlaneSlam
 from slam.sensors.rig import Rig
-from slam.session.forgetting import ForgottenKeyframes
+from slam.session.replay import ForgottenKeyframes
 
 #: A map is mended again while that makes it better, at most so often.
 _ROUNDS = 3

@@ -65,6 +65,14 @@ class OdometryReading:
     """Body in the odometry frame, shape (4, 4)."""
 
 
+class StoredScan(Stored, LaserScan):
+    """A 2D scan whose ranges, and pose if there is one, are read each time they are asked for."""
+
+
+class StoredReading(Stored, OdometryReading):
+    """An odometry reading whose transform is made each time it is asked for."""
+
+
 Event = LaserScan | CloudScan | OdometryReading
 
 

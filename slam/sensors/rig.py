@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import reprlib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from slam._yaml import near_key, read_yaml
+from slam._yaml import Finite, Frozen, NotNegative, Positive, near_key, read_yaml
 from slam.errors import LogError
-from slam.sensors.mount import Finite, Frozen, Mount, NotNegative, Positive
 from slam.sensors.wheel_noise import OdometryNoise
-from spplanes._check import FloatArray
+from spplanes._check import FloatArray, as_transform
+from spplanes.spmodel import transform_from_rpy
 
 #: Rows of weights, one for each wave down the image, of as many waves across it.
 Waves = tuple[tuple[Finite, ...], ...]
@@ -60,6 +60,42 @@ class RangeWarp(Frozen):
 def waves(size: int, count: int) -> FloatArray:
     """The first cosines over so many pixels, shape (size, count)."""
     return np.cos(np.pi / size * np.outer(np.arange(size) + 0.5, np.arange(count)))
+
+
+class Mount(Frozen):
+    """Where a sensor sits: body_T_sensor as position and roll, pitch, yaw, or as a 4x4 matrix, never both.
+
+    R = Rz(yaw) Ry(pitch) Rx(roll). The body frame is x forward, y left, z up, its origin on the floor.
+    """
+
+    xyz_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    """Position of the sensor in the body frame, m."""
+    rpy_deg: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw of the sensor in the body frame, deg."""
+    matrix: tuple[tuple[Finite, ...], ...] | None = None
+    """The whole (4, 4) transform, in place of xyz_m and rpy_deg."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_rows(cls, value: Any) -> Any:
+        return {"matrix": value} if isinstance(value, (list, tuple)) else value
+
+    @model_validator(mode="after")
+    def _check_matrix(self) -> Mount:
+        if self.matrix is not None:
+            if {"xyz_m", "rpy_deg"} & self.model_fields_set:
+                raise ValueError("expected xyz_m and rpy_deg or a 4x4 matrix, got both")
+            as_transform("body_T_sensor", [list(row) for row in self.matrix])
+        return self
+
+    def as_matrix(self) -> FloatArray:
+        """body_T_sensor, shape (4, 4)."""
+        if self.matrix is not None:
+            return np.array(self.matrix, dtype=np.float64)
+        transform = transform_from_rpy((*self.xyz_m, *np.deg2rad(self.rpy_deg)[::-1]))
+        rotation = transform[:3, :3]
+        rotation[np.abs(rotation) < 1e-15] = 0.0  # at quarter turns
+        return transform
 
 
 class Sensor(Frozen):

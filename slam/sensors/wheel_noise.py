@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam.sensors.mount import Frozen, NotNegative, Positive
+from slam._yaml import Frozen, NotNegative, Positive
 from spplanes._check import FloatArray, as_shape
 from spplanes._jit import inlined, njit
 

@@ -2,9 +2,8 @@
 
 from slam.errors import WORLDS
 from slam.simulation.mission import Mission, ScanArrays, simulate_mission
-from slam.simulation.path import Path
-from slam.simulation.rigs import HORIZONTAL, SPINNING, VERTICAL, paper_rig, spinning_rig
-from slam.simulation.truth import Truth
+from slam.simulation.record import Truth
+from slam.simulation.robots import HORIZONTAL, SPINNING, VERTICAL, Path, paper_rig, spinning_rig
 from slam.simulation.world import World, WorldBuilder
 
 __all__ = [

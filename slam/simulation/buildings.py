@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam.simulation.path import Path
+from slam.simulation.robots import Path
 from slam.simulation.world import Hole, World, WorldBuilder
 
 DOOR_WIDTH_M, DOOR_HEIGHT_M = 0.95, 2.05

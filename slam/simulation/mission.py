@@ -15,10 +15,9 @@ from slam.io.cloud_folders import write_cloud_folder
 from slam.sensors.log import LaserScan, Log
 from slam.sensors.rig import Rig
 from slam.simulation.buildings import corridor, hall, hall_path, office, office_path, room, room_path
-from slam.simulation.path import Path as DrivenPath
-from slam.simulation.record import Plan, record
-from slam.simulation.rigs import checked_rig, paper_rig, spinning_rig
-from slam.simulation.truth import Truth
+from slam.simulation.record import Plan, Truth, record
+from slam.simulation.robots import Path as DrivenPath
+from slam.simulation.robots import checked_rig, paper_rig, spinning_rig
 from spplanes._check import FloatArray, as_positive
 from spplanes.registration import beam_directions
 

@@ -32,7 +32,7 @@ from slam.session.prior_map import PriorMap
 from slam.session.salvage import salvage_session
 from slam.session.store import Session
 from slam.simulation import simulate_mission
-from slam.simulation.truth import Truth
+from slam.simulation.record import Truth
 from spplanes import ScanLine
 from tests.fuzz.target import Target, check_log, check_plane, check_points, check_pose, folded, unfolded, written
 from tests.fuzz.wrapping import e57, png, record, unrecorded, zipped

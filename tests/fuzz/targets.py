@@ -27,7 +27,7 @@ from slam.sensors.rig import Rig
 from slam.session._codec import decode, encode, without_scans
 from slam.session.store import Session
 from slam.simulation import simulate_mission
-from slam.simulation.rigs import paper_rig
+from slam.simulation.robots import paper_rig
 from spplanes import Plane
 from tests.fuzz.folders import FOLDERS
 from tests.fuzz.public import PUBLIC

@@ -9,8 +9,7 @@ from slam.frontend.measurement import ScanMeasurement, measured_cloud
 from slam.geometry.frames import inverse, lift
 from slam.io.clouds.depth import Camera
 from slam.sensors.log import CloudScan
-from slam.sensors.mount import Mount
-from slam.sensors.rig import Sensor
+from slam.sensors.rig import Mount, Sensor
 from spplanes._check import FloatArray
 
 #: Corners of the box, m.

@@ -14,7 +14,7 @@ from slam.map.map_planes import MapPlane
 from slam.sensors.log import Event, Log, OdometryReading
 from slam.sensors.rig import Mount, Rig
 from slam.session.prior_map import PriorMap, floor_start
-from slam.simulation.truth import Truth
+from slam.simulation.record import Truth
 from spplanes._check import FloatArray
 from spplanes.plane import Plane
 

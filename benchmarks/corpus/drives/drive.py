@@ -18,8 +18,7 @@ from benchmarks.corpus.drives.worlds import WORLDS
 from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading
 from slam.sensors.rig import Rig
 from slam.session.prior_map import PriorMap
-from slam.simulation.record import BLOCK_BEAMS, SPEED_M_PER_S, START_NS
-from slam.simulation.truth import Truth
+from slam.simulation.record import BLOCK_BEAMS, SPEED_M_PER_S, START_NS, Truth
 from slam.simulation.world import NO_PLANE
 
 #: Odometry is read at least this often, m.

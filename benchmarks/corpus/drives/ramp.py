@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.corpus.drives.scene import Course, Scene
 from benchmarks.corpus.polygon_world import PolygonBuilder
-from slam.simulation.path import Path
+from slam.simulation.robots import Path
 
 #: Clear height of every corridor, and length of the landings, m.
 _HIGH_M, _LANDING_M = 2.5, 2.4

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from benchmarks.corpus.polygon_world import PolygonWorld
-from slam.simulation.path import Path
-from slam.simulation.path import pose_matrices as level_poses
+from slam.simulation.robots import Path
+from slam.simulation.robots import pose_matrices as level_poses
 from slam.simulation.world import NO_PLANE, cast_scans
 from spplanes._check import FloatArray
 

@@ -10,7 +10,7 @@ from slam.io.clouds.depth import CAMERA_MOUNT
 from slam.io.default_rigs import depth_rig
 from slam.sensors.rig import Mount, Sensor
 from slam.simulation.record import noisy_ranges
-from slam.simulation.rigs import BEAMS, HORIZONTAL, VERTICAL, Beams, paper_rig
+from slam.simulation.robots import BEAMS, HORIZONTAL, VERTICAL, Beams, paper_rig
 from spplanes._check import FloatArray
 
 #: Names of the sensors that `rigs` does not have.

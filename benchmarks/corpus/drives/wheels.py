@@ -7,9 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from slam.sensors.wheel_noise import OdometryNoise
-from slam.simulation.path import pose_matrices
 from slam.simulation.record import drifting_odometry
-from slam.simulation.rigs import ON_LEVEL_FLOOR
+from slam.simulation.robots import ON_LEVEL_FLOOR, pose_matrices
 from spplanes._check import FloatArray
 
 #: What the rig says of a robot that also measures its attitude: from one keyframe to the next.

@@ -12,7 +12,7 @@ from benchmarks.corpus.drives.building import Roof, add_furniture, add_shell, ti
 from benchmarks.corpus.drives.ramp import ramp
 from benchmarks.corpus.drives.scene import Course, Scene, Walker
 from benchmarks.corpus.polygon_world import PolygonBuilder
-from slam.simulation.path import Path
+from slam.simulation.robots import Path
 from spplanes._check import FloatArray
 
 Corners = list[tuple[float, float]]

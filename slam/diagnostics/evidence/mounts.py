@@ -15,8 +15,7 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.geometry.frames import inverse
-from slam.sensors.mount import Mount
-from slam.sensors.rig import Rig
+from slam.sensors.rig import Mount, Rig
 from spplanes._check import FloatArray
 
 #: Pairs of neighbouring keyframes that are compared under every mount, evenly over the run: of lasers, of 3D sensors.

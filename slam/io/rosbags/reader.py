@@ -28,8 +28,8 @@ from slam.io.rosbags._odometry import Moves, odometry_of
 from slam.io.rosbags._opening import kept_open, opened
 from slam.io.rosbags._salvaged import SalvagedBag
 from slam.io.scan_files import in_order
-from slam.io.spool import Spool, StoredScan
-from slam.sensors.log import Event, Log, OdometryReading, StoredCloud
+from slam.lazy import Spool
+from slam.sensors.log import Event, Log, OdometryReading, StoredCloud, StoredScan
 from spplanes._check import FloatArray
 from spplanes.clouds.arrange import Grid, arrange
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.corpus.drives import WORLDS
-from slam.simulation.rigs import Beams
+from slam.simulation.robots import Beams
 
 BEAMS = Beams.of_spinning(np.linspace(-np.pi, np.pi, 90, endpoint=False), np.deg2rad(np.linspace(-60, 80, 15)))
 

@@ -10,8 +10,7 @@ from slam.io.clouds.depth import CAMERA_MOUNT
 from slam.io.default_rigs import depth_rig
 from slam.io.planes_json import read_planes, write_planes
 from slam.io.trajectories import Trajectory, read_tum, write_tum
-from slam.sensors.mount import Mount
-from slam.sensors.rig import Rig
+from slam.sensors.rig import Mount, Rig
 from slam.simulation import VERTICAL, simulate_mission
 from spplanes import Plane
 

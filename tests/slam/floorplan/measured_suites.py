@@ -15,9 +15,8 @@ from slam.frontend.observations import PlaneObservation
 from slam.geometry.frames import inverse, settle_frame
 from slam.planeslam import PlaneSlam
 from slam.sensors.rig import Rig
-from slam.simulation.record import Plan, record
-from slam.simulation.rigs import SPINNING, spinning_rig
-from slam.simulation.truth import Truth
+from slam.simulation.record import Plan, Truth, record
+from slam.simulation.robots import SPINNING, spinning_rig
 from spplanes import Plane
 from spplanes._check import FloatArray
 

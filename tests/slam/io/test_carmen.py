@@ -7,9 +7,9 @@ import io
 import numpy as np
 import pytest
 
+from slam import lazy
 from slam.errors import LogError
 from slam.geometry.frames import planar_transform
-from slam.io import spool
 from slam.io.carmen import read_carmen, write_carmen
 from slam.io.default_rigs import default_rig_for
 from slam.sensors.log import CloudScan, LaserScan, Log, OdometryReading
@@ -282,7 +282,7 @@ def test_intel_is_what_its_readme_says():
 def test_ranges_of_a_long_log_wait_on_the_disk(tmp_path, monkeypatch):
     path = write(tmp_path, *(flaser(float(k), ranges=f"1.{k} 2.0 3.5") for k in range(20)))
     in_memory = read_carmen(path).scans()
-    monkeypatch.setattr(spool, "_IN_MEMORY_BYTES", 100)
+    monkeypatch.setattr(lazy, "_IN_MEMORY_BYTES", 100)
     log = read_carmen(path)
     for before, scan in zip(in_memory, log.scans(), strict=True):
         assert isinstance(scan, LaserScan) and not any(isinstance(one, np.ndarray) for one in own_values(scan))
@@ -302,6 +302,6 @@ def test_no_room_for_the_scans_of_a_long_log_is_one_sentence(tmp_path, monkeypat
         def write(self, data):
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(spool, "SpooledTemporaryFile", lambda **_: Full())
+    monkeypatch.setattr(lazy, "SpooledTemporaryFile", lambda **_: Full())
     with pytest.raises(LogError, match=r"expected room for its scans in the folder for temporary files: No space left"):
         read_carmen(path)

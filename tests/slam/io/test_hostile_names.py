@@ -19,7 +19,7 @@ from slam.io.clouds import read_cloud
 from slam.io.load import load
 from slam.runs.history import History
 from slam.runs.stored_run import StoredRun
-from slam.simulation.truth import Truth
+from slam.simulation.record import Truth
 from slam.visualization.mesh import write_glb
 from slam.visualization.rerun_export import write_rerun
 from tests.fuzz.target import NEXT_FILE

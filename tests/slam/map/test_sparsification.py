@@ -18,7 +18,7 @@ from slam.geometry.frames import inverse, planar_transform
 from slam.map.sparsification import PoseSupport, _seen, chained
 from slam.planeslam import pose_symbol
 from slam.sensors.wheel_noise import OdometryNoise
-from slam.simulation.rigs import spinning_rig
+from slam.simulation.robots import spinning_rig
 from tests.slam.scenes import Drive, drive, room_planes
 
 LAPS, PER_LAP = 5, 16

@@ -26,7 +26,7 @@ from slam.output.run_files import write_ply
 from slam.runs.stored_run import StoredRun, levelled, stored_floor_plan
 from slam.simulation import Mission
 from slam.simulation.record import Plan, record
-from slam.simulation.rigs import spinning_rig
+from slam.simulation.robots import spinning_rig
 from slam.visualization.mesh import mesh_of
 from tests.slam.commands import command
 from tests.slam.floorplan.buildings import joint_of, planes_of

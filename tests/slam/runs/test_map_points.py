@@ -14,8 +14,7 @@ from slam.io.trajectories import Trajectory
 from slam.output.run_files import MOST_POINTS, points_of_map
 from slam.runs.history import History
 from slam.sensors.log import CloudScan, LaserScan, Log
-from slam.sensors.mount import Mount
-from slam.sensors.rig import Rig, Sensor
+from slam.sensors.rig import Mount, Rig, Sensor
 
 #: A laser half a metre ahead of the body that looks to its left.
 MOUNTED = Mount(xyz_m=(0.5, 0.0, 0.2), rpy_deg=(0.0, 0.0, 90.0))

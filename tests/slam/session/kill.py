@@ -24,7 +24,7 @@ from slam.session.opening import SESSION_FILE
 from slam.session.salvage import salvage_session
 from slam.session.store import Session, SessionDamaged, SessionError
 from slam.simulation import simulate_mission
-from slam.simulation.rigs import VERTICAL
+from slam.simulation.robots import VERTICAL
 
 #: Short keyframes, so that there are many commits to be killed in.
 CONFIG = SlamConfig.model_validate({"keyframes": {"distance_m": 0.1}})

@@ -13,7 +13,7 @@ import shapely
 from slam import PlaneSlam, SlamConfig
 from slam.frontend.keyframes import keyframes_of
 from slam.frontend.observations import LineObservation
-from slam.io.spool import StoredScan
+from slam.sensors.log import StoredScan
 from slam.session._codec import decode, encode_and_compare, without_scans
 from slam.simulation import simulate_mission
 from spplanes import Plane, ScanLine

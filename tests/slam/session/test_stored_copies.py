@@ -8,9 +8,8 @@ from functools import partial
 import numpy as np
 
 from slam.frontend.keyframes import Keyframe
-from slam.io.spool import StoredReading, StoredScan
-from slam.sensors.log import CloudScan, LaserScan, OdometryReading, StoredCloud
-from slam.session.forgetting import StoredKeyframe
+from slam.sensors.log import CloudScan, LaserScan, OdometryReading, StoredCloud, StoredReading, StoredScan
+from slam.session.replay import StoredKeyframe
 from tests.slam.scenes import drive
 
 

@@ -14,10 +14,10 @@ from matplotlib.image import imread
 from shapely import Polygon, box
 
 from slam.config import SlamConfig
+from slam.files import new_folder
 from slam.io.planes_json import write_planes
 from slam.io.trajectories import Trajectory, write_tum
 from slam.map.map_planes import MapPlane
-from slam.output.new_folder import new_folder
 from slam.output.run_files import as_json, write_json, write_run
 from slam.runs.history import History
 from slam.runs.slam_run import run_slam

@@ -17,8 +17,7 @@ from slam.geometry.frames import planar_transform
 from slam.map.data_association import Decision
 from slam.runs.slam_run import Run, run_slam
 from slam.sensors.log import Log, OdometryReading
-from slam.sensors.mount import Mount
-from slam.sensors.rig import Rig
+from slam.sensors.rig import Mount, Rig
 from slam.session.prior_map import PriorMap, floor_start, map_covariance
 from slam.simulation import simulate_mission
 from tests.slam.scenes import drive
