@@ -25,7 +25,6 @@ class HasMatrix(Protocol):
 
     def matrix(self) -> Any:
         """Shape (4, 4)."""
-        ...
 
 
 def as_float_array(name: str, value: Any) -> FloatArray:

@@ -20,11 +20,9 @@ class Joint(Protocol):
     @property
     def full(self) -> FloatArray:
         """The whole matrix, shape (D, D)."""
-        ...
 
     def columns(self, keys: Sequence[int], /) -> np.ndarray:
         """Rows and columns of the stacked tangents of some of the variables."""
-        ...
 
 
 class Estimate(Protocol):
@@ -32,23 +30,18 @@ class Estimate(Protocol):
 
     def pose(self, key: int, /) -> FloatArray:
         """world_T_body of a pose, shape (4, 4)."""
-        ...
 
     def plane(self, key: int, /) -> gtsam.OrientedPlane3:
         """A plane landmark, in its anchor's frame."""
-        ...
 
     def values_of(self, keys: Sequence[int], /) -> gtsam.Values:
         """The estimates of some variables, and maybe of more."""
-        ...
 
     def covariance(self, key: int, /) -> FloatArray:
         """Marginal covariance of a variable, in GTSAM's tangent."""
-        ...
 
     def joint_covariance(self, keys: Sequence[int], /) -> Joint:
         """Joint marginal covariance of some variables, and maybe of more."""
-        ...
 
 
 class Landmark(Protocol):
@@ -57,27 +50,22 @@ class Landmark(Protocol):
     @property
     def id(self) -> int:
         """Its name; equals are taken in its order."""
-        ...
 
     @property
     def key(self) -> int:
         """Its GTSAM key."""
-        ...
 
     @property
     def anchor_key(self) -> int | None:
         """Key of the pose in whose frame it lives; None: in the world."""
-        ...
 
     @property
     def extent(self) -> Extent:
         """What was seen of it, in (x, y) of its plane frame."""
-        ...
 
     @property
     def n_keyframes(self) -> int:
         """From how many poses it was seen."""
-        ...
 
 
 class Placed(Protocol):
@@ -86,7 +74,6 @@ class Placed(Protocol):
     @property
     def world_T_plane(self) -> FloatArray:
         """Its plane frame in the world, z the normal, (x, y) those of its extent, shape (4, 4)."""
-        ...
 
 
 AnyLandmark = TypeVar("AnyLandmark", bound=Landmark, covariant=True)
@@ -99,15 +86,12 @@ class Landmarks(Protocol[AnyLandmark]):
         self, normal: FloatArray, middle: FloatArray, reach: float, max_angle: float, /
     ) -> Sequence[tuple[AnyLandmark, Placed]]:
         """Landmarks of about a direction whose extent comes within `reach` (m) of a place, all in the world."""
-        ...
 
     def placed(self, landmark_id: int, /) -> Placed:
         """Where a landmark is."""
-        ...
 
     def __getitem__(self, landmark_id: int, /) -> AnyLandmark:
         """A landmark by its id."""
-        ...
 
 
 def observation_factor(

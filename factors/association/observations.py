@@ -28,32 +28,26 @@ class Observation(Protocol):
     @property
     def kind(self) -> str:
         """Name of the factor type, for the audit."""
-        ...
 
     @property
     def n_points(self) -> int:
         """Number of beams behind the measurement."""
-        ...
 
     @property
     def volume(self) -> float:
         """Root of the determinant of the measurement's covariance, rad m (line) or rad^2 m (plane)."""
-        ...
 
     @property
     def sigma_m(self) -> float:
         """Standard deviation of where its middle lies along the normal, m."""
-        ...
 
     @property
     def normal(self) -> FloatArray:
         """Measured unit normal in the body frame, toward the sensor, shape (3,)."""
-        ...
 
     @property
     def vertices(self) -> FloatArray:
         """Corners of the seen patch in the body frame, shape (N, 3), m."""
-        ...
 
     def factor(
         self,
@@ -64,15 +58,12 @@ class Observation(Protocol):
         expected: gtsam.OrientedPlane3 | None = None,
     ) -> Any:
         """The measurement as a factor of a pose and an anchored landmark, which the body should see as `expected`."""
-        ...
 
     def full_plane(self, tilt_sigma_rad: float) -> Plane:
         """The measurement as a plane of full rank; what it left open is closed by an assumption on the tilt."""
-        ...
 
     def patch_in(self, plane_T_body: FloatArray) -> BaseGeometry:
         """The seen patch in the (x, y) coordinates of a plane frame."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -192,9 +192,17 @@ def read_rows(path: Path, *, columns: int, stamp_columns: int = 0) -> tuple[np.n
 
 
 def text_rows(
-    path: Path, text: str, columns: int | None, first_line: int = 1, separator: str | None = None
+    path: Path,
+    text: str,
+    columns: int | None,
+    first_line: int = 1,
+    separator: str | None = None,
+    *,
+    finite: bool = False,
 ) -> FloatArray:
-    """Rows of numbers, shape (N, columns), from text; `nan` is a number. None: as many columns as the first row has.
+    """Rows of numbers, shape (N, columns), from text; unless all are to be finite, `nan` is a number.
+
+    Columns, where none are told, are as many as the first row has.
 
     Raises:
         LogError: names the first line that is not that many numbers.
@@ -202,19 +210,19 @@ def text_rows(
     lines = text.splitlines()
     if columns is None:
         columns = next((len(line.split(separator)) for line in lines if line.strip()), 1)
-    rows = quick_rows(lines, separator)
-    if rows.size and rows.shape[1] == columns:
+    rows = _quick_rows(lines, separator)
+    if rows.size and rows.shape[1] == columns and (not finite or np.isfinite(rows).all()):
         return rows
     slow = []  # line by line, to name the first bad one
     for number, line in enumerate(lines, start=first_line):
         if line.strip():
             words = line.split(separator)
             check_count(path, words, columns, number)
-            slow.append(floats_of(path, words, number, finite=False, separator=separator))
+            slow.append(floats_of(path, words, number, finite=finite, separator=separator))
     return np.array(slow, dtype=np.float64).reshape(-1, columns)
 
 
-def quick_rows(lines: list[str], separator: str | None = None) -> FloatArray:
+def _quick_rows(lines: list[str], separator: str | None = None) -> FloatArray:
     """Rows of numbers, shape (N, C), as numpy reads them; nothing, shape (0, 0), where it cannot."""
     try:
         with warnings.catch_warnings():

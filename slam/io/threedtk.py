@@ -14,7 +14,7 @@ import numpy as np
 from slam.errors import LogError
 from slam.io.cloud_folders import SCAN_PERIOD_NS, SENSOR
 from slam.io.clouds.cloud import FARTHEST_M
-from slam.io.raw import ascii_of, floats_of, quick_rows, read_bytes, read_unpacked
+from slam.io.raw import ascii_of, floats_of, read_bytes, read_unpacked, text_rows
 from slam.sensors.log import CloudScan, Event, Log, OdometryReading
 from spplanes._check import FloatArray
 
@@ -137,20 +137,7 @@ def _euler_transform(translation: FloatArray, angles: FloatArray) -> FloatArray:
 
 def _parse_points(path: Path) -> FloatArray:
     """The numbers of a scan, shape (N, 3)."""
-    try:
-        text = read_unpacked(path).decode("ascii")
-    except UnicodeDecodeError as error:
-        raise LogError(path, "expected lines of text with three numbers each, got binary data") from error
-    if not text.strip():
+    points = text_rows(path, ascii_of(path, read_unpacked(path)), 3, finite=True)
+    if not len(points):
         raise LogError(path, "expected lines of three numbers, got an empty file")
-    lines = text.splitlines()
-    points = quick_rows(lines)
-    if points.shape[1:] == (3,) and np.isfinite(points).all():
-        return points
-    rows = []  # line by line, to name the first bad one
-    for number, line in enumerate(lines, start=1):
-        values = floats_of(path, line.split(), number)
-        if values and len(values) != 3:
-            raise LogError(path, f"expected three numbers, got {line.strip()[:60]!r}", line=number)
-        rows += [values] if values else []
-    return np.array(rows)
+    return points

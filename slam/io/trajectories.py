@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from slam.errors import LogError
 from slam.geometry.frames import NORM_TOLERANCE, norms_of, poses_of
 from slam.io.raw import read_rows, seconds_from_ns
 from spplanes._check import FloatArray, as_shape
+from spplanes.registration import interpolate_poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,15 +45,7 @@ class Trajectory:
     def poses_at(self, stamps_ns: ArrayLike) -> FloatArray:
         """Poses at times (M,), shape (M, 4, 4), between two poses interpolated; beyond the ends they stand."""
         stamps = np.clip(np.asarray(stamps_ns, dtype=np.int64), self.stamps_ns[0], self.stamps_ns[-1])
-        if len(self) == 1:
-            return np.repeat(self.poses, len(stamps), axis=0)
-        since_start = (self.stamps_ns - self.stamps_ns[0]).astype(np.float64)
-        wanted = (stamps - self.stamps_ns[0]).astype(np.float64)
-        poses = np.tile(np.eye(4), (len(stamps), 1, 1))
-        poses[:, :3, :3] = Slerp(since_start, Rotation.from_matrix(self.poses[:, :3, :3]))(wanted).as_matrix()
-        for axis in range(3):
-            poses[:, axis, 3] = np.interp(wanted, since_start, self.poses[:, axis, 3])
-        return poses
+        return interpolate_poses(self.stamps_ns, self.poses, stamps)
 
 
 def read_tum(path: Path | str) -> Trajectory:

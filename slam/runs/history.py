@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from shapely.errors import ShapelyError
 from shapely.geometry import mapping, shape
 from shapely.geometry.base import BaseGeometry
 
 from factors._conventions import POSE3_TO_SP
 from slam.errors import LogError
 from slam.geometry.frames import evenly
+from slam.io.raw import damage_told, read_bytes
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam, pose_symbol
 from spplanes._check import FloatArray, as_shape
@@ -73,8 +73,8 @@ class History:
         Raises:
             LogError: the file is something else.
         """
-        try:
-            document = json.loads(path.read_text(encoding="utf-8"))
+        with damage_told(path, "expected the view.json of a run, got something else"):
+            document = json.loads(read_bytes(path))
             if not isinstance(document, dict) or document.get("format") != FORMAT:
                 raise LogError(path, f"expected the format {FORMAT!r}")
             return cls(
@@ -84,12 +84,6 @@ class History:
                 {int(key): as_shape("pose", value, (6, 6)) for key, value in document["pose_covariances"].items()},
                 _points(document.get("points_cm", [])),  # earlier versions kept none
             )
-        except LogError:
-            raise
-        except OSError as error:
-            raise LogError(path, f"cannot be read: {error.strerror or error}") from error
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, ShapelyError) as error:
-            raise LogError(path, "expected the view.json of a run, got something else") from error
 
 
 def in_cm(points: FloatArray) -> list[int]:

@@ -16,6 +16,7 @@ from slam.errors import LogError, check_run_given
 from slam.evaluation import Metric
 from slam.frontend.observations import Observation
 from slam.io.planes_json import read_map
+from slam.io.raw import damage_told, read_bytes
 from slam.io.trajectories import Trajectory, read_tum
 from slam.map.data_association import Decision
 from slam.map.map_planes import MapPlane
@@ -78,18 +79,14 @@ class StoredRun:
 
 def _numbers(path: Path) -> tuple[list[tuple[str, list[Metric]]], Verdict | None]:
     """Every list of (metric, value, unit) in a metrics.json, and the verdict; none where there is no such file."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+    if not path.exists():
+        return [], None
+    with damage_told(path, "expected the metrics.json of a run, got something else"):
+        document = json.loads(read_bytes(path))
         pairs = [("the run" if key == "metrics" else str(key), value) for key, value in document.items()]
         tables = [(caption, [_metric(row) for row in rows]) for caption, rows in pairs if _is_table(rows)]
         said = document.get("verdict")
         return tables, None if said is None else Verdict.from_dicts(said, document.get("evidence", []))
-    except FileNotFoundError:
-        return [], None
-    except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
-    except (ValueError, AttributeError, TypeError, KeyError, RecursionError) as error:
-        raise LogError(path, "expected the metrics.json of a run, got something else") from error
 
 
 def _is_table(rows: Any) -> bool:

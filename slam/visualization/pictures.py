@@ -46,17 +46,14 @@ class Drawn(Protocol):
     @property
     def planes(self) -> Sequence[MapPlane]:
         """The map."""
-        ...
 
     @property
     def trajectory(self) -> Trajectory:
         """The poses."""
-        ...
 
     @property
     def odometry(self) -> Trajectory:
         """Odometry alone, or empty."""
-        ...
 
 
 def draw_map(run: Drawn, path: Path, doubtful: Sequence[int] = ()) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from slam.errors import LogError
 from slam.geometry.frames import inverse
 from slam.io.clouds.cloud import Cloud, checked
-from slam.io.raw import ascii_of, nanoseconds, numbered_words, read_bytes, text_rows
+from slam.io.raw import ascii_of, damage_told, nanoseconds, numbered_words, read_bytes, text_rows
 from slam.io.scan_files import ScanFiles, first_file, in_order, readings_of
 from slam.io.trajectories import read_tum
 from slam.sensors.log import Log
@@ -67,7 +67,9 @@ def read_depth_image(path: Path, camera: Camera | None = None) -> Cloud:
     from PIL import Image
 
     camera = camera or _camera_of(path)
-    try:
+    if not path.is_file():
+        raise LogError(path, "expected a depth image, found no such file")
+    with damage_told(path, "expected a whole PNG, got one that cannot be read"):
         with Image.open(path) as image:
             if image.width * image.height > MOST_PIXELS:
                 raise LogError(path, f"expected at most {MOST_PIXELS} pixels, got {image.width} x {image.height}")
@@ -75,12 +77,6 @@ def read_depth_image(path: Path, camera: Camera | None = None) -> Cloud:
                 raise LogError(path, f"expected one channel of 8 or 16 bits, got the mode {image.mode}")
             depth = np.asarray(image, dtype=np.float64) / camera.units_per_m
         _check_whole(path)
-    except LogError:
-        raise
-    except FileNotFoundError as error:
-        raise LogError(path, "expected a depth image, found no such file") from error
-    except Exception as error:  # damaged PNGs raise OSError, SyntaxError, struct.error, zlib.error and others
-        raise LogError(path, "expected a whole PNG, got one that cannot be read") from error
     return replace(checked(path, camera.points(depth)), is_depth_image=True)
 
 

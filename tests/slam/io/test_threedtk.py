@@ -104,9 +104,9 @@ def test_a_truncated_scan_is_named(tmp_path: Path):
     ("content", "message"),
     [
         (b"1 2 3\n4 5 x\n", r"scan000\.3d:2: expected numbers, got '4 5 x'"),
-        (b"1 2 3\n4 5\n", r"scan000\.3d:2: expected three numbers, got '4 5'"),
+        (b"1 2 3\n4 5\n", r"scan000\.3d:2: expected 3 numbers, got 2 words"),
         (b"", r"scan000\.3d: expected lines of three numbers, got an empty file"),
-        (bytes(range(256)), r"scan000\.3d: expected lines of text with three numbers each, got binary data"),
+        (bytes(range(256)), r"scan000\.3d:2: expected numbers as text, got other bytes"),
         (b"0 0 3276\n1 1 3276\n", r"scan000\.3d: expected at least one return within 32 m, got none"),
         (b"1 2 inf\n", r"scan000\.3d:1: expected finite numbers"),
     ],
