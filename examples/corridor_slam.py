@@ -10,8 +10,7 @@ from itertools import islice
 import numpy as np
 
 from slam import PlaneSlam, SlamConfig
-from slam.evaluation import absolute_error, match_planes
-from slam.evaluation.map_summary import facing_pairs
+from slam.evaluation import absolute_error, facing_pairs, match_planes
 from slam.frontend.keyframes import keyframes_of
 from slam.planeslam import pose_symbol
 from slam.runs.slam_run import path_length_m, run_slam

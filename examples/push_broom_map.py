@@ -8,8 +8,7 @@ covariance. The truth is known here, so that the claim can be checked.
 import numpy as np
 
 from slam import SlamConfig
-from slam.evaluation import match_planes
-from slam.evaluation.map_summary import facing_pairs
+from slam.evaluation import facing_pairs, match_planes
 from slam.runs.mapping_run import run_map
 from slam.simulation import simulate_mission
 

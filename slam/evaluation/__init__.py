@@ -1,7 +1,7 @@
 """How good is it: trajectories, relations and planes against what is known to be true."""
 
 from slam.evaluation.folders import Evaluation, compare_with_truth, trajectory_metrics
-from slam.evaluation.planes import PlaneMatch, match_planes, plane_metrics
+from slam.evaluation.planes import FacingPair, PlaneMatch, facing_pairs, match_planes, metres_of_wall, plane_metrics
 from slam.evaluation.sharpness import Sharpness, compare_sharpness
 from slam.evaluation.trajectories import (
     Metric,
@@ -19,6 +19,7 @@ from slam.evaluation.trajectories import (
 
 __all__ = [
     "Evaluation",
+    "FacingPair",
     "Metric",
     "PlaneMatch",
     "PoseErrors",
@@ -30,7 +31,9 @@ __all__ = [
     "common_poses",
     "compare_sharpness",
     "compare_with_truth",
+    "facing_pairs",
     "match_planes",
+    "metres_of_wall",
     "nearest_stamps",
     "plane_metrics",
     "relation_errors",

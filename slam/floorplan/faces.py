@@ -15,7 +15,7 @@ from slam.geometry.frames import lift
 from slam.geometry.polygons import polygons_of, segments_of, valid
 from spplanes._check import FloatArray
 
-#: Planes are level, upright, parallel or facing within this angle, rad: as in slam.evaluation.map_summary.
+#: Planes are level, upright, parallel or facing within this angle, rad: as in slam.evaluation.planes.
 ALIKE_RAD = np.deg2rad(5.0)
 #: The seen part of a face ends up to here before the face does, m: beams 1 deg apart at 10 m hit a wall 0.17 m apart,
 #: at a slant more.

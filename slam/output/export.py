@@ -116,9 +116,8 @@ def _poses(run: StoredRun, path: Path) -> None:
 
 def _floor_plan(ending: str, run: StoredRun, path: Path) -> list[str]:
     """Replay the run, measure its map and write the plan with the verdict on it; what to know of the plan."""
+    from slam.output.plan_bim import write_dxf, write_ifc
     from slam.output.plan_drawing import write_svg
-    from slam.output.plan_dxf import write_dxf
-    from slam.output.plan_ifc import write_ifc
     from slam.runs.stored_run import stored_floor_plan
 
     plan = stored_floor_plan(run)

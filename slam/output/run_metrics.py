@@ -7,8 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from slam.evaluation import Metric, absolute_error, alignment_of, common_poses, match_planes, plane_metrics
-from slam.evaluation.map_summary import FacingPair, facing_pairs, metres_of_wall
+from slam.evaluation import (
+    FacingPair,
+    Metric,
+    absolute_error,
+    alignment_of,
+    common_poses,
+    facing_pairs,
+    match_planes,
+    metres_of_wall,
+    plane_metrics,
+)
 from slam.frontend.input_checks import blind, counted, silences, skipped
 from slam.io.trajectories import Trajectory
 from slam.planeslam import MapPlane

@@ -1,13 +1,17 @@
-"""ROS messages as arrays: PointCloud2 of any layout, LaserScan, transforms."""
+"""What the messages of a bag say: clouds of any layout, laser scans, transforms; the odometry and the body in them."""
 
 from __future__ import annotations
 
 import re
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from slam.geometry.frames import poses_of
+from slam.errors import LogError
+from slam.geometry.frames import inverse, poses_of
 from spplanes._check import FloatArray
 
 #: The messages that are read.
@@ -103,3 +107,140 @@ def transform_of(translation: Any, rotation: Any) -> FloatArray:
     """
     place = translation.x, translation.y, translation.z
     return poses_of(np.array([[*place, rotation.x, rotation.y, rotation.z, rotation.w]], dtype=np.float64))[0]
+
+
+#: Names that bodies have, the first that is there is taken.
+BODIES = ("base_link", "base_footprint", "base", "base_frame", "imu_link", "imu")
+#: Frames of the world, which no body has.
+WORLDS = ("map", "odom", "world", "earth")
+
+
+def is_world(frame: str) -> bool:
+    """Whether a frame is one of the world: by its name, or by one that begins with odom, such as odom_combined."""
+    name = frame.rsplit("/", 1)[-1]
+    return name in WORLDS or name.startswith("odom")
+
+
+#: A transform that changes by more than this moves, m and rad.
+_STILL = 1e-6
+
+
+class Frames:
+    """Transforms between frames; those that move are known apart from those that do not."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, tuple[str, FloatArray]] = {}
+        self._moving: set[str] = set()
+
+    def add(self, parent: str, child: str, parent_T_child: FloatArray) -> None:
+        """A transform as a message tells it."""
+        known = self._parents.setdefault(child, (parent, parent_T_child))
+        if known[0] != parent or np.abs(known[1] - parent_T_child).max() > _STILL:
+            self._moving.add(child)
+
+    def __contains__(self, frame: str) -> bool:
+        return frame in self._parents or any(parent == frame for parent, _ in self._parents.values())
+
+    @property
+    def names(self) -> str:
+        """All frames, for a sentence."""
+        return ", ".join(sorted({*self._parents, *(parent for parent, _ in self._parents.values())})) or "none"
+
+    @property
+    def moving_roots(self) -> dict[str, str]:
+        """Frames that have none above them, with the first of those that move against them."""
+        moving = {self._parents[child][0]: child for child in sorted(self._moving, reverse=True)}
+        return {parent: child for parent, child in sorted(moving.items()) if parent not in self._parents}
+
+    def body_T(self, body: str, sensor: str) -> FloatArray | None:
+        """body_T_sensor (4, 4) by transforms that do not move; None: they do not connect the two."""
+        up_from_body, up_from_sensor = self._chain(body), self._chain(sensor)
+        common = next((frame for frame in up_from_sensor if frame in up_from_body), None)
+        return None if common is None else inverse(up_from_body[common]) @ up_from_sensor[common]
+
+    def _chain(self, frame: str) -> dict[str, FloatArray]:
+        """ancestor_T_frame of the frame itself and of all above it that do not move against it."""
+        chain, transform = {frame: np.eye(4)}, np.eye(4)
+        while frame in self._parents and frame not in self._moving:
+            frame, step = self._parents[frame]
+            if frame in chain or is_world(frame):
+                break
+            transform = step @ transform
+            chain[frame] = transform
+        return chain
+
+
+@dataclass(eq=False)
+class Moves:
+    """What a bag tells of frames and how they move."""
+
+    root: str | None = None
+    """A frame of the world by somebody's word."""
+    frames: Frames = field(default_factory=Frames)
+    """Transforms between frames that are none of the world's."""
+    by_tf: list[tuple[int, str, str, FloatArray]] = field(default_factory=list)
+    """Transforms out of frames of the world: time, parent, child, parent_T_child."""
+    odometry: list[tuple[int, str, FloatArray]] = field(default_factory=list)
+    """Of Odometry: time, frame of the body, odom_T_child."""
+
+    def add(self, stamp_ns: int, parent: str, child: str, transform: FloatArray) -> None:
+        """A transform of tf."""
+        if parent == self.root or is_world(parent):
+            self.by_tf.append((stamp_ns, parent, child, transform))
+        else:
+            self.frames.add(parent, child, transform)
+
+
+def odometry_of(
+    path: Path, found: Moves, body: str | None, notes: list[str]
+) -> tuple[str | None, list[tuple[int, FloatArray]]]:
+    """Frame of the body, and its poses: of Odometry, else of tf from odom (or another frame of the world).
+
+    Args:
+        path: the bag, for errors.
+        found: what it tells.
+        body: frame of the body by somebody's word; None: the child frame of the odometry, else one of the usual names.
+        notes: what is to be said is added here.
+
+    Raises:
+        LogError: a frame that was named is not there, or moves against the one whose odometry is told.
+    """
+    child, poses = _told_odometry(path, found, notes)
+    if body is None or body == child:
+        return child or _usual_body(found.frames), poses
+    if child is None:
+        if poses or body in found.frames:
+            return body, poses
+        raise LogError(path, f"--body-frame: expected a frame of tf, got {body}; there are {found.frames.names}")
+    child_T_body = found.frames.body_T(child, body)
+    if child_T_body is None:
+        raise LogError(
+            path, f"--body-frame: expected tf from {child}, the frame of the odometry, to {body}, found none"
+        )
+    return body, [(stamp, pose @ child_T_body) for stamp, pose in poses]
+
+
+def _told_odometry(path: Path, found: Moves, notes: list[str]) -> tuple[str | None, list[tuple[int, FloatArray]]]:
+    """The frame whose poses odometry tells, and those."""
+    if found.odometry:
+        child = next((child for _, child, _ in found.odometry if child), None)
+        return child, [(stamp, pose) for stamp, _, pose in found.odometry]
+    parents = dict.fromkeys(["odom", *WORLDS, *sorted({parent for _, parent, _, _ in found.by_tf})])
+    for world in parents if found.root is None else [found.root]:
+        of_world = [row for row in found.by_tf if row[1] == world and not is_world(row[2])]
+        children = Counter(child for _, _, child, _ in of_world)
+        if children:
+            body = children.most_common(1)[0][0]
+            notes.append(f"no Odometry: took tf from {world} to {body}")
+            return body, [(stamp, pose) for stamp, _, child, pose in of_world if child == body]
+    moving = found.frames.moving_roots
+    if found.root is not None:
+        there = ", ".join(sorted({*moving, *(parent for _, parent, _, _ in found.by_tf)})) or "none that moves"
+        raise LogError(path, f"--odometry-frame: expected tf from {found.root} to a body, found none; it has {there}")
+    for root, child in moving.items():
+        notes.append(f"tf moves from {root} to {child}; if that is odometry: --odometry-frame {root}")
+    return None, []
+
+
+def _usual_body(frames: Frames) -> str | None:
+    return next((frame for frame in BODIES if frame in frames), None)

@@ -18,13 +18,14 @@ from slam.io.rosbags._messages import (
     ODOMETRY,
     SCAN,
     TF,
+    Moves,
     frame_of,
+    odometry_of,
     points_of,
     scan_of,
     stamp_of,
     transform_of,
 )
-from slam.io.rosbags._odometry import Moves, odometry_of
 from slam.io.rosbags._opening import kept_open, opened
 from slam.io.rosbags._salvaged import SalvagedBag
 from slam.io.scan_files import in_order

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from shapely import Polygon, box
 
-from slam.evaluation.map_summary import facing_pairs
+from slam.evaluation import facing_pairs
 from slam.planeslam import MapPlane
 from spplanes import Plane
 from tests.slam.scenes import measured, room_planes

@@ -19,9 +19,8 @@ from slam.floorplan import FloorPlan, floor_plan
 from slam.io.g2o.reader import read_g2o
 from slam.io.trajectories import read_kitti, read_tum
 from slam.output.export import check_target, export_run
+from slam.output.plan_bim import MEASURED, write_dxf, write_ifc
 from slam.output.plan_drawing import write_svg
-from slam.output.plan_dxf import write_dxf
-from slam.output.plan_ifc import MEASURED, write_ifc
 from slam.output.run_files import write_ply
 from slam.runs.stored_run import StoredRun, levelled, stored_floor_plan
 from slam.simulation import Mission

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from slam import SlamConfig
-from slam.evaluation.map_summary import metres_of_wall
+from slam.evaluation import metres_of_wall
 from slam.evaluation.trajectories import absolute_error, read_relations, relation_errors
 from slam.io.load import load
 from slam.io.trajectories import read_tum
