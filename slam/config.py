@@ -8,6 +8,7 @@ from typing import Final, Literal
 import yaml
 from pydantic import ConfigDict, Field, ValidationError
 
+from factors.association.decisions import AssociationGates
 from slam._yaml import Frozen, near_key, read_yaml
 from spplanes import LineConfig, MapperConfig
 from spplanes.segmentation.config import ValidationConfig
@@ -31,24 +32,6 @@ class KeyframeConfig(_Frozen):
     """Turn since the last keyframe, rad."""
     strict: bool = False
     """Whether a scan that cannot be used ends the run; else it is left out, and counted."""
-
-
-class AssociationConfig(_Frozen):
-    """When a measured plane is the landmark's plane."""
-
-    significance: float = Field(default=1e-3, gt=0, lt=1)
-    """A match is accepted below the chi2 quantile 1 - significance: one true match in 1 / significance is missed."""
-    new_significance: float = Field(default=1e-6, gt=0, lt=1)
-    """A measurement starts a landmark only when every candidate lies above this quantile; between, it is dropped."""
-    chance_factor: float = Field(default=1.0, gt=0)
-    """A match must be likelier than a plane there by chance; how dense planes lie is taken from the map about the
-    observation, times this."""
-    rival_log_ratio: float = Field(default=4.6, ge=0)
-    """A match waits while another landmark is at most exp(this) times less likely: 100 to 1."""
-    max_angle_rad: float = Field(default=0.35, gt=0)
-    """Normals further apart than this, plus three sigma of the state, are not compared, rad."""
-    gap_m: float = Field(default=1.5, ge=0)
-    """Patches of one wall may lie this far apart beside the state's own uncertainty, m: more than a door is wide."""
 
 
 class LandmarkConfig(_Frozen):
@@ -175,7 +158,7 @@ class SlamConfig(_Frozen):
 
     keyframes: KeyframeConfig = KeyframeConfig()
     measurements: ValidationConfig = ValidationConfig()
-    association: AssociationConfig = AssociationConfig()
+    association: AssociationGates = AssociationGates()
     landmarks: LandmarkConfig = LandmarkConfig()
     loops: LoopConfig = LoopConfig()
     coasting: CoastingConfig = CoastingConfig()

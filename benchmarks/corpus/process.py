@@ -44,14 +44,12 @@ def changed(changes: dict[str, dict[str, Any]]) -> SlamConfig:
     Raises:
         ValueError: a section or a field that there is not, or a value that it cannot have.
     """
-    whole = SlamConfig()
-    sections = {}
+    whole = SlamConfig().model_dump()
     for name, fields in changes.items():
-        section = getattr(whole, name, None)
-        if section is None:
+        if name not in whole:
             raise ValueError(f"changes: expected sections of the configuration, got {name!r}")
-        sections[name] = type(section).model_validate(section.model_dump() | fields)
-    return whole.model_copy(update=sections)
+        whole[name] |= fields
+    return SlamConfig.model_validate(whole)
 
 
 def rows_of(jobs: Sequence[Job], limit_s: float) -> Iterator[Row]:

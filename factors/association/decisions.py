@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import ClassVar, Literal
 
 from scipy.special import chdtrc
 
@@ -22,6 +22,8 @@ class AssociationGates:
     Raises:
         ValueError: a significance outside (0, 1), a factor or an angle that is not positive, a negative bound.
     """
+
+    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
 
     significance: float = 1e-3
     """A match is accepted below the chi2 quantile 1 - significance: one true match in 1 / significance is missed."""

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from scipy.special import chdtri
 
 from factors._conventions import hesse_to_sp
-from slam.config import AssociationConfig
+from factors.association.decisions import AssociationGates
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten
 from slam.joining.mission import Mission
@@ -54,7 +54,7 @@ class Alignment:
 
 
 def common_planes(
-    a: Mission, b: Mission, a_T_b: FloatArray, covariance: FloatArray, config: AssociationConfig
+    a: Mission, b: Mission, a_T_b: FloatArray, covariance: FloatArray, config: AssociationGates
 ) -> list[tuple[int, int]]:
     """Planes of two maps that may be one under an uncertain motion: best first, none twice.
 
@@ -74,7 +74,7 @@ def common_planes(
     return [(i, j - len(a.planes)) for i, j in disjoint([(i, j) for _, i, j in sorted(found)])]
 
 
-def facing_pairs(a: Mission, b: Mission, a_T_b: FloatArray, config: AssociationConfig) -> list[tuple[int, int]]:
+def facing_pairs(a: Mission, b: Mission, a_T_b: FloatArray, config: AssociationGates) -> list[tuple[int, int]]:
     """Planes of two maps that look the same way under a motion, with what was seen of them near each other."""
     if not a.planes or not b.planes:
         return []

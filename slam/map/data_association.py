@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from factors.association.decisions import AssociationGates, Candidate, Decision
 from factors.association.joint_association import joint_compatibility
 from slam.backend.estimator import Backend
-from slam.config import BOUND_SIGMAS, AssociationConfig
 from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion
 from slam.map.landmarks import LandmarkMap
 
-__all__ = ["Associate", "Candidate", "Decision", "Hint", "associate", "gates_of"]
+__all__ = ["Associate", "Candidate", "Decision", "Hint", "associate"]
 
 #: Data association as `PlaneSlam` calls it: with the arguments of `associate`, which it uses where no other is given.
 Associate = Callable[..., list[Decision]]
@@ -24,7 +23,7 @@ def associate(
     pose_key: int,
     landmarks: LandmarkMap,
     backend: Backend,
-    config: AssociationConfig,
+    gates: AssociationGates,
     hint: Hint | None = None,
     *,
     among: Collection[int] | None = None,
@@ -40,18 +39,12 @@ def associate(
     Returns:
         One decision for each observation, in their order.
     """
-    gates = gates_of(config)
     known = None if hint is None else hint.motion.factors(hint.key, pose_key)[0]
     problem = joint_compatibility(
         observations, pose_key, landmarks, backend, gates, known, among=among, trusted=trusted
     )
     decisions = problem.best().decisions
     return [decisions[index] for index in range(len(observations))]
-
-
-def gates_of(config: AssociationConfig) -> AssociationGates:
-    """The gates that a run's settings state."""
-    return AssociationGates(**config.model_dump(), bound_sigmas=BOUND_SIGMAS)
 
 
 @dataclass(frozen=True, eq=False)

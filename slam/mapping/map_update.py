@@ -18,7 +18,7 @@ from slam.frontend.information import information_beyond_lines
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation, Observation, PlaneObservation
 from slam.geometry.frames import inverse
-from slam.map.data_association import Associate, Decision, gates_of
+from slam.map.data_association import Associate, Decision
 from slam.map.landmarks import Landmark, Sighting
 from slam.map.state import EstimatorState
 from slam.tracking.prediction import Prediction
@@ -185,10 +185,9 @@ class MapUpdater:
         """
         rules, robust, observations = self._config.landmarks, self._config.backend.robust, [seen[k] for k in numbers]
         firm = [may_start(observation, rules) for observation in observations]
-        gates = gates_of(self._config.association)
         anchor_T_body = inverse(self._backend.pose(anchor_key)) @ self._backend.pose(pose_key)
         insertions = []
-        for group in group_planes(observations, gates, rules.wall_tilt_sigma_rad, firm):
+        for group in group_planes(observations, self._config.association, rules.wall_tilt_sigma_rad, firm):
             first = observations[group[0]]
             plane = first.full_plane(rules.wall_tilt_sigma_rad)
             anchored = plane.transform(anchor_T_body)

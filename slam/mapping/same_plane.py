@@ -9,8 +9,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from factors import landmark_hesse
+from factors.association.decisions import AssociationGates
 from slam.backend.estimator import Backend, JointCovariance
-from slam.config import AssociationConfig
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten
 from slam.map.landmarks import Landmark, PlacedPlane
@@ -159,7 +159,7 @@ def hesse_of(
 
 
 def _may_be_one(
-    first: Landmark, first_place: PlacedPlane, second: Landmark, second_place: PlacedPlane, config: AssociationConfig
+    first: Landmark, first_place: PlacedPlane, second: Landmark, second_place: PlacedPlane, config: AssociationGates
 ) -> bool:
     """Same side, similar direction, patches near each other along the plane and across it."""
     if first_place.normal @ second_place.normal < np.cos(config.max_angle_rad):

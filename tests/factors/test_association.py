@@ -21,9 +21,6 @@ from factors import (
     pose_prior,
     settle,
 )
-from factors.association.decisions import AssociationGates as Gates
-from slam.config import AssociationConfig
-from slam.map.data_association import gates_of
 from spplanes import Plane
 from tests.factors.association_scenes import MAPPED, ROOM, X, asked, drawn, frame_of, key, plane_of, scene
 
@@ -248,10 +245,6 @@ def test_pieces_of_a_wall_that_nobody_knew_are_one_new_plane():
     assert [one.verdict for one in found.identities] == ["new", "match", "new", "new"]
     assert sorted(sorted(group) for group in found.new_planes) == [[0, 2], [3]]
     assert len(found.new) == 3 and len(found.matches) == 1 and not found.unsure
-
-
-def test_gates_are_those_of_a_run():
-    assert gates_of(AssociationConfig()) == Gates()
 
 
 def test_what_is_no_prediction_is_refused():
