@@ -11,14 +11,13 @@ from slam.frontend.keyframes import keyframes_of
 from slam.geometry.frames import inverse
 from slam.io.default_rigs import default_rig_for
 from slam.runs.slam_run import odometry_of
+from tests.slam.scenes import run_of
 
 
 def estimate(truth: Drive) -> tuple[PlaneSlam, np.ndarray, np.ndarray]:
     """The run, and the errors (N,) of its poses and of odometry alone, the first pose given, m."""
-    config, rig = SlamConfig(), default_rig_for(truth.log)
-    slam = PlaneSlam(config)
-    for keyframe in keyframes_of(truth.log, rig, config):
-        slam.add_keyframe(keyframe)
+    rig = default_rig_for(truth.log)
+    slam = run_of(keyframes_of(truth.log, rig, SlamConfig()))
     paths = slam.trajectory, odometry_of(truth.log, rig, slam.trajectory)
     errors = [inverse(path.poses[0]) @ path.poses - truth.poses_at(path.stamps_ns) for path in paths]
     return slam, *(np.linalg.norm(one[:, :2, 3], axis=1) for one in errors)

@@ -6,6 +6,7 @@ import io
 import struct
 import tempfile
 from contextlib import closing
+from dataclasses import replace
 from functools import cache
 from itertools import islice, product
 from pathlib import Path
@@ -68,7 +69,7 @@ def _log_folder(names: tuple[str, ...]):
     return read
 
 
-def _cloud(path: Path) -> None:
+def check_cloud(path: Path) -> None:
     check_points(read_cloud(path).points)
 
 
@@ -78,7 +79,7 @@ def _e57(path: Path) -> None:
 
 def _image(path: Path) -> None:
     (path.parent / "intrinsics.txt").write_text("525 525 319.5 239.5\n")
-    _cloud(path)
+    check_cloud(path)
 
 
 def _run(path: Path) -> None:
@@ -159,6 +160,10 @@ def _bag_seeds(*kinds: str) -> list[bytes]:
     return seeds
 
 
+def _las(name: str) -> list[bytes]:
+    return [written(lambda path: write_las(path, _POINTS) and None, name)]  # type: ignore[misc]
+
+
 def _e57_seeds() -> list[bytes]:
     grid = _POINTS.reshape(5, 8, 3)
     scans = [(grid, np.eye(4)), (grid, None)]
@@ -231,8 +236,6 @@ def _planes() -> bytes:
 
 def room_planes_with_covariance():
     """Planes of a room that are known to a few millimetres."""
-    from dataclasses import replace
-
     return [replace(plane, covariance=1e-5 * np.eye(3)) for plane in room_planes()]
 
 
@@ -261,7 +264,7 @@ def _keyframe_seeds() -> list[bytes]:
     return [unrecorded(encode(without_scans(one))) for one in (first, second, lines)]
 
 
-def _session_seeds() -> list[bytes]:
+def session_seeds() -> list[bytes]:
     def make(path: Path) -> None:
         with closing(Session.create(path, SlamConfig())) as session:
             for index, keyframe in enumerate(drive(0, count=2).keyframes):
@@ -276,12 +279,12 @@ FOLDERS = (
     Target("bag.mcap", _bag, lambda: _bag_seeds("mcap alone", "mcap zstd alone"), ".mcap"),
     Target("bag.db3", _bag, lambda: _bag_seeds("db3 alone"), ".db3"),
     Target("bag.folder", _bag_folder, lambda: _bag_seeds("sqlite3")),
-    Target("cloud.las", _cloud, lambda: [written(lambda path: write_las(path, _POINTS) and None, "a.las")], ".las"),  # type: ignore[misc]
-    Target("cloud.laz", _cloud, lambda: [written(lambda path: write_las(path, _POINTS) and None, "a.laz")], ".laz"),  # type: ignore[misc]
+    Target("cloud.las", check_cloud, lambda: _las("a.las"), ".las"),
+    Target("cloud.laz", check_cloud, lambda: _las("a.laz"), ".laz"),
     Target("cloud.e57", _e57, _e57_seeds, ".e57", e57),
     Target("cloud.png", _image, lambda: [_png()], ".png"),
     Target("cloud.png-pixels", _image, _pixel_seeds, ".png", png),
-    Target("cloud.npz-members", _cloud, _member_seeds, ".npz", zipped("points.npy", "other.npy")),
+    Target("cloud.npz-members", check_cloud, _member_seeds, ".npz", zipped("points.npy", "other.npy")),
     Target("clouds", _log_folder(_CLOUDS), _cloud_folder_seeds),
     Target("depth", _log_folder(_DEPTH), _depth_seeds),
     Target("mission", _log_folder(("rig.yaml", "log.clf")), _mission_seeds),
@@ -291,5 +294,5 @@ FOLDERS = (
     Target("prior", _prior, lambda: [_planes()], ".json"),
     Target("prior-bytes", _prior_bytes, _prior_seeds, wrap=record),
     Target("keyframe-bytes", _keyframe_bytes, _keyframe_seeds, wrap=record),
-    Target("salvage", _salvage, _session_seeds, ".db"),
+    Target("salvage", _salvage, session_seeds, ".db"),
 )

@@ -8,17 +8,14 @@ from __future__ import annotations
 import gzip
 import io
 import json
-from contextlib import closing
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from slam.config import SlamConfig
 from slam.evaluation.trajectories import read_relations
 from slam.io.carmen import read_carmen, write_carmen
-from slam.io.clouds.read import read_cloud
 from slam.io.g2o.reader import read_g2o
 from slam.io.planes_json import read_planes, write_planes
 from slam.io.threedtk import read_3dtk
@@ -29,9 +26,9 @@ from slam.session.store import Session
 from slam.simulation import simulate_mission
 from slam.simulation.robots import paper_rig
 from spplanes import Plane
-from tests.fuzz.folders import FOLDERS
+from tests.fuzz.folders import FOLDERS, check_cloud, session_seeds
 from tests.fuzz.public import PUBLIC
-from tests.fuzz.target import Target, check_log, check_plane, check_points, check_pose, written
+from tests.fuzz.target import Target, check_log, check_plane, check_pose, written
 from tests.slam.scenes import drive, room_planes
 
 
@@ -85,10 +82,6 @@ def _g2o(path: Path) -> None:
     assert found.poses and np.isfinite(found.graph.error(found.values))
 
 
-def _cloud(path: Path) -> None:
-    check_points(read_cloud(path).points)
-
-
 def _threedtk(path: Path) -> None:
     """The scan and its pose in one file, a NUL between them."""
     scan, _, pose = path.read_bytes().partition(b"\0")
@@ -114,14 +107,9 @@ def _session(path: Path) -> None:
 
 
 @cache
-def _mission() -> Any:
-    mission = simulate_mission("room", n_scans=3, seed=0)
-    return mission.log, mission.rig
-
-
 def _carmen_seeds() -> list[bytes]:
-    log, rig = _mission()
-    text = written(lambda path: write_carmen(log, rig, path), "log.clf")
+    mission = simulate_mission("room", n_scans=3, seed=0)
+    text = written(lambda path: write_carmen(mission.log, mission.rig, path), "log.clf")
     flaser = b"PARAM robot_frontlaser_offset 0.2\nODOM 1 2 0.5 0 0 0 1.5 host 1.5\n" + b"".join(
         b"FLASER 3 1.0 2.0 81.91 1 2 0.5 0.8 2 0.5 %d.25 host %d.25\n" % (i, i) for i in range(2, 5)
     )
@@ -132,16 +120,6 @@ def _carmen_seeds() -> list[bytes]:
 def _trajectory() -> Trajectory:
     poses = drive(0, count=4).world_T_body
     return Trajectory(np.arange(4) * 10**9, poses)
-
-
-def _session_seed() -> list[bytes]:
-    def write(path: Path) -> None:
-        with closing(Session.create(path, SlamConfig())) as session:
-            for index, keyframe in enumerate(drive(0, count=2).keyframes):
-                session.add_keyframe(keyframe)
-                session.add_decisions(index, [])
-
-    return [written(write, "session.db")]
 
 
 def _codec_seeds() -> list[bytes]:
@@ -204,12 +182,12 @@ TARGETS = {
         Target("rig", _rig, lambda: [written(lambda path: paper_rig().to_yaml(path), "rig.yaml")], ".yaml"),
         Target("config", _config, lambda: [SlamConfig().to_yaml().encode(), b"mapper: {}\n"], ".yaml"),
         Target("codec", _codec, _codec_seeds),
-        Target("session", _session, _session_seed, ".db"),
+        Target("session", _session, session_seeds, ".db"),
         Target("Plane.from_dict", _plane_dict, lambda: [json.dumps(room_planes()[0].to_dict()).encode()]),
         *PUBLIC,
         *FOLDERS,
         *(
-            Target(f"cloud{suffix}", _cloud, lambda suffix=suffix: _cloud_seeds(suffix), suffix)  # type: ignore[misc]
+            Target(f"cloud{suffix}", check_cloud, lambda suffix=suffix: _cloud_seeds(suffix), suffix)  # type: ignore[misc]
             for suffix in CLOUDS
         ),
     )

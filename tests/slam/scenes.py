@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,8 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import Observation, PlaneObservation
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
+from slam.planeslam import PlaneSlam
+from slam.sensors.log import CloudScan, Event, LaserScan, OdometryReading
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes import Plane
 
@@ -80,3 +83,31 @@ def drive(seed: int, *, count: int = 15, turns: float = 0.75) -> Drive:
         guess = pose if index == 0 else None
         keyframes.append(Keyframe(index * PERIOD_NS, seen, motion, guess))
     return Drive(keyframes, poses)
+
+
+def run_of(keyframes: Iterable[Keyframe], slam: PlaneSlam | None = None) -> PlaneSlam:
+    """An estimator, a plain one where none is given, that was handed them."""
+    slam = PlaneSlam() if slam is None else slam
+    for keyframe in keyframes:
+        slam.add_keyframe(keyframe)
+    return slam
+
+
+def assert_same_events(some: Iterable[Event], others: Iterable[Event], atol: float = 0.0) -> None:
+    """Of two logs, bit for bit; with a tolerance, poses and bearings as near as it and single precision have them."""
+    near = {"rtol": 1e-7 if atol else 0.0, "atol": atol}
+    for a, b in zip(some, others, strict=True):
+        assert a.stamp_ns == b.stamp_ns
+        if isinstance(a, OdometryReading):
+            assert isinstance(b, OdometryReading)
+            np.testing.assert_allclose(a.odom_T_body, b.odom_T_body, **near)
+        elif isinstance(a, CloudScan):
+            assert isinstance(b, CloudScan) and a.sensor == b.sensor
+            np.testing.assert_array_equal(a.points, b.points)
+        else:
+            assert isinstance(b, LaserScan) and a.sensor == b.sensor
+            np.testing.assert_array_equal(a.ranges, b.ranges)
+            np.testing.assert_allclose(a.angles, b.angles, **near)
+            assert (a.world_T_body is None) == (b.world_T_body is None)
+            if a.world_T_body is not None and b.world_T_body is not None:
+                np.testing.assert_allclose(a.world_T_body, b.world_T_body, **near)

@@ -11,7 +11,7 @@ import pytest
 from slam import PlaneSlam
 from slam.backend.marginalized_poses import PastPose, PastPoses
 from slam.lazy import Rows
-from tests.slam.scenes import drive
+from tests.slam.scenes import drive, run_of
 
 
 def test_rows_are_what_was_put_in():
@@ -51,11 +51,9 @@ def test_past_poses_come_back_bit_for_bit():
 @pytest.mark.parametrize("read_only", [False, True])
 def test_what_was_forgotten_is_what_was_kept(tmp_path: Path, read_only: bool):
     frames, path = drive(0).keyframes[:8], tmp_path / "session.db"
-    kept = PlaneSlam()
+    kept = run_of(frames)
     with PlaneSlam.open(path, forget_raw=True) as slam:
-        for frame in frames:
-            kept.add_keyframe(frame)
-            slam.add_keyframe(frame)
+        run_of(frames, slam)
         if not read_only:
             _compare(slam, kept)
     with PlaneSlam.open(path, read_only=read_only, forget_raw=True) as slam:

@@ -10,7 +10,7 @@ from slam.map.data_association import associate
 from slam.runs.slam_run import run_slam
 from slam.simulation import simulate_mission
 from spplanes.segmentation.scans import Labelled, label_scans
-from tests.slam.scenes import drive
+from tests.slam.scenes import drive, run_of
 
 
 def test_an_association_that_hands_on_to_ours_changes_nothing():
@@ -20,10 +20,7 @@ def test_an_association_that_hands_on_to_ours_changes_nothing():
         calls.append(how)
         return associate(*state, **how)
 
-    plain, other = PlaneSlam(), PlaneSlam(associate=counted)
-    for keyframe in scene.keyframes:
-        plain.add_keyframe(keyframe)
-        other.add_keyframe(keyframe)
+    plain, other = run_of(scene.keyframes), run_of(scene.keyframes, PlaneSlam(associate=counted))
     assert len(calls) >= len(scene.keyframes)
     np.testing.assert_array_equal(other.trajectory.poses, plain.trajectory.poses)
 
@@ -36,9 +33,7 @@ def test_a_loop_closer_is_asked_after_every_keyframe():
             looks.append(scale)
 
     scene = drive(0)
-    slam = PlaneSlam(loop_closer=Counting)
-    for keyframe in scene.keyframes:
-        slam.add_keyframe(keyframe)
+    slam = run_of(scene.keyframes, PlaneSlam(loop_closer=Counting))
     assert len(looks) == len(scene.keyframes) and slam.loops == []
 
 

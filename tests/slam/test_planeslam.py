@@ -14,15 +14,8 @@ from slam.frontend.keyframes import Keyframe
 from slam.geometry.frames import inverse
 from slam.mapping.same_plane import same_plane_chi2
 from slam.planeslam import pose_symbol
-from tests.slam.scenes import Drive, drive, room_planes
+from tests.slam.scenes import drive, room_planes, run_of
 from tests.statistics import assert_mean_in_band
-
-
-def run(scene: Drive) -> PlaneSlam:
-    slam = PlaneSlam()
-    for keyframe in scene.keyframes:
-        slam.add_keyframe(keyframe)
-    return slam
 
 
 def planar_error(estimated: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -31,7 +24,7 @@ def planar_error(estimated: np.ndarray, true: np.ndarray) -> np.ndarray:
 
 
 def test_one_landmark_for_every_plane_and_all_matches_right():
-    slam = run(drive(0))
+    slam = run_of(drive(0).keyframes)
     assert len(slam.landmarks) == 6
     assert [plane.observations for plane in slam.planes] == [15] * 6
     for landmark in slam.landmarks:
@@ -48,7 +41,7 @@ def test_final_poses_and_planes_are_consistent_over_many_runs():
     in_plane = [2, 3, 4]
     for seed in range(30):
         scene = drive(seed)
-        slam = run(scene)
+        slam = run_of(scene.keyframes)
         last = len(scene.keyframes) - 1
         error = planar_error(slam.trajectory.poses[last], scene.world_T_body[last])[in_plane]
         covariance = slam.marginal_covariance(pose_symbol(last))[np.ix_(in_plane, in_plane)]
@@ -62,7 +55,7 @@ def test_final_poses_and_planes_are_consistent_over_many_runs():
 
 
 def test_the_audit_finds_an_honest_run_consistent_and_an_over_confident_one_not():
-    summary = run(drive(1)).audit.summary()[0]
+    summary = run_of(drive(1).keyframes).audit.summary()[0]
     assert summary.kind == "plane" and summary.count == 14 * 6 and summary.verdict == "consistent"
     lying = PlaneSlam()
     for keyframe in drive(1).keyframes:
@@ -74,14 +67,14 @@ def test_the_audit_finds_an_honest_run_consistent_and_an_over_confident_one_not(
 
 
 def test_batch_and_incremental_agree():
-    slam = run(drive(2))
+    slam = run_of(drive(2).keyframes)
     batch = slam.optimize_batch()
     for index in range(15):
         np.testing.assert_allclose(batch.atPose3(pose_symbol(index)).matrix(), slam.trajectory.poses[index], atol=2e-4)
 
 
 def test_a_wall_seen_from_behind_is_another_landmark():
-    slam = run(drive(4))
+    slam = run_of(drive(4).keyframes)
     scene = drive(4)
     wall = room_planes()[3]
     behind = wall.frame.copy()
@@ -101,9 +94,7 @@ def test_a_wall_seen_from_behind_is_another_landmark():
 
 def test_twins_are_found_by_chi2_and_joined_with_their_factors():
     scene = drive(5)
-    slam = PlaneSlam()
-    for keyframe in scene.keyframes:
-        slam.add_keyframe(keyframe)
+    slam = run_of(scene.keyframes)
     landmarks = list(slam.landmarks)
     assert same_plane_chi2(landmarks[0], landmarks[1], slam.backend) > 1e3
     # split a landmark by hand: the later half of its sightings under a new key
@@ -135,7 +126,7 @@ def test_twins_are_found_by_chi2_and_joined_with_their_factors():
     assert old.n_keyframes == 15
     assert not slam.backend.values.exists(copy.key)
     np.testing.assert_allclose(slam.trajectory.poses, before, atol=5e-3)
-    np.testing.assert_allclose(slam.trajectory.poses, run(scene).trajectory.poses, atol=1e-4)
+    np.testing.assert_allclose(slam.trajectory.poses, run_of(scene.keyframes).trajectory.poses, atol=1e-4)
 
 
 def test_keyframes_out_of_order_are_refused():

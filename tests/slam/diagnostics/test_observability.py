@@ -17,7 +17,7 @@ from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse, planar_transform
 from slam.planeslam import pose_symbol
 from spplanes import Plane
-from tests.slam.scenes import drive, measured, room_planes
+from tests.slam.scenes import drive, measured, room_planes, run_of
 
 RULES = ObservabilityConfig()
 ROOM_SIGMAS = np.array([0.004, 0.003, 0.005])
@@ -183,9 +183,7 @@ def test_a_corridor_seen_by_planes_alone_is_open_as_a_whole_along_itself():
 
 
 def test_a_room_is_fixed_as_a_whole():
-    slam = PlaneSlam()
-    for frame in drive(0, count=8).keyframes:
-        slam.add_keyframe(frame)
+    slam = run_of(drive(0, count=8).keyframes)
     assert slam.open_in_map == []
 
 

@@ -19,6 +19,7 @@ from slam.simulation.record import Plan, Truth, record
 from slam.simulation.robots import SPINNING, spinning_rig
 from spplanes import Plane
 from spplanes._check import FloatArray
+from tests.slam.scenes import run_of
 
 #: What is measured of a suite.
 KINDS = ("width", "area", "height", "thickness", "opening")
@@ -87,9 +88,7 @@ def _drawn(seen: PlaneObservation, true: Sequence[Plane], rng: np.random.Generat
 
 def mapped(keyframes: Iterable[Keyframe]) -> PlaneSlam:
     """An estimator that was given them, solved as a whole at the end, as the export of a plan does."""
-    slam = PlaneSlam(SlamConfig())
-    for keyframe in keyframes:
-        slam.add_keyframe(keyframe)
+    slam = run_of(keyframes)
     slam.adopt_batch()
     return slam
 

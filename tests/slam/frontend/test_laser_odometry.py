@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.corpus.drives import Recipe, make_drive
-from benchmarks.corpus.floorplan import PATCH_M, Drive, FloorPlan, Wheels, drive
+from benchmarks.corpus.floorplan import PATCH_M, Drive, FloorPlan, Wheels, cast, drive
 from slam.config import CoastingConfig, SlamConfig
 from slam.errors import LogError
 from slam.frontend.information import information_beyond_lines, inverted
@@ -28,13 +28,13 @@ from slam.geometry.frames import inverse, planar_transform
 from slam.io.default_rigs import default_rig_for
 from slam.runs.slam_run import run_slam
 from slam.sensors.log import LaserScan, Log, OdometryReading
-from slam.sensors.rig import Mount, Rig
+from slam.sensors.rig import Mount, Rig, Sensor
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS as NOISE
 
 GAP = 5
 """Scans from one end of a motion that is judged to the other: half a metre, or half a radian."""
 
-
+LASER = Sensor(kind="line", range_sigma_m=0.01, range_max_m=8.0)
 NO_SLIPS = Wheels(n_slips=0)
 
 
@@ -156,10 +156,7 @@ def fan(things: list[tuple[float, float, float]]) -> Surface:
     for first, last, distance in things:
         ranges = np.where((angles >= first) & (angles <= last), distance, ranges)
     scan = LaserScan(0, "FLASER", ranges, angles)
-    sensor = Rig.model_validate(
-        {"sensors": {"FLASER": {"kind": "line", "range_sigma_m": 0.01, "range_max_m": 8.0}}}
-    ).sensors["FLASER"]
-    return Surface.of(scan, ranges, sensor, np.eye(4))
+    return Surface.of(scan, ranges, LASER, np.eye(4))
 
 
 def test_a_thing_that_stands_free_is_one_look_and_a_wall_is_not():
@@ -203,8 +200,7 @@ def corridor(rng: np.random.Generator) -> Surface:
     with np.errstate(divide="ignore"):
         ranges = 1.2 / np.abs(np.sin(angles))
     ranges = np.where(ranges < 8.0, ranges + 0.01 * rng.standard_normal(len(angles)), np.nan)
-    sensor = Rig.model_validate({"sensors": {"FLASER": {"kind": "line", "range_sigma_m": 0.01, "range_max_m": 8.0}}})
-    return Surface.of(LaserScan(0, "FLASER", ranges, angles), ranges, sensor.sensors["FLASER"], np.eye(4))
+    return Surface.of(LaserScan(0, "FLASER", ranges, angles), ranges, LASER, np.eye(4))
 
 
 def test_walls_tell_nothing_along_them_however_much_their_normals_err():
@@ -255,8 +251,6 @@ def test_odometry_that_stands_still_is_named_and_ignored():
 
 def scan_in(pose: tuple[float, float, float], seed: int = 0) -> Surface:
     """A scan in a room of 4 x 3 m with a niche, noise 1 mm."""
-    from benchmarks.corpus.floorplan import cast
-
     corners = [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (2.5, 3.0), (2.5, 3.4), (1.5, 3.4), (1.5, 3.0), (0.0, 3.0)]
     walls = np.array(list(zip(corners, [*corners[1:], corners[0]], strict=True)))
     angles = np.linspace(-np.pi / 2, np.pi / 2, 181)

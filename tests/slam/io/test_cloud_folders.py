@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from slam.errors import LogError
+from slam.geometry.frames import planar_transform as pose
 from slam.io.cloud_folders import SCAN_PERIOD_NS, clouds_in, read_cloud_folder
 from slam.io.load import load
 from slam.io.trajectories import Trajectory, write_kitti, write_tum
@@ -33,11 +34,6 @@ def beams(columns: int = 360, rows: int = 32) -> FloatArray:
     )
     level = np.cos(elevation)
     return np.stack((level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)), axis=-1).transpose(1, 0, 2)
-
-
-def pose(x: float, y: float, yaw: float) -> FloatArray:
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
 def seen_from(world_T_sensor: FloatArray, seed: int, columns: int = 360) -> FloatArray:
@@ -101,16 +97,6 @@ def test_times_beside(folder: Path):
 
 def poses_of(log) -> FloatArray:
     return np.array([scan.world_T_body for scan in log.scans()])
-
-
-def test_tum_poses_of_clouds_without_times_are_their_times_too(folder: Path):
-    stamps = np.array([5, 6, 8, 9]) * 10**9
-    write_tum(folder / "poses.tum", Trajectory(stamps, POSES))
-    log = read_cloud_folder(folder)
-    assert [scan.stamp_ns for scan in log.scans()] == stamps.tolist()
-    np.testing.assert_allclose(poses_of(log), POSES, atol=1e-12)
-    assert log.odometry == []  # poses are no odometry
-    assert log.notes == ["no odometry: the poses of poses.tum are not taken for it (for slam: --odometry poses.tum)"]
 
 
 def test_tum_poses_at_other_times_are_interpolated(folder: Path):

@@ -22,11 +22,10 @@ from factors import (
 from slam.errors import LogError
 from slam.io.g2o.reader import read_g2o
 from slam.io.g2o.writer import in_another_world, write_g2o
-from slam.planeslam import PlaneSlam
 from spplanes import Location, Plane, ScanLine
 from spplanes.spmodel import transform_from_rpy
 from tests.factors.factor_scenes import random_covariance
-from tests.slam.scenes import drive
+from tests.slam.scenes import drive, run_of
 
 X = [gtsam.symbol("x", i) for i in range(3)]
 P = [gtsam.symbol("p", i) for i in range(4)]
@@ -308,9 +307,7 @@ def test_two_anchors_for_one_landmark_and_missing_values_are_refused(tmp_path: P
 
 
 def test_a_run_of_slam_is_read_back_to_its_own_batch_solution(tmp_path: Path):
-    slam = PlaneSlam()
-    for keyframe in drive(0, count=8).keyframes:
-        slam.add_keyframe(keyframe)
+    slam = run_of(drive(0, count=8).keyframes)
     content = write_g2o(tmp_path / "graph.g2o", slam.backend.graph, slam.backend.values)
     back = read_g2o(tmp_path / "graph.g2o")
     batch, solved = optimum(slam.backend.graph, slam.backend.values), optimum(back.graph, back.values)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from slam.errors import LogError
+from slam.geometry.frames import planar_transform as pose
 from slam.io.cloud_folders import write_cloud_folder
 from slam.io.clouds.depth import CAMERA_MOUNT
 from slam.io.load import load
@@ -15,7 +16,7 @@ from slam.io.scan_files import with_odometry
 from slam.io.trajectories import Trajectory, write_kitti, write_tum
 from slam.sensors.log import LaserScan, Log, OdometryReading
 from slam.simulation import simulate_mission
-from tests.slam.io.test_cloud_folders import POSES, pose, seen_from
+from tests.slam.io.test_cloud_folders import POSES, seen_from
 from tests.slam.io.test_depth import slope, write_image
 
 SECOND = 10**9
@@ -55,8 +56,11 @@ def laser_log(n: int = 5) -> Log:
 
 @pytest.mark.parametrize("name", ["poses.tum", "poses.txt", "trajectory.tum"])
 def test_poses_beside_clouds_are_poses_and_no_odometry(clouds: Path, name: str):
-    write_tum(clouds / name, Trajectory(np.arange(4) * SECOND, POSES))
+    """Of clouds without times they are the times too."""
+    stamps = np.array([5, 6, 8, 9]) * SECOND
+    write_tum(clouds / name, Trajectory(stamps, POSES))
     log, _ = load(clouds)
+    assert [scan.stamp_ns for scan in log.scans()] == stamps.tolist()
     assert log.odometry == [] and log.odometry_source is None
     np.testing.assert_allclose([scan.world_T_body for scan in log.scans()], POSES, atol=1e-12)
     assert log.notes == [f"no odometry: the poses of {name} are not taken for it (for slam: --odometry {name})"]

@@ -7,10 +7,9 @@ from functools import cache
 
 import numpy as np
 
-from slam import PlaneSlam
 from slam.geometry.frames import planar_transform
 from slam.joining import FinishedMission
-from tests.slam.scenes import Drive, drive
+from tests.slam.scenes import Drive, drive, run_of
 
 #: Where the second mission believes to begin: nobody tells it where the first did.
 ELSEWHERE = planar_transform(5.0, -2.0, 2.0)
@@ -41,7 +40,5 @@ def room_T_second(seed: int) -> np.ndarray:
 
 
 def mission(name: str, given: Drive) -> FinishedMission:
-    slam = PlaneSlam()
-    for keyframe in given.keyframes:
-        slam.add_keyframe(keyframe)
+    slam = run_of(given.keyframes)
     return FinishedMission.of(name, slam)

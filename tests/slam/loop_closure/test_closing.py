@@ -15,7 +15,7 @@ from slam.loop_closure.closing import Closure
 from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
 from slam.loop_closure.verification import LoopDecision
 from spplanes import Plane
-from tests.slam.scenes import SIGMAS, drive, measured
+from tests.slam.scenes import SIGMAS, drive, measured, run_of
 
 COUNT, LENGTH_M = 40, 0.5
 OUT_OF_PLANE = (1e2, 1e2, 1e2)
@@ -47,13 +47,6 @@ def corridor() -> list[Keyframe]:
     return frames
 
 
-def run(frames: list[Keyframe], slam: PlaneSlam | None = None) -> PlaneSlam:
-    slam = slam or PlaneSlam()
-    for frame in frames:
-        slam.add_keyframe(frame)
-    return slam
-
-
 def close(slam: PlaneSlam, old: int, pairs: list[tuple[int, int]], motion: Motion) -> None:
     """A loop closed at the last keyframe, as if it had been found there."""
     loop = LoopDecision(len(slam.keyframes) - 1, old, "closed", tuple(pairs), motion=motion)
@@ -69,7 +62,7 @@ def outline_areas(slam: PlaneSlam) -> list[float]:
 @pytest.mark.parametrize("batch", [False, True])
 def test_along_a_bare_corridor_the_motion_goes_with_its_walls(batch: bool):
     frames = corridor()
-    slam, untouched = run(frames[:-1]), run(frames[:-1])
+    slam, untouched = run_of(frames[:-1]), run_of(frames[:-1])
     assert len(slam.landmarks) == 4
     pairs = [(older, younger) for older in (0, 1) for younger in (2, 3) if same_side(slam, older, younger)]
     close(slam, 6, pairs, Motion(np.eye(4), np.diag((1e-4, 1e-4, 1e-6)), OUT_OF_PLANE))
@@ -77,9 +70,9 @@ def test_along_a_bare_corridor_the_motion_goes_with_its_walls(batch: bool):
     assert abs(away[0, 3]) > 10.0  # of two places that look the same the graph cannot tell
     if batch:
         slam.adopt_batch()
-    run(frames[-1:], untouched)
+    run_of(frames[-1:], untouched)
     slam.merges.undo(slam.merges.history[0])
-    run(frames[-1:], slam)
+    run_of(frames[-1:], slam)
     [known] = slam._closer.closed
     assert known.undone == COUNT - 1
     assert slam.explain(COUNT - 1)[-1] == "keyframe 38 was found not to have come back to the place of keyframe 6"
@@ -97,17 +90,17 @@ def same_side(slam: PlaneSlam, one: int, other: int) -> bool:
 def test_a_motion_that_does_not_fit_is_taken_back_and_one_that_does_stays():
     scene = drive(3)
     for shift, stands in ((0.5, False), (0.0, True)):
-        slam = run(scene.keyframes[:12])
+        slam = run_of(scene.keyframes[:12])
         a_T_b = inverse(scene.world_T_body[2]) @ scene.world_T_body[11] @ planar_transform(shift, 0.0, 0.0)
         close(slam, 2, [], Motion(a_T_b, np.diag((1e-4, 1e-4, 1e-5)), OUT_OF_PLANE))
-        run(scene.keyframes[12:], slam)
+        run_of(scene.keyframes[12:], slam)
         assert (slam._closer.closed[0].undone is None) == stands
-        np.testing.assert_allclose(slam.trajectory.poses, run(scene.keyframes).trajectory.poses, atol=0.01)
+        np.testing.assert_allclose(slam.trajectory.poses, run_of(scene.keyframes).trajectory.poses, atol=0.01)
 
 
 def test_a_place_beyond_doubt_is_tied_without_the_walls_that_the_graph_refuses():
     scene = drive(3)
-    slam = run(scene.keyframes[:12])
+    slam = run_of(scene.keyframes[:12])
     count, across = len(slam.landmarks), (0, 1)  # two planes of the room that are none
     pose = planar_delta(inverse(scene.world_T_body[2]) @ scene.world_T_body[11])
     proposal = Proposal(11, 2, PlanarPose(pose, np.diag((1e-4, 1e-4, 1e-5))), 20.0, 6.0)
@@ -120,12 +113,12 @@ def test_a_place_beyond_doubt_is_tied_without_the_walls_that_the_graph_refuses()
     assert slam.loops[-1].verdict == "closed" and known.pairs == () and known.motion is not None
     assert len(slam.landmarks) == count
     assert slam.merges.may_be_one(*across)
-    run(scene.keyframes[12:], slam)
+    run_of(scene.keyframes[12:], slam)
     assert known.undone is None
 
 
 def test_what_the_graph_refuses_and_no_return_proposes_is_not_closed():
-    slam = run(drive(3).keyframes[:12])
+    slam = run_of(drive(3).keyframes[:12])
     loop = LoopDecision(11, 2, "closed", ((0, 1),))
     slam._closer.decisions.append(loop)
     assert slam._closer._close([loop], 1.0) is None

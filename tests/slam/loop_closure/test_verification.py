@@ -18,6 +18,7 @@ from slam.geometry.frames import inverse, planar_transform
 from slam.mapping.same_plane import disjoint
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes import ScanLine
+from tests.slam.scenes import run_of
 
 SIGMA_ALPHA, SIGMA_SHIFT, REACH = 0.003, 0.005, 7.0
 
@@ -73,17 +74,10 @@ def square_tour(kick: float, side: float = 15.0) -> tuple[list[Keyframe], np.nda
     return frames, poses
 
 
-def run(frames: list[Keyframe], config: SlamConfig | None = None) -> PlaneSlam:
-    slam = PlaneSlam(config)
-    for frame in frames:
-        slam.add_keyframe(frame)
-    return slam
-
-
 def test_a_drift_beyond_the_gates_is_closed_by_the_constellation():
     frames, poses = square_tour(kick=0.2)
-    open_loop = run(frames, SlamConfig(loops=LoopConfig(max_candidates=0)))
-    slam = run(frames)
+    open_loop = run_of(frames, PlaneSlam(SlamConfig(loops=LoopConfig(max_candidates=0))))
+    slam = run_of(frames)
     closed = [decision for decision in slam.loops if decision.verdict == "closed"]
     assert closed
     assert all(len(decision.pairs) >= 3 and decision.evidence > 7.0 for decision in closed)
@@ -95,7 +89,7 @@ def test_a_drift_beyond_the_gates_is_closed_by_the_constellation():
 
 def test_every_comparison_is_recorded_and_a_tour_without_a_return_closes_nothing():
     frames, _ = square_tour(kick=0.0)
-    slam = run(frames[:60])
+    slam = run_of(frames[:60])
     assert not [decision for decision in slam.loops if decision.verdict == "closed"]
     assert all(decision.keyframe > decision.old_keyframe for decision in slam.loops)
 

@@ -19,7 +19,7 @@ from slam.map.sparsification import PoseSupport, _seen, chained
 from slam.planeslam import pose_symbol
 from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation.robots import spinning_rig
-from tests.slam.scenes import Drive, drive, room_planes
+from tests.slam.scenes import Drive, drive, room_planes, run_of
 
 LAPS, PER_LAP = 5, 16
 RULES = ThinningConfig(passes=2, radius_m=0.5, apart=8, max_news=0.1)
@@ -32,10 +32,7 @@ def laps(seed: int) -> Drive:
 
 
 def run(scene: Drive, rules: ThinningConfig = RULES) -> PlaneSlam:
-    slam = PlaneSlam(SlamConfig(thinning=rules))
-    for frame in scene.keyframes:
-        slam.add_keyframe(frame)
-    return slam
+    return run_of(scene.keyframes, PlaneSlam(SlamConfig(thinning=rules)))
 
 
 def nees(slam: PlaneSlam, scene: Drive, index: int) -> float:

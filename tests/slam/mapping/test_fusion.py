@@ -10,14 +10,7 @@ from slam.geometry.frames import inverse
 from slam.mapping.same_plane import same_plane_chi2
 from slam.planeslam import pose_symbol
 from spplanes import Plane
-from tests.slam.scenes import Drive, drive
-
-
-def run(scene: Drive, count: int | None = None) -> PlaneSlam:
-    slam = PlaneSlam()
-    for keyframe in scene.keyframes[:count]:
-        slam.add_keyframe(keyframe)
-    return slam
+from tests.slam.scenes import drive, run_of
 
 
 def planes_by_direction(slam: PlaneSlam) -> list[Plane]:
@@ -39,7 +32,7 @@ def assert_same_map(found: PlaneSlam, wanted: PlaneSlam, *, outlines: float = 0.
 
 def test_a_merge_undone_leaves_the_map_as_if_it_had_never_been():
     scene = drive(0)
-    slam, untouched = run(scene), run(scene)
+    slam, untouched = run_of(scene.keyframes), run_of(scene.keyframes)
     merge = slam.merges.merge(2, 4, "same plane")
     assert len(slam.landmarks) == 5
     assert np.abs(slam.trajectory.poses - untouched.trajectory.poses).max() > 0.05
@@ -51,11 +44,10 @@ def test_a_merge_undone_leaves_the_map_as_if_it_had_never_been():
 
 def test_what_was_seen_after_the_merge_goes_to_whom_it_fits():
     scene = drive(1)
-    slam = run(scene, 8)
+    slam = run_of(scene.keyframes[:8])
     merge = slam.merges.merge(2, 4, "same plane")
     merge.next_look = 10**6  # let it stand for a while: everything seen of either is matched to what is there
-    for keyframe in scene.keyframes[8:]:
-        slam.add_keyframe(keyframe)
+    run_of(scene.keyframes[8:], slam)
     slam.merges.undo(merge)
     for landmark in slam.landmarks:
         # the scene lists the planes in the same order in every keyframe
@@ -64,21 +56,20 @@ def test_what_was_seen_after_the_merge_goes_to_whom_it_fits():
 
 def test_a_wrong_merge_is_found_by_its_residuals_and_split():
     scene = drive(2)
-    slam = run(scene, 8)
+    slam = run_of(scene.keyframes[:8])
     first, second = 2, 5
     merge = slam.merges.merge(first, second, "same plane")
-    for keyframe in scene.keyframes[8:]:
-        slam.add_keyframe(keyframe)
+    run_of(scene.keyframes[8:], slam)
     assert merge.undone == 8
     assert same_plane_chi2(slam.landmarks[first], slam.landmarks[second], slam.backend) > 1e3
     # the keyframe in between was compared with a bent map: what it saw is lost, nothing else
     assert [one.observations for one in slam.planes] >= [14] * 6
-    np.testing.assert_allclose(slam.trajectory.poses, run(scene).trajectory.poses, atol=0.01)
+    np.testing.assert_allclose(slam.trajectory.poses, run_of(scene.keyframes).trajectory.poses, atol=0.01)
 
 
 def test_a_chain_of_merges_can_be_undone_from_its_first_link():
     scene = drive(4)
-    slam, untouched = run(scene), run(scene)
+    slam, untouched = run_of(scene.keyframes), run_of(scene.keyframes)
     first = slam.merges.merge(2, 4, "same plane")
     second = slam.merges.merge(1, 2, "same plane")
     slam.merges.undo(second)
@@ -96,7 +87,7 @@ def test_a_chain_of_merges_can_be_undone_from_its_first_link():
 
 def test_a_false_closure_is_refused_by_the_graph_and_leaves_no_trace():
     scene = drive(5)
-    slam, untouched = run(scene), run(scene)
+    slam, untouched = run_of(scene.keyframes), run_of(scene.keyframes)
     assert not slam.merges.close([(2, 4), (3, 5)], 1.0)
     assert_same_map(slam, untouched)
     assert slam.merges.history == []
@@ -110,11 +101,10 @@ def test_a_false_closure_is_refused_by_the_graph_and_leaves_no_trace():
 def with_loop_of_twins(seed: int) -> PlaneSlam:
     """A drive whose later half names every plane anew, as after a drift that association does not bridge."""
     scene = drive(seed)
-    slam = run(scene, 8)
+    slam = run_of(scene.keyframes[:8])
     hidden = [slam.landmarks.remove(one.id) for one in list(slam.landmarks)]
     slam.landmarks.refresh(slam.backend)
-    for keyframe in scene.keyframes[8:]:
-        slam.add_keyframe(keyframe)
+    run_of(scene.keyframes[8:], slam)
     for landmark in hidden:
         slam.landmarks.plant(landmark)
     slam.landmarks.refresh(slam.backend)
@@ -139,7 +129,7 @@ def test_a_true_closure_stands():
 
 
 def test_every_decision_can_be_explained_with_its_numbers():
-    slam = run(drive(8))
+    slam = run_of(drive(8).keyframes)
     first, last = slam.explain(0), slam.explain(14)
     assert first[0] == "plane 0 (500 points) is none of the landmarks: no landmark near"
     match = slam.decisions[14][0].match

@@ -11,7 +11,7 @@ from slam import PlaneSlam, SlamConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
 from spplanes import Plane
-from tests.slam.scenes import drive
+from tests.slam.scenes import drive, run_of
 
 #: Whether a plane starts a landmark: a tilt of 0.2 rad is more than LandmarkConfig.max_tilt_sigma_rad.
 UNCERTAIN = np.diag([0.01, 0.2, 0.2]) ** 2
@@ -31,11 +31,8 @@ def run(first: PlaneObservation | None, config: SlamConfig | None = None) -> Pla
     """A drive whose first keyframe sees its last plane only as `first`, or not at all."""
     frames: list[Keyframe] = drive(0, count=4).keyframes
     seen = [one for one in frames[0].observations[:-1] if isinstance(one, PlaneObservation)]
-    slam = PlaneSlam(config)
-    slam.add_keyframe(replace(frames[0], observations=[*seen, *([] if first is None else [first])]))
-    for frame in frames[1:]:
-        slam.add_keyframe(frame)
-    return slam
+    frames[0] = replace(frames[0], observations=[*seen, *([] if first is None else [first])])
+    return run_of(frames, PlaneSlam(config))
 
 
 def last_of_first() -> PlaneObservation:

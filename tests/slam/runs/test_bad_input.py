@@ -21,7 +21,7 @@ from slam.runs.slam_run import run_slam
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Mission, simulate_mission
 from tests.slam.commands import refused
-from tests.slam.scenes import drive
+from tests.slam.scenes import drive, run_of
 
 STRICT = SlamConfig(keyframes=KeyframeConfig(strict=True))
 
@@ -50,9 +50,7 @@ def without(log: Log, sensor: str, after_ns: int = -1) -> Log:
 @pytest.mark.parametrize("part", ["plane", "motion"])
 def test_a_covariance_that_is_none_is_refused_and_leaves_no_trace(part: str):
     scene = drive(0, count=4)
-    slam = PlaneSlam()
-    for frame in scene.keyframes[:2]:
-        slam.add_keyframe(frame)
+    slam = run_of(scene.keyframes[:2])
     good = scene.keyframes[2]
     wrong = np.diag([1e-4, 1e-4, -1e-4])
     if part == "plane":
@@ -69,11 +67,8 @@ def test_a_covariance_that_is_none_is_refused_and_leaves_no_trace(part: str):
     with pytest.raises(ValueError, match=problem):
         slam.add_keyframe(bad)
     assert len(slam.trajectory) == 2
-    for frame in scene.keyframes[2:]:
-        slam.add_keyframe(frame)
-    clean = PlaneSlam()
-    for frame in scene.keyframes:
-        clean.add_keyframe(frame)
+    run_of(scene.keyframes[2:], slam)
+    clean = run_of(scene.keyframes)
     np.testing.assert_array_equal(slam.trajectory.poses, clean.trajectory.poses)
 
 

@@ -29,6 +29,7 @@ from slam.session.salvage import salvage_session
 from slam.session.store import Session, SessionDamaged
 from slam.simulation import simulate_mission
 from tests.slam.diagnostics.evidence.test_look import turned
+from tests.slam.scenes import run_of
 
 #: The keyframe that somebody says stands elsewhere, from an early one, by so much, and how sure: the map has to bend.
 AT, OLD, ASIDE, SURE = 80, 4, (1.2, 0.4, 0.03), (1e-4, 1e-4, 1e-5)
@@ -56,8 +57,7 @@ def bent(frames: list[Keyframe], truth: Drive, tmp_path_factory: pytest.TempPath
     """The session of the run that believed it."""
     path = tmp_path_factory.mktemp("bent") / "session.db"
     with PlaneSlam.open(path, SlamConfig()) as slam:
-        for frame in frames:
-            slam.add_keyframe(frame)
+        run_of(frames, slam)
     return path
 
 

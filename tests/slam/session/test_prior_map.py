@@ -15,7 +15,6 @@ from shapely import box
 
 from factors import map_prior, plane_landmark
 from slam import PlaneSlam, SlamConfig
-from slam.cli import main
 from slam.errors import LogError
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
@@ -28,7 +27,8 @@ from slam.session.prior_map import PriorMap, floor_start, map_covariance, read_p
 from slam.session.store import Session, SessionError
 from spplanes import Plane
 from spplanes.spmodel import transform_from_rpy
-from tests.slam.scenes import SIGMAS, Drive, drive, measured, room_planes
+from tests.slam.commands import run
+from tests.slam.scenes import SIGMAS, Drive, drive, measured, room_planes, run_of
 from tests.statistics import assert_mean_in_band, central_differences
 
 IN_PLANE = [2, 3, 4]
@@ -40,22 +40,12 @@ START_M, START_RAD = 0.1, 0.05
 @cache
 def mapped(seed: int) -> PlaneSlam:
     """A mission that sees four of the room's six planes."""
-    slam = PlaneSlam()
-    for keyframe in drive(seed).keyframes:
-        slam.add_keyframe(replace(keyframe, observations=[keyframe.observations[i] for i in KNOWN]))
-    return slam
+    return run_of(replace(one, observations=[one.observations[i] for i in KNOWN]) for one in drive(seed).keyframes)
 
 
 def prior_of(slam: PlaneSlam, start: np.ndarray) -> PriorMap:
     covariance = map_covariance(slam.planes, slam.landmarks, slam.backend)
     return PriorMap(slam.planes, covariance, start, floor_start(START_M, START_RAD))
-
-
-def second_mission(seed: int, prior: PriorMap, scene: Drive) -> PlaneSlam:
-    slam = PlaneSlam(prior=prior)
-    for keyframe in scene.keyframes:
-        slam.add_keyframe(keyframe)
-    return slam
 
 
 def rough_start(scene: Drive, rng: np.random.Generator) -> np.ndarray:
@@ -72,7 +62,7 @@ def test_localising_in_a_prior_map_is_honest_and_extends_it():
     for seed in range(16):
         rng = np.random.default_rng(seed)
         earlier, scene = mapped(seed), drive(1000 + seed)
-        slam = second_mission(seed, prior_of(earlier, rough_start(scene, rng)), scene)
+        slam = run_of(scene.keyframes, PlaneSlam(prior=prior_of(earlier, rough_start(scene, rng))))
         assert [plane.id for plane in slam.planes] == [0, 1, 2, 3, 4, 5]
         assert [round(plane.observations, -1) for plane in slam.planes[:4]] == [30] * 4
         for index, found in ((0, first), (14, last)):
@@ -146,7 +136,7 @@ def test_an_error_that_all_planes_share_is_not_averaged_away(shared: float):
     entries = [MapPlane(i, replace(p, n_points=9), p.outline, 5, ("plane",)) for i, p in enumerate(planes)]  # type: ignore[arg-type]
     scene = drive(3)
     prior = PriorMap(entries, covariance, scene.world_T_body[0], floor_start(0.5, START_RAD))
-    slam = second_mission(3, prior, scene)
+    slam = run_of(scene.keyframes, PlaneSlam(prior=prior))
     last = scene.world_T_body[-1]
     spread = last[:3, :3] @ slam.marginal_covariance(pose_symbol(14))[3:, 3:] @ last[:3, :3].T
     sigma_x = float(np.sqrt(spread[0, 0]))
@@ -204,8 +194,7 @@ def test_a_session_keeps_its_prior(tmp_path: Path):
 
     session = Session.create(tmp_path / "session.db", SlamConfig(), prior=prior.to_bytes())
     with PlaneSlam(prior=prior, recorder=SessionRecorder(session)) as slam:
-        for keyframe in scene.keyframes[:6]:
-            slam.add_keyframe(keyframe)
+        run_of(scene.keyframes[:6], slam)
     with PlaneSlam.open(tmp_path / "session.db") as again:
         assert np.array_equal(again.trajectory.poses, slam.trajectory.poses)
         assert again.decisions == slam.decisions
@@ -307,18 +296,11 @@ def test_a_session_without_a_map_is_no_prior(tmp_path: Path):
 
 
 def test_a_second_mission_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    def run(*words: object) -> tuple[int, str]:
-        try:
-            main([str(word) for word in words])
-        except SystemExit as stop:
-            return (stop.code if isinstance(stop.code, int) else 0), capsys.readouterr().err
-        return 0, capsys.readouterr().err
-
     for seed in (1, 2):
-        assert run("simulate", "room", "--out", tmp_path / f"m{seed}", "--scans", 40, "--seed", seed)[0] == 0
-    assert run("slam", tmp_path / "m1", "--out", tmp_path / "first")[0] == 0
-    again = ["slam", tmp_path / "m2", "--out", tmp_path / "second", "--prior"]
-    code, err = run(*again, tmp_path / "first", "--start-sigma", "0.05,1")
+        assert run(capsys, "simulate", "room", "--out", tmp_path / f"m{seed}", "--scans", 40, "--seed", seed)[0] == 0
+    assert run(capsys, "slam", tmp_path / "m1", "--out", tmp_path / "first")[0] == 0
+    again = ["slam", tmp_path / "m2", "--prior"]
+    code, _, err = run(capsys, *again, tmp_path / "first", "--out", tmp_path / "second", "--start-sigma", "0.05,1")
     assert code == 0, err
     first, second = (PriorMap.load(tmp_path / name) for name in ("first", "second"))
     metrics = tmp_path / "second" / "metrics.json"
@@ -333,15 +315,15 @@ def test_a_second_mission_from_the_command_line(tmp_path: Path, capsys: pytest.C
         one.plane.to_dict() | {"chi2": 0.0} for one in first.planes if one.plane.outline is not None
     ]
     assert alone.warnings and not first.warnings and "independent" not in err
-    code, err = run("slam", tmp_path / "m2", "--out", tmp_path / "alone", "--prior", tmp_path / "first" / "planes.json")
+    code, _, err = run(capsys, *again, tmp_path / "first" / "planes.json", "--out", tmp_path / "alone")
     assert code == 0 and f"warning: the {len(alone.planes)} planes of the prior map are taken as independent" in err
     assert alone.warnings[0] in json.loads((tmp_path / "alone" / "metrics.json").read_text())["warnings"]
-    code, err = run("slam", tmp_path / "m2", "--out", tmp_path / "no", "--prior", tmp_path / "first", "--start", "find")
+    code, _, err = run(capsys, *again, tmp_path / "first", "--out", tmp_path / "no", "--start", "find")
     assert (code == 0) != (code == 2 and "--start: expected" in err and not (tmp_path / "no").exists())
     shutil.rmtree(tmp_path / "no", ignore_errors=True)
     for words, sentence in (
         (["--start", "1,2"], "--start: expected 3 or 6 numbers with commas between them, got '1,2'"),
         (["--start-sigma", "0,1"], "--start-sigma: expected two positive numbers"),
     ):
-        code, err = run("slam", tmp_path / "m2", "--out", tmp_path / "no", "--prior", tmp_path / "first", *words)
+        code, _, err = run(capsys, *again, tmp_path / "first", "--out", tmp_path / "no", *words)
         assert code == 2 and sentence in err and not (tmp_path / "no").exists()

@@ -26,21 +26,12 @@ from slam.sensors.log import LaserScan
 from slam.session.opening import SESSION_FILE
 from slam.session.salvage import salvage_session
 from slam.session.store import Session, StorageError
-from tests.slam.scenes import drive
+from tests.slam.commands import run
+from tests.slam.scenes import drive, run_of
 from tests.slam.session import kill
 
 #: Files of a run that must be the same however often it was interrupted; the others hold times.
 SAME = ("trajectory.tum", "planes.json", "map.ply", "config.yaml", "rig.yaml", "graph.g2o")
-
-
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str]:
-    """Exit code and stderr of a command."""
-    code = 0
-    try:
-        main([str(argument) for argument in arguments])
-    except SystemExit as stop:
-        code = stop.code if isinstance(stop.code, int) else 0
-    return code, capsys.readouterr().err.strip()
 
 
 @pytest.fixture(scope="module")
@@ -102,11 +93,11 @@ def test_a_run_that_ended_early_goes_on_to_the_same_result(
     out, config = tmp_path / "run", mission.parent / "config.yaml"
     with monkeypatch.context() as patch:
         stop_after(patch, 5, error)
-        code, err = run(capsys, "slam", mission, "--out", out, "--config", config)
+        code, _, err = run(capsys, "slam", mission, "--out", out, "--config", config)
     assert code == {KeyboardInterrupt: 1, ValueError: 2, RuntimeError: 1}[type(error)]
     assert f"go on with: spplanes slam --resume {out}" in err
     assert {path.name.removeprefix(SESSION_FILE) for path in out.iterdir()} == {""}
-    code, err = run(capsys, "slam", mission, "--out", out, "--config", config)
+    code, _, err = run(capsys, "slam", mission, "--out", out, "--config", config)
     assert code == 2 and "exists already" in err
     arguments = {
         "run": ["--resume", out],
@@ -114,13 +105,13 @@ def test_a_run_that_ended_early_goes_on_to_the_same_result(
         "moved": [tmp_path / "elsewhere", "--out", out, "--resume"],
     }
     shutil.copytree(mission, tmp_path / "elsewhere")
-    code, err = run(capsys, "slam", *arguments[way])
+    code, _, err = run(capsys, "slam", *arguments[way])
     assert code == 0, err
     for name in SAME:
         assert (out / name).read_bytes() == (whole / name).read_bytes(), name
     assert kill.records(out / SESSION_FILE) == kill.records(whole / SESSION_FILE)
-    code, err = run(capsys, "slam", "--resume", out)
-    assert code == 0 and err == f"{out}: finished already; nothing is left to do"  # a supervisor may loop
+    code, _, err = run(capsys, "slam", "--resume", out)
+    assert code == 0 and err.strip() == f"{out}: finished already; nothing is left to do"  # a supervisor may loop
 
 
 def test_a_run_that_died_while_writing_results_writes_them_again(
@@ -180,7 +171,7 @@ def test_another_log_is_refused_and_one_that_grew_is_not(unfinished: Path, missi
     lines = gzip.decompress((mission / "log.clf.gz").read_bytes()).decode().splitlines(keepends=True)
     changed = [line.replace(" 2.", " 2.1") for line in lines]
     (other / "log.clf.gz").write_bytes(gzip.compress("".join(changed).encode()))
-    code, err = run(capsys, "slam", other, "--out", unfinished, "--resume")
+    code, _, err = run(capsys, "slam", other, "--out", unfinished, "--resume")
     assert code == 2 and "expected the log that the run began with" in err
     grown = [*lines, "# the robot drove on\n"]
     (other / "log.clf.gz").write_bytes(gzip.compress("".join(grown).encode()))
@@ -188,12 +179,12 @@ def test_another_log_is_refused_and_one_that_grew_is_not(unfinished: Path, missi
 
 
 def test_what_comes_next_after_an_interruption_is_offered(unfinished: Path, mission: Path, capsys):
-    code, err = run(capsys, "slam", mission, "--out", unfinished)
+    code, _, err = run(capsys, "slam", mission, "--out", unfinished)
     assert code == 2 and f"its run is not finished: go on with --resume {unfinished}" in err
     for words in (["view", unfinished], ["export", unfinished, "--to", unfinished.parent / "a.tum"]):
-        code, err = run(capsys, *words)
+        code, _, err = run(capsys, *words)
         assert code == 2 and f"the run is not finished; go on with: spplanes slam --resume {unfinished}" in err
-    code, err = run(capsys, "evaluate", unfinished, "--truth", mission / "truth")
+    code, _, err = run(capsys, "evaluate", unfinished, "--truth", mission / "truth")
     assert code == 2 and "the run is not finished" in err
     assert run(capsys, "explain", unfinished, 2)[0] == 0
 
@@ -205,14 +196,14 @@ def test_a_run_with_odometry_of_its_own_file_goes_on_with_it(mission: Path, tmp_
     write_tum(given, truth)
     config = mission.parent / "config.yaml"
     options = ["--odometry", given, "--config", config]
-    code, err = run(capsys, "slam", mission, "--out", tmp_path / "whole", *options)
+    code, _, err = run(capsys, "slam", mission, "--out", tmp_path / "whole", *options)
     assert code == 0 and f"odometry: {len(truth)} poses of given.tum; the log's own" in err
     with monkeypatch.context() as patch:
         stop_after(patch, 5, KeyboardInterrupt())
         run(capsys, "slam", mission, "--out", tmp_path / "run", *options)
     moved = Trajectory(truth.stamps_ns, truth.poses @ planar_transform(0.01, 0.0, 0.01))
     write_tum(given, moved)
-    code, err = run(capsys, "slam", "--resume", tmp_path / "run")
+    code, _, err = run(capsys, "slam", "--resume", tmp_path / "run")
     assert code == 2 and "expected the log that the run began with" in err
     write_tum(given, truth)
     assert run(capsys, "slam", "--resume", tmp_path / "run")[0] == 0
@@ -227,16 +218,16 @@ def test_what_resume_does_not_take_is_refused(unfinished: Path, tmp_path: Path, 
         assert run(capsys, "slam", *wrong)[0] == 2
     assert run(capsys, "slam", unfinished, "--salvage")[0] == 2
     for path, words in ((tmp_path / "none", "found nothing"), (tmp_path, "expected a session, found nothing")):
-        code, err = run(capsys, "slam", "--resume", path)
+        code, _, err = run(capsys, "slam", "--resume", path)
         assert code == 2 and words in err and "Traceback" not in err
 
 
 def test_a_damaged_session_is_refused_then_salvaged_and_finished(whole: Path, unfinished: Path, capsys):
     with sqlite3.connect(unfinished / SESSION_FILE) as other:
         other.execute("UPDATE keyframes SET data = zeroblob(length(data)) WHERE id = 3")
-    code, err = run(capsys, "slam", "--resume", unfinished)
+    code, _, err = run(capsys, "slam", "--resume", unfinished)
     assert code == 2 and "damaged at keyframe 3 of 5" in err
-    code, err = run(capsys, "slam", "--resume", "--salvage", unfinished)
+    code, _, err = run(capsys, "slam", "--resume", "--salvage", unfinished)
     assert code == 0 and "saved 3 keyframes; the damaged file is now session.db.damaged" in err
     assert (unfinished / f"{SESSION_FILE}.damaged").exists()
     assert (unfinished / "planes.json").read_bytes() == (whole / "planes.json").read_bytes()
@@ -282,7 +273,7 @@ def test_a_reference_leads_to_the_scan_that_was_kept(mission: Path, tmp_path: Pa
 
 def test_two_writers_of_one_run(unfinished: Path, capsys):
     with Session.open(unfinished):
-        code, err = run(capsys, "slam", "--resume", unfinished)
+        code, _, err = run(capsys, "slam", "--resume", unfinished)
         assert code == 2 and "another process is writing it" in err
         assert "Traceback" not in err
     assert run(capsys, "slam", "--resume", unfinished)[0] == 0
@@ -323,7 +314,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 def test_a_full_disk_that_is_one(mission: Path, whole: Path, small_disk: Path, tmp_path: Path, capsys):
     """With room somewhere else the run goes on to the result it would have had."""
     config = mission.parent / "config.yaml"
-    code, err = run(capsys, "slam", mission, "--out", small_disk / "run", "--config", config)
+    code, _, err = run(capsys, "slam", mission, "--out", small_disk / "run", "--config", config)
     assert code == 1 and "Traceback" not in err
     assert "the disk is full" in err and "what was recorded before is safe" in err
     with Session.open(small_disk / "run", read_only=True) as session:
@@ -337,19 +328,16 @@ def test_a_full_disk_that_is_one(mission: Path, whole: Path, small_disk: Path, t
 def test_a_commit_that_fails_leaves_the_estimator_as_it_was(tmp_path: Path):
     frames = drive(0).keyframes
     with PlaneSlam.open(tmp_path / "session.db") as slam:
-        for keyframe in frames[:4]:
-            slam.add_keyframe(keyframe)
+        run_of(frames[:4], slam)
         session = slam.recorder.session  # type: ignore[attr-defined]
         pages = session._db.execute("PRAGMA page_count").fetchone()[0]
         session._db.execute(f"PRAGMA max_page_count = {pages}")
         with pytest.raises(StorageError, match="the disk is full"):
-            for keyframe in frames[4:]:
-                slam.add_keyframe(keyframe)
+            run_of(frames[4:], slam)
         known = len(slam.keyframes)
     with PlaneSlam.open(tmp_path / "session.db") as again:
         assert len(again.keyframes) in (known, known + 1)  # measured, perhaps, but not yet in the graph
-        for keyframe in frames[len(again.keyframes) :]:
-            again.add_keyframe(keyframe)
+        run_of(frames[len(again.keyframes) :], again)
         assert len(again.keyframes) == 15 and again.marginal_covariance(pose_symbol(14)).shape == (6, 6)
 
 

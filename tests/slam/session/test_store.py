@@ -22,7 +22,7 @@ from slam.session._file import digest, fingerprint
 from slam.session.salvage import salvage_session
 from slam.session.store import Session, SessionDamaged, SessionError
 from spplanes import ScanLine
-from tests.slam.scenes import drive
+from tests.slam.scenes import drive, run_of
 
 COUNT = 15
 
@@ -45,18 +45,14 @@ def copy_as_killed(path: Path, copy: Path) -> None:
 
 @pytest.fixture(scope="module")
 def uninterrupted() -> PlaneSlam:
-    slam = PlaneSlam()
-    for keyframe in drive(0).keyframes:
-        slam.add_keyframe(keyframe)
-    return slam
+    return run_of(drive(0).keyframes)
 
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> Path:
     path = tmp_path / "session.db"
     with PlaneSlam.open(path) as slam:
-        for keyframe in drive(0).keyframes[:7]:
-            slam.add_keyframe(keyframe)
+        run_of(drive(0).keyframes[:7], slam)
     return path
 
 
@@ -66,8 +62,7 @@ def test_a_run_in_pieces_is_the_run_in_one(tmp_path: Path, uninterrupted: PlaneS
     for first, last in zip((0, *ends), (*ends, COUNT), strict=True):
         with PlaneSlam.open(tmp_path / "session.db") as slam:
             assert len(slam.keyframes) == first
-            for keyframe in frames[first:last]:
-                slam.add_keyframe(keyframe)
+            run_of(frames[first:last], slam)
             pieces = slam
     assert_same_estimate(pieces, uninterrupted)
     assert [path.name for path in tmp_path.iterdir()] == ["session.db"]
@@ -76,8 +71,7 @@ def test_a_run_in_pieces_is_the_run_in_one(tmp_path: Path, uninterrupted: PlaneS
 def test_a_writer_that_never_closed_has_lost_nothing(tmp_path: Path, uninterrupted: PlaneSlam):
     path, copy = tmp_path / "session.db", tmp_path / "copy.db"
     with PlaneSlam.open(path) as slam:
-        for keyframe in drive(0).keyframes:
-            slam.add_keyframe(keyframe)
+        run_of(drive(0).keyframes, slam)
         copy_as_killed(path, copy)
     with PlaneSlam.open(copy) as slam:
         assert_same_estimate(slam, uninterrupted)
@@ -96,8 +90,7 @@ def test_a_writer_that_ended_before_its_first_commit_left_a_session(tmp_path: Pa
 
 def test_measurements_on_disk_alone_make_the_same_map(tmp_path: Path, uninterrupted: PlaneSlam):
     with PlaneSlam.open(tmp_path / "session.db", forget_raw=True) as slam:
-        for keyframe in drive(0).keyframes:
-            slam.add_keyframe(keyframe)
+        run_of(drive(0).keyframes, slam)
         assert type(slam.keyframes[3].observations).__name__ == "_StoredObservations"
         assert vars(slam.keyframes[3]).get("returns") is None
         assert encode(slam.keyframes[3].observations[2]) == encode(uninterrupted.keyframes[3].observations[2])
@@ -128,8 +121,7 @@ def test_measurements_are_committed_before_the_graph_uses_them(tmp_path: Path):
             return update(*arguments, **options)
 
         slam.backend.update = watched  # type: ignore[method-assign]
-        for keyframe in drive(0).keyframes[:3]:
-            slam.add_keyframe(keyframe)
+        run_of(drive(0).keyframes[:3], slam)
     assert found == [(1, 0), (1, 1), (2, 1), (2, 2), (3, 2), (3, 3)]
 
 
@@ -228,8 +220,7 @@ def test_the_end_of_the_journal_is_missed(tmp_path: Path):
     """SQLite itself would read a shortened journal without a word."""
     path, copy = tmp_path / "session.db", tmp_path / "copy.db"
     with PlaneSlam.open(path) as slam:
-        for keyframe in drive(0).keyframes[:5]:
-            slam.add_keyframe(keyframe)
+        run_of(drive(0).keyframes[:5], slam)
         copy_as_killed(path, copy)
     files = [copy, *(copy.with_name(copy.name + suffix) for suffix in ("-wal", "-shm", "-lock"))]
     contents = [one.read_bytes() for one in files]
@@ -322,8 +313,7 @@ def test_raw_scans_by_place_and_by_value(tmp_path: Path):
         path = tmp_path / f"{raw}.db"
         session = Session.create(path, SlamConfig())
         with PlaneSlam(recorder=SessionRecorder(session, log=log, raw=raw)) as slam:
-            for frame in frames:
-                slam.add_keyframe(frame)
+            run_of(frames, slam)
         with Session.open(path, read_only=True) as session:
             found = session.scans(0)
             assert [(one.sensor, one.stamp_ns, one.position) for one in found] == [("front", 5, 0), ("top", 6, 1)]

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from spplanes import LineConfig, extract_lines
-from tests.spplanes.lines.line_score import nees, true_line
-from tests.spplanes.lines.line_world import World, cast, polygon
+from tests.spplanes.lines.line_world import World, cast, nees, polygon, true_line
 
 SIGMA = 0.01
 HALF = np.radians(np.arange(-90, 90.01, 0.5))
@@ -33,17 +32,6 @@ def test_a_single_wall():
     assert line.indices.dtype == np.int64
     assert np.array_equal(line.indices, np.flatnonzero(np.isfinite(scan(world, HALF))))
     assert 0.5 < line.chi2 / line.dof < 1.5
-
-
-def test_the_covariance_is_the_scatter_of_many_scans():
-    truth = cast(wall((3, -2), (1, 2)), HALF).ranges
-    rng = np.random.default_rng(1)
-    lines = [extract_lines(truth + rng.normal(0, SIGMA, HALF.size), HALF, sigma=SIGMA)[0] for _ in range(1500)]
-    polar = np.array([(line.alpha, line.rho) for line in lines])
-    scatter = np.cov(polar.T)
-    np.testing.assert_allclose(scatter, lines[0].covariance, rtol=0.12)
-    errors = [nees(line, true_line(np.array([(3.0, -2.0), (1.0, 2.0)]), (0, 0, 0))) for line in lines]
-    assert abs(np.mean(errors) - 2.0) < 1.96 * 2.0 / np.sqrt(len(errors))
 
 
 def test_each_beam_has_its_own_sigma():

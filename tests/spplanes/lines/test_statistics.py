@@ -1,6 +1,6 @@
 """extract_lines on random rooms and corridors with truth: what it finds, what it invents, whether its covariance holds.
 
-What is detectable, found and false is defined in `line_score`. 180 to 1081 beams, 180 to 360 degrees,
+What is detectable, found and false is defined by `Score`. 180 to 1081 beams, 180 to 360 degrees,
 sigma 5 to 30 mm.
 """
 
@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from spplanes import LineConfig, extract_lines
-from tests.spplanes.lines.line_score import Score
-from tests.spplanes.lines.line_world import cast, random_corridor, random_room
+from tests.spplanes.lines.line_world import Score, cast, random_corridor, random_room
 
 LASERS = (
     np.radians(np.arange(-90, 90, 1.0)),

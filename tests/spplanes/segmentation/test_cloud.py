@@ -96,13 +96,6 @@ def test_open3d_clouds(room):
         segment_cloud(o3d.t.geometry.PointCloud())
 
 
-def test_a_cloud_in_the_world_has_its_viewpoint(room):
-    world = room.reshape(-1, 3) + EYE
-    labels, planes = segment_cloud(world, viewpoint=EYE)
-    check(world, labels, planes, np.zeros(3))
-    assert all(plane.normal @ EYE > plane.d for plane in planes)
-
-
 def test_the_noise_is_measured_or_asked_for(room):
     sigmas = [np.sqrt(plane.covariance[0, 0] * plane.n_points) for plane in segment_cloud(room)[1]]
     assert np.median(sigmas) == pytest.approx(SIGMA_M, rel=0.5)

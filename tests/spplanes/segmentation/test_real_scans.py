@@ -1,19 +1,12 @@
 """Other people's data: labelled frames, and a corridor, a room and a hall that must look right."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from benchmarks import _scans
 from spplanes import MapperConfig, segment_scans
 from spplanes.clouds.arrange import Grid, range_image
-
-DATA = Path(__file__).parents[3].parent / "shared" / "data"
-
-
-def needs(folder):
-    return pytest.mark.skipif(not (DATA / folder).is_dir(), reason=f"real data not here: {folder}")
+from tests.slam.real_data import DATA, needs
 
 
 def segmented(points, model):
@@ -27,25 +20,25 @@ def segmented(points, model):
     )
 
 
-@needs("icl_labelled")
 @pytest.mark.parametrize(("noise_seed", "at_least"), [(None, 14), (0, 9), (1, 9), (2, 9)])
 def test_labelled_depth_image(noise_seed, at_least):
+    needs("icl_labelled")
     points, sigma, truth = _scans.icl_frame(DATA, noise_seed)
     labels, planes = segment_scans(points, sigma=sigma)
     assert _scans.correct_detections(labels, truth) >= at_least
     assert all(plane.outline.is_valid for plane in planes)
 
 
-@needs("synpeb")
 def test_organised_terrestrial_scan():
+    needs("synpeb")
     points, sigma, truth = _scans.synpeb_scan(DATA)
     labels, _ = segment_scans(points, sigma=sigma)
     assert _scans.correct_detections(labels, truth) >= 10
 
 
-@needs("3dtk_corridor")
 @pytest.mark.parametrize("index", [0, 1, 2])
 def test_corridor_has_whole_floor_ceiling_and_left_wall(index):
+    needs("3dtk_corridor")
     points = _scans.corridor_scan(DATA, index)
     model = _scans.CORRIDOR_SENSOR
     labels, planes = segmented(points, model)
@@ -66,8 +59,8 @@ def test_corridor_has_whole_floor_ceiling_and_left_wall(index):
     assert sum(off) < 0.06 * returns.sum()
 
 
-@needs("3dtk_corridor")
 def test_corridor_frames_at_other_depths_are_planes_of_their_own():
+    needs("3dtk_corridor")
     _, planes = segmented(_scans.corridor_scan(DATA, 0), _scans.CORRIDOR_SENSOR)
     across = np.sort([p.d for p in planes if p.normal[1] < -0.99 and p.n_points > 500 and p.d < -3.0])
     assert len(across) >= 3
@@ -80,9 +73,9 @@ def pieces(planes, normal_z):
     return level[0], sum(p.n_points for p in level[1:] if abs(level[0].distance(p.centre)) < 0.1)
 
 
-@needs("pcl_room")
 @pytest.mark.parametrize("index", [1, 2])
 def test_room_from_vertical_slices(index):
+    needs("pcl_room")
     points = _scans.room_slices(DATA, index)
     model = _scans.ROOM_SENSOR
     labels, planes = segmented(points, model)
@@ -98,8 +91,8 @@ def test_room_from_vertical_slices(index):
             assert np.std(plane.distance(points[labels == k])) < 0.03
 
 
-@needs("balm_hall")
 def test_hall_from_an_unorganised_cloud():
+    needs("balm_hall")
     points = _scans.hall_cloud(DATA, 0)
     grid = range_image(points, Grid(64, 2048))
     seen = np.isfinite(grid).all(axis=2).sum()

@@ -1,7 +1,6 @@
 """Clouds without order: the same planes whatever the order, and covariances that hold on real sensors."""
 
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,15 +8,11 @@ from scipy.stats import chi2
 
 from benchmarks import _scans
 from spplanes import MapperConfig, Plane, segment_cloud
+from tests.slam.real_data import DATA, needs
 from tests.spplanes.fitting.test_shared_error import wall as wandering_wall
 from tests.statistics import assert_mean_in_band
 
-DATA = Path(__file__).parents[3].parent / "shared" / "data"
 HALF = np.array([2.0, 1.5, 1.2])
-
-
-def needs(folder):
-    return pytest.mark.skipif(not (DATA / folder).is_dir(), reason=f"real data not here: {folder}")
 
 
 def box(seed: int, n: int = 60_000) -> np.ndarray:
@@ -136,9 +131,8 @@ def test_far_from_the_origin_planes_are_the_same():
         np.testing.assert_allclose(a.covariance, b.covariance, rtol=0.1, atol=1e-9)
 
 
-@needs("pcl_room")
 def test_a_real_room_is_the_same_in_any_order():
-    points = _scans.read_pcd(DATA / "pcl_room" / "room_scan1.pcd")
+    points = _scans.read_pcd(needs("pcl_room/room_scan1.pcd"))
     order = np.random.default_rng(0).permutation(len(points))
     found = segment_cloud(points)
     assert found.coverage.share > 0.84
@@ -179,13 +173,12 @@ def matched(here: list[Plane], there: list[Plane], here_T_there: np.ndarray) -> 
     return pairs
 
 
-@needs("balm_hall")
 def test_angles_between_planes_of_a_real_hall_are_as_well_known_as_is_said():
     """Angles do not depend on any pose: claimed with the noise alone, their median chi2 is 39."""
     from scipy.spatial.transform import Rotation
 
     clouds = np.linspace(0, 19, 4).astype(int)
-    rows = np.loadtxt(DATA / "balm_hall" / "lidar_odometry.tum")
+    rows = np.loadtxt(needs("balm_hall/lidar_odometry.tum"))
     poses = np.tile(np.eye(4), (len(clouds), 1, 1))
     poses[:, :3, :3] = Rotation.from_quat(rows[clouds, 4:]).as_matrix()
     poses[:, :3, 3] = rows[clouds, 1:4]

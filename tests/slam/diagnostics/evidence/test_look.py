@@ -20,7 +20,7 @@ from slam.sensors.log import Log, OdometryReading
 from slam.sensors.rig import Mount, Rig
 from slam.session.prior_map import PriorMap, floor_start, map_covariance
 from slam.simulation import simulate_mission
-from tests.slam.scenes import drive
+from tests.slam.scenes import drive, run_of
 
 
 @cache
@@ -113,8 +113,7 @@ def test_a_prior_map_is_confirmed_from_its_start_and_not_from_another(right: Run
 def test_too_few_keyframes_and_an_empty_map_are_doubtful():
     slam, rig = PlaneSlam(), hall()[1]
     assert "has only 0 keyframes" in assess_run(slam, rig).reasons[0]
-    for keyframe in drive(0, count=5).keyframes:
-        slam.add_keyframe(replace(keyframe, observations=[]))
+    run_of((replace(one, observations=[]) for one in drive(0, count=5).keyframes), slam)
     verdict = assess_run(slam, rig)
     assert (verdict.verdict, verdict.evidence[0].keyframes) == ("doubtful", (0, 1, 2, 3, 4))
     assert "the map is empty" in verdict.reasons[0]
