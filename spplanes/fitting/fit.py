@@ -36,7 +36,7 @@ def fit_plane(
     outline: bool = False,
     shared_error: bool = True,
 ) -> Plane:
-    """Fit one plane to uncertain points.
+    """Fit one plane to uncertain points: its frame is at their weighted centre, x and y along the principal axes.
 
     Args:
         points: shape (N, 3), N >= 3, m.
@@ -51,26 +51,17 @@ def fit_plane(
         scan_origins: points about which these rotations act, q = p - o, shape (S, 3), m; the world's origin if None.
         robust: ``"tukey"`` for up to 30 % gross outliers, which n_points and chi2 then leave out; only with ``"ml"``.
         outline: give the plane the convex hull of its points as outline, which is what can be drawn of it.
-        shared_error: look in the residuals for noise beyond what is stated, and for what the errors of neighbouring
-            points have in common (`spplanes.fitting.shared_error`), and count them in the covariance; what is stated
-            is a lower bound. Only with ``"ml"``, and without pose errors and outliers, which residuals show as well.
-            False: the covariance is that of independent points as stated.
-
-    Returns:
-        The plane, its frame at the weighted centre, x and y along the principal axes.
+        shared_error: look in the residuals for noise beyond what is stated and for errors that neighbouring points share
+            (`spplanes.fitting.shared_error`), and count both in the covariance; what is stated is a lower bound. Only
+            with ``"ml"``, and without pose errors and outliers, which residuals show too. False: independent, as stated.
 
     Raises:
         ValueError: fewer than 3 points, coincident or collinear ones, NaN, or what is no covariance.
     """
     poses = scan_index, pose_covariances, scan_origins
     job = FitJob.checked(points, covariances, sigma, method, viewpoint, robust, poses)
-    order, bounds = np.arange(len(job.points)), np.array([0, len(job.points)])
-    fits = fit_groups(job, order, bounds)
-    if fits.status[0] != OK:
-        raise ValueError("points: " + describe_status(int(fits.status[0]), int(fits.counts[0])))
-    if shared_error:
-        fits = _with_shared_error(fits, job, order, bounds)
-    return _outlined(fits.planes()[0], job) if outline else fits.planes()[0]
+    (plane,) = _fitted(job, np.arange(len(job.points)), np.array([0, len(job.points)]), None, shared_error)
+    return _outlined(plane, job) if outline else plane
 
 
 def _outlined(plane: Plane, job: FitJob) -> Plane:
@@ -118,9 +109,17 @@ def fit_planes(
     poses = scan_index, pose_covariances, scan_origins
     job = FitJob.checked(points, covariances, sigma, method, viewpoint, robust, poses)
     names, order, bounds = group_by_label(labels, len(job.points))
+    return _fitted(job, order, bounds, names, shared_error)
+
+
+def _fitted(
+    job: FitJob, order: np.ndarray, bounds: np.ndarray, names: np.ndarray | None, shared_error: bool
+) -> list[Plane]:
+    """A plane for every group of points, as `group_by_label` tells them; a ValueError names the first that is none."""
     fits = fit_groups(job, order, bounds)
     for g in np.flatnonzero(fits.status != OK)[:1]:
-        raise ValueError(f"points of label {names[g]}: " + describe_status(int(fits.status[g]), int(fits.counts[g])))
+        whose = "points" if names is None else f"points of label {names[g]}"
+        raise ValueError(f"{whose}: " + describe_status(int(fits.status[g]), int(fits.counts[g])))
     return (_with_shared_error(fits, job, order, bounds) if shared_error else fits).planes()
 
 
