@@ -51,9 +51,9 @@ def fit_plane(
         scan_origins: points about which these rotations act, q = p - o, shape (S, 3), m; the world's origin if None.
         robust: ``"tukey"`` for up to 30 % gross outliers, which n_points and chi2 then leave out; only with ``"ml"``.
         outline: give the plane the convex hull of its points as outline, which is what can be drawn of it.
-        shared_error: look in the residuals for noise beyond what is stated and for errors that neighbouring points share
-            (`spplanes.fitting.shared_error`), and count both in the covariance; what is stated is a lower bound. Only
-            with ``"ml"``, and without pose errors and outliers, which residuals show too. False: independent, as stated.
+        shared_error: look in the residuals for noise beyond what is stated, and for errors that neighbouring points
+            share (`spplanes.fitting.shared_error`), and count both in the covariance; what is stated is a lower bound.
+            Only with ``"ml"``, without pose errors and outliers, which show there too. False: they are independent.
 
     Raises:
         ValueError: fewer than 3 points, coincident or collinear ones, NaN, or what is no covariance.
