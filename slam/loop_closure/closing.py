@@ -12,11 +12,10 @@ import numpy as np
 from scipy.special import chdtri
 
 from slam.backend.estimator import Backend, pose_symbol
-from slam.backend.places import anchored
 from slam.frontend.odometry import Motion
 from slam.frontend.pose_measurements import PlaceMatch
 from slam.loop_closure.candidates import DrivenPath
-from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal, counted_once
+from slam.loop_closure.pairwise_consistency import Proposal, counted_once
 from slam.loop_closure.proposals import Proposals, Trial, evidence_of_map
 from slam.loop_closure.verification import (
     LoopDecision,
@@ -29,6 +28,7 @@ from slam.loop_closure.verification import (
 from slam.map.state import EstimatorState
 from slam.mapping.fusion import Merges
 from slam.mapping.same_plane import disjoint
+from slam.registration.submaps import anchored
 
 #: After a loop that is taken back the estimate goes back a long way: so often iSAM2 relinearises.
 _ROUNDS = 5
@@ -153,8 +153,8 @@ class LoopCloser:
         """What becomes of the places that the newest keyframe is known to stand near."""
         now, way_m, decisions = len(self._keyframes) - 1, float(around.path.lengths[-1]), []
         for match in matches:
-            base, *pose = anchored(match, self._backend)
-            proposal = Proposal(now, gtsam.Symbol(base).index(), PlanarPose(*pose), np.inf, way_m)
+            base, pose = anchored(match, self._backend)
+            proposal = Proposal(now, gtsam.Symbol(base).index(), pose, np.inf, way_m)
             decision = proposed(proposal, around)
             decisions.append(decision if decision.verdict == "known" else joined(decision, proposal, around))
         self.decisions += decisions

@@ -9,38 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import chdtri
 
-from slam.frontend.odometry import difference, planar_delta
-from slam.geometry.frames import planar_transform
-from spplanes._check import FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class PlanarPose:
-    """An uncertain motion in the plane."""
-
-    delta: FloatArray
-    """(x, y, theta), shape (3,)."""
-    covariance: FloatArray
-    """Its covariance, additive, x and y along the axes of the first frame, shape (3, 3)."""
-
-    def __matmul__(self, after: PlanarPose) -> PlanarPose:
-        """This motion and another one after it, independent of it; covariance to first order."""
-        delta = planar_delta(planar_transform(*self.delta) @ planar_transform(*after.delta))
-        by_first, by_after = np.eye(3), np.eye(3)
-        by_first[:2, 2] = self.delta[1] - delta[1], delta[0] - self.delta[0]
-        c, s = np.cos(self.delta[2]), np.sin(self.delta[2])
-        by_after[:2, :2] = (c, -s), (s, c)
-        spread = by_first @ self.covariance @ by_first.T + by_after @ after.covariance @ by_after.T
-        return PlanarPose(delta, spread)
-
-    def chi2(self, other: PlanarPose) -> float:
-        """Squared Mahalanobis distance to another one of the same two frames, independent of it; 3 dof."""
-        return PlanarPose(self.delta, self.covariance + other.covariance).misfit(other.delta)
-
-    def misfit(self, delta: FloatArray) -> float:
-        """Squared Mahalanobis distance to a motion (x, y, theta) that is exact, 3 dof."""
-        error = difference(self.delta, delta)
-        return float(error @ np.linalg.solve(self.covariance, error))
+from slam.registration.submaps import PlanarPose
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,6 @@ from slam.backend.estimator import Backend, pose_symbol
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.loop_closure.candidates import old_keyframes
 from slam.loop_closure.pairwise_consistency import (
-    PlanarPose,
     Proposal,
     agree,
     joint_log_odds,
@@ -20,7 +19,7 @@ from slam.loop_closure.pairwise_consistency import (
 )
 from slam.loop_closure.verification import Surroundings
 from slam.registration.correlative_search import evidence_at
-from slam.registration.submaps import RelativePose
+from slam.registration.submaps import PlanarPose
 from spplanes._check import FloatArray
 
 #: Most proposals that wait: older ones are forgotten first.
@@ -86,9 +85,9 @@ def _ways(first: Proposal, second: Proposal) -> tuple[tuple[int, int], tuple[int
 def _between(ways: Sequence[tuple[int, int]], backend: Backend) -> dict[tuple[int, int], PlanarPose]:
     """Where keyframes (second) are from others (first) by the estimate."""
     apart = sorted({way for way in ways if way[0] != way[1]})
-    found = RelativePose.of_all([(pose_symbol(first), pose_symbol(second)) for first, second in apart], backend)
+    found = PlanarPose.of_all([(pose_symbol(first), pose_symbol(second)) for first, second in apart], backend)
     same = {way: PlanarPose(np.zeros(3), np.zeros((3, 3))) for way in ways if way[0] == way[1]}
-    return same | {way: PlanarPose(one.delta, one.covariance) for way, one in zip(apart, found, strict=True)}
+    return same | dict(zip(apart, found, strict=True))
 
 
 #: Windows of travel for which a closed loop is on trial: what bends the way is seen no more.
@@ -146,7 +145,7 @@ def evidence_of_map(around: Surroundings) -> float | None:
     here, there = around.view_about(now), around.view_about(old)
     if here is None or there is None:
         return None
-    estimate = RelativePose.of(pose_symbol(old), pose_symbol(now), around.backend)
+    estimate = PlanarPose.of(pose_symbol(old), pose_symbol(now), around.backend)
     rules = around.config
     least = rules.tied_m * np.array((1.0, 1.0, 1.0 / rules.window_m))
     if estimate.reach_m > 2.0 * rules.tied_m:

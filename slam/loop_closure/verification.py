@@ -17,12 +17,12 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import NO_FLOOR, Motion, planar_delta
 from slam.geometry.frames import inverse, lift, planar_transform
 from slam.loop_closure.candidates import DrivenPath, old_keyframes, radius_of
-from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
+from slam.loop_closure.pairwise_consistency import Proposal
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.mapping.same_plane import hesse_of, landmark_keys
 from slam.registration.correlative_search import PlaceView, SearchResult, search_place
 from slam.registration.place_recognition import ConstellationMatch, Wall, match_constellations, match_near
-from slam.registration.submaps import RelativePose, view_of
+from slam.registration.submaps import PlanarPose, view_of
 from spplanes._check import FloatArray
 
 LoopVerdict = Literal[
@@ -109,8 +109,7 @@ class Surroundings:
         first, last = self.path.window(frame, self.config.window_m)
         members = range(first, last + 1)
         poses = [self.backend.pose(pose_symbol(member)) for member in members]
-        view = view_of([self.keyframes[member] for member in members], poses, self.path.pose(frame), self.config)
-        return None if view is None else PlaceView(view)
+        return view_of([self.keyframes[member] for member in members], poses, self.path.pose(frame), self.config)
 
     def are_tied_by(self, shared: Sequence[Landmark]) -> bool:
         """Whether walls that two places see, in more than one direction, leave nothing open between them."""
@@ -138,7 +137,7 @@ def compare_with_old(around: Surroundings) -> Iterator[LoopDecision]:
     olds = old_keyframes(path, around.backend, config)
     seen = [old for old in olds if has_view and around.keyframes[old].returns is not None]
     ends = [(pose_symbol(old), pose_symbol(now)) for old in seen]
-    estimates = dict(zip(seen, RelativePose.of_all(ends, around.backend), strict=True))
+    estimates = dict(zip(seen, PlanarPose.of_all(ends, around.backend), strict=True))
     for old in olds:
         there = around.landmarks_about(old)
         shared = [one for one in here if one in there]
@@ -155,7 +154,7 @@ def compare_with_old(around: Surroundings) -> Iterator[LoopDecision]:
 
 
 def _searched(
-    view: PlaceView, other: PlaceView, estimate: RelativePose, old: int, path: DrivenPath, config: LoopConfig
+    view: PlaceView, other: PlaceView, estimate: PlanarPose, old: int, path: DrivenPath, config: LoopConfig
 ) -> SearchResult:
     """Where the submap of the newest keyframe lies in that of an old one."""
     way = float(path.lengths[-1] - path.lengths[old])
@@ -170,7 +169,7 @@ def _searched(
 _MISTRUST = 2.0
 
 
-def _decide_by_search(found: SearchResult, estimate: RelativePose, old: int, path: DrivenPath) -> LoopDecision:
+def _decide_by_search(found: SearchResult, estimate: PlanarPose, old: int, path: DrivenPath) -> LoopDecision:
     """The likeliest place, if it is likelier than all else together and inside the box that was searched."""
     now = len(path.lengths) - 1
     if not found.modes:
@@ -221,7 +220,7 @@ def joined(decision: LoopDecision, proposal: Proposal, around: Surroundings) -> 
         pairs = _paired(match, here, there)
         decision = replace(decision, chi2=match.chi2, dof=match.n_dof)
     if not pairs and motion is not None:
-        estimate = RelativePose.of(pose_symbol(old), pose_symbol(now), around.backend)
+        estimate = PlanarPose.of(pose_symbol(old), pose_symbol(now), around.backend)
         motion = motion if _is_news(motion, estimate, around.config) else None
     verdict: LoopVerdict = "closed" if pairs or motion is not None else "known"
     return replace(decision, verdict=verdict, pairs=pairs, motion=motion, proposal=proposal)
@@ -248,7 +247,7 @@ def _paired(
     return tuple((min(pair), max(pair)) for pair in found)
 
 
-def _is_news(motion: Motion, estimate: RelativePose, config: LoopConfig) -> bool:
+def _is_news(motion: Motion, estimate: PlanarPose, config: LoopConfig) -> bool:
     """Whether a motion contradicts the estimate, or says it much better in a direction in which it is badly known."""
     error = planar_delta(motion.a_T_b) - estimate.delta
     spread = estimate.covariance + motion.covariance

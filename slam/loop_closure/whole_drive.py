@@ -17,9 +17,9 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, way_to
 from slam.loop_closure.candidates import nearest_of_each
-from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
+from slam.loop_closure.pairwise_consistency import Proposal
 from slam.registration.correlative_search import PlaceView, search_place
-from slam.registration.submaps import view_of
+from slam.registration.submaps import PlanarPose, view_of
 from spplanes._check import FloatArray
 
 #: Submaps that are kept to be searched in again.
@@ -84,8 +84,7 @@ def _search(
     @lru_cache(_VIEWS)
     def view(frame: int) -> PlaceView | None:
         first, last = np.searchsorted(way, (way[frame] - config.window_m, way[frame] + config.window_m)).tolist()
-        seen = view_of([keyframes[one] for one in range(first, last)], list(poses[first:last]), poses[frame], config)
-        return None if seen is None else PlaceView(seen)
+        return view_of(keyframes[first:last], list(poses[first:last]), poses[frame], config)
 
     for old, new in _pairs(keyframes, poses, way, config):
         here, there = view(new), view(old)

@@ -12,7 +12,7 @@ from slam.geometry.frames import planar_transform
 from slam.registration._place_kernels import WALL
 from slam.registration._place_search import MAX_WALLS, MatchedMotion, Search
 from spplanes import ScanLine
-from spplanes._check import FloatArray, as_transform
+from spplanes._check import FloatArray
 
 #: Planes that lean more than this from the vertical are no walls: sine of the lean.
 MAX_LEAN = 0.2
@@ -20,7 +20,7 @@ MAX_LEAN = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """A wall in the plane of motion with the side it was seen from, which `ScanLine` loses when it is moved."""
+    """A wall in the plane of motion, with the side it was seen from."""
 
     alpha: float
     """Direction of the normal from the free side into the wall, rad."""
@@ -30,18 +30,6 @@ class Wall:
     """Covariance of (alpha, rho), shape (2, 2)."""
     endpoints: FloatArray
     """Ends of what was seen of it, shape (2, 2), m."""
-
-    @classmethod
-    def from_line(cls, line: ScanLine, frame_T_sensor: FloatArray | None = None) -> Wall:
-        """The wall of a line, in the sensor's frame or in another one of the same plane, (4, 4)."""
-        if frame_T_sensor is None:
-            return cls(line.alpha, line.rho, line.covariance, line.endpoints)
-        T = as_transform("frame_T_sensor", frame_T_sensor)
-        alpha = line.alpha + float(np.arctan2(T[1, 0], T[0, 0]))
-        rho = line.rho + float(T[0, 3] * np.cos(alpha) + T[1, 3] * np.sin(alpha))
-        jacobian = np.array(((1.0, 0.0), (T[1, 3] * np.cos(alpha) - T[0, 3] * np.sin(alpha), 1.0)))
-        endpoints = line.endpoints @ T[:2, :2].T + T[:2, 3]
-        return cls(alpha, rho, jacobian @ line.covariance @ jacobian.T, endpoints)
 
     @classmethod
     def from_plane(cls, normal: FloatArray, d: float, covariance: FloatArray, corners: FloatArray) -> Wall:
@@ -87,12 +75,6 @@ class ConstellationMatch:
 
     by_walls: FloatArray | None = None
     """Covariance of the motion by the matched walls alone, where more was known of it; shape (3, 3)."""
-
-    @property
-    def weakest_direction(self) -> tuple[FloatArray, float]:
-        """Unit vector in b along which the position is known least, shape (2,), and its standard deviation, m."""
-        values, vectors = np.linalg.eigh(self.covariance[:2, :2])
-        return vectors[:, 1], float(np.sqrt(values[1]))
 
 
 def match_constellations(

@@ -12,7 +12,6 @@ from scipy.special import chdtri
 from factors import pose_prior
 from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance, relative_covariance
-from slam.backend.places import anchored
 from slam.config import BOUND_SIGMAS, CoastingConfig
 from slam.frontend.information import information_beyond_lines, inverted
 from slam.frontend.keyframes import Keyframe
@@ -22,6 +21,7 @@ from slam.geometry.frames import inverse, orthonormal, planar_transform
 from slam.map.sparsification import Link
 from slam.map.state import EstimatorState
 from slam.registration.relocalization import FoundPlace, Rivals, found_place, is_poorly_known
+from slam.registration.submaps import anchored
 from slam.tracking.calibration_by_graph import CalibrationByGraph
 from slam.tracking.odometry_check import check
 from slam.tracking.odometry_record import OdometryRecord
@@ -147,11 +147,11 @@ class MotionModel:
         rules, factors = self._config.loops, []
         tied = rules.tied_m / BOUND_SIGMAS * np.array((1.0, 1.0, 1.0 / rules.window_m))
         for match in (place for place in keyframe.places if place.inferred):
-            base, delta, covariance = anchored(match, self._backend)
-            error = difference(planar_delta(inverse(self._backend.pose(base)) @ world_T_body), delta)
-            is_off = error @ np.linalg.solve(covariance, error) > chdtri(3, rules.significance)
-            if is_off and np.any(np.abs(error) > tied):
-                factors += Motion(planar_transform(*delta), covariance, NO_FLOOR).factors(base, key)[:1]
+            base, pose = anchored(match, self._backend)
+            expected = planar_delta(inverse(self._backend.pose(base)) @ world_T_body)
+            is_off = pose.misfit(expected) > chdtri(3, rules.significance)
+            if is_off and np.any(np.abs(difference(expected, pose.delta)) > tied):
+                factors += Motion(planar_transform(*pose.delta), pose.covariance, NO_FLOOR).factors(base, key)[:1]
         return factors
 
     def learn(self, prediction: Prediction) -> bool:

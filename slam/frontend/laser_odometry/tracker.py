@@ -9,11 +9,18 @@ import numpy as np
 from slam.config import CoastingConfig
 from slam.frontend.deskewing import unswept
 from slam.frontend.information import inverted
-from slam.frontend.laser_odometry.between_scans import between_scans
 from slam.frontend.laser_odometry.local_map import SlidingMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
 from slam.frontend.laser_odometry.synchronization import clock_offset
-from slam.frontend.laser_odometry.track import LaserTrack, Step, between, compose, matched_covariance, rotation
+from slam.frontend.laser_odometry.track import (
+    LaserTrack,
+    Step,
+    between,
+    between_scans,
+    compose,
+    matched_covariance,
+    rotation,
+)
 from slam.frontend.laser_odometry.velocity import VelocityFilter, stamp_sigma
 from slam.frontend.measurement import usable_ranges
 from slam.frontend.occupancy import LEVEL_COSINE

@@ -12,8 +12,9 @@ from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.closing import Closure
-from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
+from slam.loop_closure.pairwise_consistency import Proposal
 from slam.loop_closure.verification import LoopDecision
+from slam.registration.submaps import PlanarPose
 from spplanes import Plane
 from tests.slam.scenes import SIGMAS, drive, measured, run_of
 

@@ -11,7 +11,6 @@ from scipy.stats import chi2 as chi2_distribution
 from slam.frontend.odometry import planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.pairwise_consistency import (
-    PlanarPose,
     Proposal,
     agree,
     counted_once,
@@ -19,6 +18,7 @@ from slam.loop_closure.pairwise_consistency import (
     loop_chi2,
     maximal_cliques,
 )
+from slam.registration.submaps import PlanarPose
 
 CLOSURE = np.diag((0.03, 0.02, 0.005)) ** 2
 STEP = np.array(((4e-4, 1e-4, 0.0), (1e-4, 9e-4, 2e-5), (0.0, 2e-5, 4e-5)))

@@ -16,10 +16,11 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.candidates import DrivenPath
-from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
+from slam.loop_closure.pairwise_consistency import Proposal
 from slam.loop_closure.proposals import Proposals, Trial, evidence_of_map
 from slam.loop_closure.verification import Surroundings
 from slam.map.landmarks import LandmarkMap
+from slam.registration.submaps import PlanarPose
 
 STEP, FOUND = np.diag((0.01, 0.01, 0.004)) ** 2, np.diag((0.02, 0.02, 0.004)) ** 2
 CONFIG = LoopConfig()

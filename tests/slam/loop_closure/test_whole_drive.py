@@ -15,8 +15,9 @@ from slam.frontend.odometry import Motion, difference, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.io.default_rigs import default_rig_for
 from slam.loop_closure import whole_drive
-from slam.loop_closure.pairwise_consistency import PlanarPose, Proposal
+from slam.loop_closure.pairwise_consistency import Proposal
 from slam.loop_closure.whole_drive import agreement
+from slam.registration.submaps import PlanarPose
 from spplanes._check import FloatArray
 
 RULES = SlamConfig().loops

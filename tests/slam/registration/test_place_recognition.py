@@ -9,7 +9,7 @@ from slam.geometry.frames import planar_transform
 from slam.io.carmen import read_carmen
 from slam.registration.place_recognition import Wall, match_constellations
 from slam.sensors.log import LaserScan
-from spplanes import LineConfig, ScanLine, extract_lines
+from spplanes import LineConfig, extract_lines
 from tests.slam.real_data import needs
 from tests.spplanes.lines.line_world import World, box, cast, polygon, random_corridor, random_room
 from tests.statistics import assert_mean_in_band
@@ -148,9 +148,9 @@ def test_a_corridor_leaves_open_how_far_along_it():
     match = match_constellations(a, b)
     assert match.verdict == "unobservable"
     assert len(match.pairs) >= 5
-    direction, sigma = match.weakest_direction
-    assert sigma > 1.0
-    assert abs(direction @ (np.cos(0.1), -np.sin(0.1))) > 0.99
+    variances, axes = np.linalg.eigh(match.covariance[:2, :2])
+    assert variances[1] > 1.0
+    assert abs(axes[:, 1] @ (np.cos(0.1), -np.sin(0.1))) > 0.99
 
 
 def test_one_wall_across_a_corridor_is_no_proof():
@@ -183,17 +183,6 @@ def test_random_worlds_give_no_wrong_closure(make):
         before.append(a)
     assert wrong == 0
     assert closures >= (30 if make is random_room else 0)
-
-
-def test_moved_lines_keep_their_side():
-    line = ScanLine(0.3, 0.5, np.diag((1e-4, 1e-4)), np.array([(0.5, 0.0), (0.3, 0.6)]), np.arange(5))
-    frame = planar_transform(-3.0, 0.4, 0.2)
-    wall, moved = Wall.from_line(line, frame), line.transform(frame)
-    assert wall.rho < 0 < moved.rho
-    assert abs(np.cos(wall.alpha - moved.alpha) + 1.0) < 1e-12
-    flip = np.array(((1.0, -1.0), (-1.0, 1.0)))
-    np.testing.assert_allclose(wall.covariance, flip * moved.covariance, atol=1e-15)
-    np.testing.assert_allclose(wall.endpoints, moved.endpoints)
 
 
 def test_large_constellations_take_bounded_time():
