@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import gtsam
 import numpy as np
 
-from slam.geometry._rigid_kernels import expmap, logmap, product, solve_positive
 from slam.registration._plane_arrays import PlaneArrays
 from spplanes._check import FloatArray
-from spplanes._jit import inlined, njit
 
 #: What surfaces and sensors leave two views of a plane off each other, m, whatever their covariance says; over the
 #: width of a plane it is a tilt.
@@ -45,17 +46,71 @@ def fit_pairs_on(
         The motion, and its covariance in the tangent on the right, GTSAM order (6, 6); None where fewer than three
         pairs, or all of one direction, leave it open.
     """
-    i, j = pairs.T
-    if len(pairs) < 3 or np.linalg.eigvalsh(known.normals[j].T @ known.normals[j])[1] < _SECOND**2:
-        return None
-    apart = np.linalg.norm(seen.middles[i] @ motion[:3, :3].T + motion[:3, 3] - known.middles[j], axis=1)
-    scatter = _scatter(seen.covariances[i], _widths(seen)[i], _widths(known)[j], apart, loose * _OFF_M)
-    expected = np.diag(1.0 / np.repeat([sigmas[1], sigmas[0]], 3) ** 2)
-    weights = np.linalg.inv(scatter)
-    fitted, information = _solved(
-        np.ascontiguousarray(motion), seen.frames[i], known.normals[j], known.distances[j], weights, expected
-    )
-    return fitted, np.linalg.inv(information)
+    return fit_all_on([motion], seen, known, [pairs], sigmas, loose)[0]
+
+
+def fit_all_on(
+    motions: Sequence[FloatArray],
+    seen: PlaneArrays,
+    known: PlaneArrays,
+    pairs: Sequence[np.ndarray],
+    sigmas: tuple[float, float],
+    loose: float,
+) -> list[tuple[FloatArray, FloatArray] | None]:
+    """The same of many motions, each with pairs of its own, in one go."""
+    told = [k for k, some in enumerate(pairs) if _fix_a_motion(known.normals[some[:, 1]])]
+    if not told:
+        return [None] * len(motions)
+    start = np.array([motions[k] for k in told])
+    fitted, information = _solved(start, seen, known, [pairs[k] for k in told], sigmas, loose)
+    found = dict(zip(told, zip(fitted, np.linalg.inv(information), strict=True), strict=True))
+    return [found.get(k) for k in range(len(motions))]
+
+
+def _fix_a_motion(normals: FloatArray) -> bool:
+    """Whether planes of these normals (K, 3) are three at least, and look more than one way."""
+    return len(normals) >= 3 and bool(np.linalg.eigvalsh(normals.T @ normals)[1] >= _SECOND**2)
+
+
+def _solved(
+    motions: FloatArray,
+    seen: PlaneArrays,
+    known: PlaneArrays,
+    pairs: Sequence[np.ndarray],
+    sigmas: tuple[float, float],
+    loose: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Motions of least squares, shape (M, 4, 4), and their information (M, 6, 6) in the last step."""
+    counts = [len(some) for some in pairs]
+    of, firsts = np.repeat(np.arange(len(counts)), counts), np.cumsum([0, *counts[:-1]])
+    i, j = np.concatenate(pairs).T
+    weights = np.linalg.inv(_scatter(motions[of], seen, known, i, j, loose * _OFF_M))
+    expected, information = np.diag(np.repeat([sigmas[1], sigmas[0]], 3) ** -2.0), np.empty(0)
+    for _ in range(_STEPS):
+        off, jacobian = differences(motions[of], seen.frames[i], known.normals[j], known.distances[j])
+        chi2 = np.einsum("kc,kcd,kd->k", off, weights, off)
+        weighted = jacobian.transpose(0, 2, 1) @ weights / (1.0 + chi2 / _DOUBTFUL)[:, None, None]
+        information = expected + np.add.reduceat(weighted @ jacobian, firsts)
+        moved = np.array([gtsam.Pose3.Logmap(gtsam.Pose3(motion)) for motion in motions])
+        told = np.add.reduceat((weighted @ off[:, :, None])[:, :, 0], firsts) + moved @ expected
+        steps = np.linalg.solve(information, -told[:, :, None])[:, :, 0]
+        motions = motions @ np.array([gtsam.Pose3.Expmap(step).matrix() for step in steps])
+    return motions, information
+
+
+def _scatter(
+    motions: FloatArray, seen: PlaneArrays, known: PlaneArrays, i: np.ndarray, j: np.ndarray, off_m: float
+) -> FloatArray:
+    """Covariances (K, 3, 3) of what pairs are off: as measured, and as planes of their size and distance may be."""
+    middles = np.einsum("kab,kb->ka", motions[:, :3, :3], seen.middles[i]) + motions[:, :3, 3]
+    apart = np.linalg.norm(middles - known.middles[j], axis=1)
+    widths, other_widths = _widths(seen)[i], _widths(known)[j]
+    flip = np.array([1.0, 1.0, -1.0])
+    scatter = seen.covariances[i] * np.outer(flip, flip)
+    scatter[:, 0, 0] += off_m**2 + (off_m / other_widths * apart) ** 2
+    for axis in (1, 2):
+        scatter[:, axis, axis] += (off_m / widths) ** 2 + (off_m / other_widths) ** 2
+    return scatter
 
 
 def _widths(planes: PlaneArrays) -> FloatArray:
@@ -63,70 +118,23 @@ def _widths(planes: PlaneArrays) -> FloatArray:
     return np.where(planes.bare, 1.0, np.maximum(planes.weights, _NARROWEST_M))
 
 
-def _scatter(
-    measured: FloatArray, widths: FloatArray, other_widths: FloatArray, apart: FloatArray, off_m: float
-) -> FloatArray:
-    """Covariances (K, 3, 3) of what pairs are off: as measured, and as planes of their size and distance may be."""
-    flip = np.array([1.0, 1.0, -1.0])
-    scatter = measured * np.outer(flip, flip)
-    scatter[:, 0, 0] += off_m**2 + (off_m / other_widths * apart) ** 2
-    for axis in (1, 2):
-        scatter[:, axis, axis] += (off_m / widths) ** 2 + (off_m / other_widths) ** 2
-    return scatter
-
-
-@njit(cache=True)
-def _solved(motion, frames, normals, distances, weights, expected):
-    """The motion of least squares, shape (4, 4), and its information (6, 6) in the last step."""
-    information, lower, told = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
-    off, jacobian, moved = np.empty(3), np.zeros((3, 6)), motion
-    for _ in range(_STEPS):
-        before = logmap(moved)
-        for a in range(6):
-            told[a] = 0.0
-            for b in range(6):
-                information[a, b] = expected[a, b]
-                told[a] -= expected[a, b] * before[b]
-        for k in range(len(frames)):
-            _write_off(moved, frames[k], normals[k], distances[k], off, jacobian)
-            chi2 = 0.0
-            for c in range(3):
-                for d in range(3):
-                    chi2 += off[c] * weights[k, c, d] * off[d]
-            for a in range(6):
-                for d in range(3):
-                    weighted = 0.0
-                    for c in range(3):
-                        weighted += jacobian[c, a] * weights[k, c, d]
-                    weighted /= 1.0 + chi2 / _DOUBTFUL
-                    told[a] -= weighted * off[d]
-                    for b in range(6):
-                        information[a, b] += weighted * jacobian[d, b]
-        solve_positive(information, told, lower)
-        moved = product(moved, expmap(told))
-    return moved, information
-
-
-@inlined
-def _write_off(motion, frame, normal, distance, off, jacobian):
-    """How far a known plane lies from a seen one, height and two tilts (3,), and the derivative (3, 6).
+def differences(
+    motions: FloatArray, frames: FloatArray, normals: FloatArray, distances: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """How far known planes lie from seen ones, height and two tilts (K, 3), and the derivatives (K, 3, 6).
 
     Args:
-        motion: known_T_seen, shape (4, 4); the derivative is by its tangent on the right, GTSAM order.
-        frame: of the plane seen, shape (4, 4).
-        normal, distance: of the plane known, shape (3,) and number.
-        off, jacobian: where to write.
+        motions: known_T_seen of each pair, shape (K, 4, 4); derivatives are by its tangent on the right, GTSAM order.
+        frames: of the planes seen, shape (K, 4, 4).
+        normals, distances: of the planes known, shapes (K, 3) and (K,).
     """
-    turned = np.empty(3)
-    off[0], off[1], off[2] = distance, 0.0, 0.0
-    for a in range(3):
-        turned[a] = normal[0] * motion[0, a] + normal[1] * motion[1, a] + normal[2] * motion[2, a]
-        off[0] -= normal[a] * motion[a, 3] + turned[a] * frame[a, 3]
-        off[1] += frame[a, 0] * turned[a]
-        off[2] += frame[a, 1] * turned[a]
-    for a in range(3):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        jacobian[0, a] = turned[b] * frame[c, 3] - turned[c] * frame[b, 3]
-        jacobian[1, a] = frame[b, 0] * turned[c] - frame[c, 0] * turned[b]
-        jacobian[2, a] = frame[b, 1] * turned[c] - frame[c, 1] * turned[b]
-        jacobian[0, 3 + a] = -turned[a]
+    turned = np.einsum("kba,kb->ka", motions[:, :3, :3], normals)
+    x_axis, y_axis, centre = frames[:, :3, 0], frames[:, :3, 1], frames[:, :3, 3]
+    over = distances - np.einsum("ka,ka->k", normals, motions[:, :3, 3]) - np.einsum("ka,ka->k", turned, centre)
+    off = np.stack((over, np.einsum("ka,ka->k", x_axis, turned), np.einsum("ka,ka->k", y_axis, turned)), axis=1)
+    jacobian = np.zeros((len(off), 3, 6))
+    jacobian[:, :, :3] = np.stack(
+        (np.cross(turned, centre), np.cross(x_axis, turned), np.cross(y_axis, turned)), axis=1
+    )
+    jacobian[:, 0, 3:] = -turned
+    return off, jacobian

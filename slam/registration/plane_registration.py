@@ -13,7 +13,7 @@ from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten, valid
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration._plane_kernels import best_shifts, directions_found, near_rotations, partners, unlike
-from slam.registration.motion_from_planes import fit_pairs_on
+from slam.registration.motion_from_planes import fit_all_on
 from slam.registration.visibility import LinesOfSight
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -78,15 +78,11 @@ def register_planes_globally(
     mine, theirs = PlaneArrays.of(seen), PlaneArrays.of(known)
     if min(len(mine.normals), len(theirs.normals)) < 2:
         return None
-    motions = _motions(mine, theirs, sigmas, upright=True)
+    likely = _motions(mine, theirs, sigmas, upright=True)[:_MOTIONS]
     sight = LinesOfSight.between(mine.planes, mine.weights, theirs.planes)
     best, alike = -np.inf, _ALIKE * float(mine.weights.sum())
     tried: list[tuple[float, float, PlaneMatching]] = []
-    likely = [motion for _, motion in sorted(motions, key=lambda one: -one[0])[:_MOTIONS]]
-    for motion in [np.eye(4), *likely]:
-        found = _worked_out(motion, mine, theirs, sigmas)
-        if found is None or any(np.abs(found.known_T_seen - one.known_T_seen).max() < _SAME for *_, one in tried):
-            continue
+    for found in _worked_out([np.eye(4), *likely], mine, theirs, sigmas):
         price = negative_log_prior(found.known_T_seen, sigmas)
         score = _agreement(found.known_T_seen, mine, theirs, best - alike + price) - price
         if score > best - alike:
@@ -118,17 +114,13 @@ def places_anywhere(seen: Sequence[Plane], known: Sequence[Plane]) -> list[tuple
     centred = PlaneArrays.of([plane.transform(inverse(origin)) for plane in known])
     reach = float(np.linalg.norm(centred.middles, axis=1).max()) + 1.0
     anywhere = (reach, np.pi)
-    motions = _motions(mine, centred, anywhere, upright=False)
-    sight = LinesOfSight.between(mine.planes, mine.weights, centred.planes)
-    found: list[tuple[float, PlaneMatching]] = []
-    for _, motion in sorted(motions, key=lambda one: -one[0])[: 2 * _MOTIONS]:
-        one = _worked_out(motion, mine, centred, anywhere)
-        if one is None or any(np.abs(one.known_T_seen - other.known_T_seen).max() < _SAME for _, other in found):
-            continue
-        weight = _agreement(one.known_T_seen, mine, centred) - sight.blocked(one.known_T_seen)
-        found.append((weight / float(mine.weights.sum()), one))
-    placed = [(share, replace(one, known_T_seen=origin @ one.known_T_seen)) for share, one in found]
-    return sorted(placed, key=lambda one: -one[0])
+    likely = _motions(mine, centred, anywhere, upright=False)[: 2 * _MOTIONS]
+    sight, total = LinesOfSight.between(mine.planes, mine.weights, centred.planes), float(mine.weights.sum())
+    places: list[tuple[float, PlaneMatching]] = []
+    for found in _worked_out(likely, mine, centred, anywhere):
+        weight = _agreement(found.known_T_seen, mine, centred) - sight.blocked(found.known_T_seen)
+        places.append((weight / total, replace(found, known_T_seen=origin @ found.known_T_seen)))
+    return sorted(places, key=lambda one: -one[0])
 
 
 def pairs_under(
@@ -142,17 +134,22 @@ def pairs_under(
 
 
 def _worked_out(
-    motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float]
-) -> PlaneMatching | None:
-    """A rough motion after least squares over the pairs it has, and over those it has then; None without enough."""
-    pairs, covariance = _partners(motion, mine, theirs), np.eye(6)
+    motions: Sequence[FloatArray], mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float]
+) -> list[PlaneMatching]:
+    """Rough motions after least squares over the pairs they have, and over those they have then, in order, each once.
+
+    Those are left out that have not pairs enough.
+    """
+    fits: list[tuple[FloatArray, FloatArray]] = []
     for loose in _LOOSE:
-        fit = fit_pairs_on(motion, mine, theirs, np.array(pairs, dtype=np.int64).reshape(-1, 2), sigmas, loose)
-        if fit is None:
-            return None
-        motion, covariance = fit
-        pairs = _partners(motion, mine, theirs)
-    return PlaneMatching(motion, covariance, tuple((mine.order[i], theirs.order[j]) for i, j in pairs))
+        pairs = [np.array(_partners(motion, mine, theirs), dtype=np.int64).reshape(-1, 2) for motion in motions]
+        fits = [fit for fit in fit_all_on(motions, mine, theirs, pairs, sigmas, loose) if fit is not None]
+        motions = [motion for motion, _ in fits]
+    found: list[PlaneMatching] = []
+    for motion, covariance in fits:
+        if all(np.abs(motion - other.known_T_seen).max() >= _SAME for other in found):
+            found.append(PlaneMatching(motion, covariance, pairs_under(motion, mine, theirs)))
+    return found
 
 
 def negative_log_prior(motion: FloatArray, sigmas: tuple[float, float], *, upright: bool = True) -> float:
@@ -180,12 +177,11 @@ def _tail(chi2: Any) -> Any:
     return _TAIL * np.log1p(0.5 * chi2 / _TAIL)
 
 
-def _motions(
-    mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float], *, upright: bool
-) -> list[tuple[float, FloatArray]]:
-    """Motions that pairs of planes propose, with their scores."""
+def _motions(mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float], *, upright: bool) -> list[FloatArray]:
+    """Motions that pairs of planes propose, by their scores, the best first."""
     rotations = _rotations(mine, theirs, sigmas[1], upright=upright)
-    return [translation for R in rotations for translation in _translations(R, mine, theirs, sigmas, upright=upright)]
+    scored = [motion for R in rotations for motion in _translations(R, mine, theirs, sigmas, upright=upright)]
+    return [motion for _, motion in sorted(scored, key=lambda one: -one[0])]
 
 
 def _rotations(mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float, *, upright: bool) -> list[FloatArray]:

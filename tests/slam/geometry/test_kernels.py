@@ -1,27 +1,13 @@
-"""Kernels of geometry against GTSAM and shapely, which say the same in more time."""
+"""Kernels of geometry against shapely, which says the same in more time."""
 
 from __future__ import annotations
 
-import gtsam
 import numpy as np
-import pytest
 import shapely
 from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
 from slam.geometry._polygon_kernels import Rings, come_near
-from slam.geometry._rigid_kernels import expmap, logmap
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-6, 1e-3, 0.5, 2.0, 3.1, np.pi - 1e-7])
-def test_exponential_and_logarithm_are_those_of_gtsam(angle: float) -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(40):
-        axis = rng.standard_normal(3)
-        tangent = np.concatenate((angle * axis / np.linalg.norm(axis), 10.0 * rng.standard_normal(3)))
-        motion = gtsam.Pose3.Expmap(tangent).matrix()
-        np.testing.assert_allclose(expmap(tangent), motion, atol=1e-9)
-        np.testing.assert_allclose(logmap(motion), tangent, atol=1e-6)
 
 
 def blob(rng: np.random.Generator) -> BaseGeometry:

@@ -9,7 +9,7 @@ from shapely import box
 
 from slam.geometry.frames import inverse
 from slam.registration._plane_arrays import PlaneArrays
-from slam.registration.motion_from_planes import _write_off, fit_pairs_on
+from slam.registration.motion_from_planes import differences, fit_pairs_on
 from slam.registration.plane_registration import _agreement, places_anywhere, register_planes_globally
 from slam.registration.visibility import LinesOfSight
 from spplanes import Plane
@@ -82,9 +82,8 @@ def test_derivatives_of_what_planes_are_off():
 
 
 def what_it_is_off(motion: FloatArray, seen: Plane, known: Plane) -> tuple[FloatArray, FloatArray]:
-    off, jacobian = np.empty(3), np.zeros((3, 6))
-    _write_off(motion, seen.frame, known.normal, known.d, off, jacobian)
-    return off, jacobian
+    off, jacobian = differences(motion[None], seen.frame[None], known.normal[None], np.array([known.d]))
+    return off[0], jacobian[0]
 
 
 def test_a_motion_is_worked_out_as_well_as_it_says():
