@@ -175,7 +175,6 @@ def jumps(points, ranges, labels, steps, inset, rules):
         shape (K, 3).
     """
     lines, beams, line_step, beam_step, first = steps
-    behind_m, behind_share, behind_steps, least_cosine = rules
     reach, count, found = max(inset, 1), 0, np.empty((lines * beams, 3))
     for line in range(lines):
         start, near = first + line * line_step, -1
@@ -187,20 +186,11 @@ def jumps(points, ranges, labels, steps, inset, rules):
             if last < reach:
                 continue
             here, before = start + last * beam_step, start + (last - reach) * beam_step
-            r, far, inner = ranges[here], ranges[there], ranges[before]
-            if not np.isfinite(inner):
-                continue
-            change = abs(r - inner)
-            if not far - r > max(behind_m + behind_share * r, behind_steps * (change / reach) * (beam - last)):
-                continue
-            if not change < 0.5 * behind_m + behind_share * r:
-                continue
             if labels[here] >= 0 and labels[here] == labels[there]:
                 continue
-            cosine = 0.0
-            for a in range(3):
-                cosine += (points[here, a] / r) * (points[there, a] / far)
-            if not cosine > least_cosine:
+            r, far = ranges[here], ranges[there]
+            away = _is_away(r, far, ranges[before], reach, beam - last, rules)
+            if not (away and _cosine(points[here], points[there], r, far) > rules[3]):
                 continue
             if inset == 0 and beam == last + 1:
                 _between(points[here], points[there], r, far, found[count])
@@ -209,6 +199,30 @@ def jumps(points, ranges, labels, steps, inset, rules):
                     found[count, a] = points[start + (last - inset) * beam_step, a]
             count += 1
     return found[:count]
+
+
+@inlined
+def _is_away(near_m, far_m, inner_m, reach, apart, rules):
+    """Whether a range is so far behind the one before that no surface joins the two; `rules` as in `jumps`.
+
+    Args:
+        near_m, far_m: the ranges, so many beams `apart`.
+        inner_m: that of so many beams before the near one as `reach` says; NaN: nothing is known of the surface there.
+    """
+    behind_m, behind_share, behind_steps, _ = rules
+    change = abs(near_m - inner_m)
+    if not change < 0.5 * behind_m + behind_share * near_m:
+        return False
+    return far_m - near_m > max(behind_m + behind_share * near_m, behind_steps * (change / reach) * apart)
+
+
+@inlined
+def _cosine(near, far, near_m, far_m):
+    """Of the angle between the directions of two points at these ranges."""
+    cosine = 0.0
+    for a in range(3):
+        cosine += (near[a] / near_m) * (far[a] / far_m)
+    return cosine
 
 
 @inlined

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
@@ -23,7 +23,7 @@ from slam.frontend.measurement import (
     planes_of_window,
     usable_ranges,
 )
-from slam.frontend.observations import Observation, on_real_wall
+from slam.frontend.observations import LineObservation, Observation, PlaneObservation, on_real_wall
 from slam.frontend.occupancy import beams_of
 from slam.frontend.odometry import Motion, OdometryTrack
 from slam.frontend.pose_measurements import PlaceMatch, PoseMeasurement
@@ -33,7 +33,7 @@ from slam.sensors.rig import Rig, Sensor
 from spplanes._check import FloatArray
 from spplanes.segmentation.scans import label_scans
 
-Seen = TypeVar("Seen", bound=Observation | ScanMeasurement)
+Seen = TypeVar("Seen", LineObservation, PlaneObservation, ScanMeasurement)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +82,9 @@ def keyframes_of(
     Raises:
         LogError: no scan of a sensor that the rig knows, or no odometry where it is needed.
     """
-    clouds, late = _clouds_of(log, rig, config.keyframes.strict)
-    if clouds:
-        count, measure = len(clouds), _of_clouds(log, clouds, late, rig, config, segment)
-    else:
-        count, measure = _of_lasers(log, rig, config, segment)
-    yield from ordered_parallel_map(measure, range(start, count), jobs, shared=log.events)
+    clouds = _Clouds(log, rig, config, segment)
+    measure = clouds if len(clouds) else _Lasers(log, rig, config, segment)
+    yield from ordered_parallel_map(measure, range(start, len(measure)), jobs, shared=log.events)
 
 
 def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
@@ -96,25 +93,28 @@ def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
     return len(clouds) if clouds else len(_choose_stamps(log, rig, config))
 
 
-def _of_clouds(
-    log: Log,
-    clouds: Sequence[CloudScan],
-    late: dict[int, list[str]],
-    rig: Rig,
-    config: SlamConfig,
-    segment: Segment,
-) -> Callable[[int], Keyframe]:
-    """What measures the keyframe of an index, each a 3D scan."""
-    # without odometry the estimator finds the motion by the planes
-    track = _track_of(log, rig) if log.measured_motion else None
+class _Clouds:
+    """Measures keyframes that are 3D scans."""
 
-    def keyframe(index: int) -> Keyframe:
-        scan, notes = clouds[index], list(late.get(index, ()))
-        measure = partial(_measured_cloud, scan, rig.sensors[scan.sensor], config, segment)
-        [seen] = _measured(measure, scan.stamp_ns, config, notes) or [ScanMeasurement()]
+    def __init__(self, log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> None:
+        self._scans, self._late = _clouds_of(log, rig, config.keyframes.strict)
+        self._rig, self._config, self._segment = rig, config, segment
+        # without odometry the estimator finds the motion by the planes
+        self._track = _track_of(log, rig) if self._scans and log.measured_motion else None
+
+    def __len__(self) -> int:
+        return len(self._scans)
+
+    def __call__(self, index: int) -> Keyframe:
+        """The keyframe of an index."""
+        scan, notes = self._scans[index], list(self._late.get(index, ()))
+        sensor = self._rig.sensors[scan.sensor]
+        [seen] = _measured(
+            lambda: [measured_cloud(scan, sensor, self._config, self._segment)], scan.stamp_ns, self._config, notes
+        ) or [ScanMeasurement()]
         motion = None
-        if index and track is not None:
-            motion = track.motion(clouds[index - 1].stamp_ns, scan.stamp_ns)
+        if index and self._track is not None:
+            motion = self._track.motion(self._scans[index - 1].stamp_ns, scan.stamp_ns)
         return Keyframe(
             scan.stamp_ns,
             seen.observations,
@@ -122,71 +122,87 @@ def _of_clouds(
             notes=tuple(notes),
             scans=(scan,),
             surfaces=seen.surfaces,
-            viewpoint=None if seen.surfaces is None else rig.sensors[scan.sensor].body_T_sensor[:3, 3].copy(),
+            viewpoint=None if seen.surfaces is None else sensor.body_T_sensor[:3, 3].copy(),
         )
 
-    return keyframe
 
+class _Lasers:
+    """Measures keyframes out of 2D scans: each takes those that it is the nearest keyframe of."""
 
-def _measured_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig, segment: Segment) -> list[ScanMeasurement]:
-    return [measured_cloud(scan, sensor, config, segment)]
+    def __init__(self, log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> None:
+        self._rig, self._config, self._segment = rig, config, segment
+        self._track = track_of(log, rig, config)
+        readings = log.measured_motion
+        self._wheels = OdometryTrack(readings, rig.odometry) if readings else None
+        self._within = self._wheels or self._track  # over the time of a scan wheels err by less than two matched scans
+        self._stamps = _choose_stamps(log, rig, config)
+        self._homes = {kind: _at_home(self._stamps, _scans_of(log, rig, kind)) for kind in ("slice", "line")}
 
+    def __len__(self) -> int:
+        return len(self._stamps)
 
-def _of_lasers(log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> tuple[int, Callable[[int], Keyframe]]:
-    """How many keyframes 2D scans come to, and what measures that of an index."""
-    track = track_of(log, rig, config)
-    readings = log.measured_motion
-    wheels = OdometryTrack(readings, rig.odometry) if readings else None
-    within = wheels or track  # over the time of a scan wheels err by less than two matched scans
-    stamps = _choose_stamps(log, rig, config)
-    lines = _scans_of(log, rig, "line")
-    slices = _scans_of(log, rig, "slice")
-    line_homes, slice_homes = _at_home(stamps, lines), _at_home(stamps, slices)
-
-    def keyframe(index: int) -> Keyframe:
-        stamp = stamps[index]
+    def __call__(self, index: int) -> Keyframe:
+        """The keyframe of an index."""
         observations: list[Observation] = []
         scans: list[LaserScan] = []
         beams: list[FloatArray] = []
         notes: list[str] = []
-        motion_notes: list[str] = []
-        for name, sensor in rig.of_kind("slice").items():
-            window = slice_homes.get((index, name), [])
-            if window:
-                scans += window
-                measure = partial(planes_of_window, window, stamp, sensor, track, config, segment, sweeps=within)
-                observations += _measured(measure, stamp, config, notes)
-        for name, sensor in rig.of_kind("line").items():
-            near = line_homes.get((index, name), [])
-            if near:
-                scan = min(near, key=lambda s: abs(s.stamp_ns - stamp))
-                scans.append(scan)
-                kf_T_body = inverse(track.poses_at([stamp])[0]) @ track.poses_at([scan.stamp_ns])[0]
-                measure = partial(lines_of_scan, unswept(scan, sensor, within), sensor, kf_T_body, config.lines)
-                observations += [
-                    on_real_wall(line, sensor.surface_sigma_m, sensor.surface_correlation_m)
-                    for line in _measured(measure, stamp, config, notes)
-                ]
-                beams += beams_of(scan, usable_ranges(scan.ranges, sensor), kf_T_body @ sensor.body_T_sensor)
-        motion = None
-        if index and isinstance(track, LaserTrack):
-            ends = stamps[index - 1], stamp
-            motion_notes = track.notes(*ends)
-            motion = motion_between(track, wheels, ends, config.association.new_significance)
-        elif index:
-            motion = track.motion(stamps[index - 1], stamp)
-        returns = np.concatenate(beams) if beams else None
+        for sensor, window in self._scans_at(index, "slice"):
+            scans += window
+            observations += self._planes(index, window, sensor, notes)
+        for sensor, near in self._scans_at(index, "line"):
+            scan = min(near, key=lambda one: abs(one.stamp_ns - self._stamps[index]))
+            scans.append(scan)
+            lines, seen = self._lines(index, scan, sensor, notes)
+            observations += lines
+            beams += seen
+        motion, motion_notes = self._motion(index)
         return Keyframe(
-            stamp,
+            self._stamps[index],
             observations,
             motion,
             notes=tuple(notes),
             scans=tuple(scans),
-            returns=returns,
+            returns=np.concatenate(beams) if beams else None,
             motion_notes=tuple(motion_notes),
         )
 
-    return len(stamps), keyframe
+    def _scans_at(self, index: int, kind: str) -> Iterator[tuple[Sensor, list[LaserScan]]]:
+        """The sensors of a kind that a keyframe has scans of, with these."""
+        for name, sensor in self._rig.of_kind(kind).items():
+            if (index, name) in self._homes[kind]:
+                yield sensor, self._homes[kind][index, name]
+
+    def _planes(
+        self, index: int, window: Sequence[LaserScan], sensor: Sensor, notes: list[str]
+    ) -> list[PlaneObservation]:
+        """Planes of a push-broom window."""
+        stamp, track, config = self._stamps[index], self._track, self._config
+        measure = partial(planes_of_window, window, stamp, sensor, track, config, self._segment, sweeps=self._within)
+        return _measured(measure, stamp, config, notes)
+
+    def _lines(
+        self, index: int, scan: LaserScan, sensor: Sensor, notes: list[str]
+    ) -> tuple[list[LineObservation], list[FloatArray]]:
+        """Lines of a scan, and its beams."""
+        stamp, config = self._stamps[index], self._config
+        kf_T_body = inverse(self._track.poses_at([stamp])[0]) @ self._track.poses_at([scan.stamp_ns])[0]
+        measure = partial(lines_of_scan, unswept(scan, sensor, self._within), sensor, kf_T_body, config.lines)
+        lines = [
+            on_real_wall(line, sensor.surface_sigma_m, sensor.surface_correlation_m)
+            for line in _measured(measure, stamp, config, notes)
+        ]
+        return lines, beams_of(scan, usable_ranges(scan.ranges, sensor), kf_T_body @ sensor.body_T_sensor)
+
+    def _motion(self, index: int) -> tuple[Motion | None, list[str]]:
+        """The motion from the keyframe before, and what is to be said of it."""
+        if not index:
+            return None, []
+        ends = self._stamps[index - 1], self._stamps[index]
+        if not isinstance(self._track, LaserTrack):
+            return self._track.motion(*ends), []
+        significance = self._config.association.new_significance
+        return motion_between(self._track, self._wheels, ends, significance), self._track.notes(*ends)
 
 
 def _measured(measure: Callable[[], list[Seen]], stamp_ns: int, config: SlamConfig, notes: list[str]) -> list[Seen]:

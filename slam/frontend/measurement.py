@@ -31,7 +31,8 @@ from slam.sensors.scan_noise import line_tilt_covariances, model_of, surface_cov
 from spplanes import LineConfig, MapperConfig, Plane, extract_lines
 from spplanes._check import FloatArray, as_float_array
 from spplanes.clouds.arrange import arrange
-from spplanes.registration import register_scans
+from spplanes.registration import RegisteredScans, register_scans
+from spplanes.segmentation.config import ValidationConfig
 from spplanes.segmentation.planes import frames_of, moments_of, outlines_in, planes_of
 from spplanes.segmentation.scans import Labelled, label_scans
 from spplanes.segmentation.validation._patch_kernels import within
@@ -230,19 +231,30 @@ def planes_of_window(
     labels, planes = purified(placed, labels, planes, pose_covariance, uneven, mapper, config.measurements)
     window, frames = Window(placed.points, placed.covariances, pose_covariance), [plane.frame for plane in planes]
     sure = np.where(sure_points(window, labels, frames, mapper.flatness_m), labels, -1)
+    max_tilt_rad = mapper.for_rows(len(scans)).max_tilt_rad
     observations = []
     for plane, members in zip(planes, members_of(sure, len(planes)), strict=True):
-        if not tells_tilt(window, members, plane.frame, mapper.for_rows(len(scans)).max_tilt_rad):
-            continue
-        scan_index = members // labels.shape[1]
-        points, viewpoint = placed.points.reshape(-1, 3)[members], placed.viewpoints[scan_index].mean(axis=0)
-        noise = surface_covariances(points, placed.covariances.reshape(-1, 3, 3)[members], plane.frame, sensor)
-        fitted = fit_if_any(points, noise, viewpoint=viewpoint, scan_index=scan_index, pose_covariances=pose_covariance)
-        if fitted is None:
-            continue
-        if is_one_plane(fitted, points, noise, viewpoint, config.measurements, scan_index):
-            observations.append(PlaneObservation(_outlined(fitted, plane)))
+        if tells_tilt(window, members, plane.frame, max_tilt_rad):
+            observations += _in_window(plane, members, placed, pose_covariance, sensor, config.measurements)
     return sorted(observations, key=lambda seen: -seen.n_points)
+
+
+def _in_window(
+    plane: Plane,
+    members: np.ndarray,
+    placed: RegisteredScans,
+    pose_covariance: FloatArray,
+    sensor: Sensor,
+    rules: ValidationConfig,
+) -> list[PlaneObservation]:
+    """The plane fitted anew to some of a window's points, with the poses' joint covariance; none: they are not one."""
+    scan_index = members // placed.points.shape[1]
+    points, viewpoint = placed.points.reshape(-1, 3)[members], placed.viewpoints[scan_index].mean(axis=0)
+    noise = surface_covariances(points, placed.covariances.reshape(-1, 3, 3)[members], plane.frame, sensor)
+    fitted = fit_if_any(points, noise, viewpoint=viewpoint, scan_index=scan_index, pose_covariances=pose_covariance)
+    if fitted is None or not is_one_plane(fitted, points, noise, viewpoint, rules, scan_index):
+        return []
+    return [PlaneObservation(_outlined(fitted, plane))]
 
 
 def lines_of_scan(scan: LaserScan, sensor: Sensor, kf_T_body: FloatArray, config: LineConfig) -> list[LineObservation]:

@@ -83,9 +83,7 @@ def facing_pairs(a: Mission, b: Mission, a_T_b: FloatArray, config: AssociationG
     return [(i, j) for i, j in np.argwhere(alike).tolist() if _near(a.planes[i], b.planes[j], a_T_b, config.gap_m)]
 
 
-def align(
-    a: Mission, b: Mission, pairs: Sequence[tuple[int, int]], a_T_b: FloatArray, *, steps: int = _STEPS
-) -> Alignment:
+def align(a: Mission, b: Mission, pairs: Sequence[tuple[int, int]], a_T_b: FloatArray) -> Alignment:
     """Generalised least squares over pairs of planes: the motion, and how well they agree under it.
 
     What a pair is off is the SP perturbation from a's plane to b's, in a's plane frame; of all pairs together it has
@@ -96,7 +94,6 @@ def align(
         a, b: the maps.
         pairs: which of their planes are one.
         a_T_b: about the motion, shape (4, 4).
-        steps: of Gauss and Newton at most; 0: how well the pairs agree at the motion given.
 
     Raises:
         ValueError: no pairs.
@@ -104,13 +101,13 @@ def align(
     if not pairs:
         raise ValueError("pairs: expected at least one, got none")
     start, level = a_T_b, _level_information(a_T_b)
-    residual, whitened = _whitened(a, b, pairs, a_T_b)
-    for _ in range(steps):
+    residual, whitened = whitened_differences(a, b, pairs, a_T_b)
+    for _ in range(_STEPS):
         information = whitened.T @ whitened + level
         moved = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(start) @ a_T_b))
         step = -np.linalg.solve(information, whitened.T @ residual + level @ moved)
         a_T_b = a_T_b @ gtsam.Pose3.Expmap(step).matrix()
-        residual, whitened = _whitened(a, b, pairs, a_T_b)
+        residual, whitened = whitened_differences(a, b, pairs, a_T_b)
         if step @ information @ step < _SETTLED**2:
             break
     information = whitened.T @ whitened + level
@@ -127,7 +124,7 @@ def align(
     )
 
 
-def _whitened(
+def whitened_differences(
     a: Mission, b: Mission, pairs: Sequence[tuple[int, int]], a_T_b: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """What pairs are off (3 K,) and the derivative by the motion (3 K, 6), in units of their joint covariance."""

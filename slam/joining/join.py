@@ -65,13 +65,10 @@ def join(
         raise ValueError(f"significance: expected a probability in (0, 0.5), got {significance}")
     if len(runs) < 2:
         raise ValueError(f"runs: expected at least two, got {len(runs)}")
-    missions, left_out = _opened(runs, strict=strict)
+    missions, left_out, folders = _opened(runs, strict=strict)
     config = config or SlamConfig()
     comparisons = _compared(missions, config, significance, guesses or {}, progress)
-    joined = joined_by(missions, comparisons, config, left_out)
-    paths = [run for run in runs if not isinstance(run, FinishedMission)]
-    folders = {name: str(Path(path).resolve()) for name, path in zip(names_of(paths), paths, strict=True)}
-    return replace(joined, folders={name: path for name, path in folders.items() if name in missions})
+    return replace(joined_by(missions, comparisons, config, left_out), folders=folders)
 
 
 def joined_by(
@@ -122,17 +119,23 @@ def names_of(runs: Sequence[Path | str]) -> list[str]:
 
 def _opened(
     runs: Sequence[Path | str | FinishedMission], *, strict: bool
-) -> tuple[dict[str, FinishedMission], dict[str, str]]:
+) -> tuple[dict[str, FinishedMission], dict[str, str], dict[str, str]]:
+    """Missions by name; those that cannot be used, and why; and the folders of those that came from one."""
     paths = [run for run in runs if not isinstance(run, FinishedMission)]
     names = iter(names_of(paths))
     missions: dict[str, FinishedMission] = {}
     left_out: dict[str, str] = {}
+    folders: dict[str, str] = {}
     for run in runs:
         name = run.mission.name if isinstance(run, FinishedMission) else next(names)
         if name in missions:
             raise ValueError(f"runs: expected a name of its own for each, got two {name!r}")
         try:
-            missions[name] = run if isinstance(run, FinishedMission) else FinishedMission.open(run, name)
+            if isinstance(run, FinishedMission):
+                missions[name] = run
+            else:
+                missions[name] = FinishedMission.open(run, name)
+                folders[name] = str(Path(run).resolve())
         except (ValueError, OSError) as error:
             if strict:
                 raise
@@ -140,7 +143,7 @@ def _opened(
     if not missions:
         told = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
         raise ValueError(f"runs: expected finished runs, got none that can be used ({told})")
-    return missions, left_out
+    return missions, left_out, folders
 
 
 def _compared(

@@ -101,30 +101,37 @@ def compare_missions(
     References:
         Weingarten, Gruener, Siegwart, ICRA 2004, for the planes' covariance that every test here leans on.
     """
-    unknown = Comparison(a.name, b.name, "not seen", "nothing in common was found")
-    if guess is not None:
-        sigmas = np.array([LEVEL_SIGMA_RAD, LEVEL_SIGMA_RAD, GUESS_SIGMA_RAD, *[GUESS_SIGMA_M] * 3])
-        hypothesis, covariance, evidence = as_transform("guess", guess), np.diag(sigmas**2), float("nan")
-    else:
-        match = match_constellations(walls_of(b), walls_of(a), significance=significance)
-        if match is None:
-            return unknown
-        if match.verdict != "closure":
-            return replace(unknown, verdict=match.verdict, reason=_why_not(match), evidence=match.evidence)
-        hypothesis, covariance, evidence = match.b_T_a, _spatial(match.covariance, match.b_T_a), match.evidence
+    proposed = _proposed(a, b, significance, guess)
+    if isinstance(proposed, Comparison):
+        return proposed
+    hypothesis, covariance, evidence = proposed
     found = _verified(a, b, hypothesis, covariance, config)
     if found is None:
         reason = f"fewer than {config.loops.min_walls} planes agree when all are compared"
-        return replace(unknown, verdict="refused", reason=reason, evidence=evidence)
+        return Comparison(a.name, b.name, "refused", reason, evidence=evidence)
     looks, through = free_space(a, b, found.a_T_b)
-    one = Comparison(a.name, b.name, "joined", "", found, evidence, looks, through, _apart(a, b, found, config))
+    one = Comparison(a.name, b.name, "refused", "", found, evidence, looks, through, _apart(a, b, found, config))
     if looks and at_least(through, looks, NOVEL_SHARE) < significance:
-        reason = f"{through} of {looks} looks of one mission go through surfaces that the other saw"
-        return replace(one, verdict="refused", reason=reason)
+        return replace(one, reason=f"{through} of {looks} looks of one mission go through surfaces that the other saw")
     if looks and 2 * through >= looks:
-        return replace(one, verdict="refused", reason=f"{through} of {looks} looks go through surfaces")
+        return replace(one, reason=f"{through} of {looks} looks go through surfaces")
     reason = f"{len(found.pairs)} planes are one (chi2 {found.chi2:.1f} of {found.n_dof} dof)"
-    return replace(one, reason=reason)
+    return replace(one, verdict="joined", reason=reason)
+
+
+def _proposed(
+    a: Mission, b: Mission, significance: float, guess: FloatArray | None
+) -> tuple[FloatArray, FloatArray, float] | Comparison:
+    """A motion a_T_b to verify with its covariance, GTSAM order, and the evidence for it; or why there is none."""
+    if guess is not None:
+        sigmas = np.array([LEVEL_SIGMA_RAD, LEVEL_SIGMA_RAD, GUESS_SIGMA_RAD, *[GUESS_SIGMA_M] * 3])
+        return as_transform("guess", guess), np.diag(sigmas**2), float("nan")
+    match = match_constellations(walls_of(b), walls_of(a), significance=significance)
+    if match is None:
+        return Comparison(a.name, b.name, "not seen", "nothing in common was found")
+    if match.verdict != "closure":
+        return Comparison(a.name, b.name, match.verdict, _why_not(match), evidence=match.evidence)
+    return match.b_T_a, _spatial(match.covariance, match.b_T_a), match.evidence
 
 
 def walls_of(mission: Mission) -> list[Wall]:

@@ -125,8 +125,8 @@ def rank_hypotheses(walls, others, densities, pairs, max_hypotheses, prior, gate
     """
     members = np.empty((max_hypotheses, 2), dtype=np.int64)
     poses = np.empty((max_hypotheses, 3))
-    scores, start = np.empty(max_hypotheses), np.empty(3)
-    chosen, targets, count = np.empty((2, WALL)), np.empty((2, WALL)), 0
+    scores, start, count = np.empty(max_hypotheses), np.empty(3), 0
+    chosen, targets = np.empty((2, WALL)), np.empty((2, WALL))
     for second in range(pairs.shape[0]):
         for first in range(second):
             i, j, k, m = pairs[first, 0], pairs[first, 1], pairs[second, 0], pairs[second, 1]
@@ -136,11 +136,7 @@ def rank_hypotheses(walls, others, densities, pairs, max_hypotheses, prior, gate
                 continue
             if twist * twist > angle_gate * (a[2] + b[2] + c[2] + d[2]):
                 continue
-            start[2] = (b[0] - a[0] + np.pi) % (2.0 * np.pi) - np.pi
-            sine = np.sin(d[0] - b[0])
-            p, q = b[1] - a[1], d[1] - c[1]
-            start[0] = (p * np.sin(d[0]) - q * np.sin(b[0])) / sine
-            start[1] = (q * np.cos(b[0]) - p * np.cos(d[0])) / sine
+            _write_motion(a, b, c, d, start)
             for n in range(WALL):
                 chosen[0, n], chosen[1, n], targets[0, n], targets[1, n] = a[n], c[n], b[n], d[n]
             pose, covariance, _ = fit_pose(start, chosen, targets, prior)
@@ -158,6 +154,16 @@ def rank_hypotheses(walls, others, densities, pairs, max_hypotheses, prior, gate
             if count == max_hypotheses:
                 return members, poses, scores
     return members[:count], poses[:count], scores[:count]
+
+
+@inlined
+def _write_motion(wall, other, second, second_other, pose):
+    """Write the pose that lays one wall on another, and a second one of another direction on its other."""
+    pose[2] = (other[0] - wall[0] + np.pi) % (2.0 * np.pi) - np.pi
+    sine = np.sin(second_other[0] - other[0])
+    p, q = other[1] - wall[1], second_other[1] - second[1]
+    pose[0] = (p * np.sin(second_other[0]) - q * np.sin(other[0])) / sine
+    pose[1] = (q * np.cos(other[0]) - p * np.cos(second_other[0])) / sine
 
 
 @inlined

@@ -226,23 +226,14 @@ def partners(motion, mine, theirs, least_cosine, distance, gap):
     pairs, count = np.empty((len(frames), 2), np.int64), 0
     apart, frame = np.empty(len(others)), np.empty((3, 4))
     for i in range(len(frames)):
-        offset = 0.0
         for a in range(3):
             for b in range(4):
                 frame[a, b] = motion[a, 3] if b == 3 else 0.0
                 for c in range(3):
                     frame[a, b] += motion[a, c] * frames[i, c, b]
-            offset += frame[a, 2] * frame[a, 3]
-        for j in range(len(others)):
-            cosine, known = 0.0, 0.0
-            for a in range(3):
-                cosine += frame[a, 2] * others[j, a, 2]
-                known += others[j, a, 2] * others[j, a, 3]
-            apart[j] = abs(offset - known) if cosine > least_cosine else np.inf
+        _write_apart(frame, others, least_cosine, apart)
         while len(others):
-            j = 0
-            for k in range(1, len(others)):
-                j = k if apart[k] < apart[j] else j
+            j = apart.argmin()
             if not apart[j] <= distance:
                 break
             met = bare[i] or other_bare[j]
@@ -256,6 +247,20 @@ def partners(motion, mine, theirs, least_cosine, distance, gap):
                 break
             apart[j] = np.inf
     return pairs[:count]
+
+
+@inlined
+def _write_apart(frame, others, least_cosine, apart):
+    """Write how far the offsets of other planes, in frames (M, 4, 4), are from that of one, (M,); inf: turned away."""
+    offset = 0.0
+    for a in range(3):
+        offset += frame[a, 2] * frame[a, 3]
+    for j in range(len(others)):
+        cosine, known = 0.0, 0.0
+        for a in range(3):
+            cosine += frame[a, 2] * others[j, a, 2]
+            known += others[j, a, 2] * others[j, a, 3]
+        apart[j] = abs(offset - known) if cosine > least_cosine else np.inf
 
 
 @inlined

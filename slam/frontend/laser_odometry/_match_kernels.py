@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
 from spplanes._rows import solve3
 
@@ -15,26 +18,43 @@ _SMOOTH_M = 0.08
 _DOUBTED = 3.0
 
 
+class Returns(NamedTuple):
+    """Returns of a scan, as `Surface` has them."""
+
+    points: FloatArray
+    """Shape (N, 2), m."""
+    normals: FloatArray
+    """Shape (N, 2)."""
+    variance: FloatArray
+    """Shape (N,), m^2."""
+    looks: FloatArray
+    """Shape (N,)."""
+    turns: FloatArray
+    """Shape (N,)."""
+
+
 @inlined
-def _surface_at(x, y, nx, ny, points, normals, weights, start, origin, cell, columns, rows):
-    """The map's surface at a place: whether there is one, its signed distance and its normal."""
-    column, row = int(np.floor((x - origin[0]) / cell)), int(np.floor((y - origin[1]) / cell))
+def _surface_at(x, y, nx, ny, there):
+    """The surface of a map's `Cells` at a place: whether there is one, its signed distance and its normal."""
+    column = int(np.floor((x - there.origin[0]) / there.cell))
+    row = int(np.floor((y - there.origin[1]) / there.cell))
     weight = qx = qy = mx = my = 0.0
-    for r in range(max(row - 1, 0), min(row + 2, rows)):
-        for c in range(max(column - 1, 0), min(column + 2, columns)):
-            for k in range(start[r * columns + c], start[r * columns + c + 1]):
-                if normals[k, 0] * nx + normals[k, 1] * ny < _ALIKE:
+    for r in range(max(row - 1, 0), min(row + 2, there.rows)):
+        for c in range(max(column - 1, 0), min(column + 2, there.columns)):
+            home = r * there.columns + c
+            for k in range(there.start[home], there.start[home + 1]):
+                if there.normals[k, 0] * nx + there.normals[k, 1] * ny < _ALIKE:
                     continue
-                dx, dy = points[k, 0] - x, points[k, 1] - y
+                dx, dy = there.points[k, 0] - x, there.points[k, 1] - y
                 squared = dx * dx + dy * dy
                 if squared > _RADIUS_M * _RADIUS_M:
                     continue
-                near = weights[k] / (_SMOOTH_M * _SMOOTH_M + squared) ** 2
+                near = there.weights[k] / (_SMOOTH_M * _SMOOTH_M + squared) ** 2
                 weight += near
                 qx += near * dx
                 qy += near * dy
-                mx += near * normals[k, 0]
-                my += near * normals[k, 1]
+                mx += near * there.normals[k, 0]
+                my += near * there.normals[k, 1]
     length = np.sqrt(mx * mx + my * my)
     if weight == 0.0 or length == 0.0:
         return False, 0.0, 0.0, 0.0
@@ -42,52 +62,32 @@ def _surface_at(x, y, nx, ny, points, normals, weights, start, origin, cell, col
     return True, -(mx * qx + my * qy) / weight, mx, my
 
 
+@inlined
+def _turned(rows, i, c, s):
+    """Row i of some (N, 2), turned by an angle of this cosine and sine."""
+    return c * rows[i, 0] - s * rows[i, 1], s * rows[i, 0] + c * rows[i, 1]
+
+
 @njit(cache=True)
-def align(
-    pose, scan, scan_normals, variance, looks, turns, points, normals, weights, start, origin, cell, columns, rows,
-    expected, information, rounds, first_m,
-):  # fmt: skip
+def align(pose, scan, there, expected, information, rounds, first_m):
     """Gauss-Newton on robust point-to-line distances and a normal prior about `expected` (x, y, theta).
 
-    Normals err: those of one wall differ, and seem to tell something along it. Of a normal that errs by an angle of
-    mean square sine v, n n^T is expected to hold v t t^T, t along the wall; that much is taken off the information,
-    with v of the scan's normal: the map's, a mean of several, errs by less.
+    Args:
+        pose: where to start, shape (3,).
+        scan: `Returns`.
+        there: `Cells` of the map.
+        expected, information: the prior, shapes (3,) and (3, 3).
+        rounds: at most.
+        first_m: returns so far off count in the first round, in each next one half as far.
 
     Returns:
         pose (3,); information (3, 3) of the returns alone, in the map's axes, and what errs of it; distance at which
         they turn the scan, m; share of the looks that fit; misfit: half of the chi2 of the looks near a surface,
         bounded for each, beyond what it is expected to be.
     """
-    pose, pull = pose.copy(), np.zeros(3)
-    told, erring = np.zeros((3, 3)), np.zeros((3, 3))
+    pose, told, pull = pose.copy(), np.zeros((3, 3)), np.zeros(3)
     for step in range(rounds):
-        wide = max(first_m * 0.5**step, 0.0)
-        for a in range(3):
-            pull[a] = 0.0
-            for b in range(3):
-                told[a, b] = 0.0
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        for i in range(scan.shape[0]):
-            lx, ly = c * scan[i, 0] - s * scan[i, 1], s * scan[i, 0] + c * scan[i, 1]
-            nx, ny = c * scan_normals[i, 0] - s * scan_normals[i, 1], s * scan_normals[i, 0] + c * scan_normals[i, 1]
-            there, off, mx, my = _surface_at(
-                pose[0] + lx, pose[1] + ly, nx, ny, points, normals, weights, start, origin, cell, columns, rows
-            )
-            if not there:
-                continue
-            scale = max(_DOUBTED * _DOUBTED * variance[i], wide * wide)
-            weight = looks[i] / variance[i] / (1.0 + off * off / scale) ** 2
-            j2 = -mx * ly + my * lx
-            told[0, 0] += weight * mx * mx
-            told[0, 1] += weight * mx * my
-            told[0, 2] += weight * mx * j2
-            told[1, 1] += weight * my * my
-            told[1, 2] += weight * my * j2
-            told[2, 2] += weight * j2 * j2
-            pull[0] -= weight * mx * off
-            pull[1] -= weight * my * off
-            pull[2] -= weight * j2 * off
-        told[1, 0], told[2, 0], told[2, 1] = told[0, 1], told[0, 2], told[1, 2]
+        _write_told(pose, scan, there, max(first_m * 0.5**step, 0.0), told, pull)
         for a in range(3):
             for b in range(3):
                 pull[a] += information[a, b] * (expected[b] - pose[b])
@@ -100,33 +100,72 @@ def align(
             pose[a] += change[a]
         if step > 3 and abs(change[0]) + abs(change[1]) < 2e-4 and abs(change[2]) < 2e-5:
             break
-    fits = total = misfit = looked = moment = 0.0
+    erring, far, fit, misfit = _judged(pose, scan, there)
+    return pose, told, erring, far, fit, misfit
+
+
+@inlined
+def _write_told(pose, scan, there, wide, told, pull):
+    """Write what returns say of a pose, information (3, 3), and where they pull it, (3,), doubted beyond `wide`, m."""
+    for a in range(3):
+        pull[a] = 0.0
+        for b in range(3):
+            told[a, b] = 0.0
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    for i in range(scan.shape[0]):
-        lx, ly = c * scan[i, 0] - s * scan[i, 1], s * scan[i, 0] + c * scan[i, 1]
-        nx, ny = c * scan_normals[i, 0] - s * scan_normals[i, 1], s * scan_normals[i, 0] + c * scan_normals[i, 1]
-        there, off, mx, my = _surface_at(
-            pose[0] + lx, pose[1] + ly, nx, ny, points, normals, weights, start, origin, cell, columns, rows
-        )
-        squared = off * off / variance[i] if there else np.inf
-        if there:
-            misfit += 0.5 * looks[i] * (min(squared, _DOUBTED * _DOUBTED) - 1.0)
-            weight = looks[i] / variance[i] / (1.0 + squared / (_DOUBTED * _DOUBTED)) ** 2
+    for i in range(scan.points.shape[0]):
+        lx, ly = _turned(scan.points, i, c, s)
+        nx, ny = _turned(scan.normals, i, c, s)
+        met, off, mx, my = _surface_at(pose[0] + lx, pose[1] + ly, nx, ny, there)
+        if not met:
+            continue
+        scale = max(_DOUBTED * _DOUBTED * scan.variance[i], wide * wide)
+        weight = scan.looks[i] / scan.variance[i] / (1.0 + off * off / scale) ** 2
+        j2 = -mx * ly + my * lx
+        told[0, 0] += weight * mx * mx
+        told[0, 1] += weight * mx * my
+        told[0, 2] += weight * mx * j2
+        told[1, 1] += weight * my * my
+        told[1, 2] += weight * my * j2
+        told[2, 2] += weight * j2 * j2
+        pull[0] -= weight * mx * off
+        pull[1] -= weight * my * off
+        pull[2] -= weight * j2 * off
+    told[1, 0], told[2, 0], told[2, 1] = told[0, 1], told[0, 2], told[1, 2]
+
+
+@inlined
+def _judged(pose, scan, there):
+    """What errs of the information (3, 3), distance at which returns turn the scan, share that fits, and misfit.
+
+    Normals err: those of one wall differ, and seem to tell something along it. Of a normal that errs by an angle of
+    mean square sine v, n n^T is expected to hold v t t^T, t along the wall; that much is taken off the information,
+    with v of the scan's normal: the map's, a mean of several, errs by less.
+    """
+    fits = total = misfit = looked = moment = 0.0
+    erring, c, s = np.zeros((3, 3)), np.cos(pose[2]), np.sin(pose[2])
+    for i in range(scan.points.shape[0]):
+        lx, ly = _turned(scan.points, i, c, s)
+        nx, ny = _turned(scan.normals, i, c, s)
+        met, off, mx, my = _surface_at(pose[0] + lx, pose[1] + ly, nx, ny, there)
+        squared = off * off / scan.variance[i] if met else np.inf
+        if met:
+            misfit += 0.5 * scan.looks[i] * (min(squared, _DOUBTED * _DOUBTED) - 1.0)
+            weight = scan.looks[i] / scan.variance[i] / (1.0 + squared / (_DOUBTED * _DOUBTED)) ** 2
             looked += weight
             moment += weight * (lx * lx + ly * ly)
-            along, t2 = weight * turns[i], mx * lx + my * ly  # of t = (-my, mx)
+            along, t2 = weight * scan.turns[i], mx * lx + my * ly  # of t = (-my, mx)
             erring[0, 0] += along * my * my
             erring[0, 1] -= along * my * mx
             erring[0, 2] -= along * my * t2
             erring[1, 1] += along * mx * mx
             erring[1, 2] += along * mx * t2
             erring[2, 2] += along * t2 * t2
-        total += looks[i]
+        total += scan.looks[i]
         if squared < _DOUBTED * _DOUBTED:
-            fits += looks[i]
+            fits += scan.looks[i]
     erring[1, 0], erring[2, 0], erring[2, 1] = erring[0, 1], erring[0, 2], erring[1, 2]
     far = np.sqrt(max(moment / max(looked, 1e-12), 1e-6))
-    return pose, told, erring, far, fits / max(total, 1e-12), misfit
+    return erring, far, fits / max(total, 1e-12), misfit
 
 
 @njit(cache=True)

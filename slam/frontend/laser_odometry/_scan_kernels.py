@@ -2,17 +2,45 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from slam.frontend.occupancy import GAP_STEPS, LEAST_GAP_M
+from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
+
+#: A normal is fitted to so many returns on either side, within so many metres.
+_MOST, _PATCH_M = 5, 0.25
+
+
+class Cells(NamedTuple):
+    """Points of a map, found by the square cells that they lie in."""
+
+    points: FloatArray
+    """Shape (M, 2), m, cell by cell."""
+    normals: FloatArray
+    """Shape (M, 2)."""
+    weights: FloatArray
+    """How firmly each lies where it does, shape (M,)."""
+    start: np.ndarray
+    """Where the points of each cell begin, shape (rows * columns + 1,)."""
+    origin: FloatArray
+    """Corner of the first cell, shape (2,), m."""
+    cell: float
+    """Side of a cell, m."""
+    columns: int
+    """Number of cells in a row."""
+    rows: int
+    """Number of rows."""
 
 
 @njit(cache=True)
-def surface_of(points, away, angle_step, range_variance, surface_variance, correlation_m, gap_steps, least_gap_m):
+def surface_of(points, away, angle_step, range_variance, surface_variance, correlation_m):
     """Normals and noise of the returns (B, 2) of one scan, seen from `away` (B, 2), the sensor's place less each.
 
     A normal is fitted to the neighbours in the order of the beams that lie on one surface: no further apart than
-    `gap_steps` of the beams at their range, or `least_gap_m`. Returns that lie alone have none.
+    `GAP_STEPS` of the beams at their range, or `LEAST_GAP_M`. Returns that lie alone have none.
 
     Returns:
         normals (B, 2), toward the sensor, NaN without; variance (B,) of a return along its normal, m^2; looks (B,): the
@@ -25,29 +53,11 @@ def surface_of(points, away, angle_step, range_variance, surface_variance, corre
     for i in range(count):
         normals[i, 0] = normals[i, 1] = np.nan
         reach = np.sqrt(away[i, 0] ** 2 + away[i, 1] ** 2)
-        gap = max(least_gap_m, gap_steps * reach * angle_step)
-        low, high = i, i
-        while low > 0 and i - low < _MOST and _apart(points, low, low - 1) < gap and _apart(points, i, low) < _PATCH_M:
-            low -= 1
-        while (
-            high < count - 1
-            and high - i < _MOST
-            and _apart(points, high, high + 1) < gap
-            and _apart(points, i, high) < _PATCH_M
-        ):
-            high += 1
+        low, high = _neighbours(points, i, max(LEAST_GAP_M, GAP_STEPS * reach * angle_step))
         number = high - low + 1
         if number < 3:
             continue
-        mx = my = 0.0
-        for k in range(low, high + 1):
-            mx += points[k, 0]
-            my += points[k, 1]
-        mx, my = mx / number, my / number
-        xx = xy = yy = 0.0
-        for k in range(low, high + 1):
-            dx, dy = points[k, 0] - mx, points[k, 1] - my
-            xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
+        xx, xy, yy = _spread(points, low, high)
         half, root = 0.5 * (xx - yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
         smallest = max(0.5 * (xx + yy) - root, 0.0) / (number - 2)
         angle = 0.5 * np.arctan2(2.0 * xy, 2.0 * half)
@@ -64,13 +74,41 @@ def surface_of(points, away, angle_step, range_variance, surface_variance, corre
     return normals, variance, looks, turns
 
 
-#: A normal is fitted to so many returns on either side, within so many metres.
-_MOST, _PATCH_M = 5, 0.25
+@inlined
+def _neighbours(points, i, gap):
+    """The first and the last return of the surface that one lies on, without a gap between."""
+    count, low, high = points.shape[0], i, i
+    while low > 0 and i - low < _MOST and _apart(points, low, low - 1) < gap and _apart(points, i, low) < _PATCH_M:
+        low -= 1
+    while (
+        high < count - 1
+        and high - i < _MOST
+        and _apart(points, high, high + 1) < gap
+        and _apart(points, i, high) < _PATCH_M
+    ):
+        high += 1
+    return low, high
 
 
 @inlined
 def _apart(points, i, j):
     return np.sqrt((points[i, 0] - points[j, 0]) ** 2 + (points[i, 1] - points[j, 1]) ** 2)
+
+
+@inlined
+def _spread(points, low, high):
+    """Sums of squares and products of points from one to another about their mean: xx, xy, yy."""
+    number = high - low + 1
+    mx = my = 0.0
+    for k in range(low, high + 1):
+        mx += points[k, 0]
+        my += points[k, 1]
+    mx, my = mx / number, my / number
+    xx = xy = yy = 0.0
+    for k in range(low, high + 1):
+        dx, dy = points[k, 0] - mx, points[k, 1] - my
+        xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
+    return xx, xy, yy
 
 
 @njit(cache=True)

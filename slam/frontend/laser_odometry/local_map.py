@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from slam.frontend.laser_odometry._scan_kernels import merge_patches, nearness, sort_into_cells, surface_of
-from slam.frontend.occupancy import GAP_STEPS, LEAST_GAP_M, Raster, free_standing
+from slam.frontend.laser_odometry._scan_kernels import Cells, merge_patches, nearness, sort_into_cells, surface_of
+from slam.frontend.occupancy import Raster, free_standing
 from slam.sensors.log import LaserScan
 from slam.sensors.rig import Sensor
 from spplanes._check import FloatArray
@@ -54,16 +54,8 @@ class Surface:
         away = directions * -ranges[seen][:, None]
         points = body_T_sensor[:2, 3] - away
         step = float(np.abs(np.diff(angles)).mean()) if len(angles) > 1 else 1.0
-        normals, variance, looks, turns = surface_of(
-            points,
-            away,
-            step,
-            sensor.range_variance_m2,
-            sensor.surface_sigma_m**2,
-            sensor.surface_correlation_m,
-            GAP_STEPS,
-            LEAST_GAP_M,
-        )
+        noise = sensor.range_variance_m2, sensor.surface_sigma_m**2, sensor.surface_correlation_m
+        normals, variance, looks, turns = surface_of(points, away, step, *noise)
         things = free_standing(-away, step)
         many = np.bincount(things[things >= 0], looks[things >= 0])  # all of a thing that walks is off alike
         looks[things >= 0] /= np.maximum(many, 1.0)[things[things >= 0]]
@@ -90,20 +82,8 @@ class Surface:
 class LocalMap:
     """Surfaces of several scans, in one frame, ready to be asked what is near a place."""
 
-    points: FloatArray
-    """Shape (M, 2), m, cell by cell."""
-    normals: FloatArray
-    """Shape (M, 2)."""
-    weights: FloatArray
-    """How firmly each lies where it does, shape (M,)."""
-    start: np.ndarray
-    """Where the points of each cell begin, shape (rows * columns + 1,)."""
-    origin: FloatArray
-    """Corner of the first cell, shape (2,), m."""
-    columns: int
-    """Number of cells in a row."""
-    rows: int
-    """Number of rows."""
+    cells: Cells
+    """Their points, in cells of `CELL_M`."""
     _seen: tuple[tuple[Surface, FloatArray], ...]
     """The scans and their poses."""
     _tables: dict[float, tuple[FloatArray, FloatArray]] = field(default_factory=dict, repr=False)
@@ -122,16 +102,8 @@ class LocalMap:
         origin = places.min(axis=0) - CELL_M
         columns, rows = (np.ceil((places.max(axis=0) - origin) / CELL_M) + 2).astype(int).tolist()
         start, order = sort_into_cells(places, origin, CELL_M, columns, rows)
-        return cls(
-            places[order],
-            directions[order],
-            weight[order],
-            start,
-            origin,
-            columns,
-            rows,
-            tuple(zip(surfaces, poses, strict=True)),
-        )
+        cells = Cells(places[order], directions[order], weight[order], start, origin, CELL_M, columns, rows)
+        return cls(cells, tuple(zip(surfaces, poses, strict=True)))
 
     @cached_property
     def raster(self) -> Raster:
@@ -141,10 +113,10 @@ class LocalMap:
     def table(self, coarser: float = 1.0) -> tuple[FloatArray, FloatArray]:
         """How near every place is to a surface, in cells so many times as wide, and the corner of the first cell."""
         if coarser not in self._tables:
-            cell = coarser * TABLE_CELL_M
-            origin = self.origin - 3.0 * cell
-            columns, rows = np.ceil(np.array((self.columns, self.rows)) * CELL_M / cell + 6.0).astype(int).tolist()
-            table = nearness(self.points, origin, cell, columns, rows, coarser * TABLE_SIGMA_M)
+            cell, cells = coarser * TABLE_CELL_M, self.cells
+            origin = cells.origin - 3.0 * cell
+            columns, rows = np.ceil(np.array((cells.columns, cells.rows)) * CELL_M / cell + 6.0).astype(int).tolist()
+            table = nearness(cells.points, origin, cell, columns, rows, coarser * TABLE_SIGMA_M)
             self._tables[coarser] = table, origin
         return self._tables[coarser]
 

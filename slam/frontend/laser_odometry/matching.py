@@ -10,8 +10,8 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from slam.frontend.information import inverted
-from slam.frontend.laser_odometry._match_kernels import align, score_box
-from slam.frontend.laser_odometry.local_map import CELL_M, TABLE_CELL_M, LocalMap, Surface
+from slam.frontend.laser_odometry._match_kernels import Returns, align, score_box
+from slam.frontend.laser_odometry.local_map import TABLE_CELL_M, LocalMap, Surface
 from slam.frontend.occupancy import CELL_M as RASTER_CELL_M
 from slam.frontend.occupancy._kernels import score_motions
 from slam.frontend.odometry import difference
@@ -124,11 +124,9 @@ def _fits_worse(found: _Found, surface: Surface, usual_fit: float) -> bool:
 
 
 def _aligned(surface: Surface, there: LocalMap, start: FloatArray, ways: Sequence[Expected], way: int) -> _Found:
-    pose, told, erring, far, fit, misfit = align(
-        start, surface.points, surface.normals, surface.variance, surface.looks, surface.turns,
-        there.points, there.normals, there.weights, there.start, there.origin, CELL_M, there.columns, there.rows,
-        ways[way].pose, inverted(ways[way].covariance), _ROUNDS, 2.0 * _BASIN_M,
-    )  # fmt: skip
+    scan = Returns(surface.points, surface.normals, surface.variance, surface.looks, surface.turns)
+    prior = ways[way].pose, inverted(ways[way].covariance)
+    pose, told, erring, far, fit, misfit = align(start, scan, there.cells, *prior, _ROUNDS, 2.0 * _BASIN_M)
     return _Found(pose, _without(told, erring, far), fit, misfit, way)
 
 

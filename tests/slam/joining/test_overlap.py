@@ -11,7 +11,7 @@ import numpy as np
 from slam.config import SlamConfig
 from slam.geometry.frames import inverse, planar_transform
 from slam.joining import join
-from slam.joining.alignment import align
+from slam.joining.alignment import align, whitened_differences
 from slam.joining.consistency import components_of, consistent
 from slam.joining.overlap import Comparison, compare_missions, free_space
 from tests.slam.joining.offices import office, visit
@@ -74,7 +74,8 @@ def test_an_alignment_is_where_its_chi2_is_least():
 
     def chi2(step: np.ndarray) -> np.ndarray:
         moved = found.a_T_b @ gtsam.Pose3.Expmap(step).matrix()
-        return np.array([align(a, b, pairs, moved, steps=0).chi2])
+        residual, _ = whitened_differences(a, b, pairs, moved)
+        return np.array([residual @ residual])
 
     scales = np.sqrt(np.diag(found.covariance))
     assert_jacobian(lambda x: chi2(x * scales), np.zeros(6), np.zeros((1, 6)), step=0.1, atol=0.05)
