@@ -193,7 +193,7 @@ MUTATIONS = (
     ),
     Mutation(
         "loop closure: the way back to the first axes with the wrong sign",
-        "slam/loop_closure/pairwise_consistency.py",
+        "slam/registration/submaps.py",
         "self.delta[1] - delta[1], delta[0] - self.delta[0]",
         "delta[1] - self.delta[1], self.delta[0] - delta[0]",
         "tests/slam/loop_closure/test_pairwise_consistency.py",
