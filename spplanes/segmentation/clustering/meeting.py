@@ -35,13 +35,10 @@ def border_pairs(grid, views, regions, gap, hidden):
 def _pairs_of_rows(grid, views, regions, gap, hidden, first, last):
     """The pairs with one region in the rows from first to last, beside or above the other."""
     (points, covariance, valid, labels, _), (planes, sizes, bias) = grid, regions
-    n_cols = labels.shape[1]
     pairs, count = np.empty((1024, 2), dtype=np.int64), 0
-    recent = np.empty((RECENT, 2), dtype=np.int64)
-    for k in range(RECENT):
-        recent[k, 0] = -1
+    recent = np.full((RECENT, 2), -1, dtype=np.int64)
     for i in range(first, last):
-        for j in range(n_cols):
+        for j in range(labels.shape[1]):
             r = labels[i, j]
             if r < 0:
                 continue
@@ -64,13 +61,10 @@ def _pairs_of_rows(grid, views, regions, gap, hidden, first, last):
                         count += _enter(pairs, count, recent, min(q, r), max(q, r))
                     if back == farthest:
                         break
-                    side = 1
-                    if valid[a, b]:
-                        side = _side(points, covariance, (a, b), views, planes, r, bias[r])
-                    else:
-                        missing += 1
+                    missing += not valid[a, b]
                     if missing > gap:
                         break
+                    side = _side(points, covariance, (a, b), views, planes, r, bias[r]) if valid[a, b] else 1
                     if side > 0:
                         in_front += 1
                     elif side == 0 and q < 0 and on_plane < 4:
