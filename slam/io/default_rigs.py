@@ -108,7 +108,7 @@ def depth_rig() -> Rig:
     clouds = cloud_rig()
     camera = Sensor(
         kind="cloud",
-        body_T_sensor=Mount(matrix=tuple(tuple(row) for row in CAMERA_MOUNT.tolist())),
+        body_T_sensor=Mount.of(CAMERA_MOUNT),
         range_sigma_m=0.0015,
         disparity_sigma_per_m=0.0014,
         disparity_step_per_m=0.0029,
@@ -175,7 +175,7 @@ def _default_mount(name: str, log: Log) -> Mount:
         return Mount(rpy_deg=(0.0, 0.0, 180.0 if name == "RLASER" else 0.0))
     is_level = np.abs(told[2, :2]).max() < 1e-9 and told[2, 2] > 0.0  # it only turns about z
     if not is_level:
-        return Mount(matrix=tuple(tuple(row) for row in told.tolist()))
+        return Mount.of(told)
     yaw_deg = float(np.rad2deg(np.arctan2(told[1, 0], told[0, 0])))
     return Mount(xyz_m=(float(told[0, 3]), float(told[1, 3]), float(told[2, 3])), rpy_deg=(0.0, 0.0, yaw_deg))
 
@@ -191,8 +191,7 @@ def bag_rig(log: Log, topics: Topics) -> Rig:
     clouds, sensors = cloud_rig(), {}
     for name in dict.fromkeys(scan.sensor for scan in log.scans() if isinstance(scan, CloudScan)):
         mount = log.mounts.get(name)
-        rows = None if mount is None else tuple(tuple(row) for row in mount.tolist())
-        update = {"record": name, "mount": Mount(matrix=rows) if rows else Mount()}
+        update = {"record": name, "mount": Mount() if mount is None else Mount.of(mount)}
         sensors[name] = clouds.sensors[CLOUD_SENSOR].model_copy(update=update)
     if any(isinstance(scan, LaserScan) for scan in log.scans()):
         sensors |= default_rig_for(log).sensors

@@ -88,6 +88,11 @@ class Mount(Frozen):
             as_transform("body_T_sensor", [list(row) for row in self.matrix])
         return self
 
+    @classmethod
+    def of(cls, body_T_sensor: FloatArray) -> Mount:
+        """The mount of a transform, shape (4, 4)."""
+        return cls(matrix=tuple(map(tuple, body_T_sensor.tolist())))
+
     def as_matrix(self) -> FloatArray:
         """body_T_sensor, shape (4, 4)."""
         if self.matrix is not None:

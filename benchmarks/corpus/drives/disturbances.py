@@ -59,7 +59,7 @@ def backwards(given: Given, rng: np.random.Generator) -> Given:
     def turned(body_T_sensor: FloatArray) -> Mount:
         matrix = half @ body_T_sensor
         matrix[:3, 3] = body_T_sensor[:3, 3]
-        return Mount(matrix=tuple(tuple(row) for row in matrix.tolist()))
+        return Mount.of(matrix)
 
     sensors = {name: s.model_copy(update={"mount": turned(s.body_T_sensor)}) for name, s in given.rig.sensors.items()}
     return replace(given, rig=given.rig.model_copy(update={"sensors": sensors}))

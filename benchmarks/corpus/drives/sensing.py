@@ -97,7 +97,7 @@ def _camera() -> Sensing:
     matrix = CAMERA_MOUNT.copy()
     matrix[:3, 3] = (0.1, 0.0, 1.0)
     (described,) = depth_rig().sensors.values()
-    sensor = described.model_copy(update={"mount": Mount(matrix=tuple(tuple(row) for row in matrix.tolist()))})
+    sensor = described.model_copy(update={"mount": Mount.of(matrix)})
     return Sensing(CAMERA, sensor, camera_beams(_ROWS, _COLUMNS, _FOCAL), _IMAGES_M, by_depth=True)
 
 
