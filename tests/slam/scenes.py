@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import gtsam
 import numpy as np
 from shapely import box
 
@@ -19,6 +20,8 @@ from spplanes import Plane
 
 NOISE = OdometryNoise()
 PERIOD_NS = 1_000_000_000
+#: Heading, x and y of a Pose3 tangent.
+IN_PLANE = [2, 3, 4]
 #: (z m, theta rad, psi rad) of a measured plane.
 SIGMAS = np.array([0.004, 0.003, 0.005])
 
@@ -91,6 +94,12 @@ def run_of(keyframes: Iterable[Keyframe], slam: PlaneSlam | None = None) -> Plan
     for keyframe in keyframes:
         slam.add_keyframe(keyframe)
     return slam
+
+
+def planar_nees(covariance: np.ndarray, truth: np.ndarray, estimate: np.ndarray) -> float:
+    """Of a pose by its covariance (6, 6), the normalised error squared of heading, x and y."""
+    error = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(truth) @ estimate))[IN_PLANE]
+    return float(error @ np.linalg.solve(covariance[np.ix_(IN_PLANE, IN_PLANE)], error))
 
 
 def assert_same_events(some: Iterable[Event], others: Iterable[Event], atol: float = 0.0) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
-import gtsam
 import numpy as np
 import pytest
 
@@ -19,10 +18,9 @@ from slam.joining.solution import base_key
 from slam.map.map_planes import MapPlane
 from spplanes import Plane
 from tests.slam.joining.rooms import ELSEWHERE, first, mission, room_T_second, scene, second
-from tests.slam.scenes import Drive, drive, room_planes
+from tests.slam.scenes import Drive, drive, planar_nees, room_planes
 from tests.statistics import assert_mean_in_band
 
-IN_PLANE = [2, 3, 4]
 #: Pairs of missions: of 3 dof twice or half a covariance is off the band in 84 and 71 of 100, of 12 dof always.
 RUNS = 16
 
@@ -43,11 +41,6 @@ def plane_of(one: FinishedMission, landmark: int) -> MapPlane:
 
 def truth_of(plane: Plane) -> Plane:
     return max(room_planes(), key=lambda one: one.normal @ plane.normal)
-
-
-def planar_nees(covariance: np.ndarray, truth: np.ndarray, estimate: np.ndarray) -> float:
-    error = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(truth) @ estimate))[IN_PLANE]
-    return float(error @ np.linalg.solve(covariance[np.ix_(IN_PLANE, IN_PLANE)], error))
 
 
 def test_joined_planes_poses_and_frames_are_honest():

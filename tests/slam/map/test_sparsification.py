@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-import gtsam
 import numpy as np
 import pytest
 from scipy.stats import chi2 as chi2_distribution
@@ -19,11 +18,10 @@ from slam.map.sparsification import PoseSupport, _seen, chained
 from slam.planeslam import pose_symbol
 from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation.robots import spinning_rig
-from tests.slam.scenes import Drive, drive, room_planes, run_of
+from tests.slam.scenes import Drive, drive, planar_nees, room_planes, run_of
 
 LAPS, PER_LAP = 5, 16
 RULES = ThinningConfig(passes=2, radius_m=0.5, apart=8, max_news=0.1)
-IN_PLANE = [2, 3, 4]  # yaw, x, y of a Pose3 tangent
 
 
 def laps(seed: int) -> Drive:
@@ -37,10 +35,8 @@ def run(scene: Drive, rules: ThinningConfig = RULES) -> PlaneSlam:
 
 def nees(slam: PlaneSlam, scene: Drive, index: int) -> float:
     """Of the pose of a keyframe, in the plane."""
-    error = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(slam.trajectory.poses[index]) @ scene.world_T_body[index]))[IN_PLANE]
-    return float(
-        error @ np.linalg.solve(slam.marginal_covariance(pose_symbol(index))[np.ix_(IN_PLANE, IN_PLANE)], error)
-    )
+    covariance, estimate = slam.marginal_covariance(pose_symbol(index)), slam.trajectory.poses[index]
+    return planar_nees(covariance, scene.world_T_body[index], estimate)
 
 
 @pytest.fixture(scope="module")
