@@ -37,17 +37,9 @@ class Session(SessionRecords):
     """
 
     @classmethod
-    def create(
-        cls,
-        path: Path | str,
-        config: SlamConfig,
-        *,
-        rig: Rig | None = None,
-        prior: bytes | None = None,
-        log: dict[str, Any] | None = None,
-    ) -> Self:
-        """A new session, open for writing; as `make` makes it."""
-        cls.make(path, config, rig=rig, prior=prior, log=log)
+    def create(cls, path: Path | str, config: SlamConfig, **begun_with: Any) -> Self:
+        """A new session, open for writing; with what `make` takes."""
+        cls.make(path, config, **begun_with)
         return cls.open(path)
 
     @staticmethod
