@@ -7,15 +7,27 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.special import chdtri
 
+from slam.frontend.odometry import difference
 from slam.geometry.frames import planar_transform
-from slam.registration._place_kernels import WALL
-from slam.registration._place_search import MAX_WALLS, MatchedMotion, Search
+from slam.registration._place_kernels import WALL, fit_pose, rank_hypotheses, score_table
 from spplanes import ScanLine
 from spplanes._check import FloatArray
 
 #: Planes that lean more than this from the vertical are no walls: sine of the lean.
 MAX_LEAN = 0.2
+#: Walls that differ less in direction are parallel: they do not fix a place between them, rad.
+_PARALLEL = np.radians(15.0)
+#: Standard deviation of a pose of which nothing is known: m, m, rad.
+_UNKNOWN = np.array((1e3, 1e3, 1e2))
+#: Hypotheses that are worked out to the end.
+_REFINED = 24
+#: These bound the time: walls of a constellation (the longest are taken), hypotheses scored, and tried for corridors.
+_MAX_WALLS, _MAX_HYPOTHESES, _MAX_PARALLEL = 40, 4000, 48
+#: Fewest walls of a match of which nothing was known, those in line with one another counted once; and the share of the
+#: shorter of two walls that the other must cover.
+_FEWEST, _OVERLAP = 4, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +94,6 @@ def match_constellations(
     b: Sequence[ScanLine | Wall],
     *,
     significance: float = 1e-3,
-    min_matches: int = 4,
-    min_overlap: float = 0.3,
 ) -> ConstellationMatch | None:
     """Find the largest set of walls that two views share under one unknown rigid motion in the plane.
 
@@ -97,21 +107,20 @@ def match_constellations(
         a: walls of one view; lines of one scan, or `Wall`s gathered in one frame.
         b: walls of the other.
         significance: probability of so strong a match by chance in as many hypotheses as were tried, in (0, 0.5).
-        min_matches: fewest walls of a match, >= 3; walls in line with one another count once.
-        min_overlap: share of the shorter of two walls that the other must cover, in [0, 1].
 
     Returns:
         The match, or None. Only `verdict == "closure"` may close a loop. The same input gives the same match.
 
     Raises:
-        ValueError: a parameter out of its range.
+        ValueError: a significance out of its range.
     """
-    _check(significance, min_matches, min_overlap)
+    if not 0.0 < significance < 0.5:
+        raise ValueError(f"significance: expected a probability in (0, 0.5), got {significance}")
     order_a, walls_a = _as_rows(a)
     order_b, walls_b = _as_rows(b)
     if min(len(order_a), len(order_b)) < 2:
         return None
-    search = Search(walls_a, walls_b, significance, min_matches, min_overlap)
+    search = _Search(walls_a, walls_b, significance, _FEWEST)
     best = search.best_motion() or search.best_parallel_motion()
     return None if best is None else _as_match(best, order_a, order_b)
 
@@ -123,12 +132,11 @@ def match_near(
     covariance: FloatArray,
     *,
     significance: float = 1e-3,
-    min_overlap: float = 0.3,
 ) -> ConstellationMatch | None:
     """Walls of two views that are the same, where the motion between them is known.
 
     Args:
-        a, b, significance, min_overlap: as in `match_constellations`.
+        a, b, significance: as in `match_constellations`.
         pose: (x, y, theta) of b_T_a, shape (3,).
         covariance: of its error, shape (3, 3).
 
@@ -136,25 +144,15 @@ def match_near(
         The match, its motion that of pose and walls together; None where the walls contradict the pose or each other,
         or none is the same.
     """
-    _check(significance, 3, min_overlap)
     order_a, walls_a = _as_rows(a)
     order_b, walls_b = _as_rows(b)
     if min(len(order_a), len(order_b)) < 1:
         return None
-    search = Search(walls_a, walls_b, significance, 1, min_overlap)
+    search = _Search(walls_a, walls_b, significance, 1)
     motion = search.motion_near(pose, covariance)
     if motion is None:
         return None
     return replace(_as_match(motion, order_a, order_b), by_walls=search.covariance_of(motion))
-
-
-def _check(significance: float, min_matches: int, min_overlap: float) -> None:
-    if not 0.0 < significance < 0.5:
-        raise ValueError(f"significance: expected a probability in (0, 0.5), got {significance}")
-    if min_matches < 3:
-        raise ValueError(f"min_matches: expected at least 3, got {min_matches}")
-    if not 0.0 <= min_overlap <= 1.0:
-        raise ValueError(f"min_overlap: expected a share in [0, 1], got {min_overlap}")
 
 
 def _as_rows(walls: Sequence[ScanLine | Wall]) -> tuple[np.ndarray, FloatArray]:
@@ -164,14 +162,168 @@ def _as_rows(walls: Sequence[ScanLine | Wall]) -> tuple[np.ndarray, FloatArray]:
         along = wall.endpoints @ np.array((-np.sin(wall.alpha), np.cos(wall.alpha)))
         (v_alpha, cov), (_, v_rho) = wall.covariance.tolist()
         row[:] = wall.alpha, wall.rho, v_alpha, cov, v_rho, along.min(), along.max()
-    order = np.argsort(rows[:, 5] - rows[:, 6], kind="stable")[:MAX_WALLS]
+    order = np.argsort(rows[:, 5] - rows[:, 6], kind="stable")[:_MAX_WALLS]
     return order, rows[order]
 
 
-def _as_match(motion: MatchedMotion, order_a: np.ndarray, order_b: np.ndarray) -> ConstellationMatch:
+def _as_match(motion: _MatchedMotion, order_a: np.ndarray, order_b: np.ndarray) -> ConstellationMatch:
     """The match with the caller's indices."""
     pairs = np.array(sorted((int(order_a[i]), int(order_b[j])) for i, j in motion.pairs))
     return ConstellationMatch(
         motion.verdict, pairs, planar_transform(*motion.pose), motion.covariance, motion.chi2, motion.n_dof,
         motion.evidence, motion.rival,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _MatchedMotion:
+    """A motion, worked out: indices are rows."""
+
+    pose: FloatArray
+    covariance: FloatArray
+    pairs: list[tuple[int, int]]
+    chi2: float
+    n_dof: int
+    evidence: float
+    verdict: Literal["closure", "ambiguous", "unobservable"] = "closure"
+    rival: float = -np.inf
+
+
+class _Search:
+    """The search between two sets of rows; see `match_constellations`."""
+
+    def __init__(self, a: FloatArray, b: FloatArray, significance: float, fewest: int) -> None:
+        self.a, self.b = a, b
+        self.significance, self.fewest = significance, fewest
+        self.gate = float(chdtri(2, significance))
+        self.densities = _densities(b)
+        self.no_prior = np.diag(_UNKNOWN**-2.0)
+        self.in_line_a, self.in_line_b = _in_line(a, self.gate), _in_line(b, self.gate)
+
+    def best_motion(self) -> _MatchedMotion | None:
+        """The motion with the most evidence of those that two walls in different directions fix."""
+        pairs = self._correspondences()
+        angle_gate = float(chdtri(1, self.significance))
+        members, poses, scores = rank_hypotheses(
+            self.a, self.b, self.densities, pairs, _MAX_HYPOTHESES, self.no_prior, self.gate, angle_gate,
+            np.sin(_PARALLEL), _OVERLAP,
+        )  # fmt: skip
+        best = np.argsort(-scores, kind="stable")[:_REFINED]
+        motions = [self._work_out([tuple(pairs[k]) for k in members[h]], poses[h], self.no_prior) for h in best]
+        return self._decide([motion for motion in motions if motion is not None], len(scores))
+
+    def best_parallel_motion(self) -> _MatchedMotion | None:
+        """The motion of walls of one direction, such as a corridor's, that leaves open how far along them.
+
+        What is known of that is that the two walls it starts from overlap.
+        """
+        motions = []
+        for i, j in self._correspondences()[:_MAX_PARALLEL]:
+            wall, other = self.a[i], self.b[j]
+            normal = np.array((np.cos(other[0]), np.sin(other[0])))
+            along = np.array((-normal[1], normal[0]))
+            shift = (other[1] - wall[1]) * normal + 0.5 * (other[5:].sum() - wall[5:].sum()) * along
+            prior = self.no_prior.copy()
+            prior[:2, :2] += 12.0 * np.outer(along, along) / (np.ptp(wall[5:]) + np.ptp(other[5:])) ** 2
+            parallel = np.abs(np.sin(self.a[:, 0] - wall[0])) < np.sin(_PARALLEL)
+            motions.append(self._work_out([(i, j)], np.array((*shift, other[0] - wall[0])), prior, parallel))
+        found = self._decide([motion for motion in motions if motion is not None], len(motions))
+        return None if found is None else replace(found, verdict="unobservable")
+
+    def motion_near(self, pose: FloatArray, covariance: FloatArray) -> _MatchedMotion | None:
+        """The motion about one that is known with a covariance, and the walls that are the same under it."""
+        return self._work_out([], pose, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
+
+    def covariance_of(self, motion: _MatchedMotion) -> FloatArray:
+        """Covariance of a motion by its walls alone, large where they leave it open."""
+        rows_a, rows_b = np.array(motion.pairs, dtype=np.int64).T
+        return fit_pose(motion.pose, self.a[rows_a], self.b[rows_b], self.no_prior)[1]
+
+    def _correspondences(self) -> np.ndarray:
+        """All pairs of a wall of a and one of b, pairs of long walls first, shape (C, 2)."""
+        pairs = np.array([(i, j) for i in range(len(self.a)) for j in range(len(self.b))])
+        return pairs[np.argsort(pairs.sum(axis=1), kind="stable")]
+
+    def _work_out(
+        self, seeds: list, pose: FloatArray, prior: FloatArray, allowed: np.ndarray | None = None
+    ) -> _MatchedMotion | None:
+        """Take the pair with the most evidence, estimate the motion anew, until none is left; `allowed` rows of a."""
+        pairs, evidence, n_distinct = [(int(i), int(j)) for i, j in seeds], 0.0, len(seeds)
+        start = pose
+        while True:
+            rows_a, rows_b = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+            pose, covariance, chi2 = fit_pose(start, self.a[rows_a], self.b[rows_b], prior)
+            table = score_table(pose, covariance, self.a, self.b, self.densities, self.gate, _OVERLAP)
+            table[rows_a], table[:, rows_b] = -np.inf, -np.inf
+            table[~allowed if allowed is not None else []] = -np.inf
+            i, j = np.unravel_index(np.argmax(table), table.shape)
+            if not table[i, j] > 0.0:
+                break
+            if not self._follows(pairs, int(i), int(j)):
+                evidence += float(table[i, j])
+                n_distinct += 1
+            pairs.append((int(i), int(j)))
+        n_dof = 2 * len(pairs) - (len(seeds) and (3 if allowed is None else 2))
+        if n_distinct < self.fewest or chi2 > chdtri(n_dof, self.significance):
+            return None
+        return _MatchedMotion(pose, covariance, pairs, float(chi2), n_dof, evidence)
+
+    def _decide(self, motions: list[_MatchedMotion], n_tried: int) -> _MatchedMotion | None:
+        """The motion with the most evidence, if it is more than chance gives, and whether another one rivals it."""
+        threshold = -np.log(self.significance)
+        if not motions:
+            return None
+        best = max(motions, key=lambda motion: motion.evidence)
+        if best.evidence < threshold + np.log(max(n_tried, 1)):
+            return None
+        rival = max((m.evidence for m in motions if _differ(best, m, self.gate)), default=-np.inf)
+        if self._evidence_across(best) < threshold:
+            return replace(best, verdict="unobservable", rival=rival)
+        return replace(best, verdict="ambiguous" if best.evidence - rival < threshold else "closure", rival=rival)
+
+    def _evidence_across(self, motion: _MatchedMotion) -> float:
+        """Evidence for the position in its weakest direction: of the walls across it, but for one that defines it."""
+        weakest = np.linalg.eigh(motion.covariance[:2, :2])[1][:, 1]
+        across = [
+            abs(np.cos(self.b[j, 0]) * weakest[0] + np.sin(self.b[j, 0]) * weakest[1]) > np.sin(_PARALLEL)
+            for _, j in motion.pairs
+        ]
+        fixing = [pair for pair, is_across in zip(motion.pairs, across, strict=True) if is_across]
+        known = [pair for pair, is_across in zip(motion.pairs, across, strict=True) if not is_across] + fixing[:1]
+        evidence = 0.0
+        for i, j in fixing[1:]:
+            rows_a, rows_b = (np.array(side) for side in zip(*known, strict=True))
+            pose, covariance, _ = fit_pose(motion.pose, self.a[rows_a], self.b[rows_b], self.no_prior)
+            table = score_table(pose, covariance, self.a[[i]], self.b[[j]], self.densities[[j]], self.gate, _OVERLAP)
+            if not self._follows(known, i, j):
+                evidence += max(float(table[0, 0]), 0.0)
+            known.append((i, j))
+        return evidence
+
+    def _follows(self, pairs: list[tuple[int, int]], i: int, j: int) -> bool:
+        """True when a pair is no news: another one holds walls in line with both, such as those beside a door."""
+        return any(self.in_line_a[i, k] and self.in_line_b[j, m] for k, m in pairs)
+
+
+def _differ(motion: _MatchedMotion, other: _MatchedMotion, gate: float) -> bool:
+    """True when two motions are not the same within their covariances."""
+    error = difference(other.pose, motion.pose)
+    return float(error @ np.linalg.solve(motion.covariance + other.covariance, error)) > gate
+
+
+def _in_line(walls: FloatArray, gate: float) -> np.ndarray:
+    """For each two walls of a view whether they may lie on one line, shape (N, N)."""
+    still, certain = np.zeros(3), np.zeros((3, 3))
+    anywhere = walls.copy()
+    anywhere[:, 5], anywhere[:, 6] = -np.inf, np.inf
+    return score_table(still, certain, anywhere, anywhere, np.ones(len(walls)), gate, 0.0) > -np.inf
+
+
+def _densities(walls: FloatArray) -> FloatArray:
+    """Walls of about its direction per metre of the view across it, for each wall, shape (N,): what chance offers."""
+    near = np.cos(walls[:, None, 0] - walls[None, :, 0]) > np.cos(_PARALLEL)
+    c, s = np.cos(walls[:, 0]), np.sin(walls[:, 0])
+    feet = walls[:, 1, None] * np.stack((c, s), axis=1)
+    ends = np.concatenate([feet + walls[:, k, None] * np.stack((-s, c), axis=1) for k in (5, 6)])
+    across = ends @ np.stack((c, s))
+    return near.sum(axis=1) / np.maximum(np.ptp(across, axis=0), 1.0)

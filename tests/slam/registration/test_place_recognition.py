@@ -204,17 +204,9 @@ def test_too_few_walls_are_no_match():
     assert match_constellations(walls, walls) is None
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"significance": 0.0}, r"significance: expected a probability in \(0, 0.5\), got 0.0"),
-        ({"min_matches": 2}, "min_matches: expected at least 3, got 2"),
-        ({"min_overlap": 1.5}, r"min_overlap: expected a share in \[0, 1\], got 1.5"),
-    ],
-)
-def test_bad_parameters_are_one_sentence(change, message):
-    with pytest.raises(ValueError, match=message):
-        match_constellations([], [], **change)
+def test_a_bad_significance_is_one_sentence():
+    with pytest.raises(ValueError, match=r"significance: expected a probability in \(0, 0.5\), got 0.0"):
+        match_constellations([], [], significance=0.0)
 
 
 def test_real_scans_close_where_the_robot_was_before_and_nowhere_else():
