@@ -10,9 +10,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from factors import isam2_parameters
-from slam.backend.joint_covariance import STAYS, JointCovariance
+from slam.backend.joint_covariance import STAYS, JointCovariance, SharedUnknown
 from slam.backend.marginalized_poses import PastPose, PastPoses
-from slam.backend.shared_unknown import SharedUnknown
 from slam.config import BackendConfig
 from slam.timing import StageClock, timed
 from spplanes._check import FloatArray

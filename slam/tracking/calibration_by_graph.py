@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import expit
 
 from slam.backend.estimator import Backend, BackendError, pose_symbol
-from slam.backend.shared_unknown import SharedUnknown
+from slam.backend.joint_covariance import SharedUnknown
 from slam.frontend.odometry import Motion
 from slam.frontend.wheel_calibration import WheelCalibration, unknown_at_first
 from slam.map.sparsification import MeasuredStep, Sparsifier
