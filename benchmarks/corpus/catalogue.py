@@ -89,6 +89,7 @@ SHORT = _named(
         "bare/lidar16/absent",
         "irregular/level/absent",
         "irregular/lidar16/still",
+        "irregular/lidar16/stops",
         "office/level/good/backwards",
         "office/level/good/noise0.3",
         "irregular/paper/good/noise3",
@@ -142,7 +143,7 @@ def drawn(count: int, seeds: Sequence[int]) -> list[Entry]:
 
 def _makes_sense(recipe: Recipe) -> bool:
     """A push-broom laser alone is refused where nothing tells the motion; ramps are not for 2D lasers."""
-    if recipe.sensors == "pushbroom" and recipe.odometry in ("absent", "still"):
+    if recipe.sensors == "pushbroom" and recipe.odometry in ("absent", "still", "stops"):
         return False
     return not (recipe.sensors in ("level", "paper", "pushbroom") and recipe.world == "ramp")
 

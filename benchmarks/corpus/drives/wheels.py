@@ -1,4 +1,4 @@
-"""Odometry of random drives: as good as the rig says, worse, biased, absent, or standing still."""
+"""Odometry of random drives: as good as the rig says, worse, biased, absent, standing still or for a while."""
 
 from __future__ import annotations
 
@@ -57,6 +57,14 @@ def still(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> 
     return np.tile(np.eye(4), (len(poses), 1, 1))
 
 
+def stops(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:
+    """As the rig says, but for a fifth of the drive, somewhere in its middle, when the wheels tell of no motion."""
+    whole = good(poses, noise, rng)
+    steps, first = np.linalg.inv(whole[:-1]) @ whole[1:], int(rng.uniform(0.2, 0.6) * len(poses))
+    steps[first : first + len(poses) // 5] = np.eye(4)
+    return _chained(whole[0], steps)
+
+
 #: Kinds of odometry; None: there is none.
 ODOMETRIES: dict[str, Odometry | None] = {
     "good": good,
@@ -64,6 +72,7 @@ ODOMETRIES: dict[str, Odometry | None] = {
     "biased": biased,
     "absent": None,
     "still": still,
+    "stops": stops,
 }
 
 

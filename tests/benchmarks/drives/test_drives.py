@@ -92,6 +92,14 @@ def test_there_is_no_odometry_or_one_that_stands():
     still = make_drive(Recipe.parse("bare/level/still/fifth"), 0)
     assert all(np.array_equal(reading.odom_T_body, np.eye(4)) for reading in still.log.odometry)
     assert np.linalg.norm(still.truth.world_T_body[-1, :3, 3]) > 15.0
+    stops = make_drive(Recipe.parse("bare/level/stops/fifth"), 0)
+    poses = np.array([reading.odom_T_body for reading in stops.log.odometry])
+    stands = np.all(np.isclose(poses[1:], poses[:-1], atol=1e-12), axis=(1, 2))
+    assert np.mean(stands) == pytest.approx(0.2, abs=0.01) and not stands[0] and not stands[-1]
+    moves = np.linalg.norm(
+        np.diff(stops.truth.poses_at(np.array([r.stamp_ns for r in stops.log.odometry]))[:, :3, 3], axis=0), axis=1
+    )
+    assert moves[stands].min() > 0.0
 
 
 @pytest.mark.parametrize(("kind", "factor"), [("noise0.3", 0.3), ("noise3", 3.0)])
