@@ -39,8 +39,8 @@ from slam.registration.relocalization import (
     sigmas_of,
     stated,
 )
-from slam.registration.surface_registration import TELLING, Alignment, Expected, align, most_information
-from slam.tracking.odometry_scale import SLIPS, free_axes, log_density, spatial
+from slam.registration.surface_registration import Alignment, Expected, align, most_information
+from slam.tracking.odometry_scale import SLIPS, Steadiness, free_axes, log_density, spatial
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -90,6 +90,7 @@ def check(
     *,
     significance: float,
     doubted: bool,
+    steadiness: Steadiness,
 ) -> Check:
     """Whether what a 3D scan sees speaks against a motion that was measured, and how sharply it could.
 
@@ -108,6 +109,7 @@ def check(
         state: the keyframes before, the landmarks as of the last refresh, and the graph.
         significance: probability that a true motion is spoken against.
         doubted: the motion before was spoken against.
+        steadiness: how steadily the body moves.
     """
     scan, (keyframes, landmarks, backend) = scan_of(keyframe), state
     if is_poorly_known(motion) or scan is None:
@@ -127,10 +129,10 @@ def check(
 
     found = align(scan, known, [np.eye(4)])
     rests = _rests(found) if found.score > 0.0 else (None, None, None)
-    enough = _clearly(motion, otherwise, found, _AGAIN if doubted else SLIPS)
+    enough = _clearly(motion, otherwise, steadiness, found, _AGAIN if doubted else SLIPS)
     if is_off(found):
         held = align(scan, known, [np.eye(4)], Expected(np.eye(4), information_of(motion)))
-        if is_off(held) or found.score > held.score + enough:
+        if is_off(held) or found.log_odds(held) > enough:
             return Check(True, *rests)
         found, rests = held, (_by_returns(held.information) if held.score > 0.0 else None, None, None)
     if found.score >= 0.0 and not doubted:
@@ -140,21 +142,20 @@ def check(
     matched = register_planes_globally(*seen_and_known, sigmas_of(otherwise))
     expected = Expected(b_T_a @ otherwise.a_T_b, information_of(otherwise))
     rival = register_from_hypotheses(scan, known, matched, expected, b_T_a)
-    return Check(rival.score > found.score + enough and is_off(rival), *rests)
+    return Check(rival.log_odds(found) > enough and is_off(rival), *rests)
 
 
-def _clearly(motion: Motion, otherwise: Motion, found: Alignment, share: float) -> float:
-    """By how much better a score a place has to fit than the one where a motion leads, to speak against that.
+def _clearly(motion: Motion, otherwise: Motion, steadiness: Steadiness, found: Alignment, share: float) -> float:
+    """By how many nats better a place has to fit than the one where a motion leads, to speak against that.
 
     Wheels slip now and then, and where they do the body may be anywhere that it could have gone: of so many places
     some fit what is seen by chance. Log odds of a slip are those of the scores, less what a slip is rarer, and less
     by how much wider it is spread.
     """
     place, axes = _by_returns(found.information), free_axes(motion)
-    off = displacement(inverse(motion.a_T_b) @ otherwise.a_T_b, found.known_T_seen)[axes]
-    held, slipped = ((spatial(one) + place)[np.ix_(axes, axes)] for one in (motion, otherwise))
-    rarer = log_density(np.zeros(len(axes)), held[None])[0] - log_density(off, slipped[None])[0] - log(share)
-    return float(rarer) / TELLING
+    off = displacement(inverse(motion.a_T_b) @ otherwise.a_T_b, found.known_T_seen)
+    held = log_density(np.zeros(len(axes)), (spatial(motion) + place)[np.ix_(axes, axes)][None])[0]
+    return float(held - steadiness.log_density(off, otherwise, place, axes) - log(share))
 
 
 def planes_confirm(

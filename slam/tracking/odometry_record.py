@@ -11,7 +11,7 @@ import numpy as np
 from slam.frontend.odometry import Motion
 from slam.registration.relocalization import displacement
 from slam.tracking.odometry_check import Check
-from slam.tracking.odometry_scale import LATE, PLANAR
+from slam.tracking.odometry_scale import LATE, PLANAR, Steadiness
 from spplanes._check import FloatArray
 
 
@@ -43,8 +43,12 @@ class OdometryRecord:
 
     def __post_init__(self) -> None:
         self.steps: list[CheckedStep] = []
+        #: How far off steps spoken against were, and what was expected instead of them; and of the others, with what
+        #: was said of them, how far off that would have been.
         self._errors: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=LATE)
-        self._last: tuple[Motion, Motion] | None = None
+        self._others: deque[tuple[CheckedStep, FloatArray]] = deque(maxlen=LATE)
+        self._last: tuple[CheckedStep, Motion, Motion] | None = None
+        self.steadiness = Steadiness()
 
     @property
     def doubted(self) -> bool:
@@ -58,10 +62,16 @@ class OdometryRecord:
 
     def settle(self, a_T_b: FloatArray) -> None:
         """Take in where the last step led, shape (4, 4), now that it was seen."""
-        if self._last is not None:
-            measured, expected = self._last
-            self._errors.append((displacement(measured.a_T_b, a_T_b), displacement(expected.a_T_b, a_T_b)))
-            self._last = None
+        if self._last is None:
+            return
+        step, expected, guess = self._last
+        off = displacement(expected.a_T_b, a_T_b)
+        if step.check.against:
+            self._errors.append((displacement(step.motion.a_T_b, a_T_b), off))
+        else:
+            self._others.append((step, off))
+        self.steadiness.learn(off, guess)
+        self._last = None
 
     def take(
         self, keyframe: int, motion: Motion, expected: Motion, guess: Motion, check: Check, scale: float = 1.0
@@ -76,18 +86,17 @@ class OdometryRecord:
             check: what a 3D scan says of it.
             scale: times its stated sigma that the motion has.
         """
-        nearer = self._expected_is_nearer
-        untold = self.untold(motion, check)
+        untold, fine = self.untold(motion, check), self._fine()
         if check.against:
-            self._last = motion, expected
-            used, known = "not", expected if nearer else replace(guess, a_T_b=motion.a_T_b)
+            used, known = "not", expected if self._is_nearer([]) else replace(guess, a_T_b=motion.a_T_b)
         elif not len(untold):
             used, known = "as stated", motion
-        elif nearer:
+        elif self._is_nearer(fine):
             used, known = "not", expected
         else:
-            used, known = "erring", _erring(motion, untold.T @ untold / (len(self._errors) + self._fine()))
+            used, known = "erring", _erring(motion, untold.T @ untold / (len(self._errors) + len(fine)))
         self.steps.append(CheckedStep(keyframe, motion, check, used, scale))
+        self._last = self.steps[-1], expected, guess
         return known
 
     def untold(self, motion: Motion, check: Check) -> FloatArray:
@@ -102,20 +111,21 @@ class OdometryRecord:
         ]
         return [(keyframe, errors) for keyframe, errors in stated if len(errors)]
 
-    def _fine(self) -> int:
-        """Of the last steps those not spoken against though most errors would have been."""
-        errors, late = self.errors, self.steps[-LATE:]
-        told = (one.check.tells(one.motion, errors, self.significance).mean() for one in late if not one.check.against)
-        return sum(share > 0.5 for share in told)
+    def _fine(self) -> list[FloatArray]:
+        """How far off what was expected was in the last steps not spoken against, where most errors would have been."""
+        errors = self.errors
+        if not len(errors):
+            return []
+        told = (step.check.tells(step.motion, errors, self.significance).mean() for step, _ in self._others)
+        return [off for (_, off), share in zip(self._others, told, strict=True) if share > 0.5]
 
-    @property
-    def _expected_is_nearer(self) -> bool:
-        """Whether steps spoken against were further off than what would have been expected without them.
+    def _is_nearer(self, fine: list[FloatArray]) -> bool:
+        """Whether what would have been expected without them was nearer than steps spoken against, and so many fine.
 
         Squares of m and of rad at a metre.
         """
-        measured, expected = (np.sum(np.square([error[k] for error in self._errors])) for k in (0, 1))
-        return bool(expected < measured)
+        measured, expected = (sum(float(error[k] @ error[k]) for error in self._errors) for k in (0, 1))
+        return expected + sum(float(off @ off) for off in fine) < measured
 
 
 def _erring(motion: Motion, square: FloatArray) -> Motion:

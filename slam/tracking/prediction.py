@@ -206,13 +206,13 @@ class MotionModel:
         Odometry that a 3D scan speaks against is a guess: it is as wide as if nobody had measured it.
         """
         last, stamps = len(self._keyframes) - 1, [frame.stamp_ns * 1e-9 for frame in self._keyframes[-2:]]
-        ahead_s = keyframe.stamp_ns * 1e-9 - stamps[-1]
-        step = None
+        ahead_s, record = keyframe.stamp_ns * 1e-9 - stamps[-1], self.odometry_record
         if last == 0:
             unmeasured = coast(None, 0.0, ahead_s, self._config.coasting)
         else:
             keys, known = [pose_symbol(last - 1), pose_symbol(last)], None
             step = inverse(self._backend.pose(keys[0])) @ self._backend.pose(keys[1])
+            record.settle(step)
             if keyframe.motion is None:
                 known = relative_covariance(step, self._backend.joint_covariance(keys).of(keys))
             unmeasured = coast(step, stamps[1] - stamps[0], ahead_s, self._config.coasting, known)
@@ -220,11 +220,17 @@ class MotionModel:
             return unmeasured
         stated, state = self.calibration.predict(keyframe.motion), (self._keyframes, self._landmarks, self._backend)
         motion = scaled(stated, self.odometry_scale.factor)
-        guess, record = coast(None, 0.0, ahead_s, self._config.coasting), self.odometry_record
-        if step is not None:
-            record.settle(step)
+        guess = coast(None, 0.0, ahead_s, self._config.coasting)
         otherwise = replace(guess, a_T_b=unmeasured.a_T_b)
-        said = check(keyframe, motion, otherwise, state, significance=record.significance, doubted=record.doubted)
+        said = check(
+            keyframe,
+            motion,
+            otherwise,
+            state,
+            significance=record.significance,
+            doubted=record.doubted,
+            steadiness=record.steadiness,
+        )
         if said.off is not None and said.known is not None:
             self.odometry_scale.learn(stated, said.off, said.known, guess)
             motion = scaled(stated, self.odometry_scale.factor)  # this step is one of those that tell
