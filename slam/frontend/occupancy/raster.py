@@ -1,4 +1,7 @@
-"""What the laser saw around a place, as a raster: occupied, free or unknown, for comparing two such views."""
+"""What the laser saw around a place: a raster of occupied, free and unknown cells, to compare views, and what may move.
+
+Small things in front of all beside them stand free, and may be on their way, as people are.
+"""
 
 from __future__ import annotations
 
@@ -26,6 +29,10 @@ _REACH = 3
 #: Cosine of the largest lean of a laser whose scans are compared across poses: 3 deg.
 LEVEL_COSINE = float(np.cos(np.radians(3.0)))
 _SIGMAS_TO_FREE = 3.0
+#: Neighbouring returns further apart than so many steps of the beams at their range, and m, are of two surfaces.
+GAP_STEPS, LEAST_GAP_M = 6.0, 0.15
+#: What is narrower and stands free may move, m.
+MOVABLE_M = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,3 +110,38 @@ def view_from(base: FloatArray, poses: Sequence[FloatArray], views: Sequence[Flo
     """Beams of several bodies in the frame of another one, all (4, 4) poses of one world, shape (N, 4)."""
     to_base = np.linalg.inv(base)
     return np.concatenate([moved(view, to_base @ pose) for pose, view in zip(poses, views, strict=True)])
+
+
+def free_standing(away: FloatArray, angle_step: float) -> np.ndarray:
+    """Which thing that stands free each return is of, shape (N,): a number from 0 on; -1: of none.
+
+    A thing is what lies between two gaps. It stands free where the returns on both sides of it are farther from the
+    sensor; beyond the ends of a fan nothing is known to be nearer, and what is cut off there may walk as well. A fan
+    without ends goes on from its last return to its first.
+
+    Args:
+        away: returns in the order of the beams, from the sensor, shape (N, 2), m.
+        angle_step: between two beams, rad.
+    """
+    none = np.full(len(away), -1, dtype=np.int64)
+    if len(away) < 3:
+        return none
+    ranges = np.hypot(away[:, 0], away[:, 1])
+    gaps = np.hypot(*(np.roll(away, -1, axis=0) - away).T) >= np.maximum(LEAST_GAP_M, GAP_STEPS * angle_step * ranges)
+    between_ends = np.arctan2(away[0, 1], away[0, 0]) - np.arctan2(away[-1, 1], away[-1, 0])
+    is_closed = abs(np.remainder(between_ends + np.pi, 2.0 * np.pi) - np.pi) < GAP_STEPS * angle_step
+    if is_closed and not gaps.any():
+        return none
+    start = int(np.argmax(gaps)) + 1 if is_closed else 0  # a thing begins here
+    turned, near, ends = np.roll(away, -start, axis=0), np.roll(ranges, -start), np.roll(gaps, -start)
+    ends[-1] = True
+    last = np.flatnonzero(ends)
+    first = np.concatenate(([0], last[:-1] + 1))
+    before, after = near[first - 1], near[(last + 1) % len(near)]
+    if not is_closed:
+        before[0] = after[-1] = np.inf
+    free = (before > near[first]) & (after > near[last])
+    extent = np.maximum.reduceat(turned, first) - np.minimum.reduceat(turned, first)
+    free &= np.hypot(extent[:, 0], extent[:, 1]) < MOVABLE_M
+    numbers = np.where(free, np.cumsum(free) - 1, -1)
+    return np.roll(np.repeat(numbers, last - first + 1), start)
