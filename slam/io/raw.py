@@ -47,13 +47,19 @@ def in_short(error: BaseException) -> str:
 
 @contextmanager
 def damage_told(path: Path, expected: str) -> Iterator[None]:
-    """Whatever other people's readers raise on a damaged file becomes one sentence: `expected`, and what they say."""
+    """Whatever other people's readers raise on a damaged file becomes one sentence: `expected`, and what they say.
+
+    Of a file that the system does not open that says so.
+    """
     try:
         yield
     except LogError:
         raise
     except Exception as error:
-        raise LogError(path, f"{expected} ({in_short(error)})") from error
+        told = f"{expected} ({in_short(error)})"
+        if isinstance(error, OSError) and error.strerror:  # those that readers raise have no number of the system's
+            told = f"cannot be read: {error.strerror}"
+        raise LogError(path, told) from error
 
 
 @contextmanager
