@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
-from slam.errors import LogError
+from slam.errors import LogError, cannot_be_read
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -43,7 +43,7 @@ def read_yaml(path: Path) -> Any:
             raise LogError(path, f"expected at most {_MOST_VALUES} values, got more by its aliases")
         return loader.construct_document(node)
     except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
+        raise cannot_be_read(path, error) from error
     except UnicodeDecodeError as error:
         raise LogError(path, "expected text in UTF-8, got other bytes") from error
     except yaml.YAMLError as error:

@@ -63,9 +63,14 @@ def check_truth_given(path: Path) -> None:
         raise LogError(path, "expected a mission's folder, a trajectory or a file of relations, got nothing")
 
 
+def cannot_be_read(path: Path, error: OSError) -> LogError:
+    """What to raise of a file that the system does not open or read."""
+    return LogError(path, f"cannot be read: {error.strerror or error}")
+
+
 def check_file_given(path: Path) -> None:
     """LogError: it cannot be opened to be read, and why."""
     try:
         os.close(os.open(path, os.O_RDONLY))
     except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
+        raise cannot_be_read(path, error) from error

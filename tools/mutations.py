@@ -351,7 +351,7 @@ MUTATIONS = (
     Mutation(
         "odometry against 3D scans: a slip leads nowhere in particular for nothing",
         "slam/tracking/odometry_check.py",
-        "return float(held - steadiness.log_density(off, otherwise, place, axes) - log(share))",
+        "return float(held - velocity_prior.log_density(off, otherwise, place, axes) - log(share))",
         "return -log(share)",
         "tests/slam/tracking/test_odometry_check.py -k fit_as_well",
     ),

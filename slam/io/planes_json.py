@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from slam.errors import LogError
+from slam.errors import LogError, cannot_be_read
 from spplanes.plane import Plane
 
 #: What the file says it is.
@@ -79,7 +79,7 @@ def read_map(path: Path | str) -> list[StoredPlane]:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
+        raise cannot_be_read(path, error) from error
     except (ValueError, RecursionError) as error:  # a JSONDecodeError or UnicodeDecodeError is a ValueError
         raise LogError(path, "expected JSON, got a syntax error", line=getattr(error, "lineno", None)) from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:

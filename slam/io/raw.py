@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from slam.errors import LogError
+from slam.errors import LogError, cannot_be_read
 from spplanes._check import FloatArray
 
 #: What a gzip stream raises that is cut off or damaged.
@@ -56,10 +56,9 @@ def damage_told(path: Path, expected: str) -> Iterator[None]:
     except LogError:
         raise
     except Exception as error:
-        told = f"{expected} ({in_short(error)})"
         if isinstance(error, OSError) and error.strerror:  # those that readers raise have no number of the system's
-            told = f"cannot be read: {error.strerror}"
-        raise LogError(path, told) from error
+            raise cannot_be_read(path, error) from error
+        raise LogError(path, f"{expected} ({in_short(error)})") from error
 
 
 @contextmanager
@@ -69,7 +68,7 @@ def _readable(path: Path) -> Iterator[None]:
     except BROKEN:  # one of them is an OSError
         raise
     except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror or error}") from error
+        raise cannot_be_read(path, error) from error
 
 
 def file_size(path: Path) -> int:

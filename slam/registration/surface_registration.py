@@ -129,7 +129,7 @@ class LocalMap:
         from_there = lift(newest.elements[:, :3], inverse(newest_T_seen))
         there = from_there[sight.apart(from_there) > _REACHES[-1] * _widths(newest.elements)]
         ahead = there[sight.through(there)]
-        return max(_number_of_things(back) / n_things, _number_of_things(ahead) / _things(newest.elements).sum())
+        return max(_number_of_things(back) / n_things, _number_of_things(ahead) / self._n_newest)
 
     def between(self, known_T_seen: FloatArray, elements: FloatArray) -> FloatArray:
         """How far elements (N, 8) without a partner are from what some keyframe saw about them, (N,), m."""
@@ -137,6 +137,11 @@ class LocalMap:
         for (pose, _), sight in zip(self._parts, self._sights, strict=True):
             apart = np.minimum(apart, sight.off_surfaces(moved(elements, inverse(pose) @ known_T_seen)))
         return apart
+
+    @cached_property
+    def _n_newest(self) -> float:
+        """How many things the newest keyframe saw."""
+        return float(_things(self._parts[-1][1].elements).sum())
 
     @cached_property
     def _sights(self) -> list[Sight]:
@@ -154,7 +159,7 @@ def most_information(elements: FloatArray) -> FloatArray:
 
 
 def _number_of_things(points: FloatArray) -> int:
-    """How many things points (N, 3) are of, m."""
+    """How many things points (N, 3), m, are of; see `_THING_M`."""
     number = 0
     while len(points):
         middle = points[np.linalg.norm(points - points[0], axis=1) < _THING_M].mean(axis=0)
@@ -297,7 +302,8 @@ def _scored(
     Beams move with the sensor: were only those elements counted that come to lie on another, the place where nothing
     moved would win, at which all do. On a surface that was seen on all sides of it, an element fits as well.
     """
-    widths, weights = _widths(some), _things(some) / _things(some).sum()
+    widths, things = _widths(some), _things(some)
+    weights = things / things.sum()
     found = Residuals.of(some, known, motion, _REACHES[-1] * widths)
     alone = np.ones(len(some), dtype=bool)
     alone[found.index] = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -11,7 +12,7 @@ import numpy as np
 from slam.frontend.odometry import Motion
 from slam.registration.relocalization import displacement
 from slam.tracking.odometry_check import Check
-from slam.tracking.odometry_scale import LATE, PLANAR, Steadiness
+from slam.tracking.odometry_scale import LATE, PLANAR, VelocityPrior
 from spplanes._check import FloatArray
 
 
@@ -48,7 +49,7 @@ class OdometryRecord:
         self._errors: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=LATE)
         self._others: deque[tuple[CheckedStep, FloatArray]] = deque(maxlen=LATE)
         self._last: tuple[CheckedStep, Motion, Motion] | None = None
-        self.steadiness = Steadiness()
+        self.velocity_prior = VelocityPrior()
 
     @property
     def doubted(self) -> bool:
@@ -70,7 +71,7 @@ class OdometryRecord:
             self._errors.append((displacement(step.motion.a_T_b, a_T_b), off))
         else:
             self._others.append((step, off))
-        self.steadiness.learn(off, guess)
+        self.velocity_prior.learn(off, guess)
         self._last = None
 
     def take(
@@ -86,12 +87,12 @@ class OdometryRecord:
             check: what a 3D scan says of it.
             scale: times its stated sigma that the motion has.
         """
-        untold, fine = self.untold(motion, check), self._fine()
+        untold = self.untold(motion, check)
         if check.against:
-            used, known = "not", expected if self._is_nearer([]) else replace(guess, a_T_b=motion.a_T_b)
+            used, known = "not", expected if self._is_nearer() else replace(guess, a_T_b=motion.a_T_b)
         elif not len(untold):
             used, known = "as stated", motion
-        elif self._is_nearer(fine):
+        elif self._is_nearer(fine := self._fine()):
             used, known = "not", expected
         else:
             used, known = "erring", _erring(motion, untold.T @ untold / (len(self._errors) + len(fine)))
@@ -114,12 +115,10 @@ class OdometryRecord:
     def _fine(self) -> list[FloatArray]:
         """How far off what was expected was in the last steps not spoken against, where most errors would have been."""
         errors = self.errors
-        if not len(errors):
-            return []
         told = (step.check.tells(step.motion, errors, self.significance).mean() for step, _ in self._others)
         return [off for (_, off), share in zip(self._others, told, strict=True) if share > 0.5]
 
-    def _is_nearer(self, fine: list[FloatArray]) -> bool:
+    def _is_nearer(self, fine: Sequence[FloatArray] = ()) -> bool:
         """Whether what would have been expected without them was nearer than steps spoken against, and so many fine.
 
         Squares of m and of rad at a metre.

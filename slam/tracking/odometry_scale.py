@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -39,8 +39,6 @@ class OdometryScale:
     @property
     def factor(self) -> float:
         """Times the stated sigma, 1 or more: the posterior mean, of the logarithm; 1 where no step was seen."""
-        if not self._steps:
-            return 1.0
         return _mean(_FACTORS, self._steps)
 
     def learn(self, motion: Motion, off: FloatArray, covariance: FloatArray, guess: Motion) -> None:
@@ -61,7 +59,7 @@ class OdometryScale:
         self._steps.append(np.logaddexp(*both))
 
 
-class Steadiness:
+class VelocityPrior:
     """How far a body is from where it would be by constant velocity, by its last steps.
 
     Robots drive on as they did, or turn: a motion that nobody measured is, as likely as not, as near to the one before
@@ -85,13 +83,14 @@ class Steadiness:
             place: covariance of where the body was found, SP order, shape (6, 6).
             axes: which of the six are asked for.
         """
-        share = _mean(_SHARES, self._steps) if self._steps else 1.0
-        covariances = np.array([factor**2 * spatial(guess) + place for factor in (share, 1.0)])
+        covariances = np.array([share**2 * spatial(guess) + place for share in (_mean(_SHARES, self._steps), 1.0)])
         return float(logsumexp(log_density(off[axes], covariances[:, axes][:, :, axes])) - np.log(2.0))
 
 
-def _mean(factors: FloatArray, steps: Iterable[FloatArray]) -> float:
-    """Posterior mean, of the logarithm, of a factor by the log-likelihoods of each that steps say."""
+def _mean(factors: FloatArray, steps: Collection[FloatArray]) -> float:
+    """Posterior mean, of the logarithm, of a factor by the log-likelihoods that steps say; 1 without any."""
+    if not steps:
+        return 1.0
     posterior = _PRIOR + np.sum(list(steps), axis=0)
     return float(np.exp(np.exp(posterior - logsumexp(posterior)) @ np.log(factors)))
 

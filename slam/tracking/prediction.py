@@ -229,7 +229,7 @@ class MotionModel:
             state,
             significance=record.significance,
             doubted=record.doubted,
-            steadiness=record.steadiness,
+            velocity_prior=record.velocity_prior,
         )
         if said.off is not None and said.known is not None:
             self.odometry_scale.learn(stated, said.off, said.known, guess)

@@ -8,7 +8,7 @@ import pytest
 from slam.config import CoastingConfig
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import planar_transform
-from slam.tracking.odometry_scale import OdometryScale, Steadiness, log_density, scaled, spatial
+from slam.tracking.odometry_scale import OdometryScale, VelocityPrior, log_density, scaled, spatial
 from slam.tracking.prediction import coast
 from tests.slam.short_drives import mapped_beginning
 
@@ -102,7 +102,7 @@ def test_a_lidar_with_odometry_three_times_worse_than_stated_maps_as_one_without
 def test_a_motion_nobody_measured_is_as_near_to_the_one_before_as_the_last_were(share: float) -> None:
     rng, axes = np.random.default_rng(2), [0, 1, 3]
     wide = spatial(GUESS)
-    steady = Steadiness()
+    steady = VelocityPrior()
     for _ in range(40):
         steady.learn(rng.multivariate_normal(np.zeros(6), share**2 * wide), GUESS)
     near, far = (times * np.sqrt(np.diag(wide)) for times in (0.5 * share, 2.5))
@@ -118,4 +118,4 @@ def test_a_motion_nobody_measured_is_as_near_to_the_one_before_as_the_last_were(
 def test_of_a_body_that_was_not_seen_to_move_nothing_is_known() -> None:
     axes, off = [0, 1, 3], np.array([0.3, 0.1, 0.0, 0.2, 0.0, 0.0])
     expected = log_density(off[axes], (spatial(GUESS) + SCAN)[np.ix_(axes, axes)][None])[0]
-    assert Steadiness().log_density(off, GUESS, SCAN, axes) == pytest.approx(expected)
+    assert VelocityPrior().log_density(off, GUESS, SCAN, axes) == pytest.approx(expected)
