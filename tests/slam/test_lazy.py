@@ -61,6 +61,7 @@ def test_what_was_forgotten_is_what_was_kept(tmp_path: Path, read_only: bool):
 
 
 def _compare(slam: PlaneSlam, kept: PlaneSlam) -> None:
+    assert np.array_equal(slam.trajectory.poses, kept.trajectory.poses)
     assert slam.decisions == kept.decisions and slam.decisions[-1] == kept.decisions[-1]
     assert slam.audit.history == kept.audit.history
     for index, (one, other) in enumerate(zip(slam.keyframes, kept.keyframes, strict=True)):

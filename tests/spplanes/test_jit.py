@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -86,40 +85,6 @@ def test_what_only_kernels_call_refuses_python_and_serves_kernels():
         assert quarter(1.0) == 0.25
     for kernel in (half, quarter):
         _jit.KERNELS.remove(kernel)
-
-
-def made_by(node: ast.AST, *makers: str) -> bool:
-    """Whether a function has one of these decorators."""
-    given = node.decorator_list if isinstance(node, ast.FunctionDef) else []
-    names = [one.func if isinstance(one, ast.Call) else one for one in given]
-    return any(isinstance(name, ast.Name) and name.id in makers for name in names)
-
-
-def names_outside_kernels(node: ast.AST) -> Iterator[str]:
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.Name):
-            yield child.id
-        if not made_by(child, "njit", "inner", "inlined"):
-            yield from names_outside_kernels(child)
-
-
-def test_python_calls_nothing_that_only_kernels_can():
-    root = Path(_jit.__file__).parents[1]
-    sources = [path for package in ("spplanes", "factors", "slam") for path in (root / package).rglob("*.py")]
-    trees = {".".join(path.relative_to(root).with_suffix("").parts): ast.parse(path.read_text()) for path in sources}
-    inner = {
-        (module, node.name)
-        for module, tree in trees.items()
-        for node in tree.body
-        if isinstance(node, ast.FunctionDef) and made_by(node, "inner")
-    }
-    assert inner
-    for module, tree in trees.items():
-        known = {name: name for place, name in inner if place == module}
-        for node in ast.walk(tree):
-            if isinstance(node, ast.ImportFrom):
-                known |= {one.asname or one.name: one.name for one in node.names if (node.module, one.name) in inner}
-        assert not known.keys() & set(names_outside_kernels(tree)), module
 
 
 def test_what_an_earlier_version_compiled_is_compiled_anew_where_a_module_has_moved(

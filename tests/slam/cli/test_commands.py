@@ -184,16 +184,6 @@ def test_explain_says_why(finished: Path, capsys: pytest.CaptureFixture[str]):
     assert "expected a session, found nothing" in refused(capsys, "explain", finished.parent / "nowhere", 0)
 
 
-def test_overwrite_replaces_the_folder_whole(mission: Path, capsys: pytest.CaptureFixture[str]):
-    out = mission.parent / "third"
-    out.mkdir()
-    (out / "old.txt").write_text("old")
-    assert run(capsys, "slam", mission, "--out", out, "--overwrite")[0] == 0
-    assert not (out / "old.txt").exists()
-    assert (out / "planes.json").exists()
-    assert not [path for path in mission.parent.iterdir() if path.name.startswith(".")]
-
-
 def test_demo_beats_odometry_and_leaves_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     code, out, _ = run(capsys, "demo", "--out", tmp_path / "demo", "--scans", "150", "--json")
     assert code == 0

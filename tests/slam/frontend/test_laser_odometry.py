@@ -215,20 +215,6 @@ def test_walls_tell_nothing_along_them_however_much_their_normals_err():
         assert abs(match.pose[0] - 2.0) < 0.1  # within two standard deviations of what was expected
 
 
-@pytest.mark.parametrize("name, seed", [("people/level/worse3/none", 900079), ("people/level/absent/half", 900144)])
-def test_people_who_walk_by_do_not_take_the_robot_along(name: str, seed: int):
-    """In a corridor they are half of what tells how far one came: these two drives were 1.1 and 4.9 m off."""
-    truth = make_drive(Recipe.parse(name), seed)
-    track = laser_track(truth.log, truth.rig, CoastingConfig())
-    stamps = [scan.stamp_ns for scan in truth.log.scans()]
-    true, found = truth.truth.poses_at(np.array(stamps)), track.poses_at(stamps)
-    errors = [
-        np.linalg.norm((inverse(inverse(a) @ b) @ inverse(c) @ d)[:2, 3])
-        for (a, b), (c, d) in zip(pairwise(true), pairwise(found), strict=True)
-    ]
-    assert max(errors) < 0.06
-
-
 def test_odometry_that_stands_still_is_named_and_ignored():
     truth = rooms(6)
     readings = truth.log.odometry

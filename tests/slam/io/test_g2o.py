@@ -25,7 +25,6 @@ from slam.io.g2o.writer import in_another_world, write_g2o
 from spplanes import Location, Plane, ScanLine
 from spplanes.spmodel import transform_from_rpy
 from tests.factors.factor_scenes import random_covariance
-from tests.slam.scenes import drive, run_of
 
 X = [gtsam.symbol("x", i) for i in range(3)]
 P = [gtsam.symbol("p", i) for i in range(4)]
@@ -304,16 +303,6 @@ def test_two_anchors_for_one_landmark_and_missing_values_are_refused(tmp_path: P
     values.erase(P[1])
     with pytest.raises(ValueError, match="values: expected one for every variable, got none for p1"):
         write_g2o(tmp_path / "graph.g2o", graph, values)
-
-
-def test_a_run_of_slam_is_read_back_to_its_own_batch_solution(tmp_path: Path):
-    slam = run_of(drive(0, count=8).keyframes)
-    content = write_g2o(tmp_path / "graph.g2o", slam.backend.graph, slam.backend.values)
-    back = read_g2o(tmp_path / "graph.g2o")
-    batch, solved = optimum(slam.backend.graph, slam.backend.values), optimum(back.graph, back.values)
-    assert back.graph.error(solved) == pytest.approx(slam.backend.graph.error(batch), rel=1e-4)
-    for key, number in content.poses.items():
-        assert np.abs(batch.atPose3(key).localCoordinates(solved.atPose3(back.poses[number]))).max() < 1e-5
 
 
 def test_gtsam_reads_the_poses_and_odometry(tmp_path: Path):

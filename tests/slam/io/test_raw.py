@@ -13,8 +13,6 @@ from slam.io.carmen import read_carmen
 from slam.io.load import load
 from slam.io.raw import check_ratio, read_unpacked
 from slam.io.trajectories import read_tum
-from tests.slam.commands import refused
-from tests.slam.io.test_threedtk import scanner_points, write_scan
 
 
 @pytest.fixture
@@ -44,16 +42,6 @@ def test_a_bomb_is_refused_while_it_unpacks(name: str, tmp_path: Path, small_lim
     read = read_unpacked if "3d" in name else read_tum if "tum" in name else read_carmen
     with pytest.raises(LogError, match=r"expected sensor data, got \d+ bytes that grow to 0 MiB or more: refused"):
         read(path)
-
-
-def test_a_bomb_on_the_command_line(tmp_path: Path, small_limit: None, capsys: pytest.CaptureFixture[str]):
-    path = bomb(tmp_path / "log file.clf.gz", b"# nothing at all\n")
-    assert "log file.clf.gz: expected sensor data" in refused(capsys, "slam", path, "--out", tmp_path / "out")
-    write_scan(tmp_path / "scans", 0, scanner_points(), packed=True)
-    bomb(tmp_path / "scans" / "scan000.3d.gz", b"1 2 3\n")
-    assert "scan000.3d.gz: expected sensor data" in refused(
-        capsys, "slam", tmp_path / "scans", "--out", tmp_path / "out"
-    )
 
 
 def test_what_grows_as_logs_do_passes():

@@ -109,31 +109,6 @@ def test_what_has_moved_between_the_missions_is_kept_apart_and_told():
     np.testing.assert_allclose(max(apart) - min(apart), 0.15, atol=0.02)
 
 
-def test_three_missions_make_classes_of_three():
-    third = mission(
-        "third",
-        Drive(
-            [replace(scene(2000).keyframes[0], world_T_body_guess=np.eye(4)), *scene(2000).keyframes[1:]],
-            scene(2000).world_T_body,
-        ),
-    )
-    room_T_third = scene(2000).world_T_body[0]
-    guesses = {("first", "second"): about(0), ("first", "third"): room_T_third}
-    found = join([first(0), second(0), third], guesses=guesses)
-    assert sorted(len(places) for places in found.components[0].classes) == [3] * 6
-    for one in found.planes:
-        assert one.plane.mahalanobis(truth_of(one.plane)) < 21.1  # chi2, 3 dof, 1e-4
-
-
-def test_comparisons_say_what_they_saw():
-    plain = joined(0).to_dict()
-    (pair,) = plain["pairs"]
-    assert pair["missions"] == ["first", "second"]
-    assert (pair["verdict"], pair["common_planes"], pair["looks_through"]) == ("joined", 6, 0)
-    assert pair["dof"] == 12
-    assert plain["components"][0]["planes"]["0"].keys() == {"first", "second"}
-
-
 def test_chi2_of_the_common_planes_is_chi2():
     """Six planes, 12 dof."""
     values = [
@@ -142,15 +117,6 @@ def test_chi2_of_the_common_planes_is_chi2():
     ]
     assert all(one is not None and one.n_dof == 12 for one in values)
     assert_mean_in_band(np.array([one.chi2 for one in values if one is not None]), 12)
-
-
-@pytest.mark.parametrize(
-    ("runs", "sentence"),
-    [([], "at least two, got 0"), (["there"], "at least two, got 1"), (["there", "./there"], "different ones")],
-)
-def test_too_few_runs_are_refused(runs: list[str], sentence: str):
-    with pytest.raises(ValueError, match=sentence):
-        join(runs)
 
 
 def test_a_guess_of_a_run_that_is_not_there_is_refused():

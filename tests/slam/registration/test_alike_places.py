@@ -33,13 +33,6 @@ def without_odometry(seed: int, *chosen: int) -> tuple[Run, np.ndarray, np.ndarr
     return run, errors.translation_m, errors.rotation_rad
 
 
-@pytest.mark.parametrize(("seed", "chosen"), [(30, (0, 3)), (33, (0, 3)), (30, (0, 6, 2))])
-def test_a_hall_is_not_taken_for_itself_turned_round(seed: int, chosen: tuple[int, ...]):
-    _, positions, angles = without_odometry(seed, *chosen)
-    assert angles.max() < np.deg2rad(0.1)
-    assert positions.max() < 0.01
-
-
 @pytest.mark.parametrize("seed", [30, 33])
 def test_a_pillar_is_not_taken_for_the_next_where_the_way_along_them_is_open(seed: int):
     """Where at one of these scans only walls along the way and pillars are seen, nobody knows where along it it was."""

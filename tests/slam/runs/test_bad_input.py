@@ -204,17 +204,3 @@ def test_nothing_in_a_name_steers_the_terminal(tmp_path: Path, capsys: pytest.Ca
     said = refused(capsys, "slam", evil, "--out", tmp_path / "out")
     assert not any(character in said for character in "\x1b\x07\u202e")
     assert "\\x1b[2J" in said and "[red]" in said
-
-
-def test_a_pickle_in_an_archive_of_numbers_is_not_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    class Runs:
-        def __reduce__(self):
-            return (tmp_path / "ran").write_text, ("ran",)
-
-    np.savez(tmp_path / "a.npz", points=np.array([Runs()], dtype=object))
-    np.save(tmp_path / "a.npy", np.array([Runs()], dtype=object))
-    for name in ("a.npz", "a.npy"):
-        refused(capsys, "fit", tmp_path / name)
-    assert not (tmp_path / "ran").exists()
-    np.load(tmp_path / "a.npy", allow_pickle=True)  # which would have run it
-    assert (tmp_path / "ran").exists()

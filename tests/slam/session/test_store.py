@@ -88,15 +88,6 @@ def test_a_writer_that_ended_before_its_first_commit_left_a_session(tmp_path: Pa
             assert len(session) == 0
 
 
-def test_measurements_on_disk_alone_make_the_same_map(tmp_path: Path, uninterrupted: PlaneSlam):
-    with PlaneSlam.open(tmp_path / "session.db", forget_raw=True) as slam:
-        run_of(drive(0).keyframes, slam)
-        assert type(slam.keyframes[3].observations).__name__ == "_StoredObservations"
-        assert vars(slam.keyframes[3]).get("returns") is None
-        assert encode(slam.keyframes[3].observations[2]) == encode(uninterrupted.keyframes[3].observations[2])
-        assert_same_estimate(slam, uninterrupted)
-
-
 def test_decisions_are_recorded_and_compared(recorded: Path, uninterrupted: PlaneSlam, monkeypatch):
     with Session.open(recorded, read_only=True) as session:
         assert [entry.decisions for entry in session.entries()] == uninterrupted.decisions[:7]
