@@ -37,8 +37,7 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--short", action="store_true", help="few repeats and short missions")
     one.add_argument("--write", action="store_true", help="put the results into benchmarks/results.json and its page")
     one.add_argument("--page", action="store_true", help="only write the page again from the results kept")
-    one.add_argument("--gate", action="store_true", help="exit code 1 where a ratio or an accuracy is worse")
-    one.add_argument("--baseline", action="store_true", help="keep what was measured as the baseline")
+    one.add_argument("--gate", action="store_true", help="exit code 1 where a ratio or an accuracy is worse than kept")
     return one
 
 
@@ -53,14 +52,14 @@ def main(words: list[str]) -> int:
         return 2
     if asked.peers:
         print(f"peers: {environment.make()}", flush=True)
-        if not (asked.names or asked.write or asked.gate or asked.baseline):
+        if not (asked.names or asked.write or asked.gate):
             return 0
     if asked.page and not asked.write:
-        _page.PAGE.write_text(_page.page(_page.store({})))
+        _page.PAGE.write_text(_page.page(_page.kept()))
         return 0
-    names = asked.names or default_names(gate=(asked.gate or asked.baseline) and not asked.write)
+    names, kept = asked.names or default_names(gate=asked.gate and not asked.write), _page.kept()
     results, failed = run_all(names, short=asked.short, write=asked.write)
-    return max(failed, conclude(results, asked))
+    return max(failed, conclude(results, kept) if asked.gate else 0)
 
 
 def default_names(*, gate: bool) -> list[str]:
@@ -103,19 +102,11 @@ def run_one(name: str, arguments: dict[str, Any]) -> dict[str, Any]:
         return json.loads(out.read_text())
 
 
-def conclude(results: dict[str, dict[str, Any]], asked: argparse.Namespace) -> int:
-    """Compare with the baseline, or make it; the exit code."""
-    gated = {name: one["rows"] for name, one in results.items() if WORKLOADS[name].gated}
-    figures: _gate.Figures = {kind: {} for kind in _gate.TOLERANCES}
-    for name, rows in gated.items():
-        for kind, some in _gate.figures_of(name, rows).items():
-            figures[kind] |= some
-    if asked.baseline:
-        _gate.write_baseline(figures)
-    if not asked.gate:
-        return 0
-    baseline, tolerances = _gate.read_baseline()
-    verdict = _gate.judge(figures, _gate.only(baseline, set(gated)), tolerances)
+def conclude(results: dict[str, dict[str, Any]], kept: dict[str, dict[str, Any]]) -> int:
+    """Compare with the results that were kept of the same workloads; the exit code."""
+    names = [name for name in results if WORKLOADS[name].gated and name in kept]
+    figures, before = (_gate.figures_of_all({name: some[name] for name in names}) for some in (results, kept))
+    verdict = _gate.judge(figures, before)
     for sentence in verdict.regressions:
         print(f"regression: {sentence}")
     for name in verdict.missing:

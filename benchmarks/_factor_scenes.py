@@ -7,8 +7,6 @@ import numpy as np
 
 from spplanes import Plane
 
-SIGMA_M = 0.01
-
 
 def pose_key(i: int) -> int:
     """Key of pose i."""
@@ -65,22 +63,3 @@ def walk(sigmas: np.ndarray) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, 
             off = gtsam.Pose3(gtsam.Rot3.RzRyRx(psi, theta, 0.0), np.array([0.0, 0.0, z])).inverse().matrix()
             seen.append((i, j, Plane(pose.inverse().matrix() @ frames[j] @ off, covariance)))
     return graph, values, seen
-
-
-def many_views(n_poses: int = 100, n_planes: int = 30, n_points: int = 50) -> dict[str, np.ndarray]:
-    """Every plane seen from every pose: points (N, 3) in the frames of their poses, labels, truth, perturbed start."""
-    rng = np.random.default_rng(2)
-    frames = random_frames(rng, n_planes)
-    truth = np.stack([pose.matrix() for pose in random_poses(rng, n_poses)])
-    initial = np.stack([gtsam.Pose3(pose).retract(0.03 * rng.normal(size=6)).matrix() for pose in truth])
-    pose = np.repeat(np.arange(n_poses), n_planes * n_points)
-    label = np.tile(np.repeat(np.arange(n_planes), n_points), n_poses)
-    local = np.column_stack([rng.uniform(-2, 2, (len(pose), 2)), np.zeros(len(pose)), np.ones(len(pose))])
-    world = np.einsum("nij,nj->ni", frames[label], local)
-    points = np.einsum("nji,nj->ni", truth[pose, :3, :3], world[:, :3] - truth[pose, :3, 3])
-    planes = np.column_stack([frames[:, :3, 2], -np.einsum("ni,ni->n", frames[:, :3, 2], frames[:, :3, 3])])
-    points += SIGMA_M * rng.normal(size=points.shape)
-    return {
-        "points": points, "labels": label, "poses": pose, "truth": truth, "initial": initial,
-        "planes": planes, "sigma": np.array(SIGMA_M),
-    }  # fmt: skip

@@ -1,15 +1,13 @@
-"""Regressions against a small committed baseline: ratios of time and memory, and accuracy; never an absolute time."""
+"""Regressions against the results that are kept: ratios of time and memory, and accuracy; never an absolute time."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
+from typing import Any
 
 from benchmarks._measure import CPU, MEMORY, Row
 
-BASELINE = Path(__file__).parent / "baseline.json"
 #: Memory below this is the allocator's, not the algorithm's, MB.
 LEAST_MEMORY_MB = 4.0
 #: How much worse a figure may be, by kind. Times of contenders taken in turn came out within 0.65 to 1.34 of those of
@@ -55,7 +53,7 @@ class Verdict:
     regressions: list[str] = field(default_factory=list)
     """One sentence each."""
     missing: list[str] = field(default_factory=list)
-    """Figures of the baseline that were not measured: a peer is not there."""
+    """Figures that are kept and were not measured: a peer is not there."""
     compared: int = 0
     """Figures that were."""
 
@@ -104,10 +102,10 @@ def _accuracy_of(row: Row) -> dict[str, float]:
     return found
 
 
-def judge(measured: Figures, baseline: Figures, tolerances: Mapping[str, float] = TOLERANCES) -> Verdict:
-    """Compare figures with the baseline's; what the baseline does not know is no regression."""
+def judge(measured: Figures, kept: Figures) -> Verdict:
+    """Compare figures with those kept; what these do not know is no regression."""
     regressions, missing, compared = [], [], 0
-    for kind, figures in baseline.items():
+    for kind, figures in kept.items():
         for name, before in figures.items():
             if name not in measured.get(kind, {}):
                 missing.append(name)
@@ -115,32 +113,15 @@ def judge(measured: Figures, baseline: Figures, tolerances: Mapping[str, float] 
             compared += 1
             now, rule = measured[kind][name], ACCURACY.get(name.rsplit(": ", 1)[-1])
             slack = rule.slack if rule and kind == "accuracy" else 0.0
-            if not now <= tolerances[kind] * before + slack:  # NaN is a regression too
-                regressions.append(f"{name} ({kind}): {now:.3g}, baseline {before:.3g}")
+            if not now <= TOLERANCES[kind] * before + slack:  # NaN is a regression too
+                regressions.append(f"{name} ({kind}): {now:.3g}, kept {before:.3g}")
     return Verdict(regressions, missing, compared)
 
 
-def only(figures: Figures, workloads: set[str]) -> Figures:
-    """Those of some workloads."""
-    return {
-        kind: {name: value for name, value in some.items() if name.split(":")[0] in workloads}
-        for kind, some in figures.items()
-    }
-
-
-def read_baseline(path: Path = BASELINE) -> tuple[Figures, dict[str, float]]:
-    """Figures and tolerances."""
-    stored = json.loads(path.read_text())
-    return stored["figures"], stored["tolerances"]
-
-
-def write_baseline(figures: Figures, path: Path = BASELINE) -> None:
-    """Keep figures as the baseline; those of workloads that were not measured stay."""
-    kept = read_baseline(path)[0] if path.exists() else {}
-    measured = {name.split(":")[0] for some in figures.values() for name in some}
-    kept = only(kept, {name.split(":")[0] for some in kept.values() for name in some} - measured)
-    merged = {
-        kind: {name: float(f"{value:.3g}") for name, value in sorted((kept.get(kind, {}) | some).items())}
-        for kind, some in figures.items()
-    }
-    path.write_text(json.dumps({"tolerances": TOLERANCES, "figures": merged}, indent=1) + "\n")
+def figures_of_all(results: Mapping[str, Mapping[str, Any]]) -> Figures:
+    """Every figure of the results of some workloads, by kind and name."""
+    figures: Figures = {kind: {} for kind in TOLERANCES}
+    for name, result in results.items():
+        for kind, some in figures_of(name, result["rows"]).items():
+            figures[kind] |= some
+    return figures

@@ -25,8 +25,8 @@ time, which another process on the machine disturbs less. Memory is measured apa
 how much longer a peer takes, below 1 how much faster it is.
 
 `python -m benchmarks --short --write` measures every table within minutes, the longest missions left out; without
-`--short` they are in. `--gate` compares ratios and accuracy with a committed baseline (`benchmarks/baseline.json`),
-made by `--baseline`; it is no part of the tests that every change has to pass, for it takes as long as a short run.
+`--short` they are in. `--gate` compares ratios and accuracy with the results below; it is no part of the tests that
+every change has to pass, for it takes as long as a short run.
 """
 
 
@@ -58,15 +58,20 @@ def _version(name: str) -> str | None:
         return None
 
 
+def kept(path: Path = RESULTS) -> dict[str, dict[str, Any]]:
+    """The results that are kept, by workload."""
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
 def store(results: dict[str, dict[str, Any]], path: Path = RESULTS) -> dict[str, dict[str, Any]]:
     """Put results among those kept; all of them. What a short run leaves out stays,
     with the date of the full run it is from."""
-    kept = json.loads(path.read_text()) if path.exists() else {}
+    every = kept(path)
     for name, result in results.items():
-        older = left_out(result, kept[name]) if result["short"] and name in kept else []
-        kept[name] = {**result, "older": older}
-    path.write_text(json.dumps(kept, indent=1) + "\n")
-    return kept
+        older = left_out(result, every[name]) if result["short"] and name in every else []
+        every[name] = {**result, "older": older}
+    path.write_text(json.dumps(every, indent=1) + "\n")
+    return every
 
 
 def left_out(result: dict[str, Any], before: dict[str, Any]) -> list[dict[str, Any]]:
@@ -86,14 +91,14 @@ def key(row: Row) -> tuple[Any, Any]:
     return next(iter(row.values())), row.get("by")
 
 
-def page(kept: dict[str, dict[str, Any]]) -> str:
+def page(results: dict[str, dict[str, Any]]) -> str:
     """The page of all results, in the order of the registry."""
     parts = [_INTRODUCTION]
     for name, workload in WORKLOADS.items():
-        if name in kept:
-            older = kept[name].get("older", [])
-            rows = kept[name]["rows"] + [row for group in older for row in group["rows"]]
-            lines = [f"## {workload.title}", workload.says, markdown(rows), source(name, kept[name])]
+        if name in results:
+            older = results[name].get("older", [])
+            rows = results[name]["rows"] + [row for group in older for row in group["rows"]]
+            lines = [f"## {workload.title}", workload.says, markdown(rows), source(name, results[name])]
             parts.append("\n\n".join([*lines, *map(note, older)]) + "\n")
     return "\n".join(parts)
 

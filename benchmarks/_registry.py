@@ -19,7 +19,7 @@ class Workload:
     short: dict[str, Any] = field(default_factory=dict)
     """The same for `--short`."""
     gated: bool = False
-    """Its ratios are in the baseline."""
+    """Its ratios and accuracy are compared with those kept."""
     on_request: bool = False
     """Only run when named."""
 
@@ -46,14 +46,6 @@ WORKLOADS: dict[str, Workload] = {
         "Factors",
         "Linearisation and batch solve beside the wheel's own factors. `us each` is the time of one factor; in a "
         "Gauss-Newton step, whose optimiser copies all values at every call of a custom factor, what one line adds.",
-        short=_QUICK,
-        gated=True,
-    ),
-    "views": Workload(
-        "Many views of planes",
-        "Poses and planes from points: the samples of ef_bench (10 poses, 5 planes), and 100 poses that all see 30 "
-        "planes at 50 points each. Root-mean-square position error over the poses, its median over the samples and its "
-        "worst; time of everything from points to poses, mrob's and ours, per graph.",
         short=_QUICK,
         gated=True,
     ),

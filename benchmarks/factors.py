@@ -1,4 +1,4 @@
-"""Cost of the factors beside GTSAM's own, in one run; those of mrob are in ``benchmarks.views``.
+"""Cost of the factors beside GTSAM's own, in one run.
 
 Run as ``python -m benchmarks factors``. One thread; contenders in turn, medians of repeats, kernels warmed up.
 """

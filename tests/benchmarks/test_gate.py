@@ -54,8 +54,8 @@ def test_accuracy_is_that_of_ours_alone_and_grows_as_it_gets_worse():
 
 
 def test_a_worse_ratio_is_one_line_and_exit_code_1():
-    verdict = _gate.judge(figures({"a": 0.76, "b": 2.0}), figures({"a": 0.5, "b": 2.0}), {"time": 1.5})
-    assert verdict.regressions == ["a (time): 0.76, baseline 0.5"]
+    verdict = _gate.judge(figures({"a": 0.81, "b": 2.0}), figures({"a": 0.5, "b": 2.0}))
+    assert verdict.regressions == ["a (time): 0.81, kept 0.5"]
     assert verdict.exit_code == 1
 
 
@@ -64,7 +64,7 @@ def test_accuracy_has_its_slack_and_no_more():
     slack = _gate.ACCURACY["purity, %"].slack
     for more, expected in ((0.9 * slack, 0), (1.1 * slack, 1)):
         measured = figures(accuracy={name: 1.1 + more})
-        assert _gate.judge(measured, figures(accuracy={name: 1.0}), {"accuracy": 1.1}).exit_code == expected
+        assert _gate.judge(measured, figures(accuracy={name: 1.0})).exit_code == expected
 
 
 def test_a_figure_that_is_no_number_is_a_regression():
@@ -76,38 +76,30 @@ def test_what_was_not_measured_is_no_regression_but_said():
     assert (verdict.missing, verdict.compared, verdict.exit_code) == (["a"], 0, 0)
 
 
-def test_a_new_baseline_replaces_only_the_workloads_measured(tmp_path):
-    path = tmp_path / "baseline.json"
-    _gate.write_baseline(figures({"fit: a": 0.123456, "lines: b": 2.0}, accuracy={"fit: a: error, mm": 1.0}), path)
-    _gate.write_baseline(figures({"fit: c": 0.5}), path)
-    assert _gate.read_baseline(path) == (figures({"fit: c": 0.5, "lines: b": 2.0}), _gate.TOLERANCES)
-
-
-def test_the_committed_baseline_holds_ratios_and_accuracy_of_every_gated_workload():
-    kept, tolerances = _gate.read_baseline()
-    assert all(0.0 < value < 1e4 for kind in ("time", "apart", "memory") for value in kept[kind].values())
-    assert all(1.0 < value <= 2.5 for value in tolerances.values())
-    named = {name.split(":")[0] for some in kept.values() for name in some}
-    assert named == {name for name, one in WORKLOADS.items() if one.gated}
+def test_results_are_kept_of_every_gated_workload():
+    gated = {name for name, one in WORKLOADS.items() if one.gated}
+    results = {name: result for name, result in _page.kept().items() if name in gated}
+    figures = _gate.figures_of_all(results)
+    assert {name.split(":")[0] for some in figures.values() for name in some} == gated
 
 
 def test_the_command_fails_on_a_worse_ratio_and_on_a_worse_accuracy(monkeypatch, tmp_path, capsys):
     """The whole way from a workload's rows to the exit code; the workload itself is replaced by its rows."""
-    monkeypatch.setattr(_gate, "BASELINE", tmp_path / "baseline.json")
-    monkeypatch.setattr(_gate.write_baseline, "__defaults__", (tmp_path / "baseline.json",))
-    monkeypatch.setattr(_gate.read_baseline, "__defaults__", (tmp_path / "baseline.json",))
+    monkeypatch.setattr(_page.store, "__defaults__", (tmp_path / "results.json",))
+    monkeypatch.setattr(_page.kept, "__defaults__", (tmp_path / "results.json",))
+    monkeypatch.setattr(_page, "PAGE", tmp_path / "results.md")
     ours = {**row("c0", "spplanes", 10.0, 20.0), "error, mm": 5.0}
 
     def exit_code(words: list[str], **changed: float) -> int:
         rows = [ours | changed, row("c0", "mrob", 20.0, 30.0)]
         monkeypatch.setattr(command, "run_one", lambda *_: {"rows": rows, "seconds": 1.0, "peak_MB": 1.0})
-        return main([*words, "views"])
+        return main([*words, "scenes"])
 
-    assert exit_code(["--baseline"]) == 0
+    assert exit_code(["--write"]) == 0
     assert exit_code(["--gate"]) == 0
     assert exit_code(["--gate"], **{"CPU ms": 17.0}) == 1
     assert exit_code(["--gate"], **{"error, mm": 6.0}) == 1
-    assert "views: c0: error, mm (accuracy): 6, baseline 5" in capsys.readouterr().out
+    assert "scenes: c0: error, mm (accuracy): 6, kept 5" in capsys.readouterr().out
 
 
 def stored(rows: list[dict], *, short: bool, date: str = "2026-01-02") -> dict:
