@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
+import multiprocessing
 import shutil
 import signal
 import sqlite3
 import time
-import traceback
+from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
@@ -28,7 +27,6 @@ from slam.simulation.robots import VERTICAL
 
 #: Short keyframes, so that there are many commits to be killed in.
 CONFIG = SlamConfig.model_validate({"keyframes": {"distance_m": 0.1}})
-_FILES = ("", "-wal", "-shm")
 
 
 @dataclass(frozen=True)
@@ -49,81 +47,52 @@ def prepare(folder: Path, scans: int) -> Job:
     mission.save(folder / "mission")
     sensors = {name: one for name, one in mission.rig.sensors.items() if name != VERTICAL}
     Rig(sensors=sensors, odometry=mission.rig.odometry).to_yaml(folder / "mission" / "rig.yaml")
-    work(folder / "mission", folder / "warm", None)
+    work(folder / "mission", folder / "warm")
     start = time.perf_counter()
-    work(folder / "mission", folder / "whole", None)
+    work(folder / "mission", folder / "whole")
     return Job(folder / "mission", folder / "whole", time.perf_counter() - start)
 
 
-def work(mission: Path, out: Path, acknowledge: int | None) -> None:
-    """Run the mission, or go on with its run; says into a pipe which keyframe is done."""
-
-    def progress(done: int, total: int) -> None:
-        if acknowledge is not None:
-            os.write(acknowledge, done.to_bytes(4, "little"))
-
+def work(mission: Path, out: Path) -> None:
+    """Run the mission, or go on with its run."""
     if (out / SESSION_FILE).exists():
         with resumed_run(out) as (slam, log, rig):
-            done = run_slam(log, rig, slam.config, slam=slam, progress=progress)
+            done = run_slam(log, rig, slam.config, slam=slam)
             conclude(done, out, partial(_results, done.slam))
         return
     log, rig = load(mission)
     with new_run(out, log, rig, CONFIG, Source(mission), prior=None, overwrite=out.exists()) as slam:
-        done = run_slam(log, rig, CONFIG, slam=slam, progress=progress)
+        done = run_slam(log, rig, CONFIG, slam=slam)
         conclude(done, out, partial(_results, done.slam))
 
 
-def kill_row(job: Job, scratch: Path, kills: int, seed: int = 0) -> dict:
+def killed_runs(job: Job, scratch: Path, kills: int, seed: int = 0) -> Counter[str]:
     """Kill runs until there were so many kills; what was killed goes on, and may be killed again."""
-    rng = np.random.default_rng(seed)
-    counts = dict.fromkeys(("runs", "lost", "damaged", "different"), 0)
-    killed, out = 0, scratch / "killed"
-    while killed < kills:
-        said, dead = _run_until(job, out, float(rng.uniform(0.0, 1.2 * job.seconds)))
-        killed += dead
-        known = _keyframes(out)
-        counts["lost"] += known is not None and known < said
-        counts["damaged"] += known is None and said > 0
-        if not dead or (known and _finished(out)):  # killed perhaps, but after the last word
-            counts["runs"] += 1
-            counts["different"] += not same_run(job.whole, out)
+    rng, found, out = np.random.default_rng(seed), Counter[str](), scratch / "killed"
+    while found["killed"] < kills:
+        before = _keyframes(out)
+        killed = _run_until(job, out, float(rng.uniform(0.0, 1.2 * job.seconds)))
+        after = _keyframes(out)
+        found["killed"] += killed
+        found["lost"] += before is not None and (after is None or after < before)
+        if not killed or (after and _finished(out)):  # killed perhaps, but after the last word
+            found["different"] += not same_run(job.whole, out)
             shutil.rmtree(out)
     if out.exists():
-        work(job.mission, out, None)
-        counts["different"] += not same_run(job.whole, out)
-    return {"what": "killed at a random moment", "trials": killed, **counts}
+        found["different"] += not _finishes(job, out)
+    return found
 
 
-def _run_until(job: Job, out: Path, seconds: float) -> tuple[int, bool]:
-    """Run in a process of its own and kill it after so long; keyframes it acknowledged, and whether it was killed."""
-    reader, writer = os.pipe()
-    child = os.fork()
-    if child == 0:
-        os.close(reader)
-        _child(job, out, writer)
-    os.close(writer)
-    time.sleep(seconds)
-    os.kill(child, signal.SIGKILL)
-    _, status = os.waitpid(child, 0)
-    said = b""
-    while block := os.read(reader, 1 << 16):
-        said += block
-    os.close(reader)
-    if os.WIFEXITED(status) and os.WEXITSTATUS(status) != 0:
+def _run_until(job: Job, out: Path, seconds: float) -> bool:
+    """Run in a process of its own and kill it after so long; whether it was killed."""
+    process = multiprocessing.get_context("fork").Process(target=work, args=(job.mission, out))
+    process.start()
+    process.join(seconds)
+    process.kill()
+    process.join()
+    if process.exitcode not in (0, -signal.SIGKILL):
         raise RuntimeError("the run failed by itself")
-    return int.from_bytes(said[len(said) // 4 * 4 - 4 :][:4], "little") if said else 0, os.WIFSIGNALED(status)
-
-
-def _child(job: Job, out: Path, acknowledge: int) -> NoReturn:  # type: ignore[bad-return]  # never: `os._exit`
-    code = 1
-    try:
-        work(job.mission, out, acknowledge)
-        code = 0
-    except BaseException:
-        traceback.print_exc()
-        raise
-    finally:
-        os._exit(code)
+    return process.exitcode != 0
 
 
 def _keyframes(out: Path) -> int | None:
@@ -157,41 +126,36 @@ def _results(slam: PlaneSlam, folder: Path) -> None:
     (folder / "planes.bin").write_bytes(np.array([one.plane.frame for one in planes]).tobytes() + covariances.tobytes())
 
 
-def damage_row(job: Job, scratch: Path, damages: int, seed: int = 1) -> dict:
+def damaged_sessions(job: Job, scratch: Path, damages: int, seed: int = 1) -> Counter[str]:
     """Damage sessions, finished ones and ones whose writer was killed, and read, salvage and finish them."""
-    rng = np.random.default_rng(seed)
-    truth = records(job.whole / SESSION_FILE)
-    victims = [job.whole, _half_done(job, scratch)]
-    counts: dict[str, int] = dict.fromkeys(
-        ("noticed", "harmless", "shorter", "wrong", "saved", "beyond saving", "different"), 0
-    )
+    rng, found = np.random.default_rng(seed), Counter[str]()
+    truth, victims = records(job.whole / SESSION_FILE), [job.whole, _half_done(job, scratch)]
     for trial in range(damages):
-        out = scratch / "damaged"
-        shutil.copytree(victims[trial % 2], out)
+        out = shutil.copytree(victims[trial % 2], scratch / "damaged")
         _damage(out, rng)
-        outcome = _read(out, truth, victims[trial % 2])
-        if outcome != "noticed":
+        outcome = _read(out, truth)
+        if outcome == "right":
             try:
-                counts["different"] += not _finishes(job, out)
+                found["different"] += not _finishes(job, out)
             except SessionDamaged:  # in a page that a reader has no need of
                 outcome = "noticed"
-        counts[outcome] += 1
+        found[outcome] += 1
         if outcome == "noticed":
             try:
                 salvage_session(out)
-                counts["saved"] += 1
-                counts["different"] += not _finishes(job, out)
+                found["saved"] += 1
+                found["different"] += not _finishes(job, out)
             except SessionError:
-                counts["beyond saving"] += 1
+                found["beyond saving"] += 1
         shutil.rmtree(out)
-    return {"what": "damaged at a random place", "trials": damages, **counts}
+    return found
 
 
 def _finishes(job: Job, out: Path) -> bool:
     """Go on with a run to its end; whether it comes to the same result."""
     if _finished(out):
         return True
-    work(job.mission, out, None)
+    work(job.mission, out)
     return same_run(job.whole, out)
 
 
@@ -207,7 +171,7 @@ def _half_done(job: Job, scratch: Path) -> Path:
 
 def _damage(out: Path, rng: np.random.Generator) -> None:
     """Cut a file of the session off, flip a bit of it, or overwrite a stretch of it."""
-    files = [out / f"{SESSION_FILE}{end}" for end in _FILES[:2] if (out / f"{SESSION_FILE}{end}").exists()]
+    files = [out / f"{SESSION_FILE}{end}" for end in ("", "-wal") if (out / f"{SESSION_FILE}{end}").exists()]
     path = files[int(rng.integers(len(files)))]
     data = bytearray(path.read_bytes())
     used = max(len(data.rstrip(b"\0")), 1)  # behind it the journal has room only
@@ -222,17 +186,15 @@ def _damage(out: Path, rng: np.random.Generator) -> None:
     path.write_bytes(data)
 
 
-def _read(out: Path, truth: list[tuple], original: Path) -> str:
-    """noticed; harmless: all there as it was; shorter: a true beginning; wrong: something that was never written."""
+def _read(out: Path, truth: list[tuple]) -> str:
+    """noticed; right: all of it, or a beginning, as it was written; wrong: something that was never written."""
     try:
         with Session.open(out, read_only=True) as session:
-            count = sum(1 for _ in session.entries())
+            list(session.entries())
         found = records(out / SESSION_FILE)
     except (SessionError, sqlite3.Error):
         return "noticed"
-    if not set(found) <= set(truth):
-        return "wrong"
-    return "harmless" if count >= (_keyframes(original) or 0) else "shorter"
+    return "right" if set(found) <= set(truth) else "wrong"
 
 
 def _finished(out: Path) -> bool:

@@ -365,9 +365,9 @@ def test_a_read_only_folder(whole: Path):
 
 
 def test_killed_runs_lose_nothing_and_damage_is_never_read_as_truth(job: kill.Job, tmp_path: Path, times):
-    killed = kill.kill_row(job, tmp_path, kills=times(3, 200), seed=4)
-    assert killed["trials"] == times(3, 200)
-    assert [killed[key] for key in ("lost", "damaged", "different")] == [0, 0, 0]
-    damaged = kill.damage_row(job, tmp_path, damages=times(8, 200), seed=5)
+    killed = kill.killed_runs(job, tmp_path, kills=times(3, 200), seed=4)
+    assert killed["killed"] == times(3, 200)
+    assert killed["lost"] == killed["different"] == 0
+    damaged = kill.damaged_sessions(job, tmp_path, damages=times(8, 200), seed=5)
     assert damaged["wrong"] == damaged["different"] == 0 < damaged["noticed"]
     assert damaged["saved"] > damaged["beyond saving"]
