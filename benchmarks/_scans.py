@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import gzip
 from pathlib import Path
 
 import numpy as np
 
+from slam.io.cloud_folders import clouds_in
+from slam.io.clouds import read_cloud
+from slam.io.threedtk import read_points
 from spplanes._check import FloatArray
+from spplanes.clouds.arrange import arrange
 from spplanes.noise import DepthCameraModel, SensorModel
 
 #: The tilting SICK of 3dtk_corridor: 1 cm of range noise; its tilt servo jerks from line to line, and drifts.
@@ -27,8 +30,6 @@ ROOM_SENSOR = SensorModel(
 ROOM_RANGE_M = 0.8
 #: The spinning lidar of balm_hall: plane residuals of 11 to 20 mm.
 HALL_SENSOR = SensorModel(range_sigma_m=0.02, bearing_sigma_rad=0.001)
-#: Beyond this the corridor's laser had no return, m.
-CORRIDOR_RANGE_M = 32.0
 
 
 def icl_frame(data: Path, noise_seed: int | None = None) -> tuple[FloatArray, FloatArray, np.ndarray]:
@@ -64,41 +65,19 @@ def synpeb_scan(data: Path) -> tuple[FloatArray, float, np.ndarray]:
 
 def corridor_scan(data: Path, index: int) -> FloatArray:
     """One scan of the 3DTK corridor, metric, x forward, y left, z up, shape (226, 360, 3); NaN = no return."""
-    with gzip.open(data / "3dtk_corridor" / f"scan{index:03d}.3d.gz", "rt") as file:
-        rows = np.array([[float(v) for v in line.split()] for line in file if len(line.split()) == 3])
-    points = np.column_stack((rows[:, 2], -rows[:, 0], rows[:, 1])) / 100.0
-    points[np.linalg.norm(points, axis=1) > CORRIDOR_RANGE_M] = np.nan
-    return points.reshape(226, 360, 3)
-
-
-def read_pcd(path: Path) -> FloatArray:
-    """Points (N, 3) of a PCD file in the order of the file, read by Open3D."""
-    import open3d
-
-    return np.asarray(open3d.io.read_point_cloud(path, remove_nan_points=False).points)
+    return read_points(data / "3dtk_corridor" / f"scan{index:03d}.3d.gz")
 
 
 def room_slices(data: Path, index: int) -> FloatArray:
     """One scan of the room as vertical slices, shape (lines, 181, 3): beams by elevation, every line once."""
-    points = read_pcd(data / "pcl_room" / f"room_scan{index}.pcd")
-    elevation = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
-    lines = np.split(np.arange(len(points)), np.flatnonzero(np.abs(np.diff(elevation)) > 60.0) + 1)
-    lines = [line for k, line in enumerate(lines) if k == 0 or not _same(points, line, lines[k - 1])]
-    grid = np.full((len(lines), 181, 3), np.nan)
-    for k, line in enumerate(lines):
-        beam = np.clip(np.round(elevation[line] + 90.0).astype(int), 0, 180)
-        grid[k, beam] = points[line]
+    grid = arrange(read_cloud(data / "pcl_room" / f"room_scan{index}.pcd").points)
     grid[np.linalg.norm(grid, axis=-1) < ROOM_RANGE_M] = np.nan
     return grid
 
 
-def _same(points: FloatArray, one: np.ndarray, other: np.ndarray) -> bool:
-    return len(one) == len(other) and bool(np.array_equal(points[one], points[other]))
-
-
 def hall_cloud(data: Path, index: int) -> FloatArray:
     """One unorganised cloud of the hall, shape (N, 3)."""
-    return read_pcd(sorted((data / "balm_hall").glob("*.pcd"))[index])
+    return read_cloud(clouds_in(data / "balm_hall")[index]).points
 
 
 def correct_detections(labels: np.ndarray, truth: np.ndarray, overlap: float = 0.8) -> int:

@@ -25,7 +25,6 @@ _LONGEST = (
     "tests/slam/session/test_resume.py",
     "tests/test_wheel.py",
     "tests/slam/runs/test_cloud_registration.py",
-    "tests/benchmarks/test_floorplans.py",
     "tests/slam/tracking/test_odometry_check.py",
     "tests/slam/runs/test_jobs.py",
     "tests/slam/runs/test_repair.py",

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,17 +12,12 @@ from slam.geometry.frames import inverse, planar_transform
 from slam.sensors.log import Event, LaserScan, Log, OdometryReading
 from spplanes._check import FloatArray
 
-if TYPE_CHECKING:
-    from slam.planeslam import PlaneSlam
-
 #: Time between scans, ns.
 PERIOD_NS = 100_000_000
 #: Depth of door recesses, m.
 RECESS_M = 0.12
 #: Length over which a wall deviates from straight by one value, m.
 PATCH_M = 0.5
-#: A line further from every wall is of none, m.
-_OFF_M = 0.3
 
 
 @dataclass(frozen=True)
@@ -244,37 +238,3 @@ def cast(walls: FloatArray, bumps: FloatArray, pose: FloatArray, angles: FloatAr
     patch = np.clip(place, 0, bumps.shape[1] - 1).astype(int)
     grazing = np.abs(cross[nearest, beams]) / lengths[nearest]
     return reach[nearest, beams] + bumps[nearest, patch] / np.maximum(grazing, 0.1)
-
-
-def wrong_landmarks(slam: PlaneSlam, truth: Drive, tolerance_m: float = 0.06) -> list[int]:
-    """Ids of landmarks of whose sightings more than a tenth, and two or more, are of other planes than most of them.
-
-    A sighting is of the plane of walls nearest to its middle that faces the same way, for it may bridge a gap; planes
-    differ by more than the tolerance or by 0.1 rad.
-    """
-    along = truth.walls[:, 1] - truth.walls[:, 0]
-    along = along / np.linalg.norm(along, axis=1, keepdims=True)
-    normals = np.stack((-along[:, 1], along[:, 0]), axis=1)
-    offsets = np.einsum("wi,wi->w", normals, truth.walls[:, 0])
-    poses = truth.poses_at(np.array([frame.stamp_ns for frame in slam.keyframes]))
-    wrong = []
-    for landmark in slam.landmarks:
-        seen = []
-        for sighting in landmark.sightings:
-            line, pose = slam.keyframes[sighting.keyframe].observations[sighting.observation], poses[sighting.keyframe]
-            middle = (line.vertices[:, :2] @ pose[:2, :2].T + pose[:2, 3]).mean(axis=0)
-            turned = normals @ pose[:2, :2] @ line.normal[:2] < np.cos(0.3)
-            gaps = np.abs(offsets - normals @ middle) + 10.0 * turned
-            nearest = int(gaps.argmin())
-            if gaps[nearest] < _OFF_M:
-                seen.append((offsets[nearest], np.arctan2(normals[nearest, 1], normals[nearest, 0])))
-        if len(seen) > 1 and _is_of_two(np.array(seen), tolerance_m):
-            wrong.append(landmark.id)
-    return wrong
-
-
-def _is_of_two(seen: FloatArray, tolerance_m: float) -> bool:
-    """Whether planes (offset, direction), shape (N, 2), are not nearly all one."""
-    turns = np.remainder(seen[:, 1] - np.median(seen[:, 1]) + np.pi, 2.0 * np.pi) - np.pi
-    other = (np.abs(seen[:, 0] - np.median(seen[:, 0])) > tolerance_m) | (np.abs(turns) > 0.1)
-    return bool(other.sum() >= 2 and other.mean() > 0.1)

@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from benchmarks import _scans
+from slam.io.clouds import read_cloud
 from spplanes import MapperConfig, Plane, segment_cloud
 from tests.slam.real_data import DATA, needs
 from tests.spplanes.fitting.test_shared_error import wall as wandering_wall
@@ -132,7 +133,7 @@ def test_far_from_the_origin_planes_are_the_same():
 
 
 def test_a_real_room_is_the_same_in_any_order():
-    points = _scans.read_pcd(needs("pcl_room/room_scan1.pcd"))
+    points = read_cloud(needs("pcl_room/room_scan1.pcd")).points
     order = np.random.default_rng(0).permutation(len(points))
     found = segment_cloud(points)
     assert found.coverage.share > 0.84
