@@ -61,7 +61,7 @@ def corridor(origin: np.ndarray):
     return [offset.compose(pose) for pose in truth], seen, steps
 
 
-def run_isam(origin: np.ndarray, *, anchored: bool = True) -> tuple[gtsam.Values, gtsam.ISAM2]:
+def run_isam(origin: np.ndarray) -> tuple[gtsam.Values, gtsam.ISAM2]:
     """Landmarks come up one after the other: pose i first sees plane j where i = 2 j."""
     truth, seen, steps = corridor(origin)
     isam = gtsam.ISAM2(gtsam.ISAM2Params())
@@ -76,10 +76,9 @@ def run_isam(origin: np.ndarray, *, anchored: bool = True) -> tuple[gtsam.Values
         values.insert(pose_key(i), guess)
         for j in range(len(WALLS)):
             if i >= 2 * j:
-                anchor = pose_key(2 * j) if anchored else None
-                graph.push_back(plane_factor(seen[i][j], pose_key(i), plane_key(j), anchor_key=anchor))
+                graph.push_back(plane_factor(seen[i][j], pose_key(i), plane_key(j), anchor_key=pose_key(2 * j)))
                 if i == 2 * j:
-                    values.insert(plane_key(j), plane_landmark(seen[i][j], None if anchored else guess))
+                    values.insert(plane_key(j), plane_landmark(seen[i][j]))
         isam.update(graph, values)
         isam.update()
     for _ in range(5):

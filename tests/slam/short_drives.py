@@ -14,10 +14,10 @@ from spplanes._check import FloatArray
 
 
 @cache
-def mapped_beginning(name: str, seed: int, n_scans: int) -> tuple[Run, FloatArray]:
-    """A run of the first scans of a drive, and the errors of its keyframes against the first one, (N, 4, 4)."""
+def mapped_beginning(name: str, seed: int, n_scans: int | None = None) -> tuple[Run, FloatArray]:
+    """A run of the first scans of a drive, or all, and the errors of its keyframes against the first one, (N, 4, 4)."""
     drive = make_drive(Recipe.parse(name), seed)
-    end = drive.log.scans()[n_scans - 1].stamp_ns
+    end = drive.log.scans()[:n_scans][-1].stamp_ns
     events = [event for event in drive.log.events if event.stamp_ns <= end]
     run = run_slam(replace(drive.log, events=events), drive.rig, SlamConfig())
     true = drive.truth.world_T_body[np.searchsorted(drive.truth.stamps_ns, run.trajectory.stamps_ns)]

@@ -1,4 +1,4 @@
-"""Depth images of planes with truth, for the tests of the segmentation."""
+"""What cameras and scanners see of planes and boxes, with truth."""
 
 import numpy as np
 
@@ -8,6 +8,20 @@ def rays(rows=48, cols=64, fov=1.0):
     v, u = np.meshgrid(np.linspace(-0.75, 0.75, rows) * fov, np.linspace(-1, 1, cols) * fov, indexing="ij")
     directions = np.stack((np.ones_like(u), -u, -v), axis=-1)
     return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+def spun(elevations, azimuths):
+    """Unit rays of a spinning scanner, x ahead at azimuth nought, shape (elevations, azimuths, 3)."""
+    elevation, azimuth = np.meshgrid(elevations, azimuths, indexing="ij")
+    level = np.cos(elevation)
+    return np.stack((level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)), axis=-1)
+
+
+def to_walls(directions, low, high):
+    """Ranges from inside a box whose corners are at `low` and `high` from the eye, shape (...)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ranges = np.where(directions > 0.0, high, low) / directions
+    return ranges.min(axis=-1, where=directions != 0.0, initial=np.inf)
 
 
 def cast(directions, planes):

@@ -4,44 +4,20 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from benchmarks.corpus.drives import ODOMETRIES, Recipe, make_drive
 from benchmarks.corpus.drives.sensing import depth_sigma
 from benchmarks.corpus.drives.worlds import WORLDS
 from slam.frontend.odometry import planar_delta
 from slam.geometry.frames import inverse
-from slam.sensors.log import LaserScan
 from slam.sensors.wheel_noise import OdometryNoise
+from tests.slam.beams import beam_errors
 from tests.slam.scenes import assert_same_events
-
-
-def range_errors(drive, sensor):
-    """Ranges read less those at which the beams meet the planes they are labelled with, (N,), m; rays (N, 3)."""
-    errors, rays_seen = [], []
-    described = drive.rig.sensors[sensor]
-    normals = np.array([plane.normal for plane in drive.truth.planes])
-    offsets = np.array([plane.d for plane in drive.truth.planes])
-    for scan, labels in zip(drive.log.scans(sensor), drive.truth.labels[sensor], strict=True):
-        points = scan.points.reshape(-1, 3) if not isinstance(scan, LaserScan) else points_of(scan)
-        labels = labels.ravel()
-        ranges, seen = np.linalg.norm(points, axis=1), labels >= 0
-        pose = drive.truth.poses_at(np.array([scan.stamp_ns]))[0] @ described.body_T_sensor
-        rays = points[seen] / ranges[seen, None]
-        world = rays @ pose[:3, :3].T
-        n = normals[labels[seen]]
-        errors.append(ranges[seen] - (offsets[labels[seen]] - n @ pose[:3, 3]) / np.einsum("ni,ni->n", n, world))
-        rays_seen.append(rays)
-    return np.concatenate(errors), np.concatenate(rays_seen)
-
-
-def points_of(scan):
-    return scan.ranges[:, None] * np.column_stack([np.cos(scan.angles), np.sin(scan.angles), 0.0 * scan.angles])
+from tests.statistics import assert_mean_in_band, mean_nees_band
 
 
 def assert_scatter(errors, sigma):
-    low, high = chi2.ppf((0.0005, 0.9995), errors.size)
-    assert low < np.sum((errors / sigma) ** 2) < high
+    assert_mean_in_band((errors / sigma) ** 2, 1, level=0.999)
 
 
 @pytest.mark.parametrize(
@@ -50,19 +26,18 @@ def assert_scatter(errors, sigma):
 def test_ranges_scatter_about_the_true_planes_as_the_rig_says(name):
     drive = make_drive(Recipe.parse(name), 3)
     for sensor, described in drive.rig.sensors.items():
-        errors, _ = range_errors(drive, sensor)
+        errors = beam_errors(drive, sensor).range_m
         assert errors.size > 10_000
         assert_scatter(errors, described.range_sigma_m)
 
 
 def test_depths_scatter_more_the_farther_they_are():
     drive = make_drive(Recipe.parse("hall/depth/good/fifth"), 1)
-    errors, rays = range_errors(drive, "camera")
-    points = np.concatenate([s.points.reshape(-1, 3) for s in drive.log.scans("camera")])
-    labels = drive.truth.labels["camera"].ravel()
-    depth = points[labels >= 0, 2] - errors * rays[:, 2]
+    seen = beam_errors(drive, "camera")
+    errors = seen.range_m * seen.rays[:, 2]
+    depth = seen.points[:, 2] - errors
     far = depth < 4.8  # beyond, those read too far are lost
-    assert_scatter((errors * rays[:, 2])[far], depth_sigma(depth)[far])
+    assert_scatter(errors[far], depth_sigma(depth)[far])
 
 
 def nees_of_steps(kind, count=400, steps=30):
@@ -83,7 +58,7 @@ def nees_of_steps(kind, count=400, steps=30):
 @pytest.mark.parametrize(("kind", "factor"), [("good", 1.0), ("worse3", 9.0)])
 def test_odometry_errs_as_much_as_its_kind_says(kind, factor):
     values = nees_of_steps(kind)
-    low, high = chi2.ppf((0.0005, 0.9995), 3 * values.size) / values.size
+    low, high = mean_nees_band(values.size, 3, level=0.999)
     assert low < values.mean() / factor < high * 1.05  # 9 times the variance turns far enough to leave first order
 
 
@@ -105,8 +80,7 @@ def test_there_is_no_odometry_or_one_that_stands():
 @pytest.mark.parametrize(("kind", "factor"), [("noise0.3", 0.3), ("noise3", 3.0)])
 def test_the_rig_states_another_noise_than_the_ranges_have(kind, factor):
     drive = make_drive(Recipe.parse(f"bare/level/good/{kind}"), 0)
-    errors, _ = range_errors(drive, "horizontal")
-    assert_scatter(errors, drive.rig.sensors["horizontal"].range_sigma_m / factor)
+    assert_scatter(beam_errors(drive, "horizontal").range_m, drive.rig.sensors["horizontal"].range_sigma_m / factor)
 
 
 def test_a_rig_with_its_laser_backwards_puts_the_points_behind():
@@ -122,7 +96,7 @@ def test_a_rig_with_its_laser_backwards_puts_the_points_behind():
 def test_truth_and_labels_go_with_the_scans_that_are_left(kind):
     whole = make_drive(Recipe.parse("office/level"), 0)
     drive = make_drive(Recipe.parse(f"office/level/good/{kind}"), 0)
-    assert_scatter(range_errors(drive, "horizontal")[0], 0.015)
+    assert_scatter(beam_errors(drive, "horizontal").range_m, 0.015)
     share = {"half": 2, "fifth": 5, "reversed": 1}[kind]
     assert len(drive.log.scans()) == -(-len(whole.log.scans()) // share)
     stamps = [event.stamp_ns for event in drive.log.events]
@@ -139,8 +113,7 @@ def test_a_prior_map_errs_as_it_says_and_starts_where_its_kind_says():
         nees += [one.plane.mahalanobis(t) for one, t in zip(drive.prior.planes, true, strict=True)]
         off = inverse(drive.truth.world_T_body[0]) @ drive.prior.world_T_start
         assert np.linalg.norm(off[:2, 3]) < 0.5
-    low, high = chi2.ppf((0.0005, 0.9995), 3 * len(nees))
-    assert low < np.sum(nees) < high
+    assert_mean_in_band(nees, 3, level=0.999)
     wrong = make_drive(Recipe.parse("office/level/good/prior_start"), 0)
     off = inverse(wrong.truth.world_T_body[0]) @ wrong.prior.world_T_start
     assert np.linalg.norm(off[:2, 3]) == pytest.approx(2.0)

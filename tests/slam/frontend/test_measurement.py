@@ -23,6 +23,7 @@ from spplanes.segmentation.validation.one_plane import InPatches, could_be_seen,
 from spplanes.segmentation.validation.splitting import LIMIT
 from tests.slam.floorplan.measured_suites import Measured
 from tests.spplanes.fitting.test_shared_error import wall
+from tests.spplanes.scenes import spun, to_walls
 from tests.statistics import assert_mean_in_band
 
 RULES = ValidationConfig()
@@ -189,12 +190,8 @@ def test_rough_fronts_are_found_where_the_rig_knows_of_them():
 def room_without_order() -> np.ndarray:
     """A room of 8 x 6 x 2.7 m seen by a spinning lidar of 32 rings, points shuffled, shape (N, 3)."""
     rng = np.random.default_rng(0)
-    elevation, azimuth = np.meshgrid(np.linspace(0.5, -0.5, 32), 2.0 * np.pi * np.arange(720) / 720, indexing="ij")
-    level = np.cos(elevation)
-    rays = np.stack((level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)), axis=-1).reshape(-1, 3)
-    high = np.where(rays > 0.0, [5.0, 3.5, 1.5], [-3.0, -2.5, -1.2])
-    with np.errstate(divide="ignore"):
-        ranges = np.min(high / rays, axis=1, where=rays != 0.0, initial=np.inf)
+    rays = spun(np.linspace(0.5, -0.5, 32), 2.0 * np.pi * np.arange(720) / 720).reshape(-1, 3)
+    ranges = to_walls(rays, [-3.0, -2.5, -1.2], [5.0, 3.5, 1.5])
     points = rays * (ranges + 0.005 * rng.standard_normal(len(ranges)))[:, None]
     points[rng.choice(len(points), 300, replace=False)] = np.nan
     return rng.permutation(points)

@@ -15,17 +15,13 @@ from slam.sensors.log import CloudScan, Event, LaserScan, Log, StoredCloud
 from slam.sensors.rig import Rig, Sensor
 from spplanes._check import FloatArray
 from tests.slam.short_drives import mapped_beginning
+from tests.spplanes.scenes import spun, to_walls
 
 
 def room(rng: np.random.Generator, sigma: float, *, rows: int = 16, columns: int = 600) -> FloatArray:
     """Points (rows, columns, 3) of a scanner in a box of 8 x 6 x 3 m, each range with its noise."""
-    azimuth = np.linspace(-np.pi, np.pi, columns, endpoint=False)
-    elevation = np.linspace(-0.3, 0.3, rows)[:, None]
-    rays = np.stack(
-        (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation) + 0 * azimuth), -1
-    )
-    with np.errstate(divide="ignore"):
-        ranges = np.min(np.where(rays > 0.0, [5.0, 2.0, 1.8], [3.0, 4.0, 1.2]) / np.abs(rays), axis=-1)
+    rays = spun(np.linspace(-0.3, 0.3, rows), np.linspace(-np.pi, np.pi, columns, endpoint=False))
+    ranges = to_walls(rays, [-3.0, -4.0, -1.2], [5.0, 2.0, 1.8])
     return rays * (ranges + sigma * rng.standard_normal(ranges.shape))[..., None]
 
 

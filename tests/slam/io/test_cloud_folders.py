@@ -18,6 +18,7 @@ from spplanes._check import FloatArray
 from spplanes.clouds.arrange import Grid, arrange, range_image
 from tests.slam.commands import refused, run
 from tests.slam.real_data import needs
+from tests.spplanes.scenes import spun, to_walls
 
 #: Half sizes of the room round the world's origin, m.
 ROOM = np.array([4.0, 3.0, 1.3])
@@ -29,19 +30,14 @@ CARMEN_LINES = "".join(f"FLASER 3 1.0 2.0 1.5 0 0 0 {k}.0 0 0 {k}.0 host {k}.0\n
 
 def beams(columns: int = 360, rows: int = 32) -> FloatArray:
     """Directions of a spinning lidar, shape (rows, columns, 3)."""
-    elevation, azimuth = np.meshgrid(
-        np.deg2rad(np.linspace(30, -30, rows)), np.deg2rad(np.arange(columns) * 360 / columns)
-    )
-    level = np.cos(elevation)
-    return np.stack((level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)), axis=-1).transpose(1, 0, 2)
+    return spun(np.deg2rad(np.linspace(30, -30, rows)), np.deg2rad(np.arange(columns) * 360 / columns))
 
 
 def seen_from(world_T_sensor: FloatArray, seed: int, columns: int = 360) -> FloatArray:
     """The room from a pose with 10 mm of noise, in the sensor's frame, shape (32, columns, 3)."""
     local = beams(columns)
-    rays = local @ world_T_sensor[:3, :3].T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        reach = ((np.sign(rays) * ROOM - world_T_sensor[:3, 3]) / rays).min(axis=-1, initial=np.inf, where=rays != 0.0)
+    rays, eye = local @ world_T_sensor[:3, :3].T, world_T_sensor[:3, 3]
+    reach = to_walls(rays, -ROOM - eye, ROOM - eye)
     return (reach + np.random.default_rng(seed).normal(0.0, 0.01, reach.shape))[..., None] * local
 
 
@@ -253,9 +249,7 @@ def test_the_nearer_of_two_points_hides_the_other():
 
 
 def test_lines_of_a_turning_laser_keep_their_order_and_lose_their_doubles():
-    elevation, azimuth = np.meshgrid(np.deg2rad(np.arange(-60, 81.0)), np.deg2rad(np.arange(0.0, 160.0, 4.0)))
-    level = np.cos(elevation)
-    grid = 3.0 * np.stack((level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)), axis=-1)
+    grid = 3.0 * spun(np.deg2rad(np.arange(-60, 81.0)), np.deg2rad(np.arange(0.0, 160.0, 4.0))).swapaxes(0, 1)
     lost = np.random.default_rng(0).random(grid.shape[:2]) < 0.05
     lost[0, [0, -1]] = False
     rows = [line[~gone] for line, gone in zip(grid, lost, strict=True)]

@@ -7,15 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from slam.io.load import load
+from tests.spplanes.scenes import spun, to_walls
 
 
 def lines_of_a_room() -> np.ndarray:
     """What an upright laser sees that is turned through 120 lines in a room of 6 x 6 x 2.6 m, in the order it came."""
-    azimuth, elevation = np.meshgrid(np.linspace(0.0, 3.0, 120), np.linspace(-1.4, 1.4, 90), indexing="ij")
-    flat = np.cos(elevation)
-    rays = np.stack((flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)), axis=-1).reshape(-1, 3)
-    with np.errstate(divide="ignore"):
-        return rays * (np.array([3.0, 3.0, 1.3]) / np.abs(rays)).min(axis=1)[:, None]
+    rays = spun(np.linspace(-1.4, 1.4, 90), np.linspace(0.0, 3.0, 120)).swapaxes(0, 1).reshape(-1, 3)
+    return rays * to_walls(rays, [-3.0, -3.0, -1.3], [3.0, 3.0, 1.3])[:, None]
 
 
 def tilt_sigma_of(folder: Path) -> float:

@@ -19,6 +19,7 @@ from slam.planeslam import pose_symbol
 from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation.robots import spinning_rig
 from tests.slam.scenes import Drive, drive, planar_nees, room_planes, run_of
+from tests.statistics import mean_nees_band
 
 LAPS, PER_LAP = 5, 16
 RULES = ThinningConfig(passes=2, radius_m=0.5, apart=8, max_news=0.1)
@@ -61,7 +62,7 @@ def test_a_pose_that_left_is_as_honest_as_one_that_stayed(thinned):
         if not slam.backend.holds(pose_symbol(index))
     ]
     # keyframes of one drive share the errors of its map: fewer are independent than there are
-    low, high = chi2_distribution.ppf([0.005, 0.995], 3 * 3 * len(thinned)) / (3 * len(thinned))
+    low, high = mean_nees_band(3 * len(thinned), 3)
     assert len(gone) > 20
     assert low < np.mean(gone) < high
 

@@ -19,6 +19,7 @@ from slam.registration.surface_registration import Expected, LocalMap, Residuals
 from slam.registration.visibility import Scan, Sight
 from slam.simulation import simulate_mission
 from tests.slam.depth_scenes import between, looking, measured
+from tests.spplanes.scenes import spun
 
 FIRST = looking(-1.5, 0.0, 1.2, 0.0, 0.6)
 #: 10 cm to the side, along the one direction that floor, top and side leave open, and turned by 3 deg.
@@ -215,9 +216,8 @@ def test_pillars_are_found_from_further_off_than_walls_are_uneven(seed: int) -> 
 
 def pillared(x: float, pillars: int = 1) -> Scan:
     """Elements that a scanner of sixteen rings has of a long hall with a pillar or none, 1.2 m above its floor, m."""
-    elevation, azimuth = np.meshgrid(np.deg2rad(np.linspace(-15.0, 15.0, 16)), np.deg2rad(np.arange(0.0, 360.0, 3.0)))
-    across = np.cos(elevation)
-    rays = np.stack((across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)), axis=-1).reshape(-1, 3)
+    rays = spun(np.deg2rad(np.linspace(-15.0, 15.0, 16)), np.deg2rad(np.arange(0.0, 360.0, 3.0)))
+    rays = rays.swapaxes(0, 1).reshape(-1, 3)
     eye, middle = np.array([x, 0.0, 1.2]), np.array([0.0, 0.0, 2.0])
     best, normals = np.full(len(rays), np.inf), np.zeros_like(rays)
     boxes = [(middle, (100.0, 5.0, 2.0)), (np.array([2.3, -3.0, 2.0]), (0.3, 0.3, 2.0))]

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, kstest
+from scipy.stats import kstest
 
 from slam.errors import LogError
 from slam.io.carmen import read_carmen
@@ -16,6 +16,7 @@ from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Path, Truth, paper_r
 from slam.simulation.record import drifting_odometry, localised_poses, noisy_ranges, relative_motions
 from spplanes.noise import SensorModel
 from spplanes.registration import register_scans
+from tests.slam.beams import beam_errors
 from tests.slam.scenes import assert_same_events
 from tests.statistics import assert_mean_in_band, nees
 
@@ -25,25 +26,12 @@ def mission():
     return simulate_mission("corridor", n_scans=300, seed=4)
 
 
-def range_errors(mission, sensor):
-    """Measured range less the range at which the beam meets the plane it is labelled with, and the labels."""
-    arrays = mission.arrays(sensor)
-    rays = arrays.sensor_points() @ arrays.world_T_sensor[:, :3, :3].transpose(0, 2, 1) / arrays.ranges[..., None]
-    normals = np.array([plane.normal for plane in mission.truth.planes])[arrays.labels]
-    heights = np.array([plane.d for plane in mission.truth.planes])[arrays.labels]
-    gap = heights - np.einsum("sbi,si->sb", normals, arrays.world_T_sensor[:, :3, 3])
-    slope = np.einsum("sbi,sbi->sb", normals, rays)
-    seen = arrays.labels >= 0
-    return arrays.ranges[seen] - gap[seen] / slope[seen], arrays.labels[seen]
-
-
 @pytest.mark.parametrize("sensor", [HORIZONTAL, VERTICAL])
 def test_range_noise_is_15_mm_white_and_gaussian(mission, sensor):
-    errors, _ = range_errors(mission, sensor)
+    errors = beam_errors(mission, sensor).range_m
     sigma, n = mission.rig.sensors[sensor].range_sigma_m, errors.size
     assert sigma == 0.015 and n > 20_000
-    low, high = chi2.ppf((0.005, 0.995), n)
-    assert low < np.sum((errors / sigma) ** 2) < high
+    assert_mean_in_band((errors / sigma) ** 2, 1)
     assert abs(errors.mean()) < 3.0 * sigma / np.sqrt(n)
     assert abs(np.corrcoef(errors[:-1], errors[1:])[0, 1]) < 4.0 / np.sqrt(n)
     assert kstest(errors / sigma, "norm").pvalue > 0.005
@@ -162,29 +150,16 @@ def test_the_office_ring_closes_and_drifts():
     assert np.linalg.norm(odometry - positions, axis=1).max() > 0.5
     two = simulate_mission("office", seed=1, spacing_m=0.2, laps=2)
     assert len(two.log.scans(VERTICAL)) > 1.9 * len(short.log.scans(VERTICAL))
-    errors, labels = range_errors(short, VERTICAL)
-    assert errors.std() == pytest.approx(0.015, rel=0.02) and len(np.unique(labels)) > 60
+    seen = beam_errors(short, VERTICAL)
+    assert seen.range_m.std() == pytest.approx(0.015, rel=0.02) and len(np.unique(seen.labels)) > 60
 
 
 def test_the_hall_gives_organised_clouds_with_labels():
     mission = simulate_mission("hall", n_scans=5, seed=2)
     scans = mission.log.scans(SPINNING)
     assert len(scans) == 5 and all(isinstance(scan, CloudScan) for scan in scans)
-    labels = mission.truth.labels[SPINNING]
-    assert labels.shape == (5, *scans[0].points.shape[:2])
-    poses = mission.truth.poses_at(np.array([scan.stamp_ns for scan in scans]))
-    mount = mission.rig.sensors[SPINNING].body_T_sensor
-    errors = []
-    for scan, pose, mine in zip(scans, poses, labels, strict=True):
-        world_T_sensor = pose @ mount
-        points = scan.points @ world_T_sensor[:3, :3].T + world_T_sensor[:3, 3]
-        for index in np.unique(mine[mine >= 0]):
-            plane, chosen = mission.truth.planes[index], mine == index
-            rays = (points[chosen] - world_T_sensor[:3, 3]) / np.linalg.norm(scan.points[chosen], axis=1)[:, None]
-            errors.append(plane.distance(points[chosen]) / (rays @ plane.normal))
-    errors = np.concatenate(errors)
-    low, high = chi2.ppf((0.001, 0.999), errors.size)
-    assert low < np.sum((errors / 0.015) ** 2) < high
+    assert mission.truth.labels[SPINNING].shape == (5, *scans[0].points.shape[:2])
+    assert_mean_in_band((beam_errors(mission, SPINNING).range_m / 0.015) ** 2, 1, level=0.998)
 
 
 def test_a_mission_on_disk_is_the_same_mission(tmp_path):
@@ -280,13 +255,9 @@ def test_bearing_noise_is_what_the_rig_says():
     sigma = 0.002
     rig = with_sensor(HORIZONTAL, bearing_sigma_rad=sigma, range_sigma_m=1e-9)
     mission = simulate_mission("room", n_scans=200, rig=rig)
-    arrays = mission.arrays(HORIZONTAL)
-    rays = arrays.sensor_points() @ arrays.world_T_sensor[:, :3, :3].transpose(0, 2, 1) / arrays.ranges[..., None]
-    seen = arrays.labels >= 0
-    walls = np.array([plane.normal for plane in mission.truth.planes])[arrays.labels[seen]]
-    cosine = -np.einsum("ni,ni->n", walls, rays[seen])
-    errors, _ = range_errors(mission, HORIZONTAL)
-    expected = arrays.ranges[seen] * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) / cosine * sigma
+    seen = beam_errors(mission, HORIZONTAL)
+    errors, cosine = seen.range_m, seen.cosine
+    expected = np.linalg.norm(seen.points, axis=1) * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) / cosine * sigma
     gentle = (expected > 1e-3) & (expected < 0.02)  # away from normal and from grazing incidence: first order holds
     assert np.mean((errors[gentle] / expected[gentle]) ** 2) == pytest.approx(1.0, abs=0.05)
 

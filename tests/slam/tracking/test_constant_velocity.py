@@ -5,13 +5,13 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from factors._conventions import POSE3_TO_SP
 from slam.backend.joint_covariance import relative_covariance
 from slam.config import CoastingConfig
 from slam.geometry.frames import inverse
 from slam.tracking.prediction import coast
+from tests.statistics import mean_nees_band
 
 RULES = CoastingConfig()
 N = 3000
@@ -44,7 +44,7 @@ def test_the_next_motion_errs_by_its_acceleration_and_as_the_motion_before(befor
         off = log(inverse(motion.a_T_b) @ true)
         found.append(off @ np.linalg.solve(motion.covariance, off))
         without.append(off @ np.linalg.solve(coast(seen, before_s, ahead_s, rules).covariance, off))
-    low, high = chi2.ppf((0.001, 0.999), 6 * N) / N
+    low, high = mean_nees_band(N, 6, level=0.998)
     assert 0.97 * low < np.mean(found) < 1.03 * high  # to first order in the motion
     assert np.mean(without) > 1.5 * high
 

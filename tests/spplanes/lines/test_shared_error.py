@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from spplanes import LineConfig, extract_lines
+from tests.statistics import mean_nees_band
 
 ANGLES = np.linspace(-np.pi, np.pi, 720, endpoint=False)
 SIGMA_M, HALF_M, ROOMS = 0.005, 3.0, 60
@@ -50,7 +50,7 @@ def mean_chi2(octave_m: float, sigma_m: float, **how: object) -> float:
 
 
 def test_exact_walls_keep_the_covariance_of_their_noise():
-    low, high = chi2.ppf((0.001, 0.999), 8 * ROOMS) / (8 * ROOMS)
+    low, high = mean_nees_band(8 * ROOMS, 1, level=0.998)
     assert low < mean_chi2(0.0, SIGMA_M) < high
     rng = np.random.default_rng(8)
     for _ in range(20):  # at 0.001 a test, no room of twenty has more than what is stated
@@ -62,7 +62,7 @@ def test_exact_walls_keep_the_covariance_of_their_noise():
 
 
 def test_noise_that_is_understated_shows():
-    low, high = chi2.ppf((0.001, 0.999), 8 * ROOMS) / (8 * ROOMS)
+    low, high = mean_nees_band(8 * ROOMS, 1, level=0.998)
     assert low < mean_chi2(0.0, 1.4 * SIGMA_M) < high
     assert mean_chi2(0.0, 1.4 * SIGMA_M, shared_error=False) > 1.7
 

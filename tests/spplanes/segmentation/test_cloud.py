@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from spplanes import segment_cloud
+from tests.spplanes.scenes import spun, to_walls
 
 try:
     import open3d as o3d
@@ -18,11 +19,8 @@ SIGMA_M = 0.004
 @pytest.fixture(scope="module")
 def room() -> np.ndarray:
     """A box seen from `EYE`, shape (40, 180, 3), in the sensor's frame, with noise along the beams."""
-    azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, 180, False) + 0.013, np.linspace(0.9, -0.9, 40))
-    rays = np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
-    )
-    ranges = (np.where(rays > 0.0, HALF - EYE, -HALF - EYE) / rays).min(axis=-1)
+    rays = spun(np.linspace(0.9, -0.9, 40), np.linspace(-np.pi, np.pi, 180, False) + 0.013)
+    ranges = to_walls(rays, -HALF - EYE, HALF - EYE)
     ranges += SIGMA_M * np.random.default_rng(0).normal(size=ranges.shape)
     grid = rays * ranges[..., None]
     grid[3, 5:9] = np.nan

@@ -8,6 +8,7 @@ from spplanes.segmentation.clustering import cells, growing, steps
 from spplanes.segmentation.clustering.ahc import cluster, one_plane_chi2, step_chi2
 from spplanes.segmentation.pipeline import links, surviving_quads
 from spplanes.segmentation.refinement import borders, creases, dissolving
+from tests.statistics import assert_mean_in_band
 
 
 def grid_of(points, covariance, labels):
@@ -61,8 +62,7 @@ def test_one_plane_chi2_has_three_degrees_of_freedom():
     for _ in range(runs):
         a, b = patch(rng, (0, 0, 0), sigma), patch(rng, (1.0, 0.3, 0), sigma, 120)
         values.append(one_plane_chi2(moments(a, sigma**-2), moments(b, sigma**-2), 0.0, work))
-    low, high = chi2.ppf([0.001, 0.999], 3 * runs) / runs
-    assert low < np.mean(values) < high
+    assert_mean_in_band(values, 3, level=0.998)
     assert np.mean(np.array(values) > chi2.isf(0.01, 3)) < 0.03
 
 

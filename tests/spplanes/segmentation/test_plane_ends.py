@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from spplanes import Plane, fit_plane
 from spplanes.segmentation.validation.plane_ends import Window, sure_points
 from spplanes.segmentation.validation.splitting import tells_tilt
+from tests.statistics import mean_nees_band
 
 SCANS, NOISE_M, RUNS = 18, 0.015, 60
 WALL_M = 1.1
@@ -59,11 +59,6 @@ def nees(view: Window, mask: np.ndarray, true: Plane) -> float:
     return fitted.mahalanobis(true)
 
 
-def band(runs: int) -> tuple[float, float]:
-    low, high = chi2.ppf([0.005, 0.995], 3 * runs) / runs
-    return low, high
-
-
 @pytest.mark.parametrize("top_m", [0.4, 0.7])
 def test_a_wall_and_its_ceiling_are_as_sure_as_they_say_where_they_meet(top_m: float):
     sides = [wall(), ceiling(top_m)]
@@ -75,7 +70,7 @@ def test_a_wall_and_its_ceiling_are_as_sure_as_they_say_where_they_meet(top_m: f
         assert np.all(labels[sure] >= 0)
         with_seam += [nees(view, labels == k, side) for k, side in enumerate(sides)]
         without += [nees(view, sure & (labels == k), side) for k, side in enumerate(sides)]
-    low, high = band(2 * RUNS)
+    low, high = mean_nees_band(2 * RUNS, 3)
     assert low < np.mean(without) < high
     assert np.mean(with_seam) > high
 
@@ -93,7 +88,7 @@ def test_a_row_of_something_that_was_not_found_bends_no_wall():
         sure = sure_points(view, labels, [true.frame], 0.0)
         with_row.append(nees(view, labels == 0, true))
         without.append(nees(view, sure, true))
-    low, high = band(RUNS)
+    low, high = mean_nees_band(RUNS, 3)
     assert low < np.mean(without) < high
     assert np.mean(with_row) > 1.5 * high
 

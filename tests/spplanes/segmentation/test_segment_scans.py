@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from benchmarks._boxes import polyhedra_scan
+from benchmarks._scans import correct_detections
 from spplanes import MapperConfig, Plane, PlaneMapper, segment_scans
 from tests.spplanes.scenes import anywhere, beam_covariances, box, cast, noisy, rays
 from tests.statistics import assert_mean_in_band
@@ -9,22 +10,11 @@ from tests.statistics import assert_mean_in_band
 SIGMA = 0.005
 
 
-def correct(labels, truth, overlap=0.8):
-    """Hoover's correct detections: truth labels one region covers, and is covered by, at the given overlap."""
-    count = 0
-    for k in np.unique(truth[truth >= 0]):
-        region = np.bincount(labels[(truth == k) & (labels >= 0)], minlength=labels.max() + 1)
-        if region.size:
-            r, shared = int(region.argmax()), region.max()
-            count += shared >= overlap * (truth == k).sum() and shared >= overlap * (labels == r).sum()
-    return count
-
-
 def test_room_is_five_whole_planes_seen_from_inside():
     exact, truth = cast(rays(), box())
     points = noisy(exact, SIGMA, 0)
     labels, planes = segment_scans(points, beam_covariances(exact, SIGMA), viewpoints=(0.0, 0.0, 0.0))
-    assert correct(labels, truth, 0.95) == 5
+    assert correct_detections(labels, truth + 1, 0.95) == 5
     assert len(planes) == 5
     for k, plane in enumerate(planes):
         normal, d, _ = box()[int(np.bincount(truth[labels == k]).argmax())]
@@ -79,7 +69,7 @@ def test_parallel_planes_centimetres_apart_stay_two(step, expected):
     labels, planes = segment_scans(noisy(points, 0.01, 5), sigma=0.01, viewpoints=(0.0, 0.0, 0.0))
     assert len(planes) == expected
     if expected == 2:
-        assert correct(labels, truth, 0.95) == 2
+        assert correct_detections(labels, truth + 1, 0.95) == 2
 
 
 def test_clutter_is_left_as_points():
@@ -240,7 +230,7 @@ def test_rooms_of_polyhedra():
     points, covariances, truth = polyhedra_scan(3, size=250)
     labels, _ = segment_scans(points, covariances, viewpoints=np.zeros(3))
     large = [k for k in np.unique(truth) if (truth == k).sum() > 100]
-    assert correct(labels, np.where(np.isin(truth, large), truth, -1)) >= 0.85 * len(large)
+    assert correct_detections(labels, np.where(np.isin(truth, large), truth + 1, 0)) >= 0.85 * len(large)
 
 
 def test_a_plane_goes_on_behind_what_stands_before_it_but_not_past_a_doorway():
