@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from spplanes._check import FloatArray
 
@@ -60,14 +61,11 @@ def _directions(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
 
 
 def _rotation(rng: np.random.Generator, tilted: bool) -> FloatArray:
-    yaw = rng.uniform(0.0, 2.0 * np.pi)
-    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
-    if not tilted:
-        return turn
-    axis, angle = rng.standard_normal(3), rng.uniform(0.1, 0.8)
-    x, y, z = axis / np.linalg.norm(axis)
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return (np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew) @ turn
+    turn = Rotation.from_euler("z", rng.uniform(0.0, 2.0 * np.pi))
+    if tilted:
+        axis, angle = rng.standard_normal(3), rng.uniform(0.1, 0.8)
+        turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)) * turn
+    return turn.as_matrix()
 
 
 def _room(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

@@ -102,7 +102,7 @@ def open3d_planes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.linalg.eigh(np.stack([c for _, c in found]))[1][:, :, 0], np.stack([m for m, _ in found])
 
 
-def score(normals: np.ndarray, middle_offsets: np.ndarray, covariances: np.ndarray | None = None) -> Row:
+def score(normals: np.ndarray, middle_offsets: np.ndarray) -> Row:
     """Accuracy of planes with normals (K, 3) that pass the true middle at these distances (K,)."""
     angles = np.linalg.norm(np.cross(normals, NORMAL), axis=1)
     return {

@@ -22,7 +22,7 @@ from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation.buildings import office, office_path
-from spplanes import Plane
+from spplanes import Location, Plane
 
 #: Way between two keyframes, how far and how much of a plane is seen, m; how many planes at most.
 STEP_M, REACH_M, PATCH_M, MOST = 0.5, 5.0, 2.5, 12
@@ -135,14 +135,8 @@ def _measured(plane: Plane, patch: Polygon, body_T_world: np.ndarray, rng: np.ra
     from shapely.affinity import translate
 
     x, y = patch.centroid.x, patch.centroid.y
-    z, theta, psi = SIGMAS * rng.standard_normal(3)
-    (cy, sy), (cx, sx) = ((np.cos(angle), np.sin(angle)) for angle in (theta, psi))
-    error = np.eye(4)
-    error[:3, :3] = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]]) @ np.array(
-        [[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]]
-    )
     middle = np.eye(4)
     middle[:3, 3] = x, y, 0.0
-    error[2, 3] = z
-    frame = body_T_world @ plane.frame @ middle @ error
-    return Plane(frame, np.diag(SIGMAS**2), 1000, translate(patch, -x, -y))
+    seen = Location.plane(body_T_world @ plane.frame @ middle, np.diag(SIGMAS**2))
+    frame = seen.perturbed(SIGMAS * rng.standard_normal(3)).transform
+    return Plane(frame, seen.covariance, 1000, translate(patch, -x, -y))

@@ -10,6 +10,7 @@ from shapely import box
 
 from factors import Association, AssociationGates, LandmarkExtents, LineObservation, Prediction, associate
 from spplanes import Plane, ScanLine
+from tests.factors.factor_scenes import perturbed
 
 X = gtsam.symbol("x", 0)
 
@@ -50,9 +51,8 @@ def plane_of(number: int, covariance: np.ndarray = MEASURED, n_points: int = 0) 
 
 def drawn(plane: Plane, covariance: np.ndarray, rng: np.random.Generator) -> Plane:
     """A plane with an error of its covariance: z along its normal, theta about y, psi about x."""
-    z, theta, psi = rng.multivariate_normal(np.zeros(3), covariance)
-    error = gtsam.Pose3(gtsam.Rot3.Ry(theta) * gtsam.Rot3.Rx(psi), np.array([0.0, 0.0, z])).matrix()
-    return Plane(plane.frame @ error, covariance, plane.n_points, plane.outline)
+    frame = perturbed(plane.frame, rng.multivariate_normal(np.zeros(3), covariance))
+    return Plane(frame, covariance, plane.n_points, plane.outline)
 
 
 def tangent_covariance(plane: Plane) -> np.ndarray:

@@ -11,6 +11,7 @@ from slam.io.clouds.depth import Camera
 from slam.sensors.log import CloudScan
 from slam.sensors.rig import Mount, Sensor
 from spplanes._check import FloatArray
+from spplanes.spmodel import transform_from_rpy
 
 #: Corners of the box, m.
 LOW, HIGH = np.array([-0.4, -0.3, 0.0]), np.array([0.4, 0.3, 0.6])
@@ -29,11 +30,7 @@ SENSOR = Sensor(
 
 def looking(x: float, y: float, z: float, yaw: float, pitch: float) -> FloatArray:
     """world_T_body of a body that looks down by a pitch, rad."""
-    cy, sy, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
-    pose = np.eye(4)
-    pose[:3, :3] = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    pose[:3, 3] = x, y, z
-    return pose
+    return transform_from_rpy((x, y, z, yaw, pitch, 0.0))
 
 
 def seen_from(world_T_body: FloatArray, rng: np.random.Generator, noise_m: float = 0.002) -> FloatArray:

@@ -16,7 +16,7 @@ from slam.geometry.frames import inverse, planar_transform
 from slam.planeslam import PlaneSlam
 from slam.sensors.log import CloudScan, Event, LaserScan, OdometryReading
 from slam.sensors.wheel_noise import OdometryNoise
-from spplanes import Plane
+from spplanes import Location, Plane
 
 NOISE = OdometryNoise()
 PERIOD_NS = 1_000_000_000
@@ -56,14 +56,9 @@ class Drive:
 
 def measured(plane: Plane, rng: np.random.Generator, sigmas: np.ndarray = SIGMAS) -> Plane:
     """A plane drawn from its own covariance: the SP perturbation composed on the right."""
-    z, theta, psi = sigmas * rng.standard_normal(3)
-    cy, sy, cx, sx = np.cos(theta), np.sin(theta), np.cos(psi), np.sin(psi)
-    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
-    step = np.eye(4)
-    step[:3, :3] = about_y @ about_x
-    step[2, 3] = z
-    return Plane(plane.frame @ step, np.diag(sigmas**2), plane.n_points, plane.outline)
+    true = Location.plane(plane.frame, np.diag(sigmas**2))
+    drawn = true.perturbed(sigmas * rng.standard_normal(3))
+    return Plane(drawn.transform, drawn.covariance, plane.n_points, plane.outline)
 
 
 def drive(seed: int, *, count: int = 15, turns: float = 0.75) -> Drive:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from spplanes import ScanLine
+from spplanes.spmodel import transform_from_rpy
 
 COVARIANCE = np.array([[4e-4, 3e-4], [3e-4, 9e-4]])
 
@@ -15,10 +16,7 @@ def make_line(alpha=0.7, rho=2.0, covariance=COVARIANCE, along=(-0.5, 1.5)):
 
 
 def planar(x, y, theta):
-    transform = np.eye(4)
-    transform[:2, :2] = ((np.cos(theta), -np.sin(theta)), (np.sin(theta), np.cos(theta)))
-    transform[:2, 3] = x, y
-    return transform
+    return transform_from_rpy((x, y, 0.0, theta, 0.0, 0.0))
 
 
 def polar_of_frame(frame):

@@ -3,11 +3,11 @@ import pytest
 
 from spplanes.noise import SensorModel
 from spplanes.registration import interpolate_poses, pose_covariance, register_scans
+from spplanes.spmodel import transform_from_rpy
 
 
 def pose(x=0.0, y=0.0, yaw=0.0):
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+    return transform_from_rpy((x, y, 0.0, yaw, 0.0, 0.0))
 
 
 def test_poses_between_are_on_the_way():

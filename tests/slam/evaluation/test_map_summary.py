@@ -10,6 +10,7 @@ from shapely import Polygon, box
 from slam.evaluation import facing_pairs
 from slam.planeslam import MapPlane
 from spplanes import Plane
+from spplanes.spmodel import transform_from_rpy
 from tests.slam.scenes import measured, room_planes
 from tests.statistics import assert_mean_in_band
 
@@ -51,20 +52,13 @@ def test_the_standard_deviation_of_a_gap_away_from_the_centres_is_that_of_sample
     for _ in range(1500):
         a = measured(floor, rng, SIGMAS)
         shift = rng.standard_normal()
-        tilted = np.eye(4)
-        tilted[2, 3], tilted[:3, :3] = 0.01 * shift, _about_y(0.004 * shift)
-        a = replace(a, frame=a.frame @ tilted)
+        a = replace(a, frame=a.frame @ transform_from_rpy((0.0, 0.0, 0.01 * shift, 0.0, 0.004 * shift, 0.0)))
         coupling = np.outer([0.01, 0.004, 0.0], [0.01, 0.004, 0.0])
         a = Plane(a.frame, np.diag(SIGMAS**2) + coupling, 500, corner)
         b = measured(ceiling, rng, SIGMAS)
         pairs = facing_pairs([map_plane(0, a, corner), map_plane(1, b)])
         values.append(((pairs[0].distance_m - 3.0) / pairs[0].sigma_m) ** 2)
     assert_mean_in_band(np.array(values), 1)
-
-
-def _about_y(angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
 def test_the_gap_is_told_where_it_is_known_best():

@@ -12,6 +12,7 @@ from slam.cli import main
 from slam.evaluation import compare_sharpness
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory, write_tum
+from spplanes.spmodel import transform_from_rpy
 
 
 def scans_of_a_room(n: int, noise_m: float) -> tuple[list[np.ndarray], np.ndarray]:
@@ -19,9 +20,7 @@ def scans_of_a_room(n: int, noise_m: float) -> tuple[list[np.ndarray], np.ndarra
     rng = np.random.default_rng(5)
     clouds, poses = [], np.tile(np.eye(4), (n, 1, 1))
     for k in range(n):
-        angle = 0.4 * k
-        poses[k, :2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-        poses[k, :3, 3] = (2.0 + 0.3 * k, 2.0, 1.0)
+        poses[k] = transform_from_rpy((2.0 + 0.3 * k, 2.0, 1.0, 0.4 * k, 0.0, 0.0))
         world = np.concatenate([np.insert(rng.uniform(0.0, 6.0, (4000, 2)), axis, 0.0, axis=1) for axis in range(3)])
         world += rng.normal(0.3, noise_m, world.shape)
         body = inverse(poses[k])

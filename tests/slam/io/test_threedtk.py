@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from slam.errors import LogError
 from slam.io.load import load
@@ -61,11 +62,8 @@ def test_scans_in_the_order_of_their_numbers_with_their_poses(tmp_path: Path):
 def test_a_point_moved_before_or_after_the_change_of_axes_is_the_same(tmp_path: Path):
     rng = np.random.default_rng(0)
     (tmp_path / "a.pose").write_text("12 -30 45\n10 -20 30\n", encoding="ascii")
-    a, b, c = np.deg2rad([10.0, -20.0, 30.0])
-    about_x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
-    about_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
-    about_z = np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]])
-    left_handed = about_x @ about_y @ about_z @ (q := rng.normal(size=3)) + [12.0, -30.0, 45.0]
+    turn = Rotation.from_euler("XYZ", [10.0, -20.0, 30.0], degrees=True)
+    left_handed = turn.as_matrix() @ (q := rng.normal(size=3)) + [12.0, -30.0, 45.0]
     swap = np.array([[0, 0, 1], [-1, 0, 0], [0, 1, 0]]) / 100.0
     pose = read_pose(tmp_path / "a.pose")
     np.testing.assert_allclose(pose[:3, :3] @ (swap @ q) + pose[:3, 3], swap @ left_handed, atol=1e-12)

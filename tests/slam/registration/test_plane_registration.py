@@ -14,6 +14,8 @@ from slam.registration.plane_registration import _agreement, places_anywhere, re
 from slam.registration.visibility import LinesOfSight
 from spplanes import Plane
 from spplanes._check import FloatArray
+from spplanes.spmodel import transform_from_rpy
+from tests.factors.factor_scenes import perturbed
 
 #: A hall that looks the same from both ends: half its length, half its width, height, m.
 LONG, WIDE, HIGH = 9.0, 5.0, 4.0
@@ -42,10 +44,7 @@ def hall() -> list[Plane]:
 
 
 def body(x: float, y: float, yaw: float) -> FloatArray:
-    pose = np.eye(4)
-    pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-    pose[:3, 3] = (x, y, 1.5)
-    return pose
+    return transform_from_rpy((x, y, 1.5, yaw, 0.0, 0.0))
 
 
 def measured(planes: list[Plane], world_T_body: FloatArray, rng: np.random.Generator) -> list[Plane]:
@@ -53,10 +52,8 @@ def measured(planes: list[Plane], world_T_body: FloatArray, rng: np.random.Gener
     seen = []
     for plane in planes:
         moved = plane.transform(inverse(world_T_body))
-        shift, theta, psi = rng.multivariate_normal(np.zeros(3), moved.covariance)
-        off = np.eye(4)
-        off[:3, :3], off[2, 3] = gtsam.Rot3.RzRyRx(psi, theta, 0.0).matrix(), shift
-        seen.append(Plane(moved.frame @ off, moved.covariance, moved.n_points, moved.outline))
+        frame = perturbed(moved.frame, rng.multivariate_normal(np.zeros(3), moved.covariance))
+        seen.append(Plane(frame, moved.covariance, moved.n_points, moved.outline))
     return seen
 
 

@@ -4,10 +4,9 @@ from scipy.stats import chi2
 
 from spplanes._rows import merge_scaled
 from spplanes.fitting._moment_patches import eigenvalues, normal_of, variance_along
-from spplanes.segmentation.clustering import cells, growing, steps
+from spplanes.segmentation.clustering import cells, steps
 from spplanes.segmentation.clustering.ahc import cluster, one_plane_chi2, step_chi2
-from spplanes.segmentation.pipeline import links, surviving_quads
-from spplanes.segmentation.refinement import borders, creases, dissolving
+from spplanes.segmentation.refinement import creases, dissolving
 from tests.statistics import assert_mean_in_band
 
 
@@ -24,9 +23,9 @@ def moments(points, weights):
     return np.array([len(points), w.sum(), *centre, s[0, 0], s[0, 1], s[0, 2], s[1, 1], s[1, 2], s[2, 2]])
 
 
-def patch(rng, centre, sigma, n=200, tilt=0.0):
+def patch(rng, centre, sigma, n=200):
     x, y = rng.uniform(-0.5, 0.5, (2, n))
-    return np.column_stack((x, y, tilt * x + sigma * rng.standard_normal(n))) + centre
+    return np.column_stack((x, y, sigma * rng.standard_normal(n))) + centre
 
 
 def test_eigenvalues_and_normal_agree_with_numpy():
@@ -66,16 +65,6 @@ def test_one_plane_chi2_has_three_degrees_of_freedom():
     assert np.mean(np.array(values) > chi2.isf(0.01, 3)) < 0.03
 
 
-@pytest.mark.parametrize(("offset", "tilt"), [(0.01, 0.0), (0.0, 0.03)])
-def test_one_plane_chi2_tells_a_step_and_a_tilt(offset, tilt):
-    rng, work = np.random.default_rng(3), np.empty(11)
-    a, b = patch(rng, (0, 0, 0), 0.01), patch(rng, (1.0, 0, offset + tilt), 0.01, tilt=tilt)
-    a, b = moments(a, 1e4), moments(b, 1e4)
-    assert one_plane_chi2(a, b, 0.0, work) > chi2.isf(0.001, 3)
-    assert one_plane_chi2(a, b, 0.0, work) == pytest.approx(one_plane_chi2(b, a, 0.0, work), rel=1e-6)
-    assert one_plane_chi2(a, b, 0.02**2, work) < chi2.isf(0.001, 3)
-
-
 def test_cluster_fuses_a_chain_up_to_the_edge():
     rng, sigma = np.random.default_rng(4), 0.005
     flat = [patch(rng, (k, 0, 0), sigma) for k in range(4)]
@@ -87,43 +76,6 @@ def test_cluster_fuses_a_chain_up_to_the_edge():
     np.testing.assert_array_equal(root[:4], 0)
     assert 0 not in root[4:]
     assert rows[0, 0] == 800
-
-
-def wall(rows=6, cols=8, depth=3.0):
-    y, z = np.meshgrid(np.linspace(-0.2, 0.2, cols), np.linspace(-0.2, 0.2, rows))
-    return np.stack((np.full(y.shape, depth), y, z), axis=-1)
-
-
-def run_links(points, **kwargs):
-    valid = np.isfinite(points).all(-1)
-    options = {"tangent": np.tan(1.3), "limit": 10.8, "literal": False, **kwargs}
-    covariance = np.full((*valid.shape, 1), 1e-6)
-    return links(np.nan_to_num(points), covariance, valid, np.zeros((len(points), 3)), **options)
-
-
-def test_filter_keeps_a_wall_and_drops_jumps_and_outliers():
-    points = wall()
-    assert surviving_quads(*run_links(points)).all()
-    points[2, 3, 0] = 2.0
-    quads = surviving_quads(*run_links(points))
-    assert not quads[1:3, 2:4].any()
-    assert quads.sum() == quads.size - 4
-    points[2, 3] = np.nan
-    assert surviving_quads(*run_links(points)).sum() == quads.size - 4
-    points = wall()
-    points[:, 4:, 0] += 0.5
-    assert not surviving_quads(*run_links(points))[:, 3].any()
-
-
-def test_filter_keeps_a_surface_seen_obliquely_up_to_the_chosen_incidence():
-    points = wall() + np.linspace(-0.1, 0.1, 8)[None, :, None] * np.array([4.0, 0, 0])
-    assert surviving_quads(*run_links(points, tangent=np.tan(1.2))).all()
-    assert not surviving_quads(*run_links(points, tangent=np.tan(0.5))).any()
-
-
-def test_literal_filter_takes_sampling_distance_for_error():
-    assert not surviving_quads(*run_links(wall(), limit=7.81, literal=True)).any()
-    assert surviving_quads(*run_links(wall(), limit=1e5, literal=True)).all()
 
 
 def test_split_regions_numbers_parts_and_keeps_the_settled_one():
@@ -138,40 +90,11 @@ def test_split_regions_numbers_parts_and_keeps_the_settled_one():
     assert parts[2, 0] != 0
 
 
-def test_release_frees_only_the_cell_off_the_plane():
-    points, labels = wall(16, 16), np.zeros((16, 16), dtype=np.int64)
-    points[:8, :8, 0] += 0.02
-    plane, covariance = np.array([[1.0, 0, 0, 3.0]]), np.full((16, 16, 1), 1e-4)
-    growing.release(points, covariance, labels, plane, np.array([1e-6]), 8, 15.0)
-    assert (labels[:8, :8] == -1).all()
-    assert (labels[8:] == 0).all()
-    assert (labels[:8, 8:] == 0).all()
-
-
-def test_blocks_that_misfit_change_sides():
-    points, labels = wall(16, 16), np.zeros((16, 16), dtype=np.int64)
-    points[:, :8, 0] += 0.03
-    labels[:, :4] = 1
-    planes, covariance = np.array([[1.0, 0, 0, 3.0], [1.0, 0, 0, 3.03]]), np.full((16, 16, 1), 1e-4)
-    moved = borders.choose_blocks(grid_of(points, covariance, labels), planes, 9.0, 0.0, 4)
-    assert moved == 64
-    np.testing.assert_array_equal(labels, np.repeat([[1] * 8 + [0] * 8], 16, axis=0))
-
-
-def test_border_points_choose_the_plane_they_lie_on():
-    points, labels = wall(6, 8), np.zeros((6, 8), dtype=np.int64)
-    points[:, :4, 0] += 0.05
-    labels[:, :5] = 1
-    planes, covariance = np.array([[1.0, 0, 0, 3.0], [1.0, 0, 0, 3.05]]), np.full((6, 8, 1), 1e-4)
-    borders.choose_points(grid_of(points, covariance, labels), planes, 9.0, 0.0, 0.5)
-    assert (labels[:, :4] == 1).all()
-    assert (labels[:, 4:] == 0).all()
-
-
 def test_superfluous_strip_dissolves_and_a_real_one_stays():
     rng = np.random.default_rng(5)
-    points, covariance = wall(32, 32), np.full((32, 32, 1), 1e-4)
-    points[..., 0] += 0.01 * rng.standard_normal((32, 32))
+    y, z = np.meshgrid(np.linspace(-0.2, 0.2, 32), np.linspace(-0.2, 0.2, 32))
+    points = np.stack((3.0 + 0.01 * rng.standard_normal((32, 32)), y, z), axis=-1)
+    covariance = np.full((32, 32, 1), 1e-4)
     labels = np.zeros((32, 32), dtype=np.int64)
     labels[:, 12:20] = 1
     planes = np.array([[1.0, 0, 0, 3.0], [1.0, 0, 0, 3.002]])
@@ -201,12 +124,6 @@ def test_step_chi2_is_chi2_with_one_dof_and_sees_a_step_that_a_tilt_would_bridge
     assert without.mean() == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / 300))
     information = 1.0 / (2 * 0.015**2 / 200 + 0.015**2 / (400 / 12))
     assert with_step.mean() == pytest.approx(1.0 + 0.02**2 * information, rel=0.1)
-
-
-def test_step_chi2_grants_the_tolerance():
-    rng, work = np.random.default_rng(12), np.empty(11)
-    a, b = (moments(patch(rng, (x, 0, z), 1e-5), 1e10) for x, z in ((0, 0), (1.0, 0.02)))
-    assert step_chi2(a, b, 0.01**2, work) == pytest.approx(4.0, rel=0.01)
 
 
 def _cell(step, sigma, rng, size=32):
