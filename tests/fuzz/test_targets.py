@@ -1,10 +1,15 @@
-"""Every reader against broken files without the fuzzer: mutated valid ones, and those that once broke something."""
+"""Readers against broken files and public functions against odd numbers, without the fuzzer: mutated valid inputs, and
+those that once broke something.
+"""
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import sqlite3
 import struct
 import tempfile
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +21,7 @@ import shapely
 
 from slam.session._codec import decode, encode
 from tests.fuzz.mutating import by_form, floats
-from tests.fuzz.public import CALLS, seed_of
+from tests.fuzz.public import CALLS, PUBLIC, WITHOUT_ARRAYS, seed_of
 from tests.fuzz.target import folded
 from tests.fuzz.targets import TARGETS
 from tests.fuzz.wrapping import record, unrecorded
@@ -163,3 +168,30 @@ def test_broken_inputs_are_an_answer_or_one_sentence(target, times, tmp_path: Pa
         for _ in range(random.randrange(1, 4)):
             data = change(data, random)
         target.run(data, tmp_path)
+
+
+def _public_names() -> Iterator[str]:
+    """Of the three packages: functions, classes, and what a class can be asked to do."""
+    for package in ("spplanes", "factors", "slam"):
+        module = importlib.import_module(package)
+        for name in module.__all__:
+            found = getattr(module, name)
+            yield f"{package}.{name}"
+            if inspect.isclass(found):
+                for member, value in vars(found).items():
+                    if not member.startswith("_") and callable(getattr(found, member)) and not inspect.isclass(value):
+                        yield f"{package}.{name}.{member}"
+
+
+def test_every_public_function_is_fuzzed_or_takes_no_array():
+    names = set(_public_names())
+    listed = [{name.split(",")[0] for name in CALLS}, WITHOUT_ARRAYS]
+    assert names - set.union(*listed) == set(), "say in tests/fuzz/public.py how to call them"
+    assert set.union(*listed) - names == set(), "no longer public"
+    assert sum(map(len, listed)) == len(set.union(*listed))
+
+
+@pytest.mark.parametrize("number", range(len(CALLS)), ids=list(CALLS))
+def test_what_it_takes_is_an_answer(number: int, tmp_path: Path):
+    (target,) = PUBLIC
+    assert target.run(seed_of(number), tmp_path)

@@ -14,7 +14,7 @@ from slam.io.planes_json import read_map
 from slam.io.trajectories import read_tum
 from slam.runs.stored_run import StoredRun
 from tests.slam.commands import refused, run
-from tests.slam.joining.offices import write_office
+from tests.slam.joining.missions import write_office
 
 
 @pytest.fixture(scope="module")

@@ -57,17 +57,10 @@ def ran(words: list[str], folder: Path, code: str = CHILD) -> subprocess.Complet
     )
 
 
-@pytest.mark.parametrize("words", REFUSED.values(), ids=REFUSED)
-def test_refusing_imports_nothing_heavy(words: list[str], folder: Path):
-    done = ran(words, folder)
-    assert done.returncode == 2, done.stderr
-    assert "TOOK []" in done.stdout
-
-
-@pytest.mark.parametrize("words", PRINTED.values(), ids=PRINTED)
-def test_printing_imports_nothing_heavy(words: list[str], folder: Path):
-    done = ran(words, folder)
-    assert done.returncode == 0, done.stderr
+@pytest.mark.parametrize("what", [*REFUSED, *PRINTED])
+def test_refusing_and_printing_import_nothing_heavy(what: str, folder: Path):
+    done = ran({**REFUSED, **PRINTED}[what], folder)
+    assert done.returncode == (2 if what in REFUSED else 0), done.stderr
     assert "TOOK []" in done.stdout
 
 

@@ -18,8 +18,7 @@ from slam.joining.mission import FinishedMission, Mission, RecordError
 from slam.session._codec import encode
 from slam.session._file import digest
 from tests.slam.commands import refused, run
-from tests.slam.joining.offices import office, visit
-from tests.slam.joining.rooms import first
+from tests.slam.joining.missions import first, office, visit
 
 distributed = pytest.importorskip("distributed")
 

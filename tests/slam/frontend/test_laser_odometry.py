@@ -306,11 +306,10 @@ def test_what_the_lines_say_is_not_said_twice():
     np.testing.assert_allclose(alone.covariance, whole.returns_covariance, rtol=1e-2, atol=1e-9)  # no lines: all of it
 
 
-def between_keyframes(truth: Drive, wheels: bool = True) -> tuple[LaserTrack, OdometryTrack, list[tuple[int, int]]]:
+def between_keyframes(truth: Drive) -> tuple[LaserTrack, OdometryTrack, list[tuple[int, int]]]:
     """The track of a drive, its wheels, and the ends of motions over half a metre."""
-    log = truth.log if wheels else scans_alone(truth.log)
-    stamps = [event.stamp_ns for event in log.events if isinstance(event, LaserScan)][::GAP]
-    return track_of(log), OdometryTrack(truth.log.odometry, stated(truth.log).odometry), list(pairwise(stamps))
+    stamps = [event.stamp_ns for event in truth.log.events if isinstance(event, LaserScan)][::GAP]
+    return track_of(truth.log), OdometryTrack(truth.log.odometry, stated(truth.log).odometry), list(pairwise(stamps))
 
 
 def test_wheels_that_agree_with_the_returns_are_the_factor_and_owe_nothing_to_them():

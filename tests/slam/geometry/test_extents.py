@@ -17,11 +17,16 @@ def scattered(seed: int, count: int = 60) -> list[shapely.Polygon]:
     return [box(*corner, *(corner + size)) for corner, size in zip(low, rng.uniform(0.2, 3.0, (count, 2)), strict=True)]
 
 
-def test_the_whole_is_the_union_to_the_tolerance_of_outlines():
-    patches = scattered(0)
+def grown(patches: list[shapely.Polygon]) -> Extent:
     extent = Extent(patches[0])
     for patch in patches[1:]:
         extent.grow(patch)
+    return extent
+
+
+def test_the_whole_is_the_union_to_the_tolerance_of_outlines():
+    patches = scattered(0)
+    extent = grown(patches)
     union = shapely.union_all(patches)
     assert extent.geometry.symmetric_difference(union).area < 0.005 * union.area
     assert shapely.hausdorff_distance(extent.geometry, union) < 0.05
@@ -41,9 +46,7 @@ def test_to_look_at_a_region_changes_nothing_of_it():
 
 def test_near_is_what_is_near_the_union():
     patches = scattered(1, 12)
-    extent = Extent(patches[0])
-    for patch in patches[1:]:
-        extent.grow(patch)
+    extent = grown(patches)
     union = shapely.union_all(patches)
     answers = []
     for probe in (shapely.affinity.translate(one, 0.0, 17.0) for one in scattered(2, 80)):

@@ -13,7 +13,7 @@ from slam.joining.condensation import condense
 from slam.joining.join import classes_of, shared_by
 from slam.joining.solution import JointSolution, Place, Tie, joint_key
 from slam.output.joined_folder import flat_graph
-from tests.slam.joining.rooms import first, room_T_second, second
+from tests.slam.joining.missions import first, room_T_second, second
 
 
 def without_floor(one: FinishedMission) -> FinishedMission:

@@ -17,7 +17,7 @@ from slam.joining.overlap import compare_missions
 from slam.joining.solution import base_key
 from slam.map.map_planes import MapPlane
 from spplanes import Plane
-from tests.slam.joining.rooms import ELSEWHERE, first, mission, room_T_second, scene, second
+from tests.slam.joining.missions import ELSEWHERE, first, mission, room_T_second, scene, second
 from tests.slam.scenes import Drive, drive, planar_nees, room_planes
 from tests.statistics import assert_mean_in_band
 

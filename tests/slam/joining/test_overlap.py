@@ -14,8 +14,7 @@ from slam.joining import join
 from slam.joining.alignment import align, whitened_differences
 from slam.joining.consistency import components_of, consistent
 from slam.joining.overlap import Comparison, compare_missions, free_space
-from tests.slam.joining.offices import office, visit
-from tests.slam.joining.rooms import first, room_T_second, second
+from tests.slam.joining.missions import first, office, room_T_second, second, visit
 from tests.slam.scenes import planar_nees
 from tests.statistics import assert_jacobian
 

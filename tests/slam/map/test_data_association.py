@@ -1,14 +1,16 @@
-"""The arithmetic by which observations are told apart, against numpy and scipy."""
+"""The arithmetic by which observations are told apart, and landmarks near a place, against numpy and scipy."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 
 import numpy as np
 import pytest
 from scipy.stats import chi2 as chi2_distribution
 from shapely import box
 
+from benchmarks.growth import mission
 from factors.association.decisions import AssociationGates, Candidate, decide, is_open
 from factors.association.gating import Hypothesis, State, chi2_and_log_det
 from factors.association.joint_association import JointCompatibility
@@ -17,6 +19,7 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import planar_transform
+from slam.map.landmarks import LandmarkMap
 from spplanes import Plane
 from tests.slam.scenes import NOISE, PERIOD_NS
 
@@ -146,3 +149,26 @@ def test_a_match_that_only_a_hint_makes_fit_is_not_used(target: float, verdict: 
     assert decision.verdict == verdict
     if decision.match is not None:
         assert decision.match.chi2 == pytest.approx(target**2 / 2.0)  # and told as it is without the hint
+
+
+def test_an_office_is_mapped_by_the_same_decisions(monkeypatch: pytest.MonkeyPatch):
+    frames = [frame for frame, _ in islice(mission(40, 3), 40)]
+
+    def decided() -> list[list]:
+        slam = PlaneSlam()
+        return [slam.add_keyframe(frame).decisions for frame in frames]
+
+    at_once = decided()
+    monkeypatch.setattr(LandmarkMap, "near", one_by_one)
+    assert at_once == decided()
+    assert sum(one.match is not None for decisions in at_once for one in decisions) > 300
+
+
+def one_by_one(self, normal, middle, reach, max_angle):
+    """`LandmarkMap.near` by looking at every landmark."""
+    found = []
+    for landmark in (one for one in self if one.id in self._rows):
+        place, (centre, radius) = self.placed(landmark.id), self.sphere(landmark.id)
+        if place.normal @ normal >= np.cos(max_angle) and np.linalg.norm(centre - middle) <= radius + reach:
+            found.append((landmark, place))
+    return found

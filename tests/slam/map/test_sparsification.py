@@ -101,7 +101,7 @@ def test_the_evidence_of_odometry_asks_only_for_poses_that_the_graph_holds(thinn
         assert all(one.p_value > 1e-3 for one in odometry_evidence(slam, rig))  # honest, and no KeyError
 
 
-def test_a_thinned_graph_goes_on_after_a_batch(thinned):
+def test_a_thinned_graph_goes_on_after_a_batch():
     scene = laps(7)
     slam = PlaneSlam(SlamConfig(thinning=RULES))
     for index, frame in enumerate(scene.keyframes):

@@ -63,7 +63,7 @@ def test_a_real_room_is_where_icp_has_it(guess: str | None):
     assert found.verdict.verdict == "sound", found.verdict.reasons
 
 
-def test_clouds_of_every_kind(tmp_path: Path):
+def test_clouds_of_every_kind():
     """Scans of 3DTK without their folder, and depth images with the intrinsics one folder up."""
     scans = [needs(f"3dtk_corridor/scan00{k}.3d.gz") for k in (0, 1)]
     truth = [read_frames(scan.with_name(f"{scan.name[:7]}.frames.4cc29d4c")) for scan in scans]

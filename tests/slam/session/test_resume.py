@@ -55,17 +55,24 @@ def whole(mission: Path) -> Path:
     return out
 
 
-def stop_after(monkeypatch: pytest.MonkeyPatch, count: int, error: BaseException) -> None:
-    """Let runs end early: after so many keyframes the next measurement fails."""
+@pytest.fixture
+def stopped(mission: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    """Runs that end early: after so many keyframes the next measurement fails. Exit code, stdout and stderr."""
     frames_of = run_module.keyframes_of
 
-    def fails(log, rig, config, start=0, **parts):
-        for index, frame in enumerate(frames_of(log, rig, config, start, **parts), start):
-            if index == count:
-                raise error
-            yield frame
+    def run_into(error: BaseException, out: Path, *options: object, after: int = 5) -> tuple[int, str, str]:
+        def fails(log, rig, config, start=0, **parts):
+            for index, frame in enumerate(frames_of(log, rig, config, start, **parts), start):
+                if index == after:
+                    raise error
+                yield frame
 
-    monkeypatch.setattr(run_module, "keyframes_of", fails)
+        with monkeypatch.context() as patch:
+            patch.setattr(run_module, "keyframes_of", fails)
+            config = mission.parent / "config.yaml"
+            return run(capsys, "slam", mission, "--out", out, "--config", config, *options)
+
+    return run_into
 
 
 def test_a_finished_run_has_its_session_and_nothing_else_left(whole: Path):
@@ -84,16 +91,10 @@ def test_a_finished_run_has_its_session_and_nothing_else_left(whole: Path):
     ids=["run", "log and out", "moved"],
 )
 def test_a_run_that_ended_early_goes_on_to_the_same_result(
-    whole: Path, mission: Path, tmp_path: Path, monkeypatch, capsys, way: str, error: BaseException
+    whole: Path, mission: Path, tmp_path: Path, stopped, capsys, way: str, error: BaseException
 ):
-    if (way == "run") != isinstance(error, KeyboardInterrupt):
-        pytest.skip("every way once, every error once") if way != "moved" and not isinstance(
-            error, ValueError
-        ) else None
     out, config = tmp_path / "run", mission.parent / "config.yaml"
-    with monkeypatch.context() as patch:
-        stop_after(patch, 5, error)
-        code, _, err = run(capsys, "slam", mission, "--out", out, "--config", config)
+    code, _, err = stopped(error, out)
     assert code == {KeyboardInterrupt: 1, ValueError: 2, RuntimeError: 1}[type(error)]
     assert f"go on with: spplanes slam --resume {out}" in err
     assert {path.name.removeprefix(SESSION_FILE) for path in out.iterdir()} == {""}
@@ -128,27 +129,22 @@ def test_a_run_that_died_while_writing_results_writes_them_again(
     assert (out / "planes.json").read_bytes() == (whole / "planes.json").read_bytes()
 
 
-def test_what_fails_before_the_first_keyframe_leaves_nothing(mission: Path, tmp_path: Path, monkeypatch, capsys):
+def test_what_fails_before_the_first_keyframe_leaves_nothing(tmp_path: Path, stopped):
     old = tmp_path / "run"
     old.mkdir()
     (old / "mine.txt").write_text("keep")
     for options in ([], ["--overwrite"]):
         out = tmp_path / ("run" if options else "new")
-        with monkeypatch.context() as patch:
-            stop_after(patch, 0, ValueError("a bad scan"))
-            assert run(capsys, "slam", mission, "--out", out, *options)[0] == 2
+        assert stopped(ValueError("a bad scan"), out, *options, after=0)[0] == 2
     assert (old / "mine.txt").read_text() == "keep"
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
-def test_overwriting_keeps_the_old_until_the_new_is_whole(mission: Path, tmp_path: Path, monkeypatch, capsys):
+def test_overwriting_keeps_the_old_until_the_new_is_whole(tmp_path: Path, stopped, capsys):
     out = tmp_path / "run"
     out.mkdir()
     (out / "old.txt").write_text("old")
-    with monkeypatch.context() as patch:
-        stop_after(patch, 3, RuntimeError("a bug"))
-        config = mission.parent / "config.yaml"
-        assert run(capsys, "slam", mission, "--out", out, "--overwrite", "--config", config)[0] == 1
+    assert stopped(RuntimeError("a bug"), out, "--overwrite", after=3)[0] == 1
     (kept,) = tmp_path.glob(".run-old-*")
     assert (kept / "run" / "old.txt").read_text() == "old"
     assert run(capsys, "slam", "--resume", out)[0] == 0
@@ -156,10 +152,8 @@ def test_overwriting_keeps_the_old_until_the_new_is_whole(mission: Path, tmp_pat
 
 
 @pytest.fixture
-def unfinished(mission: Path, tmp_path: Path, monkeypatch, capsys) -> Path:
-    with monkeypatch.context() as patch:
-        stop_after(patch, 5, KeyboardInterrupt())
-        run(capsys, "slam", mission, "--out", tmp_path / "run", "--config", mission.parent / "config.yaml")
+def unfinished(tmp_path: Path, stopped) -> Path:
+    stopped(KeyboardInterrupt(), tmp_path / "run")
     return tmp_path / "run"
 
 
@@ -189,18 +183,15 @@ def test_what_comes_next_after_an_interruption_is_offered(unfinished: Path, miss
     assert run(capsys, "explain", unfinished, 2)[0] == 0
 
 
-def test_a_run_with_odometry_of_its_own_file_goes_on_with_it(mission: Path, tmp_path: Path, monkeypatch, capsys):
+def test_a_run_with_odometry_of_its_own_file_goes_on_with_it(mission: Path, tmp_path: Path, stopped, capsys):
     """The same bits as undisturbed; the file's content, not its name, is what must be the same."""
     truth = read_tum(mission / "truth" / "trajectory.tum")
     given = tmp_path / "given.tum"
     write_tum(given, truth)
-    config = mission.parent / "config.yaml"
-    options = ["--odometry", given, "--config", config]
-    code, _, err = run(capsys, "slam", mission, "--out", tmp_path / "whole", *options)
+    words = ["--out", tmp_path / "whole", "--odometry", given, "--config", mission.parent / "config.yaml"]
+    code, _, err = run(capsys, "slam", mission, *words)
     assert code == 0 and f"odometry: {len(truth)} poses of given.tum; the log's own" in err
-    with monkeypatch.context() as patch:
-        stop_after(patch, 5, KeyboardInterrupt())
-        run(capsys, "slam", mission, "--out", tmp_path / "run", *options)
+    stopped(KeyboardInterrupt(), tmp_path / "run", "--odometry", given)
     moved = Trajectory(truth.stamps_ns, truth.poses @ planar_transform(0.01, 0.0, 0.01))
     write_tum(given, moved)
     code, _, err = run(capsys, "slam", "--resume", tmp_path / "run")
@@ -234,17 +225,20 @@ def test_a_damaged_session_is_refused_then_salvaged_and_finished(whole: Path, un
     assert salvage_session(unfinished).sentence.startswith("nothing is damaged")
 
 
-def test_raw_scans_come_along_when_a_session_is_salvaged(mission: Path, tmp_path: Path, monkeypatch, capsys):
-    out = tmp_path / "run"
-    with monkeypatch.context() as patch:
-        stop_after(patch, 5, KeyboardInterrupt())
-        run(capsys, "slam", mission, "--out", out, "--keep-raw", "--config", mission.parent / "config.yaml")
-    with Session.open(out, read_only=True) as session:
+@pytest.fixture
+def with_raw(tmp_path: Path, stopped) -> Path:
+    """A run that kept its scans and ended early."""
+    stopped(KeyboardInterrupt(), tmp_path / "run", "--keep-raw")
+    return tmp_path / "run"
+
+
+def test_raw_scans_come_along_when_a_session_is_salvaged(with_raw: Path):
+    with Session.open(with_raw, read_only=True) as session:
         before = [session.scans(index) for index in range(4)]
-    with sqlite3.connect(out / SESSION_FILE) as other:
+    with sqlite3.connect(with_raw / SESSION_FILE) as other:
         other.execute("UPDATE keyframes SET digest = zeroblob(16) WHERE id = 4")
-    assert salvage_session(out).saved == 4
-    with Session.open(out, read_only=True) as session:
+    assert salvage_session(with_raw).saved == 4
+    with Session.open(with_raw, read_only=True) as session:
         after = [session.scans(index) for index in range(4)]
     for old, new in zip(before, after, strict=True):
         assert [(one.stamp_ns, one.position) for one in old] == [(one.stamp_ns, one.position) for one in new]
@@ -253,13 +247,9 @@ def test_raw_scans_come_along_when_a_session_is_salvaged(mission: Path, tmp_path
             np.testing.assert_array_equal(first.scan.ranges, second.scan.ranges)  # type: ignore[union-attr]
 
 
-def test_a_reference_leads_to_the_scan_that_was_kept(mission: Path, tmp_path: Path, monkeypatch, capsys):
+def test_a_reference_leads_to_the_scan_that_was_kept(with_raw: Path):
     """By value and by reference: the log read anew has the same beams at the place that was recorded."""
-    out = tmp_path / "run"
-    with monkeypatch.context() as patch:
-        stop_after(patch, 5, KeyboardInterrupt())
-        run(capsys, "slam", mission, "--out", out, "--keep-raw", "--config", mission.parent / "config.yaml")
-    with Session.open(out, read_only=True) as session:
+    with Session.open(with_raw, read_only=True) as session:
         kept = [one for index in range(len(session)) for one in session.scans(index)]
         events = load(Path((session.log or {})["path"]), session.rig)[0].events
     assert len(kept) >= 4
