@@ -1,32 +1,35 @@
-"""Range noise that scans show: how far neighbouring beams scatter about the planes through them.
+"""Range noise that scans show: how far beams scatter about the surfaces that they are on.
 
-What a rig states too little of leaves no plane to be found and no match to be made. Beams next to each other tell it
-before anything is estimated: on a plane the inverse range of one follows from those of its neighbours, whatever the
-plane, so that what they miss it by is their noise. That is the least error a beam can have; what neighbours share is
-not in it. So a rig is never believed to have less, and one that states more is believed.
+What a rig states too little of leaves no plane to be found and no match to be made. Scans tell it before anything is
+estimated. Those of 2D lasers by their lines (`slam.sensors.scan_noise`). In 3D scans beams next to each other do: on a
+plane the inverse range of one follows from those of its neighbours, whatever the plane, so that what they miss it by is
+their noise. That is the least error a beam can have; what neighbours share is not in it. So a rig is never believed to
+have less, and one that states more is believed.
 
 What cameras read falsely by the pixel is looked for after it, with noise that holds (`slam.frontend.warp_calibration`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from slam.errors import LogError
-from slam.frontend.measurement import usable_points, usable_ranges
+from slam.frontend.measurement import usable_points
 from slam.frontend.warp_calibration import with_warp
 from slam.io.clouds.cloud import grid_of
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig, Sensor
+from slam.sensors.scan_noise import shown_by_lines, with_beam_sigma
 from spplanes._check import FloatArray
 from spplanes.clouds.arrange import arrange
 from spplanes.clouds.scatter import misses_of
 
-#: Scans of a sensor that are looked at, more of the first than of the last.
-_LASER_SCANS, _CLOUDS = 24, 6
+#: Clouds of a sensor that are looked at, more of the first than of the last.
+_CLOUDS = 6
 #: Fewer neighbours than this say nothing.
 _MIN_MISSES = 500
 #: A quarter of normal deviates lie within so many standard deviations. Edges, clutter and curved things add large
@@ -61,17 +64,34 @@ def with_shown_errors(log: Log, rig: Rig) -> Rig:
 
 def _raised(name: str, sensor: Sensor, log: Log) -> Sensor:
     """The sensor, or where its beams scatter by more than it states, one that states as much."""
-    grids = _grids(log, name, sensor)
-    result = sensor
+    scans = log.scans(name)
+    result = (
+        _as_lines_show(sensor, scans) if scans and isinstance(scans[0], LaserScan) else _as_clouds_show(sensor, scans)
+    )
+    if result is not sensor:
+        stated, seen = 1e3 * sensor.range_sigma_m, 1e3 * result.range_sigma_m
+        note = f"{name}: ranges scatter about surfaces by {seen:.3g} mm where {stated:.3g} mm are stated: taken as seen"
+        log.notes.append(note)
+    return result
+
+
+def _as_lines_show(sensor: Sensor, scans: Sequence[LaserScan | CloudScan]) -> Sensor:
+    """A 2D laser with as much noise as its lines show, if that is more than what is stated with uneven surfaces."""
+    seen_m, stated_m = (
+        shown_by_lines(sensor, scans),
+        np.hypot(np.sqrt(sensor.range_variance_m2), sensor.surface_sigma_m),
+    )
+    return sensor if seen_m is None or seen_m <= _REFUTED * stated_m else with_beam_sigma(sensor, seen_m)
+
+
+def _as_clouds_show(sensor: Sensor, scans: Sequence[LaserScan | CloudScan]) -> Sensor:
+    """A 3D sensor with as much noise as neighbours in its clouds show."""
+    grids, result = _grids(scans, sensor), sensor
     for _ in range(_ROUNDS):
         factor = noise_factor(grids, result)
         if factor is None or factor <= (_REFUTED if result is sensor else 1.0):
             break
         result = result.model_copy(update=_times(factor, result))
-    if result is not sensor:
-        stated, seen = 1e3 * sensor.range_sigma_m, 1e3 * result.range_sigma_m
-        note = f"{name}: ranges scatter about surfaces by {seen:.3g} mm where {stated:.3g} mm are stated: taken as seen"
-        log.notes.append(note)
     return result
 
 
@@ -107,25 +127,13 @@ def _times(factor: float, sensor: Sensor) -> dict[str, Any]:
     return {name: factor * getattr(sensor, name) for name in ("range_sigma_m", "disparity_sigma_per_m")}
 
 
-def _grids(log: Log, name: str, sensor: Sensor) -> list[FloatArray]:
-    """Points of some of a sensor's scans as grids; what cannot be read is left to whoever measures it."""
-    scans = log.scans(name)
-    if not scans:
-        return []
-    count = _LASER_SCANS if isinstance(scans[0], LaserScan) else _CLOUDS
+def _grids(scans: Sequence[LaserScan | CloudScan], sensor: Sensor) -> list[FloatArray]:
+    """Points of some clouds as grids; what cannot be read is left to whoever measures it."""
     found = []
-    for index in np.unique(np.geomspace(1.0, len(scans), count).astype(int)) - 1:
+    for index in np.unique(np.geomspace(1.0, len(scans), _CLOUDS).astype(int)) - 1 if scans else ():
         try:
-            found.append(_grid(scans[index], sensor))
+            points = usable_points(np.asarray(scans[index].points, dtype=np.float64), sensor)
+            found.append(points if points.ndim == 3 else arrange(points, grid_of(sensor)))
         except (LogError, ValueError):
             continue
     return found
-
-
-def _grid(scan: LaserScan | CloudScan, sensor: Sensor) -> FloatArray:
-    if isinstance(scan, LaserScan):
-        ranges = usable_ranges(scan.ranges, sensor)
-        rays = np.stack((np.cos(scan.angles), np.sin(scan.angles), np.zeros_like(scan.angles)), axis=-1)
-        return (ranges[:, None] * rays)[None]
-    points = usable_points(np.asarray(scan.points, dtype=np.float64), sensor)
-    return points if points.ndim == 3 else arrange(points, grid_of(sensor))

@@ -11,6 +11,7 @@ from slam.io.clouds.depth import SENSOR as CAMERA
 from slam.io.rosbags.reader import Topics
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import LocalisationNoise, Mount, Rig, Sensor
+from slam.sensors.scan_noise import shown_by_lines, with_beam_sigma
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS, OdometryNoise
 from spplanes._check import FloatArray
 
@@ -121,7 +122,8 @@ def depth_rig() -> Rig:
     return Rig(sensors={CAMERA: camera}, odometry=MEASURED, localisation=clouds.localisation)
 
 
-#: Standard deviation taken for a 2D laser nobody describes: the data sheet of a SICK LMS 200 (15 mm) at 1 cm steps.
+#: Standard deviation taken for a 2D laser nobody describes, where too few lines tell it: the data sheet of a SICK
+#: LMS 200 (15 mm).
 DEFAULT_RANGE_SIGMA_M = 0.015
 
 #: Steps of ranges that lasers use, m.
@@ -131,10 +133,12 @@ _STEPS_M = (0.1, 0.05, 0.01, 0.005, 0.001)
 _LEVEL = 0.97
 
 #: Flatness taken for walls nobody describes, and the length of a patch that shares one deviation: skirting, door frames
-#: and what leans on walls. With these, mean NIS per degree of freedom of lines was 0.89 in the cluttered rooms of the
-#: Intel Research Lab, 0.52 in an office corridor, and 0.2 to 0.4 on simulated walls that are straight to 5 mm.
-DEFAULT_SURFACE_SIGMA_M = 0.014
+#: and what leans on walls.
+DEFAULT_SURFACE_SIGMA_M = 0.008
 DEFAULT_SURFACE_CORRELATION_M = 0.5
+#: Share of what beams scatter by that those of one patch are taken to have in common: a laser that measures worse does
+#: so in what it repeats as well.
+_IN_COMMON = 0.5
 
 
 def default_rig_for(log: Log) -> Rig:
@@ -156,7 +160,7 @@ def _default_laser(name: str, log: Log) -> Sensor:
             steps = _steps_of(seen, steps)
             largest = max(largest, float(seen.max(initial=0.0)))
     told = log.mounts.get(name)
-    return Sensor(
+    sensor = Sensor(
         kind="line" if told is None or abs(told[2, 2]) > _LEVEL else "slice",
         record=name,
         body_T_sensor=_default_mount(name, log),
@@ -166,6 +170,9 @@ def _default_laser(name: str, log: Log) -> Sensor:
         surface_sigma_m=DEFAULT_SURFACE_SIGMA_M,
         surface_correlation_m=DEFAULT_SURFACE_CORRELATION_M,
     )
+    seen_m = shown_by_lines(sensor, log.scans(name)) or DEFAULT_RANGE_SIGMA_M
+    uneven = float(np.hypot(DEFAULT_SURFACE_SIGMA_M, _IN_COMMON * seen_m))
+    return with_beam_sigma(sensor.model_copy(update={"surface_sigma_m": uneven}), seen_m)
 
 
 def _default_mount(name: str, log: Log) -> Mount:
@@ -212,7 +219,9 @@ def assumptions(log: Log, rig: Rig) -> list[str]:
 
 
 def _taken_for(name: str, sensor: Sensor, log: Log) -> str:
-    noise = f"{1000.0 * sensor.range_sigma_m:g} mm of noise"
+    noise = f"{1000.0 * sensor.range_sigma_m:.3g} mm of noise"
+    if sensor.kind != "cloud" and sensor.range_sigma_m != DEFAULT_RANGE_SIGMA_M:
+        noise += ", as its lines show"
     if sensor.disparity_sigma_per_m:
         noise += f" and {1000.0 * sensor.disparity_sigma_per_m:g} mm times the square of the range in m"
     if name in log.mounts:

