@@ -7,6 +7,7 @@ References:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,14 +18,20 @@ from spplanes._check import (
     FloatArray,
     as_covariance,
     as_float_array,
+    as_number,
     as_rows,
     as_shape,
     as_transform,
     check_instance,
 )
 
-#: Rows of the differential (x, y, z, phi, theta, psi) that the binding of a plane and of a pose selects.
-PLANE, POSE = (2, 4, 5), (0, 1, 2, 3, 4, 5)
+#: The differential, in order; a binding is a selection of these.
+DIFFERENTIAL = ("x", "y", "z", "phi", "theta", "psi")
+POINT = (0, 1, 2)
+PLANE = (2, 4, 5)
+LINE_2D = (1, 3)
+ROBOT_2D = (0, 1, 3)
+POSE = (0, 1, 2, 3, 4, 5)
 #: `inverse_transform` is asked so often that making one anew counts.
 _IDENTITY = np.eye(4)
 
@@ -114,9 +121,26 @@ class Location:
         return location
 
     @classmethod
+    def point(cls, position: ArrayLike, covariance: ArrayLike) -> Location:
+        """A 3D point: p = (x, y, z)."""
+        transform = np.eye(4)
+        transform[:3, 3] = as_shape("position", position, (3,))
+        return cls(transform, as_float_array("covariance", covariance), POINT)
+
+    @classmethod
     def plane(cls, frame: ArrayLike, covariance: ArrayLike) -> Location:
         """An infinite plane, z = 0 of `frame`: p = (z, theta, psi)."""
         return cls(as_float_array("frame", frame), as_float_array("covariance", covariance), PLANE)
+
+    @classmethod
+    def line_2d(cls, x: float, y: float, phi: float, covariance: ArrayLike) -> Location:
+        """An infinite line on the floor through (x, y) in direction phi, its own x axis: p = (y, phi)."""
+        return cls(_on_floor(x, y, phi), as_float_array("covariance", covariance), LINE_2D)
+
+    @classmethod
+    def robot_2d(cls, x: float, y: float, phi: float, covariance: ArrayLike) -> Location:
+        """A robot on the floor: p = (x, y, phi)."""
+        return cls(_on_floor(x, y, phi), as_float_array("covariance", covariance), ROBOT_2D)
 
     @classmethod
     def pose(cls, transform: ArrayLike, covariance: ArrayLike) -> Location:
@@ -127,6 +151,16 @@ class Location:
     def binding(self) -> FloatArray:
         """The binding matrix B, shape (k, 6): p = B d."""
         return np.eye(6)[list(self.rows)]
+
+    @property
+    def differential_covariance(self) -> FloatArray:
+        """Covariance of d = B^T p, shape (6, 6), zero along the symmetries."""
+        return self.binding.T @ self.covariance @ self.binding
+
+    @property
+    def rpy(self) -> FloatArray:
+        """The transform as (x, y, z, phi, theta, psi), shape (6,), m and rad."""
+        return rpy_from_transform(self.transform)
 
     def perturbed(self, p: ArrayLike) -> Location:
         """The location moved by the perturbation ``p``, shape (k,); the covariance stays."""
@@ -198,8 +232,20 @@ def joint_covariance(a: Location, b: Location, cross: ArrayLike | None = None) -
     return as_covariance("cross", joint, len(joint))
 
 
+def _on_floor(x: float, y: float, phi: float) -> FloatArray:
+    return transform_from_rpy((as_number("x", x), as_number("y", y), 0.0, as_number("phi", phi), 0.0, 0.0))
+
+
 def _symmetric(matrix: FloatArray) -> FloatArray:
     return 0.5 * (matrix + matrix.T)
+
+
+def rows_of(names: Sequence[str]) -> tuple[int, ...]:
+    """Binding rows by name, e.g. ``rows_of(("z", "theta", "psi"))``."""
+    unknown = [name for name in names if name not in DIFFERENTIAL]
+    if unknown:
+        raise ValueError(f"names: expected some of {', '.join(DIFFERENTIAL)}, got {unknown[0]!r}")
+    return as_rows("names", tuple(DIFFERENTIAL.index(name) for name in names))
 
 
 def chi2_of(difference: FloatArray, covariance: FloatArray) -> float:

@@ -127,7 +127,10 @@ Call = Callable[[Numbers], Any]
 #: What is called of each public name, of some in two ways; `_check` knows what must hold of answers of each kind.
 CALLS: dict[str, Call] = {
     "spplanes.Location": Numbers.location,
+    "spplanes.Location.point": lambda n: Location.point(n.array(3), n.array(3, 3)),
     "spplanes.Location.plane": lambda n: Location.plane(n.array(4, 4), n.array(3, 3)),
+    "spplanes.Location.line_2d": lambda n: Location.line_2d(n.number(), n.number(), n.number(), n.array(2, 2)),
+    "spplanes.Location.robot_2d": lambda n: Location.robot_2d(n.number(), n.number(), n.number(), n.array(3, 3)),
     "spplanes.Location.pose": lambda n: Location.pose(n.array(4, 4), n.array(6, 6)),
     "spplanes.Location.perturbed": lambda n: n.location().perturbed(n.array(6)),
     "spplanes.Location.perturbation_to": lambda n: n.location().perturbation_to(n.array(4, 4)),

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from slam.sensors.log import LaserScan
-from spplanes.registration import beam_directions
 
 if TYPE_CHECKING:
     from benchmarks.corpus.drives import Drive
@@ -36,7 +35,8 @@ def beam_errors(mission: Mission | Drive, sensor: str) -> BeamErrors:
     found = []
     for scan, labels in zip(mission.log.scans(sensor), mission.truth.labels[sensor], strict=True):
         if isinstance(scan, LaserScan):
-            points = scan.ranges[:, None] * beam_directions(scan.angles)
+            beams = np.column_stack([np.cos(scan.angles), np.sin(scan.angles), 0.0 * scan.angles])
+            points = scan.ranges[:, None] * beams
         else:
             points = scan.points.reshape(-1, 3)
         seen = labels.ravel() >= 0

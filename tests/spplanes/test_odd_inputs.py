@@ -9,6 +9,7 @@ import shapely
 from spplanes import LineConfig, Location, Moments, Plane, ScanLine, extract_lines, fit_plane, fit_planes
 from spplanes.noise import SensorModel
 from spplanes.registration import register_scans
+from spplanes.spmodel import rows_of
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-1, 1, (40, 3)) * (2, 1, 0) + (0, 0, 1) + RNG.normal(0, 0.01, (40, 3))
@@ -92,12 +93,14 @@ def test_no_labels_for_no_points():
         (lambda: PLANE.merge(3), "other: expected a Plane, got int"),
         (lambda: PLANE.mahalanobis(LINE), "other: expected a Plane, got ScanLine"),
         (lambda: LINE.mahalanobis(PLANE), "other: expected a ScanLine, got Plane"),
+        (lambda: Location.robot_2d([1], 2, 0, np.eye(3)), r"x: expected a number, got \[1\]"),
         (lambda: Location.pose([[1, 2], [1]], np.eye(6)), "transform: expected an array of numbers, got list"),
         (lambda: Location(np.eye(4), np.eye(6), (0, 1, 2)), r"covariance: expected shape \(3, 3\), got \(6, 6\)"),
         (lambda: Location(np.eye(4), -np.eye(6)), "covariance: expected a positive semidefinite covariance"),
         (lambda: Location(np.diag([1.0, 1.0, -1.0, 1.0]), np.eye(6)), "transform: expected a right-handed rotation"),
         (lambda: POSE.compose(POSE, np.zeros((2, 6))), r"cross: expected shape \(6, 6\), got \(2, 6\)"),
         (lambda: POSE.compose(POSE, 2.0 * np.eye(6)), "cross: expected a positive semidefinite covariance"),
+        (lambda: rows_of(("roll",)), "names: expected some of x, y, z, phi, theta, psi, got 'roll'"),
         (lambda: Location(np.eye(4), np.eye(2), (1, 0)), r"rows: expected ascending, distinct rows .* got \(1, 0\)"),
         (lambda: Location(np.eye(4), np.eye(2), (1.5, 3)), "rows: expected ascending, distinct rows out of 0..5"),
         (lambda: Location(np.eye(4), np.eye(2), None), "rows: expected ascending, distinct rows out of 0..5"),

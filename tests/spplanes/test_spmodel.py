@@ -8,6 +8,7 @@ from spplanes.spmodel import (
     adjoint,
     inverse_transform,
     joint_covariance,
+    rows_of,
     rpy_from_transform,
     transform_from_rpy,
 )
@@ -99,10 +100,10 @@ def test_line_seen_from_a_robot():
 
     When the robot turns by dphi, the wall's origin, at (-10, 3), moves by +10 dphi along y, and the wall by -dphi.
     """
-    line = Location(transform_from_rpy((0, 3, 0, 0, 0, 0)), np.diag([0.02**2, 0.001**2]), (1, 3))
-    robot = Location(transform_from_rpy((10, 0, 0, 0, 0, 0)), np.diag([0.1**2, 0.03**2, 0.01**2]), (0, 1, 3))
+    line = Location.line_2d(0.0, 3.0, 0.0, np.diag([0.02**2, 0.001**2]))
+    robot = Location.robot_2d(10.0, 0.0, 0.0, np.diag([0.1**2, 0.03**2, 0.01**2]))
     seen = robot.relative(line)
-    np.testing.assert_allclose(seen.transform[:2, 3], [-10.0, 3.0])
+    np.testing.assert_allclose(seen.rpy[:2], [-10.0, 3.0])
     expected = [[0.02**2 + 0.03**2 + (10 * 0.01) ** 2, -10 * 0.01**2], [-10 * 0.01**2, 0.001**2 + 0.01**2]]
     np.testing.assert_allclose(seen.covariance, expected, rtol=1e-12)
 
@@ -110,3 +111,5 @@ def test_line_seen_from_a_robot():
 def test_binding_selects_rows():
     plane = Location.plane(np.eye(4), np.diag([1.0, 2.0, 3.0]))
     np.testing.assert_array_equal(plane.binding, np.eye(6)[[2, 4, 5]])
+    np.testing.assert_array_equal(plane.differential_covariance, np.diag([0, 0, 1.0, 0, 2.0, 3.0]))
+    assert rows_of(("z", "theta", "psi")) == (2, 4, 5)
