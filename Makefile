@@ -3,7 +3,6 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 DEMO ?= demo
-FUZZ_SECONDS ?= 60
 # Files over all cores, in the order of tests/conftest.py: the longest first.
 SPREAD = -n auto --dist loadscope --no-loadscope-reorder
 
@@ -11,7 +10,7 @@ export OMP_NUM_THREADS ?= 1
 # Bytecode is kept whatever the shell says: pip compiles none here, and each of many processes would, 1.3 s a time.
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: help demo test soak lint types docs examples figures benchmarks fuzz release wheel clean
+.PHONY: help demo test soak lint types docs examples figures benchmarks release wheel clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -46,10 +45,6 @@ figures: $(VENV)/.ready  ## the pictures of README and docs
 
 benchmarks: $(VENV)/.ready-dev  ## ratios side by side (slow)
 	$(BIN)/python -m benchmarks
-
-fuzz: $(VENV)/.ready-dev  ## coverage-guided fuzzing of every reader, FUZZ_SECONDS (60) each
-	$(BIN)/pip install --quiet --constraint constraints.txt atheris
-	$(BIN)/python -m tests.fuzz --seconds $(FUZZ_SECONDS)
 
 release:  ## sdist and wheel in ./dist, checked, installed and run under every supported Python that is here (minutes)
 	$(PYTHON) tools/release.py
