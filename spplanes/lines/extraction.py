@@ -162,7 +162,7 @@ def beam_noise(scans: Sequence[tuple[FloatArray, FloatArray]], sigma: float, con
     Inside of patches of lines, so that walls need not be straight; of most lines, for some are two surfaces.
 
     Args:
-        scans: ranges and bearings of each, as of `extract_lines`.
+        scans: ranges and bearings of each, as of `extract_lines`; those that it refuses are left out.
         sigma: standard deviation of a range by which lines are looked for, m: about what it may be.
         config: what counts as a line.
 
@@ -178,7 +178,12 @@ def _scatter(scans: Sequence[tuple[FloatArray, FloatArray]], sigma: float, confi
     """See `beam_noise`; by lines that are looked for once."""
     found, first = [], 0
     for ranges, angles in scans:
-        beams = _checked_beams(ranges, angles, sigma)
+        try:
+            beams = _checked_beams(ranges, angles, sigma)
+        except ValueError:  # who takes its lines will hear of it
+            continue
+        if beams.shape[1] < 3:
+            continue
         rows, support, counts = extract(beams[0], beams[1], beams[2], tuple(_rules(config, 0.0)))
         seen = _Residuals.of(rows, support, counts, beams, config)
         found.append((seen.points, seen.variances, seen.line + first, seen.covariances))

@@ -28,7 +28,8 @@ def test_beams_scatter_by_their_noise_and_the_steps_of_ranges(sigma_m, step_m, w
     assert seen_m == pytest.approx(np.hypot(sigma_m, step_m / np.sqrt(12.0)), rel=0.05)
 
 
-def test_scans_without_lines_tell_nothing():
+def test_scans_without_lines_and_those_that_are_refused_tell_nothing():
     nothing = (np.full(180, np.nan), np.radians(np.arange(-90, 90, 1.0)))
-    assert beam_noise([nothing], ABOUT_M, LineConfig()) == (ABOUT_M, 0)
     assert beam_noise([], ABOUT_M, LineConfig()) == (ABOUT_M, 0)
+    in_degrees, few = (np.ones(180), np.arange(-90, 90, 1.0)), (np.ones(2), np.zeros(2))
+    assert beam_noise([nothing, in_degrees, few], ABOUT_M, LineConfig()) == (ABOUT_M, 0)
