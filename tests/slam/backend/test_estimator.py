@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 
 import gtsam
@@ -21,9 +22,11 @@ def test_covariances_read_are_those_of_the_estimate_whoever_asked_before() -> No
     landmarks = [one for one in slam.landmarks if one.n_keyframes > 1][:12]
     keys = sorted({key for one in landmarks for key in (one.key, one.anchor_key)} | {pose_symbol(5)})
     assert len(landmarks) > 5
-    before = slam.backend.read_joint_covariance(keys[:3]).full
     used = slam.backend.joint_covariance(keys)
-    np.testing.assert_array_equal(slam.backend.read_joint_covariance(keys[:3]).full, before)
+    after = slam.backend.read_joint_covariance(keys[:3]).full
+    slam.backend.restore(slam.backend.snapshot())  # nothing is remembered
+    before = slam.backend.read_joint_covariance(keys[:3]).full
+    np.testing.assert_array_equal(after, before)
     sigmas = np.sqrt(np.diag(before))
     np.testing.assert_allclose(
         used.of(keys[:3]) / np.outer(sigmas, sigmas), before / np.outer(sigmas, sigmas), atol=1e-6
@@ -48,6 +51,26 @@ def test_a_covariance_of_many_variables_is_the_same_by_the_graph_as_by_the_tree(
 
 STEP = np.eye(4)
 STEP[0, 3] = 1.0
+
+
+def cliques(backend: Backend) -> list[set[str]]:
+    """The variables of every clique of the tree, with those that it hangs on."""
+    return [set(re.findall(r"x\d+", label)) for label in re.findall('label="([^"]*)"', backend._isam.dot())]
+
+
+def test_what_is_asked_about_is_near_where_the_tree_begins_and_the_estimate_stays() -> None:
+    backend, keys = Backend(SlamConfig().backend), [pose_symbol(index) for index in range(40)]
+    for index, key in enumerate(keys):
+        initial = gtsam.Values()
+        initial.insert(key, gtsam.Pose3(np.linalg.matrix_power(STEP, index)))
+        step = relative_pose_factor(keys[index - 1], key, STEP, 1e-4 * np.eye(6)) if index else None
+        backend.update([step or pose_prior(key, np.eye(4), np.eye(6))], initial)
+    asked = [keys[3], keys[17]]
+    before, poses = backend.read_joint_covariance(asked).full, backend.poses(keys)
+    assert not any({"x3", "x17"} <= clique for clique in cliques(backend))
+    np.testing.assert_allclose(backend.joint_covariance(asked).full, before, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(backend.poses(keys), poses, rtol=0.0, atol=1e-9)
+    assert any({"x3", "x17"} <= clique for clique in cliques(backend))
 
 
 def walk(backend: Backend | gtsam.ISAM2, sigmas: np.ndarray) -> list[int]:
