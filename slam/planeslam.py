@@ -10,7 +10,7 @@ from typing import Self
 import gtsam
 import numpy as np
 
-from slam.backend.estimator import Backend, pose_symbol
+from slam.backend.estimator import Backend, pose_symbol, pose_symbols
 from slam.config import SlamConfig
 from slam.diagnostics.bookkeeping import Bookkeeping, change_sentences, decision_sentence
 from slam.diagnostics.consistency import NisAudit
@@ -261,7 +261,7 @@ class PlaneSlam:
     def trajectory(self) -> Trajectory:
         """world_T_body of every keyframe by the current estimate."""
         stamps = np.array([frame.stamp_ns for frame in self.keyframes], dtype=np.int64)
-        return Trajectory(stamps, self.backend.poses([pose_symbol(index) for index in range(len(stamps))]))
+        return Trajectory(stamps, self.backend.poses(pose_symbols(range(len(stamps)))))
 
     @property
     def planes(self) -> list[MapPlane]:

@@ -59,6 +59,7 @@ class Backend:
         """The graph has changed: what was read out of it before holds no more."""
         self._whole: gtsam.Values | None = None
         self._poses: dict[int, FloatArray] = {}
+        self._table: tuple[np.ndarray, FloatArray] | None = None  # keys of all poses, ascending, and all poses
         self._planes: dict[int, gtsam.OrientedPlane3] = {}
         self._delta: gtsam.VectorValues | None = None
         self._joint: JointCovariance | None = None
@@ -253,14 +254,21 @@ class Backend:
             )
         return self._poses[key]
 
-    def poses(self, keys: Sequence[int]) -> FloatArray:
+    def poses(self, keys: Sequence[int] | np.ndarray) -> FloatArray:
         """world_T_body of many pose variables, shape (N, 4, 4)."""
-        if not all(key in self._poses for key in keys):
-            here = [key for key in list(self.values.keys()) if _is_pose(key)]
+        if self._table is None:
+            here = np.array(list(self.values.keys()), dtype=np.int64)
+            here = here[np.isin(here >> 56, list(_POSE_CODES))]
             rows, poses = gtsam.utilities.extractPose3(self.values), np.tile(np.eye(4), (len(here), 1, 1))
             poses[:, :3, :3], poses[:, :3, 3] = rows[:, :9].reshape(-1, 3, 3), rows[:, 9:]
-            self._poses = dict(zip(here, poses, strict=True))
-        return np.array([self.pose(key) for key in keys]).reshape(-1, 4, 4)
+            self._table = here, poses
+        here, poses = self._table
+        wanted = np.asarray(keys, dtype=np.int64)
+        rows = np.searchsorted(here, wanted)
+        found = poses.take(rows, axis=0, mode="clip")
+        for index in np.flatnonzero(here.take(rows, mode="clip") != wanted).tolist():
+            found[index] = self.pose(int(wanted[index]))  # it has left the graph
+        return found
 
     def holds(self, key: int) -> bool:
         """Whether a pose is a variable of the graph; if not, it has left it."""
@@ -434,6 +442,11 @@ def _inverse_of_information(linear: gtsam.GaussianFactorGraph, keys: Sequence[in
 def pose_symbol(index: int) -> int:
     """GTSAM key of the pose of a keyframe."""
     return gtsam.symbol("x", index)
+
+
+def pose_symbols(indices: Sequence[int]) -> np.ndarray:
+    """Of many keyframes, shape (N,): a key has the index in its lower part."""
+    return pose_symbol(0) + np.asarray(indices, dtype=np.int64)
 
 
 def _thresholds(config: BackendConfig) -> gtsam.ISAM2ThresholdMap:

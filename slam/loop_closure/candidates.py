@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.backend.estimator import Backend, pose_symbol
+from slam.backend.estimator import Backend, pose_symbol, pose_symbols
 from slam.config import BOUND_SIGMAS, LoopConfig
 from spplanes._check import FloatArray
 
@@ -27,7 +27,7 @@ class DrivenPath:
     def of(cls, frames: Sequence[int], driven: FloatArray, backend: Backend) -> DrivenPath:
         """By the backend's estimate; where keyframes have left the graph, by the way as it was driven, (N,) m."""
         held = np.array(frames)
-        poses = backend.poses([pose_symbol(frame) for frame in frames])
+        poses = backend.poses(pose_symbols(frames))
         steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
         steps = np.where(np.diff(held) == 1, steps, np.diff(driven[held]))
         lengths = np.concatenate(([0.0], np.cumsum(steps)))

@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 
 from factors._conventions import POSE3_TO_SP, SP_TO_POSE3
-from slam.backend.estimator import Backend, pose_symbol
+from slam.backend.estimator import Backend, pose_symbol, pose_symbols
 from slam.config import ThinningConfig
 from slam.frontend.information import floor_information, plane_information
 from slam.frontend.observations import Observation
@@ -217,7 +217,7 @@ class Sparsifier:
     def _bases(self, going: Sequence[int]) -> dict[int, int]:
         """For the keys of those that go, the keys of those nearest to them that stay."""
         staying = [one for one in self.held if one not in self._leaving and one not in going]
-        keys = [pose_symbol(one) for one in staying]
+        keys = pose_symbols(staying).tolist()
         places = self._backend.poses(keys)[:, :3, 3]
         bases = {}
         for key in map(pose_symbol, going):
@@ -227,7 +227,7 @@ class Sparsifier:
 
     def _is_known_place(self) -> bool:
         """Whether so many earlier passes have left keyframes about the place of the last one."""
-        poses = self._backend.poses([pose_symbol(one) for one in self.held])
+        poses = self._backend.poses(pose_symbols(self.held))
         here = poses[-1]
         near = np.linalg.norm(poses[:, :3, 3] - here[:3, 3], axis=1) <= self._config.radius_m
         alike = 0.5 * (np.trace(here[:3, :3].T @ poses[:, :3, :3], axis1=1, axis2=2) - 1.0) >= np.cos(
