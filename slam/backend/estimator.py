@@ -27,7 +27,7 @@ _RECENT = 10
 #: Of more variables than this a joint covariance is read from the graph.
 _MANY = 64
 #: What GTSAM says, in Python by a RuntimeError as any other, when elimination fails.
-_INDETERMINATE = "Indeterminate linear system"
+INDETERMINATE = "Indeterminate linear system"
 
 
 class BackendError(RuntimeError):
@@ -214,7 +214,7 @@ class Backend:
         Raises:
             BackendError: the system is indeterminate, or the failure is another one.
         """
-        if _INDETERMINATE not in str(failure):
+        if INDETERMINATE not in str(failure):
             raise BackendError(_first_line(failure)) from failure
         factors, twin = self._isam.getFactorsUnsafe(), self._empty("QR")
         values, used = gtsam.Values(self._isam.getLinearizationPoint()), set(factors.keyVector())

@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 from scipy.special import chdtri
 
 from factors import odometry_factor_2d
+from slam.backend.estimator import INDETERMINATE
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion, planar_delta
@@ -73,7 +74,7 @@ def agreement(keyframes: Sequence[Keyframe], poses: FloatArray, config: LoopConf
     estimate = np.array([planar_delta(pose) for pose in poses])
     offsets = [float(np.linalg.norm((_delta_at(one, estimate) - one.pose.delta)[:2])) for one in chosen]
     inferred = _inferred(graph, values, solved, way, config) if chosen else ()
-    return Agreement(tuple(chosen), np.array(offsets), len(found) - len(fitting), tuple(inferred))
+    return Agreement(tuple(chosen), np.array(offsets), len(found) - len(fitting), inferred)
 
 
 def _search(
@@ -147,9 +148,23 @@ def _solved(
 
 def _inferred(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, places: FloatArray, way: FloatArray, config: LoopConfig
+) -> tuple[Proposal, ...]:
+    """Where each keyframe is from the nearest of those more than three windows before: a laser sees far.
+
+    Nothing, where the kernel lets go of so much that the drive falls apart.
+    """
+    try:
+        return tuple(_from_earlier(gtsam.Marginals(graph, values), values, places, way, config))
+    except RuntimeError as error:
+        if INDETERMINATE not in str(error):
+            raise
+        return ()
+
+
+def _from_earlier(
+    marginals: gtsam.Marginals, values: gtsam.Values, places: FloatArray, way: FloatArray, config: LoopConfig
 ) -> Iterator[Proposal]:
-    """Where each keyframe is from the nearest of those more than three windows before: a laser sees far."""
-    marginals = gtsam.Marginals(graph, values)
+    """See `_inferred`."""
     for new, length in enumerate(way.tolist()):
         n_before = int(np.searchsorted(way, length - 3.0 * config.window_m))
         if not n_before:

@@ -9,6 +9,7 @@ from slam.diagnostics.evidence.coverage import (
     assumption_evidence,
     coverage_evidence,
     unmatched_evidence,
+    waiting_evidence,
 )
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.innovations import believed_evidence, nis_evidence, odometry_evidence
@@ -35,6 +36,7 @@ def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
     poses, views = run.trajectory.poses, views_of(run.keyframes)
     yield from assumption_evidence(run)
     yield from ambiguity_evidence(run)
+    yield from waiting_evidence(run)
     yield from nis_evidence(run)
     yield from odometry_evidence(run, rig)
     yield from believed_evidence(run)

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.special import expit
 
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.innovations import PROMISED_M
 from slam.diagnostics.observability import OpenStretch, name_of, sigma_along
 from slam.diagnostics.verdict import Evidence, at_least, named
+from slam.diagnostics.views import TOLERANCE_M
 from slam.frontend.observations import LineObservation, Observation, PlaneObservation
 from slam.frontend.occupancy import NOVEL_SHARE
+from slam.frontend.odometry import planar_delta
+from slam.geometry.frames import inverse
 from spplanes._check import FloatArray
 
 #: Keyframes with fewer than this many are no drive: nothing in them was seen twice and held against a third.
@@ -119,6 +123,30 @@ def ambiguity_evidence(run: Finished) -> Iterator[Evidence]:
         f"with probability {1.0 - right:.2f} one of those chosen is wrong"
     )
     yield Evidence("ambiguity", "doubtful", 0.0, 1.0 - right, "probability", tuple(likely), sentence)
+
+
+def waiting_evidence(run: Finished) -> Iterator[Evidence]:
+    """Loops that were likelier than all else together, and wait to the end for another that bears them out.
+
+    It matters where the map has them elsewhere: likelier than not it is wrong there. A drive that ends as it comes back
+    has nothing more to say.
+    """
+    poses, apart = run.trajectory.poses, []
+    for loop in run.loops:
+        if loop.verdict == "waiting" and loop.proposal is not None:
+            mapped = planar_delta(inverse(poses[loop.old_keyframe]) @ poses[loop.keyframe])
+            distance_m = float(np.linalg.norm((mapped - loop.proposal.pose.delta)[:2]))
+            if distance_m > TOLERANCE_M:
+                apart.append((loop.proposal.log_odds, distance_m, loop))
+    if not apart:
+        return
+    log_odds, distance_m, loop = max(apart, key=lambda one: one[0])
+    ends = tuple(sorted({end for _, _, one in apart for end in (one.old_keyframe, one.keyframe)}))
+    sentence = (
+        f"what was seen at {named((loop.keyframe,))} fits what was seen at {named((loop.old_keyframe,))} better "
+        f"{distance_m:.2g} m from where the map has it, and nothing else was seen that tells"
+    )
+    yield Evidence("loops", "doubtful", 0.0, float(expit(log_odds)), "probability", ends, sentence)
 
 
 def unmatched_evidence(run: Finished) -> Iterator[Evidence]:

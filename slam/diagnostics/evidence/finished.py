@@ -12,6 +12,7 @@ from slam.diagnostics.observability import OpenStretch
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.io.trajectories import Trajectory
+from slam.loop_closure.verification import LoopDecision
 from slam.map.data_association import Decision
 from slam.map.landmarks import LandmarkMap
 from slam.mapping.map_update import LateMatch
@@ -70,6 +71,10 @@ class Finished(Protocol):
     @property
     def unplaced(self) -> list[int]:
         """Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them."""
+
+    @property
+    def loops(self) -> list[LoopDecision]:
+        """What became of every loop that was looked for."""
 
     @property
     def rivals(self) -> dict[int, Rivals]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -100,3 +101,15 @@ def test_what_is_inferred_is_as_sure_as_it_says_and_false_findings_are_told(fals
         assert np.flatnonzero(misfit > 16.3).tolist() == list(range(2, 2 + 3 * false, 3))
         means.append(chi2_of(list(whole_drive._inferred(graph, values, places, way, RULES)), true).mean() / 3.0)
     assert 0.5 < np.mean(means) < 1.0
+
+
+def test_of_a_drive_that_falls_apart_nothing_is_inferred():
+    """Two steps in a row of which next to nothing is known: GTSAM finds the keyframe between them indeterminate."""
+    true, steps, found = circles(0, 0)
+    loose = [replace(step, covariance=1e14 * STEP) if number in (40, 41) else step for number, step in enumerate(steps)]
+    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(true[:, :2, 3], axis=0), axis=1))))
+    graph, values = whole_drive._solved(loose, found, true)
+    places = np.array([whole_drive._delta(values.atPose2(index)) for index in range(len(true))])
+    with pytest.raises(RuntimeError, match="Indeterminate"):
+        list(whole_drive._from_earlier(gtsam.Marginals(graph, values), values, places, way, RULES))
+    assert whole_drive._inferred(graph, values, places, way, RULES) == ()

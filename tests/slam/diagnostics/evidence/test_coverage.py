@@ -7,14 +7,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from slam.diagnostics.evidence.coverage import ambiguity_evidence, assumption_evidence, coverage_evidence
+from slam.diagnostics.evidence.coverage import (
+    ambiguity_evidence,
+    assumption_evidence,
+    coverage_evidence,
+    waiting_evidence,
+)
 from slam.diagnostics.verdict import Evidence
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion
-from slam.geometry.frames import inverse
+from slam.geometry.frames import inverse, planar_transform
+from slam.loop_closure.pairwise_consistency import Proposal
+from slam.loop_closure.verification import LoopDecision
 from slam.planeslam import PlaneSlam
 from slam.registration.relocalization import Rivals
+from slam.registration.submaps import PlanarPose
 from spplanes import Plane
 from tests.slam.registration.test_plane_registration import body, hall, measured
 
@@ -63,3 +71,21 @@ def test_places_that_fit_as_well_are_counted_together() -> None:
     assert found.size == pytest.approx(0.6) and found.keyframes == (3, 5) and found.grade == "doubtful"
     assert "7.0 m and 180 deg off at keyframe 5" in found.sentence and "probability 0.60" in found.sentence
     assert len(of(*[0.05] * 6)) == 1
+
+
+def test_a_loop_that_waits_to_the_end_elsewhere_than_the_map_has_it_is_told() -> None:
+    def of(verdict: str, *deltas: tuple[float, float, float]) -> list[Evidence]:
+        poses = np.stack([planar_transform(float(k), 0.0, 0.0) for k in range(3)])
+        loops = [
+            LoopDecision(
+                2, 0, verdict, (), 0.0, 0.0, proposal=Proposal(2, 0, PlanarPose(np.array(d), np.eye(3)), k, 2.0)
+            )
+            for k, d in enumerate(deltas)
+        ]
+        run = SimpleNamespace(loops=loops, trajectory=SimpleNamespace(poses=poses))
+        return list(waiting_evidence(run))  # type: ignore[arg-type]
+
+    assert of("waiting") == of("waiting", (2.0, 0.05, 0.3)) == of("known", (2.0, 0.4, 0.0)) == []
+    [found] = of("waiting", (2.0, 0.05, 0.0), (2.0, 0.4, 0.0))
+    assert found.size == pytest.approx(1.0 / (1.0 + np.exp(-1.0))) and found.keyframes == (0, 2)
+    assert "at keyframe 2 fits what was seen at keyframe 0 better 0.4 m from where the map has it" in found.sentence
