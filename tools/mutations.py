@@ -383,6 +383,34 @@ MUTATIONS = (
         "np.repeat((0.0, 0.0), self._places.size)",
         "tests/slam/frontend/test_measurement.py -k no_bend",
     ),
+    Mutation(
+        "lines are looked for once, by less noise than beams have",
+        "spplanes/lines/extraction.py",
+        "return _scatter(scans, seen, config) if seen > sigma else (seen, telling)",
+        "return seen, telling",
+        "tests/spplanes/lines/test_beam_noise.py",
+    ),
+    Mutation(
+        "a laser that nobody describes has the noise of a data sheet",
+        "slam/io/default_rigs.py",
+        "seen_m = shown_by_lines(sensor, log.scans(name)) or DEFAULT_RANGE_SIGMA_M",
+        "seen_m = DEFAULT_RANGE_SIGMA_M",
+        "tests/slam/sensors/test_rig.py",
+    ),
+    Mutation(
+        "loops that wait to the end are forgotten",
+        "slam/diagnostics/evidence/coverage.py",
+        "if distance_m > TOLERANCE_M:",
+        "if distance_m < 0.0:",
+        "tests/slam/diagnostics/evidence/test_coverage.py",
+    ),
+    Mutation(
+        "what is asked about stays deep in the tree",
+        "slam/backend/estimator.py",
+        "            self._bring_up(keys)\n",
+        "",
+        "tests/slam/backend/test_estimator.py",
+    ),
 )
 
 
