@@ -393,15 +393,15 @@ MUTATIONS = (
     Mutation(
         "a laser that nobody describes has the noise of a data sheet",
         "slam/io/default_rigs.py",
-        "seen_m = shown_by_lines(sensor, log.scans(name)) or DEFAULT_RANGE_SIGMA_M",
-        "seen_m = DEFAULT_RANGE_SIGMA_M",
+        "seen_m = shown_by_lines(sensor, log.scans(name)) or TYPICAL_BEAM_SIGMA_M",
+        "seen_m = TYPICAL_BEAM_SIGMA_M",
         "tests/slam/sensors/test_rig.py",
     ),
     Mutation(
         "loops that wait to the end are forgotten",
         "slam/diagnostics/evidence/coverage.py",
-        "if distance_m > TOLERANCE_M:",
-        "if distance_m < 0.0:",
+        "if one.offset_m(poses) > TOLERANCE_M]",
+        "if one.offset_m(poses) < 0.0]",
         "tests/slam/diagnostics/evidence/test_coverage.py",
     ),
     Mutation(

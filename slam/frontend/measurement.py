@@ -259,10 +259,9 @@ def _in_window(
 
 def lines_of_scan(scan: LaserScan, sensor: Sensor, kf_T_body: FloatArray, config: LineConfig) -> list[LineObservation]:
     """Lines of one 2D scan, with the mount as the keyframe's body sees it."""
-    sigma = float(np.sqrt(sensor.range_variance_m2 + sensor.surface_sigma_m**2))
     ranges = usable_ranges(scan.ranges, sensor)
     # what the sensor errs by is in the rig, from all of the log: one scan tells less
-    lines = extract_lines(ranges, scan.angles, sigma=sigma, config=config, shared_error=False)
+    lines = extract_lines(ranges, scan.angles, sigma=sensor.beam_sigma_m, config=config, shared_error=False)
     return [LineObservation(line, kf_T_body @ sensor.body_T_sensor) for line in lines]
 
 

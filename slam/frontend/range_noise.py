@@ -65,9 +65,10 @@ def with_shown_errors(log: Log, rig: Rig) -> Rig:
 def _raised(name: str, sensor: Sensor, log: Log) -> Sensor:
     """The sensor, or where its beams scatter by more than it states, one that states as much."""
     scans = log.scans(name)
-    result = (
-        _as_lines_show(sensor, scans) if scans and isinstance(scans[0], LaserScan) else _as_clouds_show(sensor, scans)
-    )
+    if not scans:
+        return sensor
+    shown = _as_lines_show if isinstance(scans[0], LaserScan) else _as_clouds_show
+    result = shown(sensor, scans)
     if result is not sensor:
         stated, seen = 1e3 * sensor.range_sigma_m, 1e3 * result.range_sigma_m
         note = f"{name}: ranges scatter about surfaces by {seen:.3g} mm where {stated:.3g} mm are stated: taken as seen"
@@ -77,11 +78,8 @@ def _raised(name: str, sensor: Sensor, log: Log) -> Sensor:
 
 def _as_lines_show(sensor: Sensor, scans: Sequence[LaserScan | CloudScan]) -> Sensor:
     """A 2D laser with as much noise as its lines show, if that is more than what is stated with uneven surfaces."""
-    seen_m, stated_m = (
-        shown_by_lines(sensor, scans),
-        np.hypot(np.sqrt(sensor.range_variance_m2), sensor.surface_sigma_m),
-    )
-    return sensor if seen_m is None or seen_m <= _REFUTED * stated_m else with_beam_sigma(sensor, seen_m)
+    seen_m = shown_by_lines(sensor, scans)
+    return sensor if seen_m is None or seen_m <= _REFUTED * sensor.beam_sigma_m else with_beam_sigma(sensor, seen_m)
 
 
 def _as_clouds_show(sensor: Sensor, scans: Sequence[LaserScan | CloudScan]) -> Sensor:
@@ -130,7 +128,7 @@ def _times(factor: float, sensor: Sensor) -> dict[str, Any]:
 def _grids(scans: Sequence[LaserScan | CloudScan], sensor: Sensor) -> list[FloatArray]:
     """Points of some clouds as grids; what cannot be read is left to whoever measures it."""
     found = []
-    for index in np.unique(np.geomspace(1.0, len(scans), _CLOUDS).astype(int)) - 1 if scans else ():
+    for index in np.unique(np.geomspace(1.0, len(scans), _CLOUDS).astype(int)) - 1:
         try:
             points = usable_points(np.asarray(scans[index].points, dtype=np.float64), sensor)
             found.append(points if points.ndim == 3 else arrange(points, grid_of(sensor)))

@@ -11,7 +11,7 @@ from slam.io.clouds.depth import SENSOR as CAMERA
 from slam.io.rosbags.reader import Topics
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import LocalisationNoise, Mount, Rig, Sensor
-from slam.sensors.scan_noise import shown_by_lines, with_beam_sigma
+from slam.sensors.scan_noise import TYPICAL_BEAM_SIGMA_M, shown_by_lines, with_beam_sigma
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS, OdometryNoise
 from spplanes._check import FloatArray
 
@@ -122,10 +122,6 @@ def depth_rig() -> Rig:
     return Rig(sensors={CAMERA: camera}, odometry=MEASURED, localisation=clouds.localisation)
 
 
-#: Standard deviation taken for a 2D laser nobody describes, where too few lines tell it: the data sheet of a SICK
-#: LMS 200 (15 mm).
-DEFAULT_RANGE_SIGMA_M = 0.015
-
 #: Steps of ranges that lasers use, m.
 _STEPS_M = (0.1, 0.05, 0.01, 0.005, 0.001)
 
@@ -164,13 +160,13 @@ def _default_laser(name: str, log: Log) -> Sensor:
         kind="line" if told is None or abs(told[2, 2]) > _LEVEL else "slice",
         record=name,
         body_T_sensor=_default_mount(name, log),
-        range_sigma_m=DEFAULT_RANGE_SIGMA_M,
+        range_sigma_m=TYPICAL_BEAM_SIGMA_M,
         quantisation_m=max(steps, default=0.0) if largest else 0.0,
         range_max_m=largest + 0.01 if largest else 80.0,
         surface_sigma_m=DEFAULT_SURFACE_SIGMA_M,
         surface_correlation_m=DEFAULT_SURFACE_CORRELATION_M,
     )
-    seen_m = shown_by_lines(sensor, log.scans(name)) or DEFAULT_RANGE_SIGMA_M
+    seen_m = shown_by_lines(sensor, log.scans(name)) or TYPICAL_BEAM_SIGMA_M
     uneven = float(np.hypot(DEFAULT_SURFACE_SIGMA_M, _IN_COMMON * seen_m))
     return with_beam_sigma(sensor.model_copy(update={"surface_sigma_m": uneven}), seen_m)
 
@@ -219,9 +215,11 @@ def assumptions(log: Log, rig: Rig) -> list[str]:
 
 
 def _taken_for(name: str, sensor: Sensor, log: Log) -> str:
-    noise = f"{1000.0 * sensor.range_sigma_m:.3g} mm of noise"
-    if sensor.kind != "cloud" and sensor.range_sigma_m != DEFAULT_RANGE_SIGMA_M:
-        noise += ", as its lines show"
+    is_cloud = sensor.kind == "cloud"
+    noise = f"{1000.0 * (sensor.range_sigma_m if is_cloud else sensor.beam_sigma_m):.3g} mm of noise"
+    if not is_cloud and not np.isclose(sensor.beam_sigma_m, TYPICAL_BEAM_SIGMA_M, rtol=1e-9, atol=0.0):
+        shared = f"{1000.0 * sensor.surface_sigma_m:.3g} mm of it alike over {sensor.surface_correlation_m:g} m of wall"
+        noise += f", as its lines show, {shared}"  # where they do not, it is the typical one
     if sensor.disparity_sigma_per_m:
         noise += f" and {1000.0 * sensor.disparity_sigma_per_m:g} mm times the square of the range in m"
     if name in log.mounts:

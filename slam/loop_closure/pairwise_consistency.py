@@ -9,7 +9,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import chdtri
 
+from slam.frontend.odometry import planar_delta
+from slam.geometry.frames import inverse
 from slam.registration.submaps import PlanarPose
+from spplanes._check import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +29,11 @@ class Proposal:
     """Log of the probability of this against all else."""
     way_m: float
     """Length of the way to the newer keyframe, m."""
+
+    def offset_m(self, poses: FloatArray) -> float:
+        """How far it is from where poses (N, 4, 4) of all keyframes have the newer one from the old one, m."""
+        there = planar_delta(inverse(poses[self.old_keyframe]) @ poses[self.keyframe])
+        return float(np.linalg.norm((there - self.pose.delta)[:2]))
 
 
 def loop_chi2(first: Proposal, second: Proposal, newer: PlanarPose, older: PlanarPose) -> float:

@@ -71,10 +71,9 @@ def agreement(keyframes: Sequence[Keyframe], poses: FloatArray, config: LoopConf
     limit = float(chdtri(3, config.significance))
     fitting = [one for one in found if _misfit(one, solved) <= limit]
     chosen = _one_of_each(fitting, way, config.window_m)
-    estimate = np.array([planar_delta(pose) for pose in poses])
-    offsets = [float(np.linalg.norm((_delta_at(one, estimate) - one.pose.delta)[:2])) for one in chosen]
+    offsets = np.array([one.offset_m(poses) for one in chosen])
     inferred = _inferred(graph, values, solved, way, config) if chosen else ()
-    return Agreement(tuple(chosen), np.array(offsets), len(found) - len(fitting), inferred)
+    return Agreement(tuple(chosen), offsets, len(found) - len(fitting), inferred)
 
 
 def _search(

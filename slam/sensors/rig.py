@@ -177,6 +177,11 @@ class Sensor(Frozen):
         """Variance of one range, noise and quantisation together, m^2."""
         return self.range_sigma_m**2 + self.quantisation_m**2 / 12.0
 
+    @property
+    def beam_sigma_m(self) -> float:
+        """Standard deviation of a beam of a 2D laser about a wall: range, quantisation and unevenness together, m."""
+        return float(np.sqrt(self.range_variance_m2 + self.surface_sigma_m**2))
+
     def range_variance_at(self, ranges: FloatArray) -> FloatArray:
         """Variance of ranges, what grows with them included, m^2, of their shape."""
         growing = self.disparity_sigma_per_m**2 + self.disparity_step_per_m**2 / 12.0

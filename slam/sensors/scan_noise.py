@@ -16,8 +16,9 @@ from spplanes.segmentation.validation._patch_kernels import numbered, patches_of
 
 #: Scans of a 2D laser that are asked how far its beams scatter, and how many beams on lines tell it.
 _ASKED, _TELLING = 150, 1000
-#: Lines are looked for as if beams scattered by no less, m: if they do, they are found as well.
-_LEAST_ASKED_M = 0.015
+#: How far beams of a 2D laser scatter where nothing is known of it, m: the data sheet of a SICK LMS 200. Lines are
+#: looked for by no less: where beams scatter by less, they are found as well.
+TYPICAL_BEAM_SIGMA_M = 0.015
 
 
 def model_of(sensor: Sensor) -> SensorModel:
@@ -56,14 +57,13 @@ def shown_by_lines(sensor: Sensor, scans: Sequence[object]) -> float | None:
     limits = LineConfig(
         bearing_sigma=sensor.bearing_sigma_rad, range_min=sensor.range_min_m, range_max=sensor.range_max_m
     )
-    about = max(float(np.sqrt(sensor.range_variance_m2 + sensor.surface_sigma_m**2)), _LEAST_ASKED_M)
-    seen_m, telling = beam_noise(beams, about, limits)
+    seen_m, telling = beam_noise(beams, max(sensor.beam_sigma_m, TYPICAL_BEAM_SIGMA_M), limits)
     return seen_m if telling >= _TELLING else None
 
 
 def with_beam_sigma(sensor: Sensor, seen_m: float) -> Sensor:
     """The sensor with so much noise of its beams that they scatter by `seen_m` about lines, at least half of it."""
-    other = sensor.range_variance_m2 - sensor.range_sigma_m**2 + sensor.surface_sigma_m**2
+    other = sensor.beam_sigma_m**2 - sensor.range_sigma_m**2
     return sensor.model_copy(update={"range_sigma_m": float(np.sqrt(max(seen_m**2 - other, (0.5 * seen_m) ** 2)))})
 
 

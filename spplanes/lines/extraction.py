@@ -100,14 +100,21 @@ def extract_lines(
     """
     config = LineConfig() if config is None else config
     check_instance("config", config, LineConfig)
-    beams = _checked_beams(ranges, angles, sigma)
-    if beams.shape[1] < 3:
-        return []
     flatness = 0.0 if shared_error else config.flatness  # else it is counted with what residuals show
-    rows, support, counts = extract(beams[0], beams[1], beams[2], tuple(_rules(config, flatness)))
+    beams, rows, support, counts = _extracted(ranges, angles, sigma, config, flatness)
     if shared_error and len(rows):
         rows[:, 4:8] = _with_shared_error(rows, support, counts, beams, config).reshape(-1, 4)
     return _as_lines(rows, support, counts)
+
+
+def _extracted(
+    ranges: ArrayLike, angles: ArrayLike, sigma: ArrayLike, config: LineConfig, flatness: float
+) -> tuple[FloatArray, FloatArray, np.ndarray, np.ndarray]:
+    """The beams (3, B) of a scan, and its lines as `extract` gives them: rows (M, 12), support (N,), counts (M,)."""
+    beams = _checked_beams(ranges, angles, sigma)
+    if beams.shape[1] < 3:
+        return beams, np.empty((0, 12)), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    return beams, *extract(beams[0], beams[1], beams[2], tuple(_rules(config, flatness)))
 
 
 def _as_lines(rows: FloatArray, support: np.ndarray, counts: np.ndarray) -> list[ScanLine]:
@@ -179,12 +186,9 @@ def _scatter(scans: Sequence[tuple[FloatArray, FloatArray]], sigma: float, confi
     found, first = [], 0
     for ranges, angles in scans:
         try:
-            beams = _checked_beams(ranges, angles, sigma)
+            beams, rows, support, counts = _extracted(ranges, angles, sigma, config, 0.0)
         except ValueError:  # who takes its lines will hear of it
             continue
-        if beams.shape[1] < 3:
-            continue
-        rows, support, counts = extract(beams[0], beams[1], beams[2], tuple(_rules(config, 0.0)))
         seen = _Residuals.of(rows, support, counts, beams, config)
         found.append((seen.points, seen.variances, seen.line + first, seen.covariances))
         first += len(rows)
@@ -193,7 +197,8 @@ def _scatter(scans: Sequence[tuple[FloatArray, FloatArray]], sigma: float, confi
     points, variances, line, covariances = (np.concatenate(parts) for parts in zip(*found, strict=True))
     frames = np.tile(np.eye(4), (first, 1, 1))
     shown = shared_error_of(points, variances[:, None], line, frames, covariances, stated=False)
-    return sigma * float(np.sqrt(shown.noise_factors.min())), len(points)
+    common = shown.noise_factors.min()  # that of most lines: others have more of their own
+    return sigma * float(np.sqrt(common)), len(points)
 
 
 @dataclass(frozen=True, eq=False)

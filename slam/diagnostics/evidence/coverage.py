@@ -14,8 +14,6 @@ from slam.diagnostics.verdict import Evidence, at_least, named
 from slam.diagnostics.views import TOLERANCE_M
 from slam.frontend.observations import LineObservation, Observation, PlaneObservation
 from slam.frontend.occupancy import NOVEL_SHARE
-from slam.frontend.odometry import planar_delta
-from slam.geometry.frames import inverse
 from spplanes._check import FloatArray
 
 #: Keyframes with fewer than this many are no drive: nothing in them was seen twice and held against a third.
@@ -131,22 +129,18 @@ def waiting_evidence(run: Finished) -> Iterator[Evidence]:
     It matters where the map has them elsewhere: likelier than not it is wrong there. A drive that ends as it comes back
     has nothing more to say.
     """
-    poses, apart = run.trajectory.poses, []
-    for loop in run.loops:
-        if loop.verdict == "waiting" and loop.proposal is not None:
-            mapped = planar_delta(inverse(poses[loop.old_keyframe]) @ poses[loop.keyframe])
-            distance_m = float(np.linalg.norm((mapped - loop.proposal.pose.delta)[:2]))
-            if distance_m > TOLERANCE_M:
-                apart.append((loop.proposal.log_odds, distance_m, loop))
+    poses = run.trajectory.poses
+    waiting = [loop.proposal for loop in run.loops if loop.verdict == "waiting" and loop.proposal is not None]
+    apart = [one for one in waiting if one.offset_m(poses) > TOLERANCE_M]
     if not apart:
         return
-    log_odds, distance_m, loop = max(apart, key=lambda one: one[0])
-    ends = tuple(sorted({end for _, _, one in apart for end in (one.old_keyframe, one.keyframe)}))
+    likeliest = max(apart, key=lambda one: one.log_odds)
+    ends = tuple(sorted({end for one in apart for end in (one.old_keyframe, one.keyframe)}))
     sentence = (
-        f"what was seen at {named((loop.keyframe,))} fits what was seen at {named((loop.old_keyframe,))} better "
-        f"{distance_m:.2g} m from where the map has it, and nothing else was seen that tells"
+        f"what was seen at {named((likeliest.keyframe,))} fits what was seen at {named((likeliest.old_keyframe,))} "
+        f"better {likeliest.offset_m(poses):.2g} m from where the map has it, and no other loop bears it out"
     )
-    yield Evidence("loops", "doubtful", 0.0, float(expit(log_odds)), "probability", ends, sentence)
+    yield Evidence("loops", "doubtful", 0.0, float(expit(likeliest.log_odds)), "probability", ends, sentence)
 
 
 def unmatched_evidence(run: Finished) -> Iterator[Evidence]:
