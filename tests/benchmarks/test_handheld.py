@@ -8,8 +8,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from benchmarks.corpus.catalogue import corpus
-from benchmarks.corpus.handheld import HANDHELD, make_handheld
+from benchmarks.corpus.handheld import make_handheld
 from slam.geometry.frames import inverse, lift
 from slam.io.clouds.depth import CAMERA_MOUNT
 
@@ -48,13 +47,3 @@ def test_points_lie_on_the_planes_they_are_labelled_with(drive) -> None:
         assert on.mean() > 0.3
     share = np.median(np.concatenate(off) / np.concatenate(ranges))
     assert share < (0.02 if sparse else 0.005)
-
-
-def test_they_are_there_where_they_are_asked_for() -> None:
-    """By a pattern, with every seed; not among all drives."""
-    assert {(entry.name, entry.seed) for entry in corpus([4, 5], kinds=["handheld/*"])} == {
-        (name, seed) for name in HANDHELD for seed in (4, 5)
-    }
-    assert not {entry.name for entry in corpus([0])} & set(HANDHELD)
-    with pytest.raises(ValueError, match="name: expected one of"):
-        make_handheld("handheld/slow", 0)

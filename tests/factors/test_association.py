@@ -23,6 +23,7 @@ from factors import (
 )
 from spplanes import Plane
 from tests.factors.association_scenes import MAPPED, ROOM, X, asked, drawn, frame_of, key, plane_of, scene
+from tests.factors.factor_scenes import random_line
 
 #: A level robot whose position is known to 20 cm and whose heading to half a degree; rotation first.
 LOOSE = np.diag([1e-3, 1e-3, 9e-3, 0.2, 0.2, 1e-3]) ** 2
@@ -247,55 +248,53 @@ def test_pieces_of_a_wall_that_nobody_knew_are_one_new_plane():
     assert len(found.new) == 3 and len(found.matches) == 1 and not found.unsure
 
 
-def test_what_is_no_prediction_is_refused():
-    place = scene(FIRM, np.random.default_rng(10), (0, 1))
-    keys, values, matrix = place.keys, place.values, place.covariance
-    with pytest.raises(ValueError, match=r"^covariance: expected finite numbers, got NaN or infinity$"):
-        Prediction.of_matrix(np.full_like(matrix, np.nan), keys, values, X)
-    with pytest.raises(ValueError, match=r"^covariance: expected a positive semidefinite covariance, got smallest"):
-        Prediction.of_matrix(-matrix, keys, values, X)
-    with pytest.raises(ValueError, match=r"^covariance: expected shape \(12, 12\), got \(6, 6\)$"):
-        Prediction.of_matrix(matrix[:6, :6], keys, values, X)
-    with pytest.raises(ValueError, match=r"^keys: expected the key of a Pose3 or an OrientedPlane3 in values, got l9$"):
-        Prediction.of_matrix(matrix, [X, key(0), key(9)], values, X)
-    with pytest.raises(ValueError, match=r"^keys: expected the pose x0 among them, got l0$"):
-        Prediction.of_matrix(matrix[6:9, 6:9], [key(0)], values, X)
-    with pytest.raises(ValueError, match=r"^pose_key: expected the key of a Pose3 in values, got l0, a plane$"):
-        Prediction.of_matrix(matrix, keys, values, key(0))
-    with pytest.raises(ValueError, match=r"^pose_key: expected the key of a Pose3 or .* got x7$"):
-        Prediction.of_isam(gtsam.ISAM2(), gtsam.symbol("x", 7))
-    with pytest.raises(ValueError, match=r"^keys: expected all landmarks and anchors compared, got none of l1$"):
-        few = Prediction.of_matrix(matrix[:9, :9], keys[:2], values, X)
-        associate([place.seen(number, np.random.default_rng(0)) for number in (0, 1)], few, place.landmarks)
+PLACE = scene(FIRM, np.random.default_rng(10), (0, 1))
+VALUES, MATRIX, SEEN = PLACE.values, PLACE.covariance, PLACE.seen(0, np.random.default_rng(0))
+POSE_ALONE = gtsam.Values()
+POSE_ALONE.insert(X, gtsam.Pose3())
+of_matrix = Prediction.of_matrix
 
 
-def test_what_is_no_observation_landmark_or_gate_is_refused():
-    place = scene(FIRM, np.random.default_rng(11), (0, 1))
-    seen = place.seen(0, np.random.default_rng(0))
-    with pytest.raises(ValueError, match=r"^observations\[1\]: expected a Plane, .* got float$"):
-        associate([seen, 1.0], place.prediction, place.landmarks)  # type: ignore[list-item]
-    with pytest.raises(ValueError, match=r"^landmarks: expected a LandmarkExtents, got dict$"):
-        associate([seen], place.prediction, {})  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"^prediction: expected a Prediction, got ndarray$"):
-        associate([seen], place.covariance, place.landmarks)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"^least_probability: expected a number from 0 to 1, got 2.0$"):
-        associate([seen], place.prediction, place.landmarks, least_probability=2.0)
-    with pytest.raises(ValueError, match=r"^significance: expected a probability between 0 and 1, got 0.0$"):
-        AssociationGates(significance=0.0)
-    with pytest.raises(ValueError, match=r"^gap_m: expected a number >= 0, got -1.0$"):
-        AssociationGates(gap_m=-1.0)
-    with pytest.raises(ValueError, match=r"^body_T_sensor: expected shape \(4, 4\), got \(3, 3\)$"):
-        LineObservation(place.line(0, np.random.default_rng(0)).line, np.eye(3))
-    other = gtsam.Values()
-    other.insert(X, gtsam.Pose3())
-    with pytest.raises(ValueError, match=r"^landmarks: expected keys of OrientedPlane3 in values, got l0$"):
-        associate([seen], Prediction.of_matrix(np.eye(6), [X], other, X), place.landmarks)
-    with pytest.raises(ValueError, match=r"^plane_key: expected a new landmark's, got l0, which is there$"):
-        place.landmarks.start(key(0), seen, X, place.values)
-    with pytest.raises(ValueError, match=r"^plane_key: expected a landmark that was started, got l5$"):
-        place.landmarks.see(key(5), seen, X, place.values)
-    with pytest.raises(ValueError, match=r"^pose_key: expected the key of a Pose3 in values, got x4$"):
-        place.landmarks.see(key(0), seen, gtsam.symbol("x", 4), place.values)
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: of_matrix(np.nan * MATRIX, PLACE.keys, VALUES, X), "covariance: expected finite numbers, got NaN"),
+        (lambda: of_matrix(-MATRIX, PLACE.keys, VALUES, X), "covariance: expected a positive semidefinite covariance"),
+        (lambda: of_matrix(np.eye(6), PLACE.keys, VALUES, X), r"covariance: expected shape \(12, 12\), got \(6, 6\)"),
+        (lambda: of_matrix(MATRIX, [X, key(0), key(9)], VALUES, X), "keys: expected the key of a Pose3 or .* got l9"),
+        (lambda: of_matrix(np.eye(3), [key(0)], VALUES, X), "keys: expected the pose x0 among them, got l0"),
+        (lambda: of_matrix(MATRIX, PLACE.keys, VALUES, key(0)), "pose_key: expected the key of a Pose3 .* l0, a plane"),
+        (lambda: Prediction.of_isam(gtsam.ISAM2(), gtsam.symbol("x", 7)), "pose_key: expected the key .* got x7"),
+        (
+            lambda: associate(
+                [SEEN, PLACE.seen(1, np.random.default_rng(0))],
+                of_matrix(MATRIX[:9, :9], PLACE.keys[:2], VALUES, X),
+                PLACE.landmarks,
+            ),
+            "keys: expected all landmarks and anchors compared, got none of l1",
+        ),
+        (
+            lambda: associate([SEEN], of_matrix(np.eye(6), [X], POSE_ALONE, X), PLACE.landmarks),
+            "landmarks: expected keys of OrientedPlane3 in values, got l0",
+        ),
+        (lambda: associate([SEEN, 1.0], PLACE.prediction, PLACE.landmarks), r"observations\[1\]: .* got float"),  # type: ignore[list-item]
+        (lambda: associate([SEEN], PLACE.prediction, {}), "landmarks: expected a LandmarkExtents, got dict"),  # type: ignore[arg-type]
+        (lambda: associate([SEEN], MATRIX, PLACE.landmarks), "prediction: expected a Prediction, got ndarray"),  # type: ignore[arg-type]
+        (
+            lambda: associate([SEEN], PLACE.prediction, PLACE.landmarks, least_probability=2.0),
+            "least_probability: expected a number from 0 to 1, got 2.0",
+        ),
+        (lambda: AssociationGates(significance=0.0), "significance: expected a probability between 0 and 1, got 0.0"),
+        (lambda: AssociationGates(gap_m=-1.0), "gap_m: expected a number >= 0, got -1.0"),
+        (lambda: LineObservation(random_line(np.random.default_rng(0)), np.eye(3)), "body_T_sensor: expected shape"),
+        (lambda: PLACE.landmarks.start(key(0), SEEN, X, VALUES), "plane_key: expected a new landmark's, got l0"),
+        (lambda: PLACE.landmarks.see(key(5), SEEN, X, VALUES), "plane_key: expected a landmark that was started"),
+        (lambda: PLACE.landmarks.see(key(0), SEEN, gtsam.symbol("x", 4), VALUES), "pose_key: expected .* got x4"),
+    ],
+)
+def test_one_sentence_that_names_the_argument(make, sentence: str):
+    with pytest.raises(ValueError, match=f"^{sentence}"):
+        make()
 
 
 def test_nothing_seen_and_nothing_known_are_answers():

@@ -7,17 +7,13 @@ import numpy as np
 import pytest
 
 from factors import (
-    line_factor_2d,
-    odometry_factor_2d,
     plane_factor,
     plane_landmark,
     pose_prior,
     relative_pose_factor,
-    upright_prior,
 )
 from spplanes import Plane
-from tests.factors.factor_scenes import frame_of, make_line, perturbed, random_covariance
-from tests.factors.test_nis import MOUNTS, true_line
+from tests.factors.factor_scenes import frame_of, perturbed, random_covariance
 
 WALLS = [
     frame_of(np.array(n, dtype=float), np.array(o, dtype=float), 0.0)
@@ -130,33 +126,3 @@ def test_robust_kernels_in_isam2(robust, form):
         pulls[kernel is None] = abs(distance + right.d)
     assert pulls[True] == pytest.approx(0.5 / 11, rel=0.05)
     assert pulls[False] < 0.25 * pulls[True]
-
-
-def test_the_same_robot_on_pose2():
-    """Pose2 and OrientedPlane3 in one graph; how the walls lean is held by the upright prior."""
-    rng = np.random.default_rng(2)
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    truth = [gtsam.Pose2(0.6 * i, 0.2 * i, 0.3 * i) for i in range(8)]
-    mount = MOUNTS["horizontal"]
-    graph.push_back(gtsam.PriorFactorPose2(pose_key(0), truth[0], gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)))
-    for i, pose in enumerate(truth):
-        values.insert(pose_key(i), pose.retract(0.05 * rng.normal(size=3) * (i > 0)))
-        if i > 0:
-            step = truth[i - 1].between(pose)
-            delta = np.array([step.x(), step.y(), step.theta()]) + 0.02 * rng.normal(size=3)
-            graph.push_back(odometry_factor_2d(pose_key(i - 1), pose_key(i), delta, 4e-4 * np.eye(3)))
-        for j in (2, 3, 4, 5):
-            wall = gtsam.OrientedPlane3(np.array([*WALLS[j][:3, 2], -WALLS[j][:3, 2] @ WALLS[j][:3, 3]]))
-            in_3d = gtsam.Pose3(gtsam.Rot3.Yaw(pose.theta()), np.array([pose.x(), pose.y(), 0.0]))
-            alpha, rho = true_line(wall, in_3d.compose(mount))
-            noise = np.diag([0.002, 0.005]) @ rng.normal(size=2)
-            line = make_line(alpha + noise[0], rho + noise[1], np.diag([0.002, 0.005]) ** 2)
-            anchor = pose_key(0) if j > 3 else None
-            graph.push_back(line_factor_2d(line, mount.matrix(), pose_key(i), plane_key(j), anchor_key=anchor))
-    for j in (2, 3, 4, 5):
-        wall = gtsam.OrientedPlane3(np.array([*WALLS[j][:3, 2], -WALLS[j][:3, 2] @ WALLS[j][:3, 3]]))
-        values.insert(plane_key(j), wall.retract(0.05 * rng.normal(size=3)))
-        graph.push_back(upright_prior(plane_key(j), 0.01))
-    result = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-    for i, pose in enumerate(truth):
-        assert np.linalg.norm(result.atPose2(pose_key(i)).translation() - pose.translation()) < 0.01

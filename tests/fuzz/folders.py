@@ -38,6 +38,7 @@ from spplanes import ScanLine
 from tests.fuzz.target import Target, check_log, check_plane, check_points, check_pose, folded, unfolded, written
 from tests.fuzz.wrapping import e57, png, record, unrecorded, zipped
 from tests.slam.io.bags import Messages, write
+from tests.slam.io.test_clouds import pcd
 from tests.slam.io.test_las_e57 import write_e57, write_las
 from tests.slam.io.test_rosbag import mission
 from tests.slam.scenes import drive, room_planes
@@ -201,8 +202,7 @@ def _member_seeds() -> list[bytes]:
 
 
 def _pcd() -> bytes:
-    head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 8\nHEIGHT 5\nVIEWPOINT 1 0 0 1 0 0 0\n"
-    return f"{head}POINTS 40\nDATA binary\n".encode() + _POINTS.astype("<f4").tobytes()
+    return pcd(n=40, body=_POINTS.astype("<f4").tobytes()).replace(b"VIEWPOINT 0", b"VIEWPOINT 1")
 
 
 def _tum(count: int) -> bytes:

@@ -6,7 +6,6 @@ Any bytes must lead to an answer that holds together or to a ValueError of one s
 from __future__ import annotations
 
 import gzip
-import io
 import json
 from functools import cache
 from pathlib import Path
@@ -29,6 +28,7 @@ from spplanes import Plane
 from tests.fuzz.folders import FOLDERS, check_cloud, session_seeds
 from tests.fuzz.public import PUBLIC
 from tests.fuzz.target import Target, check_log, check_plane, check_pose, written
+from tests.slam.io.test_clouds import CLOUD_FILES
 from tests.slam.scenes import drive, room_planes
 
 
@@ -127,29 +127,7 @@ def _codec_seeds() -> list[bytes]:
 
 
 def _cloud_seeds(suffix: str) -> list[bytes]:
-    points = np.random.default_rng(1).normal(size=(5, 3))
-    text = "".join(f"{x} {y} {z}\n" for x, y, z in points.tolist()).encode()
-    head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 5\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
-    pcd = f"# .PCD v0.7\n{head}POINTS 5\nDATA ".encode()
-    ply = "ply\nformat {} 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
-    small = points.astype("<f4").tobytes()
-    columns = points.astype("<f4").T.tobytes()
-    literals = b"".join(bytes([len(columns[i : i + 32]) - 1]) + columns[i : i + 32] for i in range(0, 60, 32))
-    packed = len(literals).to_bytes(4, "little") + len(columns).to_bytes(4, "little") + literals
-    npy, npz = io.BytesIO(), io.BytesIO()
-    np.save(npy, points)
-    np.savez(npz, points=points)
-    seeds = {
-        ".pcd": [pcd + b"ascii\n" + text, pcd + b"binary\n" + small, pcd + b"binary_compressed\n" + packed],
-        ".ply": [ply.format("ascii").encode() + text, ply.format("binary_little_endian").encode() + small],
-        ".bin": [np.ones((5, 4), dtype="<f4").tobytes()],
-        ".npy": [npy.getvalue()],
-        ".npz": [npz.getvalue()],
-        ".xyz": [text],
-        ".csv": [b"x,y,z\n" + text.replace(b" ", b",")],
-        ".pts": [b"5\n" + text],
-    }
-    return seeds[suffix]
+    return [data for name, data in CLOUD_FILES.items() if name.endswith(suffix)]
 
 
 def _g2o_seeds() -> list[bytes]:

@@ -5,6 +5,7 @@ import pytest
 
 from spplanes import ScanLine
 from spplanes.spmodel import transform_from_rpy
+from tests.statistics import central_differences
 
 COVARIANCE = np.array([[4e-4, 3e-4], [3e-4, 9e-4]])
 
@@ -25,11 +26,6 @@ def polar_of_frame(frame):
     return np.array((np.arctan2(normal[1], normal[0]), normal @ frame[:2, 3]))
 
 
-def central(function, size, step=1e-5):
-    columns = [(function(step * row) - function(-step * row)) / (2 * step) for row in np.eye(size)]
-    return np.column_stack(columns)
-
-
 def test_sp_frame_lies_on_the_line_and_looks_at_the_sensor():
     line = make_line()
     frame = line.sp_frame
@@ -43,7 +39,7 @@ def test_sp_frame_lies_on_the_line_and_looks_at_the_sensor():
 
 def test_sp_covariance_is_that_of_the_perturbed_frame():
     line = make_line()
-    jacobian = central(lambda p: polar_of_frame(line.sp_frame @ planar(0.0, p[0], p[1])), 2)
+    jacobian = central_differences(lambda p: polar_of_frame(line.sp_frame @ planar(0.0, *p)), np.zeros(2))
     np.testing.assert_allclose(jacobian @ line.sp_covariance @ jacobian.T, line.covariance, rtol=1e-6)
 
 
@@ -68,7 +64,7 @@ def test_transform_is_the_geometry_and_its_covariance_the_jacobian(pose):
         return np.array((np.arctan2(n[1], n[0]), n @ a))
 
     np.testing.assert_allclose((moved.alpha, moved.rho), geometry(np.zeros(5)), atol=1e-12)
-    jacobian = central(geometry, 5)
+    jacobian = central_differences(geometry, np.zeros(5))
     full = np.zeros((5, 5))
     full[:2, :2], full[2:, 2:] = line.covariance, np.diag((0.01, 0.02, 0.003))
     np.testing.assert_allclose(moved.covariance, jacobian @ full @ jacobian.T, rtol=1e-6, atol=1e-12)
@@ -92,26 +88,3 @@ def test_mahalanobis_through_the_sensor_knows_both_readings():
 
 def test_mahalanobis_takes_the_short_way_round():
     assert make_line(np.pi - 0.01).mahalanobis(make_line(-np.pi + 0.01)) < 2.0
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"rho": -0.1}, "rho: expected a finite distance >= 0, got -0.1"),
-        ({"alpha": np.nan}, "alpha: expected a finite angle, got nan"),
-        ({"covariance": np.array([[1.0, 0.5], [0.0, 1.0]])}, "covariance: expected a symmetric covariance"),
-        ({"covariance": np.array([[1.0, 2.0], [2.0, 1.0]])}, "covariance: expected a positive semidefinite"),
-        ({"covariance": np.eye(3)}, r"covariance: expected shape \(2, 2\), got \(3, 3\)"),
-        ({"endpoints": [[0.0, np.nan], [1.0, 1.0]]}, "endpoints: expected finite numbers"),
-    ],
-)
-def test_impossible_lines_are_refused(change, message):
-    fields = {
-        "alpha": 0.0,
-        "rho": 1.0,
-        "covariance": np.eye(2),
-        "endpoints": np.array([[1.0, -1.0], [1.0, 1.0]]),
-        "indices": np.arange(2),
-    }
-    with pytest.raises(ValueError, match=message):
-        ScanLine(**(fields | change))

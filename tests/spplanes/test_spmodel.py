@@ -12,7 +12,7 @@ from spplanes.spmodel import (
     rpy_from_transform,
     transform_from_rpy,
 )
-from tests.statistics import assert_jacobian
+from tests.statistics import assert_jacobian, central_differences
 
 BINDINGS = [(0, 1, 2), (2, 4, 5), (1, 3), (0, 1, 3), (0, 1, 2, 3, 4, 5), (4,)]
 ANGLES = st.sampled_from([0.0, 1e-9, 0.3, -1.2, np.pi / 2, -np.pi / 2, np.pi - 1e-7, np.pi, -np.pi])
@@ -23,11 +23,6 @@ def random_location(rng, rows=(0, 1, 2, 3, 4, 5), scale=1e-2):
     root = scale * rng.normal(size=(len(rows), len(rows)))
     d = rng.uniform(-1, 1, 6) * [5, 5, 5, np.pi, 1.5, np.pi]
     return Location(transform_from_rpy(d), root @ root.T, rows)
-
-
-def small(d):
-    """Transforms of many small differentials (N, 6), shape (N, 4, 4)."""
-    return np.stack([transform_from_rpy(row) for row in d])
 
 
 def test_rpy_is_rz_ry_rx():
@@ -71,7 +66,7 @@ def test_compose_and_relative_propagate_as_central_differences_do(rows_a, rows_b
         return a.relative(b).perturbation_to(there)
 
     for function, result in ((composed, a.compose(b, cross)), (related, a.relative(b, cross))):
-        jacobian = numerical(function, len(joint))
+        jacobian = central_differences(function, np.zeros(len(joint)))
         np.testing.assert_allclose(result.covariance, jacobian @ joint @ jacobian.T, rtol=1e-6, atol=1e-12)
         assert result.rows == rows_b
 
@@ -79,13 +74,12 @@ def test_compose_and_relative_propagate_as_central_differences_do(rows_a, rows_b
 @pytest.mark.parametrize("rows", BINDINGS)
 def test_inverse_propagates_as_central_differences_do(rows):
     a = random_location(np.random.default_rng(3), rows)
-    jacobian = numerical(lambda p: a.inverse().perturbation_to(inverse_transform(a.perturbed(p).transform)), len(rows))
+
+    def inverted(p):
+        return a.inverse().perturbation_to(inverse_transform(a.perturbed(p).transform))
+
+    jacobian = central_differences(inverted, np.zeros(len(rows)))
     np.testing.assert_allclose(a.inverse().covariance, jacobian @ a.covariance @ jacobian.T, rtol=1e-6, atol=1e-12)
-
-
-def numerical(function, n):
-    step = 1e-5
-    return np.column_stack([(function(step * e) - function(-step * e)) / (2 * step) for e in np.eye(n)])
 
 
 def test_relative_to_itself_is_certain_when_fully_correlated():

@@ -8,10 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from slam.cli import main
-from slam.config import SlamConfig
 from spplanes import __version__
-from tests.slam.commands import refused, run
+from tests.slam.commands import command, refused, run
 from tests.slam.io.test_threedtk import scanner_points, write_scan
 
 
@@ -23,112 +21,58 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytes
         assert code == 0 and "session.db: version 2" in out and "planes.json: spplanes/1" in out
     assert run(capsys, "-h")[1] == run(capsys, "--help")[1] and run(capsys, "slam", "-h")[0] == 0
     assert "complet" in run(capsys, "--show-completion", "bash")[1]
-    code, out, _ = run(capsys, "--help")
-    assert code == 0
-    for command in ("slam", "demo", "simulate", "evaluate"):
-        assert command in out
-        assert run(capsys, command, "--help")[0] == 0
+    for name in ("slam", "demo", "simulate", "evaluate"):
+        assert name in run(capsys, "--help")[1] and run(capsys, name, "--help")[0] == 0
 
 
-def test_unknown_commands_and_options_are_usage_errors(capsys: pytest.CaptureFixture[str]):
-    assert run(capsys, "fly")[0] == 2
-    assert run(capsys, "slam", "x", "--out", "y", "--nonsense")[0] == 2
-    assert run(capsys, "slam")[0] == 2
-    assert run(capsys, "-v")[0] == 2 and run(capsys, "-q", "-v", "fit", "x")[0] == 2
-
-
-def test_a_missing_log_is_one_sentence_and_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    sentence = refused(capsys, "slam", tmp_path / "no where", "--out", tmp_path / "run")
-    assert "no where: expected a log file or a folder of scans, found nothing" in sentence
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_output_that_exists_is_refused_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "mine.txt").write_text("keep")
-    sentence = refused(capsys, "slam", tmp_path / "nowhere", "--out", tmp_path / "run")
-    assert "run: exists already; give --overwrite to replace it" in sentence
-    assert (tmp_path / "run" / "mine.txt").read_text() == "keep"
-    (tmp_path / "file").write_text("x")
-    assert "it is not a folder" in refused(capsys, "demo", "--out", tmp_path / "file", "--overwrite")
-
-
-def test_unknown_keys_of_configurations_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("association:\n  gap: 3\n", "config.yaml: association.gap"),
+        ("mapper:\n  speed: 3\n", "config.yaml: mapper.speed"),
+        ("{{{", "expected YAML, got a syntax error"),
+        ("keyframes: {distanc_m: 1}", "did you mean distance_m"),
+        ("keyframe: {}", "did you mean keyframes"),
+        ("mapper: {min_point: 3}", "did you mean min_points"),
+    ],
+)
+def test_wrong_configurations_are_named(text: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     config = tmp_path / "config.yaml"
-    config.write_text("association:\n  gap: 3\n")
+    config.write_text(text)
     write_scan(tmp_path / "scans", 0, scanner_points())
-    sentence = refused(capsys, "slam", tmp_path / "scans", "--out", tmp_path / "run", "--config", config)
-    assert "config.yaml: association.gap" in sentence
-    config.write_text("mapper:\n  speed: 3\n")
-    sentence = refused(capsys, "slam", tmp_path / "scans", "--out", tmp_path / "run", "--config", config)
-    assert "config.yaml: mapper.speed" in sentence
-    config.write_text("{{{")
-    assert "expected YAML, got a syntax error" in refused(
-        capsys, "slam", tmp_path / "scans", "--out", tmp_path / "run", "--config", config
-    )
+    said = refused(capsys, "slam", tmp_path / "scans", "--out", tmp_path / "run", "--config", config)
+    assert sentence in said and not (tmp_path / "run").exists()
 
 
-def test_options_that_say_nothing_there_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+@pytest.mark.parametrize("option", ["--topic /scan", "--odometry-topic /o", "--odometry-frame o", "--body-frame b"])
+def test_topics_and_frames_are_of_bags(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     write_scan(tmp_path / "scans", 0, scanner_points())
-    common = ["slam", tmp_path / "scans", "--out", tmp_path / "run"]
-    for option in (["--start", "find"], ["--start-sigma", "1,1"]):
-        code, _, err = run(capsys, *common, *option)
-        assert code == 2 and "expected --prior" in err
-    for name, value in (("topic", "/scan"), ("odometry-topic", "/o"), ("odometry-frame", "o"), ("body-frame", "b")):
-        option = [f"--{name}", value]
-        assert "scans: expected a bag where topics or frames are given" in refused(capsys, *common, *option)
-    code = run(capsys, *common, "--odometry", "a.tum", "--odometry-topic", "/odom")[0]
-    assert code == 2 and not (tmp_path / "run").exists()
-
-
-def test_unknown_worlds_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert "world: expected" in refused(capsys, "simulate", "moon", "--out", tmp_path / "mission")
-    assert list(tmp_path.iterdir()) == []
+    said = refused(capsys, "slam", tmp_path / "scans", "--out", tmp_path / "run", *option.split())
+    assert "scans: expected a bag where topics or frames are given" in said
 
 
 @pytest.fixture(scope="module")
 def mission(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("missions") / "corridor"
-    with pytest.raises(SystemExit) as stop:
-        main(["simulate", "corridor", "--out", str(folder), "--scans", "80", "--seed", "3"])
-    assert stop.value.code in (0, None)
+    assert command("simulate", "corridor", "--out", folder, "--scans", 80, "--seed", 3) == 0
     return folder
 
 
 @pytest.fixture(scope="module")
 def finished(mission: Path) -> Path:
     folder = mission.parent / "run"
-    with pytest.raises(SystemExit) as stop:
-        main(["slam", str(mission), "--out", str(folder)])
-    assert stop.value.code in (0, None)
+    assert command("slam", mission, "--out", folder) == 0
     return folder
 
 
 def test_a_mission_from_simulation_to_score(finished: Path, mission: Path, capsys: pytest.CaptureFixture[str]):
     names = {path.name for path in finished.iterdir()}
-    assert names >= {
-        "config.yaml",
-        "rig.yaml",
-        "trajectory.tum",
-        "odometry.tum",
-        "planes.json",
-        "map.ply",
-        "metrics.json",
-        "map.png",
-        "report.html",
-    }
+    assert names >= {"config.yaml", "rig.yaml", "trajectory.tum", "odometry.tum", "planes.json", "map.ply"}
+    assert names >= {"metrics.json", "map.png", "report.html"}
     planes = json.loads((finished / "planes.json").read_text())
     assert planes["format"] == "spplanes/1" and planes["frame"] == "world"
-    assert set(planes["planes"][0]) == {
-        "id",
-        "normal",
-        "d",
-        "frame",
-        "covariance",
-        "n_points",
-        "outline",
-        "observations",
-    }
+    keys = {"id", "normal", "d", "frame", "covariance", "n_points", "outline", "observations"}
+    assert set(planes["planes"][0]) == keys
     code, out, _ = run(capsys, "evaluate", finished, "--truth", mission / "truth", "--json")
     assert code == 0
     rows = {row["metric"]: row["value"] for row in json.loads(out)}
@@ -177,11 +121,8 @@ def test_explain_says_why(finished: Path, capsys: pytest.CaptureFixture[str]):
     assert matched
     for one in matched:
         assert one["landmark"] in [candidate["landmark"] for candidate in one["candidates"]]
-    for wrong in (99, "first"):
-        code, _, err = run(capsys, "explain", finished, wrong)
-        assert code == 2 and "Traceback" not in err
     assert "keyframe: expected an index from 0 to" in refused(capsys, "explain", finished, 99)
-    assert "expected a session, found nothing" in refused(capsys, "explain", finished.parent / "nowhere", 0)
+    assert run(capsys, "explain", finished, "first")[0] == 2
 
 
 def test_demo_beats_odometry_and_leaves_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -196,29 +137,6 @@ def test_demo_beats_odometry_and_leaves_a_page(tmp_path: Path, capsys: pytest.Ca
     assert "http://" not in page and "https://" not in page
 
 
-def test_what_the_group_is_told_may_come_after_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_what_the_group_is_told_may_come_after_the_command(capsys: pytest.CaptureFixture[str]):
     for flags in (["-v", "fit", "nothing.pcd"], ["fit", "nothing.pcd", "-v"], ["fit", "-q", "nothing.pcd"]):
         assert "nothing.pcd" in refused(capsys, *flags)
-    assert run(capsys, "fit", "x", "-v", "-q")[0] == 2
-    assert "expected one of -v and -q" in run(capsys, "fit", "x", "-v", "-q")[2]
-
-
-@pytest.mark.parametrize(
-    ("text", "near"),
-    [
-        ("keyframes: {distanc_m: 1}", "distance_m"),
-        ("keyframe: {}", "keyframes"),
-        ("mapper: {min_point: 3}", "min_points"),
-    ],
-)
-def test_a_near_key_is_proposed_for_a_typo(text: str, near: str, tmp_path: Path):
-    (tmp_path / "config.yaml").write_text(text, encoding="utf-8")
-    with pytest.raises(ValueError, match=f"did you mean {near}"):
-        SlamConfig.from_yaml(tmp_path / "config.yaml")
-
-
-def test_export_makes_no_folder_of_a_mistyped_path(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert "expected a file in a folder that exists" in refused(
-        capsys, "export", tmp_path, "--to", tmp_path / "reslts" / "planes.ply"
-    )
-    assert not (tmp_path / "reslts").exists()

@@ -1,4 +1,4 @@
-"""What is refused or printed at once takes nothing that takes long to import."""
+"""What is refused or printed at once: exit codes, one sentence, nothing written, nothing heavy imported."""
 
 from __future__ import annotations
 
@@ -13,26 +13,35 @@ from slam.session.opening import SESSION_FILE
 
 #: Each takes a tenth of a second and more to import; pydantic, which typer needs, is not among them.
 HEAVY = ("numpy", "numba", "gtsam", "scipy", "shapely", "matplotlib", "open3d", "rich")
-REFUSED = {
-    "an option there is not": ["slam", "--nonsense"],
-    "no such command": ["nonsense"],
-    "no log": ["slam", "nothing", "--out", "out"],
-    "no rig": ["map", "log", "--rig", "nothing", "--out", "out"],
-    "a folder that exists": ["slam", "log", "--out", "run"],
-    "no run to resume": ["slam", "--resume", "nothing"],
-    "no cloud": ["fit", "nothing.ply"],
-    "no clouds": ["register", "a.ply", "b.ply"],
-    "no world": ["simulate", "nowhere", "--out", "out"],
-    "no run to export": ["export", "nothing", "--to", "x.ply"],
-    "no format to export": ["export", "run", "--to", "x.nonsense"],
-    "no run to view": ["view", "nothing"],
-    "no run to explain": ["explain", "nothing", "3"],
-    "no run to evaluate": ["evaluate", "nothing", "--truth", "truth"],
-    "a folder that exists, of joined runs": ["join", "a", "b", "--out", "run"],
-    "one log for a fleet": ["fleet", "log", "--out", "out"],
-    "no run to import": ["import", "graph.g2o", "--run", "nothing", "--out", "out"],
-}
-PRINTED = {"version": ["--version"], "help": ["--help"], "help of a command": ["slam", "--help"]}
+#: Command lines and what is said of them; beside them are an empty file `log` and an empty folder `run`.
+REFUSED = (
+    ("slam --nonsense", "No such option: --nonsense"),
+    ("nonsense", "No such command 'nonsense'"),
+    ("slam", "spplanes slam -h"),
+    ("-v", "spplanes -h"),
+    ("fit x -v -q", "expected one of -v and -q, got both"),
+    ("slam nothing --out out", "nothing: expected a log file or a folder of scans, found nothing"),
+    ("map log --rig nothing --out out", "nothing: cannot be read"),
+    ("slam log --out run", "run: exists already; give --overwrite to replace it"),
+    ("slam log --out log --overwrite", "log: exists already; it is not a folder"),
+    ("slam log --out out --start find", "expected --prior"),
+    ("slam log --out out --start-sigma 1,1", "expected --prior"),
+    ("slam log --out out --odometry a.tum --odometry-topic /o", "--odometry: expected one source of odometry"),
+    ("slam --resume nothing", "nothing: expected the folder of a run, found nothing"),
+    ("fit nothing.ply", "nothing.ply: expected a file with a cloud, found none"),
+    ("register a.ply b.ply", "a.ply: expected a file with a cloud, found none"),
+    ("simulate nowhere --out out", "world: expected one of"),
+    ("export nothing --to x.ply", "nothing: expected the folder of a run"),
+    ("export run --to x.nonsense", "x.nonsense: expected a name that ends in one of"),
+    ("export run --to reslts/planes.ply", "expected a file in a folder that exists"),
+    ("view nothing", "nothing: expected the folder of a run"),
+    ("explain nothing 3", "nothing: expected a session, found nothing"),
+    ("evaluate nothing --truth truth", "nothing: expected the folder of a run"),
+    ("join a b --out run", "run: exists already"),
+    ("fleet log --out out", "expected at least two, got 1"),
+    ("import graph.g2o --run nothing --out out", "nothing: expected the folder of a run"),
+)
+PRINTED = ("--version", "--help", "slam --help")
 CHILD = f"""
 import sys
 from slam.cli import main
@@ -57,11 +66,18 @@ def ran(words: list[str], folder: Path, code: str = CHILD) -> subprocess.Complet
     )
 
 
-@pytest.mark.parametrize("what", [*REFUSED, *PRINTED])
-def test_refusing_and_printing_import_nothing_heavy(what: str, folder: Path):
-    done = ran({**REFUSED, **PRINTED}[what], folder)
-    assert done.returncode == (2 if what in REFUSED else 0), done.stderr
+@pytest.mark.parametrize(("command", "sentence"), REFUSED)
+def test_refusing_says_why_leaves_nothing_and_imports_nothing_heavy(command: str, sentence: str, folder: Path):
+    done = ran(command.split(), folder)
+    assert done.returncode == 2 and sentence in done.stderr and "Traceback" not in done.stderr
     assert "TOOK []" in done.stdout
+    assert sorted(path.name for path in folder.rglob("*")) == ["log", "run"]
+
+
+@pytest.mark.parametrize("command", PRINTED)
+def test_printing_imports_nothing_heavy(command: str, folder: Path):
+    done = ran(command.split(), folder)
+    assert done.returncode == 0 and "TOOK []" in done.stdout, done.stderr
 
 
 def test_a_run_that_is_not_finished_is_told_of_without_reading_it(folder: Path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import gtsam
 import numpy as np
@@ -17,7 +18,9 @@ from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse, planar_transform
 from slam.planeslam import pose_symbol
 from spplanes import Plane
+from tests.factors.factor_scenes import make_line
 from tests.slam.scenes import drive, measured, room_planes, run_of
+from tests.statistics import central_differences
 
 RULES = ObservabilityConfig()
 ROOM_SIGMAS = np.array([0.004, 0.003, 0.005])
@@ -40,8 +43,7 @@ def test_information_is_that_of_the_measurement_by_central_differences():
     covariance = half @ half.T + 0.1 * np.eye(3)  # correlated, so that a wrong sign of one row shows
     for plane in room_planes():
         seen = replace(plane, frame=gtsam.Pose3.Expmap(rng.standard_normal(6)).matrix() @ plane.frame)
-        step = 1e-6 * np.eye(6)
-        jacobian = np.column_stack([(sp_error(seen, row) - sp_error(seen, -row)) / 2e-6 for row in step])
+        jacobian = central_differences(partial(sp_error, seen), np.zeros(6))
         expected = jacobian.T @ np.linalg.solve(covariance, jacobian)
         np.testing.assert_allclose(plane_information(sight(seen, covariance)), expected, rtol=1e-5, atol=1e-5)
 
@@ -88,22 +90,8 @@ def test_an_end_wall_seen_badly_is_not_nothing_and_has_its_size():
 
 
 def test_lines_of_a_level_laser_say_nothing_of_the_height():
-    from spplanes import ScanLine
-
     walls = [(0.0, 3.0), (np.pi / 2.0, 2.0), (np.pi, 4.0), (-np.pi / 2.0, 2.0)]
-    seen = [
-        LineObservation(
-            ScanLine(
-                alpha=alpha,
-                rho=rho,
-                covariance=np.diag([1e-5, 1e-5]),
-                endpoints=ends(alpha, rho),
-                indices=np.arange(50),
-            ),
-            np.eye(4),
-        )
-        for alpha, rho in walls
-    ]
+    seen = [LineObservation(make_line(*wall, np.diag([1e-5, 1e-5])), np.eye(4)) for wall in walls]
     found = open_directions(1, seen, np.eye(4), RULES)
     assert {one.name for one in found} == {"along z", "about x", "about y"}
 
@@ -119,11 +107,6 @@ def test_the_floor_holds_height_roll_and_pitch_of_what_drives_on_it():
     assert names(level) == names(replace(level, out_of_plane_sigmas=(0.0, 0.0, 0.0))) == ["along x"]
     assert names(rough) == ["about y", "along x", "along z"]
     assert names(spatial) == names(None) == ["about y", "along x", "along z"]
-
-
-def ends(alpha: float, rho: float) -> np.ndarray:
-    along = np.array([-np.sin(alpha), np.cos(alpha)])
-    return rho * np.array([np.cos(alpha), np.sin(alpha)]) + np.array([[-1.0], [1.0]]) * along
 
 
 def corridor_run(*, with_odometry: bool, count: int = 8) -> PlaneSlam:

@@ -49,18 +49,6 @@ def test_a_perfect_run_scores_perfectly_wherever_its_world_lies(mission, tmp_pat
     assert values["ATE rotation max"] < 1e-5 and "planes missed" not in values
 
 
-def test_relations_are_known_by_their_name(mission, tmp_path):
-    run = run_of(tmp_path / "run", mission, np.eye(4))
-    stamps = [scan.stamp_ns for scan in mission.log.scans(VERTICAL)]
-    pose = np.linalg.inv(mission.truth.poses_at([stamps[0]])[0]) @ mission.truth.poses_at([stamps[50]])[0]
-    yaw = np.arctan2(pose[1, 0], pose[0, 0])
-    line = f"{stamps[0] / 1e9:.9f} {stamps[50] / 1e9:.9f} {pose[0, 3]} {pose[1, 3]} 0 0 0 {yaw}\n"
-    (tmp_path / "my.relations").write_text(line)
-    values = {row.name: row.value for row in compare_with_truth(run, tmp_path / "my.relations").rows}
-    assert values["relations found"] == values["relations in the file"] == 1
-    assert values["relations translation mean"] < 1e-6
-
-
 def test_poses_at_every_scan_are_scored_where_the_run_has_them(mission, tmp_path):
     """Keyframes are every tenth scan: of relations between other scans none was found, of poses a tenth."""
     run = run_of(tmp_path / "run", mission, np.eye(4))

@@ -182,13 +182,6 @@ def test_bad_logs_name_file_and_line(tmp_path, lines, sentence):
     assert "\n" not in str(caught.value)
 
 
-def test_missing_file_and_folder(tmp_path):
-    with pytest.raises(LogError, match="cannot be read: No such file"):
-        read_carmen(tmp_path / "nothing.clf")
-    with pytest.raises(LogError, match="cannot be read: Is a directory"):
-        read_carmen(tmp_path)
-
-
 def long_log(tmp_path):
     rng = np.random.default_rng(0)
     lines = [flaser(float(t), ranges=" ".join(map(str, rng.uniform(1, 5, 50).round(3)))) for t in range(400)]

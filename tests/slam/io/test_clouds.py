@@ -74,8 +74,24 @@ def text(points: np.ndarray = POINTS, head: str = "", between: str = " ") -> byt
 
 KITTI = np.column_stack((POINTS, np.zeros(len(POINTS), dtype=np.float32)))
 
-GOOD = {
+
+def lzf_literals(data: bytes) -> bytes:
+    """LZF that compresses nothing."""
+    return b"".join(bytes([len(data[k : k + 32]) - 1]) + data[k : k + 32] for k in range(0, len(data), 32))
+
+
+def columns(points: np.ndarray = POINTS) -> bytes:
+    return b"".join(points[:, k].tobytes() for k in range(3))
+
+
+def compressed(packed: bytes, size: int, n: int = len(POINTS)) -> bytes:
+    return pcd("binary_compressed", n, struct.pack("<II", len(packed), size) + packed)
+
+
+#: Files that hold `POINTS`.
+CLOUD_FILES = {
     "binary.pcd": pcd(),
+    "compressed.pcd": compressed(lzf_literals(columns()), 3600),
     "ascii.pcd": pcd("ascii"),
     "little.ply": ply(),
     "big.ply": ply(order=">"),
@@ -95,9 +111,9 @@ GOOD = {
 }
 
 
-@pytest.mark.parametrize("name", GOOD)
+@pytest.mark.parametrize("name", CLOUD_FILES)
 def test_a_cloud_is_read(name: str, tmp_path: Path):
-    (tmp_path / name).write_bytes(GOOD[name])
+    (tmp_path / name).write_bytes(CLOUD_FILES[name])
     cloud = read_cloud(tmp_path / name)
     np.testing.assert_array_equal(cloud.points, POINTS.astype(np.float64))
     assert cloud.points.dtype == np.float64 and cloud.points.flags.c_contiguous
@@ -163,11 +179,6 @@ def test_a_viewpoint_is_where_the_sensor_was(tmp_path: Path):
     np.testing.assert_allclose(cloud.points @ pose[:3, :3].T + pose[:3, 3], POINTS, atol=1e-12)
 
 
-def lzf_literals(data: bytes) -> bytes:
-    """LZF that compresses nothing."""
-    return b"".join(bytes([len(data[k : k + 32]) - 1]) + data[k : k + 32] for k in range(0, len(data), 32))
-
-
 @given(st.binary(max_size=300))
 def test_lzf_literals(data: bytes):
     assert lzf_decompress(lzf_literals(data), len(data)) == data
@@ -180,14 +191,6 @@ def test_lzf_repetitions():
     far = bytes(range(256)) * 3
     packed = lzf_literals(far) + bytes([(5 << 5) | (700 >> 8), 700 & 255])
     assert lzf_decompress(packed, 768 + 7) == far + far[768 - 701 :][:7]
-
-
-def columns(points: np.ndarray = POINTS) -> bytes:
-    return b"".join(points[:, k].tobytes() for k in range(3))
-
-
-def compressed(packed: bytes, size: int, n: int = len(POINTS)) -> bytes:
-    return pcd("binary_compressed", n, struct.pack("<II", len(packed), size) + packed)
 
 
 def zip_bomb() -> bytes:

@@ -395,13 +395,3 @@ def test_the_sighting_of_a_kernel_is_that_of_the_bare_factor(tmp_path: Path):
         text = (tmp_path / "graph.g2o").read_text()
         lines.append([line.split()[1:] for line in text.splitlines() if line.startswith("EDGE_SE3_PLANE")])
     np.testing.assert_allclose(np.array(lines[0], dtype=float), np.array(lines[1], dtype=float), rtol=1e-8, atol=1e-8)
-
-
-def test_colours_and_sensors_are_fixed_vertices(tmp_path: Path):
-    graph, values = plane_graph()
-    write_g2o(tmp_path / "graph.g2o", graph, values)
-    lines = (tmp_path / "graph.g2o").read_text().splitlines()
-    assert [line for line in lines if line.startswith("FIX")] == ["FIX 7", "FIX 8"]
-    floors = [line.split() for line in lines if line.startswith("EDGE_SE3_PLANE_CALIB") and line.split()[2] in "34"]
-    floors = [words for words in floors if words[1] in "01"]  # the third pose lies on its side
-    assert {words[3] for words in floors} == {"8"}  # floor and ceiling are measured in the upright sensor's frame

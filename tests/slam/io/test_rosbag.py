@@ -75,8 +75,8 @@ def test_slam_on_a_bag(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "read /lidar/points (4 PointCloud2)" in err
     walls = walls_of(tmp_path / "out")
     assert len([d for n, d in walls if abs(n[0]) > 0.999 and abs(d + ROOM[0]) < 0.02]) == 2
-    rig = Rig.from_yaml(tmp_path / "out" / "rig.yaml")
-    again, _ = load(path, rig)
+    assert run(capsys, "view", tmp_path / "out")[0] == 0
+    again, _ = load(path, Rig.from_yaml(tmp_path / "out" / "rig.yaml"))
     assert [scan.sensor for scan in again.scans()] == ["lidar/points"] * 4
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -27,6 +28,7 @@ from slam.session.prior_map import PriorMap, floor_start, map_covariance, read_p
 from slam.session.store import Session, SessionError
 from spplanes import Plane
 from spplanes.spmodel import transform_from_rpy
+from tests.factors.factor_scenes import assert_jacobian
 from tests.slam.commands import run
 from tests.slam.scenes import SIGMAS, Drive, drive, measured, planar_nees, room_planes, run_of
 from tests.statistics import assert_mean_in_band, central_differences
@@ -158,31 +160,33 @@ def test_the_prior_of_a_map_is_the_gaussian_it_says():
         d = normal @ plane.centre + z
         values.insert(key, plane_landmark(Plane.from_hesse(normal, d, np.zeros((3, 3)))))
     assert factor.error(values) == pytest.approx(0.5 * moved @ np.linalg.solve(covariance, moved), rel=1e-3)
-    linear = factor.linearize(values)
-    for column in range(9):
-        step = gtsam.VectorValues()
-        for i, key in enumerate(keys):
-            step.insert(key, 1e-5 * np.eye(9)[column, 3 * i : 3 * i + 3])
-        numeric = (factor.unwhitenedError(values.retract(step)) - factor.unwhitenedError(values)) / 1e-5
-        whitened = factor.noiseModel().R() @ numeric
-        np.testing.assert_allclose(linear.jacobian()[0][:, column], whitened, atol=1e-3 * np.abs(whitened).max())
+    assert_jacobian(factor, values)
 
 
-def test_bad_priors_are_refused():
-    plane, one = room_planes()[0], gtsam.symbol("p", 0)
-    with pytest.raises(ValueError, match="expected a positive definite covariance, got a singular one"):
-        map_prior([plane], [one], np.zeros((3, 3)))
-    with pytest.raises(ValueError, match="planes: expected as many as plane_keys"):
-        map_prior([plane], [], np.eye(3))
-    with pytest.raises(ValueError, match=r"covariance: expected shape \(3, 3\)"):
-        map_prior([plane], [one], np.eye(6))
-    with pytest.raises(ValueError, match="planes: expected at least one plane, got none"):
-        PriorMap([], np.empty((0, 0)), np.eye(4), np.eye(6))
-    entry = MapPlane(0, plane, plane.outline, 3, ("plane",))  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="start_covariance: expected a positive definite covariance"):
-        PriorMap([entry], np.eye(3), np.eye(4), np.zeros((6, 6)))
-    with pytest.raises(ValueError, match="covariance: expected standard deviations of planes"):
-        PriorMap([entry], np.diag([1.0, 1.0, -1e-14]), np.eye(4), np.eye(6))  # below zero by rounding
+PLANE = room_planes()[0]
+ENTRY, KEY = MapPlane(0, PLANE, PLANE.outline, 3, ("plane",)), gtsam.symbol("p", 0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (
+            lambda: map_prior([PLANE], [KEY], np.zeros((3, 3))),
+            "expected a positive definite covariance",
+        ),
+        (lambda: map_prior([PLANE], [], np.eye(3)), "planes: expected as many as plane_keys"),
+        (lambda: map_prior([PLANE], [KEY], np.eye(6)), r"covariance: expected shape \(3, 3\)"),
+        (lambda: PriorMap([], np.empty((0, 0)), np.eye(4), np.eye(6)), "planes: expected at least one plane, got none"),
+        (lambda: PriorMap([ENTRY], np.eye(3), np.eye(4), np.zeros((6, 6))), "start_covariance: expected a positive"),
+        (  # below zero by rounding
+            lambda: PriorMap([ENTRY], np.diag([1.0, 1.0, -1e-14]), np.eye(4), np.eye(6)),
+            "covariance: expected standard deviations of planes",
+        ),
+    ],
+)
+def test_bad_priors_are_refused(make: Callable[[], object], sentence: str):
+    with pytest.raises(ValueError, match=sentence):
+        make()
 
 
 def test_a_session_keeps_its_prior(tmp_path: Path):

@@ -18,7 +18,7 @@ from slam.map.data_association import Candidate, Decision
 from slam.planeslam import pose_symbol
 from slam.sensors.log import CloudScan, LaserScan
 from slam.session._codec import CodecError, decode, encode
-from slam.session._file import digest, fingerprint
+from slam.session._file import digest
 from slam.session.salvage import salvage_session
 from slam.session.store import Session, SessionDamaged, SessionError
 from spplanes import ScanLine
@@ -282,14 +282,6 @@ def test_no_two_sequences_have_one_digest():
     assert digest("ab", "c") != digest("a", "bc")
     assert digest(None) != digest("") != digest("None")
     assert digest(1, b"x") == digest("1", "x")
-
-
-def test_a_log_is_known_by_its_bytes(tmp_path: Path):
-    (tmp_path / "a").write_bytes(b"12345")
-    first = fingerprint(tmp_path / "a")
-    assert first["bytes"] == 5 and fingerprint(tmp_path) != first
-    (tmp_path / "a").write_bytes(b"12346")
-    assert fingerprint(tmp_path / "a") != first
 
 
 def test_raw_scans_by_place_and_by_value(tmp_path: Path):

@@ -14,8 +14,6 @@ from slam.sensors.rig import LocalisationNoise, Rig, Sensor
 from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Path, Truth, paper_rig, simulate_mission, spinning_rig
 from slam.simulation.record import drifting_odometry, localised_poses, noisy_ranges, relative_motions
-from spplanes.noise import SensorModel
-from spplanes.registration import register_scans
 from tests.slam.beams import beam_errors
 from tests.slam.scenes import assert_same_events
 from tests.statistics import assert_mean_in_band, nees
@@ -35,33 +33,6 @@ def test_range_noise_is_15_mm_white_and_gaussian(mission, sensor):
     assert abs(errors.mean()) < 3.0 * sigma / np.sqrt(n)
     assert abs(np.corrcoef(errors[:-1], errors[1:])[0, 1]) < 4.0 / np.sqrt(n)
     assert kstest(errors / sigma, "norm").pvalue > 0.005
-
-
-def test_registered_points_miss_their_planes_by_what_their_covariance_says(mission):
-    """From ranges, true poses and the rig to normalised distances from the true planes: chi2 with 1 dof."""
-    arrays, sensor = mission.arrays(VERTICAL), mission.rig.sensors[VERTICAL]
-    poses = mission.truth.poses_at(arrays.stamps_ns)
-    model = SensorModel(sensor.range_sigma_m)
-    scans = register_scans(arrays.ranges, arrays.angles, poses, model, body_T_sensor=sensor.body_T_sensor)
-    values = []
-    for index in sorted(mission.truth.visible(VERTICAL)):
-        plane, mine = mission.truth.planes[index], arrays.labels == index
-        variances = np.einsum("i,nij,j->n", plane.normal, scans.covariances[mine], plane.normal)
-        values.append(plane.distance(scans.points[mine]) ** 2 / variances)
-    assert_mean_in_band(np.concatenate(values), 1, level=0.999)
-
-
-def test_labels_name_the_plane_that_is_there(mission):
-    arrays = mission.arrays(VERTICAL)
-    points = arrays.sensor_points() @ arrays.world_T_sensor[:, :3, :3].transpose(0, 2, 1)
-    points += arrays.world_T_sensor[:, None, :3, 3]
-    for index in np.unique(arrays.labels[arrays.labels >= 0]):
-        plane, mine = mission.truth.planes[index], points[arrays.labels == index]
-        assert np.abs(plane.distance(mine)).max() < 6.0 * 0.015
-        low, high = np.array(plane.outline.bounds).reshape(2, 2)
-        uv = (mine - plane.centre) @ plane.frame[:3, :2]
-        assert (uv > low - 0.1).all() and (uv < high + 0.1).all()
-        assert (plane.distance(arrays.world_T_sensor[:, :3, 3][(arrays.labels == index).any(axis=1)]) > 0.0).all()
 
 
 def test_equal_arguments_give_equal_missions_bit_for_bit(mission):

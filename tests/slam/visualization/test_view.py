@@ -122,12 +122,6 @@ def test_a_run_without_odometry_is_written_and_read(tmp_path: Path):
     assert len(view_run(tmp_path / "run")) == 4
 
 
-def test_what_is_no_run_is_one_sentence(tmp_path: Path, capsys):
-    assert command("view", tmp_path) == 2
-    assert "expected the folder of a run" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.skipif(rerun is None, reason="rerun is not installed: pip install spplanes[rerun]")
 def test_the_recording_has_the_entities(run: Path, tmp_path: Path):
     """Read by Rerun's own reader."""

@@ -155,23 +155,6 @@ def wall_above(n, rng):
     return rng.uniform(-1, 1, (n, 3)) * (2, 1, 0) + (0, 0, 1) + rng.normal(0, 0.01, (n, 3))
 
 
-@pytest.mark.parametrize(("n", "angle"), [(300, 0.005), (1000, 0.02), (3000, 0.1)])
-def test_one_scans_pose_error_adds_to_the_covariance_of_its_points(n, angle):
-    """A single scan tells nothing of its own pose: C = C_points + G S G^T, G = [t.z; rotations about y and x]."""
-    rng = np.random.default_rng(n)
-    points = wall_above(n, rng)
-    pose = np.diag([0.01**2] * 3 + [angle**2] * 3)
-    plain = fit_plane(points, sigma=0.01)
-    shared = fit_plane(points, sigma=0.01, scan_index=np.zeros(n, int), pose_covariances=pose[None])
-    x, y, z = plain.frame[:3, :3].T
-    c = plain.centre
-    axes = np.eye(3)[::-1]
-    gain = np.zeros((3, 6))
-    gain[0, :3], gain[0, 3:] = z, [z @ np.cross(axis, c) for axis in axes]
-    gain[1, 3:], gain[2, 3:] = axes @ y, axes @ x
-    np.testing.assert_allclose(shared.covariance, plain.covariance + gain @ pose @ gain.T, rtol=1e-3, atol=1e-9)
-
-
 def test_world_side_pose_errors_1000_km_away():
     """The same errors written about the scan and, 1e6 m away, about the world's origin give the same plane."""
     rng = np.random.default_rng(5)

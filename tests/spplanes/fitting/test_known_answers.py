@@ -6,6 +6,7 @@ import pytest
 from spplanes import Location, fit_plane, fit_planes
 from spplanes.spmodel import transform_from_rpy
 from tests.spplanes.fitting.fit_scenes import laser_covariances
+from tests.statistics import central_differences
 
 CORNERS = np.array([[2.0, 1, 0], [2, -1, 0], [-2, 1, 0], [-2, -1, 0]])
 
@@ -114,8 +115,7 @@ def test_pose_perturbation_moves_the_plane_as_told(method, axis):
         frame = fit_plane(cloud, rotated, method=method, viewpoint=plain.centre + plain.normal).frame
         return location.perturbation_to(frame)
 
-    step = 1e-5
-    g = (moved(step) - moved(-step)) / (2 * step)
+    g = (moved(1e-5) - moved(-1e-5)) / 2e-5
     added = with_pose.covariance - plain.covariance
     np.testing.assert_allclose(added, sigma**2 * np.outer(g, g), rtol=2e-2, atol=1e-2 * np.abs(added).max())
 
@@ -130,10 +130,7 @@ def test_sp_covariance_is_the_derivative_of_the_whole_pipeline():
         there = fit_plane(flat.reshape(-1, 3), covariances, method="sp", viewpoint=plane.centre + plane.normal)
         return location.perturbation_to(there.frame)
 
-    step = 1e-5
-    f = np.column_stack(
-        [(pipeline(points.ravel() + step * e) - pipeline(points.ravel() - step * e)) / (2 * step) for e in np.eye(27)]
-    )
+    f = central_differences(pipeline, points.ravel())
     expected = np.einsum("inj,njk,lnk->il", f.reshape(3, 9, 3), covariances, f.reshape(3, 9, 3))
     np.testing.assert_allclose(plane.covariance, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
 

@@ -5,7 +5,6 @@ import pytest
 
 from benchmarks import _scans
 from spplanes import MapperConfig, segment_scans
-from spplanes.clouds.arrange import Grid, range_image
 from tests.slam.real_data import DATA, needs
 
 
@@ -89,20 +88,3 @@ def test_room_from_vertical_slices(index):
     for k, plane in enumerate(planes):
         if plane.n_points > 1000:
             assert np.std(plane.distance(points[labels == k])) < 0.03
-
-
-def test_hall_from_an_unorganised_cloud():
-    needs("balm_hall")
-    points = _scans.hall_cloud(DATA, 0)
-    grid = range_image(points, Grid(64, 2048))
-    seen = np.isfinite(grid).all(axis=2).sum()
-    assert seen > 0.99 * len(points)
-    labels, planes = segment_scans(grid, _scans.HALL_SENSOR.covariances(grid), viewpoints=(0.0, 0.0, 0.0))
-    assert (labels >= 0).sum() > 0.7 * seen
-    floor, others = pieces(planes, 1.0)
-    assert floor.n_points > 35000
-    assert others < 0.03 * floor.n_points
-    for k, plane in enumerate(planes):
-        if plane.n_points > 500:
-            assert np.std(plane.distance(grid[labels == k])) < 0.035
-    assert any(abs(p.normal[0]) > 0.99 and p.n_points > 1000 for p in planes)

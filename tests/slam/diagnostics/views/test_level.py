@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from benchmarks.corpus.floorplan import cast
 from slam.diagnostics.evidence.mounts import mount_evidence
@@ -90,17 +91,13 @@ def test_every_keyframe_is_compared_with_other_stretches_of_the_way():
     assert (0, 10) in pairs  # the same place, a lap later
 
 
-def test_a_laser_mounted_backwards_is_found_and_named():
-    frames = keyframes(way(24), mount=-np.eye(2))
-    (found,) = mount_evidence(frames, RIG)
+@pytest.mark.parametrize(
+    ("mount", "name"), [(-np.eye(2), "backwards"), (np.diag([1.0, -1.0]), "upside down (roll")], ids=["yaw", "roll"]
+)
+def test_a_laser_mounted_otherwise_than_stated_is_found_and_named(mount: FloatArray, name: str):
+    (found,) = mount_evidence(keyframes(way(24), mount=mount), RIG)
     assert found.grade == "broken" and found.p_value < 1e-4
-    assert "backwards" in found.sentence and "keyframes 0 to 23" in found.sentence
-
-
-def test_a_laser_upside_down_is_found_and_named():
-    frames = keyframes(way(24), mount=np.diag([1.0, -1.0]))
-    (found,) = mount_evidence(frames, RIG)
-    assert found.p_value < 1e-4 and "upside down (roll" in found.sentence
+    assert name in found.sentence and "keyframes 0 to 23" in found.sentence
 
 
 def test_a_mount_as_stated_is_never_taken_for_another():
