@@ -1,15 +1,20 @@
-"""What `make release` looks for in a wheel and an sdist, on archives with one thing wrong each."""
+"""What `make release` looks for in a wheel and an sdist; what the core depends on is under permissive licences."""
 
 from __future__ import annotations
 
 import io
 import tarfile
+import tomllib
 import zipfile
+from importlib.metadata import PackageNotFoundError, metadata, requires
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from spplanes._version import __version__
+from tools.licences import COPYLEFT, licence_of
 from tools.release import PACKAGES, ROOT, sdist_problems, supported_pythons, version, wheel_problems
 
 ABOUT = f"spplanes-{__version__}.dist-info"
@@ -88,3 +93,48 @@ def test_an_sdist_holds_what_is_under_version_control(tmp_path: Path):
 def test_this_python_is_supported_and_the_version_is_found():
     assert version() == __version__
     assert supported_pythons()
+
+
+def core_packages() -> list[str]:
+    """The dependencies of the core and theirs, as installed, by name."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    waiting = list(project["dependencies"])
+    found: set[str] = set()
+    while waiting:
+        wanted = Requirement(waiting.pop())
+        name = canonicalize_name(wanted.name)
+        if name in found or (wanted.marker is not None and not wanted.marker.evaluate({"extra": ""})):
+            continue
+        found.add(name)
+        try:
+            waiting += requires(name) or []
+        except PackageNotFoundError:
+            pytest.fail(f"{name}: a dependency of the core that is not installed")
+    return sorted(found)
+
+
+def test_the_closure_goes_beyond_what_is_written_down():
+    assert {"numpy", "gtsam", "llvmlite", "pydantic-core", "contourpy"} <= set(core_packages())
+
+
+@pytest.mark.parametrize("name", core_packages())
+def test_a_core_dependency_is_no_copyleft(name: str):
+    licence = licence_of(metadata(name))
+    assert licence, f"{name} declares no licence"
+    assert not COPYLEFT.search(licence), f"{name}: {licence}"
+
+
+@pytest.mark.parametrize(
+    ("licence", "refused"),
+    [
+        ("License :: OSI Approved :: GNU General Public License v3 or later (GPLv3+)", True),
+        ("GPL-3.0-or-later", True),
+        ("AGPL-3.0", True),
+        ("GNU Affero General Public License v3", True),
+        ("LGPL-2.1", False),
+        ("GNU Lesser General Public License v2", False),
+        ("BSD-3-Clause AND MIT", False),
+    ],
+)
+def test_which_licences_are_refused(licence: str, refused: bool):
+    assert bool(COPYLEFT.search(licence)) is refused

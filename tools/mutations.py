@@ -268,7 +268,7 @@ MUTATIONS = (
         "slam/joining/solution.py",
         "by_b @ adjoints[1], by_b",
         "by_b, by_b",
-        "tests/slam/joining/test_ties.py",
+        "tests/slam/joining/test_exactness.py",
     ),
     Mutation(
         "joining: one of two maps taken for exact",
@@ -388,7 +388,7 @@ MUTATIONS = (
         "spplanes/lines/extraction.py",
         "return _scatter(scans, seen, config) if seen > sigma else (seen, telling)",
         "return seen, telling",
-        "tests/spplanes/lines/test_beam_noise.py",
+        "tests/spplanes/lines/test_statistics.py -k beams_scatter",
     ),
     Mutation(
         "a laser that nobody describes has the noise of a data sheet",

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 import time
 import traceback
 from collections.abc import Iterator, Sequence
-from multiprocessing.connection import Connection
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from benchmarks.corpus.catalogue import REAL_WORD, Entry
@@ -15,8 +17,6 @@ from slam.config import SlamConfig
 
 #: What a worker is asked for: a drive and the changes to the configuration that it is run with.
 Job = tuple[Entry, dict[str, Any]]
-
-_SPAWN = multiprocessing.get_context("spawn")
 
 
 def run_entry(entry: Entry, changes: dict[str, Any]) -> Row:
@@ -57,42 +57,29 @@ def rows_of(jobs: Sequence[Job], limit_s: float) -> Iterator[Row]:
 
     One process works off the jobs; it is made anew where one took it down or took longer than the limit.
     """
-    worker = None
+    pool = None
     for entry, changes in jobs:
-        worker = worker or _Worker()
-        row = worker.ask((entry, changes), limit_s)
-        if row is None or row.pop("over", False):
-            worker.end()
-            worker = None
-        yield {"drive": entry.name, "seed": entry.seed, **(row or {"state": "error: the process died"})}
-    if worker is not None:
-        worker.end()
-
-
-class _Worker:
-    """A process that answers jobs with rows."""
-
-    def __init__(self) -> None:
-        self._pipe, theirs = _SPAWN.Pipe()
-        self._process = _SPAWN.Process(target=_serve, args=(theirs,), daemon=True)
-        self._process.start()
-        theirs.close()
-
-    def ask(self, job: Job, limit_s: float) -> Row | None:
-        """The row, {state, over} where it took too long, None where the process died."""
-        self._pipe.send(job)
+        pool = pool or ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+        start = time.monotonic()
         try:
-            if not self._pipe.poll(limit_s):
-                return {"state": f"time: not done within {limit_s:g} s", "over": True}
-            return self._pipe.recv()
-        except (EOFError, ConnectionError):
-            return None
+            row = pool.submit(_answer, entry, changes, limit_s).result()
+        except BrokenProcessPool:
+            late = time.monotonic() - start >= limit_s
+            row = {"state": f"time: not done within {limit_s:g} s" if late else "error: the process died"}
+            pool = None
+        yield {"drive": entry.name, "seed": entry.seed, **row}
 
-    def end(self) -> None:
-        """End the process."""
-        self._process.kill()
-        self._process.join()
-        self._pipe.close()
+
+def _answer(entry: Entry, changes: dict[str, Any], limit_s: float) -> Row:
+    """The row of a job; the alarm ends the process where it takes too long."""
+    signal.setitimer(signal.ITIMER_REAL, limit_s)
+    start = time.process_time()
+    try:
+        row = {"state": "ok", **run_entry(entry, changes)}
+    except Exception as error:  # whatever a run stumbles over is what the row says
+        row = {"state": f"error: {type(error).__name__} in {_place_of(error)}: {str(error)[:160]}"}
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    return {**row, "CPU s": time.process_time() - start}
 
 
 def _place_of(error: BaseException) -> str:
@@ -100,18 +87,3 @@ def _place_of(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     ours = [one for one in frames if "/slam/" in one.filename] or list(frames)
     return f"{ours[-1].filename.rpartition('/')[2]}:{ours[-1].lineno}"
-
-
-def _serve(pipe: Connection) -> None:
-    """Answer jobs until there are no more."""
-    while True:
-        try:
-            entry, changes = pipe.recv()
-        except EOFError:
-            return
-        start = time.process_time()
-        try:
-            row = {"state": "ok", **run_entry(entry, changes)}
-        except Exception as error:  # whatever a run stumbles over is what the row says
-            row = {"state": f"error: {type(error).__name__} in {_place_of(error)}: {str(error)[:160]}"}
-        pipe.send({**row, "CPU s": time.process_time() - start})

@@ -1,4 +1,4 @@
-"""PlaneSlam on a room with truth: consistent, associated right, incremental equals batch, and what it refuses."""
+"""PlaneSlam on a room with truth: consistent, associated right, incremental equals batch, its parts, refusals."""
 
 from __future__ import annotations
 
@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 
 from factors import PlaneObservation
-from slam import PlaneSlam
+from slam import PlaneSlam, SlamConfig
 from slam.frontend.keyframes import Keyframe
 from slam.geometry.frames import inverse
+from slam.loop_closure.closing import LoopCloser
+from slam.map.data_association import associate
 from slam.mapping.same_plane import same_plane_chi2
 from slam.planeslam import pose_symbol
+from slam.runs.slam_run import run_slam
+from slam.simulation import simulate_mission
+from spplanes.segmentation.scans import Labelled, label_scans
 from tests.slam.scenes import drive, planar_nees, room_planes, run_of
 from tests.statistics import assert_mean_in_band
 
@@ -130,3 +135,39 @@ def test_keyframes_out_of_order_are_refused():
         slam.add_keyframe(scene.keyframes[0])
     slam.add_keyframe(scene.keyframes[1])
     assert len(slam.trajectory) == 2
+
+
+def test_an_association_that_hands_on_to_ours_changes_nothing():
+    scene, calls = drive(0), []
+
+    def counted(*state, **how):
+        calls.append(how)
+        return associate(*state, **how)
+
+    plain, other = run_of(scene.keyframes), run_of(scene.keyframes, PlaneSlam(associate=counted))
+    assert len(calls) >= len(scene.keyframes)
+    np.testing.assert_array_equal(other.trajectory.poses, plain.trajectory.poses)
+
+
+def test_a_loop_closer_is_asked_after_every_keyframe():
+    looks = []
+
+    class Counting(LoopCloser):
+        def look(self, scale):
+            looks.append(scale)
+
+    scene = drive(0)
+    slam = run_of(scene.keyframes, PlaneSlam(loop_closer=Counting))
+    assert len(looks) == len(scene.keyframes) and slam.loops == []
+
+
+def test_a_segmentation_that_finds_nothing_leaves_the_map_empty():
+    mission = simulate_mission("hall", n_scans=2, seed=0)
+
+    def nothing(points, covariances, /, **how):
+        found = label_scans(points, covariances, **how)
+        return Labelled(found.points, found.covariance, np.full_like(found.labels, -1), found.views, found.poses)
+
+    run = run_slam(mission.log, mission.rig, SlamConfig(), slam=PlaneSlam(segment=nothing))
+    assert len(run.slam.landmarks) == 0
+    assert len(run_slam(mission.log, mission.rig, SlamConfig()).slam.landmarks) > 0

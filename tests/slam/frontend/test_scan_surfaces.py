@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import KDTree
 
-from slam.frontend._surface_kernels import cube_keys, jumps, moments, moments_about, numbered
+from slam.frontend._surface_kernels import jumps
 from slam.frontend.scan_surfaces import COLUMNS, ON_EDGE, ON_PLANE, surfaces_of
 from tests.slam.depth_scenes import HIGH, LOW, SENSOR, in_world, looking, measured
 
@@ -50,51 +49,6 @@ def test_a_scan_without_returns_has_no_elements() -> None:
 
 
 RULES = 0.1, 0.04, 4.0, float(np.cos(0.08))
-
-
-def test_equal_keys_have_equal_numbers_and_those_below_nought_none() -> None:
-    keys = np.random.default_rng(0).integers(-3, 400, 5000) * 1_000_003
-    number, first, count = numbered(keys)
-    there = keys >= 0
-    unique, inverse, counts = np.unique(keys[there], return_inverse=True, return_counts=True)
-    order = np.argsort(keys[first])
-    np.testing.assert_array_equal(keys[first[order]], unique)
-    np.testing.assert_array_equal(count[order], counts)
-    np.testing.assert_array_equal(keys[first[number[there]]], unique[inverse])
-    assert (number[~there] == -1).all()
-    assert (np.diff(first) > 0).all()
-
-
-def test_cubes_are_as_wide_as_their_range_says_and_none_mixes_labels() -> None:
-    rng = np.random.default_rng(1)
-    points, labels = rng.normal(0.0, 8.0, (20_000, 3)), rng.integers(-1, 4, 20_000)
-    keys = cube_keys(points, labels, 0.06)
-    level = np.floor(np.log2(0.06 * np.linalg.norm(points, axis=1)))
-    cells = np.column_stack((level, labels, np.floor(points / np.exp2(level)[:, None])))[labels >= 0]
-    by_rows, by_keys = (np.unique(one, axis=0, return_inverse=True)[1] for one in (cells, keys[labels >= 0]))
-    np.testing.assert_array_equal(by_rows, by_keys)  # one after the other in the same order
-    assert (keys[labels < 0] == -1).all()
-
-
-def test_moments_are_mean_and_scatter_of_what_has_a_number() -> None:
-    rng = np.random.default_rng(2)
-    points, number = rng.normal(0.0, 1.0, (600, 3)), rng.integers(-1, 5, 600)
-    mean, scatter = moments(points, number, np.bincount(number[number >= 0]))
-    for k in range(5):
-        some = points[number == k]
-        np.testing.assert_allclose(mean[k], some.mean(axis=0), atol=1e-12)
-        np.testing.assert_allclose(scatter[k], np.cov(some.T, bias=True), atol=1e-12)
-
-
-def test_moments_about_seeds_are_of_all_within_reach_where_these_are_enough() -> None:
-    rng = np.random.default_rng(3)
-    points, seeds = rng.uniform(0.0, 1.0, (500, 3)), rng.uniform(0.0, 1.0, (60, 3))
-    points, reaches = points[np.argsort(points[:, 0])], rng.uniform(0.05, 0.3, 60)
-    groups = [points[np.sort(one)] for one in KDTree(points).query_ball_point(seeds, reaches) if len(one) >= 6]
-    mean, scatter = moments_about(seeds, points, reaches, 6)
-    assert 10 < len(groups) < 60
-    np.testing.assert_allclose(mean, [one.mean(axis=0) for one in groups], atol=1e-12)
-    np.testing.assert_allclose(scatter, [np.cov(one.T) for one in groups], atol=1e-12)
 
 
 def test_a_jump_lies_between_the_last_beam_on_the_near_side_and_the_next() -> None:

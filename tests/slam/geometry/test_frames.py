@@ -1,10 +1,14 @@
-"""Quaternions of files: one check for all readers."""
+"""Quaternions of files (one check for all readers) and the kernel that asks whether polygons come near."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+import shapely
+from shapely import affinity
+from shapely.geometry.base import BaseGeometry
 
+from slam.geometry._polygon_kernels import Rings, come_near
 from slam.geometry.frames import norms_of, poses_of
 
 QUARTER = [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]
@@ -31,3 +35,50 @@ def test_what_is_no_unit_is_told(wrong: list[float]):
 def test_a_position_that_is_nowhere_is_told():
     with pytest.raises(ValueError, match="finite positions"):
         poses_of(np.array([[np.inf, 0.0, 0.0, *QUARTER]]))
+
+
+def blob(rng: np.random.Generator) -> BaseGeometry:
+    """A star of some corners, now and then with a hole, or of two parts."""
+    turns = np.sort(rng.uniform(0.0, 2.0 * np.pi, int(rng.integers(3, 12))))
+    star: BaseGeometry = shapely.Polygon(
+        np.column_stack((np.cos(turns), np.sin(turns))) * rng.uniform(0.4, 1.5, (len(turns), 1))
+    )
+    star = star if star.is_valid else star.buffer(0.0)
+    kind = rng.integers(4)
+    if kind == 0:
+        star = star.difference(star.buffer(-0.2))
+    elif kind == 1:
+        star = star.union(affinity.translate(star, 3.0, 0.5))
+    return affinity.translate(star, *rng.uniform(-2.0, 2.0, 2))
+
+
+def test_polygons_come_near_where_their_distance_says_so() -> None:
+    rng, near, inside = np.random.default_rng(1), 0, 0
+    for _ in range(3000):
+        one, other, gap = blob(rng), blob(rng), float(rng.choice([0.0, 0.1, 0.5]))
+        if one.is_empty or other.is_empty:
+            continue
+        other = affinity.scale(other, *rng.choice([0.2, 1.0], 2))
+        rings = Rings.of_all([one, other])
+        ends = [rings.ends[rings.of[k] : rings.of[k + 1] + 1] for k in (0, 1)]
+        corners = [rings.corners[end[0] : end[-1]] for end in ends]
+        found = come_near(corners[0], ends[0] - ends[0][0], corners[1], ends[1] - ends[1][0], gap)
+        distance = one.distance(other)
+        if abs(distance - gap) > 1e-9:
+            assert found == (distance <= gap)
+        near += found
+        inside += one.contains(other)
+    assert 500 < near < 2500
+    assert inside > 10
+
+
+def test_a_polygon_in_the_hole_of_another_is_away_from_it() -> None:
+    ring = shapely.box(-4, -4, 4, 4).difference(shapely.box(-3, -3, 3, 3))
+    rings = Rings.of_all([ring, shapely.box(-1, -1, 1, 1), None, shapely.Polygon()])
+    assert rings.of.tolist() == [0, 2, 3, 3, 3]
+    assert rings.ends.tolist() == [0, 5, 10, 15]
+    parts = rings.corners[:10], rings.ends[:3], rings.corners[10:], rings.ends[2:] - 10
+    assert not come_near(*parts, 1.9)
+    assert come_near(*parts, 2.0)
+    nothing = np.empty((0, 2)), np.zeros(1, dtype=np.int64)
+    assert not come_near(*parts[:2], *nothing, 5.0)

@@ -1,16 +1,22 @@
-"""`spplanes map` on logs that are not as they should be: a defined map, or one clear sentence."""
+"""`spplanes map` on logs that are not as they should be, and the points of a map that a page shows."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from slam.config import SlamConfig
 from slam.errors import LogError
+from slam.geometry.frames import planar_transform
+from slam.io.trajectories import Trajectory
+from slam.output.run_files import MOST_POINTS, points_of_map
+from slam.runs.history import History
 from slam.runs.mapping_run import run_map
-from slam.sensors.log import LaserScan, Log
+from slam.sensors.log import CloudScan, LaserScan, Log
+from slam.sensors.rig import Mount, Rig, Sensor
 from slam.simulation import VERTICAL, Mission, simulate_mission
 
 
@@ -63,3 +69,49 @@ def test_scans_out_of_time_order_or_of_other_length_are_refused(corridor: Missio
         run_map(log_of(corridor, [*scans[:5], short, *scans[6:]]), corridor.rig, SlamConfig())
     with pytest.raises(LogError, match="got one without; use slam"):
         run_map(log_of(corridor, [*scans[:5], replace(scans[5], world_T_body=None)]), corridor.rig, SlamConfig())
+
+
+#: A laser half a metre ahead of the body that looks to its left.
+MOUNTED = Mount(xyz_m=(0.5, 0.0, 0.2), rpy_deg=(0.0, 0.0, 90.0))
+SECOND = 1_000_000_000
+
+
+def rig(kind: str, mount: Mount = MOUNTED) -> Rig:
+    sensor = Sensor(kind=kind, body_T_sensor=mount, range_sigma_m=0.01, range_min_m=0.3, range_max_m=20.0)
+    return Rig(sensors={"eye": sensor})
+
+
+def test_a_beam_is_where_the_laser_met_the_wall():
+    scan = LaserScan(SECOND, "eye", np.array([2.0, 30.0, np.nan, 0.1]), np.array([0.0, 0.1, 0.2, 0.3]))
+    other = LaserScan(SECOND, "nobody", np.array([5.0]), np.array([0.0]))
+    late = replace(scan, stamp_ns=5 * SECOND)  # no pose is known of it
+    log = Log([scan, other, late], Path("log"))
+    poses = Trajectory(np.array([SECOND]), planar_transform(1.0, 1.0, np.pi / 2.0)[None])
+    # ahead of the laser is left of the body is -x of the world; half a metre ahead of the body is +y
+    np.testing.assert_allclose(points_of_map(log, rig("line"), poses), [[-1.0, 1.5, 0.2]], atol=1e-12)
+
+
+def test_clouds_are_thinned_evenly_and_the_same_each_time():
+    rng = np.random.default_rng(0)
+    clouds = [CloudScan(k * SECOND, "eye", rng.uniform(1.0, 2.0, (4000, 3))) for k in range(60)]
+    clouds[3].points[:] = np.nan
+    poses = Trajectory(np.arange(60) * SECOND, np.array([planar_transform(10.0 * k, 0.0, 0.0) for k in range(60)]))
+    points = points_of_map(Log([*clouds], Path("log")), rig("cloud", Mount()), poses)
+    again = points_of_map(Log([*clouds], Path("log")), rig("cloud", Mount()), poses)
+    np.testing.assert_array_equal(points, again)
+    assert 0.9 * MOST_POINTS < len(points) <= MOST_POINTS
+    assert np.ptp(points[:, 0]) > 590.0 - 1.0  # from the first to the last
+    assert len(points_of_map(Log([], Path("log")), rig("cloud"), Trajectory.empty())) == 0
+
+
+def test_they_are_kept_to_the_centimetre_and_checked(tmp_path: Path):
+    points = np.array([[1.234, -5.678, 0.005], [1e3, 0.0, -2.0]])
+    History.of([], points=points).write(tmp_path / "view.json")
+    np.testing.assert_allclose(History.read(tmp_path / "view.json").points, points, atol=0.0051)
+    text = (tmp_path / "view.json").read_text()
+    for wrong in ('"points_cm": [1, 2]', '"points_cm": {}', '"points_cm": [1, 2, "x"]', '"points_cm": [1, 2, 1e999]'):
+        (tmp_path / "view.json").write_text(text.replace(text[text.index('"points_cm"') : text.rindex("]") + 1], wrong))
+        with pytest.raises(LogError, match=r"expected the view\.json of a run"):
+            History.read(tmp_path / "view.json")
+    (tmp_path / "view.json").write_text(text.replace("points_cm", "other"))
+    assert len(History.read(tmp_path / "view.json").points) == 0  # as earlier versions wrote it

@@ -1,7 +1,8 @@
-"""Answers that can be had by hand, or by differentiating numerically."""
+"""Answers that can be had by hand, or by differentiating numerically; the outline on request."""
 
 import numpy as np
 import pytest
+import shapely
 
 from spplanes import Location, fit_plane, fit_planes
 from spplanes.spmodel import transform_from_rpy
@@ -225,3 +226,30 @@ def test_fit_planes_is_fit_plane_of_each_label(options, stretch):
         np.testing.assert_allclose(plane.frame, alone.frame, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(plane.covariance, alone.covariance, rtol=1e-9, atol=1e-18)
         assert (plane.n_points, plane.chi2) == (alone.n_points, pytest.approx(alone.chi2))
+
+
+def patch(rng: np.random.Generator, n: int = 400) -> np.ndarray:
+    return np.column_stack([rng.uniform(-1.0, 1.0, n), rng.uniform(-2.0, 2.0, n), 0.01 * rng.normal(size=n)])
+
+
+def test_the_hull_holds_every_point_and_nothing_else_changes():
+    points = patch(np.random.default_rng(0))
+    plain, outlined = fit_plane(points, sigma=0.01), fit_plane(points, sigma=0.01, outline=True)
+    assert plain.outline is None
+    np.testing.assert_array_equal(plain.covariance, outlined.covariance)
+    flat = (points - outlined.centre) @ outlined.frame[:3, :2]
+    assert outlined.outline.buffer(1e-9).covers(shapely.multipoints(flat))
+    assert outlined.outline.area == pytest.approx(8.0, rel=0.08)
+
+
+def test_what_a_robust_fit_leaves_out_is_not_in_the_hull():
+    rng = np.random.default_rng(1)
+    points = patch(rng)
+    points[:40] = rng.uniform(-9.0, 9.0, (40, 3)) + np.array([0.0, 0.0, 12.0])
+    outlined = fit_plane(points, sigma=0.01, robust="tukey", outline=True)
+    assert outlined.outline.area < 8.0
+
+
+def test_three_points_have_a_triangle():
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    assert fit_plane(corners, sigma=0.01, outline=True).outline.area == pytest.approx(0.5)
