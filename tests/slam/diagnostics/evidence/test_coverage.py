@@ -1,4 +1,4 @@
-"""Where nobody measured the motion and the map leaves it open, a run does not call itself sound."""
+"""What a map leaves open where nobody measured the motion; and its planes against each other: behind, or doubled."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from shapely import box
 
 from slam.diagnostics.evidence.coverage import (
     ambiguity_evidence,
@@ -13,6 +14,7 @@ from slam.diagnostics.evidence.coverage import (
     coverage_evidence,
     waiting_evidence,
 )
+from slam.diagnostics.evidence.surfaces import Surfaces, agreement, doubled_pairs, stopped_rays
 from slam.diagnostics.verdict import Evidence
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
@@ -25,6 +27,7 @@ from slam.registration.relocalization import Rivals
 from slam.registration.submaps import PlanarPose
 from spplanes import Plane
 from tests.slam.registration.test_plane_registration import body, hall, measured
+from tests.slam.scenes import room_planes
 
 CORRIDOR = [*hall()[:2], *hall()[4:]]  # nothing stands across y
 
@@ -89,3 +92,52 @@ def test_a_loop_that_waits_to_the_end_elsewhere_than_the_map_has_it_is_told() ->
     [found] = of("waiting", (2.0, 0.05, 0.0), (2.0, 0.4, 0.0))
     assert found.size == pytest.approx(1.0 / (1.0 + np.exp(-1.0))) and found.keyframes == (0, 2)
     assert "at keyframe 2 fits what was seen at keyframe 0 better 0.4 m from where the map has it" in found.sentence
+
+
+EYE = np.eye(4)
+EYE[2, 3] = 1.5
+
+
+def surfaces_of(planes: list[Plane]) -> Surfaces:
+    walls = tuple((plane.frame, plane.outline.buffer(-0.1)) for plane in planes if plane.outline is not None)
+    return Surfaces(tuple(range(len(walls))), walls)  # type: ignore[arg-type]
+
+
+def shifted(plane: Plane, along: float) -> Plane:
+    frame = plane.frame.copy()
+    frame[:3, 3] += along * plane.normal
+    return Plane(frame, plane.covariance, plane.n_points, plane.outline)
+
+
+def keyframe(pose: np.ndarray) -> Keyframe:
+    return Keyframe(0, [PlaneObservation(plane.transform(inverse(pose))) for plane in room_planes()])
+
+
+def test_from_its_true_pose_nothing_stops_a_ray_and_from_another_a_wall_does():
+    pose, walls = planar_transform(1.0, 0.5, 0.3), surfaces_of(room_planes())
+    assert not stopped_rays([keyframe(pose)], pose[None], walls, EYE)
+    off = planar_transform(1.0, 1.5, 0.3)  # a metre to the left: one wall is seen a metre behind itself
+    (behind,) = stopped_rays([keyframe(pose)], off[None], walls, EYE)
+    assert room_planes()[behind].normal[1] < -0.9
+
+
+def test_planes_agree_under_the_right_motion_only():
+    first, second = planar_transform(0.0, 0.0, 0.0), planar_transform(0.8, 0.3, 0.4)
+    here, there = ([plane.transform(inverse(pose)) for plane in room_planes()] for pose in (first, second))
+    assert agreement(here, there, inverse(first) @ second, EYE) == (6, 0)
+    confirmed, through = agreement(here, there, inverse(first) @ second @ planar_transform(-1.0, 0.5, 0.0), EYE)
+    assert confirmed <= 4 and through >= 1
+
+
+def test_a_surface_that_is_there_twice_is_counted_once_and_a_wall_behind_another_is_not():
+    room = room_planes()
+    assert doubled_pairs(surfaces_of(room)) == []
+    twice = surfaces_of([*room, shifted(room[2], 0.07), shifted(room[4], 0.8), shifted(room[5], 0.005)])
+    ((large, small, gap),) = doubled_pairs(twice)
+    assert {large, small} == {2, 6} and abs(abs(gap) - 0.07) < 1e-9
+
+
+def test_a_board_beside_a_wall_does_not_double_it():
+    wall = room_planes()[4]
+    beside = Plane(shifted(wall, 0.05).frame, wall.covariance, 100, box(3.8, -1.0, 6.8, 1.0))
+    assert doubled_pairs(surfaces_of([wall, beside])) == []
