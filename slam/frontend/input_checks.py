@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from shapely.geometry.base import BaseGeometry
@@ -146,11 +145,6 @@ def skipped(notes: Sequence[str]) -> list[str]:
     if len(notes) == 1:
         return [f"1 scan could not be used: {notes[0]}"]
     return [f"{len(notes)} scans could not be used; the first: {notes[0]}"]
-
-
-def counted(notes: Iterable[str]) -> list[str]:
-    """Every sentence once, in the order in which they first come, with how often it was said where that was more."""
-    return [note if times == 1 else f"{note} ({times} times)" for note, times in Counter(notes).items()]
 
 
 def _check_covariance(name: str, covariance: FloatArray, sizes: tuple[int, ...]) -> None:

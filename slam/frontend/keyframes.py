@@ -62,8 +62,6 @@ class Keyframe:
     motion is registered by beside the planes; see `slam.frontend.scan_surfaces`. None: no 3D scan."""
     viewpoint: FloatArray | None = None
     """Where the sensor of that scan was, in the body frame, shape (3,), m; None: at the body's origin."""
-    motion_notes: tuple[str, ...] = field(default=())
-    """What somebody should know of how the body moved up to here, one sentence each: wheels that stand still, say."""
     places: Sequence[PlaceMatch] = field(default=())
     """Where it is from earlier ones, by whoever looked beyond the estimate: loops that need not be looked for."""
 
@@ -156,15 +154,13 @@ class _Lasers:
             lines, seen = self._lines(index, scan, sensor, notes)
             observations += lines
             beams += seen
-        motion, motion_notes = self._motion(index)
         return Keyframe(
             self._stamps[index],
             observations,
-            motion,
+            self._motion(index),
             notes=tuple(notes),
             scans=tuple(scans),
             returns=np.concatenate(beams) if beams else None,
-            motion_notes=tuple(motion_notes),
         )
 
     def _scans_at(self, index: int, kind: str) -> Iterator[tuple[Sensor, list[LaserScan]]]:
@@ -194,15 +190,15 @@ class _Lasers:
         ]
         return lines, beams_of(scan, usable_ranges(scan.ranges, sensor), kf_T_body @ sensor.body_T_sensor)
 
-    def _motion(self, index: int) -> tuple[Motion | None, list[str]]:
-        """The motion from the keyframe before, and what is to be said of it."""
+    def _motion(self, index: int) -> Motion | None:
+        """The motion from the keyframe before."""
         if not index:
-            return None, []
+            return None
         ends = self._stamps[index - 1], self._stamps[index]
         if not isinstance(self._track, LaserTrack):
-            return self._track.motion(*ends), []
+            return self._track.motion(*ends)
         significance = self._config.association.new_significance
-        return motion_between(self._track, self._wheels, ends, significance), self._track.notes(*ends)
+        return motion_between(self._track, self._wheels, ends, significance)
 
 
 def _measured(measure: Callable[[], list[Seen]], stamp_ns: int, config: SlamConfig, notes: list[str]) -> list[Seen]:

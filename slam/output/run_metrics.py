@@ -18,7 +18,7 @@ from slam.evaluation import (
     metres_of_wall,
     plane_metrics,
 )
-from slam.frontend.input_checks import blind, counted, silences, skipped
+from slam.frontend.input_checks import blind, silences, skipped
 from slam.io.trajectories import Trajectory
 from slam.planeslam import MapPlane
 from slam.runs.mapping_run import MapResult
@@ -106,8 +106,7 @@ def warnings_of(run: Run) -> list[str]:
         direction.sentence for direction in run.slam.open_directions if direction.sigma >= limits[direction.part]
     ]
     known = run.slam.prior.warnings if run.slam.prior is not None else []
-    moved = counted(note for frame in run.slam.keyframes for note in frame.motion_notes)
-    health = [*skipped(notes), *moved, *silences(run.log, run.rig), *blind(run.slam.keyframes)]
+    health = [*skipped(notes), *silences(run.log, run.rig), *blind(run.slam.keyframes)]
     has_no_odometry = any(frame.motion is None for frame in run.slam.keyframes[1:])  # of some keyframe
     whole = [one.sentence for one in run.slam.open_in_map] if has_no_odometry else []
     return [*known, *empty_map(run.planes), *health, *run.slam.audit.warnings(), *directions, *whole]

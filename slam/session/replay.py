@@ -205,16 +205,16 @@ class ForgottenKeyframes(Growing[Keyframe]):
         }
         #: Time, number of observations, and whether there is each of `_PARTS`.
         self._known = Rows("qi" + "b" * len(_PARTS))
-        #: Of keyframes with any: their notes, and those on their motion.
-        self._notes: dict[int, tuple[tuple[str, ...], tuple[str, ...]]] = {}
+        #: Of keyframes with any: their notes.
+        self._notes: dict[int, tuple[str, ...]] = {}
 
     def __len__(self) -> int:
         return len(self._known)
 
     def append(self, value: Keyframe) -> None:
         """Add one whose measurements the session has."""
-        if value.notes or value.motion_notes:
-            self._notes[len(self)] = value.notes, value.motion_notes
+        if value.notes:
+            self._notes[len(self)] = value.notes
         there = (getattr(value, name) is not None for name in _PARTS)
         self._known.append((int(value.stamp_ns), len(value.observations), *there))
 
@@ -222,8 +222,7 @@ class ForgottenKeyframes(Growing[Keyframe]):
         """One of them; nothing is read yet."""
         stamp_ns, count, *there = self._known.at(index)
         seen = _StoredObservations(partial(self._readers["observations"], index), count)
-        known = {"stamp_ns": stamp_ns, "observations": seen, "scans": ()}
-        known["notes"], known["motion_notes"] = self._notes.get(index, ((), ()))
+        known = {"stamp_ns": stamp_ns, "observations": seen, "scans": (), "notes": self._notes.get(index, ())}
         known |= {name: None for name, is_there in zip(_PARTS, there, strict=True) if not is_there}
         return StoredKeyframe(known, self._readers, index)
 

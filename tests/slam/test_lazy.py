@@ -87,13 +87,13 @@ def test_a_copy_of_what_waits_on_the_disk_is_in_memory():
     cloud = replace(StoredCloud(1, "laser", partial(np.ones, (4, 3))), sensor="other")
     assert type(cloud) is CloudScan and cloud.sensor == "other" and cloud.points.shape == (4, 3)
     whole = replace(drive(0, count=2).keyframes[1], surfaces=np.ones((2, 8)))
-    whole = replace(whole, notes=("dusty",), motion_notes=("slipped",))
+    whole = replace(whole, notes=("dusty",))
     readers = {one.name: partial(lambda name, _: getattr(whole, name), one.name) for one in fields(Keyframe)}
     stored = StoredKeyframe({"stamp_ns": whole.stamp_ns}, readers)
-    assert (stored.notes, stored.motion_notes) == (("dusty",), ("slipped",))
+    assert stored.notes == ("dusty",)
     assert repr(stored) == f"StoredKeyframe(stamp_ns={whole.stamp_ns})"
     frame = replace(stored, notes=("late",))
     assert type(frame) is Keyframe and frame.motion is whole.motion
-    assert (frame.notes, frame.motion_notes) == (("late",), ("slipped",))
+    assert frame.notes == ("late",)
     assert frame.surfaces is whole.surfaces
     assert list(frame.observations) == list(whole.observations)

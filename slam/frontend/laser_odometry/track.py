@@ -33,8 +33,6 @@ class Step:
     axes of the body there, shape (3, 3)."""
     returns: FloatArray
     """What the returns say of the pose in the local map, in the axes of the body here, shape (3, 3): information."""
-    note: str | None = None
-    """What somebody should know of this step."""
     slipped: bool = False
     """Whether the returns found it where the wheels cannot have led."""
 
@@ -46,7 +44,6 @@ class LaserTrack(OdometryTrack):
         self,
         steps: Sequence[Step],
         noise: OdometryNoise,
-        about_wheels: str | None = None,
         between: Sequence[OdometryReading] = (),
     ) -> None:
         """Readings between the scans, before the first and after the last, are of the same frame."""
@@ -54,7 +51,6 @@ class LaserTrack(OdometryTrack):
         super().__init__(sorted((*readings, *between), key=lambda one: one.stamp_ns), noise)
         self._steps = list(steps)
         self._scan_stamps = np.array([step.stamp_ns for step in steps], dtype=np.int64)
-        self._about_wheels = about_wheels
 
     def motion(self, start_ns: int, end_ns: int) -> Motion:
         """Motion between two times: `covariance` is that of the wheels, `returns_covariance` that of the returns."""
@@ -66,12 +62,6 @@ class LaserTrack(OdometryTrack):
         matched = matched_covariance(self._steps[first], self._steps[last], delta)
         out_of_plane = (noise.z_sigma_m, noise.roll_sigma_rad, noise.pitch_sigma_rad)
         return Motion(a_T_b, wheels, out_of_plane, returns_a_T_b=a_T_b, returns_covariance=0.5 * (matched + matched.T))
-
-    def notes(self, start_ns: int, end_ns: int) -> list[str]:
-        """What is to be said of the steps after one time and up to another; of the whole drive with its first."""
-        chosen = self._steps[self._index(start_ns) + 1 : self._index(end_ns) + 1]
-        whole = self._about_wheels if start_ns <= self._scan_stamps[0] else None
-        return [note for note in (whole, *(one.note for one in chosen)) if note is not None]
 
     def slipped(self, start_ns: int, end_ns: int) -> bool:
         """Whether wheels slipped on a step after one time and up to another."""

@@ -11,7 +11,6 @@ from slam.frontend.deskewing import unswept
 from slam.frontend.information import inverted
 from slam.frontend.laser_odometry.local_map import SlidingMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
-from slam.frontend.laser_odometry.synchronization import clock_offset
 from slam.frontend.laser_odometry.track import (
     LaserTrack,
     Step,
@@ -32,8 +31,6 @@ from slam.sensors.rig import Rig, Sensor
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray
 
-#: Wheels stand that go less than this in a step, m and rad: what rounding leaves of nothing.
-_STOOD = 1e-9
 #: Length of the way whose scans are the local map, m, and what is driven or turned between two of them, m and rad.
 _WINDOW_M, _SPACING_M, _SPACING_RAD = 6.0, 0.25, 0.3
 #: A match is taken when the map has this share of the scan; a scan joins the map where it lies there as likely as this.
@@ -43,9 +40,6 @@ _LEAST_FIT, _LEAST_ODDS = 0.3, 0.9
 _SLIP, _WORSE, _TIMES = 1e-3, 0.05, 4.0
 #: Scans over which the usual fit is averaged, and what it is at first.
 _FIT_MEMORY, _FIRST_FIT = 50.0, 0.9
-#: So many steps in a row on which the wheels stood still while the body was seen to move by more than this, m or rad:
-#: they do not measure it.
-_STUCK_STEPS, _MOVED = 3, 0.02
 #: Degrees of freedom of a step's Student t distribution, per axis.
 _TAIL = 4.0
 #: Steps that the stated noise is worth before anything is seen, and over which what was learnt is forgotten.
@@ -99,7 +93,6 @@ class LaserOdometry:
         self._map = SlidingMap(_WINDOW_M)
         self._scale, self._calibration = NoiseScale(), WheelCalibration()
         self._fit = _FIRST_FIT
-        self._stuck = 0
         self.steps: list[Step] = []
         self._since: list[FloatArray] = []
         self._key = 0
@@ -112,8 +105,7 @@ class LaserOdometry:
             self.steps.append(step)
             return step
         before = self.steps[-1].pose
-        stuck = self._stuck >= _STUCK_STEPS and wheels is not None and _stand(wheels)
-        ways = self._ways(stamp_ns, None if stuck else wheels)
+        ways = self._ways(stamp_ns, wheels)
         turn = rotation(before[2])
         expected = [Expected(compose(before, delta), turn @ cov @ turn.T, share) for delta, cov, share in ways]
         match = self._match(surface, expected)
@@ -128,14 +120,13 @@ class LaserOdometry:
                 covariance = covariance + turn.T @ spread @ turn
                 told = inverted(inverted(told + 1e-3 * np.eye(3)) + spread)
         back = rotation(pose[2])
-        note = self._watch(between(before, pose), wheels)
         if len(self.steps) == 1:  # the first scan is the map: its noise is in the match of the second
             self.steps[0] = replace(self.steps[0], returns=told)
         slipped = match is not None and match.fit >= _LEAST_FIT and match.way > 0 and match.way == len(ways) - 1
-        step = Step(stamp_ns, pose, covariance, back.T @ told @ back, note, slipped)
+        step = Step(stamp_ns, pose, covariance, back.T @ told @ back, slipped)
         self.steps.append(step)
         self._learn_velocity()
-        if wheels is not None and not stuck:
+        if wheels is not None:
             self._since.append(wheels)
         self._extend_map(surface, pose, match)
         return step
@@ -184,18 +175,6 @@ class LaserOdometry:
         self._fit += (np.clip(match.fit, 0.5, 0.98) - self._fit) / _FIT_MEMORY
         return match
 
-    def _watch(self, moved: FloatArray, wheels: FloatArray | None) -> str | None:
-        """Whether wheels that say nothing but "no motion" are those of a body that moves; said when it is found out."""
-        if wheels is None:
-            return None
-        if not _stand(wheels) or (self._stuck < _STUCK_STEPS and np.abs(moved).max() < _MOVED):
-            self._stuck = 0
-            return None
-        self._stuck += 1
-        if self._stuck != _STUCK_STEPS:
-            return None
-        return "the odometry stands still while everything seen moves past: it is ignored until it moves"
-
     def _extend_map(self, surface: Surface, pose: FloatArray, match: Match | None) -> None:
         """Add the scan to the map when the body has come far enough, and learn from the way since the last one."""
         last = self._map.last_pose
@@ -237,7 +216,6 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
     sensors = {name: sensor for name, sensor in rig.of_kind("line").items() if is_level(sensor)}
     scans = [one for one in log.scans() if isinstance(one, LaserScan) and one.sensor in sensors]
     readings = log.measured_motion
-    clocks = clock_offset(readings, scans, lambda scan: _surface(scan, sensors[scan.sensor]), rig.odometry)
     track = OdometryTrack(readings, rig.odometry) if readings else None
     wheels = None if track is None else track.poses_at([scan.stamp_ns for scan in scans])
     by_sensor = [[scan.stamp_ns for scan in scans if scan.sensor == name] for name in sensors]
@@ -253,12 +231,7 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
         odometry.add(scan.stamp_ns, _surface(at_once, sensors[scan.sensor]), delta)
         last = index
     inner = between_scans(odometry.steps, readings)
-    return LaserTrack(odometry.steps, rig.odometry, None if clocks is None else clocks.sentence, inner)
-
-
-def _stand(wheels: FloatArray) -> bool:
-    """Whether wheels say that a step (x, y, theta) was none."""
-    return bool(np.abs(wheels).max() < _STOOD)
+    return LaserTrack(odometry.steps, rig.odometry, inner)
 
 
 def is_level(sensor: Sensor) -> bool:
