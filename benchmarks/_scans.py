@@ -28,8 +28,6 @@ ROOM_SENSOR = SensorModel(
 )
 #: Nearer than this that laser sees the robot, m.
 ROOM_RANGE_M = 0.8
-#: The spinning lidar of balm_hall: plane residuals of 11 to 20 mm.
-HALL_SENSOR = SensorModel(range_sigma_m=0.02, bearing_sigma_rad=0.001)
 
 
 def icl_frame(data: Path, noise_seed: int | None = None) -> tuple[FloatArray, FloatArray, np.ndarray]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import struct
 import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -197,15 +196,12 @@ def zip_bomb() -> bytes:
     """4 GB of zeros in 4 MB would take long to make: a member whose directory says what it grows to."""
     head = io.BytesIO()
     np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (1 << 27, 3)})
-    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
-    body = packer.compress(head.getvalue() + bytes(1 << 16)) + packer.flush()
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("points.npy", head.getvalue() + bytes(1 << 16))
     data = bytearray(stream.getvalue())
     for mark, place in ((b"PK\x03\x04", 22), (b"PK\x01\x02", 24)):
         struct.pack_into("<I", data, data.index(mark) + place, (1 << 31) - 1)
-    assert len(body) < 1000
     return bytes(data)
 
 

@@ -70,15 +70,6 @@ def test_a_run_in_pieces_is_the_run_in_one(tmp_path: Path, uninterrupted: PlaneS
     assert [path.name for path in tmp_path.iterdir()] == ["session.db"]
 
 
-def test_a_writer_that_never_closed_has_lost_nothing(tmp_path: Path, uninterrupted: PlaneSlam):
-    path, copy = tmp_path / "session.db", tmp_path / "copy.db"
-    with PlaneSlam.open(path) as slam:
-        run_of(drive(0).keyframes, slam)
-        copy_as_killed(path, copy)
-    with PlaneSlam.open(copy) as slam:
-        assert_same_estimate(slam, uninterrupted)
-
-
 def test_a_writer_that_ended_before_its_first_commit_left_a_session(tmp_path: Path):
     """Its journal is room for pages and nothing else."""
     path, copy = tmp_path / "session.db", tmp_path / "copy.db"
