@@ -1,4 +1,4 @@
-"""Floor plans for one level laser: corridors around a block and offices with clutter, driven with bad wheels."""
+"""Floor plans for one level laser: corridors around a block, or walls of one's own, driven with bad wheels."""
 
 from __future__ import annotations
 
@@ -120,42 +120,6 @@ def ring(
     start = np.array((0.35 * length_m, 0.0))
     way = [start, *corners[1:], corners[0], start + np.array((past_m, 0.0))]
     plan.way = [(float(x), float(y)) for x, y in way]
-    return plan
-
-
-def office(rng: np.random.Generator, *, n_rooms: int = 4, laps: int = 2) -> FloorPlan:
-    """A corridor with rooms on both sides, boxes about in them; into every room and back, and that again."""
-    plan, width, door = FloorPlan(), 4.0, 1.0
-    length = n_rooms * width
-    for side in (1.0, -1.0):
-        corners = [(0.0, 0.9 * side)]
-        for k in range(n_rooms):
-            x0, x1, gate = k * width, (k + 1) * width, (k + 0.5) * width + rng.uniform(-0.8, 0.8)
-            deep = side * (0.9 + rng.uniform(3.0, 4.5))
-            room = [
-                (gate - door / 2, 0.9 * side),
-                (gate - door / 2, 1.02 * side),
-                (x0 + 0.1, 1.02 * side),
-                (x0 + 0.1, deep),
-            ]
-            room += [
-                (x1 - 0.1, deep),
-                (x1 - 0.1, 1.02 * side),
-                (gate + door / 2, 1.02 * side),
-                (gate + door / 2, 0.9 * side),
-            ]
-            corners += room
-            plan.way += [(gate, 0.0), (gate, side * 2.2), (gate, 0.0)]
-            for _ in range(3):
-                x, y = rng.uniform(x0 + 0.3, x1 - 0.9), side * rng.uniform(2.6, abs(deep) - 0.7)
-                if abs(x + 0.25 - gate) > 0.8 or abs(y) > 3.2:
-                    plan.add_box(x, min(y, y + 0.4 * side), rng.uniform(0.3, 0.7), 0.4)
-        plan.add_chain([*corners, (length, 0.9 * side)][:: -int(side)])
-    plan.add_chain([(0.0, 0.9), (0.0, -0.9)])
-    plan.add_chain([(length, -0.9), (length, 0.9)])
-    tour = sorted(range(2 * n_rooms), key=lambda k: (k >= n_rooms, k if k < n_rooms else -k))
-    stops = [plan.way[3 * k + i] for k in tour for i in range(3)]
-    plan.way = [(0.8, 0.0), *stops * laps, (0.8, 0.0)]
     return plan
 
 

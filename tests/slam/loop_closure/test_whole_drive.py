@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from benchmarks.corpus.floorplan import LaserSettings, drive, office
+from benchmarks.corpus.floorplan import LaserSettings, drive, ring
 from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe, keyframes_of
 from slam.frontend.odometry import Motion, difference, planar_delta
@@ -36,9 +36,11 @@ def chi2_of(proposals: list[Proposal], true: FloatArray) -> FloatArray:
 
 @pytest.fixture(scope="module")
 def rounds() -> tuple[list[Keyframe], FloatArray]:
-    """Two rounds through the rooms of an office, and where the keyframes truly were."""
+    """Two rounds about a block, and where the keyframes truly were."""
     rng = np.random.default_rng(5)
-    truth = drive(office(rng, n_rooms=2), rng, LaserSettings(n_beams=180, range_max_m=30.0))
+    plan = ring(rng, length_m=9.0, depth_m=6.0, doors_per_wall=3)
+    plan.way = plan.way[:-1] * 2
+    truth = drive(plan, rng, LaserSettings(n_beams=180, range_max_m=30.0))
     frames = list(keyframes_of(truth.log, default_rig_for(truth.log), SlamConfig()))
     return frames, truth.poses_at(np.array([frame.stamp_ns for frame in frames]))
 
@@ -54,7 +56,7 @@ def test_a_second_round_that_was_laid_elsewhere_is_found_to_be_the_first_one(rou
     assert found.offsets_m[across].min() > 0.6 and np.delete(found.offsets_m, np.flatnonzero(across)).max() < 0.1
     assert chi2_of(list(found.proposals), true).max() < 16.3
     assert chi2_of(list(found.inferred), true).max() < 16.3
-    assert len(found.inferred) > 100
+    assert len(found.inferred) > 60
 
 
 def test_where_the_estimate_is_right_nothing_lies_elsewhere(rounds):

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from benchmarks.corpus.floorplan import Drive, LaserSettings, Wheels, cast, office, ring
+from benchmarks.corpus.floorplan import Drive, LaserSettings, Wheels, cast, ring
 from benchmarks.corpus.floorplan import drive as drive_plan
 from slam.frontend.occupancy import CELL_M, Raster, view_from
 from slam.frontend.odometry import planar_delta
@@ -130,9 +130,8 @@ def drives() -> list[Drive]:
     """Other buildings, each from its own seed, seen without noise of wheels."""
     still, laser = Wheels(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0), LaserSettings()
     plans = [
-        ring(np.random.default_rng(seed), length_m=12.0, depth_m=8.0, doors_per_wall=2 + seed % 3) for seed in range(3)
+        ring(np.random.default_rng(seed), length_m=12.0, depth_m=8.0, doors_per_wall=2 + seed % 3) for seed in range(5)
     ]
-    plans += [office(np.random.default_rng(seed), n_rooms=2, laps=1) for seed in range(2)]
     return [drive_plan(plan, np.random.default_rng(k), laser, still) for k, plan in enumerate(plans)]
 
 
