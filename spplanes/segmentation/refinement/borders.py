@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._jit import inlined, inner, njit
-from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import distance_of, residual_chi2, variance_from
 
 #: Chi2 by which another region must explain the points of a block better before they change sides.
@@ -14,99 +13,55 @@ BLOCK_GAIN = 4.0
 BLOCK_MISFIT = 9.0
 #: Regions looked at around one block.
 MANY = 8
-#: Blocks that have one label, frame included; whose regions all fit; one of whose regions does not.
-UNIFORM, FITTING, MISFIT = 0, 1, 2
 
 
+@njit(cache=True)
 def choose_blocks(grid, planes, gate, floor_variance, size):
     """Move the points that a region has in a square block to the neighbouring region that explains them better.
 
     One point's noise may be wider than the step between two planes; that of a block is not. One sweep, in place.
-    Which points may move at all is found first, block by block: it does not depend on what others do.
     For the grid see `Sheet.grid`.
 
     Returns:
         Number of points moved.
     """
     _, _, _, labels, start = grid
-    state = np.zeros(((len(labels) - start + size - 1) // size, (labels.shape[1] + size - 1) // size), dtype=np.uint8)
-
-    def some(first: int, last: int) -> None:
-        _find_misfits(grid, planes, floor_variance, size, first, last, state)
-
-    in_parts(some, len(state), labels.size)
-    return _move_blocks(grid, planes, gate, floor_variance, size, state)
-
-
-@njit(cache=True)
-def _find_misfits(grid, planes, floor_variance, size, first, last, state):
-    """Write to `state`, shape (blocks, blocks), what the blocks in the rows of blocks from first to last are."""
-    _, _, _, labels, start = grid
-    found = np.empty(MANY, dtype=np.int64)
-    for u in range(first, last):
-        i0 = start + u * size
-        i1 = min(i0 + size, labels.shape[0])
-        for v in range(state.shape[1]):
-            j0, j1 = v * size, min((v + 1) * size, labels.shape[1])
-            if _is_uniform(labels, i0, j0, i1, j1):
-                state[u, v] = UNIFORM
-                continue
-            n_found = _regions_around(labels, i0, j0, i1, j1, found)
-            state[u, v] = MISFIT if n_found == MANY else FITTING  # of so many, others may be looked at later
-            for k in range(n_found):
-                chi2 = _misfit(grid, (i0, j0, i1, j1), found[k], planes, floor_variance)
-                if not chi2 < BLOCK_MISFIT:
-                    state[u, v] = MISFIT
-                    break
-
-
-@njit(cache=True)
-def _move_blocks(grid, planes, gate, floor_variance, size, state):
-    """The moves, block after block; see `choose_blocks`."""
-    points, covariance, _, labels, start = grid
     found, sums, moved = np.empty(MANY, dtype=np.int64), np.empty(MANY), 0
-    for u in range(state.shape[0]):
-        for v in range(state.shape[1]):
-            if state[u, v] != MISFIT:
+    for i0 in range(start, labels.shape[0], size):
+        for j0 in range(0, labels.shape[1], size):
+            block = i0, j0, min(i0 + size, labels.shape[0]), min(j0 + size, labels.shape[1])
+            if _is_uniform(labels, block):
                 continue
-            i0, j0 = start + u * size, v * size
-            i1, j1 = min(i0 + size, labels.shape[0]), min(j0 + size, labels.shape[1])
-            n_found, before = _regions_around(labels, i0, j0, i1, j1, found), moved
+            n_found = _regions_around(labels, block, found)
             for k in range(n_found if n_found > 1 else 0):
-                mine, inside = found[k], 0
-                if _misfit(grid, (i0, j0, i1, j1), mine, planes, floor_variance) < BLOCK_MISFIT:
-                    continue
-                for m in range(n_found):
-                    sums[m] = 0.0
-                for i in range(i0, i1):
-                    for j in range(j0, j1):
-                        if labels[i, j] == mine:
-                            inside += 1
-                            for m in range(n_found):
-                                cost = residual_chi2(points, covariance, i, j, planes, found[m], floor_variance)
-                                sums[m] += min(cost, 2.0 * gate)
-                if inside == 0:
-                    continue
-                best = 0
-                for m in range(1, n_found):
-                    best = m if sums[m] < sums[best] else best
-                if sums[best] < sums[k] - BLOCK_GAIN:
-                    moved += inside
-                    for i in range(i0, i1):
-                        for j in range(j0, j1):
-                            if labels[i, j] == mine:
-                                labels[i, j] = found[best]
-            if moved > before:
-                _wake_neighbours(state, u, v)
+                if not _misfit(grid, block, found[k], planes, floor_variance) < BLOCK_MISFIT:
+                    moved += _move_block(grid, block, found[:n_found], k, planes, gate, floor_variance, sums)
     return moved
 
 
-@inlined
-def _wake_neighbours(state, u, v):
-    """Look at the blocks beside and below a changed one that were alike all round: their frames may no longer be."""
-    for a, b in ((u, v + 1), (u + 1, v - 1), (u + 1, v), (u + 1, v + 1)):
-        if a < state.shape[0] and 0 <= b < state.shape[1] and state[a, b] == UNIFORM:
-            state[a, b] = MISFIT
+@inner(cache=True)
+def _move_block(grid, block, found, k, planes, gate, floor_variance, sums):
+    """Move the points of region found[k] in a block to the best of those found, if that is far better; how many."""
+    (points, covariance, _, labels, _), (i0, j0, i1, j1), inside = grid, block, 0
+    for m in range(found.shape[0]):
+        sums[m] = 0.0
+    for i in range(i0, i1):
+        for j in range(j0, j1):
+            if labels[i, j] == found[k]:
+                inside += 1
+                for m in range(found.shape[0]):
+                    cost = residual_chi2(points, covariance, i, j, planes, found[m], floor_variance)
+                    sums[m] += min(cost, 2.0 * gate)
+    best = 0
+    for m in range(1, found.shape[0]):
+        best = m if sums[m] < sums[best] else best
+    if not sums[best] < sums[k] - BLOCK_GAIN:
+        return 0
+    for i in range(i0, i1):
+        for j in range(j0, j1):
+            if labels[i, j] == found[k]:
+                labels[i, j] = found[best]
+    return inside
 
 
 @inner(cache=True)
@@ -127,8 +82,9 @@ def _misfit(grid, block, region, planes, floor_variance):
 
 
 @inlined
-def _is_uniform(labels, i0, j0, i1, j1):
+def _is_uniform(labels, block):
     """Whether a block and the frame one point wide around it have one label: most have, and rows compare fast."""
+    i0, j0, i1, j1 = block
     j0, j1 = max(j0 - 1, 0), min(j1 + 1, labels.shape[1])
     one, unlike = labels[i0, j0], 0
     for i in range(max(i0 - 1, 0), min(i1 + 1, labels.shape[0])):
@@ -140,9 +96,9 @@ def _is_uniform(labels, i0, j0, i1, j1):
 
 
 @inner(cache=True)
-def _regions_around(labels, i0, j0, i1, j1, found):
+def _regions_around(labels, block, found):
     """Different regions in a block and in a frame one point wide around it; returns their number."""
-    count = 0
+    (i0, j0, i1, j1), count = block, 0
     for i in range(max(i0 - 1, 0), min(i1 + 1, labels.shape[0])):
         last = -1
         for j in range(max(j0 - 1, 0), min(j1 + 1, labels.shape[1])):

@@ -37,7 +37,7 @@ def _dissolve(grid, sizes, order, pairs, planes, floor_variance):
     """The same; `order` of the regions, (R,), is that of their sizes."""
     _, _, _, labels, start = grid
     members, first = _members(labels, start, sizes.shape[0])
-    candidates = np.empty(sizes.shape[0], dtype=np.int64)
+    candidates, hosts = np.empty(sizes.shape[0], dtype=np.int64), np.empty(members.shape[0], dtype=np.int64)
     fixed = np.zeros(sizes.shape[0], dtype=np.bool_)
     for i in range(start):
         for j in range(labels.shape[1]):
@@ -55,8 +55,9 @@ def _dissolve(grid, sizes, order, pairs, planes, floor_variance):
                 candidates[n_candidates] = other
                 n_candidates += 1
         mine = members[first[r] : first[r + 1]]
-        if n_candidates and _is_superfluous(grid, mine, r, candidates[:n_candidates], planes, floor_variance):
-            _hand_over(grid, mine, candidates[:n_candidates], planes, floor_variance)
+        if n_candidates and _is_superfluous(grid, mine, r, candidates[:n_candidates], planes, floor_variance, hosts):
+            for k in range(n):
+                labels[mine[k] // labels.shape[1], mine[k] % labels.shape[1]] = hosts[k // (BLOCK * BLOCK)]
             sizes[r] = 0
             count += 1
     return count
@@ -114,27 +115,28 @@ def _members(labels, start, n_regions):
 
 
 @inlined
-def _is_superfluous(grid, mine, region, candidates, planes, floor_variance):
-    """Whether the best neighbour of every block explains the points nearly as well as the region itself."""
+def _is_superfluous(grid, mine, region, candidates, planes, floor_variance, hosts):
+    """Whether the best neighbour of every block, written to `hosts`, explains the points nearly as well as the region.
+
+    Neighbours are the candidates; points are explained in blocks of `BLOCK` * `BLOCK` members, one after another.
+    """
     points, covariance, n_cols = grid[0], grid[1], grid[3].shape[1]
     limit = MEAN_GAIN * mine.shape[0] + SUM_GAIN
     for k in range(mine.shape[0]):
         i, j = mine[k] // n_cols, mine[k] % n_cols
         limit += residual_chi2(points, covariance, i, j, planes, region, floor_variance)
     other, sums = 0.0, np.zeros(candidates.shape[0])
-    in_block = 0
     for k in range(mine.shape[0]):
         i, j = mine[k] // n_cols, mine[k] % n_cols
         for m in range(candidates.shape[0]):
             sums[m] += residual_chi2(points, covariance, i, j, planes, candidates[m], floor_variance)
-        in_block += 1
-        if in_block == BLOCK * BLOCK or k == mine.shape[0] - 1:
-            other += sums[_least(sums)]
+        if (k + 1) % (BLOCK * BLOCK) == 0 or k == mine.shape[0] - 1:
+            best = _least(sums)
+            hosts[k // (BLOCK * BLOCK)] = candidates[best]
+            other += sums[best]
             if other > limit:
                 return False
-            for m in range(candidates.shape[0]):
-                sums[m] = 0.0
-            in_block = 0
+            sums[:] = 0.0
     return True
 
 
@@ -146,23 +148,3 @@ def _least(values):
         if values[k] < values[best]:
             best = k
     return best
-
-
-@inlined
-def _hand_over(grid, mine, candidates, planes, floor_variance):
-    """Label every block of points with the neighbour that explains it best."""
-    points, covariance, _, labels, _ = grid
-    n_cols = labels.shape[1]
-    sums = np.zeros(candidates.shape[0])
-    block_start = 0
-    for k in range(mine.shape[0]):
-        i, j = mine[k] // n_cols, mine[k] % n_cols
-        for m in range(candidates.shape[0]):
-            sums[m] += residual_chi2(points, covariance, i, j, planes, candidates[m], floor_variance)
-        if k - block_start == BLOCK * BLOCK - 1 or k == mine.shape[0] - 1:
-            best = candidates[_least(sums)]
-            for q in range(block_start, k + 1):
-                labels[mine[q] // n_cols, mine[q] % n_cols] = best
-            for m in range(candidates.shape[0]):
-                sums[m] = 0.0
-            block_start = k + 1
