@@ -12,41 +12,6 @@ BEST = 3
 
 
 @njit(cache=True)
-def near_rotations(frames, angles, others, other_angles, tolerance, least_trace):
-    """Rotations from frames (A, 3, 3) to others (B, 3, 3) that enclose the same angle and turn no further than that.
-
-    Returns:
-        rotations (K, 3, 3) and their traces (K,), one frame after the other.
-    """
-    pairs, traces, count = (
-        np.empty((angles.size * other_angles.size, 2), np.int64),
-        np.empty(angles.size * other_angles.size),
-        0,
-    )
-    for a in range(angles.size):
-        for b in range(other_angles.size):
-            if abs(angles[a] - other_angles[b]) < tolerance:
-                trace = 0.0
-                for i in range(3):
-                    for j in range(3):
-                        trace += others[b, i, j] * frames[a, i, j]
-                if trace > least_trace:
-                    pairs[count, 0], pairs[count, 1], traces[count] = a, b, trace
-                    count += 1
-    rotations = np.empty((count, 3, 3))
-    for k in range(count):
-        a, b = pairs[k, 0], pairs[k, 1]
-        for i in range(3):
-            for j in range(3):
-                rotations[k, i, j] = (
-                    others[b, i, 0] * frames[a, j, 0]
-                    + others[b, i, 1] * frames[a, j, 1]
-                    + others[b, i, 2] * frames[a, j, 2]
-                )
-    return rotations, traces[:count]
-
-
-@njit(cache=True)
 def directions_found(rotations, normals, others, weights, least_cosine):
     """Weight of the normals (N, 3) that have one of the others (M, 3) beside them under rotations (K, 3, 3), (K,)."""
     found = np.zeros(rotations.shape[0])

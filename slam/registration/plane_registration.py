@@ -12,7 +12,7 @@ import numpy as np
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten, valid
 from slam.registration._plane_arrays import PlaneArrays
-from slam.registration._plane_kernels import best_shifts, directions_found, near_rotations, partners, unlike
+from slam.registration._plane_kernels import best_shifts, directions_found, partners, unlike
 from slam.registration.motion_from_planes import fit_all_on
 from slam.registration.visibility import LinesOfSight
 from spplanes import Plane
@@ -197,6 +197,26 @@ def _rotations(mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float, *, upri
     scores = agree - _tail((turns / sigma_rad) ** 2) - (_tilted(rotations[:, 2, 2]) if upright else 0.0)
     best_first = rotations[np.argsort(-scores, kind="stable")]
     return list(unlike(best_first, 1.0 + 2.0 * np.cos(_ANGLE), _ROTATIONS))
+
+
+def near_rotations(
+    frames: FloatArray,
+    angles: FloatArray,
+    others: FloatArray,
+    other_angles: FloatArray,
+    tolerance: float,
+    least_trace: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Rotations from frames (A, 3, 3) to others (B, 3, 3) that enclose the same angle and turn no further than that.
+
+    Returns:
+        rotations (K, 3, 3) and their traces (K,), one frame after the other.
+    """
+    # products are summed one after another, the same bits on every machine: matmul leaves the order open
+    traces = sum(frames[:, None, i, j] * others[:, i, j] for i in range(3) for j in range(3))
+    a, b = np.nonzero((np.abs(angles[:, None] - other_angles) < tolerance) & (traces > least_trace))
+    first, second, third = (others[b][:, :, None, k] * frames[a][:, None, :, k] for k in range(3))
+    return first + second + third, np.asarray(traces)[a, b]
 
 
 def _frames(normals: FloatArray, *, ordered: bool) -> tuple[FloatArray, FloatArray]:

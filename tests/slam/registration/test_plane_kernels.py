@@ -8,7 +8,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.registration._plane_kernels import BEST, best_shifts, directions_found, near_rotations, unlike
+from slam.registration._plane_kernels import BEST, best_shifts, directions_found, unlike
+from slam.registration.plane_registration import near_rotations
 
 DISTANCE, SIGMA, TAIL = 0.1, 0.5, 2.0
 
