@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inlined, inner, njit
+from spplanes._jit import inner, njit
+from spplanes.segmentation.clustering.ahc import find
 
 
 @njit(cache=True)
@@ -76,37 +77,15 @@ def peaks_of(keys, strides, order, scores, prominence):
             for j in range(-1, 2):
                 for k in range(-1, 2):
                     wanted = keys[index] + i * strides[0] + j * strides[1] + k * strides[2]
-                    place = _place_of(keys, wanted)
+                    place = np.searchsorted(keys, wanted)
                     if place == keys.size or keys[place] != wanted or parent[place] < 0:
                         continue
-                    one, other = _top(parent, index), _top(parent, place)
+                    one, other = find(parent, index), find(parent, place)
                     if one == other:
                         continue
                     high, low = (one, other) if scores[one] >= scores[other] else (other, one)
                     if low == index or scores[low] - scores[index] < prominence:
                         parent[low] = high
     for index in range(keys.size):
-        parent[index] = _top(parent, index)
+        parent[index] = find(parent, index)
     return parent
-
-
-@inlined
-def _place_of(keys, wanted):
-    """Where the first key lies that is not below the one wanted."""
-    low, high = 0, keys.size
-    while low < high:
-        middle = (low + high) // 2
-        if keys[middle] < wanted:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@inner(cache=True)
-def _top(parent, index):
-    """The highest cell of the peak that a cell has joined."""
-    while parent[index] != index:
-        parent[index] = parent[parent[index]]
-        index = parent[index]
-    return index

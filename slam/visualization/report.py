@@ -13,11 +13,10 @@ from string import Template
 from typing import Any
 
 import numpy as np
-from scipy.special import gammaincinv
 from shapely import LineString, Point, get_coordinates
 from shapely.geometry.base import BaseGeometry
 
-from slam.diagnostics.consistency import BAND
+from slam.diagnostics.consistency import NisSummary
 from slam.diagnostics.verdict import Verdict
 from slam.evaluation import Metric
 from slam.files import whole_file
@@ -141,11 +140,9 @@ def nis_blocks(rows: Sequence[tuple[int, float, int]]) -> list[dict[str, float]]
     count = max(len(rows) // size, 1)
     blocks = []
     for chosen in np.array_split(np.arange(len(rows)), count):
-        part = [rows[i] for i in chosen]
-        dof = sum(row[2] for row in part)
-        low, high = 2.0 * gammaincinv(0.5 * dof, [(1 - BAND) / 2, (1 + BAND) / 2]) / dof
-        mean = sum(row[1] for row in part) / dof
-        blocks.append({"from": part[0][0], "to": part[-1][0], "mean": mean, "low": float(low), "high": float(high)})
+        first, last = rows[chosen[0]][0], rows[chosen[-1]][0]
+        nis = NisSummary.of("", [rows[i] for i in chosen])
+        blocks.append({"from": first, "to": last, "mean": nis.mean_per_dof, "low": nis.low, "high": nis.high})
     return blocks
 
 
