@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
 
-from slam.backend.estimator import Backend, pose_symbol
+from slam.backend.estimator import Backend, pose_symbols
 from slam.config import BOUND_SIGMAS, ObservabilityConfig
 from slam.diagnostics.observability import NOTHING, OpenDirection, OpenStretch, gathered, wide_directions
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import LineObservation, Observation
+from slam.frontend.observations import LineObservation
 from slam.map.landmarks import Landmark, LandmarkMap
 from spplanes._check import FloatArray
 from spplanes._hesse import frame_from_hesse
@@ -44,17 +45,15 @@ def open_in_map(
     information.add(0, np.eye(6) / _FIXED**2)
     for row in rows.values():
         information.add(row, NOTHING)
-    for number, (landmark, normal) in enumerate(zip(landmarks, _settled_normals(landmarks, keyframes), strict=True)):
+    seen = [_Sightings.of(landmark, keyframes) for landmark in landmarks]
+    normals = _settled_normals(landmarks, seen)
+    for number, (landmark, sightings, normal) in enumerate(zip(landmarks, seen, normals, strict=True)):
         known = np.eye(3) / _FIXED**2 if landmark.known else np.diag([1e-6, 1e-3, 1e-3])
         information.add(information.landmark(number), known)
-        origin = landmarks.placed(landmark.id).world_T_plane[:3, 3]
-        for sighting in landmark.sightings:
-            seen, pose = (
-                keyframes[sighting.keyframe].observations[sighting.observation],
-                backend.pose(pose_symbol(sighting.keyframe)),
-            )
-            by_pose, by_plane = _derivatives(seen, pose, normal, origin)
-            information.see(rows[sighting.keyframe], information.landmark(number), by_pose, by_plane)
+        if sightings.keyframes:
+            poses = backend.poses(pose_symbols(sightings.keyframes))
+            jacobians = _derivatives(sightings, poses, normal, landmarks.placed(landmark.id).world_T_plane[:3, 3])
+            information.see([rows[one] for one in sightings.keyframes], information.landmark(number), jacobians)
     looked_at = sorted({*np.linspace(1, len(held) - 1, min(_MOST, len(held) - 1)).round().astype(int).tolist()})
     found = information.covariances([6 * row for row in looked_at])
     open_ones = [
@@ -87,12 +86,11 @@ class _Information:
         places = row + np.arange(len(block))
         self._blocks.append((np.repeat(places, len(block)), np.tile(places, len(block)), block.ravel()))
 
-    def see(self, pose: int, plane: int, by_pose: FloatArray, by_plane: FloatArray) -> None:
-        """Information of a measurement whose whitened derivatives these are, (k, 6) and (k, 3)."""
-        places = np.concatenate((pose + np.arange(6), plane + np.arange(3)))
-        jacobian = np.hstack((by_pose, by_plane))
-        block = (jacobian.T @ jacobian).ravel()
-        self._blocks.append((np.repeat(places, 9), np.tile(places, 9), block))
+    def see(self, poses: Sequence[int], plane: int, jacobians: FloatArray) -> None:
+        """Information of measurements of one plane from poses, whose whitened derivatives are (K, 3, 9)."""
+        places = np.hstack((np.add.outer(poses, np.arange(6)), np.tile(plane + np.arange(3), (len(poses), 1))))
+        blocks = jacobians.transpose(0, 2, 1) @ jacobians
+        self._blocks.append((np.repeat(places, 9, axis=1).ravel(), np.tile(places, 9).ravel(), blocks.ravel()))
 
     def covariances(self, rows: Sequence[int]) -> list[FloatArray]:
         """Covariances (6, 6) of the variables that begin at these rows."""
@@ -107,54 +105,69 @@ class _Information:
         return found
 
 
-def _derivatives(
-    seen: Observation, world_T_body: FloatArray, normal: FloatArray, origin: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Whitened derivatives of what is measured of a plane by the pose (k, 6) and by the plane (k, 3).
+class _Sightings(NamedTuple):
+    """All that was seen of a landmark by keyframes in the graph."""
+
+    keyframes: list[int]
+    """Which saw it, K of them."""
+    frames: FloatArray
+    """Planes as they were measured, in the bodies, shape (K, 4, 4)."""
+    covariances: FloatArray
+    """Of these, shape (K, 3, 3)."""
+    are_lines: np.ndarray
+    """Which say nothing on the tilt about themselves, shape (K,)."""
+
+    @classmethod
+    def of(cls, landmark: Landmark, keyframes: Sequence[Keyframe]) -> _Sightings:
+        """Of one landmark."""
+        seen = [keyframes[one.keyframe].observations[one.observation] for one in landmark.sightings]
+        planes = [one.full_plane(1.0) for one in seen]
+        return cls(
+            [one.keyframe for one in landmark.sightings],
+            np.array([plane.frame for plane in planes]).reshape(-1, 4, 4),
+            np.array([plane.covariance for plane in planes]).reshape(-1, 3, 3),
+            np.array([isinstance(one, LineObservation) for one in seen], dtype=bool),
+        )
+
+    @property
+    def tilt_sigma(self) -> float:
+        """How well the firmest of them knows the normal, rad; a plane of a prior map that was not seen is known."""
+        least = np.linalg.eigvalsh(self.covariances[:, 1:, 1:])[:, 0]
+        return float(np.sqrt(least.min())) if len(least) else 0.0
+
+
+def _derivatives(seen: _Sightings, world_T_body: FloatArray, normal: FloatArray, origin: FloatArray) -> FloatArray:
+    """Whitened derivatives of what poses (K, 4, 4) measured of a plane by pose and plane, shape (K, 3, 9).
 
     The pose turns by w about itself and moves by t, in world axes: (w, t). The plane, with this normal through this
     origin, moves along the normal and tilts along two axes of its own. A line says nothing on the tilt about itself.
     """
-    plane = seen.full_plane(1.0)
-    frame = world_T_body @ plane.frame
-    x_axis = frame[:3, 0] - normal * (normal @ frame[:3, 0])
-    x_axis /= np.linalg.norm(x_axis)
-    y_axis = np.cross(normal, x_axis)
-    arm, out = frame[:3, 3] - world_T_body[:3, 3], frame[:3, 3] - origin
-    u_axis, v_axis = frame_from_hesse(normal, 0.0, None)[:3, :2].T
-    by_pose, by_plane = np.zeros((3, 6)), np.zeros((3, 3))
-    by_pose[0, :3], by_pose[0, 3:] = np.cross(arm, normal), normal
-    by_pose[1, :3], by_pose[2, :3] = y_axis, x_axis
-    by_plane[0] = -1.0, u_axis @ out, v_axis @ out  # a plane whose normal turns by a u + b v falls by that much there
-    by_plane[1, 1:] = -(x_axis @ u_axis), -(x_axis @ v_axis)
-    by_plane[2, 1:] = y_axis @ u_axis, y_axis @ v_axis
-    told = 2 if isinstance(seen, LineObservation) else 3
-    root = np.linalg.cholesky(plane.covariance[:told, :told])
-    both = np.asarray(np.linalg.solve(root, np.hstack((by_pose, by_plane))[:told]), float)
-    return both[:, :6], both[:, 6:]
+    frames = world_T_body @ seen.frames
+    x_axes = frames[:, :3, 0] - np.outer(frames[:, :3, 0] @ normal, normal)
+    x_axes /= np.linalg.norm(x_axes, axis=1, keepdims=True)
+    y_axes = np.cross(normal, x_axes)
+    arms, out = frames[:, :3, 3] - world_T_body[:, :3, 3], frames[:, :3, 3] - origin
+    own_axes = frame_from_hesse(normal, 0.0, None)[:3, :2]
+    jacobians = np.zeros((len(frames), 3, 9))
+    jacobians[:, 0, :3], jacobians[:, 0, 3:6] = np.cross(arms, normal), normal
+    jacobians[:, 1, :3], jacobians[:, 2, :3] = y_axes, x_axes
+    # a plane whose normal turns by a u + b v falls by that much there
+    jacobians[:, 0, 6], jacobians[:, 0, 7:] = -1.0, out @ own_axes
+    jacobians[:, 1, 7:], jacobians[:, 2, 7:] = -(x_axes @ own_axes), y_axes @ own_axes
+    whitened = np.asarray(np.linalg.solve(np.linalg.cholesky(seen.covariances), jacobians), float)
+    whitened[seen.are_lines, 2] = 0.0
+    return whitened
 
 
-def _settled_normals(landmarks: LandmarkMap, keyframes: Sequence[Keyframe]) -> list[FloatArray]:
+def _settled_normals(landmarks: LandmarkMap, seen: Sequence[_Sightings]) -> list[FloatArray]:
     """The landmarks' normals in the world, those that are parallel as far as is known made parallel."""
+    normals, sigmas = [landmarks.placed(one.id).normal for one in landmarks], [one.tilt_sigma for one in seen]
     axes: list[tuple[FloatArray, float]] = []
-    settled: dict[int, FloatArray] = {}
-    sigmas = {one.id: _tilt_sigma(one, keyframes) for one in landmarks}
-    for key in sorted(sigmas, key=lambda key: (sigmas[key], key)):
-        normal = landmarks.placed(key).normal
+    for row in sorted(range(len(normals)), key=lambda row: sigmas[row]):  # of equals the older
         for axis, sigma in axes:
-            if np.linalg.norm(np.cross(axis, normal)) <= BOUND_SIGMAS * np.hypot(sigma, sigmas[key]):
-                settled[key] = axis if axis @ normal > 0.0 else -axis
+            if np.linalg.norm(np.cross(axis, normals[row])) <= BOUND_SIGMAS * np.hypot(sigma, sigmas[row]):
+                normals[row] = axis if axis @ normals[row] > 0.0 else -axis
                 break
         else:
-            axes.append((normal, sigmas[key]))
-            settled[key] = normal
-    return [settled[one.id] for one in landmarks]
-
-
-def _tilt_sigma(landmark: Landmark, keyframes: Sequence[Keyframe]) -> float:
-    """How well the firmest sighting of a landmark knows its normal, rad."""
-    seen: Iterable[Observation] = (
-        keyframes[sighting.keyframe].observations[sighting.observation] for sighting in landmark.sightings
-    )
-    tilts = (one.full_plane(1.0).covariance[1:, 1:] for one in seen)
-    return min((float(np.sqrt(np.linalg.eigvalsh(tilt)[0])) for tilt in tilts), default=0.0)
+            axes.append((normals[row], sigmas[row]))
+    return normals
