@@ -68,8 +68,8 @@ MUTATIONS = (
     Mutation(
         "search: what lies beyond a submap's table is looked up at its rim's neighbour",
         "slam/registration/correlative_search.py",
-        "self.raster.origin - (reach + 1) * CELL_M",
-        "self.raster.origin - reach * CELL_M",
+        "self._origin - (reach + 1) * CELL_M",
+        "self._origin - reach * CELL_M",
         "tests/slam/registration/test_correlative_search.py",
     ),
     Mutation(

@@ -65,10 +65,14 @@ class SearchResult:
 
 
 class PlaceView:
-    """A submap as it is searched in: its returns, and tables of log ratios widened for every level of blocks."""
+    """A submap as it is searched in: its returns, and tables of log ratios widened for every level of blocks.
+
+    Many are kept: of the raster stay its points and its table in small integers.
+    """
 
     def __init__(self, raster: Raster) -> None:
-        self.raster = raster
+        self.points, self.weight, self._origin = raster.points, raster.weight, raster.origin
+        self._whole = np.round(raster.table / _UNIT).astype(np.int8)
         self._tables: dict[int, tuple[np.ndarray, FloatArray]] = {}
 
     def bound(self, level: int, *, turned: bool = False) -> tuple[np.ndarray, FloatArray]:
@@ -80,17 +84,13 @@ class PlaceView:
         reach = 0 if level == 0 else int(np.ceil(0.71 * 2**level)) if turned else 2 ** (level - 1)
         if reach not in self._tables:
             table = _widened(np.pad(self._whole, reach + 1), reach)
-            self._tables[reach] = table, self.raster.origin - (reach + 1) * CELL_M
+            self._tables[reach] = table, self._origin - (reach + 1) * CELL_M
         return self._tables[reach]
-
-    @cached_property
-    def _whole(self) -> np.ndarray:
-        return np.round(self.raster.table / _UNIT).astype(np.int8)
 
     @cached_property
     def radius(self) -> float:
         """Distance beyond which a quarter of the points lie: what a small turn moves by a cell there, m."""
-        return float(np.quantile(np.linalg.norm(self.raster.points, axis=1), 0.75)) + CELL_M
+        return float(np.quantile(np.linalg.norm(self.points, axis=1), 0.75)) + CELL_M
 
 
 def search_place(
@@ -270,8 +270,8 @@ def evidence_at(a: PlaceView, b: PlaceView, motions: FloatArray, level: int = 0)
     result = np.empty(len(motions))
     result[order] = score_by_heading(
         headings, np.append(starts, len(motions)), np.ascontiguousarray(motions[order, :2]), CELL_M,
-        a.raster.points, a.raster.weight, *b.bound(level),
-        b.raster.points, b.raster.weight, *a.bound(level, turned=True),
+        a.points, a.weight, *b.bound(level),
+        b.points, b.weight, *a.bound(level, turned=True),
     )  # fmt: skip
     return _UNIT * result
 
