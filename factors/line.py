@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import cos, hypot, isfinite, sin, sqrt
 
 import gtsam
@@ -89,6 +90,10 @@ def decorrelated_points(line: ScanLine) -> tuple[FloatArray, float]:
     return np.array(points), sqrt(2.0) * spread
 
 
+#: Of the lines of a keyframe, each of which is compared with several landmarks.
+_known_points = lru_cache(maxsize=64)(decorrelated_points)
+
+
 def _definite(value: FloatArray) -> FloatArray:
     """The covariance of a line, refused when it is singular; a glance tells most of them."""
     if isinstance(value, np.ndarray) and value.shape == (2, 2) and value.dtype == np.float64:
@@ -121,7 +126,8 @@ def _recipe(
     *,
     planar: bool,
 ) -> Recipe:
-    points, sigma = decorrelated_points(line)
+    check_instance("line", line, ScanLine)
+    points, sigma = _known_points(line)
     check_distinct(pose_key=pose_key, plane_key=plane_key)
     check_distinct(anchor_key=anchor_key, plane_key=plane_key)
     return Recipe(

@@ -82,12 +82,8 @@ class Backend:
     @property
     def graph(self) -> gtsam.NonlinearFactorGraph:
         """Every factor still in the graph."""
-        graph = gtsam.NonlinearFactorGraph()
         factors = self._isam.getFactorsUnsafe()
-        for index in range(factors.size()):
-            if factors.at(index) is not None:
-                graph.push_back(factors.at(index))
-        return graph
+        return _graph_of(factors.at(index) for index in range(factors.size()) if factors.exists(index))
 
     @timed("optimise")
     def update(
@@ -243,7 +239,7 @@ class Backend:
 
     def chi2(self) -> float:
         """Sum of the squared whitened errors of all factors at the current estimate."""
-        return 2.0 * float(self.graph.error(self.values))
+        return 2.0 * float(self._isam.getFactorsUnsafe().error(self.values))
 
     def pose(self, key: int) -> FloatArray:
         """world_T_body of a pose variable, shape (4, 4)."""

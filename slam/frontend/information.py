@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -45,6 +46,10 @@ def plane_information(observation: Observation, normal: FloatArray | None = None
     return jacobian[:told].T @ np.linalg.solve(plane.covariance[:told, :told], jacobian[:told])
 
 
+#: That of observations as they were seen: what a keyframe saw is asked for several times.
+information_as_seen = lru_cache(maxsize=64)(plane_information)
+
+
 def floor_information(motion: Motion | None) -> FloatArray:
     """Information (6, 6) of (rotation, translation) in the body by the floor that it drives on; none off a floor."""
     information = np.zeros((6, 6))
@@ -57,7 +62,7 @@ def floor_information(motion: Motion | None) -> FloatArray:
 
 def planar_information(observations: Sequence[Observation]) -> FloatArray:
     """Information (3, 3) that known planes seen give on (x, y, theta) of the pose, in the body's axes."""
-    total = sum((plane_information(observation) for observation in observations), np.zeros((6, 6)))
+    total = sum(map(information_as_seen, observations), np.zeros((6, 6)))
     return total[np.ix_((3, 4, 2), (3, 4, 2))]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from factors._conventions import POSE3_TO_SP, SP_TO_POSE3
 from slam.backend.estimator import Backend, pose_symbol, pose_symbols
 from slam.config import ThinningConfig
-from slam.frontend.information import floor_information, plane_information
+from slam.frontend.information import floor_information, information_as_seen
 from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion, spatial_covariance
 from slam.frontend.wheel_calibration import shared_covariance
@@ -42,7 +42,7 @@ class PoseSupport:
 
     def step(self, keyframe: int, motion: Motion | None, matched: Iterable[Observation]) -> None:
         """A keyframe has come by a motion, None where nobody measured it, and saw known planes."""
-        information = sum((plane_information(one) for one in matched), start=floor_information(motion))
+        information = sum(map(information_as_seen, matched), start=floor_information(motion))
         self._by_all = _seen(_moved(self._by_all, motion), information)
         self._by_late = _seen(_moved(self._by_late, motion), information)
         root = np.linalg.cholesky(self._by_all)

@@ -29,6 +29,9 @@ from spplanes._check import FloatArray
 #: Newton steps to where the error of a prior is zero.
 _STEPS = 20
 _PLANE_RGB = "0.6 0.6 0.65"
+#: GTSAM's tangent of a pose by g2o's error, at zero, and where the upper halves of information matrices are.
+_TANGENT_BY_G2O = np.linalg.inv(pose_jacobian())
+_UPPER = {size: np.triu_indices(size) for size in (3, 6)}
 
 
 @dataclass(frozen=True)
@@ -158,8 +161,7 @@ class _Writer:
 
     def _between(self, factor: gtsam.BetweenFactorPose3) -> str:
         a, b = (self.poses[key] for key in factor.keys())  # noqa: SIM118 - not a mapping
-        to_g2o = np.linalg.inv(pose_jacobian())
-        root = _gaussian_of(factor).R() @ to_g2o
+        root = _gaussian_of(factor).R() @ _TANGENT_BY_G2O
         return f"EDGE_SE3:QUAT {a} {b} {_pose(factor.measured())} {_upper(root.T @ root)}"
 
     def _prior(self, key: int, factor: Any) -> str:
@@ -171,7 +173,7 @@ class _Writer:
             measured = measured.retract(step)
             if np.abs(step).max() < 1e-14:
                 break
-        root = _linearised(factor, {key: measured})[0] @ np.linalg.inv(pose_jacobian())
+        root = _linearised(factor, {key: measured})[0] @ _TANGENT_BY_G2O
         return f"EDGE_SE3_PRIOR {self.poses[key]} 0 {_pose(measured)} {_upper(root.T @ root)}"
 
     def _plane_edge(self, factor: Any, sighting: _Sighting) -> str:
@@ -226,7 +228,7 @@ def _pose(pose: gtsam.Pose3) -> str:
 
 
 def _upper(matrix: FloatArray) -> str:
-    return _numbers(matrix[np.triu_indices(len(matrix))])
+    return _numbers(matrix[_UPPER[len(matrix)]])
 
 
 def _numbers(values: Iterable[float]) -> str:
