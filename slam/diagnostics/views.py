@@ -39,10 +39,10 @@ class Looks(Protocol):
     def looks_of(self, other: Self, here_T_other: FloatArray) -> FloatArray:
         """Places, a row each, where another view has a surface to look for, as seen from here."""
 
-    def confirms(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+    def confirms(self, places: FloatArray) -> np.ndarray:
         """Which places have a surface within the tolerance, shape (N,)."""
 
-    def sees_through(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+    def sees_through(self, places: FloatArray) -> np.ndarray:
         """Which places lie in front of all that was seen about their direction, shape (N,)."""
 
 
@@ -78,11 +78,15 @@ def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
     return pairs[:: max(1, -(-len(pairs) // _MOST_PAIRS))]
 
 
-def compare(view: V, other: V, here_T_other: FloatArray, tolerance_m: float = TOLERANCE_M) -> tuple[int, int]:
+def compare(view: V, other: V, here_T_other: FloatArray) -> tuple[int, int]:
     """How many looks of another view at a pose (4, 4) a view confirms, and how many it sees through."""
-    places = view.looks_of(other, here_T_other)
-    confirmed = view.confirms(places, tolerance_m)
-    return int(confirmed.sum()), int((view.sees_through(places, tolerance_m) & ~confirmed).sum())
+    return held_against(view, view.looks_of(other, here_T_other))
+
+
+def held_against(view: Looks, places: FloatArray) -> tuple[int, int]:
+    """How many places of surfaces a view confirms, and how many it sees through."""
+    confirmed = view.confirms(places)
+    return int(confirmed.sum()), int((view.sees_through(places) & ~confirmed).sum())
 
 
 #: Between beams further apart than this nothing is known to be free, rad: a few steps of a laser of 0.5 or 1 deg.
@@ -120,11 +124,11 @@ class View:
         """Another view's looks as seen from here, shape (N, 2)."""
         return other.looks @ here_T_other[:2, :2].T + here_T_other[:2, 3]
 
-    def confirms(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+    def confirms(self, places: FloatArray) -> np.ndarray:
         """Which places (N, 2) have a return within the tolerance, shape (N,)."""
-        return np.isfinite(self.tree.query(places, distance_upper_bound=tolerance_m)[0])
+        return np.isfinite(self.tree.query(places, distance_upper_bound=TOLERANCE_M)[0])
 
-    def sees_through(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+    def sees_through(self, places: FloatArray) -> np.ndarray:
         """Which places (N, 2) lie in front of what both beams beside them met, by more than the tolerance, (N,)."""
         through = np.zeros(len(places), dtype=bool)
         for origin, bearings, ranges in self.fans:
@@ -135,7 +139,7 @@ class View:
             after = np.clip(np.searchsorted(bearings, bearing), 1, len(bearings) - 1)
             low, high = bearings[after - 1], bearings[after]
             between = (high - low < _GAP_RAD) & (bearing >= low) & (bearing <= high)
-            free_m = np.minimum(ranges[after], ranges[after - 1]) - tolerance_m
+            free_m = np.minimum(ranges[after], ranges[after - 1]) - TOLERANCE_M
             through |= between & (np.linalg.norm(away, axis=1) < free_m)
         return through
 
@@ -177,13 +181,13 @@ class ScanView:
         """Another view's looks as seen from here, shape (N, 8)."""
         return moved(other.looks, here_T_other)
 
-    def confirms(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+    def confirms(self, places: FloatArray) -> np.ndarray:
         """Which elements (N, 8) lie on a surface that was seen, to the tolerance, shape (N,)."""
-        return (self._sight.apart(places[:, :3]) < tolerance_m) | (self._sight.off_surfaces(places) < tolerance_m)
+        return (self._sight.apart(places[:, :3]) < TOLERANCE_M) | (self._sight.off_surfaces(places) < TOLERANCE_M)
 
-    def sees_through(self, places: FloatArray, tolerance_m: float) -> np.ndarray:
+    def sees_through(self, places: FloatArray) -> np.ndarray:
         """Which elements (N, 8) stand before all that was seen about their direction by more than that, (N,)."""
-        return self._sight.through(places[:, :3], tolerance_m, _WIDE_SHARE)
+        return self._sight.through(places[:, :3], TOLERANCE_M, _WIDE_SHARE)
 
 
 def scan_views_of(keyframes: Sequence[Keyframe], poses: FloatArray) -> dict[int, ScanView]:

@@ -12,7 +12,7 @@ from shapely.geometry.base import BaseGeometry
 from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.surfaces import Surfaces, stopped_rays
 from slam.diagnostics.verdict import Evidence, at_least, named
-from slam.diagnostics.views import TOLERANCE_M, View
+from slam.diagnostics.views import View, held_against
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.geometry.frames import inverse, lift
 from slam.map.landmarks import Landmark
@@ -73,8 +73,8 @@ def _through(known: Sequence[Landmark], run: Finished, views: Mapping[int, View]
         total = 0
         for index, view in views.items():
             local = lift(places, inverse(poses[index]))[:, :2]
-            confirmed = view.confirms(local, TOLERANCE_M)
-            total += int((view.sees_through(local, TOLERANCE_M) & ~confirmed).sum()) - int(confirmed.sum())
+            confirmed, through = held_against(view, local)
+            total += through - confirmed
         balance[landmark.id] = total
     return balance
 

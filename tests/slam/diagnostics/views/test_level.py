@@ -55,9 +55,9 @@ def test_a_view_confirms_what_it_saw_and_says_nothing_of_what_is_hidden():
     rng = np.random.default_rng(1)
     here = View.of(beams(np.array([1.5, 2.5, 0.0]), rng))
     at_wall, in_front, behind = np.array([[6.5, 0.0]]), np.array([[3.0, 0.0]]), np.array([[7.5, 0.0]])
-    assert here.confirms(at_wall, 0.1).all() and not here.sees_through(at_wall, 0.1).any()
-    assert here.sees_through(in_front, 0.1).all() and not here.confirms(in_front, 0.1).any()
-    assert not here.sees_through(behind, 0.1).any() and not here.confirms(behind, 0.1).any()
+    assert here.confirms(at_wall).all() and not here.sees_through(at_wall).any()
+    assert here.sees_through(in_front).all() and not here.confirms(in_front).any()
+    assert not here.sees_through(behind).any() and not here.confirms(behind).any()
 
 
 def test_two_views_agree_at_their_true_poses_and_not_half_a_metre_off():
