@@ -76,13 +76,32 @@ def test_a_score_counts_things_not_elements() -> None:
     known, here = LocalMap([(np.eye(4), scan(wall(0.0, 4.0, 2.0, 0.24)))]), [np.eye(4)]
     alone = align(scan(wall(0.0, 4.0, 2.0, 0.24)), known, here)
     half = align(scan(wall(0.0, 4.0, 1.4, 0.24)), known, here)
-    assert half.score == pytest.approx(alone.score, rel=0.02) and 1.8 < alone.n_things / half.n_things < 2.4
+    assert half.score == pytest.approx(alone.score, rel=0.02)
+    assert 1.35 < alone.weight / half.weight < 1.5  # twice as much of a plane says as the root of it
     nowhere = replace(alone, score=0.0)
-    assert 1.3 < alone.log_odds(nowhere) / half.log_odds(nowhere) < 1.6  # twice as much varies less by chance
+    assert alone.log_odds(nowhere) / half.log_odds(nowhere) == pytest.approx(alone.weight / half.weight, rel=0.03)
     person = wall(0.0, 1.0, 0.2, 0.03)
     with_person = align(scan(np.vstack((wall(0.0, 4.0, 2.0, 0.24), person))), known, here)
     assert with_person.share < 0.7  # before a camera who walks by close is a third of all that is seen
-    assert with_person.score > 0.8 * alone.score > 0.5  # and one thing
+    assert with_person.score > 0.7 * alone.score > 0.5  # and one thing
+
+
+def test_the_floor_of_a_room_does_not_outvote_all_that_stands_on_it() -> None:
+    x, y = np.meshgrid(np.arange(1.5, 5.0, 0.15), np.arange(-2.0, 2.0, 0.15))
+    floor = np.column_stack((x.ravel(), y.ravel(), np.full(x.size, -1.0), np.zeros((x.size, 2)), np.ones(x.size)))
+    floor = np.column_stack((floor, np.full(len(floor), 0.003), np.full(len(floor), ON_PLANE)))
+    # five faces that are no one's plane but their own, each a twentieth of the floor
+    faces = [wall(side, 2.0 + 0.5 * k, 0.3, 0.1) for k, side in enumerate((-1.0, -0.5, 0.0, 0.5, 1.0))]
+    known = LocalMap([(np.eye(4), scan(np.vstack((floor, *faces))))])
+    lower, elsewhere = floor + np.eye(8)[2] * -0.02, [face + np.eye(8)[0] * 0.4 for face in faces]
+    as_it_is = _score_of(np.vstack((lower, *faces)), known)
+    assert as_it_is > _score_of(np.vstack((floor, *elsewhere)), known) + 0.2
+
+
+def _score_of(seen: np.ndarray, known: LocalMap) -> float:
+    """Score of a scan where it stands, not where it would come to rest."""
+    held = Expected(np.eye(4), 1e12 * np.eye(6))
+    return align(scan(seen), known, [np.eye(4)], held).score
 
 
 def elements(rng: np.random.Generator, sigma: float) -> tuple[np.ndarray, np.ndarray]:
