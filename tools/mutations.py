@@ -358,9 +358,16 @@ MUTATIONS = (
     Mutation(
         "odometry against 3D scans: scores of elements, however wide they are",
         "slam/registration/surface_registration.py",
-        "return np.minimum(_widths(elements) / _THING_M, 1.0) ** 2",
-        "return np.ones(len(elements))",
+        "things = np.minimum(_widths(elements) / _THING_M, 1.0) ** 2",
+        "things = np.ones(len(elements))",
         "tests/slam/registration/test_surface_registration.py -k things",
+    ),
+    Mutation(
+        "places of 3D scans: planes count by their area, so that the floor tells where a camera is",
+        "slam/registration/surface_registration.py",
+        "things[on_plane] /= np.sqrt(np.bincount(plane, things[on_plane]))[plane]",
+        "pass",
+        "tests/slam/registration/test_surface_registration.py -k 'floor or things'",
     ),
     Mutation(
         "odometry: what is expected is judged by steps that slipped alone",
