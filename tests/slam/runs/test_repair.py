@@ -175,7 +175,7 @@ def test_places_that_a_user_knows_close_a_loop(frames: list[Keyframe], truth: Dr
 
 
 def test_a_finished_run_that_is_wrong_is_open_to_repair_once(tmp_path: Path):
-    """A mount that is stated backwards: nothing that the drive agrees on mends it, and it is asked once."""
+    """A mount that is stated backwards: scans refuse the wheels at every step; nothing mends that, and it is asked once."""
     mission, out = tmp_path / "log", tmp_path / "run"
     made = simulate_mission("hall", n_scans=10, seed=3)
     made.save(mission)
@@ -184,6 +184,6 @@ def test_a_finished_run_that_is_wrong_is_open_to_repair_once(tmp_path: Path):
     assert CliRunner().invoke(app, command).exit_code == 0
     with Session.open(out, read_only=True) as session:
         assert session.result("repairs") is None
-    for said in ("the map is broken", "finished already"):
+    for said in ("the map is doubtful", "finished already"):
         done = CliRunner().invoke(app, ["slam", "--resume", str(out)])
         assert (done.exit_code, said in done.output) == (0, True)
