@@ -175,7 +175,7 @@ def test_places_that_a_user_knows_close_a_loop(frames: list[Keyframe], truth: Dr
 
 
 def test_a_finished_run_that_is_wrong_is_open_to_repair_once(tmp_path: Path):
-    """A mount that is stated backwards: scans refuse the wheels at every step; nothing mends that, and it is asked once."""
+    """A mount that is stated backwards: scans refuse the wheels at every step. That is asked once, and not mended."""
     mission, out = tmp_path / "log", tmp_path / "run"
     made = simulate_mission("hall", n_scans=10, seed=3)
     made.save(mission)
