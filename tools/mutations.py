@@ -357,14 +357,14 @@ MUTATIONS = (
     ),
     Mutation(
         "odometry against 3D scans: scores of elements, however wide they are",
-        "slam/registration/surface_registration.py",
-        "things = np.minimum(_widths(elements) / _THING_M, 1.0) ** 2",
+        "slam/frontend/scan_surfaces.py",
+        "things = np.minimum(widths_of(elements) / THING_M, 1.0) ** 2",
         "things = np.ones(len(elements))",
         "tests/slam/registration/test_surface_registration.py -k things",
     ),
     Mutation(
         "places of 3D scans: planes count by their area, so that the floor tells where a camera is",
-        "slam/registration/surface_registration.py",
+        "slam/frontend/scan_surfaces.py",
         "things[on_plane] /= np.sqrt(np.bincount(plane, things[on_plane]))[plane]",
         "pass",
         "tests/slam/registration/test_surface_registration.py -k floor",

@@ -32,6 +32,11 @@ COLUMNS = 8
 _SHARE = 0.03
 #: On planes, where a few say as much as many, so wide.
 _SHARE_ON_PLANE = 0.06
+#: An element is on the plane that it was laid on, to rounding.
+ITS_OWN = 1e-6
+#: What lies within this of its middle is one thing, m, however many elements see it: whoever walks by close before a
+#: camera fills a third of its image.
+THING_M = 0.5
 #: Fewest points of an element on a plane, and of one whose direction its own points tell.
 _LEAST_ON_PLANE, _LEAST = 3, 6
 #: An element's own points tell a direction when its second extent is this share of the first (variances), its
@@ -101,6 +106,29 @@ def surfaces_of(points: FloatArray, labels: np.ndarray, planes: FloatArray, sens
     rows = np.concatenate(parts)
     rows[:, 6] = np.hypot(rows[:, 6], sensor.surface_sigma_m * np.sqrt(_crowding(rows, sensor.surface_correlation_m)))
     return moved(rows, sensor.body_T_sensor)
+
+
+def widths_of(elements: FloatArray) -> FloatArray:
+    """How wide elements (N, 8) are, about, (N,), m."""
+    share = np.where(elements[:, 7] == ON_PLANE, _SHARE_ON_PLANE, _SHARE)
+    return share * np.linalg.norm(elements[:, :3], axis=1)
+
+
+def weights_of(elements: FloatArray) -> FloatArray:
+    """How much each of elements (N, 8) says, (N,), in things: the share of one that it covers, by its width, or one.
+
+    Those on a plane together say as much as the root of how many things they cover, as planes do: where one of them
+    fits all do, and the floor of a room, which is on most of an image, fits wherever the camera may be.
+    """
+    things = np.minimum(widths_of(elements) / THING_M, 1.0) ** 2
+    on_plane = np.flatnonzero(elements[:, 7] == ON_PLANE)
+    if len(on_plane):
+        directions = elements[on_plane, 3:6]
+        offsets = np.einsum("ki,ki->k", elements[on_plane, :3], directions)
+        rows = np.round(np.column_stack((directions, offsets)) / ITS_OWN)
+        plane = np.unique(rows, axis=0, return_inverse=True)[1].ravel()
+        things[on_plane] /= np.sqrt(np.bincount(plane, things[on_plane]))[plane]
+    return things
 
 
 def moved(elements: FloatArray, pose: FloatArray) -> FloatArray:

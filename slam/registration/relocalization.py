@@ -17,7 +17,7 @@ from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import Observation, PlaneObservation, planes_of
 from slam.frontend.odometry import Motion
-from slam.frontend.scan_surfaces import ON_PLANE
+from slam.frontend.scan_surfaces import ITS_OWN, ON_PLANE
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
@@ -36,8 +36,6 @@ _RECENT = 6
 _SLACK, _LEAST_M, _LEAST_RAD = 1.5, 0.02, 0.004
 #: Probability that two that are one place are taken for two.
 _SIGNIFICANCE = 1e-3
-#: An element is on the plane that it was laid on, to rounding.
-_ITS_OWN = 1e-6
 #: Information about a motion that stands for none, GTSAM order: standard deviations of so many m and rad.
 WEAK_M, WEAK_RAD = 10.0, 3.0
 WEAK_PRIOR = np.diag(np.repeat([WEAK_RAD, WEAK_M], 3) ** -2.0)
@@ -220,8 +218,8 @@ def _on(elements: FloatArray, observations: Sequence[Observation]) -> np.ndarray
     if not planes:
         return np.zeros(len(elements), dtype=bool)
     normals, d = np.array([plane.normal for plane in planes]), np.array([plane.d for plane in planes])
-    near = np.abs(elements[:, :3] @ normals.T - d) < _ITS_OWN
-    alike = elements[:, 3:6] @ normals.T > 1.0 - _ITS_OWN
+    near = np.abs(elements[:, :3] @ normals.T - d) < ITS_OWN
+    alike = elements[:, 3:6] @ normals.T > 1.0 - ITS_OWN
     return (elements[:, 7] == ON_PLANE) & (near & alike).any(axis=1)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from scipy.spatial import KDTree
 
-from slam.frontend.scan_surfaces import ON_EDGE
+from slam.frontend.scan_surfaces import ON_EDGE, weights_of
 from slam.geometry.frames import inverse, lift
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -96,6 +96,11 @@ class Scan:
     """Its surface elements in the body frame, shape (N, 8); see `slam.frontend.scan_surfaces`."""
     viewpoint: FloatArray
     """Where the sensor was, in the body frame, shape (3,), m."""
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """How much each of its elements says, shape (N,), in things."""
+        return weights_of(self.elements)
 
     @cached_property
     def sight(self) -> Sight:
