@@ -351,9 +351,23 @@ MUTATIONS = (
     Mutation(
         "odometry against 3D scans: a slip leads nowhere in particular for nothing",
         "slam/tracking/odometry_check.py",
-        "return float(held - velocity_prior.log_density(off, otherwise, place, axes) - log(share))",
+        "return float(np.sum((held - prior.log_density(off, place))[axes]) - log(share))",
         "return -log(share)",
         "tests/slam/tracking/test_odometry_check.py -k fit_as_well",
+    ),
+    Mutation(
+        "motions nobody measured: what was not seen tells how steadily the body moves",
+        "slam/registration/motion_prior.py",
+        "told[:, :, np.diag(known) > _TOLD * np.diag(used.covariance)] = 0.0",
+        "pass",
+        "tests/slam/registration/test_motion_prior.py -k nothing_is_learnt",
+    ),
+    Mutation(
+        "motions nobody measured: places are told apart by what any body may do",
+        "slam/registration/surface_registration.py",
+        "if self.prior is not None:",
+        "if False:",
+        "tests/slam/registration/test_scans_alone.py -k drove_on",
     ),
     Mutation(
         "odometry against 3D scans: scores of elements, however wide they are",

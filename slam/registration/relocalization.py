@@ -22,6 +22,7 @@ from slam.geometry.frames import inverse
 from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
+from slam.registration.motion_prior import MotionPrior
 from slam.registration.plane_registration import PlaneMatching, pairs_under, register_planes_globally
 from slam.registration.surface_registration import Alignment, Expected, LocalMap, align
 from slam.registration.visibility import Scan
@@ -69,6 +70,8 @@ class FoundPlace:
     """The motion to there; it stands in for the real one while observations are matched."""
     seen_again: frozenset[int]
     """Indices of the observations that found it."""
+    expected: Motion
+    """What was known of the motion before, as wide as this body moves: what was seen tells whether it moved on."""
     beyond: Motion | None = None
     """What the returns on none of those planes say of the motion, which no match of theirs says again; None: nothing.
     """
@@ -98,6 +101,7 @@ def found_place(
     keyframes: Sequence[Keyframe],
     landmarks: LandmarkMap,
     backend: Backend,
+    prior: MotionPrior | None = None,
 ) -> FoundPlace | None:
     """The place from which most of what a keyframe sees was seen before; None when that cannot be said.
 
@@ -110,18 +114,22 @@ def found_place(
         keyframes: those before.
         landmarks: as of the last refresh.
         backend: the state.
+        prior: how likely each motion is, where nobody measured it: places are told apart by that.
     """
     index, world_T_a = len(keyframes), backend.pose(pose_symbol(len(keyframes) - 1))
     expected_T_world = inverse(world_T_a @ motion.a_T_b)
     numbers = [k for k, observation in enumerate(keyframe.observations) if isinstance(observation, PlaneObservation)]
     seen, known = planes_about(keyframe, landmarks, expected_T_world, index)
-    by_planes = register_planes_globally(seen, known, sigmas_of(motion))
-    by_returns = _by_returns(keyframe, motion, by_planes, local_map(keyframes, backend, expected_T_world))
+    by_planes = register_planes_globally(seen, known, sigmas_of(motion if prior is None else prior.learnt()))
+    by_returns = _by_returns(keyframe, motion, by_planes, local_map(keyframes, backend, expected_T_world), prior)
     if by_returns is None:
         if by_planes is None:
             return None
+        expected = _learnt(motion, prior, by_planes.known_T_seen, by_planes.covariance)
         there = _stated(motion, by_planes.known_T_seen, by_planes.covariance)
-        return FoundPlace(there, frozenset(numbers[i] for i, _ in by_planes.pairs))
+        return FoundPlace(there, frozenset(numbers[i] for i, _ in by_planes.pairs), expected)
+    covariance = np.linalg.inv(by_returns.information + WEAK_PRIOR).astype(np.float64)
+    motion = _learnt(motion, prior, by_returns.known_T_seen, covariance)
     information = by_returns.information + information_of(motion)
     there = _stated(motion, by_returns.known_T_seen, np.linalg.inv(information).astype(np.float64))
     seen_again = frozenset(numbers[i] for i, _ in pairs_under(by_returns.known_T_seen, seen, known))
@@ -130,7 +138,7 @@ def found_place(
         keyframe.surfaces, [observation for k, observation in enumerate(keyframe.observations) if k in seen_again]
     )
     beyond = _beyond(motion, by_returns, ~again)
-    return FoundPlace(there, seen_again, beyond, _rivals(by_returns, there.covariance))
+    return FoundPlace(there, seen_again, motion, beyond, _rivals(by_returns, there.covariance))
 
 
 def planes_about(
@@ -166,15 +174,26 @@ def scan_of(keyframe: Keyframe) -> Scan | None:
 
 
 def _by_returns(
-    keyframe: Keyframe, motion: Motion, by_planes: PlaneMatching | None, known: LocalMap | None
+    keyframe: Keyframe,
+    motion: Motion,
+    by_planes: PlaneMatching | None,
+    known: LocalMap | None,
+    prior: MotionPrior | None,
 ) -> Alignment | None:
     """The scan laid on what was seen before, from the candidate that all its returns speak for most; None: none."""
     scan = scan_of(keyframe)
     if known is None or scan is None:
         return None
-    expected = Expected(np.eye(4), information_of(motion))
+    expected = Expected(np.eye(4), information_of(motion), prior)
     found = register_from_hypotheses(scan, known, by_planes, expected, inverse(motion.a_T_b))
     return found if found.score > 0.0 else None
+
+
+def _learnt(motion: Motion, prior: MotionPrior | None, known_T_seen: FloatArray, covariance: FloatArray) -> Motion:
+    """What is known of a motion before looking: by how this body moves, where it was seen at a place, GTSAM order."""
+    if prior is None:
+        return motion
+    return prior.learnt(displacement(np.eye(4), known_T_seen), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)])
 
 
 def register_from_hypotheses(

@@ -20,8 +20,10 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
+from factors._conventions import POSE3_TO_SP
 from slam.frontend.scan_surfaces import ON_EDGE, THING_M, moved, widths_of
 from slam.geometry.frames import inverse, lift
+from slam.registration.motion_prior import MotionPrior
 from slam.registration.plane_registration import negative_log_prior
 from slam.registration.visibility import ALIKE, Scan, Sight, tree_of
 from spplanes._check import FloatArray
@@ -170,9 +172,14 @@ class Expected(NamedTuple):
     """Shape (4, 4)."""
     information: FloatArray
     """Of its tangent on the right, GTSAM order (rotation, translation), shape (6, 6)."""
+    prior: MotionPrior | None = None
+    """Where nobody measured the motion: places that it leads to are told apart by this, and not by the information."""
 
     def log_likelihood(self, known_T_seen: FloatArray) -> float:
         """Of a motion, with the tails that expectations have, up to a constant."""
+        if self.prior is not None:
+            off = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(self.known_T_seen) @ known_T_seen))
+            return self.prior.log_likelihood(off[POSE3_TO_SP])
         turn, place = np.diag(self.information)[[0, 3]] ** -0.5
         return -negative_log_prior(inverse(self.known_T_seen) @ known_T_seen, (place, turn))
 

@@ -23,6 +23,7 @@ from slam.geometry.frames import inverse
 from slam.map.landmarks import LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.motion_from_planes import fit_pairs_on
+from slam.registration.motion_prior import MotionPrior
 from slam.registration.plane_registration import pairs_under, register_planes_globally
 from slam.registration.relocalization import (
     WEAK_M,
@@ -40,7 +41,7 @@ from slam.registration.relocalization import (
     stated,
 )
 from slam.registration.surface_registration import Alignment, Expected, align, most_information
-from slam.tracking.odometry_scale import SLIPS, VelocityPrior, free_axes, log_density, spatial
+from slam.tracking.odometry_scale import SLIPS, free_axes, spatial
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -90,7 +91,7 @@ def check(
     *,
     significance: float,
     doubted: bool,
-    velocity_prior: VelocityPrior,
+    prior: MotionPrior,
 ) -> Check:
     """Whether what a 3D scan sees speaks against a motion that was measured, and how sharply it could.
 
@@ -105,11 +106,11 @@ def check(
     Args:
         keyframe: what is seen.
         motion: what is known of its motion.
-        otherwise: the motion to expect had nobody measured it.
+        otherwise: the same, as wide as a body may go of which nothing is known.
         state: the keyframes before, the landmarks as of the last refresh, and the graph.
         significance: probability that a true motion is spoken against.
         doubted: the motion before was spoken against.
-        velocity_prior: how steadily the body moves.
+        prior: of the motion had nobody measured it, by how steadily the body moves.
     """
     scan, (keyframes, landmarks, backend) = scan_of(keyframe), state
     if is_poorly_known(motion) or scan is None:
@@ -129,7 +130,7 @@ def check(
 
     found = align(scan, known, [np.eye(4)])
     rests = _rests(found) if found.score > 0.0 else (None, None, None)
-    enough = _clearly(motion, otherwise, velocity_prior, found, _AGAIN if doubted else SLIPS)
+    enough = _clearly(motion, prior, found, _AGAIN if doubted else SLIPS)
     if is_off(found):
         held = align(scan, known, [np.eye(4)], Expected(np.eye(4), information_of(motion)))
         if is_off(held) or found.log_odds(held) > enough:
@@ -145,7 +146,7 @@ def check(
     return Check(rival.log_odds(found) > enough and is_off(rival), *rests)
 
 
-def _clearly(motion: Motion, otherwise: Motion, velocity_prior: VelocityPrior, found: Alignment, share: float) -> float:
+def _clearly(motion: Motion, prior: MotionPrior, found: Alignment, share: float) -> float:
     """By how many nats better a place has to fit than the one where a motion leads, to speak against that.
 
     Wheels slip now and then, and where they do the body may be anywhere that it could have gone: of so many places
@@ -153,9 +154,9 @@ def _clearly(motion: Motion, otherwise: Motion, velocity_prior: VelocityPrior, f
     by how much wider it is spread.
     """
     place, axes = _by_returns(found.information), free_axes(motion)
-    off = displacement(inverse(motion.a_T_b) @ otherwise.a_T_b, found.known_T_seen)
-    held = log_density(np.zeros(len(axes)), (spatial(motion) + place)[np.ix_(axes, axes)][None])[0]
-    return float(held - velocity_prior.log_density(off, otherwise, place, axes) - log(share))
+    off = displacement(inverse(motion.a_T_b) @ prior.motion.a_T_b, found.known_T_seen)
+    held = -0.5 * np.log(np.diag(spatial(motion) + place))
+    return float(np.sum((held - prior.log_density(off, place))[axes]) - log(share))
 
 
 def planes_confirm(

@@ -10,9 +10,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slam.frontend.odometry import Motion
+from slam.registration.motion_prior import LATE
 from slam.registration.relocalization import displacement
 from slam.tracking.odometry_check import Check
-from slam.tracking.odometry_scale import LATE, PLANAR, VelocityPrior
+from slam.tracking.odometry_scale import PLANAR
 from spplanes._check import FloatArray
 
 
@@ -48,8 +49,7 @@ class OdometryRecord:
         #: was said of them, how far off that would have been.
         self._errors: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=LATE)
         self._others: deque[tuple[CheckedStep, FloatArray]] = deque(maxlen=LATE)
-        self._last: tuple[CheckedStep, Motion, Motion] | None = None
-        self.velocity_prior = VelocityPrior()
+        self._last: tuple[CheckedStep, Motion] | None = None
 
     @property
     def doubted(self) -> bool:
@@ -65,13 +65,12 @@ class OdometryRecord:
         """Take in where the last step led, shape (4, 4), now that it was seen."""
         if self._last is None:
             return
-        step, expected, guess = self._last
+        step, expected = self._last
         off = displacement(expected.a_T_b, a_T_b)
         if step.check.against:
             self._errors.append((displacement(step.motion.a_T_b, a_T_b), off))
         else:
             self._others.append((step, off))
-        self.velocity_prior.learn(off, guess)
         self._last = None
 
     def take(
@@ -97,7 +96,7 @@ class OdometryRecord:
         else:
             used, known = "erring", _erring(motion, untold.T @ untold / (len(self._errors) + len(fine)))
         self.steps.append(CheckedStep(keyframe, motion, check, used, scale))
-        self._last = self.steps[-1], expected, guess
+        self._last = self.steps[-1], expected
         return known
 
     def untold(self, motion: Motion, check: Check) -> FloatArray:

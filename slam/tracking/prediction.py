@@ -20,7 +20,8 @@ from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse, orthonormal, planar_transform
 from slam.map.sparsification import Link
 from slam.map.state import EstimatorState
-from slam.registration.relocalization import FoundPlace, Rivals, found_place, is_poorly_known
+from slam.registration.motion_prior import MotionPrior, VelocityPrior
+from slam.registration.relocalization import FoundPlace, Rivals, displacement, found_place, is_poorly_known
 from slam.registration.submaps import anchored
 from slam.tracking.calibration_by_graph import CalibrationByGraph
 from slam.tracking.odometry_check import check
@@ -101,6 +102,9 @@ class MotionModel:
         self.rivals: dict[int, Rivals] = {}
         self.odometry_record = OdometryRecord(state.config.association.new_significance)
         self.odometry_scale = OdometryScale()
+        self.velocity_prior = VelocityPrior()
+        #: What was expected of the last motion, and what the graph holds of it; None: of an assumption nothing.
+        self._expected: tuple[MotionPrior, Motion | None] | None = None
         self._by_graph = CalibrationByGraph(self._sparsifier, self._backend)
 
     def predict(self, keyframe: Keyframe) -> Prediction:
@@ -183,13 +187,17 @@ class MotionModel:
         """Where the motion to a keyframe leads, and its factors."""
         before, key = pose_symbol(index - 1), pose_symbol(index)
         world_T_before = self._backend.pose(before)
-        motion, parts = self._motion_to(keyframe), (self._keyframes, self._landmarks, self._backend)
+        (motion, prior), parts = self._motion_to(keyframe), (self._keyframes, self._landmarks, self._backend)
         beyond = information_beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
         wide = is_poorly_known(motion.scan_matched or motion)
         asked = wide or keyframe.motion is None  # what went on as before was not measured, however well it is known
-        place = found_place(keyframe, motion, *parts) if asked else None
+        assumed = prior if prior is not None and motion is prior.motion else None
+        place = found_place(keyframe, motion, *parts, assumed) if asked else None
         if wide and place is None and keyframe.surfaces is not None:
             self.unplaced.append(index)
+        if assumed is not None:
+            motion = assumed.learnt() if place is None else place.expected
+        self._expected = None if prior is None else (prior, None if assumed is None else motion)
         if place is None:
             factors, measured = motion.factors(before, key), self._measured(keyframe, motion)
             there = world_T_before @ motion.a_T_b
@@ -200,41 +208,51 @@ class MotionModel:
         factors = there.factors(before, key)
         return _Step(world_T_before @ there.a_T_b, factors, motion, place, pending, planes_asked=asked)
 
-    def _motion_to(self, keyframe: Keyframe) -> Motion:
+    def _motion_to(self, keyframe: Keyframe) -> tuple[Motion, MotionPrior | None]:
         """Odometry, less what is known to be wrong with it; without any the motion before goes on.
 
         Odometry that a 3D scan speaks against is a guess: it is as wide as if nobody had measured it.
+
+        Returns:
+            The motion, and what would be expected of it had nobody measured it; None: there was no motion before.
         """
         last, stamps = len(self._keyframes) - 1, [frame.stamp_ns * 1e-9 for frame in self._keyframes[-2:]]
-        ahead_s, record = keyframe.stamp_ns * 1e-9 - stamps[-1], self.odometry_record
-        if last == 0:
-            unmeasured = coast(None, 0.0, ahead_s, self._config.coasting)
-        else:
-            keys, known = [pose_symbol(last - 1), pose_symbol(last)], None
-            step = inverse(self._backend.pose(keys[0])) @ self._backend.pose(keys[1])
-            record.settle(step)
-            if keyframe.motion is None:
-                known = relative_covariance(step, self._backend.joint_covariance(keys).of(keys))
-            unmeasured = coast(step, stamps[1] - stamps[0], ahead_s, self._config.coasting, known)
+        ahead_s, rules = keyframe.stamp_ns * 1e-9 - stamps[-1], self._config.coasting
+        guess, prior = coast(None, 0.0, ahead_s, rules), None
+        if last > 0:
+            prior = self._unmeasured(keyframe, last, stamps[1] - stamps[0], ahead_s)
+        unmeasured = guess if prior is None else prior.motion
         if keyframe.motion is None:
-            return unmeasured
+            return unmeasured, prior
+        record = self.odometry_record
         stated, state = self.calibration.predict(keyframe.motion), (self._keyframes, self._landmarks, self._backend)
         motion = scaled(stated, self.odometry_scale.factor)
-        guess = coast(None, 0.0, ahead_s, self._config.coasting)
-        otherwise = replace(guess, a_T_b=unmeasured.a_T_b)
         said = check(
             keyframe,
             motion,
-            otherwise,
+            replace(guess, a_T_b=unmeasured.a_T_b),
             state,
             significance=record.significance,
             doubted=record.doubted,
-            velocity_prior=record.velocity_prior,
+            prior=prior or self.velocity_prior.prior(guess, np.diag(guess.covariance)),
         )
         if said.off is not None and said.known is not None:
             self.odometry_scale.learn(stated, said.off, said.known, guess)
             motion = scaled(stated, self.odometry_scale.factor)  # this step is one of those that tell
-        return record.take(last + 1, motion, unmeasured, guess, said, self.odometry_scale.factor)
+        return record.take(last + 1, motion, unmeasured, guess, said, self.odometry_scale.factor), prior
+
+    def _unmeasured(self, keyframe: Keyframe, last: int, before_s: float, ahead_s: float) -> MotionPrior:
+        """What is expected of the motion to a keyframe, after one of so many seconds, had nobody measured it."""
+        keys, known, rules = [pose_symbol(last - 1), pose_symbol(last)], None, self._config.coasting
+        step = inverse(self._backend.pose(keys[0])) @ self._backend.pose(keys[1])
+        self.odometry_record.settle(step)
+        if keyframe.motion is None:
+            known = relative_covariance(step, self._backend.joint_covariance(keys).of(keys))
+        if self._expected is not None:
+            prior, used = self._expected
+            self.velocity_prior.learn(prior, displacement(prior.motion.a_T_b, step), used, known)
+        change = np.diag(coast(step, before_s, ahead_s, rules).covariance)
+        return self.velocity_prior.prior(coast(step, before_s, ahead_s, rules, known), change)
 
     def _measured(self, keyframe: Keyframe, used: Motion) -> Motion | None:
         """The motion that came with a keyframe as the graph has it, errors of calibration still in it; see `_Step`."""

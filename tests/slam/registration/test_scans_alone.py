@@ -76,12 +76,8 @@ def test_a_pillar_is_not_taken_for_the_next_where_the_way_along_them_is_open(see
     assert np.count_nonzero(sigmas > 0.01) <= 1
 
 
-def test_a_scan_that_fits_one_pillar_on_as_well_makes_a_run_doubtful():
-    """Three seconds without a scan, and nothing but scans: at the fifth the next pillar is taken for the first."""
-    run, positions, _ = without_odometry(55, 62, 83, 3)
-    assert positions.max() > 4.0
-    assert run.verdict.verdict == "doubtful"
-    [found] = [one for one in run.verdict.evidence if one.kind == "ambiguity"]
-    assert 4 in found.keyframes and found.size > 0.2
-    sure, positions, _ = without_odometry(50, 62, 83, 3)
-    assert positions.max() < 0.01 and sure.verdict.verdict == "sound"
+@pytest.mark.parametrize("seed", [50, 55])
+def test_a_pillar_is_not_taken_for_the_next_where_the_robot_drove_on(seed: int):
+    """Three seconds without a scan, and nothing but scans: at the fifth the next pillar fits about as well."""
+    _, positions, _ = without_odometry(seed, 62, 83, 3)
+    assert positions.max() < 0.01

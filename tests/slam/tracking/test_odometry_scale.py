@@ -8,7 +8,7 @@ import pytest
 from slam.config import CoastingConfig
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import planar_transform
-from slam.tracking.odometry_scale import OdometryScale, VelocityPrior, log_density, scaled, spatial
+from slam.tracking.odometry_scale import OdometryScale, scaled, spatial
 from slam.tracking.prediction import coast
 from tests.slam.short_drives import mapped_beginning
 
@@ -96,26 +96,3 @@ def test_a_lidar_with_odometry_three_times_worse_than_stated_maps_as_one_without
     run, off = mapped_beginning("sloped/lidar32/worse3", 170024, 10)
     assert np.abs(off[:, :3, 3]).max() < 0.005
     assert 2.0 < run.slam.odometry_record.steps[-1].scale < 5.0
-
-
-@pytest.mark.parametrize("share", [0.05, 0.2, 1.0])
-def test_a_motion_nobody_measured_is_as_near_to_the_one_before_as_the_last_were(share: float) -> None:
-    rng, axes = np.random.default_rng(2), [0, 1, 3]
-    wide = spatial(GUESS)
-    steady = VelocityPrior()
-    for _ in range(40):
-        steady.learn(rng.multivariate_normal(np.zeros(6), share**2 * wide), GUESS)
-    near, far = (times * np.sqrt(np.diag(wide)) for times in (0.5 * share, 2.5))
-
-    def of(off: np.ndarray, factor: float) -> float:
-        return float(log_density(off[axes], (factor**2 * wide + SCAN)[np.ix_(axes, axes)][None])[0])
-
-    told = [steady.log_density(off, GUESS, SCAN, axes) for off in (near, far)]
-    assert told[0] == pytest.approx(np.logaddexp(of(near, share), of(near, 1.0)) - np.log(2.0), abs=0.5)
-    assert told[1] >= of(far, 1.0) - np.log(2.0) - 1e-9  # it may always be any
-
-
-def test_of_a_body_that_was_not_seen_to_move_nothing_is_known() -> None:
-    axes, off = [0, 1, 3], np.array([0.3, 0.1, 0.0, 0.2, 0.0, 0.0])
-    expected = log_density(off[axes], (spatial(GUESS) + SCAN)[np.ix_(axes, axes)][None])[0]
-    assert VelocityPrior().log_density(off, GUESS, SCAN, axes) == pytest.approx(expected)
