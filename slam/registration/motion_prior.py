@@ -13,20 +13,22 @@ from scipy.special import logsumexp
 from slam.frontend.odometry import Motion
 from spplanes._check import FloatArray
 
-#: Steps that say how the body moves of late.
+#: Steps that say how the odometry is, and the body moves, of late: wheels that slip on one floor hold on the next.
 LATE = 60
-#: Shares that are told apart of how far any body may change its velocity, and how likely each is before a step is
-#: seen: all of it as likely as less.
+#: How likely each of 25 factors is before a step is seen, the first of them 1: as likely that as any other.
+HALF_AT_ONE = np.log(np.append(0.5, np.full(24, 0.5 / 24)))
+#: Shares that are told apart of how far any body may change its velocity; before a step is seen all of it is likely.
 _SHARES = np.geomspace(1.0, 0.03, 25)
-_PRIOR = np.log(np.append(0.5, np.full(24, 0.5 / 24)))
 #: How often it may change as any body may, not as it usually does: it starts, stops, turns.
 _RATES = np.geomspace(0.5, 0.005, 9)
+#: Of both, before a step is seen.
+_PRIOR = HALF_AT_ONE[:, None, None] - np.log(len(_RATES))
 #: Degrees of freedom of the changes, a Student's t: hands are not normal. And its density at 0 against the normal's.
 _FREEDOM = 3.0
+_AT_ZERO = lgamma(0.5 * _FREEDOM + 0.5) - lgamma(0.5 * _FREEDOM) - 0.5 * log(0.5 * _FREEDOM)
 #: Squared scale of the t that is nearest to a normal distribution, of the variance of that.
 _NORMAL = 0.63
-_AT_ZERO = lgamma(0.5 * _FREEDOM + 0.5) - lgamma(0.5 * _FREEDOM) - 0.5 * log(0.5 * _FREEDOM)
-#: A direction in which a step is known to less than this share of what was expected of it tells how the body moves.
+#: An axis along which the variance of a step is less than this share of what was expected tells how the body moves.
 _TOLD = 0.9
 
 
@@ -95,8 +97,7 @@ class VelocityPrior:
 
     def prior(self, motion: Motion, change: FloatArray) -> MotionPrior:
         """Of the next motion, by constant velocity; `change`: variances as of `MotionPrior`, shape (6,)."""
-        posterior = np.repeat((_PRIOR[:, None] - np.log(len(_RATES)) + np.zeros(len(_RATES)))[:, :, None], 6, axis=2)
-        posterior = posterior + sum(self._steps)
+        posterior = np.broadcast_to(_PRIOR, (len(_SHARES), len(_RATES), 6)) + sum(self._steps)
         weights = np.exp(posterior - logsumexp(posterior, axis=(0, 1)))
         shares = np.exp(np.einsum("sra,s->a", weights, np.log(_SHARES)))
         return MotionPrior(motion, change, shares, np.einsum("sra,r->a", weights, _RATES))

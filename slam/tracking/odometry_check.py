@@ -106,11 +106,11 @@ def check(
     Args:
         keyframe: what is seen.
         motion: what is known of its motion.
-        otherwise: the same, as wide as a body may go of which nothing is known.
+        otherwise: the motion had nobody measured it, as wide as a body may go of which nothing is known.
         state: the keyframes before, the landmarks as of the last refresh, and the graph.
         significance: probability that a true motion is spoken against.
         doubted: the motion before was spoken against.
-        prior: of the motion had nobody measured it, by how steadily the body moves.
+        prior: of that motion, by how steadily the body moves.
     """
     scan, (keyframes, landmarks, backend) = scan_of(keyframe), state
     if is_poorly_known(motion) or scan is None:

@@ -9,13 +9,12 @@ import numpy as np
 from scipy.special import logsumexp
 
 from slam.frontend.odometry import Motion, spatial_covariance
-from slam.registration.motion_prior import LATE
+from slam.registration.motion_prior import HALF_AT_ONE, LATE
 from spplanes._check import FloatArray
 
-#: Factors on the stated sigma that are told apart, and how likely each is before any step is seen: a rig is as likely
-#: right as not, and an odometry that errs by ten times as much is a guess at best.
+#: Factors on the stated sigma that are told apart: a rig is as likely right as not, and an odometry that errs by ten
+#: times as much is a guess at best.
 _FACTORS = np.geomspace(1.0, 10.0, 25)
-_PRIOR = np.log(np.append(0.5, np.full(24, 0.5 / 24)))
 #: Share of steps that tell nothing of the others, before any is seen: a slip, or a scan that came to rest elsewhere.
 SLIPS = 0.1
 #: Of (x, y, heading) in SP order.
@@ -37,7 +36,7 @@ class OdometryScale:
         """Times the stated sigma, 1 or more: the posterior mean, of the logarithm; 1 where no step was seen."""
         if not self._steps:
             return 1.0
-        posterior = _PRIOR + np.sum(list(self._steps), axis=0)
+        posterior = HALF_AT_ONE + np.sum(list(self._steps), axis=0)
         return float(np.exp(np.exp(posterior - logsumexp(posterior)) @ np.log(_FACTORS)))
 
     def learn(self, motion: Motion, off: FloatArray, covariance: FloatArray, guess: Motion) -> None:
@@ -52,8 +51,8 @@ class OdometryScale:
         axes = free_axes(motion)
         grid = np.ix_(axes, axes)
         stated = np.array([spatial(scaled(motion, factor))[grid] for factor in _FACTORS])
-        honest = log_density(off[axes], stated + covariance[grid])
-        slipped = log_density(off[axes], (spatial(guess) + covariance)[grid][None])
+        honest = _log_density(off[axes], stated + covariance[grid])
+        slipped = _log_density(off[axes], (spatial(guess) + covariance)[grid][None])
         both = np.stack((np.log1p(-SLIPS) + honest, np.full_like(honest, np.log(SLIPS) + slipped[0])))
         self._steps.append(np.logaddexp(*both))
 
@@ -75,7 +74,7 @@ def spatial(motion: Motion) -> FloatArray:
     return spatial_covariance(motion.covariance, motion.a_T_b, motion.out_of_plane_sigmas)
 
 
-def log_density(off: FloatArray, covariances: FloatArray) -> FloatArray:
+def _log_density(off: FloatArray, covariances: FloatArray) -> FloatArray:
     """Logarithm of normal densities of one deviation (D,), covariances (K, D, D), up to one constant, shape (K,)."""
     chi2 = np.einsum("i,kij,j->k", off, np.linalg.inv(covariances), off)
     return -0.5 * (chi2 + np.linalg.slogdet(covariances)[1])

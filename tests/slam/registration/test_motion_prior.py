@@ -73,10 +73,7 @@ def test_densities_are_densities() -> None:
 
 @pytest.mark.parametrize("share", [0.05, 0.3])
 def test_the_motion_is_as_wide_as_its_deviations(share: float) -> None:
-    """Second moments of what is drawn from the mixture, 60 steps seen before: at least them, and not twice their root.
-
-    A rate of 0.05 is told from 60 steps to a factor.
-    """
+    """Second moments of what is drawn from the mixture."""
     rng = np.random.default_rng(6)
     shares, wide = np.full(6, share), np.sqrt(CHANGE)
     offs = rng.standard_t(3.0, (200_000, 6)) * share * wide
