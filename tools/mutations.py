@@ -108,10 +108,17 @@ MUTATIONS = (
         "tests/spplanes/fitting/test_shared_error.py",
     ),
     Mutation(
-        "fitting: what few contrasts tell of a variance, by its likeliest value",
+        "fitting: surfaces of one cloud taken to be alike",
         "spplanes/fitting/shared_error.py",
-        "np.exp(2.0 / np.maximum(told, 1.0))",
-        "np.exp(0.0 / np.maximum(told, 1.0))",
+        "np.array([0.3, 0.6, 1.0, 1.5, 2.0, 3.0])",
+        "np.array([0.03])",
+        "tests/spplanes/fitting/test_shared_error.py",
+    ),
+    Mutation(
+        "fitting: how uneven a surface is, by its own contrasts alone",
+        "spplanes/fitting/shared_error.py",
+        "return _of_a_population(relative, taus)",
+        "return least, taus[likelihoods.argmax(axis=1)]",
         "tests/spplanes/fitting/test_shared_error.py",
     ),
     Mutation(
