@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.special import chdtri
@@ -47,10 +48,8 @@ _HALF = 3.0**0.5
 _BELIEVED = 0.5
 #: tau^2 is looked at where it gives the largest contrast so many times the variance of its noise.
 _MULTIPLES = 10.0 ** np.arange(-3.0, 9.0, 0.1)
-#: Population of log tau^2: standard deviations that it may have, and its densities at those multiples by mean and them.
-_SPREADS = np.array([0.3, 0.6, 1.0, 1.5, 2.0, 3.0])
-_DENSITIES = np.exp(-0.5 * (np.log(_MULTIPLES[::3, None] / _MULTIPLES)[:, None, :] / _SPREADS[:, None]) ** 2)
-_POPULATIONS = (_DENSITIES / _DENSITIES.sum(axis=-1, keepdims=True)).reshape(-1, len(_MULTIPLES))
+#: Populations of log tau^2: their means are at some of those multiples, these are their standard deviations.
+_MEANS, _SPREADS = slice(None, None, 3), np.array([0.3, 0.6, 1.0, 1.5, 2.0, 3.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +171,7 @@ class _Patches:
         return np.where(self.chi2 > common * chdtri(dof, _of_one(len(dof), refused)), np.maximum(own, common), common)
 
     def octaves(self, factors: FloatArray, least: float) -> tuple[float, FloatArray]:
-        """tau^2 of most planes, and of each of them, (P,), m^2; of those alone that may have any, if most have none."""
+        """tau^2 of the median plane, and of each, (P,), m^2; of those alone that may have any, if most have none."""
         common, own = least, np.full(len(factors), least)
         score, variance = np.concatenate([self._scores(one, factors) for (one,) in _few(np.arange(len(own)))], axis=1)
         most = bool(score.sum() > _HINT * np.sqrt(variance.sum()))
@@ -211,7 +210,7 @@ class _Patches:
         return np.stack((score, np.maximum(2.0 * squares, 0.0)))
 
     def _contrasts(self, planes: np.ndarray, factors: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Variances that tau^2 = 1 gives the contrasts of planes beside noise of 1, and their squares, (P, M)."""
+        """Variances that tau^2 = 1 gives contrasts beside noise of 1, ascending, and the squares of these, (P, M)."""
         means, kernel, trend, inverse = self._whitened(planes, factors)
         project = np.eye(means.shape[1]) - trend @ inverse @ np.swapaxes(trend, 1, 2)
         values, vectors = np.linalg.eigh(project @ kernel @ project)
@@ -255,7 +254,7 @@ def _traces(variances: FloatArray) -> FloatArray:
 def _of_planes(
     values: FloatArray, squares: FloatArray, least: float, most: bool, n_planes: int
 ) -> tuple[float, FloatArray]:
-    """tau^2 of half of the planes at most, and of each of those that are asked, (P,), m^2.
+    """tau^2 of the median plane, and of each of those that are asked, (P,), m^2.
 
     Args:
         values, squares: their contrasts, see `_Patches._contrasts`.
@@ -284,23 +283,32 @@ def _few(*arrays: np.ndarray) -> Iterator[tuple[np.ndarray, ...]]:
 
 def _of_a_population(likelihoods: FloatArray, taus: FloatArray) -> tuple[float, FloatArray]:
     """The median of a population of tau^2, and that of each of its planes, (P,), by likelihoods (P, T) at T of them."""
-    evidence = likelihoods @ _POPULATIONS.T
-    log_weights = np.log(np.maximum(evidence, np.finfo(float).tiny)).sum(axis=0)
+    populations = _populations()
+    evidence = np.maximum(likelihoods @ populations.T, np.finfo(float).tiny)
+    log_weights = np.log(evidence).sum(axis=0)
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
-    means = (likelihoods * taus) @ _POPULATIONS.T / np.maximum(evidence, np.finfo(float).tiny)
-    middles = np.repeat(np.log(taus[::3]), len(_SPREADS))
+    means = (likelihoods * taus) @ populations.T / evidence
+    middles = np.repeat(np.log(taus[_MEANS]), len(_SPREADS))
     return float(np.exp(weights @ middles)), means @ weights
 
 
+@cache
+def _populations() -> FloatArray:
+    """Probabilities of the multiples in every population, all spreads of one mean after another, shape (H, T)."""
+    off = np.log(_MULTIPLES[_MEANS, None] / _MULTIPLES)
+    densities = np.exp(-0.5 * (off[:, None, :] / _SPREADS[:, None]) ** 2)
+    return (densities / densities.sum(axis=-1, keepdims=True)).reshape(-1, len(_MULTIPLES))
+
+
 def _longer_half(values: FloatArray) -> FloatArray:
-    """The contrasts (P, M) of the longer waves, 0 in place of the others, as of those that tell nothing.
+    """The contrasts (P, M) of the longer waves, the last ones, 0 in place of the others, as of those that tell nothing.
 
     What turns a plane is longer than it: of a real wall the octaves next to that tell most. Short ones are many, and
     where their octaves are not of the same variance they would speak louder than those.
     """
-    rank = np.argsort(np.argsort(-values, axis=1, kind="stable"), axis=1, kind="stable")
-    return np.where(2 * rank < np.count_nonzero(values, axis=1)[:, None], values, 0.0)
+    longer = np.arange(values.shape[1])[::-1]
+    return np.where(2 * longer < np.count_nonzero(values, axis=1)[:, None], values, 0.0)
 
 
 def weighted_median(values: FloatArray, weights: FloatArray) -> float:

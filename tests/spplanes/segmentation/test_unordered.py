@@ -190,5 +190,5 @@ def test_angles_between_planes_of_a_real_hall_are_as_well_known_as_is_said():
         seen += angles_chi2(planes[a], planes[b], matched(planes[a], planes[b], here_T_there))
     assert len(seen) > 50
     assert 0.3 < np.mean(seen) < 1.5
-    assert 0.05 < np.median(seen) < 0.8  # 0.455; walls are uneven alike from both places, which the difference loses
+    assert 0.1 < np.median(seen) < 0.8  # 0.455; walls are uneven alike from both places, which the difference loses
     assert np.mean(np.array(seen) > chi2.isf(0.001, 1)) < 0.02
