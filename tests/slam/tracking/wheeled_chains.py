@@ -47,24 +47,23 @@ def chain(
         until: none from here on.
     """
     backend, steps, true = Backend(BackendConfig()), [], [np.eye(4)]
-    at = np.eye(4)
+    factors, values, at = [], gtsam.Values(), np.eye(4)
     for k in range(n_poses):
-        factors, values = [], gtsam.Values()
         if k:
             measured = np.array((0.5, 0.0, rng.normal(0.0, 0.1)))
             response, random = NOISE.response([measured]), NOISE.covariance(measured)
             moved = measured + response @ errors + np.linalg.cholesky(random) @ rng.standard_normal(3)
             true.append(true[-1] @ planar_transform(*moved))
             motion = Motion(planar_transform(*measured), random, (1e-3,) * 3, response, NOISE.calibration_sigmas)
-            steps.append(MeasuredStep(k - 1, k, motion, -1))
+            steps.append(MeasuredStep(k - 1, k, motion, backend.graph.size() + len(factors)))
             factors += motion.factors(pose_symbol(k - 1), pose_symbol(k))[:1]
-            at = backend.pose(pose_symbol(k - 1)) @ motion.a_T_b
+            at = at @ motion.a_T_b
         if k % seen_every == 0 and (until is None or k < until):
             factors.append(seen(rng, k, true[-1], exact=k == 0))
         values.insert(pose_symbol(k), gtsam.Pose3(at))
-        indices = backend.update(factors, values)
-        if k:
-            steps[-1] = steps[-1]._replace(factor_index=indices[0])
+        if k % seen_every == 0 or k == n_poses - 1:
+            backend.update(factors, values)
+            factors, values, at = [], gtsam.Values(), backend.pose(pose_symbol(k))
     backend.settle(10)
     return Chain(backend, steps, np.array(true))
 
