@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import hypot
 from typing import Any, Protocol
 
@@ -146,7 +147,7 @@ class LineObservation:
         """Number of beams on the line."""
         return len(self.line.indices)
 
-    @property
+    @cached_property
     def volume(self) -> float:
         """Root of the determinant of the covariance, rad m."""
         return float(np.sqrt(np.linalg.det(self.line.covariance)))
@@ -156,15 +157,15 @@ class LineObservation:
         """Standard deviation of its middle along the normal, m."""
         return float(np.sqrt(self._covariance_at_middle[0, 0]))
 
-    @property
+    @cached_property
     def normal(self) -> FloatArray:
         """Normal of the plane through the line and square to the scan plane, toward the sensor, shape (3,)."""
-        return -self.body_T_sensor[:3, :2] @ np.array([np.cos(self.line.alpha), np.sin(self.line.alpha)])
+        return _kept(-self.body_T_sensor[:3, :2] @ np.array([np.cos(self.line.alpha), np.sin(self.line.alpha)]))
 
-    @property
+    @cached_property
     def vertices(self) -> FloatArray:
         """The two ends in the body frame, shape (2, 3), m."""
-        return lift(self.line.endpoints, self.body_T_sensor)
+        return _kept(lift(self.line.endpoints, self.body_T_sensor))
 
     def factor(
         self,
@@ -195,18 +196,21 @@ class LineObservation:
         Frame: x along the line, y along the scan plane's normal. A rotation about x (psi) tilts the plane about the
         line, which the laser does not see; z and theta are the line's own two numbers.
         """
-        middle = self.vertices.mean(axis=0)
-        z_axis = self.normal
-        y_axis = self.body_T_sensor[:3, 2]
-        frame = np.eye(4)
-        frame[:3, :3] = np.column_stack((skew(y_axis) @ z_axis, y_axis, z_axis))
-        frame[:3, 3] = middle
         covariance, of_line = np.zeros((3, 3)), self._covariance_at_middle
         covariance[:2, :2] = 0.5 * (of_line + of_line.T)
         covariance[2, 2] = as_number("tilt_sigma_rad", tilt_sigma_rad) ** 2
-        return Plane._trusted(frame, covariance, self.n_points)  # asked for several times a line and keyframe
+        return Plane._trusted(self._frame, covariance, self.n_points)  # asked for several times a line and keyframe
 
-    @property
+    @cached_property
+    def _frame(self) -> FloatArray:
+        """Of `full_plane`."""
+        x_axis = skew(self.body_T_sensor[:3, 2]) @ self.normal
+        frame = np.eye(4)
+        frame[:3, :3] = np.column_stack((x_axis, self.body_T_sensor[:3, 2], self.normal))
+        frame[:3, 3] = self.vertices.mean(axis=0)
+        return frame
+
+    @cached_property
     def _covariance_at_middle(self) -> FloatArray:
         """Of (z, theta): shift along the plane's normal at the segment's middle, rotation about the frame's y."""
         return self.line.covariance_at(float(self.line.endpoints.mean(axis=0) @ self.line.direction))
@@ -215,3 +219,9 @@ class LineObservation:
         """The segment."""
         ends = lift(self.vertices, as_transform("plane_T_body", plane_T_body))[:, :2]
         return shapely.LineString(ends) if np.ptp(ends, axis=0).max() > 0.0 else shapely.Point(ends[0])
+
+
+def _kept(array: FloatArray) -> FloatArray:
+    """An array that is handed out more than once, so not to be written into."""
+    array.setflags(write=False)
+    return array
