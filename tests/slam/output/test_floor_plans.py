@@ -168,7 +168,7 @@ def test_a_package_that_is_missing_is_named(
 
 
 def test_a_plan_without_rooms_says_so_once(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert command("simulate", "corridor", "--out", tmp_path / "log", "--scans", 80, "--seed", 3) == 0
+    assert command("simulate", "corridor", "--out", tmp_path / "log", "--scans", 40, "--seed", 3) == 0
     assert command("slam", tmp_path / "log", "--out", tmp_path / "run") == 0
     capsys.readouterr()
     assert command("export", tmp_path / "run", "--to", tmp_path / "a.svg", "--to", tmp_path / "b.svg") == 0

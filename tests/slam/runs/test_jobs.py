@@ -55,7 +55,7 @@ def test_scans_on_the_disk_are_read_by_all_at_a_time(tmp_path: Path, monkeypatch
 
 def test_a_run_that_was_killed_is_resumed_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """Nor do the processes outlive it that measure, nor is the session theirs. Killed with keyframes in its journal."""
-    simulate_mission("corridor", n_scans=150, seed=0).save(tmp_path / "log")
+    simulate_mission("corridor", n_scans=90, seed=0).save(tmp_path / "log")
     words = [sys.executable, "-m", "slam.cli", "slam", "log", "--out", "killed", "--jobs", "2"]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
     nowhere = subprocess.DEVNULL
