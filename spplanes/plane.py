@@ -55,8 +55,8 @@ class Plane:
     """Sum of the squared normalised residuals of the fit, n_points - 3 on average; 0 when it was not computed."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "frame", _read_only(as_transform("frame", self.frame).copy()))
-        object.__setattr__(self, "covariance", _read_only(as_covariance("covariance", self.covariance, 3).copy()))
+        object.__setattr__(self, "frame", read_only(as_transform("frame", self.frame).copy()))
+        object.__setattr__(self, "covariance", read_only(as_covariance("covariance", self.covariance, 3).copy()))
         object.__setattr__(self, "n_points", as_count("n_points", self.n_points))
         object.__setattr__(self, "chi2", as_number("chi2", self.chi2))
         if self.outline is not None and getattr(self.outline, "geom_type", None) != "Polygon":
@@ -76,7 +76,7 @@ class Plane:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """What it is made of, from a pickle too, which does not keep arrays from being written to."""
         self.__dict__.update(state)
-        self.__dict__.update(frame=_read_only(state["frame"]), covariance=_read_only(state["covariance"]))
+        self.__dict__.update(frame=read_only(state["frame"]), covariance=read_only(state["covariance"]))
 
     def __eq__(self, other: object) -> bool:
         """Whether frame, covariance, points, chi2 and outline are the same, to the bit."""
@@ -256,7 +256,7 @@ class Plane:
         return np.concatenate(([self.n_points, weight], centre, scatter[np.triu_indices(3)]))
 
 
-def _read_only(array: FloatArray) -> FloatArray:
+def read_only(array: FloatArray) -> FloatArray:
     """The same numbers, not to be written to through what is returned."""
     view = array.view()
     view.flags.writeable = False

@@ -17,6 +17,7 @@ from factors.plane import plane_factor
 from spplanes import Plane, ScanLine
 from spplanes._check import FloatArray, as_number, as_transform, check_instance
 from spplanes.outlines.extents import flatten, lift
+from spplanes.plane import read_only
 from spplanes.spmodel import skew
 
 #: Sine of the angle between a landmark and the scan plane from which on a line's factor is native.
@@ -160,12 +161,12 @@ class LineObservation:
     @cached_property
     def normal(self) -> FloatArray:
         """Normal of the plane through the line and square to the scan plane, toward the sensor, shape (3,)."""
-        return _kept(-self.body_T_sensor[:3, :2] @ np.array([np.cos(self.line.alpha), np.sin(self.line.alpha)]))
+        return read_only(-self.body_T_sensor[:3, :2] @ np.array([np.cos(self.line.alpha), np.sin(self.line.alpha)]))
 
     @cached_property
     def vertices(self) -> FloatArray:
         """The two ends in the body frame, shape (2, 3), m."""
-        return _kept(lift(self.line.endpoints, self.body_T_sensor))
+        return read_only(lift(self.line.endpoints, self.body_T_sensor))
 
     def factor(
         self,
@@ -219,9 +220,3 @@ class LineObservation:
         """The segment."""
         ends = lift(self.vertices, as_transform("plane_T_body", plane_T_body))[:, :2]
         return shapely.LineString(ends) if np.ptp(ends, axis=0).max() > 0.0 else shapely.Point(ends[0])
-
-
-def _kept(array: FloatArray) -> FloatArray:
-    """An array that is handed out more than once, so not to be written into."""
-    array.setflags(write=False)
-    return array

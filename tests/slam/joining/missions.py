@@ -59,9 +59,9 @@ VISITS = (((0.0, 0.5), False), ((0.25, 0.75), True), ((0.5, 1.0), False))
 
 
 @cache
-def visit(seed: int, number: int) -> OfficeDrive:
+def visit(seed: int, number: int, recipe: Recipe = LEVEL) -> OfficeDrive:
     part, backwards = VISITS[number]
-    return make_drive(LEVEL, seed, visit=number, part=part, backwards=backwards)
+    return make_drive(recipe, seed, visit=number, part=part, backwards=backwards)
 
 
 @cache

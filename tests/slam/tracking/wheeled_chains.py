@@ -46,7 +46,7 @@ def chain(
         seen_every: of so many one is seen.
         until: none from here on.
     """
-    backend, steps, true = Backend(BackendConfig()), [], [np.eye(4)]
+    backend, motions, indices, true = Backend(BackendConfig()), [], [], [np.eye(4)]
     factors, values, at = [], gtsam.Values(), np.eye(4)
     for k in range(n_poses):
         if k:
@@ -55,16 +55,17 @@ def chain(
             moved = measured + response @ errors + np.linalg.cholesky(random) @ rng.standard_normal(3)
             true.append(true[-1] @ planar_transform(*moved))
             motion = Motion(planar_transform(*measured), random, (1e-3,) * 3, response, NOISE.calibration_sigmas)
-            steps.append(MeasuredStep(k - 1, k, motion, backend.graph.size() + len(factors)))
+            motions.append((motion, len(indices) + len(factors)))
             factors += motion.factors(pose_symbol(k - 1), pose_symbol(k))[:1]
             at = at @ motion.a_T_b
         if k % seen_every == 0 and (until is None or k < until):
             factors.append(seen(rng, k, true[-1], exact=k == 0))
         values.insert(pose_symbol(k), gtsam.Pose3(at))
         if k % seen_every == 0 or k == n_poses - 1:
-            backend.update(factors, values)
+            indices += backend.update(factors, values)
             factors, values, at = [], gtsam.Values(), backend.pose(pose_symbol(k))
     backend.settle(10)
+    steps = [MeasuredStep(k, k + 1, motion, indices[place]) for k, (motion, place) in enumerate(motions)]
     return Chain(backend, steps, np.array(true))
 
 
