@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -77,8 +78,22 @@ def new_folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
         shutil.rmtree(replaced.parent, ignore_errors=True)
 
 
-def check_free(out: Path, *, overwrite: bool) -> None:
-    """Refuse an output that exists, before any work is done for it."""
+def check_free(out: Path, *, overwrite: bool, reads: Iterable[Path | None] = ()) -> None:
+    """Refuse an output that exists, before any work is done for it.
+
+    Args:
+        out: the folder.
+        overwrite: whether it may be replaced.
+        reads: files and folders that the work reads, None for one that was not given: who replaced a folder with one of
+            them in it would lose that.
+
+    Raises:
+        ValueError: it exists and may not be overwritten, or holds what is read.
+    """
+    for given in reads:
+        if given is not None and out.is_dir() and given.exists() and given.resolve().is_relative_to(out.resolve()):
+            what = "is read" if given.resolve() == out.resolve() else f"holds {given}, which is read"
+            raise ValueError(f"{out}: {what}; give another folder for the results")
     if out.exists() and not (overwrite and out.is_dir()):
         hint = "it is not a folder" if not out.is_dir() else "give --overwrite to replace it"
         if is_unfinished(out):
@@ -91,7 +106,7 @@ def put_in_place(work: Path, out: Path) -> Path | None:
     if not out.exists():
         os.replace(work, out)
         return None
-    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent)) / out.name
+    aside = Path(tempfile.mkdtemp(prefix=_prefix_of_old(out), dir=out.parent)) / out.name
     os.replace(out, aside)
     try:
         os.replace(work, out)
@@ -99,3 +114,13 @@ def put_in_place(work: Path, out: Path) -> Path | None:
         os.replace(aside, out)
         raise
     return aside
+
+
+def replaced_by(out: Path) -> list[Path]:
+    """Old folders that wait since `put_in_place` put others in their place, of runs that were killed as well."""
+    beside = out.parent.glob(f"{glob.escape(_prefix_of_old(out))}*/{glob.escape(out.name)}")
+    return sorted(beside)  # the name tells them from those of a folder whose name begins like this one's
+
+
+def _prefix_of_old(out: Path) -> str:
+    return f".{out.name}-old-"

@@ -46,6 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except OSError as error:  # a full disk is nobody's bad input, and nothing unexpected
         _fail(f"{error.filename or 'a file'}: {error.strerror}" if error.strerror else error, 1)
     except Exception as error:  # the boundary: whatever it is, no traceback
+        if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):  # a kernel was running at Ctrl-C
+            _fail("stopped", 1)
         _fail(f"unexpected {type(error).__name__}: {error}", 1)
 
 

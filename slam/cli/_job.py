@@ -133,7 +133,8 @@ def open_job(log: Path, out: Path, options: MapOptions | SlamOptions) -> Job:
     from slam.timing import StageClock
 
     clock = StageClock()  # before the imports below: whoever waits for the command waits for them too
-    check_free(out, overwrite=options.overwrite)
+    others = (options.odometry, options.prior) if isinstance(options, SlamOptions) else ()
+    check_free(out, overwrite=options.overwrite, reads=(log, options.rig, options.config, *others))
     if isinstance(options, SlamOptions) and options.odometry is not None:
         for name, given in (("topic", options.odometry_topic), ("frame", options.odometry_frame)):
             if given is not None:

@@ -39,7 +39,7 @@ def fit(
     if sigma is not None and not 0.0 < sigma < 1e3:
         raise ValueError(f"--sigma: expected a standard deviation above 0 in metres, got {sigma}")
     if out is not None:
-        check_free(out, overwrite=overwrite)
+        check_free(out, overwrite=overwrite, reads=[cloud])
     check_cloud_given(cloud)
     from slam.io.clouds import read_cloud
     from slam.runs.cloud_fit import fit_cloud

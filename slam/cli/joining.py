@@ -33,7 +33,7 @@ def join(
     """One map of several finished RUNs, wherever each began: planes seen by several once, a trajectory for each."""
     from slam.files import check_free
 
-    check_free(out, overwrite=overwrite)
+    check_free(out, overwrite=overwrite, reads=(*runs, config))
     from slam.config import SlamConfig
     from slam.joining import join as join_runs
 
@@ -88,7 +88,7 @@ def fleet(options: FleetOptions) -> None:
     if options.resume and (out / "joins.json").is_file():
         say(f"{out}: finished already; nothing is left to do")
         return
-    check_free(out, overwrite=options.overwrite)
+    check_free(out, overwrite=options.overwrite, reads=(*logs, options.rig, options.config, options.store))
     if len(logs) < 2:  # before a cluster is started for it
         raise ValueError(f"LOG: expected at least two, got {len(logs)}")
     store = out.with_name(f"{out.name}.missions") if options.store is None else options.store

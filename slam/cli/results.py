@@ -127,7 +127,7 @@ def import_(
     from slam.errors import check_file_given, check_run_given
     from slam.files import check_free, new_folder
 
-    check_free(out, overwrite=overwrite)
+    check_free(out, overwrite=overwrite, reads=(graph, run))
     check_run_given(run)
     check_file_given(graph)
     from slam.output.run_files import write_import

@@ -21,6 +21,7 @@ from slam.io.default_rigs import (
     threedtk_rig,
     turned_laser_rig,
 )
+from slam.io.plausibility import plausible
 from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag, sensor_name
 from slam.io.scan_files import first_file, with_odometry
 from slam.io.threedtk import is_3dtk_folder, is_3dtk_scan, read_3dtk
@@ -69,6 +70,7 @@ def load(
     log, sensors = _load(path, rig, keep_partial, topics or Topics(), odometry)
     if odometry is not None and log.odometry_source is None:
         log = with_odometry(log, odometry)
+    log = plausible(log, sensors)
     if rig is None:
         log.assumed.extend(assumptions(log, sensors))
     return log, sensors
@@ -92,7 +94,7 @@ def load_cloud(path: Path) -> tuple[Log, Rig]:
         points = cloud.points
         rig = depth_rig() if cloud.is_depth_image else turned_laser_rig() if shows_lines(points) else cloud_rig()
     ((name, sensor),) = rig.sensors.items()
-    log = Log([CloudScan(0, name, arrange(points, grid_of(sensor)))], path)
+    log = plausible(Log([CloudScan(0, name, arrange(points, grid_of(sensor)))], path), rig)
     log.assumed.extend(assumptions(log, rig))
     return log, rig
 

@@ -15,7 +15,7 @@ from typing import Any
 from slam.backend.estimator import BackendError
 from slam.config import SlamConfig
 from slam.errors import check_folder_given
-from slam.files import check_free, put_in_place, scratch_folder
+from slam.files import check_free, put_in_place, replaced_by, scratch_folder
 from slam.frontend.keyframes import keyframes_of
 from slam.io.load import load
 from slam.planeslam import PlaneSlam
@@ -94,9 +94,10 @@ def new_run(
     What fails before the first keyframe leaves nothing behind, and a folder that was to be replaced as it was; what
     fails later, or is killed, leaves a session to go on with.
     """
+    check_free(Path(out), overwrite=overwrite, reads=(source.path, source.odometry))
     begun_with = {"rig": rig, "prior": None if prior is None else prior.to_bytes(), "log": source.as_json()}
     with (
-        _fresh(Path(out), config, begun_with, overwrite=overwrite) as folder,
+        _fresh(Path(out), config, begun_with) as folder,
         Session.open(folder / SESSION_FILE) as session,
     ):
         sync_folder(folder.parent)  # after the session is open: its own sync of the journal has done most of this
@@ -164,8 +165,8 @@ def conclude(run: Run, folder: Path, write: Callable[[Path], None]) -> None:
         if run.repairs is not None:
             results[_REPAIRS] = json.dumps([repair.to_dict() for repair in run.repairs]).encode()
         recorder.session.finish(**results)
-    for replaced in folder.parent.glob(f".{folder.name}-old-*"):
-        shutil.rmtree(replaced, ignore_errors=True)
+    for replaced in replaced_by(folder):
+        shutil.rmtree(replaced.parent, ignore_errors=True)
 
 
 def _results(run: Run) -> dict[str, bytes]:
@@ -193,9 +194,8 @@ def _print_of(file: dict[str, Any] | None) -> tuple[object, object] | None:
 
 
 @contextmanager
-def _fresh(out: Path, config: SlamConfig, begun_with: dict[str, Any], *, overwrite: bool) -> Iterator[Path]:
+def _fresh(out: Path, config: SlamConfig, begun_with: dict[str, Any]) -> Iterator[Path]:
     """A new folder that appears with its session in it; an old one of that name waits beside it until the end."""
-    check_free(out, overwrite=overwrite)
     with scratch_folder(out) as work:
         Session.make(work / SESSION_FILE, config, **begun_with)
         replaced = put_in_place(work, out)

@@ -51,6 +51,23 @@ def test_topics_and_frames_are_of_bags(option: str, tmp_path: Path, capsys: pyte
     assert "scans: expected a bag where topics or frames are given" in said
 
 
+def test_what_is_read_is_never_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder = tmp_path / "data"
+    write_scan(folder / "scans", 0, scanner_points())
+    scan = folder / "scans" / "scan000.3d.gz"
+    before = sorted(folder.rglob("*"))
+    for words in (
+        ["slam", folder / "scans", "--out", folder],
+        ["slam", folder / "scans", "--out", folder / "scans"],
+        ["slam", folder / ".." / "data" / "scans", "--out", folder / "scans"],
+        ["fit", scan, "--out", folder],
+        ["join", folder / "scans", tmp_path, "--out", folder / "scans"],
+        ["import", scan, "--run", tmp_path / "run", "--out", folder],
+    ):
+        assert "give another folder for the results" in refused(capsys, *words, "--overwrite")
+    assert sorted(folder.rglob("*")) == before
+
+
 @pytest.fixture(scope="module")
 def mission(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("missions") / "corridor"

@@ -147,6 +147,18 @@ def test_overwriting_keeps_the_old_until_the_new_is_whole(tmp_path: Path, stoppe
     assert [path.name for path in tmp_path.iterdir()] == ["run"] and not (out / "old.txt").exists()
 
 
+def test_only_what_a_run_replaced_goes_with_its_end(tmp_path: Path, mission: Path, capsys: pytest.CaptureFixture[str]):
+    """Beside it waits the old copy of a run whose name begins as its own does."""
+    out, other = tmp_path / "run[1]", tmp_path / ".run[1]-old-old-x" / "run[1]-old"
+    for folder in (out, other):
+        folder.mkdir(parents=True)
+        (folder / "old.txt").write_text("old")
+    options = ["--config", mission.parent / "config.yaml", "--overwrite"]
+    assert run(capsys, "slam", mission, "--out", out, *options)[0] == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".run[1]-old-old-x", "run[1]"]
+    assert (other / "old.txt").exists() and not (out / "old.txt").exists()
+
+
 @pytest.fixture
 def unfinished(tmp_path: Path, stopped) -> Path:
     stopped(KeyboardInterrupt(), tmp_path / "run")

@@ -1,0 +1,120 @@
+"""What no working sensor says: distances in another unit, one scan over and over, two scans at one time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import groupby, pairwise
+from typing import TypeVar
+
+import numpy as np
+
+from slam.errors import LogError
+from slam.geometry.frames import inverse
+from slam.sensors.log import CloudScan, LaserScan, Log, OdometryReading
+from slam.sensors.rig import Rig
+from spplanes._check import FloatArray
+
+#: What half of the returns lie beyond is not in metres: of a 2D laser, of a 3D one, m.
+_FAR_M, _FAR_OF_CLOUDS_M = 150.0, 1000.0
+#: So many scans are looked at for that, all along the log.
+_LOOKED_AT = 4
+#: A scan that is the one before to the last bit was not made here once the wheels have come so far, m and rad.
+_MOVED_M, _MOVED_RAD = 0.05, 0.05
+
+Scan = TypeVar("Scan", LaserScan, CloudScan)
+
+
+def plausible(log: Log, rig: Rig) -> Log:
+    """The log without the scans that were not made when and where they say, which its notes tell of.
+
+    Raises:
+        LogError: no scan can be read, all have one time, or distances are in another unit than metres.
+    """
+    scans = log.scans()
+    _check_some(log, [scan for scan in scans if isinstance(scan, CloudScan)], _far_of_cloud, _FAR_OF_CLOUDS_M)
+    levels = [scan for scan in scans if isinstance(scan, LaserScan) and scan.sensor in rig.of_kind("line")]
+    _check_some(log, levels, lambda scan: scan.ranges, _FAR_M)
+    wrong: set[int] = set()
+    for sensor in sorted({scan.sensor for scan in levels}):
+        own = [scan for scan in levels if scan.sensor == sensor]
+        again = _at_one_time(log, sensor, own)
+        wrong |= again | _frozen(log, sensor, [scan for scan in own if id(scan) not in again])
+    return replace(log, events=[event for event in log.events if id(event) not in wrong]) if wrong else log
+
+
+def _check_some(log: Log, scans: Sequence[Scan], distances: Callable[[Scan], FloatArray], most_m: float) -> None:
+    """Refuse a log none of whose scans can be read, or where the returns of a few of them are too far away."""
+    every = max(len(scans) // _LOOKED_AT, 1)
+    medians, failure = [], None
+    for number, scan in enumerate([*scans[::every], *scans]):
+        if number >= len(scans[::every]) and (medians or failure is None):
+            break  # more are looked at only where none of the few could be read
+        try:
+            medians += _median_of(distances(scan))
+        except LogError as error:
+            failure = failure or error
+    if failure is not None and not medians:
+        raise failure
+    if medians and min(medians) > most_m:
+        raise LogError(
+            log.source,
+            f"half of the returns are more than {min(medians):,.0f} m away: expected metres from the sensor; are these "
+            "millimetres, or coordinates on a map?",
+        )
+
+
+def _median_of(distances: FloatArray) -> list[float]:
+    """Of the returns; nothing where there are none."""
+    returns = distances[np.isfinite(distances) & (distances > 0.0)]
+    return [float(np.median(returns))] if len(returns) else []
+
+
+def _far_of_cloud(scan: CloudScan) -> FloatArray:
+    """Distances of the points, (N,), m."""
+    return np.linalg.norm(scan.points.reshape(-1, 3), axis=1).astype(np.float64)
+
+
+def _at_one_time(log: Log, sensor: str, scans: list[LaserScan]) -> set[int]:
+    """Scans of a sensor at the time of the one before, by identity: a sensor makes one at a time."""
+    again = {id(scan) for before, scan in pairwise(scans) if scan.stamp_ns == before.stamp_ns}
+    if len(scans) > 1 and len(again) == len(scans) - 1:
+        raise LogError(log.source, f"all {len(scans)} scans of {sensor!r} have one time: times that grow are expected")
+    if again:
+        log.notes.append(
+            f"{len(again)} of {len(scans)} scans of {sensor!r} have the time of the one before, and were left out"
+        )
+    return again
+
+
+def _frozen(log: Log, sensor: str, scans: list[LaserScan]) -> set[int]:
+    """Scans that are the one before to the last bit though the wheels have moved on, by identity: the sensor hangs."""
+    readings = log.measured_motion
+    if not readings:
+        return set()
+    stamps = np.array([reading.stamp_ns for reading in readings], dtype=np.int64)
+    frozen: set[int] = set()
+    for _, alike in groupby(scans, key=lambda scan: scan.ranges.tobytes()):
+        first, *others = alike
+        if not others:
+            continue
+        there = _reading_at(readings, stamps, first)
+        frozen |= {id(scan) for scan in others if _moved(there, _reading_at(readings, stamps, scan))}
+    if frozen:
+        times = [scan.stamp_ns * 1e-9 for scan in scans if id(scan) in frozen]
+        log.notes.append(
+            f"sensor {sensor!r} repeats itself while the wheels move, {len(frozen)} times between {times[0]:.3f} and "
+            f"{times[-1]:.3f} s: these scans were left out"
+        )
+    return frozen
+
+
+def _reading_at(readings: list[OdometryReading], stamps: np.ndarray, scan: LaserScan) -> FloatArray:
+    """The last odometry up to a scan, odom_T_body (4, 4)."""
+    return readings[max(int(np.searchsorted(stamps, scan.stamp_ns, side="right")) - 1, 0)].odom_T_body
+
+
+def _moved(a: FloatArray, b: FloatArray) -> bool:
+    a_T_b = inverse(a) @ b
+    angle = np.arccos(np.clip(0.5 * (np.trace(a_T_b[:3, :3]) - 1.0), -1.0, 1.0))
+    return bool(np.linalg.norm(a_T_b[:3, 3]) > _MOVED_M or angle > _MOVED_RAD)
