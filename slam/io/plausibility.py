@@ -21,6 +21,8 @@ _FAR_M, _FAR_OF_CLOUDS_M = 150.0, 1000.0
 _LOOKED_AT = 4
 #: A scan that is the one before to the last bit was not made here once the wheels have come so far, m and rad.
 _MOVED_M, _MOVED_RAD = 0.05, 0.05
+#: Fewer scans of one time, or alike, may be chance, or all that there is.
+_FEW = 5
 
 Scan = TypeVar("Scan", LaserScan, CloudScan)
 
@@ -35,12 +37,12 @@ def plausible(log: Log, rig: Rig) -> Log:
     _check_some(log, [scan for scan in scans if isinstance(scan, CloudScan)], _far_of_cloud, _FAR_OF_CLOUDS_M)
     levels = [scan for scan in scans if isinstance(scan, LaserScan) and scan.sensor in rig.of_kind("line")]
     _check_some(log, levels, lambda scan: scan.ranges, _FAR_M)
-    wrong: set[int] = set()
+    frozen: set[int] = set()
     for sensor in sorted({scan.sensor for scan in levels}):
         own = [scan for scan in levels if scan.sensor == sensor]
-        again = _at_one_time(log, sensor, own)
-        wrong |= again | _frozen(log, sensor, [scan for scan in own if id(scan) not in again])
-    return replace(log, events=[event for event in log.events if id(event) not in wrong]) if wrong else log
+        _check_times(log, sensor, own)
+        frozen |= _frozen(log, sensor, own)
+    return replace(log, events=[event for event in log.events if id(event) not in frozen]) if frozen else log
 
 
 def _check_some(log: Log, scans: Sequence[Scan], distances: Callable[[Scan], FloatArray], most_m: float) -> None:
@@ -75,16 +77,15 @@ def _far_of_cloud(scan: CloudScan) -> FloatArray:
     return np.linalg.norm(scan.points.reshape(-1, 3), axis=1).astype(np.float64)
 
 
-def _at_one_time(log: Log, sensor: str, scans: list[LaserScan]) -> set[int]:
-    """Scans of a sensor at the time of the one before, by identity: a sensor makes one at a time."""
-    again = {id(scan) for before, scan in pairwise(scans) if scan.stamp_ns == before.stamp_ns}
-    if len(scans) > 1 and len(again) == len(scans) - 1:
-        raise LogError(log.source, f"all {len(scans)} scans of {sensor!r} have one time: times that grow are expected")
+def _check_times(log: Log, sensor: str, scans: list[LaserScan]) -> None:
+    """Tell of scans of a sensor at the time of the one before, for they are not used; refuse one time for all."""
+    again = sum(scan.stamp_ns == before.stamp_ns for before, scan in pairwise(scans))
+    if again and again == len(scans) - 1 and len(scans) >= _FEW:
+        raise LogError(log.source, f"all {len(scans)} scans of {sensor!r} have one time: expected times that grow")
     if again:
         log.notes.append(
-            f"{len(again)} of {len(scans)} scans of {sensor!r} have the time of the one before, and were left out"
+            f"{again} of {len(scans)} scans of {sensor!r} have the time of the one before: of each time one is used"
         )
-    return again
 
 
 def _frozen(log: Log, sensor: str, scans: list[LaserScan]) -> set[int]:
@@ -96,10 +97,9 @@ def _frozen(log: Log, sensor: str, scans: list[LaserScan]) -> set[int]:
     frozen: set[int] = set()
     for _, alike in groupby(scans, key=lambda scan: scan.ranges.tobytes()):
         first, *others = alike
-        if not others:
-            continue
         there = _reading_at(readings, stamps, first)
-        frozen |= {id(scan) for scan in others if _moved(there, _reading_at(readings, stamps, scan))}
+        again = {id(scan) for scan in others if _moved(there, _reading_at(readings, stamps, scan))}
+        frozen |= again if len(again) >= _FEW else set()
     if frozen:
         times = [scan.stamp_ns * 1e-9 for scan in scans if id(scan) in frozen]
         log.notes.append(
