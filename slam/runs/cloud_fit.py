@@ -156,7 +156,7 @@ def _segmented(points: FloatArray, sigma_m: float | None, viewpoint: Sequence[fl
         if sigma_m is not None or not str(error).startswith("sigma:"):
             raise
         found = segment_cloud(points, sigma=ASSUMED_SIGMA_M, viewpoint=viewpoint)
-        return found, "assumed: too few neighbours in the cloud to measure it; give --sigma"
+        return found, "assumed: the cloud shows no flat places to measure it at; give --sigma"
     return found, found.noise.source
 
 

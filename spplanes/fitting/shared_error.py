@@ -29,6 +29,7 @@ from scipy.special import chdtri
 
 from spplanes._check import FloatArray
 from spplanes.fitting._patch_sums import RESIDUAL, SIDE, SQUARE, WEIGHT, N, X, Y, add_to_patches
+from spplanes.fitting.rounding import with_rounding
 
 #: Share of the sensors without such errors that are taken to have some.
 SIGNIFICANCE = 1e-3
@@ -42,6 +43,8 @@ _FEW = 50
 _HINT = 2.0
 #: A uniform rectangle's half side in standard deviations.
 _HALF = 3.0**0.5
+#: A guess of the noise is lowered to this share of its variance at most: no points are without any.
+_LEAST_FACTOR = 1e-4
 #: How much of what the contrasts of one plane tell of its tau^2 is believed: that its longer waves, which turn it, are
 #: of the same variance is an assumption. Angles between planes seen twice by two lidars and a Kinect, mean chi2, and
 #: share beyond 99.9 %: all of it .89 to 1.5, .3 to 2.9 %; half .73 to 1.1, .2 to 1.7 %; .4 .62 to .98, 0 to 1.1 %.
@@ -79,6 +82,8 @@ def shared_error_of(
 ) -> SharedError:
     """The error that neighbouring points share, and with it the covariances of their planes.
 
+    What rounded coordinates have in common is part of the covariances as well (`spplanes.fitting.rounding`).
+
     Args:
         points: shape (N, 3), m.
         variances: of the points, shape (N, 1) isotropic or (N, 9), or of one for all, m^2.
@@ -97,7 +102,9 @@ def shared_error_of(
         return SharedError(least_m, least, ones, patches.covariances(covariances, ones, least**2))
     factors = patches.noise_factors(stated)
     common, own = patches.octaves(factors, least_m**2)
-    return SharedError(float(np.sqrt(common)), np.sqrt(own), factors, patches.covariances(covariances, factors, own))
+    total = patches.covariances(covariances, factors, own)
+    total = with_rounding(total, covariances, points, frames, patches.scatter())
+    return SharedError(float(np.sqrt(common)), np.sqrt(own), factors, total)
 
 
 def octave_sigma_of(
@@ -167,8 +174,13 @@ class _Patches:
         own = self.chi2 / dof
         common = weighted_median(own, self.dof) if self.dof.sum() > 0.0 else 1.0
         refused = self.chi2.sum() > chdtri(max(self.dof.sum(), 1.0), SIGNIFICANCE)
-        common = max(common if refused else 1.0, 1.0) if stated else max(common, 1e-12)
+        common = max(common if refused else 1.0, 1.0) if stated else max(common, _LEAST_FACTOR)
         return np.where(self.chi2 > common * chdtri(dof, _of_one(len(dof), refused)), np.maximum(own, common), common)
+
+    def scatter(self) -> FloatArray:
+        """Variance of the points inside of patches, as it is seen, shape (P,), m^2."""
+        counts, weights = self.dof + np.count_nonzero(self.weights, axis=1), self.weights.sum(axis=1)
+        return self.chi2 / np.maximum(self.dof, 1.0) * counts / np.where(weights > 0.0, weights, 1.0)
 
     def octaves(self, factors: FloatArray, least: float) -> tuple[float, FloatArray]:
         """tau^2 of the median plane, and of each, (P,), m^2; of those alone that may have any, if most have none."""

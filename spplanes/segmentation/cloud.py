@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spplanes._check import TOO_LARGE, FloatArray, as_float_array, as_positive, as_shape
+from spplanes._check import TOO_LARGE, FloatArray, as_float_array, as_positive, as_shape, check_instance
 from spplanes.clouds.arrange import arrange
 from spplanes.clouds.octree import Curve
+from spplanes.fitting.rounding import coordinate_steps
 from spplanes.outlines.outline import outlines_of_groups
 from spplanes.plane import Plane
 from spplanes.segmentation.config import MapperConfig, ValidationConfig
@@ -30,6 +31,10 @@ _LOW_COVERAGE = 0.5
 _WIDE_M = 2000.0
 #: Planes nearer than this share of the usual range are of what carries the sensor.
 _TOO_NEAR = 0.1
+#: Normals of the points of a plane whose mean is shorter than this point both ways: they tell no side.
+_AGREED = 0.5
+#: Grids are searched along rows and columns where this share of the returns has one beside it, along both.
+_LEAST_LINKED = 0.75
 
 
 @dataclass(frozen=True)
@@ -106,15 +111,16 @@ def segment_cloud(
     cloud: Any,
     *,
     sigma: float | None = None,
-    viewpoint: ArrayLike = (0.0, 0.0, 0.0),
+    viewpoint: ArrayLike | None = None,
     normals: ArrayLike | None = None,
     config: MapperConfig = _DEFAULT,
 ) -> CloudPlanes:
     """Planes of one cloud, and the plane of every point.
 
     Points (N, 3) have no order: whatever it is, the planes are the same. Grids (S, B, 3) are searched along their rows
-    and columns, which is faster. The error that neighbouring points share is found in the cloud, whatever sigma says,
-    and is part of the planes' covariances. Points that are repeated to the last bit are counted in ``coverage``; they
+    and columns, which is faster; where holes leave many returns alone there, as points. The error that
+    neighbouring points share is found in the cloud, whatever sigma says, and is part of the planes' covariances; so is
+    what rounded coordinates have in common. Points that are repeated to the last bit are counted in ``coverage``; they
     make no plane more certain than its distinct points do.
 
     Args:
@@ -124,8 +130,9 @@ def segment_cloud(
         sigma: standard deviation of the points, m, at least; None: measured, from how points scatter about planes
             through their neighbours.
         viewpoint: where the cloud was seen from, shape (3,), or every point of points (N, 3) by itself, shape (N, 3),
-            m: normals point there.
-        normals: of points (N, 3), shape (N, 3), to turn the planes' by instead; an Open3D cloud's own by default.
+            m: normals point there. None: the normals of an Open3D cloud that has some, else the origin.
+        normals: of points (N, 3), shape (N, 3), to turn the planes' by instead. Those that are zero or NaN are left
+            out; planes whose points have none, or some to either side, turn to the viewpoint.
         config: settings of the segmentation.
 
     Returns:
@@ -133,14 +140,20 @@ def segment_cloud(
 
     Raises:
         ValueError: what is no cloud, fewer than three points, a sigma that is not positive, or none given where the
-            cloud has too few neighbours to measure it.
+            cloud shows no flat places to measure it at, or normals of a grid.
     """
+    check_instance("config", config, MapperConfig)
     points = points_of(cloud)
     job = _Job.checked(points, _eyes_of(viewpoint, points), sigma, config)
-    turned = (
-        _normals_in(cloud, points) if normals is None else as_shape("normals", normals, (len(points), 3), finite=False)
-    )
-    return job.of_points(turned) if points.ndim == 2 else job.of_grid()
+    if points.ndim == 3 and normals is not None:
+        raise ValueError("normals: expected none for a grid (S, B, 3), whose planes turn to its viewpoint")
+    if normals is not None:
+        normals = as_shape("normals", normals, (len(points), 3), finite=False)
+    elif viewpoint is None:
+        normals = _normals_in(cloud, points)
+    if points.ndim == 3 and job.is_linked:
+        return job.of_grid()
+    return job.of_points(normals, placed=viewpoint is not None)
 
 
 @dataclass(eq=False)
@@ -170,8 +183,20 @@ class _Job:
             raise ValueError(f"cloud: expected at least three points, got {np.count_nonzero(seen)}")
         return cls(points, seen, np.broadcast_to(eyes, points.shape), sigma, config)
 
-    def of_points(self, normals: FloatArray | None) -> CloudPlanes:
-        """Planes of points without order."""
+    @property
+    def is_linked(self) -> bool:
+        """Whether the returns of a grid mostly lie beside others, along rows and along columns."""
+        ahead = self.seen[:, :-1], self.seen[:-1]
+        linked = self.seen[:, :-1] & self.seen[:, 1:], self.seen[:-1] & self.seen[1:]
+        return all(both.sum() >= _LEAST_LINKED * one.sum() for both, one in zip(linked, ahead, strict=True))
+
+    def of_points(self, normals: FloatArray | None, *, placed: bool) -> CloudPlanes:
+        """Planes of points, as if without order.
+
+        Args:
+            normals: of all points, shape (N, 3), or None: planes turn to their eyes.
+            placed: whether the eyes are where the cloud was seen from, or a guess that normals make needless.
+        """
         origin = self.points[self.seen].mean(axis=0)  # far from the origin nothing is lost
         origin = np.round(origin / 1024.0) * 1024.0
         used, eyes = self.points[self.seen] - origin, self.eyes[self.seen] - origin
@@ -183,15 +208,16 @@ class _Job:
         labels = _largest_first(label_curve(curve, variances, first_octave_m, self.config))
         n_planes = int(labels.max(initial=-1)) + 1
         grid = curve.points[None], self._fitting_variances(variances)[None, :, None], labels[None]
-        sides = _mean_of(eyes, labels, n_planes)
+        sides, by_eye = _mean_of(eyes, labels, n_planes), np.ones(n_planes, dtype=bool)
         if normals is not None:
-            sides = _mean_of(curve.points, labels, n_planes) + _mean_of(normals[self.seen][first], labels, n_planes)
+            ahead, agreed = _ahead_of(curve.points, normals[self.seen][first], labels, n_planes)
+            sides, by_eye = np.where(agreed[:, None], ahead, sides), placed | ~agreed
         fitted = fit_labelled(*grid, sides, self.config, stated=self.sigma is not None)
         outlines = outlines_of_groups(
             curve.points, curve.neighbourhoods(), labels, fitted.frames, cells_of(fitted.extents, self.config)
         )
         planes = fitted.with_outlines(or_rectangles(outlines, fitted.extents))
-        return self._result(labels[curve.number], planes, origin, fitted, variances)
+        return self._result(labels[curve.number], planes, origin, fitted, variances, by_eye)
 
     def of_grid(self) -> CloudPlanes:
         """Planes of a grid."""
@@ -213,13 +239,15 @@ class _Job:
         fitted = fit_labelled(grid, found.covariance, once, eyes, self.config, stated=self.sigma is not None)
         planes = fitted.with_outlines(outlines_in(fitted.frames, grid, labels, fitted.extents, self.config))
         own = _labels_of(self.points - eye, grid, once)[self.seen]
-        return self._result(own, planes, eye, fitted, variances)
+        return self._result(own, planes, eye, fitted, variances, np.ones(len(planes), dtype=bool))
 
     def _variances(self, curve: Curve, ranges: FloatArray) -> FloatArray:
         """Of the distinct points, for tests: what is stated, and no less than they show, shape (N,), m^2."""
         shown = curve.noise_variances(ranges)
         if shown is None and self.sigma is None:
-            raise ValueError("sigma: expected a standard deviation, for the cloud has too few neighbours to measure it")
+            raise ValueError(
+                "sigma: expected a standard deviation, for the cloud shows no flat places to measure it at"
+            )
         least = _LEAST_SIGMA_M if self.sigma is None else as_positive("sigma", self.sigma)
         return np.full(len(ranges), least**2) if shown is None else np.maximum(shown, least**2)
 
@@ -228,8 +256,23 @@ class _Job:
         return variances if self.sigma is None else np.full(len(variances), self.sigma**2)
 
     def _result(
-        self, labels: np.ndarray, planes: list[Plane], origin: FloatArray, fitted: FittedPlanes, variances: FloatArray
+        self,
+        labels: np.ndarray,
+        planes: list[Plane],
+        origin: FloatArray,
+        fitted: FittedPlanes,
+        variances: FloatArray,
+        by_eye: np.ndarray,
     ) -> CloudPlanes:
+        """Put together what was found.
+
+        Args:
+            labels: of the returns.
+            planes: about the origin.
+            origin: where that is, shape (3,), m.
+            fitted, variances: counts, and noise of the distinct points.
+            by_eye: whose side the eyes tell, shape (R,), bool.
+        """
         back = np.eye(4)
         back[:3, 3] = origin
         planes = [plane.transform(back) for plane in planes]
@@ -249,26 +292,34 @@ class _Job:
             f"{1e3 * fitted.octave_sigma_m:.2g} mm an octave",
         )
         eyes = _mean_of(self.eyes[self.seen], labels, len(planes))
-        return CloudPlanes(every, planes, noise, coverage, self._flags(planes, eyes), self._warnings(coverage))
+        warnings = self._warnings(coverage, sigma, placed=bool(by_eye.any()))
+        return CloudPlanes(every, planes, noise, coverage, self._flags(planes, eyes, by_eye), warnings)
 
-    def _flags(self, planes: list[Plane], eyes: FloatArray) -> list[str]:
+    def _flags(self, planes: list[Plane], eyes: FloatArray, by_eye: np.ndarray) -> list[str]:
         ranges = np.linalg.norm(self.points[self.seen] - self.eyes[self.seen], axis=1)
         near, rules = _TOO_NEAR * float(np.median(ranges)), ValidationConfig()
-        return [
+        flags = [
             "too near"
             if np.linalg.norm(plane.centre - eye) < near
             else ("" if could_be_seen(plane, eye, rules) else "edge-on")
             for plane, eye in zip(planes, eyes, strict=True)
         ]
+        return [flag if seen else "" for flag, seen in zip(flags, by_eye, strict=True)]
 
-    def _warnings(self, coverage: Coverage) -> list[str]:
+    def _warnings(self, coverage: Coverage, sigma: float, *, placed: bool) -> list[str]:
         used, eyes = self.points[self.seen], self.eyes[self.seen]
         low, high, found = used.min(axis=0), used.max(axis=0), []
         size = float(np.linalg.norm(high - low))
+        step = float(coordinate_steps(used).max())
         outside = float(np.linalg.norm(np.maximum(np.maximum(low - eyes, eyes - high), 0.0), axis=1).min())
         if size > _WIDE_M:
             found.append(f"the cloud is {size:,.0f} m wide: are its coordinates millimetres? metres are expected")
-        if outside > size:
+        if step > 2.0 * sigma:  # with more noise than that, rounding averages out
+            found.append(
+                f"coordinates come in steps of {step:.3g} m and their noise is less than half of that: "
+                "planes across an axis may be off by half a step"
+            )
+        if placed and outside > size:
             found.append(f"the viewpoint lies {outside:.3g} m outside of the cloud: normals may point to either side")
         if coverage.share < _LOW_COVERAGE:
             found.append(f"{100.0 * coverage.share:.0f} % of the points are on planes: the rest is on none, or too few")
@@ -313,12 +364,14 @@ def _normals_in(cloud: Any, points: FloatArray) -> FloatArray | None:
     return as_float_array("normals", normals) if len(normals) == len(points) else None
 
 
-def _eyes_of(viewpoint: ArrayLike, points: FloatArray) -> FloatArray:
-    """Viewpoint of all points (3,), or of each (N, 3)."""
-    eyes = as_float_array("viewpoint", viewpoint)
+def _eyes_of(viewpoint: ArrayLike | None, points: FloatArray) -> FloatArray:
+    """Viewpoint of all points (3,), or of each (N, 3); None: the origin."""
+    eyes = np.zeros(3) if viewpoint is None else as_float_array("viewpoint", viewpoint)
     if eyes.shape == (3,) or points.ndim != 2:
-        return as_shape("viewpoint", viewpoint, (3,))
-    return as_shape("viewpoint", viewpoint, (len(points), 3))
+        return as_shape("viewpoint", eyes, (3,))
+    if eyes.shape != points.shape:
+        raise ValueError(f"viewpoint: expected shape (3,) or {points.shape}, got {eyes.shape}")
+    return as_shape("viewpoint", eyes, points.shape)
 
 
 def _largest_first(labels: np.ndarray, counted: np.ndarray | None = None, fewest: int = 1) -> np.ndarray:
@@ -342,8 +395,19 @@ def _mean_of(values: FloatArray, labels: np.ndarray, n_planes: int) -> FloatArra
     """Mean of values (N, 3) of the points of every plane, shape (n_planes, 3)."""
     held = labels >= 0
     counts = np.maximum(np.bincount(labels[held], minlength=n_planes), 1)
-    sums = [np.bincount(labels[held], np.nan_to_num(values[held, k]), minlength=n_planes) for k in range(3)]
+    sums = [np.bincount(labels[held], values[held, k], minlength=n_planes) for k in range(3)]
     return np.stack(sums, axis=1) / counts[:, None]
+
+
+def _ahead_of(
+    points: FloatArray, normals: FloatArray, labels: np.ndarray, n_planes: int
+) -> tuple[FloatArray, np.ndarray]:
+    """Where normals (N, 3) of the points of every plane point to, shape (n_planes, 3), m, and whether they agree."""
+    lengths = np.linalg.norm(normals, axis=1)
+    usable = np.isfinite(lengths) & (lengths > 0.0)
+    units = normals / np.where(usable, lengths, 1.0)[:, None]
+    mean = _mean_of(units, np.where(usable, labels, -1), n_planes)
+    return _mean_of(points, labels, n_planes) + mean, np.linalg.norm(mean, axis=1) >= _AGREED
 
 
 def _labels_of(points: FloatArray, grid: FloatArray, labels: np.ndarray) -> np.ndarray:

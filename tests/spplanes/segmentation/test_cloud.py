@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from spplanes import segment_cloud
+from spplanes.segmentation.cloud import _Job
 from tests.spplanes.scenes import spun, to_walls
 
 try:
@@ -97,8 +98,116 @@ def test_open3d_clouds(room):
 def test_the_noise_is_measured_or_asked_for(room):
     sigmas = [np.sqrt(plane.covariance[0, 0] * plane.n_points) for plane in segment_cloud(room)[1]]
     assert np.median(sigmas) == pytest.approx(SIGMA_M, rel=0.5)
-    with pytest.raises(ValueError, match="sigma: expected a standard deviation, for the cloud has too few neighbours"):
-        segment_cloud(room.reshape(-1, 3)[:20])
+    for no_planes in (room.reshape(-1, 3)[:20], np.random.default_rng(0).normal(size=(4_000, 3))):
+        with pytest.raises(
+            ValueError, match="sigma: expected a standard deviation, for the cloud shows no flat places"
+        ):
+            segment_cloud(no_planes)
+
+
+def inward(planes: list) -> list[bool]:
+    """Whether the normals point into the room."""
+    return [bool(plane.normal @ (-EYE - plane.centre) > 0.0) for plane in planes]
+
+
+def outward_normals(points: np.ndarray) -> np.ndarray:
+    """Of the walls that points (N, 3) of the room lie on, out of it, shape (N, 3); NaN where there is none."""
+    off = (points + EYE) / HALF
+    axis = np.abs(np.nan_to_num(off)).argmax(axis=1)
+    return np.eye(3)[axis] * np.sign(off[np.arange(len(off)), axis])[:, None]
+
+
+@pytest.mark.skipif(o3d is None, reason="open3d cannot be imported")
+def test_a_viewpoint_that_is_given_wins_over_the_normals_of_an_open3d_cloud(room):
+    flat = room.reshape(-1, 3)
+    flat = flat[np.isfinite(flat[:, 0])]
+    legacy = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(flat))
+    legacy.normals = o3d.utility.Vector3dVector(outward_normals(flat))
+    for cloud in (legacy, o3d.t.geometry.PointCloud.from_legacy(legacy)):
+        assert not any(inward(segment_cloud(cloud).planes))
+        assert all(inward(segment_cloud(cloud, viewpoint=(0.0, 0.0, 0.0)).planes))
+
+
+@pytest.mark.parametrize("viewpoint", [None, (0.0, 0.0, 0.0)])
+def test_planes_whose_normals_tell_no_side_turn_to_the_viewpoint(room, viewpoint):
+    flat = room.reshape(-1, 3)
+    normals = outward_normals(flat)
+    either = normals * np.random.default_rng(2).choice([-1.0, 1.0], len(flat))[:, None]
+    for useless in (np.zeros_like(flat), np.full_like(flat, np.nan), either):
+        assert all(inward(segment_cloud(flat, normals=useless, viewpoint=viewpoint).planes))
+    few = np.where(np.random.default_rng(3).random((len(flat), 1)) < 0.9, np.nan, normals)
+    for telling in (normals, 0.01 * normals, few):
+        assert not any(inward(segment_cloud(flat, normals=telling, viewpoint=viewpoint).planes))
+    ceiling = np.where(np.abs(normals[:, 2:]) > 0.5, 0.0, normals)  # and the floor tell nothing
+    planes = segment_cloud(flat, normals=ceiling, viewpoint=viewpoint).planes
+    assert inward(planes) == [abs(plane.normal[2]) > 0.5 for plane in planes]
+
+
+def test_nobody_judges_by_a_viewpoint_that_was_not_given_where_normals_turn_the_planes(room):
+    flat, far = room.reshape(-1, 3), np.array([1000.0, 0.0, 0.0])
+    normals, flat = outward_normals(flat), flat + far
+    told = segment_cloud(flat)
+    assert any("viewpoint" in one for one in told.warnings) and "edge-on" in told.flags
+    found = segment_cloud(flat, normals=normals)
+    assert not found.warnings and not any(found.flags)
+    given = segment_cloud(flat, normals=normals, viewpoint=(0.0, 0.0, 0.0))
+    assert given.warnings == told.warnings and "edge-on" in given.flags
+
+
+HOLES = {
+    "half": lambda i, j: np.random.default_rng(4).random(i.shape) < 0.5,
+    "60 %": lambda i, j: np.random.default_rng(4).random(i.shape) < 0.6,
+    "every second row": lambda i, j: i % 2 == 1,
+    "every second column": lambda i, j: j % 2 == 1,
+    "three rows of four": lambda i, j: i % 4 > 0,
+    "a chequerboard": lambda i, j: (i + j) % 2 == 1,
+}
+
+
+@pytest.mark.parametrize("missing", HOLES.values(), ids=HOLES)
+def test_a_grid_that_is_mostly_holes_has_its_planes_all_the_same(missing):
+    rays = spun(np.linspace(0.9, -0.9, 120), np.linspace(-np.pi, np.pi, 360, False) + 0.013)
+    ranges = to_walls(rays, -HALF - EYE, HALF - EYE)
+    grid = rays * (ranges + SIGMA_M * np.random.default_rng(0).normal(size=ranges.shape))[..., None]
+    grid[missing(*np.indices(ranges.shape))] = np.nan
+    found, flat = segment_cloud(grid), segment_cloud(grid.reshape(-1, 3))
+    walls, returns = found.planes[:6], np.isfinite(grid[..., 0])
+    assert len(found.planes) <= 7 and len({tuple(np.rint(plane.normal)) for plane in walls}) == 6
+    for plane in walls:
+        assert abs(plane.distance(-EYE)) == pytest.approx(HALF[int(np.abs(plane.normal).argmax())], abs=0.002)
+    assert ((found.labels >= 0) & (found.labels < 6))[returns].mean() > 0.95
+    np.testing.assert_array_equal(found.labels.ravel(), flat.labels)
+    assert found.coverage == flat.coverage and found.coverage.share > 0.97
+    assert found.coverage.no_return == np.count_nonzero(~returns)
+    assert found.flags == flat.flags and not any(found.flags[:6])
+
+
+def test_a_grid_with_few_holes_is_searched_as_a_grid(room, monkeypatch):
+    holes = np.where(np.random.default_rng(5).random((*room.shape[:2], 1)) < 0.15, np.nan, room)
+    monkeypatch.setattr(_Job, "of_points", None)
+    for grid in (room, holes, room[:1]):
+        assert segment_cloud(grid, sigma=SIGMA_M).labels.shape == grid.shape[:2]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"normals": np.ones((40, 180, 3))}, r"normals: expected none for a grid \(S, B, 3\), whose planes turn to"),
+        ({"normals": np.ones((40, 3))}, r"normals: expected none for a grid \(S, B, 3\), whose planes turn to"),
+        ({"viewpoint": (0.0, 0.0)}, r"viewpoint: expected shape \(3,\), got \(2,\)"),
+        ({"config": None}, "config: expected a MapperConfig, got NoneType"),
+        ({"config": {}}, "config: expected a MapperConfig, got dict"),
+    ],
+)
+def test_what_no_grid_is_searched_with(room, given, message):
+    with pytest.raises(ValueError, match=message):
+        segment_cloud(room, **given)
+
+
+def test_the_viewpoint_of_points_has_either_shape(room):
+    for wrong in ((0.0, 0.0), np.zeros((7199, 3))):
+        with pytest.raises(ValueError, match=r"viewpoint: expected shape \(3,\) or \(7200, 3\), got"):
+            segment_cloud(room.reshape(-1, 3), viewpoint=wrong)
 
 
 @pytest.mark.parametrize(
