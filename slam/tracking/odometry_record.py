@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slam.frontend.odometry import Motion
-from slam.registration.motion_prior import LATE
+from slam.frontend.steadiness import LATE
 from slam.registration.relocalization import displacement
 from slam.tracking.odometry_check import Check
 from slam.tracking.odometry_scale import PLANAR

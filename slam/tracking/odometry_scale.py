@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from slam.frontend.odometry import Motion, spatial_covariance
-from slam.registration.motion_prior import HALF_AT_ONE, LATE
+from slam.frontend.steadiness import HALF_AT_ONE, LATE
 from spplanes._check import FloatArray
 
 #: Factors on the stated sigma that are told apart: a rig is as likely right as not, and an odometry that errs by ten

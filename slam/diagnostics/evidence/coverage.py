@@ -77,10 +77,11 @@ def assumption_evidence(run: Finished) -> Iterator[Evidence]:
     """Directions that the map leaves open where no motion was measured, known by all means to no better than 0.1 m.
 
     Constant velocity is an assumption, and so is the sigma that follows from it: in a bare corridor a robot that stops
-    for a while stands where the map does not know. Odometry that was found wrong, and left aside for an assumption, is
-    none. No statistic is needed.
+    for a while stands where the map does not know. What matched the scans of a laser without wheels knows there no more
+    than that. Odometry that was found wrong, and left aside for an assumption, is none. No statistic is needed.
     """
-    measured = {index for index, frame in enumerate(run.keyframes) if frame.motion is not None}
+    motions = [frame.motion for frame in run.keyframes]
+    measured = {index for index, motion in enumerate(motions) if motion is not None and motion.is_measured}
     assumed = set(range(1, len(run.keyframes))) - measured
     assumed |= {step.keyframe for step in run.odometry_record.steps if step.used == "not"}
     if not assumed:

@@ -109,33 +109,40 @@ class LaserOdometry:
         turn = rotation(before[2])
         expected = [Expected(compose(before, delta), turn @ cov @ turn.T, share) for delta, cov, share in ways]
         match = self._match(surface, expected)
-        pose, told, covariance = expected[0].pose, np.zeros((3, 3)), ways[0][1]
+        pose, told, spread, used = expected[0].pose, np.zeros((3, 3)), np.zeros((3, 3)), 0
+        fits = match is not None and match.fit >= _LEAST_FIT
         if match is not None:
-            if match.fit >= _LEAST_FIT:
-                pose, told, covariance = match.pose, match.information, ways[match.way][1]
+            if fits:
+                pose, told, used = match.pose, match.information, match.way
             if match.odds < 1.0:
                 # it may be elsewhere: true of the way there and of what is seen, half of it said by each
                 away = difference(match.pose, pose)
                 spread = 2.0 * (match.spread + np.outer(away, away))
-                covariance = covariance + turn.T @ spread @ turn
                 told = inverted(inverted(told + 1e-3 * np.eye(3)) + spread)
         back = rotation(pose[2])
+        returns = back.T @ told @ back
         if len(self.steps) == 1:  # the first scan is the map: its noise is in the match of the second
             self.steps[0] = replace(self.steps[0], returns=told)
-        slipped = match is not None and match.fit >= _LEAST_FIT and match.way > 0 and match.way == len(ways) - 1
-        step = Step(stamp_ns, pose, covariance, back.T @ told @ back, slipped)
-        self.steps.append(step)
-        self._learn_velocity()
+        delta, covariance, _ = ways[used]
+        if wheels is None:
+            covariance = self._covariance_learnt(stamp_ns, pose, returns, delta, covariance)
+        slipped = wheels is not None and used == len(ways) - 1
+        self.steps.append(Step(stamp_ns, pose, covariance + turn.T @ spread @ turn, returns, slipped))
+        if wheels is not None:
+            self._learn_velocity()
         if wheels is not None:
             self._since.append(wheels)
         self._extend_map(surface, pose, match)
-        return step
+        return self.steps[-1]
 
     def _ways(self, stamp_ns: int, wheels: FloatArray | None) -> list[tuple[FloatArray, FloatArray, float]]:
         """How the body may have moved: the step (3,), its covariance (3, 3), and how probable that is."""
-        delta, covariance = self._coasted(stamp_ns)
+        seconds = 1e-9 * (stamp_ns - self.steps[-1].stamp_ns)
+        delta, covariance = self._velocity.ahead(seconds)
+        covariance = self._not_below_floor(covariance)
         if wheels is None:
-            return [(delta, covariance, 1.0)]
+            usual, kept, share = self._velocity.usually(seconds)
+            return [(usual, self._not_below_floor(kept), share), (delta, covariance, 1.0 - share)]
         led, known = self._by_wheels(wheels)
         worse = led, _TIMES**2 * known, _WORSE
         return [(led, known, 1.0 - _WORSE - _SLIP), worse, (delta, covariance, _SLIP)]
@@ -155,11 +162,24 @@ class LaserOdometry:
         response = self._noise.response(steps)
         return whole, response, covariance - response @ np.diag(np.square(self._noise.calibration_sigmas)) @ response.T
 
-    def _coasted(self, stamp_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Constant velocity."""
-        delta, covariance = self._velocity.ahead(1e-9 * (stamp_ns - self.steps[-1].stamp_ns))
+    def _not_below_floor(self, covariance: FloatArray) -> FloatArray:
+        """A covariance (3, 3) of a step that nobody measured, with no variance below the least of any."""
         least = np.square((self._noise.floor_m, self._noise.floor_m, self._noise.floor_rad))
-        return delta, covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0))
+        return covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0))
+
+    def _covariance_learnt(
+        self, stamp_ns: int, pose: FloatArray, returns: FloatArray, delta: FloatArray, covariance: FloatArray
+    ) -> FloatArray:
+        """What a step that nobody measured says of the velocity, and its covariance (3, 3) without what was seen.
+
+        Args:
+            stamp_ns, pose, returns: of its end, as in `Step`.
+            delta, covariance: what was expected, and went into the pose.
+        """
+        before = self.steps[-1]
+        moved, seconds = between(before.pose, pose), 1e-9 * (stamp_ns - before.stamp_ns)
+        seen = matched_covariance(before, Step(stamp_ns, pose, covariance, returns), moved)
+        return self._not_below_floor(self._velocity.learn_unmeasured(seconds, moved, seen, (delta, covariance)))
 
     def _learn_velocity(self) -> None:
         """What the last step says of the velocity."""

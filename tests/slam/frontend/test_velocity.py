@@ -39,6 +39,51 @@ def test_predictions_are_as_far_off_as_they_say(stamps_err_s: float, least: floa
         assert least < nis_per_dof(stamps_err_s, stamps_err_s, seed) < 1.07
 
 
+def steady_drive(tracked: VelocityFilter, rng: np.random.Generator, stops: float, open_from: int) -> np.ndarray:
+    """Squared errors over what is said of them, of steps along the way of a body that now and then starts or stops.
+
+    Each step is matched to what was expected of it, as scans are; from a number on returns say nothing along the way.
+    """
+    velocity, said = np.zeros(3), []
+    for number in range(400):
+        if rng.random() < stops:
+            velocity = np.array((0.0 if velocity[0] > 0.2 else 0.5, 0.0, 0.0))
+        velocity = velocity + 0.01 * rng.standard_normal(3)
+        true = velocity * PERIOD_S
+        noise = np.array((STEP_SIGMA if number < open_from else 30.0, STEP_SIGMA, STEP_SIGMA))
+        seen = true + np.minimum(noise, 1.0) * rng.standard_normal(3)
+        ways = [tracked.usually(PERIOD_S)[:2], tracked.ahead(PERIOD_S)]
+        misfits = [(seen - step) @ np.linalg.solve(cov + np.diag(noise**2), seen - step) for step, cov in ways]
+        step, cov = ways[0] if misfits[0] < 16.3 else ways[1]
+        moved = step + cov @ np.linalg.solve(cov + np.diag(noise**2), seen - step)
+        without = tracked.learn_unmeasured(PERIOD_S, moved, np.diag(noise**2), (step, cov))
+        if number >= open_from:
+            said.append((moved[0] - true[0]) ** 2 / without[0, 0])
+    return np.array(said)
+
+
+def test_who_keeps_its_velocity_is_expected_to_and_who_stops_is_not_lost():
+    """A robot that changes its velocity by 1 cm/s a step, where any body may by 40 cm/s, and stops once in 20 s."""
+    rng, widths, off = np.random.default_rng(5), [], []
+    for _ in range(6):
+        tracked = VelocityFilter(RULES)
+        steady_drive(tracked, rng, 0.01, 400)
+        usual, any_body = tracked.usually(PERIOD_S)[1], tracked.ahead(PERIOD_S)[1]
+        widths.append(np.sqrt(np.diag(usual) / np.diag(any_body)))
+        off.append(tracked.ahead(1.0)[0][0])
+    assert np.all(np.median(widths, axis=0) < 0.25)
+    assert np.all((np.abs(off) < 0.15) | (np.abs(np.subtract(off, 0.5)) < 0.15))  # it knows whether it stands
+
+
+def test_the_first_steps_along_what_nobody_sees_are_as_far_off_as_is_said():
+    """A second of an open way after a minute that was told; the learnt width, and not that of any body, is said."""
+    rng, said = np.random.default_rng(6), []
+    for _ in range(60):
+        tracked = VelocityFilter(RULES)
+        said.append(steady_drive(tracked, rng, 0.01, 300)[:5].mean())
+    assert 0.1 < np.mean(said) < 1.5 and np.median(said) > 0.03  # as wide as any body: 0.001
+
+
 def test_a_velocity_is_forgotten_in_the_end():
     tracked = VelocityFilter(RULES)
     tracked.learn(0.1, np.array((0.05, 0.0, 0.02)), 1e-8 * np.eye(3))

@@ -8,6 +8,7 @@ from scipy import stats
 from scipy.integrate import quad
 
 from slam.frontend.odometry import Motion
+from slam.frontend.steadiness import Usual
 from slam.registration.motion_prior import MotionPrior, VelocityPrior
 
 #: Of the change of any body's velocity.
@@ -38,7 +39,7 @@ def drawn(rng: np.random.Generator, shares: np.ndarray, rate: float, steps: int)
 def test_how_a_body_moves_is_learnt_axis_by_axis() -> None:
     shares = np.array([0.05, 0.1, 0.4, 0.05, 0.2, 0.08])
     rng = np.random.default_rng(4)
-    found = np.array([learnt_from(drawn(rng, shares, 0.05, 60)).shares for _ in range(12)])
+    found = np.array([learnt_from(drawn(rng, shares, 0.05, 60)).usual.shares for _ in range(12)])
     assert np.exp(np.log(found).mean(axis=0)) == pytest.approx(shares, rel=0.3)
 
 
@@ -47,9 +48,9 @@ def test_turns_are_rare_steps_and_not_a_wider_body() -> None:
     offs = np.random.default_rng(5).standard_normal((60, 6)) * 0.03 * np.sqrt(CHANGE)
     offs[::10, 5] = 0.4
     learnt = learnt_from(offs)
-    assert learnt.shares[5] < 0.1
-    assert 0.04 < learnt.rates[5] < 0.25
-    assert learnt.rates[0] < 0.03
+    assert learnt.usual.shares[5] < 0.1
+    assert 0.04 < learnt.usual.rates[5] < 0.25
+    assert learnt.usual.rates[0] < 0.03
     turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.4])
     assert -8.0 < learnt.log_likelihood(turn) < -3.0
     assert learnt.log_likelihood(turn[::-1]) < learnt.log_likelihood(turn) - 1.0  # along the first it never did
@@ -57,7 +58,7 @@ def test_turns_are_rare_steps_and_not_a_wider_body() -> None:
 
 def test_densities_are_densities() -> None:
     """Against the mixture of two of scipy's t, and 1 in sum."""
-    learnt = MotionPrior(coasting(), CHANGE, np.full(6, 0.1), np.full(6, 0.05))
+    learnt = MotionPrior(coasting(), CHANGE, Usual(np.full(6, 0.1), np.full(6, 0.05)))
     off, place = np.array([0.1, -0.3, 0.02, 0.2, 0.0, -0.5]), np.diag(np.full(6, 0.03**2))
     known = 0.63 * np.diag(BEFORE + place)  # of a t like that normal error
     mixed = 0.95 * stats.t.pdf(off, 3, scale=np.sqrt(0.01 * CHANGE + known))
@@ -79,12 +80,13 @@ def test_the_motion_is_as_wide_as_its_deviations(share: float) -> None:
     offs = rng.standard_t(3.0, (200_000, 6)) * share * wide
     rare = rng.random(offs.shape) < 0.05
     offs[rare] = (rng.standard_normal(offs.shape) * wide)[rare]
-    stated = np.diag(MotionPrior(coasting(), CHANGE, shares, np.full(6, 0.05)).learnt().covariance) - np.diag(BEFORE)
+    learnt = MotionPrior(coasting(), CHANGE, Usual(shares, np.full(6, 0.05))).learnt()
+    stated = np.diag(learnt.covariance) - np.diag(BEFORE)
     assert stated == pytest.approx((offs**2).mean(axis=0), rel=0.15)
 
 
 def test_a_scan_tells_whether_a_step_is_a_rare_one() -> None:
-    learnt = MotionPrior(coasting(), CHANGE, np.full(6, 0.03), np.full(6, 0.05))
+    learnt = MotionPrior(coasting(), CHANGE, Usual(np.full(6, 0.03), np.full(6, 0.05)))
     place = np.diag(np.full(6, 0.01**2))
     kept, turned, blind = (
         np.diag(learnt.learnt(np.array([0.0, 0.0, 0.0, 0.0, 0.0, turn]), covariance).covariance)[5]
@@ -105,8 +107,8 @@ def test_where_nothing_is_seen_nothing_is_learnt() -> None:
         known[1:, 1:] = np.diag(np.full(5, 0.005**2))
         prior.learn(expected, np.zeros(6), used, known)
     learnt = prior.prior(coasting(), CHANGE)
-    assert learnt.shares[0] == fresh.shares[0]
-    assert np.all(learnt.shares[1:] < 0.5 * fresh.shares[1:])
+    assert learnt.usual.shares[0] == fresh.usual.shares[0]
+    assert np.all(learnt.usual.shares[1:] < 0.5 * fresh.usual.shares[1:])
 
 
 @pytest.mark.parametrize("sigma", [0.02, 0.1, 0.3])
@@ -123,5 +125,5 @@ def test_estimates_drawn_to_what_is_learnt_do_not_make_it_ever_smaller(sigma: fl
             known = 1.0 / (1.0 / wide + 1.0 / sigma**2)
             estimate = known * (truth + sigma * rng.standard_normal(6)) / sigma**2
             prior.learn(expected, estimate, used, np.diag(known))
-        found.append(prior.prior(coasting(), CHANGE).shares)
+        found.append(prior.prior(coasting(), CHANGE).usual.shares)
     assert np.exp(np.log(found).mean()) == pytest.approx(0.1, rel=0.4)

@@ -32,21 +32,26 @@ from tests.slam.scenes import room_planes
 CORRIDOR = [*hall()[:2], *hall()[4:]]  # nothing stands across y
 
 
-def driven(planes: list[Plane], *, odometry: bool) -> PlaneSlam:
-    """Ten keyframes along y, half a second and 0.3 m apart."""
+def driven(planes: list[Plane], *, odometry: bool, matched: bool = False) -> PlaneSlam:
+    """Ten keyframes along y, half a second and 0.3 m apart; `matched`: by scans, which tell the heading alone."""
     rng, slam, sigmas = np.random.default_rng(0), PlaneSlam(), np.array([0.01, 0.01, 0.005])
     bodies = [body(1.0, 0.3 * k, 0.0) for k in range(10)]
     for k, world_T_body in enumerate(bodies):
         motion = None
         if odometry and k:
             motion = Motion(inverse(bodies[k - 1]) @ world_T_body, np.diag(sigmas**2), (1e-3, 1e-3, 1e-3))
+        if matched and k:
+            step, wide = inverse(bodies[k - 1]) @ world_T_body, np.diag((0.2, 0.2, 0.1)) ** 2
+            told = np.diag((30.0, 30.0, 0.01)) ** 2
+            motion = Motion(step, wide, (1e-3, 1e-3, 1e-3), returns_a_T_b=step, returns_covariance=told)
         seen = [PlaneObservation(plane) for plane in measured(planes, world_T_body, rng)]
         slam.add_keyframe(Keyframe(k * 500_000_000, seen, motion))
     return slam
 
 
-def test_a_bare_corridor_without_odometry_is_doubted() -> None:
-    [found] = assumption_evidence(driven(CORRIDOR, odometry=False))
+@pytest.mark.parametrize("matched", [False, True], ids=["planes", "scans"])
+def test_a_bare_corridor_without_odometry_is_doubted(matched: bool) -> None:
+    [found] = assumption_evidence(driven(CORRIDOR, odometry=False, matched=matched))
     assert (found.kind, found.grade, found.p_value) == ("assumption", "doubtful", 0.0)
     assert found.size > 0.1 and "along y" in found.sentence and 9 in found.keyframes
 
