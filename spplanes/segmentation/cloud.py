@@ -31,6 +31,8 @@ _LOW_COVERAGE = 0.5
 _WIDE_M = 2000.0
 #: Planes nearer than this share of the usual range are of what carries the sensor.
 _TOO_NEAR = 0.1
+#: Points that scatter by so many times the sigma that was given are hardly of single planes.
+_MUCH_MORE = 3.0
 #: Normals of the points of a plane whose mean is shorter than this point both ways: they tell no side.
 _AGREED = 0.5
 #: Grids are searched along rows and columns where this share of the returns has one beside it, along both.
@@ -205,7 +207,10 @@ class _Job:
         eyes = eyes[first]
         variances = self._variances(curve, np.linalg.norm(curve.points - eyes, axis=1))
         first_octave_m = _FIRST_OCTAVE * float(np.sqrt(np.median(variances)))
-        labels = _largest_first(label_curve(curve, variances, first_octave_m, self.config))
+        labels = label_curve(curve, variances, first_octave_m, self.config)
+        if (eyes != eyes[0]).any():
+            labels = _by_side(curve.points, eyes, labels, self.config.min_points)
+        labels = _largest_first(labels)
         n_planes = int(labels.max(initial=-1)) + 1
         grid = curve.points[None], self._fitting_variances(variances)[None, :, None], labels[None]
         sides, by_eye = _mean_of(eyes, labels, n_planes), np.ones(n_planes, dtype=bool)
@@ -314,6 +319,11 @@ class _Job:
         outside = float(np.linalg.norm(np.maximum(np.maximum(low - eyes, eyes - high), 0.0), axis=1).min())
         if size > _WIDE_M:
             found.append(f"the cloud is {size:,.0f} m wide: are its coordinates millimetres? metres are expected")
+        if self.sigma is not None and sigma > _MUCH_MORE * self.sigma:
+            found.append(
+                f"points scatter by {1e3 * sigma:.2g} mm about their planes, {sigma / self.sigma:.0f} times the sigma "
+                "given: some of these planes may be two, such as both sides of a wall"
+            )
         if step > 2.0 * sigma:  # with more noise than that, rounding averages out
             found.append(
                 f"coordinates come in steps of {step:.3g} m and their noise is less than half of that: "
@@ -397,6 +407,26 @@ def _mean_of(values: FloatArray, labels: np.ndarray, n_planes: int) -> FloatArra
     counts = np.maximum(np.bincount(labels[held], minlength=n_planes), 1)
     sums = [np.bincount(labels[held], values[held, k], minlength=n_planes) for k in range(3)]
     return np.stack(sums, axis=1) / counts[:, None]
+
+
+def _by_side(points: FloatArray, eyes: FloatArray, labels: np.ndarray, fewest: int) -> np.ndarray:
+    """Labels of points (N, 3) where planes seen from both sides are two: a wall has a thickness, whatever the noise.
+
+    Args:
+        points: along a curve, m.
+        eyes: where each was seen from, shape (N, 3), m.
+        labels: plane of every point, shape (N,), -1 = none.
+        fewest: points that either side must have.
+    """
+    found, n_planes = labels.copy(), int(labels.max(initial=-1)) + 1
+    for k in range(n_planes):
+        own = np.flatnonzero(labels == k)
+        middle = points[own].mean(axis=0)
+        normal = np.linalg.eigh(np.cov(points[own] - middle, rowvar=False))[1][:, 0]
+        behind = own[(eyes[own] - middle) @ normal < 0.0]
+        if min(len(behind), len(own) - len(behind)) >= fewest:
+            found[behind] = found.max() + 1
+    return found
 
 
 def _ahead_of(

@@ -32,7 +32,11 @@ def coverage_evidence(run: Finished) -> Iterator[Evidence]:
     """
     frames = range(len(run.keyframes))
     if len(frames) < _LEAST_KEYFRAMES:
-        yield _certain(len(frames), frames, f"the run has only {len(frames)} keyframes: nothing was seen thrice")
+        yield _certain(
+            len(frames),
+            frames,
+            f"the run has only {len(frames)} keyframe{'s' * (len(frames) != 1)}: nothing was seen thrice",
+        )
         return
     wanted = run.config.landmarks.min_observations
     if not any(landmark.n_keyframes >= wanted and landmark.sightings for landmark in run.landmarks):

@@ -223,3 +223,21 @@ def test_the_viewpoint_of_points_has_either_shape(room):
 def test_what_is_no_cloud(cloud, message):
     with pytest.raises(ValueError, match=message):
         segment_cloud(cloud)
+
+
+@pytest.mark.parametrize("thickness_m, sigma_m", [(0.2, 0.005), (0.05, 0.005), (0.02, 0.002)])
+def test_a_wall_seen_from_both_sides_is_two_planes(thickness_m: float, sigma_m: float):
+    """Alone in its cloud: cells must be so large to look flat that they hold both sides, and then points scatter."""
+    rng = np.random.default_rng(0)
+    back = rng.random(20_000) < 0.4
+    x = np.where(back, thickness_m, 0.0)
+    wall = np.stack((x, rng.uniform(-2.0, 2.0, 20_000), rng.uniform(0.0, 2.5, 20_000)), axis=1)
+    wall += sigma_m * rng.normal(size=wall.shape)
+    eyes = np.where(back[:, None], [3.0, 0.0, 1.2], [-3.0, 0.0, 1.2])
+    found = segment_cloud(wall, sigma=sigma_m, viewpoint=eyes)
+    assert [round(float(plane.normal[0])) for plane in found.planes] == [-1, 1]
+    for plane, true_x in zip(found.planes, (0.0, thickness_m), strict=True):
+        assert abs(plane.centre[0] - true_x) < 4.0 * float(np.sqrt(plane.covariance[0, 0])) < 0.001
+    assert np.mean(found.labels == back) > 0.99 and not found.warnings
+    told = segment_cloud(wall, sigma=sigma_m, viewpoint=(-3.0, 0.0, 1.2))  # from one side nobody can tell
+    assert len(told.planes) > 1 or any("both sides of a wall" in sentence for sentence in told.warnings)
