@@ -118,8 +118,8 @@ def put_in_place(work: Path, out: Path) -> Path | None:
 
 def replaced_by(out: Path) -> list[Path]:
     """Old folders that wait since `put_in_place` put others in their place, of runs that were killed as well."""
-    beside = out.parent.glob(f"{glob.escape(_prefix_of_old(out))}*/{glob.escape(out.name)}")
-    return sorted(beside)  # the name tells them from those of a folder whose name begins like this one's
+    # the name inside tells them from those of a folder whose name begins as this one's
+    return sorted(out.parent.glob(f"{glob.escape(_prefix_of_old(out))}*/{glob.escape(out.name)}"))
 
 
 def _prefix_of_old(out: Path) -> str:

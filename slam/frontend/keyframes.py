@@ -27,7 +27,7 @@ from slam.frontend.observations import LineObservation, Observation, PlaneObserv
 from slam.frontend.occupancy import beams_of
 from slam.frontend.odometry import Motion, OdometryTrack
 from slam.frontend.pose_measurements import PlaceMatch, PoseMeasurement
-from slam.geometry.frames import inverse
+from slam.geometry.frames import angle_of, inverse
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig, Sensor
 from spplanes._check import FloatArray
@@ -241,8 +241,7 @@ def _choose_stamps(log: Log, rig: Rig, config: SlamConfig) -> list[int]:
     chosen = [0]
     for index in range(1, len(candidates)):
         step = inverse(poses[chosen[-1]]) @ poses[index]
-        angle = np.arccos(np.clip(0.5 * (np.trace(step[:3, :3]) - 1.0), -1.0, 1.0))
-        if np.linalg.norm(step[:3, 3]) >= rules.distance_m or angle >= rules.angle_rad:
+        if np.linalg.norm(step[:3, 3]) >= rules.distance_m or angle_of(step) >= rules.angle_rad:
             chosen.append(index)
     return [candidates[index] for index in chosen]
 

@@ -73,9 +73,15 @@ class Steadiness:
     def __init__(self, axes: int) -> None:
         self._axes = axes
         self._steps: deque[FloatArray] = deque(maxlen=LATE)
+        self._known: Usual | None = None  # until the next step
 
     def usual(self) -> Usual:
         """As far as is known."""
+        if self._known is None:
+            self._known = self._mean()
+        return self._known
+
+    def _mean(self) -> Usual:
         posterior = np.broadcast_to(_PRIOR, (len(_SHARES), len(_RATES), self._axes)) + sum(self._steps)
         weights = np.exp(posterior - logsumexp(posterior, axis=(0, 1)))
         shares = np.exp(np.einsum("sra,s->a", weights, np.log(_SHARES)))
@@ -88,6 +94,7 @@ class Steadiness:
         says = np.logaddexp(np.log1p(-rates) + each, np.log(rates) + each[:1])
         says[:, :, ~told] = 0.0
         self._steps.append(says)
+        self._known = None
 
 
 def _log_density(off: FloatArray, changes: FloatArray, variances: FloatArray) -> FloatArray:

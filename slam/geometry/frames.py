@@ -61,6 +61,11 @@ def planar_transform(x: float, y: float, theta: float) -> FloatArray:
     return np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
+def angle_of(transform: FloatArray) -> float:
+    """By how much a transform (4, 4) turns, rad."""
+    return float(np.arccos(np.clip(0.5 * (np.trace(transform[:3, :3]) - 1.0), -1.0, 1.0)))
+
+
 def way_to(poses: FloatArray) -> FloatArray:
     """Length of the way on the floor from the first of some poses (N, 4, 4) to each, m, shape (N,)."""
     steps = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1)

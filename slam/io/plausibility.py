@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from slam.errors import LogError
-from slam.geometry.frames import inverse
+from slam.geometry.frames import angle_of, evenly, inverse
 from slam.sensors.log import CloudScan, LaserScan, Log, OdometryReading
 from slam.sensors.rig import Rig
 from spplanes._check import FloatArray
@@ -33,9 +33,9 @@ def plausible(log: Log, rig: Rig) -> Log:
     Raises:
         LogError: no scan can be read, all have one time, or distances are in another unit than metres.
     """
-    scans = log.scans()
+    scans, level = log.scans(), rig.of_kind("line")
     _check_some(log, [scan for scan in scans if isinstance(scan, CloudScan)], _far_of_cloud, _FAR_OF_CLOUDS_M)
-    levels = [scan for scan in scans if isinstance(scan, LaserScan) and scan.sensor in rig.of_kind("line")]
+    levels = [scan for scan in scans if isinstance(scan, LaserScan) and scan.sensor in level]
     _check_some(log, levels, lambda scan: scan.ranges, _FAR_M)
     frozen: set[int] = set()
     for sensor in sorted({scan.sensor for scan in levels}):
@@ -47,10 +47,10 @@ def plausible(log: Log, rig: Rig) -> Log:
 
 def _check_some(log: Log, scans: Sequence[Scan], distances: Callable[[Scan], FloatArray], most_m: float) -> None:
     """Refuse a log none of whose scans can be read, or where the returns of a few of them are too far away."""
-    every = max(len(scans) // _LOOKED_AT, 1)
+    few = [scans[index] for index in evenly(len(scans), _LOOKED_AT)]
     medians, failure = [], None
-    for number, scan in enumerate([*scans[::every], *scans]):
-        if number >= len(scans[::every]) and (medians or failure is None):
+    for number, scan in enumerate((*few, *scans)):
+        if number >= len(few) and (medians or failure is None):
             break  # more are looked at only where none of the few could be read
         try:
             medians += _median_of(distances(scan))
@@ -116,5 +116,4 @@ def _reading_at(readings: list[OdometryReading], stamps: np.ndarray, scan: Laser
 
 def _moved(a: FloatArray, b: FloatArray) -> bool:
     a_T_b = inverse(a) @ b
-    angle = np.arccos(np.clip(0.5 * (np.trace(a_T_b[:3, :3]) - 1.0), -1.0, 1.0))
-    return bool(np.linalg.norm(a_T_b[:3, 3]) > _MOVED_M or angle > _MOVED_RAD)
+    return bool(np.linalg.norm(a_T_b[:3, 3]) > _MOVED_M or angle_of(a_T_b) > _MOVED_RAD)

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
-from slam.geometry.frames import inverse, lift, planar_transform
+from slam.geometry.frames import angle_of, inverse, lift, planar_transform
 from slam.geometry.polygons import polygonal
 from slam.map.map_planes import MapPlane
 from slam.registration.plane_registration import places_anywhere
@@ -88,8 +88,7 @@ def _in_space(planes: Sequence[MapPlane], seen: Sequence[Plane]) -> FloatArray:
     share, best = places[0]
     for other_share, other in places[1:]:
         apart = inverse(best.known_T_seen) @ other.known_T_seen
-        turn = np.arccos(np.clip(0.5 * (np.trace(apart[:3, :3]) - 1.0), -1.0, 1.0))
-        if other_share > _CLEAR * share and (np.linalg.norm(apart[:3, 3]) > _SAME_M or turn > _SAME_RAD):
+        if other_share > _CLEAR * share and (np.linalg.norm(apart[:3, 3]) > _SAME_M or angle_of(apart) > _SAME_RAD):
             raise ValueError(
                 f"--start: expected one place in the map that explains the first keyframe, found "
                 f"{_told_in_space(best.known_T_seen)} and {_told_in_space(other.known_T_seen)}; "

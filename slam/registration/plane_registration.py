@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from slam.geometry.frames import inverse
+from slam.geometry.frames import angle_of, inverse
 from slam.geometry.polygons import flatten, valid
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration._plane_kernels import best_shifts, directions_found, partners, unlike
@@ -163,7 +163,7 @@ def negative_log_prior(motion: FloatArray, sigmas: tuple[float, float], *, uprig
         sigmas: standard deviations of place and turn, m and rad.
         upright: whether the third axes of both frames point up.
     """
-    angle = np.arccos(np.clip(0.5 * (np.trace(motion[:3, :3]) - 1.0), -1.0, 1.0))
+    angle = angle_of(motion)
     tilted = float(_tilted(motion[2, 2])) if upright else 0.0
     return tilted + _tail((angle / sigmas[1]) ** 2) + _tail(motion[:3, 3] @ motion[:3, 3] / sigmas[0] ** 2)
 

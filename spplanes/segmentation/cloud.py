@@ -14,8 +14,9 @@ from spplanes.clouds.octree import Curve
 from spplanes.fitting.rounding import coordinate_steps
 from spplanes.outlines.outline import outlines_of_groups
 from spplanes.plane import Plane
+from spplanes.segmentation.clustering.growing import hesse
 from spplanes.segmentation.config import MapperConfig, ValidationConfig
-from spplanes.segmentation.planes import FittedPlanes, cells_of, fit_labelled, or_rectangles, outlines_in
+from spplanes.segmentation.planes import FittedPlanes, cells_of, fit_labelled, moments_of, or_rectangles, outlines_in
 from spplanes.segmentation.scans import label_scans
 from spplanes.segmentation.unordered import label_curve
 from spplanes.segmentation.validation.one_plane import could_be_seen
@@ -208,16 +209,17 @@ class _Job:
         variances = self._variances(curve, np.linalg.norm(curve.points - eyes, axis=1))
         first_octave_m = _FIRST_OCTAVE * float(np.sqrt(np.median(variances)))
         labels = label_curve(curve, variances, first_octave_m, self.config)
-        if (eyes != eyes[0]).any():
-            labels = _by_side(curve.points, eyes, labels, self.config.min_points)
+        cloud = curve.points[None], self._fitting_variances(variances)[None, :, None]
+        if (labels >= 0).any() and (eyes != eyes[0]).any():
+            planes = hesse(moments_of(*cloud, labels[None], self.config))
+            labels = _by_side(eyes, labels, planes, self.config.min_points)
         labels = _largest_first(labels)
         n_planes = int(labels.max(initial=-1)) + 1
-        grid = curve.points[None], self._fitting_variances(variances)[None, :, None], labels[None]
         sides, by_eye = _mean_of(eyes, labels, n_planes), np.ones(n_planes, dtype=bool)
         if normals is not None:
             ahead, agreed = _ahead_of(curve.points, normals[self.seen][first], labels, n_planes)
             sides, by_eye = np.where(agreed[:, None], ahead, sides), placed | ~agreed
-        fitted = fit_labelled(*grid, sides, self.config, stated=self.sigma is not None)
+        fitted = fit_labelled(*cloud, labels[None], sides, self.config, stated=self.sigma is not None)
         outlines = outlines_of_groups(
             curve.points, curve.neighbourhoods(), labels, fitted.frames, cells_of(fitted.extents, self.config)
         )
@@ -409,24 +411,20 @@ def _mean_of(values: FloatArray, labels: np.ndarray, n_planes: int) -> FloatArra
     return np.stack(sums, axis=1) / counts[:, None]
 
 
-def _by_side(points: FloatArray, eyes: FloatArray, labels: np.ndarray, fewest: int) -> np.ndarray:
-    """Labels of points (N, 3) where planes seen from both sides are two: a wall has a thickness, whatever the noise.
+def _by_side(eyes: FloatArray, labels: np.ndarray, planes: FloatArray, fewest: int) -> np.ndarray:
+    """Labels where planes that were seen from both sides are two: a wall has a thickness, whatever the noise.
 
     Args:
-        points: along a curve, m.
-        eyes: where each was seen from, shape (N, 3), m.
+        eyes: where each point was seen from, shape (N, 3), m.
         labels: plane of every point, shape (N,), -1 = none.
+        planes: (normal, d), shape (R, 4).
         fewest: points that either side must have.
     """
-    found, n_planes = labels.copy(), int(labels.max(initial=-1)) + 1
-    for k in range(n_planes):
-        own = np.flatnonzero(labels == k)
-        middle = points[own].mean(axis=0)
-        normal = np.linalg.eigh(np.cov(points[own] - middle, rowvar=False))[1][:, 0]
-        behind = own[(eyes[own] - middle) @ normal < 0.0]
-        if min(len(behind), len(own) - len(behind)) >= fewest:
-            found[behind] = found.max() + 1
-    return found
+    own = planes[labels]
+    behind = (labels >= 0) & (np.einsum("ni,ni->n", eyes, own[:, :3]) < own[:, 3])
+    back, counts = (np.bincount(labels[which], minlength=len(planes)) for which in (behind, labels >= 0))
+    both = np.minimum(back, counts - back) >= fewest
+    return np.where(behind & both[labels], labels + len(planes), labels)
 
 
 def _ahead_of(

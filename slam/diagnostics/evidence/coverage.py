@@ -32,11 +32,8 @@ def coverage_evidence(run: Finished) -> Iterator[Evidence]:
     """
     frames = range(len(run.keyframes))
     if len(frames) < _LEAST_KEYFRAMES:
-        yield _certain(
-            len(frames),
-            frames,
-            f"the run has only {len(frames)} keyframe{'s' * (len(frames) != 1)}: nothing was seen thrice",
-        )
+        number = "1 keyframe" if len(frames) == 1 else f"{len(frames)} keyframes"
+        yield _certain(len(frames), frames, f"the run has only {number}: nothing was seen thrice")
         return
     wanted = run.config.landmarks.min_observations
     if not any(landmark.n_keyframes >= wanted and landmark.sightings for landmark in run.landmarks):

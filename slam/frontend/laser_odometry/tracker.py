@@ -110,28 +110,24 @@ class LaserOdometry:
         expected = [Expected(compose(before, delta), turn @ cov @ turn.T, share) for delta, cov, share in ways]
         match = self._match(surface, expected)
         pose, told, spread, used = expected[0].pose, np.zeros((3, 3)), np.zeros((3, 3)), 0
-        fits = match is not None and match.fit >= _LEAST_FIT
-        if match is not None:
-            if fits:
-                pose, told, used = match.pose, match.information, match.way
-            if match.odds < 1.0:
-                # it may be elsewhere: true of the way there and of what is seen, half of it said by each
-                away = difference(match.pose, pose)
-                spread = 2.0 * (match.spread + np.outer(away, away))
-                told = inverted(inverted(told + 1e-3 * np.eye(3)) + spread)
-        back = rotation(pose[2])
-        returns = back.T @ told @ back
+        if match is not None and match.fit >= _LEAST_FIT:
+            pose, told, used = match.pose, match.information, match.way
+        if match is not None and match.odds < 1.0:
+            # it may be elsewhere: true of the way there and of what is seen, half of it said by each
+            away = difference(match.pose, pose)
+            spread = 2.0 * (match.spread + np.outer(away, away))
+            told = inverted(inverted(told + 1e-3 * np.eye(3)) + spread)
         if len(self.steps) == 1:  # the first scan is the map: its noise is in the match of the second
             self.steps[0] = replace(self.steps[0], returns=told)
-        delta, covariance, _ = ways[used]
+        (delta, covariance, _), back = ways[used], rotation(pose[2])
+        step = Step(stamp_ns, pose, covariance, back.T @ told @ back)
         if wheels is None:
-            covariance = self._covariance_learnt(stamp_ns, pose, returns, delta, covariance)
-        slipped = wheels is not None and used == len(ways) - 1
-        self.steps.append(Step(stamp_ns, pose, covariance + turn.T @ spread @ turn, returns, slipped))
-        if wheels is not None:
-            self._learn_velocity()
-        if wheels is not None:
+            step = replace(step, wheels=self._learn_unmeasured(step, delta))
+        else:
+            step = replace(step, slipped=used == len(ways) - 1)
+            self._velocity.learn(*self._moved(step))
             self._since.append(wheels)
+        self.steps.append(replace(step, wheels=step.wheels + turn.T @ spread @ turn))
         self._extend_map(surface, pose, match)
         return self.steps[-1]
 
@@ -167,25 +163,15 @@ class LaserOdometry:
         least = np.square((self._noise.floor_m, self._noise.floor_m, self._noise.floor_rad))
         return covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0))
 
-    def _covariance_learnt(
-        self, stamp_ns: int, pose: FloatArray, returns: FloatArray, delta: FloatArray, covariance: FloatArray
-    ) -> FloatArray:
-        """What a step that nobody measured says of the velocity, and its covariance (3, 3) without what was seen.
+    def _learn_unmeasured(self, step: Step, delta: FloatArray) -> FloatArray:
+        """What a step, expected as `delta` (3,), says of the velocity; its covariance (3, 3) without what was seen."""
+        return self._not_below_floor(self._velocity.learn_unmeasured(*self._moved(step), (delta, step.wheels)))
 
-        Args:
-            stamp_ns, pose, returns: of its end, as in `Step`.
-            delta, covariance: what was expected, and went into the pose.
-        """
+    def _moved(self, step: Step) -> tuple[float, FloatArray, FloatArray]:
+        """Seconds of a step from the last one, where it led (3,), and the covariance (3, 3) of that by the returns."""
         before = self.steps[-1]
-        moved, seconds = between(before.pose, pose), 1e-9 * (stamp_ns - before.stamp_ns)
-        seen = matched_covariance(before, Step(stamp_ns, pose, covariance, returns), moved)
-        return self._not_below_floor(self._velocity.learn_unmeasured(seconds, moved, seen, (delta, covariance)))
-
-    def _learn_velocity(self) -> None:
-        """What the last step says of the velocity."""
-        before, step = self.steps[-2:]
         moved = between(before.pose, step.pose)
-        self._velocity.learn(1e-9 * (step.stamp_ns - before.stamp_ns), moved, matched_covariance(before, step, moved))
+        return 1e-9 * (step.stamp_ns - before.stamp_ns), moved, matched_covariance(before, step, moved)
 
     def _match(self, surface: Surface, expected: list[Expected]) -> Match | None:
         there = self._map.map
