@@ -1,7 +1,7 @@
 """Callbacks of ``gtsam.CustomFactor`` around the compiled kernels.
 
-GTSAM cannot say what is inside a custom factor. `describe` can: while it probes, a callback hands over its recipe
-instead of computing; `factors.archive` writes and reads recipes.
+GTSAM cannot say what is inside a custom factor. `describe` can: asked for an error without values, a callback hands
+over its recipe with the refusal; `factors.archive` writes and reads recipes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ _Kernel = Callable[..., tuple[FloatArray, FloatArray]]
 IDENTITY = np.asfortranarray(np.eye(4))
 
 _Frame = Callable[[gtsam.Values], FloatArray]
-_probed: list[Recipe] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,17 +91,23 @@ class Recipe:
         return Recipe(**fields)
 
 
+class _NoValue(RuntimeError):
+    """What GTSAM says where a landmark has no value, and the recipe of the factor that asked for it."""
+
+    def __init__(self, complaint: RuntimeError, recipe: Recipe) -> None:
+        super().__init__(*complaint.args)
+        self.recipe = recipe
+
+
 def describe(factor: gtsam.CustomFactor) -> Recipe | None:
     """Recipe of a custom factor made here; None for anybody else's."""
-    global _probed
-    _probed = []
     try:
         factor.unwhitenedError(gtsam.Values())
+    except _NoValue as refusal:
+        return refusal.recipe
     except Exception:  # somebody else's callback without values: whatever it throws, it is not one of ours
         return None
-    finally:
-        found, _probed = _probed, None
-    return found[0] if found else None
+    return None
 
 
 def _callback(recipe: Recipe, columns: list[Any]) -> Callable[[gtsam.CustomFactor, gtsam.Values, Any], FloatArray]:
@@ -115,10 +120,10 @@ def _callback(recipe: Recipe, columns: list[Any]) -> Callable[[gtsam.CustomFacto
     world_T_anchor, world_T_body = recipe.frames()
 
     def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
-        if _probed is not None:
-            _probed.append(recipe)
-            return np.zeros(len(recipe.root_information))
-        landmark = values.atOrientedPlane3(plane_key).planeCoefficients()
+        try:
+            landmark = values.atOrientedPlane3(plane_key).planeCoefficients()
+        except RuntimeError as complaint:
+            raise _NoValue(complaint, recipe) from complaint
         if reference_key is None:
             residual, derivative = kernel(world_T_anchor(values), world_T_body(values), landmark, *data)
         else:

@@ -25,6 +25,7 @@ from factors import (
     relative_pose_factor,
     upright_prior,
 )
+from factors._custom import describe
 from factors.archive import ArchiveError, dumps, loads, rekeyed
 from tests.factors.factor_scenes import random_line, random_plane, random_pose
 
@@ -93,6 +94,19 @@ def test_foreign_custom_factors_are_refused_by_name():
         dumps(graph)
     with pytest.raises(TypeError, match="cannot pickle 'CustomFactor' object: factor 0: expected a factor that can be"):
         copy.deepcopy(foreign)
+
+
+def test_a_factor_evaluated_while_another_is_asked_what_it_is_keeps_its_error():
+    """As in another thread: what is inside is no matter of when it is asked."""
+    graph, values = everything()
+    ours, errors = graph.at(0), []
+
+    def error(*_: object) -> np.ndarray:
+        errors.append(ours.error(values))
+        return np.zeros(1)
+
+    assert describe(gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(1), [X0], error)) is None
+    assert errors == [ours.error(values)]
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "other"}'])
