@@ -16,6 +16,8 @@ from factors.landmarks import joint_covariance
 from spplanes._check import FloatArray, as_covariance, check_instance
 
 _POSE, _PLANE = 6, 3  # numbers in a tangent
+#: By no more than this, rad or m, does an estimate move that nothing was added to.
+_STILL = 1e-9
 
 
 class KeyedCovariance:
@@ -54,6 +56,7 @@ class Prediction:
 
     def __post_init__(self) -> None:
         check_instance("values", self.values, gtsam.Values)
+        object.__setattr__(self, "values", gtsam.Values(self.values))  # the caller's go on changing
         key = as_key("pose_key", self.pose_key)
         if _size_of("pose_key", self.values, key) != _POSE:
             raise ValueError(f"pose_key: expected the key of a Pose3 in values, got {told_key(key)}, a plane")
@@ -62,11 +65,17 @@ class Prediction:
     def of_isam(cls, isam: gtsam.ISAM2, pose_key: int) -> Self:
         """By iSAM2: its estimate and its covariances, turned into the estimate's tangents as `isam_covariance` does.
 
-        ValueError: no pose of that key.
+        It holds until ``isam`` is updated: what is asked after that is refused. ValueError: no pose of that key.
         """
         check_instance("isam", isam, gtsam.ISAM2)
         values = isam.calculateEstimate()
-        return cls(pose_key, values, lambda keys: isam_covariance(isam, values, keys))
+
+        def marginal(keys: list[int]) -> FloatArray:
+            if not values.equals(isam.calculateEstimate(), _STILL):
+                raise ValueError("prediction: expected that of isam as it is, got one from before its last update")
+            return isam_covariance(isam, values, keys)
+
+        return cls(pose_key, values, marginal)
 
     @classmethod
     def of_marginals(cls, marginals: gtsam.Marginals, values: gtsam.Values, pose_key: int) -> Self:

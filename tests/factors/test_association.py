@@ -224,6 +224,28 @@ def test_isam_marginals_and_a_matrix_give_the_same_answer():
             assert one.candidates[0].chi2 == pytest.approx(same.candidates[0].chi2, rel=1e-4, abs=1e-6)
 
 
+def test_a_prediction_from_before_an_update_is_refused():
+    """Its estimates stay as they were, and covariances are those of now: all that is seen would be new."""
+    isam, _, landmarks, seen = solved()
+    second = gtsam.symbol("x", 1)
+    prediction = Prediction.of_isam(isam, second)
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(
+        pose_prior(second, prediction.pose(second) @ gtsam.Pose3.Expmap([0, 0, 0, 0.1, 0, 0]).matrix(), FIRM)
+    )
+    isam.update(graph, gtsam.Values())
+    with pytest.raises(ValueError, match="prediction: expected that of isam as it is, got one from before its last up"):
+        associate(seen, prediction, landmarks)
+    associate(seen, Prediction.of_isam(isam, second), landmarks)
+
+
+def test_a_prediction_keeps_the_values_that_it_was_given():
+    place = scene(FIRM, np.random.default_rng(7), (0,))
+    prediction, before = place.prediction, place.values.atPose3(X).matrix()
+    place.values.update(X, gtsam.Pose3())
+    np.testing.assert_array_equal(prediction.pose(X), before)
+
+
 def test_extents_grow_where_the_estimate_has_the_landmark():
     place = scene(FIRM, np.random.default_rng(7), (0,))
     values = gtsam.Values(place.values)
