@@ -132,7 +132,7 @@ def _recipe(
     check_distinct(anchor_key=anchor_key, plane_key=plane_key)
     return Recipe(
         kernel="line",
-        data=(as_transform("body_T_sensor", body_T_sensor), points),
+        data=(as_transform("body_T_sensor", body_T_sensor).copy(), points),
         root_information=np.eye(2) / sigma,
         dof=2,
         plane_key=as_key("plane_key", plane_key),

@@ -86,7 +86,7 @@ def distance_factor(
     It is measured where ``at`` (3,), in the frame plane a lives in, drops onto plane a. One degree of freedom: that
     they are parallel is `parallel_factor`'s to say.
     """
-    data = (np.array([as_number("distance_m", distance_m)]), as_shape("at", at, (3,)))
+    data = (np.array([as_number("distance_m", distance_m)]), as_shape("at", at, (3,)).copy())
     root = np.eye(1) / as_positive("sigma_m", sigma_m)
     return _pair("distance", data, root, 1, (plane_a, plane_b), (anchor_a, anchor_b), robust)
 

@@ -81,6 +81,13 @@ def _refuse_numbers(name: str, array: FloatArray) -> None:
         raise ValueError(f"{name}: expected numbers below {TOO_LARGE:g}, got {largest:.3g}")
 
 
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """The same numbers, not to be written to through what is returned."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
 def as_covariance(name: str, value: ArrayLike, size: int) -> FloatArray:
     """Return a symmetric positive semidefinite (size, size) matrix; singular is allowed."""
     return as_covariance_stack(name, as_shape(name, value, (size, size))[None], size)[0]

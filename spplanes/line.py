@@ -18,6 +18,7 @@ from spplanes._check import (
     as_shape,
     as_transform,
     check_instance,
+    read_only,
 )
 from spplanes.spmodel import chi2_of
 
@@ -27,6 +28,7 @@ class ScanLine:
     """A straight segment seen in one 2D scan, in the sensor's scan plane (x forward, y left, z = 0).
 
     Parameterisation: x cos(alpha) + y sin(alpha) = rho with rho >= 0. The covariance is that of (alpha, rho), additive.
+    A value: its arrays are read-only.
 
     The same line in the SPmodel is `sp_frame` and `sp_covariance`: a line is the x axis of its frame, whose origin is
     the point of the line where shift and rotation are uncorrelated and whose y axis points to the sensor. The symmetry
@@ -60,9 +62,9 @@ class ScanLine:
             raise ValueError(f"rho: expected a finite distance >= 0, got {rho}")
         object.__setattr__(self, "alpha", alpha if -pi < alpha <= pi else wrap_angle(alpha))
         object.__setattr__(self, "rho", rho)
-        object.__setattr__(self, "indices", _as_indices(self.indices))
-        object.__setattr__(self, "endpoints", _as_square("endpoints", self.endpoints))
-        object.__setattr__(self, "covariance", _as_covariance(self.covariance))
+        object.__setattr__(self, "indices", read_only(_as_indices(self.indices).copy()))
+        object.__setattr__(self, "endpoints", read_only(_as_square("endpoints", self.endpoints).copy()))
+        object.__setattr__(self, "covariance", read_only(_as_covariance(self.covariance).copy()))
 
     @classmethod
     def _trusted(
@@ -77,6 +79,7 @@ class ScanLine:
     ) -> Self:
         """A line from values that are known to be good, without checking them again."""
         line = object.__new__(cls)
+        covariance, endpoints, indices = read_only(covariance), read_only(endpoints), read_only(indices)
         line.__dict__.update(
             alpha=alpha, rho=rho, covariance=covariance, endpoints=endpoints, indices=indices, chi2=chi2, dof=dof
         )

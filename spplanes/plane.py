@@ -17,6 +17,7 @@ from spplanes._check import (
     as_shape,
     as_transform,
     check_instance,
+    read_only,
 )
 from spplanes._hesse import covariance_from_hesse, frame_from_hesse, hesse_jacobian, slopes_in
 from spplanes._rows import OK, ROW_SIZE, merge_rows, row_frame
@@ -254,13 +255,6 @@ class Plane:
         scatter = axes @ spread @ axes.T + self.chi2 * np.outer(self.normal, self.normal)
         centre = self.centre + axes @ (x, y)
         return np.concatenate(([self.n_points, weight], centre, scatter[np.triu_indices(3)]))
-
-
-def read_only(array: FloatArray) -> FloatArray:
-    """The same numbers, not to be written to through what is returned."""
-    view = array.view()
-    view.flags.writeable = False
-    return view
 
 
 def _points(value: ArrayLike) -> FloatArray:

@@ -15,9 +15,8 @@ from shapely.geometry.base import BaseGeometry
 from factors.line import line_factor
 from factors.plane import plane_factor
 from spplanes import Plane, ScanLine
-from spplanes._check import FloatArray, as_number, as_transform, check_instance
+from spplanes._check import FloatArray, as_number, as_transform, check_instance, read_only
 from spplanes.outlines.extents import flatten, lift
-from spplanes.plane import read_only
 from spplanes.spmodel import skew
 
 #: Sine of the angle between a landmark and the scan plane from which on a line's factor is native.
@@ -141,7 +140,8 @@ class LineObservation:
 
     def __post_init__(self) -> None:
         check_instance("line", self.line, ScanLine)
-        object.__setattr__(self, "body_T_sensor", as_transform("body_T_sensor", self.body_T_sensor))
+        mount = as_transform("body_T_sensor", self.body_T_sensor)
+        object.__setattr__(self, "body_T_sensor", read_only(mount.copy()))
 
     @property
     def n_points(self) -> int:

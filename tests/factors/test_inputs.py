@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from factors import (
+    LineObservation,
     copy_graph,
     direction_prior,
     distance_factor,
@@ -30,7 +31,7 @@ from factors import (
 )
 from factors.line import decorrelated_points
 from factors.robust import with_robust
-from spplanes import Location, Plane
+from spplanes import Location, Plane, ScanLine
 from spplanes._check import as_shape
 from tests.factors.factor_scenes import (
     A,
@@ -207,6 +208,24 @@ def test_two_points_carry_the_covariance_of_a_line():
 def test_one_sentence_that_names_the_argument(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_what_a_caller_writes_into_later_changes_nothing():
+    mount, at, covariance, ends = np.eye(4), np.zeros(3), np.diag([1e-6, 1e-6]), np.array([[2.0, -1.0], [2.0, 1.0]])
+    beams = np.arange(2)
+    line = ScanLine(0.0, 2.0, covariance, ends, beams)
+    seen, facing = LineObservation(line, mount), gtsam.OrientedPlane3(-1.0, 0.0, 0.0, 2.0)
+    values = values_of(x0=gtsam.Pose3(), l0=facing, a0=gtsam.OrientedPlane3(0.8, 0.6, 0.0, 1.0))
+    factors = line_factor(line, mount, X, L), distance_factor(L, A, 1.0, 0.01, at=at)
+    before = [factor.error(values) for factor in factors]
+    mount[0, 3], at[1] = 1.0, 5.0
+    for given in (covariance, ends, beams):
+        given *= 100
+    assert [factor.error(values) for factor in factors] == before
+    assert seen.body_T_sensor[0, 3] == 0.0 and line.covariance[0, 0] == 1e-6 and line.endpoints[0, 0] == 2.0
+    for kept in (line.covariance, line.endpoints, line.indices, seen.body_T_sensor):
+        with pytest.raises(ValueError, match="read-only"):
+            kept[...] = 0
 
 
 def test_long_directions_do_not_overflow():
