@@ -12,8 +12,8 @@ import numpy as np
 from factors.association.decisions import AssociationGates, Candidate, Decision
 from factors.association.grouping import group_planes
 from factors.association.joint_association import joint_compatibility
-from factors.association.landmark_extents import LandmarkExtent, LandmarkExtents, as_observation, place_all
-from factors.association.observations import Observation
+from factors.association.landmark_extents import LandmarkExtent, LandmarkExtents, place_all
+from factors.association.observations import Observation, as_observation
 from factors.association.prediction import Prediction
 from factors.association.probabilities import Posterior, posteriors
 from spplanes import Plane

@@ -8,7 +8,8 @@ from typing import Any, Protocol, TypeVar
 import gtsam
 import numpy as np
 
-from factors.association.observations import Observation
+from factors.association.observations import Observation, as_observation
+from spplanes import Plane
 from spplanes._check import FloatArray
 from spplanes.outlines.extents import Extent
 from spplanes.spmodel import inverse_transform
@@ -95,11 +96,15 @@ class Landmarks(Protocol[AnyLandmark]):
 
 
 def observation_factor(
-    observation: Observation, pose_key: int, landmark: Landmark, estimate: Estimate, robust: str | None = None
+    observation: Observation | Plane,
+    pose_key: int,
+    landmark: Landmark,
+    estimate: Estimate,
+    robust: str | None = None,
 ) -> Any:
-    """The factor of an observation of a landmark from a pose, both in the graph."""
-    expected = None
+    """The factor of an observation of a landmark from a pose, both in the graph. ValueError: no observation."""
+    seen, expected = as_observation("observation", observation), None
     if landmark.anchor_key is not None and landmark.anchor_key != pose_key:
         anchor_T_body = inverse_transform(estimate.pose(landmark.anchor_key)) @ estimate.pose(pose_key)
         expected = estimate.plane(landmark.key).transform(gtsam.Pose3(anchor_T_body))
-    return observation.factor(pose_key, landmark.key, landmark.anchor_key, robust, expected)
+    return seen.factor(pose_key, landmark.key, landmark.anchor_key, robust, expected)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import cast
 
 import gtsam
 import numpy as np
@@ -12,7 +11,7 @@ from shapely.geometry.base import BaseGeometry
 
 from factors._check import as_key, pose_in, told_key
 from factors._conventions import landmark_hesse
-from factors.association.observations import Observation, PlaneObservation
+from factors.association.observations import Observation, as_observation
 from factors.landmarks import plane_landmark
 from spplanes import Plane
 from spplanes._check import FloatArray, check_instance
@@ -122,16 +121,6 @@ class LandmarkExtents:
         landmark = self[plane_key]
         del self._landmarks[plane_key]
         return landmark
-
-
-def as_observation(name: str, value: object) -> Observation:
-    """An observation, or the one that a plane in the body frame is. ValueError: it is neither."""
-    if isinstance(value, Plane):
-        return PlaneObservation(value)
-    if not callable(getattr(value, "patch_in", None)):
-        kind = type(value).__name__
-        raise ValueError(f"{name}: expected a Plane, a PlaneObservation or a LineObservation, got {kind}")
-    return cast("Observation", value)
 
 
 def place_all(landmarks: list[LandmarkExtent], values: gtsam.Values) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import hypot
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import gtsam
 import numpy as np
@@ -220,3 +220,13 @@ class LineObservation:
         """The segment."""
         ends = lift(self.vertices, as_transform("plane_T_body", plane_T_body))[:, :2]
         return shapely.LineString(ends) if np.ptp(ends, axis=0).max() > 0.0 else shapely.Point(ends[0])
+
+
+def as_observation(name: str, value: object) -> Observation:
+    """An observation, or the one that a plane in the body frame is. ValueError: it is neither."""
+    if isinstance(value, Plane):
+        return PlaneObservation(value)
+    if not callable(getattr(value, "patch_in", None)):
+        kind = type(value).__name__
+        raise ValueError(f"{name}: expected a Plane, a PlaneObservation or a LineObservation, got {kind}")
+    return cast("Observation", value)

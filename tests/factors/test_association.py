@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import textwrap
 from dataclasses import replace
+from pathlib import Path
 
 import gtsam
 import numpy as np
@@ -10,6 +13,7 @@ import pytest
 from scipy.stats import binom
 from shapely import box
 
+import factors
 from factors import (
     AssociationGates,
     LandmarkExtents,
@@ -155,7 +159,7 @@ def solved() -> tuple[gtsam.ISAM2, gtsam.NonlinearFactorGraph, LandmarkExtents, 
         new_values.insert(key(number), initial)
         start = gtsam.Values(prediction.values)
         start.insert(key(number), initial)
-        factor = observation_factor(as_seen(plane), X, landmarks[key(number)], replace(prediction, values=start))
+        factor = observation_factor(plane, X, landmarks[key(number)], replace(prediction, values=start))
         new_graph.push_back(factor)
         graph.push_back(factor)
     isam.update(new_graph, new_values)
@@ -163,12 +167,6 @@ def solved() -> tuple[gtsam.ISAM2, gtsam.NonlinearFactorGraph, LandmarkExtents, 
     there = gtsam.Pose3(gtsam.Rot3.Yaw(0.21), np.array([0.5, 0.0, 0.0]))
     seen = [drawn(plane_of(number).transform(there.inverse().matrix()), MAPPED, rng) for number in WHOLE]
     return isam, graph, landmarks, seen
-
-
-def as_seen(plane: Plane):
-    from factors import PlaneObservation
-
-    return PlaneObservation(plane)
 
 
 def drifted(sigma_m: float, there: gtsam.Pose3, landmarks: LandmarkExtents) -> Prediction:
@@ -222,6 +220,17 @@ def test_isam_marginals_and_a_matrix_give_the_same_answer():
             assert (one.verdict, one.plane_key) == (same.verdict, same.plane_key)
             assert one.probability == pytest.approx(same.probability, abs=1e-6)
             assert one.candidates[0].chi2 == pytest.approx(same.candidates[0].chi2, rel=1e-4, abs=1e-6)
+
+
+def test_what_the_docs_show_runs():
+    text = Path(__file__).parents[2].joinpath("docs", "factors.md").read_text(encoding="utf-8")
+    [snippet] = re.findall(r"^    landmarks = LandmarkExtents\(\).*\n((?:    .*\n)+)", text, re.MULTILINE)
+    isam, _, landmarks, seen = solved()
+    names = {name: getattr(factors, name) for name in factors.__all__}
+    names |= {"isam": isam, "landmarks": landmarks, "seen": seen, "graph": gtsam.NonlinearFactorGraph()}
+    names |= {"values": gtsam.Values(), "plane_key": key(9), "i": 0, "pose_key": gtsam.symbol("x", 1), "anchor_key": X}
+    exec(textwrap.dedent(snippet), names)  # noqa: S102 - our own page
+    assert names["graph"].size() == len(seen) + 1 and len(landmarks) == len(seen) + 1
 
 
 def test_a_prediction_from_before_an_update_is_refused():
