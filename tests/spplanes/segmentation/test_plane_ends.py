@@ -149,18 +149,21 @@ def test_points_left_out_are_those_whose_place_on_their_plane_may_be_on_another(
         points, roots = rng.normal(0.0, 0.3, (6, 6, 3)), 0.01 * rng.normal(size=(6, 6, 3, 3))
         noise = roots @ roots.swapaxes(-1, -2)
         sure = sure_points(Window(points, noise, NOTHING), labels, [plane.frame for plane in planes], 0.004)
-        for (i, j), label in np.ndenumerate(labels):
-            mine, point, c = planes[label], points[i, j], noise[i, j]
-            toward = c @ mine.normal / (mine.normal @ c @ mine.normal)
-            place = point - toward * (mine.normal @ point - mine.d)
-            doubtful = [
-                (other.normal @ place - other.d) ** 2
-                <= 16.0 * (other.normal @ c @ other.normal + 0.004**2 * (1.0 + (other.normal @ toward) ** 2))
-                for k, other in enumerate(planes)
-                if k != label
-            ]
-            assert sure[i, j] == (not any(doubtful))
-            left_out += any(doubtful)
+        own = np.array([plane.normal for plane in planes])[labels]
+        toward = np.einsum("sbij,sbj->sbi", noise, own)
+        toward /= np.einsum("sbi,sbi->sb", toward, own)[..., None]
+        off = np.einsum("sbi,sbi->sb", own, points) - np.array([plane.d for plane in planes])[labels]
+        places = points - off[..., None] * toward
+        doubtful = np.zeros(labels.shape, dtype=bool)
+        for k, other in enumerate(planes):
+            variance = np.einsum("i,sbij,j->sb", other.normal, noise, other.normal)
+            reach = 4.0 * np.sqrt(variance + 0.004**2 * (1.0 + (toward @ other.normal) ** 2))
+            local = (places - other.frame[:3, 3]) @ other.frame[:3, :2]
+            low, high = local[labels == k].min(axis=0), local[labels == k].max(axis=0)
+            near = ((local >= low - reach[..., None]) & (local <= high + reach[..., None])).all(axis=2)
+            doubtful |= (labels != k) & near & (np.abs(places @ other.normal - other.d) <= reach)
+        np.testing.assert_array_equal(sure, ~doubtful)
+        left_out += int(doubtful.sum())
     assert 100 < left_out < 600
 
 
