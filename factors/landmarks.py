@@ -60,8 +60,9 @@ def landmark_anchors(graph: gtsam.NonlinearFactorGraph) -> dict[int, int | None]
     """Anchor pose of every plane landmark of a graph, None for the world, by the landmark's key.
 
     GTSAM cannot see the mistake of a landmark that one factor takes in the world and another in the frame of a pose: it
-    solves, for something else. Here it is refused; call it once before optimising. Landmarks whose factors do not say
-    where they live (priors) are left out.
+    solves, for something else. Here it is refused; call it once before optimising. What is known of directions and of
+    pairs of planes counts as well: without an anchor it is of landmarks in the world. Landmarks that have nothing but a
+    `plane_prior` or a `map_prior`, which hold in whatever frame they live in, are left out.
 
     ValueError: a landmark with two anchors, or with one and in the world; the sentence names it and both.
     """
@@ -70,8 +71,7 @@ def landmark_anchors(graph: gtsam.NonlinearFactorGraph) -> dict[int, int | None]
     for i in range(graph.size()):
         if not graph.exists(i):
             continue
-        plane_key, anchor_key = anchoring_of(graph.at(i))
-        if plane_key is not None:
+        for plane_key, anchor_key in _anchorings(graph.at(i)):
             check_anchor("graph", anchors, plane_key, anchor_key)
     return anchors
 
@@ -86,17 +86,18 @@ def check_anchor(name: str, anchors: dict[int, int | None], plane_key: int, anch
         )
 
 
-def anchoring_of(factor: Any) -> tuple[int | None, int | None]:
-    """(plane, anchor) where the factor says in whose frame its landmark lives; (None, None) where it does not."""
+def _anchorings(factor: Any) -> list[tuple[int, int | None]]:
+    """(plane, anchor) of every landmark of which a factor says in whose frame it lives."""
+    keys = list(factor.keys())
     if isinstance(factor, gtsam_unstable.LocalOrientedPlane3Factor):
-        keys = list(factor.keys())
-        return keys[2], keys[1]
-    if isinstance(factor, gtsam.OrientedPlane3Factor):
-        return list(factor.keys())[-1], None
+        return [(keys[2], keys[1])]
+    if isinstance(factor, gtsam.OrientedPlane3Factor | gtsam.OrientedPlane3DirectionPrior):
+        return [(keys[-1], None)]
     recipe = describe(factor) if isinstance(factor, gtsam.CustomFactor) else None
-    if recipe is None or recipe.reference_key is not None or recipe.pose_key is recipe.anchor_key is None:
-        return None, None
-    return recipe.plane_key, recipe.anchor_key
+    if recipe is None or (recipe.kernel == "plane" and recipe.pose_key is recipe.anchor_key is None):
+        return []
+    own = [(recipe.plane_key, recipe.anchor_key)]
+    return own if recipe.reference_key is None else [*own, (recipe.reference_key, recipe.pose_key)]
 
 
 def _told(anchor_key: int | None) -> str:

@@ -7,10 +7,13 @@ from shapely import box
 
 from factors import (
     change_anchor,
+    direction_prior,
+    distance_factor,
     facing,
     landmark_anchors,
     landmark_to_plane,
     parallel_factor,
+    perpendicular_factor,
     plane_factor,
     plane_factors,
     plane_landmark,
@@ -159,6 +162,22 @@ def test_anchors_of_a_graph():
     )
     graph.resize(8)
     assert landmark_anchors(graph) == {L: A, OTHER: None}
+
+
+@pytest.mark.parametrize(
+    ("forgetful", "told"),
+    [
+        (direction_prior(L, (0.0, 0.0, 1.0), 0.1), "the world"),
+        (direction_prior(L, (0.0, 0.0, 1.0), 0.1, robust="huber"), "the world"),
+        (upright_prior(L, 0.1), "the world"),
+        (parallel_factor(L, OTHER, 0.1, anchor_a=X), "x0"),
+        (perpendicular_factor(OTHER, L, 0.1), "the world"),
+        (distance_factor(L, OTHER, 1.0, 0.1, anchor_b=A), "the world"),
+    ],
+)
+def test_what_is_known_of_a_plane_without_its_anchor_is_refused(forgetful, told):
+    with pytest.raises(ValueError, match=f"expected one anchor .* got two for l0: a0 and {told}"):
+        landmark_anchors(graph_of(plane_factor(PLANE, X, L, anchor_key=A), forgetful))
 
 
 @pytest.mark.parametrize(("anchor", "told"), [(None, "the world"), (X, "x0")])

@@ -225,8 +225,8 @@ def test_a_line_is_an_edge_of_rank_two_with_its_error_and_optimum(tmp_path: Path
 def test_priors_of_all_kinds_become_edges(tmp_path: Path):
     graph, values = plane_graph()
     graph.push_back(plane_prior(seen_plane(WALLS[3], POSES[0], np.random.default_rng(1)), P[3]))
-    graph.push_back(direction_prior(P[0], [0.0, 0.0, 1.0], 0.01))  # in the landmark's own frame, that of its anchor
-    graph.push_back(direction_prior(P[1], [0.0, 0.0, -1.0], 0.01, anchor_key=X[1]))  # in the world
+    for i, down in enumerate((1.0, -1.0)):
+        graph.push_back(direction_prior(P[i], [0.0, 0.0, down], 0.01, anchor_key=X[i]))
     floor = gtsam.noiseModel.Diagonal.Sigmas(np.array([1e8, 1e8, 0.01]))
     graph.push_back(gtsam.PoseTranslationPrior3D(X[1], np.array([0.0, 0.0, 0.02]), floor))
     level = gtsam.noiseModel.Isotropic.Sigma(2, 0.01)
