@@ -30,7 +30,7 @@ class Recipe:
     """All that makes a custom factor: its error is ``kernel(world_T_anchor, world_T_body, landmark, *data)``."""
 
     kernel: str
-    """What it is an error of: plane, line, direction, parallel, perpendicular, distance."""
+    """What it is an error of: plane, line, direction, parallel, perpendicular, distance, map."""
     data: tuple[FloatArray | float, ...]
     """The measurement, as the kernel takes it."""
     root_information: FloatArray
@@ -45,13 +45,21 @@ class Recipe:
     """The pose in whose frame it lives; None: the world. The same as `pose_key`: both drop out."""
     reference_key: int | None = None
     """A second landmark, living in the frame of `pose_key`, that the kernel takes before ``data``."""
+    more_keys: tuple[int, ...] = ()
+    """Landmarks of a map after these two."""
     planar: bool = False
     """The poses are ``Pose2``."""
     robust: Robust = None
     """Kernel of the noise model."""
 
+    @property
+    def landmark_keys(self) -> tuple[int, ...]:
+        """All its landmarks, in the order in which the kernel takes them."""
+        second = () if self.reference_key is None else (self.reference_key,)
+        return (self.plane_key, *second, *self.more_keys)
+
     def factor(self) -> gtsam.CustomFactor:
-        """Make the factor. Its keys are (pose, anchor, plane, reference), those that there are."""
+        """Make the factor. Its keys are (pose, anchor, plane, reference, more), those that there are."""
         pose_columns, anchor_columns = _planar_columns if self.planar else _pose_columns
         blocks: list[tuple[int, Any]] = []
         if self.pose_key != self.anchor_key:
@@ -59,9 +67,7 @@ class Recipe:
                 blocks.append((self.pose_key, pose_columns))
             if self.anchor_key is not None:
                 blocks.append((self.anchor_key, anchor_columns))
-        blocks.append((self.plane_key, slice(12, 15)))
-        if self.reference_key is not None:
-            blocks.append((self.reference_key, slice(15, 18)))
+        blocks += [(key, slice(12 + 3 * i, 15 + 3 * i)) for i, key in enumerate(self.landmark_keys)]
         noise = gaussian(self.root_information, self.robust, self.dof)
         return gtsam.CustomFactor(
             noise, [key for key, _ in blocks], _callback(self, [columns for _, columns in blocks])
@@ -87,6 +93,7 @@ class Recipe:
         fields = dict(plain)
         fields["data"] = tuple(np.array(array) if isinstance(array, list) else float(array) for array in plain["data"])
         fields["root_information"] = np.array(plain["root_information"])
+        fields["more_keys"] = tuple(plain.get("more_keys", ()))
         fields["robust"] = None if plain["robust"] is None else tuple(plain["robust"])
         return Recipe(**fields)
 
@@ -111,24 +118,15 @@ def describe(factor: gtsam.CustomFactor) -> Recipe | None:
 
 
 def _callback(recipe: Recipe, columns: list[Any]) -> Callable[[gtsam.CustomFactor, gtsam.Values, Any], FloatArray]:
-    kernel, data, plane_key, reference_key = (
-        _kernel(recipe.kernel),
-        recipe.data,
-        recipe.plane_key,
-        recipe.reference_key,
-    )
+    kernel, data, landmark_keys = _kernel(recipe.kernel), recipe.data, recipe.landmark_keys
     world_T_anchor, world_T_body = recipe.frames()
 
     def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
         try:
-            landmark = values.atOrientedPlane3(plane_key).planeCoefficients()
+            landmarks = [values.atOrientedPlane3(key).planeCoefficients() for key in landmark_keys]
         except RuntimeError as complaint:
             raise _NoValue(complaint, recipe) from complaint
-        if reference_key is None:
-            residual, derivative = kernel(world_T_anchor(values), world_T_body(values), landmark, *data)
-        else:
-            reference = values.atOrientedPlane3(reference_key).planeCoefficients()
-            residual, derivative = kernel(world_T_anchor(values), world_T_body(values), landmark, reference, *data)
+        residual, derivative = kernel(world_T_anchor(values), world_T_body(values), *landmarks, *data)
         if jacobians is not None:
             for i, block in enumerate(columns):
                 jacobians[i] = derivative[:, block]
@@ -149,6 +147,7 @@ def _kernel(name: str) -> _Kernel:
         "parallel": _kernels.parallel_error,
         "perpendicular": _kernels.perpendicular_error,
         "distance": _kernels.distance_error,
+        "map": _kernels.map_error,
     }
     return known[name]
 

@@ -1,7 +1,8 @@
 """The arithmetic of the custom factors: errors with their analytic derivatives, those of single planes compiled.
 
 Columns of every derivative: 0-5 the observing pose (rx, ry, rz, x, y, z; on the right), 6-11 the anchor pose, 12-14 the
-landmark in the tangent of ``OrientedPlane3.retract``, 15-17 a second landmark that lives in the observing pose's frame.
+landmark in the tangent of ``OrientedPlane3.retract``, 15-17 a second landmark that lives in the observing pose's frame;
+of a map 15-17, 18-20, ... its other landmarks.
 Planes are rows (nx, ny, nz, d) in Hesse form, n.x = d; landmarks come as GTSAM's coefficients (nx, ny, nz, -d).
 """
 
@@ -244,6 +245,24 @@ def distance_error(world_T_anchor, world_T_body, coefficients, reference, gap, p
     by_seen = sign * np.array([[*-foot, 1.0]])
     by_own = -sign * np.array([[*(height * b - cosine * place), cosine]])
     return sign * (seen[3] - b @ foot) - gap, _joined(by_seen, jacobian, by_own, a)
+
+
+#: (x.n, y.n, d - n.o) of `plane_error` is (theta, -psi, z): what it takes to (z, theta, psi).
+_TO_SP = np.array(((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)))
+
+
+def map_error(world_T_anchor, world_T_body, *planes_and_frames) -> _Error:
+    """(z, theta, psi) of N landmarks against N measured frames, planes first, shape (3 N,); derivative (3 N, 12 + 3 N).
+
+    A map holds in the frame that its landmarks live in: derivatives by poses are left zero.
+    """
+    count = len(planes_and_frames) // 2
+    error, derivative = np.empty(3 * count), np.zeros((3 * count, 12 + 3 * count))
+    for i in range(count):
+        part, by = plane_error(world_T_anchor, world_T_body, planes_and_frames[i], planes_and_frames[count + i])
+        error[3 * i : 3 * i + 3] = _TO_SP @ part
+        derivative[3 * i : 3 * i + 3, 12 + 3 * i : 15 + 3 * i] = _TO_SP @ by[:, 12:15]
+    return error, derivative
 
 
 def _times(a) -> np.ndarray:

@@ -84,10 +84,11 @@ def rekeyed(factor: Any, names: Mapping[int, int], homes: Mapping[int, tuple[int
     homes = homes or {}
     if isinstance(factor, gtsam.CustomFactor):
         recipe = describe(factor)
-        if recipe is None or recipe.reference_key in homes or (recipe.reference_key and recipe.plane_key in homes):
+        if recipe is None or (len(recipe.landmark_keys) > 1 and homes.keys() & set(recipe.landmark_keys)):
             raise ArchiveError("factor: expected one of a single plane, made here, got another CustomFactor")
         keys = {role: getattr(recipe, role) for role in ("plane_key", "pose_key", "anchor_key", "reference_key")}
         roles: dict[str, Any] = {role: names.get(key, key) for role, key in keys.items()}
+        roles["more_keys"] = tuple(names.get(key, key) for key in recipe.more_keys)
         if recipe.plane_key in homes:
             roles["plane_key"], roles["anchor_key"] = homes[recipe.plane_key]
         return replace(recipe, **roles).factor()

@@ -94,7 +94,7 @@ def _anchorings(factor: Any) -> list[tuple[int, int | None]]:
     if isinstance(factor, gtsam.OrientedPlane3Factor | gtsam.OrientedPlane3DirectionPrior):
         return [(keys[-1], None)]
     recipe = describe(factor) if isinstance(factor, gtsam.CustomFactor) else None
-    if recipe is None or (recipe.kernel == "plane" and recipe.pose_key is recipe.anchor_key is None):
+    if recipe is None or (recipe.kernel in ("plane", "map") and recipe.pose_key is recipe.anchor_key is None):
         return []
     own = [(recipe.plane_key, recipe.anchor_key)]
     return own if recipe.reference_key is None else [*own, (recipe.reference_key, recipe.pose_key)]

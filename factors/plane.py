@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import gtsam
@@ -21,14 +20,11 @@ from factors._conventions import (
     square_root_informations,
 )
 from factors._custom import IDENTITY, Recipe
-from factors._kernels import plane_error, plane_seen_from
+from factors._kernels import plane_seen_from
 from factors.landmarks import check_anchor
 from factors.robust import Robust, gaussian
 from spplanes import Plane
 from spplanes._check import FloatArray, as_covariance, as_transform, check_instance
-
-#: (x.n, y.n, d - n.o) of the kernel is (theta, -psi, z): what it takes to (z, theta, psi).
-_TO_SP = np.array(((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)))
 
 
 def plane_factor(
@@ -167,7 +163,9 @@ def anchored_plane_jacobian(
     return hesse_to_sp(as_transform("world_T_plane", world_T_plane)) @ jacobian[:, 6:]
 
 
-def map_prior(planes: Sequence[Plane], plane_keys: Sequence[int], covariance: ArrayLike) -> gtsam.CustomFactor:
+def map_prior(
+    planes: Sequence[Plane], plane_keys: Sequence[int], covariance: ArrayLike, *, robust: Robust = None
+) -> gtsam.CustomFactor:
     """One factor of all planes of a map known beforehand, in the frame in which their landmarks live.
 
     Args:
@@ -190,18 +188,15 @@ def map_prior(planes: Sequence[Plane], plane_keys: Sequence[int], covariance: Ar
     except np.linalg.LinAlgError as problem:
         raise ValueError("covariance: expected a positive definite covariance, got a singular one") from problem
     root = np.asarray(np.linalg.qr(root, mode="r"))
-    frames = [np.ascontiguousarray(plane.frame) for plane in planes]
-
-    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
-        residual = np.empty(3 * len(keys))
-        for i, (key, frame) in enumerate(zip(keys, frames, strict=True)):
-            coefficients = values.atOrientedPlane3(key).planeCoefficients()
-            part, derivative = plane_error(IDENTITY, IDENTITY, coefficients, frame)
-            residual[3 * i : 3 * i + 3] = _TO_SP @ part
-            if jacobians is not None:
-                block = np.zeros((3 * len(keys), 3), order="F")
-                block[3 * i : 3 * i + 3] = _TO_SP @ derivative[:, 12:15]
-                jacobians[i] = block
-        return residual
-
-    return gtsam.CustomFactor(gtsam.noiseModel.Gaussian.SqrtInformation(root), keys, error)
+    frames = tuple(plane.frame.copy() for plane in planes)
+    recipe = Recipe(
+        kernel="map",
+        data=frames,
+        root_information=root,
+        dof=len(root),
+        plane_key=keys[0],
+        reference_key=keys[1] if len(keys) > 1 else None,
+        more_keys=tuple(keys[2:]),
+        robust=robust,
+    )
+    return recipe.factor()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gtsam
+from scipy.special import chdtri
 
 from spplanes._check import FloatArray, as_positive
 
@@ -15,9 +16,6 @@ _ESTIMATORS = {
     "geman-mcclure": gtsam.noiseModel.mEstimator.GemanMcClure,
     "dcs": gtsam.noiseModel.mEstimator.DCS,
 }
-
-#: 95 % quantile of chi2 by degrees of freedom: kernels act on the whitened norm of the whole error vector.
-_CHI2_95 = {1: 3.841, 2: 5.991, 3: 7.815, 6: 12.592}
 
 
 def with_robust(noise: gtsam.noiseModel.Base, robust: Robust, dof: int) -> gtsam.noiseModel.Base:
@@ -43,8 +41,9 @@ def resolve_robust(robust: Robust, dof: int) -> tuple[str, float] | None:
         raise ValueError(
             f"robust: expected None, one of {', '.join(sorted(_ESTIMATORS))}, or (name, k), got {robust!r}"
         )
-    if k is None:
-        return name, _CHI2_95[dof] if name == "dcs" else _CHI2_95[dof] ** 0.5
+    if k is None:  # kernels act on the whitened norm of the whole error vector
+        quantile = round(float(chdtri(dof, 0.05)), 3)
+        return name, quantile if name == "dcs" else quantile**0.5
     return name, as_positive("robust", k)
 
 

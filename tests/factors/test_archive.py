@@ -13,6 +13,7 @@ from factors import (
     distance_factor,
     line_factor,
     line_factor_2d,
+    map_prior,
     odometry_factor,
     odometry_factor_2d,
     parallel_factor,
@@ -29,7 +30,8 @@ from factors._custom import describe
 from factors.archive import ArchiveError, dumps, loads, rekeyed
 from tests.factors.factor_scenes import random_line, random_plane, random_pose
 
-X0, X1, P0, L0, L1 = (gtsam.symbol(c, i) for c, i in (("x", 0), ("x", 1), ("p", 0), ("l", 0), ("l", 1)))
+X0, X1, P0 = (gtsam.symbol(c, i) for c, i in (("x", 0), ("x", 1), ("p", 0)))
+L0, L1, L2 = (gtsam.symbol("l", i) for i in range(3))
 
 
 def everything() -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
@@ -57,6 +59,7 @@ def everything() -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
             parallel_factor(L0, L1, 0.01, anchor_a=X0, robust=robust),
             perpendicular_factor(L0, L1, 0.01, robust=robust),
             distance_factor(L0, L1, 2.5, 0.01, anchor_a=X0, anchor_b=X1, robust=robust),
+            *(map_prior([plane] * n, (L1, L0, L2)[:n], np.eye(3 * n), robust=robust) for n in (1, 2, 3)),
         ):
             graph.push_back(factor)
     values = gtsam.Values()
@@ -64,7 +67,7 @@ def everything() -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
         values.insert(key, random_pose(rng))
     for i in range(2):
         values.insert(P0 + i, gtsam.Pose2(*rng.normal(size=3)))
-    for key in (L0, L1):
+    for key in (L0, L1, L2):
         values.insert(key, gtsam.OrientedPlane3(np.array([*random_plane(rng).normal, rng.normal()])))
     return graph, values
 
@@ -155,8 +158,9 @@ def test_a_landmark_with_a_new_home_is_the_same_plane_seen():
         again = rekeyed(factor, {}, {L0: (home, anchor)})
         assert set(again.keys()) <= {X0, X1, home, anchor}
         np.testing.assert_allclose(again.error(new), factor.error(old), rtol=1e-9)
-    with pytest.raises(ArchiveError, match="single plane"):
-        rekeyed(parallel_factor(L0, L1, 0.01), {}, {L0: (home, anchor)})
+    for several in (parallel_factor(L0, L1, 0.01), map_prior([plane] * 3, [L1, L2, L0], np.eye(9))):
+        with pytest.raises(ArchiveError, match="single plane"):
+            rekeyed(several, {}, {L0: (home, anchor)})
     with pytest.raises(ArchiveError, match="comes home"):
         rekeyed(plane_factor(plane, X1, L0, anchor_key=X0), {}, {L0: (home, X1)})
 
