@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from numbers import Integral
 
 import gtsam
 import numpy as np
@@ -14,21 +15,21 @@ from factors._conventions import landmark_hesse
 from factors.association.observations import Observation, as_observation
 from factors.landmarks import plane_landmark
 from spplanes import Plane
-from spplanes._check import FloatArray, check_instance
+from spplanes._check import FloatArray, check_instance, read_only
 from spplanes.outlines.extents import Extent, settle_frames
 from spplanes.spmodel import inverse_transform
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class LandmarkExtent:
-    """A plane landmark as the graph does not know it."""
+    """A plane landmark as the graph does not know it. It grows, and moves to another anchor, by `LandmarkExtents`."""
 
     key: int
     """Its GTSAM key."""
     anchor_key: int | None
     """Key of the pose in whose frame it lives; None: in the world."""
     anchor_T_plane: FloatArray
-    """Its plane frame when it was started, in the frame it lives in, shape (4, 4); it follows the estimate."""
+    """Its plane frame when it was started or moved, in the frame it lives in, (4, 4); it follows the estimate."""
     extent: Extent
     """What was seen of it, in (x, y) of its plane frame."""
     pose_keys: set[int] = field(default_factory=set)
@@ -64,11 +65,11 @@ class LandmarkExtents:
         return iter([self._landmarks[key] for key in sorted(self._landmarks)])
 
     def __contains__(self, plane_key: object) -> bool:
-        return plane_key in self._landmarks
+        return isinstance(plane_key, Integral) and plane_key in self._landmarks
 
     def __getitem__(self, plane_key: int, /) -> LandmarkExtent:
         """ValueError: no landmark of that key."""
-        if plane_key not in self._landmarks:
+        if plane_key not in self:
             raise ValueError(f"plane_key: expected a landmark that was started, got {_told(plane_key)}")
         return self._landmarks[plane_key]
 
@@ -91,19 +92,18 @@ class LandmarkExtents:
             anchor_key: the pose in whose frame the landmark is to live; None: the world.
 
         Raises:
-            ValueError: a landmark of that key is there, no such pose in values, no observation.
+            ValueError: a landmark of that key, or a variable that is no plane, is there; no such pose in values; no
+                observation.
         """
         key, seen = as_key("plane_key", plane_key), as_observation("observation", observation)
         if key in self._landmarks:
             raise ValueError(f"plane_key: expected a new landmark's, got {told_key(key)}, which is there")
         body_T_plane = seen.full_plane(1.0)
-        anchor_T_body = _frame_of("pose_key", pose_key, values)
-        if anchor_key is not None:
-            anchor_T_body = inverse_transform(_frame_of("anchor_key", anchor_key, values)) @ anchor_T_body
-        frame = anchor_T_body @ body_T_plane.frame
+        anchor_T_body = _frame_in("anchor_key", anchor_key, values) @ _frame_of("pose_key", pose_key, values)
+        if values.exists(key):
+            _plane_of("plane_key", key, values)
         extent = Extent(seen.patch_in(inverse_transform(body_T_plane.frame)))
-        self._landmarks[key] = LandmarkExtent(key, anchor_key, frame, extent, {pose_key})
-        return plane_landmark(Plane(frame, np.eye(3)))
+        return self._put(key, anchor_key, anchor_T_body @ body_T_plane.frame, extent, {pose_key})
 
     def see(self, plane_key: int, observation: Observation | Plane, pose_key: int, values: gtsam.Values) -> None:
         """Let a landmark's extent grow by what a pose saw of it, where `values` has pose, landmark and anchor.
@@ -115,6 +115,22 @@ class LandmarkExtents:
         plane_T_body = inverse_transform(place_all([landmark], values)[0]) @ world_T_body
         landmark.extent.grow(seen.patch_in(plane_T_body))
         landmark.pose_keys.add(pose_key)
+
+    def change_anchor(self, plane_key: int, anchor_key: int | None, values: gtsam.Values) -> gtsam.OrientedPlane3:
+        """Let a landmark live in the frame of another pose, or the world; its value there, as `factors.change_anchor`.
+
+        `values` has the landmark and both anchors. ValueError: no landmark of that key, one of them not in values.
+        """
+        landmark = self[plane_key]
+        frame = _frame_in("anchor_key", anchor_key, values) @ place_all([landmark], values)[0]
+        return self._put(landmark.key, anchor_key, frame, landmark.extent, landmark.pose_keys)
+
+    def _put(
+        self, key: int, anchor_key: int | None, frame: FloatArray, extent: Extent, pose_keys: set[int]
+    ) -> gtsam.OrientedPlane3:
+        """Have a landmark; its value in the frame it lives in."""
+        self._landmarks[key] = LandmarkExtent(key, anchor_key, read_only(frame), extent, pose_keys)
+        return plane_landmark(Plane(frame, np.eye(3)))
 
     def remove(self, plane_key: int) -> LandmarkExtent:
         """Take a landmark out, one that was found to be another, say. ValueError: no landmark of that key."""
@@ -128,17 +144,17 @@ def place_all(landmarks: list[LandmarkExtent], values: gtsam.Values) -> FloatArr
     if not landmarks:
         return np.empty((0, 4, 4))
     anchors = {key: _frame_of("landmarks", key, values) for key in {landmark.anchor_key for landmark in landmarks}}
-    planes = [landmark_hesse(_plane_of(landmark.key, values)) for landmark in landmarks]
+    planes = [landmark_hesse(_plane_of("landmarks", landmark.key, values)) for landmark in landmarks]
     normals, distances = np.array([normal for normal, _ in planes]), np.array([d for _, d in planes])
     settled = settle_frames(np.array([landmark.anchor_T_plane for landmark in landmarks]), normals, distances)
     return np.array([anchors[landmark.anchor_key] for landmark in landmarks]) @ settled
 
 
-def _plane_of(key: int, values: gtsam.Values) -> gtsam.OrientedPlane3:
+def _plane_of(name: str, key: int, values: gtsam.Values) -> gtsam.OrientedPlane3:
     try:
         return values.atOrientedPlane3(key)
     except RuntimeError as error:
-        raise ValueError(f"landmarks: expected keys of OrientedPlane3 in values, got {told_key(key)}") from error
+        raise ValueError(f"{name}: expected keys of OrientedPlane3 in values, got {told_key(key)}") from error
 
 
 def _frame_of(name: str, key: int | None, values: gtsam.Values) -> FloatArray:
@@ -147,6 +163,11 @@ def _frame_of(name: str, key: int | None, values: gtsam.Values) -> FloatArray:
         return np.eye(4)
     check_instance("values", values, gtsam.Values)
     return pose_in(name, values, key).matrix()
+
+
+def _frame_in(name: str, key: int | None, values: gtsam.Values) -> FloatArray:
+    """body_T_world of a pose in values; of None, the world."""
+    return inverse_transform(_frame_of(name, key, values))
 
 
 def _told(key: object) -> str:

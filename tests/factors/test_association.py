@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
 
 import gtsam
@@ -25,6 +25,7 @@ from factors import (
     pose_prior,
     settle,
 )
+from factors.association.landmark_extents import place_all
 from spplanes import Plane
 from tests.factors.association_scenes import MAPPED, ROOM, X, asked, drawn, frame_of, key, plane_of, scene
 from tests.factors.factor_scenes import random_line
@@ -268,6 +269,18 @@ def test_extents_grow_where_the_estimate_has_the_landmark():
     assert len(place.landmarks) == 0 and key(0) not in place.landmarks
 
 
+@pytest.mark.parametrize("anchor", [gtsam.symbol("a", 0), None])
+def test_a_landmark_that_moves_to_another_anchor_stays_where_it_was_seen(anchor: int | None):
+    place, world_T_anchor = scene(FIRM, np.random.default_rng(7), (0,)), gtsam.Pose3(gtsam.Rot3.Yaw(1.2), [2.0, 1.0, 0])
+    place.values.insert(gtsam.symbol("a", 0), world_T_anchor)
+    before = place_all(list(place.landmarks), place.values)
+    place.values.update(key(0), place.landmarks.change_anchor(key(0), anchor, place.values))
+    assert place.landmarks[key(0)].anchor_key == anchor and place.landmarks[key(0)].n_keyframes == 2
+    np.testing.assert_allclose(place_all(list(place.landmarks), place.values), before, atol=1e-12)
+    with pytest.raises(FrozenInstanceError):
+        place.landmarks[key(0)].anchor_key = X  # type: ignore[misc]
+
+
 def test_pieces_of_a_wall_that_nobody_knew_are_one_new_plane():
     place = scene(FIRM, np.random.default_rng(8), (0, 1))
     rng = np.random.default_rng(9)
@@ -319,6 +332,9 @@ of_matrix = Prediction.of_matrix
         (lambda: AssociationGates(gap_m=-1.0), "gap_m: expected a number >= 0, got -1.0"),
         (lambda: LineObservation(random_line(np.random.default_rng(0)), np.eye(3)), "body_T_sensor: expected shape"),
         (lambda: PLACE.landmarks.start(key(0), SEEN, X, VALUES), "plane_key: expected a new landmark's, got l0"),
+        (lambda: PLACE.landmarks.start(X, SEEN, X, VALUES), "plane_key: expected keys of OrientedPlane3 .* got x0"),
+        (lambda: PLACE.landmarks[[1]], r"plane_key: expected a landmark that was started, got \[1\]"),  # type: ignore[index]
+        (lambda: PLACE.landmarks.change_anchor(key(0), key(1), VALUES), "anchor_key: expected .* got l1"),
         (lambda: PLACE.landmarks.see(key(5), SEEN, X, VALUES), "plane_key: expected a landmark that was started"),
         (lambda: PLACE.landmarks.see(key(0), SEEN, gtsam.symbol("x", 4), VALUES), "pose_key: expected .* got x4"),
     ],
