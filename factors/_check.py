@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spplanes._check import FloatArray, as_covariance
+from spplanes._check import FloatArray, as_covariance, check_instance
 
 #: Smallest eigenvalue of the correlation matrix below which a covariance counts as singular.
 _SINGULAR = 1e-12
@@ -29,11 +29,14 @@ def told_key(key: int) -> str:
 
 
 def pose_in(name: str, values: gtsam.Values, key: int) -> gtsam.Pose3:
-    """A pose of values; ValueError: there is none of that key."""
-    try:
-        return values.atPose3(as_key(name, key))
-    except RuntimeError as error:
-        raise ValueError(f"{name}: expected the key of a Pose3 in values, got {told_key(key)}") from error
+    """A pose of values, a Pose2 as the Pose3 that it is; ValueError: there is none of that key."""
+    check_instance("values", values, gtsam.Values)
+    for read in (values.atPose3, values.atPose2):
+        try:
+            return gtsam.Pose3(read(as_key(name, key)))
+        except RuntimeError:
+            continue
+    raise ValueError(f"{name}: expected the key of a Pose3 or Pose2 in values, got {told_key(key)}")
 
 
 def check_distinct(**keys: int | None) -> None:

@@ -23,6 +23,7 @@ _Kernel = Callable[..., tuple[FloatArray, FloatArray]]
 IDENTITY = np.asfortranarray(np.eye(4))
 
 _Frame = Callable[[gtsam.Values], FloatArray]
+_Layout = tuple[_Frame, _Frame, list[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,7 @@ class Recipe:
     more_keys: tuple[int, ...] = ()
     """Landmarks of a map after these two."""
     planar: bool = False
-    """The poses are ``Pose2``."""
+    """The poses are known to be ``Pose2``; they may be anyway."""
     robust: Robust = None
     """Kernel of the noise model."""
 
@@ -60,24 +61,19 @@ class Recipe:
 
     def factor(self) -> gtsam.CustomFactor:
         """Make the factor. Its keys are (pose, anchor, plane, reference, more), those that there are."""
-        pose_columns, anchor_columns = _planar_columns if self.planar else _pose_columns
-        blocks: list[tuple[int, Any]] = []
-        if self.pose_key != self.anchor_key:
-            if self.pose_key is not None:
-                blocks.append((self.pose_key, pose_columns))
-            if self.anchor_key is not None:
-                blocks.append((self.anchor_key, anchor_columns))
-        blocks += [(key, slice(12 + 3 * i, 15 + 3 * i)) for i, key in enumerate(self.landmark_keys)]
+        poses = () if self.pose_key == self.anchor_key else (self.pose_key, self.anchor_key)
         noise = gaussian(self.root_information, self.robust, self.dof)
-        return gtsam.CustomFactor(
-            noise, [key for key, _ in blocks], _callback(self, [columns for _, columns in blocks])
-        )
+        keys = [key for key in poses if key is not None]
+        return gtsam.CustomFactor(noise, [*keys, *self.landmark_keys], _callback(self))
 
-    def frames(self) -> tuple[_Frame, _Frame]:
-        """Readers of world_T_anchor and world_T_body out of the values."""
+    def layout(self, planar: bool) -> _Layout:
+        """Readers of world_T_anchor and world_T_body out of the values, and each key's columns of the derivative."""
+        landmarks = [slice(12 + 3 * i, 15 + 3 * i) for i in range(len(self.landmark_keys))]
         if self.pose_key == self.anchor_key:
-            return _identity, _identity
-        return _reader(self.anchor_key, self.planar), _reader(self.pose_key, self.planar)
+            return _identity, _identity, landmarks
+        roles = zip((self.pose_key, self.anchor_key), _planar_columns if planar else _pose_columns, strict=True)
+        columns = [columns for key, columns in roles if key is not None]
+        return _reader(self.anchor_key, planar), _reader(self.pose_key, planar), [*columns, *landmarks]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, for JSON."""
@@ -117,22 +113,31 @@ def describe(factor: gtsam.CustomFactor) -> Recipe | None:
     return None
 
 
-def _callback(recipe: Recipe, columns: list[Any]) -> Callable[[gtsam.CustomFactor, gtsam.Values, Any], FloatArray]:
+def _callback(recipe: Recipe) -> Callable[[gtsam.CustomFactor, gtsam.Values, Any], FloatArray]:
     kernel, data, landmark_keys = _kernel(recipe.kernel), recipe.data, recipe.landmark_keys
-    world_T_anchor, world_T_body = recipe.frames()
+    first, second = recipe.layout(recipe.planar), recipe.layout(True)
 
     def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
         try:
             landmarks = [values.atOrientedPlane3(key).planeCoefficients() for key in landmark_keys]
         except RuntimeError as complaint:
             raise _NoValue(complaint, recipe) from complaint
-        residual, derivative = kernel(world_T_anchor(values), world_T_body(values), *landmarks, *data)
+        (world_T_anchor, world_T_body), columns = _read(first, second, values)
+        residual, derivative = kernel(world_T_anchor, world_T_body, *landmarks, *data)
         if jacobians is not None:
             for i, block in enumerate(columns):
                 jacobians[i] = derivative[:, block]
         return residual
 
     return error
+
+
+def _read(first: _Layout, second: _Layout, values: gtsam.Values) -> tuple[tuple[FloatArray, FloatArray], list[Any]]:
+    """world_T_anchor, world_T_body, and columns: by the first layout, or the second where the poses are of its type."""
+    try:
+        return (first[0](values), first[1](values)), first[2]
+    except RuntimeError:
+        return (second[0](values), second[1](values)), second[2]
 
 
 @cache

@@ -9,6 +9,7 @@ import gtsam
 import gtsam_unstable
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 from shapely.affinity import scale
 
 from factors._check import as_key, pose_in, told_key
@@ -17,6 +18,9 @@ from factors._custom import IDENTITY, describe
 from factors._kernels import plane_seen_from
 from spplanes import Plane
 from spplanes._check import FloatArray, as_covariance, as_shape, as_transform, check_instance
+
+#: Tangent of a Pose3, (rx, ry, rz, x, y, z), by that of a Pose2, (x, y, yaw).
+_OF_POSE2 = np.eye(6)[:, [3, 4, 2]]
 
 
 def plane_landmark(plane: Plane, world_T_body: gtsam.Pose3 | ArrayLike | None = None) -> gtsam.OrientedPlane3:
@@ -141,7 +145,7 @@ def world_plane(
         covariance = joint_covariance(marginals, [plane_key])
         found = landmark_to_plane(landmark, covariance, centre=around, n_points=n_points)
     else:
-        joint = joint_covariance(marginals, [anchor_key, plane_key])
+        joint = _joint(values, marginals, [anchor_key], plane_key)
         anchor = pose_in("anchor_key", values, anchor_key)
         found = world_plane_from_joint(landmark, anchor, joint, centre=around, n_points=n_points)
     return found if shape_of is None else _shaped(found, shape_of)
@@ -181,13 +185,13 @@ def seen_plane(
     if anchor_key == pose_key:
         own = joint_covariance(marginals, [plane_key])
         return landmark_to_plane(landmark, own, centre=centre, n_points=n_points)
-    keys, anchor = [pose_key, plane_key], IDENTITY
+    pose_keys, anchor = [pose_key], IDENTITY
     if anchor_key is not None:
-        keys, anchor = [pose_key, anchor_key, plane_key], pose_in("anchor_key", values, anchor_key).matrix()
+        pose_keys, anchor = [pose_key, anchor_key], pose_in("anchor_key", values, anchor_key).matrix()
     seen, jacobian = plane_seen_from(anchor, pose, landmark.planeCoefficients())
     if anchor_key is None:
         jacobian = np.delete(jacobian, np.s_[6:12], axis=1)
-    return _with_joint(seen, jacobian, joint_covariance(marginals, keys), centre, n_points)
+    return _with_joint(seen, jacobian, _joint(values, marginals, pose_keys, plane_key), centre, n_points)
 
 
 def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:
@@ -206,6 +210,22 @@ def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:
         told = ", ".join(missing)
         raise ValueError(f"keys: expected variables of the graph that the marginals are of, got {told}") from error
     return np.block([[joint.at(row, column) for column in names] for row in names])
+
+
+def _joint(values: gtsam.Values, marginals: gtsam.Marginals, pose_keys: list[int], plane_key: int) -> FloatArray:
+    """Joint covariance of poses and a plane; a Pose2 has no error out of its plane, 6 numbers as any."""
+    full = joint_covariance(marginals, [*pose_keys, plane_key])
+    by_pose = [_OF_POSE2 if _is_planar(values, key) else np.eye(6) for key in pose_keys]
+    spread = block_diag(*by_pose, np.eye(3))
+    return spread @ full @ spread.T
+
+
+def _is_planar(values: gtsam.Values, key: int) -> bool:
+    try:
+        values.atPose2(key)
+    except RuntimeError:
+        return False
+    return True
 
 
 def _has_marginal(marginals: gtsam.Marginals, key: int) -> bool:

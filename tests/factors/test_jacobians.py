@@ -70,12 +70,17 @@ def test_plane_prior():
 
 
 @pytest.mark.parametrize("anchor", [A, None, X], ids=["anchored", "world", "own anchor"])
-def test_line_factor_on_pose2(anchor):
+def test_factors_on_pose2(anchor):
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
         x, a = (gtsam.Pose2(*rng.normal(size=3)) for _ in range(2))
-        line = line_factor_2d(random_line(rng), random_pose(rng).matrix(), X, L, anchor_key=anchor)
-        assert_jacobian(line, values_of(l0=landmark(rng), x0=x, a0=a))
+        values = values_of(l0=landmark(rng), l1=landmark(rng), x0=x, a0=a)
+        for factor in (
+            line_factor_2d(random_line(rng), random_pose(rng).matrix(), X, L, anchor_key=anchor),
+            upright_prior(L, 0.1, up=rng.normal(size=3), anchor_key=anchor),
+            parallel_factor(L, L1, 0.1, anchor_a=anchor, anchor_b=A),
+        ):
+            assert_jacobian(factor, values)
 
 
 @pytest.mark.parametrize(("anchor_a", "anchor_b"), HOMES)

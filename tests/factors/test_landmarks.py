@@ -6,12 +6,15 @@ import pytest
 from shapely import box
 
 from factors import (
+    LineObservation,
     change_anchor,
     direction_prior,
     distance_factor,
     facing,
     landmark_anchors,
     landmark_to_plane,
+    line_factor,
+    line_factor_2d,
     parallel_factor,
     perpendicular_factor,
     plane_factor,
@@ -30,6 +33,7 @@ from tests.factors.factor_scenes import (
     L,
     X,
     frame_of,
+    make_line,
     perturbed,
     random_covariance,
     random_plane,
@@ -104,6 +108,28 @@ def test_change_of_anchor_moves_nothing_in_the_world():
         moved = change_anchor(landmark, old, new.matrix())
         back = moved.transform(new.between(pose))
         np.testing.assert_allclose(back.planeCoefficients(), plane_landmark(plane).planeCoefficients(), atol=1e-12)
+
+
+def test_a_landmark_of_a_planar_graph_is_that_of_the_same_graph_in_space():
+    """All that a Pose2 cannot do a Pose3 is kept from by a micrometre and a microradian."""
+    found, rng = [], np.random.default_rng(4)
+    line, x, a = make_line(0.2, 3.0, np.diag([1e-6, 1e-4])), *(gtsam.Pose2(*rng.normal(size=3)) for _ in range(2))
+    for kind, free, build in ((gtsam.Pose2, slice(3), line_factor_2d), (gtsam.Pose3, [3, 4, 2], line_factor)):
+        sigmas = np.full(3 if kind is gtsam.Pose2 else 6, 1e-6)
+        sigmas[free] = 0.1, 0.2, 0.03
+        noise, values = gtsam.noiseModel.Diagonal.Sigmas(sigmas), values_of(x0=kind(x), a0=kind(a))
+        prior = gtsam.PriorFactorPose2 if kind is gtsam.Pose2 else gtsam.PriorFactorPose3
+        seen = plane_landmark(LineObservation(line, np.eye(4)).full_plane(0.1), gtsam.Pose3(x))
+        values.insert(L, seen.transform(gtsam.Pose3(a)))
+        factors = prior(X, kind(x), noise), prior(A, kind(a), noise), build(line, np.eye(4), X, L, anchor_key=A)
+        graph = graph_of(*factors, upright_prior(L, 0.01, anchor_key=A))
+        marginals = gtsam.Marginals(graph, values)
+        found.append(
+            (world_plane(values, marginals, L, anchor_key=A), seen_plane(values, marginals, L, X, anchor_key=A))
+        )
+    for flat, spatial in zip(*found, strict=True):
+        np.testing.assert_allclose(flat.frame, spatial.frame, atol=1e-12)
+        np.testing.assert_allclose(flat.covariance, spatial.covariance, rtol=1e-4, atol=1e-9)
 
 
 def test_facing_turns_the_plane_and_its_covariance():
