@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numbers
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -21,6 +22,23 @@ def as_key(name: str, value: object) -> int:
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not 0 <= int(value) < 2**64:
         raise ValueError(f"{name}: expected a GTSAM key (an integer such as gtsam.symbol('x', 0)), got {value!r}")
     return int(value)
+
+
+def as_list(name: str, value: Any) -> list[Any]:
+    """What a sequence holds; ValueError: it is none."""
+    try:
+        return list(value)
+    except TypeError as error:
+        raise ValueError(f"{name}: expected a sequence, got {type(value).__name__}") from error
+
+
+def as_keys(name: str, value: Any) -> list[int]:
+    """The GTSAM keys of a sequence of at least one; ValueError: it is none, or has one of them twice."""
+    keys = [as_key(name, key) for key in as_list(name, value)]
+    check_distinct(**{f"{name}[{i}]": key for i, key in enumerate(keys)})
+    if not keys:
+        raise ValueError(f"{name}: expected at least one, got none")
+    return keys
 
 
 def told_key(key: int) -> str:

@@ -22,10 +22,13 @@ import gtsam
 import gtsam_unstable
 import numpy as np
 
+from factors._check import told_key
 from factors._custom import Recipe, describe
 from spplanes._check import check_instance
 
 _FORMAT = "spplanes-graph/1"
+#: What a document of our format without all of its content may raise on the way into a graph.
+_WRONG_CONTENT = (KeyError, TypeError, ValueError, AttributeError, IndexError, StopIteration, RuntimeError)
 
 
 class ArchiveError(ValueError):
@@ -35,8 +38,11 @@ class ArchiveError(ValueError):
 def dumps(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values | None = None) -> str:
     """Graph and values as text; empty slots of the graph stay empty.
 
-    ArchiveError: a factor that neither GTSAM nor this package can write (somebody else's custom factor).
+    ArchiveError: a factor (somebody else's custom factor) or a value that neither GTSAM nor this package can write.
     """
+    check_instance("graph", graph, gtsam.NonlinearFactorGraph)
+    if values is not None:
+        check_instance("values", values, gtsam.Values)
     factors = [_written(graph.at(i), i) if graph.exists(i) else None for i in range(graph.size())]
     return json.dumps({"format": _FORMAT, "factors": factors, "values": None if values is None else _values(values)})
 
@@ -50,12 +56,16 @@ def loads(text: str) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
         raise ArchiveError(f"text: expected a graph written by dumps, got no such document ({error})") from error
     if not known:
         raise ArchiveError(f"text: expected format {_FORMAT}, got {document.get('format')!r}")
-    graph = gtsam.NonlinearFactorGraph()
-    graph.resize(len(document["factors"]))
-    for i, written in enumerate(document["factors"]):
-        if written is not None:
-            graph.replace(i, _read(written))
-    return graph, _read_values(document["values"])
+    try:
+        graph = gtsam.NonlinearFactorGraph()
+        graph.resize(len(document["factors"]))
+        for i, written in enumerate(document["factors"]):
+            if written is not None:
+                graph.replace(i, _read(written))
+        return graph, _read_values(document["values"])
+    except _WRONG_CONTENT as error:
+        why = " ".join(str(error).split())[:80]
+        raise ArchiveError(f"text: expected all of a graph, got a part of one or other ({why})") from error
 
 
 def copy_graph(
@@ -63,9 +73,8 @@ def copy_graph(
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     """Copies of a graph and of values that share nothing with the originals; numbers agree to 1e-15.
 
-    ArchiveError: a factor that neither GTSAM nor this package can write.
+    ArchiveError: a factor or a value that neither GTSAM nor this package can write.
     """
-    check_instance("graph", graph, gtsam.NonlinearFactorGraph)
     return loads(dumps(graph, values))
 
 
@@ -184,7 +193,24 @@ def _values(values: gtsam.Values) -> dict[str, Any]:
         except RuntimeError:
             continue
         rest.erase(key)
-    return {"planes": planes, "others": rest.serialize()}
+    try:
+        return {"planes": planes, "others": rest.serialize()}
+    except RuntimeError as error:
+        told = ", ".join(told_key(key) for key in rest.keys() if not _is_archived(rest, key))  # noqa: SIM118
+        raise ArchiveError(f"values: GTSAM cannot archive {told} ({str(error).splitlines()[0]})") from error
+
+
+def _is_archived(values: gtsam.Values, key: int) -> bool:
+    """Whether GTSAM can archive a value by itself."""
+    alone = gtsam.Values(values)
+    for other in values.keys():  # noqa: SIM118 - not a mapping
+        if other != key:
+            alone.erase(other)
+    try:
+        alone.serialize()
+    except RuntimeError:
+        return False
+    return True
 
 
 def _read_values(written: dict[str, Any] | None) -> gtsam.Values:

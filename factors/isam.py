@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
-from factors._check import as_key, check_distinct, told_key
+from factors._check import as_keys, told_key
 from spplanes._check import FloatArray, as_count, as_positive, check_instance
 
 #: Step beyond which a variable is relinearised, rad or m. A tilt e of a plane d away neglects d e^2 / 2 of its
@@ -57,13 +57,10 @@ def isam_covariance(isam: gtsam.ISAM2, values: gtsam.Values, keys: Sequence[int]
     """
     check_instance("isam", isam, gtsam.ISAM2)
     check_instance("values", values, gtsam.Values)
-    names = [as_key("keys", key) for key in keys]
-    check_distinct(**{f"keys[{i}]": key for i, key in enumerate(names)})
+    names = as_keys("keys", keys)
     for key in names:
         if not (isam.valueExists(key) and values.exists(key)):
             raise ValueError(f"keys: expected variables of isam and of values, got {told_key(key)}")
-    if not names:
-        raise ValueError("keys: expected at least one, got none")
     linearised = isam.getLinearizationPoint()
     joint = isam.jointMarginalCovariance(names)
     full = np.block([[joint.at(row, column) for column in names] for row in names])

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 from shapely.affinity import scale
 
-from factors._check import as_key, pose_in, told_key
+from factors._check import as_key, as_keys, pose_in, told_key
 from factors._conventions import hesse_to_sp, landmark_hesse, oriented_plane, plane_frame, tangent_to_sp
 from factors._custom import IDENTITY, describe
 from factors._kernels import plane_seen_from
@@ -145,8 +145,8 @@ def world_plane(
         covariance = joint_covariance(marginals, [plane_key])
         found = landmark_to_plane(landmark, covariance, centre=around, n_points=n_points)
     else:
-        joint = _joint(values, marginals, [anchor_key], plane_key)
         anchor = pose_in("anchor_key", values, anchor_key)
+        joint = _joint(values, marginals, [anchor_key], plane_key)
         found = world_plane_from_joint(landmark, anchor, joint, centre=around, n_points=n_points)
     return found if shape_of is None else _shaped(found, shape_of)
 
@@ -195,10 +195,9 @@ def seen_plane(
 
 
 def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:
-    """Joint covariance of several variables in the order of ``keys``; ValueError: keys without a marginal."""
-    names = [as_key("keys", key) for key in keys]
-    if not names:
-        raise ValueError("keys: expected at least one, got none")
+    """Joint covariance of several variables in the order of ``keys``; ValueError: keys twice or without a marginal."""
+    check_instance("marginals", marginals, gtsam.Marginals)
+    names = as_keys("keys", keys)
     try:
         if len(names) == 1:
             return np.asarray(marginals.marginalCovariance(names[0]))
@@ -264,6 +263,7 @@ def _shaped(plane: Plane, shape: Plane) -> Plane:
 
 
 def _landmark(values: gtsam.Values, key: int) -> gtsam.OrientedPlane3:
+    check_instance("values", values, gtsam.Values)
     try:
         return values.atOrientedPlane3(as_key("plane_key", key))
     except RuntimeError as error:

@@ -11,7 +11,7 @@ import gtsam_unstable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factors._check import as_key, check_definite, check_distinct
+from factors._check import as_key, as_keys, as_list, check_definite, check_distinct
 from factors._conventions import (
     centre_root_informations,
     hesse_to_sp,
@@ -58,6 +58,7 @@ def get_ready(planes: Sequence[Plane]) -> None:
 
     A plane is compared with many landmarks before it is in the graph once. ValueError: a singular covariance.
     """
+    planes = as_list("planes", planes)
     for plane in planes:
         check_instance("plane", plane, Plane)
     if new := [plane for plane in planes if plane not in _ready]:
@@ -176,12 +177,12 @@ def map_prior(
 
     ValueError: no planes, keys given twice, another shape, a singular covariance.
     """
-    keys = [as_key("plane_keys", key) for key in plane_keys]
+    planes, keys = as_list("planes", planes), as_list("plane_keys", plane_keys)
     if not keys or len(keys) != len(planes):
         raise ValueError(f"planes: expected as many as plane_keys, and at least one, got {len(planes)} and {len(keys)}")
     for plane in planes:
         check_instance("plane", plane, Plane)
-    check_distinct(**{f"plane_keys[{i}]": key for i, key in enumerate(keys)})
+    keys = as_keys("plane_keys", keys)
     full = as_covariance("covariance", covariance, 3 * len(keys))
     try:
         root = np.linalg.inv(np.linalg.cholesky(full))

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from factors._check import as_list
 from factors.association.decisions import AssociationGates, Candidate, Decision
 from factors.association.grouping import group_planes
 from factors.association.joint_association import joint_compatibility
@@ -17,7 +18,7 @@ from factors.association.observations import Observation, as_observation
 from factors.association.prediction import Prediction
 from factors.association.probabilities import Posterior, posteriors
 from spplanes import Plane
-from spplanes._check import FloatArray, as_number, check_instance
+from spplanes._check import FloatArray, as_number, as_positive, check_instance
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,13 +95,15 @@ def associate(
 
     Raises:
         ValueError: what is no observation, a singular covariance, landmarks or anchors that are not in the prediction's
-            values, covariances that are not finite, a probability outside [0, 1].
+            values, covariances that are not finite, a probability outside [0, 1], a tilt that is not positive.
     """
     gates, least = _checked(prediction, landmarks, gates, least_probability)
-    seen = [as_observation(f"observations[{i}]", observation) for i, observation in enumerate(observations)]
+    tilt_rad = as_positive("wall_tilt_sigma_rad", wall_tilt_sigma_rad)
+    given = as_list("observations", observations)
+    seen = [as_observation(f"observations[{i}]", observation) for i, observation in enumerate(given)]
     identities = _identities(seen, prediction, landmarks, gates, least)
     new = [index for index, identity in identities.items() if identity.verdict == "new"]
-    groups = group_planes([seen[index] for index in new], gates, wall_tilt_sigma_rad, [True] * len(new))
+    groups = group_planes([seen[index] for index in new], gates, tilt_rad, [True] * len(new))
     new_planes = tuple(tuple(new[member] for member in group) for group in groups)
     return Association(tuple(identities[index] for index in range(len(seen))), new_planes)
 

@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factors._check import as_key, check_distinct, told_key
+from factors._check import as_key, as_keys, told_key
 from factors.isam import isam_covariance
 from factors.landmarks import joint_covariance
 from spplanes._check import FloatArray, as_covariance, check_instance
@@ -99,8 +99,7 @@ class Prediction:
                 values, the pose not among them.
         """
         check_instance("values", values, gtsam.Values)
-        names = [as_key("keys", key) for key in keys]
-        check_distinct(**{f"keys[{i}]": key for i, key in enumerate(names)})
+        names = as_keys("keys", keys)
         if as_key("pose_key", pose_key) not in names:
             raise ValueError(f"keys: expected the pose {told_key(pose_key)} among them, got {_told(names)}")
         sizes = [_size_of("keys", values, key) for key in names]

@@ -1,6 +1,7 @@
 """Graphs and factors survive being written, renamed and copied."""
 
 import copy
+import json
 import pickle
 
 import gtsam
@@ -116,6 +117,23 @@ def test_a_factor_evaluated_while_another_is_asked_what_it_is_keeps_its_error():
 def test_other_texts_are_refused(text):
     with pytest.raises(ArchiveError, match="text: expected"):
         loads(text)
+
+
+@pytest.mark.parametrize("change", ["factors", "values", "keys", "data", "noise"])
+def test_documents_without_all_of_a_graph_are_refused(change):
+    document = json.loads(dumps(*everything()))
+    for part in (document, *(next(iter(factor.values())) for factor in document["factors"])):
+        if isinstance(part, dict):
+            part.pop(change, None)
+    with pytest.raises(ArchiveError, match="text: expected all of a graph, got a part of one or other"):
+        loads(json.dumps(document))
+
+
+def test_values_that_gtsam_cannot_archive_are_named():
+    graph, values = everything()
+    values.insert(gtsam.symbol("b", 3), 2.5)
+    with pytest.raises(ArchiveError, match=r"values: GTSAM cannot archive b3 \(unregistered class"):
+        dumps(graph, values)
 
 
 def test_every_factor_over_other_variables_has_the_same_error():

@@ -322,6 +322,15 @@ of_matrix = Prediction.of_matrix
             "landmarks: expected keys of OrientedPlane3 in values, got l0",
         ),
         (lambda: associate([SEEN, 1.0], PLACE.prediction, PLACE.landmarks), r"observations\[1\]: .* got float"),  # type: ignore[list-item]
+        (lambda: associate(SEEN, PLACE.prediction, PLACE.landmarks), "observations: expected a sequence, got Plane"),
+        *(
+            (
+                lambda tilt=tilt: associate([SEEN], PLACE.prediction, PLACE.landmarks, wall_tilt_sigma_rad=tilt),
+                "wall_tilt_sigma_rad: expected a positive finite number, got",
+            )
+            for tilt in (-1.0, np.nan)
+        ),
+        (lambda: of_matrix(np.eye(6), X, VALUES, X), "keys: expected a sequence, got int"),
         (lambda: associate([SEEN], PLACE.prediction, {}), "landmarks: expected a LandmarkExtents, got dict"),  # type: ignore[arg-type]
         (lambda: associate([SEEN], MATRIX, PLACE.landmarks), "prediction: expected a Prediction, got ndarray"),  # type: ignore[arg-type]
         (

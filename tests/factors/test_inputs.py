@@ -13,9 +13,11 @@ from factors import (
     distance_factor,
     get_ready,
     isam2_parameters,
+    isam_covariance,
     joint_covariance,
     landmark_anchors,
     line_factor,
+    map_prior,
     odometry_factor,
     odometry_factor_2d,
     parallel_factor,
@@ -47,6 +49,13 @@ from tests.factors.factor_scenes import (
 
 PLANE = random_plane(np.random.default_rng(0))
 LINE = random_line(np.random.default_rng(0))
+WALL = values_of(l0=gtsam.OrientedPlane3())
+MARGINALS = gtsam.Marginals(gtsam.NonlinearFactorGraph(), gtsam.Values())
+WRONG_KEYS = [
+    (L, "keys: expected a sequence, got int"),
+    ([], "keys: expected at least one, got none"),
+    ([L, L], r"keys\[1\]: expected another key than keys\[0\], got l0 for both"),
+]
 WRONG_SIGMAS = [(0.1, 0.1), (0.1, 0.0, 0.1), (0.1, -1.0, 0.1)]
 
 
@@ -177,6 +186,19 @@ def test_two_points_carry_the_covariance_of_a_line():
         (lambda: direction_prior(L, (0.0, 0.0, 0.0), 0.1), "direction: expected a direction, got the zero vector"),
         (lambda: direction_prior(L, (1e200, 0, 0), 0.1), "direction: expected numbers below"),
         (lambda: landmark_anchors(gtsam.Values()), "graph: expected a NonlinearFactorGraph, got Values"),
+        (lambda: get_ready(PLANE), "planes: expected a sequence, got Plane"),
+        (lambda: map_prior(PLANE, [L], np.eye(3)), "planes: expected a sequence, got Plane"),
+        (lambda: map_prior([PLANE], L, np.eye(3)), "plane_keys: expected a sequence, got int"),
+        (lambda: joint_covariance(None, [L]), "marginals: expected a Marginals, got NoneType"),
+        (lambda: world_plane(None, None, L), "values: expected a Values, got NoneType"),
+        (
+            lambda: world_plane(WALL, None, L, anchor_key=L),
+            "anchor_key: expected the key of a Pose3 or Pose2 .* got l0",
+        ),
+        *((lambda keys=keys: isam_covariance(gtsam.ISAM2(), WALL, keys), message) for keys, message in WRONG_KEYS),
+        *((lambda keys=keys: joint_covariance(MARGINALS, keys), message) for keys, message in WRONG_KEYS),
+        (lambda: copy_graph(None), "graph: expected a NonlinearFactorGraph, got NoneType"),
+        (lambda: copy_graph(gtsam.NonlinearFactorGraph(), "x"), "values: expected a Values, got str"),
         (lambda: copy_graph([]), "graph: expected a NonlinearFactorGraph, got list"),
         (lambda: isam2_parameters(threshold=0.0), "threshold: expected a positive finite number, got 0"),
         (lambda: settle({}), "isam: expected an ISAM2, got dict"),
