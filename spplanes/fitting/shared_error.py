@@ -47,7 +47,7 @@ _HALF = 3.0**0.5
 _LEAST_FACTOR = 1e-4
 #: How much of what the contrasts of one plane tell of its tau^2 is believed: that its longer waves, which turn it, are
 #: of the same variance is an assumption. Angles between planes seen twice by two lidars and a Kinect, mean chi2, and
-#: share beyond 99.9 %: all of it .89 to 1.5, .3 to 2.9 %; half .73 to 1.1, .2 to 1.7 %; .4 .62 to .98, 0 to 1.1 %.
+#: share beyond 99.9 %: all of it .57 to 1.6, 0 to 2.8 %; half .52 to 1.1, 0 to 1.1 %.
 _BELIEVED = 0.5
 #: tau^2 is looked at where it gives the largest contrast so many times the variance of its noise.
 _MULTIPLES = 10.0 ** np.arange(-3.0, 9.0, 0.1)
