@@ -69,7 +69,12 @@ class Observation(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PlaneObservation:
-    """A plane fitted in the body frame of a pose."""
+    """A plane fitted in the body frame of a pose.
+
+    Without an outline it is taken to be as large as its covariance says, which tells how far its points scatter
+    whatever their noise: where neighbouring points share errors up to four times as large as it is, better give it its
+    outline. One that was fitted to no points is taken to be its centre alone.
+    """
 
     plane: Plane
     """The plane, n toward the sensor, with the covariance of sensor (and in-window motion) noise only."""
@@ -101,9 +106,15 @@ class PlaneObservation:
     @property
     def vertices(self) -> FloatArray:
         """Corners of the outline in the body frame, shape (N, 3), m."""
+        return lift(shapely.get_coordinates(self._outline), self.plane.frame)
+
+    @cached_property
+    def _outline(self) -> BaseGeometry:
+        """The outline in (x, y) of the plane; without one the rectangle of even points that is known as well as it."""
         outline = self.plane.outline
-        flat = np.zeros((1, 2)) if outline is None or outline.is_empty else shapely.get_coordinates(outline)
-        return lift(flat, self.plane.frame)
+        if outline is not None and not outline.is_empty:
+            return outline
+        return shapely.Polygon(_even_rectangle(self.plane)) if self.plane.n_points else shapely.Point(0.0, 0.0)
 
     def factor(
         self,
@@ -121,11 +132,23 @@ class PlaneObservation:
         return self.plane
 
     def patch_in(self, plane_T_body: FloatArray) -> BaseGeometry:
-        """The outline, or the centre when there is none."""
-        plane_T_body, outline = as_transform("plane_T_body", plane_T_body), self.plane.outline
-        if outline is None or outline.is_empty:
-            return shapely.Point((plane_T_body @ self.plane.frame)[:2, 3])
-        return flatten(outline, plane_T_body @ self.plane.frame)
+        """The outline, or the rectangle in its place."""
+        return flatten(self._outline, as_transform("plane_T_body", plane_T_body) @ self.plane.frame)
+
+
+def _even_rectangle(plane: Plane) -> FloatArray:
+    """Corners, shape (4, 2), m, in (x, y) of a plane, of the rectangle whose points, spread evenly, tell as much of it.
+
+    Points of independent errors tell a tilt by their variance across the axis times what they tell the height by; the
+    variance of a rectangle is a third of its half side squared.
+    """
+    information = np.linalg.inv(plane.covariance)
+    weight = information[0, 0]
+    middle = np.array((-information[0, 1], information[0, 2])) / weight
+    signs = np.array((-1.0, 1.0))
+    variances, axes = np.linalg.eigh(information[1:, 1:] * np.outer(signs, signs) / weight - np.outer(middle, middle))
+    sides = axes * np.sqrt(3.0 * np.maximum(variances, 0.0))
+    return middle + np.array(((-1, -1), (1, -1), (1, 1), (-1, 1))) @ sides.T
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from factors import (
     AssociationGates,
     LandmarkExtents,
     LineObservation,
+    PlaneObservation,
     Prediction,
     associate,
     isam2_parameters,
@@ -26,8 +27,19 @@ from factors import (
     settle,
 )
 from factors.association.landmark_extents import place_all
-from spplanes import Plane
-from tests.factors.association_scenes import MAPPED, ROOM, X, asked, drawn, frame_of, key, plane_of, scene
+from spplanes import Plane, fit_plane
+from tests.factors.association_scenes import (
+    MAPPED,
+    ROOM,
+    X,
+    asked,
+    drawn,
+    frame_of,
+    key,
+    plane_of,
+    scene,
+    tangent_covariance,
+)
 from tests.factors.factor_scenes import random_line
 
 #: A level robot whose position is known to 20 cm and whose heading to half a degree; rotation first.
@@ -254,6 +266,36 @@ def test_a_prediction_keeps_the_values_that_it_was_given():
     prediction, before = place.prediction, place.values.atPose3(X).matrix()
     place.values.update(X, gtsam.Pose3())
     np.testing.assert_array_equal(prediction.pose(X), before)
+
+
+def fitted(middle: tuple[float, float], rng: np.random.Generator) -> Plane:
+    """A piece of a wall, 4 m by 1 m, without an outline."""
+    across, along = 0.01 * rng.standard_normal(400), np.array(middle) + rng.uniform((-2, -0.5), (2, 0.5), (400, 2))
+    return fit_plane(np.column_stack((across + 4.0, along)), sigma=0.01, viewpoint=np.zeros(3))
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.7, -0.4)])
+def test_a_plane_without_an_outline_is_as_large_as_its_points_scatter(shift: tuple[float, float]):
+    """Wherever on it its frame is: p at another origin is z - theta a + psi b, theta, psi."""
+    plane, (a, b) = fitted((1.0, 0.0), np.random.default_rng(1)), shift
+    frame, by_shift = plane.frame.copy(), np.array([[1.0, -a, b], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    frame[:3, 3] += frame[:3, :2] @ shift
+    moved = Plane(frame, by_shift @ plane.covariance @ by_shift.T, plane.n_points)
+    patch = PlaneObservation(moved).patch_in(frame_of((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)).T)
+    assert patch.intersection(box(-1.0, -0.5, 3.0, 0.5)).area > 0.9 * max(4.0, patch.area)
+    assert PlaneObservation(replace(moved, n_points=0)).patch_in(np.eye(4)).geom_type == "Point"
+
+
+@pytest.mark.parametrize("on_m", [2.0, 3.0])
+def test_a_wall_without_an_outline_goes_on(on_m: float):
+    rng, values, landmarks = np.random.default_rng(2), gtsam.Values(), LandmarkExtents()
+    values.insert(X, gtsam.Pose3())
+    known = fitted((0.0, 0.0), rng)
+    values.insert(key(0), landmarks.start(key(0), known, X, values))
+    covariance = np.zeros((9, 9))
+    covariance[:6, :6], covariance[6:, 6:] = FIRM, tangent_covariance(known)
+    [one] = associate([fitted((on_m, 0.0), rng)], of_matrix(covariance, [X, key(0)], values, X), landmarks).identities
+    assert one.verdict == "match"
 
 
 def test_extents_grow_where_the_estimate_has_the_landmark():
