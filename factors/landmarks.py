@@ -9,7 +9,6 @@ import gtsam
 import gtsam_unstable
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
 from shapely.affinity import scale
 
 from factors._check import as_key, as_keys, pose_in, told_key
@@ -19,8 +18,8 @@ from factors._kernels import plane_seen_from
 from spplanes import Plane
 from spplanes._check import FloatArray, as_covariance, as_shape, as_transform, check_instance
 
-#: Tangent of a Pose3, (rx, ry, rz, x, y, z), by that of a Pose2, (x, y, yaw).
-_OF_POSE2 = np.eye(6)[:, [3, 4, 2]]
+#: Where the tangent of a Pose2, (x, y, yaw), is in that of a Pose3, (rx, ry, rz, x, y, z).
+_OF_POSE2 = (3, 4, 2)
 
 
 def plane_landmark(plane: Plane, world_T_body: gtsam.Pose3 | ArrayLike | None = None) -> gtsam.OrientedPlane3:
@@ -213,10 +212,11 @@ def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:
 
 def _joint(values: gtsam.Values, marginals: gtsam.Marginals, pose_keys: list[int], plane_key: int) -> FloatArray:
     """Joint covariance of poses and a plane; a Pose2 has no error out of its plane, 6 numbers as any."""
-    full = joint_covariance(marginals, [*pose_keys, plane_key])
-    by_pose = [_OF_POSE2 if _is_planar(values, key) else np.eye(6) for key in pose_keys]
-    spread = block_diag(*by_pose, np.eye(3))
-    return spread @ full @ spread.T
+    known = [_OF_POSE2 if _is_planar(values, key) else range(6) for key in pose_keys]
+    rows = [6 * i + row for i, own in enumerate([*known, range(3)]) for row in own]
+    full = np.zeros((6 * len(pose_keys) + 3,) * 2)
+    full[np.ix_(rows, rows)] = joint_covariance(marginals, [*pose_keys, plane_key])
+    return full
 
 
 def _is_planar(values: gtsam.Values, key: int) -> bool:

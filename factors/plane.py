@@ -42,11 +42,14 @@ def plane_factor(
     The native error is not quite linear in the tilts: at the distance d of the plane a tilt e takes d |e|^2 / 2 off.
     Its mean and variance under the plane's own covariance are corrected for, which matters to small patches far away.
 
-    Sides are the caller's: the error is blind to a plane seen from behind (see `factors.facing`). All factors of one
-    landmark take it in one frame: `factors.landmark_anchors` refuses a graph where they do not.
+    Sides are the caller's (`factors.facing`): of a plane whose normal points away from the landmark's the native error
+    is twice its distance, the custom one nothing. All factors of one landmark take it in one frame:
+    `factors.landmark_anchors` refuses a graph where they do not.
 
-    GTSAM's own archives lose what a native factor measured: ``copy`` and ``pickle`` of a factor are right wherever
-    `factors` was imported, graphs go through `factors.archive.dumps` and `loads`, or `factors.copy_graph`.
+    GTSAM cannot clone these factors: ``graph.clone()``, ``rekey`` and its ``GncOptimizer`` do not take them, ``robust``
+    and `factors.archive.rekeyed` do what those do. Its own archives lose what a native factor measured: ``copy`` and
+    ``pickle`` of a factor are right wherever `factors` was imported, graphs go through `factors.archive.dumps` and
+    `loads`, or `factors.copy_graph`.
     ValueError: a key that is no integer, a singular covariance, an unknown kernel.
     """
     get_ready([plane])

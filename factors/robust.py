@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gtsam
-from scipy.special import chdtri
 
 from spplanes._check import FloatArray, as_positive
 
@@ -42,6 +41,8 @@ def resolve_robust(robust: Robust, dof: int) -> tuple[str, float] | None:
             f"robust: expected None, one of {', '.join(sorted(_ESTIMATORS))}, or (name, k), got {robust!r}"
         )
     if k is None:  # kernels act on the whitened norm of the whole error vector
+        from scipy.special import chdtri  # `import factors` takes no SciPy
+
         quantile = round(float(chdtri(dof, 0.05)), 3)
         return name, quantile if name == "dcs" else quantile**0.5
     return name, as_positive("robust", k)
