@@ -29,6 +29,10 @@ FEWEST = 6
 _FLAT = 0.1
 #: Share of the points that must lie in such cells, or cells are taken larger.
 _ENOUGH = 0.3
+#: One in so many cells, of any size, lies in no corner.
+_FEW_CORNERS = 10
+#: Fewest larger cells that look flat by more than chance, in a shell of ranges.
+_LEAST_CELLS = 2
 #: Noise is found in so many bins of range at most, each of so many cells at least.
 _BINS, _CELLS_OF_BIN = 12, 20
 #: Of a planar cell, share that the tests of its residuals and of its octants may refuse.
@@ -72,20 +76,13 @@ class Curve:
         """Variance of every point about planes through its neighbours, shape (N,), m^2; None where too few look flat.
 
         It is the median over flat cells at about the same range, and never falls with it: noise of range sensors grows.
-        Cells are taken larger, four times as many points, until enough look flat: where points lie closer than they
-        err, small cells are balls.
+        Cells are taken larger, four times as many points, until enough at that range look flat: where points lie closer
+        than they err, small cells are balls.
 
         Args:
             ranges: of the points from where they were seen, shape (N,), m.
         """
-        fewest, cells = LOCAL, np.empty((0, 4))
-        while fewest <= max(len(self.points), LOCAL):
-            judged = local_scatter(self.points, self.keys, fewest)
-            flat = judged[judged[:, 1] < _FLAT * judged[:, 2]]
-            cells = flat if flat[:, 0].sum() > cells[:, 0].sum() else cells
-            if cells[:, 0].sum() > _ENOUGH * len(self.points):
-                break
-            fewest *= 4
+        cells = self._flat_cells(ranges)
         if not len(cells):
             return None
         cells = cells[np.argsort(ranges[cells[:, 3].astype(np.int64)], kind="stable")]
@@ -94,6 +91,32 @@ class Curve:
         middles = np.array([np.median(ranges[one[:, 3].astype(np.int64)]) for one in bins])
         rising = isotonic_regression(medians, weights=[one[:, 0].sum() for one in bins]).x
         return np.interp(self._smoothed(ranges), middles, rising)
+
+    def _flat_cells(self, ranges: FloatArray) -> FloatArray:
+        """Cells that look flat (see `local_scatter`), in every shell of ranges the smallest of which there are enough.
+
+        Noise grows with the range: cells that show that of near points are balls of far ones. In a ball of half the
+        size it has at least a quarter of its variance, or it was no ball but a corner.
+        """
+        n_shells = max(min(len(ranges) // (_CELLS_OF_BIN * LOCAL), _BINS), 1)
+        shell = np.searchsorted(np.quantile(ranges, np.arange(1, n_shells) / n_shells), ranges)
+        enough = _ENOUGH * np.bincount(shell, minlength=n_shells)
+        held, found, most = np.zeros(n_shells), [np.empty((0, 4))] * n_shells, np.full(n_shells, np.inf)
+        fewest = LOCAL
+        while fewest <= max(len(self.points), LOCAL) and (held <= enough).any():
+            judged = local_scatter(self.points, self.keys, fewest)
+            place = shell[judged[:, 3].astype(np.int64)]
+            for s in np.flatnonzero(held <= enough):
+                mine = judged[place == s]
+                flat = mine[mine[:, 1] < _FLAT * mine[:, 2]]
+                if len(flat) < _LEAST_CELLS and fewest > LOCAL:
+                    continue
+                if flat[:, 0].sum() > held[s] and _median_variance(flat) <= most[s]:
+                    held[s], found[s] = flat[:, 0].sum(), flat
+                flattest = mine[np.argsort(mine[:, 1], kind="stable")][: len(mine) // _FEW_CORNERS + 1]
+                most[s] = 4.0 * _median_variance(flattest) if len(mine) else most[s]
+            fewest *= 4
+        return np.concatenate(found)
 
     def _smoothed(self, values: FloatArray) -> FloatArray:
         """Means over neighbourhoods: by its own range a point would weigh more the more it is measured too short."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -36,8 +37,9 @@ _TOO_NEAR = 0.1
 _MUCH_MORE = 3.0
 #: Normals of the points of a plane whose mean is shorter than this point both ways: they tell no side.
 _AGREED = 0.5
-#: Grids are searched along rows and columns where this share of the returns has one beside it, along both.
-_LEAST_LINKED = 0.75
+#: Grids are searched along rows and columns where this share of the returns has one beside it, along both, and errs by
+#: less than the distance there, which is taken over so many of them.
+_LEAST_LINKED, _STEPS = 0.75, 8
 
 
 @dataclass(frozen=True)
@@ -121,10 +123,10 @@ def segment_cloud(
     """Planes of one cloud, and the plane of every point.
 
     Points (N, 3) have no order: whatever it is, the planes are the same. Grids (S, B, 3) are searched along their rows
-    and columns, which is faster; where holes leave many returns alone there, as points. The error that
-    neighbouring points share is found in the cloud, whatever sigma says, and is part of the planes' covariances; so is
-    what rounded coordinates have in common. Points that are repeated to the last bit are counted in ``coverage``; they
-    make no plane more certain than its distinct points do.
+    and columns, which is faster; where holes leave many returns alone there, or noise is wider than the distance of
+    many from the next, as points. The error that neighbouring points share is found in the cloud, whatever sigma says,
+    and is part of the planes' covariances; so is what rounded coordinates have in common. Points that are repeated to
+    the last bit are counted in ``coverage``; they make no plane more certain than its distinct points do.
 
     Args:
         cloud: points in any frame, m: an array (N, 3), or (S, B, 3) where rows are scan lines or image rows, in the
@@ -157,7 +159,7 @@ def segment_cloud(
         normals = _normals_in(cloud, points)
     if points.ndim == 3 and job.is_linked:
         return job.of_grid()
-    return job.of_points(normals, placed=viewpoint is not None)
+    return job.of_points(normals, placed=viewpoint is not None or points.ndim == 3)
 
 
 @dataclass(eq=False)
@@ -187,12 +189,30 @@ class _Job:
             raise ValueError(f"cloud: expected at least three points, got {np.count_nonzero(seen)}")
         return cls(points, seen, np.broadcast_to(eyes, points.shape), sigma, config)
 
-    @property
+    @cached_property
     def is_linked(self) -> bool:
-        """Whether the returns of a grid mostly lie beside others, along rows and along columns."""
-        ahead = self.seen[:, :-1], self.seen[:-1]
-        linked = self.seen[:, :-1] & self.seen[:, 1:], self.seen[:-1] & self.seen[1:]
-        return all(both.sum() >= _LEAST_LINKED * one.sum() for both, one in zip(linked, ahead, strict=True))
+        """Whether the returns of a grid mostly lie beside others, along rows and along columns, farther than they err.
+
+        Where noise is wider than that, the returns beside one are not those that are nearest to it.
+        """
+        centred, sigmas = self.points - self.eyes, np.zeros(self.seen.shape)
+        sigmas[self.seen] = np.sqrt(self._grid_noise[1])[self._grid_noise[0].number]
+        for axis in (0, 1):
+            points, noise = np.moveaxis(centred, axis, 0), np.moveaxis(sigmas, axis, 0)
+            seen = noise > 0.0
+            if (seen[:-1] & seen[1:]).sum() < _LEAST_LINKED * seen[:-1].sum():
+                return False
+            both = seen[_STEPS:] & seen[:-_STEPS]
+            apart = np.linalg.norm(points[_STEPS:][both] - points[:-_STEPS][both], axis=1) / _STEPS
+            if np.count_nonzero(apart < noise[_STEPS:][both]) > (1.0 - _LEAST_LINKED) * len(apart):
+                return False
+        return True
+
+    @cached_property
+    def _grid_noise(self) -> tuple[Curve, FloatArray]:
+        """The curve through the returns of a grid, from their eye, and the variances of its points, m^2."""
+        curve = Curve.through((self.points - self.eyes)[self.seen])
+        return curve, self._variances(curve, np.linalg.norm(curve.points, axis=1))
 
     def of_points(self, normals: FloatArray | None, *, placed: bool) -> CloudPlanes:
         """Planes of points, as if without order.
@@ -233,8 +253,7 @@ class _Job:
         eye = self.eyes.reshape(-1, 3)[0]
         grid = arrange(np.where(self.seen[..., None], self.points - eye, np.nan))
         here = np.isfinite(grid[..., 0])
-        curve = Curve.through(grid[here])
-        variances = self._variances(curve, np.linalg.norm(curve.points, axis=1))
+        curve, variances = Curve.through(grid[here]), self._grid_noise[1]
         spread = np.ones(here.shape)
         spread[here] = self._fitting_variances(variances)[curve.number]
         found = label_scans(grid, sigma=np.sqrt(spread), viewpoints=np.zeros(3), config=self.config)
