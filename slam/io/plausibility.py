@@ -11,7 +11,7 @@ import numpy as np
 
 from slam.errors import LogError
 from slam.geometry.frames import angle_of, evenly, inverse
-from slam.sensors.log import CloudScan, LaserScan, Log, OdometryReading
+from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading
 from slam.sensors.rig import Rig
 from spplanes._check import FloatArray
 
@@ -43,6 +43,38 @@ def plausible(log: Log, rig: Rig) -> Log:
         _check_times(log, sensor, own)
         frozen |= _frozen(log, sensor, own)
     return replace(log, events=[event for event in log.events if id(event) not in frozen]) if frozen else log
+
+
+def check_events(log: Log) -> None:
+    """Refuse a log, made by hand as like as not, whose events are out of order or are not what their class says.
+
+    What is read from files when it is asked for is checked then.
+
+    Raises:
+        LogError: times run backwards, a pose that is not finite or no (4, 4), or a 2D scan without an angle a range.
+    """
+    before_ns = None
+    for event in log.events:
+        problem = _problem_of(event, before_ns)
+        if problem:
+            raise LogError(log.source, f"at {event.stamp_ns / 1e9:.3f} s: {problem}")
+        before_ns = event.stamp_ns
+
+
+def _problem_of(event: Event, before_ns: int | None) -> str:
+    """What is amiss with an event, after one of a time, in a clause; nothing where nothing is."""
+    if before_ns is not None and event.stamp_ns < before_ns:
+        return f"expected events in the order of their times, got this one after {before_ns / 1e9:.3f} s"
+    if type(event) is OdometryReading:
+        pose = np.asarray(event.odom_T_body)
+        if pose.shape != (4, 4) or not np.isfinite(pose).all():
+            return f"expected odometry with a finite pose (4, 4), got shape {pose.shape} or NaN in it"
+    if type(event) is LaserScan:
+        of_beams = np.shape(event.ranges), np.shape(event.angles)
+        made = all(isinstance(numbers, np.ndarray) for numbers in (event.ranges, event.angles))
+        if not made or of_beams[0] != of_beams[1] or len(of_beams[0]) != 1:
+            return f"expected a 2D scan's ranges and angles as two arrays (B,), got shapes {of_beams[0]}, {of_beams[1]}"
+    return ""
 
 
 def _check_some(log: Log, scans: Sequence[Scan], distances: Callable[[Scan], FloatArray], most_m: float) -> None:

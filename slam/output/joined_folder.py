@@ -48,6 +48,7 @@ def write_joined(joined: JoinedMap, folder: Path, *, title: str) -> list[Metric]
         Metric("pairs compared", len(verdicts), ""),
         Metric("  of them joined", verdicts.count("joined"), ""),
         Metric("components", len(joined.components), ""),
+        Metric("missions in the other components", sum(len(one.missions) for one in joined.components[1:]), ""),
         Metric("missions left out", len(joined.left_out), ""),
     ]
 

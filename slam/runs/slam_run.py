@@ -17,6 +17,7 @@ from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
 from slam.frontend.odometry import OdometryTrack
 from slam.frontend.range_noise import with_shown_errors
 from slam.geometry.frames import inverse
+from slam.io.plausibility import check_events
 from slam.io.trajectories import Trajectory
 from slam.planeslam import MapPlane, PlaneSlam
 from slam.runs.repair import Repair, repaired
@@ -98,11 +99,12 @@ def run_slam(
         progress: is told how many keyframes are done, and how many there are.
 
     Raises:
-        LogError: the log lacks what the rig needs.
+        LogError: the log lacks what the rig needs, or has events that are out of order or not what they should be.
         ValueError: fewer jobs than one.
     """
     if as_count("jobs", jobs) < 1:
         raise ValueError(f"jobs: expected at least 1, got {jobs}")
+    check_events(log)
     clock = clock or StageClock()
     slam = slam or PlaneSlam(config)
     slam.clock = slam.backend.clock = clock

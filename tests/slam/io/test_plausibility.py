@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.geometry.frames import planar_transform
 from slam.io.default_rigs import cloud_rig
 from slam.io.plausibility import plausible
+from slam.runs.slam_run import run_slam
 from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading, StoredCloud
 from slam.sensors.rig import Rig, Sensor
 from spplanes._check import FloatArray
@@ -102,3 +106,20 @@ def test_clouds_of_which_none_can_be_read_are_refused():
         plausible(clouds(*[None] * 9), cloud_rig())
     one = [None] * 8 + [np.random.default_rng(0).uniform(-4.0, 4.0, (500, 3))]
     assert len(plausible(clouds(*one), cloud_rig()).scans()) == 9
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda events: events[::-1], "order of their times"),
+        (lambda events: [*events, OdometryReading(10**12, np.full((4, 4), np.nan))], "1000.000 s: expected odometry"),
+        (lambda events: [*events, OdometryReading(10**12, np.eye(3))], r"got shape \(3, 3\)"),
+        (lambda events: [*events, LaserScan(10**12, "L", np.ones(540), np.ones(541))], "expected a 2D scan's"),
+        (lambda events: [*events, LaserScan(10**12, "L", [1.0], [0.0])], "expected a 2D scan's"),  # type: ignore
+    ],
+)
+def test_logs_made_by_hand_are_refused_where_an_event_is_amiss(spoil: Callable[[list], list], said: str):
+    log = driven([scan(index) for index in range(4)], 0.1)
+    spoilt = replace(log, events=spoil(log.events))
+    with pytest.raises(LogError, match=said):
+        run_slam(spoilt, RIG, SlamConfig())
