@@ -111,9 +111,7 @@ def _enclose(grid, regions, uneven, boxes, widest):
                 continue
             off, variance = _beam_to(points, covariance, i, j, planes[r], toward), uneven
             for axis in range(2):
-                at = 0.0
-                for k in range(3):
-                    at += frames[r, k, axis] * (points[i, j, k] - off * toward[k] - frames[r, k, 3])
+                at = _place_along(points, i, j, off, toward, frames[r], axis)
                 boxes[r, axis] = min(boxes[r, axis], at)
                 boxes[r, axis + 2] = max(boxes[r, axis + 2], at)
             for k in range(3):
@@ -156,11 +154,9 @@ def _find_rows(grid, regions, uneven, begin, end, found):
                         variance += planes[q, k // 3] * covariance[i, j, k] * planes[q, k % 3]
                 if apart * apart > APART * APART * variance:
                     continue
-                inside, reach = True, APART * np.sqrt(variance)
+                reach, inside = APART * np.sqrt(variance), True
                 for axis in range(2):
-                    at = 0.0
-                    for k in range(3):
-                        at += frames[q, k, axis] * (points[i, j, k] - off * toward[k] - frames[q, k, 3])
+                    at = _place_along(points, i, j, off, toward, frames[q], axis)
                     inside &= boxes[q, axis] - reach <= at <= boxes[q, axis + 2] + reach
                 if inside:
                     found[i, j] = True
@@ -197,3 +193,12 @@ def _beam_to(points, covariance, i, j, plane, toward):
     for k in range(3):
         toward[k] /= own
     return off
+
+
+@inner(cache=True)
+def _place_along(points, i, j, off, toward, frame, axis):
+    """Where a beam meets its plane, see `_beam_to`, along an axis of a frame (4, 4), m."""
+    at = 0.0
+    for k in range(3):
+        at += frame[k, axis] * (points[i, j, k] - off * toward[k] - frame[k, 3])
+    return at

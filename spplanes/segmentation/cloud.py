@@ -190,29 +190,28 @@ class _Job:
         return cls(points, seen, np.broadcast_to(eyes, points.shape), sigma, config)
 
     @cached_property
+    def _grid(self) -> tuple[FloatArray, Curve, FloatArray]:
+        """A grid from its eye, as it is searched, NaN = no return; the curve through its returns, and the variances of
+        the points of that, m^2."""
+        grid = arrange(np.where(self.seen[..., None], self.points - self.eyes, np.nan))
+        curve = Curve.through(grid[np.isfinite(grid[..., 0])])
+        return grid, curve, self._variances(curve, np.linalg.norm(curve.points, axis=1))
+
+    @property
     def is_linked(self) -> bool:
         """Whether the returns of a grid mostly lie beside others, along rows and along columns, farther than they err.
 
         Where noise is wider than that, the returns beside one are not those that are nearest to it.
         """
-        centred, sigmas = self.points - self.eyes, np.zeros(self.seen.shape)
-        sigmas[self.seen] = np.sqrt(self._grid_noise[1])[self._grid_noise[0].number]
-        for axis in (0, 1):
-            points, noise = np.moveaxis(centred, axis, 0), np.moveaxis(sigmas, axis, 0)
-            seen = noise > 0.0
-            if (seen[:-1] & seen[1:]).sum() < _LEAST_LINKED * seen[:-1].sum():
-                return False
-            both = seen[_STEPS:] & seen[:-_STEPS]
-            apart = np.linalg.norm(points[_STEPS:][both] - points[:-_STEPS][both], axis=1) / _STEPS
-            if np.count_nonzero(apart < noise[_STEPS:][both]) > (1.0 - _LEAST_LINKED) * len(apart):
-                return False
-        return True
-
-    @cached_property
-    def _grid_noise(self) -> tuple[Curve, FloatArray]:
-        """The curve through the returns of a grid, from their eye, and the variances of its points, m^2."""
-        curve = Curve.through((self.points - self.eyes)[self.seen])
-        return curve, self._variances(curve, np.linalg.norm(curve.points, axis=1))
+        ahead = self.seen[:, :-1], self.seen[:-1]
+        linked = self.seen[:, :-1] & self.seen[:, 1:], self.seen[:-1] & self.seen[1:]
+        if any(both.sum() < _LEAST_LINKED * one.sum() for both, one in zip(linked, ahead, strict=True)):
+            return False
+        grid, curve, variances = self._grid
+        here = np.isfinite(grid[..., 0])
+        sigmas = np.zeros(here.shape)
+        sigmas[here] = np.sqrt(variances)[curve.number]
+        return all(_errs_by_less(np.moveaxis(grid, axis, 0), np.moveaxis(sigmas, axis, 0)) for axis in (0, 1))
 
     def of_points(self, normals: FloatArray | None, *, placed: bool) -> CloudPlanes:
         """Planes of points, as if without order.
@@ -251,9 +250,8 @@ class _Job:
     def of_grid(self) -> CloudPlanes:
         """Planes of a grid."""
         eye = self.eyes.reshape(-1, 3)[0]
-        grid = arrange(np.where(self.seen[..., None], self.points - eye, np.nan))
+        grid, curve, variances = self._grid
         here = np.isfinite(grid[..., 0])
-        curve, variances = Curve.through(grid[here]), self._grid_noise[1]
         spread = np.ones(here.shape)
         spread[here] = self._fitting_variances(variances)[curve.number]
         found = label_scans(grid, sigma=np.sqrt(spread), viewpoints=np.zeros(3), config=self.config)
@@ -358,6 +356,13 @@ class _Job:
         if coverage.share < _LOW_COVERAGE:
             found.append(f"{100.0 * coverage.share:.0f} % of the points are on planes: the rest is on none, or too few")
         return found
+
+
+def _errs_by_less(grid: FloatArray, sigmas: FloatArray) -> bool:
+    """Whether most returns of a grid (S, B, 3) err, by sigmas (S, B), by less than the distance to those rows away."""
+    both = np.isfinite(grid[_STEPS:, :, 0]) & np.isfinite(grid[:-_STEPS, :, 0])
+    apart = np.linalg.norm(grid[_STEPS:][both] - grid[:-_STEPS][both], axis=1) / _STEPS
+    return bool(np.count_nonzero(apart < sigmas[_STEPS:][both]) <= (1.0 - _LEAST_LINKED) * len(apart))
 
 
 def points_of(cloud: Any) -> FloatArray:

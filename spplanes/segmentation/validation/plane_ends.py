@@ -42,9 +42,9 @@ def sure_points(window: Window, labels: np.ndarray, frames: Sequence[FloatArray]
     """
     if not len(frames):
         return labels >= 0
-    placed, covariance = np.array(frames), np.ascontiguousarray(window.covariances).reshape(*labels.shape, 9)
-    doubtful = at_seams(window.points, covariance, labels, placed, uneven_m)
-    alike = np.abs(placed[:, :3, 2] @ placed[:, :3, 2].T) > SAME_WAY
+    stacked, covariance = np.array(frames), np.ascontiguousarray(window.covariances).reshape(*labels.shape, 9)
+    doubtful = at_seams(window.points, covariance, labels, stacked, uneven_m)
+    alike = np.abs(stacked[:, :3, 2] @ stacked[:, :3, 2].T) > SAME_WAY
     grid = np.isfinite(window.points[..., 0]), np.ascontiguousarray(labels, dtype=np.int64)
     in_parts(lambda first, last: _find_ends(grid, alike, first, last, doubtful), len(labels), labels.size)
     return (labels >= 0) & ~doubtful
