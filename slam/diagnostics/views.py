@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy import LEAST_GAP_M, MOVABLE_M, free_standing
-from slam.frontend.scan_surfaces import ON_EDGE, moved
+from slam.frontend.scan_surfaces import ON_EDGE, WIDTH, moved
 from slam.geometry.frames import evenly, way_to
 from slam.loop_closure.candidates import nearest_of_each
 from slam.registration.visibility import Scan, Sight
@@ -157,8 +157,8 @@ def views_of(keyframes: Sequence[Keyframe]) -> dict[int, View]:
 _LEVEL = 0.5
 #: What stands before a surface is nearer by this share of its range at least: as wide are the elements it is made of.
 _WIDE_SHARE = 0.03
-#: Elements further apart than this share of their range are of two surfaces: they are 3.4 deg wide at most.
-_APART_SHARE = 0.1
+#: Elements further apart than this share of their range, and than so many of their widths, are of two surfaces.
+_APART_SHARE, _APART_WIDTHS = 0.1, 1.7
 #: Neighbours of an element that may be of its surface.
 _NEIGHBOURS = 8
 
@@ -166,7 +166,7 @@ _NEIGHBOURS = 8
 class ScanView:
     """All that a 3D sensor saw from one keyframe, to be asked what it says of what another one saw.
 
-    Its looks are walls: elements (N, 8) that face level, one in every cube, on no thing that is narrower
+    Its looks are walls: elements (N, 9) that face level, one in every cube, on no thing that is narrower
     than `MOVABLE_M`, for that may be gone for others. Where edges are depends on who looks.
     """
 
@@ -174,19 +174,19 @@ class ScanView:
         """A scan, and the direction up (3,) in its body."""
         self._sight = Sight(scan)
         walls = scan.elements[(scan.elements[:, 7] != ON_EDGE) & (np.abs(scan.elements[:, 3:6] @ up) < _LEVEL)]
-        walls = walls[~_movable(walls[:, :3], scan.viewpoint, up)]
+        walls = walls[~_movable(walls, scan.viewpoint, up)]
         self.looks = walls[one_of_each_cell(walls[:, :3])]
 
     def looks_of(self, other: ScanView, here_T_other: FloatArray) -> FloatArray:
-        """Another view's looks as seen from here, shape (N, 8)."""
+        """Another view's looks as seen from here, shape (N, 9)."""
         return moved(other.looks, here_T_other)
 
     def confirms(self, places: FloatArray) -> np.ndarray:
-        """Which elements (N, 8) lie on a surface that was seen, to the tolerance, shape (N,)."""
+        """Which elements (N, 9) lie on a surface that was seen, to the tolerance, shape (N,)."""
         return (self._sight.apart(places[:, :3]) < TOLERANCE_M) | (self._sight.off_surfaces(places) < TOLERANCE_M)
 
     def sees_through(self, places: FloatArray) -> np.ndarray:
-        """Which elements (N, 8) stand before all that was seen about their direction by more than that, (N,)."""
+        """Which elements (N, 9) stand before all that was seen about their direction by more than that, (N,)."""
         return self._sight.through(places[:, :3], TOLERANCE_M, _WIDE_SHARE)
 
 
@@ -199,12 +199,14 @@ def scan_views_of(keyframes: Sequence[Keyframe], poses: FloatArray) -> dict[int,
     return found
 
 
-def _movable(points: FloatArray, viewpoint: FloatArray, up: FloatArray) -> np.ndarray:
-    """Which points (N, 3) are of things that are narrower, seen from above, than what walks, shape (N,)."""
+def _movable(elements: FloatArray, viewpoint: FloatArray, up: FloatArray) -> np.ndarray:
+    """Which elements (N, 9) are of things that are narrower, seen from above, than what walks, shape (N,)."""
+    points = elements[:, :3]
     if len(points) < 2:
         return np.ones(len(points), dtype=bool)
     apart, near = KDTree(points).query(points, k=min(_NEIGHBOURS + 1, len(points)))
-    limit = np.maximum(LEAST_GAP_M, _APART_SHARE * np.linalg.norm(points - viewpoint, axis=1))
+    limit = np.maximum(_APART_SHARE * np.linalg.norm(points - viewpoint, axis=1), _APART_WIDTHS * elements[:, WIDTH])
+    limit = np.maximum(LEAST_GAP_M, limit)
     mine, which = np.nonzero(apart < limit[:, None])
     links = coo_array((np.ones(len(mine)), (mine, np.asarray(near)[mine, which])), shape=(len(points),) * 2)
     count, thing = connected_components(links, directed=False)

@@ -57,7 +57,7 @@ def _check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
     if keyframe.world_T_body_guess is not None:
         _check_pose("keyframe.world_T_body_guess", keyframe.world_T_body_guess)
     if keyframe.surfaces is not None:
-        as_shape("keyframe.surfaces", keyframe.surfaces, (None, 8))
+        as_shape("keyframe.surfaces", keyframe.surfaces, (None, 9))
     if keyframe.viewpoint is not None:
         as_shape("keyframe.viewpoint", keyframe.viewpoint, (3,))
     for index, seen in enumerate(keyframe.observations):

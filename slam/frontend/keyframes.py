@@ -58,8 +58,8 @@ class Keyframe:
     pose_measurements: Sequence[PoseMeasurement] = field(default=())
     """What is known of the pose beside motion and planes: gravity from an IMU, say."""
     surfaces: FloatArray | None = None
-    """Surface elements of a 3D scan in the body frame, rows (point, direction, sigma, kind), shape (N, 8), m: what
-    motion is registered by beside the planes; see `slam.frontend.scan_surfaces`. None: no 3D scan."""
+    """Surface elements of a 3D scan in the body frame, rows (point, direction, sigma, kind, width), shape (N, 9), m:
+    what motion is registered by beside the planes; see `slam.frontend.scan_surfaces`. None: no 3D scan."""
     viewpoint: FloatArray | None = None
     """Where the sensor of that scan was, in the body frame, shape (3,), m; None: at the body's origin."""
     places: Sequence[PlaceMatch] = field(default=())

@@ -124,7 +124,7 @@ class ScanMeasurement:
     observations: list[PlaneObservation] = field(default_factory=list)
     """Its planes, each facing the sensor, largest first."""
     surfaces: FloatArray | None = None
-    """All its returns, thinned, as surface elements, shape (N, 8); see `surfaces_of`. None: it has no returns."""
+    """All its returns, thinned, as surface elements, shape (N, 9); see `surfaces_of`. None: it has no returns."""
 
 
 def planes_of_cloud(

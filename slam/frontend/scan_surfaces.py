@@ -26,11 +26,11 @@ from spplanes._check import FloatArray
 
 #: Kinds of elements, as they are stored.
 ON_PLANE, ON_NO_PLANE, ON_EDGE = 0, 1, 2
-#: Columns of stored elements: point, direction, standard deviation along it, kind.
-COLUMNS = 8
+#: Columns of stored elements: point, direction, standard deviation along it, kind, width.
+COLUMNS, WIDTH = 9, 8
 #: Width of an element as a share of its range, rounded down to a power of two metres: it is seen 1 to 2 deg wide.
 _SHARE = 0.03
-#: On planes, where a few say as much as many, so wide.
+#: On planes, where a few say as much as many, so wide, or as wide as it needs to hold the fewest points.
 _SHARE_ON_PLANE = 0.06
 #: An element is on the plane that it was laid on, to rounding.
 ITS_OWN = 1e-6
@@ -86,7 +86,7 @@ class _Cells:
 
 
 def surfaces_of(points: FloatArray, labels: np.ndarray, planes: FloatArray, sensor: Sensor) -> FloatArray:
-    """Surface elements of a scan in the body frame, rows (point, direction, sigma, kind), shape (N, 8).
+    """Surface elements of a scan in the body frame, rows (point, direction, sigma, kind, width), shape (N, 9).
 
     Args:
         points: in the sensor's frame, shape (S, B, 3), m; NaN = no return.
@@ -98,29 +98,30 @@ def surfaces_of(points: FloatArray, labels: np.ndarray, planes: FloatArray, sens
     thin, thin_labels = points[::every, ::every].reshape(-1, 3), labels[::every, ::every].reshape(-1).astype(np.int64)
     on_plane = np.where(np.isfinite(thin[:, 0]), thin_labels, -1)
     rest = np.where(np.isfinite(thin[:, 0]) & (thin_labels < 0), 0, -1)
+    apart = _beams_apart(points)
+    wide, own = (
+        max(share, 2.0 * every * np.sqrt(least * apart[0] * apart[1]))
+        for share, least in ((_SHARE_ON_PLANE, _LEAST_ON_PLANE), (_SHARE, _LEAST))
+    )
     parts = [
-        _on_edges(points, labels, sensor),
-        _on_planes(_Cells.of(thin, on_plane, _SHARE_ON_PLANE), planes, sensor),
-        _on_no_plane(_Cells.of(thin, rest, _SHARE), sensor),
+        _on_edges(points, labels, max(apart)),
+        _on_planes(_Cells.of(thin, on_plane, wide), planes, sensor),
+        _on_no_plane(_Cells.of(thin, rest, own), sensor),
     ]
+    shares = np.repeat([_SHARE, wide, own], [len(part) for part in parts])
     rows = np.concatenate(parts)
+    rows = np.column_stack((rows, shares * np.linalg.norm(rows[:, :3], axis=1)))
     rows[:, 6] = np.hypot(rows[:, 6], sensor.surface_sigma_m * np.sqrt(_crowding(rows, sensor.surface_correlation_m)))
     return moved(rows, sensor.body_T_sensor)
 
 
-def widths_of(elements: FloatArray) -> FloatArray:
-    """How wide elements (N, 8) are, about, (N,), m."""
-    share = np.where(elements[:, 7] == ON_PLANE, _SHARE_ON_PLANE, _SHARE)
-    return share * np.linalg.norm(elements[:, :3], axis=1)
-
-
 def weights_of(elements: FloatArray) -> FloatArray:
-    """How much each of elements (N, 8) says, (N,), in things: the share of one that it covers, by its width, or one.
+    """How much each of elements (N, 9) says, (N,), in things: the share of one that it covers, by its width, or one.
 
     Those on a plane together say as much as the root of how many things they cover, as planes do: where one of them
     fits all do, and the floor of a room, which is on most of an image, fits wherever the camera may be.
     """
-    things = np.minimum(widths_of(elements) / THING_M, 1.0) ** 2
+    things = np.minimum(elements[:, WIDTH] / THING_M, 1.0) ** 2
     on_plane = np.flatnonzero(elements[:, 7] == ON_PLANE)
     if len(on_plane):
         directions = elements[on_plane, 3:6]
@@ -132,7 +133,7 @@ def weights_of(elements: FloatArray) -> FloatArray:
 
 
 def moved(elements: FloatArray, pose: FloatArray) -> FloatArray:
-    """Elements (N, 8) in the frame that a pose (4, 4) is of theirs in."""
+    """Elements (N, 9) in the frame that a pose (4, 4) is of theirs in."""
     return np.column_stack((lift(elements[:, :3], pose), elements[:, 3:6] @ pose[:3, :3].T, elements[:, 6:]))
 
 
@@ -160,13 +161,12 @@ def _sigma(cells: _Cells, sensor: Sensor) -> FloatArray:
     return np.sqrt(variance / np.maximum(cells.count, 1))
 
 
-def _on_edges(points: FloatArray, labels: np.ndarray, sensor: Sensor) -> FloatArray:
-    """Edges before something farther: known across the edge and across the line of sight, to a beam or so."""
-    width = _beam_width(points)
+def _on_edges(points: FloatArray, labels: np.ndarray, width: float) -> FloatArray:
+    """Edges before something farther: known across the edge and across the line of sight, to a beam's width, rad."""
     inset = round(_INSET_RAD / width) if width > 0.0 else 0
     found = _edge_points(points, labels, inset)
     if len(found) < _LEAST:
-        return np.empty((0, COLUMNS))
+        return np.empty((0, WIDTH))
     seeds = _Cells.of(found, np.zeros(len(found), dtype=np.int64), 0.5 * _SHARE).mean
     mean, scatter = moments_about(seeds, found, _ALONG_SHARE * np.linalg.norm(seeds, axis=1), _LEAST)
     values, vectors = np.linalg.eigh(scatter)
@@ -177,8 +177,8 @@ def _on_edges(points: FloatArray, labels: np.ndarray, sensor: Sensor) -> FloatAr
     return _rows(mean, across, width * ranges[straight], ON_EDGE)
 
 
-def _beam_width(points: FloatArray) -> float:
-    """Angle between neighbouring beams of a grid, the larger of rows and columns, rad."""
+def _beams_apart(points: FloatArray) -> tuple[float, float]:
+    """Angles between neighbouring beams of a grid along its rows and its columns, rad; the other's where it has one."""
     widths = []
     for lines in (points[::_SOME_LINES], points[:, ::_SOME_LINES].transpose(1, 0, 2)):
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -186,7 +186,8 @@ def _beam_width(points: FloatArray) -> float:
         apart = np.diff(rays, axis=1)
         square = np.einsum("lbi,lbi->lb", apart, apart)
         widths.append(square[np.isfinite(square)])
-    return max((float(np.sqrt(np.median(width))) for width in widths if len(width)), default=0.0)
+    known = [float(np.sqrt(np.median(width))) for width in widths if len(width)] or [0.0]
+    return known[0], known[-1]
 
 
 def _edge_points(points: FloatArray, labels: np.ndarray, inset: int) -> FloatArray:

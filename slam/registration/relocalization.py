@@ -232,7 +232,7 @@ def displacement(place: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _on(elements: FloatArray, observations: Sequence[Observation]) -> np.ndarray:
-    """Which surface elements (N, 8) are on one of some planes, shape (N,): they were laid on their own."""
+    """Which surface elements (N, 9) are on one of some planes, shape (N,): they were laid on their own."""
     planes = planes_of(observations)
     if not planes:
         return np.zeros(len(elements), dtype=bool)

@@ -21,7 +21,7 @@ import gtsam
 import numpy as np
 
 from factors._conventions import POSE3_TO_SP
-from slam.frontend.scan_surfaces import ON_EDGE, THING_M, moved, widths_of
+from slam.frontend.scan_surfaces import ON_EDGE, THING_M, WIDTH, moved
 from slam.geometry.frames import inverse, lift
 from slam.registration.motion_prior import MotionPrior
 from slam.registration.plane_registration import negative_log_prior
@@ -123,12 +123,12 @@ class LocalMap:
         newest_T_seen = inverse(pose) @ known_T_seen
         back = apart[self._sights[-1].through(lift(apart, newest_T_seen))]
         from_there = lift(newest.elements[:, :3], inverse(newest_T_seen))
-        there = from_there[sight.apart(from_there) > _REACHES[-1] * widths_of(newest.elements)]
+        there = from_there[sight.apart(from_there) > _REACHES[-1] * newest.elements[:, WIDTH]]
         ahead = there[sight.through(there)]
         return max(_number_of_things(back) / weight, _number_of_things(ahead) / self._weight_of_newest)
 
     def between(self, known_T_seen: FloatArray, elements: FloatArray) -> FloatArray:
-        """How far elements (N, 8) without a partner are from what some keyframe saw about them, (N,), m."""
+        """How far elements (N, 9) without a partner are from what some keyframe saw about them, (N,), m."""
         apart = np.full(len(elements), np.inf)
         for (pose, _), sight in zip(self._parts, self._sights, strict=True):
             apart = np.minimum(apart, sight.off_surfaces(moved(elements, inverse(pose) @ known_T_seen)))
@@ -146,7 +146,7 @@ class LocalMap:
 
 
 def most_information(elements: FloatArray) -> FloatArray:
-    """Of a motion by elements (N, 8), if each found a partner without error: tangent on the right, GTSAM order, (6, 6).
+    """Of a motion by elements (N, 9), if each found a partner without error: tangent on the right, GTSAM order, (6, 6).
 
     A registration of theirs knows less.
     """
@@ -215,7 +215,7 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expecte
     if len(some) < len(elements):
         for reach in _REACHES[-2:]:
             motion = _Stage(elements, known, expected, reach).descend(motion)
-    found = Residuals.of(elements, known, motion, _REACHES[-1] * widths_of(elements))
+    found = Residuals.of(elements, known, motion, _REACHES[-1] * elements[:, WIDTH])
     return Alignment(motion, found.information(), found, score, share, seen.weight, tuple(one for one, *_ in rough))
 
 
@@ -229,7 +229,7 @@ def _rests(
     narrow as these are close is blind to the pillars that tell it; a wide one is led astray by clutter. Whatever has
     become one place on the way goes on as one.
     """
-    widths, motions = widths_of(some), [(start, start) for start in starts]
+    widths, motions = some[:, WIDTH], [(start, start) for start in starts]
     for reach in _REACHES:
         following = _Stage(some, known, expected, reach)
         narrowing = following
@@ -250,9 +250,9 @@ class _Stage:
         reach: float,
         kernel: FloatArray | None = None,
     ) -> None:
-        """Of elements (N, 8), partners looked for so many widths far; `kernel` as in `Residuals.of`."""
+        """Of elements (N, 9), partners looked for so many widths far; `kernel` as in `Residuals.of`."""
         self._elements, self._known, self._expected = elements, known, expected
-        self._reach, self._kernel = reach * widths_of(elements), kernel
+        self._reach, self._kernel = reach * elements[:, WIDTH], kernel
         self._ends: list[tuple[FloatArray, FloatArray]] = []
 
     def descend(self, start: FloatArray) -> FloatArray:
@@ -280,7 +280,7 @@ class _Seen(NamedTuple):
     """What places are told apart by."""
 
     elements: FloatArray
-    """Some of a scan, shape (N, 8)."""
+    """Some of a scan, shape (N, 9)."""
     shares: FloatArray
     """How much each says, of all of them, shape (N,)."""
     weight: float
@@ -302,7 +302,7 @@ def _scored(seen: _Seen, known: LocalMap, motion: FloatArray) -> tuple[float, fl
     Beams move with the sensor: were only those elements counted that come to lie on another, the place where nothing
     moved would win, at which all do. On a surface that was seen on all sides of it, an element fits as well.
     """
-    some, widths = seen.elements, widths_of(seen.elements)
+    some, widths = seen.elements, seen.elements[:, WIDTH]
     found = Residuals.of(some, known, motion, _REACHES[-1] * widths)
     alone = np.ones(len(some), dtype=bool)
     alone[found.index] = False
@@ -334,7 +334,7 @@ class Residuals:
         reach: FloatArray,
         kernel: FloatArray | None = None,
     ) -> Residuals:
-        """Of elements (N, 8) at a motion (4, 4).
+        """Of elements (N, 9) at a motion (4, 4).
 
         Args:
             elements: of a scan.

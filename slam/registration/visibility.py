@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from scipy.spatial import KDTree
 
-from slam.frontend.scan_surfaces import ON_EDGE, weights_of
+from slam.frontend.scan_surfaces import ON_EDGE, WIDTH, weights_of
 from slam.geometry.frames import inverse, lift
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -22,9 +22,9 @@ _BEFORE_M, _INSIDE_M, _STEEP = 0.3, 0.1, 0.17
 _GRID = 3
 #: Two surface elements look the same way to this cosine; of edges, whose direction turns with the viewpoint, likewise.
 ALIKE = 0.85
-#: One direction are elements within this angle, rad, when there are so many; something stands before them when it is
-#: nearer than all by this share of the range and so many m.
-_DIRECTION_RAD, _ABOUT, _NEARER_SHARE, _NEARER_M = 0.1, 4, 0.08, 0.1
+#: One direction are elements within this angle, rad, or so many of their widths, when there are so many; something
+#: stands before them when it is nearer than all by this share of the range and so many m.
+_DIRECTION_RAD, _IN_WIDTHS, _ABOUT, _NEARER_SHARE, _NEARER_M = 0.1, 1.7, 4, 0.08, 0.1
 
 #: Angles are computed to this, rad.
 _ROUNDING = 1e-9
@@ -93,7 +93,7 @@ class Scan:
     """A 3D scan as it is registered."""
 
     elements: FloatArray
-    """Its surface elements in the body frame, shape (N, 8); see `slam.frontend.scan_surfaces`."""
+    """Its surface elements in the body frame, shape (N, 9); see `slam.frontend.scan_surfaces`."""
     viewpoint: FloatArray
     """Where the sensor was, in the body frame, shape (3,), m."""
 
@@ -115,6 +115,8 @@ class Sight:
         self._elements, self._viewpoint = scan.elements, scan.viewpoint
         self._rays = scan.elements[:, :3] - scan.viewpoint
         self._depth = np.linalg.norm(self._rays, axis=1)
+        widths = scan.elements[:, WIDTH] / np.maximum(self._depth, 1e-9)
+        self._direction_rad = max(_DIRECTION_RAD, _IN_WIDTHS * float(np.median(widths)) if len(widths) else 0.0)
 
     @cached_property
     def _directions(self) -> KDTree:
@@ -152,7 +154,7 @@ class Sight:
         return through
 
     def off_surfaces(self, elements: FloatArray) -> FloatArray:
-        """How far elements (N, 8) are from the surface about their direction, (N,), m; infinite: there is none of it.
+        """How far elements (N, 9) are from the surface about their direction, (N,), m; infinite: there is none of it.
 
         A surface goes on between the beams that it was seen by. Of those about a direction that look the same way the
         nearest counts; across an edge nothing goes on.
@@ -172,7 +174,7 @@ class Sight:
             return np.empty(0, dtype=np.int64), np.empty((0, _ABOUT), dtype=np.int64)
         rays = points - self._viewpoint
         directions = rays / np.maximum(np.linalg.norm(rays, axis=1), 1e-9)[:, None]
-        apart, index = self._directions.query(directions, k=_ABOUT, distance_upper_bound=_DIRECTION_RAD)
+        apart, index = self._directions.query(directions, k=_ABOUT, distance_upper_bound=self._direction_rad)
         common = np.flatnonzero(np.isfinite(apart).all(axis=1))
         return common, np.asarray(index)[common]
 

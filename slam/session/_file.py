@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 #: Marks a SQLite file as a session ("spln"), and the version of the schema below.
 APPLICATION_ID = 0x73706C6E
-VERSION = 2
+VERSION = 3
 
 _TABLES = """
 CREATE TABLE session (key TEXT PRIMARY KEY, data BLOB NOT NULL, digest BLOB NOT NULL) WITHOUT ROWID;

@@ -131,18 +131,21 @@ def check(
     found = align(scan, known, [np.eye(4)])
     rests = _rests(found) if found.score > 0.0 else (None, None, None)
     enough = _clearly(motion, prior, found, _AGAIN if doubted else SLIPS)
-    if is_off(found):
+    nowhere = len(found.residuals.off) < len(POSE3_TO_SP)  # it wandered to where nothing tells six unknowns
+    if nowhere or is_off(found):
         held = align(scan, known, [np.eye(4)], Expected(np.eye(4), information_of(motion)))
-        if is_off(held) or found.log_odds(held) > enough:
+        if not nowhere and (is_off(held) or found.log_odds(held) > enough):
             return Check(True, *rests)
         found, rests = held, (_by_returns(held.information) if held.score > 0.0 else None, None, None)
-    if found.score >= 0.0 and not doubted:
-        return Check(False, *rests)
     b_T_a = inverse(motion.a_T_b)
+    steady = are_one(b_T_a @ prior.motion.a_T_b, np.eye(4), spatial(prior.learnt()) + spatial(motion), significance)
+    if found.score >= 0.0 and not doubted and steady:
+        return Check(False, *rests)
     seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
     matched = register_planes_globally(*seen_and_known, sigmas_of(otherwise))
     expected = Expected(b_T_a @ otherwise.a_T_b, information_of(otherwise))
     rival = register_from_hypotheses(scan, known, matched, expected, b_T_a)
+    enough = _clearly(motion, prior, rival, _AGAIN if doubted else SLIPS)
     return Check(rival.log_odds(found) > enough and is_off(rival), *rests)
 
 
@@ -171,7 +174,7 @@ def planes_confirm(
         motion: what is known of the motion.
         before: planes of the scan before, in the frame of the body then.
         seen: those of this one, in the frame of the body now.
-        elements: surface elements of this one, shape (N, 8).
+        elements: surface elements of this one, shape (N, 9).
         significance: probability that a true motion is not confirmed.
 
     Returns:

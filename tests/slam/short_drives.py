@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from benchmarks.corpus.drives import Recipe, make_drive
+from benchmarks.corpus.drives import Drive, Recipe, make_drive
 from slam.config import SlamConfig
 from slam.runs.slam_run import Run, run_slam
 from spplanes._check import FloatArray
@@ -20,6 +20,11 @@ def mapped_beginning(name: str, seed: int, n_scans: int | None = None) -> tuple[
     end = drive.log.scans()[:n_scans][-1].stamp_ns
     events = [event for event in drive.log.events if event.stamp_ns <= end]
     run = run_slam(replace(drive.log, events=events), drive.rig, SlamConfig())
+    return run, errors_of(run, drive)
+
+
+def errors_of(run: Run, drive: Drive) -> FloatArray:
+    """Errors of a run's keyframes against the first one, (N, 4, 4)."""
     true = drive.truth.world_T_body[np.searchsorted(drive.truth.stamps_ns, run.trajectory.stamps_ns)]
     moved, estimated = (np.linalg.inv(poses[0]) @ poses for poses in (true, run.trajectory.poses))
-    return run, np.linalg.inv(moved) @ estimated
+    return np.linalg.inv(moved) @ estimated

@@ -86,7 +86,7 @@ def test_a_copy_of_what_waits_on_the_disk_is_in_memory():
     assert type(reading) is OdometryReading and reading.stamp_ns == 2 and reading.odom_T_body[0, 0] == 7.0
     cloud = replace(StoredCloud(1, "laser", partial(np.ones, (4, 3))), sensor="other")
     assert type(cloud) is CloudScan and cloud.sensor == "other" and cloud.points.shape == (4, 3)
-    whole = replace(drive(0, count=2).keyframes[1], surfaces=np.ones((2, 8)))
+    whole = replace(drive(0, count=2).keyframes[1], surfaces=np.ones((2, 9)))
     whole = replace(whole, notes=("dusty",))
     readers = {one.name: partial(lambda name, _: getattr(whole, name), one.name) for one in fields(Keyframe)}
     stored = StoredKeyframe({"stamp_ns": whole.stamp_ns}, readers)

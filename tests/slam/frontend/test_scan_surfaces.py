@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from slam.frontend._surface_kernels import jumps
-from slam.frontend.scan_surfaces import COLUMNS, ON_EDGE, ON_PLANE, surfaces_of
+from slam.frontend.scan_surfaces import COLUMNS, ON_EDGE, ON_PLANE, WIDTH, surfaces_of
 from tests.slam.depth_scenes import HIGH, LOW, SENSOR, in_world, looking, measured
+from tests.spplanes.scenes import spun
 
 #: Floor, top and one side of the box: nothing holds the camera along the side.
 POSE = looking(-1.5, 0.0, 1.2, 0.0, 0.6)
@@ -41,6 +42,20 @@ def test_a_bare_floor_seen_at_a_grazing_angle_has_no_edges() -> None:
     elements = measured(pose, np.random.default_rng(2)).surfaces
     assert elements is not None
     assert not (elements[:, 7] == ON_EDGE).any()
+
+
+def test_elements_are_as_wide_as_beams_are_apart() -> None:
+    """Most of a wall is in elements, whether beams are a fifth of a degree apart or three."""
+    for apart_deg in (0.2, 1.0, 3.0):
+        angles = np.deg2rad(np.arange(-30.0, 30.0, apart_deg))
+        rays = spun(angles, angles)
+        points = 4.0 * rays / rays[..., :1]
+        found = surfaces_of(points, np.zeros(points.shape[:2], dtype=int), np.array([[1.0, 0.0, 0.0, 4.0]]), SENSOR)
+        ranges = np.linalg.norm(found[:, :3] - SENSOR.body_T_sensor[:3, 3], axis=1)
+        share = max(0.06, 2.0 * np.sqrt(3.0) * np.deg2rad(apart_deg))
+        np.testing.assert_allclose(found[:, WIDTH], share * ranges, rtol=0.06)
+        covered = found[:, WIDTH] ** 2  # a cube is that wide, or down to half of it
+        assert 0.7 < covered.sum() / np.ptp(points.reshape(-1, 3), axis=0)[1:].prod() < 4.5
 
 
 def test_a_scan_without_returns_has_no_elements() -> None:

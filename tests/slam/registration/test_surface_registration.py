@@ -18,7 +18,7 @@ from slam.registration.relocalization import NO_RIVALS, _on, _rivals, scan_of
 from slam.registration.surface_registration import Expected, LocalMap, Residuals, Tried, align
 from slam.registration.visibility import Scan, Sight
 from slam.simulation import simulate_mission
-from tests.slam.depth_scenes import between, looking, measured
+from tests.slam.depth_scenes import between, looking, measured, with_widths
 from tests.spplanes.scenes import spun
 
 FIRST = looking(-1.5, 0.0, 1.2, 0.0, 0.6)
@@ -27,7 +27,7 @@ SECOND = looking(-1.5, 0.1, 1.22, 0.05, 0.62)
 
 
 def scan(elements: np.ndarray, viewpoint: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Scan:
-    return Scan(elements, np.array(viewpoint))
+    return Scan(with_widths(elements), np.array(viewpoint))
 
 
 def off(found: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -183,7 +183,7 @@ def test_somebody_close_by_speaks_against_a_place_as_one_thing(metres: float) ->
     told = []
     for points in (body, board):
         facing = np.tile((-1.0, 0.0, 0.0, 0.003, ON_NO_PLANE), (len(points), 1))
-        seen = np.vstack((behind.elements, np.hstack((points, facing))))
+        seen = np.vstack((behind.elements, with_widths(np.hstack((points, facing)))))
         told.append(empty.contradicted(ahead(metres), points, 100.0, Sight(scan(seen, EYE))))
     assert len(body) > 0.25 * len(behind.elements)
     assert told[0] == pytest.approx(0.01)
@@ -271,7 +271,7 @@ def test_a_surface_goes_on_between_the_beams_but_not_across_an_edge() -> None:
     away[:, 3:6] = 0.0, 1.0, 0.0
     edge[:, 7] = ON_EDGE
     np.testing.assert_allclose(
-        sight.off_surfaces(np.vstack((wall, before, away, edge))), (0.0, 0.2, np.inf, np.inf), atol=1e-9
+        sight.off_surfaces(with_widths(np.vstack((wall, before, away, edge)))), (0.0, 0.2, np.inf, np.inf), atol=1e-9
     )
 
 

@@ -173,7 +173,7 @@ def test_a_session_of_the_past_or_the_future_is_refused(recorded: Path, version:
     with closing(sqlite3.connect(recorded)) as connection:
         connection.execute(f"PRAGMA user_version = {version}")
     before = recorded.read_bytes()
-    with pytest.raises(SessionError, match=f"expected a session of version 2, got {version}; use {other} spplanes"):
+    with pytest.raises(SessionError, match=f"expected a session of version 3, got {version}; use {other} spplanes"):
         PlaneSlam.open(recorded, read_only=read_only)
     assert recorded.read_bytes() == before and len(list(recorded.parent.iterdir())) == 1
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from benchmarks.corpus.drives import Recipe, make_drive
 from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import PlaneObservation
@@ -13,12 +16,15 @@ from slam.frontend.scan_surfaces import ON_NO_PLANE, ON_PLANE
 from slam.geometry.frames import inverse
 from slam.planeslam import PlaneSlam
 from slam.registration import relocalization
+from slam.runs.slam_run import run_slam
+from slam.sensors.log import CloudScan, OdometryReading
 from slam.tracking import odometry_check
 from slam.tracking.odometry_check import planes_confirm
 from spplanes import Plane
 from spplanes._check import FloatArray
+from tests.slam.depth_scenes import with_widths
 from tests.slam.registration.test_plane_registration import LONG, body, hall, measured, wall
-from tests.slam.short_drives import mapped_beginning
+from tests.slam.short_drives import errors_of, mapped_beginning
 
 #: Standard deviations of odometry over half a metre: (x, y, heading), and (z, roll, pitch).
 SIGMAS, UPRIGHT = np.array([0.014, 0.007, 0.006]), (1e-3, 1e-3, 1e-3)
@@ -39,7 +45,7 @@ def elements_of(planes: list[Plane], sigma: float = 0.005) -> FloatArray:
         corners = np.array(plane.outline.exterior.coords)
         points = plane.centre + corners @ plane.frame[:3, :2].T
         rows += [(*point, *plane.normal, sigma, ON_PLANE) for point in points]
-    return np.array(rows)
+    return with_widths(np.array(rows))
 
 
 def seen_twice(planes: list[Plane], seed: int) -> tuple[list[Plane], list[Plane]]:
@@ -66,7 +72,7 @@ def test_what_planes_leave_open_is_left_to_the_returns_where_these_may_say_somet
     before, seen = seen_twice(corridor, 2)
     motion, on_planes = odometry(np.zeros(3)), elements_of(seen)
     across = SECOND[:3, :3].T @ (0.0, 1.0, 0.0)
-    clutter = np.array([(*point, *across, 0.01, ON_NO_PLANE) for point in np.eye(3)])
+    clutter = with_widths(np.array([(*point, *across, 0.01, ON_NO_PLANE) for point in np.eye(3)]))
     assert (
         planes_confirm(motion, before, seen, on_planes, SIGNIFICANCE) is not None
     )  # all returns leave it open as well
@@ -130,3 +136,22 @@ def test_odometry_is_believed_where_scans_fit_as_well_elsewhere(name: str, seed:
     run, off = mapped_beginning(name, seed, n_scans)
     assert not any(step.check.against for step in run.slam.odometry_record.steps)
     assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.25
+
+
+@pytest.mark.parametrize("jump", [(3.0, 0.0, 0.0), (0.0, 0.0, 1.0), None], ids=["3 m", "1 rad", "begins anew"])
+def test_odometry_that_jumps_is_found_out_by_few_rings_of_few_beams(jump: tuple[float, float, float] | None) -> None:
+    """Beams 2 deg apart: the map was 3 m off, and was called sound."""
+    drive = make_drive(Recipe.parse("irregular/lidar32/good"), 612)
+    stamps = [scan.stamp_ns for scan in drive.log.scans()[:14]]
+    events, readings = [], {e.stamp_ns: e.odom_T_body for e in drive.log.events if isinstance(e, OdometryReading)}
+    at = readings[stamps[7]]
+    off = inverse(at) if jump is None else at @ body(*jump) @ inverse(at)
+    for event in drive.log.events:
+        if isinstance(event, CloudScan):
+            event = replace(event, points=event.points[::5])
+        elif isinstance(event, OdometryReading) and event.stamp_ns >= stamps[7]:
+            event = replace(event, odom_T_body=off @ event.odom_T_body)
+        events += [event] if event.stamp_ns <= stamps[-1] else []
+    run = run_slam(replace(drive.log, events=events), drive.rig, SlamConfig())
+    assert np.linalg.norm(errors_of(run, drive)[:, :3, 3], axis=1).max() < 0.01
+    assert run.slam.odometry_record.steps[6].check.against

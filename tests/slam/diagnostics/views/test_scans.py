@@ -8,6 +8,7 @@ from slam.diagnostics.views import ScanView, compare
 from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE
 from slam.registration.visibility import Scan
 from spplanes._check import FloatArray
+from tests.slam.depth_scenes import with_widths
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -22,7 +23,7 @@ def facing(
 
 
 def view(*parts: FloatArray) -> ScanView:
-    return ScanView(Scan(np.concatenate(parts), np.zeros(3)), UP)
+    return ScanView(Scan(with_widths(np.concatenate(parts)), np.zeros(3)), UP)
 
 
 def moved(x: float) -> FloatArray:
