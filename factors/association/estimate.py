@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeVar
 import gtsam
 import numpy as np
 
-from factors.association.observations import Observation, as_observation
+from factors.association.observations import Observation, PlaneObservation, as_observation
 from spplanes import Plane
 from spplanes._check import FloatArray
 from spplanes.outlines.extents import Extent
@@ -104,7 +104,8 @@ def observation_factor(
 ) -> Any:
     """The factor of an observation of a landmark from a pose, both in the graph. ValueError: no observation."""
     seen, expected = as_observation("observation", observation), None
-    if landmark.anchor_key is not None and landmark.anchor_key != pose_key:
+    asks = not isinstance(seen, PlaneObservation)  # its factor does not depend on where the plane is expected
+    if asks and landmark.anchor_key is not None and landmark.anchor_key != pose_key:
         anchor_T_body = inverse_transform(estimate.pose(landmark.anchor_key)) @ estimate.pose(pose_key)
         expected = estimate.plane(landmark.key).transform(gtsam.Pose3(anchor_T_body))
     return seen.factor(pose_key, landmark.key, landmark.anchor_key, robust, expected)

@@ -127,7 +127,8 @@ def weights_of(elements: FloatArray) -> FloatArray:
         directions = elements[on_plane, 3:6]
         offsets = np.einsum("ki,ki->k", elements[on_plane, :3], directions)
         rows = np.round(np.column_stack((directions, offsets)) / ITS_OWN)
-        plane = np.unique(rows, axis=0, return_inverse=True)[1].ravel()
+        first = np.append(True, (np.diff(rows, axis=0) != 0.0).any(axis=1))  # most follow one of their plane
+        plane = np.unique(rows[first], axis=0, return_inverse=True)[1].ravel()[np.cumsum(first) - 1]
         things[on_plane] /= np.sqrt(np.bincount(plane, things[on_plane]))[plane]
     return things
 

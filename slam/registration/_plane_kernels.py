@@ -30,22 +30,20 @@ def directions_found(rotations, normals, others, weights, least_cosine):
 
 @njit(cache=True)
 def unlike(rotations, trace, most):
-    """The first so many of rotations (K, 3, 3) of which none turned back by one before has that trace or more."""
-    chosen, count = np.empty((most, 3, 3)), 0
+    """Numbers of the first so many of rotations (K, 3, 3) none of which, turned back by one before, has that trace."""
+    chosen, count = np.empty(most, np.int64), 0
     for k in range(len(rotations)):
         if count == most:
             break
         alike = False
-        for c in range(count):
+        for c in chosen[:count]:
             total = 0.0
             for a in range(3):
                 for b in range(3):
-                    total += rotations[k, a, b] * chosen[c, a, b]
+                    total += rotations[k, a, b] * rotations[c, a, b]
             alike |= total >= trace
         if not alike:
-            for a in range(3):
-                for b in range(3):
-                    chosen[count, a, b] = rotations[k, a, b]
+            chosen[count] = k
             count += 1
     return chosen[:count]
 

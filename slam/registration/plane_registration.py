@@ -152,8 +152,10 @@ def _worked_out(
     return found
 
 
-def negative_log_prior(motion: FloatArray, sigmas: tuple[float, float], *, upright: bool = True) -> float:
+def negative_log_prior(motion: FloatArray, sigmas: tuple[float, float]) -> float:
     """What a motion of this size costs: half its chi2 by the expectation while small, only the log of it far off.
+
+    The third axes of both frames point up.
 
     Expectations fail: wheels slip, guesses are guesses, and what carries a sensor turns on its heel. But nobody turns
     it upside down, and a room so turned may have more planes in common with itself than it has seen from another place.
@@ -161,11 +163,13 @@ def negative_log_prior(motion: FloatArray, sigmas: tuple[float, float], *, uprig
     Args:
         motion: shape (4, 4).
         sigmas: standard deviations of place and turn, m and rad.
-        upright: whether the third axes of both frames point up.
     """
     angle = angle_of(motion)
-    tilted = float(_tilted(motion[2, 2])) if upright else 0.0
-    return tilted + _tail((angle / sigmas[1]) ** 2) + _tail(motion[:3, 3] @ motion[:3, 3] / sigmas[0] ** 2)
+    return (
+        float(_tilted(motion[2, 2]))
+        + _tail((angle / sigmas[1]) ** 2)
+        + _tail(motion[:3, 3] @ motion[:3, 3] / sigmas[0] ** 2)
+    )
 
 
 def _tilted(cosines: Any) -> Any:
@@ -180,12 +184,14 @@ def _tail(chi2: Any) -> Any:
 def _motions(mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float], *, upright: bool) -> list[FloatArray]:
     """Motions that pairs of planes propose, by their scores, the best first."""
     rotations = _rotations(mine, theirs, sigmas[1], upright=upright)
-    scored = [motion for R in rotations for motion in _translations(R, mine, theirs, sigmas, upright=upright)]
+    scored = [motion for price, R in rotations for motion in _translations(R, price, mine, theirs, sigmas[0])]
     return [motion for _, motion in sorted(scored, key=lambda one: -one[0])]
 
 
-def _rotations(mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float, *, upright: bool) -> list[FloatArray]:
-    """Rotations under which most directions agree, best first, none twice."""
+def _rotations(
+    mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float, *, upright: bool
+) -> list[tuple[float, FloatArray]]:
+    """What rotations cost, with those under which most directions agree, best first, none twice."""
     frames, angles = _frames(mine.normals[:_SEEDS], ordered=False)
     others, other_angles = _frames(theirs.normals, ordered=True)
     if not len(frames) or not len(others):
@@ -194,9 +200,10 @@ def _rotations(mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float, *, upri
     rotations, traces = near_rotations(frames, angles, others, other_angles, _ANGLE, 1.0 + 2.0 * np.cos(furthest))
     turns = np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0))
     agree = directions_found(rotations, mine.normals, theirs.normals, mine.weights, np.cos(_ANGLE))
-    scores = agree - _tail((turns / sigma_rad) ** 2) - (_tilted(rotations[:, 2, 2]) if upright else 0.0)
-    best_first = rotations[np.argsort(-scores, kind="stable")]
-    return list(unlike(best_first, 1.0 + 2.0 * np.cos(_ANGLE), _ROTATIONS))
+    prices = _tail((turns / sigma_rad) ** 2) + (_tilted(rotations[:, 2, 2]) if upright else 0.0)
+    best_first = np.argsort(prices - agree, kind="stable")
+    chosen = best_first[unlike(rotations[best_first], 1.0 + 2.0 * np.cos(_ANGLE), _ROTATIONS)]
+    return list(zip(prices[chosen].tolist(), rotations[chosen], strict=True))
 
 
 def near_rotations(
@@ -235,27 +242,29 @@ def _frames(normals: FloatArray, *, ordered: bool) -> tuple[FloatArray, FloatArr
 
 
 def _translations(
-    rotation: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float], *, upright: bool
+    rotation: FloatArray, price: float, mine: PlaneArrays, theirs: PlaneArrays, sigma_m: float
 ) -> list[tuple[float, FloatArray]]:
-    """The best motions with a rotation, with their scores: from threes of pairs, and what is expected beside them."""
+    """The best motions with a rotation that costs so much, with their scores: from threes of pairs, and what is
+    expected beside them.
+    """
     turned = mine.normals @ rotation.T
     i, j = np.ascontiguousarray(np.nonzero(turned @ theirs.normals.T > np.cos(_ANGLE)))
     if len(i) < 3:
         return []
     weights = np.minimum(mine.weights[i], theirs.weights[j])
     offsets, normals = theirs.distances[j] - mine.distances[i], theirs.normals[j]
-    near = np.abs(offsets) < _FAR * sigmas[0]
+    near = np.abs(offsets) < _FAR * sigma_m
     strongest = np.argsort(-np.where(near, weights, -1.0), kind="stable")[:_PAIRS]
     strongest = strongest[near[strongest]]
     middles, reaches = theirs.middles[j] - (mine.middles @ rotation.T)[i], mine.reaches[i] + theirs.reaches[j] + _GAP
     shifts, found = best_shifts(
-        i, normals, offsets, mine.weights, middles, reaches, strongest, _DISTANCE, sigmas[0], _TAIL
+        i, normals, offsets, mine.weights, middles, reaches, strongest, _DISTANCE, sigma_m, _TAIL
     )
     results = []
     for shift, weight in zip(shifts, found.tolist(), strict=True):
         motion = np.eye(4)
         motion[:3, :3], motion[:3, 3] = rotation, shift
-        results.append((weight - negative_log_prior(motion, sigmas, upright=upright), motion))
+        results.append((weight - price - _tail(shift @ shift / sigma_m**2), motion))
     return results
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from factors._conventions import POSE3_TO_SP
 from slam.frontend.scan_surfaces import ON_EDGE, THING_M, WIDTH, moved
 from slam.geometry.frames import inverse, lift
+from slam.registration._surface_kernels import may_have_changed, point_to_plane
 from slam.registration.motion_prior import MotionPrior
 from slam.registration.plane_registration import negative_log_prior
 from slam.registration.visibility import ALIKE, Scan, Sight, tree_of
@@ -90,25 +91,12 @@ class LocalMap:
     def __init__(self, parts: Sequence[tuple[FloatArray, Scan]]) -> None:
         """Of parts: known_T_body (4, 4) with what was seen from there."""
         rows = np.concatenate([moved(scan.elements, pose) for pose, scan in parts])
-        self.points, self.directions, self.sigmas, self.kinds = rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7]
-        self._groups = [np.flatnonzero(self.kinds != ON_EDGE), np.flatnonzero(self.kinds == ON_EDGE)]
-        self._trees = [tree_of(self.points[group]) if len(group) else None for group in self._groups]
+        edges = rows[:, 7] == ON_EDGE
+        self.elements = np.concatenate((rows[~edges], rows[edges]))
+        """Of all parts, those on edges last, shape (M, 9)."""
+        self.trees = [tree_of(some[:, :3]) if len(some) else None for some in (rows[~edges], rows[edges])]
+        """Of those on surfaces and of those on edges; None: there are none."""
         self._parts = parts
-
-    def partners(self, points: FloatArray, directions: FloatArray, kinds: np.ndarray, reach: FloatArray) -> np.ndarray:
-        """Nearest element of the same sort within reach (N,), m, that looks the same way, shape (N,); -1: none."""
-        partner = np.full(len(points), -1)
-        for edges, (group, tree) in enumerate(zip(self._groups, self._trees, strict=True)):
-            mine = np.flatnonzero((kinds == ON_EDGE) == bool(edges))
-            if tree is None or not len(mine):
-                continue
-            apart, index = tree.query(points[mine], distance_upper_bound=float(reach[mine].max()))
-            near = apart < reach[mine]
-            mine, other = mine[near], group[np.asarray(index)[near]]
-            cosine = np.einsum("ki,ki->k", directions[mine], self.directions[other])
-            alike = (np.abs(cosine) if edges else cosine) > ALIKE
-            partner[mine[alike]] = other[alike]
-        return partner
 
     def contradicted(self, known_T_seen: FloatArray, apart: FloatArray, weight: float, sight: Sight) -> float:
         """How many things are seen through, as a share: what stands before what the newest keyframe saw, or it before.
@@ -143,6 +131,36 @@ class LocalMap:
     def _sights(self) -> list[Sight]:
         """What each keyframe saw."""
         return [scan.sight for _, scan in self._parts]
+
+
+class Correspondences:
+    """Elements of a scan, each with the known one of its sort that is nearest wherever the scan is laid.
+
+    A descent takes small steps: where an element has moved by less than what lies between its nearest and the next, the
+    nearest is the same, and is not looked for again.
+    """
+
+    def __init__(self, elements: FloatArray, known: LocalMap) -> None:
+        """Of elements (N, 9)."""
+        self.elements, self.known, self.widths = elements, known, elements[:, WIDTH]
+        edges = elements[:, 7] == ON_EDGE
+        pairs = zip((~edges, edges), known.trees, strict=True)
+        self._sorts = [(sort, tree) for sort, tree in pairs if tree is not None]
+        self._asked, self._nearest = np.full((len(elements), 3), np.inf), np.full(len(elements), -1)
+        self._next_m = np.where(np.any([sort for sort, _ in self._sorts], axis=0), 0.0, np.inf)
+
+    def nearest(self, points: FloatArray, reach: FloatArray) -> np.ndarray:
+        """Of the elements at points (N, 3) the nearest known ones, shape (N,); -1: none in reach (N,), m."""
+        open_ = may_have_changed(points, self._asked, self._nearest, self._next_m, self.known.elements, reach)
+        first, bound = 0, float(reach.max(initial=0.0))
+        for sort, tree in self._sorts:
+            mine = np.flatnonzero(open_ & sort)
+            if len(mine):
+                far, index = tree.query(points[mine], k=2, distance_upper_bound=bound)
+                self._nearest[mine] = np.where(index[:, 0] < tree.n, first + index[:, 0], -1)
+                self._asked[mine], self._next_m[mine] = points[mine], np.minimum(far[:, 1], bound)
+            first += tree.n
+        return self._nearest
 
 
 def most_information(elements: FloatArray) -> FloatArray:
@@ -197,31 +215,30 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expecte
         candidates: motions known_T_seen to start from, about right, shape (4, 4) each; of equals the first is taken.
         expected: what is known before looking; the information of the result is without it.
     """
-    elements = scan.elements
-    few = slice(None, None, int(np.ceil(len(elements) / _SOME)))
-    some, weights = elements[few], scan.weights
+    few, weights = slice(None, None, int(np.ceil(len(scan.elements) / _SOME))), scan.weights
+    some = Correspondences(scan.elements[few], known)
     seen = _Seen(some, weights[few] / weights[few].sum(), float(weights.sum()), scan.sight)
     starts = [
         candidate
         for k, candidate in enumerate(candidates)
         if not any(_are_same(candidate, other) for other in candidates[:k])
     ]
-    rests = _rests(some, known, starts, expected)
-    judged = {id(end): _judged(seen, known, end, expected) for ends in rests for end in ends}
+    rests = _rests(some, starts, expected)
+    distinct = {id(end): end for ends in rests for end in ends}
+    judged = {name: _judged(seen, end, expected) for name, end in distinct.items()}
     rough = [max((judged[id(end)] for end in ends), key=lambda one: one[0].log_likelihood) for ends in rests]
     rough.sort(key=lambda one: -one[0].log_likelihood)  # stable: of equals the first
     (best, score, share), *_ = rough
-    motion = best.known_T_seen
-    if len(some) < len(elements):
+    motion, every = best.known_T_seen, some
+    if few.step > 1:
+        every = Correspondences(scan.elements, known)
         for reach in _REACHES[-2:]:
-            motion = _Stage(elements, known, expected, reach).descend(motion)
-    found = Residuals.of(elements, known, motion, _REACHES[-1] * elements[:, WIDTH])
+            motion = _Stage(every, expected, reach).descend(motion)
+    found = Residuals.of(every, motion, _REACHES[-1] * every.widths)
     return Alignment(motion, found.information(), found, score, share, seen.weight, tuple(one for one, *_ in rough))
 
 
-def _rests(
-    some: FloatArray, known: LocalMap, starts: Sequence[FloatArray], expected: Expected | None
-) -> list[list[FloatArray]]:
+def _rests(some: Correspondences, starts: Sequence[FloatArray], expected: Expected | None) -> list[list[FloatArray]]:
     """Where some elements come to rest from each start, by two descents; of both ends one where they are one.
 
     The kernel follows the residuals; or it narrows with the reach (graduated non-convexity), and follows them in the
@@ -229,12 +246,12 @@ def _rests(
     narrow as these are close is blind to the pillars that tell it; a wide one is led astray by clutter. Whatever has
     become one place on the way goes on as one.
     """
-    widths, motions = some[:, WIDTH], [(start, start) for start in starts]
+    motions = [(start, start) for start in starts]
     for reach in _REACHES:
-        following = _Stage(some, known, expected, reach)
+        following = _Stage(some, expected, reach)
         narrowing = following
         if reach > _REACHES[-1]:
-            narrowing = _Stage(some, known, expected, reach, kernel=reach * widths)
+            narrowing = _Stage(some, expected, reach, kernel=reach * some.widths)
         motions = [(following.descend(one), narrowing.descend(other)) for one, other in motions]
     return [[one] if one is other else [one, other] for one, other in motions]
 
@@ -243,16 +260,10 @@ class _Stage:
     """One stage of descents: to the motion at which the residuals are least, by Gauss and Newton."""
 
     def __init__(
-        self,
-        elements: FloatArray,
-        known: LocalMap,
-        expected: Expected | None,
-        reach: float,
-        kernel: FloatArray | None = None,
+        self, scan: Correspondences, expected: Expected | None, reach: float, kernel: FloatArray | None = None
     ) -> None:
-        """Of elements (N, 9), partners looked for so many widths far; `kernel` as in `Residuals.of`."""
-        self._elements, self._known, self._expected = elements, known, expected
-        self._reach, self._kernel = reach * elements[:, WIDTH], kernel
+        """Of a scan's elements, partners looked for so many widths far; `kernel` as in `Residuals.of`."""
+        self._scan, self._expected, self._reach, self._kernel = scan, expected, reach * scan.widths, kernel
         self._ends: list[tuple[FloatArray, FloatArray]] = []
 
     def descend(self, start: FloatArray) -> FloatArray:
@@ -262,7 +273,7 @@ class _Stage:
                 return end
         motion = start
         for _ in range(_STEPS):
-            residuals = Residuals.of(self._elements, self._known, motion, self._reach, self._kernel)
+            residuals = Residuals.of(self._scan, motion, self._reach, self._kernel)
             step = residuals.step(motion, self._expected)
             motion = motion @ gtsam.Pose3.Expmap(step).matrix()
             if np.abs(step).max() < _CONVERGED:
@@ -279,8 +290,8 @@ def _are_same(motion: FloatArray, other: FloatArray) -> bool:
 class _Seen(NamedTuple):
     """What places are told apart by."""
 
-    elements: FloatArray
-    """Some of a scan, shape (N, 9)."""
+    some: Correspondences
+    """Of its elements."""
     shares: FloatArray
     """How much each says, of all of them, shape (N,)."""
     weight: float
@@ -289,21 +300,21 @@ class _Seen(NamedTuple):
     """All that it saw."""
 
 
-def _judged(seen: _Seen, known: LocalMap, motion: FloatArray, expected: Expected | None) -> tuple[Tried, float, float]:
+def _judged(seen: _Seen, motion: FloatArray, expected: Expected | None) -> tuple[Tried, float, float]:
     """A place where some of a scan's elements came to rest, its score, and the share of them with a partner."""
-    score, share = _scored(seen, known, motion)
+    score, share = _scored(seen, motion)
     prior = 0.0 if expected is None else expected.log_likelihood(motion)
     return Tried(motion, _TELLING * score + prior), score, share
 
 
-def _scored(seen: _Seen, known: LocalMap, motion: FloatArray) -> tuple[float, float]:
+def _scored(seen: _Seen, motion: FloatArray) -> tuple[float, float]:
     """Score and share of some elements of a scan at a motion; see `Alignment`.
 
     Beams move with the sensor: were only those elements counted that come to lie on another, the place where nothing
     moved would win, at which all do. On a surface that was seen on all sides of it, an element fits as well.
     """
-    some, widths = seen.elements, seen.elements[:, WIDTH]
-    found = Residuals.of(some, known, motion, _REACHES[-1] * widths)
+    some, widths, known = seen.some.elements, seen.some.widths, seen.some.known
+    found = Residuals.of(seen.some, motion, _REACHES[-1] * widths)
     alone = np.ones(len(some), dtype=bool)
     alone[found.index] = False
     against = known.contradicted(motion, some[alone, :3], seen.weight, seen.sight)
@@ -328,32 +339,23 @@ class Residuals:
     @classmethod
     def of(
         cls,
-        elements: FloatArray,
-        known: LocalMap,
+        scan: Correspondences,
         motion: FloatArray,
         reach: FloatArray,
         kernel: FloatArray | None = None,
     ) -> Residuals:
-        """Of elements (N, 9) at a motion (4, 4).
+        """Of a scan's elements at a motion (4, 4).
 
         Args:
-            elements: of a scan.
-            known: where partners are looked for.
+            scan: its elements, and where partners are looked for.
             motion: known_T_seen.
             reach: how far off they may be, shape (N,), m.
             kernel: width of the robust kernel, shape (N,), m; None: by how far off most are.
         """
-        rows = moved(elements, motion)
-        partner = known.partners(rows[:, :3], rows[:, 3:6], rows[:, 7], reach)
-        index = np.flatnonzero(partner >= 0)
-        other, mine = partner[index], elements[index]
-        normals = known.directions[other]
-        off = np.einsum("ki,ki->k", rows[index, :3] - known.points[other], normals)
-        turned = normals @ motion[:3, :3]
-        jacobian = np.hstack((np.cross(mine[:, :3], turned), turned))
+        nearest, known = scan.nearest(lift(scan.elements[:, :3], motion), reach), scan.known.elements
+        index, off, jacobian, variance = point_to_plane(scan.elements, motion, nearest, known, reach, ALIKE)
         usual = max(_LEAST_SCALE_M, 1.4826 * float(np.median(np.abs(off))) if len(off) else 0.0)
         believed = 1.0 / (1.0 + (off / (_KERNEL * usual if kernel is None else kernel[index])) ** 2) ** 2
-        variance = mine[:, 6] ** 2 + known.sigmas[other] ** 2
         return cls(index, off, jacobian, believed / variance)
 
     def information(self) -> FloatArray:

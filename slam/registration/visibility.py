@@ -79,7 +79,7 @@ def points_on(plane: Plane) -> FloatArray:
         return np.empty((0, 3))
     x0, y0, x1, y1 = outline.bounds
     steps = (np.arange(_GRID) + 0.5) / _GRID
-    x, y = np.meshgrid(x0 + steps * (x1 - x0), y0 + steps * (y1 - y0))
+    x, y = np.tile(x0 + steps * (x1 - x0), _GRID), np.repeat(y0 + steps * (y1 - y0), _GRID)
     inside = shapely.contains_xy(outline, x, y)
     places = np.stack((x[inside], y[inside], np.zeros(int(inside.sum()))), axis=1)
     if not len(places):

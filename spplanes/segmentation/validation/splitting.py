@@ -100,7 +100,7 @@ def tells_tilt(window: Window, part: np.ndarray, frame: FloatArray, max_tilt_rad
 
 def are_spread(places: FloatArray, weights: FloatArray, max_tilt_rad: float) -> bool:
     """Whether places (N, 2) on a plane, with weights (N,) of their residuals, tell its tilt to so much."""
-    aside = places - np.average(places, axis=0, weights=weights)
+    aside = places - weights @ places / weights.sum()
     return float(np.linalg.eigvalsh((aside * weights[:, None]).T @ aside)[0]) * max_tilt_rad**2 >= 1.0
 
 

@@ -83,6 +83,6 @@ def test_of_rotations_none_is_kept_that_is_like_a_better_one() -> None:
     while len(left):
         chosen.append(left[0])
         left = left[left @ left[0] < trace]
-    np.testing.assert_array_equal(unlike(turns, trace, 1000).reshape(-1, 9), chosen)
-    np.testing.assert_array_equal(unlike(turns, trace, 7).reshape(-1, 9), chosen[:7])
+    np.testing.assert_array_equal(turns[unlike(turns, trace, 1000)].reshape(-1, 9), chosen)
+    np.testing.assert_array_equal(turns[unlike(turns, trace, 7)].reshape(-1, 9), chosen[:7])
     assert 20 < len(chosen) < 300

@@ -15,7 +15,7 @@ from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE, moved
 from slam.geometry.frames import inverse
 from slam.registration.plane_registration import negative_log_prior
 from slam.registration.relocalization import NO_RIVALS, _on, _rivals, scan_of
-from slam.registration.surface_registration import Expected, LocalMap, Residuals, Tried, align
+from slam.registration.surface_registration import Correspondences, Expected, LocalMap, Residuals, Tried, align
 from slam.registration.visibility import Scan, Sight
 from slam.simulation import simulate_mission
 from tests.slam.depth_scenes import between, looking, measured, with_widths
@@ -136,12 +136,32 @@ def test_residuals_have_the_derivative_that_they_say() -> None:
     true, seen = elements(np.random.default_rng(3), 0.005)
     known, motion = LocalMap([(np.eye(4), scan(true))]), gtsam.Pose3.Expmap(np.full(6, 0.003)).matrix()
     reach = np.full(len(seen), 0.3)
-    here = Residuals.of(seen, known, motion, reach)
+    here = Residuals.of(Correspondences(with_widths(seen), known), motion, reach)
     for k in range(6):
         step = 1e-6 * np.eye(6)[k]
-        there = Residuals.of(seen, known, motion @ gtsam.Pose3.Expmap(step).matrix(), reach)
+        there = Residuals.of(
+            Correspondences(with_widths(seen), known), motion @ gtsam.Pose3.Expmap(step).matrix(), reach
+        )
         np.testing.assert_array_equal(there.index, here.index)
         np.testing.assert_allclose((there.off - here.off) / 1e-6, here.jacobian[:, k], atol=1e-4)
+
+
+@pytest.mark.parametrize("step_m", [1e-4, 0.01, 0.5])
+def test_nearest_elements_are_the_nearest_after_every_step(step_m: float) -> None:
+    rng = np.random.default_rng(4)
+    true, seen = elements(rng, 0.005)
+    true[::9, 7] = seen[::7, 7] = ON_EDGE
+    known = LocalMap([(np.eye(4), scan(true))])
+    scan_laid, points = Correspondences(with_widths(seen), known), seen[:, :3].copy()
+    for reach_m in (0.5, 0.5, 0.2, 0.1):
+        points += rng.normal(0.0, step_m, 3)
+        apart = np.linalg.norm(points[:, None] - known.elements[:, :3], axis=2)
+        apart[(seen[:, 7] == ON_EDGE)[:, None] != (known.elements[:, 7] == ON_EDGE)] = np.inf
+        found = scan_laid.nearest(points, np.full(len(seen), reach_m))
+        near = apart.min(axis=1) < reach_m
+        assert near.any()
+        np.testing.assert_array_equal(found[near], apart.argmin(axis=1)[near])
+        assert np.all(apart[~near, found[~near]][found[~near] >= 0] >= reach_m)
 
 
 #: A camera a metre above the origin of its body.

@@ -1,0 +1,73 @@
+"""Kernels of registration by surface elements: which may have another partner now, and how far each is from its own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.frontend.scan_surfaces import ON_EDGE
+from spplanes._jit import njit
+
+
+@njit(cache=True)
+def may_have_changed(points, asked, nearest, next_m, known, reach):
+    """Which of points (N, 3) may have another element nearest, within reach (N,), than where that was asked for, (N,).
+
+    Args:
+        points: where they are, m.
+        asked: where they were, shape (N, 3), m.
+        nearest: the element that was nearest then, shape (N,); -1: none.
+        next_m: how far all others were at least, shape (N,), m.
+        known: the elements, shape (M, 9).
+        reach: m.
+    """
+    changed = np.empty(len(points), np.bool_)
+    for k in range(len(points)):
+        apart, moved = 0.0, 0.0
+        for a in range(3):
+            moved += (points[k, a] - asked[k, a]) ** 2
+            if nearest[k] >= 0:
+                apart += (points[k, a] - known[nearest[k], a]) ** 2
+        far = reach[k] if nearest[k] < 0 else min(np.sqrt(apart), reach[k])
+        changed[k] = far + np.sqrt(moved) > next_m[k]
+    return changed
+
+
+@njit(cache=True)
+def point_to_plane(elements, motion, nearest, known, reach, least_cosine):
+    """Elements whose nearest known one is a partner: of the same sort, within reach, and looking the same way.
+
+    Args:
+        elements: of a scan, shape (N, 9); see `slam.frontend.scan_surfaces`.
+        motion: known_T_seen, shape (4, 4).
+        nearest: of the known elements, of the same sort, shape (N,); -1: none.
+        known: where the scan is laid, shape (M, 9).
+        reach: how far off a partner may be, shape (N,), m.
+        least_cosine: of two directions that are one; across an edge either way.
+
+    Returns:
+        Which elements (K,), how far off along their partners' directions (K,), m, the derivatives by the tangent of the
+        motion on the right (K, 6), and the variances by the noise of both (K,), m^2.
+    """
+    index, off, variance = np.empty(len(elements), np.int64), np.empty(len(elements)), np.empty(len(elements))
+    jacobian, turned, count = np.empty((len(elements), 6)), np.empty(3), 0
+    for k in range(len(elements)):
+        if nearest[k] < 0:
+            continue
+        mine, other, square, along, cosine = elements[k], known[nearest[k]], 0.0, 0.0, 0.0
+        for a in range(3):
+            apart = motion[a, 3] - other[a]
+            turned[a] = 0.0
+            for b in range(3):
+                apart += motion[a, b] * mine[b]
+                turned[a] += motion[b, a] * other[3 + b]
+            square += apart * apart
+            along += apart * other[3 + a]
+            cosine += turned[a] * mine[3 + a]
+        if not (square < reach[k] ** 2 and (abs(cosine) if mine[7] == ON_EDGE else cosine) > least_cosine):
+            continue
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            jacobian[count, a], jacobian[count, 3 + a] = mine[b] * turned[c] - mine[c] * turned[b], turned[a]
+        index[count], off[count], variance[count] = k, along, mine[6] ** 2 + other[6] ** 2
+        count += 1
+    return index[:count], off[:count], jacobian[:count], variance[:count]
