@@ -131,10 +131,9 @@ def check(
     found = align(scan, known, [np.eye(4)])
     rests = _rests(found) if found.score > 0.0 else (None, None, None)
     enough = _clearly(motion, prior, found, _AGAIN if doubted else SLIPS)
-    nowhere = len(found.residuals.off) < len(POSE3_TO_SP)  # it wandered to where nothing tells six unknowns
-    if nowhere or is_off(found):
+    if is_off(found):
         held = align(scan, known, [np.eye(4)], Expected(np.eye(4), information_of(motion)))
-        if not nowhere and (is_off(held) or found.log_odds(held) > enough):
+        if is_off(held) or found.log_odds(held) > enough:
             return Check(True, *rests)
         found, rests = held, (_by_returns(held.information) if held.score > 0.0 else None, None, None)
     b_T_a = inverse(motion.a_T_b)

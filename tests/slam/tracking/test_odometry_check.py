@@ -138,17 +138,24 @@ def test_odometry_is_believed_where_scans_fit_as_well_elsewhere(name: str, seed:
     assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.25
 
 
-@pytest.mark.parametrize("jump", [(3.0, 0.0, 0.0), (0.0, 0.0, 1.0), None], ids=["3 m", "1 rad", "begins anew"])
-def test_odometry_that_jumps_is_found_out_by_few_rings_of_few_beams(jump: tuple[float, float, float] | None) -> None:
-    """Beams 2 deg apart: the map was 3 m off, and was called sound."""
-    drive = make_drive(Recipe.parse("irregular/lidar32/good"), 612)
+@pytest.mark.parametrize(
+    "name, every, jump",
+    [
+        ("irregular/lidar32/good", 5, (3.0, 0.0, 0.0)),  # beams 2 deg apart: the map was 3 m off, and was called sound
+        ("irregular/lidar32/good", 5, (0.0, 0.0, 1.0)),
+        ("cluttered/lidar32/good", 5, None),  # odometry begins anew: the scan fits somehow where that leads
+        ("people/depth/good", 1, None),
+    ],
+)
+def test_odometry_that_jumps_is_found_out(name: str, every: int, jump: tuple[float, float, float] | None) -> None:
+    drive = make_drive(Recipe.parse(name), 612)
     stamps = [scan.stamp_ns for scan in drive.log.scans()[:14]]
     events, readings = [], {e.stamp_ns: e.odom_T_body for e in drive.log.events if isinstance(e, OdometryReading)}
     at = readings[stamps[7]]
     off = inverse(at) if jump is None else at @ body(*jump) @ inverse(at)
     for event in drive.log.events:
         if isinstance(event, CloudScan):
-            event = replace(event, points=event.points[::5])
+            event = replace(event, points=event.points[::every])
         elif isinstance(event, OdometryReading) and event.stamp_ns >= stamps[7]:
             event = replace(event, odom_T_body=off @ event.odom_T_body)
         events += [event] if event.stamp_ns <= stamps[-1] else []
