@@ -39,6 +39,8 @@ _LEAST_SCALE_M = 0.003
 _CONVERGED = 1e-4
 #: Candidates are told apart by about so many elements; places are one when no entry differs by more.
 _SOME, _SAME = 700, 5e-3
+#: Where few beams make elements wide, what is close does not grow with that: at most as of this share of the range.
+_FINE_SHARE = 0.06
 #: Standard deviations of a motion that nothing says anything of, rad and m.
 _NOTHING_RAD, _NOTHING_M = 3.0, 10.0
 #: A place that fits a scan better by a score of one is likelier by so much, as a logarithm, by logistic regression of
@@ -313,13 +315,13 @@ def _scored(seen: _Seen, motion: FloatArray) -> tuple[float, float]:
     Beams move with the sensor: were only those elements counted that come to lie on another, the place where nothing
     moved would win, at which all do. On a surface that was seen on all sides of it, an element fits as well.
     """
-    some, widths, known = seen.some.elements, seen.some.widths, seen.some.known
-    found = Residuals.of(seen.some, motion, _REACHES[-1] * widths)
+    some, known = seen.some.elements, seen.some.known
+    found = Residuals.of(seen.some, motion, _REACHES[-1] * seen.some.widths)
     alone = np.ones(len(some), dtype=bool)
     alone[found.index] = False
     against = known.contradicted(motion, some[alone, :3], seen.weight, seen.sight)
-    fit = seen.shares[found.index] @ _close(found.off, widths[found.index])
-    fit += seen.shares[alone] @ _close(known.between(motion, some[alone]), widths[alone])
+    fit = seen.shares[found.index] @ _close(found.off, some[found.index])
+    fit += seen.shares[alone] @ _close(known.between(motion, some[alone]), some[alone])
     return float(fit - against), len(found.off) / len(some)
 
 
@@ -377,8 +379,9 @@ class Residuals:
         return self.jacobian[some].T @ weighted, -weighted.T @ self.off[some]
 
 
-def _close(off: FloatArray, widths: FloatArray) -> FloatArray:
-    """How close elements are to what is known, (N,), one at most: distances and widths of them, (N,), m."""
+def _close(off: FloatArray, elements: FloatArray) -> FloatArray:
+    """How close elements (N, 9) are to what is known, (N,), one at most: distances of them, (N,), m."""
+    widths = np.minimum(elements[:, WIDTH], _FINE_SHARE * np.linalg.norm(elements[:, :3], axis=1))
     return 1.0 / (1.0 + (off / (0.25 * widths + _LEAST_SCALE_M)) ** 2)
 
 
