@@ -16,7 +16,7 @@ from slam.frontend.occupancy import LEAST_GAP_M, MOVABLE_M, free_standing
 from slam.frontend.scan_surfaces import ON_EDGE, WIDTH, moved
 from slam.geometry.frames import evenly, way_to
 from slam.loop_closure.candidates import nearest_of_each
-from slam.registration.visibility import Scan, Sight
+from slam.registration.visibility import NEIGHBOURS_APART, Scan, Sight
 from spplanes._check import FloatArray
 
 #: A return is of the same surface, or in front of it, by more than this, m: what a map may err by before it is wrong.
@@ -157,8 +157,8 @@ def views_of(keyframes: Sequence[Keyframe]) -> dict[int, View]:
 _LEVEL = 0.5
 #: What stands before a surface is nearer by this share of its range at least: as wide are the elements it is made of.
 _WIDE_SHARE = 0.03
-#: Elements further apart than this share of their range, and than so many of their widths, are of two surfaces.
-_APART_SHARE, _APART_WIDTHS = 0.1, 1.7
+#: Elements further apart than this share of their range, and than `NEIGHBOURS_APART`, are of two surfaces.
+_APART_SHARE = 0.1
 #: Neighbours of an element that may be of its surface.
 _NEIGHBOURS = 8
 
@@ -205,7 +205,7 @@ def _movable(elements: FloatArray, viewpoint: FloatArray, up: FloatArray) -> np.
     if len(points) < 2:
         return np.ones(len(points), dtype=bool)
     apart, near = KDTree(points).query(points, k=min(_NEIGHBOURS + 1, len(points)))
-    limit = np.maximum(_APART_SHARE * np.linalg.norm(points - viewpoint, axis=1), _APART_WIDTHS * elements[:, WIDTH])
+    limit = np.maximum(_APART_SHARE * np.linalg.norm(points - viewpoint, axis=1), NEIGHBOURS_APART * elements[:, WIDTH])
     limit = np.maximum(LEAST_GAP_M, limit)
     mine, which = np.nonzero(apart < limit[:, None])
     links = coo_array((np.ones(len(mine)), (mine, np.asarray(near)[mine, which])), shape=(len(points),) * 2)

@@ -31,7 +31,7 @@ COLUMNS, WIDTH = 9, 8
 #: Width of an element as a share of its range, rounded down to a power of two metres: it is seen 1 to 2 deg wide.
 _SHARE = 0.03
 #: On planes, where a few say as much as many, so wide, or as wide as it needs to hold the fewest points.
-_SHARE_ON_PLANE = 0.06
+SHARE_ON_PLANE = 0.06
 #: An element is on the plane that it was laid on, to rounding.
 ITS_OWN = 1e-6
 #: What lies within this of its middle is one thing, m, however many elements see it: whoever walks by close before a
@@ -101,7 +101,7 @@ def surfaces_of(points: FloatArray, labels: np.ndarray, planes: FloatArray, sens
     apart = _beams_apart(points)
     wide, own = (
         max(share, 2.0 * every * np.sqrt(least * apart[0] * apart[1]))
-        for share, least in ((_SHARE_ON_PLANE, _LEAST_ON_PLANE), (_SHARE, _LEAST))
+        for share, least in ((SHARE_ON_PLANE, _LEAST_ON_PLANE), (_SHARE, _LEAST))
     )
     parts = [
         _on_edges(points, labels, max(apart)),

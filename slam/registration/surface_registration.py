@@ -21,7 +21,7 @@ import gtsam
 import numpy as np
 
 from factors._conventions import POSE3_TO_SP
-from slam.frontend.scan_surfaces import ON_EDGE, THING_M, WIDTH, moved
+from slam.frontend.scan_surfaces import ON_EDGE, SHARE_ON_PLANE, THING_M, WIDTH, moved
 from slam.geometry.frames import inverse, lift
 from slam.registration._surface_kernels import may_have_changed, point_to_plane
 from slam.registration.motion_prior import MotionPrior
@@ -39,8 +39,6 @@ _LEAST_SCALE_M = 0.003
 _CONVERGED = 1e-4
 #: Candidates are told apart by about so many elements; places are one when no entry differs by more.
 _SOME, _SAME = 700, 5e-3
-#: Where few beams make elements wide, what is close does not grow with that: at most as of this share of the range.
-_FINE_SHARE = 0.06
 #: Standard deviations of a motion that nothing says anything of, rad and m.
 _NOTHING_RAD, _NOTHING_M = 3.0, 10.0
 #: A place that fits a scan better by a score of one is likelier by so much, as a logarithm, by logistic regression of
@@ -380,8 +378,11 @@ class Residuals:
 
 
 def _close(off: FloatArray, elements: FloatArray) -> FloatArray:
-    """How close elements (N, 9) are to what is known, (N,), one at most: distances of them, (N,), m."""
-    widths = np.minimum(elements[:, WIDTH], _FINE_SHARE * np.linalg.norm(elements[:, :3], axis=1))
+    """How close elements (N, 9) are to what is known, (N,), one at most: distances of them, (N,), m.
+
+    Where few beams make elements wide, what is close does not grow with that.
+    """
+    widths = np.minimum(elements[:, WIDTH], SHARE_ON_PLANE * np.linalg.norm(elements[:, :3], axis=1))
     return 1.0 / (1.0 + (off / (0.25 * widths + _LEAST_SCALE_M)) ** 2)
 
 

@@ -22,9 +22,11 @@ _BEFORE_M, _INSIDE_M, _STEEP = 0.3, 0.1, 0.17
 _GRID = 3
 #: Two surface elements look the same way to this cosine; of edges, whose direction turns with the viewpoint, likewise.
 ALIKE = 0.85
-#: One direction are elements within this angle, rad, or so many of their widths, when there are so many; something
-#: stands before them when it is nearer than all by this share of the range and so many m.
-_DIRECTION_RAD, _IN_WIDTHS, _ABOUT, _NEARER_SHARE, _NEARER_M = 0.1, 1.7, 4, 0.08, 0.1
+#: One direction are elements within this angle, rad, or `NEIGHBOURS_APART`, when there are so many; something stands
+#: before them when it is nearer than all by this share of the range and so many m.
+_DIRECTION_RAD, _ABOUT, _NEARER_SHARE, _NEARER_M = 0.1, 4, 0.08, 0.1
+#: Elements of one surface that lie beside each other are this many widths apart at most.
+NEIGHBOURS_APART = 1.7
 
 #: Angles are computed to this, rad.
 _ROUNDING = 1e-9
@@ -116,7 +118,7 @@ class Sight:
         self._rays = scan.elements[:, :3] - scan.viewpoint
         self._depth = np.linalg.norm(self._rays, axis=1)
         widths = scan.elements[:, WIDTH] / np.maximum(self._depth, 1e-9)
-        self._direction_rad = max(_DIRECTION_RAD, _IN_WIDTHS * float(np.median(widths)) if len(widths) else 0.0)
+        self._direction_rad = max(_DIRECTION_RAD, NEIGHBOURS_APART * float(np.median(widths)) if len(widths) else 0.0)
 
     @cached_property
     def _directions(self) -> KDTree:

@@ -100,8 +100,9 @@ def check(
     corridor a scan slides to the next place that looks alike. Far from the true place it may rest anywhere: where more
     of what it sees contradicts than fits, it is looked for as if nobody had measured the motion, and speaks against it
     from a place that fits clearly better and is as far off; where nothing of it was seen before there is nothing to
-    say. What was wrong the step before is asked so in any case, and is as likely wrong again as not: wheels that slip
-    or stand still do so for a while.
+    say. A motion as this body makes none is asked so in any case: odometry that begins anew leads to where a scan fits
+    somehow. So is what was wrong the step before, which is as likely wrong again as not: wheels that slip or stand
+    still do so for a while.
 
     Args:
         keyframe: what is seen.
