@@ -18,7 +18,7 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytes
     assert run(capsys, "--version")[:2] == (0, f"spplanes {__version__}\n")
     for flags in (["--version", "-v"], ["-v", "--version"]):
         code, out, _ = run(capsys, *flags)
-        assert code == 0 and "session.db: version 2" in out and "planes.json: spplanes/1" in out
+        assert code == 0 and "session.db: version 3" in out and "planes.json: spplanes/1" in out
     assert run(capsys, "-h")[1] == run(capsys, "--help")[1] and run(capsys, "slam", "-h")[0] == 0
     assert "complet" in run(capsys, "--show-completion", "bash")[1]
     for name in ("slam", "demo", "simulate", "evaluate"):

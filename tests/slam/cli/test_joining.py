@@ -66,7 +66,7 @@ def test_what_cannot_be_used_is_named_and_left_out(
     assert code == 0, told
     joins = json.loads((tmp_path / "map" / "joins.json").read_text(encoding="utf-8"))
     assert list(joins["left_out"]) == ["damaged", "newer", "nothing"]
-    assert "version 2, got 99" in joins["left_out"]["newer"]
+    assert "version 3, got 99" in joins["left_out"]["newer"]
     assert joins["components"][0]["missions"] == ["visit0", "visit2", "visit1"]
     for name in ("damaged", "newer", "nothing"):
         assert f"warning: {name}: left out: " in told
