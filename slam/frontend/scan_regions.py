@@ -259,10 +259,9 @@ def with_shared_error(planes: Sequence[Believed]) -> list[Believed]:
         np.array([plane.plane.covariance for plane in planes]),
         stated=True,
     )
-    found = [(plane, plane.plane, covariance) for plane, covariance in zip(planes, shared.covariances, strict=True)]
     return [
-        replace(plane, plane=Plane._trusted(one.frame, covariance, one.n_points, one.outline, one.chi2))
-        for plane, one, covariance in found
+        replace(plane, plane=replace(plane.plane, covariance=covariance))
+        for plane, covariance in zip(planes, shared.covariances, strict=True)
     ]
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from factors._conventions import POSE3_TO_SP
 from slam.frontend.scan_surfaces import ON_EDGE, SHARE_ON_PLANE, THING_M, WIDTH, moved
 from slam.geometry.frames import inverse, lift
-from slam.registration._surface_kernels import may_have_changed, point_to_plane
+from slam.registration._correspondence_kernels import may_have_changed, point_to_plane
 from slam.registration.motion_prior import MotionPrior
 from slam.registration.plane_registration import negative_log_prior
 from slam.registration.visibility import ALIKE, Scan, Sight, tree_of

@@ -138,7 +138,7 @@ def check(
             return Check(True, *rests)
         found, rests = held, (_by_returns(held.information) if held.score > 0.0 else None, None, None)
     b_T_a = inverse(motion.a_T_b)
-    steady = are_one(b_T_a @ prior.motion.a_T_b, np.eye(4), spatial(prior.learnt()) + spatial(motion), significance)
+    steady = _agree(motion, b_T_a @ prior.motion.a_T_b, spatial(prior.learnt()), significance)
     if found.score >= 0.0 and not doubted and steady:
         return Check(False, *rests)
     seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
@@ -212,7 +212,7 @@ def _most_paired(seen: PlaneArrays, paired: np.ndarray) -> bool:
 
 
 def _agree(motion: Motion, place: FloatArray, covariance: FloatArray, significance: float) -> bool:
-    """Whether a motion and the place found from where it leads (4, 4), SP covariance (6, 6), may be the same."""
+    """Whether a motion and a place as seen from where it leads (4, 4), SP covariance (6, 6), may be the same."""
     return are_one(np.eye(4), place, covariance + spatial(motion), significance)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from slam.config import SlamConfig
 from slam.frontend.measurement import ScanMeasurement, measured_cloud
-from slam.frontend.scan_surfaces import ON_PLANE
+from slam.frontend.scan_surfaces import ON_PLANE, SHARE_ON_PLANE
 from slam.geometry.frames import inverse, lift
 from slam.io.clouds.depth import Camera
 from slam.sensors.log import CloudScan
@@ -66,5 +66,5 @@ def between(world_T_a: FloatArray, world_T_b: FloatArray) -> FloatArray:
 
 def with_widths(rows: np.ndarray) -> np.ndarray:
     """Surface elements (N, 9) by all but their widths (N, 8), which are those that dense scans have."""
-    share = np.where(rows[:, 7] == ON_PLANE, 0.06, 0.03)
+    share = np.where(rows[:, 7] == ON_PLANE, SHARE_ON_PLANE, 0.03)
     return np.column_stack((rows, share * np.linalg.norm(rows[:, :3], axis=1)))
