@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from slam.config import SlamConfig
 from slam.diagnostics.evidence import assess_run
@@ -74,6 +75,7 @@ class Run:
             return assess_run(self.slam, self.rig)
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices: threads that wait for more cost up to a third
 def run_slam(
     log: Log,
     rig: Rig,

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from slam.config import SlamConfig
 from slam.frontend.keyframes import keyframes_of
@@ -37,6 +38,17 @@ def test_a_run_is_the_same_however_many_measure(mission: Mission):
     runs = [run_slam(mission.log, mission.rig, SlamConfig(), jobs=jobs) for jobs in (1, 2, 3)]
     assert len(runs[0].trajectory) > 3 and runs[0].planes
     assert told(runs[0]) == told(runs[1]) == told(runs[2])
+
+
+def test_linear_algebra_takes_one_thread_while_a_run_lasts(mission: Mission):
+    def threads() -> set[int]:
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    during: list[set[int]] = []
+    with threadpool_limits(2, user_api="blas"):
+        run_slam(mission.log, mission.rig, SlamConfig(), progress=lambda *_: during.append(threads()))
+        assert threads() == {2}
+    assert during and all(one == {1} for one in during)
 
 
 def test_fewer_than_one_job_is_refused(mission: Mission):
