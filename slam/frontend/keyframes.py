@@ -15,6 +15,7 @@ from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.frontend.deskewing import unswept
 from slam.frontend.laser_odometry import LaserTrack, is_level, laser_track, motion_between
+from slam.frontend.laser_odometry.stalled_wheels import Stall, over_stalls, stalls_of
 from slam.frontend.measurement import (
     ScanMeasurement,
     Segment,
@@ -134,7 +135,12 @@ class _Lasers:
         self._wheels = OdometryTrack(readings, rig.odometry) if readings else None
         self._within = self._wheels or self._track  # over the time of a scan wheels err by less than two matched scans
         self._stamps = _choose_stamps(log, rig, config)
-        self._homes = {kind: _at_home(self._stamps, _scans_of(log, rig, kind)) for kind in ("slice", "line")}
+        self._stalls = [] if isinstance(self._track, LaserTrack) else _stalls_of(log, rig, self._track)
+        slices = [scan for scan in _scans_of(log, rig, "slice") if not any(stall.has(scan) for stall in self._stalls)]
+        self._homes = {
+            "slice": _at_home(self._stamps, slices),
+            "line": _at_home(self._stamps, _scans_of(log, rig, "line")),
+        }
 
     def __len__(self) -> int:
         return len(self._stamps)
@@ -196,7 +202,10 @@ class _Lasers:
             return None
         ends = self._stamps[index - 1], self._stamps[index]
         if not isinstance(self._track, LaserTrack):
-            return self._track.motion(*ends)
+            motion = self._track.motion(*ends)
+            stalled = [stall for stall in self._stalls if stall.is_within(*ends)]
+            seconds = 1e-9 * sum(last_ns - first_ns for first_ns, last_ns in stalled)
+            return over_stalls(motion, seconds, self._config.coasting) if stalled else motion
         significance = self._config.association.new_significance
         return motion_between(self._track, self._wheels, ends, significance)
 
@@ -276,6 +285,22 @@ def _track_of(log: Log, rig: Rig) -> OdometryTrack:
         found = "got one pose all along" if log.odometry else "found none"
         raise LogError(log.source, f"expected odometry beside the scans, {found}")
     return OdometryTrack(readings, rig.odometry)
+
+
+def _stalls_of(log: Log, rig: Rig, track: OdometryTrack) -> list[Stall]:
+    """Stretches that wheels did not measure, by any push-broom laser."""
+    scans = _scans_of(log, rig, "slice")
+    found = [
+        stall
+        for name, sensor in rig.of_kind("slice").items()
+        for stall in stalls_of([scan for scan in scans if scan.sensor == name], sensor, track)
+    ]
+    for first_ns, last_ns in found:
+        log.notes.append(
+            f"wheels stand from {first_ns * 1e-9:.3f} to {last_ns * 1e-9:.3f} s while what is seen changes: what was "
+            "seen then was left out, and the motion was measured by nobody"
+        )
+    return found
 
 
 def _at_home(stamps: Sequence[int], scans: Sequence[LaserScan]) -> dict[tuple[int, str], list[LaserScan]]:

@@ -1,0 +1,90 @@
+"""Wheels that say they stand while a push-broom laser sees the robot drive on: stretches that nobody measured.
+
+A slice says nothing of the motion across it, so that wheels alone place one beside the other. Where they hang, or a
+robot is pushed, all that passes by seems to be at one place, and the way is missing from the map. While a robot stands
+its slices are alike up to noise, but for people who pass, and are nearer than what they hide: where most of one is
+nearer than usual, or some of it farther, it does not stand. Along an even corridor slices are alike as well: until
+something else comes by nothing tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from slam.config import CoastingConfig
+from slam.frontend.measurement import usable_ranges
+from slam.frontend.odometry import Motion, OdometryTrack
+from slam.geometry.frames import angle_of, inverse
+from slam.sensors.log import LaserScan
+from slam.sensors.rig import Sensor
+from spplanes._check import FloatArray
+
+#: Wheels stand that are nearer than this to where they were, m and rad.
+_STANDING = 1e-3
+#: A return differs from those of its beam by more than noise where it does by so many standard deviations, for the rig
+#: may state too little.
+_DIFFERS = 6.0
+#: Most returns that people hide; and that are farther than usual, because somebody who stood there has left.
+_HIDDEN, _LEFT = 0.5, 0.15
+#: Fewer slices of one place are too few to tell.
+_FEW = 5
+
+
+class Stall(NamedTuple):
+    """A stretch of time over which wheels stood and the robot did not."""
+
+    first_ns: int
+    """Time of the first slice of one place."""
+    last_ns: int
+    """Of the last."""
+
+    def is_within(self, start_ns: int, end_ns: int) -> bool:
+        """Whether a motion from a time to a later one goes through it."""
+        return start_ns < self.last_ns and self.first_ns < end_ns
+
+    def has(self, scan: LaserScan) -> bool:
+        """Whether a scan was made meanwhile."""
+        return self.first_ns <= scan.stamp_ns <= self.last_ns
+
+
+def over_stalls(motion: Motion, seconds: float, rules: CoastingConfig) -> Motion:
+    """A motion of wheels that stood for so long, as one that nobody measured: from where they stood to anywhere."""
+    place, turn = rules.speed_sigma_m_per_s * seconds, min(rules.turn_sigma_rad_per_s * seconds, np.pi)
+    sigmas = [place, place, turn] if motion.is_planar else [place] * 3 + [turn] * 3
+    covariance = motion.covariance + np.diag(np.square(sigmas))
+    return replace(motion, covariance=covariance, response=None, returns_a_T_b=motion.a_T_b)
+
+
+def stalls_of(scans: Sequence[LaserScan], sensor: Sensor, track: OdometryTrack) -> list[Stall]:
+    """Stretches over which the odometry has the robot at one place and the slices of a sensor do not."""
+    if len(scans) < _FEW:
+        return []
+    poses, found, first = track.poses_at([scan.stamp_ns for scan in scans]), [], 0
+    for end in range(1, len(scans) + 1):
+        if end < len(scans) and _stands(poses[first], poses[end]):
+            continue
+        if end - first >= _FEW and _sees_another_place(scans[first:end], sensor):
+            found.append(Stall(scans[first].stamp_ns, scans[end - 1].stamp_ns))
+        first = end
+    return found
+
+
+def _stands(there: FloatArray, here: FloatArray) -> bool:
+    step = inverse(there) @ here
+    return bool(np.linalg.norm(step[:3, 3]) < _STANDING and angle_of(step) < _STANDING)
+
+
+def _sees_another_place(scans: Sequence[LaserScan], sensor: Sensor) -> bool:
+    """Whether any of some slices is another than they are as a rule, beam by beam."""
+    alike = [scan.ranges for scan in scans if len(scan.ranges) == len(scans[0].ranges)]
+    ranges = np.array([usable_ranges(one, sensor) for one in alike])
+    told = np.isfinite(ranges)
+    ranges, returns = ranges[:, told.any(axis=0)], np.maximum(told.sum(axis=1), 1)
+    usual = np.nanmedian(ranges, axis=0)
+    least = _DIFFERS * np.sqrt(sensor.range_variance_at(usual))
+    nearer, farther = ((off > least).sum(axis=1) / returns for off in (usual - ranges, ranges - usual))
+    return bool(np.any((nearer > _HIDDEN) | (farther > _LEFT)))

@@ -1,0 +1,84 @@
+"""Wheels that hang while a push-broom laser sees the robot drive on measure nothing, and standing robots stand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.corpus.drives import Drive, Recipe, make_drive
+from slam.config import SlamConfig
+from slam.frontend.keyframes import keyframes_of
+from slam.frontend.laser_odometry.stalled_wheels import stalls_of
+from slam.frontend.odometry import OdometryTrack, planar_delta
+from slam.geometry.frames import inverse
+from slam.runs.slam_run import run_slam
+from slam.sensors.log import LaserScan, Log
+
+DRIVE = "office/pushbroom/stops/half"
+
+
+@pytest.fixture(scope="module")
+def hanging() -> Drive:
+    """The odometry stands for a fifth of the way."""
+    return make_drive(Recipe.parse(DRIVE), 771021)
+
+
+def slices_of(drive: Drive, events: list) -> tuple[list[LaserScan], OdometryTrack]:
+    log = Log(events, drive.log.source)
+    return [scan for scan in log.scans() if isinstance(scan, LaserScan)], OdometryTrack(
+        log.measured_motion, drive.rig.odometry
+    )
+
+
+def test_a_stretch_that_wheels_did_not_measure_is_measured_by_nobody(hanging: Drive) -> None:
+    [name] = hanging.rig.of_kind("slice")
+    scans, track = slices_of(hanging, hanging.log.events)
+    [stall] = stalls_of(scans, hanging.rig.sensors[name], track)
+    poses = track.poses_at([stall.first_ns, stall.last_ns])
+    np.testing.assert_allclose(poses[0], poses[1], atol=2e-3)
+    true = hanging.truth.poses_at([stall.first_ns, stall.last_ns])
+    assert np.linalg.norm(true[1, :3, 3] - true[0, :3, 3]) > 3.0
+    frames = list(keyframes_of(hanging.log, hanging.rig, SlamConfig()))
+    [across] = [index for index, frame in enumerate(frames) if frame.motion and not frame.motion.is_measured]
+    motion = frames[across].motion
+    assert motion is not None
+    before, after = hanging.truth.poses_at([frame.stamp_ns for frame in frames[across - 1 : across + 1]])
+    off = planar_delta(inverse(before @ motion.a_T_b) @ after)
+    assert off @ np.linalg.solve(motion.covariance, off) < 9.0
+    assert stall.is_within(frames[across - 1].stamp_ns, frames[across].stamp_ns)
+    assert not any(stall.has(scan) for frame in frames for scan in frame.scans if isinstance(scan, LaserScan))
+    assert any("wheels stand" in note for note in hanging.log.notes)
+
+
+@pytest.mark.parametrize("name", ["hall", "sloped", "symmetric", "loop"])
+def test_stretches_are_found_in_other_buildings(name: str) -> None:
+    """In a hall a quarter of a slice changes: its pillars."""
+    drive = make_drive(Recipe.parse(f"{name}/pushbroom/stops"), 97101)
+    [laser] = drive.rig.of_kind("slice")
+    scans, track = slices_of(drive, drive.log.events)
+    assert len(stalls_of(scans, drive.rig.sensors[laser], track)) == 1
+
+
+def test_its_map_is_doubtful(hanging: Drive) -> None:
+    run = run_slam(hanging.log, hanging.rig, SlamConfig())
+    assert run.verdict.verdict == "doubtful"
+    assert any("nobody measured the motion" in reason for reason in run.verdict.reasons)
+
+
+@pytest.mark.parametrize("passers", [0.0, 0.3], ids=["alone", "with people about"])
+def test_a_robot_that_stands_is_taken_at_its_word(hanging: Drive, passers: float) -> None:
+    """The same slices with noise, before a third of whose beams somebody stands now and then."""
+    [name] = hanging.rig.of_kind("slice")
+    scans, track = slices_of(hanging, hanging.log.events)
+    sensor, rng, first = hanging.rig.sensors[name], np.random.default_rng(0), scans[0]
+    sigma, standing, returns = np.sqrt(sensor.range_variance_at(first.ranges)), [], np.flatnonzero(first.ranges > 0.0)
+    for index in range(40):
+        ranges = first.ranges + sigma * rng.standard_normal(len(sigma))
+        hidden = rng.integers(0, len(returns)) + np.arange(int(passers * len(returns)))
+        ranges[returns[hidden % len(returns)]] *= 0.5
+        standing.append(replace(first, stamp_ns=first.stamp_ns + index, ranges=ranges))
+    assert stalls_of(standing, sensor, track) == []
+    moved = replace(first, stamp_ns=first.stamp_ns + 40, ranges=first.ranges + 0.5)
+    assert len(stalls_of([*standing, moved], sensor, track)) == 1
