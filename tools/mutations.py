@@ -405,6 +405,20 @@ MUTATIONS = (
         "tests/slam/tracking/test_odometry_check.py -k jumps",
     ),
     Mutation(
+        "odometry against 3D scans: what bears the odometry out is forgotten",
+        "slam/tracking/prediction.py",
+        "        return used, prior, place_of(keyframe, used, laid, *about)",
+        "        return used, prior, None",
+        "tests/slam/tracking/test_odometry_check.py -k put_to_use",
+    ),
+    Mutation(
+        "odometry of a push-broom robot: wheels that stand have measured",
+        "slam/frontend/laser_odometry/stalled_wheels.py",
+        "return bool(np.any((nearer > _HIDDEN) | (farther > _LEFT)))",
+        "return bool(np.any(nearer > 1.0))",
+        "tests/slam/frontend/test_stalled_wheels.py",
+    ),
+    Mutation(
         "odometry against 3D scans: a place found elsewhere is as likely as where the motion leads",
         "slam/tracking/odometry_check.py",
         "enough = _clearly(motion, prior, rival, _AGAIN if doubted else SLIPS)",

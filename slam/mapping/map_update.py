@@ -140,8 +140,8 @@ class MapUpdater:
             self._backend.relinearize_in_use()
         for insertion, factor_index in zip(insertions, indices, strict=False):
             self._see(insertion, at, factor_index, prediction.robust)
-        if beyond:
-            self._sparsifier.linked(at, indices[-1])
+        for factor_index in indices[len(insertions) :]:
+            self._sparsifier.linked(at, factor_index)
         return MapUpdate(at, frozenset(insertion.landmark.id for insertion in insertions))
 
     def _beyond_lines(self, prediction: Prediction, matched: Sequence[Observation]) -> list[Any]:

@@ -129,16 +129,25 @@ def found_place(
         there = _stated(motion, by_planes.known_T_seen, by_planes.covariance)
         return FoundPlace(there, frozenset(numbers[i] for i, _ in by_planes.pairs), expected)
     covariance = np.linalg.inv(by_returns.information + WEAK_PRIOR).astype(np.float64)
-    motion = _learnt(motion, prior, by_returns.known_T_seen, covariance)
-    information = by_returns.information + information_of(motion)
-    there = _stated(motion, by_returns.known_T_seen, np.linalg.inv(information).astype(np.float64))
-    seen_again = frozenset(numbers[i] for i, _ in pairs_under(by_returns.known_T_seen, seen, known))
-    assert keyframe.surfaces is not None  # `_by_returns`
-    again = _on(
-        keyframe.surfaces, [observation for k, observation in enumerate(keyframe.observations) if k in seen_again]
-    )
-    beyond = _beyond(motion, by_returns, ~again)
-    return FoundPlace(there, seen_again, motion, beyond, _rivals(by_returns, there.covariance))
+    return place_of(keyframe, _learnt(motion, prior, by_returns.known_T_seen, covariance), by_returns, seen, known)
+
+
+def place_of(keyframe: Keyframe, motion: Motion, found: Alignment, seen: PlaneArrays, known: PlaneArrays) -> FoundPlace:
+    """The place of a 3D scan that was laid on those before, seen from where a motion leads.
+
+    Args:
+        keyframe: what is seen.
+        motion: what is known of its motion.
+        found: where its scan was laid.
+        seen, known: the planes it sees, and those seen of late, as `planes_about` gives them.
+    """
+    numbers = [k for k, observation in enumerate(keyframe.observations) if isinstance(observation, PlaneObservation)]
+    information = found.information + information_of(motion)
+    there = _stated(motion, found.known_T_seen, np.linalg.inv(information).astype(np.float64))
+    seen_again = frozenset(numbers[i] for i, _ in pairs_under(found.known_T_seen, seen, known))
+    assert keyframe.surfaces is not None  # it was laid
+    again = _on(keyframe.surfaces, [keyframe.observations[k] for k in sorted(seen_again)])
+    return FoundPlace(there, seen_again, motion, _beyond(motion, found, ~again), _rivals(found, there.covariance))
 
 
 def planes_about(

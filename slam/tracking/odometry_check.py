@@ -92,7 +92,7 @@ def check(
     significance: float,
     doubted: bool,
     prior: MotionPrior,
-) -> Check:
+) -> tuple[Check, Alignment | None]:
     """Whether what a 3D scan sees speaks against a motion that was measured, and how sharply it could.
 
     The scan is laid on what was seen before from where the motion leads; it speaks against the motion where it comes to
@@ -112,41 +112,47 @@ def check(
         significance: probability that a true motion is spoken against.
         doubted: the motion before was spoken against.
         prior: of that motion, by how steadily the body moves.
+
+    Returns:
+        What it says, and where it was laid, seen from where the motion leads, if it does not speak against that; None:
+        it was not, for planes say all, or nothing of it was seen before.
     """
     scan, (keyframes, landmarks, backend) = scan_of(keyframe), state
     if is_poorly_known(motion) or scan is None:
-        return Check(False)
+        return Check(False), None
     before, seen = (planes_of(one.observations) for one in (keyframes[-1], keyframe))
     if not doubted:
         by_planes = planes_confirm(motion, before, seen, scan.elements, significance)
         if by_planes is not None:
-            return by_planes
+            return by_planes, None
     expected_T_world = inverse(backend.pose(pose_symbol(len(keyframes) - 1)) @ motion.a_T_b)
     known = local_map(keyframes, backend, expected_T_world)
     if known is None:
-        return Check(False)
+        return Check(False), None
 
     def is_off(found: Alignment) -> bool:
         return not _agree(motion, found.known_T_seen, _by_returns(found.information), significance)
 
     found = align(scan, known, [np.eye(4)])
+    held = align(scan, known, [np.eye(4)], Expected(np.eye(4), information_of(motion)))
+    laid = held if held.score > 0.0 else None
     rests = _rests(found) if found.score > 0.0 else (None, None, None)
     enough = _clearly(motion, prior, found, _AGAIN if doubted else SLIPS)
     if is_off(found):
-        held = align(scan, known, [np.eye(4)], Expected(np.eye(4), information_of(motion)))
         if is_off(held) or found.log_odds(held) > enough:
-            return Check(True, *rests)
+            return Check(True, *rests), None
         found, rests = held, (_by_returns(held.information) if held.score > 0.0 else None, None, None)
     b_T_a = inverse(motion.a_T_b)
     steady = _agree(motion, b_T_a @ prior.motion.a_T_b, spatial(prior.learnt()), significance)
     if found.score >= 0.0 and not doubted and steady:
-        return Check(False, *rests)
+        return Check(False, *rests), laid
     seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
     matched = register_planes_globally(*seen_and_known, sigmas_of(otherwise))
     expected = Expected(b_T_a @ otherwise.a_T_b, information_of(otherwise))
     rival = register_from_hypotheses(scan, known, matched, expected, b_T_a)
     enough = _clearly(motion, prior, rival, _AGAIN if doubted else SLIPS)
-    return Check(rival.log_odds(found) > enough and is_off(rival), *rests)
+    against = rival.log_odds(found) > enough and is_off(rival)
+    return Check(against, *rests), None if against else laid
 
 
 def _clearly(motion: Motion, prior: MotionPrior, found: Alignment, share: float) -> float:

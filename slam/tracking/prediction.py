@@ -21,7 +21,15 @@ from slam.geometry.frames import inverse, orthonormal, planar_transform
 from slam.map.sparsification import Link
 from slam.map.state import EstimatorState
 from slam.registration.motion_prior import MotionPrior, VelocityPrior
-from slam.registration.relocalization import FoundPlace, Rivals, displacement, found_place, is_poorly_known
+from slam.registration.relocalization import (
+    FoundPlace,
+    Rivals,
+    displacement,
+    found_place,
+    is_poorly_known,
+    place_of,
+    planes_about,
+)
 from slam.registration.submaps import anchored
 from slam.tracking.calibration_by_graph import CalibrationByGraph
 from slam.tracking.odometry_check import check
@@ -73,7 +81,7 @@ class Prediction:
     """Indices of the factors of that place, or of what the returns say beyond all lines, which leave it then: they are
     made of what was seen."""
     planes_asked: bool = False
-    """Whether nobody measured the motion, or so badly that the planes were asked."""
+    """Whether nobody measured the motion, or so badly that the planes were asked, or the scan was laid."""
     robust: str | None = None
     """Robust kernel on what is matched from here: of a place that the planes had to find some of it is wrong."""
     hints: tuple[int, ...] = ()
@@ -127,9 +135,10 @@ class MotionModel:
         own = indices[: len(own_factors)]
         self._sparsifier.removed(removal, indices[len(own_factors) :])
         n_step, n_stay = len(step.factors), len(own) - len(hints)
-        standing_in = own[n_step : n_step + len(beyond)]
+        standing_in = own[:1] if step.pending else own[n_step : n_step + len(beyond)]
         floor = own[1:n_step] + own[n_step + len(beyond) : n_stay]
-        link = None if step.measured is None else Link(_with(step.measured, step.beyond), own[:1], floor)
+        tie = [] if step.pending else own[:1]
+        link = None if step.measured is None else Link(_with(step.measured, step.beyond), tie, floor)
         self._sparsifier.entered(index, link)
         return Prediction(
             index,
@@ -137,7 +146,7 @@ class MotionModel:
             step.motion,
             step.place,
             pending=tuple(step.pending),
-            standing_in=tuple(own[:n_step] if step.pending else standing_in),
+            standing_in=tuple(standing_in),
             planes_asked=step.planes_asked,
             robust=(self._config.coasting.robust if step.pending else None) or self._config.backend.robust,
             hints=tuple(own[n_stay:]),
@@ -187,34 +196,38 @@ class MotionModel:
         """Where the motion to a keyframe leads, and its factors."""
         before, key = pose_symbol(index - 1), pose_symbol(index)
         world_T_before = self._backend.pose(before)
-        (motion, prior), parts = self._motion_to(keyframe), (self._keyframes, self._landmarks, self._backend)
+        (motion, prior, place), parts = self._motion_to(keyframe), (self._keyframes, self._landmarks, self._backend)
         beyond = information_beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
         wide = is_poorly_known(motion.scan_matched or motion)
         asked = wide or keyframe.motion is None  # what went on as before was not measured, however well it is known
         assumed = prior if prior is not None and motion is prior.motion else None
-        place = found_place(keyframe, motion, *parts, assumed) if asked else None
+        if asked:
+            place = found_place(keyframe, motion, *parts, assumed)
         if wide and place is None and keyframe.surfaces is not None:
             self.unplaced.append(index)
         if assumed is not None:
             motion = assumed.learnt() if place is None else place.expected
         self._expected = None if prior is None else (prior, None if assumed is None else motion)
+        step, *floor = motion.factors(before, key)
+        measured = self._measured(keyframe, motion) if place is None or not asked else None
         if place is None:
-            factors, measured = motion.factors(before, key), self._measured(keyframe, motion)
             there = world_T_before @ motion.a_T_b
-            return _Step(there, factors, motion, beyond=beyond, planes_asked=asked, measured=measured)
+            return _Step(there, [step, *floor], motion, beyond=beyond, planes_asked=asked, measured=measured)
         self.rivals[index] = place.rivals
         kernel, there = self._config.coasting.robust or self._config.backend.robust, place.motion
-        pending = [*motion.factors(before, key), *place.factors(before, key, kernel)]
-        factors = there.factors(before, key)
-        return _Step(world_T_before @ there.a_T_b, factors, motion, place, pending, planes_asked=asked)
+        pending, factors = [step, *place.factors(before, key, kernel)], [*there.factors(before, key), *floor]
+        return _Step(
+            world_T_before @ there.a_T_b, factors, motion, place, pending, planes_asked=True, measured=measured
+        )
 
-    def _motion_to(self, keyframe: Keyframe) -> tuple[Motion, MotionPrior | None]:
+    def _motion_to(self, keyframe: Keyframe) -> tuple[Motion, MotionPrior | None, FoundPlace | None]:
         """Odometry, less what is known to be wrong with it; without any the motion before goes on.
 
         Odometry that a 3D scan speaks against is a guess: it is as wide as if nobody had measured it.
 
         Returns:
-            The motion, and what would be expected of it had nobody measured it; None: there was no motion before.
+            The motion; what would be expected of it had nobody measured it, None: there was no motion before; and the
+            place where the scan bears it out, None: nobody laid it, or it speaks against the motion.
         """
         last, stamps = len(self._keyframes) - 1, [frame.stamp_ns * 1e-9 for frame in self._keyframes[-2:]]
         ahead_s, rules = keyframe.stamp_ns * 1e-9 - stamps[-1], self._config.coasting
@@ -223,11 +236,11 @@ class MotionModel:
             prior = self._unmeasured(keyframe, last, stamps[1] - stamps[0], ahead_s)
         unmeasured = guess if prior is None else prior.motion
         if keyframe.motion is None:
-            return unmeasured, prior
+            return unmeasured, prior, None
         record = self.odometry_record
         stated, state = self.calibration.predict(keyframe.motion), (self._keyframes, self._landmarks, self._backend)
         motion = scaled(stated, self.odometry_scale.factor)
-        said = check(
+        said, laid = check(
             keyframe,
             motion,
             replace(guess, a_T_b=unmeasured.a_T_b),
@@ -239,7 +252,13 @@ class MotionModel:
         if said.off is not None and said.known is not None:
             self.odometry_scale.learn(stated, said.off, said.known, guess)
             motion = scaled(stated, self.odometry_scale.factor)  # this step is one of those that tell
-        return record.take(last + 1, motion, unmeasured, guess, said, self.odometry_scale.factor), prior
+        used = record.take(last + 1, motion, unmeasured, guess, said, self.odometry_scale.factor)
+        if laid is None or record.steps[-1].used == "not":
+            return used, prior, None
+        about = planes_about(
+            keyframe, self._landmarks, inverse(self._backend.pose(pose_symbol(last)) @ used.a_T_b), last + 1
+        )
+        return used, prior, place_of(keyframe, used, laid, *about)
 
     def _unmeasured(self, keyframe: Keyframe, last: int, before_s: float, ahead_s: float) -> MotionPrior:
         """What is expected of the motion to a keyframe, after one of so many seconds, had nobody measured it."""
