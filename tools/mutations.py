@@ -405,7 +405,7 @@ MUTATIONS = (
         "tests/slam/tracking/test_odometry_check.py -k jumps",
     ),
     Mutation(
-        "odometry against 3D scans: what bears the odometry out is forgotten",
+        "odometry against 3D scans: what they say of a step that is off is forgotten",
         "slam/tracking/prediction.py",
         "        return used, prior, place_of(keyframe, used, laid, *about)",
         "        return used, prior, None",

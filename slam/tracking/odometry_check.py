@@ -114,8 +114,8 @@ def check(
         prior: of that motion, by how steadily the body moves.
 
     Returns:
-        What it says, and where it was laid, seen from where the motion leads, if it does not speak against that; None:
-        it was not, for planes say all, or nothing of it was seen before.
+        What it says; and where it was laid, seen from where the motion leads, if it does not speak against that, which
+        is yet further off than it states: what the scan says counts beside it then. None elsewhere.
     """
     scan, (keyframes, landmarks, backend) = scan_of(keyframe), state
     if is_poorly_known(motion) or scan is None:
@@ -133,15 +133,19 @@ def check(
     def is_off(found: Alignment) -> bool:
         return not _agree(motion, found.known_T_seen, _by_returns(found.information), significance)
 
-    found = align(scan, known, [np.eye(4)])
-    held = align(scan, known, [np.eye(4)], Expected(np.eye(4), information_of(motion)))
-    laid = held if held.score > 0.0 else None
+    def held() -> Alignment:
+        return align(scan, known, [np.eye(4)], Expected(np.eye(4), information_of(motion)))
+
+    found, laid = align(scan, known, [np.eye(4)]), None
     rests = _rests(found) if found.score > 0.0 else (None, None, None)
     enough = _clearly(motion, prior, found, _AGAIN if doubted else SLIPS)
     if is_off(found):
-        if is_off(held) or found.log_odds(held) > enough:
+        there = held()
+        if is_off(there) or found.log_odds(there) > enough:
             return Check(True, *rests), None
-        found, rests = held, (_by_returns(held.information) if held.score > 0.0 else None, None, None)
+        found, rests = there, (_by_returns(there.information) if there.score > 0.0 else None, None, None)
+    elif rests[2] is not None and not _agree(motion, found.known_T_seen, rests[2], significance):
+        laid = there if (there := held()).score > 0.0 else None
     b_T_a = inverse(motion.a_T_b)
     steady = _agree(motion, b_T_a @ prior.motion.a_T_b, spatial(prior.learnt()), significance)
     if found.score >= 0.0 and not doubted and steady:

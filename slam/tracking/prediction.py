@@ -227,7 +227,7 @@ class MotionModel:
 
         Returns:
             The motion; what would be expected of it had nobody measured it, None: there was no motion before; and the
-            place where the scan bears it out, None: nobody laid it, or it speaks against the motion.
+            place where the scan was laid, None: it has nothing to add to the motion, or speaks against it.
         """
         last, stamps = len(self._keyframes) - 1, [frame.stamp_ns * 1e-9 for frame in self._keyframes[-2:]]
         ahead_s, rules = keyframe.stamp_ns * 1e-9 - stamps[-1], self._config.coasting
