@@ -105,6 +105,10 @@ class CoastingConfig(_Frozen):
     floor_rad: float = Field(default=0.03, gt=0)
     """Least standard deviation of a turn, rad: hands shake."""
 
+    def unknown_motion(self, seconds: float) -> tuple[float, float]:
+        """Standard deviations of how far a body goes and turns in so long, of whose motion nothing is known, m, rad."""
+        return self.speed_sigma_m_per_s * seconds, self.turn_sigma_rad_per_s * seconds
+
 
 class ObservabilityConfig(_Frozen):
     """When a direction of motion counts as open: not fixed by anything that was seen."""

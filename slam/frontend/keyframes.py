@@ -28,7 +28,7 @@ from slam.frontend.observations import LineObservation, Observation, PlaneObserv
 from slam.frontend.occupancy import beams_of
 from slam.frontend.odometry import Motion, OdometryTrack
 from slam.frontend.pose_measurements import PlaceMatch, PoseMeasurement
-from slam.geometry.frames import angle_of, inverse
+from slam.geometry.frames import are_apart, inverse
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig, Sensor
 from spplanes._check import FloatArray
@@ -135,12 +135,10 @@ class _Lasers:
         self._wheels = OdometryTrack(readings, rig.odometry) if readings else None
         self._within = self._wheels or self._track  # over the time of a scan wheels err by less than two matched scans
         self._stamps = _choose_stamps(log, rig, config)
-        self._stalls = [] if isinstance(self._track, LaserTrack) else _stalls_of(log, rig, self._track)
-        slices = [scan for scan in _scans_of(log, rig, "slice") if not any(stall.has(scan) for stall in self._stalls)]
-        self._homes = {
-            "slice": _at_home(self._stamps, slices),
-            "line": _at_home(self._stamps, _scans_of(log, rig, "line")),
-        }
+        slices, lines = _scans_of(log, rig, "slice"), _scans_of(log, rig, "line")
+        self._stalls = [] if isinstance(self._track, LaserTrack) else _stalls_of(log, slices, rig, self._track)
+        slices = [scan for scan in slices if not any(stall.has(scan) for stall in self._stalls)]
+        self._homes = {"slice": _at_home(self._stamps, slices), "line": _at_home(self._stamps, lines)}
 
     def __len__(self) -> int:
         return len(self._stamps)
@@ -203,7 +201,7 @@ class _Lasers:
         ends = self._stamps[index - 1], self._stamps[index]
         if not isinstance(self._track, LaserTrack):
             motion = self._track.motion(*ends)
-            stalled = [stall for stall in self._stalls if stall.is_within(*ends)]
+            stalled = [stall for stall in self._stalls if stall.overlaps(*ends)]
             seconds = 1e-9 * sum(last_ns - first_ns for first_ns, last_ns in stalled)
             return over_stalls(motion, seconds, self._config.coasting) if stalled else motion
         significance = self._config.association.new_significance
@@ -249,8 +247,7 @@ def _choose_stamps(log: Log, rig: Rig, config: SlamConfig) -> list[int]:
     poses, rules = track_of(log, rig, config).poses_at(candidates), config.keyframes
     chosen = [0]
     for index in range(1, len(candidates)):
-        step = inverse(poses[chosen[-1]]) @ poses[index]
-        if np.linalg.norm(step[:3, 3]) >= rules.distance_m or angle_of(step) >= rules.angle_rad:
+        if are_apart(poses[chosen[-1]], poses[index], rules.distance_m, rules.angle_rad):
             chosen.append(index)
     return [candidates[index] for index in chosen]
 
@@ -287,13 +284,12 @@ def _track_of(log: Log, rig: Rig) -> OdometryTrack:
     return OdometryTrack(readings, rig.odometry)
 
 
-def _stalls_of(log: Log, rig: Rig, track: OdometryTrack) -> list[Stall]:
-    """Stretches that wheels did not measure, by any push-broom laser."""
-    scans = _scans_of(log, rig, "slice")
+def _stalls_of(log: Log, slices: Sequence[LaserScan], rig: Rig, track: OdometryTrack) -> list[Stall]:
+    """Stretches that wheels did not measure, by any push-broom laser, which the log's notes tell of."""
     found = [
         stall
         for name, sensor in rig.of_kind("slice").items()
-        for stall in stalls_of([scan for scan in scans if scan.sensor == name], sensor, track)
+        for stall in stalls_of([scan for scan in slices if scan.sensor == name], sensor, track)
     ]
     for first_ns, last_ns in found:
         log.notes.append(

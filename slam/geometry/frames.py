@@ -66,6 +66,12 @@ def angle_of(transform: FloatArray) -> float:
     return float(np.arccos(np.clip(0.5 * (np.trace(transform[:3, :3]) - 1.0), -1.0, 1.0)))
 
 
+def are_apart(a: FloatArray, b: FloatArray, metres: float, radians: float) -> bool:
+    """Whether two poses (4, 4) are so far from each other, or turned by so much."""
+    step = inverse(a) @ b
+    return bool(np.linalg.norm(step[:3, 3]) >= metres or angle_of(step) >= radians)
+
+
 def way_to(poses: FloatArray) -> FloatArray:
     """Length of the way on the floor from the first of some poses (N, 4, 4) to each, m, shape (N,)."""
     steps = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1)

@@ -253,7 +253,7 @@ class MotionModel:
             self.odometry_scale.learn(stated, said.off, said.known, guess)
             motion = scaled(stated, self.odometry_scale.factor)  # this step is one of those that tell
         used = record.take(last + 1, motion, unmeasured, guess, said, self.odometry_scale.factor)
-        if laid is None or record.steps[-1].used == "not":
+        if laid is None or used is unmeasured:
             return used, prior, None
         about = planes_about(
             keyframe, self._landmarks, inverse(self._backend.pose(pose_symbol(last)) @ used.a_T_b), last + 1
@@ -308,7 +308,7 @@ def coast(
     """
     if a_T_b is None or before_s <= 0.0:
         step = np.eye(4)
-        sigmas = rules.speed_sigma_m_per_s * ahead_s, rules.turn_sigma_rad_per_s * ahead_s
+        sigmas = rules.unknown_motion(ahead_s)
     else:
         step = gtsam.Pose3.Expmap(gtsam.Pose3.Logmap(gtsam.Pose3(a_T_b)) * (ahead_s / before_s)).matrix()
         square = ahead_s**2

@@ -18,10 +18,9 @@ import numpy as np
 from slam.config import CoastingConfig
 from slam.frontend.measurement import usable_ranges
 from slam.frontend.odometry import Motion, OdometryTrack
-from slam.geometry.frames import angle_of, inverse
+from slam.geometry.frames import are_apart
 from slam.sensors.log import LaserScan
 from slam.sensors.rig import Sensor
-from spplanes._check import FloatArray
 
 #: Wheels stand that are nearer than this to where they were, m and rad.
 _STANDING = 1e-3
@@ -42,7 +41,7 @@ class Stall(NamedTuple):
     last_ns: int
     """Of the last."""
 
-    def is_within(self, start_ns: int, end_ns: int) -> bool:
+    def overlaps(self, start_ns: int, end_ns: int) -> bool:
         """Whether a motion from a time to a later one goes through it."""
         return start_ns < self.last_ns and self.first_ns < end_ns
 
@@ -53,7 +52,8 @@ class Stall(NamedTuple):
 
 def over_stalls(motion: Motion, seconds: float, rules: CoastingConfig) -> Motion:
     """A motion of wheels that stood for so long, as one that nobody measured: from where they stood to anywhere."""
-    place, turn = rules.speed_sigma_m_per_s * seconds, min(rules.turn_sigma_rad_per_s * seconds, np.pi)
+    place, turn = rules.unknown_motion(seconds)
+    turn = min(turn, np.pi)
     sigmas = [place, place, turn] if motion.is_planar else [place] * 3 + [turn] * 3
     covariance = motion.covariance + np.diag(np.square(sigmas))
     return replace(motion, covariance=covariance, response=None, returns_a_T_b=motion.a_T_b)
@@ -65,17 +65,12 @@ def stalls_of(scans: Sequence[LaserScan], sensor: Sensor, track: OdometryTrack) 
         return []
     poses, found, first = track.poses_at([scan.stamp_ns for scan in scans]), [], 0
     for end in range(1, len(scans) + 1):
-        if end < len(scans) and _stands(poses[first], poses[end]):
+        if end < len(scans) and not are_apart(poses[first], poses[end], _STANDING, _STANDING):
             continue
         if end - first >= _FEW and _sees_another_place(scans[first:end], sensor):
             found.append(Stall(scans[first].stamp_ns, scans[end - 1].stamp_ns))
         first = end
     return found
-
-
-def _stands(there: FloatArray, here: FloatArray) -> bool:
-    step = inverse(there) @ here
-    return bool(np.linalg.norm(step[:3, 3]) < _STANDING and angle_of(step) < _STANDING)
 
 
 def _sees_another_place(scans: Sequence[LaserScan], sensor: Sensor) -> bool:

@@ -14,7 +14,8 @@ from slam.frontend.laser_odometry.stalled_wheels import stalls_of
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.geometry.frames import inverse
 from slam.runs.slam_run import run_slam
-from slam.sensors.log import LaserScan, Log
+from slam.sensors.log import LaserScan
+from slam.sensors.rig import Sensor
 
 DRIVE = "office/pushbroom/stops/half"
 
@@ -25,17 +26,16 @@ def hanging() -> Drive:
     return make_drive(Recipe.parse(DRIVE), 771021)
 
 
-def slices_of(drive: Drive, events: list) -> tuple[list[LaserScan], OdometryTrack]:
-    log = Log(events, drive.log.source)
-    return [scan for scan in log.scans() if isinstance(scan, LaserScan)], OdometryTrack(
-        log.measured_motion, drive.rig.odometry
-    )
+def slices_of(drive: Drive) -> tuple[list[LaserScan], Sensor, OdometryTrack]:
+    """The slices, the laser that saw them, and where the odometry has it: what stalls are told by."""
+    [sensor] = drive.rig.of_kind("slice").values()
+    scans = [scan for scan in drive.log.scans() if isinstance(scan, LaserScan)]
+    return scans, sensor, OdometryTrack(drive.log.measured_motion, drive.rig.odometry)
 
 
 def test_a_stretch_that_wheels_did_not_measure_is_measured_by_nobody(hanging: Drive) -> None:
-    [name] = hanging.rig.of_kind("slice")
-    scans, track = slices_of(hanging, hanging.log.events)
-    [stall] = stalls_of(scans, hanging.rig.sensors[name], track)
+    scans, sensor, track = slices_of(hanging)
+    [stall] = stalls_of(scans, sensor, track)
     poses = track.poses_at([stall.first_ns, stall.last_ns])
     np.testing.assert_allclose(poses[0], poses[1], atol=2e-3)
     true = hanging.truth.poses_at([stall.first_ns, stall.last_ns])
@@ -47,7 +47,7 @@ def test_a_stretch_that_wheels_did_not_measure_is_measured_by_nobody(hanging: Dr
     before, after = hanging.truth.poses_at([frame.stamp_ns for frame in frames[across - 1 : across + 1]])
     off = planar_delta(inverse(before @ motion.a_T_b) @ after)
     assert off @ np.linalg.solve(motion.covariance, off) < 9.0
-    assert stall.is_within(frames[across - 1].stamp_ns, frames[across].stamp_ns)
+    assert stall.overlaps(frames[across - 1].stamp_ns, frames[across].stamp_ns)
     assert not any(stall.has(scan) for frame in frames for scan in frame.scans if isinstance(scan, LaserScan))
     assert any("wheels stand" in note for note in hanging.log.notes)
 
@@ -56,9 +56,7 @@ def test_a_stretch_that_wheels_did_not_measure_is_measured_by_nobody(hanging: Dr
 def test_stretches_are_found_in_other_buildings(name: str) -> None:
     """In a hall a quarter of a slice changes: its pillars."""
     drive = make_drive(Recipe.parse(f"{name}/pushbroom/stops"), 97101)
-    [laser] = drive.rig.of_kind("slice")
-    scans, track = slices_of(drive, drive.log.events)
-    assert len(stalls_of(scans, drive.rig.sensors[laser], track)) == 1
+    assert len(stalls_of(*slices_of(drive))) == 1
 
 
 def test_its_map_is_doubtful(hanging: Drive) -> None:
@@ -70,9 +68,8 @@ def test_its_map_is_doubtful(hanging: Drive) -> None:
 @pytest.mark.parametrize("passers", [0.0, 0.3], ids=["alone", "with people about"])
 def test_a_robot_that_stands_is_taken_at_its_word(hanging: Drive, passers: float) -> None:
     """The same slices with noise, before a third of whose beams somebody stands now and then."""
-    [name] = hanging.rig.of_kind("slice")
-    scans, track = slices_of(hanging, hanging.log.events)
-    sensor, rng, first = hanging.rig.sensors[name], np.random.default_rng(0), scans[0]
+    scans, sensor, track = slices_of(hanging)
+    rng, first = np.random.default_rng(0), scans[0]
     sigma, standing, returns = np.sqrt(sensor.range_variance_at(first.ranges)), [], np.flatnonzero(first.ranges > 0.0)
     for index in range(40):
         ranges = first.ranges + sigma * rng.standard_normal(len(sigma))
