@@ -11,33 +11,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.corpus.drives import make_drive
 from slam.config import SlamConfig
 from slam.fleet import RECORD_FILE, Order, map_log, open_mapped
 from slam.io.carmen import write_carmen
 from slam.joining.mission import FinishedMission, Mission, RecordError
+from slam.sensors.rig import Rig
 from slam.session._codec import encode
 from slam.session._file import digest
 from tests.slam.commands import refused, run
-from tests.slam.joining.missions import LEVEL, first, office, visit
+from tests.slam.joining.missions import LEVEL, first, office
 
 distributed = pytest.importorskip("distributed")
 
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Three visits of one office as CARMEN logs, every second scan of them, with their rig beside."""
-    folder = tmp_path_factory.mktemp("logs")
-    found = []
-    for number in range(3):
-        drive = visit(0, number, replace(LEVEL, disturbance="half"))
+    """Two visits of one office as CARMEN logs, short ones of every second scan, with their rig beside."""
+    folder, found = tmp_path_factory.mktemp("logs"), []
+    for number, part in enumerate(((0.0, 0.3), (0.1, 0.4))):
+        drive = make_drive(replace(LEVEL, disturbance="half"), 0, visit=number, part=part)
         found.append(folder / f"visit{number}.clf")
         write_carmen(drive.log, drive.rig, found[-1])
-    visit(0, 0).rig.to_yaml(folder / "rig.yaml")
+        drive.rig.to_yaml(folder / "rig.yaml")
     return found
 
 
 def order_of(log: Path, store: Path, **more: object) -> Order:
-    return replace(Order(log.stem, log, visit(0, 0).rig, SlamConfig(), store), **more)
+    return replace(Order(log.stem, log, Rig.from_yaml(log.parent / "rig.yaml"), SlamConfig(), store), **more)
 
 
 def numbers_of(mission: Mission) -> bytes:
@@ -109,7 +110,6 @@ def test_a_fleet_is_the_same_on_one_worker_and_on_two_that_are_killed(
 
     from slam.fleet import run as run_fleet
     from slam.output.joined_folder import write_joined
-    from slam.sensors.rig import Rig
 
     killed: list[int] = []
     with (

@@ -114,7 +114,7 @@ def test_returns_are_laid_on_what_was_seen_only_where_planes_do_not_confirm(monk
 
 def test_wheels_that_stand_for_a_while_are_left_aside_for_so_long() -> None:
     """A place at which next to nothing fits is none, however rarely wheels slip: drives such as this were 2 m off."""
-    run, off = mapped_beginning("irregular/lidar32/stops", 895630, 44)
+    run, off = mapped_beginning("irregular/lidar32/stops", 895630, 36)
     steps = run.slam.odometry_record.steps
     against = [step.keyframe for step in steps if step.check.against]
     assert len(against) > 5 and len(against) <= against[-1] - against[0] + 1 < len(steps) / 2

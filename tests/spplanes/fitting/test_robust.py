@@ -9,7 +9,7 @@ from spplanes import fit_plane
 from tests.spplanes.fitting.fit_scenes import run, scenes
 from tests.statistics import assert_mean_in_band
 
-RUNS = 2000
+RUNS = 600  # a mean NEES of 3 to 3 %, of 2000 it was to 2 %
 SCENES = scenes()
 
 
@@ -89,7 +89,7 @@ def test_outliers_among_scans_with_pose_errors():
         points[spoilt] = behind(points[spoilt], scene, rng)
         return fit_plane(points, scene.covariances, viewpoint=scene.sensor, robust="tukey", **scene.shared)
 
-    values, local, _ = run(scene, task, 1000, seed=5)
+    values, local, _ = run(scene, task, 400, seed=5)
     assert_mean_in_band(values, 3)
     assert size(local, scene) < 2.0 * np.sqrt(3.0)
 
