@@ -10,6 +10,7 @@ import gtsam
 import numpy as np
 
 from factors._conventions import POSE3_TO_SP
+from slam.frontend.odometry import planar_covariance
 from spplanes._check import FloatArray
 
 #: The turn of a pose's tangent: none.
@@ -62,10 +63,7 @@ def relative_covariance(a_T_b: FloatArray, joint: FloatArray) -> FloatArray:
 
 def motion_covariance(a_T_b: FloatArray, joint: FloatArray) -> FloatArray:
     """Covariance (3, 3) of (x, y, theta) of a_T_b, x and y along a's axes, from that of both tangents (12, 12)."""
-    in_b = relative_covariance(a_T_b, joint)[np.ix_([0, 1, 3], [0, 1, 3])]
-    turn = np.eye(3)
-    turn[:2, :2] = a_T_b[:2, :2]
-    return turn @ in_b @ turn.T
+    return planar_covariance(relative_covariance(a_T_b, joint), a_T_b)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from slam.backend.estimator import Backend, pose_symbol, pose_symbols
 from slam.config import ThinningConfig
 from slam.frontend.information import floor_information, information_as_seen
 from slam.frontend.observations import Observation
-from slam.frontend.odometry import Motion, spatial_covariance
+from slam.frontend.odometry import Motion
 from slam.frontend.wheel_calibration import shared_covariance
 from slam.map.landmarks import LandmarkMap
 from spplanes._check import FloatArray
@@ -56,10 +56,7 @@ def _moved(covariance: FloatArray, motion: Motion | None) -> FloatArray:
     if motion is None:
         return _UNKNOWN * np.eye(6)
     carry = gtsam.Pose3(motion.a_T_b).inverse().AdjointMap()
-    own = motion.covariance
-    if motion.is_planar:
-        own = spatial_covariance(own, motion.a_T_b, motion.out_of_plane_sigmas)
-    return carry @ covariance @ carry.T + own[np.ix_(SP_TO_POSE3, SP_TO_POSE3)]
+    return carry @ covariance @ carry.T + motion.spatial[np.ix_(SP_TO_POSE3, SP_TO_POSE3)]
 
 
 def _seen(covariance: FloatArray, information: FloatArray) -> FloatArray:
