@@ -57,7 +57,7 @@ class Gaussian:
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """A mission at one point of linearisation, split into what it shares and the rest given that."""
+    """A linear graph, such as a mission at one point of linearisation: what it shares, and the rest given that."""
 
     shared: Gaussian
     """On the variables that were kept."""
@@ -77,19 +77,15 @@ class Condensed:
         return steps, largest
 
 
-def condense(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, keep: Sequence[int]) -> Condensed:
-    """Linearise a mission and eliminate all variables but some, by QR.
-
-    Args:
-        factors, values: the mission, in its own frame.
-        keep: variables that stay.
+def condense(linear: gtsam.GaussianFactorGraph, keep: Sequence[int]) -> Condensed:
+    """Eliminate all variables of a linear graph but some, by QR.
 
     References:
         Ni, Steedly, Dellaert, "Tectonic SAM", ICRA 2007, for submaps condensed onto what they share.
     """
-    linear = factors.linearize(values)
-    kept = set(keep)
-    rest = [key for key in sorted(values.keys()) if key not in kept]
+    rest = sorted(set(linear.keys()).difference(keep))
+    if not rest:
+        return Condensed(Gaussian.of(linear), gtsam.GaussianBayesNet())
     net, remaining = linear.eliminatePartialSequential(rest, gtsam.EliminateQR)
     return Condensed(Gaussian.of(remaining), net)
 
@@ -119,15 +115,6 @@ class Solved:
         """The largest step of any variable in its standard deviations."""
         steps = ((self.steps.at(key), self.covariance([key])) for key in self._rows)
         return max((float(np.sqrt(step @ np.linalg.solve(spread, step))) for step, spread in steps), default=0.0)
-
-
-def marginal(graph: gtsam.GaussianFactorGraph, keep: Sequence[int]) -> Gaussian:
-    """What a linear graph says of some of its variables alone."""
-    kept = set(keep)
-    rest = [key for key in sorted(graph.keys()) if key not in kept]
-    if not rest:
-        return Gaussian.of(graph)
-    return Gaussian.of(graph.eliminatePartialSequential(rest, gtsam.EliminateQR)[1])
 
 
 def _size(key: int) -> int:
