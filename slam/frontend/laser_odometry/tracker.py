@@ -31,8 +31,8 @@ from slam.sensors.rig import Rig, Sensor
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray
 
-#: Length of the way whose scans are the local map, m, and what is driven or turned between two of them, m and rad.
-_WINDOW_M, _SPACING_M, _SPACING_RAD = 6.0, 0.25, 0.3
+#: What is driven or turned between two scans of the local map, m and rad.
+_SPACING_M, _SPACING_RAD = 0.25, 0.3
 #: A match is taken when the map has this share of the scan; a scan joins the map where it lies there as likely as this.
 _LEAST_FIT, _LEAST_ODDS = 0.3, 0.9
 #: Probability that wheels slip, or count wrong, between two scans; and that they err by more than is known of them as
@@ -90,7 +90,7 @@ class LaserOdometry:
     def __init__(self, noise: OdometryNoise, coasting: CoastingConfig, stamp_sigma_s: float = 0.0) -> None:
         self._noise = noise
         self._velocity = VelocityFilter(coasting, stamp_sigma_s)
-        self._map = SlidingMap(_WINDOW_M)
+        self._map = SlidingMap()
         self._scale, self._calibration = NoiseScale(), WheelCalibration()
         self._fit = _FIRST_FIT
         self.steps: list[Step] = []
