@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.occupancy import LEAST_GAP_M, MOVABLE_M, free_standing
+from slam.frontend.occupancy.raster import LEAST_GAP_M, MOVABLE_M, free_standing
 from slam.frontend.scan_surfaces import ON_EDGE, WIDTH, moved
 from slam.geometry.frames import evenly, way_to
 from slam.loop_closure.candidates import nearest_of_each

@@ -25,7 +25,7 @@ from slam.frontend.measurement import (
     usable_ranges,
 )
 from slam.frontend.observations import LineObservation, Observation, PlaneObservation, on_real_wall
-from slam.frontend.occupancy import beams_of
+from slam.frontend.occupancy.raster import beams_of
 from slam.frontend.odometry import Motion, OdometryTrack
 from slam.frontend.pose_measurements import PlaceMatch, PoseMeasurement
 from slam.geometry.frames import are_apart, inverse

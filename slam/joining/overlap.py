@@ -14,7 +14,7 @@ from slam.config import SlamConfig
 from slam.diagnostics.evidence.surfaces import agreement
 from slam.diagnostics.verdict import at_least
 from slam.diagnostics.views import View, compare
-from slam.frontend.occupancy import NOVEL_SHARE
+from slam.frontend.occupancy.raster import NOVEL_SHARE
 from slam.frontend.odometry import spatial_covariance
 from slam.geometry.frames import inverse, lift
 from slam.joining.alignment import LEVEL_SIGMA_M, LEVEL_SIGMA_RAD, Alignment, align, common_planes, facing_pairs

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.special import expit, gamma
 
-from slam.frontend.occupancy import CELL_M, Raster
+from slam.frontend.occupancy.raster import CELL_M, Raster
 from slam.registration._search_kernels import peaks_of, score_by_heading
 from spplanes._check import FloatArray
 
@@ -44,10 +44,8 @@ class Mode:
     """Mean (x, y, theta) of b_T_a, shape (3,)."""
     covariance: FloatArray
     """Its covariance, shape (3, 3)."""
-    probability: float
-    """Of this mode; the rest are other modes and submaps that have nothing in common."""
     log_odds: float
-    """Log of probability / (1 - probability)."""
+    """Of this mode; the rest are other modes and submaps that have nothing in common."""
     evidence: float
     """Log of how much better its best motion explains the returns than submaps that have nothing in common."""
 
@@ -161,7 +159,7 @@ def _search(
         return SearchResult((), reach, False)
     modes = _modes(guess, blocks, scores, scores - prior(blocks), grid, looks)
     edge = bool(np.any(np.abs(blocks[np.argmax(scores)] * grid) > reach - _edge(grid)))
-    return SearchResult(modes, reach, edge and modes[0].probability > _NOTHING)
+    return SearchResult(modes, reach, edge and expit(modes[0].log_odds) > _NOTHING)
 
 
 def _beam_search(
@@ -250,7 +248,7 @@ def _mode(place: list[_Peak], scores: FloatArray) -> Mode:
     inside = np.zeros(len(scores), dtype=bool)
     inside[np.concatenate([one.cells for one in place])] = True
     log_odds = _log_sum(masses) - _log_sum(np.append(scores[~inside], np.log(_NOTHING)))
-    return Mode(mean, np.asarray(covariance), float(expit(log_odds)), log_odds, place[0].evidence)
+    return Mode(mean, np.asarray(covariance), log_odds, place[0].evidence)
 
 
 def _widened(table: np.ndarray, reach: int) -> np.ndarray:

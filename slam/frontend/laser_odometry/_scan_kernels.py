@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam.frontend.occupancy import GAP_STEPS, LEAST_GAP_M
+from slam.frontend.occupancy.raster import GAP_STEPS, LEAST_GAP_M
 from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from slam.frontend.laser_odometry._scan_kernels import Cells, nearness, surface_of
-from slam.frontend.occupancy import Raster, free_standing
+from slam.frontend.occupancy.raster import Raster, free_standing
 from slam.sensors.log import LaserScan
 from slam.sensors.rig import Sensor
 from spplanes._check import FloatArray

@@ -12,8 +12,8 @@ from scipy.ndimage import maximum_filter
 from slam.frontend.information import inverted
 from slam.frontend.laser_odometry._match_kernels import Returns, align, score_box
 from slam.frontend.laser_odometry.local_map import TABLE_CELL_M, LocalMap, Surface
-from slam.frontend.occupancy import CELL_M as RASTER_CELL_M
 from slam.frontend.occupancy._kernels import score_motions
+from slam.frontend.occupancy.raster import CELL_M as RASTER_CELL_M
 from slam.frontend.odometry import difference
 from spplanes._check import FloatArray
 

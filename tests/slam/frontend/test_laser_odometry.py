@@ -21,7 +21,7 @@ from slam.frontend.laser_odometry.local_map import LocalMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
 from slam.frontend.laser_odometry.track import Step, between_scans
 from slam.frontend.laser_odometry.tracker import LaserOdometry, NoiseScale
-from slam.frontend.occupancy import free_standing
+from slam.frontend.occupancy.raster import free_standing
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.io.default_rigs import default_rig_for
