@@ -14,8 +14,9 @@ from slam.ahead import ordered_parallel_map
 from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.frontend.deskewing import unswept
-from slam.frontend.laser_odometry import LaserTrack, is_level, laser_track, motion_between
 from slam.frontend.laser_odometry.stalled_wheels import Stall, over_stalls, stalls_of
+from slam.frontend.laser_odometry.track import LaserTrack, motion_between
+from slam.frontend.laser_odometry.tracker import is_level, laser_track
 from slam.frontend.measurement import (
     ScanMeasurement,
     Segment,

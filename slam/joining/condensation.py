@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gtsam
@@ -19,8 +19,6 @@ class Gaussian:
 
     keys: tuple[int, ...]
     """The variables, in the order of the columns."""
-    sizes: tuple[int, ...]
-    """Columns of each."""
     root: FloatArray
     """Square root of the information, shape (R, C)."""
     right: FloatArray
@@ -30,20 +28,21 @@ class Gaussian:
     def of(cls, graph: gtsam.GaussianFactorGraph) -> Gaussian:
         """All factors of a linear graph as one."""
         if not graph.size():
-            return cls((), (), np.empty((0, 0)), np.empty(0))
+            return cls((), np.empty((0, 0)), np.empty(0))
         factor = gtsam.JacobianFactor(graph)
         keys = [int(key) for key in factor.keys()]  # noqa: SIM118 - not a mapping
         root, right = factor.jacobian()
-        return cls(tuple(keys), tuple(_size(key) for key in keys), np.array(root), np.array(right))
+        return cls(tuple(keys), np.array(root), np.array(right))
 
     def renamed(self, names: dict[int, int]) -> Gaussian:
         """The same of variables with other keys."""
-        return Gaussian(tuple(names[key] for key in self.keys), self.sizes, self.root, self.right)
+        return replace(self, keys=tuple(names[key] for key in self.keys))
 
     def factor(self) -> gtsam.CustomFactor:
         """As a factor, linear at whatever values it is linearised at."""
-        ends = np.cumsum(self.sizes).tolist()
-        blocks = [self.root[:, end - size : end] for size, end in zip(self.sizes, ends, strict=True)]
+        sizes = [_size(key) for key in self.keys]
+        ends = np.cumsum(sizes).tolist()
+        blocks = [self.root[:, end - size : end] for size, end in zip(sizes, ends, strict=True)]
         right = -self.right
 
         def error(_: gtsam.CustomFactor, __: gtsam.Values, jacobians: Any) -> FloatArray:

@@ -133,8 +133,6 @@ class JointSolution:
     """Of every mission, in its own frame and by its own keys."""
     floor_sigmas: tuple[float, float] = (FLOOR_M, FLOOR_RAD)
     """How even the floor is that missions are on, as `FLOOR_M` and `FLOOR_RAD`."""
-    rounds: int = 0
-    """Linearisations that it took."""
 
     def __post_init__(self) -> None:
         self._condensed: dict[int, Condensed] = {}
@@ -152,7 +150,6 @@ class JointSolution:
             JoinError: it does not come to an end.
         """
         for _ in range(_ROUNDS):
-            self.rounds += 1
             self._condense()
             if self._step() <= settled:
                 self._condense()

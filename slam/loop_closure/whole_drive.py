@@ -94,8 +94,7 @@ def _search(
         reach = drift * np.array((1.0, 1.0, 2.0 / config.window_m))
         guess, covariance = planar_delta(inverse(poses[old]) @ poses[new]), np.diag((reach / BOUND_SIGMAS) ** 2)
         found = search_place(here, there, guess, covariance, reach, looks=config.looks_per_place)
-        if found.modes and found.modes[0].log_odds > 0.0 and not found.is_at_edge:
-            best = found.modes[0]
+        if (best := found.place) is not None:
             yield Proposal(new, old, PlanarPose(best.pose, best.covariance), best.log_odds, float(way[new]))
 
 

@@ -61,6 +61,11 @@ class SearchResult:
     is_at_edge: bool
     """Whether the likeliest motion lies at the edge of that box: a maximum is none there."""
 
+    @property
+    def place(self) -> Mode | None:
+        """The likeliest, if it is likelier than all else together and inside the box that was searched."""
+        return self.modes[0] if self.modes and self.modes[0].log_odds > 0.0 and not self.is_at_edge else None
+
 
 class PlaceView:
     """A submap as it is searched in: its returns, and tables of log ratios widened for every level of blocks.
