@@ -99,6 +99,12 @@ def left_open(found: FloatArray, by_walls: FloatArray) -> FloatArray | None:
     return (vectors / np.maximum(values, _NO_INFORMATION)) @ vectors.T
 
 
+def positive(matrix: FloatArray) -> FloatArray:
+    """The nearest positive semidefinite matrix."""
+    values, vectors = np.linalg.eigh(matrix)
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
 def inverted(matrix: FloatArray) -> FloatArray:
     """The inverse of a covariance, or of information."""
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)

@@ -81,11 +81,6 @@ class Link:
     floor: list[int]
     """Indices of the factors that hold the keyframe to the floor."""
 
-    @property
-    def factors(self) -> list[int]:
-        """All of them."""
-        return [*self.step, *self.floor]
-
 
 class MeasuredStep(NamedTuple):
     """A motion that wheels measured, and its factor."""
@@ -194,7 +189,7 @@ class Sparsifier:
         for one in going:
             after = self._after(one)
             own, link = self._links.pop(one), self._links[after]
-            stale += [*own.factors, *link.step, *self._landmarks.let_go(one)]
+            stale += [*own.step, *own.floor, *link.step, *self._landmarks.let_go(one)]
             self._links[after] = Link(chained(own.motion, link.motion), [], link.floor)
             self.held.remove(one)
             anew = anew - {one} | {after}

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.special import chdtri
 
 from factors import landmark_hesse
-from factors.association.decisions import AssociationGates
 from slam.backend.estimator import Backend, JointCovariance
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten
@@ -64,7 +63,7 @@ class SamePlaneFinder:
                 ids = min(first.id, second.id), max(first.id, second.id)
                 if _sightings((first, second)) < 1.25 * self._told_apart.get(ids, 0):
                     continue
-                if _may_be_one(first, place, second, second_place, self._rules):
+                if _may_be_one(first, place, second, second_place, gap_m):
                     pairs[ids] = (first, second)
         return pairs
 
@@ -159,16 +158,14 @@ def hesse_of(
 
 
 def _may_be_one(
-    first: Landmark, first_place: PlacedPlane, second: Landmark, second_place: PlacedPlane, config: AssociationGates
+    first: Landmark, first_place: PlacedPlane, second: Landmark, second_place: PlacedPlane, gap_m: float
 ) -> bool:
-    """Same side, similar direction, patches near each other along the plane and across it."""
-    if first_place.normal @ second_place.normal < np.cos(config.max_angle_rad):
-        return False
+    """Whether patches of two landmarks that look the same way come near each other, along the plane and across it."""
     first_T_second = inverse(first_place.world_T_plane) @ second_place.world_T_plane
-    if abs(first_T_second[2, 3]) > config.gap_m:
+    if abs(first_T_second[2, 3]) > gap_m:
         return False
     pieces = (flatten(piece, first_T_second) for piece in second.extent.pieces)
-    return any(first.extent.is_within(config.gap_m, piece) for piece in pieces)
+    return any(first.extent.is_within(gap_m, piece) for piece in pieces)
 
 
 def disjoint(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:

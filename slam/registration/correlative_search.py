@@ -34,6 +34,8 @@ _TOP_LEVEL, _HIGHEST_LEVEL = 4, 7
 _MOST_BLOCKS, _BEAM_WIDTH = 10_000, 100
 #: A box whose best motion lies at its edge is made so much wider, at most so many times.
 _WIDER, _MOST_TIMES = 2.0, 2
+#: At an edge it is this near to it, in half cells and turns: two cells and two turns.
+_EDGE = np.array((4.0, 4.0, 2.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +165,7 @@ def _search(
     if not len(blocks):
         return SearchResult((), reach, False)
     modes = _modes(guess, blocks, scores, scores - prior(blocks), grid, looks)
-    edge = bool(np.any(np.abs(blocks[np.argmax(scores)] * grid) > reach - _edge(grid)))
+    edge = bool(np.any(np.abs(blocks[np.argmax(scores)] * grid) > reach - _EDGE * grid))
     return SearchResult(modes, reach, edge and expit(modes[0].log_odds) > _NOTHING)
 
 
@@ -184,11 +186,6 @@ def _first_level(reach: FloatArray, turn: float) -> int:
     while level < _HIGHEST_LEVEL and headings * np.prod(2.0 * reach[:2] / (2**level * CELL_M) + 1.0) > _MOST_BLOCKS:
         level += 1
     return level
-
-
-def _edge(grid: FloatArray) -> FloatArray:
-    """How near to a side of the box the best motion is at it: two cells and two turns."""
-    return np.array((4.0, 4.0, 2.0)) * grid
 
 
 @dataclass(frozen=True, eq=False)
