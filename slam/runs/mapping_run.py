@@ -12,7 +12,7 @@ import shapely
 from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.measurement import for_sensor, measured_cloud, usable_ranges
+from slam.frontend.measurement import for_sensor, planes_of_cloud, usable_ranges
 from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
@@ -171,7 +171,7 @@ def map_clouds(
     for index, scan in enumerate(scans):
         with clock.stage("measure"):
             whole = scan.loaded() if isinstance(scan, StoredCloud) else scan
-            seen = measured_cloud(whole, rig.sensors[scan.sensor], config).observations
+            seen = planes_of_cloud(whole, rig.sensors[scan.sensor], config)
         n_seen += int(np.isfinite(whole.points[..., 0]).sum())
         n_represented += sum(one.n_points for one in seen)
         with clock.stage("map"):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam.config import SlamConfig
-from slam.frontend.measurement import for_points, measured_cloud, usable_points, usable_ranges
+from slam.frontend.measurement import for_points, planes_of_cloud, usable_points, usable_ranges
 from slam.frontend.observations import PlaneObservation
 from slam.frontend.scan_regions import ScanPart, believed_plane, believed_planes
 from slam.geometry.frames import inverse
@@ -181,11 +181,7 @@ def test_rough_fronts_are_found_where_the_rig_knows_of_them():
     flat = sensor(range_sigma_m=0.004, surface_sigma_m=0.005)
     rough = flat.model_copy(update={"rough_sigma_m": 0.06})
     fronts = [
-        [
-            seen.plane.n_points
-            for seen in measured_cloud(scan, one, SlamConfig()).observations
-            if abs(seen.plane.d + 2.5) < 0.05
-        ]
+        [seen.plane.n_points for seen in planes_of_cloud(scan, one, SlamConfig()) if abs(seen.plane.d + 2.5) < 0.05]
         for one in (flat, rough)
     ]
     assert sum(fronts[1]) > 2000 > sum(fronts[0])
@@ -203,8 +199,9 @@ def room_without_order() -> np.ndarray:
 
 @pytest.mark.parametrize("stated", [{}, {"rows": 32, "columns": 720}], ids=["found", "stated"])
 def test_a_scan_without_order_is_arranged(stated: dict[str, int]):
-    scan = CloudScan(0, "lidar", room_without_order())
-    seen = measured_cloud(scan, sensor(range_sigma_m=0.005, **stated), SlamConfig()).observations
+    seen = planes_of_cloud(
+        CloudScan(0, "lidar", room_without_order()), sensor(range_sigma_m=0.005, **stated), SlamConfig()
+    )
     walls = [(1, 0, 0, -3.0), (-1, 0, 0, -5.0), (0, 1, 0, -2.5), (0, -1, 0, -3.5), (0, 0, 1, -1.2), (0, 0, -1, -1.5)]
     for *normal, d in walls:
         plane = next(one.plane for one in seen if one.plane.normal @ normal > 0.99)  # the largest comes first
@@ -215,8 +212,8 @@ def test_a_scan_without_order_is_arranged(stated: dict[str, int]):
 
 def test_scans_without_a_return_have_no_planes():
     for points in (np.empty((0, 3)), np.full((40, 3), np.nan), np.full((4, 9, 3), np.nan), np.full((5, 3), 1e3)):
-        assert measured_cloud(CloudScan(0, "lidar", points), sensor(), SlamConfig()).observations == []
-    assert measured_cloud(CloudScan(0, "lidar", np.ones((1, 3))), sensor(), SlamConfig()).observations == []
+        assert planes_of_cloud(CloudScan(0, "lidar", points), sensor(), SlamConfig()) == []
+    assert planes_of_cloud(CloudScan(0, "lidar", np.ones((1, 3))), sensor(), SlamConfig()) == []
 
 
 def test_ranges_outside_the_limits_are_no_returns():
@@ -283,7 +280,7 @@ def test_a_wall_that_reaches_beyond_the_sensors_range_is_where_it_is():
         normal = np.array((np.sin(tilt), 0.0, -np.cos(tilt)))  # toward the camera
         ranges = -d * np.cos(tilt) / (rays @ normal)
         read = ranges + np.sqrt(camera.range_variance_at(ranges)) * rng.standard_normal(ranges.shape)
-        seen = measured_cloud(CloudScan(0, "camera", rays * read[..., None]), camera, SlamConfig()).observations
+        seen = planes_of_cloud(CloudScan(0, "camera", rays * read[..., None]), camera, SlamConfig())
         pieces += len(seen)
         nees.append(seen[0].plane.mahalanobis(Plane.from_hesse(normal, -d * np.cos(tilt), np.zeros((3, 3)))))
     assert_mean_in_band(np.array(nees), 3)

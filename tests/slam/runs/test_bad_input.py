@@ -14,7 +14,7 @@ from slam.config import KeyframeConfig, SlamConfig
 from slam.errors import LogError
 from slam.frontend.input_checks import silences, skipped
 from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
-from slam.frontend.measurement import measured_cloud
+from slam.frontend.measurement import planes_of_cloud
 from slam.frontend.observations import PlaneObservation
 from slam.output.run_metrics import warnings_of
 from slam.runs.slam_run import run_slam
@@ -107,7 +107,7 @@ def test_what_is_no_keyframe_is_refused_in_one_sentence(change: dict[str, Any], 
 )
 def test_points_that_are_none_are_refused_in_one_sentence(hall: Mission, points: np.ndarray, problem: str):
     with pytest.raises(ValueError, match=problem):
-        measured_cloud(CloudScan(0, SPINNING, points), hall.rig.sensors[SPINNING], SlamConfig())
+        planes_of_cloud(CloudScan(0, SPINNING, points), hall.rig.sensors[SPINNING], SlamConfig())
 
 
 def test_an_error_after_a_keyframe_has_entered_is_told_as_it_is(hall: Mission, monkeypatch: pytest.MonkeyPatch):
