@@ -86,19 +86,12 @@ def run(
     """
     if not 0.0 < significance < 0.5:
         raise ValueError(f"significance: expected a probability in (0, 0.5), got {significance}")
-    orders = _orders(logs, rig, config or SlamConfig(), Path(store).resolve(), keep_partial)
-    with local_client() if client is None else nullcontext(client) as used:
-        return _on(used, orders, significance, strict, progress)
-
-
-def _orders(
-    logs: Sequence[Path | str], rig: Rig | None, config: SlamConfig, store: Path, keep_partial: bool
-) -> list[Order]:
-    """An order for every log, by a name of its own."""
     if len(logs) < 2:
         raise ValueError(f"logs: expected at least two, got {len(logs)}")
-    named = zip(names_of(logs), logs, strict=True)
-    return [Order(name, Path(log).resolve(), rig, config, store, keep_partial) for name, log in named]
+    config, store, named = config or SlamConfig(), Path(store).resolve(), zip(names_of(logs), logs, strict=True)
+    orders = [Order(name, Path(log).resolve(), rig, config, store, keep_partial) for name, log in named]
+    with local_client() if client is None else nullcontext(client) as used:
+        return _on(used, orders, significance, strict, progress)
 
 
 def local_client(workers: int | None = None, memory: str = "auto") -> Client:

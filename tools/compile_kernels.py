@@ -243,7 +243,7 @@ def places() -> None:
     """Two looks at one room compared: by their walls, and by all returns and all free space."""
     import numpy as np
 
-    from slam.frontend.occupancy import Raster
+    from slam.frontend.occupancy.raster import Raster
     from slam.registration.correlative_search import PlaceView, search_place
     from slam.registration.place_recognition import Wall, match_constellations
 

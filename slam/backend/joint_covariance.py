@@ -10,6 +10,7 @@ import gtsam
 import numpy as np
 
 from factors._conventions import POSE3_TO_SP
+from slam.frontend.odometry import planar_covariance
 from spplanes._check import FloatArray
 
 #: The turn of a pose's tangent: none.
@@ -22,12 +23,13 @@ class JointCovariance:
     def __init__(self, keys: Sequence[int], marginal: FloatArray, turns: Sequence[FloatArray]) -> None:
         ends = np.cumsum([len(turn) for turn in turns]).tolist()
         self._columns = {key: np.arange(end - len(turn), end) for key, turn, end in zip(keys, turns, ends, strict=True)}
-        self._full = np.array(marginal)
+        self.full = np.array(marginal)
+        """The whole matrix, in the order of the keys it was asked for."""
         for turn, end in zip(turns, ends, strict=True):
             if turn is not STAYS:
                 block = slice(end - len(turn), end)
-                self._full[block] = turn @ self._full[block]
-                self._full[:, block] = self._full[:, block] @ turn.T
+                self.full[block] = turn @ self.full[block]
+                self.full[:, block] = self.full[:, block] @ turn.T
 
     def has(self, keys: Iterable[int]) -> bool:
         """Whether it is of all these keys, and maybe of more."""
@@ -36,13 +38,8 @@ class JointCovariance:
     def plus(self, effects: FloatArray) -> JointCovariance:
         """With what independent errors of variance 1 do to the variables, rows as those of `full`, shape (D, K)."""
         more = copy(self)
-        more._full = self._full + effects @ effects.T
+        more.full = self.full + effects @ effects.T
         return more
-
-    @property
-    def full(self) -> FloatArray:
-        """The whole matrix, in the order of the keys it was asked for."""
-        return self._full
 
     def columns(self, keys: Sequence[int]) -> np.ndarray:
         """Rows and columns of the stacked tangents of `keys`, in that order."""
@@ -51,7 +48,7 @@ class JointCovariance:
     def of(self, keys: Sequence[int]) -> FloatArray:
         """Covariance of the stacked tangents of `keys`, in that order."""
         columns = self.columns(keys)
-        return self._full[np.ix_(columns, columns)]
+        return self.full[np.ix_(columns, columns)]
 
 
 def relative_covariance(a_T_b: FloatArray, joint: FloatArray) -> FloatArray:
@@ -62,10 +59,7 @@ def relative_covariance(a_T_b: FloatArray, joint: FloatArray) -> FloatArray:
 
 def motion_covariance(a_T_b: FloatArray, joint: FloatArray) -> FloatArray:
     """Covariance (3, 3) of (x, y, theta) of a_T_b, x and y along a's axes, from that of both tangents (12, 12)."""
-    in_b = relative_covariance(a_T_b, joint)[np.ix_([0, 1, 3], [0, 1, 3])]
-    turn = np.eye(3)
-    turn[:2, :2] = a_T_b[:2, :2]
-    return turn @ in_b @ turn.T
+    return planar_covariance(relative_covariance(a_T_b, joint), a_T_b)
 
 
 @dataclass(frozen=True, eq=False)

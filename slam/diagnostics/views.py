@@ -12,11 +12,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.occupancy import LEAST_GAP_M, MOVABLE_M, free_standing
+from slam.frontend.occupancy.raster import LEAST_GAP_M, MOVABLE_M, free_standing
 from slam.frontend.scan_surfaces import ON_EDGE, WIDTH, moved
 from slam.geometry.frames import evenly, way_to
 from slam.loop_closure.candidates import nearest_of_each
-from slam.registration.visibility import NEIGHBOURS_APART, Scan, Sight
+from slam.registration.visibility import NEIGHBOURS_APART, Scan
 from spplanes._check import FloatArray
 
 #: A return is of the same surface, or in front of it, by more than this, m: what a map may err by before it is wrong.
@@ -172,7 +172,7 @@ class ScanView:
 
     def __init__(self, scan: Scan, up: FloatArray) -> None:
         """A scan, and the direction up (3,) in its body."""
-        self._sight = Sight(scan)
+        self._scan = scan
         walls = scan.elements[(scan.elements[:, 7] != ON_EDGE) & (np.abs(scan.elements[:, 3:6] @ up) < _LEVEL)]
         walls = walls[~_movable(walls, scan.viewpoint, up)]
         self.looks = walls[one_of_each_cell(walls[:, :3])]
@@ -183,11 +183,11 @@ class ScanView:
 
     def confirms(self, places: FloatArray) -> np.ndarray:
         """Which elements (N, 9) lie on a surface that was seen, to the tolerance, shape (N,)."""
-        return (self._sight.apart(places[:, :3]) < TOLERANCE_M) | (self._sight.off_surfaces(places) < TOLERANCE_M)
+        return (self._scan.apart(places[:, :3]) < TOLERANCE_M) | (self._scan.off_surfaces(places) < TOLERANCE_M)
 
     def sees_through(self, places: FloatArray) -> np.ndarray:
         """Which elements (N, 9) stand before all that was seen about their direction by more than that, (N,)."""
-        return self._sight.through(places[:, :3], TOLERANCE_M, _WIDE_SHARE)
+        return self._scan.through(places[:, :3], TOLERANCE_M, _WIDE_SHARE)
 
 
 def scan_views_of(keyframes: Sequence[Keyframe], poses: FloatArray) -> dict[int, ScanView]:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slam.io.raw import read_rows
-from slam.io.trajectories import Trajectory
+from slam.io.trajectories import Trajectory, nearest_stamp
 from spplanes._check import FloatArray, as_shape
 
 
@@ -67,10 +67,7 @@ def nearest_stamps(wanted_ns: np.ndarray, stamps_ns: np.ndarray, tolerance_ns: i
     stamps, wanted = np.asarray(stamps_ns, dtype=np.int64), np.asarray(wanted_ns, dtype=np.int64)
     if stamps.size == 0:
         return np.full(wanted.shape, -1, dtype=np.int64)
-    right = np.clip(np.searchsorted(stamps, wanted), 1, max(stamps.size - 1, 1))
-    left = right - 1
-    right = np.minimum(right, stamps.size - 1)
-    best = np.where(np.abs(stamps[left] - wanted) <= np.abs(stamps[right] - wanted), left, right)
+    best = nearest_stamp(wanted, stamps)
     return np.where(np.abs(stamps[best] - wanted) <= tolerance_ns, best, -1)
 
 

@@ -60,12 +60,6 @@ def floor_information(motion: Motion | None) -> FloatArray:
     return information
 
 
-def planar_information(observations: Sequence[Observation]) -> FloatArray:
-    """Information (3, 3) that known planes seen give on (x, y, theta) of the pose, in the body's axes."""
-    total = sum(map(information_as_seen, observations), np.zeros((6, 6)))
-    return total[np.ix_((3, 4, 2), (3, 4, 2))]
-
-
 def information_beyond_lines(motion: Motion, lines: Sequence[Observation]) -> Motion | None:
     """What the returns say of a motion beyond lines of known walls seen at its end, as a motion; None: nothing.
 
@@ -76,7 +70,8 @@ def information_beyond_lines(motion: Motion, lines: Sequence[Observation]) -> Mo
         return None
     turn = np.eye(3)
     turn[:2, :2] = motion.returns_a_T_b[:2, :2]
-    by_lines = turn @ planar_information(lines) @ turn.T + _NO_INFORMATION * np.eye(3)
+    told = sum(map(information_as_seen, lines), np.zeros((6, 6)))[np.ix_((3, 4, 2), (3, 4, 2))]  # of x, y, theta
+    by_lines = turn @ told @ turn.T + _NO_INFORMATION * np.eye(3)
     covariance = left_open(motion.returns_covariance, inverted(by_lines))
     if covariance is None:
         return None
@@ -102,6 +97,12 @@ def left_open(found: FloatArray, by_walls: FloatArray) -> FloatArray | None:
     turned = root @ axes
     values, vectors = np.linalg.eigh((turned * gained) @ turned.T + _NO_INFORMATION * np.eye(3))
     return (vectors / np.maximum(values, _NO_INFORMATION)) @ vectors.T
+
+
+def positive(matrix: FloatArray) -> FloatArray:
+    """The nearest positive semidefinite matrix."""
+    values, vectors = np.linalg.eigh(matrix)
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
 def inverted(matrix: FloatArray) -> FloatArray:

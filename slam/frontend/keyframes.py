@@ -14,8 +14,9 @@ from slam.ahead import ordered_parallel_map
 from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.frontend.deskewing import unswept
-from slam.frontend.laser_odometry import LaserTrack, is_level, laser_track, motion_between
 from slam.frontend.laser_odometry.stalled_wheels import Stall, over_stalls, stalls_of
+from slam.frontend.laser_odometry.track import LaserTrack, motion_between
+from slam.frontend.laser_odometry.tracker import is_level, laser_track
 from slam.frontend.measurement import (
     ScanMeasurement,
     Segment,
@@ -25,10 +26,11 @@ from slam.frontend.measurement import (
     usable_ranges,
 )
 from slam.frontend.observations import LineObservation, Observation, PlaneObservation, on_real_wall
-from slam.frontend.occupancy import beams_of
+from slam.frontend.occupancy.raster import beams_of
 from slam.frontend.odometry import Motion, OdometryTrack
 from slam.frontend.pose_measurements import PlaceMatch, PoseMeasurement
 from slam.geometry.frames import are_apart, inverse
+from slam.io.trajectories import nearest_stamp
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig, Sensor
 from spplanes._check import FloatArray
@@ -302,15 +304,6 @@ def _stalls_of(log: Log, slices: Sequence[LaserScan], rig: Rig, track: OdometryT
 def _at_home(stamps: Sequence[int], scans: Sequence[LaserScan]) -> dict[tuple[int, str], list[LaserScan]]:
     """The scans of each keyframe and sensor, in time order: those it is the nearest keyframe of."""
     homes: dict[tuple[int, str], list[LaserScan]] = {}
-    for scan, home in zip(scans, _nearest(stamps, [scan.stamp_ns for scan in scans]).tolist(), strict=True):
+    for scan, home in zip(scans, nearest_stamp([scan.stamp_ns for scan in scans], stamps).tolist(), strict=True):
         homes.setdefault((home, scan.sensor), []).append(scan)
     return homes
-
-
-def _nearest(stamps: Sequence[int], times: Sequence[int]) -> np.ndarray:
-    """Index of the stamp nearest to each time; of two equally near the earlier."""
-    grid, wanted = np.asarray(stamps, dtype=np.int64), np.asarray(times, dtype=np.int64)
-    right = np.clip(np.searchsorted(grid, wanted), 1, max(len(grid) - 1, 1))
-    left = right - 1
-    right = np.minimum(right, len(grid) - 1)
-    return np.where(np.abs(wanted - grid[left]) <= np.abs(grid[right] - wanted), left, right)

@@ -19,6 +19,8 @@ from spplanes.registration import interpolate_poses
 
 #: A robot whose odometry never leaves the floor by more than this drives on it, m and rad.
 _PLANAR_TOLERANCE = 1e-9
+#: Of (x, y, heading) in SP order.
+PLANAR_IN_SP = (0, 1, 3)
 #: Standard deviations of z, roll and pitch, m and rad, of a planar motion that says nothing of the floor.
 NO_FLOOR = (1e2, 1e2, 1e2)
 
@@ -68,6 +70,13 @@ class Motion:
     def is_planar(self) -> bool:
         """Whether the robot drives on a floor."""
         return len(self.covariance) == 3
+
+    @property
+    def spatial(self) -> FloatArray:
+        """The covariance in SP order along the axes of its end, shape (6, 6)."""
+        if not self.is_planar:
+            return self.covariance
+        return spatial_covariance(self.covariance, self.a_T_b, self.out_of_plane_sigmas)
 
     def factors(self, key_a: int, key_b: int) -> list[gtsam.NonlinearFactor]:
         """The motion as factors between two Pose3 keys; on a floor b is also held to the floor."""
@@ -159,7 +168,14 @@ def spatial_covariance(
     """
     z, roll, pitch = out_of_plane_sigmas
     additive = np.diag([0.0, 0.0, z**2, 0.0, pitch**2, roll**2])
-    additive[np.ix_([0, 1, 3], [0, 1, 3])] = planar
+    additive[np.ix_(PLANAR_IN_SP, PLANAR_IN_SP)] = planar
     turn = np.eye(6)
     turn[:3, :3] = a_T_b[:3, :3].T
     return turn @ additive @ turn.T
+
+
+def planar_covariance(spatial: FloatArray, a_T_b: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of (x, y, theta) of a_T_b along a's axes, from that of its SP differential (6, 6)."""
+    turn = np.eye(3)
+    turn[:2, :2] = a_T_b[:2, :2]
+    return turn @ spatial[np.ix_(PLANAR_IN_SP, PLANAR_IN_SP)] @ turn.T

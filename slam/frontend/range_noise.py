@@ -12,7 +12,6 @@ What cameras read falsely by the pixel is looked for after it, with noise that h
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -89,7 +88,8 @@ def _as_clouds_show(sensor: Sensor, scans: Sequence[LaserScan | CloudScan]) -> S
         factor = noise_factor(grids, result)
         if factor is None or factor <= (_REFUTED if result is sensor else 1.0):
             break
-        result = result.model_copy(update=_times(factor, result))
+        beams = "range_sigma_m", "disparity_sigma_per_m"  # the noise of single beams: the parts that do not stay
+        result = result.model_copy(update={name: factor * getattr(result, name) for name in beams})
     return result
 
 
@@ -118,11 +118,6 @@ def _normalised(grid: FloatArray, sensor: Sensor) -> FloatArray:
     square = np.square(tangent[used])
     variance = sensor.range_variance_at(here[used]) + sensor.surface_sigma_m**2 * (1.0 + square)
     return missed[used] / np.sqrt(variance + np.square(here[used] * sensor.bearing_sigma_rad) * square)
-
-
-def _times(factor: float, sensor: Sensor) -> dict[str, Any]:
-    """The sensor's noise of single beams, so many times what it was."""
-    return {name: factor * getattr(sensor, name) for name in ("range_sigma_m", "disparity_sigma_per_m")}
 
 
 def _grids(scans: Sequence[LaserScan | CloudScan], sensor: Sensor) -> list[FloatArray]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
+from slam.frontend.information import positive
 from slam.frontend.odometry import Motion, difference, planar_delta, spatial_covariance
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS
 from spplanes._check import FloatArray
@@ -75,13 +76,7 @@ class WheelCalibration:
             return
         gain = self.covariance @ np.linalg.solve(predicted.covariance, predicted.response).T
         self.mean = self.mean + gain @ correction
-        self.covariance = self.covariance - gain @ _positive(gained) @ gain.T
-
-
-def _positive(matrix: FloatArray) -> FloatArray:
-    """The nearest positive semidefinite matrix."""
-    values, vectors = np.linalg.eigh(matrix)
-    return (vectors * np.maximum(values, 0.0)) @ vectors.T
+        self.covariance = self.covariance - gain @ positive(gained) @ gain.T
 
 
 def unknown_at_first(motion: Motion) -> FloatArray:

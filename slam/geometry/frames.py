@@ -6,21 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from spplanes._check import FloatArray
-from spplanes.outlines.extents import lift
+from spplanes.outlines.extents import lift as lift
 from spplanes.spmodel import inverse_transform as inverse
-
-__all__ = [
-    "NORM_TOLERANCE",
-    "evenly",
-    "inverse",
-    "lift",
-    "norms_of",
-    "orthonormal",
-    "planar_transform",
-    "poses_of",
-    "settle_frame",
-    "way_to",
-]
 
 #: A quaternion, a normal or a rotation that somebody wrote down may miss unit norm by this much: four digits.
 NORM_TOLERANCE = 1e-3

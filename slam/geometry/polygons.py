@@ -9,20 +9,8 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from spplanes._check import FloatArray
-from spplanes.outlines.extents import all_valid, flatten, grow, grow_all, valid
-
-__all__ = [
-    "all_valid",
-    "coarse",
-    "flatten",
-    "grow",
-    "grow_all",
-    "largest_polygon",
-    "polygonal",
-    "polygons_of",
-    "segments_of",
-    "valid",
-]
+from spplanes.outlines.extents import flatten as flatten
+from spplanes.outlines.extents import valid as valid
 
 #: Outlines measured may lie this share of the root of their area off, and this much at most, m: less than the distance
 #: between the points at the borders of large ones.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,6 +47,14 @@ class Trajectory:
         """Poses at times (M,), shape (M, 4, 4), between two poses interpolated; beyond the ends they stand."""
         stamps = np.clip(np.asarray(stamps_ns, dtype=np.int64), self.stamps_ns[0], self.stamps_ns[-1])
         return interpolate_poses(self.stamps_ns, self.poses, stamps)
+
+
+def nearest_stamp(wanted_ns: Sequence[int] | np.ndarray, stamps_ns: Sequence[int] | np.ndarray) -> np.ndarray:
+    """Index into ascending `stamps_ns` (M,), M > 0, of the time nearest to each wanted one (N,); of two the earlier."""
+    stamps, wanted = np.asarray(stamps_ns, dtype=np.int64), np.asarray(wanted_ns, dtype=np.int64)
+    right = np.clip(np.searchsorted(stamps, wanted), 1, max(len(stamps) - 1, 1))
+    left, right = right - 1, np.minimum(right, len(stamps) - 1)
+    return np.where(np.abs(stamps[left] - wanted) <= np.abs(stamps[right] - wanted), left, right)
 
 
 def read_tum(path: Path | str) -> Trajectory:

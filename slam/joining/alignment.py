@@ -63,7 +63,7 @@ def common_planes(
     """
     limit = float(chdtri(3, config.significance))
     found = []
-    for i, j in facing_pairs(a, b, a_T_b, config):
+    for i, j, _ in facing_pairs(a, b, a_T_b, config):
         off, by_b, by_motion = _difference(a.planes[i], b.planes[j], a_T_b)
         spread = a.planes[i].plane.covariance + by_b @ b.planes[j].plane.covariance @ by_b.T
         spread = spread + by_motion @ covariance @ by_motion.T
@@ -74,13 +74,25 @@ def common_planes(
     return [(i, j - len(a.planes)) for i, j in disjoint([(i, j) for _, i, j in sorted(found)])]
 
 
-def facing_pairs(a: Mission, b: Mission, a_T_b: FloatArray, config: AssociationGates) -> list[tuple[int, int]]:
-    """Planes of two maps that look the same way under a motion, with what was seen of them near each other."""
+def facing_pairs(a: Mission, b: Mission, a_T_b: FloatArray, config: AssociationGates) -> list[tuple[int, int, float]]:
+    """Planes of two maps that look the same way under a motion, and how far over each other they lie, m.
+
+    What was seen of them comes near, along the planes and across.
+    """
     if not a.planes or not b.planes:
         return []
     normals = np.array([plane.plane.normal for plane in b.planes]) @ a_T_b[:3, :3].T
     alike = np.array([plane.plane.normal for plane in a.planes]) @ normals.T > np.cos(config.max_angle_rad)
-    return [(i, j) for i, j in np.argwhere(alike).tolist() if _near(a.planes[i], b.planes[j], a_T_b, config.gap_m)]
+    found = []
+    for i, j in np.argwhere(alike).tolist():
+        first_T_second = inverse(a.planes[i].plane.frame) @ a_T_b @ b.planes[j].plane.frame
+        apart = abs(float(first_T_second[2, 3]))
+        if (
+            apart <= config.gap_m
+            and flatten(b.planes[j].seen, first_T_second).distance(a.planes[i].seen) <= config.gap_m
+        ):
+            found.append((i, j, apart))
+    return found
 
 
 def align(a: Mission, b: Mission, pairs: Sequence[tuple[int, int]], a_T_b: FloatArray) -> Alignment:
@@ -163,11 +175,3 @@ def _difference(first: MapPlane, second: MapPlane, a_T_b: FloatArray) -> tuple[F
     by_motion[:3, :3] = -rotation @ skew(normal)
     by_motion[3, :3], by_motion[3, 3:] = shift @ by_motion[:3, :3], normal
     return off, to_sp @ hesse_jacobian(a_T_b @ second.plane.frame), to_sp @ by_motion
-
-
-def _near(first: MapPlane, second: MapPlane, a_T_b: FloatArray, gap_m: float) -> bool:
-    """Whether what was seen of two planes comes near, along the planes and across."""
-    first_T_second = inverse(first.plane.frame) @ a_T_b @ second.plane.frame
-    if abs(first_T_second[2, 3]) > gap_m:
-        return False
-    return flatten(second.seen, first_T_second).distance(first.seen) <= gap_m

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gtsam
@@ -19,8 +19,6 @@ class Gaussian:
 
     keys: tuple[int, ...]
     """The variables, in the order of the columns."""
-    sizes: tuple[int, ...]
-    """Columns of each."""
     root: FloatArray
     """Square root of the information, shape (R, C)."""
     right: FloatArray
@@ -30,20 +28,21 @@ class Gaussian:
     def of(cls, graph: gtsam.GaussianFactorGraph) -> Gaussian:
         """All factors of a linear graph as one."""
         if not graph.size():
-            return cls((), (), np.empty((0, 0)), np.empty(0))
+            return cls((), np.empty((0, 0)), np.empty(0))
         factor = gtsam.JacobianFactor(graph)
         keys = [int(key) for key in factor.keys()]  # noqa: SIM118 - not a mapping
         root, right = factor.jacobian()
-        return cls(tuple(keys), tuple(_size(key) for key in keys), np.array(root), np.array(right))
+        return cls(tuple(keys), np.array(root), np.array(right))
 
     def renamed(self, names: dict[int, int]) -> Gaussian:
         """The same of variables with other keys."""
-        return Gaussian(tuple(names[key] for key in self.keys), self.sizes, self.root, self.right)
+        return replace(self, keys=tuple(names[key] for key in self.keys))
 
     def factor(self) -> gtsam.CustomFactor:
         """As a factor, linear at whatever values it is linearised at."""
-        ends = np.cumsum(self.sizes).tolist()
-        blocks = [self.root[:, end - size : end] for size, end in zip(self.sizes, ends, strict=True)]
+        sizes = [_size(key) for key in self.keys]
+        ends = np.cumsum(sizes).tolist()
+        blocks = [self.root[:, end - size : end] for size, end in zip(sizes, ends, strict=True)]
         right = -self.right
 
         def error(_: gtsam.CustomFactor, __: gtsam.Values, jacobians: Any) -> FloatArray:
@@ -57,7 +56,7 @@ class Gaussian:
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """A mission at one point of linearisation, split into what it shares and the rest given that."""
+    """A linear graph, such as a mission at one point of linearisation: what it shares, and the rest given that."""
 
     shared: Gaussian
     """On the variables that were kept."""
@@ -77,19 +76,15 @@ class Condensed:
         return steps, largest
 
 
-def condense(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, keep: Sequence[int]) -> Condensed:
-    """Linearise a mission and eliminate all variables but some, by QR.
-
-    Args:
-        factors, values: the mission, in its own frame.
-        keep: variables that stay.
+def condense(linear: gtsam.GaussianFactorGraph, keep: Sequence[int]) -> Condensed:
+    """Eliminate all variables of a linear graph but some, by QR.
 
     References:
         Ni, Steedly, Dellaert, "Tectonic SAM", ICRA 2007, for submaps condensed onto what they share.
     """
-    linear = factors.linearize(values)
-    kept = set(keep)
-    rest = [key for key in sorted(values.keys()) if key not in kept]
+    rest = sorted(set(linear.keys()).difference(keep))
+    if not rest:
+        return Condensed(Gaussian.of(linear), gtsam.GaussianBayesNet())
     net, remaining = linear.eliminatePartialSequential(rest, gtsam.EliminateQR)
     return Condensed(Gaussian.of(remaining), net)
 
@@ -119,15 +114,6 @@ class Solved:
         """The largest step of any variable in its standard deviations."""
         steps = ((self.steps.at(key), self.covariance([key])) for key in self._rows)
         return max((float(np.sqrt(step @ np.linalg.solve(spread, step))) for step, spread in steps), default=0.0)
-
-
-def marginal(graph: gtsam.GaussianFactorGraph, keep: Sequence[int]) -> Gaussian:
-    """What a linear graph says of some of its variables alone."""
-    kept = set(keep)
-    rest = [key for key in sorted(graph.keys()) if key not in kept]
-    if not rest:
-        return Gaussian.of(graph)
-    return Gaussian.of(graph.eliminatePartialSequential(rest, gtsam.EliminateQR)[1])
 
 
 def _size(key: int) -> int:

@@ -227,8 +227,10 @@ def _contradicted(component: Component, solution: JointSolution, config: SlamCon
 class Classes:
     """Landmarks that are one plane, as they are found: of one mission never two, for that told them apart itself."""
 
-    def __init__(self) -> None:
+    def __init__(self, ties: Iterable[Tie] = ()) -> None:
         self._of: dict[Place, set[Place]] = {}
+        for tie in ties:
+            self.add(tie)
 
     def add(self, tie: Tie) -> bool:
         """Make two landmarks one; whether that could be."""
@@ -252,10 +254,9 @@ class Classes:
 
 def classes_of(ties: Iterable[Tie], missions: Sequence[Mission]) -> tuple[tuple[Place, ...], ...]:
     """Every plane of every map in its class."""
-    classes = Classes()
-    for tie in ties:
-        classes.add(tie)
-    return classes.all(Place(number, plane.id) for number, mission in enumerate(missions) for plane in mission.planes)
+    return Classes(ties).all(
+        Place(number, plane.id) for number, mission in enumerate(missions) for plane in mission.planes
+    )
 
 
 def ties_of(overlaps: Iterable[Comparison], missions: Sequence[Mission]) -> list[Tie]:
@@ -279,10 +280,8 @@ def candidates(
     for a, mine in enumerate(missions):
         for b in range(a + 1, len(missions)):
             a_T_b = inverse(common_T_mission[a]) @ common_T_mission[b]
-            for i, j in facing_pairs(mine, missions[b], a_T_b, config.association):
-                first, second = mine.planes[i], missions[b].planes[j]
-                apart = abs((inverse(first.plane.frame) @ a_T_b @ second.plane.frame)[2, 3])
-                tie = Tie(Place(a, first.id), Place(b, second.id))
+            for i, j, apart in facing_pairs(mine, missions[b], a_T_b, config.association):
+                tie = Tie(Place(a, mine.planes[i].id), Place(b, missions[b].planes[j].id))
                 if apart <= config.loops.tied_m and tie not in known:
                     found.append(tie)
     return found
@@ -290,9 +289,7 @@ def candidates(
 
 def found_to_be_one(solution: JointSolution, maybe: Sequence[Tie], config: SlamConfig) -> list[Tie]:
     """Of landmarks that may be one those that are, by chi2 (3 dof) with the joint covariance of all; best first."""
-    classes = Classes()
-    for tie in solution.ties:
-        classes.add(tie)
+    classes = Classes(solution.ties)
     asked = [tie for tie in maybe if not classes.are_one(tie)]
     limit = float(chdtri(3, config.association.significance))
     ranked = []

@@ -9,11 +9,13 @@ from typing import Any, Literal
 import numpy as np
 import shapely
 
+from factors._conventions import SP_TO_POSE3
 from slam.config import SlamConfig
 from slam.diagnostics.evidence.surfaces import agreement
 from slam.diagnostics.verdict import at_least
 from slam.diagnostics.views import View, compare
-from slam.frontend.occupancy import NOVEL_SHARE
+from slam.frontend.occupancy.raster import NOVEL_SHARE
+from slam.frontend.odometry import spatial_covariance
 from slam.geometry.frames import inverse, lift
 from slam.joining.alignment import LEVEL_SIGMA_M, LEVEL_SIGMA_RAD, Alignment, align, common_planes, facing_pairs
 from slam.joining.mission import Look, Mission
@@ -131,7 +133,9 @@ def _proposed(
         return Comparison(a.name, b.name, "not seen", "nothing in common was found")
     if match.verdict != "closure":
         return Comparison(a.name, b.name, match.verdict, _why_not(match), evidence=match.evidence)
-    return match.b_T_a, _spatial(match.covariance, match.b_T_a), match.evidence
+    level = LEVEL_SIGMA_M, LEVEL_SIGMA_RAD, LEVEL_SIGMA_RAD
+    covariance = spatial_covariance(match.covariance, match.b_T_a, level)[np.ix_(SP_TO_POSE3, SP_TO_POSE3)]
+    return match.b_T_a, covariance, match.evidence
 
 
 def walls_of(mission: Mission) -> list[Wall]:
@@ -231,22 +235,12 @@ def _heights(a: Mission, b: Mission, hypothesis: FloatArray, config: SlamConfig)
 
 def _apart(a: Mission, b: Mission, found: Alignment, config: SlamConfig) -> tuple[tuple[int, int], ...]:
     """Landmarks that lie over each other, centimetres apart, and are not one: what has moved between the missions."""
-    one = {*(("a", i) for i, _ in found.pairs), *(("b", j) for _, j in found.pairs)}
-    apart = []
-    for i, j in facing_pairs(a, b, found.a_T_b, config.association):
-        first_T_second = inverse(a.planes[i].plane.frame) @ found.a_T_b @ b.planes[j].plane.frame
-        if ("a", i) not in one and ("b", j) not in one and abs(first_T_second[2, 3]) < config.loops.tied_m:
-            apart.append((a.planes[i].id, b.planes[j].id))
-    return tuple(apart)
-
-
-def _spatial(planar: FloatArray, pose: FloatArray) -> FloatArray:
-    """Covariance of the tangent on the right, GTSAM order, of a motion known in (x, y, theta), additive."""
-    turn = np.eye(3)
-    turn[:2, :2] = pose[:2, :2].T
-    covariance = np.diag([LEVEL_SIGMA_RAD, LEVEL_SIGMA_RAD, 0.0, 0.0, 0.0, LEVEL_SIGMA_M]) ** 2
-    covariance[np.ix_([3, 4, 2], [3, 4, 2])] = turn @ planar @ turn.T
-    return covariance
+    of_a, of_b = ({pair[side] for pair in found.pairs} for side in (0, 1))
+    return tuple(
+        (a.planes[i].id, b.planes[j].id)
+        for i, j, apart in facing_pairs(a, b, found.a_T_b, config.association)
+        if i not in of_a and j not in of_b and apart < config.loops.tied_m
+    )
 
 
 def _why_not(match: ConstellationMatch) -> str:

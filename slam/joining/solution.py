@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
 
 from factors import anchored_plane_jacobian, pose_prior
 from slam.joining.alignment import LEVEL_SIGMA_M, LEVEL_SIGMA_RAD
-from slam.joining.condensation import Condensed, Solved, condense, marginal
+from slam.joining.condensation import Condensed, Solved, condense
 from slam.joining.mission import MissionGraph
 from slam.mapping.same_plane import anchored_difference
 from spplanes._check import FloatArray
@@ -59,8 +59,7 @@ def base_key(mission: int) -> int:
     return gtsam.symbol("b", mission)
 
 
-@dataclass(frozen=True)
-class TiedKeys:
+class TiedKeys(NamedTuple):
     """Keys of one side of a tie in the graph of many missions."""
 
     base: int
@@ -73,7 +72,6 @@ class TiedKeys:
 
 def tie_factor(first: TiedKeys, second: TiedKeys) -> gtsam.CustomFactor:
     """The factor of a tie: the difference of the planes in the frame of the second one's anchor is nothing."""
-    keys = [first.base, first.anchor, first.plane, second.base, second.anchor, second.plane]
 
     def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
         difference, blocks = tied_difference(values, first, second)
@@ -82,7 +80,7 @@ def tie_factor(first: TiedKeys, second: TiedKeys) -> gtsam.CustomFactor:
                 jacobians[i] = np.asfortranarray(block)
         return difference
 
-    return gtsam.CustomFactor(gtsam.noiseModel.Isotropic.Sigma(3, _SAME), keys, error)
+    return gtsam.CustomFactor(gtsam.noiseModel.Isotropic.Sigma(3, _SAME), [*first, *second], error)
 
 
 def tied_difference(
@@ -135,8 +133,6 @@ class JointSolution:
     """Of every mission, in its own frame and by its own keys."""
     floor_sigmas: tuple[float, float] = (FLOOR_M, FLOOR_RAD)
     """How even the floor is that missions are on, as `FLOOR_M` and `FLOOR_RAD`."""
-    rounds: int = 0
-    """Linearisations that it took."""
 
     def __post_init__(self) -> None:
         self._condensed: dict[int, Condensed] = {}
@@ -154,7 +150,6 @@ class JointSolution:
             JoinError: it does not come to an end.
         """
         for _ in range(_ROUNDS):
-            self.rounds += 1
             self._condense()
             if self._step() <= settled:
                 self._condense()
@@ -183,15 +178,12 @@ class JointSolution:
 
     def differences(self, pairs: Sequence[Tie]) -> list[tuple[FloatArray, FloatArray]]:
         """How landmarks that stay in the joint graph differ (3,), and the covariance (3, 3) of that by everything."""
-        linear = self._linear(self.ties)
-        solved, values, found = Solved(linear), self._values(), []
+        solved, values, found = Solved(self._linear(self.ties)), self._values(), []
         for pair in pairs:
-            sides = [self.keys(pair.first), self.keys(pair.second)]
-            keys = [key for side in sides for key in (side.base, side.anchor, side.plane)]
-            difference, blocks = tied_difference(values, *sides)
-            covariance = solved.covariance(keys)
+            first, second = self.keys(pair.first), self.keys(pair.second)
+            difference, blocks = tied_difference(values, first, second)
             jacobian = np.hstack(blocks)
-            found.append((difference, jacobian @ covariance @ jacobian.T))
+            found.append((difference, jacobian @ solved.covariance([*first, *second]) @ jacobian.T))
         return found
 
     def keys(self, place: Place) -> TiedKeys:
@@ -205,7 +197,7 @@ class JointSolution:
         others = self._linear(self.ties, without=mission)
         own = {joint_key(mission, key): key for key in self._kept(mission)} | {base_key(mission): base_key(mission)}
         held = set(others.keys())
-        told = marginal(others, [key for key in own if key in held])
+        told = condense(others, [key for key in own if key in held]).shared
         graph = self.graphs[mission].factors.linearize(self.values[mission])
         values = gtsam.Values(self.values[mission])
         values.insert(base_key(mission), self.bases[mission])
@@ -219,7 +211,7 @@ class JointSolution:
 
     def _condense(self) -> None:
         self._condensed = {
-            number: condense(graph.factors, self.values[number], self._kept(number))
+            number: condense(graph.factors.linearize(self.values[number]), self._kept(number))
             for number, graph in self.graphs.items()
         }
 
@@ -251,8 +243,7 @@ class JointSolution:
 
     def _step(self) -> float:
         """Take one step; the largest of any variable in its standard deviations."""
-        linear = self._linear(self.ties)
-        solved = Solved(linear)
+        solved = Solved(self._linear(self.ties))
         steps, largest = solved.steps, solved.largest()
         for number in self.graphs:
             shared = gtsam.VectorValues()
@@ -303,7 +294,7 @@ class MissionPosterior:
 
     def _marginal(self, keys: Sequence[int]) -> Solved:
         graph, values = gtsam.GaussianFactorGraph(), gtsam.Values()
-        graph.push_back(marginal(self.graph, keys).factor().linearize(values))
+        graph.push_back(condense(self.graph, keys).shared.factor().linearize(values))
         return Solved(graph)
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -73,13 +73,6 @@ class ClosedLoop:
         return 2.0 * float(self.factor.error(backend.values_of(self.factor.keys())))
 
 
-class LoopClosing(Protocol):
-    """Makes what `PlaneSlam` closes loops with, out of the shared state and the fusion of landmarks."""
-
-    def __call__(self, state: EstimatorState, merges: Merges, /) -> LoopCloser:
-        """A loop closer for one run."""
-
-
 class LoopCloser:
     """Looks for loops on the way, closes those that are beyond doubt, and takes back what turns out to be none."""
 
@@ -123,7 +116,10 @@ class LoopCloser:
         """Put in what the returns say of the loops just closed beyond their walls: how far along a corridor."""
         for end in (end for loop in closure.loops for end in (loop.old_keyframe, loop.keyframe)):
             self._sparsifier.stays(end)  # both ends are needed in the graph
-        factors = [None if loop.motion is None else _factor(loop, loop.motion) for loop in closure.loops]
+        factors = [
+            None if one.motion is None else one.motion.factors(*map(pose_symbol, (one.old_keyframe, one.keyframe)))[0]
+            for one in closure.loops
+        ]
         told = [one for one in factors if one is not None]
         indices = iter(self._backend.update(told, gtsam.Values(), relinearize=True) if told else ())
         for loop, factor in zip(closure.loops, factors, strict=True):
@@ -230,6 +226,5 @@ class LoopCloser:
         return self._ways[-1] + float(np.linalg.norm(now - before))
 
 
-def _factor(loop: LoopDecision, motion: Motion) -> Any:
-    """The motion as a factor between the ends of a loop."""
-    return motion.factors(pose_symbol(loop.old_keyframe), pose_symbol(loop.keyframe))[0]
+#: Makes what `PlaneSlam` closes loops with for one run, out of the shared state and the fusion of landmarks.
+LoopClosing = Callable[[EstimatorState, Merges], LoopCloser]

@@ -30,10 +30,13 @@ class Proposal:
     way_m: float
     """Length of the way to the newer keyframe, m."""
 
+    def delta_by(self, poses: FloatArray) -> FloatArray:
+        """(x, y, theta) of the newer one from the old one as poses (N, 4, 4) of all keyframes have it, shape (3,)."""
+        return planar_delta(inverse(poses[self.old_keyframe]) @ poses[self.keyframe])
+
     def offset_m(self, poses: FloatArray) -> float:
-        """How far it is from where poses (N, 4, 4) of all keyframes have the newer one from the old one, m."""
-        there = planar_delta(inverse(poses[self.old_keyframe]) @ poses[self.keyframe])
-        return float(np.linalg.norm((there - self.pose.delta)[:2]))
+        """How far it is from there, m."""
+        return float(np.linalg.norm((self.delta_by(poses) - self.pose.delta)[:2]))
 
 
 def loop_chi2(first: Proposal, second: Proposal, newer: PlanarPose, older: PlanarPose) -> float:

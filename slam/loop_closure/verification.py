@@ -176,7 +176,7 @@ def _decide_by_search(found: SearchResult, estimate: PlanarPose, old: int, path:
         return LoopDecision(now, old, "not seen")
     best = found.modes[0]
     far, turn = _offset(planar_transform(*estimate.delta), planar_transform(*best.pose))
-    if best.log_odds <= 0.0 or found.is_at_edge:
+    if found.place is None:
         rivals = len(found.modes) > 1 or found.is_at_edge
         return LoopDecision(now, old, "ambiguous" if rivals else "not seen", (), far, turn, evidence=best.evidence)
     pose = PlanarPose(best.pose, best.covariance)

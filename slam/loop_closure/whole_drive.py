@@ -16,7 +16,7 @@ from slam.backend.estimator import INDETERMINATE
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion, planar_delta
-from slam.geometry.frames import inverse, way_to
+from slam.geometry.frames import inverse, planar_transform, way_to
 from slam.loop_closure.candidates import nearest_of_each
 from slam.loop_closure.pairwise_consistency import Proposal
 from slam.registration.correlative_search import PlaceView, search_place
@@ -67,9 +67,9 @@ def agreement(keyframes: Sequence[Keyframe], poses: FloatArray, config: LoopConf
     way = way_to(poses)
     found = list(_search(keyframes, poses, way, config))
     graph, values = _solved([step for step in steps if step is not None], found, poses)
-    solved = np.array([_delta(values.atPose2(index)) for index in range(len(poses))])
+    solved = np.array([planar_transform(*_delta(values.atPose2(index))) for index in range(len(poses))])
     limit = float(chdtri(3, config.significance))
-    fitting = [one for one in found if _misfit(one, solved) <= limit]
+    fitting = [one for one in found if one.pose.misfit(one.delta_by(solved)) <= limit]
     chosen = _one_of_each(fitting, way, config.window_m)
     offsets = np.array([one.offset_m(poses) for one in chosen])
     inferred = _inferred(graph, values, solved, way, config) if chosen else ()
@@ -94,8 +94,7 @@ def _search(
         reach = drift * np.array((1.0, 1.0, 2.0 / config.window_m))
         guess, covariance = planar_delta(inverse(poses[old]) @ poses[new]), np.diag((reach / BOUND_SIGMAS) ** 2)
         found = search_place(here, there, guess, covariance, reach, looks=config.looks_per_place)
-        if found.modes and found.modes[0].log_odds > 0.0 and not found.is_at_edge:
-            best = found.modes[0]
+        if (best := found.place) is not None:
             yield Proposal(new, old, PlanarPose(best.pose, best.covariance), best.log_odds, float(way[new]))
 
 
@@ -168,7 +167,7 @@ def _from_earlier(
         n_before = int(np.searchsorted(way, length - 3.0 * config.window_m))
         if not n_before:
             continue
-        nearest = int(np.argmin(np.linalg.norm(places[:n_before, :2] - places[new, :2], axis=1)))
+        nearest = int(np.argmin(np.linalg.norm(places[:n_before, :2, 3] - places[new, :2, 3], axis=1)))
         by_old, by_new = np.zeros((3, 3), order="F"), np.zeros((3, 3), order="F")
         there = values.atPose2(nearest).between(values.atPose2(new), by_old, by_new)
         turn = np.eye(3)
@@ -184,19 +183,8 @@ def _minimum(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Va
     return gtsam.LevenbergMarquardtOptimizer(graph, start, parameters).optimize()
 
 
-def _delta_at(one: Proposal, places: FloatArray) -> FloatArray:
-    """Where poses (N, 3) have the newer keyframe of a finding from the old one, (x, y, theta), shape (3,)."""
-    old, new = (gtsam.Pose2(*places[end]) for end in (one.old_keyframe, one.keyframe))
-    return _delta(old.between(new))
-
-
 def _delta(pose: gtsam.Pose2) -> FloatArray:
     return np.array((pose.x(), pose.y(), pose.theta()))
-
-
-def _misfit(one: Proposal, places: FloatArray) -> float:
-    """Chi2 of a finding, 3 dof."""
-    return one.pose.misfit(_delta_at(one, places))
 
 
 def _one_of_each(found: Sequence[Proposal], way: FloatArray, window_m: float) -> list[Proposal]:

@@ -15,7 +15,7 @@ from slam.backend.estimator import Backend, pose_symbol, pose_symbols
 from slam.config import ThinningConfig
 from slam.frontend.information import floor_information, information_as_seen
 from slam.frontend.observations import Observation
-from slam.frontend.odometry import Motion, spatial_covariance
+from slam.frontend.odometry import Motion
 from slam.frontend.wheel_calibration import shared_covariance
 from slam.map.landmarks import LandmarkMap
 from spplanes._check import FloatArray
@@ -56,10 +56,7 @@ def _moved(covariance: FloatArray, motion: Motion | None) -> FloatArray:
     if motion is None:
         return _UNKNOWN * np.eye(6)
     carry = gtsam.Pose3(motion.a_T_b).inverse().AdjointMap()
-    own = motion.covariance
-    if motion.is_planar:
-        own = spatial_covariance(own, motion.a_T_b, motion.out_of_plane_sigmas)
-    return carry @ covariance @ carry.T + own[np.ix_(SP_TO_POSE3, SP_TO_POSE3)]
+    return carry @ covariance @ carry.T + motion.spatial[np.ix_(SP_TO_POSE3, SP_TO_POSE3)]
 
 
 def _seen(covariance: FloatArray, information: FloatArray) -> FloatArray:
@@ -83,11 +80,6 @@ class Link:
     """Index of its factor."""
     floor: list[int]
     """Indices of the factors that hold the keyframe to the floor."""
-
-    @property
-    def factors(self) -> list[int]:
-        """All of them."""
-        return [*self.step, *self.floor]
 
 
 class MeasuredStep(NamedTuple):
@@ -197,7 +189,7 @@ class Sparsifier:
         for one in going:
             after = self._after(one)
             own, link = self._links.pop(one), self._links[after]
-            stale += [*own.factors, *link.step, *self._landmarks.let_go(one)]
+            stale += [*own.step, *own.floor, *link.step, *self._landmarks.let_go(one)]
             self._links[after] = Link(chained(own.motion, link.motion), [], link.floor)
             self.held.remove(one)
             anew = anew - {one} | {after}

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.special import chdtri
 
 from factors import landmark_hesse
-from factors.association.decisions import AssociationGates
 from slam.backend.estimator import Backend, JointCovariance
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten
@@ -64,7 +63,7 @@ class SamePlaneFinder:
                 ids = min(first.id, second.id), max(first.id, second.id)
                 if _sightings((first, second)) < 1.25 * self._told_apart.get(ids, 0):
                     continue
-                if _may_be_one(first, place, second, second_place, self._rules):
+                if _may_be_one(first, place, second, second_place, gap_m):
                     pairs[ids] = (first, second)
         return pairs
 
@@ -110,25 +109,35 @@ def anchored_difference(
 ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
     """How two planes, each in the frame of a pose (4, 4), differ in b.
 
-    There n' = R n, d' = d + t.n' of the first, with b_T_a = (R, t), and n'.t does not depend on b's orientation.
-
     Returns:
         (tangent of the normals, distance) of the first minus the second, shape (3,), and its derivatives by the
         tangents of the first plane (3, 3), of a (3, 6), of the second plane (3, 3) and of b (3, 6).
     """
-    anchor = inverse(world_T_b) @ world_T_a
-    rotation, shift = anchor[:3, :3], anchor[:3, 3]
-    (normal, d), (normal_b, d_b) = landmark_hesse(first), landmark_hesse(second)
-    basis, moved = second.normal().basis(), rotation @ normal
-    turned = np.vstack((basis.T, shift))  # of a change of n': its tangent, and what it does to d'
-    difference = np.append(basis.T @ (moved - normal_b), d + shift @ moved - d_b)
-    by_first = np.zeros((3, 3))
-    by_first[:, :2], by_first[2, 2] = turned @ rotation @ first.normal().basis(), -1.0
-    by_pose_a = np.hstack((-turned @ rotation @ skew(normal), np.zeros((3, 3))))
-    by_pose_a[2, 3:] = normal
-    by_pose_b = np.zeros((3, 6))
-    by_pose_b[:2, :3], by_pose_b[2, 3:] = basis.T @ skew(moved), -moved
+    (normal, d), basis = landmark_hesse(second), second.normal().basis()
+    moved, moved_d, (by_first, by_pose_a, by_pose_b) = _seen_from(first, inverse(world_T_b) @ world_T_a, basis.T)
+    difference = np.append(basis.T @ (moved - normal), moved_d - d)
     return difference, (by_first, by_pose_a, np.diag([-1.0, -1.0, 1.0]), by_pose_b)
+
+
+def _seen_from(
+    plane: gtsam.OrientedPlane3, b_T_a: FloatArray, axes: FloatArray
+) -> tuple[FloatArray, float, tuple[FloatArray, FloatArray, FloatArray]]:
+    """A plane in the frame of a pose a as b sees it, b_T_a = (R, t): n' = R n, d' = d + t.n', however b is turned.
+
+    Returns:
+        n' (3,), d', and the derivatives of (n' along some axes (K, 3), d') by the tangents of the plane (K + 1, 3), of
+        a (K + 1, 6) and of b (K + 1, 6).
+    """
+    rotation, shift = b_T_a[:3, :3], b_T_a[:3, 3]
+    normal, d = landmark_hesse(plane)
+    moved, rows = rotation @ normal, len(axes) + 1
+    turned = np.vstack((axes, shift))  # of a change of n': what is asked of it, and what it does to d'
+    by_plane, by_b = np.zeros((rows, 3)), np.zeros((rows, 6))
+    by_plane[:, :2], by_plane[-1, 2] = turned @ rotation @ plane.normal().basis(), -1.0
+    by_a = np.hstack((-turned @ rotation @ skew(normal), np.zeros((rows, 3))))
+    by_a[-1, 3:] = normal
+    by_b[:-1, :3], by_b[-1, 3:] = axes @ skew(moved), -moved
+    return moved, float(d + shift @ moved), (by_plane, by_a, by_b)
 
 
 def hesse_of(
@@ -141,34 +150,22 @@ def hesse_of(
     """
     frame_T_world = np.eye(4) if pose_key is None else inverse(backend.pose(pose_key))
     anchor = frame_T_world @ backend.pose(landmark.anchor_key)
-    rotation, shift = anchor[:3, :3], anchor[:3, 3]
-    plane = backend.plane(landmark.key)
-    normal, d = landmark_hesse(plane)
-    moved = rotation @ normal
-    turned = np.vstack((np.eye(3), shift))
-    by_plane = np.zeros((4, 3))
-    by_plane[:, :2], by_plane[3, 2] = turned @ rotation @ plane.normal().basis(), -1.0
-    by_anchor = np.hstack((-turned @ rotation @ skew(normal), np.zeros((4, 3))))
-    by_anchor[3, 3:] = normal
+    normal, d, (by_plane, by_anchor, by_pose) = _seen_from(backend.plane(landmark.key), anchor, np.eye(3))
     blocks = {landmark.key: by_plane, landmark.anchor_key: by_anchor}
     if pose_key is not None:
-        by_pose = np.zeros((4, 6))
-        by_pose[:3, :3], by_pose[3, 3:] = skew(moved), -moved
         blocks[pose_key] = blocks.get(pose_key, np.zeros((4, 6))) + by_pose
-    return moved, float(d + shift @ moved), np.hstack(list(blocks.values())), list(blocks)
+    return normal, d, np.hstack(list(blocks.values())), list(blocks)
 
 
 def _may_be_one(
-    first: Landmark, first_place: PlacedPlane, second: Landmark, second_place: PlacedPlane, config: AssociationGates
+    first: Landmark, first_place: PlacedPlane, second: Landmark, second_place: PlacedPlane, gap_m: float
 ) -> bool:
-    """Same side, similar direction, patches near each other along the plane and across it."""
-    if first_place.normal @ second_place.normal < np.cos(config.max_angle_rad):
-        return False
+    """Whether patches of two landmarks that look the same way come near each other, along the plane and across it."""
     first_T_second = inverse(first_place.world_T_plane) @ second_place.world_T_plane
-    if abs(first_T_second[2, 3]) > config.gap_m:
+    if abs(first_T_second[2, 3]) > gap_m:
         return False
     pieces = (flatten(piece, first_T_second) for piece in second.extent.pieces)
-    return any(first.extent.is_within(config.gap_m, piece) for piece in pieces)
+    return any(first.extent.is_within(gap_m, piece) for piece in pieces)
 
 
 def disjoint(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.special import expit, gamma
 
-from slam.frontend.occupancy import CELL_M, Raster
+from slam.frontend.occupancy.raster import CELL_M, Raster
 from slam.registration._search_kernels import peaks_of, score_by_heading
 from spplanes._check import FloatArray
 
@@ -34,6 +34,8 @@ _TOP_LEVEL, _HIGHEST_LEVEL = 4, 7
 _MOST_BLOCKS, _BEAM_WIDTH = 10_000, 100
 #: A box whose best motion lies at its edge is made so much wider, at most so many times.
 _WIDER, _MOST_TIMES = 2.0, 2
+#: At an edge it is this near to it, in half cells and turns: two cells and two turns.
+_EDGE = np.array((4.0, 4.0, 2.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +46,8 @@ class Mode:
     """Mean (x, y, theta) of b_T_a, shape (3,)."""
     covariance: FloatArray
     """Its covariance, shape (3, 3)."""
-    probability: float
-    """Of this mode; the rest are other modes and submaps that have nothing in common."""
     log_odds: float
-    """Log of probability / (1 - probability)."""
+    """Of this mode; the rest are other modes and submaps that have nothing in common."""
     evidence: float
     """Log of how much better its best motion explains the returns than submaps that have nothing in common."""
 
@@ -62,6 +62,11 @@ class SearchResult:
     """Half sides of the box that was searched in the end, (x, y, theta), shape (3,)."""
     is_at_edge: bool
     """Whether the likeliest motion lies at the edge of that box: a maximum is none there."""
+
+    @property
+    def place(self) -> Mode | None:
+        """The likeliest, if it is likelier than all else together and inside the box that was searched."""
+        return self.modes[0] if self.modes and self.modes[0].log_odds > 0.0 and not self.is_at_edge else None
 
 
 class PlaceView:
@@ -160,8 +165,8 @@ def _search(
     if not len(blocks):
         return SearchResult((), reach, False)
     modes = _modes(guess, blocks, scores, scores - prior(blocks), grid, looks)
-    edge = bool(np.any(np.abs(blocks[np.argmax(scores)] * grid) > reach - _edge(grid)))
-    return SearchResult(modes, reach, edge and modes[0].probability > _NOTHING)
+    edge = bool(np.any(np.abs(blocks[np.argmax(scores)] * grid) > reach - _EDGE * grid))
+    return SearchResult(modes, reach, edge and expit(modes[0].log_odds) > _NOTHING)
 
 
 def _beam_search(
@@ -181,11 +186,6 @@ def _first_level(reach: FloatArray, turn: float) -> int:
     while level < _HIGHEST_LEVEL and headings * np.prod(2.0 * reach[:2] / (2**level * CELL_M) + 1.0) > _MOST_BLOCKS:
         level += 1
     return level
-
-
-def _edge(grid: FloatArray) -> FloatArray:
-    """How near to a side of the box the best motion is at it: two cells and two turns."""
-    return np.array((4.0, 4.0, 2.0)) * grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +250,7 @@ def _mode(place: list[_Peak], scores: FloatArray) -> Mode:
     inside = np.zeros(len(scores), dtype=bool)
     inside[np.concatenate([one.cells for one in place])] = True
     log_odds = _log_sum(masses) - _log_sum(np.append(scores[~inside], np.log(_NOTHING)))
-    return Mode(mean, np.asarray(covariance), float(expit(log_odds)), log_odds, place[0].evidence)
+    return Mode(mean, np.asarray(covariance), log_odds, place[0].evidence)
 
 
 def _widened(table: np.ndarray, reach: int) -> np.ndarray:

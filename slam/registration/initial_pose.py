@@ -9,7 +9,7 @@ Planes seen in three directions tell the pose off the floor too: at another heig
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
-from slam.geometry.frames import angle_of, inverse, lift, planar_transform
+from slam.frontend.odometry import planar_delta
+from slam.geometry.frames import are_apart, lift, planar_transform
 from slam.geometry.polygons import polygonal
 from slam.map.map_planes import MapPlane
 from slam.registration.plane_registration import places_anywhere
@@ -79,22 +80,36 @@ def _in_space(planes: Sequence[MapPlane], seen: Sequence[Plane]) -> FloatArray:
     ]
     # what carries a scanner is tipped, not upside down: a scanner that hangs has a mount that says so
     places = [one for one in places_anywhere(seen, known) if one[1].known_T_seen[2, 2] > 0.0]
-    if not places or places[0][0] < _ENOUGH:
-        share = places[0][0] if places else 0.0
+    shares, poses = np.array([share for share, _ in places]), [one.known_T_seen for _, one in places]
+    return _one_place(shares, poses, "planes", "X,Y,HEADING or X,Y,Z,YAW,PITCH,ROLL", _told_in_space)
+
+
+def _one_place(
+    shares: FloatArray, poses: Sequence[FloatArray], what: str, wanted: str, told: Callable[[FloatArray], str]
+) -> FloatArray:
+    """The pose (4, 4) that explains most of what is seen, if that is enough, and far more than any other place does.
+
+    Args:
+        shares: of what was seen that each pose explains, shape (N,).
+        poses: N of them.
+        what: was seen, in a word.
+        wanted: how a user may tell the start instead.
+        told: a pose as a user would tell it.
+    """
+    if shares.max(initial=0.0) < _ENOUGH:
         raise ValueError(
-            f"--start: expected a place in the map that explains {100 * _ENOUGH:.0f} % of the planes in the first "
-            f"keyframe, found {100 * share:.0f} %; give X,Y,HEADING or X,Y,Z,YAW,PITCH,ROLL"
+            f"--start: expected a place in the map that explains {100 * _ENOUGH:.0f} % of the {what} in the first "
+            f"keyframe, found {100 * shares.max(initial=0.0):.0f} %; give {wanted}"
         )
-    share, best = places[0]
-    for other_share, other in places[1:]:
-        apart = inverse(best.known_T_seen) @ other.known_T_seen
-        if other_share > _CLEAR * share and (np.linalg.norm(apart[:3, 3]) > _SAME_M or angle_of(apart) > _SAME_RAD):
-            raise ValueError(
-                f"--start: expected one place in the map that explains the first keyframe, found "
-                f"{_told_in_space(best.known_T_seen)} and {_told_in_space(other.known_T_seen)}; "
-                "give X,Y,HEADING or X,Y,Z,YAW,PITCH,ROLL"
+    best, *others = np.argsort(-shares, kind="stable").tolist()
+    for other in others:
+        if shares[other] > _CLEAR * shares[best] and are_apart(poses[best], poses[other], _SAME_M, _SAME_RAD):
+            raise _SeveralPlacesError(
+                "--start: expected one place in the map that explains the first keyframe, found "
+                f"{told(poses[best])} and {told(poses[other])}; give {wanted}",
+                poses[best],
             )
-    return best.known_T_seen
+    return poses[best]
 
 
 def _spans_all(normals: Sequence[FloatArray]) -> bool:
@@ -124,23 +139,7 @@ def _on_the_floor(planes: Sequence[MapPlane], keyframe: Keyframe) -> FloatArray:
     if not len(poses):
         raise ValueError("--start: expected two walls of the map in the first keyframe, found none; give X,Y,HEADING")
     shares = np.array([_explained(known, seen, pose) for pose in poses])
-    best = int(np.argmax(shares))
-    turns = np.angle(np.exp(1j * (poses[:, 2] - poses[best, 2])))
-    elsewhere = (np.linalg.norm(poses[:, :2] - poses[best, :2], axis=1) > _SAME_M) | (np.abs(turns) > _SAME_RAD)
-    second = float(shares[elsewhere].max(initial=0.0))
-    if shares[best] < _ENOUGH:
-        raise ValueError(
-            f"--start: expected a place in the map that explains {100 * _ENOUGH:.0f} % of the walls in the first "
-            f"keyframe, found {100 * shares[best]:.0f} %; give X,Y,HEADING"
-        )
-    if second > _CLEAR * shares[best]:
-        other = poses[elsewhere][int(np.argmax(shares[elsewhere]))]
-        raise _SeveralPlacesError(
-            f"--start: expected one place in the map that explains the first keyframe, found {_told(poses[best])} and "
-            f"{_told(other)}; give X,Y,HEADING",
-            planar_transform(*poses[best].tolist()),
-        )
-    return planar_transform(*poses[best].tolist())
+    return _one_place(shares, [planar_transform(*pose) for pose in poses.tolist()], "walls", "X,Y,HEADING", _told)
 
 
 def _ends_of(one: MapPlane) -> tuple[FloatArray, FloatArray]:
@@ -198,4 +197,5 @@ def _told_in_space(pose: FloatArray) -> str:
 
 
 def _told(pose: FloatArray) -> str:
-    return f"{pose[0]:.1f},{pose[1]:.1f},{np.rad2deg(pose[2]):.0f}"
+    x, y, heading = planar_delta(pose)
+    return f"{x:.1f},{y:.1f},{np.rad2deg(heading):.0f}"

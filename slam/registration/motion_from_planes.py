@@ -22,42 +22,30 @@ _NARROWEST_M = 0.1
 _SECOND = 0.3
 
 
-def fit_pairs_on(
-    motion: FloatArray,
-    seen: PlaneArrays,
-    known: PlaneArrays,
-    pairs: np.ndarray,
-    sigmas: tuple[float, float],
-    loose: float = 1.0,
-) -> tuple[FloatArray, FloatArray] | None:
-    """Least squares over pairs of planes, with what is expected where they are silent.
-
-    What a pair is off is the distance of the seen plane's centre from the known plane, and two tilts about axes of the
-    seen plane. Pairs far off hardly count: one wrong partner must not shift the place.
-
-    Args:
-        motion: known_T_seen to start from, shape (4, 4).
-        seen, known: planes, either in their own frame.
-        pairs: (seen, known), their indices, shape (K, 2).
-        sigmas: standard deviations of the motion about none at all, m and rad, the same in all directions.
-        loose: planes may be so many times further off than they usually are, for a start that is rough.
-
-    Returns:
-        The motion, and its covariance in the tangent on the right, GTSAM order (6, 6); None where fewer than three
-        pairs, or all of one direction, leave it open.
-    """
-    return fit_all_on([motion], seen, known, [pairs], sigmas, loose)[0]
-
-
-def fit_all_on(
+def fit_pairs(
     motions: Sequence[FloatArray],
     seen: PlaneArrays,
     known: PlaneArrays,
     pairs: Sequence[np.ndarray],
     sigmas: tuple[float, float],
-    loose: float,
+    loose: float = 1.0,
 ) -> list[tuple[FloatArray, FloatArray] | None]:
-    """The same of many motions, each with pairs of its own, in one go."""
+    """Least squares over pairs of planes, with what is expected where they are silent, of many motions in one go.
+
+    What a pair is off is the distance of the seen plane's centre from the known plane, and two tilts about axes of the
+    seen plane. Pairs far off hardly count: one wrong partner must not shift the place.
+
+    Args:
+        motions: known_T_seen to start from, shape (4, 4) each.
+        seen, known: planes, either in their own frame.
+        pairs: of each motion (seen, known), their indices, shape (K, 2).
+        sigmas: standard deviations of a motion about none at all, m and rad, the same in all directions.
+        loose: planes may be so many times further off than they usually are, for a start that is rough.
+
+    Returns:
+        Each motion, and its covariance in the tangent on the right, GTSAM order (6, 6); None where fewer than three
+        pairs, or all of one direction, leave it open.
+    """
     told = [k for k, some in enumerate(pairs) if _fix_a_motion(known.normals[some[:, 1]])]
     if not told:
         return [None] * len(motions)

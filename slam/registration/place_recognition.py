@@ -67,26 +67,35 @@ class Wall:
 class ConstellationMatch:
     """Walls of two views that are the same under one rigid motion."""
 
-    verdict: Literal["closure", "ambiguous", "unobservable"]
-    """closure: one place, fixed in all directions; ambiguous: another pose explains the walls about as well;
-    unobservable: the matched walls are parallel, but for so few that these may agree by chance."""
+    pose: FloatArray
+    """(x, y, theta) of b_T_a, the motion that takes a's coordinates to b's, shape (3,)."""
+    covariance: FloatArray
+    """Its covariance, additive, shape (3, 3)."""
     pairs: np.ndarray
     """Matched walls as (index in a, index in b), shape (K, 2)."""
-    b_T_a: FloatArray
-    """Motion that takes a's coordinates to b's, shape (4, 4)."""
-    covariance: FloatArray
-    """Covariance of its (x, y, theta), additive, shape (3, 3)."""
     chi2: float
     """Sum of the squared normalised errors of (alpha, rho) of all pairs at the best motion."""
     n_dof: int
     """Degrees of freedom of `chi2`."""
     evidence: float
     """Log of how much better the walls that did not define the motion agree than by chance."""
-    rival_evidence: float
-    """The same for the best motion that differs; -inf without one."""
-
+    verdict: Literal["closure", "ambiguous", "unobservable"] = "closure"
+    """closure: one place, fixed in all directions; ambiguous: another pose explains the walls about as well;
+    unobservable: the matched walls are parallel, but for so few that these may agree by chance."""
+    rival_evidence: float = -np.inf
+    """The evidence of the best motion that differs; -inf without one."""
     by_walls: FloatArray | None = None
     """Covariance of the motion by the matched walls alone, where more was known of it; shape (3, 3)."""
+
+    @property
+    def b_T_a(self) -> FloatArray:
+        """The motion, shape (4, 4)."""
+        return planar_transform(*self.pose)
+
+    def of_walls(self, order_a: np.ndarray, order_b: np.ndarray) -> ConstellationMatch:
+        """The same with the caller's indices in place of those of rows."""
+        pairs = sorted((int(order_a[i]), int(order_b[j])) for i, j in self.pairs)
+        return replace(self, pairs=np.array(pairs))
 
 
 def match_constellations(
@@ -122,7 +131,7 @@ def match_constellations(
         return None
     search = _Search(walls_a, walls_b, significance, _FEWEST)
     best = search.best_motion() or search.best_parallel_motion()
-    return None if best is None else _as_match(best, order_a, order_b)
+    return None if best is None else best.of_walls(order_a, order_b)
 
 
 def match_near(
@@ -152,7 +161,7 @@ def match_near(
     motion = search.motion_near(pose, covariance)
     if motion is None:
         return None
-    return replace(_as_match(motion, order_a, order_b), by_walls=search.covariance_of(motion))
+    return replace(motion.of_walls(order_a, order_b), by_walls=search.covariance_of(motion))
 
 
 def _as_rows(walls: Sequence[ScanLine | Wall]) -> tuple[np.ndarray, FloatArray]:
@@ -166,31 +175,8 @@ def _as_rows(walls: Sequence[ScanLine | Wall]) -> tuple[np.ndarray, FloatArray]:
     return order, rows[order]
 
 
-def _as_match(motion: _MatchedMotion, order_a: np.ndarray, order_b: np.ndarray) -> ConstellationMatch:
-    """The match with the caller's indices."""
-    pairs = np.array(sorted((int(order_a[i]), int(order_b[j])) for i, j in motion.pairs))
-    return ConstellationMatch(
-        motion.verdict, pairs, planar_transform(*motion.pose), motion.covariance, motion.chi2, motion.n_dof,
-        motion.evidence, motion.rival,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class _MatchedMotion:
-    """A motion, worked out: indices are rows."""
-
-    pose: FloatArray
-    covariance: FloatArray
-    pairs: list[tuple[int, int]]
-    chi2: float
-    n_dof: int
-    evidence: float
-    verdict: Literal["closure", "ambiguous", "unobservable"] = "closure"
-    rival: float = -np.inf
-
-
 class _Search:
-    """The search between two sets of rows; see `match_constellations`."""
+    """The search between two sets of rows, which it goes by; see `match_constellations`."""
 
     def __init__(self, a: FloatArray, b: FloatArray, significance: float, fewest: int) -> None:
         self.a, self.b = a, b
@@ -200,7 +186,7 @@ class _Search:
         self.no_prior = np.diag(_UNKNOWN**-2.0)
         self.in_line_a, self.in_line_b = _in_line(a, self.gate), _in_line(b, self.gate)
 
-    def best_motion(self) -> _MatchedMotion | None:
+    def best_motion(self) -> ConstellationMatch | None:
         """The motion with the most evidence of those that two walls in different directions fix."""
         pairs = self._correspondences()
         angle_gate = float(chdtri(1, self.significance))
@@ -212,7 +198,7 @@ class _Search:
         motions = [self._work_out([tuple(pairs[k]) for k in members[h]], poses[h], self.no_prior) for h in best]
         return self._decide([motion for motion in motions if motion is not None], len(scores))
 
-    def best_parallel_motion(self) -> _MatchedMotion | None:
+    def best_parallel_motion(self) -> ConstellationMatch | None:
         """The motion of walls of one direction, such as a corridor's, that leaves open how far along them.
 
         What is known of that is that the two walls it starts from overlap.
@@ -230,13 +216,13 @@ class _Search:
         found = self._decide([motion for motion in motions if motion is not None], len(motions))
         return None if found is None else replace(found, verdict="unobservable")
 
-    def motion_near(self, pose: FloatArray, covariance: FloatArray) -> _MatchedMotion | None:
+    def motion_near(self, pose: FloatArray, covariance: FloatArray) -> ConstellationMatch | None:
         """The motion about one that is known with a covariance, and the walls that are the same under it."""
         return self._work_out([], pose, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
 
-    def covariance_of(self, motion: _MatchedMotion) -> FloatArray:
+    def covariance_of(self, motion: ConstellationMatch) -> FloatArray:
         """Covariance of a motion by its walls alone, large where they leave it open."""
-        rows_a, rows_b = np.array(motion.pairs, dtype=np.int64).T
+        rows_a, rows_b = motion.pairs.T
         return fit_pose(motion.pose, self.a[rows_a], self.b[rows_b], self.no_prior)[1]
 
     def _correspondences(self) -> np.ndarray:
@@ -246,7 +232,7 @@ class _Search:
 
     def _work_out(
         self, seeds: list, pose: FloatArray, prior: FloatArray, allowed: np.ndarray | None = None
-    ) -> _MatchedMotion | None:
+    ) -> ConstellationMatch | None:
         """Take the pair with the most evidence, estimate the motion anew, until none is left; `allowed` rows of a."""
         pairs, evidence, n_distinct = [(int(i), int(j)) for i, j in seeds], 0.0, len(seeds)
         start = pose
@@ -266,9 +252,9 @@ class _Search:
         n_dof = 2 * len(pairs) - (len(seeds) and (3 if allowed is None else 2))
         if n_distinct < self.fewest or chi2 > chdtri(n_dof, self.significance):
             return None
-        return _MatchedMotion(pose, covariance, pairs, float(chi2), n_dof, evidence)
+        return ConstellationMatch(pose, covariance, np.array(pairs), float(chi2), n_dof, evidence)
 
-    def _decide(self, motions: list[_MatchedMotion], n_tried: int) -> _MatchedMotion | None:
+    def _decide(self, motions: list[ConstellationMatch], n_tried: int) -> ConstellationMatch | None:
         """The motion with the most evidence, if it is more than chance gives, and whether another one rivals it."""
         threshold = -np.log(self.significance)
         if not motions:
@@ -278,10 +264,11 @@ class _Search:
             return None
         rival = max((m.evidence for m in motions if _differ(best, m, self.gate)), default=-np.inf)
         if self._evidence_across(best) < threshold:
-            return replace(best, verdict="unobservable", rival=rival)
-        return replace(best, verdict="ambiguous" if best.evidence - rival < threshold else "closure", rival=rival)
+            return replace(best, verdict="unobservable", rival_evidence=rival)
+        is_rivalled = best.evidence - rival < threshold
+        return replace(best, verdict="ambiguous" if is_rivalled else "closure", rival_evidence=rival)
 
-    def _evidence_across(self, motion: _MatchedMotion) -> float:
+    def _evidence_across(self, motion: ConstellationMatch) -> float:
         """Evidence for the position in its weakest direction: of the walls across it, but for one that defines it."""
         weakest = np.linalg.eigh(motion.covariance[:2, :2])[1][:, 1]
         across = [
@@ -305,7 +292,7 @@ class _Search:
         return any(self.in_line_a[i, k] and self.in_line_b[j, m] for k, m in pairs)
 
 
-def _differ(motion: _MatchedMotion, other: _MatchedMotion, gate: float) -> bool:
+def _differ(motion: ConstellationMatch, other: ConstellationMatch, gate: float) -> bool:
     """True when two motions are not the same within their covariances."""
     error = difference(other.pose, motion.pose)
     return float(error @ np.linalg.solve(motion.covariance + other.covariance, error)) > gate

@@ -13,7 +13,7 @@ from slam.geometry.frames import angle_of, inverse
 from slam.geometry.polygons import flatten, valid
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration._plane_kernels import best_shifts, directions_found, partners, unlike
-from slam.registration.motion_from_planes import fit_all_on
+from slam.registration.motion_from_planes import fit_pairs
 from slam.registration.visibility import LinesOfSight
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -128,9 +128,7 @@ def pairs_under(
 ) -> tuple[tuple[int, int], ...]:
     """(seen, known) of the planes, of the largest of both, that are one under a motion (4, 4)."""
     mine, theirs = PlaneArrays.of(seen), PlaneArrays.of(known)
-    if not len(mine.normals) or not len(theirs.normals):
-        return ()
-    return tuple((mine.order[i], theirs.order[j]) for i, j in _partners(known_T_seen, mine, theirs))
+    return tuple((mine.order[i], theirs.order[j]) for i, j in _partners(known_T_seen, mine, theirs).tolist())
 
 
 def _worked_out(
@@ -142,8 +140,8 @@ def _worked_out(
     """
     fits: list[tuple[FloatArray, FloatArray]] = []
     for loose in _LOOSE:
-        pairs = [np.array(_partners(motion, mine, theirs), dtype=np.int64).reshape(-1, 2) for motion in motions]
-        fits = [fit for fit in fit_all_on(motions, mine, theirs, pairs, sigmas, loose) if fit is not None]
+        pairs = [_partners(motion, mine, theirs) for motion in motions]
+        fits = [fit for fit in fit_pairs(motions, mine, theirs, pairs, sigmas, loose) if fit is not None]
         motions = [motion for motion, _ in fits]
     found: list[PlaneMatching] = []
     for motion, covariance in fits:
@@ -268,15 +266,10 @@ def _translations(
     return results
 
 
-def _partners(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays) -> list[tuple[int, int]]:
-    """For every plane seen, the known plane nearest in offset that it is under a motion, where their outlines meet."""
-    motion, least = np.ascontiguousarray(motion), float(np.cos(_ANGLE))
-    found = partners(motion, _shapes(mine), _shapes(theirs), least, _DISTANCE, _GAP)
-    return [(i, j) for i, j in found.tolist()]
-
-
-def _shapes(planes: PlaneArrays) -> tuple[FloatArray, ...]:
-    return planes.frames, planes.bare, *planes.rings
+def _partners(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays) -> np.ndarray:
+    """(seen, known) of every plane seen with the known one nearest in offset that it is, outlines meeting, (K, 2)."""
+    shapes = ((planes.frames, planes.bare, *planes.rings) for planes in (mine, theirs))
+    return partners(np.ascontiguousarray(motion), *shapes, float(np.cos(_ANGLE)), _DISTANCE, _GAP)
 
 
 def _agreement(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, needed: float = -np.inf) -> float:

@@ -24,7 +24,7 @@ from slam.map.landmarks import Landmark, LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.motion_prior import MotionPrior
 from slam.registration.plane_registration import PlaneMatching, pairs_under, register_planes_globally
-from slam.registration.surface_registration import Alignment, Expected, LocalMap, align
+from slam.registration.surface_registration import WEAK_PRIOR, Alignment, Expected, LocalMap, align
 from slam.registration.visibility import Scan
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -37,9 +37,6 @@ _RECENT = 6
 _SLACK, _LEAST_M, _LEAST_RAD = 1.5, 0.02, 0.004
 #: Probability that two that are one place are taken for two.
 _SIGNIFICANCE = 1e-3
-#: Information about a motion that stands for none, GTSAM order: standard deviations of so many m and rad.
-WEAK_M, WEAK_RAD = 10.0, 3.0
-WEAK_PRIOR = np.diag(np.repeat([WEAK_RAD, WEAK_M], 3) ** -2.0)
 
 
 def is_poorly_known(motion: Motion) -> bool:
@@ -118,18 +115,20 @@ def found_place(
     """
     index, world_T_a = len(keyframes), backend.pose(pose_symbol(len(keyframes) - 1))
     expected_T_world = inverse(world_T_a @ motion.a_T_b)
-    numbers = [k for k, observation in enumerate(keyframe.observations) if isinstance(observation, PlaneObservation)]
     seen, known = planes_about(keyframe, landmarks, expected_T_world, index)
     by_planes = register_planes_globally(seen, known, sigmas_of(motion if prior is None else prior.learnt()))
-    by_returns = _by_returns(keyframe, motion, by_planes, local_map(keyframes, backend, expected_T_world), prior)
-    if by_returns is None:
-        if by_planes is None:
-            return None
-        expected = _learnt(motion, prior, by_planes.known_T_seen, by_planes.covariance)
-        there = _stated(motion, by_planes.known_T_seen, by_planes.covariance)
-        return FoundPlace(there, frozenset(numbers[i] for i, _ in by_planes.pairs), expected)
-    covariance = np.linalg.inv(by_returns.information + WEAK_PRIOR).astype(np.float64)
-    return place_of(keyframe, _learnt(motion, prior, by_returns.known_T_seen, covariance), by_returns, seen, known)
+    scan, around = scan_of(keyframe), local_map(keyframes, backend, expected_T_world)
+    if scan is not None and around is not None:
+        expected = Expected(np.eye(4), information_of(motion), prior)
+        found = register_from_hypotheses(scan, around, by_planes, expected, inverse(motion.a_T_b))
+        if found.score > 0.0:
+            covariance = np.linalg.inv(found.information + WEAK_PRIOR).astype(np.float64)
+            return place_of(keyframe, _learnt(motion, prior, found.known_T_seen, covariance), found, seen, known)
+    if by_planes is None:
+        return None
+    known_T_seen, covariance = by_planes.known_T_seen, by_planes.covariance
+    learnt = _learnt(motion, prior, known_T_seen, covariance)
+    return FoundPlace(_stated(motion, known_T_seen, covariance), _numbers(keyframe, by_planes.pairs), learnt)
 
 
 def place_of(keyframe: Keyframe, motion: Motion, found: Alignment, seen: PlaneArrays, known: PlaneArrays) -> FoundPlace:
@@ -141,13 +140,18 @@ def place_of(keyframe: Keyframe, motion: Motion, found: Alignment, seen: PlaneAr
         found: where its scan was laid.
         seen, known: the planes it sees, and those seen of late, as `planes_about` gives them.
     """
-    numbers = [k for k, observation in enumerate(keyframe.observations) if isinstance(observation, PlaneObservation)]
     information = found.information + information_of(motion)
     there = _stated(motion, found.known_T_seen, np.linalg.inv(information).astype(np.float64))
-    seen_again = frozenset(numbers[i] for i, _ in pairs_under(found.known_T_seen, seen, known))
+    seen_again = _numbers(keyframe, pairs_under(found.known_T_seen, seen, known))
     assert keyframe.surfaces is not None  # it was laid
     again = _on(keyframe.surfaces, [keyframe.observations[k] for k in sorted(seen_again)])
     return FoundPlace(there, seen_again, motion, _beyond(motion, found, ~again), _rivals(found, there.covariance))
+
+
+def _numbers(keyframe: Keyframe, pairs: Sequence[tuple[int, int]]) -> frozenset[int]:
+    """The observations of a keyframe that are in pairs (seen, known) of planes, by their indices."""
+    planes = [k for k, observation in enumerate(keyframe.observations) if isinstance(observation, PlaneObservation)]
+    return frozenset(planes[i] for i, _ in pairs)
 
 
 def planes_about(
@@ -180,22 +184,6 @@ def scan_of(keyframe: Keyframe) -> Scan | None:
     if keyframe.surfaces is None or not len(keyframe.surfaces):
         return None
     return Scan(keyframe.surfaces, np.zeros(3) if keyframe.viewpoint is None else keyframe.viewpoint)
-
-
-def _by_returns(
-    keyframe: Keyframe,
-    motion: Motion,
-    by_planes: PlaneMatching | None,
-    known: LocalMap | None,
-    prior: MotionPrior | None,
-) -> Alignment | None:
-    """The scan laid on what was seen before, from the candidate that all its returns speak for most; None: none."""
-    scan = scan_of(keyframe)
-    if known is None or scan is None:
-        return None
-    expected = Expected(np.eye(4), information_of(motion), prior)
-    found = register_from_hypotheses(scan, known, by_planes, expected, inverse(motion.a_T_b))
-    return found if found.score > 0.0 else None
 
 
 def _learnt(motion: Motion, prior: MotionPrior | None, known_T_seen: FloatArray, covariance: FloatArray) -> Motion:

@@ -11,7 +11,7 @@ from slam.backend.estimator import Backend, pose_symbol
 from slam.backend.joint_covariance import motion_covariance
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.occupancy import Raster, view_from
+from slam.frontend.occupancy.raster import Raster, view_from
 from slam.frontend.odometry import difference, planar_delta
 from slam.frontend.pose_measurements import PlaceMatch
 from slam.geometry.frames import inverse, planar_transform

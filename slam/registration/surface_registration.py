@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import gtsam
@@ -26,7 +25,7 @@ from slam.geometry.frames import inverse, lift
 from slam.registration._correspondence_kernels import may_have_changed, point_to_plane
 from slam.registration.motion_prior import MotionPrior
 from slam.registration.plane_registration import negative_log_prior
-from slam.registration.visibility import ALIKE, Scan, Sight, tree_of
+from slam.registration.visibility import ALIKE, Scan, tree_of
 from spplanes._check import FloatArray
 
 #: How far, in widths, partners are looked for in one stage after another; and the iterations of each.
@@ -39,8 +38,10 @@ _LEAST_SCALE_M = 0.003
 _CONVERGED = 1e-4
 #: Candidates are told apart by about so many elements; places are one when no entry differs by more.
 _SOME, _SAME = 700, 5e-3
-#: Standard deviations of a motion that nothing says anything of, rad and m.
-_NOTHING_RAD, _NOTHING_M = 3.0, 10.0
+#: Standard deviations of a motion that nothing says anything of, m and rad.
+WEAK_M, WEAK_RAD = 10.0, 3.0
+#: The same as information, GTSAM order.
+WEAK_PRIOR = np.diag(np.repeat([WEAK_RAD, WEAK_M], 3) ** -2.0)
 #: A place that fits a scan better by a score of one is likelier by so much, as a logarithm, by logistic regression of
 #: the true place and the best other at which each of 577 scans came to rest (26 drives with lidars and depth cameras).
 #: Where elements on a plane count by its area, not the root of it, the loss is 1.4 times as much; of a real camera,
@@ -98,39 +99,29 @@ class LocalMap:
         """Of those on surfaces and of those on edges; None: there are none."""
         self._parts = parts
 
-    def contradicted(self, known_T_seen: FloatArray, apart: FloatArray, weight: float, sight: Sight) -> float:
+    def contradicted(self, known_T_seen: FloatArray, apart: FloatArray, weight: float, scan: Scan) -> float:
         """How many things are seen through, as a share: what stands before what the newest keyframe saw, or it before.
 
         Args:
             known_T_seen: the motion, shape (4, 4).
             apart: elements of the scan that have no partner, places (M, 3), m.
             weight: how much the scan saw, in things.
-            sight: all of its elements.
+            scan: all of it.
         """
         pose, newest = self._parts[-1]
         newest_T_seen = inverse(pose) @ known_T_seen
-        back = apart[self._sights[-1].through(lift(apart, newest_T_seen))]
+        back = apart[newest.through(lift(apart, newest_T_seen))]
         from_there = lift(newest.elements[:, :3], inverse(newest_T_seen))
-        there = from_there[sight.apart(from_there) > _REACHES[-1] * newest.elements[:, WIDTH]]
-        ahead = there[sight.through(there)]
-        return max(_number_of_things(back) / weight, _number_of_things(ahead) / self._weight_of_newest)
+        there = from_there[scan.apart(from_there) > _REACHES[-1] * newest.elements[:, WIDTH]]
+        ahead = there[scan.through(there)]
+        return max(_number_of_things(back) / weight, _number_of_things(ahead) / float(newest.weights.sum()))
 
     def between(self, known_T_seen: FloatArray, elements: FloatArray) -> FloatArray:
         """How far elements (N, 9) without a partner are from what some keyframe saw about them, (N,), m."""
         apart = np.full(len(elements), np.inf)
-        for (pose, _), sight in zip(self._parts, self._sights, strict=True):
-            apart = np.minimum(apart, sight.off_surfaces(moved(elements, inverse(pose) @ known_T_seen)))
+        for pose, scan in self._parts:
+            apart = np.minimum(apart, scan.off_surfaces(moved(elements, inverse(pose) @ known_T_seen)))
         return apart
-
-    @cached_property
-    def _weight_of_newest(self) -> float:
-        """How much the newest keyframe saw, in things."""
-        return float(self._parts[-1][1].weights.sum())
-
-    @cached_property
-    def _sights(self) -> list[Sight]:
-        """What each keyframe saw."""
-        return [scan.sight for _, scan in self._parts]
 
 
 class Correspondences:
@@ -217,7 +208,7 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expecte
     """
     few, weights = slice(None, None, int(np.ceil(len(scan.elements) / _SOME))), scan.weights
     some = Correspondences(scan.elements[few], known)
-    seen = _Seen(some, weights[few] / weights[few].sum(), float(weights.sum()), scan.sight)
+    shares = weights[few] / weights[few].sum()
     starts = [
         candidate
         for k, candidate in enumerate(candidates)
@@ -225,7 +216,7 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expecte
     ]
     rests = _rests(some, starts, expected)
     distinct = {id(end): end for ends in rests for end in ends}
-    judged = {name: _judged(seen, end, expected) for name, end in distinct.items()}
+    judged = {name: _judged(scan, some, shares, end, expected) for name, end in distinct.items()}
     rough = [max((judged[id(end)] for end in ends), key=lambda one: one[0].log_likelihood) for ends in rests]
     rough.sort(key=lambda one: -one[0].log_likelihood)  # stable: of equals the first
     (best, score, share), *_ = rough
@@ -235,7 +226,8 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expecte
         for reach in _REACHES[-2:]:
             motion = _Stage(every, expected, reach).descend(motion)
     found = Residuals.of(every, motion, _REACHES[-1] * every.widths)
-    return Alignment(motion, found.information(), found, score, share, seen.weight, tuple(one for one, *_ in rough))
+    tried = tuple(one for one, *_ in rough)
+    return Alignment(motion, found.information(), found, score, share, float(weights.sum()), tried)
 
 
 def _rests(some: Correspondences, starts: Sequence[FloatArray], expected: Expected | None) -> list[list[FloatArray]]:
@@ -287,40 +279,30 @@ def _are_same(motion: FloatArray, other: FloatArray) -> bool:
     return bool(np.abs(motion - other).max() < _SAME)
 
 
-class _Seen(NamedTuple):
-    """What places are told apart by."""
-
-    some: Correspondences
-    """Of its elements."""
-    shares: FloatArray
-    """How much each says, of all of them, shape (N,)."""
-    weight: float
-    """How much the scan says, in things."""
-    sight: Sight
-    """All that it saw."""
-
-
-def _judged(seen: _Seen, motion: FloatArray, expected: Expected | None) -> tuple[Tried, float, float]:
-    """A place where some of a scan's elements came to rest, its score, and the share of them with a partner."""
-    score, share = _scored(seen, motion)
-    prior = 0.0 if expected is None else expected.log_likelihood(motion)
-    return Tried(motion, _TELLING * score + prior), score, share
-
-
-def _scored(seen: _Seen, motion: FloatArray) -> tuple[float, float]:
-    """Score and share of some elements of a scan at a motion; see `Alignment`.
+def _judged(
+    scan: Scan, some: Correspondences, shares: FloatArray, motion: FloatArray, expected: Expected | None
+) -> tuple[Tried, float, float]:
+    """A place where some of a scan's elements came to rest, its score, and the share of them with a partner.
 
     Beams move with the sensor: were only those elements counted that come to lie on another, the place where nothing
     moved would win, at which all do. On a surface that was seen on all sides of it, an element fits as well.
+
+    Args:
+        scan: all that was seen.
+        some: of its elements, N of them.
+        shares: how much each of these says, of all of them, shape (N,).
+        motion: known_T_seen, shape (4, 4).
+        expected: what is known before looking.
     """
-    some, known = seen.some.elements, seen.some.known
-    found = Residuals.of(seen.some, motion, _REACHES[-1] * seen.some.widths)
-    alone = np.ones(len(some), dtype=bool)
+    elements, known = some.elements, some.known
+    found = Residuals.of(some, motion, _REACHES[-1] * some.widths)
+    alone = np.ones(len(elements), dtype=bool)
     alone[found.index] = False
-    against = known.contradicted(motion, some[alone, :3], seen.weight, seen.sight)
-    fit = seen.shares[found.index] @ _close(found.off, some[found.index])
-    fit += seen.shares[alone] @ _close(known.between(motion, some[alone]), some[alone])
-    return float(fit - against), len(found.off) / len(some)
+    against = known.contradicted(motion, elements[alone, :3], float(scan.weights.sum()), scan)
+    fit = shares[found.index] @ _close(found.off, elements[found.index])
+    fit += shares[alone] @ _close(known.between(motion, elements[alone]), elements[alone])
+    score, prior = float(fit - against), 0.0 if expected is None else expected.log_likelihood(motion)
+    return Tried(motion, _TELLING * score + prior), score, len(found.off) / len(elements)
 
 
 @dataclass(frozen=True, eq=False)
@@ -364,7 +346,7 @@ class Residuals:
 
     def step(self, motion: FloatArray, expected: Expected | None) -> FloatArray:
         """Of Gauss and Newton, toward less of them and toward what is expected, tangent of the motion, (6,)."""
-        told, prior = self.jacobian.T @ (self.weights * self.off), _NOTHING
+        told, prior = self.jacobian.T @ (self.weights * self.off), WEAK_PRIOR
         if expected is not None:
             prior = expected.information
             told = told + prior @ gtsam.Pose3.Logmap(gtsam.Pose3(inverse(expected.known_T_seen) @ motion))
@@ -384,6 +366,3 @@ def _close(off: FloatArray, elements: FloatArray) -> FloatArray:
     """
     widths = np.minimum(elements[:, WIDTH], SHARE_ON_PLANE * np.linalg.norm(elements[:, :3], axis=1))
     return 1.0 / (1.0 + (off / (0.25 * widths + _LEAST_SCALE_M)) ** 2)
-
-
-_NOTHING = np.diag(np.repeat([_NOTHING_RAD, _NOTHING_M], 3) ** -2.0)

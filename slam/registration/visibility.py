@@ -92,7 +92,7 @@ def points_on(plane: Plane) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """A 3D scan as it is registered."""
+    """A 3D scan as it is registered: what it saw, how far other points are from that, and which stand before it."""
 
     elements: FloatArray
     """Its surface elements in the body frame, shape (N, 9); see `slam.frontend.scan_surfaces`."""
@@ -105,20 +105,17 @@ class Scan:
         return weights_of(self.elements)
 
     @cached_property
-    def sight(self) -> Sight:
-        """What it saw, to be asked for other points."""
-        return Sight(self)
+    def _rays(self) -> FloatArray:
+        return self.elements[:, :3] - self.viewpoint
 
+    @cached_property
+    def _depth(self) -> FloatArray:
+        return np.linalg.norm(self._rays, axis=1)
 
-class Sight:
-    """What a scan saw, from where it was seen: how far other points are from it, and which stand before it."""
-
-    def __init__(self, scan: Scan) -> None:
-        self._elements, self._viewpoint = scan.elements, scan.viewpoint
-        self._rays = scan.elements[:, :3] - scan.viewpoint
-        self._depth = np.linalg.norm(self._rays, axis=1)
-        widths = scan.elements[:, WIDTH] / np.maximum(self._depth, 1e-9)
-        self._direction_rad = max(_DIRECTION_RAD, NEIGHBOURS_APART * float(np.median(widths)) if len(widths) else 0.0)
+    @cached_property
+    def _direction_rad(self) -> float:
+        widths = self.elements[:, WIDTH] / np.maximum(self._depth, 1e-9)
+        return max(_DIRECTION_RAD, NEIGHBOURS_APART * float(np.median(widths)) if len(widths) else 0.0)
 
     @cached_property
     def _directions(self) -> KDTree:
@@ -126,7 +123,7 @@ class Sight:
 
     @cached_property
     def _places(self) -> KDTree:
-        return tree_of(self._elements[:, :3])
+        return tree_of(self.elements[:, :3])
 
     def apart(self, points: FloatArray) -> FloatArray:
         """Distances of points (N, 3) from the nearest that was seen, (N,), m."""
@@ -145,12 +142,12 @@ class Sight:
         """
         through = np.zeros(len(points), dtype=bool)
         common, about = self._about(points)
-        rays = points[common] - self._viewpoint
+        rays = points[common] - self.viewpoint
         between = _between(rays, self._rays[about])
         common, about, rays = common[between], about[between], rays[between]
         ranges = np.linalg.norm(rays, axis=1)
         nearer = ranges[:, None] < (1.0 - nearer_share) * self._depth[about] - nearer_m
-        behind = self._elements[about]
+        behind = self.elements[about]
         off = np.einsum("kai,kai->ka", points[common, None] - behind[..., :3], behind[..., 3:6])
         through[common] = (nearer & ((off > nearer_m) | (behind[..., 7] == ON_EDGE))).all(axis=1)
         return through
@@ -163,7 +160,7 @@ class Sight:
         """
         apart = np.full(len(elements), np.inf)
         common, index = self._about(elements[:, :3])
-        mine, about = elements[common], self._elements[index]
+        mine, about = elements[common], self.elements[index]
         off = np.abs(np.einsum("kai,kai->ka", mine[:, None, :3] - about[..., :3], about[..., 3:6]))
         alike = np.einsum("ki,kai->ka", mine[:, 3:6], about[..., 3:6]) > ALIKE
         on_surfaces = (about[..., 7] != ON_EDGE) & (mine[:, None, 7] != ON_EDGE)
@@ -172,9 +169,9 @@ class Sight:
 
     def _about(self, points: FloatArray) -> tuple[np.ndarray, np.ndarray]:
         """Which of points (N, 3) something was seen about the direction of, (K,), and what it was, (K, _ABOUT)."""
-        if len(points) == 0 or len(self._elements) < _ABOUT:
+        if len(points) == 0 or len(self.elements) < _ABOUT:
             return np.empty(0, dtype=np.int64), np.empty((0, _ABOUT), dtype=np.int64)
-        rays = points - self._viewpoint
+        rays = points - self.viewpoint
         directions = rays / np.maximum(np.linalg.norm(rays, axis=1), 1e-9)[:, None]
         apart, index = self._directions.query(directions, k=_ABOUT, distance_upper_bound=self._direction_rad)
         common = np.flatnonzero(np.isfinite(apart).all(axis=1))

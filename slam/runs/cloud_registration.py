@@ -26,8 +26,8 @@ from slam.io.load import load_cloud
 from slam.planeslam import PlaneSlam
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.plane_registration import pairs_under, places_anywhere, register_planes_globally
-from slam.registration.relocalization import WEAK_PRIOR, scan_of
-from slam.registration.surface_registration import Alignment, Expected, LocalMap, Tried, align
+from slam.registration.relocalization import scan_of
+from slam.registration.surface_registration import WEAK_PRIOR, Alignment, Expected, LocalMap, Tried, align
 from spplanes._check import FloatArray, as_transform
 from spplanes.spmodel import transform_from_rpy
 

@@ -22,13 +22,10 @@ from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
 from slam.map.landmarks import LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
-from slam.registration.motion_from_planes import fit_pairs_on
+from slam.registration.motion_from_planes import fit_pairs
 from slam.registration.motion_prior import MotionPrior
 from slam.registration.plane_registration import pairs_under, register_planes_globally
 from slam.registration.relocalization import (
-    WEAK_M,
-    WEAK_PRIOR,
-    WEAK_RAD,
     are_one,
     displacement,
     information_of,
@@ -40,8 +37,16 @@ from slam.registration.relocalization import (
     sigmas_of,
     stated,
 )
-from slam.registration.surface_registration import Alignment, Expected, align, most_information
-from slam.tracking.odometry_scale import SLIPS, free_axes, spatial
+from slam.registration.surface_registration import (
+    WEAK_M,
+    WEAK_PRIOR,
+    WEAK_RAD,
+    Alignment,
+    Expected,
+    align,
+    most_information,
+)
+from slam.tracking.odometry_scale import SLIPS, free_axes
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -79,7 +84,7 @@ class Check(NamedTuple):
         """
         if self.place is None or not len(errors):
             return np.zeros(len(errors), dtype=bool)
-        chi2 = np.einsum("ki,ki->k", errors, np.linalg.solve(self.place + spatial(motion), errors.T).T)
+        chi2 = np.einsum("ki,ki->k", errors, np.linalg.solve(self.place + motion.spatial, errors.T).T)
         return chi2 > chdtri(6, significance)
 
 
@@ -131,23 +136,26 @@ def check(
         return Check(False), None
 
     def is_off(found: Alignment) -> bool:
-        return not _agree(motion, found.known_T_seen, _by_returns(found.information), significance)
+        return not _agree(motion, found.known_T_seen, _by_returns(found.information)[0], significance)
 
     def held() -> Alignment:
         return align(scan, known, [np.eye(4)], Expected(np.eye(4), information_of(motion)))
 
     found, laid = align(scan, known, [np.eye(4)]), None
-    rests = _rests(found) if found.score > 0.0 else (None, None, None)
+    rests = (None, None, None)
+    if found.score > 0.0:
+        believed, fitted = _by_returns(found.information)
+        rests = believed, displacement(np.eye(4), found.known_T_seen), fitted
     enough = _clearly(motion, prior, found, _AGAIN if doubted else SLIPS)
     if is_off(found):
         there = held()
         if is_off(there) or found.log_odds(there) > enough:
             return Check(True, *rests), None
-        found, rests = there, (_by_returns(there.information) if there.score > 0.0 else None, None, None)
+        found, rests = there, (_by_returns(there.information)[0] if there.score > 0.0 else None, None, None)
     elif rests[2] is not None and not _agree(motion, found.known_T_seen, rests[2], significance):
         laid = there if (there := held()).score > 0.0 else None
     b_T_a = inverse(motion.a_T_b)
-    steady = _agree(motion, b_T_a @ prior.motion.a_T_b, spatial(prior.learnt()), significance)
+    steady = _agree(motion, b_T_a @ prior.motion.a_T_b, prior.learnt().spatial, significance)
     if found.score >= 0.0 and not doubted and steady:
         return Check(False, *rests), laid
     seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
@@ -166,9 +174,9 @@ def _clearly(motion: Motion, prior: MotionPrior, found: Alignment, share: float)
     some fit what is seen by chance. Log odds of a slip are those of the scores, less what a slip is rarer, and less
     by how much wider it is spread.
     """
-    place, axes = _by_returns(found.information), free_axes(motion)
+    (place, _), axes = _by_returns(found.information), free_axes(motion)
     off = displacement(inverse(motion.a_T_b) @ prior.motion.a_T_b, found.known_T_seen)
-    held = -0.5 * np.log(np.diag(spatial(motion) + place))
+    held = -0.5 * np.log(np.diag(motion.spatial + place))
     return float(np.sum((held - prior.log_density(off, place))[axes]) - log(share))
 
 
@@ -194,18 +202,15 @@ def planes_confirm(
     pairs = np.array(pairs_under(motion.a_T_b, mine, theirs), dtype=np.int64).reshape(-1, 2)
     if not len(pairs) or not _most_paired(mine, pairs[:, 0]):
         return None
-    fit = fit_pairs_on(motion.a_T_b, mine, theirs, pairs, (WEAK_M, WEAK_RAD))
+    [fit] = fit_pairs([motion.a_T_b], mine, theirs, [pairs], (WEAK_M, WEAK_RAD))
     if fit is None:
         return None
     place, covariance = inverse(motion.a_T_b) @ fit[0], fit[1]
-    by_planes, at_best, apart = stated(covariance), _by_returns(most_information(elements)), spatial(motion)
+    by_planes, (at_best, _), apart = stated(covariance), _by_returns(most_information(elements)), motion.spatial
     widest = np.max(eigh(by_planes + apart, at_best + apart, eigvals_only=True))
-    confirmed = widest < _AS_GOOD**2 and _agree(motion, place, by_planes, significance)
-    return (
-        Check(False, by_planes, displacement(np.eye(4), place), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)])
-        if confirmed
-        else None
-    )
+    if widest >= _AS_GOOD**2 or not _agree(motion, place, by_planes, significance):
+        return None
+    return Check(False, by_planes, displacement(np.eye(4), place), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)])
 
 
 def _most_paired(seen: PlaneArrays, paired: np.ndarray) -> bool:
@@ -223,15 +228,10 @@ def _most_paired(seen: PlaneArrays, paired: np.ndarray) -> bool:
 
 def _agree(motion: Motion, place: FloatArray, covariance: FloatArray, significance: float) -> bool:
     """Whether a motion and a place as seen from where it leads (4, 4), SP covariance (6, 6), may be the same."""
-    return are_one(np.eye(4), place, covariance + spatial(motion), significance)
+    return are_one(np.eye(4), place, covariance + motion.spatial, significance)
 
 
-def _by_returns(information: FloatArray) -> FloatArray:
-    """Covariance (6, 6) in SP order of where returns of that information lay a scan."""
-    return stated(np.linalg.inv(information + WEAK_PRIOR).astype(np.float64))
-
-
-def _rests(found: Alignment) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where returns lay a scan: covariance as believed, how far off that is, and covariance as the fit has it."""
-    covariance = np.linalg.inv(found.information + WEAK_PRIOR).astype(np.float64)
-    return stated(covariance), displacement(np.eye(4), found.known_T_seen), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+def _by_returns(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Covariances (6, 6), SP order, of where returns of that information lay a scan: as believed, as the fit has it."""
+    covariance = np.linalg.inv(information + WEAK_PRIOR).astype(np.float64)
+    return stated(covariance), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]

@@ -9,11 +9,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from slam.frontend.odometry import Motion
+from slam.frontend.odometry import Motion, planar_covariance
 from slam.frontend.steadiness import LATE
 from slam.registration.relocalization import displacement
 from slam.tracking.odometry_check import Check
-from slam.tracking.odometry_scale import PLANAR
 from spplanes._check import FloatArray
 
 
@@ -128,8 +127,5 @@ class OdometryRecord:
 
 def _erring(motion: Motion, square: FloatArray) -> Motion:
     """A motion that errs by so much more, mean square in SP order along the axes of its end, shape (6, 6)."""
-    if not motion.is_planar:
-        return replace(motion, covariance=motion.covariance + square)
-    turn = np.eye(3)
-    turn[:2, :2] = motion.a_T_b[:2, :2]  # the covariance is along the axes of its start
-    return replace(motion, covariance=motion.covariance + turn @ square[np.ix_(PLANAR, PLANAR)] @ turn.T)
+    more = planar_covariance(square, motion.a_T_b) if motion.is_planar else square
+    return replace(motion, covariance=motion.covariance + more)

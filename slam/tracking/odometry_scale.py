@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import logsumexp
 
-from slam.frontend.odometry import Motion, spatial_covariance
+from slam.frontend.odometry import PLANAR_IN_SP, Motion
 from slam.frontend.steadiness import HALF_AT_ONE, LATE
 from spplanes._check import FloatArray
 
@@ -17,8 +17,6 @@ from spplanes._check import FloatArray
 _FACTORS = np.geomspace(1.0, 10.0, 25)
 #: Share of steps that tell nothing of the others, before any is seen: a slip, or a scan that came to rest elsewhere.
 SLIPS = 0.1
-#: Of (x, y, heading) in SP order.
-PLANAR = [0, 1, 3]
 
 
 class OdometryScale:
@@ -50,28 +48,21 @@ class OdometryScale:
         """
         axes = free_axes(motion)
         grid = np.ix_(axes, axes)
-        stated = np.array([spatial(scaled(motion, factor))[grid] for factor in _FACTORS])
+        stated = np.array([scaled(motion, factor).spatial[grid] for factor in _FACTORS])
         honest = _log_density(off[axes], stated + covariance[grid])
-        slipped = _log_density(off[axes], (spatial(guess) + covariance)[grid][None])
+        slipped = _log_density(off[axes], (guess.spatial + covariance)[grid][None])
         both = np.stack((np.log1p(-SLIPS) + honest, np.full_like(honest, np.log(SLIPS) + slipped[0])))
         self._steps.append(np.logaddexp(*both))
 
 
 def free_axes(motion: Motion) -> list[int]:
     """Those along which a motion says anything, SP order: (x, y, heading) of one on a floor."""
-    return PLANAR if motion.is_planar else list(range(6))
+    return list(PLANAR_IN_SP) if motion.is_planar else list(range(6))
 
 
 def scaled(motion: Motion, factor: float) -> Motion:
     """A motion of so many times the sigma."""
     return motion if factor == 1.0 else replace(motion, covariance=factor**2 * motion.covariance)
-
-
-def spatial(motion: Motion) -> FloatArray:
-    """Covariance of a motion in SP order along the axes of its end, shape (6, 6)."""
-    if not motion.is_planar:
-        return motion.covariance
-    return spatial_covariance(motion.covariance, motion.a_T_b, motion.out_of_plane_sigmas)
 
 
 def _log_density(off: FloatArray, covariances: FloatArray) -> FloatArray:

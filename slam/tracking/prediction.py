@@ -130,7 +130,10 @@ class MotionModel:
             *hints,
         ]
         removal = self._sparsifier.plan_removal(index)
-        through = [self._through(*motion) for motion in removal.motions]
+        through = [
+            self.calibration.corrected(motion).factors(pose_symbol(first), pose_symbol(last))[0]
+            for first, last, motion in removal.motions  # as measured, through keyframes that have left
+        ]
         indices = self._backend.update([*own_factors, *through], initial, remove=removal.stale)
         own = indices[: len(own_factors)]
         self._sparsifier.removed(removal, indices[len(own_factors) :])
@@ -280,10 +283,6 @@ class MotionModel:
         if self.odometry_record.steps[-1].used == "erring":
             return replace(used, response=None)
         return scaled(keyframe.motion, self.odometry_scale.factor)
-
-    def _through(self, first: int, last: int, motion: Motion) -> Any:
-        """The factor of a motion as measured through keyframes that have left."""
-        return self.calibration.corrected(motion).factors(pose_symbol(first), pose_symbol(last))[0]
 
 
 def coast(

@@ -13,7 +13,7 @@ from slam.diagnostics.observability import OpenStretch, name_of, sigma_along
 from slam.diagnostics.verdict import Evidence, at_least, named
 from slam.diagnostics.views import TOLERANCE_M
 from slam.frontend.observations import LineObservation, Observation, PlaneObservation
-from slam.frontend.occupancy import NOVEL_SHARE
+from slam.frontend.occupancy.raster import NOVEL_SHARE
 from spplanes._check import FloatArray
 
 #: Keyframes with fewer than this many are no drive: nothing in them was seen twice and held against a third.

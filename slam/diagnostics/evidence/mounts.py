@@ -13,7 +13,7 @@ from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, at_least, named
 from slam.diagnostics.views import View, compare
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import planes_of
-from slam.frontend.occupancy import NOVEL_SHARE
+from slam.frontend.occupancy.raster import NOVEL_SHARE
 from slam.geometry.frames import inverse
 from slam.sensors.rig import Mount, Rig
 from spplanes._check import FloatArray

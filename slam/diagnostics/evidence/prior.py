@@ -13,7 +13,7 @@ from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.surfaces import Surfaces, stopped_rays
 from slam.diagnostics.verdict import Evidence, at_least, named
 from slam.diagnostics.views import View, held_against
-from slam.frontend.occupancy import NOVEL_SHARE
+from slam.frontend.occupancy.raster import NOVEL_SHARE
 from slam.geometry.frames import inverse, lift
 from slam.map.landmarks import Landmark
 from slam.sensors.rig import Rig

@@ -10,7 +10,7 @@ import numpy as np
 from slam.diagnostics.evidence.coverage import MOST_WRONG
 from slam.diagnostics.evidence.innovations import PROMISED_M
 from slam.diagnostics.verdict import Evidence, Verdict, at_least, weigh
-from slam.frontend.occupancy import NOVEL_SHARE
+from slam.frontend.occupancy.raster import NOVEL_SHARE
 from spplanes._check import FloatArray
 
 #: Kinds of statistics there are, which share the significance: lines of sight from either cloud.

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam.frontend.occupancy import GAP_STEPS, LEAST_GAP_M
+from slam.frontend.occupancy.raster import GAP_STEPS, LEAST_GAP_M
 from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
 
@@ -109,50 +109,6 @@ def _spread(points, low, high):
         dx, dy = points[k, 0] - mx, points[k, 1] - my
         xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
     return xx, xy, yy
-
-
-@njit(cache=True)
-def merge_patches(keys, order, points, normals, weights):
-    """Means of the points, normals and weights whose keys are one, in the order of the keys; `order` sorts them."""
-    count = 0
-    for k in range(order.shape[0]):
-        if k == 0 or keys[order[k]] != keys[order[k - 1]]:
-            count += 1
-    places, directions, total = np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count)
-    patch = -1
-    for k in range(order.shape[0]):
-        i = order[k]
-        if k == 0 or keys[i] != keys[order[k - 1]]:
-            patch += 1
-        total[patch] += weights[i]
-        for a in range(2):
-            places[patch, a] += weights[i] * points[i, a]
-            directions[patch, a] += weights[i] * normals[i, a]
-    for p in range(count):
-        length = np.sqrt(directions[p, 0] ** 2 + directions[p, 1] ** 2)
-        for a in range(2):
-            places[p, a] /= total[p]
-            directions[p, a] /= max(length, 1e-12)
-    return places, directions, total
-
-
-@njit(cache=True)
-def sort_into_cells(points, origin, cell, columns, rows):
-    """Start (rows * columns + 1,) of every cell's points in an order, and that order (N,), stable."""
-    count = points.shape[0]
-    home = np.empty(count, dtype=np.int64)
-    start = np.zeros(rows * columns + 1, dtype=np.int64)
-    for k in range(count):
-        column, row = int((points[k, 0] - origin[0]) / cell), int((points[k, 1] - origin[1]) / cell)
-        home[k] = row * columns + column
-        start[home[k] + 1] += 1
-    for c in range(rows * columns):
-        start[c + 1] += start[c]
-    place, order = start[:-1].copy(), np.empty(count, dtype=np.int64)
-    for k in range(count):
-        order[place[home[k]]] = k
-        place[home[k]] += 1
-    return start, order
 
 
 @njit(cache=True)

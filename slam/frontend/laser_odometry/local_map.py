@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from slam.frontend.laser_odometry._scan_kernels import Cells, merge_patches, nearness, sort_into_cells, surface_of
-from slam.frontend.occupancy import Raster, free_standing
+from slam.frontend.laser_odometry._scan_kernels import Cells, nearness, surface_of
+from slam.frontend.occupancy.raster import Raster, free_standing
 from slam.sensors.log import LaserScan
 from slam.sensors.rig import Sensor
 from spplanes._check import FloatArray
@@ -23,6 +23,8 @@ _WAYS = 8
 TABLE_CELL_M, TABLE_SIGMA_M = 0.1, 0.1
 #: Length of wall whose returns count as one independent look, m.
 LOOK_M = 0.5
+#: Length of the way whose scans are the local map, m, and the most of them: turns on the spot make no way.
+_WINDOW_M, _MOST_SCANS = 6.0, 40
 #: A scan of more beams is thinned to one in so many that no more than these are left.
 _MOST_BEAMS = 400
 
@@ -101,7 +103,10 @@ class LocalMap:
         places, directions, weight = _patches(np.concatenate(points), np.concatenate(normals), np.concatenate(weights))
         origin = places.min(axis=0) - CELL_M
         columns, rows = (np.ceil((places.max(axis=0) - origin) / CELL_M) + 2).astype(int).tolist()
-        start, order = sort_into_cells(places, origin, CELL_M, columns, rows)
+        column, row = ((places - origin) / CELL_M).astype(np.int64).T
+        home = row * columns + column
+        order, start = np.argsort(home, kind="stable"), np.zeros(rows * columns + 1, dtype=np.int64)
+        np.cumsum(np.bincount(home, minlength=rows * columns), out=start[1:])
         cells = Cells(places[order], directions[order], weight[order], start, origin, CELL_M, columns, rows)
         return cls(cells, tuple(zip(surfaces, poses, strict=True)))
 
@@ -126,29 +131,31 @@ def _patches(points: FloatArray, normals: FloatArray, weights: FloatArray) -> tu
     squares = np.floor((points - points.min(axis=0)) / PATCH_M).astype(np.int64)
     ways = np.floor(np.arctan2(normals[:, 1], normals[:, 0]) * (_WAYS / (2.0 * np.pi))).astype(np.int64) + _WAYS
     keys = (squares[:, 0] * (squares[:, 1].max() + 1) + squares[:, 1]) * 2 * _WAYS + ways
-    return merge_patches(keys, np.argsort(keys, kind="stable"), points, normals, weights)
+    _, patch = np.unique(keys, return_inverse=True)
+    total = np.asarray(np.bincount(patch, weights), dtype=np.float64)
+    places, directions = (
+        np.stack([np.bincount(patch, weights * rows[:, axis]) for axis in (0, 1)], axis=1) for rows in (points, normals)
+    )
+    lengths = np.sqrt(directions[:, 0] ** 2 + directions[:, 1] ** 2)
+    return places / total[:, None], directions / np.maximum(lengths, 1e-12)[:, None], total
 
 
-@dataclass(eq=False)
 class SlidingMap:
     """The scans along the last metres of the way, and the map of them; made anew when one is added."""
 
-    window_m: float
-    """Length of the way whose scans are kept, m."""
-    most: int = 40
-    """Most scans kept: turns on the spot make no way."""
-    _surfaces: list[Surface] = field(default_factory=list)
-    _poses: list[FloatArray] = field(default_factory=list)
-    _map: LocalMap | None = None
+    def __init__(self) -> None:
+        self._surfaces: list[Surface] = []
+        self._poses: list[FloatArray] = []
+        self._map: LocalMap | None = None
 
     def add(self, surface: Surface, pose: FloatArray) -> None:
         """Add a scan at a pose (x, y, theta), and forget those the window has left."""
         self._surfaces.append(surface)
         self._poses.append(pose)
         way, first = 0.0, len(self._poses) - 1
-        while first > 0 and len(self._poses) - first < self.most:
+        while first > 0 and len(self._poses) - first < _MOST_SCANS:
             way += float(np.hypot(*(self._poses[first] - self._poses[first - 1])[:2]))
-            if way > self.window_m:
+            if way > _WINDOW_M:
                 break
             first -= 1
         del self._surfaces[:first], self._poses[:first]

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from slam.frontend.information import inverted
+from slam.frontend.information import inverted, positive
 from slam.frontend.laser_odometry._match_kernels import Returns, align, score_box
 from slam.frontend.laser_odometry.local_map import TABLE_CELL_M, LocalMap, Surface
-from slam.frontend.occupancy import CELL_M as RASTER_CELL_M
 from slam.frontend.occupancy._kernels import score_motions
+from slam.frontend.occupancy.raster import CELL_M as RASTER_CELL_M
 from slam.frontend.odometry import difference
 from spplanes._check import FloatArray
 
@@ -132,9 +132,8 @@ def _aligned(surface: Surface, there: LocalMap, start: FloatArray, ways: Sequenc
 
 def _without(told: FloatArray, erring: FloatArray, far: float) -> FloatArray:
     """Information about (x, y, theta) less what errs of it, not below none; a turn counts by its arc at `far`, m."""
-    scale = np.array((1.0, 1.0, far))
-    values, vectors = np.linalg.eigh((told - erring) / np.outer(scale, scale))
-    return (vectors * np.maximum(values, 0.0)) @ vectors.T * np.outer(scale, scale)
+    scale = np.outer((1.0, 1.0, far), (1.0, 1.0, far))
+    return positive((told - erring) / scale) * scale
 
 
 def _searched(

@@ -22,7 +22,7 @@ from slam.frontend.laser_odometry.track import (
 )
 from slam.frontend.laser_odometry.velocity import VelocityFilter, stamp_sigma
 from slam.frontend.measurement import usable_ranges
-from slam.frontend.occupancy import LEVEL_COSINE
+from slam.frontend.occupancy.raster import LEVEL_COSINE
 from slam.frontend.odometry import Motion, OdometryTrack, difference, planar_delta
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse, planar_transform
@@ -31,8 +31,8 @@ from slam.sensors.rig import Rig, Sensor
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray
 
-#: Length of the way whose scans are the local map, m, and what is driven or turned between two of them, m and rad.
-_WINDOW_M, _SPACING_M, _SPACING_RAD = 6.0, 0.25, 0.3
+#: What is driven or turned between two scans of the local map, m and rad.
+_SPACING_M, _SPACING_RAD = 0.25, 0.3
 #: A match is taken when the map has this share of the scan; a scan joins the map where it lies there as likely as this.
 _LEAST_FIT, _LEAST_ODDS = 0.3, 0.9
 #: Probability that wheels slip, or count wrong, between two scans; and that they err by more than is known of them as
@@ -90,7 +90,7 @@ class LaserOdometry:
     def __init__(self, noise: OdometryNoise, coasting: CoastingConfig, stamp_sigma_s: float = 0.0) -> None:
         self._noise = noise
         self._velocity = VelocityFilter(coasting, stamp_sigma_s)
-        self._map = SlidingMap(_WINDOW_M)
+        self._map = SlidingMap()
         self._scale, self._calibration = NoiseScale(), WheelCalibration()
         self._fit = _FIRST_FIT
         self.steps: list[Step] = []
@@ -122,7 +122,8 @@ class LaserOdometry:
         (delta, covariance, _), back = ways[used], rotation(pose[2])
         step = Step(stamp_ns, pose, covariance, back.T @ told @ back)
         if wheels is None:
-            step = replace(step, wheels=self._learn_unmeasured(step, delta))
+            kept = self._velocity.learn_unmeasured(*self._moved(step), (delta, covariance))
+            step = replace(step, wheels=self._not_below_floor(kept))
         else:
             step = replace(step, slipped=used == len(ways) - 1)
             self._velocity.learn(*self._moved(step))
@@ -162,10 +163,6 @@ class LaserOdometry:
         """A covariance (3, 3) of a step that nobody measured, with no variance below the least of any."""
         least = np.square((self._noise.floor_m, self._noise.floor_m, self._noise.floor_rad))
         return covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0))
-
-    def _learn_unmeasured(self, step: Step, delta: FloatArray) -> FloatArray:
-        """What a step, expected as `delta` (3,), says of the velocity; its covariance (3, 3) without what was seen."""
-        return self._not_below_floor(self._velocity.learn_unmeasured(*self._moved(step), (delta, step.wheels)))
 
     def _moved(self, step: Step) -> tuple[float, FloatArray, FloatArray]:
         """Seconds of a step from the last one, where it led (3,), and the covariance (3, 3) of that by the returns."""
@@ -233,8 +230,10 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
         delta = None
         if wheels is not None and last >= 0:
             delta = planar_delta(inverse(wheels[last]) @ wheels[index])
-        at_once = scan if track is None else unswept(scan, sensors[scan.sensor], track)
-        odometry.add(scan.stamp_ns, _surface(at_once, sensors[scan.sensor]), delta)
+        sensor = sensors[scan.sensor]
+        at_once = scan if track is None else unswept(scan, sensor, track)
+        surface = Surface.of(at_once, usable_ranges(at_once.ranges, sensor), sensor, sensor.body_T_sensor)
+        odometry.add(scan.stamp_ns, surface, delta)
         last = index
     inner = between_scans(odometry.steps, readings)
     return LaserTrack(odometry.steps, rig.odometry, inner)
@@ -243,7 +242,3 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
 def is_level(sensor: Sensor) -> bool:
     """Whether a sensor is a 2D laser that looks along the floor, upside down or not."""
     return sensor.kind == "line" and bool(abs(sensor.body_T_sensor[2, 2]) >= LEVEL_COSINE)
-
-
-def _surface(scan: LaserScan, sensor: Sensor) -> Surface:
-    return Surface.of(scan, usable_ranges(scan.ranges, sensor), sensor, sensor.body_T_sensor)

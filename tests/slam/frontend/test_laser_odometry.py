@@ -16,12 +16,12 @@ from slam.errors import LogError
 from slam.frontend.information import information_beyond_lines, inverted
 from slam.frontend.keyframes import keyframes_of
 from slam.frontend.keyframes import track_of as made_track
-from slam.frontend.laser_odometry import LaserTrack, laser_track, motion_between, tracker
+from slam.frontend.laser_odometry import tracker
 from slam.frontend.laser_odometry.local_map import LocalMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
-from slam.frontend.laser_odometry.track import Step, between_scans
-from slam.frontend.laser_odometry.tracker import LaserOdometry, NoiseScale
-from slam.frontend.occupancy import free_standing
+from slam.frontend.laser_odometry.track import LaserTrack, Step, between_scans, motion_between
+from slam.frontend.laser_odometry.tracker import LaserOdometry, NoiseScale, laser_track
+from slam.frontend.occupancy.raster import free_standing
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.io.default_rigs import default_rig_for

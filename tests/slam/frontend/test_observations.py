@@ -6,8 +6,9 @@ import numpy as np
 
 from slam.frontend.observations import LineObservation, PlaneObservation, on_real_wall
 from slam.geometry.frames import inverse, lift, settle_frame
-from slam.geometry.polygons import grow, largest_polygon, polygons_of, segments_of
+from slam.geometry.polygons import largest_polygon, polygons_of, segments_of
 from spplanes import ScanLine
+from spplanes.outlines.extents import grow
 from tests.slam.scenes import measured, room_planes
 from tests.statistics import assert_mean_in_band
 

@@ -7,8 +7,8 @@ import pytest
 import shapely
 from shapely import LineString, Point, box
 
-from slam.geometry.polygons import all_valid, coarse, grow, grow_all
-from spplanes.outlines.extents import _AT_ONCE, Extent
+from slam.geometry.polygons import coarse
+from spplanes.outlines.extents import _AT_ONCE, Extent, all_valid, grow, grow_all
 
 
 def scattered(seed: int, count: int = 60) -> list[shapely.Polygon]:

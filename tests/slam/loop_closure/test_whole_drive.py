@@ -98,8 +98,8 @@ def test_what_is_inferred_is_as_sure_as_it_says_and_false_findings_are_told(fals
         true, steps, found = circles(seed, false)
         way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(true[:, :2, 3], axis=0), axis=1))))
         graph, values = whole_drive._solved(steps, found, true)
-        places = np.array([whole_drive._delta(values.atPose2(index)) for index in range(len(true))])
-        misfit = np.array([whole_drive._misfit(one, places) for one in found])
+        places = np.array([planar_transform(*whole_drive._delta(values.atPose2(k))) for k in range(len(true))])
+        misfit = np.array([one.pose.misfit(one.delta_by(places)) for one in found])
         assert np.flatnonzero(misfit > 16.3).tolist() == list(range(2, 2 + 3 * false, 3))
         means.append(chi2_of(list(whole_drive._inferred(graph, values, places, way, RULES)), true).mean() / 3.0)
     assert 0.5 < np.mean(means) < 1.0

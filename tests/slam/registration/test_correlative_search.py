@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.corpus.floorplan import Drive, LaserSettings, Wheels, cast, ring
 from benchmarks.corpus.floorplan import drive as drive_plan
-from slam.frontend.occupancy import CELL_M, Raster, view_from
+from slam.frontend.occupancy.raster import CELL_M, Raster, view_from
 from slam.frontend.odometry import planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.registration.correlative_search import PlaceView, evidence_at, search_place

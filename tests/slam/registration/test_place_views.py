@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.corpus.floorplan import FloorPlan, cast
 from slam.frontend.information import left_open
-from slam.frontend.occupancy import CELL_M, NOVEL_SHARE, Raster, beams_of, moved
+from slam.frontend.occupancy.raster import CELL_M, NOVEL_SHARE, Raster, beams_of, moved
 from slam.geometry.frames import planar_transform
 from slam.registration.correlative_search import _UNIT, PlaceView, _widened, evidence_at, split
 from slam.sensors.log import LaserScan

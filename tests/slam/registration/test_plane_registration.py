@@ -9,7 +9,7 @@ from shapely import box
 
 from slam.geometry.frames import inverse
 from slam.registration._plane_arrays import PlaneArrays
-from slam.registration.motion_from_planes import differences, fit_pairs_on
+from slam.registration.motion_from_planes import differences, fit_pairs
 from slam.registration.plane_registration import _agreement, places_anywhere, register_planes_globally
 from slam.registration.visibility import LinesOfSight
 from spplanes import Plane
@@ -102,7 +102,8 @@ def fit_planes_on(
     motion: FloatArray, pairs: list[tuple[Plane, Plane]], sigmas: tuple[float, float], loose: float = 1.0
 ) -> tuple[FloatArray, FloatArray] | None:
     seen, known = (PlaneArrays.as_given(planes) for planes in zip(*pairs, strict=True))
-    return fit_pairs_on(motion, seen, known, np.repeat(np.arange(len(pairs))[:, None], 2, axis=1), sigmas, loose)
+    both = np.repeat(np.arange(len(pairs))[:, None], 2, axis=1)
+    return fit_pairs([motion], seen, known, [both], sigmas, loose)[0]
 
 
 def test_planes_that_leave_a_motion_open_are_refused():

@@ -16,7 +16,7 @@ from slam.geometry.frames import inverse
 from slam.registration.plane_registration import negative_log_prior
 from slam.registration.relocalization import NO_RIVALS, _on, _rivals, scan_of
 from slam.registration.surface_registration import Correspondences, Expected, LocalMap, Residuals, Tried, align
-from slam.registration.visibility import Scan, Sight
+from slam.registration.visibility import Scan
 from slam.simulation import simulate_mission
 from tests.slam.depth_scenes import between, looking, measured, with_widths
 from tests.spplanes.scenes import spun
@@ -191,7 +191,7 @@ def test_nothing_is_seen_through_from_the_true_place_wherever_the_sensor_sits() 
     for metres, turn in ((0.25, 0.0), (0.5, 0.0), (1.25, 0.0), (0.25, 0.4)):
         seen = corridor(ahead(metres, turn))
         known = LocalMap([(np.eye(4), corridor(np.eye(4)))])
-        assert known.contradicted(ahead(metres, turn), seen.elements[:, :3], 100.0, Sight(seen)) < 0.015
+        assert known.contradicted(ahead(metres, turn), seen.elements[:, :3], 100.0, seen) < 0.015
 
 
 @pytest.mark.parametrize("metres", [0.0, 0.5])
@@ -204,14 +204,14 @@ def test_somebody_close_by_speaks_against_a_place_as_one_thing(metres: float) ->
     for points in (body, board):
         facing = np.tile((-1.0, 0.0, 0.0, 0.003, ON_NO_PLANE), (len(points), 1))
         seen = np.vstack((behind.elements, with_widths(np.hstack((points, facing)))))
-        told.append(empty.contradicted(ahead(metres), points, 100.0, Sight(scan(seen, EYE))))
+        told.append(empty.contradicted(ahead(metres), points, 100.0, scan(seen, EYE)))
     assert len(body) > 0.25 * len(behind.elements)
     assert told[0] == pytest.approx(0.01)
     assert told[1] >= 0.04
 
 
 def test_what_stands_before_a_surface_that_was_seen_is_seen_through() -> None:
-    sight = Sight(corridor(np.eye(4), end_m=4.0))
+    sight = corridor(np.eye(4), end_m=4.0)
     post = np.column_stack((np.full(20, 2.0), np.full(20, 0.1), np.linspace(0.6, 1.4, 20)))
     assert sight.through(post).all()
     assert not sight.through(post + np.array([1.99, 0.0, 0.0])).any()  # on the wall at the end
@@ -283,7 +283,7 @@ def test_beams_that_move_with_the_sensor_do_not_say_that_nothing_moved() -> None
 
 
 def test_a_surface_goes_on_between_the_beams_but_not_across_an_edge() -> None:
-    sight = Sight(pillared(0.0))
+    sight = pillared(0.0)
     wall = np.array([[1.0, 5.0, 1.05, 0.0, -1.0, 0.0, 0.003, ON_PLANE]])
     wall[:, 2] -= 1.2
     before, away, edge = wall.copy(), wall.copy(), wall.copy()

@@ -8,7 +8,7 @@ import pytest
 from slam.config import CoastingConfig
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import planar_transform
-from slam.tracking.odometry_scale import OdometryScale, scaled, spatial
+from slam.tracking.odometry_scale import OdometryScale, scaled
 from slam.tracking.prediction import coast
 from tests.slam.short_drives import mapped_beginning
 
@@ -25,8 +25,8 @@ GUESS = coast(None, 0.0, 0.5, CoastingConfig())
 def after(rng: np.random.Generator, motion: Motion, times: float, steps: int, *, slips: float = 0.0) -> float:
     """The factor after so many steps that err so many times as much as stated, a share of them at random."""
     scale = OdometryScale()
-    covariance = spatial(scaled(motion, times)) + SCAN
-    wide = spatial(GUESS)
+    covariance = scaled(motion, times).spatial + SCAN
+    wide = GUESS.spatial
     for _ in range(steps):
         off = rng.multivariate_normal(np.zeros(6), wide if rng.random() < slips else covariance)
         scale.learn(motion, off, SCAN, GUESS)
@@ -81,7 +81,7 @@ def test_one_step_in_ten_may_be_a_slip_among_few(off_m: float, slips: int, least
 def test_wheels_that_get_better_are_believed_again() -> None:
     rng, scale = np.random.default_rng(4), OdometryScale()
     for times in np.repeat([5.0, 1.0], 60):
-        scale.learn(STEP, rng.multivariate_normal(np.zeros(6), spatial(scaled(STEP, times)) + SCAN), SCAN, GUESS)
+        scale.learn(STEP, rng.multivariate_normal(np.zeros(6), scaled(STEP, times).spatial + SCAN), SCAN, GUESS)
     assert scale.factor < 1.15
 
 
