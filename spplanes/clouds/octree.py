@@ -19,9 +19,9 @@ from scipy.optimize import isotonic_regression
 from scipy.special import chdtri, ndtri
 
 from spplanes._check import FloatArray
-from spplanes.clouds._octree_kernels import LEVELS, LOCAL, local_scatter, neighbourhoods, planar_leaves
+from spplanes.clouds._octree_kernels import LEVELS, LOCAL, largest_cells, local_scatter, planar_leaves
 from spplanes.fitting.shared_error import weighted_median
-from spplanes.outlines._raster import distinct
+from spplanes.outlines._raster import distinct_pairs
 
 #: Fewest points of a cell that is judged.
 FEWEST = 6
@@ -104,7 +104,8 @@ class Curve:
         held, found, most = np.zeros(n_shells), [np.empty((0, 4))] * n_shells, np.full(n_shells, np.inf)
         fewest = LOCAL
         while fewest <= max(len(self.points), LOCAL) and (held <= enough).any():
-            judged = local_scatter(self.points, self.keys, fewest)
+            cells = largest_cells(self.keys, 4 * fewest - 1)
+            judged = local_scatter(self.points, cells[np.diff(cells)[:, 0] >= fewest])
             place = shell[judged[:, 3].astype(np.int64)]
             for s in np.flatnonzero(held <= enough):
                 mine = judged[place == s]
@@ -131,7 +132,9 @@ class Curve:
 
     def neighbourhoods(self) -> np.ndarray:
         """A number for every point, the same for up to 2 LOCAL neighbours, shape (N,)."""
-        return neighbourhoods(self.keys, 2 * LOCAL)
+        cells = largest_cells(self.keys, 2 * LOCAL)
+        order = np.argsort(cells[:, 0])
+        return np.repeat(order, np.diff(cells)[order, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,8 +185,7 @@ class Cells:
         larger = 3 * (LEVELS - self.level[other])
         holds = (other >= 0) & (keys >> larger == self.place[other] >> larger) & (self.level[other] <= self.level[cell])
         pairs = np.sort(np.stack((cell[holds], other[holds]), axis=1), axis=1)
-        codes = distinct(pairs[:, 0] * len(self.level) + pairs[:, 1])
-        return np.stack(np.divmod(codes, max(len(self.level), 1)), axis=1)
+        return distinct_pairs(pairs, len(self.level))
 
 
 def _median_variance(cells: FloatArray) -> float:

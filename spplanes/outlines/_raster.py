@@ -228,3 +228,9 @@ def distinct(codes: np.ndarray) -> np.ndarray:
     """Every number once, ascending; for many equal ones sorting beats the hashing of `numpy.unique` ten to one."""
     ordered = np.sort(codes)
     return ordered[np.flatnonzero(np.diff(ordered, prepend=-1))] if len(ordered) else ordered
+
+
+def distinct_pairs(pairs: np.ndarray, n: int) -> np.ndarray:
+    """Each pair of numbers below n once, in ascending order, shape (E, 2)."""
+    codes = distinct(pairs[:, 0] * n + pairs[:, 1])
+    return np.stack(np.divmod(codes, max(n, 1)), axis=1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from spplanes._jit import inlined, njit
@@ -37,15 +39,9 @@ def fit_regions(points, covariance, labels, rows, prior, floor_variance):
 
     Sums are taken about the centres of `rows`, near enough to the points to lose nothing.
     """
-    planes, fresh = hesse(rows), prior.copy()
-    n_shares = min(threads_for(labels.size), MOST_SHARES)
-    shares = _share_out(rows, n_shares)
-
-    def some(first: int, last: int) -> None:
-        for mine in range(first, last):
-            _fit_share((points, covariance, labels), (rows, planes, prior), floor_variance, shares, mine, fresh)
-
-    in_parts(some, n_shares, labels.size, singly=True)
+    fresh, n_shares = prior.copy(), min(threads_for(labels.size), MOST_SHARES)
+    grid, regions, shares = (points, covariance, labels), (rows, hesse(rows), prior), _share_out(rows, n_shares)
+    in_parts(partial(_fit_shares, grid, regions, floor_variance, shares, fresh), n_shares, labels.size, singly=True)
     return fresh
 
 
@@ -60,8 +56,8 @@ def _share_out(rows, n_shares):
 
 
 @njit(cache=True)
-def _fit_share(grid, regions, floor_variance, shares, mine, fresh):
-    """The moments of the regions of one share, added to those of `fresh`; each region's points in the grid's order."""
+def _fit_shares(grid, regions, floor_variance, shares, fresh, first, last):
+    """The moments of the regions of some shares, in place of those of `fresh`; each region's points in grid order."""
     (points, covariance, labels), (rows, planes, prior) = grid, regions
     sums, n_cols = np.zeros(rows.shape), labels.shape[1]
     for i in range(labels.shape[0]):
@@ -70,7 +66,7 @@ def _fit_share(grid, regions, floor_variance, shares, mine, fresh):
             r, begin = labels[i, j], j
             while j < n_cols and labels[i, j] == r:
                 j += 1
-            if r >= 0 and shares[r] == mine:
+            if r >= 0 and first <= shares[r] < last:
                 add_run(sums[r], points, covariance, i, begin, j, rows[r, 2:5], planes[r], floor_variance, True)
     for r in range(rows.shape[0]):
         if sums[r, 1] > 0.0:
@@ -78,15 +74,9 @@ def _fit_share(grid, regions, floor_variance, shares, mine, fresh):
             merge_rows(prior[r], sums[r], fresh[r])
 
 
+@njit(cache=True)
 def shared_of_regions(shared, labels, planes):
     """Of every region: mean variance along the normal that points share with their scans, and mean scan, (R, 2)."""
-    total, count = _shared_sums(shared, labels, planes)
-    return total / np.maximum(count, 1.0)[:, None]
-
-
-@njit(cache=True)
-def _shared_sums(shared, labels, planes):
-    """Sums over the points of every region of that variance and of the scan, (R, 2), and how many points (R,)."""
     total, count = np.zeros((planes.shape[0], 2)), np.zeros(planes.shape[0])
     for i in range(labels.shape[0]):
         for j in range(labels.shape[1]):
@@ -96,7 +86,10 @@ def _shared_sums(shared, labels, planes):
                 total[r, 1] += i
                 if shared.shape[0] > 1:
                     total[r, 0] += variance_from(shared, i, j, planes, r)
-    return total, count
+    for r in range(planes.shape[0]):
+        for k in range(2):
+            total[r, k] /= max(count[r], 1.0)
+    return total
 
 
 @njit(cache=True)
@@ -150,11 +143,8 @@ def _mark_sources(labels, valid, start, i, marked):
 
 def release(points, covariance, labels, planes, bias, size, limit):
     """Unlabel, in place, the points that one region has in one cell where their mean distance is no chance (chi2)."""
-
-    def some(first: int, last: int) -> None:
-        _release_in((points, covariance, labels), planes, bias, size, limit, first, last)
-
-    in_parts(some, (len(labels) + size - 1) // size, labels.size)
+    some_rows = partial(_release_in, (points, covariance, labels), planes, bias, size, limit)
+    in_parts(some_rows, (len(labels) + size - 1) // size, labels.size)
 
 
 @njit(cache=True)
