@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spplanes._check import FloatArray
 from spplanes._jit import inlined, inner, njit
 from spplanes.lines._fit import (
     between,
@@ -69,26 +70,24 @@ def beams_of(scan, sigma):
 @inlined
 def rules_of(n):
     """The rules of their numbers: named, they would cost each call from Python as much as half a scan."""
-    return Rules(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9], n[10], n[11])
+    return Rules(*n)
 
 
 @njit(cache=True)
-def order_scan(ranges, angles, sigmas, numbers):
-    """Returns in order: beams (V,), their rows (N_ROWS, V), moments, breaks (V,); the widest gap, the largest step."""
-    rules = rules_of(numbers)
-    order, widest, step = order_beams(ranges, angles, rules.range_min, rules.range_max)
-    rows = np.empty((N_ROWS, order.size))
+def order_scan(ranges, angles, sigmas, order, step, numbers):
+    """Returns in order (V,), a step apart: their rows (N_ROWS, V), moments, breaks (V,); the largest step in a line."""
+    rules, rows = rules_of(numbers), np.empty((N_ROWS, order.size))
     for k in range(order.size):
         beam = order[k]
         rows[BEARING, k], rows[RANGE, k], rows[SIGMA, k] = angles[beam], ranges[beam], sigmas[beam]
         rows[COSINE, k], rows[SINE, k] = np.cos(angles[beam]), np.sin(angles[beam])
     slope_sigmas(beams_of(rows, SIGMA), rules.bearing_sigma, rows[SLOPE_SIGMA])
     beams, max_step = beams_of(rows, SLOPE_SIGMA), (rules.max_missing + 1.5) * step
-    return order, rows, beam_moments(beams), find_breaks(beams, max_step, rules.gate), widest, max_step
+    return rows, beam_moments(beams), find_breaks(beams, max_step, rules.gate), max_step
 
 
 @njit(cache=True)
-def label_scan(order, scan, moments, breaks, widest, max_step, numbers):
+def label_scan(order, widest, scan, moments, breaks, max_step, numbers):
     """Label the returns: order, scan, breaks in order, labels (V,), number of labels."""
     rules, cut = rules_of(numbers), 0
     while True:
@@ -199,9 +198,12 @@ def is_line(beams, members, counts, line, rules):
     return abs(arc) + 3.0 * arc_sigma < rules.max_turning
 
 
-def extract(ranges, angles, sigmas, numbers):
+def extract(ranges: FloatArray, angles: FloatArray, sigmas: FloatArray, rules: Rules) -> tuple[FloatArray, ...]:
     """Lines of one scan: rows (M, 12) as N_RESULT says, the beams on them one line after the other, their counts."""
-    return fit_labels(*label_scan(*order_scan(ranges, angles, sigmas, numbers), numbers), numbers)
+    numbers = tuple(rules)
+    order, widest, step = order_beams(ranges, angles, rules.range_min, rules.range_max)
+    scan = order_scan(ranges, angles, sigmas, order, step, numbers)
+    return fit_labels(*label_scan(order, widest, *scan, numbers), numbers)
 
 
 @njit(cache=True)
