@@ -10,24 +10,23 @@ import gtsam
 import numpy as np
 
 from factors._conventions import POSE3_TO_SP
+from factors.association.estimate import KeyedCovariance
 from spplanes._check import FloatArray
 
 #: The turn of a pose's tangent: none.
 STAYS = np.eye(6)
 
 
-class JointCovariance:
-    """A joint marginal covariance of a few variables, addressed by key."""
+class JointCovariance(KeyedCovariance):
+    """A joint marginal covariance of a few variables, each turned into another tangent."""
 
     def __init__(self, keys: Sequence[int], marginal: FloatArray, turns: Sequence[FloatArray]) -> None:
-        ends = np.cumsum([len(turn) for turn in turns]).tolist()
-        self._columns = {key: np.arange(end - len(turn), end) for key, turn, end in zip(keys, turns, ends, strict=True)}
-        self._full = np.array(marginal)
-        for turn, end in zip(turns, ends, strict=True):
+        super().__init__(keys, np.array(marginal), [len(turn) for turn in turns])
+        for key, turn in zip(keys, turns, strict=True):
             if turn is not STAYS:
-                block = slice(end - len(turn), end)
-                self._full[block] = turn @ self._full[block]
-                self._full[:, block] = self._full[:, block] @ turn.T
+                block = slice(self._columns[key][0], self._columns[key][-1] + 1)
+                self.full[block] = turn @ self.full[block]
+                self.full[:, block] = self.full[:, block] @ turn.T
 
     def has(self, keys: Iterable[int]) -> bool:
         """Whether it is of all these keys, and maybe of more."""
@@ -36,22 +35,8 @@ class JointCovariance:
     def plus(self, effects: FloatArray) -> JointCovariance:
         """With what independent errors of variance 1 do to the variables, rows as those of `full`, shape (D, K)."""
         more = copy(self)
-        more._full = self._full + effects @ effects.T
+        more.full = self.full + effects @ effects.T
         return more
-
-    @property
-    def full(self) -> FloatArray:
-        """The whole matrix, in the order of the keys it was asked for."""
-        return self._full
-
-    def columns(self, keys: Sequence[int]) -> np.ndarray:
-        """Rows and columns of the stacked tangents of `keys`, in that order."""
-        return np.concatenate([self._columns[key] for key in keys])
-
-    def of(self, keys: Sequence[int]) -> FloatArray:
-        """Covariance of the stacked tangents of `keys`, in that order."""
-        columns = self.columns(keys)
-        return self._full[np.ix_(columns, columns)]
 
 
 def relative_covariance(a_T_b: FloatArray, joint: FloatArray) -> FloatArray:

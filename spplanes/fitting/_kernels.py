@@ -209,17 +209,9 @@ def ml_group(group, viewpoint, frame, covariance, sums) -> int:
     status = row_frame(row, viewpoint, base, values)
     if status != OK:
         return status
-    status = descend(group, np.inf, 1.0, base, sums)
-    if status != OK:
-        return status
-    return finish(base, sums, viewpoint, frame, covariance)
-
-
-@inlined
-def finish(base, sums, viewpoint, frame, covariance) -> int:
-    """Write frame and covariance from the sums at the minimum."""
-    to_p = np.empty((3, 3))
-    status = settle(base, sums, viewpoint, frame, to_p)
+    status, to_p = descend(group, np.inf, 1.0, base, sums), np.empty((3, 3))
+    if status == OK:
+        status = settle(base, sums, viewpoint, frame, to_p)
     if status != OK:
         return status
     return OK if write_covariance(sums, sums[4:10], to_p, covariance) else COLLINEAR

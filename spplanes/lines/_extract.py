@@ -8,6 +8,7 @@ import numpy as np
 
 from spplanes._check import FloatArray
 from spplanes._jit import inlined, inner, njit
+from spplanes.fitting._groups import group_by_label
 from spplanes.lines._fit import (
     between,
     drop_borders,
@@ -21,7 +22,6 @@ from spplanes.lines._fit import (
     turning,
 )
 from spplanes.lines._kernels import (
-    N_SUMS,
     Beams,
     beam_moments,
     find_breaks,
@@ -87,35 +87,14 @@ def order_scan(ranges, angles, sigmas, order, step, numbers):
 
 
 @njit(cache=True)
-def label_scan(order, widest, scan, moments, breaks, max_step, numbers):
-    """Label the returns: order, scan, breaks in order, labels (V,), number of labels."""
-    rules, cut = rules_of(numbers), 0
-    while True:
-        beams = beams_of(scan, SLOPE_SIGMA)
-        starts = refine(moments, breaks, split(moments, breaks, rules.significance), rules.significance)
-        is_round = find_round(beams, moments, breaks, starts, rules.significance, 0.5 * rules.max_turning)
-        bounds = rules.max_missing, max_step
-        labels, n_labels = merge(beams, moments, starts, is_round, bounds, rules.flatness, rules.gate)
-        if cut == 0 and widest <= max_step:
-            cut = ring_start(labels, n_labels)
-            if cut > 0:
-                order, scan, moments, breaks = turned(order, scan, moments, breaks, cut)
-                continue
-        return order, scan, breaks, labels, n_labels
-
-
-@inlined
-def turned(order, scan, moments, breaks, cut):
-    """The same returns, the one at the cut first."""
-    result, rows, sums, gaps = np.empty_like(order), np.empty_like(scan), np.empty_like(moments), np.empty_like(breaks)
-    for k in range(order.size):
-        old = k + cut if k + cut < order.size else k + cut - order.size
-        result[k], gaps[k] = order[old], breaks[old]
-        for i in range(N_ROWS):
-            rows[i, k] = scan[i, old]
-        for i in range(N_SUMS):
-            sums[k, i] = moments[old, i]
-    return result, rows, sums, gaps
+def label_scan(scan, moments, breaks, widest, max_step, numbers):
+    """Labels (V,) of the returns, and where they ought to begin for no line to be cut in two; 0: where they do."""
+    rules, beams = rules_of(numbers), beams_of(scan, SLOPE_SIGMA)
+    starts = refine(moments, breaks, split(moments, breaks, rules.significance), rules.significance)
+    is_round = find_round(beams, moments, breaks, starts, rules.significance, 0.5 * rules.max_turning)
+    bounds = rules.max_missing, max_step
+    labels, n_labels = merge(beams, moments, starts, is_round, bounds, rules.flatness, rules.gate)
+    return labels, ring_start(labels, n_labels) if widest <= max_step else 0
 
 
 @inlined
@@ -169,23 +148,6 @@ def fit_label(beams, moments, breaks, labels, members, rules):
 
 
 @inlined
-def members_of(labels, count):
-    """The beams of each label, one label after the other, and where those of each begin (count + 1,)."""
-    begins = np.zeros(count + 1, dtype=np.int64)
-    for label in labels:
-        if label >= 0:
-            begins[label + 1] += 1
-    for label in range(count):
-        begins[label + 1] += begins[label]
-    members, at = np.empty(begins[count], dtype=np.int64), begins.copy()
-    for k in range(labels.size):
-        if labels[k] >= 0:
-            members[at[labels[k]]] = k
-            at[labels[k]] += 1
-    return members, begins
-
-
-@inlined
 def is_line(beams, members, counts, line, rules):
     """True when the beams suffice, fit, are no arc that turns by `max_turning`, and (alpha, rho) is Gaussian."""
     n_sure, n_fitted = counts
@@ -202,16 +164,20 @@ def extract(ranges: FloatArray, angles: FloatArray, sigmas: FloatArray, rules: R
     """Lines of one scan: rows (M, 12) as N_RESULT says, the beams on them one line after the other, their counts."""
     numbers = tuple(rules)
     order, widest, step = order_beams(ranges, angles, rules.range_min, rules.range_max)
-    scan = order_scan(ranges, angles, sigmas, order, step, numbers)
-    return fit_labels(*label_scan(order, widest, *scan, numbers), numbers)
+    scan, moments, breaks, max_step = order_scan(ranges, angles, sigmas, order, step, numbers)
+    labels, cut = label_scan(scan, moments, breaks, widest, max_step, numbers)
+    if cut > 0:
+        order, scan, breaks = (np.roll(one, -cut, axis=-1) for one in (order, scan, breaks))
+        labels, _ = label_scan(scan, np.roll(moments, -cut, axis=0), breaks, widest, max_step, numbers)
+    _, *of_labels = group_by_label(labels, len(labels))
+    return fit_labels(order, scan, breaks, labels, *of_labels, numbers)
 
 
 @njit(cache=True)
-def fit_labels(order, scan, breaks, labels, n_labels, numbers):
-    """The line of every label that is one: see `extract`."""
+def fit_labels(order, scan, breaks, labels, of_labels, begins, numbers):
+    """The line of every label that is one, see `extract`; beams of_labels[begins[k] : begins[k + 1]] have label k."""
     beams, rules = beams_of(scan, SIGMA), rules_of(numbers)
-    moments = beam_moments(beams)
-    of_labels, begins = members_of(labels, n_labels)
+    moments, n_labels = beam_moments(beams), begins.shape[0] - 1
     rows, support = np.empty((n_labels, N_RESULT)), np.empty(order.size, dtype=np.int64)
     counts = np.empty(n_labels, dtype=np.int64)
     n_lines = n_support = 0
