@@ -13,7 +13,6 @@ from itertools import pairwise, product
 import numpy as np
 
 from spplanes._check import FloatArray
-from spplanes._jit import njit
 from spplanes.clouds.scatter import misses_of
 
 #: A new line starts where the beam turns by at least this much from one point to the next, rad ...
@@ -33,8 +32,6 @@ _CORNER_SHARE = 1.0 / 360.0
 _WITHIN, _AMID = 0.2, 0.7
 #: The longest row of a grid made of lines.
 _LARGEST = 4096
-#: Powers of so many points fit beside each other into the nearest memory.
-_BLOCK = 128
 
 
 @dataclass(frozen=True)
@@ -155,43 +152,15 @@ def _rows_of(elevation: FloatArray, highest: float, lowest: float, rows: int) ->
 
 
 def _phases_of(azimuth: FloatArray, columns: np.ndarray) -> FloatArray:
-    """Where in their column beams lie on average, for every number of columns (C,) in a whole turn, (C,), columns."""
-    return np.arctan2(*_power_sums(azimuth, columns).T[::-1]) / (2.0 * np.pi)
+    """Where in their column beams lie on average, for every number of columns (C,) in a whole turn, (C,), columns.
 
-
-@njit(cache=True)
-def _power_sums(azimuth, columns):
-    """Sums of e^(i n azimuth), (C, 2), for every number n of columns (C,): of that direction is the average phase.
-
-    The powers come from squares of the first, for a block of points at a time.
+    Of the sum of e^(i n azimuth), the direction; the powers come from squares of the first.
     """
-    sums, most = np.zeros((columns.shape[0], 2)), 0
-    for count in columns:
-        most = max(most, count)
-    bits = int(np.ceil(np.log2(most + 1.0)))
-    square, power = np.empty((bits, 2, _BLOCK)), np.empty((2, _BLOCK))
-    for start in range(0, azimuth.shape[0], _BLOCK):
-        size = min(_BLOCK, azimuth.shape[0] - start)
-        for k in range(size):
-            square[0, 0, k], square[0, 1, k] = np.cos(azimuth[start + k]), np.sin(azimuth[start + k])
-        for bit in range(1, bits):
-            for k in range(size):
-                real, imaginary = square[bit - 1, 0, k], square[bit - 1, 1, k]
-                square[bit, 0, k] = real * real - imaginary * imaginary
-                square[bit, 1, k] = real * imaginary + imaginary * real
-        for c in range(columns.shape[0]):
-            for k in range(size):
-                power[0, k], power[1, k] = 1.0, 0.0
-            for bit in range(bits):
-                if columns[c] >> bit & 1:
-                    for k in range(size):
-                        real = power[0, k] * square[bit, 0, k] - power[1, k] * square[bit, 1, k]
-                        power[1, k] = power[0, k] * square[bit, 1, k] + power[1, k] * square[bit, 0, k]
-                        power[0, k] = real
-            for k in range(size):
-                sums[c, 0] += power[0, k]
-                sums[c, 1] += power[1, k]
-    return sums
+    squares = [np.exp(1j * azimuth)]
+    for _ in range(int(columns.max()).bit_length() - 1):
+        squares.append(squares[-1] ** 2)
+    powers = ([square for bit, square in enumerate(squares) if count >> bit & 1] for count in columns)
+    return np.angle([np.prod(power, axis=0).sum() for power in powers]) / (2.0 * np.pi)
 
 
 def _columns_of(azimuth: FloatArray, columns: int, phase: float) -> np.ndarray:

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from spplanes._jit import inlined, njit
+from spplanes._jit import njit
 from spplanes._threads import in_parts, threads_for
 from spplanes.fitting._moment_patches import (
     add_run,
@@ -92,23 +92,29 @@ def shared_of_regions(shared, labels, planes):
     return total
 
 
-@njit(cache=True)
 def grow(grid, planes, gate, floor_variance):
     """Spread regions over unlabelled points beside them that lie within the gate (chi2), ring by ring, in place.
 
     Of the grid (see `Sheet.grid`), rows before the start stay as they are; regions grow out of the last of them.
     """
+    _, _, valid, labels, start = grid
+    free = valid & (labels < 0)
+    free[:start] = False
+    beside = np.zeros_like(free)
+    beside[1:] |= free[:-1]
+    beside[:-1] |= free[1:]
+    beside[:, 1:] |= free[:, :-1]
+    beside[:, :-1] |= free[:, 1:]
+    _grow_from(np.flatnonzero(beside & (labels >= 0)), grid, planes, gate, floor_variance)
+
+
+@njit(cache=True)
+def _grow_from(sources, grid, planes, gate, floor_variance):
+    """The same, from the places of the points that have a free one beside them."""
     points, covariance, valid, labels, start = grid
     n_rows, n_cols = labels.shape
-    queue = np.empty(labels.size, dtype=np.int64)
-    head, tail = 0, 0
-    marked = np.empty(n_cols, dtype=np.bool_)
-    for i in range(max(start - 1, 0), n_rows):
-        _mark_sources(labels, valid, start, i, marked)
-        for j in range(n_cols):
-            if marked[j]:
-                queue[tail] = i * n_cols + j
-                tail += 1
+    queue, head, tail = np.empty(labels.size, dtype=np.int64), 0, sources.size
+    queue[:tail] = sources
     while head < tail:
         i, j = queue[head] // n_cols, queue[head] % n_cols
         head += 1
@@ -122,23 +128,6 @@ def grow(grid, planes, gate, floor_variance):
                 labels[a, b] = r
                 queue[tail] = a * n_cols + b
                 tail += 1
-
-
-@inlined
-def _mark_sources(labels, valid, start, i, marked):
-    """Mark the labelled points of row i beside a free one in the rows from `start` on, whole rows at once."""
-    n_rows, n_cols = labels.shape
-    marked[:] = False
-    for a in range(max(i - 1, start), min(i + 2, n_rows)):
-        if a != i:
-            for j in range(n_cols):
-                marked[j] |= valid[a, j] & (labels[a, j] < 0)
-    if i >= start:
-        for j in range(1, n_cols):
-            marked[j] |= valid[i, j - 1] & (labels[i, j - 1] < 0)
-            marked[j - 1] |= valid[i, j] & (labels[i, j] < 0)
-    for j in range(n_cols):
-        marked[j] &= labels[i, j] >= 0
 
 
 def release(points, covariance, labels, planes, bias, size, limit):

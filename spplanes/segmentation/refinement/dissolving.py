@@ -126,20 +126,10 @@ def _is_superfluous(grid, mine, region, candidates, planes, floor_variance, host
         for m in range(candidates.shape[0]):
             sums[m] += residual_chi2(points, covariance, i, j, planes, candidates[m], floor_variance)
         if (k + 1) % (BLOCK * BLOCK) == 0 or k == mine.shape[0] - 1:
-            best = _least(sums)
+            best = np.argmin(sums)
             hosts[k // (BLOCK * BLOCK)] = candidates[best]
             other += sums[best]
             if other > limit:
                 return False
             sums[:] = 0.0
     return True
-
-
-@inlined
-def _least(values):
-    """Place of the least of some numbers, of equal ones the first."""
-    best = 0
-    for k in range(1, values.shape[0]):
-        if values[k] < values[best]:
-            best = k
-    return best
