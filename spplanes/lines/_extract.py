@@ -16,7 +16,6 @@ from spplanes.lines._fit import (
     fit_beams,
     grow,
     line_sigmas,
-    relabel,
     start_line,
     trim,
     turning,
@@ -87,32 +86,22 @@ def order_scan(ranges, angles, sigmas, order, step, numbers):
 
 
 @njit(cache=True)
-def label_scan(scan, moments, breaks, widest, max_step, numbers):
-    """Labels (V,) of the returns, and where they ought to begin for no line to be cut in two; 0: where they do."""
+def label_scan(scan, moments, breaks, max_step, numbers):
+    """Labels (V,) of the returns: which line each may be of, -1 = none."""
     rules, beams = rules_of(numbers), beams_of(scan, SLOPE_SIGMA)
     starts = refine(moments, breaks, split(moments, breaks, rules.significance), rules.significance)
     is_round = find_round(beams, moments, breaks, starts, rules.significance, 0.5 * rules.max_turning)
     bounds = rules.max_missing, max_step
-    labels, n_labels = merge(beams, moments, starts, is_round, bounds, rules.flatness, rules.gate)
-    return labels, ring_start(labels, n_labels) if widest <= max_step else 0
+    return merge(beams, moments, starts, is_round, bounds, rules.flatness, rules.gate)
 
 
-@inlined
-def ring_start(labels, count):
-    """Where a closed ring can be cut without cutting a line: the first beam of one that no other bridges; else 0."""
-    first, last = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
-    for k in range(labels.size):
-        if labels[labels.size - 1 - k] >= 0:
-            first[labels[labels.size - 1 - k]] = labels.size - 1 - k
-        if labels[k] >= 0:
-            last[labels[k]] = k
-    for i in range(1, count):
-        bridged = False
-        for j in range(count):
-            bridged |= j != i and first[j] < first[i] <= last[j]
-        if not bridged:
-            return first[i]
-    return 0
+def ring_start(members: np.ndarray, begins: np.ndarray) -> int:
+    """Where a closed ring can be cut without cutting a line: the first beam of one that no other bridges; else 0.
+
+    Beams members[begins[k] : begins[k + 1]] have label k.
+    """
+    first, last = members[begins[:-1]], members[begins[1:] - 1]
+    return next((beam for beam in first[1:].tolist() if not ((first < beam) & (beam <= last)).any()), 0)
 
 
 @inner(cache=True)
@@ -136,12 +125,12 @@ def fit_label(beams, moments, breaks, labels, members, rules):
         line = fit_beams(beams, core, line[0], line[1])
         if not np.isfinite(line[5]):
             break
-        relabel(labels, members, -1)
+        labels[members] = -1
         members = trim(beams, members, line, rules.gate)
         n_before = core.size
         core = between(core, members[0], members[-1])
         members = grow(beams, breaks, labels, members, line, rules.gate)
-        relabel(labels, members, label)
+        labels[members] = label
         if core.size == n_before:
             break
     return line, members, core.size + n_borders, core.size
@@ -165,11 +154,12 @@ def extract(ranges: FloatArray, angles: FloatArray, sigmas: FloatArray, rules: R
     numbers = tuple(rules)
     order, widest, step = order_beams(ranges, angles, rules.range_min, rules.range_max)
     scan, moments, breaks, max_step = order_scan(ranges, angles, sigmas, order, step, numbers)
-    labels, cut = label_scan(scan, moments, breaks, widest, max_step, numbers)
-    if cut > 0:
-        order, scan, breaks = (np.roll(one, -cut, axis=-1) for one in (order, scan, breaks))
-        labels, _ = label_scan(scan, np.roll(moments, -cut, axis=0), breaks, widest, max_step, numbers)
+    labels = label_scan(scan, moments, breaks, max_step, numbers)
     _, *of_labels = group_by_label(labels, len(labels))
+    if widest <= max_step and (cut := ring_start(*of_labels)):
+        order, scan, breaks = (np.roll(one, -cut, axis=-1) for one in (order, scan, breaks))
+        labels = label_scan(scan, np.roll(moments, -cut, axis=0), breaks, max_step, numbers)
+        _, *of_labels = group_by_label(labels, len(labels))
     return fit_labels(order, scan, breaks, labels, *of_labels, numbers)
 
 

@@ -215,12 +215,7 @@ def split(moments, breaks, significance):
                     stack[depth + 1, 0], stack[depth + 1, 1] = at, b
                     depth += 2
             low = k
-    starts, count = np.empty(n + 1, dtype=np.int64), 0
-    for k in range(n + 1):
-        if is_start[k]:
-            starts[count] = k
-            count += 1
-    return starts[:count]
+    return np.flatnonzero(is_start)
 
 
 @inner(cache=True)

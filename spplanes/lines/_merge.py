@@ -105,4 +105,4 @@ def merge(beams, moments, starts, is_round, bounds, flatness, gate):
             pieces[target, 1] = starts[i + 1]
         for k in range(N_SUMS):
             sums[target, k] += new[k]
-    return labels, count
+    return labels
