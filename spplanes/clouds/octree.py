@@ -53,8 +53,6 @@ class Curve:
     """Their places on the curve, ascending, shape (N,), int64."""
     number: np.ndarray
     """Which of them each point of the cloud is, shape (M,), int64."""
-    side_m: float
-    """Of the cube around them all, m."""
 
     @classmethod
     def through(cls, cloud: FloatArray) -> Curve:
@@ -70,7 +68,7 @@ class Curve:
         first[1:] = (np.diff(sorted_points, axis=0) != 0.0).any(axis=1)
         number = np.empty(len(order), dtype=np.int64)
         number[order] = np.cumsum(first) - 1
-        return cls(sorted_points[first], sorted_keys[first], number, side)
+        return cls(sorted_points[first], sorted_keys[first], number)
 
     def noise_variances(self, ranges: FloatArray) -> FloatArray | None:
         """Variance of every point about planes through its neighbours, shape (N,), m^2; None where too few look flat.

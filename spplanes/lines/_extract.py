@@ -149,7 +149,9 @@ def is_line(beams, members, counts, line, rules):
     return abs(arc) + 3.0 * arc_sigma < rules.max_turning
 
 
-def extract(ranges: FloatArray, angles: FloatArray, sigmas: FloatArray, rules: Rules) -> tuple[FloatArray, ...]:
+def extract(
+    ranges: FloatArray, angles: FloatArray, sigmas: FloatArray, rules: Rules
+) -> tuple[FloatArray, np.ndarray, np.ndarray]:
     """Lines of one scan: rows (M, 12) as N_RESULT says, the beams on them one line after the other, their counts."""
     numbers = tuple(rules)
     order, widest, step = order_beams(ranges, angles, rules.range_min, rules.range_max)

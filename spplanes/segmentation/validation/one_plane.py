@@ -24,7 +24,6 @@ def is_one_plane(
     viewpoint: FloatArray,
     rules: ValidationConfig,
     scan_index: np.ndarray | None = None,
-    drift_m: FloatArray | None = None,
 ) -> bool:
     """Whether points (N, 3) with covariances (N, 3, 3) lie about the plane as their noise says, patch by patch too.
 
@@ -34,12 +33,11 @@ def is_one_plane(
         viewpoint: where it was seen from, shape (3,).
         rules: how much is allowed.
         scan_index: scan of every point, shape (N,), where the points of a scan share a pose error.
-        drift_m: standard deviation of what a slow error of the sensor shifts every point by, shape (N,), m.
     """
     return (
         could_be_seen(plane, viewpoint, rules)
         and fits_its_noise(plane, rules)
-        and not InPatches(plane, points, covariances, rules, scan_index, drift_m).has_step
+        and not InPatches(plane, points, covariances, rules, scan_index).has_step
     )
 
 
@@ -67,7 +65,10 @@ class InPatches:
         scan_index: np.ndarray | None = None,
         drift_m: FloatArray | None = None,
     ) -> None:
-        """For the arguments see `is_one_plane`. What all points of a scan share, its pose error, is taken out."""
+        """For the arguments see `is_one_plane`. What all points of a scan share, its pose error, is taken out.
+
+        `drift_m`: standard deviation of what a slow error of the sensor shifts every point by, shape (N,), m.
+        """
         residuals, variances = along_normal(points, covariances, plane.frame)
         if scan_index is not None:
             residuals = residuals - _group_means(residuals, scan_index)[scan_index]
