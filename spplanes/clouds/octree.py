@@ -39,6 +39,9 @@ _BINS, _CELLS_OF_BIN = 12, 20
 _SIGNIFICANCE, _OCTANT_SIGNIFICANCE = 1e-3, 1e-4
 #: The mean squared residual of a planar cell may exceed the noise by this factor.
 _SLACK = 1.15
+#: Numbers of 10 bits with two zeros before every bit, and of 15 bits every third.
+_SPREAD = sum((np.arange(1 << 10) >> bit & 1) << 3 * bit for bit in range(10))
+_GATHERED = sum((np.arange(1 << 15) >> 3 * bit & 1) << bit for bit in range(5))
 #: Offsets of a cell's 26 neighbours.
 _AROUND = np.array([step for step in product((-1, 0, 1), repeat=3) if any(step)])
 
@@ -197,32 +200,12 @@ def _interleaved(places: np.ndarray) -> np.ndarray:
     return _spread(places[..., 0]) | _spread(places[..., 1]) << 1 | _spread(places[..., 2]) << 2
 
 
-_STEPS = (
-    (32, 0x001F00000000FFFF),
-    (16, 0x001F0000FF0000FF),
-    (8, 0x100F00F00F00F00F),
-    (4, 0x10C30C30C30C30C3),
-    (2, 0x1249249249249249),
-)
-
-
 def _spread(values: np.ndarray) -> np.ndarray:
     """Two zeros before every bit."""
-    for shift, mask in _STEPS:
-        values = (values | values << shift) & mask
-    return values
+    return _SPREAD[values & 1023] | _SPREAD[values >> 10] << 30
 
 
 def _separated(keys: np.ndarray) -> np.ndarray:
     """Places (K, 3) of keys (K,)."""
-    return np.stack([_gathered(keys >> axis) for axis in range(3)], axis=-1)
-
-
-def _gathered(values: np.ndarray) -> np.ndarray:
-    """Every third bit."""
-    values = values & _STEPS[-1][1]
-    for (shift, _), (_, mask) in zip(
-        reversed(_STEPS), (*reversed(_STEPS[:-1]), (0, (1 << LEVELS + 1) - 1)), strict=True
-    ):
-        values = (values | values >> shift) & mask
-    return values
+    own = [_GATHERED[keys[:, None] >> np.arange(3) + shift & 0x7FFF] << shift // 3 for shift in (0, 15, 30, 45)]
+    return np.bitwise_or.reduce(own)

@@ -44,9 +44,7 @@ class Strip:
     @property
     def is_full(self) -> bool:
         """Whether there are as many open scans as are settled at a time, and those to look ahead."""
-        return self.n_context + self.n_open_rows == len(self.points) or (
-            self.n_open_rows == len(self.points) - CONTEXT_SCANS
-        )
+        return self.n_open_rows == len(self.points) - CONTEXT_SCANS
 
     @property
     def n_open(self) -> int:
