@@ -107,9 +107,7 @@ def planar_leaves(points, keys, variances, octave, fewest, limits):
             continue
         begin = top
         top = push_octants(keys, first, last, level, stack, top)
-        for k in range((top - begin) // 2):  # so that the first is taken first
-            for c in range(3):
-                stack[begin + k, c], stack[top - 1 - k, c] = stack[top - 1 - k, c], stack[begin + k, c]
+        stack[begin:top] = stack[begin:top][::-1].copy()  # so that the first is taken first
     return cells[:count].copy(), rows[:count].copy()
 
 

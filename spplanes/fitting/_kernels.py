@@ -98,9 +98,7 @@ def descend(group, cutoff2, gain, frame, sums) -> int:
         if not invert3(sums[4], sums[5], sums[6], sums[7], sums[8], sums[9], inverse):
             return COLLINEAR
         best = sums[0]
-        for j in range(4):
-            for k in range(4):
-                base[j, k] = frame[j, k]
+        base[:] = frame
         g0, g1, g2 = gain * sums[1], gain * sums[2], gain * sums[3]
         b0 = inverse[0, 0] * g0 + inverse[0, 1] * g1 + inverse[0, 2] * g2
         ax = inverse[1, 0] * g0 + inverse[1, 1] * g1 + inverse[1, 2] * g2

@@ -104,9 +104,7 @@ def consensus_frame(group, fractions, cutoff2, frame) -> int:
         cost = truncated_cost(group, stride, trial, cutoff2)
         if cost < best:
             best = cost
-            for j in range(4):
-                for m in range(4):
-                    frame[j, m] = trial[j, m]
+            frame[:] = trial
     return OK if best < np.inf else COLLINEAR
 
 

@@ -146,8 +146,7 @@ def _pairs_of_rows(grid, views, regions, gap, first, last):
 def _with_room(pairs):
     """Pairs with room for as many behind them."""
     result = np.empty((2 * pairs.shape[0], 2), dtype=np.int64)
-    for k in range(pairs.shape[0]):
-        result[k, 0], result[k, 1] = pairs[k, 0], pairs[k, 1]
+    result[: pairs.shape[0]] = pairs
     return result
 
 
