@@ -40,8 +40,8 @@ _SIGNIFICANCE, _OCTANT_SIGNIFICANCE = 1e-3, 1e-4
 #: The mean squared residual of a planar cell may exceed the noise by this factor.
 _SLACK = 1.15
 #: Numbers of 10 bits with two zeros before every bit, and of 15 bits every third.
-_SPREAD = sum((np.arange(1 << 10) >> bit & 1) << 3 * bit for bit in range(10))
-_GATHERED = sum((np.arange(1 << 15) >> 3 * bit & 1) << bit for bit in range(5))
+_SPREAD = np.bitwise_or.reduce([(np.arange(1 << 10) >> bit & 1) << 3 * bit for bit in range(10)])
+_GATHERED = np.bitwise_or.reduce([(np.arange(1 << 15) >> 3 * bit & 1) << bit for bit in range(5)])
 #: Offsets of a cell's 26 neighbours.
 _AROUND = np.array([step for step in product((-1, 0, 1), repeat=3) if any(step)])
 
