@@ -57,6 +57,15 @@ def pose_in(name: str, values: gtsam.Values, key: int) -> gtsam.Pose3:
     raise ValueError(f"{name}: expected the key of a Pose3 or Pose2 in values, got {told_key(key)}")
 
 
+def plane_in(name: str, values: gtsam.Values, key: int) -> gtsam.OrientedPlane3:
+    """A plane landmark of values; ValueError: there is none of that key."""
+    check_instance("values", values, gtsam.Values)
+    try:
+        return values.atOrientedPlane3(as_key(name, key))
+    except RuntimeError as error:
+        raise ValueError(f"{name}: expected the key of an OrientedPlane3 in values, got {told_key(key)}") from error
+
+
 def check_distinct(**keys: int | None) -> None:
     """Refuse two keys of one factor that name the same variable, and what is no key; None names none."""
     seen: dict[int, str] = {}

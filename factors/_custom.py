@@ -142,19 +142,10 @@ def _read(first: _Layout, second: _Layout, values: gtsam.Values) -> tuple[tuple[
 
 @cache
 def _kernel(name: str) -> _Kernel:
-    """The compiled error of this name; a KeyError for any other. Importing it takes numba, longer than GTSAM."""
+    """The compiled error of this name; an AttributeError for any other. Importing it takes numba, longer than GTSAM."""
     from factors import _kernels
 
-    known: dict[str, _Kernel] = {
-        "plane": _kernels.plane_error,
-        "line": _kernels.line_error,
-        "direction": _kernels.direction_error,
-        "parallel": _kernels.parallel_error,
-        "perpendicular": _kernels.perpendicular_error,
-        "distance": _kernels.distance_error,
-        "map": _kernels.map_error,
-    }
-    return known[name]
+    return getattr(_kernels, f"{name}_error")
 
 
 _pose_columns = slice(0, 6), slice(6, 12)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._jit import inlined, inner, njit
+from spplanes.spmodel import skew
 
 _Error = tuple[np.ndarray, np.ndarray]
 
@@ -221,8 +222,8 @@ def parallel_error(world_T_anchor, world_T_body, coefficients, reference) -> _Er
     seen, jacobian = plane_seen_from(world_T_anchor, world_T_body, coefficients)
     a, b = reference[:3], seen[:3]
     by_seen, by_own = np.zeros((3, 4)), np.zeros((3, 4))
-    by_seen[:, :3], by_own[:, :3] = _times(a), -_times(b)
-    return _times(a) @ b, _joined(by_seen, jacobian, by_own, a)
+    by_seen[:, :3], by_own[:, :3] = skew(a), -skew(b)
+    return skew(a) @ b, _joined(by_seen, jacobian, by_own, a)
 
 
 def perpendicular_error(world_T_anchor, world_T_body, coefficients, reference) -> _Error:
@@ -263,11 +264,6 @@ def map_error(world_T_anchor, world_T_body, *planes_and_frames) -> _Error:
         error[3 * i : 3 * i + 3] = _TO_SP @ part
         derivative[3 * i : 3 * i + 3, 12 + 3 * i : 15 + 3 * i] = _TO_SP @ by[:, 12:15]
     return error, derivative
-
-
-def _times(a) -> np.ndarray:
-    """The matrix (3, 3) that makes a x b of b."""
-    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
 
 
 def _joined(by_seen, jacobian, by_own, normal) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from shapely.affinity import scale
 
-from factors._check import as_key, as_keys, pose_in, told_key
+from factors._check import as_keys, plane_in, pose_in, told_key
 from factors._conventions import hesse_to_sp, landmark_hesse, oriented_plane, plane_frame, tangent_to_sp
 from factors._custom import IDENTITY, describe
 from factors._kernels import plane_seen_from
@@ -138,7 +138,7 @@ def world_plane(
     the landmark is, such as a measured one moved by ``plane.transform(pose)``: the result has its outline, its
     n_points, and its frame moved onto the landmark by the shortest way. ValueError: it has no ``outline``.
     """
-    landmark = _landmark(values, plane_key)
+    landmark = plane_in("plane_key", values, plane_key)
     around = centre if shape_of is None else shape_of.centre
     if anchor_key is None:
         covariance = joint_covariance(marginals, [plane_key])
@@ -180,7 +180,7 @@ def seen_plane(
     What that pose expects to see, for gating a measurement; or the landmark in a new anchor's frame. ``centre`` (3,) in
     that frame.
     """
-    landmark, pose = _landmark(values, plane_key), pose_in("pose_key", values, pose_key).matrix()
+    landmark, pose = plane_in("plane_key", values, plane_key), pose_in("pose_key", values, pose_key).matrix()
     if anchor_key == pose_key:
         own = joint_covariance(marginals, [plane_key])
         return landmark_to_plane(landmark, own, centre=centre, n_points=n_points)
@@ -260,14 +260,6 @@ def _shaped(plane: Plane, shape: Plane) -> Plane:
     turn = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
     covariance = turn @ plane.covariance @ turn.T
     return Plane(frame, 0.5 * (covariance + covariance.T), shape.n_points, shape.outline)
-
-
-def _landmark(values: gtsam.Values, key: int) -> gtsam.OrientedPlane3:
-    check_instance("values", values, gtsam.Values)
-    try:
-        return values.atOrientedPlane3(as_key("plane_key", key))
-    except RuntimeError as error:
-        raise ValueError(f"plane_key: expected the key of an OrientedPlane3 in values, got {told_key(key)}") from error
 
 
 def _centre(centre: ArrayLike | None) -> FloatArray:

@@ -13,7 +13,6 @@ from spplanes._jit import inlined, inner, njit
 
 #: Length of a moment row: n, W, cx, cy, cz, Sxx, Sxy, Sxz, Syy, Syz, Szz.
 ROW_SIZE = 11
-COUNT, WEIGHT, CENTRE, SCATTER = 0, 1, 2, 5
 
 #: No viewpoint, as the kernels take it.
 NO_VIEWPOINT = np.full(3, np.nan)

@@ -56,14 +56,10 @@ def in_parts(work: Callable[[int, int], object], count: int, size: int, *, singl
         return
     parts = count if singly else min(SHARES * threads, count)
     bounds = [count * k // parts for k in range(parts + 1)]
-    left = list(pairwise(bounds))[::-1]
+    left = iter(list(pairwise(bounds)))  # one for all: each thread takes the next part
 
     def take() -> None:
-        while True:
-            try:
-                first, last = left.pop()
-            except IndexError:
-                return
+        for first, last in left:
             work(first, last)
 
     helpers = []

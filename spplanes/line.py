@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spplanes._check import (
-    COVARIANCE_TOLERANCE,
     TOO_LARGE,
     FloatArray,
     as_covariance,
@@ -63,8 +62,8 @@ class ScanLine:
         object.__setattr__(self, "alpha", alpha if -pi < alpha <= pi else wrap_angle(alpha))
         object.__setattr__(self, "rho", rho)
         object.__setattr__(self, "indices", read_only(_as_indices(self.indices).copy()))
-        object.__setattr__(self, "endpoints", read_only(_as_square("endpoints", self.endpoints).copy()))
-        object.__setattr__(self, "covariance", read_only(_as_covariance(self.covariance).copy()))
+        object.__setattr__(self, "endpoints", read_only(as_shape("endpoints", self.endpoints, (2, 2)).copy()))
+        object.__setattr__(self, "covariance", read_only(as_covariance("covariance", self.covariance, 2)))
 
     @classmethod
     def _trusted(
@@ -159,10 +158,10 @@ class ScanLine:
         """
         check_instance("other", other, ScanLine)
         turn = remainder(other.alpha - self.alpha, 2.0 * pi)
-        chi2 = _chi2(turn, other.rho - self.rho, self.covariance + other.covariance)
+        chi2 = chi2_of(np.array((turn, other.rho - self.rho)), self.covariance + other.covariance)
+        off = np.array((remainder(turn + pi, 2.0 * pi), -other.rho - self.rho))
         flip = np.array(((1.0, -1.0), (-1.0, 1.0)))
-        turned = _chi2(remainder(turn + pi, 2.0 * pi), -other.rho - self.rho, self.covariance + flip * other.covariance)
-        return min(chi2, turned)
+        return min(chi2, chi2_of(off, self.covariance + flip * other.covariance))
 
 
 def wrap_angle(angle: float) -> float:
@@ -171,37 +170,9 @@ def wrap_angle(angle: float) -> float:
     return pi if wrapped == -pi else wrapped
 
 
-def _chi2(turn: float, shift: float, covariance: FloatArray) -> float:
-    (a, b), (_, c) = covariance.tolist()
-    if not a * c - b * b > 1e-14 * a * c:  # certain in some direction
-        return chi2_of(np.array((turn, shift)), covariance)
-    return (c * turn * turn - 2.0 * b * turn * shift + a * shift * shift) / (a * c - b * b)
-
-
 def _as_indices(value: ArrayLike) -> np.ndarray:
     """`value` as (N,) of int64."""
     indices = np.asarray(value)
     if indices.ndim != 1 or (indices.dtype.kind not in "iu" and indices.size):
         raise ValueError(f"indices: expected integers of shape (N,), got {indices.dtype} of shape {indices.shape}")
     return indices.astype(np.int64, copy=False)
-
-
-def _as_covariance(value: ArrayLike) -> FloatArray:
-    """Symmetric positive semidefinite (2, 2); in scalars, for a laser sends hundreds of lines a second."""
-    matrix = _as_square("covariance", value)
-    (a, b), (b2, c) = matrix.tolist()
-    tolerance = COVARIANCE_TOLERANCE * max(abs(a), abs(b), abs(c))
-    if abs(b - b2) > tolerance:
-        raise ValueError("covariance: expected a symmetric covariance, got one that differs from its transpose")
-    if min(a, c) < -tolerance or a * c - b * b < -COVARIANCE_TOLERANCE * max(abs(a * c), b * b):
-        raise ValueError(f"covariance: expected a positive semidefinite covariance, got {matrix.tolist()}")
-    return matrix
-
-
-def _as_square(name: str, value: ArrayLike) -> FloatArray:
-    """`value` as (2, 2) of finite floats."""
-    if isinstance(value, np.ndarray) and value.shape == (2, 2) and value.dtype == np.float64:
-        (a, b), (c, d) = value.tolist()
-        if max(abs(a), abs(b), abs(c), abs(d)) < TOO_LARGE and isfinite(a + b + c + d):
-            return value
-    return as_shape(name, value, (2, 2))

@@ -186,8 +186,7 @@ class Location:
         """
         check_instance("other", other, Location)
         carry = other.binding @ adjoint(inverse_transform(other.transform)) @ self.binding.T
-        covariance = _propagate(carry, self, np.eye(len(other.rows)), other, cross)
-        return Location._trusted(self.transform @ other.transform, covariance, other.rows)
+        return Location._trusted(self.transform @ other.transform, _propagate(carry, self, other, cross), other.rows)
 
     def inverse(self) -> Location:
         """The world seen from this frame: d = -Ad(self) B^T p, with all six rows bound."""
@@ -210,13 +209,12 @@ class Location:
         check_instance("other", other, Location)
         transform = inverse_transform(self.transform) @ other.transform
         carry = -other.binding @ adjoint(inverse_transform(transform)) @ self.binding.T
-        covariance = _propagate(carry, self, np.eye(len(other.rows)), other, cross)
-        return Location._trusted(transform, covariance, other.rows)
+        return Location._trusted(transform, _propagate(carry, self, other, cross), other.rows)
 
 
-def _propagate(first: FloatArray, a: Location, second: FloatArray, b: Location, cross: ArrayLike | None) -> FloatArray:
-    """Covariance of ``first`` p_a + ``second`` p_b from their joint covariance."""
-    jacobian = np.hstack([first, second])
+def _propagate(carry: FloatArray, a: Location, b: Location, cross: ArrayLike | None) -> FloatArray:
+    """Covariance of ``carry`` p_a + p_b from their joint covariance."""
+    jacobian = np.hstack([carry, np.eye(len(b.rows))])
     return _symmetric(jacobian @ joint_covariance(a, b, cross) @ jacobian.T)
 
 

@@ -15,15 +15,23 @@ from spplanes.outlines.extents import Extent
 from spplanes.spmodel import inverse_transform
 
 
-class Joint(Protocol):
-    """A joint marginal covariance of a few variables, each in its tangent at the estimate."""
+class KeyedCovariance:
+    """A joint marginal covariance of a few variables, each in its tangent at the estimate, addressed by key."""
 
-    @property
-    def full(self) -> FloatArray:
-        """The whole matrix, shape (D, D)."""
+    def __init__(self, keys: Sequence[int], full: FloatArray, sizes: Sequence[int]) -> None:
+        ends = np.cumsum(sizes).tolist()
+        self._columns = {key: np.arange(end - size, end) for key, size, end in zip(keys, sizes, ends, strict=True)}
+        self.full = full
+        """The whole matrix, in the order of the keys, shape (D, D)."""
 
     def columns(self, keys: Sequence[int], /) -> np.ndarray:
-        """Rows and columns of the stacked tangents of some of the variables."""
+        """Rows and columns of the stacked tangents of some of its variables."""
+        return np.concatenate([self._columns[key] for key in keys])
+
+    def of(self, keys: Sequence[int]) -> FloatArray:
+        """Covariance of the stacked tangents of some of its variables, in that order."""
+        columns = self.columns(keys)
+        return self.full[np.ix_(columns, columns)]
 
 
 class Estimate(Protocol):
@@ -41,7 +49,7 @@ class Estimate(Protocol):
     def covariance(self, key: int, /) -> FloatArray:
         """Marginal covariance of a variable, in GTSAM's tangent."""
 
-    def joint_covariance(self, keys: Sequence[int], /) -> Joint:
+    def joint_covariance(self, keys: Sequence[int], /) -> KeyedCovariance:
         """Joint marginal covariance of some variables, and maybe of more."""
 
 

@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 
 from factors.association.decisions import Candidate
-from factors.association.estimate import Estimate, Joint, Landmark, observation_factor
+from factors.association.estimate import Estimate, KeyedCovariance, Landmark, observation_factor
 from factors.association.observations import Observation
 from spplanes._check import FloatArray
 
@@ -44,7 +44,7 @@ class Innovation:
 class State:
     """Mean and covariance of the tangents of all variables that a pose's observations may touch."""
 
-    def __init__(self, joint: Joint) -> None:
+    def __init__(self, joint: KeyedCovariance) -> None:
         self._covariance = joint.full.copy()
         self._mean = np.zeros(len(self._covariance))
 
@@ -107,7 +107,7 @@ def hypotheses_of(
     observation: Observation,
     shortlist: Sequence[Landmark],
     pose_key: int,
-    joint: Joint,
+    joint: KeyedCovariance,
     values: gtsam.Values,
     estimate: Estimate,
 ) -> list[Hypothesis]:

@@ -9,7 +9,7 @@ from functools import partial
 import gtsam
 
 from factors.association.decisions import AssociationGates, Candidate, Decision, decide, is_open
-from factors.association.estimate import Estimate, Joint, Landmark, Landmarks
+from factors.association.estimate import Estimate, KeyedCovariance, Landmark, Landmarks
 from factors.association.gating import Hypothesis, Innovation, State, hypotheses_of, innovations_of
 from factors.association.observations import Observation, PlaneObservation
 from factors.association.shortlist import Gaps, bounds_of, log_density, log_parallel_density, shortlist
@@ -192,7 +192,7 @@ def _keys_of(shortlists: Sequence[Sequence[Landmark]], hint: gtsam.NonlinearFact
     return {landmark.key for landmark in landmarks} | anchors | set([] if hint is None else hint.keys())
 
 
-def _informed(joint: Joint, hint: gtsam.NonlinearFactor | None, values: gtsam.Values) -> State:
+def _informed(joint: KeyedCovariance, hint: gtsam.NonlinearFactor | None, values: gtsam.Values) -> State:
     """The state with what is known of the pose beside the observations."""
     state = State(joint)
     if hint is not None:

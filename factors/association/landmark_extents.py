@@ -10,12 +10,12 @@ import gtsam
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from factors._check import as_key, pose_in, told_key
+from factors._check import as_key, plane_in, pose_in, told_key
 from factors._conventions import landmark_hesse
 from factors.association.observations import Observation, as_observation
 from factors.landmarks import plane_landmark
 from spplanes import Plane
-from spplanes._check import FloatArray, check_instance, read_only
+from spplanes._check import FloatArray, read_only
 from spplanes.outlines.extents import Extent, settle_frames
 from spplanes.spmodel import inverse_transform
 
@@ -101,7 +101,7 @@ class LandmarkExtents:
         body_T_plane = seen.full_plane(1.0)
         anchor_T_body = _frame_in("anchor_key", anchor_key, values) @ _frame_of("pose_key", pose_key, values)
         if values.exists(key):
-            _plane_of("plane_key", key, values)
+            plane_in("plane_key", values, key)
         extent = Extent(seen.patch_in(inverse_transform(body_T_plane.frame)))
         return self._put(key, anchor_key, anchor_T_body @ body_T_plane.frame, extent, {pose_key})
 
@@ -144,24 +144,16 @@ def place_all(landmarks: list[LandmarkExtent], values: gtsam.Values) -> FloatArr
     if not landmarks:
         return np.empty((0, 4, 4))
     anchors = {key: _frame_of("landmarks", key, values) for key in {landmark.anchor_key for landmark in landmarks}}
-    planes = [landmark_hesse(_plane_of("landmarks", landmark.key, values)) for landmark in landmarks]
+    planes = [landmark_hesse(plane_in("landmarks", values, landmark.key)) for landmark in landmarks]
     normals, distances = np.array([normal for normal, _ in planes]), np.array([d for _, d in planes])
     settled = settle_frames(np.array([landmark.anchor_T_plane for landmark in landmarks]), normals, distances)
     return np.array([anchors[landmark.anchor_key] for landmark in landmarks]) @ settled
-
-
-def _plane_of(name: str, key: int, values: gtsam.Values) -> gtsam.OrientedPlane3:
-    try:
-        return values.atOrientedPlane3(key)
-    except RuntimeError as error:
-        raise ValueError(f"{name}: expected keys of OrientedPlane3 in values, got {told_key(key)}") from error
 
 
 def _frame_of(name: str, key: int | None, values: gtsam.Values) -> FloatArray:
     """world_T_body of a pose in values; of None, the world."""
     if key is None:
         return np.eye(4)
-    check_instance("values", values, gtsam.Values)
     return pose_in(name, values, key).matrix()
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from factors._check import as_key, as_keys, told_key
+from factors.association.estimate import KeyedCovariance
 from factors.isam import isam_covariance
 from factors.landmarks import joint_covariance
 from spplanes._check import FloatArray, as_covariance, check_instance
@@ -18,24 +19,6 @@ from spplanes._check import FloatArray, as_covariance, check_instance
 _POSE, _PLANE = 6, 3  # numbers in a tangent
 #: By no more than this, rad or m, does an estimate move that nothing was added to.
 _STILL = 1e-9
-
-
-class KeyedCovariance:
-    """A joint covariance, addressed by key."""
-
-    def __init__(self, keys: Sequence[int], full: FloatArray, sizes: Sequence[int]) -> None:
-        ends = np.cumsum(sizes).tolist()
-        self._columns = {key: np.arange(end - size, end) for key, size, end in zip(keys, sizes, ends, strict=True)}
-        self._full = full
-
-    @property
-    def full(self) -> FloatArray:
-        """The whole matrix."""
-        return self._full
-
-    def columns(self, keys: Sequence[int], /) -> np.ndarray:
-        """Rows and columns of the stacked tangents of some of its variables."""
-        return np.concatenate([self._columns[key] for key in keys])
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +92,7 @@ class Prediction:
             missing = [key for key in wanted if key not in names]
             if missing:
                 raise ValueError(f"keys: expected all landmarks and anchors compared, got none of {_told(missing)}")
-            columns = known.columns(wanted)
-            return known.full[np.ix_(columns, columns)]
+            return known.of(wanted)
 
         return cls(pose_key, values, marginal)
 

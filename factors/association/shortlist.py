@@ -10,7 +10,7 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from factors.association.decisions import OUTLINE_GAP_SCALE_M, AssociationGates
-from factors.association.estimate import AnyLandmark, Estimate, Joint, Landmark, Landmarks, Placed
+from factors.association.estimate import AnyLandmark, Estimate, KeyedCovariance, Landmark, Landmarks, Placed
 from factors.association.gating import State
 from factors.association.observations import Observation
 from spplanes._check import FloatArray
@@ -92,7 +92,7 @@ class Gaps:
         landmarks: Landmarks[Landmark],
         pose_key: int,
         estimate: Estimate,
-        joint: Joint,
+        joint: KeyedCovariance,
         gates: AssociationGates,
     ) -> None:
         self._observations, self._landmarks, self._gates = observations, landmarks, gates

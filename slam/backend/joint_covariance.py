@@ -10,6 +10,7 @@ import gtsam
 import numpy as np
 
 from factors._conventions import POSE3_TO_SP
+from factors.association.estimate import KeyedCovariance
 from slam.frontend.odometry import planar_covariance
 from spplanes._check import FloatArray
 
@@ -17,17 +18,14 @@ from spplanes._check import FloatArray
 STAYS = np.eye(6)
 
 
-class JointCovariance:
-    """A joint marginal covariance of a few variables, addressed by key."""
+class JointCovariance(KeyedCovariance):
+    """A joint marginal covariance of a few variables, each turned into another tangent."""
 
     def __init__(self, keys: Sequence[int], marginal: FloatArray, turns: Sequence[FloatArray]) -> None:
-        ends = np.cumsum([len(turn) for turn in turns]).tolist()
-        self._columns = {key: np.arange(end - len(turn), end) for key, turn, end in zip(keys, turns, ends, strict=True)}
-        self.full = np.array(marginal)
-        """The whole matrix, in the order of the keys it was asked for."""
-        for turn, end in zip(turns, ends, strict=True):
+        super().__init__(keys, np.array(marginal), [len(turn) for turn in turns])
+        for key, turn in zip(keys, turns, strict=True):
             if turn is not STAYS:
-                block = slice(end - len(turn), end)
+                block = slice(self._columns[key][0], self._columns[key][-1] + 1)
                 self.full[block] = turn @ self.full[block]
                 self.full[:, block] = self.full[:, block] @ turn.T
 
@@ -40,15 +38,6 @@ class JointCovariance:
         more = copy(self)
         more.full = self.full + effects @ effects.T
         return more
-
-    def columns(self, keys: Sequence[int]) -> np.ndarray:
-        """Rows and columns of the stacked tangents of `keys`, in that order."""
-        return np.concatenate([self._columns[key] for key in keys])
-
-    def of(self, keys: Sequence[int]) -> FloatArray:
-        """Covariance of the stacked tangents of `keys`, in that order."""
-        columns = self.columns(keys)
-        return self.full[np.ix_(columns, columns)]
 
 
 def relative_covariance(a_T_b: FloatArray, joint: FloatArray) -> FloatArray:

@@ -35,7 +35,6 @@ from spplanes.registration import RegisteredScans, register_scans
 from spplanes.segmentation.config import ValidationConfig
 from spplanes.segmentation.planes import frames_of, moments_of, outlines_in, planes_of
 from spplanes.segmentation.scans import Labelled, label_scans
-from spplanes.segmentation.validation._patch_kernels import within
 from spplanes.segmentation.validation.one_plane import is_one_plane
 from spplanes.segmentation.validation.plane_ends import Window, sure_points
 from spplanes.segmentation.validation.splitting import purified, tells_tilt
@@ -300,7 +299,9 @@ def usable_points(points: FloatArray, sensor: Sensor) -> FloatArray:
     points = as_float_array("points", points)
     if sensor.warp is not None and points.ndim == 3:
         points = sensor.warp.taken_off(points)
-    return within(points.reshape(-1, 3), sensor.range_min_m, sensor.range_max_m).reshape(points.shape)
+    with np.errstate(over="ignore"):  # what is that far is left out
+        ranges = usable_ranges(np.sqrt(points[..., 0] ** 2 + points[..., 1] ** 2 + points[..., 2] ** 2), sensor)
+    return np.where(np.isfinite(ranges)[..., None], points, np.nan)
 
 
 def _in_scan(plane: Plane, sensor: Sensor) -> Plane:

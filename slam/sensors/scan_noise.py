@@ -12,7 +12,7 @@ from spplanes import Plane
 from spplanes._check import FloatArray
 from spplanes.lines.extraction import LineConfig, beam_noise
 from spplanes.noise import SensorModel
-from spplanes.segmentation.validation._patch_kernels import numbered, patches_of, with_shared
+from spplanes.segmentation.validation.one_plane import numbered, patches_of
 
 #: Scans of a 2D laser that are asked how far its beams scatter, and how many beams on lines tell it.
 _ASKED, _TELLING = 150, 1000
@@ -41,8 +41,8 @@ def surface_covariances(points: FloatArray, covariances: FloatArray, frame: Floa
     if sensor.surface_sigma_m == 0.0:
         return covariances
     row, column, n_rows, n_columns = patches_of(points, frame, sensor.surface_correlation_m)
-    patch, count = numbered(row * n_columns + column, n_rows * n_columns)
-    return with_shared(covariances, patch, count, frame[None, :3, 2], sensor.surface_sigma_m**2)
+    patch, _ = numbered(row * n_columns + column, n_rows * n_columns)
+    return _with_shared(covariances, patch, frame[None, :3, 2], sensor.surface_sigma_m**2)
 
 
 def shown_by_lines(sensor: Sensor, scans: Sequence[object]) -> float | None:
@@ -83,7 +83,16 @@ def servo_covariances(points: FloatArray, covariances: FloatArray, line: np.ndar
     if sensor.tilt_sigma_rad == 0.0:
         return covariances
     block = (line / sensor.tilt_correlation_lines).astype(np.int64)
-    return with_shared(covariances, block, int(block.max(initial=0)) + 1, _lever(points), sensor.tilt_sigma_rad**2)
+    return _with_shared(covariances, block, _lever(points), sensor.tilt_sigma_rad**2)
+
+
+def _with_shared(covariances: FloatArray, group: np.ndarray, direction: FloatArray, variance: float) -> FloatArray:
+    """Covariances (N, 3, 3) with an error along a direction that the points of a group (N,) share; see above.
+
+    Directions are of each point, (N, 3), or one of all, (1, 3); their length scales the error.
+    """
+    shared = variance * np.bincount(group)[group]
+    return covariances + shared[:, None, None] * direction[:, :, None] * direction[:, None, :]
 
 
 def tilt_drift(plane: Plane, points: FloatArray, sensor: Sensor) -> FloatArray:

@@ -49,41 +49,31 @@ def push_octants(keys, first, last, level, stack, top):
 
 
 @njit(cache=True)
-def local_scatter(points, keys, fewest):
-    """(n, least, middle eigenvalue of the scatter, first point) of the smallest cells of so many points, (K, 4)."""
-    result, count = np.empty((points.shape[0] // fewest + 1, 4)), 0
-    stack, top = np.empty((8 * LEVELS + 8, 3), np.int64), 1
-    stack[0, 0], stack[0, 1], stack[0, 2] = 0, points.shape[0], 0
-    row, grid, none = np.empty(ROW_SIZE), points.reshape(1, -1, 3), np.empty((1, 0, 1))
-    while top > 0:
-        top -= 1
-        first, last, level = stack[top, 0], stack[top, 1], stack[top, 2]
-        if last - first < fewest:
-            continue
-        if last - first < 4 * fewest or level == LEVELS:
-            run_moments(grid, none, first, last, False, row)
-            least, middle, _ = eigenvalues(row)
-            result[count, 0], result[count, 1], result[count, 2], result[count, 3] = row[0], least, middle, first
-            count += 1
-            continue
-        top = push_octants(keys, first, last, level, stack, top)
-    return result[:count]
-
-
-@njit(cache=True)
-def neighbourhoods(keys, most):
-    """Number (N,) of the largest cell of at most so many points that every point lies in."""
-    result, count = np.empty(keys.shape[0], np.int64), 0
+def largest_cells(keys, most):
+    """First point, and where the last one ends, of the largest cells of at most so many points, shape (K, 2)."""
+    cells, count = np.empty((keys.shape[0], 2), np.int64), 0
     stack, top = np.empty((8 * LEVELS + 8, 3), np.int64), min(keys.shape[0], 1)
     stack[0, 0], stack[0, 1], stack[0, 2] = 0, keys.shape[0], 0
     while top > 0:
         top -= 1
         first, last, level = stack[top, 0], stack[top, 1], stack[top, 2]
         if last - first <= most or level == LEVELS:
-            result[first:last] = count
+            cells[count, 0], cells[count, 1] = first, last
             count += 1
             continue
         top = push_octants(keys, first, last, level, stack, top)
+    return cells[:count].copy()
+
+
+@njit(cache=True)
+def local_scatter(points, cells):
+    """(n, least, middle eigenvalue of the scatter, first point) of every cell, (K, 2), shape (K, 4)."""
+    result, row = np.empty((cells.shape[0], 4)), np.empty(ROW_SIZE)
+    grid, none = points.reshape(1, -1, 3), np.empty((1, 0, 1))
+    for k in range(cells.shape[0]):
+        run_moments(grid, none, cells[k, 0], cells[k, 1], False, row)
+        least, middle, _ = eigenvalues(row)
+        result[k, 0], result[k, 1], result[k, 2], result[k, 3] = row[0], least, middle, cells[k, 0]
     return result
 
 
@@ -117,9 +107,7 @@ def planar_leaves(points, keys, variances, octave, fewest, limits):
             continue
         begin = top
         top = push_octants(keys, first, last, level, stack, top)
-        for k in range((top - begin) // 2):  # so that the first is taken first
-            for c in range(3):
-                stack[begin + k, c], stack[top - 1 - k, c] = stack[top - 1 - k, c], stack[begin + k, c]
+        stack[begin:top] = stack[begin:top][::-1].copy()  # so that the first is taken first
     return cells[:count].copy(), rows[:count].copy()
 
 

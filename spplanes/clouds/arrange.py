@@ -13,15 +13,6 @@ from itertools import pairwise, product
 import numpy as np
 
 from spplanes._check import FloatArray
-from spplanes.clouds._arrange_kernels import (
-    columns_of,
-    nearest_points,
-    occupied_cells,
-    phases_of,
-    returns_of,
-    rows_of,
-    turns_of,
-)
 from spplanes.clouds.scatter import misses_of
 
 #: A new line starts where the beam turns by at least this much from one point to the next, rad ...
@@ -69,7 +60,7 @@ def arrange(points: FloatArray, grid: Grid | None = None) -> FloatArray:
     """
     if points.ndim == 3:
         return _cut_at_a_corner(points) if _closes(points) else points
-    used = returns_of(np.ascontiguousarray(points, dtype=np.float64))
+    used = returns_of(np.asarray(points, dtype=np.float64))
     lines = _lines_of(used) if grid is None else None
     return range_image(used, grid) if lines is None else lines
 
@@ -79,8 +70,14 @@ def shows_lines(points: FloatArray) -> bool:
     say."""
     if points.ndim != 2:
         return False
-    used = points[np.isfinite(points).all(axis=1)]
-    return _lines_of(used[(used != 0.0).any(axis=1)]) is not None
+    return _lines_of(returns_of(points)) is not None
+
+
+def returns_of(points: FloatArray) -> FloatArray:
+    """The points (N, 3) that are finite and not at the sensor, in their order."""
+    x, y, z = points.T
+    finite = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+    return points[finite & ((x != 0.0) | (y != 0.0) | (z != 0.0))]
 
 
 def range_image(points: FloatArray, grid: Grid | None = None) -> FloatArray:
@@ -93,9 +90,9 @@ def range_image(points: FloatArray, grid: Grid | None = None) -> FloatArray:
     if grid is None:
         grid, row, column = _best_grid(elevation, azimuth)
     else:
-        [phase] = phases_of(azimuth, np.array([grid.columns]))
-        row = rows_of(elevation, elevation.max(), elevation.min(), grid.rows)
-        column = columns_of(azimuth, grid.columns, phase)
+        [phase] = _phases_of(azimuth, np.array([grid.columns]))
+        row = _rows_of(elevation, elevation.max(), elevation.min(), grid.rows)
+        column = _columns_of(azimuth, grid.columns, phase)
     return _cut_at_a_corner(nearest_points(points, row, column, grid.rows, grid.columns))
 
 
@@ -130,21 +127,56 @@ def _best_grid(elevation: FloatArray, azimuth: FloatArray) -> tuple[Grid, np.nda
     come near the best so far are not tried.
     """
     ends = elevation.max(), elevation.min()
-    rows = {count: rows_of(elevation, *ends, count) for count in _ROWS}
-    phases = phases_of(azimuth, np.array(_COLUMNS))
-    columns = {count: columns_of(azimuth, count, phase) for count, phase in zip(_COLUMNS, phases, strict=True)}
+    rows = {count: _rows_of(elevation, *ends, count) for count in _ROWS}
+    phases = _phases_of(azimuth, np.array(_COLUMNS))
+    columns = {count: _columns_of(azimuth, count, phase) for count, phase in zip(_COLUMNS, phases, strict=True)}
     shapes = [(min(r * c, len(azimuth) ** 2 / (r * c)), -k, r, c) for k, (r, c) in enumerate(product(_ROWS, _COLUMNS))]
     best, tried = 0.0, []
     for bound, order, r, c in sorted(shapes, reverse=True):
         if bound < _AS_GOOD * best:
             break
-        score = occupied_cells(rows[r], columns[c], r, c) ** 2 / (r * c)
+        seen = np.zeros(r * c, dtype=bool)
+        seen[rows[r] * c + columns[c]] = True
+        score = np.count_nonzero(seen) ** 2 / (r * c)
         best = max(best, score)
         tried.append((score, order, Grid(r, c)))
     height = float(ends[0] - ends[1])
     good = [one for one in tried if one[0] >= _AS_GOOD * best]
     grid = min(good, key=lambda one: (one[2].stretch(height), -one[1]))[2]
     return grid, rows[grid.rows], columns[grid.columns]
+
+
+def _rows_of(elevation: FloatArray, highest: float, lowest: float, rows: int) -> np.ndarray:
+    """Row of every elevation (N,), int32: highest and lowest lie in the middle of the first row and the last."""
+    return np.rint((highest - elevation) * ((rows - 1) / max(highest - lowest, 1e-9))).astype(np.int32)
+
+
+def _phases_of(azimuth: FloatArray, columns: np.ndarray) -> FloatArray:
+    """Where in their column beams lie on average, for every number of columns (C,) in a whole turn, (C,), columns.
+
+    Of the sum of e^(i n azimuth), the direction; the powers come from squares of the first.
+    """
+    squares = [np.exp(1j * azimuth)]
+    for _ in range(int(columns.max()).bit_length() - 1):
+        squares.append(squares[-1] ** 2)
+    powers = ([square for bit, square in enumerate(squares) if count >> bit & 1] for count in columns)
+    return np.angle([np.prod(power, axis=0).sum() for power in powers]) / (2.0 * np.pi)
+
+
+def _columns_of(azimuth: FloatArray, columns: int, phase: float) -> np.ndarray:
+    """Column of every azimuth (N,), rad, of so many in a whole turn, int32: those at the phase lie in the middle."""
+    return np.rint(azimuth * (columns / (2.0 * np.pi)) - phase).astype(np.int32) % np.int32(columns)
+
+
+def nearest_points(points: FloatArray, row: np.ndarray, column: np.ndarray, rows: int, columns: int) -> FloatArray:
+    """Image (rows, columns, 3) of points (N, 3): of those in one cell the nearest, of equal ones the last."""
+    x, y, z = points.T
+    cell, square = row.astype(np.int64) * columns + column, x**2 + y**2 + z**2
+    least, image = np.full(rows * columns, np.inf), np.full((rows * columns, 3), np.nan)
+    np.minimum.at(least, cell, square)
+    nearest = square == least[cell]
+    image[cell[nearest]] = points[nearest]
+    return image.reshape(rows, columns, 3)
 
 
 def _off_pole(points: FloatArray) -> FloatArray:
@@ -167,11 +199,19 @@ def _angles(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])), np.arctan2(points[:, 1], points[:, 0])
 
 
+def _turns_of(points: FloatArray) -> FloatArray:
+    """Cosine of the angle from every point to the next as seen from the origin, shape (N - 1,)."""
+    x, y, z = points.T
+    length = np.sqrt(x * x + y * y + z * z)
+    along = x[1:] * x[:-1] + y[1:] * y[:-1] + z[1:] * z[:-1]
+    return np.clip(along / (length[:-1] * length[1:]), -1.0, 1.0)
+
+
 def _lines_of(points: FloatArray) -> FloatArray | None:
     """The lines that the order of the points shows, shape (S, B, 3); None where it shows none."""
     if len(points) < _MIN_LINES * _MIN_BEAMS:
         return None
-    cosines = turns_of(points)
+    cosines = _turns_of(points)
     limit = max(_JUMP_RAD, _JUMP_STEPS * float(np.arccos(np.median(cosines))))
     if limit >= np.pi:
         return None

@@ -19,9 +19,9 @@ from scipy.optimize import isotonic_regression
 from scipy.special import chdtri, ndtri
 
 from spplanes._check import FloatArray
-from spplanes.clouds._octree_kernels import LEVELS, LOCAL, local_scatter, neighbourhoods, planar_leaves
+from spplanes.clouds._octree_kernels import LEVELS, LOCAL, largest_cells, local_scatter, planar_leaves
 from spplanes.fitting.shared_error import weighted_median
-from spplanes.outlines._raster import distinct
+from spplanes.outlines._raster import distinct_pairs
 
 #: Fewest points of a cell that is judged.
 FEWEST = 6
@@ -39,6 +39,9 @@ _BINS, _CELLS_OF_BIN = 12, 20
 _SIGNIFICANCE, _OCTANT_SIGNIFICANCE = 1e-3, 1e-4
 #: The mean squared residual of a planar cell may exceed the noise by this factor.
 _SLACK = 1.15
+#: Numbers of 10 bits with two zeros before every bit, and of 15 bits every third.
+_SPREAD = np.bitwise_or.reduce([(np.arange(1 << 10) >> bit & 1) << 3 * bit for bit in range(10)])
+_GATHERED = np.bitwise_or.reduce([(np.arange(1 << 15) >> 3 * bit & 1) << bit for bit in range(5)])
 #: Offsets of a cell's 26 neighbours.
 _AROUND = np.array([step for step in product((-1, 0, 1), repeat=3) if any(step)])
 
@@ -53,8 +56,6 @@ class Curve:
     """Their places on the curve, ascending, shape (N,), int64."""
     number: np.ndarray
     """Which of them each point of the cloud is, shape (M,), int64."""
-    side_m: float
-    """Of the cube around them all, m."""
 
     @classmethod
     def through(cls, cloud: FloatArray) -> Curve:
@@ -70,7 +71,7 @@ class Curve:
         first[1:] = (np.diff(sorted_points, axis=0) != 0.0).any(axis=1)
         number = np.empty(len(order), dtype=np.int64)
         number[order] = np.cumsum(first) - 1
-        return cls(sorted_points[first], sorted_keys[first], number, side)
+        return cls(sorted_points[first], sorted_keys[first], number)
 
     def noise_variances(self, ranges: FloatArray) -> FloatArray | None:
         """Variance of every point about planes through its neighbours, shape (N,), m^2; None where too few look flat.
@@ -104,7 +105,8 @@ class Curve:
         held, found, most = np.zeros(n_shells), [np.empty((0, 4))] * n_shells, np.full(n_shells, np.inf)
         fewest = LOCAL
         while fewest <= max(len(self.points), LOCAL) and (held <= enough).any():
-            judged = local_scatter(self.points, self.keys, fewest)
+            cells = largest_cells(self.keys, 4 * fewest - 1)
+            judged = local_scatter(self.points, cells[np.diff(cells)[:, 0] >= fewest])
             place = shell[judged[:, 3].astype(np.int64)]
             for s in np.flatnonzero(held <= enough):
                 mine = judged[place == s]
@@ -131,7 +133,9 @@ class Curve:
 
     def neighbourhoods(self) -> np.ndarray:
         """A number for every point, the same for up to 2 LOCAL neighbours, shape (N,)."""
-        return neighbourhoods(self.keys, 2 * LOCAL)
+        cells = largest_cells(self.keys, 2 * LOCAL)
+        order = np.argsort(cells[:, 0])
+        return np.repeat(order, np.diff(cells)[order, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,8 +186,7 @@ class Cells:
         larger = 3 * (LEVELS - self.level[other])
         holds = (other >= 0) & (keys >> larger == self.place[other] >> larger) & (self.level[other] <= self.level[cell])
         pairs = np.sort(np.stack((cell[holds], other[holds]), axis=1), axis=1)
-        codes = distinct(pairs[:, 0] * len(self.level) + pairs[:, 1])
-        return np.stack(np.divmod(codes, max(len(self.level), 1)), axis=1)
+        return distinct_pairs(pairs, len(self.level))
 
 
 def _median_variance(cells: FloatArray) -> float:
@@ -197,32 +200,12 @@ def _interleaved(places: np.ndarray) -> np.ndarray:
     return _spread(places[..., 0]) | _spread(places[..., 1]) << 1 | _spread(places[..., 2]) << 2
 
 
-_STEPS = (
-    (32, 0x001F00000000FFFF),
-    (16, 0x001F0000FF0000FF),
-    (8, 0x100F00F00F00F00F),
-    (4, 0x10C30C30C30C30C3),
-    (2, 0x1249249249249249),
-)
-
-
 def _spread(values: np.ndarray) -> np.ndarray:
     """Two zeros before every bit."""
-    for shift, mask in _STEPS:
-        values = (values | values << shift) & mask
-    return values
+    return _SPREAD[values & 1023] | _SPREAD[values >> 10] << 30
 
 
 def _separated(keys: np.ndarray) -> np.ndarray:
     """Places (K, 3) of keys (K,)."""
-    return np.stack([_gathered(keys >> axis) for axis in range(3)], axis=-1)
-
-
-def _gathered(values: np.ndarray) -> np.ndarray:
-    """Every third bit."""
-    values = values & _STEPS[-1][1]
-    for (shift, _), (_, mask) in zip(
-        reversed(_STEPS), (*reversed(_STEPS[:-1]), (0, (1 << LEVELS + 1) - 1)), strict=True
-    ):
-        values = (values | values >> shift) & mask
-    return values
+    own = [_GATHERED[keys[:, None] >> np.arange(3) + shift & 0x7FFF] << shift // 3 for shift in (0, 15, 30, 45)]
+    return np.bitwise_or.reduce(own)

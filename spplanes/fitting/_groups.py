@@ -78,7 +78,7 @@ class FitJob:
 def _covariances(covariances: ArrayLike | None, sigma: float | None, n: int) -> tuple[FloatArray, int]:
     """Covariances and the step between those of successive points."""
     if covariances is not None and sigma is None:
-        return as_covariances("covariances", covariances, n), 1
+        return as_covariances("covariances", covariances, (n,)), 1
     if sigma is not None and covariances is None:
         deviation = as_positive("sigma", sigma)
         if not SMALLEST_VARIANCE**0.5 <= deviation <= LARGEST_VARIANCE**0.5:
@@ -96,32 +96,13 @@ def group_by_label(labels: ArrayLike | None, n: int) -> tuple[np.ndarray, np.nda
         array = array.astype(np.int64)
     if array.shape != (n,) or array.dtype.kind not in "iu":
         raise ValueError(f"labels: expected {n} integers, one for each point, got {array.dtype} of shape {array.shape}")
-    if n and array.max() < n:
-        return _count_labels(array.astype(np.int64, copy=False), int(array.max()))
-    order = np.argsort(array, kind="stable")
+    narrow = n and array.max() < 1 << 15  # such numbers numpy sorts by counting, in one walk over the points
+    codes = np.maximum(array.astype(np.int64, copy=False), -1).astype(np.int16) if narrow else array
+    order = np.argsort(codes, kind="stable")
     ranked = array[order]
     first = int(np.searchsorted(ranked, 0))
     starts = first + np.flatnonzero(np.diff(ranked[first:], prepend=-1))
     return ranked[starts], order[first:], np.append(starts, n) - first
-
-
-def _count_labels(labels, largest: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same by counting, for labels that are not far apart: no comparison, one walk over the points."""
-    counts = np.bincount(labels[labels >= 0], minlength=largest + 1)
-    ends = np.concatenate(([0], np.cumsum(counts)))
-    names, order = np.flatnonzero(counts), np.empty(ends[-1], np.int64)
-    bounds = np.append(ends[names], ends[-1])
-    _put_in_place(labels, ends, order)
-    return names, order, bounds
-
-
-@njit(cache=True)
-def _put_in_place(labels, ends, order) -> None:
-    """Write the points of one label after the other to `order`; `ends`, where each begins, are moved to its end."""
-    for i in range(labels.shape[0]):
-        if labels[i] >= 0:
-            order[ends[labels[i]]] = i
-            ends[labels[i]] += 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,9 +98,7 @@ def descend(group, cutoff2, gain, frame, sums) -> int:
         if not invert3(sums[4], sums[5], sums[6], sums[7], sums[8], sums[9], inverse):
             return COLLINEAR
         best = sums[0]
-        for j in range(4):
-            for k in range(4):
-                base[j, k] = frame[j, k]
+        base[:] = frame
         g0, g1, g2 = gain * sums[1], gain * sums[2], gain * sums[3]
         b0 = inverse[0, 0] * g0 + inverse[0, 1] * g1 + inverse[0, 2] * g2
         ax = inverse[1, 0] * g0 + inverse[1, 1] * g1 + inverse[1, 2] * g2
@@ -209,17 +207,9 @@ def ml_group(group, viewpoint, frame, covariance, sums) -> int:
     status = row_frame(row, viewpoint, base, values)
     if status != OK:
         return status
-    status = descend(group, np.inf, 1.0, base, sums)
-    if status != OK:
-        return status
-    return finish(base, sums, viewpoint, frame, covariance)
-
-
-@inlined
-def finish(base, sums, viewpoint, frame, covariance) -> int:
-    """Write frame and covariance from the sums at the minimum."""
-    to_p = np.empty((3, 3))
-    status = settle(base, sums, viewpoint, frame, to_p)
+    status, to_p = descend(group, np.inf, 1.0, base, sums), np.empty((3, 3))
+    if status == OK:
+        status = settle(base, sums, viewpoint, frame, to_p)
     if status != OK:
         return status
     return OK if write_covariance(sums, sums[4:10], to_p, covariance) else COLLINEAR

@@ -13,21 +13,10 @@ _GOOD, _NOT_FINITE, _ASYMMETRIC, _INDEFINITE, _ZERO, _EXTREME = 0, 1, 2, 3, 4, 5
 #: Coordinates up to this, m, and variances from this on and up to that, m^2: their products stay within floats.
 LARGEST_COORDINATE = 1e15
 SMALLEST_VARIANCE, LARGEST_VARIANCE = 1e-30, 1e30
-#: Variances between which products of three neither vanish nor overflow.
-_USUAL = 1e-30, 1e30
-
-
-@njit(cache=True)
-def _first_too_far(points, limit: float) -> int:
-    """Index of the first point that has a coordinate beyond the limit, or one that is not finite; or -1."""
-    for i in range(points.shape[0]):
-        if not (abs(points[i, 0]) <= limit and abs(points[i, 1]) <= limit and abs(points[i, 2]) <= limit):
-            return i
-    return -1
 
 
 @inlined
-def _judge(c, tolerance: float) -> int:
+def _judge(c, tolerance: float, least: float, most: float) -> int:
     """What a (3, 3) matrix is. Semidefinite up to the tolerance: with that much on its diagonal all pivots are > 0."""
     scale = 0.0
     for j in range(3):
@@ -37,7 +26,7 @@ def _judge(c, tolerance: float) -> int:
             scale = max(scale, abs(c[j, k]))
     if scale == 0.0:
         return _ZERO
-    if not SMALLEST_VARIANCE <= scale <= LARGEST_VARIANCE:
+    if not least <= scale <= most:
         return _EXTREME
     slack = tolerance * scale
     if max(abs(c[0, 1] - c[1, 0]), abs(c[0, 2] - c[2, 0]), abs(c[1, 2] - c[2, 1])) > slack:
@@ -54,25 +43,25 @@ def _judge(c, tolerance: float) -> int:
 
 
 @njit(cache=True)
-def _first_bad_covariance(covariances, tolerance: float) -> tuple[int, int]:
-    """Index and fault of the first matrix that is no covariance, or (-1, 0)."""
+def _first_bad_covariance(covariances, valid, tolerance: float, least: float, most: float) -> tuple[int, int]:
+    """Index and fault of the first matrix of a valid point that is no covariance, or (-1, 0)."""
     for i in range(covariances.shape[0]):
-        if not _is_plain(covariances, i):
-            fault = _judge(covariances[i], tolerance)
+        if valid[i] and not _is_plain(covariances, i, least, most):
+            fault = _judge(covariances[i], tolerance, least, most)
             if fault != _GOOD:
                 return i, fault
     return -1, _GOOD
 
 
 @inlined
-def _is_plain(covariances, i) -> bool:
+def _is_plain(covariances, i, least: float, most: float) -> bool:
     """Whether a matrix is clearly a covariance, by products alone: exactly symmetric, minors well above zero."""
     a, b, c = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 0, 2]
     d, e, f = covariances[i, 1, 1], covariances[i, 1, 2], covariances[i, 2, 2]
     symmetric = (covariances[i, 1, 0] == b) & (covariances[i, 2, 0] == c) & (covariances[i, 2, 1] == e)
     minor, product = a * d - b * b, a * d
     det = f * minor - a * e * e - c * (c * d - 2.0 * b * e)
-    usual = (min(a, d, f) > _USUAL[0]) & (max(a, d, f) < _USUAL[1])
+    usual = (min(a, d, f) > least) & (max(a, d, f) < most)
     return symmetric & usual & (minor > 1e-9 * product) & (det > 1e-9 * product * f)
 
 
@@ -81,9 +70,9 @@ def as_points(name: str, value: ArrayLike) -> FloatArray:
     points = as_float_array(name, value)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"{name}: expected shape (N, 3), got {points.shape}")
-    points = writable(points)
-    bad = _first_too_far(points, LARGEST_COORDINATE)
-    if bad >= 0:
+    points = _writable(points)
+    if points.size and not (points.max() <= LARGEST_COORDINATE and points.min() >= -LARGEST_COORDINATE):  # NaN, too
+        bad = int(np.argmin((np.abs(points) <= LARGEST_COORDINATE).all(axis=1)))
         wanted = (
             f"coordinates within {LARGEST_COORDINATE:.0e} m" if np.isfinite(points[bad]).all() else "finite numbers"
         )
@@ -99,24 +88,42 @@ class _Memory:
         self.__array_interface__ = {**array.__array_interface__, "data": (array.ctypes.data, False)}
 
 
-def writable(array: FloatArray) -> FloatArray:
+def _writable(array: FloatArray) -> FloatArray:
     """The same memory without its write protection: no kernel writes, but numba would compile all of them anew."""
     return array if array.flags.writeable else np.asarray(_Memory(array))
 
 
-def as_covariances(name: str, value: ArrayLike, n: int) -> FloatArray:
-    """Return (n, 3, 3) symmetric positive semidefinite matrices; singular is allowed, all zero is not."""
+def as_covariances(
+    name: str,
+    value: ArrayLike,
+    shape: tuple[int, ...],
+    *,
+    valid: np.ndarray | None = None,
+    least: float = SMALLEST_VARIANCE,
+    most: float = LARGEST_VARIANCE,
+) -> FloatArray:
+    """Return symmetric positive semidefinite matrices (..., 3, 3); singular is allowed, all zero is not.
+
+    Args:
+        name: of the argument.
+        value: what was given for it.
+        shape: of the points.
+        valid: which points are judged, of that shape, bool; None: all.
+        least, most: what the largest entry of a matrix may be, m^2.
+    """
     covariances = as_float_array(name, value)
-    if covariances.shape != (n, 3, 3):
-        raise ValueError(f"{name}: expected shape ({n}, 3, 3), one for each point, got {covariances.shape}")
-    covariances = writable(covariances)
-    bad, fault = _first_bad_covariance(covariances, COVARIANCE_TOLERANCE)
+    if covariances.shape != (*shape, 3, 3):
+        raise ValueError(f"{name}: expected shape {(*shape, 3, 3)}, one for each point, got {covariances.shape}")
+    covariances = _writable(covariances)
+    judged = np.ones(shape, dtype=bool) if valid is None else valid
+    matrices = covariances.reshape(-1, 3, 3)
+    bad, fault = _first_bad_covariance(matrices, judged.ravel(), COVARIANCE_TOLERANCE, least, most)
     if bad >= 0:
-        raise ValueError(f"{name}: {_describe(fault, covariances[bad])} at index {bad}")
+        raise ValueError(f"{name}: {_describe(fault, matrices[bad], least, most)} at index {bad}")
     return covariances
 
 
-def _describe(fault: int, matrix: FloatArray) -> str:
+def _describe(fault: int, matrix: FloatArray, least: float, most: float) -> str:
     if fault == _NOT_FINITE:
         return "expected finite numbers, got NaN or infinity"
     if fault == _ASYMMETRIC:
@@ -124,7 +131,6 @@ def _describe(fault: int, matrix: FloatArray) -> str:
     if fault == _ZERO:
         return "expected some uncertainty in every point, got a zero matrix"
     if fault == _EXTREME:
-        wanted = f"the largest entries in {SMALLEST_VARIANCE:.0e} to {LARGEST_VARIANCE:.0e} m^2"
-        return f"expected {wanted}, got {np.abs(matrix).max():.3g}"
+        return f"expected the largest entries in {least:.0e} to {most:.0e} m^2, got {np.abs(matrix).max():.3g}"
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     return f"expected positive semidefinite matrices, got smallest eigenvalue {smallest:.3g}"

@@ -75,12 +75,17 @@ def truncated_cost(group, stride, frame, cutoff2) -> float:
     cost = 0.0
     for k in range(lo, hi, stride):
         i = order[k]
-        c = covs[i * step]
         z = nx * (points[i, 0] - frame[0, 3]) + ny * (points[i, 1] - frame[1, 3]) + nz * (points[i, 2] - frame[2, 3])
-        variance = nx * nx * c[0, 0] + ny * ny * c[1, 1] + nz * nz * c[2, 2]
-        variance += 2.0 * (nx * ny * c[0, 1] + nx * nz * c[0, 2] + ny * nz * c[1, 2])
-        cost += min(z * z / max(variance, FLOOR * (c[0, 0] + c[1, 1] + c[2, 2])), cutoff2)
+        cost += min(z * z / variance_along(covs[i * step], nx, ny, nz), cutoff2)
     return cost
+
+
+@inner(cache=True)
+def variance_along(c, nx, ny, nz) -> float:
+    """n^T C n, and no less than `FLOOR` of the trace."""
+    variance = nx * nx * c[0, 0] + ny * ny * c[1, 1] + nz * nz * c[2, 2]
+    variance += 2.0 * (nx * ny * c[0, 1] + nx * nz * c[0, 2] + ny * nz * c[1, 2])
+    return max(variance, FLOOR * (c[0, 0] + c[1, 1] + c[2, 2]))
 
 
 @inner(cache=True)
@@ -99,9 +104,7 @@ def consensus_frame(group, fractions, cutoff2, frame) -> int:
         cost = truncated_cost(group, stride, trial, cutoff2)
         if cost < best:
             best = cost
-            for j in range(4):
-                for m in range(4):
-                    frame[j, m] = trial[j, m]
+            frame[:] = trial
     return OK if best < np.inf else COLLINEAR
 
 
@@ -175,10 +178,7 @@ def ring_information(group, frame, cutoff2, ring) -> None:
         x, y, square = locate(points, covs, step, order[k], frame)
         if not cutoff2 <= square < 4.0 * cutoff2:
             continue
-        c = covs[order[k] * step]
-        variance = nx * nx * c[0, 0] + ny * ny * c[1, 1] + nz * nz * c[2, 2]
-        variance += 2.0 * (nx * ny * c[0, 1] + nx * nz * c[0, 2] + ny * nz * c[1, 2])
-        w = 1.0 / max(variance, FLOOR * (c[0, 0] + c[1, 1] + c[2, 2]))
+        w = 1.0 / variance_along(covs[order[k] * step], nx, ny, nz)
         ring[0] += w
         ring[1] += w * x
         ring[2] += w * y

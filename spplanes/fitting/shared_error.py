@@ -107,20 +107,6 @@ def shared_error_of(
     return SharedError(float(np.sqrt(common)), np.sqrt(own), factors, total)
 
 
-def octave_sigma_of(
-    points: FloatArray, variances: FloatArray, groups: np.ndarray, frames: FloatArray, spreads: FloatArray
-) -> float:
-    """Standard deviation of an octave of the error that neighbouring points share, m.
-
-    Args:
-        points, variances, groups, frames: as of `shared_error_of`; variances are a guess.
-        spreads: information of (z, theta, psi) by the noise alone, its diagonal, shape (P, 3).
-    """
-    covariances = np.zeros((len(frames), 3, 3))
-    covariances[:, (0, 1, 2), (0, 1, 2)] = 1.0 / spreads
-    return shared_error_of(points, variances, groups, frames, covariances, stated=False).octave_sigma_m
-
-
 @dataclass(frozen=True, eq=False)
 class _Patches:
     """What patches of planes say: SIDE^2 of each, P planes."""

@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spplanes._check import FloatArray
 from spplanes._jit import inlined, inner, njit
+from spplanes.fitting._groups import group_by_label
 from spplanes.lines._fit import (
     between,
     drop_borders,
@@ -14,13 +16,11 @@ from spplanes.lines._fit import (
     fit_beams,
     grow,
     line_sigmas,
-    relabel,
     start_line,
     trim,
     turning,
 )
 from spplanes.lines._kernels import (
-    N_SUMS,
     Beams,
     beam_moments,
     find_breaks,
@@ -69,72 +69,39 @@ def beams_of(scan, sigma):
 @inlined
 def rules_of(n):
     """The rules of their numbers: named, they would cost each call from Python as much as half a scan."""
-    return Rules(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9], n[10], n[11])
+    return Rules(*n)
 
 
 @njit(cache=True)
-def order_scan(ranges, angles, sigmas, numbers):
-    """Returns in order: beams (V,), their rows (N_ROWS, V), moments, breaks (V,); the widest gap, the largest step."""
-    rules = rules_of(numbers)
-    order, widest, step = order_beams(ranges, angles, rules.range_min, rules.range_max)
-    rows = np.empty((N_ROWS, order.size))
+def order_scan(ranges, angles, sigmas, order, step, numbers):
+    """Returns in order (V,), a step apart: their rows (N_ROWS, V), moments, breaks (V,); the largest step in a line."""
+    rules, rows = rules_of(numbers), np.empty((N_ROWS, order.size))
     for k in range(order.size):
         beam = order[k]
         rows[BEARING, k], rows[RANGE, k], rows[SIGMA, k] = angles[beam], ranges[beam], sigmas[beam]
         rows[COSINE, k], rows[SINE, k] = np.cos(angles[beam]), np.sin(angles[beam])
     slope_sigmas(beams_of(rows, SIGMA), rules.bearing_sigma, rows[SLOPE_SIGMA])
     beams, max_step = beams_of(rows, SLOPE_SIGMA), (rules.max_missing + 1.5) * step
-    return order, rows, beam_moments(beams), find_breaks(beams, max_step, rules.gate), widest, max_step
+    return rows, beam_moments(beams), find_breaks(beams, max_step, rules.gate), max_step
 
 
 @njit(cache=True)
-def label_scan(order, scan, moments, breaks, widest, max_step, numbers):
-    """Label the returns: order, scan, breaks in order, labels (V,), number of labels."""
-    rules, cut = rules_of(numbers), 0
-    while True:
-        beams = beams_of(scan, SLOPE_SIGMA)
-        starts = refine(moments, breaks, split(moments, breaks, rules.significance), rules.significance)
-        is_round = find_round(beams, moments, breaks, starts, rules.significance, 0.5 * rules.max_turning)
-        bounds = rules.max_missing, max_step
-        labels, n_labels = merge(beams, moments, starts, is_round, bounds, rules.flatness, rules.gate)
-        if cut == 0 and widest <= max_step:
-            cut = ring_start(labels, n_labels)
-            if cut > 0:
-                order, scan, moments, breaks = turned(order, scan, moments, breaks, cut)
-                continue
-        return order, scan, breaks, labels, n_labels
+def label_scan(scan, moments, breaks, max_step, numbers):
+    """Labels (V,) of the returns: which line each may be of, -1 = none."""
+    rules, beams = rules_of(numbers), beams_of(scan, SLOPE_SIGMA)
+    starts = refine(moments, breaks, split(moments, breaks, rules.significance), rules.significance)
+    is_round = find_round(beams, moments, breaks, starts, rules.significance, 0.5 * rules.max_turning)
+    bounds = rules.max_missing, max_step
+    return merge(beams, moments, starts, is_round, bounds, rules.flatness, rules.gate)
 
 
-@inlined
-def turned(order, scan, moments, breaks, cut):
-    """The same returns, the one at the cut first."""
-    result, rows, sums, gaps = np.empty_like(order), np.empty_like(scan), np.empty_like(moments), np.empty_like(breaks)
-    for k in range(order.size):
-        old = k + cut if k + cut < order.size else k + cut - order.size
-        result[k], gaps[k] = order[old], breaks[old]
-        for i in range(N_ROWS):
-            rows[i, k] = scan[i, old]
-        for i in range(N_SUMS):
-            sums[k, i] = moments[old, i]
-    return result, rows, sums, gaps
+def ring_start(members: np.ndarray, begins: np.ndarray) -> int:
+    """Where a closed ring can be cut without cutting a line: the first beam of one that no other bridges; else 0.
 
-
-@inlined
-def ring_start(labels, count):
-    """Where a closed ring can be cut without cutting a line: the first beam of one that no other bridges; else 0."""
-    first, last = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
-    for k in range(labels.size):
-        if labels[labels.size - 1 - k] >= 0:
-            first[labels[labels.size - 1 - k]] = labels.size - 1 - k
-        if labels[k] >= 0:
-            last[labels[k]] = k
-    for i in range(1, count):
-        bridged = False
-        for j in range(count):
-            bridged |= j != i and first[j] < first[i] <= last[j]
-        if not bridged:
-            return first[i]
-    return 0
+    Beams members[begins[k] : begins[k + 1]] have label k.
+    """
+    first, last = members[begins[:-1]], members[begins[1:] - 1]
+    return next((beam for beam in first[1:].tolist() if not ((first < beam) & (beam <= last)).any()), 0)
 
 
 @inner(cache=True)
@@ -158,32 +125,15 @@ def fit_label(beams, moments, breaks, labels, members, rules):
         line = fit_beams(beams, core, line[0], line[1])
         if not np.isfinite(line[5]):
             break
-        relabel(labels, members, -1)
+        labels[members] = -1
         members = trim(beams, members, line, rules.gate)
         n_before = core.size
         core = between(core, members[0], members[-1])
         members = grow(beams, breaks, labels, members, line, rules.gate)
-        relabel(labels, members, label)
+        labels[members] = label
         if core.size == n_before:
             break
     return line, members, core.size + n_borders, core.size
-
-
-@inlined
-def members_of(labels, count):
-    """The beams of each label, one label after the other, and where those of each begin (count + 1,)."""
-    begins = np.zeros(count + 1, dtype=np.int64)
-    for label in labels:
-        if label >= 0:
-            begins[label + 1] += 1
-    for label in range(count):
-        begins[label + 1] += begins[label]
-    members, at = np.empty(begins[count], dtype=np.int64), begins.copy()
-    for k in range(labels.size):
-        if labels[k] >= 0:
-            members[at[labels[k]]] = k
-            at[labels[k]] += 1
-    return members, begins
 
 
 @inlined
@@ -199,17 +149,27 @@ def is_line(beams, members, counts, line, rules):
     return abs(arc) + 3.0 * arc_sigma < rules.max_turning
 
 
-def extract(ranges, angles, sigmas, numbers):
+def extract(
+    ranges: FloatArray, angles: FloatArray, sigmas: FloatArray, rules: Rules
+) -> tuple[FloatArray, np.ndarray, np.ndarray]:
     """Lines of one scan: rows (M, 12) as N_RESULT says, the beams on them one line after the other, their counts."""
-    return fit_labels(*label_scan(*order_scan(ranges, angles, sigmas, numbers), numbers), numbers)
+    numbers = tuple(rules)
+    order, widest, step = order_beams(ranges, angles, rules.range_min, rules.range_max)
+    scan, moments, breaks, max_step = order_scan(ranges, angles, sigmas, order, step, numbers)
+    labels = label_scan(scan, moments, breaks, max_step, numbers)
+    _, *of_labels = group_by_label(labels, len(labels))
+    if widest <= max_step and (cut := ring_start(*of_labels)):
+        order, scan, breaks = (np.roll(one, -cut, axis=-1) for one in (order, scan, breaks))
+        labels = label_scan(scan, np.roll(moments, -cut, axis=0), breaks, max_step, numbers)
+        _, *of_labels = group_by_label(labels, len(labels))
+    return fit_labels(order, scan, breaks, labels, *of_labels, numbers)
 
 
 @njit(cache=True)
-def fit_labels(order, scan, breaks, labels, n_labels, numbers):
-    """The line of every label that is one: see `extract`."""
+def fit_labels(order, scan, breaks, labels, of_labels, begins, numbers):
+    """The line of every label that is one, see `extract`; beams of_labels[begins[k] : begins[k + 1]] have label k."""
     beams, rules = beams_of(scan, SIGMA), rules_of(numbers)
-    moments = beam_moments(beams)
-    of_labels, begins = members_of(labels, n_labels)
+    moments, n_labels = beam_moments(beams), begins.shape[0] - 1
     rows, support = np.empty((n_labels, N_RESULT)), np.empty(order.size, dtype=np.int64)
     counts = np.empty(n_labels, dtype=np.int64)
     n_lines = n_support = 0

@@ -38,12 +38,7 @@ def drop_borders(breaks, labels, members):
 @inlined
 def between(members, first, last):
     """Members, which ascend, from the first beam to the last."""
-    low, high = 0, members.size
-    while low < high and members[low] < first:
-        low += 1
-    while high > low and members[high - 1] > last:
-        high -= 1
-    return members[low:high]
+    return members[np.searchsorted(members, first) : np.searchsorted(members, last, side="right")]
 
 
 @inner(cache=True)
@@ -173,22 +168,7 @@ def grow(beams, breaks, labels, members, line, gate):
         if not belongs(beams, high, line, gate):
             break
         high += 1
-    before, after = members[0] - low, high - members[-1] - 1
-    grown = np.empty(before + members.size + after, dtype=np.int64)
-    for k in range(before):
-        grown[k] = low + k
-    for k in range(members.size):
-        grown[before + k] = members[k]
-    for k in range(after):
-        grown[grown.size - after + k] = high - after + k
-    return grown
-
-
-@inlined
-def relabel(labels, members, label):
-    """Give beams a label, in place."""
-    for k in members:
-        labels[k] = label
+    return np.concatenate((np.arange(low, members[0]), members, np.arange(members[-1] + 1, high)))
 
 
 @inlined

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spplanes._check import FloatArray
 from spplanes._jit import inlined, inner
 
 
@@ -43,85 +44,17 @@ def full_turn(angle):
     return angle if 0.0 <= angle < 2.0 * np.pi else angle % (2.0 * np.pi)
 
 
-@inner(cache=True)
-def order_beams(ranges, angles, range_min, range_max):
+def order_beams(
+    ranges: FloatArray, angles: FloatArray, range_min: float, range_max: float
+) -> tuple[np.ndarray, float, float]:
     """Indices of the returns in order of bearing, from the widest gap on (V,); that gap and the median step, rad."""
-    n = angles.size
-    turn = np.empty(n)
-    for k in range(n):
-        turn[k] = full_turn(angles[k] - angles[0])
-    order = sorted_order(turn)
-    steps, widest = np.empty(n), 0
-    for k in range(n):
-        end = turn[order[k + 1]] if k + 1 < n else turn[order[0]] + 2.0 * np.pi
-        steps[k] = end - turn[order[k]]
-        if steps[k] > steps[widest]:
-            widest = k
-    gap = steps[widest]
-    valid, count = np.empty(n, dtype=np.int64), 0
-    for k in range(widest + 1, widest + 1 + n):
-        beam = order[k if k < n else k - n]
-        if range_min < ranges[beam] < range_max:
-            valid[count] = beam
-            count += 1
-    return valid[:count], gap, median(steps)
-
-
-@inlined
-def sorted_order(keys):
-    """Indices of keys in ascending order, stable: runs are merged to twice their length until one is left."""
-    n = keys.size
-    order, other = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-    ordered = True
-    for k in range(n):
-        order[k] = k
-        ordered &= k == 0 or not keys[k] < keys[k - 1]
-    width = n if ordered else 1
-    while width < n:
-        for low in range(0, n, 2 * width):
-            middle, high = min(low + width, n), min(low + 2 * width, n)
-            i, j = low, middle
-            for k in range(low, high):
-                if i < middle and (j == high or not keys[order[j]] < keys[order[i]]):
-                    other[k] = order[i]
-                    i += 1
-                else:
-                    other[k] = order[j]
-                    j += 1
-        order, other = other, order
-        width *= 2
-    return order
-
-
-@inlined
-def median(values):
-    """Median of values, which change places.
-
-    References:
-        Hoare, "Algorithm 65: find", Communications of the ACM 4, 1961.
-    """
-    middle, low, high = values.size // 2, 0, values.size - 1
-    while low < high:
-        pivot, i, j = values[middle], low, high
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while pivot < values[j]:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if j < middle:
-            low = i
-        if middle < i:
-            high = j
-    if values.size % 2 == 1:
-        return values[middle]
-    below = values[0]
-    for k in range(1, middle):
-        below = max(below, values[k])
-    return 0.5 * (below + values[middle])
+    turn = (angles - angles[0]) % (2.0 * np.pi)
+    order = np.argsort(turn, kind="stable")
+    steps = np.diff(turn[order], append=turn[order[0]] + 2.0 * np.pi)
+    widest = int(np.argmax(steps))
+    order = np.roll(order, -widest - 1)
+    seen = ranges[order]
+    return order[(range_min < seen) & (seen < range_max)], float(steps[widest]), float(np.median(steps))
 
 
 @inlined
@@ -282,12 +215,7 @@ def split(moments, breaks, significance):
                     stack[depth + 1, 0], stack[depth + 1, 1] = at, b
                     depth += 2
             low = k
-    starts, count = np.empty(n + 1, dtype=np.int64), 0
-    for k in range(n + 1):
-        if is_start[k]:
-            starts[count] = k
-            count += 1
-    return starts[:count]
+    return np.flatnonzero(is_start)
 
 
 @inner(cache=True)

@@ -70,13 +70,6 @@ def may_bridge(beams, u, v, pieces, both, bounds):
     return t[2] - t[1] <= t[1] - t[0] + t[3] - t[2] or step <= max_step
 
 
-@inlined
-def label_run(labels, low, high, label):
-    """Give the beams low..high-1 a label, in place."""
-    for k in range(low, high):
-        labels[k] = label
-
-
 @inner(cache=True)
 def merge(beams, moments, starts, is_round, bounds, flatness, gate):
     """Join pieces that are one line (chi2 with 2 dof): the label of each beam (V,), -1 for pieces under 3 beams.
@@ -90,7 +83,7 @@ def merge(beams, moments, starts, is_round, bounds, flatness, gate):
     count = 0
     for i in range(n_pieces):
         if starts[i + 1] - starts[i] < 3 or is_round[starts[i]]:
-            label_run(labels, starts[i], starts[i + 1], -1)
+            labels[starts[i] : starts[i + 1]] = -1
             continue
         new = sum_range(moments, starts[i], starts[i + 1])
         pieces[count, 0], pieces[count, 1] = starts[i], starts[i + 1]
@@ -105,11 +98,11 @@ def merge(beams, moments, starts, is_round, bounds, flatness, gate):
             if gain <= gate and may_bridge(beams, u, v, pieces, (j, count), bounds):
                 target = j
                 break
-        label_run(labels, starts[i], starts[i + 1], target)
+        labels[starts[i] : starts[i + 1]] = target
         if target == count:
             count += 1
         else:
             pieces[target, 1] = starts[i + 1]
         for k in range(N_SUMS):
             sums[target, k] += new[k]
-    return labels, count
+    return labels

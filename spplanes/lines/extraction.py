@@ -114,7 +114,7 @@ def _extracted(
     beams = _checked_beams(ranges, angles, sigma)
     if beams.shape[1] < 3:
         return beams, np.empty((0, 12)), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    return beams, *extract(beams[0], beams[1], beams[2], tuple(_rules(config, flatness)))
+    return beams, *extract(beams[0], beams[1], beams[2], _rules(config, flatness))
 
 
 def _as_lines(rows: FloatArray, support: np.ndarray, counts: np.ndarray) -> list[ScanLine]:

@@ -14,12 +14,12 @@ from spplanes.fitting._pose_error import shared_by_scan
 from spplanes.mapping._region_table import RegionTable
 from spplanes.moments import ROW_SIZE, merge_rows
 from spplanes.outlines._raster import along_axes, draw, keys_of, projection_axis
-from spplanes.segmentation._inputs import as_grid, as_noise
 from spplanes.segmentation.clustering.growing import fit_regions, hesse
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.pipeline import segment_sheet
 from spplanes.segmentation.planes import shares_of
 from spplanes.segmentation.refinement.refining import BORDER_GAP
+from spplanes.segmentation.scans import as_grid, as_noise
 from spplanes.segmentation.sheet import Sheet, number_by_first_point
 
 #: Settled scans kept to show where regions reach in: as far as an occluder may part a plane.
@@ -44,9 +44,7 @@ class Strip:
     @property
     def is_full(self) -> bool:
         """Whether there are as many open scans as are settled at a time, and those to look ahead."""
-        return self.n_context + self.n_open_rows == len(self.points) or (
-            self.n_open_rows == len(self.points) - CONTEXT_SCANS
-        )
+        return self.n_open_rows == len(self.points) - CONTEXT_SCANS
 
     @property
     def n_open(self) -> int:

@@ -200,22 +200,12 @@ def _triangle(filled, first, width, rows, a, b, c):
 
 def keys_of(filled: np.ndarray, first: np.ndarray, corner: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """The filled cells of all rasters as keys, int64, ascending where no coordinate leaves its 21 bits."""
-    keys = np.empty(np.count_nonzero(filled), dtype=np.int64)
-    return keys[: _write_keys(filled, first, corner, shape, keys)]
-
-
-@njit(cache=True)
-def _write_keys(filled, first, corner, shape, keys):
-    """The same into an array; how many."""
-    count = 0
-    for r in range(shape.shape[0]):
-        for k in range(first[r], first[r + 1]):
-            if filled[k]:
-                i, j = (k - first[r]) // shape[r, 1] + corner[r, 0], (k - first[r]) % shape[r, 1] + corner[r, 1]
-                if abs(i) < _OFFSET and abs(j) < _OFFSET:
-                    keys[count] = ((r << _BITS | (i + _OFFSET)) << _BITS) | (j + _OFFSET)
-                    count += 1
-    return count
+    places = np.flatnonzero(filled)
+    region = np.searchsorted(first, places, side="right") - 1
+    i, j = np.divmod(places - first[region], shape[region, 1])
+    i, j = i + corner[region, 0], j + corner[region, 1]
+    keys = ((region << _BITS | (i + _OFFSET)) << _BITS) | (j + _OFFSET)
+    return keys[(np.abs(i) < _OFFSET) & (np.abs(j) < _OFFSET)]
 
 
 def cells_of(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -228,3 +218,9 @@ def distinct(codes: np.ndarray) -> np.ndarray:
     """Every number once, ascending; for many equal ones sorting beats the hashing of `numpy.unique` ten to one."""
     ordered = np.sort(codes)
     return ordered[np.flatnonzero(np.diff(ordered, prepend=-1))] if len(ordered) else ordered
+
+
+def distinct_pairs(pairs: np.ndarray, n: int) -> np.ndarray:
+    """Each pair of numbers below n once, in ascending order, shape (E, 2)."""
+    codes = distinct(pairs[:, 0] * n + pairs[:, 1])
+    return np.stack(np.divmod(codes, max(n, 1)), axis=1)

@@ -325,13 +325,13 @@ class _Job:
     def _flags(self, planes: list[Plane], eyes: FloatArray, by_eye: np.ndarray) -> list[str]:
         ranges = np.linalg.norm(self.points[self.seen] - self.eyes[self.seen], axis=1)
         near, rules = _TOO_NEAR * float(np.median(ranges)), ValidationConfig()
-        flags = [
-            "too near"
-            if np.linalg.norm(plane.centre - eye) < near
-            else ("" if could_be_seen(plane, eye, rules) else "edge-on")
-            for plane, eye in zip(planes, eyes, strict=True)
-        ]
-        return [flag if seen else "" for flag, seen in zip(flags, by_eye, strict=True)]
+        flags = []
+        for plane, eye, told in zip(planes, eyes, by_eye, strict=True):
+            if told and np.linalg.norm(plane.centre - eye) < near:
+                flags.append("too near")
+            else:
+                flags.append("" if not told or could_be_seen(plane, eye, rules) else "edge-on")
+        return flags
 
     def _warnings(self, coverage: Coverage, sigma: float, *, placed: bool) -> list[str]:
         used, eyes = self.points[self.seen], self.eyes[self.seen]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.special import chdtri
@@ -85,11 +86,18 @@ def _segment(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
 
 
 def _filter(sheet: Sheet, views: FloatArray, config: MapperConfig) -> np.ndarray:
-    """The quads of the fresh rows that pass the edge test."""
+    """The quads (i, j), (i, j+1), (i+1, j+1), (i+1, j) of the fresh rows all edges of which pass the test, (S-1, B-1).
+
+    References:
+        Weingarten, Gruener, Siegwart, "Probabilistic Plane Fitting in 3D", ICRA 2004, section IV, filter.
+    """
     part, literal = sheet.fresh, config.literal_edge_test
+    grid = sheet.points[part], sheet.covariance[part], sheet.valid[part]
     tangent, limit = float(np.tan(config.max_incidence_rad)), chdtri(3 if literal else 1, config.edge_significance)
-    linked = links(sheet.points[part], sheet.covariance[part], sheet.valid[part], views[part], tangent, limit, literal)
-    return surviving_quads(*linked)
+    right, down = np.zeros((2, *grid[2].shape), dtype=np.bool_)
+    link_rows = partial(_link_rows, grid, views[part], (tangent, limit, literal), (right, down))
+    in_parts(link_rows, len(right), right.size)
+    return right[:-1, :-1] & right[1:, :-1] & down[:-1, :-1] & down[:-1, 1:]
 
 
 @inlined
@@ -124,30 +132,18 @@ def _literal_chi2(points, covariance, i, j, k, m):
     return x * solved[0] + y * solved[1] + z * solved[2]
 
 
-def links(points, covariance, valid, views, tangent, limit, literal):
-    """Whether every point and its neighbour lie on one surface, to the right and below, shape (S, B) bool each.
+@njit(cache=True)
+def _link_rows(grid, views, rule, linked, first, last):
+    """Whether points of the rows from first to last lie on one surface with their neighbours: to the right, below.
 
     Args:
-        points: shape (S, B, 3), m.
-        covariance: shape (S, B, 1) or (S, B, 9), m^2.
-        valid: which points are returns, shape (S, B).
+        grid: points (S, B, 3), m, their covariances (S, B, 1) or (S, B, 9), m^2, and which are returns, (S, B).
         views: viewpoint of every row, shape (S, 3), m.
-        tangent: of the steepest incidence at which a surface is still expected.
-        limit: largest chi2: 1 degree of freedom, or 3 for the literal test.
-        literal: test the whole displacement, as the paper prints it, in place of the jump in depth.
+        rule: tangent of the steepest incidence at which a surface is still expected; largest chi2, of 1 degree of
+            freedom or 3; whether to test the whole displacement, as the paper prints it, and not the jump in depth.
+        linked: receives the answers, two arrays (S, B) of bool.
+        first, last: the rows.
     """
-    linked = np.zeros((2, *valid.shape), dtype=np.bool_)
-
-    def some(first: int, last: int) -> None:
-        _link_rows((points, covariance, valid), views, (tangent, limit, literal), first, last, linked)
-
-    in_parts(some, len(valid), valid.size)
-    return linked[0], linked[1]
-
-
-@njit(cache=True)
-def _link_rows(grid, views, rule, first, last, linked):
-    """The links of the rows from first to last, into `linked`, shape (2, S, B)."""
     (points, covariance, valid), (tangent, limit, literal) = grid, rule
     n_rows, n_cols = valid.shape
     for i in range(first, last):
@@ -160,13 +156,4 @@ def _link_rows(grid, views, rule, first, last, linked):
                     chi2 = _literal_chi2(points, covariance, i, j, k, m)
                 else:
                     chi2 = _jump_chi2(points, covariance, (i, j), (k, m), views, tangent)
-                linked[step, i, j] = chi2 <= limit
-
-
-def surviving_quads(right: np.ndarray, down: np.ndarray) -> np.ndarray:
-    """Quads (i, j), (i, j+1), (i+1, j+1), (i+1, j) all four edges of which pass: shape (S - 1, B - 1) bool.
-
-    References:
-        Weingarten, Gruener, Siegwart, "Probabilistic Plane Fitting in 3D", ICRA 2004, section IV, filter.
-    """
-    return right[:-1, :-1] & right[1:, :-1] & down[:-1, :-1] & down[:-1, 1:]
+                linked[step][i, j] = chi2 <= limit

@@ -7,16 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spplanes._check import FloatArray, as_covariance_stack, as_float_array, as_shape
+from spplanes._check import FloatArray, as_covariance_stack, as_float_array, as_positive, as_shape
+from spplanes.fitting._point_checks import as_covariances
 from spplanes.fitting._pose_error import shared_by_scan
 from spplanes.plane import Plane
-from spplanes.segmentation._inputs import as_grid, as_variances
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.pipeline import segment_sheet
 from spplanes.segmentation.planes import planes_of
 from spplanes.segmentation.sheet import Sheet, number_by_first_point
 
 _DEFAULT = MapperConfig()
+#: Coordinates beyond this are nobody's measurement, and their squares come to nothing, m.
+FARTHEST_M = 1e12
+#: Noise below this makes weights that no arithmetic survives, m.
+LEAST_SIGMA_M = 1e-9
 
 
 def segment_scans(
@@ -103,6 +107,51 @@ def label_scans(
     segment_sheet(sheet, eyes, config)
     labels, _ = number_by_first_point(_without_specks(sheet.labels), len(sheet.rows))
     return Labelled(grid, variance, labels, views, poses)
+
+
+def as_grid(points: ArrayLike) -> tuple[FloatArray, np.ndarray]:
+    """Points (S, B, 3) with zeros for no return, and which are returns, (S, B)."""
+    try:
+        given = np.asarray(points, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise ValueError("points: expected scans of equal length, shape (S, B, 3), of numbers") from error
+    if given.ndim != 3 or given.shape[2] != 3:
+        raise ValueError(f"points: expected shape (S, B, 3), got {given.shape}")
+    finite = np.isfinite(given)
+    valid = finite[..., 0] & finite[..., 1] & finite[..., 2]
+    grid = np.where(valid[..., None], given, 0.0)
+    largest = max(grid.max(initial=0.0), -grid.min(initial=0.0))
+    if largest > FARTHEST_M:
+        raise ValueError(f"points: expected coordinates up to {FARTHEST_M:g} m, got {largest:g} m")
+    return grid, valid
+
+
+def as_variances(valid: np.ndarray, covariances: ArrayLike | None, sigma: ArrayLike | None) -> FloatArray:
+    """Variances of the points: (S, B, 1) isotropic or (S, B, 9); checked where there is a return."""
+    if (covariances is None) == (sigma is None):
+        raise ValueError("covariances: expected exactly one of covariances and sigma, got both or none")
+    if covariances is not None:
+        return as_noise("covariances", covariances, valid).reshape(*valid.shape, 9)
+    if np.ndim(sigma) == 0:  # type: ignore[arg-type]
+        sure = as_positive("sigma", float(sigma))  # type: ignore[arg-type]
+        if sure < LEAST_SIGMA_M:
+            raise ValueError(f"sigma: expected at least {LEAST_SIGMA_M:g} m, got {sure:g} m")
+        if sure > FARTHEST_M:
+            raise ValueError(f"sigma: expected at most {FARTHEST_M:g} m, got {sure:g} m")
+        return np.full((*valid.shape, 1), sure**2)
+    spread = as_shape("sigma", sigma, valid.shape, finite=False)  # type: ignore[arg-type]
+    if not (spread[valid] >= LEAST_SIGMA_M).all() or not np.isfinite(spread[valid]).all():
+        expected = f"positive finite numbers of {LEAST_SIGMA_M:g} m or more where there is a point"
+        raise ValueError(f"sigma: expected {expected}, got others")
+    return np.where(valid, spread, 1.0)[..., None] ** 2
+
+
+def as_noise(name: str, value: ArrayLike, valid: np.ndarray) -> FloatArray:
+    """Covariances of points (..., 3, 3), (...) the shape of `valid`: singular ones are fine, zero ones are not.
+
+    What comes for points that are no returns is neither judged nor ever read.
+    """
+    return as_covariances(name, value, valid.shape, valid=valid, least=LEAST_SIGMA_M**2, most=FARTHEST_M**2)
 
 
 def _without_specks(labels: np.ndarray) -> np.ndarray:

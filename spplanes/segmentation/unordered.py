@@ -12,7 +12,7 @@ from spplanes._check import FloatArray
 from spplanes._jit import njit
 from spplanes.clouds._octree_kernels import LOCAL
 from spplanes.clouds.octree import Cells, Curve
-from spplanes.fitting.shared_error import octave_sigma_of
+from spplanes.fitting.shared_error import shared_error_of
 from spplanes.moments import ROW_SIZE
 from spplanes.segmentation.clustering.growing import fit_regions, hesse
 from spplanes.segmentation.clustering.joining import cluster_patches
@@ -114,7 +114,10 @@ class _Labelling:
         if not len(self.rows):
             return 0.0
         frames, spreads = frames_of(self.rows, np.full((len(self.rows), 3), np.nan))
-        return octave_sigma_of(self.points, self.variances[:, None], self.labels, frames, spreads)
+        covariances = np.zeros((len(frames), 3, 3))
+        covariances[:, (0, 1, 2), (0, 1, 2)] = 1.0 / spreads
+        cloud = self.points, self.variances[:, None], self.labels
+        return shared_error_of(*cloud, frames, covariances, stated=False).octave_sigma_m
 
     def _clustered(self, rows: FloatArray, edges: np.ndarray) -> np.ndarray:
         """Root of every patch; rows are those of the trees afterwards."""

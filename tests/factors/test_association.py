@@ -361,7 +361,7 @@ of_matrix = Prediction.of_matrix
         ),
         (
             lambda: associate([SEEN], of_matrix(np.eye(6), [X], POSE_ALONE, X), PLACE.landmarks),
-            "landmarks: expected keys of OrientedPlane3 in values, got l0",
+            "landmarks: expected the key of an OrientedPlane3 in values, got l0",
         ),
         (lambda: associate([SEEN, 1.0], PLACE.prediction, PLACE.landmarks), r"observations\[1\]: .* got float"),  # type: ignore[list-item]
         (lambda: associate(SEEN, PLACE.prediction, PLACE.landmarks), "observations: expected a sequence, got Plane"),
@@ -383,7 +383,10 @@ of_matrix = Prediction.of_matrix
         (lambda: AssociationGates(gap_m=-1.0), "gap_m: expected a number >= 0, got -1.0"),
         (lambda: LineObservation(random_line(np.random.default_rng(0)), np.eye(3)), "body_T_sensor: expected shape"),
         (lambda: PLACE.landmarks.start(key(0), SEEN, X, VALUES), "plane_key: expected a new landmark's, got l0"),
-        (lambda: PLACE.landmarks.start(X, SEEN, X, VALUES), "plane_key: expected keys of OrientedPlane3 .* got x0"),
+        (
+            lambda: PLACE.landmarks.start(X, SEEN, X, VALUES),
+            "plane_key: expected the key of an OrientedPlane3 .* got x0",
+        ),
         (lambda: PLACE.landmarks[[1]], r"plane_key: expected a landmark that was started, got \[1\]"),  # type: ignore[index]
         (lambda: PLACE.landmarks.change_anchor(key(0), key(1), VALUES), "anchor_key: expected .* got l1"),
         (lambda: PLACE.landmarks.see(key(5), SEEN, X, VALUES), "plane_key: expected a landmark that was started"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from heapq import heapify, heappop, heappush
+
 import numpy as np
 
 from spplanes._jit import inlined, inner, njit
@@ -58,41 +60,6 @@ def find(parent, i):
 
 
 @inner(cache=True)
-def push(keys, items, size, key, item):
-    """Put an entry into a heap of `size`; returns the new size."""
-    i = size
-    while i > 0:
-        up = (i - 1) >> 1
-        if keys[up] < key or (keys[up] == key and items[up] <= item):
-            break
-        keys[i], items[i] = keys[up], items[up]
-        i = up
-    keys[i], items[i] = key, item
-    return size + 1
-
-
-@inner(cache=True)
-def pop(keys, items, size):
-    """Remove the first entry; the caller has read it."""
-    size -= 1
-    key, item = keys[size], items[size]
-    i = 0
-    while True:
-        child = 2 * i + 1
-        if child >= size:
-            break
-        other = child + 1
-        if other < size and (keys[other] < keys[child] or (keys[other] == keys[child] and items[other] < items[child])):
-            child = other
-        if keys[child] > key or (keys[child] == key and items[child] >= item):
-            break
-        keys[i], items[i] = keys[child], items[child]
-        i = child
-    keys[i], items[i] = key, item
-    return size
-
-
-@inner(cache=True)
 def merged_distance(a, b, work):
     """Mean squared normalised distance of the points of both rows to their common plane."""
     merge_scaled(work, a, 1.0, b, 1.0)
@@ -116,8 +83,7 @@ def _fuse(rows, bias, a, b, work):
     merge_scaled(work, rows[a], 1.0, rows[b], 1.0)
     for k in range(bias.shape[1]):
         bias[a, k] = (bias[a, k] * rows[a, 1] + bias[b, k] * rows[b, 1]) / work[1]
-    for k in range(work.shape[0]):
-        rows[a, k] = work[k]
+    rows[a] = work
 
 
 @njit(cache=True)
@@ -137,13 +103,11 @@ def cluster(rows, bias, edges, limits, flatness, correlation):
     """
     parent = np.arange(rows.shape[0])
     version, stamp = np.zeros(rows.shape[0], dtype=np.int64), np.zeros(edges.shape[0], dtype=np.int64)
-    keys, items, size = np.empty(edges.shape[0]), np.empty(edges.shape[0], dtype=np.int64), 0
     work = np.empty(rows.shape[1])
-    for e in range(edges.shape[0]):
-        size = push(keys, items, size, merged_distance(rows[edges[e, 0]], rows[edges[e, 1]], work), e)
-    while size > 0:
-        key, e = keys[0], items[0]
-        size = pop(keys, items, size)
+    heap = [(merged_distance(rows[edges[e, 0]], rows[edges[e, 1]], work), e) for e in range(edges.shape[0])]
+    heapify(heap)
+    while heap:
+        key, e = heappop(heap)
         a, b = find(parent, edges[e, 0]), find(parent, edges[e, 1])
         if a == b:
             continue
@@ -151,7 +115,7 @@ def cluster(rows, bias, edges, limits, flatness, correlation):
             stamp[e] = version[a] + version[b]
             fresh = merged_distance(rows[a], rows[b], work)
             if fresh > key:
-                size = push(keys, items, size, fresh, e)
+                heappush(heap, (fresh, e))
                 continue
         if _are_one(rows, bias, (a, b), flatness, correlation, limits, work):
             a, b = min(a, b), max(a, b)

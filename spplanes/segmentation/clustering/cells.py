@@ -1,13 +1,21 @@
-"""Square cells of an organised grid: moments, planarity and neighbourhood."""
+"""Square cells of an organised grid: moments, planarity, steps inside of them, and neighbourhood."""
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from spplanes._jit import inlined, njit
+from spplanes._jit import inlined, inner, njit
+from spplanes._rows import solve3
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import add_run, centre_sums, eigenvalues, normal_of, variance_along
 from spplanes.moments import ROW_SIZE
+
+#: Strips into which a cell is cut, along rows and along columns, in search of a step.
+STRIPS = 8
+#: Share of the variance of flatness that a step inside a cell may have: surfaces wander over metres, not at once.
+STEP_SHARE = 0.1
 
 
 def cell_moments(points, covariance, free, size, floor_variance):
@@ -25,11 +33,7 @@ def cell_moments(points, covariance, free, size, floor_variance):
     """
     n_rows, n_cols = (points.shape[0] + size - 1) // size, (points.shape[1] + size - 1) // size
     rows = np.zeros((n_rows, n_cols, ROW_SIZE))
-
-    def some(first: int, last: int) -> None:
-        _moments_of(rows, (points, covariance, free, size, floor_variance), first, last)
-
-    in_parts(some, n_rows, free.size)
+    in_parts(partial(_moments_of, rows, (points, covariance, free, size, floor_variance)), n_rows, free.size)
     return rows
 
 
@@ -87,19 +91,13 @@ def _one_cell(row, cells, i0, j0):
             normal[0], normal[1], normal[2] = normal_of(row, eigenvalues(row)[0])
 
 
-@njit(cache=True)
 def failed_quads(free, quads, size):
     """Number of quads between free points inside every cell that the filter threw away, shape (R, C)."""
-    n_rows, n_cols = (free.shape[0] + size - 1) // size, (free.shape[1] + size - 1) // size
-    failed = np.zeros((n_rows, n_cols), dtype=np.int64)
-    for i in range(quads.shape[0]):
-        if (i + 1) % size == 0:
-            continue
-        for cj in range(n_cols):
-            for j in range(cj * size, min((cj + 1) * size - 1, quads.shape[1])):
-                if not quads[i, j] and free[i, j] and free[i, j + 1] and free[i + 1, j] and free[i + 1, j + 1]:
-                    failed[i // size, cj] += 1
-    return failed
+    failed = np.zeros(free.shape, dtype=np.int64)
+    failed[:-1, :-1] = ~quads & free[:-1, :-1] & free[:-1, 1:] & free[1:, :-1] & free[1:, 1:]
+    failed[size - 1 :: size] = failed[:, size - 1 :: size] = 0  # these reach into the next cell
+    of_rows = np.add.reduceat(failed, np.arange(0, free.shape[0], size), axis=0)
+    return np.add.reduceat(of_rows, np.arange(0, free.shape[1], size), axis=1)
 
 
 @njit(cache=True)
@@ -116,6 +114,86 @@ def planar_cells(rows, failed, shape, size, quantile, slack):
             limit = slack * dof * (1.0 - spread + quantile * np.sqrt(spread)) ** 3
             planar[ci, cj] = eigenvalues(row)[0] <= limit
     return planar
+
+
+def reject_steps(planar, cells, rows, limit):
+    """Take from the planar cells, in place, those with a step along some row or column of the grid (chi2).
+
+    A step of little more than the noise hides in the residuals of a cell's points, most of all when the plane tilts to
+    meet both sides. Residuals are explained by place in the grid, linearly, and by the step: unlike coordinates, places
+    have no noise, which along slanted beams goes together with that of the residuals.
+
+    Args:
+        planar: planar cells, shape (R, C) bool.
+        cells: the arguments of `cell_moments`.
+        rows: what it returned.
+        limit: largest chi2 (1 dof) of a step, the largest of all.
+    """
+    in_parts(partial(_reject_in, planar, cells, rows, limit), len(planar), cells[3] ** 2 * int(planar.sum()))
+
+
+@njit(cache=True)
+def _reject_in(planar, cells, rows, limit, first, last):
+    """Take them from the rows of cells from first to last."""
+    points, covariance, free, size, floor_variance = cells
+    side, tolerance = size // STRIPS, STEP_SHARE * floor_variance
+    strips, total = np.empty((2, STRIPS, 4)), np.empty(5)
+    for ci in range(first, last):
+        for cj in range(rows.shape[1]):
+            if not planar[ci, cj]:
+                continue
+            row = rows[ci, cj]
+            nx, ny, nz = normal_of(row, eigenvalues(row)[0])
+            d = nx * row[2] + ny * row[3] + nz * row[4]
+            strips[:], total[:] = 0.0, 0.0
+            for i in range(ci * size, min((ci + 1) * size, points.shape[0])):
+                for j in range(cj * size, min((cj + 1) * size, points.shape[1])):
+                    if not free[i, j]:
+                        continue
+                    w = 1.0 / (variance_along(covariance, i, j, nx, ny, nz) + floor_variance)
+                    r = w * (points[i, j, 0] * nx + points[i, j, 1] * ny + points[i, j, 2] * nz - d)
+                    u, v = i - ci * size, j - cj * size
+                    for along in range(2):
+                        k = u // side if along == 0 else v // side
+                        strips[along, k, 0] += w
+                        strips[along, k, 1] += w * u
+                        strips[along, k, 2] += w * v
+                        strips[along, k, 3] += r
+                    total[0] += w * u * u
+                    total[1] += w * u * v
+                    total[2] += w * v * v
+                    total[3] += r * u
+                    total[4] += r * v
+            chi2 = max(_step_chi2(strips[0], total, tolerance), _step_chi2(strips[1], total, tolerance))
+            planar[ci, cj] = chi2 <= limit
+
+
+@inner(cache=True)
+def _step_chi2(strips, total, tolerance):
+    """Largest chi2 (1 dof) of a step between strips, beside a linear trend: weighted regression, step by step.
+
+    Args:
+        strips: sums of w, w u, w v, w r of every strip, shape (STRIPS, 4).
+        total: sums of w u u, w u v, w v v, w r u, w r v of all.
+        tolerance: variance that a step may have anyway, m^2.
+    """
+    w = u = v = r = 0.0
+    for k in range(strips.shape[0]):
+        w, u, v, r = w + strips[k, 0], u + strips[k, 1], v + strips[k, 2], r + strips[k, 3]
+    least, best = 1e-6 * w, 0.0  # a cell of one row has no trend across rows
+    matrix = (w + least, u, v, total[0] + least, total[1], total[2] + least)
+    trend = solve3(matrix, r, total[3], total[4])
+    bw = bu = bv = br = 0.0
+    for k in range(strips.shape[0] - 1, 0, -1):
+        bw, bu, bv, br = bw + strips[k, 0], bu + strips[k, 1], bv + strips[k, 2], br + strips[k, 3]
+        if bw == 0.0 or bw == w:
+            continue
+        solved = solve3(matrix, bw, bu, bv)
+        share = bw - (bw * solved[0] + bu * solved[1] + bv * solved[2])
+        if share > 1e-3 * w:
+            step = (br - (bw * trend[0] + bu * trend[1] + bv * trend[2])) / share
+            best = max(best, step * step / (1.0 / share + tolerance))
+    return best
 
 
 @njit(cache=True)
@@ -184,17 +262,3 @@ def _region_edges(edges, count, me, labels, i0, j0, size):
                 count += 1
                 last = region
     return count
-
-
-@njit(cache=True)
-def paint(labels, node, cluster_label, free, size):
-    """Give the free points of every clustered cell the label of its cluster."""
-    for ci in range(node.shape[0]):
-        for cj in range(node.shape[1]):
-            if node[ci, cj] < 0 or cluster_label[node[ci, cj]] < 0:
-                continue
-            for i in range(ci * size, min((ci + 1) * size, labels.shape[0])):
-                for j in range(cj * size, min((cj + 1) * size, labels.shape[1])):
-                    if free[i, j]:
-                        labels[i, j] = cluster_label[node[ci, cj]]
-                        free[i, j] = False

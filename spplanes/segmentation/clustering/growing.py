@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from spplanes._jit import inlined, njit
+from spplanes._jit import njit
 from spplanes._threads import in_parts, threads_for
 from spplanes.fitting._moment_patches import (
     add_run,
@@ -37,15 +39,9 @@ def fit_regions(points, covariance, labels, rows, prior, floor_variance):
 
     Sums are taken about the centres of `rows`, near enough to the points to lose nothing.
     """
-    planes, fresh = hesse(rows), prior.copy()
-    n_shares = min(threads_for(labels.size), MOST_SHARES)
-    shares = _share_out(rows, n_shares)
-
-    def some(first: int, last: int) -> None:
-        for mine in range(first, last):
-            _fit_share((points, covariance, labels), (rows, planes, prior), floor_variance, shares, mine, fresh)
-
-    in_parts(some, n_shares, labels.size, singly=True)
+    fresh, n_shares = prior.copy(), min(threads_for(labels.size), MOST_SHARES)
+    grid, regions, shares = (points, covariance, labels), (rows, hesse(rows), prior), _share_out(rows, n_shares)
+    in_parts(partial(_fit_shares, grid, regions, floor_variance, shares, fresh), n_shares, labels.size, singly=True)
     return fresh
 
 
@@ -60,8 +56,8 @@ def _share_out(rows, n_shares):
 
 
 @njit(cache=True)
-def _fit_share(grid, regions, floor_variance, shares, mine, fresh):
-    """The moments of the regions of one share, added to those of `fresh`; each region's points in the grid's order."""
+def _fit_shares(grid, regions, floor_variance, shares, fresh, first, last):
+    """The moments of the regions of some shares, in place of those of `fresh`; each region's points in grid order."""
     (points, covariance, labels), (rows, planes, prior) = grid, regions
     sums, n_cols = np.zeros(rows.shape), labels.shape[1]
     for i in range(labels.shape[0]):
@@ -70,7 +66,7 @@ def _fit_share(grid, regions, floor_variance, shares, mine, fresh):
             r, begin = labels[i, j], j
             while j < n_cols and labels[i, j] == r:
                 j += 1
-            if r >= 0 and shares[r] == mine:
+            if r >= 0 and first <= shares[r] < last:
                 add_run(sums[r], points, covariance, i, begin, j, rows[r, 2:5], planes[r], floor_variance, True)
     for r in range(rows.shape[0]):
         if sums[r, 1] > 0.0:
@@ -78,15 +74,9 @@ def _fit_share(grid, regions, floor_variance, shares, mine, fresh):
             merge_rows(prior[r], sums[r], fresh[r])
 
 
+@njit(cache=True)
 def shared_of_regions(shared, labels, planes):
     """Of every region: mean variance along the normal that points share with their scans, and mean scan, (R, 2)."""
-    total, count = _shared_sums(shared, labels, planes)
-    return total / np.maximum(count, 1.0)[:, None]
-
-
-@njit(cache=True)
-def _shared_sums(shared, labels, planes):
-    """Sums over the points of every region of that variance and of the scan, (R, 2), and how many points (R,)."""
     total, count = np.zeros((planes.shape[0], 2)), np.zeros(planes.shape[0])
     for i in range(labels.shape[0]):
         for j in range(labels.shape[1]):
@@ -96,26 +86,35 @@ def _shared_sums(shared, labels, planes):
                 total[r, 1] += i
                 if shared.shape[0] > 1:
                     total[r, 0] += variance_from(shared, i, j, planes, r)
-    return total, count
+    for r in range(planes.shape[0]):
+        for k in range(2):
+            total[r, k] /= max(count[r], 1.0)
+    return total
 
 
-@njit(cache=True)
 def grow(grid, planes, gate, floor_variance):
     """Spread regions over unlabelled points beside them that lie within the gate (chi2), ring by ring, in place.
 
     Of the grid (see `Sheet.grid`), rows before the start stay as they are; regions grow out of the last of them.
     """
+    _, _, valid, labels, start = grid
+    free = valid & (labels < 0)
+    free[:start] = False
+    beside = np.zeros_like(free)
+    beside[1:] |= free[:-1]
+    beside[:-1] |= free[1:]
+    beside[:, 1:] |= free[:, :-1]
+    beside[:, :-1] |= free[:, 1:]
+    _grow_from(np.flatnonzero(beside & (labels >= 0)), grid, planes, gate, floor_variance)
+
+
+@njit(cache=True)
+def _grow_from(sources, grid, planes, gate, floor_variance):
+    """The same, from the places of the points that have a free one beside them."""
     points, covariance, valid, labels, start = grid
     n_rows, n_cols = labels.shape
-    queue = np.empty(labels.size, dtype=np.int64)
-    head, tail = 0, 0
-    marked = np.empty(n_cols, dtype=np.bool_)
-    for i in range(max(start - 1, 0), n_rows):
-        _mark_sources(labels, valid, start, i, marked)
-        for j in range(n_cols):
-            if marked[j]:
-                queue[tail] = i * n_cols + j
-                tail += 1
+    queue, head, tail = np.empty(labels.size, dtype=np.int64), 0, sources.size
+    queue[:tail] = sources
     while head < tail:
         i, j = queue[head] // n_cols, queue[head] % n_cols
         head += 1
@@ -131,30 +130,10 @@ def grow(grid, planes, gate, floor_variance):
                 tail += 1
 
 
-@inlined
-def _mark_sources(labels, valid, start, i, marked):
-    """Mark the labelled points of row i beside a free one in the rows from `start` on, whole rows at once."""
-    n_rows, n_cols = labels.shape
-    marked[:] = False
-    for a in range(max(i - 1, start), min(i + 2, n_rows)):
-        if a != i:
-            for j in range(n_cols):
-                marked[j] |= valid[a, j] & (labels[a, j] < 0)
-    if i >= start:
-        for j in range(1, n_cols):
-            marked[j] |= valid[i, j - 1] & (labels[i, j - 1] < 0)
-            marked[j - 1] |= valid[i, j] & (labels[i, j] < 0)
-    for j in range(n_cols):
-        marked[j] &= labels[i, j] >= 0
-
-
 def release(points, covariance, labels, planes, bias, size, limit):
     """Unlabel, in place, the points that one region has in one cell where their mean distance is no chance (chi2)."""
-
-    def some(first: int, last: int) -> None:
-        _release_in((points, covariance, labels), planes, bias, size, limit, first, last)
-
-    in_parts(some, (len(labels) + size - 1) // size, labels.size)
+    some_rows = partial(_release_in, (points, covariance, labels), planes, bias, size, limit)
+    in_parts(some_rows, (len(labels) + size - 1) // size, labels.size)
 
 
 @njit(cache=True)

@@ -1,13 +1,18 @@
-"""Patches become regions: planar cells fuse with each other and with regions, regions with their neighbours."""
+"""Patches become regions: planar cells fuse with each other and with regions, regions with those they meet."""
 
 from __future__ import annotations
+
+from functools import partial
 
 import numpy as np
 from scipy.special import chdtri, ndtri  # scipy.stats would take 0.7 s of every import
 
 from spplanes._check import FloatArray
-from spplanes.outlines._raster import distinct
-from spplanes.segmentation.clustering import cells, growing, meeting, steps
+from spplanes._jit import inlined, njit
+from spplanes._threads import in_parts
+from spplanes.fitting._moment_patches import distance_of, variance_from
+from spplanes.outlines._raster import distinct_pairs
+from spplanes.segmentation.clustering import cells, growing
 from spplanes.segmentation.clustering.ahc import cluster
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.sheet import Sheet, append, fuse, is_determined
@@ -22,6 +27,8 @@ refused once is fused by way of others. Where scans share errors, both tests go 
 of such errors is hardly ever known to more."""
 HIDDEN = 3.0
 """Widest occluder behind which a plane is taken to continue, in widths (points) of the smaller of its two parts."""
+RECENT = 256
+"""Pairs that were found last, by which most repetitions are left out; a power of two."""
 
 
 def join_cells(sheet: Sheet, quads: np.ndarray, size: int, config: MapperConfig) -> None:
@@ -32,9 +39,9 @@ def join_cells(sheet: Sheet, quads: np.ndarray, size: int, config: MapperConfig)
     failed = cells.failed_quads(free, quads, size)
     planar = cells.planar_cells(moments, failed, free.shape, size, -ndtri(config.significance), CELL_SLACK)
     shared = sheet.shared[sheet.fresh] if len(sheet.shared) > 1 else sheet.shared
-    if size > steps.STRIPS and len(shared) == 1:
-        limit = CELL_SLACK * chdtri(1, config.significance / (2 * steps.STRIPS))
-        steps.reject_steps(planar, given, moments, limit)
+    if size > cells.STRIPS and len(shared) == 1:
+        limit = CELL_SLACK * chdtri(1, config.significance / (2 * cells.STRIPS))
+        cells.reject_steps(planar, given, moments, limit)
     if not planar.any():
         return
     bias = cells.shared_variances(moments, shared, free, planar, size, sheet.start)
@@ -50,7 +57,9 @@ def join_cells(sheet: Sheet, quads: np.ndarray, size: int, config: MapperConfig)
     label_of[:n_regions] = np.arange(n_regions)
     label_of[fresh] = n_regions + np.arange(len(fresh))
     append(sheet, nodes[fresh], biases[fresh])
-    cells.paint(sheet.labels[sheet.fresh], node, label_of[root], free, size)
+    of_cells = np.where(planar, label_of[root][node], -1)
+    of_points = np.repeat(np.repeat(of_cells, size, axis=0), size, axis=1)[: free.shape[0], : free.shape[1]]
+    np.copyto(sheet.labels[sheet.fresh], of_points, where=free & (of_points >= 0))
 
 
 def cluster_patches(
@@ -68,13 +77,96 @@ def fuse_neighbours(sheet: Sheet, views: FloatArray, gap: int, config: MapperCon
     planes = growing.hesse(sheet.rows)
     sheet.bias = growing.shared_of_regions(sheet.shared, sheet.labels, planes)
     regions = planes, np.ascontiguousarray(sheet.rows[:, 0]), config.flatness_m**2 + sheet.bias[:, 0]
-    pairs = meeting.border_pairs(sheet.grid, views, regions, gap, HIDDEN)
+    pairs = border_pairs(sheet.grid, views, regions, gap)
     edges = distinct_pairs(pairs, len(sheet.rows))
     if len(edges):
         fuse(sheet, cluster_patches(sheet.rows, sheet.bias, edges, config))
 
 
-def distinct_pairs(pairs: np.ndarray, n_regions: int) -> np.ndarray:
-    """Each pair once, in ascending order, shape (E, 2)."""
-    codes = distinct(pairs[:, 0] * n_regions + pairs[:, 1])
-    return np.stack(np.divmod(codes, max(n_regions, 1)), axis=1)
+def border_pairs(grid, views, regions, gap):
+    """Pairs of unlike regions, (E, 2), that touch, or that an occluder parts along a row or column.
+
+    With an occluder, the points between lie clearly before the plane; at most `gap` of them are missing, up to four of
+    its edges lie on the plane. It is at most `gap` points wide, or `HIDDEN` times as wide as the smaller region, which
+    else would not tell what is behind it. A gap of 0 asks for regions that touch. Points on the plane or behind it, a
+    seam or a doorway, show that the surface ends. Some pairs come several times, and in no particular order.
+
+    For the grid see `Sheet.grid`; of the regions, planes (normal, d), numbers of points and tolerances, m^2.
+    """
+    found: list[np.ndarray] = []
+    pairs_of_rows = partial(_pairs_of_rows, grid, views, regions, gap)
+    in_parts(lambda first, last: found.append(pairs_of_rows(first, last)), len(grid[3]), grid[3].size)
+    return np.concatenate(found)
+
+
+@njit(cache=True)
+def _pairs_of_rows(grid, views, regions, gap, first, last):
+    """The pairs with one region in the rows from first to last, beside or above the other."""
+    (points, covariance, valid, labels, _), (planes, sizes, bias) = grid, regions
+    pairs, count = np.empty((1024, 2), dtype=np.int64), 0
+    recent = np.full((RECENT, 2), -1, dtype=np.int64)
+    for i in range(first, last):
+        for j in range(labels.shape[1]):
+            r = labels[i, j]
+            if r < 0:
+                continue
+            for along in range(2):
+                before = j if along == 0 else i
+                if before == 0 or r == (labels[i, j - 1] if along == 0 else labels[i - 1, j]):
+                    continue
+                on_plane, in_front, missing = 0, 0, 0
+                widest = max(gap, int(HIDDEN * np.sqrt(sizes[r]))) if gap else 0
+                farthest = min(widest + 1, before)
+                for back in range(1, farthest + 1):
+                    a, b = (i, j - back) if along == 0 else (i - back, j)
+                    q = labels[a, b]
+                    if q == r:
+                        break
+                    near = back <= gap + 1 or back <= HIDDEN * np.sqrt(sizes[max(q, 0)])
+                    if q >= 0 and near and (back == 1 or in_front > 0):
+                        if count == pairs.shape[0]:
+                            pairs = _with_room(pairs)
+                        count += _enter(pairs, count, recent, min(q, r), max(q, r))
+                    if back == farthest:
+                        break
+                    missing += not valid[a, b]
+                    if missing > gap:
+                        break
+                    side = _side(points, covariance, (a, b), views, planes, r, bias[r]) if valid[a, b] else 1
+                    if side > 0:
+                        in_front += 1
+                    elif side == 0 and q < 0 and on_plane < 4:
+                        on_plane += 1
+                    else:
+                        break
+    return pairs[:count]
+
+
+@inlined
+def _with_room(pairs):
+    """Pairs with room for as many behind them."""
+    result = np.empty((2 * pairs.shape[0], 2), dtype=np.int64)
+    result[: pairs.shape[0]] = pairs
+    return result
+
+
+@inlined
+def _enter(pairs, count, recent, q, r):
+    """Put a pair down unless it was there lately; returns whether."""
+    place = (31 * q + r) & (RECENT - 1)
+    if recent[place, 0] == q and recent[place, 1] == r:
+        return 0
+    recent[place, 0], recent[place, 1] = q, r
+    pairs[count, 0], pairs[count, 1] = q, r
+    return 1
+
+
+@inlined
+def _side(points, covariance, place, views, planes, r, bias):
+    """1: the point lies before the plane, on the viewpoint's side; -1: behind it; 0: within its noise and tolerance."""
+    i, j = place
+    distance = distance_of(points, i, j, planes, r)
+    eye = views[i, 0] * planes[r, 0] + views[i, 1] * planes[r, 1] + views[i, 2] * planes[r, 2] - planes[r, 3]
+    if distance * distance <= 9.0 * variance_from(covariance, i, j, planes, r) + 25.0 * bias:
+        return 0
+    return 1 if distance * eye > 0.0 else -1

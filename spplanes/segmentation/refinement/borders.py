@@ -30,8 +30,6 @@ def choose_blocks(grid, planes, gate, floor_variance, size):
     for i0 in range(start, labels.shape[0], size):
         for j0 in range(0, labels.shape[1], size):
             block = i0, j0, min(i0 + size, labels.shape[0]), min(j0 + size, labels.shape[1])
-            if _is_uniform(labels, block):
-                continue
             n_found = _regions_around(labels, block, found)
             for k in range(n_found if n_found > 1 else 0):
                 if not _misfit(grid, block, found[k], planes, floor_variance) < BLOCK_MISFIT:
@@ -52,9 +50,7 @@ def _move_block(grid, block, found, k, planes, gate, floor_variance, sums):
                 for m in range(found.shape[0]):
                     cost = residual_chi2(points, covariance, i, j, planes, found[m], floor_variance)
                     sums[m] += min(cost, 2.0 * gate)
-    best = 0
-    for m in range(1, found.shape[0]):
-        best = m if sums[m] < sums[best] else best
+    best = np.argmin(sums[: found.shape[0]])
     if not sums[best] < sums[k] - BLOCK_GAIN:
         return 0
     for i in range(i0, i1):
@@ -79,20 +75,6 @@ def _misfit(grid, block, region, planes, floor_variance):
         return 0.0
     mean /= weight
     return mean * mean / (1.0 / weight + floor_variance)
-
-
-@inlined
-def _is_uniform(labels, block):
-    """Whether a block and the frame one point wide around it have one label: most have, and rows compare fast."""
-    i0, j0, i1, j1 = block
-    j0, j1 = max(j0 - 1, 0), min(j1 + 1, labels.shape[1])
-    one, unlike = labels[i0, j0], 0
-    for i in range(max(i0 - 1, 0), min(i1 + 1, labels.shape[0])):
-        for j in range(j0, j1):
-            unlike |= labels[i, j] ^ one
-        if unlike != 0:
-            return False
-    return True
 
 
 @inner(cache=True)

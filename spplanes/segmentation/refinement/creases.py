@@ -6,11 +6,10 @@ common plane, but the surface there is turned. Where noise drowns the local norm
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import partial
 
 import numpy as np
 
-from spplanes._check import FloatArray
 from spplanes._jit import inlined, inner, njit
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import distance_of, variance_from
@@ -30,18 +29,14 @@ def unlabel_creases(grid, planes, max_angle, certainty):
     """
     _, _, _, labels, start = grid
     top = max(start, 2)
-
-    def some(first: int, last: int) -> None:
-        _unlabel_in(grid, planes, max_angle, certainty, top + first, top + last)
-
-    in_parts(some, max(len(labels) - 2 - top, 0), labels.size)
+    in_parts(partial(_unlabel_in, grid, planes, max_angle, certainty, top), len(labels) - 2 - top, labels.size)
 
 
 @njit(cache=True)
-def _unlabel_in(grid, planes, max_angle, certainty, first, last):
-    """The same in the rows from first to last."""
+def _unlabel_in(grid, planes, max_angle, certainty, top, first, last):
+    """The same in the rows from first to last, counted from the top one."""
     points, covariance, valid, labels, _ = grid
-    n_cols = labels.shape[1]
+    first, last, n_cols = top + first, top + last, labels.shape[1]
     across, down, full = _differences(points[first - 2 : last + 2], valid[first - 2 : last + 2])
     u, v = np.empty(3), np.empty(3)
     cosine_limit = np.cos(max_angle)
@@ -85,20 +80,7 @@ def _differences(points, valid):
     return across, down, full
 
 
-class SeamRule(NamedTuple):
-    """When the points of a window lie behind their plane on average."""
-
-    tolerance: FloatArray
-    """Variance that the mean of a window may have beside its noise, of every region, shape (R,), m^2."""
-    flatness: float
-    """Deviation from a plane that surfaces are granted, m."""
-    reach: int
-    """Points that the window reaches to each side."""
-    limit: float
-    """Largest chi2 (1 dof) of the mean."""
-
-
-def unlabel_seams(grid, views, planes, rule):
+def unlabel_seams(grid, views, planes, tolerance, flatness, reach, limit):
     """Unlabel, in place, the points around which a region's points lie behind its plane on average (chi2).
 
     A seam between two cushions is a groove of millimetres, less than the noise of a point but not than that of the
@@ -108,26 +90,28 @@ def unlabel_seams(grid, views, planes, rule):
     Args:
         grid, planes: see `unlabel_creases`.
         views: viewpoint of every row, shape (S, 3), m.
-        rule: how windows are judged.
+        tolerance: variance that the mean of a window may have beside its noise, of every region, shape (R,), m^2.
+        flatness: deviation from a plane that surfaces are granted, m.
+        reach: points that the window reaches to each side.
+        limit: largest chi2 (1 dof) of the mean.
     """
     _, _, _, labels, start = grid
     weight, moment = np.zeros(labels.shape), np.zeros(labels.shape)
-
-    def across(first: int, last: int) -> None:
-        _weigh_rows(grid, planes, rule.reach, start + first, start + last, (weight, moment))
+    rule = tolerance, flatness, reach, limit
 
     def down(first: int, last: int) -> None:
         columns = (labels[:, first:last].T.copy(), weight[:, first:last].T.copy(), moment[:, first:last].T.copy())
-        _judge_columns(grid, views, planes, tuple(rule), first, last, columns)
+        _judge_columns(grid, views, planes, rule, first, last, columns)
 
-    in_parts(across, len(labels) - start, labels.size)
+    in_parts(partial(_weigh_rows, grid, planes, reach, (weight, moment)), len(labels) - start, labels.size)
     in_parts(down, labels.shape[1], labels.size)
 
 
 @njit(cache=True)
-def _weigh_rows(grid, planes, reach, first, last, sums):
-    """Sums along the rows from first to last of weights, and of distances from planes times these."""
-    (points, covariance, _, labels, _), (weight, moment) = grid, sums
+def _weigh_rows(grid, planes, reach, sums, first, last):
+    """Sums along the fresh rows from first to last of weights, and of distances from planes times these."""
+    (points, covariance, _, labels, start), (weight, moment) = grid, sums
+    first, last = start + first, start + last
     own_weight, own_moment = np.zeros((last - first, labels.shape[1])), np.zeros((last - first, labels.shape[1]))
     for i in range(first, last):
         for j in range(labels.shape[1]):

@@ -15,12 +15,14 @@ MEAN_GAIN = 0.15
 SUM_GAIN = 16.3
 
 
-def dissolve(grid, sizes, pairs, planes, floor_variance):
-    """Give the points of superfluous regions to their neighbours, in place; smallest regions first.
+@njit(cache=True)
+def dissolve(grid, sizes, order, pairs, planes, floor_variance):
+    """Give the points of superfluous regions to their neighbours, in place.
 
     Args:
         grid: see `Sheet.grid`. Regions with points before its first row to work on stay.
-        sizes: number of points of every region, shape (R,).
+        sizes: number of points of every region, shape (R,); 0 for those that are dissolved.
+        order: the regions, smallest first, shape (R,).
         pairs: regions near each other, shape (E, 2), each pair once.
         planes: (normal, d) of the regions, shape (R, 4).
         floor_variance: added to the variance of every point, m^2.
@@ -28,13 +30,6 @@ def dissolve(grid, sizes, pairs, planes, floor_variance):
     Returns:
         Number of regions dissolved.
     """
-    order = np.argsort(sizes, kind="stable")
-    return _dissolve(grid, sizes, order, pairs, planes, floor_variance)
-
-
-@njit(cache=True)
-def _dissolve(grid, sizes, order, pairs, planes, floor_variance):
-    """The same; `order` of the regions, (R,), is that of their sizes."""
     _, _, _, labels, start = grid
     members, first = _members(labels, start, sizes.shape[0])
     candidates, hosts = np.empty(sizes.shape[0], dtype=np.int64), np.empty(members.shape[0], dtype=np.int64)
@@ -131,20 +126,10 @@ def _is_superfluous(grid, mine, region, candidates, planes, floor_variance, host
         for m in range(candidates.shape[0]):
             sums[m] += residual_chi2(points, covariance, i, j, planes, candidates[m], floor_variance)
         if (k + 1) % (BLOCK * BLOCK) == 0 or k == mine.shape[0] - 1:
-            best = _least(sums)
+            best = np.argmin(sums)
             hosts[k // (BLOCK * BLOCK)] = candidates[best]
             other += sums[best]
             if other > limit:
                 return False
             sums[:] = 0.0
     return True
-
-
-@inlined
-def _least(values):
-    """Place of the least of some numbers, of equal ones the first."""
-    best = 0
-    for k in range(1, values.shape[0]):
-        if values[k] < values[best]:
-            best = k
-    return best

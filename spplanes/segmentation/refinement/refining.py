@@ -6,9 +6,10 @@ import numpy as np
 from scipy.special import chdtri
 
 from spplanes._check import FloatArray
+from spplanes.outlines._raster import distinct_pairs
 from spplanes.segmentation.clustering import growing
-from spplanes.segmentation.clustering.joining import distinct_pairs, fuse_neighbours
-from spplanes.segmentation.clustering.steps import STEP_SHARE
+from spplanes.segmentation.clustering.cells import STEP_SHARE
+from spplanes.segmentation.clustering.joining import fuse_neighbours
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.refinement import borders, creases, dissolving
 from spplanes.segmentation.sheet import Sheet, append, drop_small, refit
@@ -50,7 +51,8 @@ def dissolve_superfluous(sheet: Sheet, config: MapperConfig) -> int:
     planes = growing.hesse(sheet.rows)
     edges = distinct_pairs(dissolving.near_pairs(sheet.labels, NEAR), len(sheet.rows))
     sizes = np.bincount(sheet.labels[sheet.labels >= 0], minlength=len(sheet.rows))
-    return dissolving.dissolve(sheet.grid, sizes, edges, planes, config.flatness_m**2)
+    smallest_first = np.argsort(sizes, kind="stable")
+    return dissolving.dissolve(sheet.grid, sizes, smallest_first, edges, planes, config.flatness_m**2)
 
 
 def _grow(sheet: Sheet, config: MapperConfig) -> None:
@@ -75,8 +77,7 @@ def part_at_creases(sheet: Sheet, views: FloatArray, config: MapperConfig) -> No
     planes = growing.hesse(sheet.rows)
     creases.unlabel_creases(sheet.grid, planes, config.max_crease_rad, CREASE_CERTAINTY)
     tolerance, limit = STEP_SHARE * config.flatness_m**2 + sheet.bias[:, 0], float(chdtri(1, SEAM_SIGNIFICANCE))
-    rule = creases.SeamRule(tolerance, float(config.flatness_m), SEAM_REACH, limit)
-    creases.unlabel_seams(sheet.grid, views, planes, rule)
+    creases.unlabel_seams(sheet.grid, views, planes, tolerance, float(config.flatness_m), SEAM_REACH, limit)
     origin = creases.split_regions(sheet.labels, sheet.start, len(sheet.rows))
     append(sheet, sheet.rows[origin], sheet.bias[origin])
     refit(sheet, config)

@@ -7,9 +7,14 @@ from functools import cached_property
 import numpy as np
 
 from spplanes._check import FloatArray
+from spplanes._jit import njit
 from spplanes.plane import Plane
 from spplanes.segmentation.config import ValidationConfig
-from spplanes.segmentation.validation._patch_kernels import along_normal, numbered, patches_of, strays
+
+#: Patches are numbered by place where a grid over the plane has no more than so many for every point, else by sorting.
+_ROOM, _LEAST_ROOM = 8, 1024
+#: Patches further out than this are one.
+_FARTHEST = 2.0**29
 
 
 def is_one_plane(
@@ -19,7 +24,6 @@ def is_one_plane(
     viewpoint: FloatArray,
     rules: ValidationConfig,
     scan_index: np.ndarray | None = None,
-    drift_m: FloatArray | None = None,
 ) -> bool:
     """Whether points (N, 3) with covariances (N, 3, 3) lie about the plane as their noise says, patch by patch too.
 
@@ -29,12 +33,11 @@ def is_one_plane(
         viewpoint: where it was seen from, shape (3,).
         rules: how much is allowed.
         scan_index: scan of every point, shape (N,), where the points of a scan share a pose error.
-        drift_m: standard deviation of what a slow error of the sensor shifts every point by, shape (N,), m.
     """
     return (
         could_be_seen(plane, viewpoint, rules)
         and fits_its_noise(plane, rules)
-        and not InPatches(plane, points, covariances, rules, scan_index, drift_m).has_step
+        and not InPatches(plane, points, covariances, rules, scan_index).has_step
     )
 
 
@@ -62,7 +65,10 @@ class InPatches:
         scan_index: np.ndarray | None = None,
         drift_m: FloatArray | None = None,
     ) -> None:
-        """For the arguments see `is_one_plane`. What all points of a scan share, its pose error, is taken out."""
+        """For the arguments see `is_one_plane`. What all points of a scan share, its pose error, is taken out.
+
+        `drift_m`: standard deviation of what a slow error of the sensor shifts every point by, shape (N,), m.
+        """
         residuals, variances = along_normal(points, covariances, plane.frame)
         if scan_index is not None:
             residuals = residuals - _group_means(residuals, scan_index)[scan_index]
@@ -108,3 +114,73 @@ class InPatches:
 
 def _group_means(values: FloatArray, group: np.ndarray) -> FloatArray:
     return np.bincount(group, values) / np.maximum(np.bincount(group), 1)
+
+
+def patches_of(points: FloatArray, frame: FloatArray, side: float) -> tuple[np.ndarray, np.ndarray, int, int]:
+    """Row and column (N,) of the square patch of every point, from 0 on, int64, and how many of both there are.
+
+    Args:
+        points: shape (N, 3), m.
+        frame: the plane's, shape (4, 4); its origin is a corner of patches.
+        side: of a patch, m.
+    """
+    x, y, z = (points - frame[:3, 3]).T
+    row, column = (
+        np.clip(np.floor((x * a + y * b + z * c) / side), -_FARTHEST, _FARTHEST).astype(np.int64)
+        for a, b, c in frame[:3, :2].T
+    )
+    if len(points) == 0:
+        return row, column, 0, 0
+    row -= row.min()
+    column -= column.min()
+    return row, column, int(row.max()) + 1, int(column.max()) + 1
+
+
+def numbered(codes: np.ndarray, span: int) -> tuple[np.ndarray, int]:
+    """A number (N,) for every code from 0 to span - 1, the same for the same code, and how many numbers there are."""
+    if span <= _ROOM * len(codes) + _LEAST_ROOM:
+        return codes, span
+    present, number = np.unique(codes, return_inverse=True)
+    return number, len(present)
+
+
+def strays(
+    residuals: FloatArray,
+    variances: FloatArray,
+    drift: FloatArray,
+    group: np.ndarray,
+    n_groups: int,
+    sigmas: float,
+    least: float,
+) -> np.ndarray:
+    """Whether the weighted mean residual of each group is more than noise, drift and unevenness, shape (n_groups,).
+
+    Args:
+        residuals, variances: of every point along the plane's normal, shape (N,), m and m^2.
+        drift: variance of what a slow error shifts every point by, shape (N,), or (0,) for none, m^2.
+        group: of every point, shape (N,).
+        n_groups: how many there are.
+        sigmas, least: what a mean may be, in its standard deviations and in m.
+    """
+    weights, slow = 1.0 / variances, np.zeros(n_groups)
+    total, moments = np.bincount(group, weights, n_groups), np.bincount(group, weights * residuals, n_groups)
+    if len(drift):
+        slow = np.bincount(group, weights * drift, n_groups)
+    there, total = total > 0.0, np.where(total > 0.0, total, 1.0)
+    return there & (np.abs(moments / total) > np.maximum(sigmas * np.sqrt((1.0 + slow) / total), least))
+
+
+@njit(cache=True)
+def along_normal(points, covariances, frame):
+    """Distances (N,) of points from a plane, m, and their variances, m^2."""
+    n = points.shape[0]
+    distances, variances = np.empty(n), np.empty(n)
+    nx, ny, nz = frame[0, 2], frame[1, 2], frame[2, 2]
+    for k in range(n):
+        c = covariances[k]
+        x, y, z = points[k, 0] - frame[0, 3], points[k, 1] - frame[1, 3], points[k, 2] - frame[2, 3]
+        distances[k] = x * nx + y * ny + z * nz
+        across = nx * (c[0, 0] * nx + (c[0, 1] + c[1, 0]) * ny + (c[0, 2] + c[2, 0]) * nz)
+        across += ny * (c[1, 1] * ny + (c[1, 2] + c[2, 1]) * nz) + nz * c[2, 2] * nz
+        variances[k] = across
+    return distances, variances

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from spplanes._check import FloatArray
-from spplanes._jit import inlined, njit
-from spplanes._threads import in_parts
 from spplanes.fitting.seams import SAME_WAY, at_seams
 
 
@@ -45,33 +43,22 @@ def sure_points(window: Window, labels: np.ndarray, frames: Sequence[FloatArray]
     stacked, covariance = np.array(frames), np.ascontiguousarray(window.covariances).reshape(*labels.shape, 9)
     doubtful = at_seams(window.points, covariance, labels, stacked, uneven_m)
     alike = np.abs(stacked[:, :3, 2] @ stacked[:, :3, 2].T) > SAME_WAY
-    grid = np.isfinite(window.points[..., 0]), np.ascontiguousarray(labels, dtype=np.int64)
-    in_parts(lambda first, last: _find_ends(grid, alike, first, last, doubtful), len(labels), labels.size)
-    return (labels >= 0) & ~doubtful
+    return (labels >= 0) & ~doubtful & ~_at_ends(np.isfinite(window.points[..., 0]), labels, alike)
 
 
-@njit(cache=True)
-def _find_ends(grid, alike, first, last, found):
-    """Set `found`, in the rows from first to last, for points of a plane beside what may be before or behind it."""
-    valid, labels = grid
-    for i in range(first, last):
-        for j in range(labels.shape[1]):
-            if labels[i, j] >= 0 and _ends_beside(valid, labels, alike, i, j, labels[i, j]):
-                found[i, j] = True
+def _at_ends(valid: np.ndarray, labels: np.ndarray, alike: np.ndarray) -> np.ndarray:
+    """Which points, of those on planes, have a return beside them that may be before or behind theirs, (S, B) bool.
 
-
-@inlined
-def _ends_beside(valid, labels, alike, i, j, mine):
-    """Whether a return beside a point is of no plane, or of another that looks the same way, and so is what follows."""
+    It is of no plane, or of another that looks the same way, and so is what follows it.
+    """
     n_rows, n_cols = labels.shape
-    for step in range(4):
-        down, right = (step == 1) - (step == 0), (step == 3) - (step == 2)
-        a, b = i + down, j + right
-        if not (0 <= a < n_rows and 0 <= b < n_cols and valid[a, b]) or labels[a, b] == mine:
-            continue
-        if labels[a, b] >= 0 and not alike[mine, labels[a, b]]:
-            continue
-        a, b = a + down, b + right
-        if not (0 <= a < n_rows and 0 <= b < n_cols and labels[a, b] == mine):
-            return True
-    return False
+    around, returns = np.pad(labels, 2, constant_values=-1), np.pad(valid, 2)
+    found = np.zeros(labels.shape, dtype=bool)
+    for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        beside, beyond = (
+            (slice(2 + k * down, 2 + k * down + n_rows), slice(2 + k * right, 2 + k * right + n_cols)) for k in (1, 2)
+        )
+        other = around[beside]
+        told_apart = (other >= 0) & ~alike[labels, other]
+        found |= returns[beside] & (other != labels) & ~told_apart & (around[beyond] != labels)
+    return found

@@ -4,7 +4,7 @@ from scipy.stats import chi2
 
 from spplanes._rows import merge_scaled
 from spplanes.fitting._moment_patches import eigenvalues, normal_of, variance_along
-from spplanes.segmentation.clustering import cells, steps
+from spplanes.segmentation.clustering import cells
 from spplanes.segmentation.clustering.ahc import cluster, one_plane_chi2, step_chi2
 from spplanes.segmentation.refinement import creases, dissolving
 from tests.statistics import assert_mean_in_band
@@ -98,13 +98,14 @@ def test_superfluous_strip_dissolves_and_a_real_one_stays():
     labels = np.zeros((32, 32), dtype=np.int64)
     labels[:, 12:20] = 1
     planes = np.array([[1.0, 0, 0, 3.0], [1.0, 0, 0, 3.002]])
-    pairs = np.array([[0, 1]])
+    pairs, sizes, order = np.array([[0, 1]]), np.array([768, 256]), np.array([1, 0])
     kept = labels.copy()
-    assert dissolving.dissolve(grid_of(points, covariance, labels), np.array([768, 256]), pairs, planes, 0.0) == 1
+    assert dissolving.dissolve(grid_of(points, covariance, labels), sizes, order, pairs, planes, 0.0) == 1
     assert (labels == 0).all()
     points[:, 12:20, 0] += 0.02
+    sizes[:] = 768, 256
     planes[1, 3] = 3.02
-    assert dissolving.dissolve(grid_of(points, covariance, kept), np.array([768, 256]), pairs, planes, 0.0) == 0
+    assert dissolving.dissolve(grid_of(points, covariance, kept), sizes, order, pairs, planes, 0.0) == 0
 
 
 def test_near_pairs_reach_across_other_regions():
@@ -134,7 +135,7 @@ def _cell(step, sigma, rng, size=32):
     free, variance = np.ones(i.shape, dtype=bool), np.full((*i.shape, 1), sigma**2 / 2.0)
     rows = cells.cell_moments(points, variance, free, size, 0.0)
     planar = np.ones(rows.shape[:2], dtype=bool)
-    steps.reject_steps(planar, (points, variance, free, size, 0.0), rows, chi2.isf(0.001 / 16, 1))
+    cells.reject_steps(planar, (points, variance, free, size, 0.0), rows, chi2.isf(0.001 / 16, 1))
     return planar
 
 
