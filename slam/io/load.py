@@ -151,9 +151,10 @@ def _load_bag(path: Path, rig: Rig | None, topics: Topics, keep_partial: bool) -
         return log, bag_rig(log, topics)
     names = {sensor_name(sensor.record or name): name for name, sensor in rig.sensors.items()}
     if topics.odometry or topics.odometry_frame:  # what is given stands in for what the rig says, for a resumed run too
-        rig = rig.with_bag(odometry_record=topics.odometry, odometry_frame=topics.odometry_frame)
+        given = {"odometry_record": topics.odometry, "odometry_frame": topics.odometry_frame}
+        rig = rig.model_copy(update=given)
     if topics.body_frame:
-        rig = rig.with_bag(body_frame=topics.body_frame)
+        rig = rig.model_copy(update={"body_frame": topics.body_frame})
     wanted = Topics(topics.scans or tuple(names), rig.odometry_record, rig.odometry_frame, rig.body_frame)
     grids = {name: grid for name, sensor in rig.sensors.items() if (grid := grid_of(sensor)) is not None}
     return read_rosbag(path, wanted, names=names, grids=grids, keep_partial=keep_partial), rig

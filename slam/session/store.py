@@ -65,7 +65,7 @@ class Session(SessionRecords):
             raise SessionError(f"{path}: exists already")
         values = {
             "config": json.dumps(config.model_dump(mode="json")).encode(),  # JSON of Python's: it knows infinity
-            "rig": None if rig is None else rig_json(rig),
+            "rig": None if rig is None else json.dumps(rig.to_plain()).encode(),
             "prior": prior,
             "program": __version__.encode(),
             "log": json.dumps(log).encode(),
@@ -198,11 +198,3 @@ class Session(SessionRecords):
             raise SessionError(f"{self.path}: opened to be read only")
         with transaction(self.path, self._db):
             yield
-
-
-def rig_json(rig: Rig) -> bytes:
-    """A rig as a session keeps it."""
-    plain = rig.model_dump(mode="json", by_alias=True, exclude_none=True)
-    for sensor in plain["sensors"].values():
-        sensor["body_T_sensor"] = sensor["body_T_sensor"].get("matrix", sensor["body_T_sensor"])
-    return json.dumps(plain).encode()

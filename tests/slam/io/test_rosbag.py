@@ -202,7 +202,9 @@ def test_odometry_frame_stands_in_for_a_topic(tmp_path: Path):
     log, _ = load(path, topics=Topics(odometry_frame="start"))
     np.testing.assert_allclose([reading.odom_T_body for reading in log.odometry], PATH, atol=1e-9)
     _, by_topic = load(path)
-    other, changed = load(path, by_topic.with_bag(odometry_record="/odom"), topics=Topics(odometry_frame="start"))
+    other, changed = load(
+        path, by_topic.model_copy(update={"odometry_record": "/odom"}), topics=Topics(odometry_frame="start")
+    )
     assert changed.odometry_record is None and len(other.odometry) == 4
 
 
