@@ -14,7 +14,7 @@ import numpy as np
 from slam.errors import LogError
 from slam.io.cloud_folders import SCAN_PERIOD_NS, SENSOR
 from slam.io.clouds.cloud import FARTHEST_M
-from slam.io.raw import ascii_of, floats_of, read_bytes, read_unpacked, text_rows
+from slam.io.raw import ascii_of, floats_of, numbered_words, read_unpacked, text_rows
 from slam.sensors.log import CloudScan, Event, Log, OdometryReading
 from spplanes._check import FloatArray
 
@@ -64,9 +64,7 @@ def read_pose(path: Path) -> FloatArray:
     """odom_T_body, shape (4, 4), from a `.pose` file: x y z in cm, then rotations about x, y, z in degrees."""
     if not path.is_file():
         raise LogError(path, "expected the pose of the scan beside it, found no such file")
-    values = []
-    for number, line in enumerate(ascii_of(path, read_bytes(path)).splitlines(), start=1):
-        values += floats_of(path, line.split(), number)
+    values = [value for line, words in numbered_words(path) for value in floats_of(path, words, line)]
     if len(values) != 6:
         raise LogError(path, f"expected six numbers (x y z rx ry rz), got {len(values)}")
     return to_right_handed(_euler_transform(np.array(values[:3]), np.deg2rad(values[3:])))
@@ -112,12 +110,11 @@ def to_right_handed(transform: FloatArray) -> FloatArray:
 
 def read_frames(path: Path) -> FloatArray:
     """Final transform of a `.frames` file, shape (4, 4), right-handed, m: the registration's answer for the scan."""
-    lines = ascii_of(path, read_bytes(path)).splitlines()
-    numbered = [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
-    if not numbered:
+    lines = numbered_words(path)
+    if not lines:
         raise LogError(path, "expected at least one transform, got an empty file")
-    number, last = numbered[-1]
-    values = floats_of(path, last.split(), number)
+    number, last = lines[-1]
+    values = floats_of(path, last, number)
     if len(values) < 16:
         raise LogError(path, f"expected 16 numbers of a 4x4 transform, got {len(values)}", line=number)
     return to_right_handed(np.array(values[:16]).reshape(4, 4, order="F"))
