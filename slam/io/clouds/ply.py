@@ -79,17 +79,15 @@ def _parse_header(path: Path) -> tuple[str, list[Element], int, int]:
         if number == 1 and words != ["ply"]:
             raise LogError(path, "expected the word ply at the start of a PLY file", line=1)
         if words == ["end_header"]:
-            break
+            if order is None:
+                raise LogError(path, "expected the format in the PLY header, found no such line")
+            _check_vertices(path, elements)
+            return _ORDERS[order], elements, end, number + 1
         try:
             order = _header_line(words, elements) or order
         except ValueError as error:
             raise LogError(path, f"{error}, got {' '.join(words)[:40]!r}", line=number) from error
-    else:
-        raise LogError(path, "expected a PLY header that ends with end_header, found no such line")
-    if order is None:
-        raise LogError(path, "expected the format in the PLY header, found no such line")
-    _check_vertices(path, elements)
-    return _ORDERS[order], elements, end, number + 1
+    raise LogError(path, "expected a PLY header that ends with end_header, found no such line")
 
 
 def _header_line(words: list[str], elements: list[Element]) -> str | None:
