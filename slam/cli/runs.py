@@ -88,7 +88,7 @@ def _resume(options: SlamOptions) -> None:
     from slam.session.salvage import salvage_session
 
     if options.salvage:
-        say(salvage_session(folder).sentence)
+        say(salvage_session(folder))
     try:
         with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
             with progress_bar("keyframes") as progress:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -15,29 +15,11 @@ from slam.session.store import RawScan, Session, SessionDamaged
 _SUFFIXES = ("", "-wal", "-shm")
 
 
-@dataclass(frozen=True)
-class Salvage:
-    """What became of a damaged session."""
-
-    saved: int
-    """Keyframes in the new session."""
-    damage: str
-    """What was wrong with the old one; empty: nothing."""
-    kept_as: Path | None
-    """Where the damaged file is now."""
-
-    @property
-    def sentence(self) -> str:
-        """For the screen."""
-        if self.kept_as is None:
-            return f"nothing is damaged; {self.saved} keyframes"
-        return f"{self.damage}; saved {self.saved} keyframes; the damaged file is now {self.kept_as.name}"
-
-
-def salvage_session(path: Path | str) -> Salvage:
+def salvage_session(path: Path | str) -> str:
     """Make a session of the longest valid beginning of a damaged one, in its place; the old one stays beside it.
 
-    Decisions, raw scans and parameters come along. A session without damage is left as it is.
+    Decisions, raw scans and parameters come along. A session without damage is left as it is. Returns a sentence on
+    what was wrong and how many keyframes the session has now.
 
     Raises:
         SessionError: nothing of it can be read, or another process writes it.
@@ -47,7 +29,7 @@ def salvage_session(path: Path | str) -> Salvage:
     damage = _damage_of(path)
     if damage is None:
         with Session.open(path, read_only=True) as session:
-            return Salvage(len(session), "", None)
+            return f"nothing is damaged; {len(session)} keyframes"
     work, kept = path.with_name(path.name + ".salvaged"), path.with_name(path.name + ".damaged")
     with writing(path) as lock:
         try:
@@ -60,7 +42,7 @@ def salvage_session(path: Path | str) -> Salvage:
         finally:
             for suffix in (*_SUFFIXES, "-lock"):
                 work.with_name(work.name + suffix).unlink(missing_ok=True)
-    return Salvage(saved, damage, kept)
+    return f"{damage}; saved {saved} keyframes; the damaged file is now {kept.name}"
 
 
 def _damage_of(path: Path) -> str | None:

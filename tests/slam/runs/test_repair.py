@@ -133,7 +133,7 @@ def test_damaged_places_are_said_and_a_salvaged_session_keeps_whole_ones(mended,
     saved.write_bytes(path.read_bytes())
     with sqlite3.connect(saved) as other:
         other.execute("UPDATE keyframes SET data = data || X'00' WHERE id = 87")
-    assert salvage_session(saved).saved == 87
+    assert "saved 87 keyframes" in salvage_session(saved)
     with Session.open(saved, read_only=True) as again, Session.open(path, read_only=True) as whole:
         for index in range(87):
             assert encode(list(again.keyframe(index).places)) == encode(list(whole.keyframe(index).places))
