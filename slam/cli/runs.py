@@ -85,7 +85,7 @@ def _resume(options: SlamOptions) -> None:
     from slam.ahead import cores
     from slam.output.run_folder import FinishedAlready, resumed_run
     from slam.runs.slam_run import run_slam
-    from slam.session.salvage import salvage_session
+    from slam.session.store import salvage_session
 
     if options.salvage:
         say(salvage_session(folder))

@@ -72,7 +72,9 @@ def read_pose(path: Path) -> FloatArray:
 
 def read_points(path: Path) -> FloatArray:
     """Points of one scan, m, right-handed; shape (lines, beams, 3) if organised, else (1, N, 3)."""
-    raw = _parse_points(path)
+    raw = text_rows(path, ascii_of(path, read_unpacked(path)), 3, finite=True)
+    if not len(raw):
+        raise LogError(path, "expected lines of three numbers, got an empty file")
     raw = np.where(np.abs(raw) < FARTHEST_M, raw, FARTHEST_M)
     beams = beams_per_line(raw)
     points = raw @ AXES.T * METRES_PER_UNIT
@@ -130,11 +132,3 @@ def _euler_transform(translation: FloatArray, angles: FloatArray) -> FloatArray:
     transform[:3, :3] = about_x @ about_y @ about_z
     transform[:3, 3] = translation
     return transform
-
-
-def _parse_points(path: Path) -> FloatArray:
-    """The numbers of a scan, shape (N, 3)."""
-    points = text_rows(path, ascii_of(path, read_unpacked(path)), 3, finite=True)
-    if not len(points):
-        raise LogError(path, "expected lines of three numbers, got an empty file")
-    return points

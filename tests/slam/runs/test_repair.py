@@ -25,8 +25,7 @@ from slam.runs.repair import is_open_to_repair, repaired
 from slam.runs.slam_run import Run, odometry_of
 from slam.session._codec import encode
 from slam.session.replay import Places
-from slam.session.salvage import salvage_session
-from slam.session.store import Session, SessionDamaged
+from slam.session.store import Session, SessionDamaged, salvage_session
 from slam.simulation import simulate_mission
 from tests.slam.diagnostics.evidence.test_look import turned
 from tests.slam.scenes import run_of

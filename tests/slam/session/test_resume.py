@@ -22,8 +22,7 @@ from slam.io.trajectories import Trajectory, read_tum, write_tum
 from slam.planeslam import pose_symbol
 from slam.sensors.log import LaserScan
 from slam.session.opening import SESSION_FILE
-from slam.session.salvage import salvage_session
-from slam.session.store import Session, StorageError
+from slam.session.store import Session, StorageError, salvage_session
 from tests.slam.commands import command, run
 from tests.slam.scenes import drive, run_of
 from tests.slam.session import kill

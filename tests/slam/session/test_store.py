@@ -21,8 +21,7 @@ from slam.planeslam import pose_symbol
 from slam.sensors.log import CloudScan, LaserScan
 from slam.session._codec import CodecError, decode, encode
 from slam.session._file import digest
-from slam.session.salvage import salvage_session
-from slam.session.store import Session, SessionDamaged, SessionError
+from slam.session.store import Session, SessionDamaged, SessionError, salvage_session
 from spplanes import ScanLine
 from tests.slam.scenes import drive, run_of
 
