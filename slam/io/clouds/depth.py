@@ -7,6 +7,7 @@ down (up where fy is negative), z forward.
 
 from __future__ import annotations
 
+import os
 import re
 import struct
 import zlib
@@ -157,7 +158,7 @@ def read_depth_folder(folder: Path, name: str, sensor: Sensor, odometry: Path | 
     camera, mount = read_intrinsics(folder / INTRINSICS), sensor.body_T_sensor
     images = _images(folder)
     for path, _ in images:
-        if not _is_there(path):
+        if not os.path.isfile(path):  # False for a name too long for any file, too
             raise LogError(
                 path.parent / path.name[:60], "expected the depth image that the list names, found no such file"
             )
@@ -174,13 +175,6 @@ def read_depth_folder(folder: Path, name: str, sensor: Sensor, odometry: Path | 
     if odometry is not None and odometry.name in CAMERA_POSES:
         return with_odometry(log, odometry, mount)
     return log
-
-
-def _is_there(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # a name too long for any file
-        return False
 
 
 def _points_of(path: Path, camera: Camera) -> FloatArray:
