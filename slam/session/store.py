@@ -259,7 +259,10 @@ def _copy_beginning(path: Path, target: Path) -> int:
                 keyframe = old.keyframe(index)
             except SessionDamaged:
                 break
-            scans, decisions = _scans_of(old, index), None
+            scans: tuple[RawScan, ...] = ()
+            decisions = None
+            with suppress(SessionDamaged):  # raw scans are beside the point
+                scans = tuple(old.scans(index))
             contents = [(scan.position, None if scan.scan is None else encode(scan.scan)) for scan in scans]
             new.add_keyframe(replace(keyframe, scans=scans), contents)  # type: ignore[arg-type]  # they know as much
             with suppress(SessionDamaged):  # they will be made again
@@ -268,11 +271,3 @@ def _copy_beginning(path: Path, target: Path) -> int:
                 break
             new.add_decisions(index, decisions)
         return len(new)
-
-
-def _scans_of(session: Session, index: int) -> tuple[RawScan, ...]:
-    """Raw scans are beside the point: damaged, they are left out."""
-    try:
-        return tuple(session.scans(index))
-    except SessionDamaged:
-        return ()

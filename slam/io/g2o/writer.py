@@ -129,12 +129,10 @@ class _Writer:
     def lines(self) -> list[str]:
         """The whole file, line by line."""
         edges = [line for factor in self._factors for line in self._edge(factor)]
+        title = "# planes n.x = d: nx ny nz -d, then a colour; written by spplanes"
+        left_out = [f"# left out: {count} of {kind}" for kind, count in sorted(self.left_out.items())]
         parameters = "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"  # the sensor of the priors: the body itself
-        return [*self._comments(), parameters, *self._vertices(), *edges]
-
-    def _comments(self) -> list[str]:
-        lines = ["# planes n.x = d: nx ny nz -d, then a colour; written by spplanes"]
-        return lines + [f"# left out: {count} of {kind}" for kind, count in sorted(self.left_out.items())]
+        return [title, *left_out, parameters, *self._vertices(), *edges]
 
     def _vertices(self) -> list[str]:
         lines = [f"VERTEX_SE3:QUAT {i} {_pose(self.values.atPose3(key))}" for key, i in self.poses.items()]
