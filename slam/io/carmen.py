@@ -62,8 +62,7 @@ def read_carmen(path: Path | str, *, rig: Rig | None = None, keep_partial: bool 
         raise LogError(path, "expected a CARMEN log with laser records, got none")
     stamps = _stamps(raw, rows)
     _note_order(path, raw, rows, stamps)
-    names = _names_of(path, raw, rows, rig)
-    lasers = {raw.names[name]: _laser_of(name, sensor, raw, rows, rig) for name, sensor in names.items()}
+    lasers = _lasers_of(path, raw, rows, rig)
     stated = {laser.sensor: laser.mount for laser in lasers.values() if laser.mount is not None}
     return Log(_events_of(rows, stamps, lasers), path, raw.notes, stated)
 
@@ -109,29 +108,25 @@ def _note_order(path: Path, raw: RawLog, rows: np.ndarray, stamps: np.ndarray) -
         raw.notes.append(f"sorted {late} records whose time runs back by up to {worst / 1e9:.3f} s")
 
 
-def _names_of(path: Path, raw: RawLog, rows: np.ndarray, rig: Rig | None) -> dict[str, str]:
-    """Name of the sensor for each record name that is kept."""
-    counts = {name: int((rows["name"] == number).sum()) for name, number in raw.names.items() if number}
-    if rig is None:
-        return {name: name for name in counts}
-    names = {name: sensor for name in counts if (sensor := rig.name_of_record(name)) is not None}
-    raw.notes += [
-        f"skipped {n} {name} records, which the rig does not have" for name, n in counts.items() if name not in names
-    ]
-    if not names:
-        raise LogError(path, f"expected records of the rig's sensors, got only {', '.join(counts)}")
-    return names
-
-
-def _laser_of(name: str, sensor: str, raw: RawLog, rows: np.ndarray, rig: Rig | None) -> TableScans:
-    """The scans of one laser."""
-    own = rows[rows["name"] == raw.names[name]]
-    mount = _stated_mount(name, own, raw.offsets)
-    if rig is None:
-        return TableScans(sensor, rows, raw.spool, 0.0, _range_limit(own), mount)
-    told = rig.sensors[sensor]
-    angles = told.first_angle_deg, told.angle_step_deg
-    return TableScans(sensor, rows, raw.spool, told.range_min_m, told.range_max_m, mount, angles)
+def _lasers_of(path: Path, raw: RawLog, rows: np.ndarray, rig: Rig | None) -> dict[int, TableScans]:
+    """The scans of every laser that is kept, by the number of its records."""
+    lasers: dict[int, TableScans] = {}
+    records = {name: number for name, number in raw.names.items() if number}
+    for name, number in records.items():
+        own = rows[rows["name"] == number]
+        sensor = name if rig is None else rig.name_of_record(name)
+        if sensor is None:
+            raw.notes.append(f"skipped {len(own)} {name} records, which the rig does not have")
+            continue
+        limits, angles = (0.0, _range_limit(own)), (None, None)
+        if rig is not None:
+            told = rig.sensors[sensor]
+            limits, angles = (told.range_min_m, told.range_max_m), (told.first_angle_deg, told.angle_step_deg)
+        mount = _stated_mount(name, own, raw.offsets)
+        lasers[number] = TableScans(sensor, rows, raw.spool, *limits, mount, angles)
+    if not lasers:
+        raise LogError(path, f"expected records of the rig's sensors, got only {', '.join(records)}")
+    return lasers
 
 
 def _range_limit(own: np.ndarray) -> float:
@@ -192,7 +187,7 @@ class TableScans:
     """Ranges at or beyond this are none."""
     mount: FloatArray | None
     """body_T_sensor as the log tells it, shape (4, 4)."""
-    angles_deg: tuple[float | None, float | None] = (None, None)
+    angles_deg: tuple[float | None, float | None]
     """The first bearing and the step, as the rig tells them; None: it does not."""
     _bearings: dict[tuple[float, ...], FloatArray] = field(default_factory=dict)
     """Those made already: scan after scan has the same."""

@@ -38,12 +38,6 @@ class Cloud:
     is_depth_image: bool = False
     """Whether z is the depth of a camera, whose noise grows with it."""
 
-    @property
-    def flat(self) -> FloatArray:
-        """The returns, shape (N, 3), m: NaN left out."""
-        points = self.points.reshape(-1, 3)
-        return points[np.isfinite(points).all(axis=1)]
-
 
 @dataclass(frozen=True, eq=False)
 class Table:

@@ -264,7 +264,7 @@ def test_a_bag_whose_index_contradicts_its_records_is_read_without_it(tmp_path: 
     chunks = data[at]
     data[at] += 1
     path.write_bytes(data)
-    assert SalvagedBag(path).missing == f"1 of {chunks + 1} chunks"
+    assert f"without it: 1 of {chunks + 1} chunks is missing" in SalvagedBag(path).note
 
 
 def test_the_only_file_of_a_folder_that_breaks_off_is_salvaged(tmp_path: Path):
