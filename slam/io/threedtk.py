@@ -10,6 +10,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from slam.errors import LogError
 from slam.io.cloud_folders import SCAN_PERIOD_NS, SENSOR
@@ -67,7 +68,10 @@ def read_pose(path: Path) -> FloatArray:
     values = [value for line, words in numbered_words(path) for value in floats_of(path, words, line)]
     if len(values) != 6:
         raise LogError(path, f"expected six numbers (x y z rx ry rz), got {len(values)}")
-    return to_right_handed(_euler_transform(np.array(values[:3]), np.deg2rad(values[3:])))
+    transform = np.eye(4)
+    transform[:3, :3] = Rotation.from_euler("XYZ", values[3:], degrees=True).as_matrix()  # Rx Ry Rz
+    transform[:3, 3] = values[:3]
+    return to_right_handed(transform)
 
 
 def read_points(path: Path) -> FloatArray:
@@ -120,15 +124,3 @@ def read_frames(path: Path) -> FloatArray:
     if len(values) < 16:
         raise LogError(path, f"expected 16 numbers of a 4x4 transform, got {len(values)}", line=number)
     return to_right_handed(np.array(values[:16]).reshape(4, 4, order="F"))
-
-
-def _euler_transform(translation: FloatArray, angles: FloatArray) -> FloatArray:
-    """3DTK's own Euler convention: R = Rx Ry Rz."""
-    (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
-    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
-    about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
-    transform = np.eye(4)
-    transform[:3, :3] = about_x @ about_y @ about_z
-    transform[:3, 3] = translation
-    return transform

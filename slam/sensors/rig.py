@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
-from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from slam._yaml import Finite, Frozen, NotNegative, Positive
 from slam.sensors.wheel_noise import OdometryNoise
@@ -220,7 +220,7 @@ class LocalisationNoise(Frozen):
 class Rig(Frozen):
     """Everything about the robot that the data do not say themselves."""
 
-    sensors: dict[str, Sensor]
+    sensors: Annotated[dict[str, Sensor], Field(min_length=1)]
     """Sensors by name; at least one."""
     odometry_record: str | None = None
     """Topic of the odometry in a bag; None: that which comes most often."""
@@ -232,13 +232,6 @@ class Rig(Frozen):
     """Noise model of the wheel odometry."""
     localisation: LocalisationNoise | None = None
     """Noise model of the poses given in the log; None: the log's poses are not for mapping."""
-
-    @field_validator("sensors")
-    @classmethod
-    def _some_sensor(cls, value: dict[str, Sensor]) -> dict[str, Sensor]:
-        if not value:
-            raise ValueError("expected at least one sensor, got none")
-        return value
 
     @model_validator(mode="after")
     def _one_odometry(self) -> Rig:

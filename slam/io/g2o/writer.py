@@ -114,7 +114,10 @@ class _Writer:
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         self.values = values
         self.left_out: Counter[str] = Counter()
-        poses, planes = self._variables()
+        poses = [key for key in sorted(values.keys()) if _holds(values.atPose3, key)]
+        planes = [key for key in sorted(values.keys()) if _holds(values.atOrientedPlane3, key)]
+        if others := values.size() - len(poses) - len(planes):
+            self.left_out["variables that are neither Pose3 nor OrientedPlane3"] = others
         self.poses = {key: index for index, key in enumerate(poses)}
         self.planes = {key: len(poses) + index for index, key in enumerate(planes)}
         self._level = len(poses) + len(planes)
@@ -198,17 +201,6 @@ class _Writer:
     def _in_world(self, plane_key: int) -> gtsam.OrientedPlane3:
         landmark, anchor = self.values.atOrientedPlane3(plane_key), self._anchors.get(plane_key)
         return landmark if anchor is None else landmark.transform(self.values.atPose3(anchor).inverse())
-
-    def _variables(self) -> tuple[list[int], list[int]]:
-        poses, planes = [], []
-        for key in sorted(self.values.keys()):
-            if _holds(self.values.atPose3, key):
-                poses.append(key)
-            elif _holds(self.values.atOrientedPlane3, key):
-                planes.append(key)
-            else:
-                self.left_out["variables that are neither Pose3 nor OrientedPlane3"] += 1
-        return poses, planes
 
 
 def _holds(read: Callable[[int], object], key: int) -> bool:

@@ -123,8 +123,8 @@ def read_rosbag(
     for row, (stamp, topic, angles, _) in enumerate(found.scans):
         events.append(StoredScan({"stamp_ns": stamp, "sensor": names[topic], "angles": angles}, ranges, row))
     for stamp, topic, received in found.clouds:
-        grid = (grids or {}).get(names[topic])
-        events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received, grid, keep_partial)))
+        read = partial(_cloud_at, path, topic, (grids or {}).get(names[topic]), keep_partial)
+        events.append(StoredCloud({"stamp_ns": stamp, "sensor": names[topic]}, {"points": read}, received))
     return Log(_without_doubles(in_order(events), notes), path, notes, _mounts(found, body, names, notes, mounted))
 
 
@@ -241,7 +241,7 @@ def _without_doubles(events: list[Event], notes: list[str]) -> list[Event]:
     return kept
 
 
-def _cloud_at(path: Path, topic: str, received: int, grid: Grid | None, keep_partial: bool) -> FloatArray:
+def _cloud_at(path: Path, topic: str, grid: Grid | None, keep_partial: bool, received: int) -> FloatArray:
     """One cloud of a bag as a grid, shape (S, B, 3), m."""
     reader = kept_open(path, keep_partial)
     connections = [connection for connection in reader.connections if connection.topic == topic]
