@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Self, get_args
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from slam.errors import LogError, cannot_be_read
 
@@ -26,6 +27,18 @@ class Frozen(BaseModel):
     """What all parts of a file are: unchangeable, and strict about the keys they know."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_by_name=True, validate_by_alias=True)
+
+    @classmethod
+    def from_yaml(cls, path: Path | str) -> Self:
+        """Read a file; anything wrong is a `LogError` whose one sentence names the file and the key."""
+        path = Path(path)
+        data = read_yaml(path)
+        if not isinstance(data, dict | None):
+            raise LogError(path, f"expected a mapping of keys to values, got {type(data).__name__}")
+        try:
+            return cls.model_validate(data or {})
+        except ValidationError as error:
+            raise LogError(path, _first_problem(cls, error)) from error
 
 
 def read_yaml(path: Path) -> Any:
@@ -56,7 +69,19 @@ def read_yaml(path: Path) -> Any:
         raise LogError(path, "expected YAML, got a value that is not what its tag says, or too deep") from error
 
 
-def near_key(model: Any, place: Sequence[int | str]) -> str:
+def _first_problem(model: type[BaseModel], error: ValidationError) -> str:
+    """One sentence on the first thing pydantic found wrong, naming the key."""
+    first = error.errors()[0]
+    key = f"{'.'.join(map(str, first['loc'])):.100}"
+    if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        return f"{key}: unknown key{_near_key(model, first['loc'])}"
+    if first["type"] == "missing":
+        return f"{key}: missing"
+    message = first["msg"].removeprefix("Value error, ")
+    return f"{key}: {message[0].lower()}{message[1:]}, got {reprlib.repr(first['input']):.60}"
+
+
+def _near_key(model: Any, place: Sequence[int | str]) -> str:
     """What to say of an unknown key at a place in a file of a model: the known key that is nearest, if one is near."""
     for part in place[:-1]:
         known = _keys_of(model)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Final, Literal
 
 import yaml
-from pydantic import ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field
 
 from factors.association.decisions import AssociationGates
-from slam._yaml import Frozen, near_key, read_yaml
+from slam._yaml import Frozen
 from spplanes import LineConfig, MapperConfig
 from spplanes.segmentation.config import ValidationConfig
 
@@ -171,18 +170,6 @@ class SlamConfig(_Frozen):
     backend: BackendConfig = BackendConfig()
     mapper: MapperConfig = MapperConfig()
     lines: LineConfig = LineConfig()
-
-    @classmethod
-    def from_yaml(cls, path: Path) -> SlamConfig:
-        """Read a configuration; a ValueError names the file and the key that is wrong."""
-        data = read_yaml(Path(path))
-        try:
-            return cls.model_validate({} if data is None else data)
-        except ValidationError as error:
-            first = error.errors()[0]
-            unknown = first["type"] in ("extra_forbidden", "unexpected_keyword_argument")
-            near = near_key(cls, first["loc"]) if unknown else ""
-            raise ValueError(f"{path}: {'.'.join(map(str, first['loc'])):.100}: {first['msg']}{near}") from error
 
     def to_yaml(self) -> str:
         """The configuration as YAML, every field written out."""

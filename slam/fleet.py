@@ -30,7 +30,6 @@ from slam.output.run_folder import Source, conclude, new_run
 from slam.runs.slam_run import run_slam
 from slam.sensors.rig import Rig
 from slam.session._file import fingerprint
-from slam.session.store import rig_json
 from spplanes import __version__
 
 if TYPE_CHECKING:
@@ -223,7 +222,7 @@ class Order:
         Raises:
             OSError: the log cannot be read.
         """
-        rig = None if self.rig is None else rig_json(self.rig).decode()
+        rig = None if self.rig is None else json.dumps(self.rig.to_plain())
         what = [fingerprint(self.log), rig, self.config.model_dump(mode="json"), self.keep_partial, __version__]
         return blake2b(json.dumps(what, sort_keys=True).encode(), digest_size=12).hexdigest()
 

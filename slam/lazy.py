@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from abc import abstractmethod
 from array import array
-from collections.abc import Callable, Mapping, MutableSequence, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from typing import Any, NoReturn, Self, TypeVar, overload
+from typing import Any, Self, TypeVar, overload
 
 import numpy as np
 
@@ -22,7 +22,7 @@ T = TypeVar("T")
 _IN_MEMORY_BYTES = 16 << 20
 
 
-class Growing(MutableSequence[T]):
+class Growing(Sequence[T]):
     """A sequence whose elements are made when somebody looks at them; without an `append` of its own it never grows."""
 
     @abstractmethod
@@ -45,17 +45,9 @@ class Growing(MutableSequence[T]):
             return NotImplemented
         return len(self) == len(other) and all(a == b for a, b in zip(self, other, strict=True))
 
-    __hash__ = None  # type: ignore[assignment]
-
-    def insert(self, index: int, value: T) -> NoReturn:
-        """Not possible."""
-        raise TypeError(f"{type(self).__name__} grows at its end only")
-
-    def __setitem__(self, index: Any, value: Any) -> NoReturn:
-        raise TypeError(f"{type(self).__name__} grows at its end only")
-
-    def __delitem__(self, index: Any) -> NoReturn:
-        raise TypeError(f"{type(self).__name__} grows at its end only")
+    def append(self, value: T) -> None:
+        """Add one at the end."""
+        raise TypeError(f"{type(self).__name__} does not grow")
 
 
 class Rows(Growing[tuple[Any, ...]]):

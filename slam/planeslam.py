@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, MutableSequence, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -92,8 +92,8 @@ class PlaneSlam:
             prior.plant(self.landmarks, self.backend)
             start = StartPose(prior.world_T_start, prior.start_covariance)
         self.recorder = recorder or Recorder()
-        self.keyframes: MutableSequence[Keyframe] = self.recorder.keyframes()
-        self.decisions: MutableSequence[list[Decision]] = self.recorder.decisions()
+        self.keyframes = self.recorder.keyframes()
+        self.decisions = self.recorder.decisions()
         self._sparsifier = Sparsifier(self.config.thinning, self.backend, self.landmarks)
         state = EstimatorState(self.keyframes, self.landmarks, self.backend, self._sparsifier, self.config)
         self._motion_model = MotionModel(state, start)

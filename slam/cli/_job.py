@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
@@ -23,22 +23,7 @@ OutOption = Annotated[Path, typer.Option("--out", help="Folder for the results; 
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace the folder if it exists.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the table as JSON.")]
 RigOption = Annotated[Path | None, typer.Option("--rig", help="rig.yaml; without it the log's own or a default.")]
-TopicOption = Annotated[
-    list[str] | None, typer.Option("--topic", help="Of a bag: topic of scans to read; may be given several times.")
-]
-OdometryTopicOption = Annotated[str | None, typer.Option("--odometry-topic", help="Of a bag: topic of the odometry.")]
-OdometryFrameOption = Annotated[
-    str | None, typer.Option("--odometry-frame", help="Of a bag: frame that tf tells the odometry from.")
-]
-BodyFrameOption = Annotated[str | None, typer.Option("--body-frame", help="Of a bag: frame of the robot's body.")]
-OdometryOption = Annotated[
-    Path | None, typer.Option("--odometry", help="TUM file of odometry, of the body; in place of the log's own.")
-]
 TimingsOption = Annotated[bool, typer.Option("--timings", help="Print the time of every stage.")]
-JobsOption = Annotated[
-    int | None,
-    typer.Option("--jobs", min=1, help="Processes that measure keyframes; default: the cores there are."),
-]
 ConfigOption = Annotated[Path | None, typer.Option("--config", help="YAML with values that differ from the defaults.")]
 KeepPartialOption = Annotated[bool, typer.Option("--keep-partial", help="Use what precedes a cut in the log.")]
 
@@ -79,7 +64,9 @@ class SlamOptions:
     ] = None
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the results; must not exist.")] = None
     rig: RigOption = None
-    odometry: OdometryOption = None
+    odometry: Annotated[
+        Path | None, typer.Option("--odometry", help="TUM file of odometry, of the body; in place of the log's own.")
+    ] = None
     config: ConfigOption = None
     overwrite: OverwriteOption = False
     keep_partial: KeepPartialOption = False
@@ -105,11 +92,20 @@ class SlamOptions:
     no_repair: Annotated[bool, typer.Option("--no-repair", help="Leave a map that is found to be wrong as it is.")] = (
         False
     )
-    topic: TopicOption = None
-    odometry_topic: OdometryTopicOption = None
-    odometry_frame: OdometryFrameOption = None
-    body_frame: BodyFrameOption = None
-    jobs: JobsOption = None
+    topic: Annotated[
+        list[str] | None, typer.Option("--topic", help="Of a bag: topic of scans to read; may be given several times.")
+    ] = None
+    odometry_topic: Annotated[str | None, typer.Option("--odometry-topic", help="Of a bag: topic of the odometry.")] = (
+        None
+    )
+    odometry_frame: Annotated[
+        str | None, typer.Option("--odometry-frame", help="Of a bag: frame that tf tells the odometry from.")
+    ] = None
+    body_frame: Annotated[str | None, typer.Option("--body-frame", help="Of a bag: frame of the robot's body.")] = None
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", min=1, help="Processes that measure keyframes; default: the cores there are."),
+    ] = None
     timings: TimingsOption = False
     strict_verdict: Annotated[
         bool, typer.Option("--strict-verdict", help="Exit code 1 where the map is found to be broken.")
@@ -117,16 +113,7 @@ class SlamOptions:
     as_json: JsonOption = False
 
 
-class Job(NamedTuple):
-    """What a command works on."""
-
-    log: Log
-    rig: Rig
-    config: SlamConfig
-    clock: StageClock
-
-
-def open_job(log: Path, out: Path, options: MapOptions | SlamOptions) -> Job:
+def open_job(log: Path, out: Path, options: MapOptions | SlamOptions) -> tuple[Log, Rig, SlamConfig, StageClock]:
     """Read all that a command is given; whatever is wrong is said before any work is done."""
     from slam.errors import check_file_given, check_log_given
     from slam.files import check_free
@@ -160,4 +147,4 @@ def open_job(log: Path, out: Path, options: MapOptions | SlamOptions) -> Job:
         sensors = with_shown_errors(read, sensors)
     for note in read.notes:
         say(f"{log.name}: {note}")
-    return Job(read, sensors, settings, clock)
+    return read, sensors, settings, clock

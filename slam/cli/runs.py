@@ -30,8 +30,8 @@ def _begin(options: SlamOptions) -> None:
         raise typer.BadParameter("expected LOG --out DIR, or --resume RUN", param_hint="slam")
     if options.prior is None and (options.start is not None or options.start_sigma is not None):
         raise typer.BadParameter("expected --prior, the map that it is a place in", param_hint="--start")
-    log, out = options.log, options.out
-    job = open_job(log, out, options)
+    out = options.out
+    log, rig, config, clock = open_job(options.log, out, options)
     from slam.ahead import cores
     from slam.frontend.keyframes import keyframes_of
     from slam.output.run_folder import Source, new_run
@@ -39,26 +39,28 @@ def _begin(options: SlamOptions) -> None:
     from slam.session.prior_map import read_prior
 
     if options.strict:
-        keyframes = job.config.keyframes.model_copy(update={"strict": True})
-        job = job._replace(config=job.config.model_copy(update={"keyframes": keyframes}))
+        keyframes = config.keyframes.model_copy(update={"strict": True})
+        config = config.model_copy(update={"keyframes": keyframes})
     known = None
     if options.prior is not None:
         start, sigma = options.start or "0,0,0", options.start_sigma or "0.3,6"
-        known = read_prior(options.prior, start, sigma, lambda: next(keyframes_of(*job[:3])))
+        known = read_prior(options.prior, start, sigma, lambda: next(keyframes_of(log, rig, config)))
     raw = "value" if options.keep_raw else "reference"
-    source = Source(log, options.keep_partial, raw, options.forget_raw, options.odometry, tuple(job.log.assumed))
+    source = Source(options.log, options.keep_partial, raw, options.forget_raw, options.odometry, tuple(log.assumed))
     with (
         hint_of(out),
-        new_run(out, job.log, job.rig, job.config, source, prior=known, overwrite=options.overwrite) as slam,
+        new_run(out, log, rig, config, source, prior=known, overwrite=options.overwrite) as slam,
         progress_bar("keyframes") as progress,
     ):
         run = run_slam(
-            *job[:3],
+            log,
+            rig,
+            config,
             slam=slam,
             batch=options.batch,
             repair=not options.no_repair,
             jobs=options.jobs or cores(),
-            clock=job.clock,
+            clock=clock,
             progress=progress,
         )
         _conclude(run, out, options)
@@ -85,10 +87,10 @@ def _resume(options: SlamOptions) -> None:
     from slam.ahead import cores
     from slam.output.run_folder import FinishedAlready, resumed_run
     from slam.runs.slam_run import run_slam
-    from slam.session.salvage import salvage_session
+    from slam.session.store import salvage_session
 
     if options.salvage:
-        say(salvage_session(folder).sentence)
+        say(salvage_session(folder))
     try:
         with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
             with progress_bar("keyframes") as progress:
@@ -123,21 +125,21 @@ def _conclude(run: Run, folder: Path, options: SlamOptions) -> None:
 @of_options
 def map_(options: MapOptions) -> None:
     """The paper's mapping: planes of LOG at the poses it gives."""
-    log, out = options.log, options.out
-    job = open_job(log, out, options)
+    out = options.out
+    log, rig, config, clock = open_job(options.log, out, options)
     from slam.files import new_folder
     from slam.output.run_files import write_map
     from slam.output.run_metrics import empty_map
     from slam.runs.mapping_run import run_map
 
     with progress_bar("scans") as progress:
-        result = run_map(job.log, job.rig, job.config, clock=job.clock, progress=progress)
-    with result.clock.stage("write"), new_folder(out, overwrite=options.overwrite) as folder:
-        rows = write_map(result, folder, job.config, job.rig, title=f"spplanes map {log.name}", log=job.log)
+        result = run_map(log, rig, config, clock=clock, progress=progress)
+    with clock.stage("write"), new_folder(out, overwrite=options.overwrite) as folder:
+        rows = write_map(result, folder, config, rig, title=f"spplanes map {options.log.name}", log=log)
     warn_of(empty_map(result.planes))
-    for sentence in job.log.assumed:
+    for sentence in log.assumed:
         say(f"assumed: {sentence}")
-    show_result(log.name, rows, result.clock, out, as_json=options.as_json, timings=options.timings)
+    show_result(options.log.name, rows, clock, out, as_json=options.as_json, timings=options.timings)
 
 
 def demo(

@@ -192,7 +192,8 @@ class Observability:
     ) -> list[OpenDirection]:
         """Look at a keyframe before the graph does, as `open_directions`; the first has nothing to be fixed by."""
         found = [] if keyframe == 0 else open_directions(keyframe, matched, world_T_body, self.rules, motion, normals)
-        self.history.extend(found)
+        for one in found:
+            self.history.append(one)
         return found
 
     def directions(self) -> list[list[OpenDirection]]:

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
+import gzip
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from slam.errors import LogError
 from slam.geometry.frames import planar_transform
 from slam.io.carmen_records import RawLog, read_records
+from slam.io.raw import seconds_from_ns
 from slam.io.scan_files import in_order
 from slam.lazy import Spool
-from slam.sensors.log import Event, Log, StoredReading, StoredScan
-from spplanes._check import FloatArray
-
-if TYPE_CHECKING:
-    from slam.sensors.rig import Rig
-import gzip
-from collections.abc import Iterator
-
-from slam.io.raw import seconds_from_ns
-from slam.sensors.log import LaserScan, OdometryReading
+from slam.sensors.log import Event, LaserScan, Log, OdometryReading, StoredReading, StoredScan
 from slam.sensors.rig import Rig
+from spplanes._check import FloatArray
 
 #: A SICK LMS reports errors as the largest of its 13-bit readings: what they look like, and what to take as none, m.
 _SICK_MODES = ((8.1, 8.2, 7.95), (81.0, 82.0, 40.0))
@@ -37,9 +31,7 @@ _LATE_NS = 1_000_000_000
 _NO_RETURN_SCANS, _NO_RETURN_RATIO = 5, 5
 
 
-def read_carmen(
-    path: Path | str, *, rig: Rig | None = None, keep_partial: bool = False, clock: Literal["ipc", "logger"] = "ipc"
-) -> Log:
+def read_carmen(path: Path | str, *, rig: Rig | None = None, keep_partial: bool = False) -> Log:
     """Read a CARMEN log.
 
     Sensors carry the rig's names; lasers the rig does not have are left out. Without a rig a sensor has the name of its
@@ -47,15 +39,15 @@ def read_carmen(
     readings of a SICK show), at or below the rig's minimum, and not above zero become NaN. FLASER and RLASER do not
     state their bearings: odd counts span -90 to 90 deg, even ones -90 deg to one step short of 90.
 
-    Odometry is that of ODOM, FLASER and RLASER; of ROBOTLASERk only in a log that has no other. A scan's
-    `world_T_body` is the pose its record gives, with the laser's mount taken off where the log tells it.
+    Times are those that the sensors stamped, a record's third word from the end; where these are all the same, those at
+    which the logger wrote, the last word. Odometry is that of ODOM, FLASER and RLASER; of ROBOTLASERk only in a log
+    that has no other. A scan's `world_T_body` is the pose its record gives, with the laser's mount taken off where the
+    log tells it.
 
     Args:
         path: the log, plain or gzip, whatever its name.
         rig: sensors, or None.
         keep_partial: keep what was read before a gzip stream or the last line breaks off.
-        clock: "ipc": the time the sensor stamped (the log's third word from the end); "logger": the time the logger
-            wrote the record (the last word). Where all ipc times are the same, the logger's are taken.
 
     Raises:
         LogError: one sentence with file and line: no lasers, a wrong count, text for a number, time running backwards
@@ -68,19 +60,14 @@ def read_carmen(
     rows = raw.rows()
     if not (rows["name"] > 0).any():
         raise LogError(path, "expected a CARMEN log with laser records, got none")
-    stamps = _stamps(raw, rows, clock)
+    stamps = _stamps(raw, rows)
     _note_order(path, raw, rows, stamps)
-    names = _names_of(path, raw, rows, rig)
-    lasers = {raw.names[name]: _laser_of(name, sensor, raw, rows, rig) for name, sensor in names.items()}
-    sensors = {raw.names[name]: sensor for name, sensor in names.items()}
-    events = _events_of(rows, stamps, lasers, sensors)
-    stated = {sensors[number]: laser.mount for number, laser in lasers.items() if laser.mount is not None}
-    return Log(events, path, raw.notes, stated)
+    lasers = _lasers_of(path, raw, rows, rig)
+    stated = {laser.sensor: laser.mount for laser in lasers.values() if laser.mount is not None}
+    return Log(_events_of(rows, stamps, lasers), path, raw.notes, stated)
 
 
-def _events_of(
-    rows: np.ndarray, stamps: np.ndarray, lasers: dict[int, TableScans], sensors: dict[int, str]
-) -> list[Event]:
+def _events_of(rows: np.ndarray, stamps: np.ndarray, lasers: dict[int, TableScans]) -> list[Event]:
     """Scans and readings of a table, in time order."""
     own_odometry = bool(((rows["name"] == 0) | np.isnan(rows["start"])).any())
     tells_odometry = np.isfinite(rows["robot_pose"][:, 0]) & (np.isnan(rows["start"]) | (not own_odometry))
@@ -90,20 +77,20 @@ def _events_of(
     events: list[Event] = []
     for row, (stamp, number, *bearings) in enumerate(zip(stamps.tolist(), *told, strict=True)):
         if number in lasers:
-            known = {"stamp_ns": stamp, "sensor": sensors[number], "angles": lasers[number].angles(*bearings)}
+            known = {"stamp_ns": stamp, "sensor": lasers[number].sensor, "angles": lasers[number].angles(*bearings)}
             events.append(StoredScan(known, readers[number], row))
         if (number == 0 or number in lasers) and tells_odometry[row]:
             events.append(StoredReading({"stamp_ns": stamp}, pose, row))
     return in_order(events)
 
 
-def _stamps(raw: RawLog, rows: np.ndarray, clock: str) -> np.ndarray:
+def _stamps(raw: RawLog, rows: np.ndarray) -> np.ndarray:
     """Time of every record, shape (N,), ns: the sensor's, or the logger's."""
     sensors, loggers = rows["stamps_ns"].T
-    if clock == "ipc" and (sensors == sensors[0]).all() and (loggers != loggers[0]).any():
+    if (sensors == sensors[0]).all() and (loggers != loggers[0]).any():
         raw.notes.append("all ipc times are the same; took the logger's")
         return loggers
-    return sensors if clock == "ipc" else loggers
+    return sensors
 
 
 def _note_order(path: Path, raw: RawLog, rows: np.ndarray, stamps: np.ndarray) -> None:
@@ -121,29 +108,25 @@ def _note_order(path: Path, raw: RawLog, rows: np.ndarray, stamps: np.ndarray) -
         raw.notes.append(f"sorted {late} records whose time runs back by up to {worst / 1e9:.3f} s")
 
 
-def _names_of(path: Path, raw: RawLog, rows: np.ndarray, rig: Rig | None) -> dict[str, str]:
-    """Name of the sensor for each record name that is kept."""
-    counts = {name: int((rows["name"] == number).sum()) for name, number in raw.names.items() if number}
-    if rig is None:
-        return {name: name for name in counts}
-    names = {name: sensor for name in counts if (sensor := rig.name_of_record(name)) is not None}
-    raw.notes += [
-        f"skipped {n} {name} records, which the rig does not have" for name, n in counts.items() if name not in names
-    ]
-    if not names:
-        raise LogError(path, f"expected records of the rig's sensors, got only {', '.join(counts)}")
-    return names
-
-
-def _laser_of(name: str, sensor: str, raw: RawLog, rows: np.ndarray, rig: Rig | None) -> TableScans:
-    """The scans of one laser."""
-    own = rows[rows["name"] == raw.names[name]]
-    mount = _stated_mount(name, own, raw.offsets)
-    if rig is None:
-        return TableScans(rows, raw.spool, 0.0, _range_limit(own), mount, None, None)
-    told = rig.sensors[sensor]
-    angles = told.first_angle_deg, told.angle_step_deg
-    return TableScans(rows, raw.spool, told.range_min_m, told.range_max_m, mount, *angles)
+def _lasers_of(path: Path, raw: RawLog, rows: np.ndarray, rig: Rig | None) -> dict[int, TableScans]:
+    """The scans of every laser that is kept, by the number of its records."""
+    lasers: dict[int, TableScans] = {}
+    records = {name: number for name, number in raw.names.items() if number}
+    for name, number in records.items():
+        own = rows[rows["name"] == number]
+        sensor = name if rig is None else rig.name_of_record(name)
+        if sensor is None:
+            raw.notes.append(f"skipped {len(own)} {name} records, which the rig does not have")
+            continue
+        limits, angles = (0.0, _range_limit(own)), (None, None)
+        if rig is not None:
+            told = rig.sensors[sensor]
+            limits, angles = (told.range_min_m, told.range_max_m), (told.first_angle_deg, told.angle_step_deg)
+        mount = _stated_mount(name, own, raw.offsets)
+        lasers[number] = TableScans(sensor, rows, raw.spool, *limits, mount, angles)
+    if not lasers:
+        raise LogError(path, f"expected records of the rig's sensors, got only {', '.join(records)}")
+    return lasers
 
 
 def _range_limit(own: np.ndarray) -> float:
@@ -192,6 +175,8 @@ def _relative(robot: FloatArray, laser: FloatArray) -> FloatArray:
 class TableScans:
     """What the scans of one laser have in common."""
 
+    sensor: str
+    """Its name."""
     rows: np.ndarray
     """The table: dtype `slam.io.carmen_records.ROW`."""
     spool: Spool
@@ -202,10 +187,8 @@ class TableScans:
     """Ranges at or beyond this are none."""
     mount: FloatArray | None
     """body_T_sensor as the log tells it, shape (4, 4)."""
-    first_angle_deg: float | None
-    """As the rig tells it; None: it does not."""
-    angle_step_deg: float | None
-    """As the rig tells it; None: it does not."""
+    angles_deg: tuple[float | None, float | None]
+    """The first bearing and the step, as the rig tells them; None: it does not."""
     _bearings: dict[tuple[float, ...], FloatArray] = field(default_factory=dict)
     """Those made already: scan after scan has the same."""
 
@@ -223,8 +206,9 @@ class TableScans:
         return self._bearings[key]
 
     def _bearings_of(self, count: int, start: float, step: float) -> FloatArray:
-        if self.first_angle_deg is not None and self.angle_step_deg is not None:
-            degrees = self.first_angle_deg + self.angle_step_deg * np.arange(count, dtype=np.float64)
+        first, between = self.angles_deg
+        if first is not None and between is not None:
+            degrees = first + between * np.arange(count, dtype=np.float64)
             return np.asarray(np.deg2rad(degrees), dtype=np.float64)
         if np.isfinite(start):
             return start + step * np.arange(count, dtype=np.float64)
@@ -236,11 +220,7 @@ class TableScans:
         if np.isfinite(record["start"]):
             return robot_pose(self.rows, row) if np.isfinite(record["robot_pose"][0]) else None
         world_T_laser = planar_transform(*record["laser_pose"])
-        return world_T_laser if self._laser_T_body is None else world_T_laser @ self._laser_T_body
-
-    @cached_property
-    def _laser_T_body(self) -> FloatArray | None:
-        return None if self.mount is None else np.linalg.inv(self.mount).astype(np.float64, copy=False)
+        return world_T_laser if self.mount is None else world_T_laser @ np.linalg.inv(self.mount)
 
 
 def robot_pose(rows: np.ndarray, row: int) -> FloatArray:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import KEEPS_THE_REST, LogError
-from slam.io.raw import BROKEN, nanoseconds, numbered_lines
+from slam.io.raw import BROKEN, nanoseconds, number_of, numbered_lines
 from slam.lazy import Spool
 from spplanes._check import FloatArray
 
@@ -136,17 +136,8 @@ def _check_length(words: list[str], expected: int) -> None:
 def _numbers(words: list[str]) -> FloatArray:
     try:
         return np.array(words, dtype=np.float64)
-    except ValueError:
-        bad = next(word for word in words if not _is_number(word))
-        raise ValueError(f"expected numbers, got {bad[:20]!r}") from None
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+    except ValueError:  # the first that is none is named
+        return np.array([number_of(word) for word in words])
 
 
 def _pose(words: list[str], place: int) -> list[float]:

@@ -24,12 +24,14 @@ import numpy as np
 from slam.errors import LogError
 from slam.geometry.frames import inverse
 from slam.io.clouds import is_cloud_file, read_cloud, weigh_cloud
+from slam.io.clouds.cloud import grid_of
 from slam.io.clouds.pcd import read_header, write_pcd
 from slam.io.clouds.survey import read_e57_scans
 from slam.io.raw import nanoseconds, numbered_words, read_rows, seconds_from_ns
 from slam.io.scan_files import ScanFiles, check_reach, first_file, in_order, taken_from
 from slam.io.trajectories import Trajectory, read_kitti, read_tum, write_tum
 from slam.sensors.log import CloudScan, Event, Log, OdometryReading
+from slam.sensors.rig import Sensor
 from spplanes._check import FloatArray
 from spplanes.clouds.arrange import Grid, arrange
 
@@ -69,39 +71,28 @@ def _chosen(folder: Path) -> tuple[list[Path], list[str]]:
     return [], []
 
 
-def read_cloud_folder(
-    folder: Path,
-    *,
-    sensor: str = SENSOR,
-    grid: Grid | None = None,
-    body_T_sensor: FloatArray | None = None,
-    odometry: Path | None = None,
-) -> Log:
+def read_cloud_folder(folder: Path, name: str, sensor: Sensor, odometry: Path | None = None) -> Log:
     """Read a folder of clouds; the clouds themselves stay in their files until they are asked for.
 
     Args:
         folder: with the names above.
-        sensor: name of the sensor in the rig.
-        grid: shape of the range image of clouds without order; None: found in each.
-        body_T_sensor: where it sits, shape (4, 4): poses that the clouds themselves tell are the sensor's.
+        name: of the sensor in the rig.
+        sensor: whose poses are those that the clouds themselves tell.
         odometry: a TUM or KITTI file, in place of what the folder has.
 
     Raises:
-        LogError: one sentence with the file: no clouds, a header that is wrong, times or poses that are not as many.
+        LogError: one sentence with the file: a header that is wrong, times or poses that are not as many.
     """
-    folder = Path(folder)
     paths, notes = _chosen(folder)
-    if not paths:
-        raise LogError(folder, "expected a folder of clouds, found none")
     for path in paths:
         weigh_cloud(path)
     posed_by, moved_by = first_file(folder, _POSES), odometry or first_file(folder, _ODOMETRY)
-    poses = _told_by_files(paths, body_T_sensor) if posed_by is None else _rows_of(posed_by)
+    poses = _told_by_files(paths, sensor) if posed_by is None else _rows_of(posed_by)
     moves = _rows_of(moved_by)
     stamps, timed = _stamps(folder, paths, [rows for rows in (moves, poses) if isinstance(rows, Trajectory)])
     scans = ScanFiles(folder, "cloud", paths, stamps, timed)
     world_T_body = None if poses is None else scans.poses(posed_by or folder, poses)
-    events = scans.events(sensor, partial(grid_in, grid=grid), world_T_body)
+    events = scans.events(name, partial(_grid_in, grid=grid_of(sensor)), world_T_body)
     if moved_by is not None and moves is not None:
         events += _odometry(moved_by, moves, scans, must_reach=odometry is not None)
     if odometry is not None:
@@ -111,26 +102,22 @@ def read_cloud_folder(
     return Log(in_order(events), folder, notes, odometry_source=odometry)
 
 
-def read_e57_log(
-    path: Path, *, sensor: str = SENSOR, grid: Grid | None = None, body_T_sensor: FloatArray | None = None
-) -> Log:
+def read_e57_log(path: Path, name: str, sensor: Sensor) -> Log:
     """Read the scans of an E57 file, one second each, with their poses where all have one.
 
     Raises:
         LogError: what `slam.io.clouds.survey` says.
     """
     clouds = read_e57_scans(path)
-    mount = np.eye(4) if body_T_sensor is None else body_T_sensor
-    posed = any(cloud.world_T_sensor is not None for cloud in clouds)
+    poses = _of_body([cloud.world_T_sensor for cloud in clouds], sensor)
     events: list[Event] = []
     for index, cloud in enumerate(clouds):
-        stamp, told = index * SCAN_PERIOD_NS, cloud.world_T_sensor
-        pose = None if not posed else (np.eye(4) if told is None else told) @ inverse(mount)
-        events.append(CloudScan(stamp, sensor, arrange(cloud.points, grid), pose))
-    return Log(events, path, [_no_odometry(None)] if posed else [])
+        points = arrange(cloud.points, grid_of(sensor))
+        events.append(CloudScan(index * SCAN_PERIOD_NS, name, points, None if poses is None else poses[index]))
+    return Log(events, path, [] if poses is None else [_no_odometry(None)])
 
 
-def grid_in(path: Path, grid: Grid | None = None) -> FloatArray:
+def _grid_in(path: Path, grid: Grid | None) -> FloatArray:
     """The points of a file as a grid round the sensor, shape (S, B, 3), m; NaN = no return."""
     return arrange(read_cloud(path).points, grid)
 
@@ -160,13 +147,17 @@ def _rows_of(path: Path | None) -> Trajectory | FloatArray | None:
     return read_tum(path)
 
 
-def _told_by_files(paths: list[Path], body_T_sensor: FloatArray | None) -> FloatArray | None:
+def _told_by_files(paths: list[Path], sensor: Sensor) -> FloatArray | None:
     """world_T_body (N, 4, 4) by the VIEWPOINT of PCD files; None where all are the identity, or of other formats."""
     told = [read_header(path).world_T_sensor if path.suffix.lower() == ".pcd" else None for path in paths]
+    return _of_body(told, sensor)
+
+
+def _of_body(told: list[FloatArray | None], sensor: Sensor) -> FloatArray | None:
+    """world_T_body (N, 4, 4) by poses of a sensor, of which those not told are the identity; None: no one is told."""
     if all(pose is None for pose in told):
         return None
-    mount = np.eye(4) if body_T_sensor is None else body_T_sensor
-    return np.array([np.eye(4) if pose is None else pose for pose in told]) @ inverse(mount)
+    return np.array([np.eye(4) if pose is None else pose for pose in told]) @ inverse(sensor.body_T_sensor)
 
 
 def _stamps(folder: Path, paths: list[Path], clocks: list[Trajectory]) -> tuple[list[int], bool]:
@@ -208,9 +199,9 @@ def _odometry(
     return list(map(OdometryReading, rows.stamps_ns.tolist(), rows.poses))
 
 
-def has_clouds(folder: Path, *, surely: bool = False) -> bool:
+def has_clouds(folder: Path, *, surely: bool) -> bool:
     """Whether a folder is one of clouds; `surely`: of a format that nothing else comes in."""
-    found = clouds_in(folder) if folder.is_dir() else []
+    found = clouds_in(folder)
     return bool(found) and not (surely and found[0].suffix.lower() in _AMBIGUOUS)
 
 

@@ -199,9 +199,12 @@ def bag_rig(log: Log, topics: Topics) -> Rig:
     if any(isinstance(scan, LaserScan) for scan in log.scans()):
         sensors |= default_rig_for(log).sensors
     seen_in_3d = any(sensor.kind == "cloud" for sensor in sensors.values())
-    odometry = MEASURED if seen_in_3d else UNCALIBRATED_WHEELS
-    return Rig(sensors=sensors, odometry=odometry).with_bag(
-        odometry_record=topics.odometry, odometry_frame=topics.odometry_frame, body_frame=topics.body_frame
+    return Rig(
+        sensors=sensors,
+        odometry=MEASURED if seen_in_3d else UNCALIBRATED_WHEELS,
+        odometry_record=topics.odometry,
+        odometry_frame=topics.odometry_frame,
+        body_frame=topics.body_frame,
     )
 
 

@@ -11,7 +11,7 @@ from slam.io.carmen import read_carmen
 from slam.io.cloud_folders import clouds_in, has_clouds, read_cloud_folder, read_e57_log
 from slam.io.clouds import is_cloud_file, read_cloud
 from slam.io.clouds.cloud import grid_of
-from slam.io.clouds.depth import CAMERA_POSES, is_depth_folder, read_depth_folder
+from slam.io.clouds.depth import is_depth_folder, read_depth_folder
 from slam.io.default_rigs import (
     assumptions,
     bag_rig,
@@ -108,7 +108,7 @@ def _load(path: Path, rig: Rig | None, keep_partial: bool, topics: Topics, odome
     if path.is_dir():
         return _load_folder(path, rig, keep_partial, odometry)
     if path.suffix.lower() == ".e57":
-        return _load_clouds(path, rig, read_e57_log)
+        return _of_one_sensor(path, rig or cloud_rig(), read_e57_log)
     if is_cloud_file(path) and path.suffix.lower() not in (".txt", ".csv"):
         raise LogError(path, "expected a log, got one cloud: give it to `spplanes fit`, or a folder of clouds")
     return _load_carmen(path, rig, keep_partial)
@@ -125,9 +125,11 @@ def _load_folder(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path
     if is_3dtk_folder(path):
         kinds["3DTK scans"] = lambda: (read_3dtk(path), rig or threedtk_rig())
     if is_depth_folder(path):
-        kinds["depth images"] = lambda: _load_depth(path, rig, odometry)
+        read_images = partial(read_depth_folder, odometry=odometry)
+        kinds["depth images"] = lambda: _of_one_sensor(path, rig or depth_rig(), read_images)
     if has_clouds(path, surely=bool(kinds)):
-        kinds["clouds"] = lambda: _load_clouds(path, rig, partial(read_cloud_folder, odometry=odometry))
+        read_clouds = partial(read_cloud_folder, odometry=odometry)
+        kinds["clouds"] = lambda: _of_one_sensor(path, rig or _rig_of_clouds(path), read_clouds)
     if kinds:
         first, *others = kinds
         log, rig_of_log = kinds[first]()
@@ -151,43 +153,28 @@ def _load_bag(path: Path, rig: Rig | None, topics: Topics, keep_partial: bool) -
         return log, bag_rig(log, topics)
     names = {sensor_name(sensor.record or name): name for name, sensor in rig.sensors.items()}
     if topics.odometry or topics.odometry_frame:  # what is given stands in for what the rig says, for a resumed run too
-        rig = rig.with_bag(odometry_record=topics.odometry, odometry_frame=topics.odometry_frame)
+        given = {"odometry_record": topics.odometry, "odometry_frame": topics.odometry_frame}
+        rig = rig.model_copy(update=given)
     if topics.body_frame:
-        rig = rig.with_bag(body_frame=topics.body_frame)
+        rig = rig.model_copy(update={"body_frame": topics.body_frame})
     wanted = Topics(topics.scans or tuple(names), rig.odometry_record, rig.odometry_frame, rig.body_frame)
     grids = {name: grid for name, sensor in rig.sensors.items() if (grid := grid_of(sensor)) is not None}
     return read_rosbag(path, wanted, names=names, grids=grids, keep_partial=keep_partial), rig
 
 
-def _load_clouds(path: Path, rig: Rig | None, read: Callable[..., Log]) -> tuple[Log, Rig]:
-    """Clouds of one 3D sensor, by the reader of their kind."""
-    rig, name, sensor = _with_one_sensor(path, rig, turned_laser_rig() if _is_turned_laser(path) else cloud_rig())
-    return read(path, sensor=name, grid=grid_of(sensor), body_T_sensor=sensor.body_T_sensor), rig
-
-
-def _is_turned_laser(path: Path) -> bool:
-    """Whether the order of the points of a folder's first cloud shows the lines of a 2D laser."""
-    clouds = clouds_in(path) if path.is_dir() else []
+def _rig_of_clouds(folder: Path) -> Rig:
+    """For clouds nobody describes: of a turned laser where the order of the first one's points shows its lines."""
     try:
-        return bool(clouds) and shows_lines(read_cloud(clouds[0]).points)
+        is_turned = shows_lines(read_cloud(clouds_in(folder)[0]).points)
     except LogError:  # a cloud that cannot be read is left out when its turn comes
-        return False
+        is_turned = False
+    return turned_laser_rig() if is_turned else cloud_rig()
 
 
-def _load_depth(path: Path, rig: Rig | None, odometry: Path | None) -> tuple[Log, Rig]:
-    """Depth images; odometry that is one of the files of the camera's poses is moved to the body."""
-    rig, name, sensor = _with_one_sensor(path, rig, depth_rig())
-    log = read_depth_folder(path, sensor=name, body_T_sensor=sensor.body_T_sensor)
-    if odometry is not None and odometry.name in CAMERA_POSES:
-        log = with_odometry(log, odometry, sensor.body_T_sensor)
-    return log, rig
-
-
-def _with_one_sensor(path: Path, rig: Rig | None, default: Rig) -> tuple[Rig, str, Sensor]:
-    """The rig given, or the default; and the one 3D sensor in it."""
-    rig = rig or default
+def _of_one_sensor(path: Path, rig: Rig, read: Callable[[Path, str, Sensor], Log]) -> tuple[Log, Rig]:
+    """The scans of the one 3D sensor in a rig, by the reader of their kind."""
     sensors = rig.of_kind("cloud")
     if len(sensors) != 1:
         raise LogError(path, f"expected a rig with one sensor of kind cloud for these scans, got {len(sensors)}")
     ((name, sensor),) = sensors.items()
-    return rig, name, sensor
+    return read(path, name, sensor), rig

@@ -49,18 +49,13 @@ def write_planes(
 
     Floats survive exactly. ``beside`` has further keys of planes, by id, for whoever reads them.
     """
-    numbered = (StoredPlane(at, one, 0) if isinstance(one, Plane) else one for at, one in enumerate(planes))
-    document = {
-        "format": FORMAT,
-        "frame": "world",
-        "planes": [{**_entry(one), **(beside or {}).get(one.id, {})} for one in numbered],
-    }
+    entries = []
+    for number, given in enumerate(planes):
+        one = StoredPlane(number, given, 0) if isinstance(given, Plane) else given
+        data, more = one.plane.to_dict(), (beside or {}).get(one.id, {})
+        entries.append({"id": one.id, **{key: data[key] for key in _KEYS}, "observations": one.observations, **more})
+    document = {"format": FORMAT, "frame": "world", "planes": entries}
     Path(path).write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def _entry(one: Landmark) -> dict[str, object]:
-    data = one.plane.to_dict()
-    return {"id": one.id, **{key: data[key] for key in _KEYS}, "observations": one.observations}
 
 
 def read_planes(path: Path | str) -> list[Plane]:

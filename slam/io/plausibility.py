@@ -34,7 +34,8 @@ def plausible(log: Log, rig: Rig) -> Log:
         LogError: no scan can be read, all have one time, or distances are in another unit than metres.
     """
     scans, level = log.scans(), rig.of_kind("line")
-    _check_some(log, [scan for scan in scans if isinstance(scan, CloudScan)], _far_of_cloud, _FAR_OF_CLOUDS_M)
+    clouds = [scan for scan in scans if isinstance(scan, CloudScan)]
+    _check_some(log, clouds, lambda scan: np.linalg.norm(scan.points.reshape(-1, 3), axis=1), _FAR_OF_CLOUDS_M)
     levels = [scan for scan in scans if isinstance(scan, LaserScan) and scan.sensor in level]
     _check_some(log, levels, lambda scan: scan.ranges, _FAR_M)
     frozen: set[int] = set()
@@ -77,7 +78,7 @@ def _problem_of(event: Event, before_ns: int | None) -> str:
     return ""
 
 
-def _check_some(log: Log, scans: Sequence[Scan], distances: Callable[[Scan], FloatArray], most_m: float) -> None:
+def _check_some(log: Log, scans: Sequence[Scan], distances: Callable[[Scan], np.ndarray], most_m: float) -> None:
     """Refuse a log none of whose scans can be read, or where the returns of a few of them are too far away."""
     few = [scans[index] for index in evenly(len(scans), _LOOKED_AT)]
     medians, failure = [], None
@@ -98,15 +99,10 @@ def _check_some(log: Log, scans: Sequence[Scan], distances: Callable[[Scan], Flo
         )
 
 
-def _median_of(distances: FloatArray) -> list[float]:
+def _median_of(distances: np.ndarray) -> list[float]:
     """Of the returns; nothing where there are none."""
     returns = distances[np.isfinite(distances) & (distances > 0.0)]
     return [float(np.median(returns))] if len(returns) else []
-
-
-def _far_of_cloud(scan: CloudScan) -> FloatArray:
-    """Distances of the points, (N,), m."""
-    return np.linalg.norm(scan.points.reshape(-1, 3), axis=1).astype(np.float64)
 
 
 def _check_times(log: Log, sensor: str, scans: list[LaserScan]) -> None:

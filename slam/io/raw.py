@@ -227,7 +227,7 @@ def text_rows(
     return np.array(slow, dtype=np.float64).reshape(-1, columns)
 
 
-def _quick_rows(lines: list[str], separator: str | None = None) -> FloatArray:
+def _quick_rows(lines: list[str], separator: str | None) -> FloatArray:
     """Rows of numbers, shape (N, C), as numpy reads them; nothing, shape (0, 0), where it cannot."""
     try:
         with warnings.catch_warnings():
@@ -284,9 +284,10 @@ def floats_of(
 
 def number_of(word: str) -> float:
     """A number as text; a ValueError for what is none, `1_000` of Python's among it."""
-    if "_" in word:
-        raise ValueError(f"expected a number, got {word[:20]!r}")
-    return float(word)
+    try:
+        return float(word if "_" not in word else "")
+    except ValueError:
+        raise ValueError(f"expected numbers, got {word[:20]!r}") from None
 
 
 def nanoseconds(word: str) -> int:

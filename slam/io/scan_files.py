@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -67,9 +66,12 @@ class ScanFiles:
 
     def events(self, sensor: str, read: Callable[[Path], FloatArray], poses: FloatArray | None) -> list[Event]:
         """The scans, which stay in their files until they are asked for, with world_T_body (N, 4, 4) or none."""
-        told = [None] * len(self.paths) if poses is None else poses
-        scans = zip(self.paths, self.stamps, told, strict=True)
-        return [StoredCloud(stamp, sensor, partial(read, path), pose) for path, stamp, pose in scans]
+        told = zip(self.stamps, [None] * len(self.paths) if poses is None else poses, strict=True)
+        points = {"points": lambda place: read(self.paths[place])}
+        return [
+            StoredCloud({"stamp_ns": stamp, "sensor": sensor, "world_T_body": pose}, points, place)
+            for place, (stamp, pose) in enumerate(told)
+        ]
 
 
 def first_file(folder: Path, names: tuple[str, ...]) -> Path | None:

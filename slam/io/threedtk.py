@@ -10,11 +10,12 @@ import re
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from slam.errors import LogError
 from slam.io.cloud_folders import SCAN_PERIOD_NS, SENSOR
 from slam.io.clouds.cloud import FARTHEST_M
-from slam.io.raw import ascii_of, floats_of, read_bytes, read_unpacked, text_rows
+from slam.io.raw import ascii_of, floats_of, numbered_words, read_unpacked, text_rows
 from slam.sensors.log import CloudScan, Event, Log, OdometryReading
 from spplanes._check import FloatArray
 
@@ -64,17 +65,20 @@ def read_pose(path: Path) -> FloatArray:
     """odom_T_body, shape (4, 4), from a `.pose` file: x y z in cm, then rotations about x, y, z in degrees."""
     if not path.is_file():
         raise LogError(path, "expected the pose of the scan beside it, found no such file")
-    values = []
-    for number, line in enumerate(ascii_of(path, read_bytes(path)).splitlines(), start=1):
-        values += floats_of(path, line.split(), number)
+    values = [value for line, words in numbered_words(path) for value in floats_of(path, words, line)]
     if len(values) != 6:
         raise LogError(path, f"expected six numbers (x y z rx ry rz), got {len(values)}")
-    return to_right_handed(_euler_transform(np.array(values[:3]), np.deg2rad(values[3:])))
+    transform = np.eye(4)
+    transform[:3, :3] = Rotation.from_euler("XYZ", values[3:], degrees=True).as_matrix()  # Rx Ry Rz
+    transform[:3, 3] = values[:3]
+    return to_right_handed(transform)
 
 
 def read_points(path: Path) -> FloatArray:
     """Points of one scan, m, right-handed; shape (lines, beams, 3) if organised, else (1, N, 3)."""
-    raw = _parse_points(path)
+    raw = text_rows(path, ascii_of(path, read_unpacked(path)), 3, finite=True)
+    if not len(raw):
+        raise LogError(path, "expected lines of three numbers, got an empty file")
     raw = np.where(np.abs(raw) < FARTHEST_M, raw, FARTHEST_M)
     beams = beams_per_line(raw)
     points = raw @ AXES.T * METRES_PER_UNIT
@@ -112,32 +116,11 @@ def to_right_handed(transform: FloatArray) -> FloatArray:
 
 def read_frames(path: Path) -> FloatArray:
     """Final transform of a `.frames` file, shape (4, 4), right-handed, m: the registration's answer for the scan."""
-    lines = ascii_of(path, read_bytes(path)).splitlines()
-    numbered = [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
-    if not numbered:
+    lines = numbered_words(path)
+    if not lines:
         raise LogError(path, "expected at least one transform, got an empty file")
-    number, last = numbered[-1]
-    values = floats_of(path, last.split(), number)
+    number, last = lines[-1]
+    values = floats_of(path, last, number)
     if len(values) < 16:
         raise LogError(path, f"expected 16 numbers of a 4x4 transform, got {len(values)}", line=number)
     return to_right_handed(np.array(values[:16]).reshape(4, 4, order="F"))
-
-
-def _euler_transform(translation: FloatArray, angles: FloatArray) -> FloatArray:
-    """3DTK's own Euler convention: R = Rx Ry Rz."""
-    (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
-    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
-    about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
-    transform = np.eye(4)
-    transform[:3, :3] = about_x @ about_y @ about_z
-    transform[:3, 3] = translation
-    return transform
-
-
-def _parse_points(path: Path) -> FloatArray:
-    """The numbers of a scan, shape (N, 3)."""
-    points = text_rows(path, ascii_of(path, read_unpacked(path)), 3, finite=True)
-    if not len(points):
-        raise LogError(path, "expected lines of three numbers, got an empty file")
-    return points

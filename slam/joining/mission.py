@@ -23,7 +23,7 @@ from slam.session._codec import CodecError, decode, encode
 from slam.session._file import digest
 from slam.session.opening import session_path
 from slam.session.prior_map import map_covariance
-from slam.session.store import Session, SessionError, rig_json
+from slam.session.store import Session, SessionError
 from spplanes import Plane, __version__
 from spplanes._check import FloatArray
 
@@ -161,7 +161,7 @@ class FinishedMission:
                 "carriers": np.array(graph.carriers, dtype=np.int64),
                 "carrier_T_body": graph.carrier_T_body,
                 "config": json.dumps(self.config.model_dump(mode="json")),
-                "rig": None if self.rig is None else rig_json(self.rig).decode(),
+                "rig": None if self.rig is None else json.dumps(self.rig.to_plain()),
             }
         )
         return _HEAD + digest(content) + content

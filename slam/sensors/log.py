@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -45,14 +44,8 @@ class CloudScan:
 class StoredCloud(Stored, CloudScan):
     """A 3D scan that stays in its file until its points are asked for: long logs need not fit into memory.
 
-    `read` gives the points; it raises `LogError` where the file is damaged.
+    To ask for them raises `LogError` where the file is damaged.
     """
-
-    def __init__(
-        self, stamp_ns: int, sensor: str, read: Callable[[], FloatArray], world_T_body: FloatArray | None = None
-    ) -> None:
-        known = {"stamp_ns": stamp_ns, "sensor": sensor, "world_T_body": world_T_body}
-        super().__init__(known, {"points": lambda _: read()})
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import reprlib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from slam._yaml import Finite, Frozen, NotNegative, Positive, near_key, read_yaml
-from slam.errors import LogError
+from slam._yaml import Finite, Frozen, NotNegative, Positive
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray, as_transform
 from spplanes.spmodel import transform_from_rpy
@@ -87,6 +85,10 @@ class Mount(Frozen):
                 raise ValueError("expected xyz_m and rpy_deg or a 4x4 matrix, got both")
             as_transform("body_T_sensor", [list(row) for row in self.matrix])
         return self
+
+    @model_serializer(mode="wrap")
+    def _as_rows(self, write: SerializerFunctionWrapHandler) -> Any:
+        return self.matrix or write(self)
 
     @classmethod
     def of(cls, body_T_sensor: FloatArray) -> Mount:
@@ -218,7 +220,7 @@ class LocalisationNoise(Frozen):
 class Rig(Frozen):
     """Everything about the robot that the data do not say themselves."""
 
-    sensors: dict[str, Sensor]
+    sensors: Annotated[dict[str, Sensor], Field(min_length=1)]
     """Sensors by name; at least one."""
     odometry_record: str | None = None
     """Topic of the odometry in a bag; None: that which comes most often."""
@@ -231,22 +233,11 @@ class Rig(Frozen):
     localisation: LocalisationNoise | None = None
     """Noise model of the poses given in the log; None: the log's poses are not for mapping."""
 
-    @field_validator("sensors")
-    @classmethod
-    def _some_sensor(cls, value: dict[str, Sensor]) -> dict[str, Sensor]:
-        if not value:
-            raise ValueError("expected at least one sensor, got none")
-        return value
-
     @model_validator(mode="after")
     def _one_odometry(self) -> Rig:
         if self.odometry_record is not None and self.odometry_frame is not None:
             raise ValueError("odometry_frame: expected one source of odometry, got odometry_record too")
         return self
-
-    def with_bag(self, **names: str | None) -> Rig:
-        """The same rig with other names of topics and frames of a bag."""
-        return self.model_copy(update=names)
 
     def of_kind(self, kind: str) -> dict[str, Sensor]:
         """The sensors of one kind, by name."""
@@ -256,35 +247,11 @@ class Rig(Frozen):
         """Name of the sensor whose records carry this name in a log; None: the rig does not have it."""
         return next((name for name, s in self.sensors.items() if (s.record or name) == record), None)
 
-    @classmethod
-    def from_yaml(cls, path: Path | str) -> Rig:
-        """Read a rig; anything wrong is a `LogError` whose one sentence names the file and the key."""
-        path = Path(path)
-        data = read_yaml(path)
-        if not isinstance(data, dict):
-            raise LogError(path, f"expected a mapping with the key 'sensors', got {type(data).__name__}")
-        try:
-            return cls.model_validate(data)
-        except ValidationError as error:
-            raise LogError(path, _first_problem(error)) from error
+    def to_plain(self) -> dict[str, Any]:
+        """The rig as `from_yaml` and `model_validate` take it, out of what YAML and JSON have."""
+        return self.model_dump(mode="json", by_alias=True, exclude_none=True)
 
     def to_yaml(self, path: Path | str) -> None:
         """Write the rig so that `from_yaml` reads the same rig."""
-        data = self.model_dump(mode="json", by_alias=True, exclude_none=True)
-        for sensor in data["sensors"].values():
-            if "matrix" in sensor["body_T_sensor"]:
-                sensor["body_T_sensor"] = sensor["body_T_sensor"]["matrix"]
-        text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, allow_unicode=True)
+        text = yaml.safe_dump(self.to_plain(), sort_keys=False, default_flow_style=None, allow_unicode=True)
         Path(path).write_text(text, encoding="utf-8")
-
-
-def _first_problem(error: ValidationError) -> str:
-    """One sentence on the first thing pydantic found wrong, naming the key."""
-    first = error.errors()[0]
-    key = f"{'.'.join(str(part) for part in first['loc']):.100}" or "rig"
-    if first["type"] == "extra_forbidden":
-        return f"{key}: unknown key{near_key(Rig, first['loc'])}"
-    if first["type"] == "missing":
-        return f"{key}: missing"
-    message = first["msg"].removeprefix("Value error, ")
-    return f"{key}: {message[0].lower()}{message[1:]}, got {reprlib.repr(first['input']):.60}"

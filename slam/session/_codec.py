@@ -132,7 +132,6 @@ def keyframe_of(data: bytes) -> Keyframe:
     """A keyframe out of the bytes of `without_scans`."""
     values = decode(data)
     try:
-        values.pop("motion_notes", None)  # sessions of 0.2.0 and before have it
         made = Keyframe(**values)
         check_fields("keyframe", made)
     except (TypeError, ValueError) as error:

@@ -21,7 +21,6 @@ from slam.session._file import (
     create,
     digest,
     sync_folder,
-    transaction,
     translated,
 )
 
@@ -142,12 +141,10 @@ def make_file(path: Path, values: Mapping[str, bytes]) -> None:
         promise(lock, 0)
         try:
             work.unlink(missing_ok=True)
-            with closing(create(work)) as made:
-                with transaction(work, made):
-                    for key, value in values.items():
-                        put(made, "session", key, value)
-                with translated(work):
-                    made.execute("PRAGMA journal_mode = WAL")
+            with closing(create(work)) as made, translated(work):
+                for key, value in values.items():
+                    put(made, "session", key, value)
+                made.execute("PRAGMA journal_mode = WAL")
             with work.open("rb") as file:
                 os.fsync(file.fileno())
             os.replace(work, path)

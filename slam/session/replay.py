@@ -5,9 +5,10 @@ A recorder may read measurements and decisions from the session when they are lo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, MutableSequence, Sequence
+from array import array
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -15,8 +16,7 @@ import numpy as np
 
 from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import Observation
-from slam.lazy import Growing, Rows, Stored
+from slam.lazy import Growing, Stored
 from slam.map.data_association import Decision
 from slam.sensors.log import Log
 from slam.session._codec import encode
@@ -31,8 +31,6 @@ RawScans = Literal["reference", "value"]
 _SAME = 1e-9
 #: Keyframes that stay in memory after they were read: the last few are looked at again and again.
 _KEPT = 32
-#: Fields of which it is remembered whether there is anything to be read.
-_PARTS = ("motion", "returns", "world_T_body_guess", "surfaces", "viewpoint")
 
 
 class Recorder:
@@ -41,11 +39,11 @@ class Recorder:
     Whatever these methods raise ends `add_keyframe` before the graph has used what they were told.
     """
 
-    def keyframes(self) -> MutableSequence[Keyframe]:
+    def keyframes(self) -> list[Keyframe] | Growing[Keyframe]:
         """Where the estimator keeps its keyframes: in memory."""
         return []
 
-    def decisions(self) -> MutableSequence[list[Decision]]:
+    def decisions(self) -> list[list[Decision]] | Growing[list[Decision]]:
         """Where the estimator keeps its decisions: in memory."""
         return []
 
@@ -101,11 +99,11 @@ class SessionRecorder(Recorder):
         self._by_value, self._forget = raw == "value", forget
         self._places = {} if log is None else {id(event): place for place, event in enumerate(log.events)}
 
-    def keyframes(self) -> MutableSequence[Keyframe]:
+    def keyframes(self) -> list[Keyframe] | Growing[Keyframe]:
         """In memory, or each read anew from the session when somebody looks at its measurements."""
         return ForgottenKeyframes(self.session) if self._forget else []
 
-    def decisions(self) -> MutableSequence[list[Decision]]:
+    def decisions(self) -> list[list[Decision]] | Growing[list[Decision]]:
         """In memory, or read from the session when somebody looks at them."""
         return ForgottenDecisions(self.session) if self._forget else []
 
@@ -196,35 +194,25 @@ def _say(decision: Decision) -> str:
 
 
 class ForgottenKeyframes(Growing[Keyframe]):
-    """Keyframes of which only the time stays, and what there is of them to be read."""
+    """Keyframes of which only the time stays; the last few that were read are kept."""
 
     def __init__(self, session: Session) -> None:
         read = lru_cache(maxsize=_KEPT)(session.keyframe)
         self._readers = {
             field.name: lambda index, name=field.name: getattr(read(index), name) for field in fields(Keyframe)
         }
-        #: Time, number of observations, and whether there is each of `_PARTS`.
-        self._known = Rows("qi" + "b" * len(_PARTS))
-        #: Of keyframes with any: their notes.
-        self._notes: dict[int, tuple[str, ...]] = {}
+        self._stamps = array("q")
 
     def __len__(self) -> int:
-        return len(self._known)
+        return len(self._stamps)
 
     def append(self, value: Keyframe) -> None:
         """Add one whose measurements the session has."""
-        if value.notes:
-            self._notes[len(self)] = value.notes
-        there = (getattr(value, name) is not None for name in _PARTS)
-        self._known.append((int(value.stamp_ns), len(value.observations), *there))
+        self._stamps.append(int(value.stamp_ns))
 
     def at(self, index: int) -> Keyframe:
         """One of them; nothing is read yet."""
-        stamp_ns, count, *there = self._known.at(index)
-        seen = _StoredObservations(partial(self._readers["observations"], index), count)
-        known = {"stamp_ns": stamp_ns, "observations": seen, "scans": (), "notes": self._notes.get(index, ())}
-        known |= {name: None for name, is_there in zip(_PARTS, there, strict=True) if not is_there}
-        return StoredKeyframe(known, self._readers, index)
+        return StoredKeyframe({"stamp_ns": self._stamps[index], "scans": ()}, self._readers, index)
 
 
 class StoredKeyframe(Stored, Keyframe):
@@ -249,20 +237,3 @@ class ForgottenDecisions(Growing[list[Decision]]):
         """Those of one keyframe."""
         found = None if index == self._size - 1 else self._session.decisions(index)
         return self._last if found is None else found
-
-
-class _StoredObservations(Growing[Observation]):
-    """The measurements of a keyframe, whose number is known."""
-
-    def __init__(self, read: Callable[[], Sequence[Observation]], size: int) -> None:
-        self._read, self._size = read, size
-
-    def __len__(self) -> int:
-        return self._size
-
-    def __iter__(self) -> Iterator[Observation]:
-        return iter(self._read())
-
-    def at(self, index: int) -> Observation:
-        """One of them."""
-        return self._read()[index]

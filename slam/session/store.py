@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any, Self
 
@@ -24,7 +26,7 @@ from slam.session._file import (
     translated,
 )
 from slam.session._records import Entry, Places, RawScan, SessionRecords
-from slam.session.opening import check_session_given, make_file, open_file, promise, put, session_path
+from slam.session.opening import check_session_given, make_file, open_file, promise, put, session_path, writing
 from spplanes import __version__
 
 __all__ = ["Entry", "RawScan", "Session", "SessionDamaged", "SessionError", "StorageError"]
@@ -65,7 +67,7 @@ class Session(SessionRecords):
             raise SessionError(f"{path}: exists already")
         values = {
             "config": json.dumps(config.model_dump(mode="json")).encode(),  # JSON of Python's: it knows infinity
-            "rig": None if rig is None else rig_json(rig),
+            "rig": None if rig is None else json.dumps(rig.to_plain()).encode(),
             "prior": prior,
             "program": __version__.encode(),
             "log": json.dumps(log).encode(),
@@ -80,7 +82,7 @@ class Session(SessionRecords):
         Args:
             path: the file, or the folder of a run.
             read_only: only look; another process may be writing meanwhile.
-            damaged: it is known to be, and each record is to be asked for by itself (see `slam.session.salvage`).
+            damaged: it is known to be, and each record is to be asked for by itself (see `salvage_session`).
 
         Raises:
             SessionError: no such file, no session, another process writes it (and this one wants to).
@@ -200,9 +202,72 @@ class Session(SessionRecords):
             yield
 
 
-def rig_json(rig: Rig) -> bytes:
-    """A rig as a session keeps it."""
-    plain = rig.model_dump(mode="json", by_alias=True, exclude_none=True)
-    for sensor in plain["sensors"].values():
-        sensor["body_T_sensor"] = sensor["body_T_sensor"].get("matrix", sensor["body_T_sensor"])
-    return json.dumps(plain).encode()
+#: Files of a session.
+_SUFFIXES = ("", "-wal", "-shm")
+
+
+def salvage_session(path: Path | str) -> str:
+    """Make a session of the longest valid beginning of a damaged one, in its place; the old one stays beside it.
+
+    Decisions, raw scans and parameters come along. A session without damage is left as it is. Returns a sentence on
+    what was wrong and how many keyframes the session has now.
+
+    Raises:
+        SessionError: nothing of it can be read, or another process writes it.
+    """
+    path = session_path(path)
+    check_session_given(path)
+    damage = _damage_of(path)
+    if damage is None:
+        with Session.open(path, read_only=True) as session:
+            return f"nothing is damaged; {len(session)} keyframes"
+    work, kept = path.with_name(path.name + ".salvaged"), path.with_name(path.name + ".damaged")
+    with writing(path) as lock:
+        try:
+            saved = _copy_beginning(path, work)
+            for suffix in _SUFFIXES:
+                if path.with_name(path.name + suffix).exists():
+                    os.replace(path.with_name(path.name + suffix), kept.with_name(kept.name + suffix))
+            os.replace(work, path)
+            promise(lock, 0)
+        finally:
+            for suffix in (*_SUFFIXES, "-lock"):
+                work.with_name(work.name + suffix).unlink(missing_ok=True)
+    return f"{damage}; saved {saved} keyframes; the damaged file is now {kept.name}"
+
+
+def _damage_of(path: Path) -> str | None:
+    try:
+        with Session.open(path) as session:
+            for _ in session.entries():
+                pass
+            for index in range(len(session)):
+                session.scans(index)
+    except SessionDamaged as error:
+        return str(error)
+    return None
+
+
+def _copy_beginning(path: Path, target: Path) -> int:
+    """Copy keyframes until one is damaged; returns how many there are."""
+    with (
+        Session.open(path, read_only=True, damaged=True) as old,
+        Session.create(target, old.config, rig=old.rig, prior=old.prior, log=old.log) as new,
+    ):
+        for index in count():
+            try:
+                keyframe = old.keyframe(index)
+            except SessionDamaged:
+                break
+            scans: tuple[RawScan, ...] = ()
+            decisions = None
+            with suppress(SessionDamaged):  # raw scans are beside the point
+                scans = tuple(old.scans(index))
+            contents = [(scan.position, None if scan.scan is None else encode(scan.scan)) for scan in scans]
+            new.add_keyframe(replace(keyframe, scans=scans), contents)  # type: ignore[arg-type]  # they know as much
+            with suppress(SessionDamaged):  # they will be made again
+                decisions = old.decisions(index)
+            if decisions is None:
+                break
+            new.add_decisions(index, decisions)
+        return len(new)

@@ -30,8 +30,7 @@ from slam.runs.stored_run import StoredRun
 from slam.sensors.log import Log, OdometryReading
 from slam.session._codec import encode, keyframe_of, without_scans
 from slam.session.prior_map import PriorMap
-from slam.session.salvage import salvage_session
-from slam.session.store import Session
+from slam.session.store import Session, salvage_session
 from slam.simulation import simulate_mission
 from slam.simulation.record import Truth
 from spplanes import ScanLine

@@ -229,7 +229,7 @@ WITHOUT_ARRAYS = {
     *("factors.Prediction", "factors.Prediction.of_isam", "factors.Prediction.of_marginals"),
     *("factors.Prediction.pose", "factors.Prediction.plane", "factors.Prediction.values_of"),
     *("factors.observation_factor", "factors.LandmarkExtents.change_anchor"),
-    *("slam.SlamConfig", "slam.SlamConfig.from_yaml", "slam.SlamConfig.to_yaml", "slam.PlaneSlam.open"),
+    *("slam.SlamConfig", "slam.SlamConfig.to_yaml", "slam.PlaneSlam.open"),
     *("slam.PlaneSlam.close", "slam.PlaneSlam.optimize_batch", "slam.PlaneSlam.adopt_batch", "slam.PlaneSlam.remap"),
     "slam.PlaneSlam.supersede",
     "slam.PlaneSlam.explain",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,8 @@ from spplanes.clouds.arrange import Grid
 if TYPE_CHECKING:
     from slam.sensors.rig import Sensor
 
+#: A header may be this long, bytes.
+LONGEST_HEADER = 1 << 16
 #: What a file says lies farther away was never seen, m.
 FARTHEST_M = 1e9
 #: Coordinates of real points are no smaller, m.
@@ -34,12 +37,6 @@ class Cloud:
 
     is_depth_image: bool = False
     """Whether z is the depth of a camera, whose noise grows with it."""
-
-    @property
-    def flat(self) -> FloatArray:
-        """The returns, shape (N, 3), m: NaN left out."""
-        points = self.points.reshape(-1, 3)
-        return points[np.isfinite(points).all(axis=1)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +67,14 @@ class Table:
         if len(rows) != self.count:
             raise LogError(path, f"expected {self.count} {what}, got {len(rows)} lines")
         return rows[:, self.columns]
+
+
+def header_lines(path: Path) -> Iterator[tuple[int, int, list[str]]]:
+    """Of every line of a header that may be one: its number, where it ends, bytes, and its words."""
+    end = 0
+    for number, line in enumerate(read_bytes(path, size=LONGEST_HEADER).split(b"\n"), start=1):
+        end += len(line) + 1
+        yield number, end, line.decode("ascii", errors="replace").split()
 
 
 def checked(path: Path, points: FloatArray, world_T_sensor: FloatArray | None = None) -> Cloud:

@@ -7,6 +7,7 @@ down (up where fy is negative), z forward.
 
 from __future__ import annotations
 
+import os
 import re
 import struct
 import zlib
@@ -20,9 +21,10 @@ from slam.errors import LogError
 from slam.geometry.frames import inverse
 from slam.io.clouds.cloud import Cloud, checked
 from slam.io.raw import ascii_of, damage_told, nanoseconds, numbered_words, read_bytes, text_rows
-from slam.io.scan_files import ScanFiles, first_file, in_order, readings_of
+from slam.io.scan_files import ScanFiles, first_file, in_order, readings_of, with_odometry
 from slam.io.trajectories import read_tum
 from slam.sensors.log import Log
+from slam.sensors.rig import Sensor
 from spplanes._check import FloatArray
 
 INTRINSICS = "intrinsics.txt"
@@ -86,16 +88,13 @@ def _check_whole(path: Path) -> None:
     width, height, bits, _, _, _, interlaced = struct.unpack(">IIBBBBB", data[16:29])
     row = (width * bits + 7) // 8
     wanted = height * (row if interlaced else row + 1)
-    stream, found, place = zlib.decompressobj(), 0, 8
-    while place + 8 <= len(data) and found < wanted:
+    packed, place = b"", 8
+    while place + 8 <= len(data):
         size, kind = struct.unpack(">I4s", data[place : place + 8])
         if kind == b"IDAT":
-            rest = data[place + 8 : place + 8 + size]
-            while rest and found < wanted:
-                found += len(stream.decompress(rest, 1 << 20))
-                rest = stream.unconsumed_tail
+            packed += data[place + 8 : place + 8 + size]
         place += size + 12
-    if found < wanted:
+    if len(zlib.decompressobj().decompress(packed, wanted)) < wanted:
         raise LogError(path, f"expected {height} rows of {width} pixels, got a PNG that ends before")
 
 
@@ -144,21 +143,22 @@ def is_depth_folder(folder: Path) -> bool:
     return (folder / INTRINSICS).is_file() and bool(_images(folder))
 
 
-def read_depth_folder(folder: Path, *, sensor: str = SENSOR, body_T_sensor: FloatArray | None = None) -> Log:
+def read_depth_folder(folder: Path, name: str, sensor: Sensor, odometry: Path | None = None) -> Log:
     """Read a folder of depth images; the images stay in their files until they are asked for.
 
     Args:
         folder: with the names above.
-        sensor: name of the camera in the rig.
-        body_T_sensor: where it sits, shape (4, 4): the poses are the camera's; None: as `CAMERA_MOUNT`.
+        name: of the camera in the rig.
+        sensor: the camera, whose the poses are.
+        odometry: a file that is given for odometry; one of the camera's poses by its name is moved to the body.
 
     Raises:
         LogError: no images, a list that names others, intrinsics or poses that are wrong.
     """
-    camera, mount = read_intrinsics(folder / INTRINSICS), CAMERA_MOUNT if body_T_sensor is None else body_T_sensor
+    camera, mount = read_intrinsics(folder / INTRINSICS), sensor.body_T_sensor
     images = _images(folder)
     for path, _ in images:
-        if not _is_there(path):
+        if not os.path.isfile(path):  # False for a name too long for any file, too
             raise LogError(
                 path.parent / path.name[:60], "expected the depth image that the list names, found no such file"
             )
@@ -166,18 +166,15 @@ def read_depth_folder(folder: Path, *, sensor: str = SENSOR, body_T_sensor: Floa
     scans = ScanFiles(folder, "image", [path for path, _ in images], stamps, images[0][1] is not None, numbered=False)
     truth = first_file(folder, CAMERA_POSES)
     poses = None if truth is None else scans.poses(truth, read_tum(truth)) @ inverse(mount)
-    events = scans.events(sensor, partial(_points_of, camera=camera), poses)
+    events = scans.events(name, partial(_points_of, camera=camera), poses)
     if (folder / _ODOMETRY).is_file():
-        return Log(in_order([*readings_of(folder / _ODOMETRY, events), *events]), folder)
-    notes = [] if truth is None else [f"no odometry: the poses of {truth.name} are not taken for it"]
-    return Log(events, folder, notes)
-
-
-def _is_there(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # a name too long for any file
-        return False
+        log = Log(in_order([*readings_of(folder / _ODOMETRY, events), *events]), folder)
+    else:
+        notes = [] if truth is None else [f"no odometry: the poses of {truth.name} are not taken for it"]
+        log = Log(events, folder, notes)
+    if odometry is not None and odometry.name in CAMERA_POSES:
+        return with_odometry(log, odometry, mount)
+    return log
 
 
 def _points_of(path: Path, camera: Camera) -> FloatArray:

@@ -10,13 +10,11 @@ import numpy as np
 
 from slam.errors import LogError
 from slam.geometry.frames import poses_of
-from slam.io.clouds.cloud import Cloud, Table, checked, points_of
+from slam.io.clouds.cloud import LONGEST_HEADER, Cloud, Table, checked, header_lines, points_of
 from slam.io.raw import check_room, file_size, number_of, read_bytes
 from spplanes._check import FloatArray, as_shape
 from spplanes._jit import njit
 
-#: A header may be this long, bytes.
-LONGEST_HEADER = 1 << 16
 _TYPES = {"F4": "<f4", "F8": "<f8"} | {f"{kind}{n}": f"<{kind.lower()}{n}" for kind in "IU" for n in (1, 2, 4, 8)}
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 
@@ -57,7 +55,7 @@ def read_pcd(path: Path) -> Cloud:
 
 def read_header(path: Path) -> Header:
     """Read and check the header; the data are only weighed."""
-    entries, start, line = _entries(path, read_bytes(path, size=LONGEST_HEADER))
+    entries, start, line = _entries(path)
     fields = _required(path, entries, "FIELDS")
     counts = _whole(path, entries, "COUNT", len(fields)) if "COUNT" in entries else [1] * len(fields)
     sizes, types = _whole(path, entries, "SIZE", len(fields)), _required(path, entries, "TYPE")
@@ -79,20 +77,17 @@ def read_header(path: Path) -> Header:
     return Header(Table(dtype, columns, sum(counts), count, start, line), height, pose, data)
 
 
-def _entries(path: Path, head: bytes) -> tuple[dict[str, list[str]], int, int]:
+def _entries(path: Path) -> tuple[dict[str, list[str]], int, int]:
     """Words of every header line by their key, where the data begin, and in which line."""
     entries: dict[str, list[str]] = {}
-    start = 0
-    for number, raw in enumerate(head.split(b"\n"), start=1):
-        start += len(raw) + 1
-        words = raw.decode("ascii", errors="replace").split()
+    for number, end, words in header_lines(path):
         if not words or words[0].startswith("#"):
             continue
         if words[0] not in _KEYS or len(words) < 2:
             raise LogError(path, f"expected a line of a PCD header, got {' '.join(words)[:40]!r}", line=number)
         entries[words[0]] = words[1:]
         if words[0] == "DATA":
-            return entries, start, number + 1
+            return entries, end, number + 1
     raise LogError(path, "expected a PCD header that ends with DATA, found no such line")
 
 

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import LogError
-from slam.io.clouds.cloud import Cloud, Table, checked
+from slam.io.clouds.cloud import Cloud, Table, checked, header_lines
 from slam.io.raw import check_room, file_size, read_bytes
 
-_LONGEST_HEADER = 1 << 16
 _WORDS = ("char", "uchar", "short", "ushort", "int", "uint", "float", "double")
 #: What each numpy type is called; files may use numpy's own names, too.
 _NAMES = dict(zip(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), _WORDS, strict=True))
@@ -76,24 +75,19 @@ def _parse_header(path: Path) -> tuple[str, list[Element], int, int]:
     """Byte order ("" for ascii), elements, where the data begin, and in which line."""
     order: str | None = None
     elements: list[Element] = []
-    start = 0
-    for number, raw in enumerate(read_bytes(path, size=_LONGEST_HEADER).split(b"\n"), start=1):
-        start += len(raw) + 1
-        words = raw.decode("ascii", errors="replace").split()
+    for number, end, words in header_lines(path):
         if number == 1 and words != ["ply"]:
             raise LogError(path, "expected the word ply at the start of a PLY file", line=1)
         if words == ["end_header"]:
-            break
+            if order is None:
+                raise LogError(path, "expected the format in the PLY header, found no such line")
+            _check_vertices(path, elements)
+            return _ORDERS[order], elements, end, number + 1
         try:
             order = _header_line(words, elements) or order
         except ValueError as error:
             raise LogError(path, f"{error}, got {' '.join(words)[:40]!r}", line=number) from error
-    else:
-        raise LogError(path, "expected a PLY header that ends with end_header, found no such line")
-    if order is None:
-        raise LogError(path, "expected the format in the PLY header, found no such line")
-    _check_vertices(path, elements)
-    return _ORDERS[order], elements, start, number + 1
+    raise LogError(path, "expected a PLY header that ends with end_header, found no such line")
 
 
 def _header_line(words: list[str], elements: list[Element]) -> str | None:

@@ -28,8 +28,15 @@ class G2oEdge(NamedTuple):
     """Its first word."""
     ids: tuple[int, ...]
     """Of its vertices, and of the sensor."""
-    measured: FloatArray
-    """What was measured: a pose (x, y, z, qx, qy, qz, qw), shape (7,), or a plane in the sensor's frame, shape (4,)."""
+    numbers: FloatArray
+    """What was measured, of a plane a colour, and the upper half of the information matrix, row by row."""
+    line: int
+    """Where it stands."""
+
+    @property
+    def measured(self) -> FloatArray:
+        """A pose (x, y, z, qx, qy, qz, qw), shape (7,), or a plane in the sensor's frame, shape (4,)."""
+        return self.numbers[: 4 if self.kind == "EDGE_SE3_PLANE_CALIB" else 7]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +85,7 @@ class _Reader:
     planes: dict[int, gtsam.OrientedPlane3] = field(default_factory=dict)
     fixed: dict[int, int] = field(default_factory=dict)
     offsets: dict[int, gtsam.Pose3] = field(default_factory=dict)
-    edges: list[tuple[int, str, list[int], FloatArray]] = field(default_factory=list)
+    edges: list[G2oEdge] = field(default_factory=list)
 
     def read(self, line: int, words: list[str]) -> None:
         """One line."""
@@ -95,8 +102,7 @@ class _Reader:
                 raise LogError(self.path, f"expected at most {_MOST_VERTICES} vertices", line=line)
             kept[number] = self._plane(numbers, line) if kind == "VERTEX_PLANE" else self._pose(numbers, line)
         elif kind in _EDGES:
-            ids, size = _EDGES[kind]
-            self.edges.append((line, kind, *self._split(words, line, ids, size)))
+            self.edges.append(G2oEdge(kind, *self._split(words, line, *_EDGES[kind]), line))
         else:
             known = ", ".join([*_VERTICES, *_EDGES, "FIX"])
             raise LogError(self.path, f"expected one of {known}, got {kind[:40]!r}", line=line)
@@ -109,28 +115,24 @@ class _Reader:
             if number not in self.poses:
                 raise LogError(self.path, f"expected a pose to fix, got the id {number}", line=line)
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        sensors = {ids[2] for _, kind, ids, _ in self.edges if kind == "EDGE_SE3_PLANE_CALIB"}
-        used = {number for _, kind, ids, _ in self.edges for number in ids[: _POSES_OF[kind]]}
-        for number in sorted(set(self.poses) - (sensors - used)):
-            values.insert(gtsam.symbol("x", number), self.poses[number])
+        sensors = {edge.ids[2] for edge in self.edges if edge.kind == "EDGE_SE3_PLANE_CALIB"}
+        used = {number for edge in self.edges for number in edge.ids[: _POSES_OF[edge.kind]]}
+        poses = {number: gtsam.symbol("x", number) for number in self.poses if number not in sensors - used}
+        planes = {number: gtsam.symbol("p", number) for number in self.planes}
+        for number, key in sorted(poses.items()):
+            values.insert(key, self.poses[number])
             if number in self.fixed:
-                graph.push_back(_held(gtsam.symbol("x", number), self.poses[number]))
+                graph.push_back(_held(key, self.poses[number]))
         if self.planes:
             values.insert(_WORLD, gtsam.Pose3())
             graph.push_back(_held(_WORLD, gtsam.Pose3()))
-        for number, plane in sorted(self.planes.items()):
-            values.insert(gtsam.symbol("p", number), plane)
-        for line, kind, ids, numbers in self.edges:
-            graph.push_back(self._factor(line, kind, ids, numbers))
-        poses = {number: gtsam.symbol("x", number) for number in self.poses if number not in sensors - used}
-        planes = {number: gtsam.symbol("p", number) for number in self.planes}
-        edges = [
-            G2oEdge(kind, tuple(ids), numbers[: 4 if kind == "EDGE_SE3_PLANE_CALIB" else 7])
-            for _, kind, ids, numbers in self.edges
-        ]
-        return G2oGraph(graph, values, poses, planes, edges)
+        for number, key in sorted(planes.items()):
+            values.insert(key, self.planes[number])
+        for edge in self.edges:
+            graph.push_back(self._factor(*edge))
+        return G2oGraph(graph, values, poses, planes, self.edges)
 
-    def _factor(self, line: int, kind: str, ids: list[int], numbers: FloatArray) -> gtsam.NonlinearFactor:
+    def _factor(self, kind: str, ids: tuple[int, ...], numbers: FloatArray, line: int) -> gtsam.NonlinearFactor:
         poses = ids[: _POSES_OF[kind]]
         for number in poses:
             self._known(self.poses, number, line, "pose")
@@ -146,7 +148,7 @@ class _Reader:
             raise LogError(self.path, "expected a prior on the pose itself, got one with an offset", line=line)
         return _prior(keys[0], measured, root)
 
-    def _sighting(self, line: int, ids: list[int], pose_key: int, numbers: FloatArray) -> gtsam.NonlinearFactor:
+    def _sighting(self, line: int, ids: tuple[int, ...], pose_key: int, numbers: FloatArray) -> gtsam.NonlinearFactor:
         self._known(self.planes, ids[1], line, "plane")
         body_T_sensor = self._known(self.poses, ids[2], line, "pose")
         if ids[2] not in self.fixed:
@@ -163,7 +165,7 @@ class _Reader:
             raise LogError(self.path, f"expected the id of a {what}, got {number}", line=line)
         return kept[number]
 
-    def _split(self, words: list[str], line: int, ids: int, size: int) -> tuple[list[int], FloatArray]:
+    def _split(self, words: list[str], line: int, ids: int, size: int) -> tuple[tuple[int, ...], FloatArray]:
         if len(words) != 1 + ids + size:
             raise LogError(
                 self.path, f"expected {ids + size} numbers after {words[0]}, got {len(words) - 1}", line=line
@@ -171,7 +173,7 @@ class _Reader:
         numbers = np.array(floats_of(self.path, words[1 + ids :], line))
         if np.abs(numbers).max() >= TOO_LARGE:
             raise LogError(self.path, f"expected numbers below {TOO_LARGE:g}, got larger ones", line=line)
-        return [self._id(word, line) for word in words[1 : 1 + ids]], numbers
+        return tuple(self._id(word, line) for word in words[1 : 1 + ids]), numbers
 
     def _id(self, word: str, line: int) -> int:
         if not (word.isdecimal() and len(word) <= 15):

@@ -114,7 +114,10 @@ class _Writer:
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         self.values = values
         self.left_out: Counter[str] = Counter()
-        poses, planes = self._variables()
+        poses = [key for key in sorted(values.keys()) if _holds(values.atPose3, key)]
+        planes = [key for key in sorted(values.keys()) if _holds(values.atOrientedPlane3, key)]
+        if others := values.size() - len(poses) - len(planes):
+            self.left_out["variables that are neither Pose3 nor OrientedPlane3"] = others
         self.poses = {key: index for index, key in enumerate(poses)}
         self.planes = {key: len(poses) + index for index, key in enumerate(planes)}
         self._level = len(poses) + len(planes)
@@ -129,12 +132,10 @@ class _Writer:
     def lines(self) -> list[str]:
         """The whole file, line by line."""
         edges = [line for factor in self._factors for line in self._edge(factor)]
+        title = "# planes n.x = d: nx ny nz -d, then a colour; written by spplanes"
+        left_out = [f"# left out: {count} of {kind}" for kind, count in sorted(self.left_out.items())]
         parameters = "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"  # the sensor of the priors: the body itself
-        return [*self._comments(), parameters, *self._vertices(), *edges]
-
-    def _comments(self) -> list[str]:
-        lines = ["# planes n.x = d: nx ny nz -d, then a colour; written by spplanes"]
-        return lines + [f"# left out: {count} of {kind}" for kind, count in sorted(self.left_out.items())]
+        return [title, *left_out, parameters, *self._vertices(), *edges]
 
     def _vertices(self) -> list[str]:
         lines = [f"VERTEX_SE3:QUAT {i} {_pose(self.values.atPose3(key))}" for key, i in self.poses.items()]
@@ -200,17 +201,6 @@ class _Writer:
     def _in_world(self, plane_key: int) -> gtsam.OrientedPlane3:
         landmark, anchor = self.values.atOrientedPlane3(plane_key), self._anchors.get(plane_key)
         return landmark if anchor is None else landmark.transform(self.values.atPose3(anchor).inverse())
-
-    def _variables(self) -> tuple[list[int], list[int]]:
-        poses, planes = [], []
-        for key in sorted(self.values.keys()):
-            if _holds(self.values.atPose3, key):
-                poses.append(key)
-            elif _holds(self.values.atOrientedPlane3, key):
-                planes.append(key)
-            else:
-                self.left_out["variables that are neither Pose3 nor OrientedPlane3"] += 1
-        return poses, planes
 
 
 def _holds(read: Callable[[int], object], key: int) -> bool:

@@ -207,7 +207,7 @@ def odometry_of(
     """
     child, poses = _told_odometry(path, found, notes)
     if body is None or body == child:
-        return child or _usual_body(found.frames), poses
+        return child or next((frame for frame in BODIES if frame in found.frames), None), poses
     if child is None:
         if poses or body in found.frames:
             return body, poses
@@ -240,7 +240,3 @@ def _told_odometry(path: Path, found: Moves, notes: list[str]) -> tuple[str | No
     for root, child in moving.items():
         notes.append(f"tf moves from {root} to {child}; if that is odometry: --odometry-frame {root}")
     return None, []
-
-
-def _usual_body(frames: Frames) -> str | None:
-    return next((frame for frame in BODIES if frame in frames), None)

@@ -54,22 +54,17 @@ class SalvagedBag:
         pass
 
     @property
-    def missing(self) -> str:
-        """What the bag's header states and its records do not have; empty: nothing."""
-        told = []
-        if self._chunks < self._stated_chunks:
-            told.append(f"{self._stated_chunks - self._chunks} of {self._stated_chunks} chunks")
-        if self._strangers:
-            told.append(f"the topics of {self._strangers} messages")
-        return " and ".join(told)
-
-    @property
     def note(self) -> str:
         """What became of the bag, for the notes of a log."""
         if not self.is_whole:
             return "the bag breaks off and has no index; kept the messages that are whole"
-        missing = self.missing or "nothing"
-        return f"the bag's index contradicts its records; read to the end without it: {missing} is missing"
+        missing = []
+        if self._chunks < self._stated_chunks:
+            missing.append(f"{self._stated_chunks - self._chunks} of {self._stated_chunks} chunks")
+        if self._strangers:
+            missing.append(f"the topics of {self._strangers} messages")
+        told = " and ".join(missing) or "nothing"
+        return f"the bag's index contradicts its records; read to the end without it: {told} is missing"
 
     @property
     def connections(self) -> list[Any]:

@@ -65,10 +65,12 @@ class _Found:
     """Frames and odometry."""
     angles: dict[str, FloatArray] = field(default_factory=dict)
     """Bearings of the last scan of each topic: the same scan after scan are kept once."""
-    scans: list[tuple[int, str, str, FloatArray, tuple[int, int]]] = field(default_factory=list)
-    """Time, topic, frame, angles, and the ranges' place and number in the spool."""
-    clouds: list[tuple[int, str, str, int]] = field(default_factory=list)
-    """Time, topic, frame, time of recording."""
+    frames: dict[str, str] = field(default_factory=dict)
+    """Of the first scan of each topic."""
+    scans: list[tuple[int, str, FloatArray, tuple[int, int]]] = field(default_factory=list)
+    """Time, topic, angles, and the ranges' place and number in the spool."""
+    clouds: list[tuple[int, str, int]] = field(default_factory=list)
+    """Time, topic, time of recording."""
 
 
 def is_rosbag(path: Path) -> bool:
@@ -116,21 +118,14 @@ def read_rosbag(
     body, odometry = odometry_of(path, found.moves, chosen.body_frame, notes)
     mounted = {topic for topic in chosen.scans if sensor_name(topic) in (names or {})}
     names = {topic: (names or {}).get(sensor_name(topic), sensor_name(topic)) for topic in chosen.scans}
-    events: list[Event] = [*starmap(OdometryReading, odometry), *_scans_of(found, names)]
-    for stamp, topic, _, received in found.clouds:
-        grid = (grids or {}).get(names[topic])
-        events.append(StoredCloud(stamp, names[topic], partial(_cloud_at, path, topic, received, grid, keep_partial)))
+    events: list[Event] = list(starmap(OdometryReading, odometry))
+    ranges = {"ranges": lambda row: found.spool.get(*found.scans[row][-1])}
+    for row, (stamp, topic, angles, _) in enumerate(found.scans):
+        events.append(StoredScan({"stamp_ns": stamp, "sensor": names[topic], "angles": angles}, ranges, row))
+    for stamp, topic, received in found.clouds:
+        read = partial(_cloud_at, path, topic, (grids or {}).get(names[topic]), keep_partial)
+        events.append(StoredCloud({"stamp_ns": stamp, "sensor": names[topic]}, {"points": read}, received))
     return Log(_without_doubles(in_order(events), notes), path, notes, _mounts(found, body, names, notes, mounted))
-
-
-def _scans_of(found: _Found, names: dict[str, str]) -> list[StoredScan]:
-    """The 2D scans, whose ranges wait in the spool; `names` are of the sensors, by topic."""
-    kept = [place for *_, place in found.scans]
-    ranges = {"ranges": lambda row: found.spool.get(*kept[row])}
-    return [
-        StoredScan({"stamp_ns": stamp, "sensor": names[topic], "angles": angles}, ranges, row)
-        for row, (stamp, topic, _, angles, _) in enumerate(found.scans)
-    ]
 
 
 def _choose(path: Path, reader: Any, wanted: Topics, notes: list[str]) -> Topics:
@@ -208,19 +203,20 @@ def _take(found: _Found, topic: str, received: int, message: Any) -> None:
         kept = found.spool.put(ranges), ranges.size
         if not np.array_equal(found.angles.get(topic, ()), angles):
             found.angles[topic] = angles
-        found.scans.append((stamp_of(message, received), topic, frame_of(message), found.angles[topic], kept))
+        found.scans.append((stamp_of(message, received), topic, found.angles[topic], kept))
+        found.frames.setdefault(topic, frame_of(message))
     else:
         points_of(message)  # a wrong layout is said before any work is done
-        found.clouds.append((stamp_of(message, received), topic, frame_of(message), received))
+        found.clouds.append((stamp_of(message, received), topic, received))
+        found.frames.setdefault(topic, frame_of(message))
 
 
 def _mounts(
     found: _Found, body: str | None, names: dict[str, str], notes: list[str], mounted: Collection[str]
 ) -> dict[str, FloatArray]:
     """body_T_sensor by name of the sensor, where tf tells it; of topics that are `mounted` the rig tells it anyway."""
-    frames = {topic: frame for _, topic, frame, *_ in (*found.scans[::-1], *found.clouds[::-1])}
     mounts = {}
-    for topic, frame in sorted(frames.items()):
+    for topic, frame in sorted(found.frames.items()):
         mount = np.eye(4) if frame == body else None if body is None else found.moves.frames.body_T(body, frame)
         if mount is None and topic in mounted:
             continue
@@ -245,7 +241,7 @@ def _without_doubles(events: list[Event], notes: list[str]) -> list[Event]:
     return kept
 
 
-def _cloud_at(path: Path, topic: str, received: int, grid: Grid | None, keep_partial: bool) -> FloatArray:
+def _cloud_at(path: Path, topic: str, grid: Grid | None, keep_partial: bool, received: int) -> FloatArray:
     """One cloud of a bag as a grid, shape (S, B, 3), m."""
     reader = kept_open(path, keep_partial)
     connections = [connection for connection in reader.connections if connection.topic == topic]

@@ -73,12 +73,12 @@ def test_an_honest_rig_and_one_that_states_more_stay_as_they_are(stated: float) 
 
 
 def test_scans_that_cannot_be_read_or_show_too_little_tell_nothing() -> None:
-    def damaged() -> FloatArray:
+    def damaged(_: int) -> FloatArray:
         raise LogError(Path("cloud.pcd"), "expected a cloud, got nothing")
 
     rng = np.random.default_rng(7)
     log, rig = log_of([room(rng, 0.015)], 0.001)
-    broken = replace(log, events=[StoredCloud(0, "lidar", damaged), *log.events])
+    broken = replace(log, events=[StoredCloud({"stamp_ns": 0, "sensor": "lidar"}, {"points": damaged}), *log.events])
     assert with_shown_errors(broken, rig).sensors["lidar"].range_sigma_m == pytest.approx(0.015, rel=0.1)
     empty = replace(
         log, events=[CloudScan(0, "lidar", np.full((4, 9, 3), np.nan)), CloudScan(1, "lidar", np.ones((1, 3)))]

@@ -157,14 +157,19 @@ def test_other_sensors_have_none() -> None:
 
 
 def test_images_that_cannot_be_read_are_left_out() -> None:
-    def broken() -> FloatArray:
+    def broken(_: int) -> FloatArray:
         raise LogError(Path("x"), "damaged")
 
     rng = np.random.default_rng(12)
     warp = drawn(rng, 0.003, grows=False)
     scans = log_of([noisy(put_on(image(rng), warp), rng) for _ in range(22)]).events
     log = Log(
-        [*scans, StoredCloud(22, "camera", broken), CloudScan(23, "camera", np.full((120, 160, 3), np.nan))], Path("x")
+        [
+            *scans,
+            StoredCloud({"stamp_ns": 22, "sensor": "camera"}, {"points": broken}),
+            CloudScan(23, "camera", np.full((120, 160, 3), np.nan)),
+        ],
+        Path("x"),
     )
     assert with_warp("camera", CAMERA, log).warp is not None
 

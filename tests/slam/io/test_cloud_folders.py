@@ -11,9 +11,10 @@ import pytest
 from slam.errors import LogError
 from slam.geometry.frames import planar_transform as pose
 from slam.io.cloud_folders import SCAN_PERIOD_NS, clouds_in, read_cloud_folder
+from slam.io.default_rigs import cloud_rig
 from slam.io.load import load
 from slam.io.trajectories import Trajectory, write_kitti, write_tum
-from slam.sensors.log import CloudScan
+from slam.sensors.log import CloudScan, Log
 from spplanes._check import FloatArray
 from spplanes.clouds.arrange import Grid, arrange, range_image
 from tests.slam.commands import refused, run
@@ -44,6 +45,12 @@ def seen_from(world_T_sensor: FloatArray, seed: int, columns: int = 360) -> Floa
 POSES = np.array([pose(0.4 * k, 0.2 * k, 0.1 * k) for k in range(4)])
 
 
+def folder_read(folder: Path) -> Log:
+    """A folder of clouds of a sensor nobody describes."""
+    ((name, sensor),) = cloud_rig().sensors.items()
+    return read_cloud_folder(folder, name, sensor)
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Four unordered clouds with a start in the middle of a ring."""
@@ -56,7 +63,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_numbers_in_names_are_numbers(folder: Path):
     assert [path.name for path in clouds_in(folder)] == ["scan 8.npy", "scan 9.npy", "scan 10.npy", "scan 11.npy"]
-    log = read_cloud_folder(folder)
+    log = folder_read(folder)
     assert [scan.stamp_ns for scan in log.scans()] == [k * SCAN_PERIOD_NS for k in range(4)]
     assert log.odometry == []
     assert all(isinstance(scan, CloudScan) and scan.points.shape == (32, 360, 3) for scan in log.scans())
@@ -77,18 +84,18 @@ def test_numbers_in_names_are_numbers(folder: Path):
 def test_times_in_names(names: tuple[str, ...], stamps: tuple[int, ...], tmp_path: Path):
     for name in names:
         np.save(tmp_path / f"{name}.npy", np.eye(3))
-    assert tuple(scan.stamp_ns for scan in read_cloud_folder(tmp_path).scans()) == stamps
+    assert tuple(scan.stamp_ns for scan in folder_read(tmp_path).scans()) == stamps
 
 
 def test_times_beside(folder: Path):
     (folder / "times.txt").write_text("0.0\n0.103\n0.206\n3.09e-01\n")
-    assert [scan.stamp_ns for scan in read_cloud_folder(folder).scans()] == [0, 103_000_000, 206_000_000, 309_000_000]
+    assert [scan.stamp_ns for scan in folder_read(folder).scans()] == [0, 103_000_000, 206_000_000, 309_000_000]
     (folder / "times.txt").write_text("0.0\n0.1\n")
     with pytest.raises(LogError, match=r"times\.txt: expected 4 times, one for each cloud, got 2"):
-        read_cloud_folder(folder)
+        folder_read(folder)
     (folder / "times.txt").write_text("0.0\n0.2\n0.1\n0.3\n")
     with pytest.raises(LogError, match="expected times of the clouds that ascend"):
-        read_cloud_folder(folder)
+        folder_read(folder)
 
 
 def poses_of(log) -> FloatArray:
@@ -99,30 +106,30 @@ def test_tum_poses_at_other_times_are_interpolated(folder: Path):
     (folder / "times.txt").write_text("10.0\n10.25\n10.5\n11.0\n")
     straight = np.array([pose(t, 0.0, 0.0) for t in (0.0, 0.5, 1.0)])
     write_tum(folder / "poses.txt", Trajectory(np.array([100, 105, 110]) * 10**8, straight))
-    np.testing.assert_allclose(poses_of(read_cloud_folder(folder))[:, 0, 3], [0.0, 0.25, 0.5, 1.0], atol=1e-12)
+    np.testing.assert_allclose(poses_of(folder_read(folder))[:, 0, 3], [0.0, 0.25, 0.5, 1.0], atol=1e-12)
     write_tum(folder / "poses.txt", Trajectory(np.array([100, 105, 109]) * 10**8, straight))
-    read_cloud_folder(folder)
+    folder_read(folder)
     write_tum(folder / "poses.txt", Trajectory(np.array([90, 92, 101]) * 10**8, straight))
     with pytest.raises(LogError, match=r"scan 11\.npy: expected a pose within 0\.5 s of the cloud's time, found none"):
-        read_cloud_folder(folder)
+        folder_read(folder)
 
 
 def test_kitti_poses_in_order_or_by_number(folder: Path):
     write_kitti(folder / "poses.txt", POSES)
-    np.testing.assert_array_equal(poses_of(read_cloud_folder(folder)), POSES)
+    np.testing.assert_array_equal(poses_of(folder_read(folder)), POSES)
     many = np.array([pose(float(k), 0.0, 0.0) for k in range(12)])
     write_kitti(folder / "poses.txt", many)
-    np.testing.assert_array_equal(poses_of(read_cloud_folder(folder))[:, 0, 3], [8.0, 9.0, 10.0, 11.0])
+    np.testing.assert_array_equal(poses_of(folder_read(folder))[:, 0, 3], [8.0, 9.0, 10.0, 11.0])
     write_kitti(folder / "poses.txt", many[:11])
     with pytest.raises(LogError, match="expected a pose for each of the 4 clouds, got 11"):
-        read_cloud_folder(folder)
+        folder_read(folder)
 
 
 def test_odometry_beside_poses(folder: Path):
     write_kitti(folder / "poses.txt", POSES)
     drifting = np.array([pose(0.5 * k, 0.0, 0.0) for k in range(4)])
     write_kitti(folder / "odometry.txt", drifting)
-    log = read_cloud_folder(folder)
+    log = folder_read(folder)
     np.testing.assert_array_equal(poses_of(log), POSES)
     np.testing.assert_array_equal([reading.odom_T_body for reading in log.odometry], drifting)
     assert log.notes == []

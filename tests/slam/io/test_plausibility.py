@@ -83,11 +83,13 @@ def test_lasers_in_another_unit_are_refused_and_glitches_are_not(unit: float):
 def clouds(*points: FloatArray | None) -> Log:
     """A log of clouds; None: one that cannot be read."""
 
-    def read_nothing() -> FloatArray:
+    def read_nothing(_: int) -> FloatArray:
         raise LogError("scan.pcd", "expected points, found none")
 
     events: list[Event] = [
-        StoredCloud(k, "cloud", read_nothing) if one is None else CloudScan(k, "cloud", one)
+        StoredCloud({"stamp_ns": k, "sensor": "cloud"}, {"points": read_nothing})
+        if one is None
+        else CloudScan(k, "cloud", one)
         for k, one in enumerate(points)
     ]
     return Log(events, Path("clouds"))

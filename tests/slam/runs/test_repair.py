@@ -25,8 +25,7 @@ from slam.runs.repair import is_open_to_repair, repaired
 from slam.runs.slam_run import Run, odometry_of
 from slam.session._codec import encode
 from slam.session.replay import Places
-from slam.session.salvage import salvage_session
-from slam.session.store import Session, SessionDamaged
+from slam.session.store import Session, SessionDamaged, salvage_session
 from slam.simulation import simulate_mission
 from tests.slam.diagnostics.evidence.test_look import turned
 from tests.slam.scenes import run_of
@@ -132,10 +131,10 @@ def test_damaged_places_are_said_and_a_salvaged_session_keeps_whole_ones(mended,
         Session.open(damaged, read_only=True)
     saved.write_bytes(path.read_bytes())
     with sqlite3.connect(saved) as other:
-        other.execute("UPDATE keyframes SET data = data || X'00' WHERE id = 87")
-    assert salvage_session(saved).saved == 87
+        other.execute("UPDATE keyframes SET data = data || X'00' WHERE id = 80")
+    assert "saved 80 keyframes" in salvage_session(saved)
     with Session.open(saved, read_only=True) as again, Session.open(path, read_only=True) as whole:
-        for index in range(87):
+        for index in range(80):
             assert encode(list(again.keyframe(index).places)) == encode(list(whole.keyframe(index).places))
             assert encode(again.decisions(index)) == encode(whole.decisions(index))
 

@@ -20,8 +20,7 @@ from slam.output.run_folder import Source, conclude, new_run, resumed_run
 from slam.runs.slam_run import run_slam
 from slam.sensors.rig import Rig
 from slam.session.opening import SESSION_FILE
-from slam.session.salvage import salvage_session
-from slam.session.store import Session, SessionDamaged, SessionError
+from slam.session.store import Session, SessionDamaged, SessionError, salvage_session
 from slam.simulation import simulate_mission
 from slam.simulation.robots import VERTICAL
 

@@ -21,8 +21,7 @@ from slam.planeslam import pose_symbol
 from slam.sensors.log import CloudScan, LaserScan
 from slam.session._codec import CodecError, decode, encode
 from slam.session._file import digest
-from slam.session.salvage import salvage_session
-from slam.session.store import Session, SessionDamaged, SessionError
+from slam.session.store import Session, SessionDamaged, SessionError, salvage_session
 from spplanes import ScanLine
 from tests.slam.scenes import drive, run_of
 
@@ -225,10 +224,10 @@ def test_the_end_of_the_journal_is_missed(tmp_path: Path):
         for read_only in (True, False, False):  # who looks, or tries to go on, does not make it forgotten
             with pytest.raises(SessionDamaged, match="keyframes, the last of its journal, cannot be read"):
                 Session.open(copy, read_only=read_only)
-    saved = salvage_session(copy)
-    assert saved.saved < 5 and saved.kept_as is not None and not files[3].exists()
+    said = salvage_session(copy)
+    assert not files[3].exists()
     with Session.open(copy) as session:
-        assert len(session) == saved.saved
+        assert len(session) < 5 and f"saved {len(session)} keyframes; the damaged file is now" in said
 
 
 def test_numbers_come_back_bit_for_bit():
