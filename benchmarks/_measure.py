@@ -122,7 +122,7 @@ def _elsewhere(peer: Peer, short: bool) -> Row:
 
 def memory_of(module: str, case: str) -> list[float]:
     """Peak memory of each task of a case, MB, by a process that does nothing else."""
-    words = [sys.executable, "-m", "benchmarks._peaks", module, case]
+    words = [sys.executable, "-m", "benchmarks._memory", module, case]
     done = subprocess.run(
         words, capture_output=True, text=True, check=True, cwd=PROJECT, env={**os.environ, **ONE_THREAD}
     )

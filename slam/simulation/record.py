@@ -12,7 +12,7 @@ from slam.io.planes_json import read_planes, write_planes
 from slam.io.raw import check_ratio, damage_told
 from slam.io.scan_files import in_order
 from slam.io.trajectories import Trajectory, read_tum, write_tum
-from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading
+from slam.sensors.log import Event, Log, OdometryReading
 from slam.sensors.rig import LocalisationNoise, Rig, Sensor
 from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation.robots import BEAMS, HORIZONTAL, Beams, pose_matrices
@@ -202,17 +202,9 @@ def record(plan: Plan, n_scans: int, seed: int) -> tuple[Log, Truth]:
             labels[sensor] = labels[sensor].reshape(len(at), *beams.directions.shape[:2])
         poses_of_scans = [None] * len(at) if given is None else list(given[at])
         for k, (tick, pose) in enumerate(zip(at.tolist(), poses_of_scans, strict=True)):
-            events.append(_scan(int(stamps[tick]), sensor, beams, read[k], pose))
+            events.append(beams.scan(int(stamps[tick]), sensor, read[k], pose))
     truth = Truth(stamps, world_T_body, plan.world.planes, labels)
     return Log(in_order(events), Path(f"simulated {plan.name}")), truth
-
-
-def _scan(
-    stamp_ns: int, sensor: str, beams: Beams, ranges: FloatArray, pose: FloatArray | None
-) -> LaserScan | CloudScan:
-    if beams.angles is not None:
-        return LaserScan(stamp_ns, sensor, ranges, beams.angles, pose)
-    return CloudScan(stamp_ns, sensor, ranges.reshape(beams.directions.shape[:2])[..., None] * beams.directions)
 
 
 def _cast(plan: Plan, way: FloatArray, sensor: Sensor, beams: Beams, rng: np.random.Generator) -> _Hits:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import LocalisationNoise, Mount, OdometryNoise, Rig, Sensor
 from spplanes._check import FloatArray
 from spplanes.registration import beam_directions
@@ -46,6 +47,14 @@ class Beams:
         level, rise = np.cos(elevations), np.sin(elevations)
         directions = np.stack([c * level, s * level, np.broadcast_to(rise, (len(azimuths), len(elevations)))], axis=-1)
         return cls(directions, np.column_stack([s, -c, np.zeros_like(c)]), None)
+
+    def scan(
+        self, stamp_ns: int, sensor: str, ranges: FloatArray, world_T_body: FloatArray | None = None
+    ) -> LaserScan | CloudScan:
+        """What is recorded of ranges (F B,), m; a 2D laser's scan may tell its pose (4, 4)."""
+        if self.angles is not None:
+            return LaserScan(stamp_ns, sensor, ranges, self.angles, world_T_body)
+        return CloudScan(stamp_ns, sensor, ranges.reshape(self.directions.shape[:2])[..., None] * self.directions)
 
 
 #: 361 beams over 180 deg as in the paper; its two opposing horizontal lasers as one of 360 deg; 32 rings.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmarks.corpus.polygon_world import PolygonWorld
 from slam.geometry.frames import planar_transform
+from slam.io.scan_files import in_order
 from slam.map.map_planes import MapPlane
 from slam.sensors.log import Event, Log, OdometryReading
 from slam.sensors.rig import Mount, Rig
@@ -82,26 +83,29 @@ def every(nth: int) -> Disturbance:
     """Only every so many-th scan of each sensor; all of the odometry."""
 
     def keep(given: Given, rng: np.random.Generator) -> Given:
-        counts: dict[str, int] = defaultdict(int)
-        events: list[Event] = []
-        for event in given.log.events:
-            if not isinstance(event, OdometryReading):
-                counts[event.sensor] += 1
-                if (counts[event.sensor] - 1) % nth:
-                    continue
-            events.append(event)
         labels = {name: rows[::nth] for name, rows in given.truth.labels.items()}
-        truth = replace(given.truth, labels=labels)
-        return replace(given, log=replace(given.log, events=events), truth=truth)
+        return replace(given, log=thinned(given.log, nth), truth=replace(given.truth, labels=labels))
 
     return keep
+
+
+def thinned(log: Log, nth: int, first: int = 0) -> Log:
+    """The log with every so many-th scan of each sensor, from its first or a later one on; all of the odometry."""
+    counts: Counter[str] = Counter()
+    events: list[Event] = []
+    for event in log.events:
+        if not isinstance(event, OdometryReading):
+            counts[event.sensor] += 1
+            if (counts[event.sensor] - 1 - first) % nth:
+                continue
+        events.append(event)
+    return replace(log, events=events)
 
 
 def backward_in_time(given: Given, rng: np.random.Generator) -> Given:
     """The drive from its end to its beginning."""
     ends = int(given.truth.stamps_ns[0]) + int(given.truth.stamps_ns[-1])
-    events = [replace(event, stamp_ns=ends - event.stamp_ns) for event in reversed(given.log.events)]
-    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
+    events = in_order(replace(event, stamp_ns=ends - event.stamp_ns) for event in reversed(given.log.events))
     truth = replace(
         given.truth,
         stamps_ns=ends - given.truth.stamps_ns[::-1],

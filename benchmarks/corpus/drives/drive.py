@@ -13,12 +13,14 @@ import numpy as np
 from benchmarks.corpus.drives.disturbances import DISTURBANCES, Given
 from benchmarks.corpus.drives.scene import Scene
 from benchmarks.corpus.drives.sensing import SENSORS, Sensing
-from benchmarks.corpus.drives.wheels import ODOMETRIES, noise_on
+from benchmarks.corpus.drives.wheels import ODOMETRIES, ON_RAMPS
 from benchmarks.corpus.drives.worlds import WORLDS
+from slam.io.scan_files import in_order
 from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading
 from slam.sensors.rig import Rig
 from slam.session.prior_map import PriorMap
 from slam.simulation.record import BLOCK_BEAMS, SPEED_M_PER_S, START_NS, Truth
+from slam.simulation.robots import ON_LEVEL_FLOOR
 from slam.simulation.world import NO_PLANE
 
 #: Odometry is read at least this often, m.
@@ -126,7 +128,7 @@ def _recorded(
     ticks = np.arange(int(scene.course.length_m / tick_m))
     stamps = START_NS + ticks * round(tick_m / SPEED_M_PER_S * 1e9)
     poses = scene.course.poses_at(ticks.astype(np.float64) * tick_m)
-    rig = Rig(sensors={s.name: s.sensor for s in suite}, odometry=noise_on(level=scene.course.level))
+    rig = Rig(sensors={s.name: s.sensor for s in suite}, odometry=ON_LEVEL_FLOOR if scene.course.level else ON_RAMPS)
     read = ODOMETRIES[recipe.odometry]
     events: list[Event] = []
     if read is not None:
@@ -137,9 +139,8 @@ def _recorded(
         at = ticks[round(sensing.late_m / tick_m) :: round(sensing.every_m / tick_m)]
         scans, labels[sensing.name] = _scans(scene, sensing, poses[at], stamps[at], rng)
         events += scans
-    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
     truth = Truth(stamps, poses, scene.world.planes, labels)
-    return Given(Log(events, Path(f"simulated {recipe.name}")), rig, truth, world=scene.world)
+    return Given(Log(in_order(events), Path(f"simulated {recipe.name}")), rig, truth, world=scene.world)
 
 
 def _scans(
@@ -155,7 +156,9 @@ def _scans(
         ranges, labels[some] = _cast(scene, sensing, poses[some], stamps[some])
         read = sensing.read(ranges, rng)
         labels[some] = np.where(np.isnan(read), np.int32(NO_PLANE), labels[some])
-        scans += [_scan(int(stamp), sensing, row) for stamp, row in zip(stamps[some], read, strict=True)]
+        scans += [
+            sensing.beams.scan(int(stamp), sensing.name, row) for stamp, row in zip(stamps[some], read, strict=True)
+        ]
     return scans, labels if sensing.beams.angles is not None else labels.reshape(-1, fans, n_beams)
 
 
@@ -171,11 +174,3 @@ def _cast(scene: Scene, sensing: Sensing, poses: np.ndarray, stamps: np.ndarray)
     times_s = np.repeat((stamps - START_NS) * 1e-9, fans)
     ranges, labels = scene.cast(origins, rays, normals, times_s)
     return ranges.reshape(-1, fans * n_beams), labels.reshape(-1, fans * n_beams)
-
-
-def _scan(stamp_ns: int, sensing: Sensing, ranges: np.ndarray) -> LaserScan | CloudScan:
-    beams = sensing.beams
-    if beams.angles is not None:
-        return LaserScan(stamp_ns, sensing.name, ranges, beams.angles)
-    shape = beams.directions.shape[:2]
-    return CloudScan(stamp_ns, sensing.name, ranges.reshape(shape)[..., None] * beams.directions)
