@@ -16,7 +16,6 @@ import numpy as np
 from shapely import LineString, Point, get_coordinates
 from shapely.geometry.base import BaseGeometry
 
-from slam.diagnostics.consistency import NisSummary
 from slam.diagnostics.verdict import Verdict
 from slam.evaluation import Metric
 from slam.files import whole_file
@@ -24,6 +23,7 @@ from slam.geometry.frames import lift
 from slam.geometry.polygons import largest_polygon, polygons_of, segments_of
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
+from slam.mapping.consistency import NisSummary
 from slam.runs.history import History, in_cm
 from slam.runs.stored_run import StoredRun
 from slam.visualization.mesh import colour_of

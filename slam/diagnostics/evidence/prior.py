@@ -9,13 +9,13 @@ import numpy as np
 from shapely import LineString
 from shapely.geometry.base import BaseGeometry
 
-from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.surfaces import Surfaces, stopped_rays
 from slam.diagnostics.verdict import Evidence, at_least, named
 from slam.diagnostics.views import View, held_against
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.geometry.frames import inverse, lift
 from slam.map.landmarks import Landmark
+from slam.planeslam import PlaneSlam
 from slam.sensors.rig import Rig
 from spplanes._check import FloatArray
 
@@ -32,7 +32,7 @@ def _fix_a_place(normals: Sequence[FloatArray]) -> bool:
     return bool(np.abs(across).max(initial=0.0) > _ACROSS)
 
 
-def prior_evidence(run: Finished, rig: Rig, views: Mapping[int, View], surfaces: Surfaces) -> Iterator[Evidence]:
+def prior_evidence(run: PlaneSlam, rig: Rig, views: Mapping[int, View], surfaces: Surfaces) -> Iterator[Evidence]:
     """A prior map none of whose planes was seen again, or too many of which are not there.
 
     Planes that nothing was matched to are missed where, at the final poses, more was seen through them than at them. Of
@@ -65,7 +65,7 @@ def prior_evidence(run: Finished, rig: Rig, views: Mapping[int, View], surfaces:
     )
 
 
-def _through(known: Sequence[Landmark], run: Finished, views: Mapping[int, View]) -> dict[int, int]:
+def _through(known: Sequence[Landmark], run: PlaneSlam, views: Mapping[int, View]) -> dict[int, int]:
     """Looks of level lasers through prior planes less looks that confirm them, by landmark."""
     poses, balance = run.trajectory.poses, {}
     for landmark in known:

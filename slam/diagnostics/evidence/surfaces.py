@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 
-from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, at_least, named
 from slam.diagnostics.views import TOLERANCE_M, V, compare, pairs_of, way_along
 from slam.frontend.keyframes import Keyframe
@@ -17,6 +16,7 @@ from slam.frontend.observations import planes_of
 from slam.frontend.occupancy import NOVEL_SHARE
 from slam.geometry.frames import evenly, inverse, lift
 from slam.geometry.polygons import flatten, polygonal, valid
+from slam.planeslam import PlaneSlam
 from slam.registration.visibility import LinesOfSight, points_on
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -39,7 +39,7 @@ class Surfaces:
     """Frame (4, 4) in the world and outline, less its border, of each."""
 
     @classmethod
-    def of(cls, run: Finished) -> Surfaces:
+    def of(cls, run: PlaneSlam) -> Surfaces:
         """Landmarks that are part of the map and have an area."""
         wanted = run.config.landmarks.min_observations
         found = []
@@ -135,7 +135,7 @@ _TOGETHER_M = 0.02
 _OVERLAP = 0.5
 
 
-def doubled_evidence(run: Finished, surfaces: Surfaces) -> Iterator[Evidence]:
+def doubled_evidence(run: PlaneSlam, surfaces: Surfaces) -> Iterator[Evidence]:
     """Planes of the map that lie to at least half over a larger one that faces the same way, centimetres apart.
 
     Boards on walls do, and things that stand against them: a share of `NOVEL_SHARE` may. A drive that came back a
