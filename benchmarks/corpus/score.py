@@ -14,9 +14,9 @@ from shapely import Polygon, unary_union
 
 from benchmarks.corpus.drives import Drive
 from slam.config import SlamConfig
-from slam.evaluation import PlaneMatch, PoseErrors, absolute_error, match_planes
+from slam.evaluation import PlaneMatch, PoseErrors, absolute_error, match_planes, truth_T_estimate
 from slam.evaluation.planes import outline_in
-from slam.evaluation.trajectories import alignment_of, common_poses
+from slam.evaluation.trajectories import common_poses
 from slam.frontend.odometry import OdometryTrack
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory
@@ -51,8 +51,8 @@ def score(run: Run, drive: Drive) -> Row:
     call itself sound.
     """
     in_map = drive.prior is not None and drive.recipe.disturbance != "prior_elsewhere"
-    scans = run.scan_trajectory
-    scans = Trajectory(scans.stamps_ns, (np.eye(4) if in_map else _truth_T_run(run, drive)) @ scans.poses)
+    move = np.eye(4) if in_map else truth_T_estimate(run.trajectory, drive.truth.trajectory)
+    scans = Trajectory(run.scan_trajectory.stamps_ns, move @ run.scan_trajectory.poses)
     errors = absolute_error(scans, drive.truth.trajectory, alignment="none")
     worst = int(np.argmax(errors.translation_m))
     stamps, _, _ = common_poses(scans, drive.truth.trajectory)
@@ -60,7 +60,7 @@ def score(run: Run, drive: Drive) -> Row:
     sigma = _sigma_at(run, drive, int(stamps[worst]), in_map=in_map)
     row |= {"sigma, m": sigma, "judged": judged(row["worst, m"], row["rmse, m"], sigma, drive.recipe.disturbance)}
     row |= _last_pose(run, drive, in_map=in_map)
-    row |= _landmarks(run, drive, in_map=in_map)
+    row |= _landmarks(run, drive, move)
     return row | said_row(run)
 
 
@@ -142,9 +142,8 @@ def _last_pose(run: Run, drive: Drive, *, in_map: bool) -> Row:
     return {"pose NEES": nees, "pose dof": len(part)}
 
 
-def _landmarks(run: Run, drive: Drive, *, in_map: bool) -> Row:
+def _landmarks(run: Run, drive: Drive, move: FloatArray) -> Row:
     """NEES of the landmarks that are of a true plane, and shares of doubles, of invented and of missed ones."""
-    move = np.eye(4) if in_map else _truth_T_run(run, drive)
     of_planes = [one.plane.outline is not None for one in run.planes]
     planes = [_with_outline(one).transform(move) for one in run.planes]
     matches = match_planes(planes, drive.truth.planes)
@@ -172,12 +171,6 @@ def doubles(planes: Sequence[Plane], matches: Sequence[PlaneMatch]) -> int:
         pieces[match.true].append(outline_in(planes[match.estimated], planes[first]))
     joined = (unary_union([one.buffer(GAP_M / 2.0) for one in outlines]) for outlines in pieces.values())
     return len(matches) - sum(len(getattr(one, "geoms", [one])) for one in joined)
-
-
-def _truth_T_run(run: Run, drive: Drive) -> FloatArray:
-    """The motion, shape (4, 4), that puts the run's first pose where it truly was."""
-    _, estimated, true = common_poses(run.trajectory, drive.truth.trajectory)
-    return alignment_of(estimated, true, "first")
 
 
 def _with_outline(landmark: MapPlane) -> Plane:

@@ -15,6 +15,7 @@ from slam.evaluation.trajectories import (
     relation_errors,
     relation_metrics,
     relative_error,
+    truth_T_estimate,
 )
 
 __all__ = [
@@ -40,4 +41,5 @@ __all__ = [
     "relation_metrics",
     "relative_error",
     "trajectory_metrics",
+    "truth_T_estimate",
 ]

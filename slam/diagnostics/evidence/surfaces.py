@@ -28,6 +28,8 @@ _INSIDE_M = 0.1
 #: Planes whose normals are within 10 deg may be one.
 ALIKE = float(np.cos(np.deg2rad(10.0)))
 
+_Area = shapely.Polygon | shapely.MultiPolygon
+
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
@@ -35,7 +37,7 @@ class Surfaces:
 
     ids: tuple[int, ...]
     """Landmarks."""
-    walls: tuple[tuple[FloatArray, shapely.Polygon | shapely.MultiPolygon], ...]
+    walls: tuple[tuple[FloatArray, _Area], ...]
     """Frame (4, 4) in the world and outline, less its border, of each."""
 
     @classmethod
@@ -45,11 +47,16 @@ class Surfaces:
         found = []
         for landmark in run.landmarks:
             outline = polygonal(valid(landmark.outline)) if landmark.n_keyframes >= wanted else None
-            inner = None if outline is None else outline.buffer(-_INSIDE_M)
-            if isinstance(inner, (shapely.Polygon, shapely.MultiPolygon)) and not inner.is_empty:
+            if (inner := _without_border(outline)) is not None:
                 shapely.prepare(inner)
                 found.append((landmark.id, run.landmarks.placed(landmark.id).world_T_plane, inner))
         return cls(tuple(one[0] for one in found), tuple(one[1:] for one in found))
+
+
+def _without_border(outline: _Area | None) -> _Area | None:
+    """What rays cannot pass beside; None where an outline is all border."""
+    inner = None if outline is None else outline.buffer(-_INSIDE_M)
+    return inner if isinstance(inner, (shapely.Polygon, shapely.MultiPolygon)) and not inner.is_empty else None
 
 
 def stopped_rays(
@@ -80,8 +87,7 @@ def agreement(
         frame, outline = seen_T_others @ other.frame, other.outline
         if outline is None:
             continue
-        inner = outline.buffer(-_INSIDE_M)
-        if isinstance(inner, (shapely.Polygon, shapely.MultiPolygon)) and not inner.is_empty:
+        if (inner := _without_border(outline)) is not None:
             walls.append((inverse(body_T_sensor) @ frame, inner))
         local = lift(places, inverse(frame))
         alike = (normals @ frame[:3, 2] > ALIKE) & (np.abs(local[:, 2]) < TOLERANCE_M)
@@ -180,7 +186,7 @@ def doubled_pairs(surfaces: Surfaces) -> list[tuple[int, int, float]]:
     return found
 
 
-def _centre(frame: FloatArray, outline: shapely.Polygon | shapely.MultiPolygon) -> FloatArray:
+def _centre(frame: FloatArray, outline: _Area) -> FloatArray:
     """A plane's middle in the world, shape (3,)."""
     return frame[:3, :2] @ np.array([outline.centroid.x, outline.centroid.y]) + frame[:3, 3]
 
