@@ -57,14 +57,11 @@ def main(words: list[str]) -> int:
     if asked.page and not asked.write:
         _page.PAGE.write_text(_page.page(_page.kept()))
         return 0
-    names, kept = asked.names or default_names(gate=asked.gate and not asked.write), _page.kept()
+    gated_only = asked.gate and not asked.write
+    by_default = [name for name, one in WORKLOADS.items() if one.gated or not (gated_only or name in OWN_OPTIONS)]
+    names, kept = asked.names or by_default, _page.kept()
     results, failed = run_all(names, short=asked.short, write=asked.write)
     return max(failed, conclude(results, kept) if asked.gate else 0)
-
-
-def default_names(*, gate: bool) -> list[str]:
-    """What runs when nothing is named."""
-    return [name for name, one in WORKLOADS.items() if (one.gated if gate else not one.on_request)]
 
 
 def run_all(names: list[str], *, short: bool, write: bool) -> tuple[dict[str, dict[str, Any]], int]:

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks._memory import peak_mb
+
 PROJECT = Path(__file__).resolve().parents[1]
 #: One core for everybody: what a library gains by threads is not what is compared.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -57,28 +59,30 @@ class Peer:
 Case = Callable[[], Sequence[Task | Peer]]
 
 
-def measured(module: str, cases: Mapping[str, Case], *, short: bool = False, memory: bool = True) -> list[Row]:
+def measured(module: str, cases: Mapping[str, Case], *, short: bool = False) -> list[Row]:
     """Rows of all cases of a module: accuracy, processor and wall time (medians), memory, and time as a ratio to ours.
 
     Args:
         module: where `cases` can be found again, as its `CASES`, by the process that measures memory.
         cases: what builds the contenders of each case, ours first.
         short: two repeats at most of what takes longer than a moment.
-        memory: measure memory as well.
     """
     rows: list[Row] = []
     for name, build in cases.items():
         contenders = build()
         tasks = [one for one in contenders if isinstance(one, Task)]
         timed = iter(in_turn(tasks, short=short))
-        peaks = iter(memory_of(module, name) if memory and tasks else [None] * len(tasks))
+        peaks = iter(memory_of(module, name) if tasks else [])
         mine: list[Row] = []
         for one in contenders:
             row: Row = {"case": name, "by": one.by}
             if isinstance(one, Task):
                 row |= next(timed) | {MEMORY: next(peaks)}
             else:
-                row |= _elsewhere(one, short) | {"apart": True}
+                try:
+                    row |= one.measure(min(one.repeats, 2) if short else one.repeats) | {"apart": True}
+                except RuntimeError as error:
+                    row |= {"note": str(error), "apart": True}
             row[TIMES_OURS] = row[CPU] / mine[0][CPU] if mine and row.get(CPU) else (None if mine else 1.0)
             mine.append(row)
         rows += mine
@@ -113,11 +117,9 @@ def _timed(work: Callable[[], Any]) -> tuple[Any, tuple[float, float]]:
     return found, (time.process_time() - cpu, time.perf_counter() - wall)
 
 
-def _elsewhere(peer: Peer, short: bool) -> Row:
-    try:
-        return peer.measure(min(peer.repeats, 2) if short else peer.repeats)
-    except RuntimeError as error:
-        return {"note": str(error)}
+def measured_here(task: Task) -> Row:
+    """The row of one task with its memory, by a process that does nothing else: a peer's interpreter."""
+    return in_turn([task])[0] | {MEMORY: peak_mb(task.work)}
 
 
 def memory_of(module: str, case: str) -> list[float]:

@@ -41,12 +41,12 @@ def random_poses(rng: np.random.Generator, n: int) -> list[gtsam.Pose3]:
     return [gtsam.Pose3(gtsam.Rot3.Rodrigues(rng.normal(size=3)), rng.uniform(-5, 5, 3)) for _ in range(n)]
 
 
-def random_frames(rng: np.random.Generator, n: int, scale: float = 5.0) -> np.ndarray:
-    """Plane frames (n, 4, 4) whose normals look at the origin."""
+def random_frames(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Plane frames (n, 4, 4) within 5 m of the origin, whose normals look at it."""
     frames = np.broadcast_to(np.eye(4), (n, 4, 4)).copy()
     for frame in frames:
         frame[:3, :3] = gtsam.Rot3.Rodrigues(2.0 * rng.normal(size=3)).matrix()
-        frame[:3, 3] = rng.uniform(-scale, scale, 3)
+        frame[:3, 3] = rng.uniform(-5.0, 5.0, 3)
         if frame[:3, 2] @ frame[:3, 3] > 0.0:
             frame[:3, 1:3] *= -1.0
     return frames

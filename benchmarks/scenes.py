@@ -92,9 +92,9 @@ def corridor_scan(data: Path, index: int) -> FloatArray:
 
 
 @cache
-def mission(n_scans: int = 1083) -> Scene:
+def mission() -> Scene:
     """The push-broom corridor of the paper's length, registered at the given poses."""
-    simulated = simulate_mission("corridor", n_scans=n_scans)
+    simulated = simulate_mission("corridor")
     vertical, sensor = simulated.arrays("vertical"), simulated.rig.sensors["vertical"]
     scans = register_scans(
         vertical.ranges,
@@ -249,9 +249,9 @@ def contenders(build: Callable[[], Scene], repeats: int = 5) -> list:
     ]
 
 
-def rooms(seeds: int = 6) -> list[Task]:
-    """Ours and Open3D's patches on several rooms of polyhedra, counts of all together."""
-    scenes = [polyhedra(seed) for seed in range(seeds)]
+def rooms() -> list[Task]:
+    """Ours and Open3D's patches on six rooms of polyhedra, counts of all together."""
+    scenes = [polyhedra(seed) for seed in range(6)]
     clouds = [np.ascontiguousarray(scene.points[scene.returns]) for scene in scenes]
 
     def together(rows: list[Row]) -> Row:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, Self, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -33,20 +33,8 @@ _PARTNERS = 8
 _MOST_PAIRS = 3000
 
 
-class Looks(Protocol):
-    """What one keyframe saw, to be asked what it says of what another one saw."""
-
-    def looks_of(self, other: Self, here_T_other: FloatArray) -> FloatArray:
-        """Places, a row each, where another view has a surface to look for, as seen from here."""
-
-    def confirms(self, places: FloatArray) -> np.ndarray:
-        """Which places have a surface within the tolerance, shape (N,)."""
-
-    def sees_through(self, places: FloatArray) -> np.ndarray:
-        """Which places lie in front of all that was seen about their direction, shape (N,)."""
-
-
-V = TypeVar("V", bound=Looks)
+#: What one keyframe saw, by level lasers or by 3D sensors, to be asked what it says of what another one saw.
+V = TypeVar("V", "View", "ScanView")
 
 
 def one_of_each_cell(places: FloatArray) -> np.ndarray:
@@ -83,7 +71,7 @@ def compare(view: V, other: V, here_T_other: FloatArray) -> tuple[int, int]:
     return held_against(view, view.looks_of(other, here_T_other))
 
 
-def held_against(view: Looks, places: FloatArray) -> tuple[int, int]:
+def held_against(view: View | ScanView, places: FloatArray) -> tuple[int, int]:
     """How many places of surfaces a view confirms, and how many it sees through."""
     confirmed = view.confirms(places)
     return int(confirmed.sum()), int((view.sees_through(places) & ~confirmed).sum())

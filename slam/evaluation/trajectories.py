@@ -165,10 +165,10 @@ def alignment_of(estimated: FloatArray, true: FloatArray, alignment: Alignment) 
     return align(estimated[:, :3, 3], true[:, :3, 3], planar=alignment == "se2")
 
 
-def truth_T_estimate(estimate: Trajectory, truth: Trajectory, alignment: Alignment = "first") -> FloatArray:
-    """Motion (4, 4) that puts an estimate where the truth has it, by the times both have; ValueError: none."""
+def truth_T_estimate(estimate: Trajectory, truth: Trajectory) -> FloatArray:
+    """Motion (4, 4) that puts the first pose that both have at one time where it truly was; ValueError: none."""
     _, estimated, true = common_poses(estimate, truth)
-    return alignment_of(estimated, true, alignment)
+    return alignment_of(estimated, true, "first")
 
 
 def absolute_error(estimate: Trajectory, truth: Trajectory, *, alignment: Alignment = "se3") -> PoseErrors:

@@ -53,19 +53,11 @@ class Truth:
             raise ValueError("stamps_ns: expected times of scans or odometry readings of this mission, got another")
         return self.world_T_body[places]
 
-    def visible(self, sensor: str | None = None, *, more_than: int = ENOUGH_POINTS) -> set[int]:
-        """Indices of the planes that one sensor, or all together, hit more than so many times."""
-        chosen = self.labels.values() if sensor is None else [self.labels[sensor]]
-        counts = sum(
-            (np.bincount(labels[labels >= 0], minlength=len(self.planes)) for labels in chosen),
-            start=np.zeros(len(self.planes), dtype=np.int64),
-        )
-        return set(np.flatnonzero(counts > more_than).tolist())
-
-    def visible_in_3d(self, *, more_than: int = ENOUGH_POINTS) -> set[int]:
-        """The same for one of the sensors that give 3D points: a level laser alone sees lines, not planes."""
-        sensors = [name for name in self.labels if name != HORIZONTAL]
-        return set().union(*(self.visible(name, more_than=more_than) for name in sensors))
+    def visible_in_3d(self) -> set[int]:
+        """Indices of the planes that one of the sensors that give 3D points hit often enough: a level laser alone sees
+        lines, not planes."""
+        seen = [labels[labels >= 0] for name, labels in self.labels.items() if name != HORIZONTAL]
+        return {plane for hit in seen for plane in np.flatnonzero(np.bincount(hit) > ENOUGH_POINTS).tolist()}
 
     def write(self, folder: Path) -> None:
         """Write trajectory.tum, planes.json (spplanes/1; the id is the label) and labels.npz into a folder."""

@@ -108,6 +108,8 @@ def checked_rig(rig: Rig) -> Rig:
 
 #: Distance between the stored points of a path, m.
 _STEP_M = 0.005
+#: How far to the left a weaving path swings, and the way of a swing, m.
+_SWING_M, _WAVE_M = 0.06, 7.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,12 +140,12 @@ class Path:
         return cls(way, np.column_stack([curve, heading]))
 
     @classmethod
-    def weaving(cls, length_m: float, *, amplitude_m: float = 0.06, wavelength_m: float = 7.0) -> Path:
-        """Along x from the origin, heading 0 at the start, swinging to the left and back by `amplitude_m`."""
+    def weaving(cls, length_m: float) -> Path:
+        """Along x from the origin, heading 0 at the start, swinging to the left and back by `_SWING_M`."""
         x = np.arange(0.0, length_m + 1.0, _STEP_M)
-        phase = 2.0 * np.pi * x / wavelength_m
-        path = cls.through(np.column_stack([x, amplitude_m * (1.0 - np.cos(phase)) / 2.0]))
-        path.poses[:, 2] = np.arctan(amplitude_m * np.pi / wavelength_m * np.sin(phase))  # exactly 0 at the start
+        phase = 2.0 * np.pi * x / _WAVE_M
+        path = cls.through(np.column_stack([x, _SWING_M * (1.0 - np.cos(phase)) / 2.0]))
+        path.poses[:, 2] = np.arctan(_SWING_M * np.pi / _WAVE_M * np.sin(phase))  # exactly 0 at the start
         return path
 
     @classmethod

@@ -10,7 +10,7 @@ from typing import Self
 
 import numpy as np
 
-from benchmarks.corpus.drives.disturbances import DISTURBANCES, Given
+from benchmarks.corpus.drives.disturbances import DISTURBANCES, Drive
 from benchmarks.corpus.drives.scene import Scene
 from benchmarks.corpus.drives.sensing import SENSORS, Sensing
 from benchmarks.corpus.drives.wheels import ODOMETRIES, ON_RAMPS
@@ -18,7 +18,6 @@ from benchmarks.corpus.drives.worlds import WORLDS
 from slam.io.scan_files import in_order
 from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading
 from slam.sensors.rig import Rig
-from slam.session.prior_map import PriorMap
 from slam.simulation.record import BLOCK_BEAMS, SPEED_M_PER_S, START_NS, Truth
 from slam.simulation.robots import ON_LEVEL_FLOOR
 from slam.simulation.world import NO_PLANE
@@ -66,26 +65,6 @@ class Recipe:
         return [cls(*words) for words in itertools.product(*_PARTS.values())]
 
 
-@dataclass(frozen=True, eq=False)
-class Drive:
-    """A recorded drive, what its user says of it, and the truth."""
-
-    recipe: Recipe
-    """What it is made of."""
-    seed: int
-    """Which one of its kind."""
-    level: bool
-    """Whether the robot stays on one floor."""
-    log: Log
-    """The sensors' data."""
-    rig: Rig
-    """What the user says of the robot; not always true."""
-    truth: Truth
-    """True poses at every scan and reading, planes and labels."""
-    prior: PriorMap | None = None
-    """A map from before, in the frame of the truth, unless it is of another building."""
-
-
 def make_drive(
     recipe: Recipe, seed: int, *, visit: int = 0, part: tuple[float, float] = (0.0, 1.0), backwards: bool = False
 ) -> Drive:
@@ -112,17 +91,15 @@ def make_drive(
         streams[1:] = [np.random.default_rng(child) for child in children]
     if part != (0.0, 1.0) or backwards:
         scene = replace(scene, course=scene.course.part(*part, backwards=backwards))
-    given = _recorded(scene, SENSORS[recipe.sensors], recipe, streams[1], streams[2])
+    drive = _recorded(scene, SENSORS[recipe.sensors], recipe, streams[1], streams[2])
     if recipe.disturbance == "prior_elsewhere":
-        other = build(streams[4])
-        given = replace(given, elsewhere=other.world)
-    given = DISTURBANCES[recipe.disturbance](given, streams[3])
-    return Drive(recipe, seed, scene.course.level, given.log, given.rig, given.truth, given.prior)
+        drive = replace(drive, elsewhere=build(streams[4]).world)
+    return DISTURBANCES[recipe.disturbance](drive, streams[3])
 
 
 def _recorded(
     scene: Scene, suite: Sequence[Sensing], recipe: Recipe, noise: np.random.Generator, wheels: np.random.Generator
-) -> Given:
+) -> Drive:
     """Drive the whole course: odometry at every tick, every sensor at its own pace."""
     tick_m = min(_READ_M, *(sensing.every_m / 2.0 for sensing in suite))
     ticks = np.arange(int(scene.course.length_m / tick_m))
@@ -140,7 +117,8 @@ def _recorded(
         scans, labels[sensing.name] = _scans(scene, sensing, poses[at], stamps[at], rng)
         events += scans
     truth = Truth(stamps, poses, scene.world.planes, labels)
-    return Given(Log(in_order(events), Path(f"simulated {recipe.name}")), rig, truth, world=scene.world)
+    log = Log(in_order(events), Path(f"simulated {recipe.name}"))
+    return Drive(recipe, scene.course.level, log, rig, truth, world=scene.world)
 
 
 def _scans(
