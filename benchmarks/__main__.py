@@ -18,7 +18,6 @@ from typing import Any
 from benchmarks import _gate, _page
 from benchmarks._measure import ONE_THREAD, PROJECT
 from benchmarks._registry import WORKLOADS
-from benchmarks._table import plain
 from benchmarks.peers import environment
 
 #: Benchmarks that have options of their own, and where: `python -m benchmarks corpus --help`.
@@ -78,7 +77,9 @@ def run_all(names: list[str], *, short: bool, write: bool) -> tuple[dict[str, di
         results[name] = {**here, "short": short, **measured}
         if write:
             _page.PAGE.write_text(_page.page(_page.store({name: results[name]})))
-        print(f"== {name}: {workload.title} ({measured['seconds']:.0f} s)\n{plain(measured['rows'])}\n", flush=True)
+        print(
+            f"== {name}: {workload.title} ({measured['seconds']:.0f} s)\n{_page.plain(measured['rows'])}\n", flush=True
+        )
     return results, failed
 
 

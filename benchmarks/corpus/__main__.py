@@ -12,7 +12,6 @@ from typing import Any
 
 from benchmarks import _page
 from benchmarks._child import as_json
-from benchmarks._table import plain
 from benchmarks.corpus.catalogue import Entry, corpus, drawn
 from benchmarks.corpus.process import Job, rows_of
 from benchmarks.corpus.score import Row
@@ -88,9 +87,9 @@ def main(words: Sequence[str]) -> int:
         return 2
     rows = _run(entries, kept, asked)
     lines = by_kind(rows)
-    print(f"\n{plain(lines)}\n")
+    print(f"\n{_page.plain(lines)}\n")
     if before is not None:
-        print(f"{plain(compared(before, rows))}\n")
+        print(f"{_page.plain(compared(before, rows))}\n")
     if asked.write:
         publish("corpus", lines, short=asked.short, seconds=sum(row.get("CPU s", 0.0) for row in rows))
     return 0

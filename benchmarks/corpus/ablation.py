@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._table import plain
+from benchmarks._page import plain
 from benchmarks.corpus.__main__ import add_choice, chosen, printed, publish, write_json
 from benchmarks.corpus.catalogue import Entry
 from benchmarks.corpus.process import Job, rows_of

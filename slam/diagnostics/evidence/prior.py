@@ -6,8 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from shapely import LineString
-from shapely.geometry.base import BaseGeometry
+import shapely
 
 from slam.diagnostics.evidence.surfaces import Surfaces, stopped_rays
 from slam.diagnostics.verdict import Evidence, at_least, named
@@ -80,7 +79,10 @@ def _through(known: Sequence[Landmark], run: PlaneSlam, views: Mapping[int, View
 
 
 def _places_on(landmark: Landmark, world_T_plane: FloatArray) -> FloatArray:
-    """Places along an upright plane, at half its height, in the world, shape (N, 3); none on floors and ceilings."""
+    """Places along an upright plane, at half its height, in the world, shape (N, 3); none on floors and ceilings.
+
+    Only those are asked about whose vertical in the plane meets what was seen of it.
+    """
     if abs(world_T_plane[2, 2]) > np.sqrt(0.5):
         return np.empty((0, 3))
     across = np.cross([0.0, 0.0, 1.0], world_T_plane[:3, 2])
@@ -89,13 +91,6 @@ def _places_on(landmark: Landmark, world_T_plane: FloatArray) -> FloatArray:
     middle, along = corners.mean(axis=0), (corners - corners.mean(axis=0)) @ direction
     steps = np.arange(along.min() + 0.5 * _STEP_M, along.max(), _STEP_M)
     flat = middle + steps[:, None] * direction
-    outline = landmark.outline
-    kept = [k for k, place in enumerate(flat) if _is_on(outline, place, world_T_plane)]
-    return lift(flat[kept], world_T_plane)
-
-
-def _is_on(outline: BaseGeometry, place: FloatArray, world_T_plane: FloatArray) -> bool:
-    """Whether the vertical through a place in a plane meets what was seen of it."""
     up = world_T_plane[2, :2] / max(float(np.linalg.norm(world_T_plane[2, :2])), 1e-9)
-    line = LineString([place - 10.0 * up, place + 10.0 * up])
-    return float(line.distance(outline)) < 1e-3
+    verticals = shapely.linestrings(np.stack((flat - 10.0 * up, flat + 10.0 * up), axis=1))
+    return lift(flat[shapely.distance(verticals, landmark.outline) < 1e-3], world_T_plane)
