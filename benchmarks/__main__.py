@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
 import sys
 import tempfile
 from importlib import import_module
@@ -16,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import _gate, _page
-from benchmarks._measure import ONE_THREAD, PROJECT
+from benchmarks._measure import printed_by
 from benchmarks._registry import WORKLOADS
 from benchmarks.peers import environment
 
@@ -91,12 +89,7 @@ def run_one(name: str, arguments: dict[str, Any]) -> dict[str, Any]:
     """
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "result.json"
-        command = [sys.executable, "-m", "benchmarks._child", name, str(out), json.dumps(arguments)]
-        done = subprocess.run(
-            command, cwd=PROJECT, env={**os.environ, **ONE_THREAD}, stderr=subprocess.PIPE, text=True, check=False
-        )
-        if done.returncode:
-            raise RuntimeError((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
+        printed_by(sys.executable, "-m", "benchmarks._child", name, str(out), json.dumps(arguments))
         return json.loads(out.read_text())
 
 

@@ -17,6 +17,8 @@ import numpy as np
 from benchmarks._memory import peak_mb
 
 PROJECT = Path(__file__).resolve().parents[1]
+#: Other people's data, where they are.
+DATA = PROJECT.parent / "shared" / "data"
 #: One core for everybody: what a library gains by threads is not what is compared.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 Row = dict[str, Any]
@@ -124,8 +126,19 @@ def measured_here(task: Task) -> Row:
 
 def memory_of(module: str, case: str) -> list[float]:
     """Peak memory of each task of a case, MB, by a process that does nothing else."""
-    words = [sys.executable, "-m", "benchmarks._memory", module, case]
+    return json.loads(printed_by(sys.executable, "-m", "benchmarks._memory", module, case).splitlines()[-1])
+
+
+def printed_by(python: Path | str, *words: str, timeout_s: float | None = None) -> str:
+    """What an interpreter prints, in a process of its own on one thread.
+
+    Raises:
+        RuntimeError: it failed, in its last words.
+    """
+    environment = {**os.environ, **ONE_THREAD}
     done = subprocess.run(
-        words, capture_output=True, text=True, check=True, cwd=PROJECT, env={**os.environ, **ONE_THREAD}
+        [python, *words], capture_output=True, text=True, check=False, cwd=PROJECT, env=environment, timeout=timeout_s
     )
-    return json.loads(done.stdout.splitlines()[-1])
+    if done.returncode:
+        raise RuntimeError((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
+    return done.stdout

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks._boxes import polyhedra_scan
-from benchmarks._measure import PROJECT, Case, Row, Task, measured
+from benchmarks._measure import DATA, Case, Row, Task, measured
 from slam.io.threedtk import read_points
 from slam.sensors.rig import LocalisationNoise
 from slam.simulation import simulate_mission
@@ -25,7 +25,6 @@ from spplanes._check import FloatArray
 from spplanes.noise import DepthCameraModel, SensorModel
 from spplanes.registration import register_scans
 
-DATA = PROJECT.parent / "shared" / "data"
 #: The iterative RANSAC: points of the smallest plane, planes at most, tries each.
 LEAST_POINTS, MOST_PLANES, TRIES = 200, 20, 100
 #: The tilting SICK of 3dtk_corridor: 1 cm of range noise; its tilt servo jerks from line to line, and drifts.

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks._measure import PROJECT
+from benchmarks._measure import DATA
 from benchmarks.corpus.perturbed import PERTURBATIONS
 from benchmarks.corpus.score import Row, error_row, said_row
 from slam.config import SlamConfig
@@ -21,7 +21,6 @@ from slam.io.threedtk import read_frames
 from slam.io.trajectories import Trajectory, read_tum
 from slam.runs.slam_run import Run, run_slam
 
-DATA = PROJECT.parent / "shared" / "data"
 #: What ICP found of the second scan of pcl_room; not surveyed.
 _ICP_YAW_DEG, _ICP_XYZ_M = 40.85, (1.964, 0.059, 0.010)
 

@@ -41,8 +41,6 @@ class Sharpness:
     """Median distance of the same points by the poses beside them, m."""
     cells: int
     """Pieces of planes that were looked at."""
-    points: int
-    """Points on them."""
 
     def metrics(self) -> list[Metric]:
         """The rows of a table."""
@@ -78,13 +76,13 @@ def compare_sharpness(clouds: Sequence[FloatArray], poses: FloatArray, reference
     mine, theirs, cell = mine[shared[cell]], theirs[shared[cell]], cell[shared[cell]]
     cell = np.unique(cell, return_inverse=True)[1].ravel()
     if not len(cell):
-        return Sharpness(np.nan, np.nan, 0, 0)
+        return Sharpness(np.nan, np.nan, 0)
     here, there = _Pieces.of(mine, cell), _Pieces.of(theirs, cell)
     both = here.flat & there.flat & ~here.are_cut
     if not both.any():
-        return Sharpness(np.nan, np.nan, 0, 0)
+        return Sharpness(np.nan, np.nan, 0)
     ours, others = np.median(here.distances[both[cell]]), np.median(there.distances[both[cell]])
-    return Sharpness(float(ours), float(others), int(both.sum()), int(both[cell].sum()))
+    return Sharpness(float(ours), float(others), int(both.sum()))
 
 
 def _placed(clouds: Sequence[FloatArray], poses: FloatArray) -> FloatArray:
