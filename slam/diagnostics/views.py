@@ -68,7 +68,7 @@ def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
 
 def compare(view: V, other: V, here_T_other: FloatArray) -> tuple[int, int]:
     """How many looks of another view at a pose (4, 4) a view confirms, and how many it sees through."""
-    return held_against(view, view.looks_of(other, here_T_other))
+    return held_against(view, view.placed(other.looks, here_T_other))
 
 
 def held_against(view: View | ScanView, places: FloatArray) -> tuple[int, int]:
@@ -108,9 +108,9 @@ class View:
         ends = beams[fixed, 2:]
         return cls(tuple(fans), KDTree(beams[:, 2:]), ends[one_of_each_cell(ends)])
 
-    def looks_of(self, other: View, here_T_other: FloatArray) -> FloatArray:
-        """Another view's looks as seen from here, shape (N, 2)."""
-        return other.looks @ here_T_other[:2, :2].T + here_T_other[:2, 3]
+    def placed(self, looks: FloatArray, here_T_other: FloatArray) -> FloatArray:
+        """Another view's looks (N, 2) as seen from here, shape (N, 2)."""
+        return looks @ here_T_other[:2, :2].T + here_T_other[:2, 3]
 
     def confirms(self, places: FloatArray) -> np.ndarray:
         """Which places (N, 2) have a return within the tolerance, shape (N,)."""
@@ -165,9 +165,9 @@ class ScanView:
         walls = walls[~_movable(walls, scan.viewpoint, up)]
         self.looks = walls[one_of_each_cell(walls[:, :3])]
 
-    def looks_of(self, other: ScanView, here_T_other: FloatArray) -> FloatArray:
-        """Another view's looks as seen from here, shape (N, 9)."""
-        return moved(other.looks, here_T_other)
+    def placed(self, looks: FloatArray, here_T_other: FloatArray) -> FloatArray:
+        """Another view's looks (N, 9) as seen from here, shape (N, 9)."""
+        return moved(looks, here_T_other)
 
     def confirms(self, places: FloatArray) -> np.ndarray:
         """Which elements (N, 9) lie on a surface that was seen, to the tolerance, shape (N,)."""
