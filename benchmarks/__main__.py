@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
 import sys
 import tempfile
 from importlib import import_module
@@ -16,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import _gate, _page
-from benchmarks._measure import ONE_THREAD, PROJECT
+from benchmarks._measure import printed_by
 from benchmarks._registry import WORKLOADS
-from benchmarks._table import plain
 from benchmarks.peers import environment
 
 #: Benchmarks that have options of their own, and where: `python -m benchmarks corpus --help`.
@@ -57,14 +54,11 @@ def main(words: list[str]) -> int:
     if asked.page and not asked.write:
         _page.PAGE.write_text(_page.page(_page.kept()))
         return 0
-    names, kept = asked.names or default_names(gate=asked.gate and not asked.write), _page.kept()
+    gated_only = asked.gate and not asked.write
+    by_default = [name for name, one in WORKLOADS.items() if one.gated or not (gated_only or name in OWN_OPTIONS)]
+    names, kept = asked.names or by_default, _page.kept()
     results, failed = run_all(names, short=asked.short, write=asked.write)
     return max(failed, conclude(results, kept) if asked.gate else 0)
-
-
-def default_names(*, gate: bool) -> list[str]:
-    """What runs when nothing is named."""
-    return [name for name, one in WORKLOADS.items() if (one.gated if gate else not one.on_request)]
 
 
 def run_all(names: list[str], *, short: bool, write: bool) -> tuple[dict[str, dict[str, Any]], int]:
@@ -81,7 +75,9 @@ def run_all(names: list[str], *, short: bool, write: bool) -> tuple[dict[str, di
         results[name] = {**here, "short": short, **measured}
         if write:
             _page.PAGE.write_text(_page.page(_page.store({name: results[name]})))
-        print(f"== {name}: {workload.title} ({measured['seconds']:.0f} s)\n{plain(measured['rows'])}\n", flush=True)
+        print(
+            f"== {name}: {workload.title} ({measured['seconds']:.0f} s)\n{_page.plain(measured['rows'])}\n", flush=True
+        )
     return results, failed
 
 
@@ -93,12 +89,7 @@ def run_one(name: str, arguments: dict[str, Any]) -> dict[str, Any]:
     """
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "result.json"
-        command = [sys.executable, "-m", "benchmarks._child", name, str(out), json.dumps(arguments)]
-        done = subprocess.run(
-            command, cwd=PROJECT, env={**os.environ, **ONE_THREAD}, stderr=subprocess.PIPE, text=True, check=False
-        )
-        if done.returncode:
-            raise RuntimeError((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
+        printed_by(sys.executable, "-m", "benchmarks._child", name, str(out), json.dumps(arguments))
         return json.loads(out.read_text())
 
 

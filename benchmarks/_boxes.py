@@ -9,24 +9,24 @@ from spplanes._check import FloatArray
 
 #: Range noise of the benchmark's scanner, and the angular noise that its residuals on grazing planes show.
 RANGE_SIGMA_M, ANGLE_SIGMA_RAD = 0.001, 3e-4
+#: Bodies in a room, and how wide and high the scanner sees, rad.
+BODIES, WIDE_RAD, HIGH_RAD = 9, 1.0, 0.9
 
 
-def polyhedra_scan(
-    seed: int, size: int = 500, n_bodies: int = 9, fov_rad: tuple[float, float] = (1.0, 0.9)
-) -> tuple[FloatArray, FloatArray, np.ndarray]:
+def polyhedra_scan(seed: int, size: int = 500) -> tuple[FloatArray, FloatArray, np.ndarray]:
     """Points (size, size, 3), their covariances (size, size, 3, 3) and true planes (size, size), 1..K, 0 = none.
 
     A room 6 m deep; in it boxes, wedges, truncated pyramids and stairs, turned and tilted at random.
     """
     rng = np.random.default_rng(seed)
     elevation, azimuth = np.meshgrid(
-        np.linspace(0.5, -0.5, size) * fov_rad[1] + 0.02, np.linspace(0.5, -0.5, size) * fov_rad[0], indexing="ij"
+        np.linspace(0.5, -0.5, size) * HIGH_RAD + 0.02, np.linspace(0.5, -0.5, size) * WIDE_RAD, indexing="ij"
     )
     rays = _directions(azimuth, elevation)
     room = _room(rng)
     ranges, labels = _inside(rays, *room)
     planes = list(np.column_stack(room))
-    for body in [_body(rng) for _ in range(n_bodies)]:
+    for body in [_body(rng) for _ in range(BODIES)]:
         first = len(planes)
         for normals, offsets, shift in body:
             near, face = _outside(rays, normals, offsets, shift)

@@ -14,7 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks._memory import peak_mb
+
 PROJECT = Path(__file__).resolve().parents[1]
+#: Other people's data, where they are.
+DATA = PROJECT.parent / "shared" / "data"
 #: One core for everybody: what a library gains by threads is not what is compared.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 Row = dict[str, Any]
@@ -57,28 +61,30 @@ class Peer:
 Case = Callable[[], Sequence[Task | Peer]]
 
 
-def measured(module: str, cases: Mapping[str, Case], *, short: bool = False, memory: bool = True) -> list[Row]:
+def measured(module: str, cases: Mapping[str, Case], *, short: bool = False) -> list[Row]:
     """Rows of all cases of a module: accuracy, processor and wall time (medians), memory, and time as a ratio to ours.
 
     Args:
         module: where `cases` can be found again, as its `CASES`, by the process that measures memory.
         cases: what builds the contenders of each case, ours first.
         short: two repeats at most of what takes longer than a moment.
-        memory: measure memory as well.
     """
     rows: list[Row] = []
     for name, build in cases.items():
         contenders = build()
         tasks = [one for one in contenders if isinstance(one, Task)]
         timed = iter(in_turn(tasks, short=short))
-        peaks = iter(memory_of(module, name) if memory and tasks else [None] * len(tasks))
+        peaks = iter(memory_of(module, name) if tasks else [])
         mine: list[Row] = []
         for one in contenders:
             row: Row = {"case": name, "by": one.by}
             if isinstance(one, Task):
                 row |= next(timed) | {MEMORY: next(peaks)}
             else:
-                row |= _elsewhere(one, short) | {"apart": True}
+                try:
+                    row |= one.measure(min(one.repeats, 2) if short else one.repeats) | {"apart": True}
+                except RuntimeError as error:
+                    row |= {"note": str(error), "apart": True}
             row[TIMES_OURS] = row[CPU] / mine[0][CPU] if mine and row.get(CPU) else (None if mine else 1.0)
             mine.append(row)
         rows += mine
@@ -113,17 +119,26 @@ def _timed(work: Callable[[], Any]) -> tuple[Any, tuple[float, float]]:
     return found, (time.process_time() - cpu, time.perf_counter() - wall)
 
 
-def _elsewhere(peer: Peer, short: bool) -> Row:
-    try:
-        return peer.measure(min(peer.repeats, 2) if short else peer.repeats)
-    except RuntimeError as error:
-        return {"note": str(error)}
+def measured_here(task: Task) -> Row:
+    """The row of one task with its memory, by a process that does nothing else: a peer's interpreter."""
+    return in_turn([task])[0] | {MEMORY: peak_mb(task.work)}
 
 
 def memory_of(module: str, case: str) -> list[float]:
     """Peak memory of each task of a case, MB, by a process that does nothing else."""
-    words = [sys.executable, "-m", "benchmarks._peaks", module, case]
+    return json.loads(printed_by(sys.executable, "-m", "benchmarks._memory", module, case).splitlines()[-1])
+
+
+def printed_by(python: Path | str, *words: str, timeout_s: float | None = None) -> str:
+    """What an interpreter prints, in a process of its own on one thread.
+
+    Raises:
+        RuntimeError: it failed, in its last words.
+    """
+    environment = {**os.environ, **ONE_THREAD}
     done = subprocess.run(
-        words, capture_output=True, text=True, check=True, cwd=PROJECT, env={**os.environ, **ONE_THREAD}
+        [python, *words], capture_output=True, text=True, check=False, cwd=PROJECT, env=environment, timeout=timeout_s
     )
-    return json.loads(done.stdout.splitlines()[-1])
+    if done.returncode:
+        raise RuntimeError((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
+    return done.stdout

@@ -1,17 +1,20 @@
 """Peak memory of one call, in a process of its own: what is resident beyond what was there before the call.
 
 Resident memory, because what a library written in C++ allocates is seen by no tracer of Python. Standard library only:
-the peers' interpreter runs this as well.
+the peers' interpreter runs this as well. `python -m benchmarks._memory MODULE CASE` prints the peaks of a case.
 """
 
 from __future__ import annotations
 
 import ctypes
 import gc
+import json
 import os
 import re
 import resource
+import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
@@ -62,3 +65,13 @@ def _status_mb(name: str) -> float:
 
 def _largest_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def main(module: str, case: str) -> None:
+    """Print the peaks of what a case of a module measures itself, as JSON."""
+    tasks = [one for one in import_module(module).CASES[case]() if hasattr(one, "work")]
+    print(json.dumps([peak_mb(one.work, warm=one.repeats > 1) for one in tasks]))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

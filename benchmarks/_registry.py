@@ -20,8 +20,6 @@ class Workload:
     """The same for `--short`."""
     gated: bool = False
     """Its ratios and accuracy are compared with those kept."""
-    on_request: bool = False
-    """Only run when named."""
 
 
 _QUICK = {"short": True}
@@ -72,12 +70,10 @@ WORKLOADS: dict[str, Workload] = {
         "Wrong: the worst error is beyond 10 cm and 3 claimed sigmas; right: the root mean square is within 1 cm or 2 "
         "sigmas; open: so, but the worst is beyond 10 cm; misled: not wrong, though the mount or the prior map it was "
         "given was; how many of each the run itself called doubtful or broken.",
-        on_request=True,
     ),
     "ablation": Workload(
         "Ablation",
         "The corpus with one mechanism at a time switched off: kinds of drive that get worse, and better, beyond the "
         "spread of their runs.",
-        on_request=True,
     ),
 }

@@ -10,23 +10,27 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks._boxes import polyhedra_scan
-from benchmarks._measure import PROJECT, Case, Row, Task, measured
-from benchmarks._scans import CORRIDOR_SENSOR, correct_detections, corridor_scan, icl_frame, synpeb_scan
+from benchmarks._measure import DATA, Case, Row, Task, measured
+from slam.io.threedtk import read_points
 from slam.sensors.rig import LocalisationNoise
 from slam.simulation import simulate_mission
 from spplanes import MapperConfig, Plane, segment_scans
 from spplanes._check import FloatArray
-from spplanes.noise import SensorModel
+from spplanes.noise import DepthCameraModel, SensorModel
 from spplanes.registration import register_scans
 
-DATA = PROJECT.parent / "shared" / "data"
 #: The iterative RANSAC: points of the smallest plane, planes at most, tries each.
 LEAST_POINTS, MOST_PLANES, TRIES = 200, 20, 100
+#: The tilting SICK of 3dtk_corridor: 1 cm of range noise; its tilt servo jerks from line to line, and drifts.
+CORRIDOR_SENSOR = SensorModel(
+    range_sigma_m=0.01, scan_shift_sigma_m=0.005, scan_tilt_sigma_rad=0.003, surface_sigma_m=0.02
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +54,46 @@ class Scene:
         return np.asarray(np.isfinite(self.points).all(axis=-1))
 
 
+def icl_frame(data: Path, noise_seed: int | None = None) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """Points (480, 640, 3), sigma per point and labels (0 = none) of the labelled depth image.
+
+    With a seed, depths get the Kinect's axial noise (`DepthCameraModel`); without, their quantisation is the noise.
+    """
+    from matplotlib import image
+
+    depth = np.round(image.imread(data / "icl_labelled" / "depth.png") * 65535.0) / 5000.0
+    camera = np.loadtxt(data / "icl_labelled" / "intrinsics.txt")
+    labels = np.load(data / "icl_labelled" / "labels.npy").reshape(depth.shape).astype(np.int64)
+    sigma = np.full(depth.shape, 0.0002 / np.sqrt(12.0))
+    if noise_seed is not None:
+        sigma = DepthCameraModel().depth_sigma(depth)
+        noise = sigma * np.random.default_rng(noise_seed).standard_normal(depth.shape)
+        depth = np.where(depth > 0.0, depth + noise, 0.0)
+    v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    points = np.stack(
+        ((u - camera[0, 2]) / camera[0, 0] * depth, (v - camera[1, 2]) / camera[1, 1] * depth, depth), axis=-1
+    )
+    points[depth <= 0.0] = np.nan
+    return points, sigma, labels
+
+
+def synpeb_scan(data: Path) -> tuple[FloatArray, float, np.ndarray]:
+    """Points (100, 100, 3), sigma and labels of the SynPEB scan; its residuals about the true planes are about 1 mm."""
+    lines = (data / "synpeb" / "test_100.pcd").read_text(encoding="latin1").splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith("DATA")) + 1
+    values = np.loadtxt(lines[start:])
+    return values[:, :3].reshape(100, 100, 3), 0.001, values[:, 3].reshape(100, 100).astype(np.int64)
+
+
+def corridor_scan(data: Path, index: int) -> FloatArray:
+    """One scan of the 3DTK corridor, metric, x forward, y left, z up, shape (226, 360, 3); NaN = no return."""
+    return read_points(data / "3dtk_corridor" / f"scan{index:03d}.3d.gz")
+
+
 @cache
-def mission(n_scans: int = 1083) -> Scene:
+def mission() -> Scene:
     """The push-broom corridor of the paper's length, registered at the given poses."""
-    simulated = simulate_mission("corridor", n_scans=n_scans)
+    simulated = simulate_mission("corridor")
     vertical, sensor = simulated.arrays("vertical"), simulated.rig.sensors["vertical"]
     scans = register_scans(
         vertical.ranges,
@@ -144,6 +184,21 @@ def open3d_ransac(points: FloatArray, distance_m: float) -> np.ndarray:
     return labels
 
 
+def correct_detections(labels: np.ndarray, truth: np.ndarray, overlap: float = 0.8) -> int:
+    """True planes (labels > 0) that one region covers, and that cover it, at least to the given share.
+
+    References:
+        Hoover et al., "An Experimental Comparison of Range Image Segmentation Algorithms", PAMI 1996.
+    """
+    sizes, count = np.bincount(labels[labels >= 0], minlength=1), 0
+    for k in np.unique(truth[truth > 0]):
+        mine = truth == k
+        shared = np.bincount(labels[mine & (labels >= 0)], minlength=len(sizes))
+        best = int(shared.argmax())
+        count += bool(shared[best] >= overlap * mine.sum() and shared[best] >= overlap * sizes[best] > 0)
+    return count
+
+
 def score(scene: Scene, labels: np.ndarray, planes: int) -> Row:
     """Hoover's count, share of points in planes, and the share of these that belong to the plane most of theirs do."""
     seen = scene.returns
@@ -193,9 +248,9 @@ def contenders(build: Callable[[], Scene], repeats: int = 5) -> list:
     ]
 
 
-def rooms(seeds: int = 6) -> list[Task]:
-    """Ours and Open3D's patches on several rooms of polyhedra, counts of all together."""
-    scenes = [polyhedra(seed) for seed in range(seeds)]
+def rooms() -> list[Task]:
+    """Ours and Open3D's patches on six rooms of polyhedra, counts of all together."""
+    scenes = [polyhedra(seed) for seed in range(6)]
     clouds = [np.ascontiguousarray(scene.points[scene.returns]) for scene in scenes]
 
     def together(rows: list[Row]) -> Row:

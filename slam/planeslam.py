@@ -12,14 +12,9 @@ import numpy as np
 
 from slam.backend.estimator import Backend, pose_symbol, pose_symbols
 from slam.config import SlamConfig
-from slam.diagnostics.bookkeeping import Bookkeeping, change_sentences, decision_sentence
-from slam.diagnostics.consistency import NisAudit
-from slam.diagnostics.map_observability import open_in_map
-from slam.diagnostics.observability import Observability, OpenStretch, open_stretches
 from slam.frontend.input_checks import check_keyframe
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.measurement import Segment
-from slam.frontend.wheel_calibration import WheelCalibration
 from slam.io.trajectories import Trajectory
 from slam.loop_closure.closing import LoopCloser, LoopClosing
 from slam.loop_closure.verification import LoopDecision
@@ -28,14 +23,16 @@ from slam.map.landmarks import LandmarkMap
 from slam.map.map_planes import MapPlane, map_planes
 from slam.map.sparsification import Sparsifier
 from slam.map.state import EstimatorState
+from slam.mapping.consistency import NisAudit
 from slam.mapping.fusion import Merges
+from slam.mapping.map_observability import open_in_map
 from slam.mapping.map_update import LateMatch, MapUpdate, MapUpdater
+from slam.mapping.observability import Observability, OpenStretch
 from slam.mapping.same_plane import SamePlaneFinder
-from slam.registration.relocalization import Rivals
+from slam.session.explanations import change_sentences, decision_sentence
 from slam.session.prior_map import PriorMap
 from slam.session.replay import Places, Recorder, SecondPass, open_slam
 from slam.timing import StageClock, timed
-from slam.tracking.odometry_record import OdometryRecord
 from slam.tracking.prediction import MotionModel, Prediction, StartPose
 from spplanes._check import FloatArray
 from spplanes.segmentation.scans import label_scans
@@ -102,7 +99,15 @@ class PlaneSlam:
         self._same_plane = SamePlaneFinder(state)
         self.merges = Merges(state)
         self._closer = loop_closer(state, self.merges)
-        self._bookkeeping = Bookkeeping(self.config, self.recorder, self.landmarks, self.backend)
+        #: What has been learnt of the wheels, and what 3D scans said of the odometry.
+        self.calibration, self.odometry_record = self._motion_model.calibration, self._motion_model.odometry_record
+        #: Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them; and of every one
+        #: placed by what it saw alone, the other places that this fits.
+        self.unplaced, self.rivals = self._motion_model.unplaced, self._motion_model.rivals
+        #: Innovations of what was matched, against their chi2; directions that single keyframes left open.
+        self.audit, self.observability = NisAudit(), Observability(self.config.observability)
+        #: Observations matched after their own keyframe, to landmarks born later.
+        self.late_matches: list[LateMatch] = []
 
     @classmethod
     def open(
@@ -144,13 +149,15 @@ class PlaneSlam:
                 trace. A ValueError.
         """
         check_keyframe(keyframe, self.keyframes[-1].stamp_ns if len(self.keyframes) else None, len(self.keyframes))
-        keyframe = self._bookkeeping.measured(len(self.keyframes), keyframe)
+        keyframe = self.recorder.measured(len(self.keyframes), keyframe)
         prediction = self._predict(keyframe)
         decisions = self._match(keyframe, prediction)
-        self._bookkeeping.matched(keyframe, prediction, decisions)
+        self.audit.add(keyframe.observations, prediction, decisions, self.landmarks, self.backend)
+        self.recorder.decided(prediction.index, decisions)
+        self.observability.add(keyframe.observations, prediction, decisions, self.landmarks, self.backend)
         update = self._update(keyframe, prediction, decisions)
         self._calibrate(prediction)
-        self._bookkeeping.matched_late(self._match_late(update))
+        self.late_matches += self._match_late(update)
         self._split_wrong_merges(update, decisions)
         self._merge_same_planes(update.touched)
         self._close_loops()
@@ -277,41 +284,6 @@ class PlaneSlam:
         return self.backend.read_covariance(key)
 
     @property
-    def calibration(self) -> WheelCalibration:
-        """What has been learnt of the wheels."""
-        return self._motion_model.calibration
-
-    @property
-    def odometry_record(self) -> OdometryRecord:
-        """What 3D scans said of the odometry."""
-        return self._motion_model.odometry_record
-
-    @property
-    def unplaced(self) -> list[int]:
-        """Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them."""
-        return self._motion_model.unplaced
-
-    @property
-    def rivals(self) -> dict[int, Rivals]:
-        """Of every keyframe placed by what it saw alone, the other places that this fits."""
-        return self._motion_model.rivals
-
-    @property
-    def audit(self) -> NisAudit:
-        """Innovations of what was matched, against their chi2."""
-        return self._bookkeeping.audit
-
-    @property
-    def observability(self) -> Observability:
-        """Directions that single keyframes left open."""
-        return self._bookkeeping.observability
-
-    @property
-    def late_matches(self) -> list[LateMatch]:
-        """Observations matched after their own keyframe, to landmarks born later."""
-        return self._bookkeeping.late_matches
-
-    @property
     def loops(self) -> list[LoopDecision]:
         """Every comparison of what was seen with an old place."""
         return self._closer.decisions
@@ -319,7 +291,7 @@ class PlaneSlam:
     @property
     def open_directions(self) -> list[OpenStretch]:
         """Directions that what was seen left open, most frequent first, with what is known of them by all means."""
-        return open_stretches(self.observability, self.keyframes, self.backend)
+        return self.observability.stretches(self.keyframes, self.backend)
 
     @property
     def open_in_map(self) -> list[OpenStretch]:

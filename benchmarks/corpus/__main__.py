@@ -12,11 +12,10 @@ from typing import Any
 
 from benchmarks import _page
 from benchmarks._child import as_json
-from benchmarks._table import plain
 from benchmarks.corpus.catalogue import Entry, corpus, drawn
 from benchmarks.corpus.process import Job, rows_of
 from benchmarks.corpus.score import Row
-from benchmarks.corpus.summary import by_kind, compared
+from benchmarks.corpus.summary import by_kind, compared, key
 
 #: Longest that a drive may take, s.
 LIMIT_S = 900.0
@@ -88,9 +87,9 @@ def main(words: Sequence[str]) -> int:
         return 2
     rows = _run(entries, kept, asked)
     lines = by_kind(rows)
-    print(f"\n{plain(lines)}\n")
+    print(f"\n{_page.plain(lines)}\n")
     if before is not None:
-        print(f"{plain(compared(before, rows))}\n")
+        print(f"{_page.plain(compared(before, rows))}\n")
     if asked.write:
         publish("corpus", lines, short=asked.short, seconds=sum(row.get("CPU s", 0.0) for row in rows))
     return 0
@@ -107,7 +106,7 @@ def _kept(asked: argparse.Namespace) -> list[Row]:
 
 def _run(entries: Sequence[Entry], kept: Sequence[Row], asked: argparse.Namespace) -> list[Row]:
     """The rows kept and those of all other drives, on disk as soon as they are there."""
-    done = {(row["drive"], row["seed"]) for row in kept}
+    done = {key(row) for row in kept}
     jobs: list[Job] = [(entry, {}) for entry in entries if (entry.name, entry.seed) not in done]
     rows = list(kept)
     for row in printed(rows_of(jobs, asked.limit)):

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._table import plain
+from benchmarks._page import plain
 from benchmarks.corpus.__main__ import add_choice, chosen, printed, publish, write_json
 from benchmarks.corpus.catalogue import Entry
 from benchmarks.corpus.process import Job, rows_of
 from benchmarks.corpus.score import Row
-from benchmarks.corpus.summary import plane_nees, pose_nees
+from benchmarks.corpus.summary import failed, key, plane_nees, pose_nees
 
 #: Mechanisms that the configuration can switch off: sections of `SlamConfig`, and what their fields are without each.
 SWITCHES: dict[str, dict[str, dict[str, Any]]] = {
@@ -83,7 +83,7 @@ def _line(name: str, before: Sequence[Row], after: Sequence[Row]) -> Row:
     return {
         "without": name,
         "drives": len(after),
-        "failed": sum(not row["state"].startswith(("ok", "skipped")) for row in after),
+        "failed": failed(after),
         "touched": len(touched),
         "rmse, x as it is": float(np.exp(np.median(touched))) if touched.size else None,
         "> 10 cm": sum(one > 0.1 for one in worst),
@@ -97,12 +97,9 @@ def _line(name: str, before: Sequence[Row], after: Sequence[Row]) -> Row:
 
 def _ratios(before: Sequence[Row], after: Sequence[Row]) -> dict[tuple[str, int], float]:
     """Logarithm of the error without over that with the mechanism, of every drive that both ran to its end."""
-    known = {(row["drive"], row["seed"]): row["rmse, m"] for row in before if row.get("rmse, m")}
-    return {
-        (row["drive"], row["seed"]): float(np.log(row["rmse, m"] / known[row["drive"], row["seed"]]))
-        for row in after
-        if row.get("rmse, m") and (row["drive"], row["seed"]) in known
-    }
+    known = {key(row): row["rmse, m"] for row in before if row.get("rmse, m")}
+    both = [row for row in after if row.get("rmse, m") and key(row) in known]
+    return {key(row): float(np.log(row["rmse, m"] / known[key(row)])) for row in both}
 
 
 def _moved(ratios: Mapping[tuple[str, int], float]) -> tuple[list[str], list[str]]:

@@ -148,15 +148,11 @@ def _makes_sense(recipe: Recipe) -> bool:
     return not (recipe.sensors in ("level", "paper", "pushbroom") and recipe.world == "ramp")
 
 
-def _is_real(name: str) -> bool:
-    return name.startswith(f"{REAL_WORD}/")
-
-
 def _of_kind(kind: str, names: Sequence[str]) -> list[str]:
     found = [name for name in names if kind in name.split("/") or fnmatchcase(name, kind)]
     found = found or [name for name in _ON_REQUEST if fnmatchcase(name, kind)]
     if found:
         return found
-    if "/" in kind and not _is_real(kind):
+    if "/" in kind and not kind.startswith(f"{REAL_WORD}/"):
         return [Recipe.parse(kind).name]
     raise ValueError(f"kind: expected a part of a drive's name, a pattern or a whole name, got {kind!r}")

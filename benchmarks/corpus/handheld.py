@@ -21,7 +21,8 @@ from scipy.spatial.transform import Rotation
 from shapely import LineString, box
 
 from benchmarks.corpus.drives.building import Roof, add_furniture, add_shell
-from benchmarks.corpus.drives.drive import Drive, Recipe
+from benchmarks.corpus.drives.disturbances import Drive
+from benchmarks.corpus.drives.drive import Recipe
 from benchmarks.corpus.drives.sensing import camera_beams, depth_sigma
 from benchmarks.corpus.polygon_world import PolygonBuilder, PolygonWorld
 from slam.io.clouds.depth import CAMERA_MOUNT, SENSOR
@@ -91,7 +92,7 @@ def make_handheld(name: str, seed: int) -> Drive:
         labels.append(label)
     truth = Truth(stamps, poses, world.planes, {SENSOR: np.array(labels)})
     recipe = Recipe("hall" if carried.sparse else "cluttered", "depth", "absent")  # what comes nearest of them
-    return Drive(recipe, seed, level=False, log=Log(scans, Path(f"simulated {name}")), rig=depth_rig(), truth=truth)
+    return Drive(recipe, level=False, log=Log(scans, Path(f"simulated {name}")), rig=depth_rig(), truth=truth)
 
 
 def _room(carried: _Carried, rng: np.random.Generator) -> PolygonWorld:

@@ -8,9 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from benchmarks.corpus.drives.disturbances import thinned
 from slam.frontend.odometry import planar_delta
 from slam.geometry.frames import inverse, planar_transform
-from slam.sensors.log import Event, LaserScan, Log, OdometryReading
+from slam.io.scan_files import in_order
+from slam.sensors.log import LaserScan, Log, OdometryReading
 from slam.sensors.rig import Rig
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS
 from spplanes._check import FloatArray
@@ -62,15 +64,7 @@ def noise2(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
 
 def half(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
     """Every second scan, from the first or the second on."""
-    first, count = int(rng.integers(2)), 0
-    events: list[Event] = []
-    for event in log.events:
-        if not isinstance(event, OdometryReading):
-            count += 1
-            if (count + first) % 2:
-                continue
-        events.append(event)
-    return replace(log, events=events)
+    return thinned(log, 2, 1 - int(rng.integers(2)))
 
 
 def late(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
@@ -80,7 +74,7 @@ def late(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
         replace(event, stamp_ns=event.stamp_ns + shift) if isinstance(event, OdometryReading) else event
         for event in log.events
     ]
-    return replace(log, events=sorted(moved, key=lambda one: (one.stamp_ns, not isinstance(one, OdometryReading))))
+    return replace(log, events=in_order(moved))
 
 
 def absent(log: Log, rig: Rig, rng: np.random.Generator) -> Log:

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks._measure import PROJECT
+from benchmarks._measure import DATA
 from benchmarks.corpus.perturbed import PERTURBATIONS
-from benchmarks.corpus.score import Row, error_row, said_row, scans_of
+from benchmarks.corpus.score import Row, error_row, said_row
 from slam.config import SlamConfig
-from slam.evaluation import absolute_error
-from slam.evaluation.trajectories import read_relations, relation_errors
+from slam.evaluation import PoseErrors, absolute_error
+from slam.evaluation.trajectories import pose_errors, read_relations, relation_errors
 from slam.geometry.frames import inverse, planar_transform
 from slam.io.clouds.depth import CAMERA_MOUNT
 from slam.io.load import load
@@ -21,7 +21,6 @@ from slam.io.threedtk import read_frames
 from slam.io.trajectories import Trajectory, read_tum
 from slam.runs.slam_run import Run, run_slam
 
-DATA = PROJECT.parent / "shared" / "data"
 #: What ICP found of the second scan of pcl_room; not surveyed.
 _ICP_YAW_DEG, _ICP_XYZ_M = 40.85, (1.964, 0.059, 0.010)
 
@@ -34,43 +33,36 @@ class RealLog:
     """File or folder below the data."""
     truth: str
     """What is known, in a few words."""
-    errors: Callable[[Run, Path], tuple[np.ndarray, np.ndarray]] | None = None
-    """Translation and rotation errors of a run, m and rad; None: nothing is known."""
+    errors: Callable[[Run, Path], PoseErrors] | None = None
+    """Errors of a run; None: nothing is known."""
 
 
-def _relations(name: str) -> Callable[[Run, Path], tuple[np.ndarray, np.ndarray]]:
-    def errors(run: Run, data: Path) -> tuple[np.ndarray, np.ndarray]:
-        found = relation_errors(scans_of(run), read_relations(data / name))
-        return found.translation_m, found.rotation_rad
-
-    return errors
+def _relations(name: str) -> Callable[[Run, Path], PoseErrors]:
+    return lambda run, data: relation_errors(run.scan_trajectory, read_relations(data / name))
 
 
-def _of_poses(run: Run, true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _of_poses(run: Run, true: np.ndarray) -> PoseErrors:
     """Errors pose by pose, after alignment of whole poses: the references are not exact at the first one either."""
-    found = absolute_error(run.trajectory, Trajectory(run.trajectory.stamps_ns, true), alignment="poses")
-    return found.translation_m, found.rotation_rad
+    return absolute_error(run.trajectory, Trajectory(run.trajectory.stamps_ns, true), alignment="poses")
 
 
-def _balm(run: Run, data: Path) -> tuple[np.ndarray, np.ndarray]:
+def _balm(run: Run, data: Path) -> PoseErrors:
     return _of_poses(run, read_tum(data / "balm_hall" / "lidar_odometry.tum").poses)
 
 
-def _corridor(run: Run, data: Path) -> tuple[np.ndarray, np.ndarray]:
+def _corridor(run: Run, data: Path) -> PoseErrors:
     frames = [read_frames(data / "3dtk_corridor" / f"scan{k:03d}.frames.4cc29d4c") for k in range(3)]
     return _of_poses(run, np.array(frames))
 
 
-def _room(run: Run, data: Path) -> tuple[np.ndarray, np.ndarray]:
+def _room(run: Run, data: Path) -> PoseErrors:
     """ICP's motion of the second scan; its roll and pitch are not told."""
     moved = planar_transform(*_ICP_XYZ_M[:2], float(np.deg2rad(_ICP_YAW_DEG)))
     moved[2, 3] = _ICP_XYZ_M[2]
-    error = inverse(moved) @ inverse(run.trajectory.poses[0]) @ run.trajectory.poses[-1]
-    angle = np.arccos(np.clip((np.trace(error[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
-    return np.array([np.linalg.norm(error[:3, 3])]), np.array([angle])
+    return pose_errors((inverse(moved) @ inverse(run.trajectory.poses[0]) @ run.trajectory.poses[-1])[None])
 
 
-def _cabinet(run: Run, data: Path) -> tuple[np.ndarray, np.ndarray]:
+def _cabinet(run: Run, data: Path) -> PoseErrors:
     """Motion capture tells the camera's pose: that of the body, moved by the mount."""
     truth = read_tum(data / "tum_fr3_cabinet" / "truth" / "groundtruth.txt")
     return _of_poses(run, truth.poses_at(run.trajectory.stamps_ns.tolist()) @ inverse(CAMERA_MOUNT))
@@ -93,7 +85,7 @@ REAL: dict[str, RealLog] = {
 WHEELED = ("intel", "intel_full", "aces", "fr079")
 
 
-def real_row(name: str, config: SlamConfig | None = None, seed: int = 0) -> Row:
+def real_row(name: str, config: SlamConfig, seed: int) -> Row:
     """Run a real log, LOG or LOG/PERTURBATION, and score it; a row that says why where the data are absent."""
     word, _, worse = name.partition("/")
     known = REAL[word]
@@ -103,9 +95,9 @@ def real_row(name: str, config: SlamConfig | None = None, seed: int = 0) -> Row:
     log, rig = load(path)
     if worse:
         log = PERTURBATIONS[worse](log, rig, np.random.default_rng(seed))
-    run = run_slam(log, rig, config or SlamConfig())
+    run = run_slam(log, rig, config)
     row: Row = {"truth": known.truth}
     if known.errors is not None:
-        row |= error_row(*known.errors(run, DATA))
+        row |= error_row(known.errors(run, DATA))
         row["judged"] = "wrong" if row["rmse, m"] > 0.1 else "-"
     return row | said_row(run)

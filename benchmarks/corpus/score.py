@@ -14,13 +14,12 @@ from shapely import Polygon, unary_union
 
 from benchmarks.corpus.drives import Drive
 from slam.config import SlamConfig
-from slam.evaluation import PlaneMatch, absolute_error, match_planes
+from slam.evaluation import PlaneMatch, PoseErrors, absolute_error, match_planes, truth_T_estimate
 from slam.evaluation.planes import outline_in
-from slam.evaluation.trajectories import alignment_of, common_poses
+from slam.evaluation.trajectories import common_poses
 from slam.frontend.odometry import OdometryTrack
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory
-from slam.output.run_metrics import details_of
 from slam.planeslam import MapPlane, pose_symbol
 from slam.runs.slam_run import Run
 from spplanes import Plane
@@ -44,20 +43,6 @@ GAP_M = SlamConfig().association.gap_m
 STRIP_M = 0.05
 
 
-def scans_of(run: Run) -> Trajectory:
-    """The pose at every scan of the log where the run tells it, else at the keyframes."""
-    every = getattr(run, "scan_trajectory", None)
-    return every if isinstance(every, Trajectory) else run.trajectory
-
-
-def verdict_of(run: Run) -> tuple[str, list[str]]:
-    """What the run says of itself, and why; "-" where it says nothing."""
-    said = details_of(run).get("verdict")
-    if said is None:
-        return "-", []
-    return (said, []) if isinstance(said, str) else (said["verdict"], list(said.get("reasons", [])))
-
-
 def score(run: Run, drive: Drive) -> Row:
     """The row of a simulated drive.
 
@@ -66,21 +51,22 @@ def score(run: Run, drive: Drive) -> Row:
     call itself sound.
     """
     in_map = drive.prior is not None and drive.recipe.disturbance != "prior_elsewhere"
-    scans = scans_of(run)
-    scans = Trajectory(scans.stamps_ns, (np.eye(4) if in_map else _truth_T_run(run, drive)) @ scans.poses)
+    move = np.eye(4) if in_map else truth_T_estimate(run.trajectory, drive.truth.trajectory)
+    scans = Trajectory(run.scan_trajectory.stamps_ns, move @ run.scan_trajectory.poses)
     errors = absolute_error(scans, drive.truth.trajectory, alignment="none")
     worst = int(np.argmax(errors.translation_m))
     stamps, _, _ = common_poses(scans, drive.truth.trajectory)
-    row = error_row(errors.translation_m, errors.rotation_rad)
+    row = error_row(errors)
     sigma = _sigma_at(run, drive, int(stamps[worst]), in_map=in_map)
     row |= {"sigma, m": sigma, "judged": judged(row["worst, m"], row["rmse, m"], sigma, drive.recipe.disturbance)}
     row |= _last_pose(run, drive, in_map=in_map)
-    row |= _landmarks(run, drive, in_map=in_map)
+    row |= _landmarks(run, drive, move)
     return row | said_row(run)
 
 
-def error_row(translation_m: FloatArray, rotation_rad: FloatArray) -> Row:
+def error_row(errors: PoseErrors) -> Row:
     """How many poses were compared, and how far off they are."""
+    translation_m, rotation_rad = errors.translation_m, errors.rotation_rad
     return {
         "compared": int(translation_m.size),
         "rmse, m": float(np.sqrt(np.mean(translation_m**2))),
@@ -92,8 +78,7 @@ def error_row(translation_m: FloatArray, rotation_rad: FloatArray) -> Row:
 
 def said_row(run: Run) -> Row:
     """What the run says of itself."""
-    verdict, reasons = verdict_of(run)
-    return {"keyframes": len(run.trajectory), "verdict": verdict, "reasons": reasons}
+    return {"keyframes": len(run.trajectory), **run.verdict.to_dict()}
 
 
 def judged(worst_m: float, rmse_m: float, sigma_m: float, disturbance: str = "none") -> str:
@@ -157,9 +142,8 @@ def _last_pose(run: Run, drive: Drive, *, in_map: bool) -> Row:
     return {"pose NEES": nees, "pose dof": len(part)}
 
 
-def _landmarks(run: Run, drive: Drive, *, in_map: bool) -> Row:
+def _landmarks(run: Run, drive: Drive, move: FloatArray) -> Row:
     """NEES of the landmarks that are of a true plane, and shares of doubles, of invented and of missed ones."""
-    move = np.eye(4) if in_map else _truth_T_run(run, drive)
     of_planes = [one.plane.outline is not None for one in run.planes]
     planes = [_with_outline(one).transform(move) for one in run.planes]
     matches = match_planes(planes, drive.truth.planes)
@@ -187,12 +171,6 @@ def doubles(planes: Sequence[Plane], matches: Sequence[PlaneMatch]) -> int:
         pieces[match.true].append(outline_in(planes[match.estimated], planes[first]))
     joined = (unary_union([one.buffer(GAP_M / 2.0) for one in outlines]) for outlines in pieces.values())
     return len(matches) - sum(len(getattr(one, "geoms", [one])) for one in joined)
-
-
-def _truth_T_run(run: Run, drive: Drive) -> FloatArray:
-    """The motion, shape (4, 4), that puts the run's first pose where it truly was."""
-    _, estimated, true = common_poses(run.trajectory, drive.truth.trajectory)
-    return alignment_of(estimated, true, "first")
 
 
 def _with_outline(landmark: MapPlane) -> Plane:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,12 +18,16 @@ WARNED = ("doubtful", "broken")
 
 def by_kind(rows: Sequence[Row]) -> list[Row]:
     """A line for every kind of world, sensors and trouble: how far off, how honest, what the runs said."""
+    return [_line(kind, some) for kind, some in _grouped(rows).items()]
+
+
+def _grouped(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Rows by kind, and all of them."""
     groups: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
         for kind in Entry(row["drive"], row["seed"]).kinds:
             groups[kind].append(row)
-    ordered = sorted(groups, key=_rank)
-    return [_line(kind, groups[kind]) for kind in ordered] + [_line("all", list(rows))]
+    return {**{kind: groups[kind] for kind in sorted(groups, key=_rank)}, "all": list(rows)}
 
 
 def _rank(kind: str) -> int:
@@ -38,7 +42,7 @@ def _line(kind: str, rows: Sequence[Row]) -> Row:
     return {
         "kind": kind,
         "runs": len(rows),
-        "failed": sum(not row["state"].startswith(("ok", "skipped")) for row in rows),
+        "failed": failed(rows),
         "> 10 cm, %": _percent(worst > 0.1),
         "rmse, mm": _median([1e3 * row["rmse, m"] for row in known]),
         "worst, mm": _median([1e3 * row["worst, m"] for row in known]),
@@ -78,15 +82,12 @@ def warned(rows: Sequence[Row], judged: str) -> str | None:
     meant = [row["verdict"] for row in rows if row.get("judged") == judged]
     if not meant:
         return None
-    said = "-" if set(meant) == {"-"} else str(sum(word in WARNED for word in meant))
-    return f"{said} of {len(meant)}"
+    return f"{sum(word in WARNED for word in meant)} of {len(meant)}"
 
 
 def _verdicts(rows: Sequence[Row]) -> str:
-    said = [row.get("verdict", "-") for row in rows]
-    if all(word == "-" for word in said):
-        return "-"
-    return "/".join(str(said.count(word)) for word in ("sound", *WARNED))
+    said = [row["verdict"] for row in rows]
+    return "/".join(str(said.count(word)) for word in ("sound", *WARNED)) if said else "-"
 
 
 def _median(values: Sequence[float]) -> float | None:
@@ -103,42 +104,28 @@ def _share(rows: Sequence[Row], name: str) -> float | None:
     return 100.0 * sum(row.get(name, 0) for row in rows) / planes if planes else None
 
 
-#: What is compared of two runs, and how it is made of the rows of a kind.
-_COMPARED: dict[str, Callable[[Sequence[Row]], Any]] = {
-    "> 10 cm, %": lambda rows: _percent(np.array([row["worst, m"] > 0.1 for row in rows if "worst, m" in row])),
-    "rmse, mm": lambda rows: _median([1e3 * row["rmse, m"] for row in rows if "rmse, m" in row]),
-    "pose NEES/dof": pose_nees,
-    "plane NEES/dof": plane_nees,
-    "sound/doubtful/broken": _verdicts,
-}
+#: Columns in which two runs are compared.
+_COMPARED = ("failed", "> 10 cm, %", "rmse, mm", "pose NEES/dof", "plane NEES/dof", "sound/doubtful/broken")
 
 
 def compared(before: Sequence[Row], after: Sequence[Row]) -> list[Row]:
     """Before and after by kind, over the drives that both have."""
-    common = {_key(row) for row in before} & {_key(row) for row in after}
-    sides = [[row for row in rows if _key(row) in common] for rows in (before, after)]
-    groups: dict[str, tuple[list[Row], list[Row]]] = defaultdict(lambda: ([], []))
-    for side, rows in enumerate(sides):
-        for row in rows:
-            for kind in [*Entry(row["drive"], row["seed"]).kinds, "all"]:
-                groups[kind][side].append(row)
-    lines = []
-    for kind in sorted(groups, key=_rank):
-        old, new = ([row for row in rows if row["state"] == "ok"] for rows in groups[kind])
-        line: Row = {
-            "kind": kind,
-            "runs": len(groups[kind][0]),
-            "failed": f"{_failed(groups[kind][0])} -> {_failed(groups[kind][1])}",
-        }
-        lines.append(line | {name: _arrow(made(old), made(new)) for name, made in _COMPARED.items()})
-    return lines
+    common = {key(row) for row in before} & {key(row) for row in after}
+    sides = ([row for row in rows if key(row) in common] for rows in (before, after))
+    old, new = ({line["kind"]: line for line in by_kind(rows)} for rows in sides)
+    return [
+        {"kind": kind, "runs": line["runs"], **{name: _arrow(line[name], new[kind][name]) for name in _COMPARED}}
+        for kind, line in old.items()
+    ]
 
 
-def _key(row: Row) -> tuple[str, int]:
+def key(row: Row) -> tuple[str, int]:
+    """Which drive a row is of."""
     return row["drive"], row["seed"]
 
 
-def _failed(rows: Sequence[Row]) -> int:
+def failed(rows: Sequence[Row]) -> int:
+    """How many of the drives did not come to their end."""
     return sum(not row["state"].startswith(("ok", "skipped")) for row in rows)
 
 

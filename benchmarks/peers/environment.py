@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import tempfile
 import venv
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-PROJECT = Path(__file__).resolve().parents[2]
+from benchmarks._measure import PROJECT, printed_by
+
 ENVIRONMENT = PROJECT / ".peers"
+PYTHON = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 #: Whose versions the page of results tells.
 PEERS = ("mrob", "kiss-icp")
 PACKAGES = ("mrob==0.0.17", "kiss-icp==1.3.0", "numpy<2")
@@ -27,8 +29,7 @@ ABSENT = "not there (python -m benchmarks --peers)"
 
 def peer_python() -> Path | None:
     """The interpreter that has the peers; None where there is none."""
-    default = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-    python = Path(os.environ.get("PEERS_PYTHON", default))
+    python = Path(os.environ.get("PEERS_PYTHON", PYTHON))
     return python if python.exists() else None
 
 
@@ -39,16 +40,13 @@ def make() -> Path:
         RuntimeError: it could not be made, in pip's words.
     """
     python = peer_python()
-    check = "import kiss_icp, mrob"
-    if python is None or subprocess.run([python, "-c", check], capture_output=True, check=False).returncode:
-        venv.create(ENVIRONMENT, with_pip=True, clear=True)
-        python = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-        done = subprocess.run(
-            [python, "-m", "pip", "install", "--quiet", *PACKAGES], capture_output=True, text=True, check=False
-        )
-        if done.returncode:
-            raise RuntimeError(f"the peers' environment could not be made: {done.stderr.strip().splitlines()[-1]}")
-    return python
+    if python is not None:
+        with suppress(RuntimeError):
+            printed_by(python, "-c", "import kiss_icp, mrob")
+            return python
+    venv.create(ENVIRONMENT, with_pip=True, clear=True)
+    printed_by(PYTHON, "-m", "pip", "install", "--quiet", *PACKAGES)
+    return PYTHON
 
 
 def call(script: str, arrays: dict[str, Any], *words: str) -> Any:
@@ -62,18 +60,8 @@ def call(script: str, arrays: dict[str, Any], *words: str) -> Any:
         raise RuntimeError(ABSENT)
     with tempfile.TemporaryDirectory() as folder:
         np.savez(Path(folder) / "input.npz", **arrays)
-        done = subprocess.run(
-            [python, "-m", f"benchmarks.peers.{script}", str(Path(folder) / "input.npz"), *words],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=600,
-            cwd=PROJECT,
-            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
-        )
-    if done.returncode:
-        raise RuntimeError(f"{script}: {(done.stderr.strip().splitlines() or ['no words'])[-1]}")
-    return json.loads(done.stdout.splitlines()[-1])
+        told = ("-m", f"benchmarks.peers.{script}", str(Path(folder) / "input.npz"), *words)
+        return json.loads(printed_by(python, *told, timeout_s=600.0).splitlines()[-1])
 
 
 def version(package: str) -> str | None:
@@ -81,6 +69,7 @@ def version(package: str) -> str | None:
     python = peer_python()
     if python is None:
         return None
-    words = [python, "-c", f"from importlib.metadata import version; print(version({package!r}))"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    return done.stdout.strip() or None
+    try:
+        return printed_by(python, "-c", f"from importlib.metadata import version; print(version({package!r}))").strip()
+    except RuntimeError:
+        return None

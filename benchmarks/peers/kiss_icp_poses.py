@@ -7,7 +7,7 @@ import numpy as np
 from kiss_icp.config import load_config  # type: ignore[import-not-found]  # a peer, in an environment of its own
 from kiss_icp.kiss_icp import KissICP  # type: ignore[import-not-found]
 
-from benchmarks.peers.timing import measured
+from benchmarks._measure import Task, measured_here
 
 
 def poses_of(clouds, voxel_m):
@@ -27,8 +27,8 @@ def main(path, voxel_m, repeats):
     """Print the row."""
     with np.load(path) as archive:
         clouds = archive["clouds"]
-    poses, row = measured(lambda: poses_of(clouds, float(voxel_m)), repeats)
-    print(json.dumps({**row, "positions": poses[:, :3, 3].tolist()}))
+    work, score = lambda: poses_of(clouds, float(voxel_m)), lambda poses: {"positions": poses[:, :3, 3].tolist()}
+    print(json.dumps(measured_here(Task("KISS-ICP", work, score, int(repeats)))))
 
 
 if __name__ == "__main__":

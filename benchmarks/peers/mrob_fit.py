@@ -6,9 +6,14 @@ import sys
 import mrob  # type: ignore[import-not-found]  # a peer, in an environment of its own
 import numpy as np
 
-from benchmarks.peers.timing import measured
+from benchmarks._measure import Task, measured_here
 
 if __name__ == "__main__":
     groups = np.load(sys.argv[1])["points"]
-    planes, row = measured(lambda: [mrob.estimate_plane(points) for points in groups], sys.argv[2])
-    print(json.dumps({**row, "planes": [np.ravel(plane).tolist() for plane in planes]}))
+    fits = Task(
+        "mrob",
+        lambda: [mrob.estimate_plane(points) for points in groups],
+        lambda planes: {"planes": [np.ravel(plane).tolist() for plane in planes]},
+        int(sys.argv[2]),
+    )
+    print(json.dumps(measured_here(fits)))

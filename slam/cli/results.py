@@ -59,10 +59,10 @@ def explain(
 
     found = explain_keyframe(run, keyframe)
     if as_json:
-        print_json(found.to_dict())
+        print_json(found)
         return
-    typer.echo(f"keyframe {found.keyframe} at {found.stamp_ns * 1e-9:.3f} s: {len(found.decisions)} things seen")
-    for sentence in found.sentences:
+    typer.echo(f"keyframe {keyframe} at {found['stamp_s']:.3f} s: {len(found['observations'])} things seen")
+    for sentence in found["sentences"]:
         typer.echo(visible(sentence))
 
 

@@ -1,1 +1,1 @@
-"""Diagnostics: consistency (NIS), observability and degeneracy, explanations of decisions."""
+"""Diagnostics: the verdict on a finished run, and the evidence for it."""

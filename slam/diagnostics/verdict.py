@@ -106,12 +106,17 @@ def weigh(evidence: Iterable[Evidence], kinds: int) -> Verdict:
     return Verdict(ordered[0].grade, ordered)
 
 
+def ranges_of(keyframes: Iterable[int]) -> list[list[int]]:
+    """Keyframes in ranges of neighbours, ascending."""
+    numbered = enumerate(sorted(set(keyframes)))
+    return [[one for _, one in group] for _, group in groupby(numbered, key=lambda pair: pair[1] - pair[0])]
+
+
 def named(keyframes: Sequence[int]) -> str:
     """Keyframes for a sentence: "keyframe 3", "keyframes 3 to 9, 14 and 3 more ranges"; neighbours go together."""
-    ordered = sorted(set(keyframes))
-    if len(ordered) == 1:
-        return f"keyframe {ordered[0]}"
-    ranges = [[one for _, one in group] for _, group in groupby(enumerate(ordered), key=lambda pair: pair[1] - pair[0])]
+    ranges = ranges_of(keyframes)
+    if [len(part) for part in ranges] == [1]:
+        return f"keyframe {ranges[0][0]}"
     told = [str(part[0]) if len(part) == 1 else f"{part[0]} to {part[-1]}" for part in ranges[:_NAMED]]
     more = len(ranges) - len(told)
     return f"keyframes {', '.join(told)}" + (f" and {more} more" if more else "")

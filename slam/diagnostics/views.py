@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, Self, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -33,20 +33,8 @@ _PARTNERS = 8
 _MOST_PAIRS = 3000
 
 
-class Looks(Protocol):
-    """What one keyframe saw, to be asked what it says of what another one saw."""
-
-    def looks_of(self, other: Self, here_T_other: FloatArray) -> FloatArray:
-        """Places, a row each, where another view has a surface to look for, as seen from here."""
-
-    def confirms(self, places: FloatArray) -> np.ndarray:
-        """Which places have a surface within the tolerance, shape (N,)."""
-
-    def sees_through(self, places: FloatArray) -> np.ndarray:
-        """Which places lie in front of all that was seen about their direction, shape (N,)."""
-
-
-V = TypeVar("V", bound=Looks)
+#: What one keyframe saw, by level lasers or by 3D sensors, to be asked what it says of what another one saw.
+V = TypeVar("V", "View", "ScanView")
 
 
 def one_of_each_cell(places: FloatArray) -> np.ndarray:
@@ -80,10 +68,10 @@ def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
 
 def compare(view: V, other: V, here_T_other: FloatArray) -> tuple[int, int]:
     """How many looks of another view at a pose (4, 4) a view confirms, and how many it sees through."""
-    return held_against(view, view.looks_of(other, here_T_other))
+    return held_against(view, view.placed(other.looks, here_T_other))
 
 
-def held_against(view: Looks, places: FloatArray) -> tuple[int, int]:
+def held_against(view: View | ScanView, places: FloatArray) -> tuple[int, int]:
     """How many places of surfaces a view confirms, and how many it sees through."""
     confirmed = view.confirms(places)
     return int(confirmed.sum()), int((view.sees_through(places) & ~confirmed).sum())
@@ -120,9 +108,9 @@ class View:
         ends = beams[fixed, 2:]
         return cls(tuple(fans), KDTree(beams[:, 2:]), ends[one_of_each_cell(ends)])
 
-    def looks_of(self, other: View, here_T_other: FloatArray) -> FloatArray:
-        """Another view's looks as seen from here, shape (N, 2)."""
-        return other.looks @ here_T_other[:2, :2].T + here_T_other[:2, 3]
+    def placed(self, looks: FloatArray, here_T_other: FloatArray) -> FloatArray:
+        """Another view's looks (N, 2) as seen from here, shape (N, 2)."""
+        return looks @ here_T_other[:2, :2].T + here_T_other[:2, 3]
 
     def confirms(self, places: FloatArray) -> np.ndarray:
         """Which places (N, 2) have a return within the tolerance, shape (N,)."""
@@ -177,9 +165,9 @@ class ScanView:
         walls = walls[~_movable(walls, scan.viewpoint, up)]
         self.looks = walls[one_of_each_cell(walls[:, :3])]
 
-    def looks_of(self, other: ScanView, here_T_other: FloatArray) -> FloatArray:
-        """Another view's looks as seen from here, shape (N, 9)."""
-        return moved(other.looks, here_T_other)
+    def placed(self, looks: FloatArray, here_T_other: FloatArray) -> FloatArray:
+        """Another view's looks (N, 9) as seen from here, shape (N, 9)."""
+        return moved(looks, here_T_other)
 
     def confirms(self, places: FloatArray) -> np.ndarray:
         """Which elements (N, 9) lie on a surface that was seen, to the tolerance, shape (N,)."""

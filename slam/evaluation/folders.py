@@ -16,11 +16,10 @@ from slam.evaluation.trajectories import (
     Metric,
     PoseErrors,
     absolute_error,
-    alignment_of,
-    common_poses,
     read_relations,
     relation_metrics,
     relative_error,
+    truth_T_estimate,
 )
 from slam.geometry.frames import inverse
 from slam.io.clouds.depth import CAMERA_POSES, is_depth_folder
@@ -31,7 +30,6 @@ from slam.session.opening import check_finished, session_path
 from slam.session.store import Session
 from slam.simulation.record import Truth
 from spplanes._check import FloatArray
-from spplanes.plane import Plane
 
 #: Name of the row that says how many poses were compared.
 COMPARED = "poses compared"
@@ -84,8 +82,8 @@ def compare_with_truth(
     check_truth_given(truth)
     known = Truth.read(_truth_folder(truth))
     rows = _for_each_path(run, lambda path: trajectory_metrics(path, known.trajectory))
-    trajectory = read_tum(run / "trajectory.tum")
-    planes = _in_frame_of(known.trajectory, trajectory, read_planes(run / "planes.json"))
+    move = truth_T_estimate(read_tum(run / "trajectory.tum"), known.trajectory)
+    planes = [plane.transform(move) for plane in read_planes(run / "planes.json") if plane.outline is not None]
     found = plane_metrics(planes, known.planes, visible=known.visible_in_3d())
     return Evaluation(rows + found, _what_was_compared(run, rows))
 
@@ -152,13 +150,6 @@ def _what_was_compared(run: Path, rows: list[Metric]) -> list[str]:
         known = f"the errors themselves are known to {100 * doubt:.0f} % only" if spare > 0 else "nothing is left"
         notes.append(f"few poses: alignment takes {_ALIGNMENT} of their {3 * compared} coordinates, {known}")
     return notes
-
-
-def _in_frame_of(truth: Trajectory, estimate: Trajectory, planes: list[Plane]) -> list[Plane]:
-    """The planes that have an outline, moved so that the first pose is the true one."""
-    _, estimated, true = common_poses(estimate, truth)
-    truth_T_estimate = alignment_of(estimated, true, "first")
-    return [plane.transform(truth_T_estimate) for plane in planes if plane.outline is not None]
 
 
 #: What `truth_of` says beside the name of a sensor.

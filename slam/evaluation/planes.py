@@ -126,6 +126,8 @@ def _share(part: int, whole: int) -> float:
 
 #: Planes whose normals are within this of opposite are compared, rad.
 _FACING_ANGLE_RAD = np.deg2rad(5.0)
+#: Area in which they face each other, at least, m^2.
+_FACING_M2 = 0.5
 #: A normal this near to the vertical makes floor and ceiling rather than walls.
 _VERTICAL_COSINE = np.cos(np.deg2rad(30.0))
 
@@ -150,10 +152,10 @@ class FacingPair:
     """Area in which they face each other, m^2."""
 
 
-def facing_pairs(planes: Sequence[MapPlane], *, min_overlap_m2: float = 0.5) -> list[FacingPair]:
-    """Pairs of facing planes that overlap, seen along their normal, by at least so much; the largest overlap first."""
+def facing_pairs(planes: Sequence[MapPlane]) -> list[FacingPair]:
+    """Pairs of facing planes that overlap, seen along their normal, by `_FACING_M2`; the largest overlap first."""
     pairs = (pair for two in combinations(planes, 2) if (pair := _pair(*two)) is not None)
-    wide = [pair for pair in pairs if pair.overlap_m2 >= min_overlap_m2]
+    wide = [pair for pair in pairs if pair.overlap_m2 >= _FACING_M2]
     return sorted(wide, key=lambda pair: (-pair.overlap_m2, pair.first, pair.second))
 
 

@@ -10,16 +10,19 @@ import numpy as np
 
 from slam.errors import LogError
 from slam.evaluation.trajectories import Metric, common_poses
-from slam.frontend.measurement import usable_points
+from slam.frontend.measurement import usable_points, usable_ranges
 from slam.geometry.frames import lift
 from slam.io.load import load
 from slam.io.trajectories import Trajectory, read_tum
-from slam.sensors.log import CloudScan
-from slam.sensors.rig import Rig
+from slam.sensors.log import CloudScan, LaserScan
+from slam.sensors.rig import Rig, Sensor
 from slam.session.opening import session_path
 from slam.session.store import Session
 from spplanes._check import FloatArray
+from spplanes.registration import beam_directions
 
+#: Side of the cubes that points are gathered in, m.
+_CELL_M = 1.0
 #: Cells of fewer points, or of points of fewer scans, say nothing.
 _MIN_POINTS, _MIN_SCANS = 30, 3
 #: A cell holds one plane where its thickness is at most this share of its smaller width (standard deviations).
@@ -38,8 +41,6 @@ class Sharpness:
     """Median distance of the same points by the poses beside them, m."""
     cells: int
     """Pieces of planes that were looked at."""
-    points: int
-    """Points on them."""
 
     def metrics(self) -> list[Metric]:
         """The rows of a table."""
@@ -50,9 +51,7 @@ class Sharpness:
         ]
 
 
-def compare_sharpness(
-    clouds: Sequence[FloatArray], poses: FloatArray, reference: FloatArray, *, cell_m: float = 1.0
-) -> Sharpness:
+def compare_sharpness(clouds: Sequence[FloatArray], poses: FloatArray, reference: FloatArray) -> Sharpness:
     """Compare two sets of poses of the same scans by how thin they make the planes that at least three scans see.
 
     The points are put where `poses` has them and gathered in cubes. A cube whose points, of all scans together, lie
@@ -63,30 +62,27 @@ def compare_sharpness(
         clouds: points of each scan in the body's frame, shape (N, 3) or (S, B, 3), m; NaN = no return.
         poses: world_T_body of each scan, shape (K, 4, 4).
         reference: the same by somebody else, in a world of its own, shape (K, 4, 4).
-        cell_m: side of the cubes, m.
 
     Raises:
-        ValueError: not as many poses as clouds, or a side that is none.
+        ValueError: not as many poses as clouds.
     """
     if not len(clouds) == len(poses) == len(reference):
         raise ValueError(f"poses: expected {len(clouds)}, one a cloud, got {len(poses)} and {len(reference)}")
-    if not cell_m > 0.0:
-        raise ValueError(f"cell_m: expected more than 0, got {cell_m}")
     used = [flat[np.isfinite(flat).all(axis=1)] for flat in (np.reshape(cloud, (-1, 3)) for cloud in clouds)]
     scan = np.repeat(np.arange(len(used)), [len(cloud) for cloud in used])
     mine, theirs = _placed(used, poses), _placed(used, reference)
-    cell = np.unique(np.floor(mine / cell_m).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
+    cell = np.unique(np.floor(mine / _CELL_M).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
     shared = _shared(cell, scan)
     mine, theirs, cell = mine[shared[cell]], theirs[shared[cell]], cell[shared[cell]]
     cell = np.unique(cell, return_inverse=True)[1].ravel()
     if not len(cell):
-        return Sharpness(np.nan, np.nan, 0, 0)
+        return Sharpness(np.nan, np.nan, 0)
     here, there = _Pieces.of(mine, cell), _Pieces.of(theirs, cell)
-    both = here.flat & there.flat & ~here.are_cut(cell_m)
+    both = here.flat & there.flat & ~here.are_cut
     if not both.any():
-        return Sharpness(np.nan, np.nan, 0, 0)
+        return Sharpness(np.nan, np.nan, 0)
     ours, others = np.median(here.distances[both[cell]]), np.median(there.distances[both[cell]])
-    return Sharpness(float(ours), float(others), int(both.sum()), int(both[cell].sum()))
+    return Sharpness(float(ours), float(others), int(both.sum()))
 
 
 def _placed(clouds: Sequence[FloatArray], poses: FloatArray) -> FloatArray:
@@ -127,11 +123,12 @@ class _Pieces:
         """Which are planes."""
         return self.widths[:, 0] <= _FLAT * self.widths[:, 1]
 
-    def are_cut(self, cell_m: float) -> np.ndarray:
+    @property
+    def are_cut(self) -> np.ndarray:
         """Which lie along a face of their cube."""
         axis = np.abs(self.normals).argmax(axis=1)
-        place = np.take_along_axis(self.centres, axis[:, None], axis=1)[:, 0] / cell_m
-        return np.abs(place - np.rint(place)) * cell_m < _CUT * self.widths[:, 0]
+        place = np.take_along_axis(self.centres, axis[:, None], axis=1)[:, 0] / _CELL_M
+        return np.abs(place - np.rint(place)) * _CELL_M < _CUT * self.widths[:, 0]
 
 
 #: So many points of all scans together are enough, evenly taken.
@@ -156,7 +153,8 @@ def sharpness_of_run(run: Path, reference: Trajectory, log: Path) -> list[Metric
     found = [k for k, stamp in enumerate(stamps.tolist()) if stamp in scans]
     if not found:
         raise LogError(log, "expected 3D scans at the times of the run's poses, found none")
-    clouds = [_in_body(scans[stamps[k]], rig) for k in found]
+    sensed = [(scans[stamps[k]], rig.sensors[scans[stamps[k]].sensor]) for k in found]
+    clouds = [lift(returns_of(scan, sensor), sensor.body_T_sensor) for scan, sensor in sensed]
     every = max(sum(map(len, clouds)) // _ENOUGH, 1)
     return compare_sharpness([cloud[::every] for cloud in clouds], poses[found], others[found]).metrics()
 
@@ -169,8 +167,10 @@ def _rig_of(run: Path) -> Rig | None:
         return session.rig
 
 
-def _in_body(scan: CloudScan, rig: Rig) -> FloatArray:
-    """Points (N, 3) of a scan in the body's frame, those that its sensor can tell."""
-    sensor = rig.sensors[scan.sensor]
-    points = usable_points(np.asarray(scan.points, dtype=np.float64), sensor).reshape(-1, 3)
-    return lift(points[np.isfinite(points).all(axis=1)], sensor.body_T_sensor)
+def returns_of(scan: LaserScan | CloudScan, sensor: Sensor) -> FloatArray:
+    """What a scan met within the reach of its sensor, in the sensor's frame, shape (N, 3), m."""
+    if isinstance(scan, CloudScan):
+        points = usable_points(np.asarray(scan.points, dtype=np.float64), sensor).reshape(-1, 3)
+    else:
+        points = usable_ranges(scan.ranges, sensor)[:, None] * beam_directions(scan.angles)
+    return points[np.isfinite(points).all(axis=1)]

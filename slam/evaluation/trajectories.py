@@ -28,6 +28,10 @@ class Metric(NamedTuple):
 #: Rounds of aligning poses, and errors that count as none in the ratio of the two kinds: 1 mm and 0.01 deg.
 _ROUNDS, _NO_SHIFT_M, _NO_TURN_RAD = 8, 1e-3, 1.7e-4
 
+#: Poses of an estimate and of the truth are of one time within this, ns; a relation counts when the trajectory has
+#: poses *less* than it from both of its times.
+_NEAR_NS = 1_000_000
+
 Alignment = Literal["se3", "se2", "poses", "first", "none"]
 
 
@@ -71,20 +75,18 @@ def nearest_stamps(wanted_ns: np.ndarray, stamps_ns: np.ndarray, tolerance_ns: i
     return np.where(np.abs(stamps[best] - wanted) <= tolerance_ns, best, -1)
 
 
-def common_poses(
-    estimate: Trajectory, truth: Trajectory, tolerance_ns: int = 1_000_000
-) -> tuple[np.ndarray, FloatArray, FloatArray]:
-    """Times (N,) and poses (N, 4, 4) of the estimate and of the truth where both have one within the tolerance.
+def common_poses(estimate: Trajectory, truth: Trajectory) -> tuple[np.ndarray, FloatArray, FloatArray]:
+    """Times (N,) and poses (N, 4, 4) of the estimate and of the truth where both have one within 1 ms.
 
     Raises:
         ValueError: they have no time in common.
     """
-    places = nearest_stamps(estimate.stamps_ns, truth.stamps_ns, tolerance_ns)
+    places = nearest_stamps(estimate.stamps_ns, truth.stamps_ns, _NEAR_NS)
     found = places >= 0
     if not found.any():
         raise ValueError(
             f"truth: expected times in common with the estimate ({_span(estimate)}), got none within "
-            f"{tolerance_ns * 1e-6:g} ms ({_span(truth)})"
+            f"{_NEAR_NS * 1e-6:g} ms ({_span(truth)})"
         )
     return estimate.stamps_ns[found], estimate.poses[found], truth.poses[places[found]]
 
@@ -160,22 +162,24 @@ def alignment_of(estimated: FloatArray, true: FloatArray, alignment: Alignment) 
     return align(estimated[:, :3, 3], true[:, :3, 3], planar=alignment == "se2")
 
 
-def absolute_error(
-    estimate: Trajectory, truth: Trajectory, *, alignment: Alignment = "se3", tolerance_ns: int = 1_000_000
-) -> PoseErrors:
+def truth_T_estimate(estimate: Trajectory, truth: Trajectory) -> FloatArray:
+    """Motion (4, 4) that puts the first pose that both have at one time where it truly was; ValueError: none."""
+    _, estimated, true = common_poses(estimate, truth)
+    return alignment_of(estimated, true, "first")
+
+
+def absolute_error(estimate: Trajectory, truth: Trajectory, *, alignment: Alignment = "se3") -> PoseErrors:
     """Absolute trajectory error: truth^-1 aligned estimate, at every time both have.
 
     Raises:
         ValueError: no time in common, or an unknown alignment.
     """
-    _, estimated, true = common_poses(estimate, truth, tolerance_ns)
+    _, estimated, true = common_poses(estimate, truth)
     moved = alignment_of(estimated, true, alignment) @ estimated
     return pose_errors(np.linalg.inv(true) @ moved)
 
 
-def relative_error(
-    estimate: Trajectory, truth: Trajectory, *, way_m: float = 1.0, tolerance_ns: int = 1_000_000
-) -> PoseErrors:
+def relative_error(estimate: Trajectory, truth: Trajectory, *, way_m: float = 1.0) -> PoseErrors:
     """Relative pose error: motion of the estimate against motion of the truth over every way of `way_m` (truth's).
 
     Each pose is paired with the first one at least `way_m` further on; no alignment is needed.
@@ -183,7 +187,7 @@ def relative_error(
     Raises:
         ValueError: no time in common.
     """
-    _, estimated, true = common_poses(estimate, truth, tolerance_ns)
+    _, estimated, true = common_poses(estimate, truth)
     steps = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1)
     ways = np.concatenate([[0.0], np.cumsum(steps)])
     later = np.searchsorted(ways, ways + way_m)
@@ -225,17 +229,15 @@ def read_relations(path: Path | str) -> Relations:
 
 #: Names of the rows that say how many relations were scored, and how many there are.
 FOUND, STATED = "relations found", "relations in the file"
-#: A relation counts when the trajectory has poses *less* than 1 ms from both of its times, ns.
-TOLERANCE_NS = 1_000_000 - 1
 
 
-def relation_errors(estimate: Trajectory, relations: Relations, *, tolerance_ns: int = TOLERANCE_NS) -> PoseErrors:
+def relation_errors(estimate: Trajectory, relations: Relations) -> PoseErrors:
     """Error of the estimate's relative poses for those relations whose two times it has.
 
     References:
         Kuemmerle et al., "On Measuring the Accuracy of SLAM Algorithms", Autonomous Robots 27(4), 2009.
     """
-    first, last = (nearest_stamps(column, estimate.stamps_ns, tolerance_ns) for column in relations.stamps_ns.T)
+    first, last = (nearest_stamps(column, estimate.stamps_ns, _NEAR_NS - 1) for column in relations.stamps_ns.T)
     found = (first >= 0) & (last >= 0)
     moved = np.linalg.inv(estimate.poses[first[found]]) @ estimate.poses[last[found]]
     return pose_errors(np.linalg.inv(relations.a_T_b[found]) @ moved)

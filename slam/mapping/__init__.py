@@ -1,1 +1,1 @@
-"""Mapping: landmark initialization, map update, and the fusion of landmarks that are one plane."""
+"""Mapping: landmark initialization, map update, fusion of landmarks; consistency (NIS) and observability."""

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.evaluation import Metric
-from slam.frontend.measurement import usable_points, usable_ranges
+from slam.evaluation.sharpness import returns_of
 from slam.geometry.frames import evenly, lift
 from slam.io.clouds.ply import write_ply_tables
 from slam.io.g2o.writer import write_g2o
@@ -26,8 +26,8 @@ from slam.runs.graph_import import ImportedRun
 from slam.runs.history import History
 from slam.runs.mapping_run import MapResult
 from slam.runs.slam_run import Run
-from slam.sensors.log import CloudScan, LaserScan, Log
-from slam.sensors.rig import Rig, Sensor
+from slam.sensors.log import CloudScan, Log
+from slam.sensors.rig import Rig
 from slam.visualization.mesh import Mesh, colour_of, mesh_of
 from slam.visualization.pictures import Drawn, draw_map, draw_planes, draw_uncertainty, save
 from slam.visualization.report import scene_of, write_report
@@ -169,16 +169,6 @@ def points_of_map(log: Log, rig: Rig, scans: Trajectory) -> FloatArray:
         kept = seen[evenly(len(seen), MOST_POINTS // len(chosen))]
         parts.append(lift(kept, scans.poses[row] @ sensor.body_T_sensor))
     return np.concatenate(parts)
-
-
-def returns_of(scan: LaserScan | CloudScan, sensor: Sensor) -> FloatArray:
-    """What a scan met within the reach of its sensor, in the sensor's frame, shape (N, 3), m."""
-    if isinstance(scan, CloudScan):
-        points = usable_points(scan.points, sensor).reshape(-1, 3)
-    else:
-        bearings = np.stack((np.cos(scan.angles), np.sin(scan.angles), np.zeros(len(scan.angles))), axis=1)
-        points = usable_ranges(scan.ranges, sensor)[:, None] * bearings
-    return points[np.isfinite(points).all(axis=1)]
 
 
 #: Points without a plane that a picture shows at most.

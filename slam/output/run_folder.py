@@ -8,7 +8,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -163,7 +163,7 @@ def conclude(run: Run, folder: Path, write: Callable[[Path], None]) -> None:
     if isinstance(recorder, SessionRecorder):
         results = _results(run)
         if run.repairs is not None:
-            results[_REPAIRS] = json.dumps([repair.to_dict() for repair in run.repairs]).encode()
+            results[_REPAIRS] = json.dumps([asdict(repair) for repair in run.repairs]).encode()
         recorder.session.finish(**results)
     for replaced in replaced_by(folder):
         shutil.rmtree(replaced.parent, ignore_errors=True)

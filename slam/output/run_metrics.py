@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,11 @@ from slam.evaluation import (
     FacingPair,
     Metric,
     absolute_error,
-    alignment_of,
-    common_poses,
     facing_pairs,
     match_planes,
     metres_of_wall,
     plane_metrics,
+    truth_T_estimate,
 )
 from slam.frontend.input_checks import blind, silences, skipped
 from slam.io.trajectories import Trajectory
@@ -84,9 +84,9 @@ def details_of(run: Run) -> dict[str, Any]:
     return {
         "verdict": run.verdict.to_dict(),
         "evidence": [one.to_dict() for one in run.verdict.evidence],
-        "repairs": [one.to_dict() for one in run.repairs or ()],
-        "facing_pairs": [pair.__dict__ for pair in facing_pairs(run.planes)],
-        "nis": [{**summary.__dict__, "verdict": summary.verdict} for summary in run.slam.audit.summary()],
+        "repairs": [asdict(one) for one in run.repairs or ()],
+        "facing_pairs": [asdict(pair) for pair in facing_pairs(run.planes)],
+        "nis": [{**asdict(summary), "verdict": summary.verdict} for summary in run.slam.audit.summary()],
         "open_directions": [stretch.to_dict() for stretch in run.slam.open_directions],
         "open_in_map": [one.to_dict() for one in run.slam.open_in_map],
         "stages_s": dict(run.clock.seconds),
@@ -157,16 +157,15 @@ def metrics_against(run: Run, truth: Truth) -> list[Metric]:
     rows = [Metric("path length", path_length_m(run.trajectory), "m")]
     rows += _trajectory_rows("estimate", run.trajectory, true_path)
     rows += _trajectory_rows("odometry alone", run.odometry, true_path)
-    rows += _room_rows(run, truth)
     planes = in_frame_of_truth(run, true_path)
-    return rows + plane_metrics(planes, truth.planes, visible=truth.visible_in_3d())
+    rows += _room_rows(run, truth, planes)
+    return rows + plane_metrics(list(planes.values()), truth.planes, visible=truth.visible_in_3d())
 
 
-def in_frame_of_truth(run: Run, true_path: Trajectory) -> list[Plane]:
-    """Planes of the map that have a polygon, moved so that the first pose is the true one."""
-    _, estimated, true = common_poses(run.trajectory, true_path)
-    truth_T_estimate = alignment_of(estimated, true, "first")
-    return [plane.plane.transform(truth_T_estimate) for plane in run.planes if plane.plane.outline is not None]
+def in_frame_of_truth(run: Run, true_path: Trajectory) -> dict[int, Plane]:
+    """Planes of the map that have a polygon, by landmark id, moved so that the first pose is the true one."""
+    move = truth_T_estimate(run.trajectory, true_path)
+    return {one.id: one.plane.transform(move) for one in run.planes if one.plane.outline is not None}
 
 
 def _trajectory_rows(name: str, path: Trajectory, truth: Trajectory) -> list[Metric]:
@@ -178,9 +177,8 @@ def _trajectory_rows(name: str, path: Trajectory, truth: Trajectory) -> list[Met
     ]
 
 
-def _room_rows(run: Run, truth: Truth) -> list[Metric]:
+def _room_rows(run: Run, truth: Truth, moved: Mapping[int, Plane]) -> list[Metric]:
     """Height and width between the largest facing planes, and the same between their true planes."""
-    moved = dict(zip([p.id for p in _with_outline(run)], in_frame_of_truth(run, truth.trajectory), strict=True))
     rows = []
     for name in ("height", "width"):
         for pair in facing_pairs(run.planes):
@@ -195,7 +193,3 @@ def _room_rows(run: Run, truth: Truth) -> list[Metric]:
             rows.append(Metric(f"corridor {name}, predicted standard deviation", pair.sigma_m, "m"))
             break
     return rows
-
-
-def _with_outline(run: Run) -> list[MapPlane]:
-    return [plane for plane in run.planes if plane.plane.outline is not None]

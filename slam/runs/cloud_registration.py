@@ -29,7 +29,7 @@ from slam.registration.plane_registration import pairs_under, places_anywhere, r
 from slam.registration.relocalization import scan_of
 from slam.registration.surface_registration import WEAK_PRIOR, Alignment, Expected, LocalMap, Tried, align
 from spplanes._check import FloatArray, as_transform
-from spplanes.spmodel import transform_from_rpy
+from spplanes.spmodel import rpy_from_transform, transform_from_rpy
 
 #: Numbers of a pose.
 _POSE = 6
@@ -81,9 +81,8 @@ class Registration:
 
 def _told(pose: FloatArray) -> dict[str, list[float]]:
     """A pose (4, 4) as numbers for people."""
-    R = pose[:3, :3]
-    turn = np.arctan2(R[1, 0], R[0, 0]), -np.arcsin(np.clip(R[2, 0], -1.0, 1.0)), np.arctan2(R[2, 1], R[2, 2])
-    return {"xyz_m": pose[:3, 3].tolist(), "ypr_deg": np.rad2deg(turn).tolist()}
+    numbers = rpy_from_transform(pose)
+    return {"xyz_m": numbers[:3].tolist(), "ypr_deg": np.rad2deg(numbers[3:]).tolist()}
 
 
 def register_clouds(a: Path | str, b: Path | str, *, guess: FloatArray | None = None) -> Registration:

@@ -60,15 +60,11 @@ def run_map(
     """
     clock = clock or StageClock()
     has_clouds = any(isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud") for scan in log.scans())
-    of_scans = map_clouds if has_clouds else map_slices
-    planes, poses, n_seen, n_represented = of_scans(log, rig, config, clock, progress)
-    return MapResult(planes, poses, given_at_scans(log, poses), Trajectory.empty(), n_seen, n_represented, clock)
+    return (_map_clouds if has_clouds else _map_slices)(log, rig, config, clock, progress)
 
 
-def map_slices(
-    log: Log, rig: Rig, config: SlamConfig, clock: StageClock, progress: Progress | None
-) -> tuple[list[MapPlane], Trajectory, int, int]:
-    """Planes of the push-broom scans of a log; the rest as `map_clouds`."""
+def _map_slices(log: Log, rig: Rig, config: SlamConfig, clock: StageClock, progress: Progress | None) -> MapResult:
+    """Planes of the push-broom scans of a log."""
     name, sensor = _slice_sensor(log, rig)
     scans = [scan for scan in log.scans(name) if isinstance(scan, LaserScan)]
     _check_alike(scans, log)
@@ -101,7 +97,8 @@ def map_slices(
     found = [
         MapPlane(index, plane, plane.outline or shapely.Polygon(), 1, ("map",)) for index, plane in enumerate(planes)
     ]
-    return found, poses, mapper.n_points_seen, mapper.n_points_represented
+    at_scans, counts = given_at_scans(log, poses), (mapper.n_points_seen, mapper.n_points_represented)
+    return MapResult(found, poses, at_scans, Trajectory.empty(), *counts, clock)
 
 
 def correlated(config: MapperConfig, scans: list[LaserScan], rig: Rig, log: Log) -> MapperConfig:
@@ -149,19 +146,11 @@ def _pose_of(scan: LaserScan | CloudScan, log: Log) -> FloatArray:
 _HELD_M, _HELD_RAD = 1e-4, 1e-5
 
 
-def map_clouds(
-    log: Log, rig: Rig, config: SlamConfig, clock: StageClock, progress: Progress | None
-) -> tuple[list[MapPlane], Trajectory, int, int]:
-    """Planes of the 3D scans of a log, at the poses that the log gives.
+def _map_clouds(log: Log, rig: Rig, config: SlamConfig, clock: StageClock, progress: Progress | None) -> MapResult:
+    """Planes of the 3D scans of a log, at the poses that the log gives; LogError: a scan without one.
 
     The error of a scan's pose, `rig.localisation`, is added to the covariance of its planes: scan by scan on its own,
     as if the errors of neighbouring poses had nothing in common.
-
-    Returns:
-        The planes, the poses, the number of returns in all scans, and of those that belong to a plane.
-
-    Raises:
-        LogError: a scan without a pose.
     """
     scans = [scan for scan in log.scans() if isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud")]
     poses = [_pose_of(scan, log) for scan in scans]
@@ -180,8 +169,8 @@ def map_clouds(
             progress(index + 1, len(scans))
     with clock.stage("map"):
         planes = slam.planes
-    stamps = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
-    return planes, Trajectory(stamps, np.array(poses)), n_seen, n_represented
+    given = Trajectory(np.array([scan.stamp_ns for scan in scans], dtype=np.int64), np.array(poses))
+    return MapResult(planes, given, given_at_scans(log, given), Trajectory.empty(), n_seen, n_represented, clock)
 
 
 def _keyframe(scan: CloudScan, seen: Sequence[PlaneObservation], poses: Sequence[FloatArray]) -> Keyframe:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,10 +44,6 @@ class Repair:
             f"repaired: {self.moved} of {self.places} places that the drive passed again lay up to {self.offset_m:.2g} "
             f"m from where all of it together has them; before, {self.before}"
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """For metrics.json."""
-        return {"places": self.places, "moved": self.moved, "offset_m": self.offset_m, "before": self.before}
 
 
 class Repaired(NamedTuple):

@@ -49,12 +49,13 @@ def given_at_scans(log: Log, mapped: Trajectory) -> Trajectory:
     return carried(known, scan_stamps(log), None)
 
 
-def odometry_at_scans(keyframes: Trajectory, log: Log, rig: Rig) -> Trajectory:
-    """Odometry alone at every scan, through the first keyframe's estimate; empty without odometry."""
+def odometry_of(log: Log, rig: Rig, trajectory: Trajectory, stamps_ns: np.ndarray | None = None) -> Trajectory:
+    """Odometry alone through the first pose of a trajectory, at its times or at others (N,); empty without odometry."""
     if not log.odometry:
         return Trajectory.empty()
-    start = Trajectory(keyframes.stamps_ns[:1], keyframes.poses[:1])
-    return carried(start, scan_stamps(log), OdometryTrack(log.odometry, rig.odometry))
+    start = Trajectory(trajectory.stamps_ns[:1], trajectory.poses[:1])
+    times = trajectory.stamps_ns if stamps_ns is None else stamps_ns
+    return carried(start, times, OdometryTrack(log.odometry, rig.odometry))
 
 
 def carried(keyframes: Trajectory, stamps_ns: np.ndarray, track: OdometryTrack | None) -> Trajectory:

@@ -15,14 +15,12 @@ from slam.diagnostics.evidence import assess_run
 from slam.diagnostics.verdict import Verdict
 from slam.frontend.input_checks import KeyframeError
 from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
-from slam.frontend.odometry import OdometryTrack
 from slam.frontend.range_noise import with_shown_errors
-from slam.geometry.frames import inverse
 from slam.io.plausibility import check_events
 from slam.io.trajectories import Trajectory
 from slam.planeslam import MapPlane, PlaneSlam
 from slam.runs.repair import Repair, repaired
-from slam.runs.scan_trajectory import odometry_at_scans, scan_trajectory
+from slam.runs.scan_trajectory import odometry_of, scan_stamps, scan_trajectory
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig
 from slam.timing import StageClock
@@ -64,7 +62,7 @@ class Run:
     @cached_property
     def scan_odometry(self) -> Trajectory:
         """The same scans by odometry alone, from the first keyframe's estimate; empty without odometry."""
-        return odometry_at_scans(self.trajectory, self.log, self.rig)
+        return odometry_of(self.log, self.rig, self.trajectory, scan_stamps(self.log))
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -161,14 +159,6 @@ def _add(slam: PlaneSlam, keyframe: Keyframe, *, strict: bool) -> None:
         if strict:
             raise
         slam.add_keyframe(replace(keyframe, observations=[], notes=(*keyframe.notes, str(error))))
-
-
-def odometry_of(log: Log, rig: Rig, trajectory: Trajectory) -> Trajectory:
-    """Odometry alone at the times of a trajectory, started at its first pose; empty without odometry."""
-    if not len(trajectory) or not log.odometry:
-        return Trajectory.empty()
-    poses = OdometryTrack(log.odometry, rig.odometry).poses_at(trajectory.stamps_ns.tolist())
-    return Trajectory(trajectory.stamps_ns, trajectory.poses[0] @ inverse(poses[0]) @ poses)
 
 
 def path_length_m(trajectory: Trajectory) -> float:

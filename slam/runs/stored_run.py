@@ -98,31 +98,9 @@ def _metric(row: dict[str, Any]) -> Metric:
     return Metric(str(row["metric"]), float("nan") if value is None else value, str(row["unit"]))
 
 
-@dataclass(frozen=True, eq=False)
-class Explanation:
-    """One keyframe of a run."""
-
-    keyframe: int
-    """Its index."""
-    stamp_ns: int
-    """Its time, ns."""
-    sentences: list[str]
-    """What became of each thing seen, and what the keyframe changed in the map."""
-    decisions: list[tuple[Decision, Observation]]
-    """The decisions themselves, with what was seen."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {
-            "keyframe": self.keyframe,
-            "stamp_s": self.stamp_ns * 1e-9,
-            "sentences": self.sentences,
-            "observations": [_as_json(decision, seen) for decision, seen in self.decisions],
-        }
-
-
-def explain_keyframe(run: Path | str, keyframe: int) -> Explanation:
-    """Replay a run's session, reading only, and explain a keyframe.
+def explain_keyframe(run: Path | str, keyframe: int) -> dict[str, Any]:
+    """Replay a run's session, reading only, and explain a keyframe: its time, what became of each thing seen in
+    sentences and in numbers, and what the keyframe changed in the map, as for JSON.
 
     Raises:
         SessionError: no session (runs of `demo` and `map` keep none), or a damaged one.
@@ -134,27 +112,26 @@ def explain_keyframe(run: Path | str, keyframe: int) -> Explanation:
         raise ValueError(f"keyframe: expected an index from 0 to {count - 1}, got {keyframe}")
     with PlaneSlam.open(run, read_only=True) as slam:
         frame = slam.keyframes[keyframe]
-        decisions = [(one, frame.observations[one.observation]) for one in slam.decisions[keyframe]]
-        return Explanation(keyframe, frame.stamp_ns, slam.explain(keyframe), decisions)
+        return {
+            "keyframe": keyframe,
+            "stamp_s": frame.stamp_ns * 1e-9,
+            "sentences": slam.explain(keyframe),
+            "observations": [_as_json(one, frame.observations[one.observation]) for one in slam.decisions[keyframe]],
+        }
 
 
 def _as_json(decision: Decision, seen: Observation) -> dict[str, Any]:
+    candidates = [
+        {"landmark": one.landmark, "chi2": one.chi2, "dof": one.dof, "p": one.p_value, "confirmed": one.confirmed}
+        for one in decision.candidates
+    ]
     return {
         "observation": decision.observation,
         "kind": seen.kind,
         "points": int(seen.n_points),
         "verdict": decision.verdict,
         "landmark": None if decision.match is None else decision.match.landmark,
-        "candidates": [
-            {
-                "landmark": candidate.landmark,
-                "chi2": candidate.chi2,
-                "dof": candidate.dof,
-                "p": candidate.p_value,
-                "confirmed": candidate.confirmed,
-            }
-            for candidate in decision.candidates
-        ],
+        "candidates": candidates,
     }
 
 

@@ -19,7 +19,6 @@ from slam.simulation.record import Plan, Truth, record
 from slam.simulation.robots import Path as DrivenPath
 from slam.simulation.robots import checked_rig, paper_rig, spinning_rig
 from spplanes._check import FloatArray, as_positive
-from spplanes.registration import beam_directions
 
 #: Scans of the paper's whole corridor, and the way between two of them, m.
 PAPER_SCANS, PAPER_SPACING_M = 1083, 0.027
@@ -45,10 +44,6 @@ class ScanArrays:
     """Poses of the robot as the log gives them, with the localisation's error, shape (S, 4, 4)."""
     labels: np.ndarray
     """True plane of each beam, shape (S, B), int32; -1: none."""
-
-    def sensor_points(self) -> FloatArray:
-        """Measured points in the sensor frame, shape (S, B, 3), m."""
-        return self.ranges[..., None] * beam_directions(self.angles)
 
 
 @dataclass(frozen=True, eq=False)

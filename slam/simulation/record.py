@@ -12,7 +12,7 @@ from slam.io.planes_json import read_planes, write_planes
 from slam.io.raw import check_ratio, damage_told
 from slam.io.scan_files import in_order
 from slam.io.trajectories import Trajectory, read_tum, write_tum
-from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading
+from slam.sensors.log import Event, Log, OdometryReading
 from slam.sensors.rig import LocalisationNoise, Rig, Sensor
 from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation.robots import BEAMS, HORIZONTAL, Beams, pose_matrices
@@ -53,19 +53,11 @@ class Truth:
             raise ValueError("stamps_ns: expected times of scans or odometry readings of this mission, got another")
         return self.world_T_body[places]
 
-    def visible(self, sensor: str | None = None, *, more_than: int = ENOUGH_POINTS) -> set[int]:
-        """Indices of the planes that one sensor, or all together, hit more than so many times."""
-        chosen = self.labels.values() if sensor is None else [self.labels[sensor]]
-        counts = sum(
-            (np.bincount(labels[labels >= 0], minlength=len(self.planes)) for labels in chosen),
-            start=np.zeros(len(self.planes), dtype=np.int64),
-        )
-        return set(np.flatnonzero(counts > more_than).tolist())
-
-    def visible_in_3d(self, *, more_than: int = ENOUGH_POINTS) -> set[int]:
-        """The same for one of the sensors that give 3D points: a level laser alone sees lines, not planes."""
-        sensors = [name for name in self.labels if name != HORIZONTAL]
-        return set().union(*(self.visible(name, more_than=more_than) for name in sensors))
+    def visible_in_3d(self) -> set[int]:
+        """Indices of the planes that one of the sensors that give 3D points hit often enough: a level laser alone sees
+        lines, not planes."""
+        seen = [labels[labels >= 0] for name, labels in self.labels.items() if name != HORIZONTAL]
+        return {plane for hit in seen for plane in np.flatnonzero(np.bincount(hit) > ENOUGH_POINTS).tolist()}
 
     def write(self, folder: Path) -> None:
         """Write trajectory.tum, planes.json (spplanes/1; the id is the label) and labels.npz into a folder."""
@@ -202,17 +194,9 @@ def record(plan: Plan, n_scans: int, seed: int) -> tuple[Log, Truth]:
             labels[sensor] = labels[sensor].reshape(len(at), *beams.directions.shape[:2])
         poses_of_scans = [None] * len(at) if given is None else list(given[at])
         for k, (tick, pose) in enumerate(zip(at.tolist(), poses_of_scans, strict=True)):
-            events.append(_scan(int(stamps[tick]), sensor, beams, read[k], pose))
+            events.append(beams.scan(int(stamps[tick]), sensor, read[k], pose))
     truth = Truth(stamps, world_T_body, plan.world.planes, labels)
     return Log(in_order(events), Path(f"simulated {plan.name}")), truth
-
-
-def _scan(
-    stamp_ns: int, sensor: str, beams: Beams, ranges: FloatArray, pose: FloatArray | None
-) -> LaserScan | CloudScan:
-    if beams.angles is not None:
-        return LaserScan(stamp_ns, sensor, ranges, beams.angles, pose)
-    return CloudScan(stamp_ns, sensor, ranges.reshape(beams.directions.shape[:2])[..., None] * beams.directions)
 
 
 def _cast(plan: Plan, way: FloatArray, sensor: Sensor, beams: Beams, rng: np.random.Generator) -> _Hits:

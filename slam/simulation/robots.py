@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import LocalisationNoise, Mount, OdometryNoise, Rig, Sensor
 from spplanes._check import FloatArray
 from spplanes.registration import beam_directions
@@ -46,6 +47,14 @@ class Beams:
         level, rise = np.cos(elevations), np.sin(elevations)
         directions = np.stack([c * level, s * level, np.broadcast_to(rise, (len(azimuths), len(elevations)))], axis=-1)
         return cls(directions, np.column_stack([s, -c, np.zeros_like(c)]), None)
+
+    def scan(
+        self, stamp_ns: int, sensor: str, ranges: FloatArray, world_T_body: FloatArray | None = None
+    ) -> LaserScan | CloudScan:
+        """What is recorded of ranges (F B,), m; a 2D laser's scan may tell its pose (4, 4)."""
+        if self.angles is not None:
+            return LaserScan(stamp_ns, sensor, ranges, self.angles, world_T_body)
+        return CloudScan(stamp_ns, sensor, ranges.reshape(self.directions.shape[:2])[..., None] * self.directions)
 
 
 #: 361 beams over 180 deg as in the paper; its two opposing horizontal lasers as one of 360 deg; 32 rings.
@@ -99,6 +108,8 @@ def checked_rig(rig: Rig) -> Rig:
 
 #: Distance between the stored points of a path, m.
 _STEP_M = 0.005
+#: How far to the left a weaving path swings, and the way of a swing, m.
+_SWING_M, _WAVE_M = 0.06, 7.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,12 +140,12 @@ class Path:
         return cls(way, np.column_stack([curve, heading]))
 
     @classmethod
-    def weaving(cls, length_m: float, *, amplitude_m: float = 0.06, wavelength_m: float = 7.0) -> Path:
-        """Along x from the origin, heading 0 at the start, swinging to the left and back by `amplitude_m`."""
+    def weaving(cls, length_m: float) -> Path:
+        """Along x from the origin, heading 0 at the start, swinging to the left and back by `_SWING_M`."""
         x = np.arange(0.0, length_m + 1.0, _STEP_M)
-        phase = 2.0 * np.pi * x / wavelength_m
-        path = cls.through(np.column_stack([x, amplitude_m * (1.0 - np.cos(phase)) / 2.0]))
-        path.poses[:, 2] = np.arctan(amplitude_m * np.pi / wavelength_m * np.sin(phase))  # exactly 0 at the start
+        phase = 2.0 * np.pi * x / _WAVE_M
+        path = cls.through(np.column_stack([x, _SWING_M * (1.0 - np.cos(phase)) / 2.0]))
+        path.poses[:, 2] = np.arctan(_SWING_M * np.pi / _WAVE_M * np.sin(phase))  # exactly 0 at the start
         return path
 
     @classmethod

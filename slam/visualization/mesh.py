@@ -36,6 +36,8 @@ class Mesh:
     """Landmark id of every corner, shape (V,), int32."""
     colours: np.ndarray
     """RGB of every corner, shape (V, 3), uint8."""
+    normals: FloatArray
+    """Unit normal of the plane of every corner, shape (V, 3)."""
 
 
 def mesh_of(planes: Sequence[MapPlane]) -> Mesh:
@@ -45,8 +47,9 @@ def mesh_of(planes: Sequence[MapPlane]) -> Mesh:
     triangles = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
     ids = np.array([plane.id for plane in planes], dtype=np.int32)
     colours = np.array([colour_of(plane) for plane in planes], dtype=np.uint8).reshape(-1, 3)
-    counts = np.array([len(corner) for corner in corners], dtype=np.int64)
-    return Mesh(vertices, triangles, np.repeat(ids, counts), np.repeat(colours, counts, axis=0))
+    normals = np.array([plane.plane.normal for plane in planes]).reshape(-1, 3)
+    rows = np.repeat(np.arange(len(planes)), [len(corner) for corner in corners])
+    return Mesh(vertices, triangles, ids[rows], colours[rows], normals[rows])
 
 
 def colour_of(plane: MapPlane) -> tuple[int, int, int]:
@@ -120,12 +123,11 @@ def _scene(planes: Sequence[MapPlane]) -> tuple[dict[str, Any], list[bytes]]:
 
 def _primitive(plane: MapPlane, mesh: Mesh, buffers: _Buffers) -> dict[str, Any]:
     positions = (mesh.vertices - plane.plane.centre).astype("<f4")
-    normals = np.tile(plane.plane.normal, (len(positions), 1)).astype("<f4")
     opaque = np.full((len(positions), 1), 255, dtype=np.uint8)
     return {
         "attributes": {
             "POSITION": buffers.add(positions, _FLOAT, "VEC3", _VERTICES, bounded=True),
-            "NORMAL": buffers.add(normals, _FLOAT, "VEC3", _VERTICES),
+            "NORMAL": buffers.add(mesh.normals.astype("<f4"), _FLOAT, "VEC3", _VERTICES),
             "COLOR_0": buffers.add(np.hstack((mesh.colours, opaque)), _UBYTE, "VEC4", _VERTICES, normalised=True),
         },
         "indices": buffers.add(mesh.triangles.astype("<u4").ravel(), _UINT, "SCALAR", _INDICES),

@@ -66,12 +66,9 @@ def planes_to_mesh(
     if colour_by not in ("plane", "sigma"):
         raise ValueError(f"colour_by: expected 'plane' or 'sigma', got {colour_by!r}")
     colours = mesh.colours / 255.0 if colour_by == "plane" else _sigma_colours(sigmas, sigma_limit_m)
-    normals = np.zeros((len(mesh.vertices), 3))
-    for plane in shown:
-        normals[mesh.plane_ids == plane.id] = plane.plane.normal
     result = o3d.t.geometry.TriangleMesh()
     result.vertex.positions, result.triangle.indices = _tensor(mesh.vertices), _tensor(mesh.triangles)
-    result.vertex.normals, result.vertex.colors = _tensor(normals), _colours(colours, tensor)
+    result.vertex.normals, result.vertex.colors = _tensor(mesh.normals), _colours(colours, tensor)
     result.vertex["plane"] = _tensor(mesh.plane_ids[:, None])
     result.vertex["sigma_m"] = _tensor(sigmas[:, None])
     return result if tensor else result.to_legacy()

@@ -16,14 +16,14 @@ import numpy as np
 from shapely import LineString, Point, get_coordinates
 from shapely.geometry.base import BaseGeometry
 
-from slam.diagnostics.consistency import NisSummary
-from slam.diagnostics.verdict import Verdict
+from slam.diagnostics.verdict import Verdict, ranges_of
 from slam.evaluation import Metric
 from slam.files import whole_file
 from slam.geometry.frames import lift
 from slam.geometry.polygons import largest_polygon, polygons_of, segments_of
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
+from slam.mapping.consistency import NisSummary
 from slam.runs.history import History, in_cm
 from slam.runs.stored_run import StoredRun
 from slam.visualization.mesh import colour_of
@@ -114,24 +114,17 @@ _MOST_BLOCKS, _LEAST_IN_BLOCK = 60, 20
 def scene_of(run: Drawn, history: History, doubtful: Sequence[int] = ()) -> dict[str, Any]:
     """Everything the page's script needs, as plain numbers, strings and lists; `doubtful` keyframes as stretches."""
     planes = [_plane(plane) for plane in run.planes if not plane.seen.is_empty]
-    estimate = _path(run.trajectory)
+    estimate, told = _path(run.trajectory), ranges_of(k for k in doubtful if k < len(run.trajectory))
     return {
         "planes": planes,
         "estimate": estimate,
         "odometry": _path(run.odometry),
-        "doubtful": [_rounded(run.trajectory.poses[part, :3, 3]) for part in stretches(doubtful, len(run.trajectory))],
+        "doubtful": [_rounded(run.trajectory.poses[part, :3, 3]) for part in told],
         "points_cm": in_cm(history.points),
         "bounds": _bounds(planes, estimate),
         "keyframes": len(run.trajectory),
         "nis": [_series(kind, history.nis[kind]) for kind in sorted(history.nis) if history.nis[kind]],
     }
-
-
-def stretches(keyframes: Sequence[int], count: int) -> list[list[int]]:
-    """Keyframes below `count` in runs of neighbours, ascending."""
-    chosen = np.array(sorted({k for k in keyframes if k < count}), dtype=np.int64)
-    runs = np.split(chosen, np.flatnonzero(np.diff(chosen) > 1) + 1)
-    return [run.tolist() for run in runs if len(run)]
 
 
 def nis_blocks(rows: Sequence[tuple[int, float, int]]) -> list[dict[str, float]]:

@@ -52,11 +52,10 @@ def _log_plane(rr: Any, recording: Any, plane: MapPlane) -> None:
     entity, colour = f"map/plane_{plane.id}", colour_of(plane)
     mesh = mesh_of([plane])
     if len(mesh.triangles):
-        normals = np.tile(plane.plane.normal, (len(mesh.vertices), 1))
         shape = rr.Mesh3D(
             vertex_positions=mesh.vertices,
             triangle_indices=mesh.triangles,
-            vertex_normals=normals,
+            vertex_normals=mesh.normals,
             vertex_colors=mesh.colours,
         )
         recording.log(entity, shape, static=True)

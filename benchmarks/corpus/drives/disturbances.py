@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from benchmarks.corpus.polygon_world import PolygonWorld
 from slam.geometry.frames import planar_transform
+from slam.io.scan_files import in_order
 from slam.map.map_planes import MapPlane
 from slam.sensors.log import Event, Log, OdometryReading
 from slam.sensors.rig import Mount, Rig
@@ -17,6 +19,9 @@ from slam.session.prior_map import PriorMap, floor_start
 from slam.simulation.record import Truth
 from spplanes._check import FloatArray
 from spplanes.plane import Plane
+
+if TYPE_CHECKING:
+    from benchmarks.corpus.drives.drive import Recipe
 
 #: How well a prior map knows its planes: their distance, m, and tilt, rad.
 _KNOWN_M, _KNOWN_RAD = 0.005, 0.002
@@ -27,32 +32,36 @@ _AWAY_M, _TURNED_RAD = 2.0, 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Given:
-    """What a run is given, and what is true."""
+class Drive:
+    """A recorded drive, what its user says of it, and the truth."""
 
+    recipe: Recipe
+    """What it is made of."""
+    level: bool
+    """Whether the robot stays on one floor."""
     log: Log
     """The sensors' data."""
     rig: Rig
-    """What the user says of the robot."""
+    """What the user says of the robot; not always true."""
     truth: Truth
-    """What was where."""
+    """True poses at every scan and reading, planes and labels."""
     prior: PriorMap | None = None
-    """A map from before."""
+    """A map from before, in the frame of the truth, unless it is of another building."""
     world: PolygonWorld | None = None
     """The building; None: nobody needs it."""
     elsewhere: PolygonWorld | None = None
     """Another building."""
 
 
-Disturbance = Callable[[Given, np.random.Generator], Given]
+Disturbance = Callable[[Drive, np.random.Generator], Drive]
 
 
-def none(given: Given, rng: np.random.Generator) -> Given:
+def none(given: Drive, rng: np.random.Generator) -> Drive:
     """Nothing is wrong."""
     return given
 
 
-def backwards(given: Given, rng: np.random.Generator) -> Given:
+def backwards(given: Drive, rng: np.random.Generator) -> Drive:
     """The rig has every sensor the wrong way round: turned by half a turn about the body's z."""
     half = planar_transform(0.0, 0.0, np.pi)
 
@@ -68,7 +77,7 @@ def backwards(given: Given, rng: np.random.Generator) -> Given:
 def stated(factor: float) -> Disturbance:
     """The rig states so many times the noise that the ranges have."""
 
-    def state(given: Given, rng: np.random.Generator) -> Given:
+    def state(given: Drive, rng: np.random.Generator) -> Drive:
         sensors = {
             name: s.model_copy(update={"range_sigma_m": factor * s.range_sigma_m})
             for name, s in given.rig.sensors.items()
@@ -81,27 +90,30 @@ def stated(factor: float) -> Disturbance:
 def every(nth: int) -> Disturbance:
     """Only every so many-th scan of each sensor; all of the odometry."""
 
-    def keep(given: Given, rng: np.random.Generator) -> Given:
-        counts: dict[str, int] = defaultdict(int)
-        events: list[Event] = []
-        for event in given.log.events:
-            if not isinstance(event, OdometryReading):
-                counts[event.sensor] += 1
-                if (counts[event.sensor] - 1) % nth:
-                    continue
-            events.append(event)
+    def keep(given: Drive, rng: np.random.Generator) -> Drive:
         labels = {name: rows[::nth] for name, rows in given.truth.labels.items()}
-        truth = replace(given.truth, labels=labels)
-        return replace(given, log=replace(given.log, events=events), truth=truth)
+        return replace(given, log=thinned(given.log, nth), truth=replace(given.truth, labels=labels))
 
     return keep
 
 
-def backward_in_time(given: Given, rng: np.random.Generator) -> Given:
+def thinned(log: Log, nth: int, first: int = 0) -> Log:
+    """The log with every so many-th scan of each sensor, from its first or a later one on; all of the odometry."""
+    counts: Counter[str] = Counter()
+    events: list[Event] = []
+    for event in log.events:
+        if not isinstance(event, OdometryReading):
+            counts[event.sensor] += 1
+            if (counts[event.sensor] - 1 - first) % nth:
+                continue
+        events.append(event)
+    return replace(log, events=events)
+
+
+def backward_in_time(given: Drive, rng: np.random.Generator) -> Drive:
     """The drive from its end to its beginning."""
     ends = int(given.truth.stamps_ns[0]) + int(given.truth.stamps_ns[-1])
-    events = [replace(event, stamp_ns=ends - event.stamp_ns) for event in reversed(given.log.events)]
-    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
+    events = in_order(replace(event, stamp_ns=ends - event.stamp_ns) for event in reversed(given.log.events))
     truth = replace(
         given.truth,
         stamps_ns=ends - given.truth.stamps_ns[::-1],
@@ -111,20 +123,20 @@ def backward_in_time(given: Given, rng: np.random.Generator) -> Given:
     return replace(given, log=replace(given.log, events=events), truth=truth)
 
 
-def prior(given: Given, rng: np.random.Generator) -> Given:
+def prior(given: Drive, rng: np.random.Generator) -> Drive:
     """A map of this building and about where the drive begins in it."""
     start = _first_pose(given) @ planar_transform(*rng.standard_normal(3) * (0.1, 0.1, 0.03))
     return replace(given, prior=_map_of(given.world, start, rng))
 
 
-def prior_start(given: Given, rng: np.random.Generator) -> Given:
+def prior_start(given: Drive, rng: np.random.Generator) -> Drive:
     """A map of this building, and a start metres from the true one that is stated to 0.3 m."""
     direction = rng.uniform(0.0, 2.0 * np.pi)
     away = (_AWAY_M * np.cos(direction), _AWAY_M * np.sin(direction), rng.choice([-1.0, 1.0]) * _TURNED_RAD)
     return replace(given, prior=_map_of(given.world, _first_pose(given) @ planar_transform(*away), rng))
 
 
-def prior_elsewhere(given: Given, rng: np.random.Generator) -> Given:
+def prior_elsewhere(given: Drive, rng: np.random.Generator) -> Drive:
     """A map of another building."""
     return replace(given, prior=_map_of(given.elsewhere, _first_pose(given), rng))
 
@@ -144,7 +156,7 @@ DISTURBANCES: dict[str, Disturbance] = {
 }
 
 
-def _first_pose(given: Given) -> FloatArray:
+def _first_pose(given: Drive) -> FloatArray:
     """True pose at the first scan, shape (4, 4)."""
     return given.truth.poses_at(np.array([given.log.scans()[0].stamp_ns]))[0]
 

@@ -10,15 +10,16 @@ from typing import Self
 
 import numpy as np
 
-from benchmarks.corpus.drives.disturbances import DISTURBANCES, Given
+from benchmarks.corpus.drives.disturbances import DISTURBANCES, Drive
 from benchmarks.corpus.drives.scene import Scene
 from benchmarks.corpus.drives.sensing import SENSORS, Sensing
-from benchmarks.corpus.drives.wheels import ODOMETRIES, noise_on
+from benchmarks.corpus.drives.wheels import ODOMETRIES, ON_RAMPS
 from benchmarks.corpus.drives.worlds import WORLDS
+from slam.io.scan_files import in_order
 from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading
 from slam.sensors.rig import Rig
-from slam.session.prior_map import PriorMap
 from slam.simulation.record import BLOCK_BEAMS, SPEED_M_PER_S, START_NS, Truth
+from slam.simulation.robots import ON_LEVEL_FLOOR
 from slam.simulation.world import NO_PLANE
 
 #: Odometry is read at least this often, m.
@@ -64,26 +65,6 @@ class Recipe:
         return [cls(*words) for words in itertools.product(*_PARTS.values())]
 
 
-@dataclass(frozen=True, eq=False)
-class Drive:
-    """A recorded drive, what its user says of it, and the truth."""
-
-    recipe: Recipe
-    """What it is made of."""
-    seed: int
-    """Which one of its kind."""
-    level: bool
-    """Whether the robot stays on one floor."""
-    log: Log
-    """The sensors' data."""
-    rig: Rig
-    """What the user says of the robot; not always true."""
-    truth: Truth
-    """True poses at every scan and reading, planes and labels."""
-    prior: PriorMap | None = None
-    """A map from before, in the frame of the truth, unless it is of another building."""
-
-
 def make_drive(
     recipe: Recipe, seed: int, *, visit: int = 0, part: tuple[float, float] = (0.0, 1.0), backwards: bool = False
 ) -> Drive:
@@ -110,23 +91,21 @@ def make_drive(
         streams[1:] = [np.random.default_rng(child) for child in children]
     if part != (0.0, 1.0) or backwards:
         scene = replace(scene, course=scene.course.part(*part, backwards=backwards))
-    given = _recorded(scene, SENSORS[recipe.sensors], recipe, streams[1], streams[2])
+    drive = _recorded(scene, SENSORS[recipe.sensors], recipe, streams[1], streams[2])
     if recipe.disturbance == "prior_elsewhere":
-        other = build(streams[4])
-        given = replace(given, elsewhere=other.world)
-    given = DISTURBANCES[recipe.disturbance](given, streams[3])
-    return Drive(recipe, seed, scene.course.level, given.log, given.rig, given.truth, given.prior)
+        drive = replace(drive, elsewhere=build(streams[4]).world)
+    return DISTURBANCES[recipe.disturbance](drive, streams[3])
 
 
 def _recorded(
     scene: Scene, suite: Sequence[Sensing], recipe: Recipe, noise: np.random.Generator, wheels: np.random.Generator
-) -> Given:
+) -> Drive:
     """Drive the whole course: odometry at every tick, every sensor at its own pace."""
     tick_m = min(_READ_M, *(sensing.every_m / 2.0 for sensing in suite))
     ticks = np.arange(int(scene.course.length_m / tick_m))
     stamps = START_NS + ticks * round(tick_m / SPEED_M_PER_S * 1e9)
     poses = scene.course.poses_at(ticks.astype(np.float64) * tick_m)
-    rig = Rig(sensors={s.name: s.sensor for s in suite}, odometry=noise_on(level=scene.course.level))
+    rig = Rig(sensors={s.name: s.sensor for s in suite}, odometry=ON_LEVEL_FLOOR if scene.course.level else ON_RAMPS)
     read = ODOMETRIES[recipe.odometry]
     events: list[Event] = []
     if read is not None:
@@ -137,9 +116,9 @@ def _recorded(
         at = ticks[round(sensing.late_m / tick_m) :: round(sensing.every_m / tick_m)]
         scans, labels[sensing.name] = _scans(scene, sensing, poses[at], stamps[at], rng)
         events += scans
-    events.sort(key=lambda event: (event.stamp_ns, not isinstance(event, OdometryReading)))
     truth = Truth(stamps, poses, scene.world.planes, labels)
-    return Given(Log(events, Path(f"simulated {recipe.name}")), rig, truth, world=scene.world)
+    log = Log(in_order(events), Path(f"simulated {recipe.name}"))
+    return Drive(recipe, scene.course.level, log, rig, truth, world=scene.world)
 
 
 def _scans(
@@ -155,7 +134,9 @@ def _scans(
         ranges, labels[some] = _cast(scene, sensing, poses[some], stamps[some])
         read = sensing.read(ranges, rng)
         labels[some] = np.where(np.isnan(read), np.int32(NO_PLANE), labels[some])
-        scans += [_scan(int(stamp), sensing, row) for stamp, row in zip(stamps[some], read, strict=True)]
+        scans += [
+            sensing.beams.scan(int(stamp), sensing.name, row) for stamp, row in zip(stamps[some], read, strict=True)
+        ]
     return scans, labels if sensing.beams.angles is not None else labels.reshape(-1, fans, n_beams)
 
 
@@ -171,11 +152,3 @@ def _cast(scene: Scene, sensing: Sensing, poses: np.ndarray, stamps: np.ndarray)
     times_s = np.repeat((stamps - START_NS) * 1e-9, fans)
     ranges, labels = scene.cast(origins, rays, normals, times_s)
     return ranges.reshape(-1, fans * n_beams), labels.reshape(-1, fans * n_beams)
-
-
-def _scan(stamp_ns: int, sensing: Sensing, ranges: np.ndarray) -> LaserScan | CloudScan:
-    beams = sensing.beams
-    if beams.angles is not None:
-        return LaserScan(stamp_ns, sensing.name, ranges, beams.angles)
-    shape = beams.directions.shape[:2]
-    return CloudScan(stamp_ns, sensing.name, ranges.reshape(shape)[..., None] * beams.directions)

@@ -48,7 +48,13 @@ class Course:
             raise ValueError(f"part: expected shares of the way with 0 <= start < end <= 1, got {start} and {end}")
         if self.heights_m is not None:
             raise ValueError("part: expected a level course, got one with ramps")
-        return Course(stretch_of(self.path, start * self.length_m, end * self.length_m, backwards=backwards))
+        path, start_m, end_m = self.path, start * self.length_m, end * self.length_m
+        inside = path.way_m[(path.way_m > start_m) & (path.way_m < end_m)]
+        way = np.concatenate([[start_m], inside, [end_m]])
+        poses = path.at(way)
+        if backwards:
+            return Course(Path(end_m - way[::-1], poses[::-1] + np.array([0.0, 0.0, np.pi])))
+        return Course(Path(way - start_m, poses))
 
     def poses_at(self, way_m: FloatArray) -> FloatArray:
         """world_T_body after ways (N,) seen from above, m; shape (N, 4, 4)."""
@@ -61,16 +67,6 @@ class Course:
         pitch = -np.arctan(np.interp(way_m, self.path.way_m, np.gradient(smooth, self.path.way_m)))
         poses[:, :3, :3] = poses[:, :3, :3] @ _about_y(pitch)
         return poses
-
-
-def stretch_of(path: Path, start_m: float, end_m: float, *, backwards: bool = False) -> Path:
-    """The stretch of a path between two ways driven, or the same driven the other way."""
-    inside = path.way_m[(path.way_m > start_m) & (path.way_m < end_m)]
-    way = np.concatenate([[start_m], inside, [end_m]])
-    poses = path.at(way)
-    if backwards:
-        return Path(end_m - way[::-1], poses[::-1] + np.array([0.0, 0.0, np.pi]))
-    return Path(way - start_m, poses)
 
 
 def _about_y(angles: FloatArray) -> FloatArray:

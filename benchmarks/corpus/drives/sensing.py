@@ -10,7 +10,7 @@ from slam.io.clouds.depth import CAMERA_MOUNT
 from slam.io.default_rigs import depth_rig
 from slam.sensors.rig import Mount, Sensor
 from slam.simulation.record import noisy_ranges
-from slam.simulation.robots import BEAMS, HORIZONTAL, VERTICAL, Beams, paper_rig
+from slam.simulation.robots import BEAMS, HORIZONTAL, SPINNING, VERTICAL, Beams, paper_rig, spinning_rig
 from spplanes._check import FloatArray
 
 #: Names of the sensors that `rigs` does not have.
@@ -76,8 +76,7 @@ def _paper() -> list[Sensing]:
 
 
 def _lidar(rings: int, lowest_deg: float, highest_deg: float) -> Sensing:
-    mount = Mount(xyz_m=(0.1, 0.0, 0.8))
-    sensor = Sensor(kind="cloud", body_T_sensor=mount, range_sigma_m=0.015, range_max_m=60.0)
+    sensor = spinning_rig().sensors[SPINNING]
     turns = np.linspace(-np.pi, np.pi, _STEPS, endpoint=False)
     return Sensing(
         LIDAR, sensor, Beams.of_spinning(turns, np.deg2rad(np.linspace(lowest_deg, highest_deg, rings))), _CLOUDS_M

@@ -8,7 +8,7 @@ import numpy as np
 
 from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation.record import drifting_odometry
-from slam.simulation.robots import ON_LEVEL_FLOOR, pose_matrices
+from slam.simulation.robots import pose_matrices
 from spplanes._check import FloatArray
 
 #: What the rig says of a robot that also measures its attitude: from one keyframe to the next.
@@ -74,11 +74,6 @@ ODOMETRIES: dict[str, Odometry | None] = {
     "still": still,
     "stops": stops,
 }
-
-
-def noise_on(*, level: bool) -> OdometryNoise:
-    """What a rig says of its wheels on one floor, or over ramps."""
-    return ON_LEVEL_FLOOR if level else ON_RAMPS
 
 
 def _over_ramps(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:

@@ -11,25 +11,25 @@ from slam.diagnostics.evidence.coverage import (
     unmatched_evidence,
     waiting_evidence,
 )
-from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.innovations import believed_evidence, nis_evidence, odometry_evidence
 from slam.diagnostics.evidence.mounts import heading_evidence, mount_evidence
 from slam.diagnostics.evidence.prior import prior_evidence
 from slam.diagnostics.evidence.surfaces import Surfaces, doubled_evidence, free_space_evidence
 from slam.diagnostics.verdict import Evidence, Verdict, weigh
 from slam.diagnostics.views import scan_views_of, views_of
+from slam.planeslam import PlaneSlam
 from slam.sensors.rig import Rig
 
 #: Kinds of statistics there are, which share the significance.
 KINDS = 11
 
 
-def assess_run(run: Finished, rig: Rig) -> Verdict:
+def assess_run(run: PlaneSlam, rig: Rig) -> Verdict:
     """The verdict by everything that is known at the end of a run; reading changes nothing."""
     return weigh(_evidence(run, rig), KINDS)
 
 
-def _evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
+def _evidence(run: PlaneSlam, rig: Rig) -> Iterator[Evidence]:
     yield from coverage_evidence(run)
     if not len(run.keyframes):
         return

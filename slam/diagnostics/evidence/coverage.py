@@ -7,13 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import expit
 
-from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.innovations import PROMISED_M
-from slam.diagnostics.observability import OpenStretch, name_of, sigma_along
 from slam.diagnostics.verdict import Evidence, at_least, named
 from slam.diagnostics.views import TOLERANCE_M
 from slam.frontend.observations import LineObservation, Observation, PlaneObservation
 from slam.frontend.occupancy.raster import NOVEL_SHARE
+from slam.mapping.observability import OpenStretch, name_of, sigma_along
+from slam.planeslam import PlaneSlam
 from spplanes._check import FloatArray
 
 #: Keyframes with fewer than this many are no drive: nothing in them was seen twice and held against a third.
@@ -25,7 +25,7 @@ _LEVEL = 0.966
 MOST_WRONG = 0.25
 
 
-def coverage_evidence(run: Finished) -> Iterator[Evidence]:
+def coverage_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     """Too few keyframes, an empty map, or a drive most of whose keyframes were placed by nothing that they saw.
 
     No statistic is needed: where nothing could have spoken against the map, that nothing did says nothing for it.
@@ -48,7 +48,7 @@ def coverage_evidence(run: Finished) -> Iterator[Evidence]:
         yield _certain(len(blind), blind, f"{much} ({named(blind)}): odometry or an assumption alone placed them")
 
 
-def keyframes_without_wall(run: Finished) -> list[int]:
+def keyframes_without_wall(run: PlaneSlam) -> list[int]:
     """Keyframes after the first of whose observations none but those of floors and ceilings was matched, then or later.
 
     Floors and ceilings tell the height and the tilt, and nothing of where on the floor a body is.
@@ -62,7 +62,7 @@ def keyframes_without_wall(run: Finished) -> list[int]:
     return blind
 
 
-def _matched(run: Finished) -> set[tuple[int, int]]:
+def _matched(run: PlaneSlam) -> set[tuple[int, int]]:
     """(keyframe, observation) of all that was matched, then or later."""
     matched = {(match.keyframe, match.decision.observation) for match in run.late_matches}
     for index, decisions in enumerate(run.decisions):
@@ -74,7 +74,7 @@ def _certain(count: int, keyframes: range | list[int], sentence: str) -> Evidenc
     return Evidence("coverage", "doubtful", 0.0, float(count), "keyframes", tuple(keyframes), sentence)
 
 
-def assumption_evidence(run: Finished) -> Iterator[Evidence]:
+def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     """Directions that the map leaves open where no motion was measured, known by all means to no better than 0.1 m.
 
     Constant velocity is an assumption, and so is the sigma that follows from it: in a bare corridor a robot that stops
@@ -104,7 +104,7 @@ def _sentence(one: OpenStretch, wide: tuple[int, ...], sigma: float) -> str:
     )
 
 
-def ambiguity_evidence(run: Finished) -> Iterator[Evidence]:
+def ambiguity_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     """Places found by what was seen alone, where other places fit as well: with what probability one of them is wrong.
 
     A row of pillars looks the same from one pillar on, a hall from both of its ends.
@@ -125,7 +125,7 @@ def ambiguity_evidence(run: Finished) -> Iterator[Evidence]:
     yield Evidence("ambiguity", "doubtful", 0.0, 1.0 - right, "probability", tuple(likely), sentence)
 
 
-def waiting_evidence(run: Finished) -> Iterator[Evidence]:
+def waiting_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     """Loops that were likelier than all else together, and wait to the end for another that bears them out.
 
     It matters where the map has them elsewhere: likelier than not it is wrong there. A drive that ends as it comes back
@@ -145,7 +145,7 @@ def waiting_evidence(run: Finished) -> Iterator[Evidence]:
     yield Evidence("loops", "doubtful", 0.0, float(expit(likeliest.log_odds)), "probability", ends, sentence)
 
 
-def unmatched_evidence(run: Finished) -> Iterator[Evidence]:
+def unmatched_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     """Keyframes of whose surfaces, by area or by length, more than `NOVEL_SHARE` is of no plane that is seen twice.
 
     What is new is seen again from the next keyframe, or is clutter. In a sound run at most every second keyframe has
@@ -169,7 +169,7 @@ def unmatched_evidence(run: Finished) -> Iterator[Evidence]:
     )
 
 
-def unmatched_shares(run: Finished) -> FloatArray:
+def unmatched_shares(run: PlaneSlam) -> FloatArray:
     """Of every keyframe the share of what it saw that is of no plane seen twice, shape (N,); NaN: it saw nothing.
 
     The first keyframe, which has nothing to match, and the last, after which nothing is seen again, are left out.

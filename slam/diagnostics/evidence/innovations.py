@@ -10,11 +10,11 @@ from scipy.special import chdtrc, chdtri, ndtr
 
 from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance
-from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, at_least, named
 from slam.frontend.odometry import planar_delta
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import evenly, inverse
+from slam.planeslam import PlaneSlam
 from slam.sensors.rig import Rig
 from slam.tracking.odometry_scale import scaled
 from spplanes._check import FloatArray
@@ -28,14 +28,14 @@ PROMISED_M, PROMISED_SIGMAS = 0.1, 3.0
 _MOST_POSES = 24
 
 
-def claimed_sigmas(run: Finished) -> dict[int, float]:
+def claimed_sigmas(run: PlaneSlam) -> dict[int, float]:
     """Largest standard deviation of the position of some keyframes, by their index, m."""
     chosen = evenly(len(run.keyframes), _MOST_POSES)
     blocks = {key: run.backend.read_covariance(pose_symbol(key))[3:, 3:] for key in chosen}
     return {key: float(np.sqrt(max(np.linalg.eigvalsh(block)[-1], 0.0))) for key, block in blocks.items()}
 
 
-def nis_evidence(run: Finished) -> Iterator[Evidence]:
+def nis_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     """Accepted matches scatter more than their covariances say, and the poses err by as much more.
 
     The mean NIS is the factor by which the covariances are too small, if it is of all measurements alike; it matters
@@ -52,7 +52,7 @@ def nis_evidence(run: Finished) -> Iterator[Evidence]:
 
 
 def too_small(
-    run: Finished, kind: str, test: tuple[float, float], sentence: str, *, frames: tuple[int, ...] = (), tests: int = 1
+    run: PlaneSlam, kind: str, test: tuple[float, float], sentence: str, *, frames: tuple[int, ...] = (), tests: int = 1
 ) -> Iterator[Evidence]:
     """Covariances that are too small by chi2 over what is expected of it (`test`), where that breaks the promise.
 
@@ -74,7 +74,7 @@ def _risk(sigma_m: float, claimed_m: float) -> float:
     return 2.0 * float(ndtr(-max(PROMISED_M, PROMISED_SIGMAS * claimed_m) / max(sigma_m, 1e-12)))
 
 
-def odometry_evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
+def odometry_evidence(run: PlaneSlam, rig: Rig) -> Iterator[Evidence]:
     """Steps of the odometry against the same steps of the estimate, and what it means for the poses.
 
     The estimate has used the odometry, so a residual r of a step of covariance S, whose estimate has P, has S - P where
@@ -104,7 +104,7 @@ def odometry_evidence(run: Finished, rig: Rig) -> Iterator[Evidence]:
             yield from too_small(run, "odometry", test, sentence, frames=of, tests=2)
 
 
-def believed_evidence(run: Finished) -> Iterator[Evidence]:
+def believed_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     """Steps of odometry that was found wrong elsewhere, used as stated where no scan would have told such errors.
 
     They are as far off as those found, as often as those were, and all the same way at worst. It matters where that is
@@ -132,7 +132,7 @@ def believed_evidence(run: Finished) -> Iterator[Evidence]:
     )
 
 
-def _steps(run: Finished) -> list[int]:
+def _steps(run: PlaneSlam) -> list[int]:
     """Keyframes to which planar odometry leads between two that the graph still holds, evenly over the run."""
     held = [run.backend.holds(pose_symbol(k)) for k in range(len(run.keyframes))]
     motions = (frame.motion for frame in run.keyframes)
@@ -155,7 +155,7 @@ class _Residual(NamedTuple):
     """Covariance of the estimate, shape (3, 3)."""
 
 
-def _residual(run: Finished, keyframe: int, calibration: WheelCalibration, scale: float) -> _Residual:
+def _residual(run: PlaneSlam, keyframe: int, calibration: WheelCalibration, scale: float) -> _Residual:
     """Of a step taken to err by so many times what is stated."""
     keys, measured = [pose_symbol(keyframe - 1), pose_symbol(keyframe)], run.keyframes[keyframe].motion
     assert measured is not None  # `_steps`

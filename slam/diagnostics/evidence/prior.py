@@ -6,16 +6,15 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from shapely import LineString
-from shapely.geometry.base import BaseGeometry
+import shapely
 
-from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.evidence.surfaces import Surfaces, stopped_rays
 from slam.diagnostics.verdict import Evidence, at_least, named
 from slam.diagnostics.views import View, held_against
 from slam.frontend.occupancy.raster import NOVEL_SHARE
 from slam.geometry.frames import inverse, lift
 from slam.map.landmarks import Landmark
+from slam.planeslam import PlaneSlam
 from slam.sensors.rig import Rig
 from spplanes._check import FloatArray
 
@@ -32,7 +31,7 @@ def _fix_a_place(normals: Sequence[FloatArray]) -> bool:
     return bool(np.abs(across).max(initial=0.0) > _ACROSS)
 
 
-def prior_evidence(run: Finished, rig: Rig, views: Mapping[int, View], surfaces: Surfaces) -> Iterator[Evidence]:
+def prior_evidence(run: PlaneSlam, rig: Rig, views: Mapping[int, View], surfaces: Surfaces) -> Iterator[Evidence]:
     """A prior map none of whose planes was seen again, or too many of which are not there.
 
     Planes that nothing was matched to are missed where, at the final poses, more was seen through them than at them. Of
@@ -65,7 +64,7 @@ def prior_evidence(run: Finished, rig: Rig, views: Mapping[int, View], surfaces:
     )
 
 
-def _through(known: Sequence[Landmark], run: Finished, views: Mapping[int, View]) -> dict[int, int]:
+def _through(known: Sequence[Landmark], run: PlaneSlam, views: Mapping[int, View]) -> dict[int, int]:
     """Looks of level lasers through prior planes less looks that confirm them, by landmark."""
     poses, balance = run.trajectory.poses, {}
     for landmark in known:
@@ -80,7 +79,10 @@ def _through(known: Sequence[Landmark], run: Finished, views: Mapping[int, View]
 
 
 def _places_on(landmark: Landmark, world_T_plane: FloatArray) -> FloatArray:
-    """Places along an upright plane, at half its height, in the world, shape (N, 3); none on floors and ceilings."""
+    """Places along an upright plane, at half its height, in the world, shape (N, 3); none on floors and ceilings.
+
+    Only those are asked about whose vertical in the plane meets what was seen of it.
+    """
     if abs(world_T_plane[2, 2]) > np.sqrt(0.5):
         return np.empty((0, 3))
     across = np.cross([0.0, 0.0, 1.0], world_T_plane[:3, 2])
@@ -89,13 +91,6 @@ def _places_on(landmark: Landmark, world_T_plane: FloatArray) -> FloatArray:
     middle, along = corners.mean(axis=0), (corners - corners.mean(axis=0)) @ direction
     steps = np.arange(along.min() + 0.5 * _STEP_M, along.max(), _STEP_M)
     flat = middle + steps[:, None] * direction
-    outline = landmark.outline
-    kept = [k for k, place in enumerate(flat) if _is_on(outline, place, world_T_plane)]
-    return lift(flat[kept], world_T_plane)
-
-
-def _is_on(outline: BaseGeometry, place: FloatArray, world_T_plane: FloatArray) -> bool:
-    """Whether the vertical through a place in a plane meets what was seen of it."""
     up = world_T_plane[2, :2] / max(float(np.linalg.norm(world_T_plane[2, :2])), 1e-9)
-    line = LineString([place - 10.0 * up, place + 10.0 * up])
-    return float(line.distance(outline)) < 1e-3
+    verticals = shapely.linestrings(np.stack((flat - 10.0 * up, flat + 10.0 * up), axis=1))
+    return lift(flat[shapely.distance(verticals, landmark.outline) < 1e-3], world_T_plane)

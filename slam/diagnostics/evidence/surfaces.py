@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 
-from slam.diagnostics.evidence.finished import Finished
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, at_least, named
 from slam.diagnostics.views import TOLERANCE_M, V, compare, pairs_of, way_along
 from slam.frontend.keyframes import Keyframe
@@ -17,6 +16,7 @@ from slam.frontend.observations import planes_of
 from slam.frontend.occupancy.raster import NOVEL_SHARE
 from slam.geometry.frames import evenly, inverse, lift
 from slam.geometry.polygons import flatten, polygonal, valid
+from slam.planeslam import PlaneSlam
 from slam.registration.visibility import LinesOfSight, points_on
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -28,6 +28,8 @@ _INSIDE_M = 0.1
 #: Planes whose normals are within 10 deg may be one.
 ALIKE = float(np.cos(np.deg2rad(10.0)))
 
+_Area = shapely.Polygon | shapely.MultiPolygon
+
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
@@ -35,21 +37,26 @@ class Surfaces:
 
     ids: tuple[int, ...]
     """Landmarks."""
-    walls: tuple[tuple[FloatArray, shapely.Polygon | shapely.MultiPolygon], ...]
+    walls: tuple[tuple[FloatArray, _Area], ...]
     """Frame (4, 4) in the world and outline, less its border, of each."""
 
     @classmethod
-    def of(cls, run: Finished) -> Surfaces:
+    def of(cls, run: PlaneSlam) -> Surfaces:
         """Landmarks that are part of the map and have an area."""
         wanted = run.config.landmarks.min_observations
         found = []
         for landmark in run.landmarks:
             outline = polygonal(valid(landmark.outline)) if landmark.n_keyframes >= wanted else None
-            inner = None if outline is None else outline.buffer(-_INSIDE_M)
-            if isinstance(inner, (shapely.Polygon, shapely.MultiPolygon)) and not inner.is_empty:
+            if (inner := _without_border(outline)) is not None:
                 shapely.prepare(inner)
                 found.append((landmark.id, run.landmarks.placed(landmark.id).world_T_plane, inner))
         return cls(tuple(one[0] for one in found), tuple(one[1:] for one in found))
+
+
+def _without_border(outline: _Area | None) -> _Area | None:
+    """What rays cannot pass beside; None where an outline is all border."""
+    inner = None if outline is None else outline.buffer(-_INSIDE_M)
+    return inner if isinstance(inner, (shapely.Polygon, shapely.MultiPolygon)) and not inner.is_empty else None
 
 
 def stopped_rays(
@@ -80,8 +87,7 @@ def agreement(
         frame, outline = seen_T_others @ other.frame, other.outline
         if outline is None:
             continue
-        inner = outline.buffer(-_INSIDE_M)
-        if isinstance(inner, (shapely.Polygon, shapely.MultiPolygon)) and not inner.is_empty:
+        if (inner := _without_border(outline)) is not None:
             walls.append((inverse(body_T_sensor) @ frame, inner))
         local = lift(places, inverse(frame))
         alike = (normals @ frame[:3, 2] > ALIKE) & (np.abs(local[:, 2]) < TOLERANCE_M)
@@ -135,7 +141,7 @@ _TOGETHER_M = 0.02
 _OVERLAP = 0.5
 
 
-def doubled_evidence(run: Finished, surfaces: Surfaces) -> Iterator[Evidence]:
+def doubled_evidence(run: PlaneSlam, surfaces: Surfaces) -> Iterator[Evidence]:
     """Planes of the map that lie to at least half over a larger one that faces the same way, centimetres apart.
 
     Boards on walls do, and things that stand against them: a share of `NOVEL_SHARE` may. A drive that came back a
@@ -180,7 +186,7 @@ def doubled_pairs(surfaces: Surfaces) -> list[tuple[int, int, float]]:
     return found
 
 
-def _centre(frame: FloatArray, outline: shapely.Polygon | shapely.MultiPolygon) -> FloatArray:
+def _centre(frame: FloatArray, outline: _Area) -> FloatArray:
     """A plane's middle in the world, shape (3,)."""
     return frame[:3, :2] @ np.array([outline.centroid.x, outline.centroid.y]) + frame[:3, 3]
 

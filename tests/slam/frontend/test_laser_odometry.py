@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from benchmarks.corpus.drives import Recipe, make_drive
-from benchmarks.corpus.floorplan import PATCH_M, Drive, FloorPlan, Wheels, cast, drive
 from slam.config import CoastingConfig, SlamConfig
 from slam.errors import LogError
 from slam.frontend.information import information_beyond_lines, inverted
@@ -29,6 +28,7 @@ from slam.runs.slam_run import run_slam
 from slam.sensors.log import LaserScan, Log, OdometryReading
 from slam.sensors.rig import Mount, Rig, Sensor
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS as NOISE
+from tests.slam.laser_floors import PATCH_M, Drive, FloorPlan, Wheels, cast, drive
 
 GAP = 5
 """Scans from one end of a motion that is judged to the other: half a metre, or half a radian."""

@@ -8,7 +8,6 @@ import gtsam
 import numpy as np
 import pytest
 
-from benchmarks.corpus.floorplan import cast
 from factors import pose_prior
 from slam.backend.estimator import Backend, pose_symbol
 from slam.config import BackendConfig, LoopConfig
@@ -21,6 +20,7 @@ from slam.loop_closure.proposals import Proposals, Trial, evidence_of_map
 from slam.loop_closure.verification import Surroundings
 from slam.map.landmarks import LandmarkMap
 from slam.registration.submaps import PlanarPose
+from tests.slam.laser_floors import cast
 
 STEP, FOUND = np.diag((0.01, 0.01, 0.004)) ** 2, np.diag((0.02, 0.02, 0.004)) ** 2
 CONFIG = LoopConfig()

@@ -9,7 +9,6 @@ import gtsam
 import numpy as np
 import pytest
 
-from benchmarks.corpus.floorplan import LaserSettings, drive, ring
 from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe, keyframes_of
 from slam.frontend.odometry import Motion, difference, planar_delta
@@ -20,6 +19,7 @@ from slam.loop_closure.pairwise_consistency import Proposal
 from slam.loop_closure.whole_drive import agreement
 from slam.registration.submaps import PlanarPose
 from spplanes._check import FloatArray
+from tests.slam.laser_floors import LaserSettings, drive, ring
 
 RULES = SlamConfig().loops
 STEP, FOUND = np.diag((0.02, 0.02, 0.01)) ** 2, np.diag((0.03, 0.03, 0.006)) ** 2

@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from benchmarks.corpus.floorplan import Drive, LaserSettings, Wheels, cast, ring
-from benchmarks.corpus.floorplan import drive as drive_plan
 from slam.frontend.occupancy.raster import CELL_M, Raster, view_from
 from slam.frontend.odometry import planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.registration.correlative_search import PlaceView, evidence_at, search_place
+from tests.slam.laser_floors import Drive, LaserSettings, Wheels, cast, ring
+from tests.slam.laser_floors import drive as drive_plan
 
 LOOKS = 9.0
 ANGLES = np.linspace(-np.pi / 2, np.pi / 2, 181)

@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from benchmarks.corpus.floorplan import FloorPlan, cast
 from slam.frontend.information import left_open
 from slam.frontend.occupancy.raster import CELL_M, NOVEL_SHARE, Raster, beams_of, moved
 from slam.geometry.frames import planar_transform
 from slam.registration.correlative_search import _UNIT, PlaceView, _widened, evidence_at, split
 from slam.sensors.log import LaserScan
+from tests.slam.laser_floors import FloorPlan, cast
 
 ANGLES = np.linspace(-np.pi, np.pi, 361)
 

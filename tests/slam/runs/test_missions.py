@@ -54,7 +54,7 @@ def test_pose_nees_is_in_its_band(missions: list[tuple[Mission, Run]]):
 def test_map_planes_are_honest_single_and_right(missions: list[tuple[Mission, Run]]):
     """Most planes of one run share poses, so the band is wide; a mixture of two surfaces would be in the hundreds."""
     for mission, run in missions:
-        planes = in_frame_of_truth(run, mission.truth.trajectory)
+        planes = list(in_frame_of_truth(run, mission.truth.trajectory).values())
         matches = match_planes(planes, mission.truth.planes)
         assert len(matches) == len(planes), "an invented plane"
         assert len({match.true for match in matches}) >= len(matches) - 1

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks.corpus.floorplan import Drive, LaserSettings, Wheels, drive, ring
 from slam import PlaneSlam
 from slam.cli import app
 from slam.config import LoopConfig, SlamConfig
@@ -28,6 +27,7 @@ from slam.session.replay import Places
 from slam.session.store import Session, SessionDamaged, salvage_session
 from slam.simulation import simulate_mission
 from tests.slam.diagnostics.evidence.test_look import turned
+from tests.slam.laser_floors import Drive, LaserSettings, Wheels, drive, ring
 from tests.slam.scenes import run_of
 
 #: The keyframe that somebody says stands elsewhere, from an early one, by so much, and how sure: the map has to bend.

@@ -14,6 +14,7 @@ from slam.sensors.rig import LocalisationNoise, Rig, Sensor
 from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Path, Truth, paper_rig, simulate_mission, spinning_rig
 from slam.simulation.record import drifting_odometry, localised_poses, noisy_ranges, relative_motions
+from spplanes.registration import beam_directions
 from tests.slam.beams import beam_errors
 from tests.slam.scenes import assert_same_events
 from tests.statistics import assert_mean_in_band, nees
@@ -242,7 +243,8 @@ def test_a_sweep_gives_each_beam_its_own_place():
     scan = 2  # on the first straight piece: heading 0, 0.5 m/s
     x = np.interp(sensor.beam_times_ns(int(arrays.stamps_ns[scan]), 720), truth.stamps_ns, truth.world_T_body[:, 0, 3])
     assert x[-1] - x[0] == pytest.approx(0.1, abs=1e-6)
-    points = arrays.sensor_points()[scan] + np.column_stack([x, 0.0 * x, np.full(720, 0.3)])
+    points = arrays.ranges[scan][:, None] * beam_directions(arrays.angles)
+    points = points + np.column_stack([x, 0.0 * x, np.full(720, 0.3)])
     distances = [truth.planes[k].distance(p) for k, p in zip(arrays.labels[scan], points, strict=True) if k >= 0]
     assert len(distances) > 600
     np.testing.assert_allclose(distances, 0.0, atol=1e-6)

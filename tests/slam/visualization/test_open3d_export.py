@@ -77,7 +77,9 @@ def test_deviation_knows_the_signs_of_the_cross_terms():
 
     plane = Plane(np.eye(4), np.outer([1e-3, 1e-3, 0.0], [1e-3, 1e-3, 0.0]), 10)
     corners = np.array([[1.0, 5.0, 0.0], [-1.0, 5.0, 0.0]])
-    mesh = Mesh(corners, np.empty((0, 3), np.int32), np.zeros(2, np.int32), np.zeros((2, 3), np.uint8))
+    mesh = Mesh(
+        corners, np.empty((0, 3), np.int32), np.zeros(2, np.int32), np.zeros((2, 3), np.uint8), np.zeros((2, 3))
+    )
     sigmas = vertex_sigmas([MapPlane(0, plane, box(-1, -1, 1, 1), 1, ("plane",))], mesh)
     np.testing.assert_allclose(sigmas, [0.0, 2e-3], atol=1e-12)
 

@@ -13,12 +13,13 @@ import pytest
 from scipy.stats import chi2
 from shapely import LineString, box
 
+from slam.diagnostics.verdict import ranges_of
 from slam.evaluation import Metric
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
 from slam.runs.history import History
 from slam.runs.stored_run import StoredRun
-from slam.visualization.report import nis_blocks, scene_of, stretches, write_report
+from slam.visualization.report import nis_blocks, scene_of, write_report
 from spplanes import Plane
 from spplanes.spmodel import transform_from_rpy
 from tests.slam.visualization.browser import Browser, needs_browser
@@ -89,7 +90,7 @@ def test_names_from_files_stay_text(page: Path):
 
 
 def test_doubtful_keyframes_are_stretches_of_the_way():
-    assert stretches([5, 3, 4, 20, 400, 3], 30) == [[3, 4, 5], [20]]
+    assert ranges_of([5, 3, 4, 20, 3]) == [[3, 4, 5], [20]] and ranges_of([]) == []
     run = stored()
     three, one = scene_of(run, run.history, [3, 4, 5, 20, 400])["doubtful"]
     np.testing.assert_allclose(three, run.trajectory.poses[3:6, :3, 3], atol=1e-4)

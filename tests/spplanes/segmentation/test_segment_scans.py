@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from benchmarks._boxes import polyhedra_scan
-from benchmarks._scans import correct_detections
+from benchmarks.scenes import correct_detections
 from spplanes import MapperConfig, Plane, PlaneMapper, segment_scans
 from tests.spplanes.scenes import anywhere, beam_covariances, box, cast, noisy, rays
 from tests.statistics import assert_mean_in_band

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from benchmarks import _scans
+from slam.io.cloud_folders import clouds_in
 from slam.io.clouds import read_cloud
 from spplanes import MapperConfig, Plane, segment_cloud
 from tests.slam.real_data import DATA, needs
@@ -183,7 +183,8 @@ def test_angles_between_planes_of_a_real_hall_are_as_well_known_as_is_said():
     poses = np.tile(np.eye(4), (len(clouds), 1, 1))
     poses[:, :3, :3] = Rotation.from_quat(rows[clouds, 4:]).as_matrix()
     poses[:, :3, 3] = rows[clouds, 1:4]
-    planes = [segment_cloud(_scans.hall_cloud(DATA, k))[1] for k in clouds]
+    files = clouds_in(DATA / "balm_hall")
+    planes = [segment_cloud(read_cloud(files[k]).points)[1] for k in clouds]
     seen = []
     for a, b in combinations(range(len(clouds)), 2):
         here_T_there = np.linalg.inv(poses[a]) @ poses[b]

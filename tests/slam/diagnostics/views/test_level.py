@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from benchmarks.corpus.floorplan import cast
 from slam.diagnostics.evidence.mounts import mount_evidence
 from slam.diagnostics.evidence.surfaces import free_space_evidence
 from slam.diagnostics.views import View, compare, pairs_of, views_of
@@ -16,6 +15,7 @@ from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse, planar_transform
 from slam.sensors.rig import Rig, Sensor
 from spplanes._check import FloatArray
+from tests.slam.laser_floors import cast
 
 #: A room of 8 x 5 m with a box in it, free space on the left of each wall.
 CORNERS = [(0.0, 0.0), (8.0, 0.0), (8.0, 5.0), (0.0, 5.0), (0.0, 0.0)]

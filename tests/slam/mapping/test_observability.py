@@ -11,11 +11,11 @@ import pytest
 
 from slam import PlaneSlam
 from slam.config import ObservabilityConfig
-from slam.diagnostics.observability import name_of, open_directions, plane_information
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse, planar_transform
+from slam.mapping.observability import name_of, open_directions, plane_information
 from slam.planeslam import pose_symbol
 from spplanes import Plane
 from tests.factors.factor_scenes import make_line

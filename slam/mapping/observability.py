@@ -15,6 +15,9 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion
 from slam.lazy import Growing, Rows
+from slam.map.data_association import Decision
+from slam.map.landmarks import LandmarkMap
+from slam.tracking.prediction import Prediction
 from spplanes._check import FloatArray
 
 Part = Literal["position", "orientation"]
@@ -184,34 +187,31 @@ class Observability:
 
     def add(
         self,
-        keyframe: int,
-        matched: Iterable[Observation],
-        world_T_body: FloatArray,
-        motion: Motion | None = None,
-        normals: Sequence[FloatArray] | None = None,
-    ) -> list[OpenDirection]:
+        seen: Sequence[Observation],
+        prediction: Prediction,
+        decisions: Iterable[Decision],
+        landmarks: LandmarkMap,
+        backend: Backend,
+    ) -> None:
         """Look at a keyframe before the graph does, as `open_directions`; the first has nothing to be fixed by."""
-        found = [] if keyframe == 0 else open_directions(keyframe, matched, world_T_body, self.rules, motion, normals)
-        for one in found:
-            self.history.append(one)
-        return found
+        if prediction.index:
+            pairs = [(seen[one.observation], one.match.landmark) for one in decisions if one.match is not None]
+            normals = [landmarks.placed(landmark).normal for _, landmark in pairs]
+            matched, pose = [one for one, _ in pairs], backend.pose(prediction.pose_key)
+            for one in open_directions(prediction.index, matched, pose, self.rules, prediction.motion, normals):
+                self.history.append(one)
 
-    def directions(self) -> list[list[OpenDirection]]:
-        """The open directions of the run, those that are the same gathered, most frequent first."""
-        return gathered(self.history)
-
-
-def open_stretches(seen: Observability, keyframes: Sequence[Keyframe], backend: Backend) -> list[OpenStretch]:
-    """Directions that what was seen left open, most frequent first, with what is known of them by all means."""
-    stretches = []
-    for group in seen.directions():
-        part, last = group[0].part, group[-1].keyframe
-        signs = [1.0 if one.direction @ group[0].direction > 0.0 else -1.0 for one in group]
-        mean = _upright(np.sum([sign * one.direction for sign, one in zip(signs, group, strict=True)], axis=0))
-        sigma, source = sigma_along(part, mean, last, backend), _source_of(keyframes[last].motion)
-        opened = tuple(sorted({one.keyframe for one in group}))
-        stretches.append(OpenStretch(part, mean, opened, len(keyframes) - 1, sigma, source))
-    return stretches
+    def stretches(self, keyframes: Sequence[Keyframe], backend: Backend) -> list[OpenStretch]:
+        """Directions that what was seen left open, most frequent first, with what is known of them by all means."""
+        stretches = []
+        for group in gathered(self.history):
+            part, last = group[0].part, group[-1].keyframe
+            signs = [1.0 if one.direction @ group[0].direction > 0.0 else -1.0 for one in group]
+            mean = _upright(np.sum([sign * one.direction for sign, one in zip(signs, group, strict=True)], axis=0))
+            sigma, source = sigma_along(part, mean, last, backend), _source_of(keyframes[last].motion)
+            opened = tuple(sorted({one.keyframe for one in group}))
+            stretches.append(OpenStretch(part, mean, opened, len(keyframes) - 1, sigma, source))
+        return stretches
 
 
 def _source_of(motion: Motion | None) -> str:

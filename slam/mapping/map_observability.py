@@ -11,10 +11,10 @@ from scipy.sparse.linalg import splu
 
 from slam.backend.estimator import Backend, pose_symbols
 from slam.config import BOUND_SIGMAS, ObservabilityConfig
-from slam.diagnostics.observability import NOTHING, OpenDirection, OpenStretch, gathered, wide_directions
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.observations import LineObservation
 from slam.map.landmarks import Landmark, LandmarkMap
+from slam.mapping.observability import NOTHING, OpenDirection, OpenStretch, gathered, wide_directions
 from spplanes._check import FloatArray
 from spplanes._hesse import frame_from_hesse
 

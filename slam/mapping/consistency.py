@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +14,7 @@ from slam.frontend.observations import Observation
 from slam.lazy import Rows
 from slam.map.data_association import Decision
 from slam.map.landmarks import LandmarkMap
+from slam.tracking.prediction import Prediction
 from spplanes._check import FloatArray
 
 #: A motion of the pose that moves no measurement by more than this many of its sigmas a metre or radian is not found.
@@ -38,17 +39,30 @@ class NisAudit:
 
     _sums: tuple[float, int] = (0.0, 0)
 
-    def add(self, keyframe: int, kinds: Sequence[str], decisions: Iterable[Decision]) -> None:
-        """Count the accepted matches of a keyframe: `kinds` of all its observations."""
-        for decision in decisions:
-            if decision.match is not None:
-                self.count(keyframe, kinds[decision.observation], decision.match.chi2, decision.match.dof)
+    def add(
+        self,
+        seen: Sequence[Observation],
+        prediction: Prediction,
+        decisions: Sequence[Decision],
+        landmarks: LandmarkMap,
+        backend: Backend,
+    ) -> None:
+        """Hold what was matched against what was known, of which the graph does not know yet.
 
-    def count(self, keyframe: int, kind: str, chi2: float, dof: int) -> None:
-        """Count one measurement; without a degree of freedom it says nothing."""
-        if dof:
-            self.history.setdefault(kind, Rows("idh")).append((keyframe, chi2, dof))
-            self._sums = self._sums[0] + chi2, self._sums[1] + dof
+        Where what was seen is what said where to look, there is nothing to hold; a measurement without a degree of
+        freedom says nothing.
+        """
+        if prediction.hints:
+            return
+        if prediction.planes_asked:
+            found = innovations_without_prediction(seen, decisions, prediction.pose_key, landmarks, backend)
+        else:
+            matches = ((one.observation, one.match) for one in decisions if one.match is not None)
+            found = [(number, match.chi2, match.dof) for number, match in matches]
+        for number, chi2, dof in found:
+            if dof:
+                self.history.setdefault(seen[number].kind, Rows("idh")).append((prediction.index, chi2, dof))
+                self._sums = self._sums[0] + chi2, self._sums[1] + dof
 
     def summary(self) -> list[NisSummary]:
         """Mean NIS per degree of freedom and its band, one row a factor type, in alphabetical order."""
