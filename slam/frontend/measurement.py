@@ -297,6 +297,8 @@ def usable_ranges(ranges: FloatArray, sensor: Sensor) -> FloatArray:
 def usable_points(points: FloatArray, sensor: Sensor) -> FloatArray:
     """Points (..., 3) in the sensor frame without its warp, NaN for what lies outside the sensor's limits."""
     points = as_float_array("points", points)
+    if points.shape[-1:] != (3,):
+        raise ValueError(f"points: expected shape (..., 3), got {points.shape}")
     if sensor.warp is not None and points.ndim == 3:
         points = sensor.warp.taken_off(points)
     with np.errstate(over="ignore"):  # what is that far is left out
