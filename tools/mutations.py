@@ -52,6 +52,13 @@ MUTATIONS = (
         "tests/slam/test_planeslam.py::test_final_poses_and_planes_are_consistent_over_many_runs",
     ),
     Mutation(
+        "odometry: what is unsure of a jump is not carried on to where the motion ends",
+        "slam/frontend/odometry.py",
+        "more = carried @ self._change @ carried.T",
+        "more = self._change",
+        "tests/slam/frontend/test_odometry_jumps.py",
+    ),
+    Mutation(
         "lines: what is stated of the noise is a guess",
         "spplanes/lines/extraction.py",
         "covariances, stated=True",

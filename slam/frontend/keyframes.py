@@ -133,8 +133,7 @@ class _Lasers:
     def __init__(self, log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> None:
         self._rig, self._config, self._segment = rig, config, segment
         self._track = track_of(log, rig, config)
-        readings = log.measured_motion
-        self._wheels = OdometryTrack(readings, rig.odometry) if readings else None
+        self._wheels = _track_of(log, rig) if log.measured_motion else None
         self._within = self._wheels or self._track  # over the time of a scan wheels err by less than two matched scans
         self._stamps = _choose_stamps(log, rig, config)
         slices, lines = _scans_of(log, rig, "slice"), _scans_of(log, rig, "line")
@@ -259,6 +258,8 @@ def _scans_of(log: Log, rig: Rig, kind: str) -> list[LaserScan]:
     return [scan for scan in log.scans() if isinstance(scan, LaserScan) and scan.sensor in names]
 
 
+#: So many jumps of the odometry are told one by one.
+_TOLD = 3
 #: Tracks made already, by their log: laser odometry looks at every scan.
 _TRACKS: WeakKeyDictionary[Log, tuple[Rig, SlamConfig, OdometryTrack]] = WeakKeyDictionary()
 
@@ -283,7 +284,13 @@ def _track_of(log: Log, rig: Rig) -> OdometryTrack:
     if not readings:
         found = "got one pose all along" if log.odometry else "found none"
         raise LogError(log.source, f"expected odometry beside the scans, {found}")
-    return OdometryTrack(readings, rig.odometry)
+    track = OdometryTrack(readings, rig.odometry)
+    if track.jumps_ns:
+        times = ", ".join(f"{stamp_ns * 1e-9:.3f}" for stamp_ns in track.jumps_ns[:_TOLD])
+        more = f" and {len(track.jumps_ns) - _TOLD} more" if len(track.jumps_ns) > _TOLD else ""
+        note = f"odometry jumps at {times}{more} s: it was taken to go on there as it did before"
+        log.notes.extend({note} - set(log.notes))
+    return track
 
 
 def _stalls_of(log: Log, slices: Sequence[LaserScan], rig: Rig, track: OdometryTrack) -> list[Stall]:

@@ -9,8 +9,10 @@ from itertools import pairwise
 
 import gtsam
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from factors import odometry_factor, planar_motion_factor, relative_pose_factor
+from factors._conventions import POSE3_TO_SP
 from slam.geometry.frames import inverse
 from slam.sensors.log import OdometryReading
 from slam.sensors.wheel_noise import OdometryNoise
@@ -21,6 +23,11 @@ from spplanes.registration import interpolate_poses
 _PLANAR_TOLERANCE = 1e-9
 #: Of (x, y, heading) in SP order.
 PLANAR_IN_SP = (0, 1, 3)
+#: Odometry has jumped where one step is so many times as fast as those beside it, and as all of the drive but the
+#: fastest hundredth: of five real robots' 37,000 steps none is 7 times as fast. No jump is as short, m and rad.
+_JUMPS, _FASTEST, _LEAST_M, _LEAST_RAD = 10.0, 0.01, 0.05, 0.05
+#: Of fewer steps nobody can tell how fast they are as a rule.
+_FEW = 20
 #: Standard deviations of z, roll and pitch, m and rad, of a planar motion that says nothing of the floor.
 NO_FLOOR = (1e2, 1e2, 1e2)
 
@@ -78,6 +85,11 @@ class Motion:
             return self.covariance
         return spatial_covariance(self.covariance, self.a_T_b, self.out_of_plane_sigmas)
 
+    def erring(self, square: FloatArray) -> Motion:
+        """The same, erring by so much more: mean square in SP order along the axes of its end, shape (6, 6)."""
+        more = planar_covariance(square, self.a_T_b) if self.is_planar else square
+        return replace(self, covariance=self.covariance + more)
+
     def factors(self, key_a: int, key_b: int) -> list[gtsam.NonlinearFactor]:
         """The motion as factors between two Pose3 keys; on a floor b is also held to the floor."""
         if not self.is_planar:
@@ -94,18 +106,36 @@ class Motion:
 
 
 class OdometryTrack:
-    """Odometry readings in time order, with the noise model of the wheels."""
+    """Odometry readings in time order, with the noise model of the wheels.
 
-    def __init__(self, readings: Sequence[OdometryReading], noise: OdometryNoise) -> None:
+    Where they jump (begin anew, say, or are set to another place) the body is taken to have gone on as before, which is
+    as uncertain as it changed its motion from one reading to the next.
+    """
+
+    def __init__(self, readings: Sequence[OdometryReading], noise: OdometryNoise, *, can_jump: bool = True) -> None:
+        """Poses that were held against scans already cannot jump: those were seen."""
         self._stamps = np.array([reading.stamp_ns for reading in readings], dtype=np.int64)
         self._poses = np.array([reading.odom_T_body for reading in readings]).reshape(-1, 4, 4)
         self._noise = noise
         if (np.diff(self._stamps) <= 0).any():
             keep = np.concatenate(([True], np.diff(self._stamps) > 0))
             self._stamps, self._poses = self._stamps[keep], self._poses[keep]
+        self._jumps = _jumps(self._stamps, self._poses) if can_jump else np.zeros(0, dtype=np.int64)
+        if len(self._jumps):
+            self._poses, self._change = _continued(self._stamps, self._poses, self._jumps)
 
     def __len__(self) -> int:
         return len(self._stamps)
+
+    @property
+    def readings(self) -> list[OdometryReading]:
+        """Each later than the one before, and without jumps."""
+        return [OdometryReading(int(t), pose) for t, pose in zip(self._stamps, self._poses, strict=True)]
+
+    @property
+    def jumps_ns(self) -> list[int]:
+        """Times of the first readings after a jump, ns."""
+        return self._stamps[self._jumps + 1].tolist()
 
     @cached_property
     def is_planar(self) -> bool:
@@ -141,10 +171,14 @@ class OdometryTrack:
         steps = np.array([planar_delta(inverse(a) @ b) for a, b in pairwise(poses)])
         _, covariance = noise.accumulate(steps)
         out_of_plane = (noise.z_sigma_m, noise.roll_sigma_rad, noise.pitch_sigma_rad)
-        if self.is_planar:
-            return Motion(a_T_b, covariance, out_of_plane, noise.response(steps), noise.calibration_sigmas)
-        spatial = spatial_covariance(covariance, a_T_b, out_of_plane)
-        return Motion(a_T_b, spatial, out_of_plane, noise.response(steps), noise.calibration_sigmas)
+        if not self.is_planar:
+            covariance = spatial_covariance(covariance, a_T_b, out_of_plane)
+        motion = Motion(a_T_b, covariance, out_of_plane, noise.response(steps), noise.calibration_sigmas)
+        for jump in self._jumps[(self._stamps[self._jumps] < end_ns) & (self._stamps[self._jumps + 1] > start_ns)]:
+            carried = gtsam.Pose3(inverse(poses[-1]) @ self._poses[jump + 1]).AdjointMap()
+            more = carried @ self._change @ carried.T
+            motion = motion.erring(more[np.ix_(POSE3_TO_SP, POSE3_TO_SP)])
+        return motion
 
 
 def planar_delta(a_T_b: FloatArray) -> FloatArray:
@@ -179,3 +213,38 @@ def planar_covariance(spatial: FloatArray, a_T_b: FloatArray) -> FloatArray:
     turn = np.eye(3)
     turn[:2, :2] = a_T_b[:2, :2]
     return turn @ spatial[np.ix_(PLANAR_IN_SP, PLANAR_IN_SP)] @ turn.T
+
+
+def _jumps(stamps_ns: np.ndarray, poses: FloatArray) -> np.ndarray:
+    """Which of the steps between readings are none that the body made, by their first readings, (J,).
+
+    Those that are alone as fast as nothing else, in distance or in turning: a robot that starts goes on.
+    """
+    if len(stamps_ns) <= _FEW:
+        return np.zeros(0, dtype=np.int64)
+    steps, times = np.linalg.inv(poses[:-1]) @ poses[1:], np.diff(stamps_ns) * 1e-9
+    turns = np.linalg.norm(Rotation.from_matrix(steps[:, :3, :3]).as_rotvec(), axis=1)
+    sizes = np.stack((np.linalg.norm(steps[:, :3, 3], axis=1), turns))
+    speeds = sizes / np.maximum(times, np.median(times))  # clocks of readings jitter: two may be at nearly one time
+    fast = np.sort(speeds, axis=1)[:, -1 - max(1, int(_FASTEST * len(times)))]
+    beside = np.maximum(np.pad(speeds[:, :-1], ((0, 0), (1, 0))), np.pad(speeds[:, 1:], ((0, 0), (0, 1))))
+    alone = speeds > _JUMPS * np.maximum(beside, fast[:, None])
+    return np.flatnonzero((alone & (sizes > np.array([[_LEAST_M], [_LEAST_RAD]]))).any(axis=0))
+
+
+def _continued(stamps_ns: np.ndarray, poses: FloatArray, jumps: np.ndarray) -> tuple[FloatArray, FloatArray]:
+    """Poses (N, 4, 4) without the jumps: for each the step before it, or after it, once more.
+
+    Returns:
+        The poses; and the covariance of such a step: how much steps differ from the one before, GTSAM order, (6, 6).
+    """
+    twists = np.array([gtsam.Pose3.Logmap(gtsam.Pose3(inverse(a) @ b)) for a, b in pairwise(poses)])
+    pace = np.maximum(times := np.diff(stamps_ns) * 1e-9, np.median(times))
+    continued = poses.copy()
+    for jump in jumps.tolist():
+        like = jump - 1 if jump else jump + 1
+        step = gtsam.Pose3.Expmap(twists[like] * (pace[jump] / pace[like])).matrix()
+        after = continued[jump] @ step @ inverse(continued[jump + 1])
+        continued[jump + 1 :] = after @ continued[jump + 1 :]
+    changes = np.diff(np.delete(twists, jumps, axis=0), axis=0)
+    return continued, np.diag(np.mean(changes**2, axis=0))

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from slam.frontend.odometry import Motion, planar_covariance
+from slam.frontend.odometry import Motion
 from slam.frontend.steadiness import LATE
 from slam.registration.relocalization import displacement
 from slam.tracking.odometry_check import Check
@@ -93,7 +93,7 @@ class OdometryRecord:
         elif self._is_nearer(fine := self._fine()):
             used, known = "not", expected
         else:
-            used, known = "erring", _erring(motion, untold.T @ untold / (len(self._errors) + len(fine)))
+            used, known = "erring", motion.erring(untold.T @ untold / (len(self._errors) + len(fine)))
         self.steps.append(CheckedStep(keyframe, motion, check, used, scale))
         self._last = self.steps[-1], expected
         return known
@@ -123,9 +123,3 @@ class OdometryRecord:
         """
         measured, expected = (sum(float(error[k] @ error[k]) for error in self._errors) for k in (0, 1))
         return expected + sum(float(off @ off) for off in fine) < measured
-
-
-def _erring(motion: Motion, square: FloatArray) -> Motion:
-    """A motion that errs by so much more, mean square in SP order along the axes of its end, shape (6, 6)."""
-    more = planar_covariance(square, motion.a_T_b) if motion.is_planar else square
-    return replace(motion, covariance=motion.covariance + more)

@@ -48,7 +48,7 @@ class LaserTrack(OdometryTrack):
     ) -> None:
         """Readings between the scans, before the first and after the last, are of the same frame."""
         readings = [OdometryReading(step.stamp_ns, planar_transform(*step.pose)) for step in steps]
-        super().__init__(sorted((*readings, *between), key=lambda one: one.stamp_ns), noise)
+        super().__init__(sorted((*readings, *between), key=lambda one: one.stamp_ns), noise, can_jump=False)
         self._steps = list(steps)
         self._scan_stamps = np.array([step.stamp_ns for step in steps], dtype=np.int64)
 
@@ -146,7 +146,8 @@ def between_scans(steps: Sequence[Step], wheels: Sequence[OdometryReading]) -> l
     if not wheels:
         return _going_on(steps)
     stamps = np.array([step.stamp_ns for step in steps], dtype=np.int64)
-    at_scans = OdometryTrack(wheels, OdometryNoise()).poses_at(stamps.tolist())
+    track = OdometryTrack(wheels, OdometryNoise())
+    at_scans, wheels = track.poses_at(stamps.tolist()), track.readings
     times = np.array([one.stamp_ns for one in wheels], dtype=np.int64)
     others = np.flatnonzero(~np.isin(times, stamps))
     uneven = _unevenness(steps)
