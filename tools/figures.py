@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.corpus.drives import Recipe, make_drive
+from benchmarks.corpus.suite import Suite
 from slam.config import SlamConfig
 from slam.files import new_folder
 from slam.floorplan import floor_plan, joint_planes
@@ -29,7 +30,6 @@ from slam.simulation import simulate_mission
 from slam.simulation.record import Plan, record
 from slam.simulation.robots import spinning_rig
 from slam.visualization.pictures import draw_view, title_of, view_height
-from tests.slam.floorplan.suite import Suite
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "img"

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from benchmarks.corpus.suite import Door, Suite, SuiteRoom
 from slam.floorplan import JointPlanes
 from slam.geometry.frames import settle_frame
 from slam.map.map_planes import MapPlane
 from spplanes import Plane
-from tests.slam.floorplan.suite import Door, Suite, SuiteRoom
 
 #: A corridor 2 m wide with a room above and one below; doors 0.9 and 1 m; walls 0.2 m; 2.5 m high.
 SUITE = Suite(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.corpus.suite import START_M, Suite
 from slam.config import SlamConfig
 from slam.floorplan import FloorPlan, JointPlanes, Quantity, floor_plan, joint_planes
 from slam.frontend.keyframes import Keyframe, keyframes_of
@@ -18,7 +19,6 @@ from slam.simulation.record import Plan, Truth, record
 from slam.simulation.robots import SPINNING, spinning_rig
 from spplanes import Plane
 from spplanes._check import FloatArray
-from tests.slam.floorplan.suite import START_M, Suite
 from tests.slam.scenes import run_of
 
 #: What is measured of a suite.

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from benchmarks.corpus.suite import Suite
 from slam.errors import LogError, MissingPackageError
 from slam.floorplan import FloorPlan, floor_plan
 from slam.io.g2o.reader import read_g2o
@@ -27,7 +28,6 @@ from slam.simulation.robots import spinning_rig
 from slam.visualization.mesh import mesh_of
 from tests.slam.commands import command
 from tests.slam.floorplan.buildings import joint_of, planes_of
-from tests.slam.floorplan.suite import Suite
 
 SPACING_M = 0.8
 
