@@ -37,8 +37,7 @@ def test_a_sound_run_says_so_last(mission: Path, tmp_path: Path):
 
 def test_a_broken_run_names_the_mount_and_fails_only_when_asked(mission: Path, tmp_path: Path):
     command = ["slam", str(mission), "--rig", str(mission.parent / "backwards.yaml"), "--out", str(tmp_path / "run")]
-    assert RUNNER.invoke(app, command).exit_code == 0
-    done = RUNNER.invoke(app, [*command, "--overwrite", "--strict-verdict"])
+    done = RUNNER.invoke(app, [*command, "--strict-verdict"])
     assert done.exit_code == 1
     assert done.output.splitlines()[-1].startswith("the map is broken: a sensor mounted backwards")
     stored = StoredRun.read(tmp_path / "run").verdict
@@ -47,4 +46,5 @@ def test_a_broken_run_names_the_mount_and_fails_only_when_asked(mission: Path, t
     viewed = RUNNER.invoke(app, ["view", str(tmp_path / "run")])
     page = (tmp_path / "run" / "report.html").read_text()
     assert viewed.exit_code == 0
+    assert RUNNER.invoke(app, ["slam", "--resume", str(tmp_path / "run")]).exit_code == 0
     assert 'class="verdict broken"' in page and "mounted backwards" in page

@@ -19,7 +19,7 @@ from slam.simulation import Mission, simulate_mission
 from tests.slam.scenes import planar_nees
 from tests.statistics import mean_nees_band
 
-SEEDS = range(6)
+SEEDS = range(4)
 
 
 @pytest.fixture(scope="module")
