@@ -94,7 +94,7 @@ def test_a_mission_that_was_left_broken_is_mapped_again(logs: list[Path], tmp_pa
     assert record.read_bytes() == good
 
 
-def test_a_fleet_is_the_same_on_one_worker_and_on_two_that_are_killed(
+def test_a_fleet_is_the_same_on_one_worker_and_on_two_of_which_one_is_killed(
     logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     """Bit for bit; and a log that no reader takes is named and left out."""
@@ -118,14 +118,14 @@ def test_a_fleet_is_the_same_on_one_worker_and_on_two_that_are_killed(
     ):
 
         def kill(what: str, done: int, total: int) -> None:
-            if what == "missions" and len(killed) < 2:
+            if what == "missions" and not killed:
                 victim = cluster.workers[sorted(cluster.workers)[done % 2]].pid
                 killed.append(victim)
                 os.kill(victim, signal.SIGKILL)
 
         store = tmp_path / "two.missions"
         joined = run_fleet([*logs[:2], broken], store, client=client, rig=Rig.from_yaml(rig), progress=kill)
-    assert len(killed) == 2
+    assert len(killed) == 1
     two = tmp_path / "two"
     two.mkdir()
     write_joined(joined, two, title="spplanes one")
