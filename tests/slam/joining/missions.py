@@ -71,8 +71,8 @@ def office(seed: int, number: int = 0) -> FinishedMission:
 
 
 def write_office(folder: Path, seed: int, number: int) -> Path:
-    """A run's folder, as `spplanes slam` leaves it."""
-    given, log = visit(seed, number), folder.with_suffix(".log")
+    """A run's folder, as `spplanes slam` leaves it, of every second scan."""
+    given, log = visit(seed, number, replace(LEVEL, disturbance="half")), folder.with_suffix(".log")
     log.write_text(folder.name, encoding="utf-8")
     with new_run(folder, given.log, given.rig, SlamConfig(), Source(log), prior=None, overwrite=False) as slam:
         run = run_slam(given.log, given.rig, SlamConfig(), slam=slam)
