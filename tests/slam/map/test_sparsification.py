@@ -42,7 +42,7 @@ def nees(slam: PlaneSlam, scene: Drive, index: int) -> float:
 
 @pytest.fixture(scope="module")
 def thinned() -> list[tuple[PlaneSlam, Drive]]:
-    scenes = [laps(seed) for seed in range(4)]
+    scenes = [laps(seed) for seed in range(3)]
     return [(run(scene), scene) for scene in scenes]
 
 
