@@ -50,6 +50,9 @@ def write_dxf(path: Path, plan: FloorPlan, verdict: str | None = None) -> None:
         document.units = units.M
         for number, storey in enumerate(drawings(plan, verdict)):
             _Storey(document, f"S{number}", storey).draw()
+        classes = document.classes
+        classes.add_required_classes(document.dxfversion)
+        classes.classes = dict(sorted(classes.classes.items()))  # in the order of a set, another in every process
         with path.open("w", encoding="utf-8", newline="\n") as stream:
             document.write(stream)
     finally:

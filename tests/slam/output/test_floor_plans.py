@@ -71,6 +71,8 @@ def test_a_dxf(plan: FloorPlan, tmp_path: Path):
     for name in ("one.dxf", "other.dxf"):
         write_dxf(tmp_path / name, plan)
     assert (tmp_path / "one.dxf").read_bytes() == (tmp_path / "other.dxf").read_bytes()
+    classes = re.findall(r"^CLASS\n  1\n(\w+)$", (tmp_path / "one.dxf").read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(classes) > 10 and classes == sorted(classes)  # the same in other processes
     drawing = ezdxf.readfile(tmp_path / "one.dxf")
     audit = drawing.audit()
     assert (audit.errors, audit.fixes) == ([], [])
