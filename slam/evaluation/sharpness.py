@@ -10,16 +10,15 @@ import numpy as np
 
 from slam.errors import LogError
 from slam.evaluation.trajectories import Metric, common_poses
-from slam.frontend.measurement import usable_points, usable_ranges
+from slam.frontend.measurement import returns_of
 from slam.geometry.frames import lift
 from slam.io.load import load
 from slam.io.trajectories import Trajectory, read_tum
-from slam.sensors.log import CloudScan, LaserScan
-from slam.sensors.rig import Rig, Sensor
+from slam.sensors.log import CloudScan
+from slam.sensors.rig import Rig
 from slam.session.opening import session_path
 from slam.session.store import Session
 from spplanes._check import FloatArray
-from spplanes.registration import beam_directions
 
 #: Side of the cubes that points are gathered in, m.
 _CELL_M = 1.0
@@ -165,12 +164,3 @@ def _rig_of(run: Path) -> Rig | None:
         return None
     with Session.open(run, read_only=True) as session:
         return session.rig
-
-
-def returns_of(scan: LaserScan | CloudScan, sensor: Sensor) -> FloatArray:
-    """What a scan met within the reach of its sensor, in the sensor's frame, shape (N, 3), m."""
-    if isinstance(scan, CloudScan):
-        points = usable_points(np.asarray(scan.points, dtype=np.float64), sensor).reshape(-1, 3)
-    else:
-        points = usable_ranges(scan.ranges, sensor)[:, None] * beam_directions(scan.angles)
-    return points[np.isfinite(points).all(axis=1)]

@@ -289,7 +289,8 @@ def _track_of(log: Log, rig: Rig) -> OdometryTrack:
         times = ", ".join(f"{stamp_ns * 1e-9:.3f}" for stamp_ns in track.jumps_ns[:_TOLD])
         more = f" and {len(track.jumps_ns) - _TOLD} more" if len(track.jumps_ns) > _TOLD else ""
         note = f"odometry jumps at {times}{more} s: it was taken to go on there as it did before"
-        log.notes.extend({note} - set(log.notes))
+        if note not in log.notes:  # a log's odometry is asked for more than once
+            log.notes.append(note)
     return track
 
 

@@ -31,7 +31,7 @@ from slam.sensors.scan_noise import line_tilt_covariances, model_of, surface_cov
 from spplanes import LineConfig, MapperConfig, Plane, extract_lines
 from spplanes._check import FloatArray, as_float_array
 from spplanes.clouds.arrange import arrange
-from spplanes.registration import RegisteredScans, register_scans
+from spplanes.registration import RegisteredScans, beam_directions, register_scans
 from spplanes.segmentation.config import ValidationConfig
 from spplanes.segmentation.planes import frames_of, moments_of, outlines_in, planes_of
 from spplanes.segmentation.scans import Labelled, label_scans
@@ -304,6 +304,15 @@ def usable_points(points: FloatArray, sensor: Sensor) -> FloatArray:
     with np.errstate(over="ignore"):  # what is that far is left out
         ranges = usable_ranges(np.sqrt(points[..., 0] ** 2 + points[..., 1] ** 2 + points[..., 2] ** 2), sensor)
     return np.where(np.isfinite(ranges)[..., None], points, np.nan)
+
+
+def returns_of(scan: LaserScan | CloudScan, sensor: Sensor) -> FloatArray:
+    """What a scan met within the reach of its sensor, in the sensor's frame, shape (N, 3), m."""
+    if isinstance(scan, CloudScan):
+        points = usable_points(np.asarray(scan.points, dtype=np.float64), sensor).reshape(-1, 3)
+    else:
+        points = usable_ranges(scan.ranges, sensor)[:, None] * beam_directions(scan.angles)
+    return points[np.isfinite(points).all(axis=1)]
 
 
 def _in_scan(plane: Plane, sensor: Sensor) -> Plane:

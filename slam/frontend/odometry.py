@@ -121,8 +121,7 @@ class OdometryTrack:
             keep = np.concatenate(([True], np.diff(self._stamps) > 0))
             self._stamps, self._poses = self._stamps[keep], self._poses[keep]
         self._jumps = _jumps(self._stamps, self._poses) if can_jump else np.zeros(0, dtype=np.int64)
-        if len(self._jumps):
-            self._poses, self._change = _continued(self._stamps, self._poses, self._jumps)
+        self._poses, self._change = _continued(self._stamps, self._poses, self._jumps)
 
     def __len__(self) -> int:
         return len(self._stamps)
@@ -222,11 +221,11 @@ def _jumps(stamps_ns: np.ndarray, poses: FloatArray) -> np.ndarray:
     """
     if len(stamps_ns) <= _FEW:
         return np.zeros(0, dtype=np.int64)
-    steps, times = np.linalg.inv(poses[:-1]) @ poses[1:], np.diff(stamps_ns) * 1e-9
-    turns = np.linalg.norm(Rotation.from_matrix(steps[:, :3, :3]).as_rotvec(), axis=1)
+    steps = np.linalg.inv(poses[:-1]) @ poses[1:]
+    turns = Rotation.from_matrix(steps[:, :3, :3]).magnitude()
     sizes = np.stack((np.linalg.norm(steps[:, :3, 3], axis=1), turns))
-    speeds = sizes / np.maximum(times, np.median(times))  # clocks of readings jitter: two may be at nearly one time
-    fast = np.sort(speeds, axis=1)[:, -1 - max(1, int(_FASTEST * len(times)))]
+    speeds = sizes / _paces(stamps_ns)
+    fast = np.sort(speeds, axis=1)[:, -1 - max(1, int(_FASTEST * len(steps)))]
     beside = np.maximum(np.pad(speeds[:, :-1], ((0, 0), (1, 0))), np.pad(speeds[:, 1:], ((0, 0), (0, 1))))
     alone = speeds > _JUMPS * np.maximum(beside, fast[:, None])
     return np.flatnonzero((alone & (sizes > np.array([[_LEAST_M], [_LEAST_RAD]]))).any(axis=0))
@@ -238,9 +237,10 @@ def _continued(stamps_ns: np.ndarray, poses: FloatArray, jumps: np.ndarray) -> t
     Returns:
         The poses; and the covariance of such a step: how much steps differ from the one before, GTSAM order, (6, 6).
     """
+    if not len(jumps):
+        return poses, np.zeros((6, 6))
     twists = np.array([gtsam.Pose3.Logmap(gtsam.Pose3(inverse(a) @ b)) for a, b in pairwise(poses)])
-    pace = np.maximum(times := np.diff(stamps_ns) * 1e-9, np.median(times))
-    continued = poses.copy()
+    continued, pace = poses.copy(), _paces(stamps_ns)
     for jump in jumps.tolist():
         like = jump - 1 if jump else jump + 1
         step = gtsam.Pose3.Expmap(twists[like] * (pace[jump] / pace[like])).matrix()
@@ -248,3 +248,9 @@ def _continued(stamps_ns: np.ndarray, poses: FloatArray, jumps: np.ndarray) -> t
         continued[jump + 1 :] = after @ continued[jump + 1 :]
     changes = np.diff(np.delete(twists, jumps, axis=0), axis=0)
     return continued, np.diag(np.mean(changes**2, axis=0))
+
+
+def _paces(stamps_ns: np.ndarray) -> FloatArray:
+    """Seconds that steps between readings took, shape (N - 1,): clocks jitter, and two may be at nearly one time."""
+    times = np.diff(stamps_ns) * 1e-9
+    return np.maximum(times, np.median(times))

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.evaluation import Metric
-from slam.evaluation.sharpness import returns_of
+from slam.frontend.measurement import returns_of
 from slam.geometry.frames import evenly, lift
 from slam.io.clouds.ply import write_ply_tables
 from slam.io.g2o.writer import write_g2o

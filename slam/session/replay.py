@@ -5,7 +5,6 @@ A recorder may read measurements and decisions from the session when they are lo
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import lru_cache
@@ -194,25 +193,26 @@ def _say(decision: Decision) -> str:
 
 
 class ForgottenKeyframes(Growing[Keyframe]):
-    """Keyframes of which only the time stays; the last few that were read are kept."""
+    """Keyframes of which the time, the notes, and what there is not stay; the last few that were read are kept."""
 
     def __init__(self, session: Session) -> None:
         read = lru_cache(maxsize=_KEPT)(session.keyframe)
         self._readers = {
             field.name: lambda index, name=field.name: getattr(read(index), name) for field in fields(Keyframe)
         }
-        self._stamps = array("q")
+        self._known: list[dict[str, Any]] = []
 
     def __len__(self) -> int:
-        return len(self._stamps)
+        return len(self._known)
 
     def append(self, value: Keyframe) -> None:
         """Add one whose measurements the session has."""
-        self._stamps.append(int(value.stamp_ns))
+        known = {"stamp_ns": int(value.stamp_ns), "notes": value.notes, "scans": ()}
+        self._known.append(known | {name: None for name in self._readers if getattr(value, name) is None})
 
     def at(self, index: int) -> Keyframe:
         """One of them; nothing is read yet."""
-        return StoredKeyframe({"stamp_ns": self._stamps[index], "scans": ()}, self._readers, index)
+        return StoredKeyframe(self._known[index], self._readers, index)
 
 
 class StoredKeyframe(Stored, Keyframe):

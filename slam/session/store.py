@@ -31,6 +31,9 @@ from spplanes import __version__
 
 __all__ = ["Entry", "RawScan", "Session", "SessionDamaged", "SessionError", "StorageError"]
 
+#: Files of a session.
+_SUFFIXES = ("", "-wal", "-shm")
+
 
 class Session(SessionRecords):
     """The file of a run. One process writes it, others may read it meanwhile; all methods raise `SessionError`.
@@ -200,10 +203,6 @@ class Session(SessionRecords):
             raise SessionError(f"{self.path}: opened to be read only")
         with transaction(self.path, self._db):
             yield
-
-
-#: Files of a session.
-_SUFFIXES = ("", "-wal", "-shm")
 
 
 def salvage_session(path: Path | str) -> str:

@@ -53,10 +53,8 @@ class Stall(NamedTuple):
 def over_stalls(motion: Motion, seconds: float, rules: CoastingConfig) -> Motion:
     """A motion of wheels that stood for so long, as one that nobody measured: from where they stood to anywhere."""
     place, turn = rules.unknown_motion(seconds)
-    turn = min(turn, np.pi)
-    sigmas = [place, place, turn] if motion.is_planar else [place] * 3 + [turn] * 3
-    covariance = motion.covariance + np.diag(np.square(sigmas))
-    return replace(motion, covariance=covariance, response=None, returns_a_T_b=motion.a_T_b)
+    anywhere = motion.erring(np.diag(np.repeat([place, min(turn, np.pi)], 3) ** 2))
+    return replace(anywhere, response=None, returns_a_T_b=motion.a_T_b)
 
 
 def stalls_of(scans: Sequence[LaserScan], sensor: Sensor, track: OdometryTrack) -> list[Stall]:

@@ -132,7 +132,7 @@ def _larger(stated: FloatArray, learnt: FloatArray) -> FloatArray:
     return 0.5 * (covariance + covariance.T)
 
 
-def between_scans(steps: Sequence[Step], wheels: Sequence[OdometryReading]) -> list[OdometryReading]:
+def between_scans(steps: Sequence[Step], wheels: OdometryTrack | None) -> list[OdometryReading]:
     """Poses at the times of the wheels' readings but those of scans, in the frame of the matched poses.
 
     Between two scans the wheels, made to meet both, err as a bridge of their random walk: with the variance s (1 - s)
@@ -146,15 +146,14 @@ def between_scans(steps: Sequence[Step], wheels: Sequence[OdometryReading]) -> l
     if not wheels:
         return _going_on(steps)
     stamps = np.array([step.stamp_ns for step in steps], dtype=np.int64)
-    track = OdometryTrack(wheels, OdometryNoise())
-    at_scans, wheels = track.poses_at(stamps.tolist()), track.readings
-    times = np.array([one.stamp_ns for one in wheels], dtype=np.int64)
+    at_scans, readings = wheels.poses_at(stamps.tolist()), wheels.readings
+    times = np.array([one.stamp_ns for one in readings], dtype=np.int64)
     others = np.flatnonzero(~np.isin(times, stamps))
     uneven = _unevenness(steps)
     found = []
     for number, after in zip(others.tolist(), np.searchsorted(stamps, times[others]).tolist(), strict=True):
         before = max(after - 1, 0)
-        pose = compose(steps[before].pose, planar_delta(inverse(at_scans[before]) @ wheels[number].odom_T_body))
+        pose = compose(steps[before].pose, planar_delta(inverse(at_scans[before]) @ readings[number].odom_T_body))
         if 0 < after < len(steps):
             led = compose(steps[before].pose, planar_delta(inverse(at_scans[before]) @ at_scans[after]))
             share = float(times[number] - stamps[before]) / float(stamps[after] - stamps[before])

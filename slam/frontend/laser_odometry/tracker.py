@@ -235,8 +235,7 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
         surface = Surface.of(at_once, usable_ranges(at_once.ranges, sensor), sensor, sensor.body_T_sensor)
         odometry.add(scan.stamp_ns, surface, delta)
         last = index
-    inner = between_scans(odometry.steps, readings)
-    return LaserTrack(odometry.steps, rig.odometry, inner)
+    return LaserTrack(odometry.steps, rig.odometry, between_scans(odometry.steps, track))
 
 
 def is_level(sensor: Sensor) -> bool:

@@ -382,12 +382,12 @@ def test_between_scans_before_the_first_and_after_the_last_the_wheels_say_how_it
 def test_without_wheels_the_body_goes_on_for_a_step_beyond_the_first_scan_and_the_last():
     poses = [np.array((0.3 * k, 0.0, 0.1 * k)) for k in range(3)]
     steps = [Step(1_000_000_000 * k, pose, np.eye(3), np.eye(3)) for k, pose in enumerate(poses)]
-    before, after = between_scans(steps, [])
+    before, after = between_scans(steps, None)
     assert (before.stamp_ns, after.stamp_ns) == (-1_000_000_000, 3_000_000_000)
     for reading, a, b in ((before, steps[1], steps[0]), (after, steps[1], steps[2])):
         step = inverse(planar_transform(*a.pose)) @ planar_transform(*b.pose)
         assert reading.odom_T_body == pytest.approx(planar_transform(*b.pose) @ step)
-    assert between_scans(steps[:1], []) == []
+    assert between_scans(steps[:1], None) == []
 
 
 def test_what_matched_scans_know_is_not_asked_of_the_planes():
