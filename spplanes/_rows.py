@@ -43,6 +43,14 @@ def _is_negligible(off: float, a: float, b: float) -> bool:
     return abs(off) <= 1e-17 * math.sqrt(abs(a)) * math.sqrt(abs(b)) or abs(off) < 1e-300
 
 
+@inlined
+def copy_into(target, source) -> None:
+    """`target[:n] = source` of n rows: for the message of its error numba compiles seconds of the handling of text."""
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            target[i, j] = source[i, j]
+
+
 @njit(cache=True)
 def jacobi3(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, values, vectors) -> None:
     """Eigenvalues, ascending, and eigenvectors of a symmetric 3x3 matrix given by its upper triangle.

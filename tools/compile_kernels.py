@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import fcntl
 import gc
 import hashlib
 import io
@@ -22,6 +23,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 PROJECT = Path(__file__).resolve().parent.parent
 PACKAGES = ("spplanes", "factors", "slam")
@@ -30,14 +32,19 @@ PACKAGES = ("spplanes", "factors", "slam")
 def main() -> int:
     """Read the command line; exit code 1 where a job failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes at a time")
+    parser.add_argument(
+        "--jobs", type=int, default=(os.cpu_count() or 1) + 1, help="processes at a time: one may wait for another"
+    )
     parser.add_argument("--run", choices=sorted(JOBS), action="append", help="these jobs alone")
     parser.add_argument("--into", type=Path, help="folder for the kernels of a wheel")
     parser.add_argument("--here", action="store_true", help="run the jobs in this process")
+    parser.add_argument("--locks", type=Path, help="with --here: folder of the kernels that are being compiled")
     parser.add_argument("--copy-to", type=Path, help="with --here: copy what they called into this folder")
     given = parser.parse_args()
     names = tuple(given.run or JOBS)
     if given.here:
+        if given.locks:
+            take_turns(given.locks)
         for name in names:
             run(name)
         if given.copy_to:
@@ -78,14 +85,14 @@ def with_path(environment: dict[str, str] | os._Environ[str]) -> dict[str, str]:
 
 def spawn_all(names: tuple[str, ...], jobs: int, environment: dict[str, str] | os._Environ[str]) -> int:
     """Run jobs, so many at a time, with a line that says how far they are."""
-    waiting, running, start = list(names), {}, time.perf_counter()
+    waiting, running, start, locks = list(names), {}, time.perf_counter(), tempfile.TemporaryDirectory()
     show = sys.stderr.isatty()
     print(f"compiling the kernels, once ({min(jobs, len(names))} processes) ...", file=sys.stderr)
     failed = 0
     while waiting or running:
         while waiting and len(running) < max(jobs, 1):
             name = waiting.pop(0)
-            words = [sys.executable, __file__, "--here", f"--run={name}"]
+            words = [sys.executable, __file__, "--here", f"--run={name}", f"--locks={locks.name}"]
             running[name] = subprocess.Popen(words, env=with_path(environment))
         for name, process in list(running.items()):
             if process.poll() is not None:
@@ -96,8 +103,29 @@ def spawn_all(names: tuple[str, ...], jobs: int, environment: dict[str, str] | o
             far = f"{done} of {len(names)} done, {time.perf_counter() - start:.0f} s: {', '.join(running):.50}"
             print(f"\r{far}\033[K", end="", file=sys.stderr)
         time.sleep(0.1)
+    locks.cleanup()
     print(f"{chr(13) if show else ''}compiled in {time.perf_counter() - start:.0f} s", file=sys.stderr)
     return int(failed)
+
+
+def take_turns(folder: Path) -> None:
+    """Let no two processes compile one kernel: who comes second waits, and finds it in the cache.
+
+    Kernels call each other in no circle, so that two processes never wait for each other.
+    """
+    from numba.core.dispatcher import Dispatcher
+
+    compile_alone = Dispatcher.compile
+
+    def compile_in_turn(self: Any, signature: Any) -> Any:
+        function = self.py_func
+        if function.__module__.split(".")[0] not in PACKAGES:
+            return compile_alone(self, signature)  # numba's own, of which it keeps none
+        with (folder / f"{function.__module__}.{function.__qualname__}").open("w") as turn:
+            fcntl.flock(turn, fcntl.LOCK_EX)  # let go when the file is closed
+            return compile_alone(self, signature)
+
+    Dispatcher.compile = compile_in_turn
 
 
 def run(name: str) -> None:
@@ -143,48 +171,47 @@ def command(*words: object) -> None:
 
 
 def corridor() -> None:
-    """A push-broom robot: simulation, measuring, estimating, pictures."""
+    """A push-broom robot: simulation, measuring, estimating, pictures; planes first, whose kernels take longest."""
+    from spplanes import segment_scans
+
+    segment_scans(three_walls(), sigma=0.004)
     command("demo", "--scans", 60, "--out", "demo")
 
 
-def plane() -> None:
-    """One plane of moments: the smallest of all."""
-    import numpy as np
-
-    from spplanes import Moments
-
-    Moments.from_points(np.random.default_rng(0).random((99, 3))).plane()
-
-
 def pieces() -> None:
-    """What a push-broom run calls after its segmentation: begun here while another process compiles that.
-
-    Each takes from numba's cache what the other has put there by the time it is called.
-    """
+    """What a push-broom run calls after its segmentation: begun here while another process compiles that."""
+    import gtsam
     import numpy as np
 
+    import factors
     from spplanes import MapperConfig, extract_lines, fit_plane
     from spplanes.segmentation.planes import outlines_in
 
-    angles = np.linspace(-1.0, 1.0, 181)
-    extract_lines(2.0 / np.cos(angles), angles, sigma=0.01)
     flat = np.random.default_rng(0).random((200, 3)) * (4.0, 3.0, 0.01)
     covariances, scans = np.tile(np.eye(3) * 1e-4, (200, 1, 1)), np.arange(200) // 20
     joint = np.kron(np.minimum.outer(np.arange(1, 11), np.arange(1, 11)), np.eye(6) * 1e-8)
-    fit_plane(flat, covariances, viewpoint=np.zeros(3), scan_index=scans, pose_covariances=joint)
+    plane = fit_plane(flat, covariances, viewpoint=np.zeros(3), scan_index=scans, pose_covariances=joint)
+    angles = np.linspace(-1.0, 1.0, 181)
+    (line,) = extract_lines(2.0 / np.cos(angles), angles, sigma=0.01)
     grid, labels = np.zeros((40, 60, 3)), np.zeros((40, 60), dtype=np.int64)
     grid[..., 0], grid[..., 1] = np.meshgrid(np.linspace(-3.0, 3.0, 60), np.linspace(-2.0, 2.0, 40))
     labels[10:25, 20:40] = -1  # a window
     outlines_in(np.eye(4)[None], grid, labels, np.array([[1.7, 1.1]]), MapperConfig())
+    values = gtsam.Values()
+    values.insert(0, gtsam.Pose3())
+    values.insert(1, gtsam.OrientedPlane3(1.0, 0.0, 0.0, 1.0))
+    for factor in (factors.plane_factor(plane, 0, 1), factors.line_factor(line, np.eye(4), 0, 1)):
+        factor.linearize(values)
 
 
 def points() -> None:
     """Planes of clouds: with and without order, of known and of unknown noise."""
     import numpy as np
 
-    from spplanes import Plane, fit_plane
+    from spplanes import Moments, Plane, fit_plane
 
     rng = np.random.default_rng(0)
+    Moments.from_points(rng.random((99, 3))).plane()
     flat = rng.random((200, 3)) * (4.0, 3.0, 0.01)
     covariances = np.tile(np.eye(3) * 1e-4, (200, 1, 1))
     plane: Plane = fit_plane(flat, sigma=0.01)
@@ -193,31 +220,23 @@ def points() -> None:
     scans, shared = np.arange(200) // 20, np.tile(np.eye(6) * 1e-6, (10, 1, 1))
     fit_plane(flat, covariances, scan_index=scans, pose_covariances=shared)
     plane.merge(plane)
-    write_clouds(rng)
+    grid = three_walls()
+    np.save("grid.npy", grid)
+    np.save("heap.npy", rng.permutation(grid.reshape(-1, 3)))
     for cloud in ("grid.npy", "heap.npy"):
         command("fit", cloud, "--out", f"{cloud}.out")
         command("fit", cloud, "--sigma", 0.01)
 
 
-def write_clouds(rng: object) -> None:
-    """Three walls of a room as a range image, and the same points in no order."""
+def three_walls() -> Any:
+    """Three walls of a room as a range image, shape (120, 160, 3)."""
     import numpy as np
 
     u, v = np.meshgrid(np.linspace(-0.7, 0.7, 160), np.linspace(-0.5, 0.5, 120))
     rays = np.stack([np.ones_like(u), u, v], axis=2)
     with np.errstate(divide="ignore"):
         reach = np.minimum(np.minimum(3.0, 1.2 / np.abs(u)), 0.8 / np.abs(v))
-    grid = rays * (reach + 0.004 * np.random.default_rng(0).standard_normal(u.shape))[..., None]
-    np.save("grid.npy", grid)
-    heap = grid.reshape(-1, 3)
-    np.save("heap.npy", heap[np.random.default_rng(1).permutation(len(heap))])
-
-
-def lines() -> None:
-    """A robot with level lasers: lines, laser odometry, a prior map, results read again."""
-    command("simulate", "room", "--scans", 60, "--out", "room")
-    command("slam", "room", "--out", "run")
-    command("evaluate", "run", "--truth", "room")
+    return rays * (reach + 0.004 * np.random.default_rng(0).standard_normal(u.shape))[..., None]
 
 
 def mapping() -> None:
@@ -292,7 +311,7 @@ def rest() -> None:
         factor.linearize(values)
 
 
-#: The longest first, then what it calls late, compiled by the time it does; what shares most with both comes last.
+#: The longest first, then what it calls late, compiled by the time it does.
 JOBS: dict[str, Callable[[], None]] = {
     "corridor": corridor,
     "pieces": pieces,
@@ -300,9 +319,7 @@ JOBS: dict[str, Callable[[], None]] = {
     "places": places,
     "mapping": mapping,
     "points": points,
-    "lines": lines,
     "rest": rest,
-    "plane": plane,
 }
 
 if __name__ == "__main__":

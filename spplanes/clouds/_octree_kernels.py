@@ -107,7 +107,10 @@ def planar_leaves(points, keys, variances, octave, fewest, limits):
             continue
         begin = top
         top = push_octants(keys, first, last, level, stack, top)
-        stack[begin:top] = stack[begin:top][::-1].copy()  # so that the first is taken first
+        for k in range((top - begin) // 2):  # so that the first is taken first
+            for m in range(3):
+                a, b = begin + k, top - 1 - k
+                stack[a, m], stack[b, m] = stack[b, m], stack[a, m]
     return cells[:count].copy(), rows[:count].copy()
 
 

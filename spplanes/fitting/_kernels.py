@@ -11,7 +11,17 @@ import math
 import numpy as np
 
 from spplanes._jit import inlined, inner, njit
-from spplanes._rows import COLLINEAR, COLLINEAR_RATIO, OK, ROW_SIZE, TOO_FEW, faces_viewpoint, row_frame, write_frame
+from spplanes._rows import (
+    COLLINEAR,
+    COLLINEAR_RATIO,
+    OK,
+    ROW_SIZE,
+    TOO_FEW,
+    copy_into,
+    faces_viewpoint,
+    row_frame,
+    write_frame,
+)
 from spplanes.fitting._sums import accumulate, sp_covariance, start_row
 
 #: Noise along the plane explains at most this share of the patch's extent; beyond, the slope is unknown anyway.
@@ -98,7 +108,7 @@ def descend(group, cutoff2, gain, frame, sums) -> int:
         if not invert3(sums[4], sums[5], sums[6], sums[7], sums[8], sums[9], inverse):
             return COLLINEAR
         best = sums[0]
-        base[:] = frame
+        copy_into(base, frame)
         g0, g1, g2 = gain * sums[1], gain * sums[2], gain * sums[3]
         b0 = inverse[0, 0] * g0 + inverse[0, 1] * g1 + inverse[0, 2] * g2
         ax = inverse[1, 0] * g0 + inverse[1, 1] * g1 + inverse[1, 2] * g2

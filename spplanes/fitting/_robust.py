@@ -16,7 +16,7 @@ import numpy as np
 
 from spplanes._check import FloatArray
 from spplanes._jit import inlined, inner
-from spplanes._rows import COLLINEAR, OK, TOO_FEW, write_frame
+from spplanes._rows import COLLINEAR, OK, TOO_FEW, copy_into, write_frame
 from spplanes.fitting._kernels import descend, invert3, settle, write_covariance
 from spplanes.fitting._sums import FLOOR
 
@@ -104,7 +104,7 @@ def consensus_frame(group, fractions, cutoff2, frame) -> int:
         cost = truncated_cost(group, stride, trial, cutoff2)
         if cost < best:
             best = cost
-            frame[:] = trial
+            copy_into(frame, trial)
     return OK if best < np.inf else COLLINEAR
 
 

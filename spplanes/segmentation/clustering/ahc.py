@@ -83,7 +83,8 @@ def _fuse(rows, bias, a, b, work):
     merge_scaled(work, rows[a], 1.0, rows[b], 1.0)
     for k in range(bias.shape[1]):
         bias[a, k] = (bias[a, k] * rows[a, 1] + bias[b, k] * rows[b, 1]) / work[1]
-    rows[a] = work
+    for k in range(work.shape[0]):
+        rows[a, k] = work[k]
 
 
 @njit(cache=True)

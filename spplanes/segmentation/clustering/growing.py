@@ -105,16 +105,18 @@ def grow(grid, planes, gate, floor_variance):
     beside[:-1] |= free[1:]
     beside[:, 1:] |= free[:, :-1]
     beside[:, :-1] |= free[:, 1:]
-    _grow_from(np.flatnonzero(beside & (labels >= 0)), grid, planes, gate, floor_variance)
+    sources = np.flatnonzero(beside & (labels >= 0))
+    queue = np.empty(labels.size, dtype=np.int64)
+    queue[: sources.size] = sources
+    _grow_from(queue, sources.size, grid, planes, gate, floor_variance)
 
 
 @njit(cache=True)
-def _grow_from(sources, grid, planes, gate, floor_variance):
-    """The same, from the places of the points that have a free one beside them."""
+def _grow_from(queue, tail, grid, planes, gate, floor_variance):
+    """The same, from the places of the points that have a free one beside them: as many as `tail`, in a queue."""
     points, covariance, valid, labels, start = grid
     n_rows, n_cols = labels.shape
-    queue, head, tail = np.empty(labels.size, dtype=np.int64), 0, sources.size
-    queue[:tail] = sources
+    head = 0
     while head < tail:
         i, j = queue[head] // n_cols, queue[head] % n_cols
         head += 1

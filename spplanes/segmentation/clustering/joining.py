@@ -9,6 +9,7 @@ from scipy.special import chdtri, ndtri  # scipy.stats would take 0.7 s of every
 
 from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
+from spplanes._rows import copy_into
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import distance_of, variance_from
 from spplanes.outlines._raster import distinct_pairs
@@ -146,7 +147,7 @@ def _pairs_of_rows(grid, views, regions, gap, first, last):
 def _with_room(pairs):
     """Pairs with room for as many behind them."""
     result = np.empty((2 * pairs.shape[0], 2), dtype=np.int64)
-    result[: pairs.shape[0]] = pairs
+    copy_into(result, pairs)
     return result
 
 
