@@ -412,6 +412,27 @@ MUTATIONS = (
         "tests/slam/tracking/test_odometry_check.py -k jumps",
     ),
     Mutation(
+        "odometry against 3D scans: a scan that slid to where it meets nothing contradicts nothing",
+        "slam/tracking/odometry_check.py",
+        "fits = (found if is_near else held()).score >= 0.0",
+        "fits = found.score >= 0.0",
+        "tests/slam/tracking/test_odometry_check.py -k in_a_turn",
+    ),
+    Mutation(
+        "odometry against 3D scans: planes confirm what they contradict by less than fits are off at times",
+        "slam/tracking/odometry_check.py",
+        "not _agree(motion, place, fitted, significance):",
+        "not _agree(motion, place, by_planes, significance):",
+        "tests/slam/tracking/test_odometry_check.py -k slip_of",
+    ),
+    Mutation(
+        "verdict: what rests on odometry that was left aside is doubtful",
+        "slam/diagnostics/evidence/innovations.py",
+        "if k and k not in unused and motion",
+        "if k and motion",
+        "tests/slam/tracking/test_odometry_check.py -k in_a_turn",
+    ),
+    Mutation(
         "odometry against 3D scans: what they say of a step that is off is forgotten",
         "slam/tracking/prediction.py",
         "        return used, prior, place_of(keyframe, used, laid, *about)",

@@ -7,6 +7,7 @@ not asked: laying a scan on those before costs more than all else about a keyfra
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from math import log
 from typing import NamedTuple
 
@@ -138,6 +139,7 @@ def check(
     def is_off(found: Alignment) -> bool:
         return not _agree(motion, found.known_T_seen, _by_returns(found.information)[0], significance)
 
+    @cache
     def held() -> Alignment:
         return align(scan, known, [np.eye(4)], Expected(np.eye(4), information_of(motion)))
 
@@ -156,7 +158,10 @@ def check(
         laid = there if (there := held()).score > 0.0 else None
     b_T_a = inverse(motion.a_T_b)
     steady = _agree(motion, b_T_a @ prior.motion.a_T_b, prior.learnt().spatial, significance)
-    if found.score >= 0.0 and not doubted and steady:
+    # a scan that slid away, as one does that is turned by half a right angle, meets nothing there that contradicts
+    is_near = _agree(motion, found.known_T_seen, stated(np.zeros((6, 6))), significance)
+    fits = (found if is_near else held()).score >= 0.0
+    if fits and not doubted and steady:
         return Check(False, *rests), laid
     seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
     matched = register_planes_globally(*seen_and_known, sigmas_of(otherwise))
@@ -207,10 +212,11 @@ def planes_confirm(
         return None
     place, covariance = inverse(motion.a_T_b) @ fit[0], fit[1]
     by_planes, (at_best, _), apart = stated(covariance), _by_returns(most_information(elements)), motion.spatial
+    fitted = covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
     widest = np.max(eigh(by_planes + apart, at_best + apart, eigvals_only=True))
-    if widest >= _AS_GOOD**2 or not _agree(motion, place, by_planes, significance):
+    if widest >= _AS_GOOD**2 or not _agree(motion, place, fitted, significance):
         return None
-    return Check(False, by_planes, displacement(np.eye(4), place), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)])
+    return Check(False, by_planes, displacement(np.eye(4), place), fitted)
 
 
 def _most_paired(seen: PlaneArrays, paired: np.ndarray) -> bool:

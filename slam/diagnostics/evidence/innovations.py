@@ -133,13 +133,17 @@ def believed_evidence(run: PlaneSlam) -> Iterator[Evidence]:
 
 
 def _steps(run: PlaneSlam) -> list[int]:
-    """Keyframes to which planar odometry leads between two that the graph still holds, evenly over the run."""
+    """Keyframes to which planar odometry leads between two that the graph still holds, evenly over the run.
+
+    Not those where scans spoke against it and it was not taken as stated: nothing rests on it there.
+    """
+    unused = {step.keyframe for step in run.odometry_record.steps if step.used != "as stated"}
     held = [run.backend.holds(pose_symbol(k)) for k in range(len(run.keyframes))]
     motions = (frame.motion for frame in run.keyframes)
     known = [
         k
         for k, motion in enumerate(motions)
-        if k and motion is not None and motion.is_planar and all(held[k - 1 : k + 1])
+        if k and k not in unused and motion is not None and motion.is_planar and all(held[k - 1 : k + 1])
     ]
     return known[:: max(1, -(-len(known) // _MOST_STEPS))]
 
