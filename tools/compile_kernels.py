@@ -178,6 +178,15 @@ def corridor() -> None:
     command("demo", "--scans", 60, "--out", "demo")
 
 
+def plane() -> None:
+    """One plane of moments: the smallest of all."""
+    import numpy as np
+
+    from spplanes import Moments
+
+    Moments.from_points(np.random.default_rng(0).random((99, 3))).plane()
+
+
 def pieces() -> None:
     """What a push-broom run calls after its segmentation: begun here while another process compiles that."""
     import gtsam
@@ -208,10 +217,9 @@ def points() -> None:
     """Planes of clouds: with and without order, of known and of unknown noise."""
     import numpy as np
 
-    from spplanes import Moments, Plane, fit_plane
+    from spplanes import Plane, fit_plane
 
     rng = np.random.default_rng(0)
-    Moments.from_points(rng.random((99, 3))).plane()
     flat = rng.random((200, 3)) * (4.0, 3.0, 0.01)
     covariances = np.tile(np.eye(3) * 1e-4, (200, 1, 1))
     plane: Plane = fit_plane(flat, sigma=0.01)
@@ -320,6 +328,7 @@ JOBS: dict[str, Callable[[], None]] = {
     "mapping": mapping,
     "points": points,
     "rest": rest,
+    "plane": plane,
 }
 
 if __name__ == "__main__":
