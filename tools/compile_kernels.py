@@ -189,7 +189,6 @@ def plane() -> None:
 
 def pieces() -> None:
     """What a push-broom run calls after its segmentation: begun here while another process compiles that."""
-    import gtsam
     import numpy as np
 
     import factors
@@ -206,10 +205,18 @@ def pieces() -> None:
     grid[..., 0], grid[..., 1] = np.meshgrid(np.linspace(-3.0, 3.0, 60), np.linspace(-2.0, 2.0, 40))
     labels[10:25, 20:40] = -1  # a window
     outlines_in(np.eye(4)[None], grid, labels, np.array([[1.7, 1.1]]), MapperConfig())
+    linearize(factors.plane_factor(plane, 0, 1), factors.line_factor(line, np.eye(4), 0, 1))
+
+
+def linearize(*made: Any) -> None:
+    """Factors of a pose 0 and planes 1 and 2."""
+    import gtsam
+
     values = gtsam.Values()
     values.insert(0, gtsam.Pose3())
-    values.insert(1, gtsam.OrientedPlane3(1.0, 0.0, 0.0, 1.0))
-    for factor in (factors.plane_factor(plane, 0, 1), factors.line_factor(line, np.eye(4), 0, 1)):
+    for key in (1, 2):
+        values.insert(key, gtsam.OrientedPlane3(1.0, 0.0, 0.0, float(key)))
+    for factor in made:
         factor.linearize(values)
 
 
@@ -290,7 +297,6 @@ def places() -> None:
 
 def rest() -> None:
     """What commands seldom call: clouds without order, packed ones, other factors, pose errors in other fits."""
-    import gtsam
     import numpy as np
 
     import factors
@@ -306,17 +312,12 @@ def rest() -> None:
     poses = np.tile(np.eye(6) * 1e-6, (10, 1, 1))
     fit_plane(flat, sigma=0.01, method="sp", scan_index=scans, pose_covariances=poses)
     fit_plane(flat, sigma=0.01, robust="tukey", scan_index=scans, pose_covariances=poses)
-    values = gtsam.Values()
-    values.insert(0, gtsam.Pose3())
-    for key in (1, 2):
-        values.insert(key, gtsam.OrientedPlane3(1.0, 0.0, 0.0, float(key)))
-    for factor in (
+    linearize(
         factors.direction_prior(1, (1.0, 0.0, 0.0), 0.1, anchor_key=0),
         factors.parallel_factor(1, 2, 0.1),
         factors.perpendicular_factor(1, 2, 0.1),
         factors.distance_factor(1, 2, 1.0, 0.1),
-    ):
-        factor.linearize(values)
+    )
 
 
 #: The longest first, then what it calls late, compiled by the time it does.

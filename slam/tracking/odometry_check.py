@@ -104,11 +104,11 @@ def check(
     The scan is laid on what was seen before from where the motion leads; it speaks against the motion where it comes to
     rest further off than both covariances allow, and does not fit nearly as well where the motion holds it: along a
     corridor a scan slides to the next place that looks alike. Far from the true place it may rest anywhere: where more
-    of what it sees contradicts than fits, it is looked for as if nobody had measured the motion, and speaks against it
-    from a place that fits clearly better and is as far off; where nothing of it was seen before there is nothing to
-    say. A motion as this body makes none is asked so in any case: odometry that begins anew leads to where a scan fits
-    somehow. So is what was wrong the step before, which is as likely wrong again as not: wheels that slip or stand
-    still do so for a while.
+    of what it sees contradicts than fits where the motion leads, it is looked for as if nobody had measured the motion,
+    and speaks against it from a place that fits clearly better and is as far off; where nothing of it was seen before
+    there is nothing to say. A motion as this body makes none is asked so in any case: odometry that begins anew leads
+    to where a scan fits somehow. So is what was wrong the step before, which is as likely wrong again as not: wheels
+    that slip or stand still do so for a while.
 
     Args:
         keyframe: what is seen.
@@ -158,11 +158,11 @@ def check(
         laid = there if (there := held()).score > 0.0 else None
     b_T_a = inverse(motion.a_T_b)
     steady = _agree(motion, b_T_a @ prior.motion.a_T_b, prior.learnt().spatial, significance)
-    # a scan that slid away, as one does that is turned by half a right angle, meets nothing there that contradicts
-    is_near = _agree(motion, found.known_T_seen, stated(np.zeros((6, 6))), significance)
-    fits = (found if is_near else held()).score >= 0.0
-    if fits and not doubted and steady:
-        return Check(False, *rests), laid
+    if not doubted and steady:
+        # a scan that slid away, as one does that is turned by half a right angle, meets nothing there that contradicts
+        is_near = _agree(motion, found.known_T_seen, stated(np.zeros((6, 6))), significance)
+        if (found if is_near else held()).score >= 0.0:
+            return Check(False, *rests), laid
     seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
     matched = register_planes_globally(*seen_and_known, sigmas_of(otherwise))
     expected = Expected(b_T_a @ otherwise.a_T_b, information_of(otherwise))
@@ -211,8 +211,8 @@ def planes_confirm(
     if fit is None:
         return None
     place, covariance = inverse(motion.a_T_b) @ fit[0], fit[1]
-    by_planes, (at_best, _), apart = stated(covariance), _by_returns(most_information(elements)), motion.spatial
-    fitted = covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+    (by_planes, fitted), (at_best, _) = _believed(covariance), _by_returns(most_information(elements))
+    apart = motion.spatial
     widest = np.max(eigh(by_planes + apart, at_best + apart, eigvals_only=True))
     if widest >= _AS_GOOD**2 or not _agree(motion, place, fitted, significance):
         return None
@@ -239,5 +239,9 @@ def _agree(motion: Motion, place: FloatArray, covariance: FloatArray, significan
 
 def _by_returns(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Covariances (6, 6), SP order, of where returns of that information lay a scan: as believed, as the fit has it."""
-    covariance = np.linalg.inv(information + WEAK_PRIOR).astype(np.float64)
+    return _believed(np.linalg.inv(information + WEAK_PRIOR).astype(np.float64))
+
+
+def _believed(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The covariance of a fit, GTSAM order, in SP order (6, 6): as believed, and as the fit has it."""
     return stated(covariance), covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]

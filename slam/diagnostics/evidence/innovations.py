@@ -135,12 +135,13 @@ def believed_evidence(run: PlaneSlam) -> Iterator[Evidence]:
 def _steps(run: PlaneSlam) -> list[int]:
     """Keyframes to which planar odometry leads between two that the graph still holds, evenly over the run.
 
-    Not those where scans spoke against it and it was not taken as stated: nothing rests on it there. Where they did at
-    most, it is not the wheels alone that may be wrong.
+    Not those where it was not taken as stated: nothing rests there on what it states. Where that is half of all that
+    scans were held against, it is not the wheels alone that may be wrong, and all count.
     """
     checked = run.odometry_record.steps
     unused = {step.keyframe for step in checked if step.used != "as stated"}
-    unused = unused if 2 * len(unused) < len(checked) else set()
+    if 2 * len(unused) >= len(checked):
+        unused = set()
     held = [run.backend.holds(pose_symbol(k)) for k in range(len(run.keyframes))]
     motions = (frame.motion for frame in run.keyframes)
     known = [
